@@ -1,0 +1,181 @@
+"""`Body`: what is tracked. Immutable data, checked once when it is made."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from twistcap._typing import Bool, Float, Int
+from twistcap.errors import InputError
+
+
+@dataclass(frozen=True)
+class Landmarks:
+    """Named points of the body: joint centres and sites such as the nose or the heel.
+
+    Attributes:
+        names: L names, e.g. ``knee_r``.
+        segments: (L,) the segment each point is rigidly attached to.
+        points: (L, 3) rest-pose positions, m.
+    """
+
+    names: tuple[str, ...]
+    segments: Int
+    points: Float
+
+    def index(self, name: str) -> int:
+        return self.names.index(name)
+
+
+@dataclass(frozen=True)
+class Body:
+    """A tree of joint twists, a closed surface and its binding. Units m and rad; rest pose as modelled.
+
+    Coordinates (J) are single twists; a ball joint is two or three of them through one point. Segments (S) are the
+    rigid bones that carry surface. Parents stand before their children in both lists.
+
+    Attributes:
+        name: of the body.
+        coordinate_names: J names, OpenSim's where there is one (``hip_flexion_r``).
+        parent: (J,) index of the coordinate next nearer to the root, -1 for the root itself.
+        twists: (J, 6) rest-pose twists (ω, v), unit ω for revolute joints (``v = −ω × point``), ω = 0 for sliding ones.
+        limits: (J, 2) lower and upper limit, rad (m for sliding).
+        segment_names: S names.
+        segment_joint: (S,) the last coordinate that moves the segment, -1 for segments of the root.
+        vertices: (V, 3) rest-pose surface, m.
+        faces: (F, 3) triangles, counter-clockwise seen from outside.
+        skin_segments, skin_weights: (V, K) linear-blend binding; weights sum to 1, a rigid binding has one weight of 1.
+        landmarks: named points.
+    """
+
+    name: str
+    coordinate_names: tuple[str, ...]
+    parent: Int
+    twists: Float
+    limits: Float
+    segment_names: tuple[str, ...]
+    segment_joint: Int
+    vertices: Float
+    faces: Int
+    skin_segments: Int
+    skin_weights: Float
+    landmarks: Landmarks = field(
+        default_factory=lambda: Landmarks((), np.zeros(0, np.int32), np.zeros((0, 3)))
+    )
+
+    def __post_init__(self) -> None:
+        self._check_tree()
+        self._check_surface()
+
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom: 6 of the root and one per coordinate."""
+        return 6 + len(self.coordinate_names)
+
+    def coordinate(self, name: str) -> int:
+        """Index of a coordinate by name."""
+        return self.coordinate_names.index(name)
+
+    def segment(self, name: str) -> int:
+        """Index of a segment by name."""
+        return self.segment_names.index(name)
+
+    @cached_property
+    def chain(self) -> Bool:
+        """(S, J) whether a coordinate moves a segment."""
+        J = len(self.coordinate_names)
+        moved_by = np.eye(J, dtype=bool)
+        for k in range(J):
+            if self.parent[k] >= 0:
+                moved_by[k] |= moved_by[self.parent[k]]
+        rows = np.zeros((len(self.segment_names), J), dtype=bool)
+        jointed = self.segment_joint >= 0
+        rows[jointed] = moved_by[self.segment_joint[jointed]]
+        return rows
+
+    @cached_property
+    def vertex_part(self) -> Int:
+        """(V,) the segment that holds most of each vertex."""
+        best = np.argmax(self.skin_weights, axis=1)
+        return np.take_along_axis(self.skin_segments, best[:, None], axis=1)[:, 0].astype(np.int32)
+
+    @cached_property
+    def face_part(self) -> Int:
+        """(F,) the segment that holds most of each triangle (the majority of its corners)."""
+        a, b, c = self.vertex_part[self.faces].T
+        return np.where(b == c, b, a).astype(np.int32)
+
+    @cached_property
+    def segment_parent(self) -> Int:
+        """(S,) the nearest segment towards the root, -1 for root segments."""
+        carried = {int(j): s for s, j in enumerate(self.segment_joint)}
+        out = np.full(len(self.segment_names), -1, dtype=np.int32)
+        for s, joint in enumerate(self.segment_joint):
+            k = int(joint)
+            while k >= 0:
+                k = int(self.parent[k])
+                if k in carried:
+                    out[s] = carried[k]
+                    break
+        return out
+
+    @cached_property
+    def joint_points(self) -> Float:
+        """(J, 3) a point on each rest-pose axis, the one nearest the origin (0 for sliding joints)."""
+        return np.cross(self.twists[:, :3], self.twists[:, 3:])
+
+    @cached_property
+    def edges(self) -> tuple[Int, Int]:
+        """Edges (E, 2) as vertex pairs and (E, 2) their two faces, for a closed surface."""
+        return edges_of(self.faces)
+
+    def _check_tree(self) -> None:
+        J, S = len(self.coordinate_names), len(self.segment_names)
+        _expect(self, self.parent.shape == (J,), "parent must have one entry per coordinate")
+        _expect(self, self.twists.shape == (J, 6), "twists must be (J, 6)")
+        _expect(self, self.limits.shape == (J, 2), "limits must be (J, 2)")
+        _expect(self, bool(np.all(self.parent < np.arange(J))), "parents must stand before their children")
+        _expect(self, self.segment_joint.shape == (S,), "segment_joint must have one entry per segment")
+        _expect(self, bool(np.all(self.limits[:, 0] <= self.limits[:, 1])), "a lower limit lies above its upper limit")
+        _expect(self, bool(np.all(np.isfinite(self.twists))), "a twist is not finite")
+        _expect_unique(self, self.coordinate_names, "coordinate")
+        _expect_unique(self, self.segment_names, "segment")
+
+    def _check_surface(self) -> None:
+        V = len(self.vertices)
+        _expect(self, bool(np.all(np.isfinite(self.vertices))), "a vertex is not finite")
+        _expect(self, self.faces.size == 0 or int(self.faces.max()) < V, "a face names a vertex that does not exist")
+        _expect(self, self.skin_segments.shape == self.skin_weights.shape, "binding arrays must have equal shape")
+        _expect(self, len(self.skin_weights) == V, "every vertex needs a binding")
+        _expect(self, bool(np.allclose(self.skin_weights.sum(axis=1), 1.0, atol=1e-5)), "weights must sum to 1")
+
+
+def edges_of(faces: Int) -> tuple[Int, Int]:
+    """Unique edges (E, 2) of triangles and the two faces (E, 2) at each; -1 where an edge has one face only."""
+    corners = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    owner = np.tile(np.arange(len(faces), dtype=np.int32), 3)
+    edges, which = np.unique(np.sort(corners, axis=1), axis=0, return_inverse=True)
+    order = np.argsort(which.ravel(), kind="stable")
+    sorted_edge = which.ravel()[order]
+    first = np.searchsorted(sorted_edge, np.arange(len(edges)))
+    count = np.bincount(sorted_edge, minlength=len(edges))
+    adjacent = np.full((len(edges), 2), -1, dtype=np.int32)
+    adjacent[:, 0] = owner[order[first]]
+    two = count >= 2
+    adjacent[two, 1] = owner[order[first[two] + 1]]
+    return edges.astype(np.int32), adjacent
+
+
+def _expect(body: Body, holds: bool, message: str) -> None:
+    if not holds:
+        raise InputError(f"body {body.name!r}: {message}.")
+
+
+def _expect_unique(body: Body, names: Iterable[str], what: str) -> None:
+    seen: set[str] = set()
+    for name in names:
+        _expect(body, name not in seen, f"{what} name {name!r} is used twice")
+        seen.add(name)

@@ -1,0 +1,173 @@
+"""Calibrated cameras: pinhole with OpenCV's distortion, and rigs of them.
+
+x right, y down, z forward; pixel centres at integers; ``X_cam = T_cam_world X_world`` (metres).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twistcap import se3
+from twistcap._typing import AnyArray, Float, Float32
+
+
+@dataclass(frozen=True)
+class Camera:
+    """One calibrated camera.
+
+    Attributes:
+        name: as in the calibration file.
+        K: (3, 3) intrinsic matrix, pixels.
+        T_cam_world: (4, 4) world to camera, metres.
+        size: (width, height) in pixels.
+        dist: (5,) OpenCV distortion k1, k2, p1, p2, k3.
+    """
+
+    name: str
+    K: Float
+    T_cam_world: Float
+    size: tuple[int, int]
+    dist: Float = field(default_factory=lambda: np.zeros(5))
+
+    @property
+    def centre(self) -> Float:
+        """(3,) optical centre in the world, metres."""
+        R, t = self.T_cam_world[:3, :3], self.T_cam_world[:3, 3]
+        return -R.T @ t
+
+    @property
+    def P(self) -> Float:
+        """(3, 4) pinhole projection matrix ``K [R | t]``; it knows nothing of distortion."""
+        return self.K @ self.T_cam_world[:3]
+
+    def project(self, points: ArrayLike) -> tuple[Float, Float]:
+        """World points (..., 3) m to pixels (..., 2) and depths (...,) m; distortion included.
+
+        Points at or behind the camera plane get NaN pixels.
+        """
+        X = np.asarray(points, float) @ self.T_cam_world[:3, :3].T + self.T_cam_world[:3, 3]
+        depth = X[..., 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            xy = np.where(depth[..., None] > 0, X[..., :2] / depth[..., None], np.nan)
+        xy = distort(xy, self.dist)
+        return xy @ self.K[:2, :2].T + self.K[:2, 2], depth
+
+    def normalised(self, pixels: ArrayLike) -> Float:
+        """Pixels (..., 2) to undistorted image-plane coordinates (..., 2) at depth 1."""
+        px = np.asarray(pixels, float)
+        return undistort((px - self.K[:2, 2]) @ np.linalg.inv(self.K[:2, :2]).T, self.dist)
+
+    def rays(self, pixels: ArrayLike) -> tuple[Float, Float]:
+        """Plücker rays through pixels: unit direction n and moment m = c × n, both (..., 3), world, metres.
+
+        Source: Brox, Rosenhahn and Cremers, "Contours, Optic Flow, and Prior Knowledge", eq. 11.16-11.19.
+        """
+        xy = self.normalised(pixels)
+        n = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1) @ self.T_cam_world[:3, :3]
+        n = n / np.linalg.norm(n, axis=-1, keepdims=True)
+        return n, np.cross(np.broadcast_to(self.centre, n.shape), n)
+
+    def scaled(self, factor: float) -> Camera:
+        """The camera of the image resized by `factor`; pixel centres stay at integers."""
+        size = (max(1, round(self.size[0] * factor)), max(1, round(self.size[1] * factor)))
+        fx, fy = size[0] / self.size[0], size[1] / self.size[1]
+        to_small = np.array([[fx, 0.0, 0.5 * fx - 0.5], [0.0, fy, 0.5 * fy - 0.5], [0.0, 0.0, 1.0]])
+        return replace(self, K=to_small @ self.K, size=size)
+
+    def pinhole(self) -> Camera:
+        """The same camera without distortion: the one that `Rectifier` turns images into."""
+        return replace(self, dist=np.zeros(5))
+
+
+def distort(xy: Float, dist: Float) -> Float:
+    """OpenCV's Brown-Conrady model on image-plane coordinates (..., 2)."""
+    k1, k2, p1, p2, k3 = dist
+    x, y = xy[..., 0], xy[..., 1]
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    return np.stack(
+        [
+            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+        ],
+        axis=-1,
+    )
+
+
+def undistort(xy: Float, dist: Float, tolerance: float = 1e-12, iterations: int = 100) -> Float:
+    """Inverse of `distort` by fixed-point iteration; NaN where the model cannot be inverted."""
+    if not np.any(dist):
+        return xy
+    guess = xy.copy()
+    error = np.full(xy.shape[:-1], np.inf)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(iterations):
+            step = xy - distort(guess, dist)
+            guess = guess + step
+            error = np.abs(step).max(axis=-1)
+            if np.all(error < tolerance):
+                break
+        # A point beyond the fold of the distortion polynomial does not come back: say so rather than return a guess.
+        return np.where((error < 1e-6)[..., None], guess, np.nan)
+
+
+@dataclass(frozen=True)
+class Rig:
+    """The cameras of one recording, in one world frame."""
+
+    cameras: tuple[Camera, ...]
+
+    def __iter__(self) -> Iterator[Camera]:
+        return iter(self.cameras)
+
+    def __len__(self) -> int:
+        return len(self.cameras)
+
+    def __getitem__(self, index: int) -> Camera:
+        return self.cameras[index]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(camera.name for camera in self.cameras)
+
+    def scaled(self, factor: float) -> Rig:
+        return Rig(tuple(camera.scaled(factor) for camera in self.cameras))
+
+    def pinhole(self) -> Rig:
+        return Rig(tuple(camera.pinhole() for camera in self.cameras))
+
+
+class Rectifier:
+    """Turns a camera's images into those of `camera.pinhole()`, once per image, so that straight rays are straight."""
+
+    def __init__(self, camera: Camera) -> None:
+        self.camera = camera.pinhole()
+        self._maps: tuple[Float32, Float32] | None = None
+        if np.any(camera.dist):
+            width, height = camera.size
+            x, y = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
+            source = distort(self.camera.normalised(np.stack([x, y], axis=-1)), camera.dist)
+            source = source @ camera.K[:2, :2].T + camera.K[:2, 2]
+            self._maps = (source[..., 0].astype(np.float32), source[..., 1].astype(np.float32))
+
+    def __call__(self, image: AnyArray, nearest: bool = False) -> AnyArray:
+        """Resample one image (H, W[, C]); `nearest` keeps masks and labels as they are."""
+        if self._maps is None:
+            return image
+        mode = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR
+        return cv2.remap(image, *self._maps, mode, borderMode=cv2.BORDER_REPLICATE)
+
+
+def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> Float:
+    """(4, 4) `T_cam_world` of a camera at `eye` that looks at `target` with `up` upward in the image."""
+    eye, target = np.asarray(eye, float), np.asarray(target, float)
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, np.asarray(up, float))
+    right /= np.linalg.norm(right)
+    R = np.stack([right, np.cross(forward, right), forward])
+    return se3.transform(R, -R @ eye)

@@ -1,0 +1,51 @@
+"""What goes into the tracker for one frame, and what comes out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from twistcap._typing import AnyArray, Float
+from twistcap.body import Pose
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One instant of a recording.
+
+    Attributes:
+        index: frame number in the recording.
+        time: seconds.
+        images: one per camera of the rig, (H, W) grey or (H, W, 3) RGB, uint8 or float32 in [0, 1], rectified
+            (`camera.Rectifier`); None where the camera dropped the frame.
+    """
+
+    index: int
+    time: float
+    images: tuple[AnyArray | None, ...]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The tracker's answer for one frame.
+
+    Attributes:
+        index, time: of the frame.
+        pose: root motion and joint coordinates (rad).
+        covariance: (6 + J, 6 + J) of the step δ that `Pose.retract` takes (rad, m), from the solve.
+        energies: energy by term.
+        status: "converged" | "max_iterations" | "no_images" | "stalled" (no step lowered the energy) | "failed".
+        iterations: accepted solver steps.
+        lost: whether the evidence no longer supports the pose.
+        support: evidence for the pose in [0, 1], by which `lost` is decided.
+    """
+
+    index: int
+    time: float
+    pose: Pose
+    covariance: Float
+    energies: Mapping[str, float] = field(default_factory=dict)
+    status: str = "converged"
+    iterations: int = 0
+    lost: bool = False
+    support: float = 1.0

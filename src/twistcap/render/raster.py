@@ -1,0 +1,113 @@
+"""Z-buffer rasteriser: which triangle is seen at each pixel, and how far."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from twistcap._typing import AnyArray, Float, Float32, Int
+
+
+@njit(cache=True, nogil=True)
+def project_pinhole(P: Float, points: Float) -> tuple[Float, Float]:
+    """Pixels (N, 2) and inverse depths (N,) of world points (N, 3) by a 3×4 matrix; inverse depth 0 behind the camera.
+
+    The third row of P must have unit direction (``K [R | t]`` has), so that it gives metres.
+    """
+    N = len(points)
+    pixels, inverse_depth = np.empty((N, 2)), np.empty(N)
+    for n in range(N):
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
+        w = 1.0 / depth if depth > 1e-3 else 0.0
+        inverse_depth[n] = w
+        pixels[n, 0] = (P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) * w
+        pixels[n, 1] = (P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) * w
+    return pixels, inverse_depth
+
+
+@njit(cache=True, nogil=True)
+def rasterise(
+    pixels: Float, inverse_depth: Float, faces: Int, origin: tuple[int, int], size: tuple[int, int]
+) -> tuple[Int, Float32]:
+    """Visible triangle and inverse depth at each pixel centre of a window of the image.
+
+    Args:
+        pixels: (V, 2) projected vertices, pixel centres at integers.
+        inverse_depth: (V,) 1/m, 0 for vertices behind the camera (their triangles are skipped).
+        faces: (F, 3), counter-clockwise seen from outside; back faces are culled.
+        origin: (x, y) of the window's first pixel.
+        size: (width, height) of the window.
+
+    Returns:
+        (H, W) triangle index, -1 where there is none, and (H, W) inverse depth, 0 there.
+    """
+    width, height = size
+    face_index = np.full((height, width), -1, dtype=np.int32)
+    buffer = np.zeros((height, width), dtype=np.float32)
+    for f in range(len(faces)):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        wa, wb, wc = inverse_depth[a], inverse_depth[b], inverse_depth[c]
+        if wa == 0.0 or wb == 0.0 or wc == 0.0:
+            continue
+        xa, ya = pixels[a, 0] - origin[0], pixels[a, 1] - origin[1]
+        xb, yb = pixels[b, 0] - origin[0], pixels[b, 1] - origin[1]
+        xc, yc = pixels[c, 0] - origin[0], pixels[c, 1] - origin[1]
+        area = (xb - xa) * (yc - ya) - (yb - ya) * (xc - xa)
+        if area >= 0.0:  # y points down: a front face runs clockwise in pixel coordinates' own sense
+            continue
+        x0, x1 = max(0, int(np.ceil(min(xa, xb, xc)))), min(width - 1, int(np.floor(max(xa, xb, xc))))
+        y0, y1 = max(0, int(np.ceil(min(ya, yb, yc)))), min(height - 1, int(np.floor(max(ya, yb, yc))))
+        if x0 > x1 or y0 > y1:
+            continue
+        # Barycentric coordinates and inverse depth are linear in the image: walk them by increments.
+        ax, ay = (yb - yc) / area, (xc - xb) / area
+        bx, by = (yc - ya) / area, (xa - xc) / area
+        for y in range(y0, y1 + 1):
+            la = ax * (x0 - xb) + ay * (y - yb)
+            lb = bx * (x0 - xc) + by * (y - yc)
+            for x in range(x0, x1 + 1):
+                lc = 1.0 - la - lb
+                if la >= 0.0 and lb >= 0.0 and lc >= 0.0:
+                    w = la * wa + lb * wb + lc * wc
+                    if w > buffer[y, x]:
+                        buffer[y, x] = w
+                        face_index[y, x] = f
+                la += ax
+                lb += bx
+    return face_index, buffer
+
+
+def rasterise_reference(
+    pixels: Float, inverse_depth: Float, faces: Int, origin: tuple[int, int], size: tuple[int, int]
+) -> tuple[Int, Float32]:
+    """Readable twin of `rasterise`: every triangle tried at every pixel."""
+    width, height = size
+    x, y = np.meshgrid(np.arange(width) + origin[0], np.arange(height) + origin[1])
+    face_index = np.full((height, width), -1, dtype=np.int32)
+    buffer = np.zeros((height, width), dtype=np.float32)
+    for f, corners in enumerate(faces):
+        w = inverse_depth[corners]
+        (xa, ya), (xb, yb), (xc, yc) = pixels[corners]
+        area = (xb - xa) * (yc - ya) - (yb - ya) * (xc - xa)
+        if np.any(w == 0) or area >= 0:
+            continue
+        la = ((yb - yc) * (x - xb) + (xc - xb) * (y - yb)) / area
+        lb = ((yc - ya) * (x - xc) + (xa - xc) * (y - yc)) / area
+        lc = 1.0 - la - lb
+        depth = (la * w[0] + lb * w[1] + lc * w[2]).astype(np.float32)
+        nearer = (la >= 0) & (lb >= 0) & (lc >= 0) & (depth > buffer)
+        face_index[nearer], buffer[nearer] = f, depth[nearer]
+    return face_index, buffer
+
+
+def barycentric(face_index: Int, faces: Int, pixels: Float, inverse_depth: Float, at: AnyArray) -> Float:
+    """Perspective-correct barycentric coordinates (N, 3) on the given triangles (N,) at pixel positions (N, 2)."""
+    corners = faces[face_index]
+    p, w = pixels[corners], inverse_depth[corners]
+    d1, d2, dp = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0], at - p[:, 0]
+    area = d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0]
+    lb = (dp[:, 0] * d2[:, 1] - dp[:, 1] * d2[:, 0]) / area
+    lc = (d1[:, 0] * dp[:, 1] - d1[:, 1] * dp[:, 0]) / area
+    weights = np.stack([1 - lb - lc, lb, lc], axis=1) * w
+    return weights / weights.sum(axis=1, keepdims=True)

@@ -1,0 +1,175 @@
+"""Rigid motions and their twists, batched over leading axes.
+
+A twist is the 6-vector ``(ω, v)``; a motion is a 4×4 matrix. ``exp`` and ``log`` are those of Rosenhahn, Brox and
+Seidel, "Scaled Motion Dynamics for Markerless Motion Capture", eq. 4-9 (DOI 10.1109/CVPR.2007.383128), written so that
+they stay exact near θ = 0 and θ = π.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from twistcap._typing import Float
+
+_SMALL = 1e-4  # below this angle (rad) the trigonometric quotients are replaced by their series
+
+
+def hat(omega: ArrayLike) -> Float:
+    """Cross-product matrix: ``hat(a) @ b == a × b``. (..., 3) -> (..., 3, 3)."""
+    w = np.asarray(omega, dtype=np.float64)
+    out = np.zeros((*w.shape[:-1], 3, 3))
+    out[..., 0, 1], out[..., 0, 2] = -w[..., 2], w[..., 1]
+    out[..., 1, 0], out[..., 1, 2] = w[..., 2], -w[..., 0]
+    out[..., 2, 0], out[..., 2, 1] = -w[..., 1], w[..., 0]
+    return out
+
+
+def vee(matrix: ArrayLike) -> Float:
+    """Inverse of `hat`; the symmetric part of the matrix is ignored. (..., 3, 3) -> (..., 3)."""
+    m = np.asarray(matrix, dtype=np.float64)
+    return 0.5 * np.stack(
+        [m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]], axis=-1
+    )
+
+
+def transform(rotation: ArrayLike, translation: ArrayLike) -> Float:
+    """Motion from a rotation (..., 3, 3) and a translation (..., 3), metres. -> (..., 4, 4)."""
+    rotation, translation = np.asarray(rotation, float), np.asarray(translation, float)
+    batch = np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
+    out = np.zeros((*batch, 4, 4))
+    out[..., :3, :3], out[..., :3, 3], out[..., 3, 3] = rotation, translation, 1.0
+    return out
+
+
+def inverse(motion: ArrayLike) -> Float:
+    """Inverse motion, by transposition. (..., 4, 4) -> (..., 4, 4)."""
+    T = np.asarray(motion, dtype=np.float64)
+    Rt = np.swapaxes(T[..., :3, :3], -1, -2)
+    return transform(Rt, -(Rt @ T[..., :3, 3:])[..., 0])
+
+
+def apply(motion: ArrayLike, points: ArrayLike) -> Float:
+    """Move points: ``R x + t``. (..., 4, 4) and (..., N, 3) -> (..., N, 3)."""
+    T = np.asarray(motion, dtype=np.float64)
+    return np.asarray(points, float) @ np.swapaxes(T[..., :3, :3], -1, -2) + T[..., None, :3, 3]
+
+
+def _sinc_terms(theta: Float) -> tuple[Float, Float, Float]:
+    """sin θ/θ, (1 − cos θ)/θ² and (θ − sin θ)/θ³."""
+    small = np.abs(theta) < _SMALL
+    safe = np.where(small, 1.0, theta)
+    t2 = theta * theta
+    a = np.where(small, 1.0 - t2 / 6.0, np.sin(safe) / safe)
+    b = np.where(small, 0.5 - t2 / 24.0, 2.0 * np.sin(safe / 2.0) ** 2 / safe**2)
+    # θ − sin θ loses digits long before θ is tiny: the series is used up to 0.3 rad, where its rest is below 1e-16.
+    series = 1 / 6 - t2 / 120 * (1 - t2 / 42 * (1 - t2 / 72 * (1 - t2 / 110)))
+    c = np.where(np.abs(theta) < 0.3, series, (safe - np.sin(safe)) / safe**3)
+    return a, b, c
+
+
+def exp_rotation(omega: ArrayLike) -> Float:
+    """Rotation matrix of a rotation vector in rad (Rodrigues). (..., 3) -> (..., 3, 3)."""
+    w = np.asarray(omega, dtype=np.float64)
+    a, b, _ = _sinc_terms(np.linalg.norm(w, axis=-1))
+    W = hat(w)
+    return np.eye(3) + a[..., None, None] * W + b[..., None, None] * (W @ W)
+
+
+def log_rotation(rotation: ArrayLike) -> Float:
+    """Rotation vector in rad, ‖ω‖ ≤ π, through the unit quaternion (exact near 0 and π). (..., 3, 3) -> (..., 3)."""
+    R = np.asarray(rotation, dtype=np.float64)
+    # 4 q qᵀ from the entries of R; its largest column is the best conditioned multiple of q (Shepperd's method).
+    trace = np.trace(R, axis1=-2, axis2=-1)
+    twice_vee = 2.0 * vee(R)
+    K = np.empty((*R.shape[:-2], 4, 4))
+    K[..., 0, 0] = 1.0 + trace
+    K[..., 0, 1:] = K[..., 1:, 0] = twice_vee
+    K[..., 1:, 1:] = R + np.swapaxes(R, -1, -2) + (1.0 - trace)[..., None, None] * np.eye(3)
+    best = np.argmax(np.diagonal(K, axis1=-2, axis2=-1), axis=-1)
+    q = np.take_along_axis(K, best[..., None, None], axis=-1)[..., 0]
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    q = np.where(q[..., :1] < 0, -q, q)
+    sine = np.linalg.norm(q[..., 1:], axis=-1)
+    angle = 2.0 * np.arctan2(sine, q[..., 0])
+    small = sine < 1e-12
+    factor = np.where(small, 2.0, angle / np.where(small, 1.0, sine))
+    return factor[..., None] * q[..., 1:]
+
+
+def exp(twist: ArrayLike) -> Float:
+    """Motion of a twist (ω rad, v m). (..., 6) -> (..., 4, 4)."""
+    xi = np.asarray(twist, dtype=np.float64)
+    w, v = xi[..., :3], xi[..., 3:]
+    a, b, c = (x[..., None, None] for x in _sinc_terms(np.linalg.norm(w, axis=-1)))
+    W = hat(w)
+    W2 = W @ W
+    V = np.eye(3) + b * W + c * W2
+    return transform(np.eye(3) + a * W + b * W2, (V @ v[..., None])[..., 0])
+
+
+def log(motion: ArrayLike) -> Float:
+    """Twist (ω rad, v m) of a motion, ‖ω‖ ≤ π. (..., 4, 4) -> (..., 6)."""
+    T = np.asarray(motion, dtype=np.float64)
+    w = log_rotation(T[..., :3, :3])
+    theta = np.linalg.norm(w, axis=-1)
+    half = theta / 2.0
+    small = theta < 1e-2
+    safe = np.where(small, 1.0, half)
+    rest = np.where(small, 1 / 12 + theta**2 / 720 + theta**4 / 30240, (1 - safe / np.tan(safe)) / (4 * safe**2))
+    W = hat(w)
+    V_inv = np.eye(3) - 0.5 * W + rest[..., None, None] * (W @ W)
+    return np.concatenate([w, (V_inv @ T[..., :3, 3:])[..., 0]], axis=-1)
+
+
+def adjoint(motion: ArrayLike) -> Float:
+    """``Ad_g`` with ``g exp(ξ̂) g⁻¹ = exp((Ad_g ξ)^)`` for twists (ω, v). (..., 4, 4) -> (..., 6, 6)."""
+    T = np.asarray(motion, dtype=np.float64)
+    R = T[..., :3, :3]
+    out = np.zeros((*T.shape[:-2], 6, 6))
+    out[..., :3, :3] = out[..., 3:, 3:] = R
+    out[..., 3:, :3] = hat(T[..., :3, 3]) @ R
+    return out
+
+
+def bracket_matrix(twist: ArrayLike) -> Float:
+    """``ad_ξ``, the derivative of `adjoint` at the identity. (..., 6) -> (..., 6, 6)."""
+    xi = np.asarray(twist, dtype=np.float64)
+    out = np.zeros((*xi.shape[:-1], 6, 6))
+    out[..., :3, :3] = out[..., 3:, 3:] = hat(xi[..., :3])
+    out[..., 3:, :3] = hat(xi[..., 3:])
+    return out
+
+
+def left_jacobian(twist: ArrayLike) -> Float:
+    """J with ``exp(ξ + δ) ≈ exp(J δ) exp(ξ)``, ``J = Σ ad_ξⁿ/(n+1)!``. (..., 6) -> (..., 6, 6).
+
+    Above 1 rad the closed form in ad … ad⁴, below it the series, whose rest is there below the last digit.
+    """
+    xi = np.asarray(twist, dtype=np.float64)
+    ad = bracket_matrix(xi)
+    eye = np.eye(6)
+    series = np.broadcast_to(eye, ad.shape).copy()
+    for n in range(18, 0, -1):
+        series = eye + ad @ series / (n + 1)
+    phi = np.linalg.norm(xi[..., :3], axis=-1)[..., None, None]
+    f = np.where(phi < 1.0, 1.0, phi)
+    s, c = np.sin(f), np.cos(f)
+    ad2 = ad @ ad
+    closed = (
+        eye
+        + (4 - f * s - 4 * c) / (2 * f**2) * ad
+        + (4 * f - 5 * s + f * c) / (2 * f**3) * ad2
+        + (2 - f * s - 2 * c) / (2 * f**4) * (ad2 @ ad)
+        + (2 * f - 3 * s + f * c) / (2 * f**5) * (ad2 @ ad2)
+    )
+    return np.where(phi < 1.0, series, closed)
+
+
+def orthonormalised(motion: ArrayLike) -> Float:
+    """The nearest motion to a matrix that rounding has carried off SE(3). (..., 4, 4) -> (..., 4, 4)."""
+    T = np.array(motion, dtype=np.float64)
+    U, _, Vt = np.linalg.svd(T[..., :3, :3])
+    sign = np.linalg.det(U @ Vt)[..., None]
+    U = np.concatenate([U[..., :2], U[..., 2:] * sign[..., None]], axis=-1)
+    return transform(U @ Vt, T[..., :3, 3])
