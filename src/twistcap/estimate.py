@@ -26,6 +26,21 @@ class Frame:
 
 
 @dataclass(frozen=True)
+class Keypoints:
+    """2D keypoints of one instant, in every camera of a rig.
+
+    Attributes:
+        names: L landmark names of the body (``knee_r``).
+        pixels: (C, L, 2) pixels in the cameras' own (distorted) grids, NaN where there is none.
+        confidence: (C, L) weight in [0, 1], 0 where there is none.
+    """
+
+    names: tuple[str, ...]
+    pixels: Float
+    confidence: Float
+
+
+@dataclass(frozen=True)
 class Estimate:
     """The tracker's answer for one frame.
 
