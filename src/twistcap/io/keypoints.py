@@ -1,0 +1,203 @@
+"""Readers of 2D keypoints: OpenPose-style JSON (one file per frame and camera), and clicked joints as CSV or JSON.
+
+All give `Keypoints` in the landmark names of the built-in body. Orders of the detectors: OpenPose BODY_25 and
+BODY_25B (github.com/CMU-Perceptual-Computing-Lab/openpose, doc/02_output.md and openpose_train), COCO (cocodataset.org).
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twistcap._typing import Float
+from twistcap.errors import InputError
+from twistcap.estimate import Keypoints
+
+_FEET = ("toe_l", "small_toe_l", "heel_l", "toe_r", "small_toe_r", "heel_r")
+_COCO = (
+    "nose", "eye_l", "eye_r", "ear_l", "ear_r", "shoulder_l", "shoulder_r", "elbow_l", "elbow_r", "wrist_l", "wrist_r",
+    "hip_l", "hip_r", "knee_l", "knee_r", "ankle_l", "ankle_r",
+)  # fmt: skip
+LAYOUTS: Mapping[str, tuple[str, ...]] = {
+    "body_25": (
+        "nose", "neck", "shoulder_r", "elbow_r", "wrist_r", "shoulder_l", "elbow_l", "wrist_l", "mid_hip", "hip_r",
+        "knee_r", "ankle_r", "hip_l", "knee_l", "ankle_l", "eye_r", "eye_l", "ear_r", "ear_l", *_FEET,
+    ),
+    "body_25b": (*_COCO, "neck", "head_top", *_FEET),
+    "coco_17": _COCO,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Grid:
+    """How the pixels a detector saw relate to the video's: ``detector = scale · video + offset``, per axis, in pixels."""
+
+    scale: tuple[float, float] = (1.0, 1.0)
+    offset: tuple[float, float] = (0.0, 0.0)
+
+    def to_video(self, pixels: Float) -> Float:
+        """Detector pixels (..., 2) to video pixels (..., 2)."""
+        return (pixels - np.array(self.offset)) / np.array(self.scale)
+
+
+def read_openpose(
+    files: Mapping[str, Path | str],
+    cameras: Sequence[str],
+    layout: str = "body_25b",
+    person: int | Mapping[str, int] = 0,
+    grids: Mapping[str, Grid] | None = None,
+) -> Keypoints:
+    """Keypoints of one frame from one OpenPose-style JSON file per camera.
+
+    Args:
+        files: JSON file of each camera, by camera name; a camera without one sees nothing.
+        cameras: the rig's camera names, in order.
+        layout: "body_25", "body_25b" or "coco_17". BODY_25 and BODY_25B both have 25 points: the file does not tell.
+        person: which entry of ``people``, for all cameras or by camera name; a file with nobody in it sees nothing.
+        grids: pixel grid of the detector, by camera name, where it is not the video's.
+
+    Raises:
+        InputError: for an unknown layout or camera, a file that cannot be read, has another number of points, or has
+            not so many people.
+    """
+    names = _layout(layout)
+    _expect_cameras([*files, *(grids or {})], cameras, "the keypoints")
+    pixels, confidence = _blank(len(cameras), len(names))
+    for c, camera in enumerate(cameras):
+        if camera in files:
+            chosen = person if isinstance(person, int) else person.get(camera, 0)
+            xyc = _read_person(Path(files[camera]), len(names), chosen)
+            seen = xyc[:, 2] > 0
+            pixels[c, seen] = (grids or {}).get(camera, Grid()).to_video(xyc[seen, :2])
+            confidence[c, seen] = np.minimum(xyc[seen, 2], 1.0)
+    return Keypoints(names, pixels, confidence)
+
+
+def openpose_files(folders: Mapping[str, Path | str], frame: int) -> dict[str, Path]:
+    """The JSON file of a frame in each camera's folder: number `frame` of its files in the order of their names.
+
+    Raises:
+        InputError: if a folder has not so many JSON files.
+    """
+    out: dict[str, Path] = {}
+    for camera, folder in folders.items():
+        files = sorted(Path(folder).glob("*.json"))
+        if not 0 <= frame < len(files):
+            raise InputError(f"{folder}: frame {frame} of {camera} was asked, but there are {len(files)} JSON files.")
+        out[camera] = files[frame]
+    return out
+
+
+def read_clicks(path: Path | str, cameras: Sequence[str]) -> Keypoints:
+    """Clicked joints: CSV with columns camera, joint, x, y[, confidence], or JSON ``{camera: {joint: [x, y]}}``.
+
+    Raises:
+        InputError: for a file that cannot be read, a missing column, an unknown camera, a joint clicked twice in one
+            camera, or a coordinate that is no finite number.
+    """
+    path = Path(path)
+    rows = _json_rows(path) if path.suffix.lower() == ".json" else _csv_rows(path)
+    _expect_cameras([row[0] for row in rows], cameras, str(path))
+    names = tuple(dict.fromkeys(row[1] for row in rows))
+    pixels, confidence = _blank(len(cameras), len(names))
+    for camera, joint, *values in rows:
+        at = cameras.index(camera), names.index(joint)
+        x, y, weight = (
+            _number(v, f"{path}: {what} of {joint} in {camera}") for v, what in zip(values, "xyc", strict=True)
+        )
+        if confidence[at] > 0:
+            raise InputError(f"{path}: joint {joint} is given twice for camera {camera}; keep one.")
+        pixels[at], confidence[at] = (x, y), weight
+    return Keypoints(names, pixels, confidence)
+
+
+def _layout(layout: str) -> tuple[str, ...]:
+    if layout not in LAYOUTS:
+        raise InputError(f"keypoint layout {layout!r} is unknown; use one of {', '.join(LAYOUTS)}.")
+    return LAYOUTS[layout]
+
+
+def _blank(C: int, L: int) -> tuple[Float, Float]:
+    return np.full((C, L, 2), np.nan), np.zeros((C, L))
+
+
+def _expect_cameras(named: Sequence[str], cameras: Sequence[str], where: str) -> None:
+    for camera in named:
+        if camera not in cameras:
+            raise InputError(f"{where}: camera {camera!r} has no calibration; the rig has {', '.join(cameras)}.")
+
+
+def _read_json(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: the keypoint file cannot be read ({error.strerror}).") from error
+    except ValueError as error:
+        raise InputError(f"{path}: this is not valid JSON ({error}).") from error
+
+
+def _read_person(path: Path, L: int, person: int) -> Float:
+    """(L, 3) x, y, confidence of one person; all zero if the file holds nobody."""
+    content = _read_json(path)
+    if not isinstance(content, dict) or not isinstance(content.get("people"), list):
+        raise InputError(f"{path}: field 'people' (a list) is missing; an OpenPose keypoint file has one.")
+    people: list[Any] = content["people"]
+    if not people:
+        return np.zeros((L, 3))
+    if not 0 <= person < len(people):
+        raise InputError(f"{path}: person {person} was asked, but the file holds {len(people)} (counted from 0).")
+    try:
+        numbers = np.asarray(people[person]["pose_keypoints_2d"], dtype=float)
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: person {person} has no list of numbers 'pose_keypoints_2d'.") from error
+    if numbers.shape != (3 * L,):
+        raise InputError(
+            f"{path}: 'pose_keypoints_2d' has shape {numbers.shape}, but the layout needs {3 * L} numbers."
+        )
+    xyc = numbers.reshape(L, 3)
+    if not np.all(np.isfinite(xyc)):
+        raise InputError(f"{path}: 'pose_keypoints_2d' of person {person} has a value that is not a finite number.")
+    return xyc
+
+
+def _csv_rows(path: Path) -> list[tuple[str, str, Any, Any, Any]]:
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: the file of clicked joints cannot be read ({error}).") from error
+    for column in ("camera", "joint", "x", "y"):
+        if not rows or column not in rows[0]:
+            raise InputError(
+                f"{path}: column {column!r} is missing; the first line must be camera,joint,x,y[,confidence]."
+            )
+    return [(r["camera"], r["joint"], r["x"], r["y"], r.get("confidence") or 1.0) for r in rows]
+
+
+def _json_rows(path: Path) -> list[tuple[str, str, Any, Any, Any]]:
+    content = _read_json(path)
+    rows: list[tuple[str, str, Any, Any, Any]] = []
+    for camera, joints in content.items() if isinstance(content, dict) else ():
+        for joint, value in joints.items() if isinstance(joints, dict) else ():
+            if not isinstance(value, list) or len(value) not in (2, 3):
+                raise InputError(f"{path}: {camera}.{joint} must be [x, y] or [x, y, confidence], not {value!r}.")
+            rows.append((camera, joint, value[0], value[1], value[2] if len(value) == 3 else 1.0))
+    if not rows:
+        raise InputError(f"{path}: no joint is given; the file must be {{camera: {{joint: [x, y]}}}}.")
+    return rows
+
+
+def _number(value: Any, what: str) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        number = float("nan")
+    if not np.isfinite(number):
+        raise InputError(f"{what} is {value!r}; it must be a finite number.")
+    return number
