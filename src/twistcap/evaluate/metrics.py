@@ -1,0 +1,174 @@
+"""Error measures: arrays in, numbers out. Angles in rad come out in degrees, metres come out in millimetres.
+
+A NaN in the reference means "not known there" and is left out; a non-finite *estimate* counts as infinitely wrong, so
+that a tracker gains nothing by giving no answer.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TypedDict
+
+import numpy as np
+
+from twistcap._typing import AnyArray, Bool, Float, Int
+from twistcap.render.raster import project_pinhole, rasterise
+
+SIDES = ("r", "l")
+JOINT_CENTRES = tuple(f"{joint}_{s}" for s in SIDES for joint in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist"))
+"""Landmarks that count as joints; toes, heels and the face do not."""
+
+KHE_COORDINATES = tuple(
+    f"{name}_{s}" for s in SIDES for name in ("knee_angle", "hip_flexion", "hip_adduction", "elbow_flex")
+)
+"""Coordinates of the knee-hip-elbow error, the one number by which the project compares trackers."""
+
+LOST_FRAME_MM = 150.0  # a frame is lost when any joint is farther off than this
+LOST_SEQUENCE_MM = 20.0  # a sequence is lost when its mean joint error is above this
+
+
+class Row(TypedDict):
+    """One line of a table, as `evaluate`, `reproduce` and `bench` print it in JSON."""
+
+    case: str
+    metric: str
+    value: float | None
+    unit: str
+    target: str | None
+    holds: bool | None
+    seeds: list[int] | None
+    lost: int | None
+
+
+def row(
+    case: str,
+    metric: str,
+    value: float,
+    unit: str,
+    *,
+    at_most: float | None = None,
+    at_least: float | None = None,
+    seeds: Sequence[int] | None = None,
+    lost: int | None = None,
+) -> Row:
+    """A table line; its target is `at_most` or `at_least`, and a value that is not finite never holds."""
+    finite = math.isfinite(value)
+    target, holds = None, None
+    if at_most is not None:
+        target, holds = f"≤ {at_most:g}", finite and value <= at_most
+    elif at_least is not None:
+        target, holds = f"≥ {at_least:g}", finite and value >= at_least
+    return Row(
+        case=case,
+        metric=metric,
+        value=float(value) if finite else None,  # JSON knows neither NaN nor infinity
+        unit=unit,
+        target=target,
+        holds=holds,
+        seeds=None if seeds is None else [int(seed) for seed in seeds],
+        lost=lost,
+    )
+
+
+def differences(estimate: Float, reference: Float) -> Float:
+    """Estimate minus reference; NaN where the reference is unknown, infinite where only the estimate is."""
+    out = estimate - reference
+    return np.where(np.isfinite(reference), np.where(np.isfinite(estimate), out, np.inf), np.nan)
+
+
+def angle_differences_deg(estimate: Float, reference: Float) -> Float:
+    """Signed angle differences (N, J) in degrees, wrapped into [-180, 180), from angles (N, J) in rad."""
+    d = np.degrees(differences(estimate, reference))
+    finite = np.isfinite(d)
+    return np.where(finite, (np.where(finite, d, 0.0) + 180.0) % 360.0 - 180.0, d)
+
+
+def without_offset(difference: Float) -> Float:
+    """Differences (N, ...) less their mean over the frames: what is left once the two frames of reference agree.
+
+    For positions (N, L, 3) that is one 3D vector per joint, for angles (N, J) one number per coordinate. Frames that
+    are not finite take no part in the mean and stay as they are.
+    """
+    finite = np.isfinite(difference)
+    count = np.maximum(finite.sum(axis=0), 1)
+    mean = np.where(finite, difference, 0.0).sum(axis=0) / count
+    return difference - mean
+
+
+def distances_mm(difference: Float) -> Float:
+    """Lengths (N, L) in mm of position differences (N, L, 3) in m; NaN where any component is unknown."""
+    unknown = np.isnan(difference).any(axis=-1)
+    squares = np.where(np.isnan(difference), 0.0, difference) ** 2
+    return np.where(unknown, np.nan, 1000.0 * np.sqrt(squares.sum(axis=-1)))
+
+
+def mean_known(values: AnyArray) -> float:
+    """Mean of the values that are not NaN; NaN (without a warning) where there is none."""
+    known = values[~np.isnan(values)]
+    return float(known.mean()) if known.size else math.nan
+
+
+def percentile_known(values: AnyArray, percent: float) -> float:
+    """Percentile of the values that are not NaN, the next higher value where it falls between two infinities."""
+    known = np.sort(values[~np.isnan(values)], axis=None)
+    if not known.size:
+        return math.nan
+    finite = np.where(np.isfinite(known), known, np.finfo(float).max / 4)
+    value = float(np.percentile(finite, percent))
+    return value if value < 1e300 else math.inf
+
+
+def khe_deg(difference_deg: Float, names: Sequence[str]) -> float:
+    """Mean absolute error in degrees over `KHE_COORDINATES` of both sides, as far as `names` has them."""
+    columns = [k for k, name in enumerate(names) if name in KHE_COORDINATES]
+    return mean_known(np.abs(difference_deg[:, columns]))
+
+
+def lost_frames(errors_mm: Float, limit_mm: float = LOST_FRAME_MM) -> Bool:
+    """(N,) whether any joint of (N, L) is more than `limit_mm` off; unknown joints do not count."""
+    return np.any(np.where(np.isnan(errors_mm), 0.0, errors_mm) > limit_mm, axis=1)
+
+
+def lost_sequence(errors_mm: Float, limit_mm: float = LOST_SEQUENCE_MM) -> bool:
+    """Whether the mean joint error over the sequence (N, L) is above `limit_mm`."""
+    return mean_known(errors_mm) > limit_mm
+
+
+def silhouette(P: Float, vertices: Float, faces: Int, size: tuple[int, int]) -> Bool:
+    """(H, W) mask of a surface (V, 3) m seen by a pinhole camera (3, 4) with an image of (width, height)."""
+    pixels, inverse_depth = project_pinhole(np.ascontiguousarray(P), vertices)
+    face_index, _ = rasterise(pixels, inverse_depth, faces, (0, 0), size)
+    return face_index >= 0
+
+
+def iou(mask: AnyArray, reference: AnyArray) -> float:
+    """Intersection over union of two masks (H, W); two empty masks agree fully."""
+    a, b = np.asarray(mask, bool), np.asarray(reference, bool)
+    union = int(np.count_nonzero(a | b))
+    return float(np.count_nonzero(a & b)) / union if union else 1.0
+
+
+def z_scores(error: Float, covariance: Float) -> Float:
+    """Errors (N, D) in units of their own standard deviation, from covariances (N, D, D).
+
+    Coordinates of zero variance (held fixed) give NaN. Well calibrated estimates have a root mean square of 1.
+    """
+    variance = np.diagonal(covariance, axis1=-2, axis2=-1)
+    known = variance > 0
+    return np.where(known, error / np.sqrt(np.where(known, variance, 1.0)), np.nan)
+
+
+def normalised_squared_error(error: Float, covariance: Float) -> Float:
+    """(N,) eᵀ C⁻¹ e / D of errors (N, D): 1 on average when the covariance, correlations included, is honest.
+
+    Source: the NEES of Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation", 5.4.
+    """
+    solved = (np.linalg.pinv(covariance, hermitian=True) @ error[..., None])[..., 0]
+    return np.einsum("nd,nd->n", error, solved) / error.shape[-1]
+
+
+def within_sigmas(z: Float, sigmas: float) -> float:
+    """Share of z-scores inside ± `sigmas`: of normal errors 68.3 % lie in 1, 95.4 % in 2."""
+    known = z[np.isfinite(z)]
+    return float(np.mean(np.abs(known) <= sigmas)) if known.size else math.nan
