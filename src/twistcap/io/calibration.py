@@ -1,0 +1,170 @@
+"""Camera calibration files of the aniposelib / Pose2Sim family, and whether what they say can be true.
+
+One TOML table per camera: ``name``, ``size`` [w, h] px, ``matrix`` (3, 3), ``distortions`` [k1, k2, p1, p2(, k3)],
+``rotation`` (Rodrigues vector or 3×3 matrix, world to camera), ``translation``, ``fisheye``; and ``[metadata]``.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+
+from twistcap import se3
+from twistcap._typing import Float
+from twistcap.camera import Camera, Rig
+from twistcap.errors import InputError
+from twistcap.io.plausible import check_plausible
+
+Unit = Literal["m", "mm"]
+_TO_METRES: dict[str, float] = {"m": 1.0, "mm": 1e-3}
+_FIELDS = ("size", "matrix", "rotation", "translation")  # a table with none of them is no camera
+
+
+def read_rig(path: str | Path, unit: Unit | None = None) -> Rig:
+    """Read a calibration and check that it can be true.
+
+    Args:
+        path: ``Calib.toml``.
+        unit: of the translations; None takes ``unit`` in the file's ``[metadata]``, and metres where there is none.
+
+    Raises:
+        InputError: for a missing file, a missing, malformed, non-finite or impossible entry, or a fisheye lens; and
+            what `check_plausible` raises.
+    """
+    path = Path(path)
+    tables = _load(path)
+    scale = _TO_METRES[_unit(path, tables, unit)]
+    cameras = tuple(
+        _camera(f"calibration {path}, camera {key!r}", key, table, scale)
+        for key, table in tables.items()
+        if key != "metadata" and isinstance(table, dict) and any(field in table for field in _FIELDS)
+    )
+    if not cameras:
+        raise InputError(f"calibration {path} holds no camera: it needs one table per camera, such as [cam01].")
+    _check_names(path, cameras)
+    rig = Rig(cameras)
+    check_plausible(rig, source=f"calibration {path}")
+    return rig
+
+
+def write_rig(rig: Rig, path: str | Path) -> None:
+    """Write a rig so that `read_rig`, Pose2Sim and aniposelib read it; metres."""
+    tables = [_table(camera) for camera in rig]
+    Path(path).write_text("\n".join([*tables, '[metadata]\nunit = "m"\nadjusted = false\nerror = 0.0\n']))
+
+
+def _load(path: Path) -> dict[str, Any]:
+    try:
+        with path.open("rb") as file:
+            return tomllib.load(file)
+    except OSError as error:
+        raise InputError(
+            f"calibration {path} cannot be read: {error.strerror}; check [cameras] calibration."
+        ) from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"calibration {path} is not valid TOML: {error}.") from error
+
+
+def _unit(path: Path, tables: Mapping[str, Any], asked: str | None) -> str:
+    metadata = tables.get("metadata", {})
+    unit = asked or (metadata.get("unit") if isinstance(metadata, dict) else None) or "m"
+    if unit not in _TO_METRES:
+        raise InputError(f"calibration {path}: the unit {unit!r} is unknown; write 'm' or 'mm'.")
+    return str(unit)
+
+
+def _check_names(path: Path, cameras: tuple[Camera, ...]) -> None:
+    names = [camera.name for camera in cameras]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"calibration {path}: two cameras are named {name!r}; give each its own name.")
+
+
+def _camera(where: str, key: str, table: Mapping[str, Any], scale: float) -> Camera:
+    if table.get("fisheye", False):
+        raise InputError(f"{where}: fisheye lenses are not supported; undistort the video and set fisheye = false.")
+    size = _numbers(where, table, "size", (2,))
+    K = _numbers(where, table, "matrix", (3, 3))
+    dist = _numbers(where, table, "distortions", None) if "distortions" in table else np.zeros(5)
+    if dist.size > 5 and np.any(dist[5:]):
+        raise InputError(
+            f"{where}: distortions has {dist.size} numbers; at most five (k1, k2, p1, p2, k3) are supported."
+        )
+    dist = np.concatenate([dist, np.zeros(5)])[:5]
+    R = _rotation(where, table)
+    t = _numbers(where, table, "translation", (3,)) * scale
+    _check_intrinsics(where, K, size)
+    name = str(table.get("name", key))
+    return Camera(name, K, se3.transform(R, t), (round(size[0]), round(size[1])), dist)
+
+
+def _numbers(where: str, table: Mapping[str, Any], field: str, shape: tuple[int, ...] | None) -> Float:
+    if field not in table:
+        raise InputError(f"{where}: the field '{field}' is missing; add it to the file.")
+    try:
+        out = np.asarray(table[field], dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{where}: the field '{field}' holds something that is no number.") from error
+    out = out.reshape(-1) if shape is None or len(shape) == 1 else out
+    if shape is not None and out.shape != shape:
+        raise InputError(f"{where}: the field '{field}' has shape {out.shape}; it must be {shape}.")
+    if not np.all(np.isfinite(out)):
+        raise InputError(f"{where}: the field '{field}' holds NaN or infinity; calibrate this camera again.")
+    return out
+
+
+def _rotation(where: str, table: Mapping[str, Any]) -> Float:
+    matrix = np.size(table.get("rotation", ())) == 9
+    given = _numbers(where, table, "rotation", (3, 3) if matrix else (3,))
+    if not matrix:
+        return np.asarray(cv2.Rodrigues(given)[0], dtype=float)
+    if np.linalg.det(given) < 0:
+        raise InputError(f"{where}: the field 'rotation' is mirrored (determinant below 0); flip one axis of it.")
+    if not np.allclose(given @ given.T, np.eye(3), atol=1e-3):
+        raise InputError(f"{where}: the field 'rotation' is no rotation; its rows must be orthonormal.")
+    return se3.orthonormalised(se3.transform(given, np.zeros(3)))[:3, :3]
+
+
+def _check_intrinsics(where: str, K: Float, size: Float) -> None:
+    if K[0, 0] <= 0 or K[1, 1] <= 0:
+        raise InputError(
+            f"{where}: the focal lengths in 'matrix' are {K[0, 0]:g} and {K[1, 1]:g}; they must be positive."
+        )
+    if not np.allclose(K[2], [0, 0, 1], atol=1e-6) or abs(K[1, 0]) > 1e-6:
+        raise InputError(f"{where}: 'matrix' must read [[fx, s, cx], [0, fy, cy], [0, 0, 1]]; it may be transposed.")
+    if np.any(size < 1) or not np.allclose(size, np.round(size)):
+        raise InputError(f"{where}: 'size' is {size.tolist()}; it must be [width, height] in whole pixels.")
+    off = np.abs(K[:2, 2] - 0.5 * size) / size
+    if np.any(off > 1.0):
+        raise InputError(
+            f"{where}: the principal point ({K[0, 2]:g}, {K[1, 2]:g}) lies far outside the image of {size.tolist()} pixels;"
+            " check that 'matrix' and 'size' belong together."
+        )
+
+
+def _table(camera: Camera) -> str:
+    rvec = np.asarray(cv2.Rodrigues(camera.T_cam_world[:3, :3])[0], dtype=float).ravel()
+    dist = (
+        camera.dist if camera.dist[4] else camera.dist[:4]
+    )  # the family writes four; a fifth only where it says something
+    lines = [
+        f"[{_quoted(camera.name)}]",
+        f"name = {_quoted(camera.name)}",
+        f"size = {[float(s) for s in camera.size]}",
+        f"matrix = {camera.K.tolist()}",
+        f"distortions = {dist.tolist()}",
+        f"rotation = {rvec.tolist()}",
+        f"translation = {camera.T_cam_world[:3, 3].tolist()}",
+        "fisheye = false\n",
+    ]
+    return "\n".join(lines)
+
+
+def _quoted(name: str) -> str:
+    escaped = name.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'

@@ -1,0 +1,177 @@
+"""Images of one camera by frame number: from a video file (exact seek) or from image files."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from glob import glob
+from pathlib import Path
+from typing import Any
+
+import av
+import cv2
+import numpy as np
+
+from twistcap._typing import UInt8
+from twistcap.errors import InputError
+
+_IMAGES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm"}
+_MEND = "re-encode the video, or end [frames] before it"
+
+
+class VideoSource:
+    """A video file, frame by frame.
+
+    Frames are counted in order of display by their time stamps, so a frame number means the same picture at variable
+    frame rates and after any seek.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Raises InputError where the file is missing or holds no video."""
+        self.name = str(path)
+        if not Path(path).is_file():
+            raise InputError(f"video {path} does not exist; check its path in [videos].")
+        try:
+            with av.open(self.name) as container:
+                self._stamps = _time_stamps(self.name, container)
+                stream = container.streams.video[0]
+                self._fps = float(stream.average_rate) if stream.average_rate else None
+        except av.error.FFmpegError as error:
+            raise InputError(f"video {path} cannot be opened ({error.strerror}); is it a video file?") from error
+
+    def __len__(self) -> int:
+        return len(self._stamps)
+
+    @property
+    def fps(self) -> float | None:
+        return self._fps
+
+    @cached_property
+    def size(self) -> tuple[int, int]:
+        """(width, height) px as shown: a rotation told by the file is applied."""
+        image = next(self.read([0]))
+        return image.shape[1], image.shape[0]
+
+    def read(self, indices: Sequence[int]) -> Iterator[UInt8]:
+        """RGB images (H, W, 3) of ascending frame numbers.
+
+        Raises:
+            InputError: at the first frame that cannot be decoded; frames before it have been given.
+        """
+        if len(indices) == 0:
+            return
+        with av.open(self.name) as container:
+            stream = container.streams.video[0]
+            stream.codec_context.options = {"err_detect": "explode"}  # a broken frame is an error, not a grey smear
+            if indices[0] > 0:
+                container.seek(self._stamps[indices[0]], stream=stream, backward=True, any_frame=False)
+            decoded = self._decoded(container)
+            for index in indices:
+                yield self._frame_at(decoded, index)
+
+    def _frame_at(self, decoded: Iterator[Any], index: int) -> UInt8:
+        wanted = self._stamps[index]
+        try:
+            for frame in decoded:
+                if frame.pts is None or frame.pts < wanted:
+                    continue
+                if frame.pts > wanted or frame.is_corrupt:
+                    break
+                return _upright(frame)
+        except av.error.FFmpegError as error:
+            raise InputError(f"video {self.name}: frame {index} is corrupt ({error.strerror}); {_MEND}.") from error
+        raise InputError(f"video {self.name}: frame {index} is corrupt or missing; {_MEND}.")
+
+    def _decoded(self, container: Any) -> Iterator[Any]:
+        yield from container.decode(video=0)
+
+
+def _time_stamps(name: str, container: Any) -> list[int]:
+    if not container.streams.video:
+        raise InputError(f"video {name} holds no video stream; is it a video file?")
+    packets = container.demux(container.streams.video[0])
+    stamps = sorted(int(p.pts) for p in packets if p.pts is not None and not p.is_discard and p.size)
+    if not stamps:
+        raise InputError(f"video {name} holds no frame.")
+    return stamps
+
+
+def _upright(frame: Any) -> UInt8:
+    image = np.asarray(frame.to_ndarray(format="rgb24"))
+    turns = round(getattr(frame, "rotation", 0) / 90) % 4
+    return np.ascontiguousarray(np.rot90(image, turns)) if turns else image
+
+
+class ImageSource:
+    """Image files as frames.
+
+    A printf pattern (``cam01/%04d.png``) counts from the lowest number present, and a number that is absent is a
+    dropped frame; a glob or a folder takes the files in natural order.
+    """
+
+    fps: float | None = None
+
+    def __init__(self, pattern: str | Path) -> None:
+        """Raises InputError where no image matches."""
+        self.name = str(pattern)
+        self._files = _numbered(self.name) if "%" in self.name else _in_order(self.name)
+        if not self._files:
+            raise InputError(f"no image matches {self.name}; check the pattern in [videos].")
+
+    def __len__(self) -> int:
+        return len(self._files)
+
+    @cached_property
+    def size(self) -> tuple[int, int]:
+        """(width, height) px of the first image."""
+        first = next(i for i, file in enumerate(self._files) if file is not None)
+        image = _read_image(self.name, self._files[first], first)
+        return image.shape[1], image.shape[0]
+
+    def read(self, indices: Sequence[int]) -> Iterator[UInt8 | None]:
+        """RGB images (H, W, 3) by frame number; None where the file is absent.
+
+        Raises:
+            InputError: at the first image that cannot be read or has another size than the first.
+        """
+        for index in indices:
+            file = self._files[index]
+            yield None if file is None else self._checked(file, index)
+
+    def _checked(self, file: str, index: int) -> UInt8:
+        image = _read_image(self.name, file, index)
+        if (image.shape[1], image.shape[0]) != self.size:
+            raise InputError(
+                f"image {file} (frame {index}) is {image.shape[1]}×{image.shape[0]} pixels, the first is {self.size[0]}×{self.size[1]}."
+            )
+        return image
+
+
+def _read_image(name: str, file: str | None, index: int) -> UInt8:
+    image = None if file is None else cv2.imread(file, cv2.IMREAD_COLOR)
+    if image is None:
+        raise InputError(
+            f"image {file or name} (frame {index}) is corrupt; replace it, or delete it to have it dropped."
+        )
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+
+
+def _numbered(pattern: str) -> list[str | None]:
+    field = re.search(r"%0?\d*d", pattern)
+    if field is None or pattern.count("%") != 1:
+        raise InputError(f"image pattern {pattern} must hold one number field such as %04d.")
+    head, tail = pattern[: field.start()], pattern[field.end() :]
+    shape = re.compile(re.escape(head) + r"(\d+)" + re.escape(tail) + "$")
+    found = {int(m[1]): m.string for m in map(shape.match, glob(_escape(head) + "*" + _escape(tail))) if m}
+    return [found.get(i) for i in range(min(found), max(found) + 1)] if found else []
+
+
+def _in_order(pattern: str) -> list[str | None]:
+    files = glob(str(Path(pattern) / "*")) if Path(pattern).is_dir() else glob(pattern)
+    images = [file for file in files if Path(file).suffix.lower() in _IMAGES]
+    return list(sorted(images, key=lambda file: [int(t) if t.isdigit() else t for t in re.split(r"(\d+)", file)]))
+
+
+def _escape(text: str) -> str:
+    return re.sub(r"([*?[])", r"[\1]", text)

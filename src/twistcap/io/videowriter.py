@@ -1,0 +1,75 @@
+"""H.264 video that browsers play."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import av
+import numpy as np
+
+from twistcap._typing import AnyArray
+from twistcap.errors import InputError
+
+
+class VideoWriter:
+    """Writes RGB or grey images (uint8, or float in [0, 1]) as H.264 yuv420p; odd sizes lose their last row or column.
+
+    Use as a context manager; every image must have the size of the first.
+    """
+
+    def __init__(self, path: str | Path, fps: float, crf: int = 18) -> None:
+        """`crf` is x264's quality: 0 lossless in all but chroma, 18 hardly visible, 23 small.
+
+        Raises InputError where the file cannot be written.
+        """
+        self.path = Path(path)
+        self._fps, self._crf = fps, crf
+        self._stream: Any = None
+        try:
+            self._container: Any = av.open(str(path), "w", options={"movflags": "faststart"})
+        except (av.error.FFmpegError, OSError) as error:
+            raise InputError(f"video {path} cannot be written: {error.strerror}.") from error
+
+    def write(self, image: AnyArray) -> None:
+        """Append one image (H, W) or (H, W, 3)."""
+        rgb = _even(_bytes(image))
+        if self._stream is None:
+            self._stream = self._new_stream(rgb.shape[1], rgb.shape[0])
+        frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(rgb), format="rgb24")
+        self._container.mux(self._stream.encode(frame))
+
+    def close(self) -> None:
+        """Write what the encoder holds back; safe to call twice."""
+        if self._container is None:
+            return
+        if self._stream is not None:
+            self._container.mux(self._stream.encode())
+        self._container.close()
+        self._container = None
+
+    def __enter__(self) -> VideoWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _new_stream(self, width: int, height: int) -> Any:
+        rate = Fraction(self._fps).limit_denominator(1001)
+        stream = self._container.add_stream("libx264", rate=rate, options={"crf": str(self._crf), "preset": "veryfast"})
+        stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
+        return stream
+
+
+def _bytes(image: AnyArray) -> AnyArray:
+    if image.dtype != np.uint8:
+        image = (np.clip(image, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+    return np.repeat(image[..., None], 3, axis=-1) if image.ndim == 2 else image
+
+
+def _even(image: AnyArray) -> AnyArray:
+    return image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2]
