@@ -143,7 +143,7 @@ def test_underground_and_upside_down() -> None:
         check_plausible(ring(), PERSON - [0, 0, 0.61])
     check_plausible(ring(), PERSON - [0, 0, 0.61], floor=-0.6)
     with pytest.raises(InputError, match="no camera sees the person"):
-        check_plausible(ring(), PERSON + [0, 0, 50])
+        check_plausible(ring(), PERSON + np.array([0, 0, 50]))
     with pytest.raises(InputError, match="NaN"):
         check_plausible(ring(), PERSON * np.nan)
     with pytest.raises(InputError, match="stands on the head"):

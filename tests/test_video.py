@@ -9,8 +9,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from test_calibration import ring
 
+from test_calibration import ring
 from twistcap.camera import Rectifier, Rig
 from twistcap.errors import InputError
 from twistcap.io.video import ImageSource, VideoSource, open_source, open_views, view_of
@@ -87,7 +87,7 @@ def test_images_in_order_and_dropped(tmp_path: Path) -> None:
 
 
 def test_views_are_those_of_the_image_rig(video: Path, rig: Rig) -> None:
-    views = open_views({n: video for n in rig.names}, rig, first=4, last=10, step=2, scale=0.5, time_offset=1.0)
+    views = open_views(dict.fromkeys(rig.names, video), rig, first=4, last=10, step=2, scale=0.5, time_offset=1.0)
     frames = list(views)
     assert [f.index for f in frames] == [4, 6, 8, 10]
     assert [f.time for f in frames] == pytest.approx([1 + i / 60 for i in (4, 6, 8, 10)])
@@ -103,7 +103,7 @@ def test_views_are_those_of_the_image_rig(video: Path, rig: Rig) -> None:
 
 def test_threads_end_with_the_loop(video: Path, rig: Rig) -> None:
     before = threading.active_count()
-    for frame in open_views({n: video for n in rig.names}, rig):
+    for frame in open_views(dict.fromkeys(rig.names, video), rig):
         if frame.index == 2:
             break
     del frame

@@ -143,7 +143,8 @@ class ImageSource:
         image = _read_image(self.name, file, index)
         if (image.shape[1], image.shape[0]) != self.size:
             raise InputError(
-                f"image {file} (frame {index}) is {image.shape[1]}×{image.shape[0]} pixels, the first is {self.size[0]}×{self.size[1]}."
+                f"image {file} (frame {index}) is {image.shape[1]}×{image.shape[0]} pixels,"
+                f" the first is {self.size[0]}×{self.size[1]}."
             )
         return image
 
@@ -170,7 +171,7 @@ def _numbered(pattern: str) -> list[str | None]:
 def _in_order(pattern: str) -> list[str | None]:
     files = glob(str(Path(pattern) / "*")) if Path(pattern).is_dir() else glob(pattern)
     images = [file for file in files if Path(file).suffix.lower() in _IMAGES]
-    return list(sorted(images, key=lambda file: [int(t) if t.isdigit() else t for t in re.split(r"(\d+)", file)]))
+    return sorted(images, key=lambda file: [int(t) if t.isdigit() else t for t in re.split(r"(\d+)", file)])
 
 
 def _escape(text: str) -> str:

@@ -213,8 +213,9 @@ def _check_names(paths: Mapping[str, str | Path], rig: Rig) -> None:
 def _check_size(source: Source, camera: Camera) -> None:
     if source.size != camera.size:
         raise InputError(
-            f"video {source.name} is {source.size[0]}×{source.size[1]} pixels, but the calibration of camera"
-            f" {camera.name!r} is for {camera.size[0]}×{camera.size[1]}; use the video that was calibrated, or calibrate for this size."
+            f"video {source.name} is {source.size[0]}×{source.size[1]} pixels, but the calibration of"
+            f" camera {camera.name!r} is for {camera.size[0]}×{camera.size[1]};"
+            " use the video that was calibrated, or calibrate for this size."
         )
 
 
@@ -223,14 +224,14 @@ def _checked_last(sources: Sequence[Source], first: int, last: int | None) -> in
     longest = max(sources, key=len)
     if last is None and len(shortest) != len(longest):
         raise InputError(
-            f"videos are of unequal length: {shortest.name} has {len(shortest)} frames, {longest.name} has {len(longest)};"
-            f" cut them to start together, or set frames = [{first}, {len(shortest) - 1}]."
+            f"videos are of unequal length: {shortest.name} has {len(shortest)} frames, {longest.name} has"
+            f" {len(longest)}; cut them to start together, or set frames = [{first}, {len(shortest) - 1}]."
         )
     end = len(shortest) - 1 if last is None else last
     if end >= len(shortest):
         raise InputError(
-            f"frames asks for frame {end}, but {shortest.name} has only {len(shortest)} frames (0 to {len(shortest) - 1});"
-            f" set frames = [{first}, {len(shortest) - 1}]."
+            f"frames asks for frame {end}, but {shortest.name} has only {len(shortest)} frames"
+            f" (0 to {len(shortest) - 1}); set frames = [{first}, {len(shortest) - 1}]."
         )
     if not 0 <= first <= end:
         raise InputError(
