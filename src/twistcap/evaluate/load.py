@@ -1,0 +1,193 @@
+"""References to evaluate against: studio truth, marker files, motion files and 3D keypoints, all as one `Reference`."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from twistcap._typing import AnyArray, Float
+from twistcap.errors import InputError
+from twistcap.io.keypoints import LAYOUTS
+
+_DETECTOR_NAMES: Mapping[str, str] = {
+    "hip": "hip", "knee": "knee", "ankle": "ankle", "shoulder": "shoulder", "elbow": "elbow", "wrist": "wrist",
+    "bigtoe": "toe", "smalltoe": "small_toe", "heel": "heel", "eye": "eye", "ear": "ear",
+}  # fmt: skip
+_MIDDLE_NAMES: Mapping[str, str] = {"nose": "nose", "neck": "neck", "head": "head_top", "midhip": "mid_hip"}
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What is taken as true, on its own time line.
+
+    Attributes:
+        times: (M,) s, rising, on the recording's clock.
+        names: P points, in the body's landmark names where they are known.
+        points: (M, P, 3) world, m; NaN where unknown. P may be 0.
+        coordinate_names: C joint coordinates.
+        angles: (M, C) rad; NaN where unknown. C may be 0.
+        notes: what was assumed in reading, for the reader of the table.
+    """
+
+    times: Float
+    names: tuple[str, ...] = ()
+    points: Float = field(default_factory=lambda: np.zeros((0, 0, 3)))
+    coordinate_names: tuple[str, ...] = ()
+    angles: Float = field(default_factory=lambda: np.zeros((0, 0)))
+    notes: tuple[str, ...] = ()
+
+    def at(self, times: Float) -> tuple[Float, Float]:
+        """Points (N, P, 3) and angles (N, C) at other times, linearly interpolated; NaN outside the time line."""
+        N = len(times)
+        points = interpolated(self.times, self.points, times) if self.names else np.zeros((N, 0, 3))
+        angles = interpolated(self.times, self.angles, times) if self.coordinate_names else np.zeros((N, 0))
+        return points, angles
+
+    def without(self, exclude: Sequence[str]) -> Reference:
+        """The reference with flawed stretches unknown, each as ``NAME`` or ``NAME:FIRST-LAST`` (its own row numbers).
+
+        Raises:
+            InputError: for a name it does not have or a range that cannot be read.
+        """
+        points, angles = self.points.copy(), self.angles.copy()
+        for text in exclude:
+            name, rows = parsed_exclusion(text, len(self.times))
+            if name in self.names:
+                points[rows, self.names.index(name)] = np.nan
+            elif name in self.coordinate_names:
+                angles[rows, self.coordinate_names.index(name)] = np.nan
+            else:
+                raise InputError(
+                    f"exclusion {text!r}: the reference has no point or coordinate {name!r}; "
+                    f"it has {', '.join((*self.names, *self.coordinate_names))}."
+                )
+        return replace(self, points=points, angles=angles)
+
+
+def interpolated(times: Float, values: Float, at: Float) -> Float:
+    """Values (M, ...) given at rising `times` (M,), linearly interpolated at other times (N,); NaN outside.
+
+    An exact hit needs only its own sample, whatever stands beside it.
+    """
+    tolerance = 1e-9 + 1e-6 * (times[-1] - times[0])  # times that came through a text file still hit the ends
+    after = np.clip(np.searchsorted(times, at - tolerance), 0, len(times) - 1)
+    before = np.where(np.abs(times[after] - at) <= tolerance, after, np.maximum(after - 1, 0))
+    span = times[after] - times[before]
+    weight = np.where(span > 0, (at - times[before]) / np.where(span > 0, span, 1.0), 0.0)
+    w = weight.reshape(-1, *[1] * (values.ndim - 1))
+    out = np.where(w > 0, (1 - w) * values[before] + w * values[after], values[before])
+    out[(at < times[0] - tolerance) | (at > times[-1] + tolerance)] = np.nan
+    return out
+
+
+def parsed_exclusion(text: str, rows: int) -> tuple[str, slice]:
+    """``wrist_r:76-79`` as a name and a range of rows, both ends included; a name alone means every row."""
+    match = re.fullmatch(r"(\w+)(?::(\d+)(?:-(\d+))?)?", text.strip())
+    if not match:
+        raise InputError(f"exclusion {text!r} cannot be read; write it as NAME or NAME:FIRST-LAST, e.g. wrist_r:76-79.")
+    name, first, last = match.groups()
+    if first is None:
+        return name, slice(0, rows)
+    return name, slice(int(first), int(last or first) + 1)
+
+
+def load_reference(path: Path, frame_times: Callable[[int], Float]) -> Reference:
+    """Read a reference by its ending: ``.npz`` (studio truth or keypoints), ``.trc`` or ``.mot`` / ``.sto``.
+
+    Args:
+        path: the file.
+        frame_times: times (M,) of the recording's frames 0 … M − 1, for files that have no clock of their own.
+
+    Raises:
+        InputError: for a missing, unknown or unreadable file.
+    """
+    if not path.exists():
+        raise InputError(f"the reference {path} does not exist; give a file or a folder of masks.")
+    readers = {".npz": _from_npz, ".trc": _from_trc, ".mot": _from_mot, ".sto": _from_mot}
+    reader = readers.get(path.suffix.lower())
+    if reader is None:
+        raise InputError(
+            f"the reference {path} has an unknown ending; give .npz, .trc, .mot, .sto or a folder of masks."
+        )
+    reference = reader(path, frame_times)
+    if len(reference.times) == 0 or not np.all(np.diff(reference.times) > 0):
+        raise InputError(f"the reference {path} needs at least one row and times that rise from row to row.")
+    return reference
+
+
+def _from_npz(path: Path, frame_times: Callable[[int], Float]) -> Reference:
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            data = {key: archive[key] for key in archive.files}
+    except (OSError, ValueError) as error:
+        raise InputError(f"the reference {path} cannot be read as an npz file: {error}.") from error
+    if "X" in data:
+        return _from_keypoints(path, data, frame_times)
+    missing = [key for key in ("q", "landmarks", "names", "coordinate_names") if key not in data]
+    if missing:
+        raise InputError(
+            f"the reference {path} lacks {', '.join(missing)}; a studio truth has root, q, landmarks, names, "
+            "coordinate_names and fps, a keypoint file has X."
+        )
+    return _from_truth(data, frame_times)
+
+
+def _from_truth(data: Mapping[str, AnyArray], frame_times: Callable[[int], Float]) -> Reference:
+    return Reference(
+        times=_times_of(data, len(data["q"]), frame_times),
+        names=tuple(str(name) for name in data["names"]),
+        points=data["landmarks"].astype(float),
+        coordinate_names=tuple(str(name) for name in data["coordinate_names"]),
+        angles=data["q"].astype(float),
+    )
+
+
+def _from_keypoints(path: Path, data: Mapping[str, AnyArray], frame_times: Callable[[int], Float]) -> Reference:
+    X = data["X"].astype(float)
+    names = tuple(str(name) for name in data["names"]) if "names" in data else LAYOUTS["body_25b"]
+    if X.ndim != 3 or X.shape[1:] != (len(names), 3):
+        raise InputError(
+            f"the reference {path}: X has shape {X.shape}, but {len(names)} points need (N, {len(names)}, 3)."
+        )
+    notes = () if "names" in data else ("keypoints read in BODY_25B order",)
+    return Reference(_times_of(data, len(X), frame_times), names, X, notes=notes)
+
+
+def _times_of(data: Mapping[str, AnyArray], rows: int, frame_times: Callable[[int], Float]) -> Float:
+    if "times" in data:
+        return data["times"].astype(float)
+    return np.arange(rows) / float(data["fps"]) if "fps" in data else frame_times(rows)
+
+
+def _from_trc(path: Path, frame_times: Callable[[int], Float]) -> Reference:
+    from twistcap.io.markers import read_trc
+
+    markers = read_trc(path)
+    return Reference(markers.times, tuple(landmark_name(name) for name in markers.names), markers.points)
+
+
+def landmark_name(marker: str) -> str:
+    """The body's name for a marker of the OpenPose family (``RHip`` -> ``hip_r``); other names stay as they are."""
+    lower = marker.lower()
+    if lower in _MIDDLE_NAMES:
+        return _MIDDLE_NAMES[lower]
+    if lower[:1] in ("r", "l") and lower[1:] in _DETECTOR_NAMES:
+        return f"{_DETECTOR_NAMES[lower[1:]]}_{lower[0]}"
+    return marker
+
+
+def _from_mot(path: Path, frame_times: Callable[[int], Float]) -> Reference:
+    from twistcap.io.motion_files import read_mot
+
+    table = read_mot(path)
+    angles, notes = table.values.copy(), list[str]()
+    for k, name in enumerate(table.columns):
+        # Older OpenSim models (gait2392) bend the knee to negative angles; no walker has a mean knee below −5°.
+        if name.startswith("knee_angle") and np.nanmean(angles[:, k]) < np.radians(-5.0):
+            angles[:, k] *= -1.0
+            notes.append(f"{name} was negative in flexion and has been turned round")
+    return Reference(table.times, coordinate_names=tuple(table.columns), angles=angles, notes=tuple(notes))

@@ -1,0 +1,315 @@
+"""`evaluate`: a result against a reference, as table rows and as the arrays that plots need."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+
+from twistcap._typing import AnyArray, Bool, Float
+from twistcap.body import Body, Pose, Posed
+from twistcap.camera import Camera, Rectifier, Rig
+from twistcap.errors import InputError
+from twistcap.evaluate import metrics
+from twistcap.evaluate.load import Reference, load_reference
+from twistcap.evaluate.metrics import Row, row
+
+
+class Tracked(Protocol):
+    """What `evaluate` needs of a result; `twistcap.io.result.Result` has it."""
+
+    @property
+    def body(self) -> Body: ...
+    @property
+    def rig(self) -> Rig: ...
+    @property
+    def times(self) -> AnyArray: ...
+    @property
+    def indices(self) -> AnyArray: ...
+    @property
+    def poses(self) -> Sequence[Pose]: ...
+    @property
+    def lost(self) -> AnyArray: ...
+    @property
+    def covariances(self) -> AnyArray: ...
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Differences to a reference, frame by frame.
+
+    Attributes:
+        names: K joints or coordinates.
+        reference: (N, K, 3) m or (N, K) rad, the reference at the result's times.
+        raw: (N, K) mm (distances) or degrees (signed).
+        offset_removed: (N, K) the same with the constant offset of each joint or coordinate removed.
+    """
+
+    names: tuple[str, ...]
+    reference: Float
+    raw: Float
+    offset_removed: Float
+
+    def by_name(self) -> dict[str, dict[str, float | None]]:
+        """Mean absolute error of each joint or coordinate, raw and with the offset removed."""
+        out: dict[str, dict[str, float | None]] = {}
+        for k, name in enumerate(self.names):
+            raw, rest = np.abs(self.raw[:, k]), np.abs(self.offset_removed[:, k])
+            out[name] = {"raw": _json(metrics.mean_known(raw)), "offset_removed": _json(metrics.mean_known(rest))}
+        return out
+
+
+@dataclass(frozen=True)
+class Overlap:
+    """IoU of one rendered silhouette with a given mask."""
+
+    camera: str
+    frame: int
+    iou: float
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Everything that `evaluate` found.
+
+    Attributes:
+        case: name of the comparison.
+        rows: the table.
+        joints: position errors, mm, where the reference has joints.
+        angles: angle errors, degrees, where it has coordinates.
+        overlaps: IoU by mask, where it is a folder of masks.
+        lost_frames: frame numbers lost by the reference (`metrics.lost_frames`).
+        notes: what was assumed.
+    """
+
+    case: str
+    rows: list[Row]
+    joints: Errors | None = None
+    angles: Errors | None = None
+    overlaps: list[Overlap] = field(default_factory=list[Overlap])
+    lost_frames: list[int] = field(default_factory=list[int])
+    notes: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """The whole as JSON-ready values."""
+        return {
+            "case": self.case,
+            "rows": self.rows,
+            "joints_mm": self.joints.by_name() if self.joints else {},
+            "angles_deg": self.angles.by_name() if self.angles else {},
+            "masks": [vars(overlap) for overlap in self.overlaps],
+            "lost_frames": self.lost_frames,
+            "notes": list(self.notes),
+        }
+
+
+def evaluate(
+    result: Tracked,
+    reference: Path | str,
+    time_offset: float = 0.0,
+    *,
+    exclude: Sequence[str] = (),
+    case: str | None = None,
+) -> Evaluation:
+    """Compare a result with a reference.
+
+    Args:
+        result: the tracker's poses with their body and cameras.
+        reference: studio truth (``truth.npz`` or its folder), ``.trc``, ``.mot``, ``.sto``, 3D keypoints (``.npz`` with
+            ``X`` (N, 25, 3) m) or a folder of masks ``CAM/frame_XXXX.png``.
+        time_offset: seconds to add to the reference's clock to get the recording's.
+        exclude: flawed stretches of the reference, see `Reference.without`.
+        case: name in the table; the reference's own name by default.
+
+    Raises:
+        InputError: for a reference that is missing, unreadable, or has nothing in common with the result.
+    """
+    path = Path(reference)
+    path = path / "truth.npz" if (path / "truth.npz").is_file() else path
+    case = case or (path.name if path.is_dir() else path.stem)
+    if path.is_dir():
+        if time_offset:
+            raise InputError(f"masks in {path} are matched by frame number; leave the time offset out.")
+        return _against_masks(result, path, case)
+    truth = load_reference(path, lambda rows: frame_times(result, rows))
+    truth = replace(truth, times=truth.times + time_offset).without(exclude)
+    return compare(result, truth, case, str(path))
+
+
+def frame_times(result: Tracked, rows: int) -> Float:
+    """Times (rows,) s of frames 0 … rows − 1 on the result's own clock."""
+    indices, times = np.asarray(result.indices, float), np.asarray(result.times, float)
+    if len(times) < 2:
+        raise InputError("a reference without a clock (fps or times) needs a result of at least two frames.")
+    step = (times[-1] - times[0]) / (indices[-1] - indices[0])
+    return times[0] + (np.arange(rows) - indices[0]) * step
+
+
+def compare(result: Tracked, truth: Reference, case: str, source: str = "the reference") -> Evaluation:
+    """Compare a result with a reference already in memory (its clock the recording's); see `evaluate`."""
+    times = np.asarray(result.times, float)
+    points, angles = truth.at(times)
+    _expect_common(result, truth, times, source)
+    joints = _joint_errors(result, truth.names, points)
+    coordinates = _angle_errors(result, truth.coordinate_names, angles)
+    rows, lost = list[Row](), list[int]()
+    if coordinates:
+        rows += _angle_rows(case, coordinates) + _honesty_rows(case, result, coordinates)
+    if joints:
+        lost = [int(i) for i in np.asarray(result.indices)[metrics.lost_frames(joints.raw)]]
+        rows += _joint_rows(case, joints, len(lost))
+    rows.append(row(case, "lost frames, by the tracker itself", float(np.sum(result.lost)), "frames"))
+    return Evaluation(case, rows, joints, coordinates, lost_frames=lost, notes=truth.notes)
+
+
+def _expect_common(result: Tracked, truth: Reference, times: Float, source: str) -> None:
+    first, last = truth.times[0], truth.times[-1]
+    if not np.any((times >= first - 1e-6) & (times <= last + 1e-6)):
+        raise InputError(
+            f"{source} covers {first:.3f} to {last:.3f} s, the result {times[0]:.3f} to {times[-1]:.3f} s: "
+            "they have no frame in common; check the time offset."
+        )
+    ours = {*result.body.landmarks.names, *result.body.coordinate_names}
+    if not ours & {*truth.names, *truth.coordinate_names}:
+        raise InputError(
+            f"{source} shares no point or coordinate name with body {result.body.name!r}; it has "
+            f"{', '.join((*truth.names, *truth.coordinate_names)[:12])} …, the body {', '.join(sorted(ours)[:12])} …."
+        )
+
+
+def compared_landmarks(ours: Sequence[str], theirs: Sequence[str]) -> tuple[str, ...]:
+    """The joint centres that both have; all points that both have where the body is no human."""
+    joints = tuple(name for name in metrics.JOINT_CENTRES if name in ours and name in theirs)
+    return joints or tuple(name for name in ours if name in theirs)
+
+
+def _joint_errors(result: Tracked, names: Sequence[str], points: Float) -> Errors | None:
+    marks = result.body.landmarks
+    shared = compared_landmarks(marks.names, names)
+    if not shared:
+        return None
+    mine = np.stack([Posed(result.body, pose).landmarks for pose in result.poses])
+    mine = mine[:, [marks.index(name) for name in shared]]
+    theirs = points[:, [names.index(name) for name in shared]]
+    difference = metrics.differences(mine, theirs)
+    raw, rest = metrics.distances_mm(difference), metrics.distances_mm(metrics.without_offset(difference))
+    return Errors(shared, theirs, raw, rest)
+
+
+def _angle_errors(result: Tracked, names: Sequence[str], angles: Float) -> Errors | None:
+    body = result.body
+    turning = np.any(body.twists[:, :3], axis=1)  # a sliding coordinate is no angle
+    shared = tuple(n for n, turns in zip(body.coordinate_names, turning, strict=True) if turns and n in names)
+    if not shared:
+        return None
+    q = np.stack([pose.q for pose in result.poses])[:, [body.coordinate(name) for name in shared]]
+    theirs = angles[:, [names.index(name) for name in shared]]
+    difference = metrics.angle_differences_deg(q, theirs)
+    return Errors(shared, theirs, difference, metrics.without_offset(difference))
+
+
+def _angle_rows(case: str, errors: Errors) -> list[Row]:
+    rows = list[Row]()
+    for what, values in (("", errors.raw), (", offset removed", errors.offset_removed)):
+        size = np.abs(values)
+        if any(name in metrics.KHE_COORDINATES for name in errors.names):
+            rows.append(row(case, f"KHE{what}", metrics.khe_deg(values, errors.names), "deg"))
+        rows.append(row(case, f"angles, mean{what}", metrics.mean_known(size), "deg"))
+        rows.append(row(case, f"angles, median{what}", metrics.percentile_known(size, 50), "deg"))
+        rows.append(row(case, f"angles, p95{what}", metrics.percentile_known(size, 95), "deg"))
+    return rows
+
+
+def _joint_rows(case: str, errors: Errors, lost: int) -> list[Row]:
+    rows = list[Row]()
+    for what, values in (("", errors.raw), (", offset removed", errors.offset_removed)):
+        rows.append(row(case, f"joints, mean{what}", metrics.mean_known(values), "mm"))
+        rows.append(row(case, f"joints, median{what}", metrics.percentile_known(values, 50), "mm"))
+        rows.append(row(case, f"joints, p95{what}", metrics.percentile_known(values, 95), "mm"))
+    rows.append(row(case, "lost frames, by the reference", float(lost), "frames", lost=lost))
+    rows.append(row(case, "lost sequence", float(metrics.lost_sequence(errors.raw)), "", at_most=0))
+    return rows
+
+
+def _honesty_rows(case: str, result: Tracked, errors: Errors) -> list[Row]:
+    """How the angle errors compare with the standard deviations that the tracker claims."""
+    columns = [6 + result.body.coordinate(name) for name in errors.names]
+    covariance = np.asarray(result.covariances, float)[:, columns][:, :, columns]
+    z = metrics.z_scores(np.radians(errors.raw), covariance)
+    z = z[np.isfinite(z)]
+    if not z.size:
+        return []
+    return [
+        row(case, "angle errors over claimed σ, rms (1 is honest)", float(np.sqrt(np.mean(z**2))), "σ"),
+        row(case, "angle errors within 2σ (95 % is honest)", 100 * metrics.within_sigmas(z, 2.0), "%"),
+    ]
+
+
+def _against_masks(result: Tracked, folder: Path, case: str) -> Evaluation:
+    overlaps = list(_overlaps(result, folder))
+    if not overlaps:
+        raise InputError(f"no mask in {folder} belongs to a frame of the result; name them CAM/frame_XXXX.png.")
+    rows = list[Row]()
+    for camera in dict.fromkeys(overlap.camera for overlap in overlaps):
+        own = [overlap.iou for overlap in overlaps if overlap.camera == camera]
+        rows.append(row(case, f"IoU, {camera}", float(np.mean(own)), ""))
+    values = np.array([overlap.iou for overlap in overlaps])
+    rows.append(row(case, "IoU, mean", float(values.mean()), ""))
+    rows.append(row(case, "IoU, least", float(values.min()), ""))
+    return Evaluation(case, rows, overlaps=overlaps)
+
+
+def _overlaps(result: Tracked, folder: Path) -> Iterator[Overlap]:
+    """IoU of every mask of the folder that belongs to a frame of the result."""
+    frames = {int(index): k for k, index in enumerate(result.indices)}
+    cameras = {camera.name: camera for camera in result.rig}
+    subfolders = sorted(path for path in folder.iterdir() if path.is_dir())
+    unknown = [path.name for path in subfolders if path.name not in cameras]
+    if unknown or not subfolders:
+        found = f"a folder {unknown[0]!r}" if unknown else "no folders"
+        raise InputError(f"the masks in {folder} have {found}; name one folder per camera: {', '.join(cameras)}.")
+    for path in subfolders:
+        camera, rectify = cameras[path.name], Rectifier(cameras[path.name])
+        for file in sorted(path.glob("*.png")):
+            k = frames.get(_frame_number(file))
+            if k is not None:
+                mask = rectify(_read_mask(file, camera), nearest=True) > 127
+                seen = _silhouette(result, k, rectify.camera)
+                yield Overlap(camera.name, int(result.indices[k]), metrics.iou(seen, mask))
+
+
+def _silhouette(result: Tracked, k: int, camera: Camera) -> Bool:
+    vertices = Posed(result.body, result.poses[k]).vertices
+    return metrics.silhouette(camera.P, vertices, result.body.faces, camera.size)
+
+
+def _frame_number(file: Path) -> int:
+    digits = re.findall(r"\d+", file.stem)
+    if not digits:
+        raise InputError(f"the mask {file} has no frame number in its name; name it frame_XXXX.png.")
+    return int(digits[-1])
+
+
+def _read_mask(file: Path, camera: Camera) -> AnyArray:
+    """(H, W) uint8 mask of a camera's full size; a mask of the same shape in another size is scaled to it."""
+    mask = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+    if mask is None:
+        raise InputError(f"the mask {file} cannot be read as an image.")
+    height, width = mask.shape
+    if (width, height) == camera.size:
+        return mask
+    if abs(width / height - camera.size[0] / camera.size[1]) > 0.01:
+        raise InputError(
+            f"the mask {file} is {width}×{height} pixels, camera {camera.name!r} {camera.size[0]}×{camera.size[1]}: "
+            "masks must have the shape of the video."
+        )
+    return cv2.resize(mask, camera.size, interpolation=cv2.INTER_NEAREST)
+
+
+def _json(value: float) -> float | None:
+    return value if np.isfinite(value) else None
