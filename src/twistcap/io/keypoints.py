@@ -1,7 +1,7 @@
 """Readers of 2D keypoints: OpenPose-style JSON (one file per frame and camera), and clicked joints as CSV or JSON.
 
 All give `Keypoints` in the landmark names of the built-in body. Orders of the detectors: OpenPose BODY_25 and
-BODY_25B (github.com/CMU-Perceptual-Computing-Lab/openpose, doc/02_output.md and openpose_train), COCO (cocodataset.org).
+BODY_25B (github.com/CMU-Perceptual-Computing-Lab, openpose and openpose_train), COCO (cocodataset.org).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ LAYOUTS: Mapping[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class Grid:
-    """How the pixels a detector saw relate to the video's: ``detector = scale · video + offset``, per axis, in pixels."""
+    """How the pixels a detector saw relate to the video: ``detector = scale · video + offset``, per axis, in pixels."""
 
     scale: tuple[float, float] = (1.0, 1.0)
     offset: tuple[float, float] = (0.0, 0.0)

@@ -1,0 +1,224 @@
+"""The first pose from 2D keypoints: root, joint angles and segment lengths together, robustly, from several starts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from twistcap._typing import Bool, Float
+from twistcap.body import Body, Pose
+from twistcap.body.kinematics import Posed
+from twistcap.body.shape import rescaled
+from twistcap.camera import Rig
+from twistcap.errors import InputError
+from twistcap.estimate import Keypoints
+from twistcap.firstpose.problem import Evidence, Priors, Problem, State, evidence, minimise, residuals
+from twistcap.firstpose.skeleton import Proportions, Skeleton
+from twistcap.firstpose.triangulate import Triangulated, rigid_fit, triangulate
+
+_FEWEST = 5  # triangulated joints below which no pose is worth the name
+_REACH = 4.0  # final scale of the robust function, standard deviations
+
+# Start poses in degrees, both sides alike; a coordinate the body lacks is passed over.
+STARTS_DEG: tuple[Mapping[str, float], ...] = (
+    {},
+    {"arm_add": -80.0},
+    {"arm_flex": 70.0, "elbow_flex": 40.0},
+    {"arm_add": -115.0, "elbow_flex": 20.0},
+    {"hip_flexion": 70.0, "knee_angle": 90.0, "ankle_angle": 20.0, "elbow_flex": 60.0},
+    {"arm_flex": -30.0, "elbow_flex": 90.0, "lumbar_extension": -30.0},
+)
+
+
+@dataclass(frozen=True)
+class FirstPose:
+    """A pose found from keypoints.
+
+    Attributes:
+        body: the body at the fitted lengths.
+        pose: of it.
+        proportions: the factors that made `body` from the generic one.
+        residual_px: (C, L) distance between keypoint and landmark, undistorted pixels, NaN where there is none.
+        used: (C, L) the keypoints that counted.
+        names: L keypoint names.
+        cameras: C camera names.
+        covariance: (6 + J, 6 + J) of the pose step (rad, m), from the solve, scaled to the residuals found.
+    """
+
+    body: Body
+    pose: Pose
+    proportions: Proportions
+    residual_px: Float
+    used: Bool
+    names: tuple[str, ...]
+    cameras: tuple[str, ...]
+    covariance: Float
+
+    @property
+    def rejected(self) -> tuple[tuple[str, str], ...]:
+        """Camera and name of every keypoint that was given but did not count."""
+        given = np.isfinite(self.residual_px)
+        return tuple((self.cameras[c], self.names[n]) for c, n in np.argwhere(given & ~self.used))
+
+
+def fit_keypoints(
+    body: Body,
+    rig: Rig,
+    keypoints: Keypoints,
+    *,
+    fit_lengths: bool = True,
+    sigma_px: float | None = None,
+    start: Pose | None = None,
+    priors: Priors | None = None,
+) -> FirstPose:
+    """Pose and lengths of a person from 2D keypoints in two or more views.
+
+    Landmarks are triangulated with a vote of all views, the trunk's give the root, and Levenberg-Marquardt on the
+    reprojection errors (Geman-McClure, its scale lowered by stages) the rest, from each of a few start poses; the best
+    end is kept. Limits hold; what nobody sees stays near neutral.
+
+    Args:
+        body: the generic body; its landmark names say which keypoints count.
+        rig: cameras, with their distortion.
+        keypoints: in the rig's own pixels.
+        fit_lengths: whether stature, segment lengths and the breadth of pelvis and torso are fitted too.
+        sigma_px: standard deviation of a wrist keypoint, pixels; by default 1.5 % of the person's height in the image.
+        start: one more pose to start from.
+        priors: widths of the weak priors.
+
+    Raises:
+        InputError: for arrays of the wrong shape, fewer than two views, or too few joints seen by two views.
+    """
+    return fit_keypoints_sequence(
+        body, [rig], [keypoints], fit_lengths=fit_lengths, sigma_px=sigma_px, starts=[start], priors=priors
+    )[0]
+
+
+def fit_keypoints_sequence(
+    body: Body,
+    rigs: Rig | Sequence[Rig],
+    keypoints: Sequence[Keypoints],
+    *,
+    fit_lengths: bool = True,
+    sigma_px: float | None = None,
+    starts: Sequence[Pose | None] | None = None,
+    priors: Priors | None = None,
+) -> tuple[FirstPose, ...]:
+    """As `fit_keypoints`, for several instants that share their lengths (and `FirstPose.body`).
+
+    Args:
+        rigs: one for all, or one for each instant: two trials may differ in cameras and grids.
+
+    Raises:
+        InputError: as `fit_keypoints`, or if there is no instant, or not one rig for each.
+    """
+    rigs = [rigs] * len(keypoints) if isinstance(rigs, Rig) else list(rigs)
+    if not keypoints or len(rigs) != len(keypoints):
+        raise InputError(f"keypoints: {len(keypoints)} instants and {len(rigs)} rigs were given; each needs its rig.")
+    frames = tuple(evidence(body, rig, k, sigma_px) for rig, k in zip(rigs, keypoints, strict=True))
+    skeleton, priors = Skeleton(body), priors or Priors()
+    given = starts or [None] * len(frames)
+    singles = [
+        _best_start(skeleton, frame, priors, fit_lengths, extra) for frame, extra in zip(frames, given, strict=True)
+    ]
+    factors = np.median([s.log_factors for s in singles], axis=0)
+    state = State(tuple(s.poses[0] for s in singles), factors)
+    problem = Problem(skeleton, frames, _neutral(body), priors, _REACH, fit_lengths)
+    state = minimise(problem, minimise(replace(problem, reach=2 * _REACH), state))
+    lower, upper = body.limits.T
+    state = replace(state, poses=tuple(replace(p, q=np.clip(p.q, lower, upper)) for p in state.poses))
+    return _answers(problem, state, rigs, keypoints)
+
+
+def _neutral(body: Body) -> Float:
+    return np.clip(np.zeros(len(body.coordinate_names)), *body.limits.T)
+
+
+def _best_start(skeleton: Skeleton, frame: Evidence, priors: Priors, fit_lengths: bool, extra: Pose | None) -> State:
+    """The best of all starts for one instant, first on the keypoints the views agree on, then on all."""
+    body = skeleton.body
+    seen = triangulate(frame.rig, frame.pixels, frame.weights, frame.sigma)
+    trusted = replace(frame, weights=np.where(seen.inliers, 1.0, 0.1) * frame.weights)
+    loose = replace(priors, limit=max(priors.limit, 0.2))
+    coarse = Problem(skeleton, (trusted,), _neutral(body), loose, 10 * _REACH, fit_lengths)
+    fine = Problem(skeleton, (frame,), _neutral(body), priors, 2 * _REACH, fit_lengths)
+    first = State((), np.zeros(skeleton.size))
+    poses = [*_start_poses(body, frame, seen), *([] if extra is None else [extra])]
+    ends = [minimise(fine, minimise(coarse, replace(first, poses=(pose,)), 15), 10) for pose in poses]
+    return min(ends, key=fine.energy)
+
+
+def _start_poses(body: Body, frame: Evidence, seen: Triangulated) -> list[Pose]:
+    """Start poses with the root laid on the triangulated trunk."""
+    good = np.isfinite(seen.points).all(axis=1)
+    if good.sum() < _FEWEST:
+        raise InputError(
+            f"keypoints: only {good.sum()} joints are seen by two views that agree; {_FEWEST} are needed, "
+            "so check calibration, pixel grids and which person was chosen."
+        )
+    trunk = good & _trunk(body, frame)
+    used = trunk if trunk.sum() >= 3 else good
+    poses: list[Pose] = []
+    for angles in STARTS_DEG:
+        q = np.clip(_coordinates(body, angles), *body.limits.T)
+        points = Posed(body, Pose(np.eye(4), q)).landmarks[frame.marks]
+        poses.append(Pose(rigid_fit(points[used], seen.points[used], np.ones(used.sum())), q))
+    return poses
+
+
+def _trunk(body: Body, frame: Evidence) -> Bool:
+    """(N,) which landmarks hardly move with limbs: those named hip, shoulder, neck, mid_hip."""
+    stems = ("hip", "shoulder", "mid_hip", "neck")
+    names = [body.landmarks.names[m].removesuffix("_r").removesuffix("_l") for m in frame.marks]
+    return np.array([name in stems for name in names])
+
+
+def _coordinates(body: Body, angles_deg: Mapping[str, float]) -> Float:
+    names = [name.removesuffix("_r").removesuffix("_l") for name in body.coordinate_names]
+    return np.deg2rad([angles_deg.get(name, 0.0) for name in names])
+
+
+def _answers(
+    problem: Problem, state: State, rigs: Sequence[Rig], keypoints: Sequence[Keypoints]
+) -> tuple[FirstPose, ...]:
+    skeleton = problem.skeleton
+    proportions = skeleton.proportions(state.log_factors)
+    body = rescaled(skeleton.body, proportions.lengths, proportions.girths, proportions.stature)
+    covariance = np.asarray(np.linalg.inv(problem.normal_equations(state)[1]), np.float64)
+    out: list[FirstPose] = []
+    for f, (frame, pose) in enumerate(zip(problem.frames, state.poses, strict=True)):
+        own = slice(f * body.dof, (f + 1) * body.dof)
+        r = residuals(frame, Posed(body, pose).landmarks[frame.marks])
+        weight = frame.weights * problem.robust_weight(r)
+        spread = float(np.sum(weight[..., None] * r * r) / max(2 * np.count_nonzero(weight > 0.2) - body.dof, 1))
+        residual = np.full(keypoints[f].confidence.shape, np.nan)
+        used = np.zeros(residual.shape, dtype=bool)
+        distance = np.linalg.norm(r, axis=-1) * frame.sigma
+        residual[:, frame.columns] = np.where(frame.weights > 0, distance, np.nan)
+        used[:, frame.columns] = (frame.weights > 0) & (problem.robust_weight(r) > 0.2)
+        marks = keypoints[f].names, rigs[f].names
+        out.append(FirstPose(body, pose, proportions, residual, used, *marks, covariance[own, own] * max(spread, 1e-3)))
+    return tuple(out)
+
+
+def pose_at(poses: Sequence[Pose], times: Sequence[float], time: float) -> Pose:
+    """The pose at a time by constant velocity: a straight line through the steps from the first pose.
+
+    Args:
+        poses: two or more, close together.
+        times: of them, s (or frames).
+        time: wanted, within or a little outside.
+
+    Raises:
+        InputError: for fewer than two poses, or times of another number.
+    """
+    if len(poses) < 2 or len(times) != len(poses):
+        raise InputError(
+            f"pose_at: {len(poses)} poses and {len(times)} times were given; two or more of each are needed."
+        )
+    steps = np.array([pose.minus(poses[0]) for pose in poses])
+    slope, offset = np.polyfit(np.asarray(times, float) - time, steps, 1)
+    del slope
+    return poses[0].retract(offset)
