@@ -1,0 +1,98 @@
+"""What a synthetic capture is made of: one frozen value, checked once; the same value gives the same pixels."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from twistcap.errors import InputError
+
+Condition = Literal["exact", "mismatch"]
+
+
+@dataclass(frozen=True)
+class StudioConfig:
+    """A synthetic capture.
+
+    Attributes:
+        seed: chooses clothes, texture, background, lights, stature, gait and camera angles.
+        views: number of cameras on the ring, 1-8.
+        size: (width, height) of the images, px. The person fills about 0.68 of the height.
+        frames: number of frames.
+        fps: frames per second.
+        motion: "gait"; other motions are handed to `capture` as poses.
+        condition: "exact", or "mismatch": body, cameras and first pose of the tracker differ from the truth.
+        hard: person and background have nearly the same greys and colours.
+        one_colour: the whole body in one colour without texture; only its shading is left.
+        colour: RGB images; otherwise grey ones.
+        speed_factor: how many times faster than real the motion is played.
+        dropped: spans (first, last) of frames, both included, that no camera delivers, or (first, last, camera).
+        uniform_noise: share of pixels in [0, 1] replaced by uniform noise, or its knots, evenly spaced over the
+            sequence: (0, 1, 0) rises from none to all and falls again.
+        rectangles: rectangles of random place, size and colour painted over each image anew.
+        occluders: things that stand before the person in each view, the same in all frames.
+        motion_blur: sub-frames averaged over the time the shutter is open; 1 is a sharp image.
+        shutter: open time as a share of the frame interval, centred on the frame's time.
+        sensor_noise: standard deviation of Gaussian noise, in intensities of [0, 1].
+        variant: of the built-in humanoid, when no body is given.
+    """
+
+    seed: int = 0
+    views: int = 4
+    size: tuple[int, int] = (384, 280)
+    frames: int = 60
+    fps: float = 60.0
+    motion: str = "gait"
+    condition: Condition = "exact"
+    hard: bool = False
+    one_colour: bool = False
+    colour: bool = True
+    speed_factor: float = 1.0
+    dropped: tuple[tuple[int, ...], ...] = ()
+    uniform_noise: float | tuple[float, ...] = 0.0
+    rectangles: int = 0
+    occluders: int = 0
+    motion_blur: int = 1
+    shutter: float = 0.5
+    sensor_noise: float = 0.012
+    variant: str = "full"
+
+    def __post_init__(self) -> None:
+        _expect(self.seed >= 0, "seed", self.seed, "0 or more")
+        _expect(1 <= self.views <= 8, "views", self.views, "1 to 8")
+        _expect(min(self.size) >= 16, "size", self.size, "at least 16 pixels each way")
+        _expect(self.frames >= 1, "frames", self.frames, "1 or more")
+        _expect(self.fps > 0, "fps", self.fps, "positive")
+        _expect(self.speed_factor > 0, "speed_factor", self.speed_factor, "positive")
+        _expect(self.condition in ("exact", "mismatch"), "condition", self.condition, "'exact' or 'mismatch'")
+        _expect(self.rectangles >= 0 and self.occluders >= 0, "rectangles and occluders", "negative", "0 or more")
+        _expect(self.motion_blur >= 1, "motion_blur", self.motion_blur, "1 or more")
+        _expect(0 <= self.shutter <= 1, "shutter", self.shutter, "in [0, 1]")
+        _expect(self.sensor_noise >= 0, "sensor_noise", self.sensor_noise, "0 or more")
+        knots = np.atleast_1d(self.uniform_noise)
+        _expect(bool(np.all((knots >= 0) & (knots <= 1))), "uniform_noise", self.uniform_noise, "in [0, 1]")
+        shaped = all(len(span) in (2, 3) and span[0] <= span[1] for span in self.dropped)
+        _expect(shaped, "dropped", self.dropped, "spans (first, last) or (first, last, camera)")
+
+    def noise_share(self, frame: int) -> float:
+        """Share of the pixels of a frame that uniform noise replaces."""
+        knots = np.atleast_1d(np.asarray(self.uniform_noise, float))
+        at = frame / max(1, self.frames - 1)
+        return float(np.interp(at, np.linspace(0.0, 1.0, len(knots)), knots))
+
+    def is_dropped(self, frame: int, camera: int) -> bool:
+        """Whether a camera does not deliver a frame."""
+        return any(s[0] <= frame <= s[1] and (len(s) == 2 or s[2] == camera) for s in self.dropped)
+
+
+def _expect(holds: bool, field: str, value: object, wanted: str) -> None:
+    if not holds:
+        raise InputError(f"studio: {field} is {value}; it must be {wanted}.")
+
+
+def stream(seed: int, purpose: str, *index: int) -> np.random.Generator:
+    """The random numbers of one purpose (and frame, camera …), independent of all others and of the order of calls."""
+    return np.random.default_rng(np.random.SeedSequence((seed, zlib.crc32(purpose.encode()), *index)))

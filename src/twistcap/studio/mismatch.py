@@ -1,0 +1,109 @@
+"""How the tracker's knowledge differs from the truth in `mismatch` scenes, as it always does in a laboratory."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from twistcap import se3
+from twistcap._typing import Float
+from twistcap.body import Body, Pose
+from twistcap.body.kinematics import Posed, skin_points
+from twistcap.body.model import Landmarks
+from twistcap.body.shape import joint_origin, segment_axes
+from twistcap.camera import Camera, Rig
+from twistcap.studio.shade import vertex_normals
+
+GIRTH = 1.04  # factor of the surface's distance from each segment's axis
+BUMPS = 0.004  # m, root mean square of the smooth surface error along the normals
+BUMP_WAVE = 0.15  # m, wavelength of the bumps
+JOINT_NOISE = 0.006  # m, each joint centre is moved this far, in a random direction
+CAMERA_DEG, CAMERA_FOCAL = 0.05, 0.002  # each camera is turned by this angle and its focal length wrong by this share
+POSE_DEG, ROOT_SHIFT, ROOT_DEG = 1.0, 0.005, 1.0  # first pose: uniform ± per joint; root moved and turned this far
+
+
+def wrong_body(body: Body, rng: np.random.Generator) -> Body:
+    """The body with girths +4 %, a bumpy surface (4 mm) and joint centres 6 mm off."""
+    return with_joint_noise(bumpy(fattened(body, GIRTH), BUMPS, rng), JOINT_NOISE, rng)
+
+
+def fattened(body: Body, factor: float) -> Body:
+    """The surface grown about each segment's own axis; joints and landmarks stay."""
+    _, axes = segment_axes(body)
+    maps = np.zeros((len(axes), 4, 4))
+    for s, axis in enumerate(axes):
+        own = body.vertices[body.vertex_part == s]
+        centre = own.mean(axis=0) if len(own) else np.zeros(3)
+        A = factor * np.eye(3) + (1 - factor) * np.outer(axis, axis)
+        maps[s] = se3.transform(A, centre - A @ centre)
+    return replace(body, vertices=skin_points(maps, body.skin_segments, body.skin_weights, body.vertices))
+
+
+def bumpy(body: Body, height: float, rng: np.random.Generator, waves: int = 24) -> Body:
+    """The surface moved along its normals by a random smooth field of the given root mean square (m)."""
+    directions = _directions(rng, waves)
+    phases = rng.uniform(0, 2 * np.pi, waves)
+    field = np.sin(body.vertices @ directions.T * (2 * np.pi / BUMP_WAVE) + phases).sum(axis=1)
+    field *= height / np.sqrt(np.mean(field**2))
+    normals = vertex_normals(body.vertices, body.faces)
+    return replace(body, vertices=body.vertices + np.clip(field, -2 * height, 2 * height)[:, None] * normals)
+
+
+def with_joint_noise(body: Body, distance: float, rng: np.random.Generator) -> Body:
+    """Every joint centre moved by `distance` (m) in a random direction, the landmark that marks it along with it.
+
+    The axes keep their directions and the surface its place, so that the pose of the truth still means the same.
+    """
+    twists, points = body.twists.copy(), body.landmarks.points.copy()
+    for s in np.flatnonzero(body.segment_joint >= 0):
+        centre, shift = joint_origin(body, int(s)), distance * _directions(rng, 1)[0]
+        for k in joint_coordinates(body, int(s)):
+            twists[k, 3:] -= np.cross(twists[k, :3], shift)
+        points[_marks_of(body, int(s), centre)] += shift
+    return replace(body, twists=twists, landmarks=Landmarks(body.landmarks.names, body.landmarks.segments, points))
+
+
+def joint_coordinates(body: Body, segment: int) -> list[int]:
+    """The coordinates of a segment's own joint, from the last to the first."""
+    above = int(body.segment_parent[segment])
+    top = int(body.segment_joint[above]) if above >= 0 else -1
+    k, out = int(body.segment_joint[segment]), []
+    while k >= 0 and k != top:
+        out.append(k)
+        k = int(body.parent[k])
+    return out
+
+
+def _marks_of(body: Body, segment: int, centre: Float, within: float = 0.01) -> Float:
+    """Landmarks (indices) that mark a joint: on one of its two segments and at its centre."""
+    marks = body.landmarks
+    beside = (marks.segments == segment) | (marks.segments == body.segment_parent[segment])
+    return np.flatnonzero(beside & (np.linalg.norm(marks.points - centre, axis=1) < within))
+
+
+def wrong_rig(rig: Rig, rng: np.random.Generator) -> Rig:
+    """Every camera turned by 0.05° about a random axis through its centre, its focal length 0.2 % off."""
+    return Rig(tuple(_wrong_camera(camera, rng) for camera in rig))
+
+
+def _wrong_camera(camera: Camera, rng: np.random.Generator) -> Camera:
+    turn = se3.transform(se3.exp_rotation(np.deg2rad(CAMERA_DEG) * _directions(rng, 1)[0]), np.zeros(3))
+    K = camera.K.copy()
+    K[[0, 1], [0, 1]] *= 1 + CAMERA_FOCAL * rng.choice([-1.0, 1.0])
+    return replace(camera, K=K, T_cam_world=turn @ camera.T_cam_world)
+
+
+def wrong_pose(body: Body, pose: Pose, rng: np.random.Generator) -> Pose:
+    """The pose with joints uniformly ± 1° off, its root moved 5 mm and turned 1° about the middle of the body."""
+    middle = Posed(body, pose).vertices.mean(axis=0)
+    turn = se3.exp_rotation(np.deg2rad(ROOT_DEG) * _directions(rng, 1)[0])
+    shift = ROOT_SHIFT * _directions(rng, 1)[0]
+    motion = se3.transform(turn, middle - turn @ middle + shift)
+    q = pose.q + np.deg2rad(rng.uniform(-POSE_DEG, POSE_DEG, size=len(pose.q)))
+    return Pose(motion @ pose.root, np.clip(q, body.limits[:, 0], body.limits[:, 1]))
+
+
+def _directions(rng: np.random.Generator, count: int) -> Float:
+    d = rng.normal(size=(count, 3))
+    return d / np.linalg.norm(d, axis=1, keepdims=True)

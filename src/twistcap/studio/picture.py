@@ -1,0 +1,74 @@
+"""Anti-aliased pictures of a posed body: rasterised three times larger, shaded, averaged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twistcap._typing import Float
+from twistcap.body import Pose, Posed
+from twistcap.camera import Camera
+from twistcap.render.raster import project_pinhole, rasterise
+from twistcap.studio.look import Look
+from twistcap.studio.shade import OCTAVES, shade, vertex_normals
+
+SAMPLES = 3  # per pixel and axis
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A window of an image: pixels (H, W, 4) of colour times coverage, and coverage; its first pixel at (x, y)."""
+
+    x: int
+    y: int
+    pixels: Float
+
+    def over(self, picture: Float) -> None:
+        """Lays the window over a picture (H, W, 3), in place."""
+        h, w = self.pixels.shape[:2]
+        part = picture[self.y : self.y + h, self.x : self.x + w]
+        part *= 1.0 - self.pixels[..., 3:]
+        part += self.pixels[..., :3]
+
+
+def render_body(posed: Posed, camera: Camera, look: Look) -> Layer:
+    """A body as a camera without distortion sees it, in the window that it covers.
+
+    Sample ``SAMPLES * i + (SAMPLES - 1) / 2`` is the centre of pixel i: `Camera.scaled` keeps that exactly.
+    """
+    faces, n = posed.body.faces, SAMPLES
+    pixels, inverse_depth = project_pinhole(camera.scaled(n).P, posed.vertices)
+    low, high = _window(pixels[inverse_depth > 0], camera.size)
+    size = (int(high[0] - low[0]) * n, int(high[1] - low[1]) * n)
+    origin = (int(low[0]) * n, int(low[1]) * n)
+    index, _ = rasterise(pixels, inverse_depth, faces, origin, size)
+    normals = vertex_normals(posed.vertices, faces)
+    surface = (faces, pixels, inverse_depth, posed.body.vertices, normals)
+    dress = (look.albedo, look.contrast, look.lattice, OCTAVES, look.lights, look.ambient)
+    return Layer(int(low[0]), int(low[1]), shade(index, origin, n, *surface, *dress))
+
+
+def _window(samples: Float, size: tuple[int, int]) -> tuple[Float, Float]:
+    """First pixel and the one after the last (x, y) of the window that holds all samples and lies in the image."""
+    if len(samples) == 0:
+        return np.zeros(2), np.zeros(2)
+    low = np.floor(samples.min(axis=0) / SAMPLES) - 1
+    high = np.ceil(samples.max(axis=0) / SAMPLES) + 2
+    return np.clip(low, 0, size), np.clip(high, 0, size)
+
+
+def picture_of(moments: Sequence[Posed], camera: Camera, look: Look, room: Float) -> Float:
+    """(H, W, 3) the room with the body in it, averaged over the moments in which the shutter is open."""
+    total = np.zeros_like(room)
+    for posed in moments:
+        picture = room.copy()
+        render_body(posed, camera, look).over(picture)
+        total += picture
+    return total / len(moments)
+
+
+def between(first: Pose, second: Pose, share: float) -> Pose:
+    """The pose a share of the way from one to another; shares outside [0, 1] go on beyond them."""
+    return first.retract(share * second.minus(first))

@@ -1,0 +1,171 @@
+"""Synthetic captures with exact truth: a textured person walks through a cluttered room before a ring of cameras."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from twistcap import se3
+from twistcap._typing import Bool, Float, UInt8
+from twistcap.body import Body, Pose, Posed, rescaled
+from twistcap.camera import Rig
+from twistcap.errors import InputError
+from twistcap.estimate import Frame
+from twistcap.studio.background import background, occluder_layer
+from twistcap.studio.config import StudioConfig, stream
+from twistcap.studio.look import Look, look
+from twistcap.studio.marring import marred
+from twistcap.studio.mismatch import wrong_body, wrong_pose, wrong_rig
+from twistcap.studio.picture import Layer, between, picture_of, render_body
+from twistcap.studio.ring import ring, zoom_to_fit
+
+PERSON_SHARE = 0.68  # of the image's height, for a person in the middle of the ring: 190 px of 280
+RADIUS = 2.9  # of the ring, in statures
+# Direction of the first camera from the walking direction, deg, by number of views. Two cameras look at the person's
+# left and right from the front, so that each arm is seen by one of them.
+FIRST_CAMERA_DEG = {1: 60.0, 2: -67.5}
+
+
+@dataclass(frozen=True)
+class Capture:
+    """A synthetic recording. A tracker may see `frames()`, `body`, `rig` and `first_pose`; the rest is the truth.
+
+    Attributes:
+        config: what was asked for.
+        true_body, true_rig, true_poses: what the pictures show, pose by frame.
+        body, rig, first_pose: the tracker's knowledge; equal to the truth in `exact` scenes.
+        look: clothes, texture, lights.
+    """
+
+    config: StudioConfig
+    true_body: Body
+    true_rig: Rig
+    true_poses: tuple[Pose, ...]
+    body: Body
+    rig: Rig
+    first_pose: Pose
+    look: Look
+
+    @cached_property
+    def rooms(self) -> tuple[Float, ...]:
+        """The empty room in each view, (H, W, 3) in [0, 1]."""
+        return tuple(background(self.config, c) for c in range(len(self.true_rig)))
+
+    @cached_property
+    def occluders(self) -> tuple[Float, ...]:
+        """What stands before the person in each view, (H, W, 4) colour times coverage, and coverage."""
+        return tuple(occluder_layer(self.config, c) for c in range(len(self.true_rig)))
+
+    @cached_property
+    def landmarks(self) -> Float:
+        """(N, L, 3) true landmarks, m, of all frames; their names are those of `true_body.landmarks`."""
+        return np.stack([Posed(self.true_body, pose).landmarks for pose in self.true_poses])
+
+    def frames(self) -> Iterator[Frame]:
+        """All frames in turn, rendered when asked for."""
+        return (self.frame(k) for k in range(len(self.true_poses)))
+
+    def frame(self, index: int) -> Frame:
+        """One frame; the same pixels whether rendered alone or in turn."""
+        moments = self._moments(index)
+        images = tuple(self.image(index, c, moments) for c in range(len(self.true_rig)))
+        return Frame(index, index / self.config.fps, images)
+
+    def image(self, index: int, camera: int, moments: Sequence[Posed] | None = None) -> UInt8 | None:
+        """One camera's image, uint8 (H, W, 3) or grey (H, W); None if it was dropped."""
+        if self.config.is_dropped(index, camera):
+            return None
+        picture = picture_of(moments or self._moments(index), self.true_rig[camera], self.look, self.rooms[camera])
+        if self.config.occluders:
+            Layer(0, 0, self.occluders[camera]).over(picture)
+        if not self.config.colour:
+            picture = picture @ np.array([0.299, 0.587, 0.114])
+        return marred(picture, self.config, index, camera)
+
+    def masks(self, index: int) -> list[Bool]:
+        """True silhouettes (H, W) of the whole body, occluded or not: pixels that it covers by half or more."""
+        posed = Posed(self.true_body, self.true_poses[index])
+        return [self._mask(posed, c) for c in range(len(self.true_rig))]
+
+    def _mask(self, posed: Posed, camera: int) -> Bool:
+        view = self.true_rig[camera]
+        layer = render_body(posed, view, self.look)
+        h, w = layer.pixels.shape[:2]
+        mask = np.zeros(view.size[::-1], dtype=bool)
+        mask[layer.y : layer.y + h, layer.x : layer.x + w] = layer.pixels[..., 3] > 0.5
+        return mask
+
+    def _moments(self, index: int) -> list[Posed]:
+        """The body at the sub-frames of one frame, spread evenly over the time the shutter is open."""
+        n = self.config.motion_blur
+        offsets = self.config.shutter * ((np.arange(n) + 0.5) / n - 0.5)
+        return [Posed(self.true_body, self._pose_at(index + offset)) for offset in offsets]
+
+    def _pose_at(self, at: float) -> Pose:
+        last = len(self.true_poses) - 1
+        if at == round(at) or last == 0:
+            return self.true_poses[min(max(round(at), 0), last)]
+        k = min(max(int(np.floor(at)), 0), last - 1)
+        return between(self.true_poses[k], self.true_poses[k + 1], at - k)
+
+
+def capture(config: StudioConfig, body: Body | None = None, poses: Sequence[Pose] | None = None) -> Capture:
+    """A synthetic capture.
+
+    Args:
+        config: what to render.
+        body: who is seen; by default the built-in humanoid, of a stature that the seed chooses.
+        poses: one per frame; by default the motion that the configuration names.
+
+    Raises:
+        InputError: for an unknown motion, or fewer poses than frames.
+    """
+    body = default_body(config) if body is None else body
+    heading = float(stream(config.seed, "heading").uniform(0, 2 * np.pi)) if poses is None else 0.0
+    poses = default_poses(config, body, heading) if poses is None else list(poses)[: config.frames]
+    if len(poses) < config.frames:
+        raise InputError(f"studio: {len(poses)} poses were given for {config.frames} frames; give one for each frame.")
+    rig = ring_around(config, body, poses, heading)
+    known = (body, rig, poses[0])
+    if config.condition == "mismatch":
+        known = (
+            wrong_body(body, stream(config.seed, "wrong body")),
+            wrong_rig(rig, stream(config.seed, "wrong rig")),
+            wrong_pose(body, poses[0], stream(config.seed, "wrong pose")),
+        )
+    return Capture(config, body, rig, tuple(poses), *known, look(body, config))
+
+
+def default_body(config: StudioConfig) -> Body:
+    """The built-in humanoid, its stature ± 5 % by the seed."""
+    from twistcap.body.humanoid import humanoid
+
+    return rescaled(humanoid(config.variant), stature=float(stream(config.seed, "stature").uniform(0.95, 1.05)))
+
+
+def default_poses(config: StudioConfig, body: Body, heading: float) -> list[Pose]:
+    """The motion that the configuration names, turned to a heading (rad, from x towards y)."""
+    from twistcap.studio.motion import gait
+
+    if config.motion != "gait":
+        raise InputError(f"studio: motion is {config.motion!r}; it must be 'gait' (other motions are given as poses).")
+    poses = gait(body, fps=config.fps / config.speed_factor, frames=config.frames)
+    turn = se3.transform(se3.exp_rotation([0.0, 0.0, heading]), np.zeros(3))
+    return [Pose(turn @ pose.root, pose.q) for pose in poses]
+
+
+def ring_around(config: StudioConfig, body: Body, poses: Sequence[Pose], heading: float) -> Rig:
+    """Cameras around the middle of the path, so far and so wide that the person stays in every view."""
+    rng = stream(config.seed, "cameras")
+    steps = np.unique(np.linspace(0, len(poses) - 1, 25).astype(int))
+    cloud = np.concatenate([Posed(body, poses[k]).vertices for k in steps])
+    stature = float(np.ptp(Posed(body, poses[0]).vertices[:, 2]))
+    target = 0.5 * (cloud.min(axis=0) + cloud.max(axis=0))
+    heights = stature * rng.uniform(0.55, 1.05, size=config.views)
+    offset = np.rad2deg(heading) + FIRST_CAMERA_DEG.get(config.views, 40.0) + rng.uniform(-10, 10)
+    focal = PERSON_SHARE * config.size[1] * RADIUS
+    rig = ring(config.views, RADIUS * stature, target[2] - 0.5 * stature + heights, target, config.size, focal, offset)
+    return zoom_to_fit(rig, cloud)
