@@ -1,0 +1,292 @@
+"""From a skinned mesh of any origin to a `Body`: what the joints are, how they turn, which of them stay.
+
+The meaning of the joints comes from a `RigSpec`; see `rig_spec` for the TOML.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from twistcap import se3
+from twistcap._typing import Float, Int
+from twistcap.body.model import Body, Landmarks
+from twistcap.body.rig_spec import JointSpec, LandmarkSpec, RigSpec
+from twistcap.errors import InputError
+
+_AXES_OF = {"revolute": 1, "universal": 2, "ball": 3}
+
+
+@dataclass(frozen=True)
+class SkinnedMesh:
+    """A skinned mesh as its file has it, in the file's units and axes.
+
+    Attributes:
+        name: for the body.
+        source: for messages, the file's name.
+        joints: B names.
+        parents: (B,) index of the parent joint, -1 for the top; parents stand before their children.
+        frames: (B, 4, 4) joint to mesh, rest pose.
+        vertices, faces: (V, 3) and (F, 3), counter-clockwise seen from outside.
+        weights: (V, B), not yet normalised.
+        points: named points (3,), for landmarks.
+        numbered: (N, 3) vertices under their numbers in the file, for landmarks.
+    """
+
+    name: str
+    source: str
+    joints: tuple[str, ...]
+    parents: Int
+    frames: Float
+    vertices: Float
+    faces: Int
+    weights: Float
+    points: Mapping[str, Float] = field(default_factory=dict[str, Float])
+    numbered: Float | None = None
+
+
+def build_body(mesh: SkinnedMesh, spec: RigSpec, influences: int = 4) -> Body:
+    """The body a skinned mesh and its rig description make.
+
+    Args:
+        mesh: as read from the file.
+        spec: what its joints mean.
+        influences: most segments that hold one vertex; the weakest are dropped, weights then sum to 1.
+
+    Raises:
+        InputError: for joints that do not exist, wrong numbers of axes, names or limits, vertices without weights.
+    """
+    _check_names(mesh, spec)
+    marks = _landmarks(mesh, spec)
+    mesh, marks = _in_rest_frame(mesh, marks, spec)
+    mesh, marks = _aimed(mesh, marks, spec)
+    if spec.ground:
+        mesh, marks = _grounded(mesh, marks)
+    tree = _Tree(mesh, spec)
+    segments, weights = compact_binding(tree.merged_weights(), influences, mesh.source)
+    return Body(
+        name=mesh.name,
+        coordinate_names=tuple(tree.names),
+        parent=np.array(tree.parent, dtype=np.int32),
+        twists=np.array(tree.twists).reshape(-1, 6),
+        limits=np.radians(np.array(tree.limits_deg).reshape(-1, 2)),
+        segment_names=tuple(tree.segment_names),
+        segment_joint=np.array(tree.segment_joint, dtype=np.int32),
+        vertices=mesh.vertices,
+        faces=mesh.faces,
+        skin_segments=segments,
+        skin_weights=weights,
+        landmarks=replace(marks, segments=np.array(tree.owner, dtype=np.int32)[marks.segments]),
+    )
+
+
+def compact_binding(weights: Float, influences: int, source: str = "mesh") -> tuple[Int, Float]:
+    """The strongest weights of each vertex, summing to 1. (V, S) -> (V, K) segments and (V, K) weights."""
+    weights = np.maximum(weights, 0.0)
+    bare = np.flatnonzero(~(weights.sum(axis=1) > 0))  # catches NaN too
+    if len(bare):
+        raise InputError(f"{source}: {len(bare)} vertices (first: {bare[0]}) have no weight; bind them to a joint.")
+    K = min(influences, int((weights > 0).sum(axis=1).max(initial=1)))
+    order = np.argsort(-weights, axis=1, kind="stable")[:, :K]
+    strongest = np.take_along_axis(weights, order, axis=1)
+    order = np.where(strongest > 0, order, 0)
+    return order.astype(np.int32), strongest / strongest.sum(axis=1, keepdims=True)
+
+
+def in_tree_order(parents: Sequence[int]) -> list[int]:
+    """Indices so that parents stand before their children and branches stay together."""
+    children: dict[int, list[int]] = {}
+    for child, parent in enumerate(parents):
+        children.setdefault(parent, []).append(child)
+    order: list[int] = []
+    stack = list(reversed(children.get(-1, [])))
+    while stack:
+        order.append(stack.pop())
+        stack.extend(reversed(children.get(order[-1], [])))
+    return order
+
+
+def welded(vertices: Float, faces: Int, weights: Float) -> tuple[Float, Int, Float]:
+    """One vertex where several share place and binding (as at texture seams), without the triangles that vanish."""
+    size = max(float(np.ptp(vertices, axis=0).max(initial=0.0)), 1e-12)
+    segments, bound = compact_binding(weights, 8)
+    key = np.concatenate([np.round(vertices / size * 1e6), segments, np.round(bound * 1e4)], axis=1).astype(np.int64)
+    _, first, which = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    rank = np.argsort(np.argsort(first))  # keep the file's order
+    kept = np.sort(first)
+    faces = rank[which.ravel()][faces].astype(np.int32)
+    a, b, c = faces.T
+    return vertices[kept], np.ascontiguousarray(faces[(a != b) & (b != c) & (c != a)]), weights[kept]
+
+
+class _Tree:
+    """Segments and coordinates grown joint by joint from the root down."""
+
+    def __init__(self, mesh: SkinnedMesh, spec: RigSpec) -> None:
+        self.mesh, self.spec = mesh, spec
+        self.names: list[str] = []
+        self.parent: list[int] = []
+        self.twists: list[Float] = []
+        self.limits_deg: list[tuple[float, float]] = []
+        root = _root(mesh, spec)
+        self.segment_names = [spec.joints.get(mesh.joints[root], JointSpec()).segment or mesh.joints[root]]
+        self.segment_joint = [-1]
+        above_root = _line_up(mesh.parents, root)
+        self.owner = [0] * len(mesh.joints)  # segment of each joint of the file
+        for b, name in enumerate(mesh.joints):
+            self.owner[b] = self.owner[mesh.parents[b]] if mesh.parents[b] >= 0 else 0
+            if b not in above_root and _stays(name, spec):
+                self._add(b, spec.joints.get(name, JointSpec()))
+
+    def _add(self, b: int, joint: JointSpec) -> None:
+        name = self.mesh.joints[b]
+        axes, names, limits = _coordinates(name, joint, f"{self.mesh.source}: joint {name!r}")
+        frame = self.mesh.frames[b]
+        if joint.frame == "joint":
+            axes = axes @ frame[:3, :3].T
+        last = self.segment_joint[self.owner[b]]
+        for axis, coordinate, limit in zip(axes, names, limits, strict=True):
+            self.parent.append(last)
+            self.twists.append(np.concatenate([axis, -np.cross(axis, frame[:3, 3])]))
+            self.names.append(coordinate)
+            self.limits_deg.append(limit)
+            last = len(self.names) - 1
+        self.owner[b] = len(self.segment_names)
+        self.segment_names.append(joint.segment or name)
+        self.segment_joint.append(last)
+
+    def merged_weights(self) -> Float:
+        """(V, S) weights of the segments: those of all the joints that went into each."""
+        merge = np.zeros((len(self.owner), len(self.segment_names)))
+        merge[np.arange(len(self.owner)), self.owner] = 1.0
+        return self.mesh.weights @ merge
+
+
+def _coordinates(name: str, joint: JointSpec, where: str) -> tuple[Float, list[str], list[tuple[float, float]]]:
+    count = _AXES_OF[joint.kind]
+    if joint.axes is None and joint.kind != "ball":
+        raise InputError(f"{where}: a {joint.kind} joint needs axes ({count} of them).")
+    axes = np.eye(3) if joint.axes is None else np.array(joint.axes, dtype=float).reshape(-1, 3)
+    suffixes = ("_x", "_y", "_z") if count > 1 else ("",)
+    names = joint.names or [name + suffix for suffix in suffixes[:count]]
+    limits = joint.limits_deg or [(-180.0, 180.0)] * count
+    for what, given in (("axes", axes), ("names", names), ("limits_deg", limits)):
+        if len(given) != count:
+            raise InputError(f"{where}: {what} has {len(given)} entries, a {joint.kind} joint needs {count}.")
+    length = np.linalg.norm(axes, axis=1, keepdims=True)
+    if not np.all(length > 1e-9):
+        raise InputError(f"{where}: an axis has no length.")
+    return axes / length, names, limits
+
+
+def _stays(name: str, spec: RigSpec) -> bool:
+    if name in spec.joints:
+        return spec.joints[name].kind != "fixed"
+    return spec.keep is None or name in spec.keep
+
+
+def _root(mesh: SkinnedMesh, spec: RigSpec) -> int:
+    tops = [name for name, parent in zip(mesh.joints, mesh.parents, strict=True) if parent < 0]
+    if spec.root is None and len(tops) > 1:
+        raise InputError(f"{mesh.source}: several top joints ({', '.join(tops)}); name one as root in the rig TOML.")
+    return mesh.joints.index(spec.root or tops[0])
+
+
+def _line_up(parents: Int, joint: int) -> set[int]:
+    line: set[int] = set()
+    while joint >= 0:
+        line.add(joint)
+        joint = int(parents[joint])
+    return line
+
+
+def _check_names(mesh: SkinnedMesh, spec: RigSpec) -> None:
+    named: list[tuple[str, str]] = [("keep", name) for name in spec.keep or []]
+    named += [("joints", name) for name in spec.joints]
+    named += [(f"joints.{name}.aim.at", j.aim.at) for name, j in spec.joints.items() if j.aim]
+    named += [(f"landmarks.{m}", s if isinstance(s, str) else s.joint) for m, s in (spec.landmarks or {}).items()]
+    named += [("root", spec.root)] if spec.root is not None else []
+    for key, name in named:
+        if name not in mesh.joints:
+            raise InputError(f"{mesh.source}: {key} names the joint {name!r}, which the file has not.")
+
+
+def _landmarks(mesh: SkinnedMesh, spec: RigSpec) -> Landmarks:
+    """Landmarks in the file's axes; `segments` still number the file's joints."""
+    specs = spec.landmarks
+    if specs is None:
+        specs = {name: name for name in mesh.joints if _stays(name, spec)}
+    points = [_landmark_point(mesh, spec, name, s) for name, s in specs.items()]
+    joints = [mesh.joints.index(s if isinstance(s, str) else s.joint) for s in specs.values()]
+    return Landmarks(tuple(specs), np.array(joints, dtype=np.int32), np.array(points).reshape(-1, 3))
+
+
+def _landmark_point(mesh: SkinnedMesh, spec: RigSpec, name: str, mark: str | LandmarkSpec) -> Float:
+    where = f"{mesh.source}: landmarks.{name}"
+    if isinstance(mark, str) or (mark.at is None and mark.point is None and mark.vertices is None):
+        return mesh.frames[mesh.joints.index(mark if isinstance(mark, str) else mark.joint), :3, 3]
+    if mark.at is not None:
+        return np.linalg.solve(spec.to_rest(), np.array(mark.at))
+    if mark.point is not None:
+        if mark.point not in mesh.points:
+            raise InputError(f"{where}: the file has no point {mark.point!r}.")
+        return mesh.points[mark.point]
+    chosen = mark.vertices or []
+    if mesh.numbered is None or not chosen or not 0 <= min(chosen) <= max(chosen) < len(mesh.numbered):
+        raise InputError(f"{where}: vertices must be numbers of the OBJ file's vertices.")
+    return mesh.numbered[chosen].mean(axis=0)
+
+
+def _in_rest_frame(mesh: SkinnedMesh, marks: Landmarks, spec: RigSpec) -> tuple[SkinnedMesh, Landmarks]:
+    C = spec.to_rest()
+    axes = C @ mesh.frames[:, :3, :3]
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    frames = se3.transform(axes, mesh.frames[:, :3, 3] @ C.T)
+    return replace(mesh, vertices=mesh.vertices @ C.T, frames=frames), replace(marks, points=marks.points @ C.T)
+
+
+def _aimed(mesh: SkinnedMesh, marks: Landmarks, spec: RigSpec) -> tuple[SkinnedMesh, Landmarks]:
+    """The rest pose after all `aim`s, from the root down; surface skinned along."""
+    if not any(joint.aim for joint in spec.joints.values()):
+        return mesh, marks
+    motions = np.tile(np.eye(4), (len(mesh.joints), 1, 1))
+    for b, name in enumerate(mesh.joints):
+        if mesh.parents[b] >= 0:
+            motions[b] = motions[mesh.parents[b]]
+        aim = spec.joints[name].aim if name in spec.joints else None
+        if aim is not None:
+            ends = mesh.frames[[b, mesh.joints.index(aim.at)], :3, 3]
+            head, tip = se3.apply(motions[b], ends)
+            where = f"{mesh.source}: joints.{name}.aim"
+            back = motions[b, :3, :3].T
+            R = back if aim.along == "file" else _turn(tip - head, np.array(aim.along), where)
+            motions[b] = se3.transform(R, head - R @ head) @ motions[b]
+    segments, weights = compact_binding(mesh.weights, 8, mesh.source)
+    T = motions[segments]
+    carried = (T[..., :3, :3] @ mesh.vertices[:, None, :, None])[..., 0] + T[..., :3, 3]
+    points = se3.apply(motions[marks.segments], marks.points[:, None, :])[:, 0]
+    vertices = np.einsum("nk,nki->ni", weights, carried)
+    return replace(mesh, vertices=vertices, frames=motions @ mesh.frames), replace(marks, points=points)
+
+
+def _turn(start: Float, end: Float, where: str) -> Float:
+    """The smallest rotation that takes one direction into another."""
+    lengths = float(np.linalg.norm(start)), float(np.linalg.norm(end))
+    if min(lengths) < 1e-9:
+        raise InputError(f"{where}: the two joints coincide, or `along` has no length.")
+    a, b = start / lengths[0], end / lengths[1]
+    axis, cosine = np.cross(a, b), float(a @ b)
+    sine = float(np.linalg.norm(axis))
+    if sine < 1e-12 and cosine < 0:
+        axis, sine = np.cross(a, np.eye(3)[np.argmin(np.abs(a))]), 0.0
+    norm = float(np.linalg.norm(axis))
+    return se3.exp_rotation(axis / norm * np.arctan2(sine, cosine)) if norm > 0 else np.eye(3)
+
+
+def _grounded(mesh: SkinnedMesh, marks: Landmarks) -> tuple[SkinnedMesh, Landmarks]:
+    shift = np.array([0.0, 0.0, -float(mesh.vertices[:, 2].min())])
+    frames = mesh.frames.copy()
+    frames[:, :3, 3] += shift
+    return replace(mesh, vertices=mesh.vertices + shift, frames=frames), replace(marks, points=marks.points + shift)

@@ -1,0 +1,125 @@
+"""What a rigged mesh's joints mean: the small TOML beside a GLB or an OBJ.
+
+The file gives joints as frames; a small TOML beside it says what they mean. All keys are optional:
+
+    root = "Hips"            # the joint that carries the six degrees of freedom (default: the top of the tree)
+    up = "y"                 # the file's vertical axis, "y" or "z"
+    forward = "z"            # the file's axis the body looks along: "x", "-x", "y" … (default z for up = "y", else x)
+    scale = 0.1              # metres per unit of the file
+    ground = true            # put the lowest vertex at z = 0
+    keep = ["LeftArm"]       # if given: joints neither here nor under [joints] are merged into their parents
+    [joints.LeftLeg]
+    kind = "revolute"        # "fixed" (merged into its parent) | "revolute" | "universal" | "ball" (default)
+    axes = [[0, 1, 0]]       # 1, 2 or 3 axes; the ball has x, y, z when none are given
+    frame = "rest"           # axes in our rest frame (x forward, y left, z up), or "joint": in the joint's own
+    names = ["knee_angle_l"] # of the coordinates; default <joint>_x, _y, _z
+    limits_deg = [[0, 140]]  # default ±180
+    segment = "tibia_l"      # name of the segment; default the joint's
+    aim = { at = "LeftFoot", along = [0, 0, -1] }   # turn the rest pose: the line to joint `at` shall run `along`
+    [landmarks]              # default: every joint that stays, under its own name
+    knee_l = "LeftLeg"                                        # where that joint is
+    nose = { joint = "Head", at = [0.2, 0.0, 1.6] }           # a point: our axes, m, before aim and ground
+    toe_l = { joint = "LeftFoot", point = "joint-l-toe-1-3" } # a named point of the file
+    heel_l = { joint = "LeftFoot", vertices = [12862] }       # mean of vertices, numbered as in the file (OBJ only)
+
+Coordinates of one joint turn about their axes one after the other, the first in the parent's frame.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from twistcap._typing import Float
+from twistcap.errors import InputError
+
+Vector = tuple[float, float, float]
+Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
+
+
+class Aim(BaseModel):
+    """Turn of the rest pose: the line from the joint to joint `at` shall run along a direction of the rest frame.
+
+    "file" turns the joint back to the way it stands in the file, whatever the joints above it have done.
+    """
+
+    model_config = ConfigDict(extra="forbid")
+    at: str
+    along: Vector | Literal["file"]
+
+
+class JointSpec(BaseModel):
+    """One joint of the TOML; see the module's head."""
+
+    model_config = ConfigDict(extra="forbid")
+    kind: Literal["fixed", "revolute", "universal", "ball"] = "ball"
+    axes: list[Vector] | None = None
+    frame: Literal["rest", "joint"] = "rest"
+    names: list[str] | None = None
+    limits_deg: list[tuple[float, float]] | None = None
+    segment: str | None = None
+    aim: Aim | None = None
+
+
+class LandmarkSpec(BaseModel):
+    """One landmark of the TOML; see the module's head."""
+
+    model_config = ConfigDict(extra="forbid")
+    joint: str
+    at: Vector | None = None
+    point: str | None = None
+    vertices: list[int] | None = None
+
+
+class RigSpec(BaseModel):
+    """The TOML beside a skinned mesh; see the module's head."""
+
+    model_config = ConfigDict(extra="forbid")
+    root: str | None = None
+    up: Literal["y", "z"] = "y"
+    forward: Axis | None = None
+    scale: float = Field(default=1.0, gt=0, allow_inf_nan=False)
+    ground: bool = False
+    keep: list[str] | None = None
+    joints: dict[str, JointSpec] = Field(default_factory=dict[str, JointSpec])
+    landmarks: dict[str, str | LandmarkSpec] | None = None
+
+    @model_validator(mode="after")
+    def _forward_is_level(self) -> RigSpec:
+        if (self.forward or "").endswith(self.up):
+            raise ValueError(f"forward = {self.forward!r} cannot be the vertical axis, up = {self.up!r}")
+        return self
+
+    def to_rest(self) -> Float:
+        """(3, 3) from the file's axes and units to ours: x forward, y left, z up, m."""
+        up = _unit(self.up)
+        forward = _unit(self.forward or ("z" if self.up == "y" else "x"))
+        return self.scale * np.stack([forward, np.cross(up, forward), up])
+
+
+def read_rig(path: Path | str) -> RigSpec:
+    """The rig description of a TOML file.
+
+    Raises:
+        InputError: if it is missing, no TOML, or has an unknown key or a wrong value.
+    """
+    path = Path(path)
+    try:
+        return RigSpec.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: not a TOML file ({error}).") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        unknown = first["type"] == "extra_forbidden"
+        raise InputError(f"{path}: {where}: {'unknown key' if unknown else first['msg']}.") from error
+
+
+def _unit(axis: str) -> Float:
+    return (-1.0 if axis.startswith("-") else 1.0) * np.eye(3)["xyz".index(axis[-1])]
