@@ -1,0 +1,174 @@
+"""Numbers of the built-in humanoid: proportions and cross-sections of a sex-neutral adult, own work.
+
+Lengths are fractions of stature (Drillis and Contini 1966 in Winter, "Biomechanics and Motor Control of Human Movement",
+4th ed. 2009, fig. 4.1, DOI 10.1002/9780470549148). Cross-sections are metres at a stature of 1.75 m, drawn by us so that
+girths lie between the female and male means of ANSUR II (Gordon et al. 2014, NATICK/TR-15/007) and the volume agrees
+with the body mass at a density near 1 kg/l. All in the neutral rest pose: x forward, y left, z up, origin at mid-hip.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+REFERENCE_STATURE = 1.75
+H = REFERENCE_STATURE
+
+# Fractions of stature.
+RATIOS = {
+    "hip_height": 0.530,
+    "thigh": 0.245,
+    "shank": 0.246,
+    "ankle_height": 0.039,
+    "foot": 0.152,
+    "upper_arm": 0.186,
+    "forearm": 0.146,
+    "hand": 0.108,
+    "chin_height": 0.870,
+    "eye_height": 0.936,
+}
+
+FLOOR = -RATIOS["hip_height"] * H
+TOP = H + FLOOR
+HIP = (0.0, 0.048 * H, 0.0)
+KNEE = (0.0, HIP[1], -RATIOS["thigh"] * H)
+ANKLE = (0.0, HIP[1], KNEE[2] - RATIOS["shank"] * H)
+SHOULDER = (-0.012, 0.101 * H, 0.805 * H + FLOOR)
+ELBOW = (-0.012, SHOULDER[1], SHOULDER[2] - RATIOS["upper_arm"] * H)
+WRIST = (-0.012, SHOULDER[1], ELBOW[2] - RATIOS["forearm"] * H)
+FINGERTIP = (-0.012, SHOULDER[1], WRIST[2] - RATIOS["hand"] * H)
+LUMBAR = (-0.025, 0.0, 0.14)
+THORAX = (-0.035, 0.0, 0.34)
+NECK = (-0.035, 0.0, 0.855 * H + FLOOR)
+CLAVICLE = (0.03, 0.025, 0.50)
+HEEL_X = -0.052
+TOE_X = HEEL_X + RATIOS["foot"] * H
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A limb: superelliptic cross-sections (at, half_1, half_2, offset_1, offset_2) along a straight axis.
+
+    `axis` names where `at` runs: "down" and "up" along ∓z (cross-section in x, y), "forward" along x (in y, z); `origin`
+    is the point at = 0. `caps` are the heights of the rounded ends, `part` the limb it belongs to, `bone` what moves it.
+    """
+
+    part: str
+    bone: str
+    axis: str
+    origin: tuple[float, float, float]
+    stations: tuple[tuple[float, float, float, float, float], ...]
+    caps: tuple[float, float]
+    exponent: float = 2.0
+    sole: bool = False
+
+
+TRUNK = Sweep("trunk", "torso", "up", (0.0, 0.0, 0.0), (
+    (-0.060, 0.085, 0.125, -0.015, 0.0),
+    (0.000, 0.108, 0.160, -0.012, 0.0),
+    (0.060, 0.110, 0.165, -0.010, 0.0),
+    (0.120, 0.106, 0.157, -0.004, 0.0),
+    (0.190, 0.102, 0.141, 0.002, 0.0),
+    (0.260, 0.104, 0.142, 0.002, 0.0),
+    (0.340, 0.112, 0.153, 0.000, 0.0),
+    (0.410, 0.116, 0.160, -0.002, 0.0),
+    (0.460, 0.106, 0.155, -0.010, 0.0),
+    (0.505, 0.082, 0.130, -0.022, 0.0),
+    (0.540, 0.060, 0.085, -0.030, 0.0),
+), (0.040, 0.02), 2.3)  # fmt: skip
+
+PELVIS_ONLY = Sweep("trunk", "pelvis", "up", (0.0, 0.0, 0.0), (*TRUNK.stations[:5],), (0.040, 0.03), 2.3)
+
+CENTRAL = (
+    Sweep("trunk", "torso", "up", (-0.032, 0.0, 0.52), (
+        (0.00, 0.060, 0.066, 0.0, 0.0),
+        (0.06, 0.055, 0.056, 0.012, 0.0),
+        (0.13, 0.054, 0.055, 0.030, 0.0),
+    ), (0.03, 0.03)),
+    Sweep("trunk", "torso", "up", (0.000, 0.0, TOP - 0.0885), ((0.0, 0.097, 0.0765, 0.0, 0.0),), (0.100, 0.0885)),
+    Sweep("trunk", "torso", "up", (0.0, 0.0, 0.605), (
+        (0.000, 0.036, 0.034, 0.056, 0.0),
+        (0.035, 0.052, 0.050, 0.044, 0.0),
+        (0.080, 0.064, 0.060, 0.032, 0.0),
+        (0.130, 0.074, 0.066, 0.020, 0.0),
+    ), (0.012, 0.03), 2.2),
+    Sweep("trunk", "torso", "up", (0.103, 0.0, 0.690), ((0.0, 0.012, 0.012, 0.0, 0.0),), (0.016, 0.035)),
+)  # fmt: skip
+
+PAIRED = (  # left side
+    Sweep("trunk", "pelvis", "up", (-0.066, 0.072, -0.035), ((0.0, 0.068, 0.074, 0.0, 0.0),), (0.080, 0.090)),
+    Sweep("trunk", "torso", "up", (0.066, 0.078, 0.405), ((0.0, 0.040, 0.066, 0.0, 0.0),), (0.060, 0.070)),
+    Sweep("trunk", "torso", "left", (-0.026, 0.02, 0.525), (
+        (0.00, 0.050, 0.055, 0.0, 0.0),
+        (0.06, 0.052, 0.052, 0.0, -0.008),
+        (0.11, 0.055, 0.052, 0.006, -0.024),
+    ), (0.03, 0.03)),
+    Sweep("arm", "humerus", "down", SHOULDER, (
+        (0.00, 0.062, 0.056, 0.0, 0.002),
+        (0.06, 0.060, 0.056, 0.0, 0.002),
+        (0.12, 0.053, 0.050, 0.002, 0.0),
+        (0.20, 0.050, 0.045, 0.004, 0.0),
+        (0.28, 0.044, 0.041, 0.0, 0.0),
+        (0.3255, 0.043, 0.040, 0.0, 0.0),
+        (0.375, 0.046, 0.043, 0.0, 0.0),
+        (0.430, 0.042, 0.039, 0.0, 0.0),
+        (0.500, 0.034, 0.030, 0.0, 0.0),
+        (0.555, 0.029, 0.024, 0.0, 0.0),
+        (0.581, 0.029, 0.021, 0.0, 0.0),
+    ), (0.055, 0.01)),
+    Sweep("arm", "hand", "down", WRIST, (
+        (-0.02, 0.028, 0.021, 0.0, 0.0),
+        (0.025, 0.036, 0.020, 0.004, 0.0),
+        (0.060, 0.044, 0.019, 0.005, 0.0),
+        (0.090, 0.043, 0.017, 0.002, 0.0),
+        (0.130, 0.037, 0.014, -0.002, 0.0),
+        (0.165, 0.028, 0.011, -0.003, 0.0),
+    ), (0.01, 0.024), 2.4),
+    Sweep("leg", "femur", "down", HIP, (
+        (0.00, 0.090, 0.080, -0.004, 0.012),
+        (0.06, 0.092, 0.085, 0.000, 0.012),
+        (0.13, 0.089, 0.084, 0.004, 0.009),
+        (0.22, 0.080, 0.075, 0.005, 0.004),
+        (0.32, 0.067, 0.062, 0.003, 0.0),
+        (0.39, 0.060, 0.056, 0.000, 0.0),
+        (0.435, 0.060, 0.054, 0.000, 0.0),
+        (0.490, 0.057, 0.053, -0.006, 0.0),
+        (0.560, 0.060, 0.055, -0.016, 0.0),
+        (0.640, 0.053, 0.048, -0.016, 0.0),
+        (0.720, 0.041, 0.038, -0.010, 0.0),
+        (0.800, 0.036, 0.033, -0.008, 0.0),
+        (0.850, 0.041, 0.036, -0.006, 0.0),
+        (0.880, 0.043, 0.035, -0.006, 0.0),
+    ), (0.08, 0.03)),
+    Sweep("leg", "foot", "forward", (0.0, ANKLE[1], FLOOR), (
+        (-0.030, 0.031, 0.045, 0.0, 0.030),
+        (0.000, 0.035, 0.050, 0.0, 0.035),
+        (0.040, 0.037, 0.045, -0.002, 0.038),
+        (0.080, 0.040, 0.036, -0.004, 0.030),
+        (0.120, 0.045, 0.028, -0.004, 0.022),
+        (0.150, 0.047, 0.023, 0.0, 0.018),
+        (0.180, 0.043, 0.019, 0.004, 0.014),
+        (0.196, 0.037, 0.017, 0.006, 0.012),
+    ), (0.022, 0.018), 2.4, True),
+)  # fmt: skip
+
+# Rings of the surface: where the layers of the lattice lie.
+TRUNK_LEVELS = (-0.075, -0.025, 0.02, 0.065, 0.11, 0.155, 0.20, 0.245, 0.29, 0.335, 0.38, 0.42, 0.46, 0.505, 0.545)
+HEAD_LEVELS = (0.575, 0.60, 0.63, 0.66, 0.69, 0.72, 0.755, 0.79, 0.815)
+LEG_LEVELS = (0.125, 0.165, 0.205, 0.245, 0.285, 0.325, 0.363, 0.398, 0.432, 0.466, 0.502, 0.54, 0.58, 0.622, 0.665, 0.71,
+              0.755, 0.80, 0.842)  # fmt: skip
+ARM_LEVELS = (0.06, 0.10, 0.14, 0.18, 0.22, 0.26, 0.295, 0.3255, 0.357, 0.395, 0.435, 0.475, 0.515, 0.552, 0.585, 0.615,
+              0.645, 0.675, 0.705, 0.735, 0.765)  # fmt: skip
+FOOT_XS = (-0.048, -0.028, 0.0, 0.025, 0.05, 0.078, 0.106, 0.134, 0.160, 0.185, 0.210)
+
+# Clinical ranges of motion, degrees, from the neutral pose: AAOS, "Joint Motion: Method of Measuring and Recording" (1965),
+# and Norkin and White, "Measurement of Joint Motion" (5th ed. 2016), widened a little where athletes go further.
+LIMITS_DEG = {
+    "lumbar_extension": (-60, 25), "lumbar_bending": (-35, 35), "lumbar_rotation": (-45, 45),
+    "thorax_extension": (-40, 25), "thorax_bending": (-30, 30), "thorax_rotation": (-40, 40),
+    "neck_extension": (-60, 75), "neck_bending": (-45, 45), "neck_rotation": (-80, 80),
+    "clavicle_elevation": (-10, 45), "clavicle_protraction": (-25, 30),
+    "arm_add": (-180, 45), "arm_flex": (-60, 180), "arm_rot": (-90, 90),
+    "elbow_flex": (0, 150), "pro_sup": (-90, 90), "wrist_flex": (-70, 80),
+    "hip_flexion": (-30, 125), "hip_adduction": (-50, 30), "hip_rotation": (-45, 45),
+    "knee_angle": (-10, 145), "ankle_angle": (-50, 30), "subtalar_angle": (-25, 35),
+}  # fmt: skip
