@@ -80,9 +80,9 @@ def check_person_place(rig: Rig, points: Float, floor: float | None, source: str
         raise InputError(f"{source}: the first pose holds NaN; check the keypoints of the first frame.")
     if floor is not None and points[:, 2].min() < floor - _UNDERGROUND:
         raise InputError(
-            f"{source}: the person of the first pose is underground (lowest point {points[:, 2].min() - floor:.2f} m from"
-            " the floor); the calibration is mirrored or its z axis points down; set [cameras] floor if the floor is"
-            " elsewhere."
+            f"{source}: the person of the first pose is underground (lowest point {points[:, 2].min() - floor:.2f} m"
+            " from the floor); the calibration is mirrored or its z axis points down; set [cameras] floor if the floor"
+            " is elsewhere."
         )
     if not any(np.any(sees(camera, points)) for camera in rig):
         raise InputError(
