@@ -5,14 +5,14 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from twistcap._typing import AnyArray, Float, UInt8
+from twistcap._typing import AnyArray, Float, Float32, UInt8
 from twistcap.studio.config import StudioConfig, stream
 from twistcap.studio.look import HARD_GREY
 
 _OVER = 3  # shapes are drawn this many times larger and averaged down: smooth edges
 
 
-def background(config: StudioConfig, camera: int) -> Float:
+def background(config: StudioConfig, camera: int) -> Float32:
     """(H, W, 3) picture in [0, 1] of what a camera sees of the empty room."""
     rng = stream(config.seed, "background", camera)
     width, height = config.size
@@ -25,7 +25,7 @@ def background(config: StudioConfig, camera: int) -> Float:
         picture += gain * smooth_noise(rng, (height, width), spacing)
     if config.hard:
         picture = HARD_GREY + 0.22 * (picture - picture.mean())
-    return np.clip(picture, 0.0, 1.0)
+    return np.clip(picture, 0.0, 1.0).astype(np.float32)
 
 
 def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], spacing: float) -> Float:
@@ -33,7 +33,7 @@ def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], spacing: floa
     rows, cols = (_interpolation(n, spacing) for n in shape)
     common = rng.normal(size=(rows.shape[1], cols.shape[1], 1))
     own = rng.normal(size=(rows.shape[1], cols.shape[1], 3))
-    return np.einsum("ik,klc,jl->ijc", rows, 0.8 * common + 0.6 * own, cols, optimize=True)
+    return np.einsum("ik,klc,jl->ijc", rows, 0.95 * common + 0.3 * own, cols, optimize=True)
 
 
 def _interpolation(n: int, spacing: float) -> Float:
@@ -51,8 +51,8 @@ def _room(rng: np.random.Generator, width: int, height: int) -> UInt8:
     """Wall, floor and skirting board."""
     canvas = np.empty((height, width, 3), np.uint8)
     horizon = int(height * rng.uniform(0.55, 0.72))
-    canvas[:horizon], canvas[horizon:] = _colour(rng, 0.25), _colour(rng, 0.25)
-    canvas[horizon : horizon + height // 70] = _colour(rng, 0.15)
+    canvas[:horizon], canvas[horizon:] = _colour(rng, 0.1), _colour(rng, 0.1)
+    canvas[horizon : horizon + height // 70] = _colour(rng, 0.08)
     return canvas
 
 
@@ -68,7 +68,7 @@ def _draw_shape(canvas: AnyArray, rng: np.random.Generator, k: int) -> None:
     extent = height * (0.32 if k < 10 else 0.14) * rng.uniform(0.3, 1.0, size=2)
     centre = (float(rng.uniform(0, width)), float(rng.uniform(0, height)))
     angle = float(rng.choice([0.0, rng.uniform(-30, 30)]))
-    colour, kind = _colour(rng, 0.35), rng.random()
+    colour, kind = _colour(rng, 0.2), rng.random()
     box = (centre, (float(extent[0]), float(extent[1])), angle)
     if kind < 0.55:
         cv2.fillPoly(canvas, [np.round(cv2.boxPoints(box)).astype(np.int32)], colour)
@@ -79,7 +79,7 @@ def _draw_shape(canvas: AnyArray, rng: np.random.Generator, k: int) -> None:
         cv2.line(canvas, ends[0].tolist(), ends[2].tolist(), colour, int(rng.integers(2, 8)))
 
 
-def occluder_layer(config: StudioConfig, camera: int) -> Float:
+def occluder_layer(config: StudioConfig, camera: int) -> Float32:
     """(H, W, 4) colour times coverage, and coverage, of posts and boxes that stand before the person."""
     rng = stream(config.seed, "occluders", camera)
     width, height = config.size
@@ -88,7 +88,7 @@ def occluder_layer(config: StudioConfig, camera: int) -> Float:
         w = int(width * rng.uniform(0.03, 0.07))
         h = int(height * rng.uniform(0.25, 0.7))
         x, y = int(rng.uniform(0.25, 0.75) * width), int(rng.uniform(0.3, 0.9) * height)
-        layer[max(0, y) : y + h, x : x + w, :3] = np.array(_colour(rng, 0.35)) / 255
+        layer[max(0, y) : y + h, x : x + w, :3] = np.array(_colour(rng, 0.2)) / 255
         layer[max(0, y) : y + h, x : x + w, 3] = 1.0
     layer[..., :3] *= np.clip(1 + 0.1 * smooth_noise(rng, (height, width), 6.0), 0, 1.5)
-    return np.clip(layer, 0.0, 1.0)
+    return np.clip(layer, 0.0, 1.0).astype(np.float32)

@@ -10,8 +10,8 @@ import numpy as np
 from twistcap._typing import Float, Float32
 from twistcap.body import Body
 from twistcap.studio.config import StudioConfig, stream
+from twistcap.studio.shade import LATTICE_BITS
 
-LATTICE = 32  # texture period in lattice steps; a power of two
 HARD_GREY = 0.47  # the grey that person and background share in hard scenes
 _SKIN = np.array([[0.94, 0.78, 0.68], [0.82, 0.62, 0.50], [0.60, 0.42, 0.32], [0.40, 0.27, 0.20]])
 _HAIR = np.array([[0.12, 0.09, 0.08], [0.35, 0.22, 0.13], [0.70, 0.55, 0.33], [0.55, 0.54, 0.53]])
@@ -23,7 +23,7 @@ class Look:
 
     Attributes:
         albedo: (F, 3) colour of each triangle; contrast: (F,) of the texture on it.
-        lattice: (n, n, n, 3) random values with mean 0 that the texture interpolates.
+        lattice: (n³, 3) random values with mean 0 that the texture interpolates.
         lights: (L, 6) unit direction towards each light (world) and its colour; ambient: (3,) light from everywhere.
     """
 
@@ -109,9 +109,8 @@ def _grey(colour: Float) -> float:
 
 def _lattice(rng: np.random.Generator) -> Float32:
     """Channels share most of their values, so that the texture is light and dark rather than a rainbow."""
-    common = rng.normal(size=(LATTICE,) * 3)
-    own = rng.normal(size=(LATTICE,) * 3 + (3,))
-    values = np.clip(0.85 * common[..., None] + 0.5 * own, -2.5, 2.5)
+    n = (1 << LATTICE_BITS) ** 3
+    values = np.clip(0.96 * rng.normal(size=(n, 1)) + 0.28 * rng.normal(size=(n, 3)), -2.5, 2.5)
     return (values - values.mean()).astype(np.float32)
 
 

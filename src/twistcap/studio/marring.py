@@ -4,22 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 
-from twistcap._typing import Float, UInt8
+from twistcap._typing import Float32, UInt8
 from twistcap.studio.config import StudioConfig, stream
 
 
-def marred(picture: Float, config: StudioConfig, frame: int, camera: int) -> UInt8:
-    """The camera's file of a picture (H, W, 3) or (H, W) in [0, 1]: noise, rectangles, uniform noise, 8 bits."""
-    picture = picture.astype(np.float32)
+def marred(picture: Float32, config: StudioConfig, frame: int, camera: int) -> UInt8:
+    """The camera's file of a picture (H, W, 3) or (H, W) in [0, 1]: noise, rectangles, uniform noise, 8 bits.
+
+    The picture itself is used up.
+    """
     if config.sensor_noise > 0:
         noise = stream(config.seed, "sensor", camera, frame).standard_normal(picture.shape, dtype=np.float32)
-        picture += np.float32(config.sensor_noise) * noise
+        noise *= np.float32(config.sensor_noise)
+        picture += noise
     paint_rectangles(picture, config.rectangles, stream(config.seed, "rectangles", camera, frame))
     replace_pixels(picture, config.noise_share(frame), stream(config.seed, "uniform", camera, frame))
-    return np.clip(np.rint(picture * 255), 0, 255).astype(np.uint8)
+    picture *= np.float32(255)
+    return np.clip(np.rint(picture, out=picture), 0, 255, out=picture).astype(np.uint8)
 
 
-def paint_rectangles(picture: Float, count: int, rng: np.random.Generator) -> None:
+def paint_rectangles(picture: Float32, count: int, rng: np.random.Generator) -> None:
     """Paints rectangles of random place, colour and size (up to a tenth of the width) into a picture, in place."""
     height, width = picture.shape[:2]
     for _ in range(count):
@@ -28,7 +32,7 @@ def paint_rectangles(picture: Float, count: int, rng: np.random.Generator) -> No
         picture[y : y + h, x : x + w] = rng.random(picture.shape[2:])
 
 
-def replace_pixels(picture: Float, share: float, rng: np.random.Generator) -> None:
+def replace_pixels(picture: Float32, share: float, rng: np.random.Generator) -> None:
     """Replaces a share of the pixels by uniform noise in every channel, in place."""
     if share <= 0:
         return

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twistcap._typing import Float
+from twistcap._typing import Float, Float32
 from twistcap.body import Pose, Posed
 from twistcap.camera import Camera
 from twistcap.render.raster import project_pinhole, rasterise
@@ -23,9 +23,9 @@ class Layer:
 
     x: int
     y: int
-    pixels: Float
+    pixels: Float32
 
-    def over(self, picture: Float) -> None:
+    def over(self, picture: Float32) -> None:
         """Lays the window over a picture (H, W, 3), in place."""
         h, w = self.pixels.shape[:2]
         part = picture[self.y : self.y + h, self.x : self.x + w]
@@ -47,7 +47,7 @@ def render_body(posed: Posed, camera: Camera, look: Look) -> Layer:
     normals = vertex_normals(posed.vertices, faces)
     surface = (faces, pixels, inverse_depth, posed.body.vertices, normals)
     dress = (look.albedo, look.contrast, look.lattice, OCTAVES, look.lights, look.ambient)
-    return Layer(int(low[0]), int(low[1]), shade(index, origin, n, *surface, *dress))
+    return Layer(int(low[0]), int(low[1]), shade(index, origin, n, *surface, *dress).astype(np.float32))
 
 
 def _window(samples: Float, size: tuple[int, int]) -> tuple[Float, Float]:
@@ -59,14 +59,12 @@ def _window(samples: Float, size: tuple[int, int]) -> tuple[Float, Float]:
     return np.clip(low, 0, size), np.clip(high, 0, size)
 
 
-def picture_of(moments: Sequence[Posed], camera: Camera, look: Look, room: Float) -> Float:
+def picture_of(moments: Sequence[Posed], camera: Camera, look: Look, room: Float32) -> Float32:
     """(H, W, 3) the room with the body in it, averaged over the moments in which the shutter is open."""
-    total = np.zeros_like(room)
-    for posed in moments:
-        picture = room.copy()
+    pictures = [room.copy() for _ in moments]
+    for posed, picture in zip(moments, pictures, strict=True):
         render_body(posed, camera, look).over(picture)
-        total += picture
-    return total / len(moments)
+    return pictures[0] if len(pictures) == 1 else np.mean(pictures, axis=0, dtype=np.float32)
 
 
 def between(first: Pose, second: Pose, share: float) -> Pose:

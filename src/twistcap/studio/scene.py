@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from twistcap import se3
-from twistcap._typing import Bool, Float, UInt8
+from twistcap._typing import Bool, Float, Float32, UInt8
 from twistcap.body import Body, Pose, Posed, rescaled
 from twistcap.camera import Rig
 from twistcap.errors import InputError
@@ -50,12 +50,12 @@ class Capture:
     look: Look
 
     @cached_property
-    def rooms(self) -> tuple[Float, ...]:
+    def rooms(self) -> tuple[Float32, ...]:
         """The empty room in each view, (H, W, 3) in [0, 1]."""
         return tuple(background(self.config, c) for c in range(len(self.true_rig)))
 
     @cached_property
-    def occluders(self) -> tuple[Float, ...]:
+    def occluders(self) -> tuple[Float32, ...]:
         """What stands before the person in each view, (H, W, 4) colour times coverage, and coverage."""
         return tuple(occluder_layer(self.config, c) for c in range(len(self.true_rig)))
 
@@ -82,7 +82,7 @@ class Capture:
         if self.config.occluders:
             Layer(0, 0, self.occluders[camera]).over(picture)
         if not self.config.colour:
-            picture = picture @ np.array([0.299, 0.587, 0.114])
+            picture = picture @ np.array([0.299, 0.587, 0.114], np.float32)
         return marred(picture, self.config, index, camera)
 
     def masks(self, index: int) -> list[Bool]:

@@ -8,6 +8,7 @@ from numba import njit
 from twistcap._typing import Float, Float32, Int
 from twistcap.render.raster import barycentric
 
+LATTICE_BITS = 5  # the texture repeats after 2⁵ lattice steps
 OCTAVES = np.array([[0.018, 0.7], [0.034, 0.9], [0.070, 1.0]])  # lattice spacing in m, amplitude; a wave is two spacings
 
 
@@ -17,42 +18,46 @@ def vertex_normals(vertices: Float, faces: Int) -> Float:
     normals = np.zeros_like(vertices)
     for f in range(len(faces)):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        u, v = vertices[b] - vertices[a], vertices[c] - vertices[a]
-        n0, n1, n2 = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
+        ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
+        vx, vy, vz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
+        n0, n1, n2 = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
         for i in (a, b, c):
             normals[i, 0] += n0
             normals[i, 1] += n1
             normals[i, 2] += n2
     for i in range(len(normals)):
         norm = np.sqrt(normals[i, 0] ** 2 + normals[i, 1] ** 2 + normals[i, 2] ** 2)
-        normals[i] /= max(norm, 1e-12)
+        for c in range(3):
+            normals[i, c] /= max(norm, 1e-12)
     return normals
 
 
 @njit(cache=True, nogil=True)
 def solid_noise(lattice: Float32, octaves: Float, x: float, y: float, z: float, out: Float) -> None:
-    """Adds the three channels of value noise at a rest-pose point (m) into `out` (3,); `lattice` is (n, n, n, 3)."""
-    mask = len(lattice) - 1  # n is a power of two
+    """Adds the three channels of value noise at a rest-pose point (m) into `out` (3,); `lattice` is (n³, 3)."""
+    n = 1 << LATTICE_BITS
+    mask = n - 1
     for o in range(len(octaves)):
         scale, gain = 1.0 / octaves[o, 0], octaves[o, 1]
         px, py, pz = x * scale + 7.3 * o, y * scale + 3.1 * o, z * scale + 5.7 * o
         fx, fy, fz = np.floor(px), np.floor(py), np.floor(pz)
         tx, ty, tz = px - fx, py - fy, pz - fz
         tx, ty, tz = tx * tx * (3 - 2 * tx), ty * ty * (3 - 2 * ty), tz * tz * (3 - 2 * tz)
-        ix, iy, iz = int(fx) & mask, int(fy) & mask, int(fz) & mask
-        jx, jy, jz = (ix + 1) & mask, (iy + 1) & mask, (iz + 1) & mask
-        for c in range(3):
-            a = lattice[ix, iy, iz, c] * (1 - tx) + lattice[jx, iy, iz, c] * tx
-            b = lattice[ix, jy, iz, c] * (1 - tx) + lattice[jx, jy, iz, c] * tx
-            d = lattice[ix, iy, jz, c] * (1 - tx) + lattice[jx, iy, jz, c] * tx
-            e = lattice[ix, jy, jz, c] * (1 - tx) + lattice[jx, jy, jz, c] * tx
-            near, far = a * (1 - ty) + b * ty, d * (1 - ty) + e * ty
-            out[c] += gain * (near * (1 - tz) + far * tz)
+        ix, iy, iz = int(fx), int(fy), int(fz)
+        for i in range(2):
+            wx, kx = gain * (tx if i else 1 - tx), (ix + i) & mask
+            for j in range(2):
+                wxy, kxy = wx * (ty if j else 1 - ty), (kx * n + ((iy + j) & mask)) * n
+                for k in range(2):
+                    weight, at = wxy * (tz if k else 1 - tz), np.uint64(kxy + ((iz + k) & mask))
+                    out[0] += weight * lattice[at, 0]
+                    out[1] += weight * lattice[at, 1]
+                    out[2] += weight * lattice[at, 2]
 
 
 def solid_noise_reference(lattice: Float32, octaves: Float, points: Float) -> Float:
     """Readable twin of `solid_noise` for points (N, 3) -> (N, 3)."""
-    n = len(lattice)
+    n = 1 << LATTICE_BITS
     out = np.zeros((len(points), 3))
     for o, (spacing, gain) in enumerate(octaves):
         p = points / spacing + o * np.array([7.3, 3.1, 5.7])
@@ -62,7 +67,7 @@ def solid_noise_reference(lattice: Float32, octaves: Float, points: Float) -> Fl
         for corner in np.ndindex(2, 2, 2):
             weight = np.prod(np.where(np.array(corner) == 1, t, 1 - t), axis=1)
             ix, iy, iz = ((base + corner).astype(int) % n).T
-            out += gain * weight[:, None] * lattice[ix, iy, iz]
+            out += gain * weight[:, None] * lattice[(ix * n + iy) * n + iz]
     return out
 
 
@@ -103,7 +108,7 @@ def shade(
     height, width = face_index.shape[0] // factor, face_index.shape[1] // factor
     out = np.zeros((height, width, 4))
     share = 1.0 / (factor * factor)
-    texture = np.zeros(3)
+    texture, light = np.zeros(3), np.zeros(3)
     for row in range(height * factor):
         for col in range(width * factor):
             f = face_index[row, col]
@@ -120,7 +125,7 @@ def shade(
             wa = (1.0 - (x * cy - y * cx) / area - (bx * y - by * x) / area) * inverse_depth[a]
             total = wa + wb + wc
             wa, wb, wc = wa / total, wb / total, wc / total
-            texture[:] = 0.0
+            texture[0] = texture[1] = texture[2] = 0.0
             if contrast[f] > 0.0:
                 px = wa * rest[a, 0] + wb * rest[b, 0] + wc * rest[c, 0]
                 py = wa * rest[a, 1] + wb * rest[b, 1] + wc * rest[c, 1]
@@ -131,15 +136,17 @@ def shade(
             n2 = wa * normals[a, 2] + wb * normals[b, 2] + wc * normals[c, 2]
             norm = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
             n0, n1, n2 = n0 / norm, n1 / norm, n2 / norm
-            cell = out[row // factor, col // factor]
             for ch in range(3):
-                light = ambient[ch] * (0.85 + 0.15 * n2)
-                for k in range(len(lights)):
-                    cosine = n0 * lights[k, 0] + n1 * lights[k, 1] + n2 * lights[k, 2]
-                    light += max(cosine, 0.0) * lights[k, 3 + ch]
-                value = albedo[f, ch] * (1.0 + contrast[f] * texture[ch]) * light
-                cell[ch] += share * min(max(value, 0.0), 1.0)
-            cell[3] += share
+                light[ch] = ambient[ch] * (0.85 + 0.15 * n2)
+            for k in range(len(lights)):
+                cosine = max(0.0, n0 * lights[k, 0] + n1 * lights[k, 1] + n2 * lights[k, 2])
+                for ch in range(3):
+                    light[ch] += cosine * lights[k, 3 + ch]
+            i, j = row // factor, col // factor
+            for ch in range(3):
+                value = albedo[f, ch] * (1.0 + contrast[f] * texture[ch]) * light[ch]
+                out[i, j, ch] += share * min(max(value, 0.0), 1.0)
+            out[i, j, 3] += share
     return out
 
 
