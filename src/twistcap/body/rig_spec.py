@@ -6,7 +6,7 @@ The file gives joints as frames; a small TOML beside it says what they mean. All
     up = "y"                 # the file's vertical axis, "y" or "z"
     forward = "z"            # the file's axis the body looks along: "x", "-x", "y" … (default z for up = "y", else x)
     scale = 0.1              # metres per unit of the file
-    ground = true            # put the lowest vertex at z = 0
+    origin = "mid_hip"       # landmark put at the origin, or "ground": the lowest vertex at z = 0; default "file"
     keep = ["LeftArm"]       # if given: joints neither here nor under [joints] are merged into their parents
     [joints.LeftLeg]
     kind = "revolute"        # "fixed" (merged into its parent) | "revolute" | "universal" | "ball" (default)
@@ -18,7 +18,7 @@ The file gives joints as frames; a small TOML beside it says what they mean. All
     aim = { at = "LeftFoot", along = [0, 0, -1] }   # turn the rest pose: the line to joint `at` shall run `along`
     [landmarks]              # default: every joint that stays, under its own name
     knee_l = "LeftLeg"                                        # where that joint is
-    nose = { joint = "Head", at = [0.2, 0.0, 1.6] }           # a point: our axes, m, before aim and ground
+    nose = { joint = "Head", at = [0.2, 0.0, 1.6] }           # a point: our axes, m, before aim and origin
     toe_l = { joint = "LeftFoot", point = "joint-l-toe-1-3" } # a named point of the file
     heel_l = { joint = "LeftFoot", vertices = [12862] }       # mean of vertices, numbered as in the file (OBJ only)
 
@@ -83,7 +83,7 @@ class RigSpec(BaseModel):
     up: Literal["y", "z"] = "y"
     forward: Axis | None = None
     scale: float = Field(default=1.0, gt=0, allow_inf_nan=False)
-    ground: bool = False
+    origin: str = "file"
     keep: list[str] | None = None
     joints: dict[str, JointSpec] = Field(default_factory=dict[str, JointSpec])
     landmarks: dict[str, str | LandmarkSpec] | None = None

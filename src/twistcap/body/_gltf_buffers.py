@@ -1,0 +1,96 @@
+"""Arrays out of and into glTF buffers."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+from pygltflib import GLTF2, Accessor, BufferView
+
+from twistcap._typing import AnyArray, Float
+from twistcap.errors import InputError
+
+_TYPES: dict[int, type[np.generic]] = {
+    5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32,
+}  # fmt: skip
+_CODES = {np.dtype(kind): code for code, kind in _TYPES.items()}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
+
+
+class Buffers:
+    """Reads accessors of one file as float64 arrays."""
+
+    def __init__(self, gltf: GLTF2, path: Path) -> None:
+        self.gltf, self.path = gltf, path
+        self._data: dict[int, bytes] = {}
+
+    def accessor(self, number: int, where: str) -> Float:
+        """(N, width) values of an accessor; normalised integers are scaled to [0, 1] or [-1, 1].
+
+        Raises:
+            InputError: for an accessor that does not exist, is sparse, runs past its buffer, or holds NaN.
+        """
+        try:
+            entry = self.gltf.accessors[number]
+            if entry.sparse is not None or entry.bufferView is None:
+                raise InputError(f"{self.path}: {where}: sparse accessors cannot be read; export it without.")
+            view = self.gltf.bufferViews[entry.bufferView]
+            kind, width = np.dtype(_TYPES[entry.componentType]).newbyteorder("<"), _WIDTHS[entry.type]
+        except (IndexError, KeyError, TypeError) as error:
+            raise InputError(f"{self.path}: {where}: accessor {number} is missing or of an unknown type.") from error
+        start, stride = (view.byteOffset or 0) + (entry.byteOffset or 0), view.byteStride or kind.itemsize * width
+        data = self._buffer(view.buffer, where)
+        if start + (entry.count - 1) * stride + kind.itemsize * width > len(data):
+            raise InputError(f"{self.path}: {where}: accessor {number} runs past the end of its buffer.")
+        raw = np.ndarray((entry.count, width), kind, data, start, (stride, kind.itemsize)).astype(np.float64)
+        if not np.all(np.isfinite(raw)):
+            raise InputError(f"{self.path}: {where}: a value is not finite.")
+        return np.maximum(raw / np.iinfo(kind).max, -1.0) if entry.normalized else raw
+
+    def _buffer(self, number: int, where: str) -> bytes:
+        if number not in self._data:
+            self._data[number] = self._read(number, where)
+        return self._data[number]
+
+    def _read(self, number: int, where: str) -> bytes:
+        uri = self.gltf.buffers[number].uri if number < len(self.gltf.buffers) else ""
+        if uri is None:
+            blob: Any = self.gltf.binary_blob()
+            if blob is None:
+                raise InputError(f"{self.path}: {where}: buffer {number} has no data.")
+            return bytes(blob)
+        try:
+            if uri.startswith("data:"):
+                return base64.b64decode(uri.partition(",")[2])
+            return (self.path.parent / unquote(uri)).read_bytes()
+        except (OSError, binascii.Error) as error:
+            raise InputError(f"{self.path}: {where}: buffer {number} ({uri[:60]!r}) cannot be read.") from error
+
+
+class Packer:
+    """Collects arrays into the one binary chunk of a GLB."""
+
+    def __init__(self, gltf: GLTF2) -> None:
+        self.gltf, self.blob = gltf, bytearray()
+
+    def add(self, values: AnyArray, kind: str, target: int | None = None, bounds: bool = False) -> int:
+        """Appends an array of glTF type `kind`; the number of its accessor. `bounds` writes min and max."""
+        data = np.ascontiguousarray(values)
+        self.gltf.bufferViews.append(
+            BufferView(buffer=0, byteOffset=len(self.blob), byteLength=data.nbytes, target=target)
+        )
+        rows = data.reshape(-1, _WIDTHS[kind])
+        accessor = Accessor(
+            bufferView=len(self.gltf.bufferViews) - 1, componentType=_CODES[data.dtype], count=len(rows), type=kind
+        )
+        if bounds:
+            accessor.min, accessor.max = rows.min(axis=0).tolist(), rows.max(axis=0).tolist()
+        self.gltf.accessors.append(accessor)
+        self.blob += data.tobytes()
+        self.blob += b"\0" * (-len(self.blob) % 4)
+        return len(self.gltf.accessors) - 1

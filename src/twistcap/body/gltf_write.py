@@ -1,0 +1,180 @@
+"""A body, and its motion if there is one, as a GLB."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pygltflib import (
+    GLTF2,
+    Animation,
+    AnimationChannel,
+    AnimationChannelTarget,
+    AnimationSampler,
+    Asset,
+    Attributes,
+    Buffer,
+    Material,
+    Mesh,
+    Node,
+    PbrMetallicRoughness,
+    Primitive,
+    Scene,
+    Skin,
+)
+
+from twistcap import se3
+from twistcap._typing import Float
+from twistcap.body._gltf_buffers import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, Packer
+from twistcap.body.gltf import EXTRAS, TO_REST
+from twistcap.body.kinematics import Pose, Posed
+from twistcap.body.model import Body
+from twistcap.body.shape import joint_origin
+from twistcap.errors import InputError
+
+
+def save_glb(body: Body, path: Path | str, poses: Sequence[Pose] | None = None, fps: float | None = None) -> None:
+    """Writes skin, surface and (with `poses`) an animation; our own coordinates go along in `asset.extras`.
+
+    One joint node per segment, at the segment's proximal joint; the skinned mesh stands at the root, as glTF asks.
+
+    Args:
+        body: to be written. Surface and weights are kept to float32.
+        path: of the GLB.
+        poses: one per frame.
+        fps: frames per second of `poses`.
+
+    Raises:
+        InputError: for poses without a frame rate, or if the file cannot be written.
+    """
+    if poses and not (fps and fps > 0):
+        raise InputError(f"{path}: an animation needs a frame rate; fps is {fps}.")
+    gltf = GLTF2(asset=Asset(version="2.0", generator="twistcap", extras={EXTRAS: _extras(body)}), scene=0)
+    pack = Packer(gltf)
+    origins = np.array([joint_origin(body, s) for s in range(len(body.segment_names))]).reshape(-1, 3)
+    _add_nodes(gltf, body, origins)
+    _add_skin(gltf, pack, origins)
+    _add_mesh(gltf, pack, body)
+    if poses and fps:
+        _add_animation(gltf, pack, body, origins, poses, fps)
+    gltf.buffers.append(Buffer(byteLength=len(pack.blob)))
+    gltf.set_binary_blob(bytes(pack.blob))
+    try:
+        gltf.save_binary(str(path))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
+
+
+def _extras(body: Body) -> dict[str, Any]:
+    return {
+        "version": 1,
+        "name": body.name,
+        "coordinates": list(body.coordinate_names),
+        "parent": body.parent.tolist(),
+        "twists": body.twists.tolist(),
+        "limits": body.limits.tolist(),
+        "segments": list(body.segment_names),
+        "segment_joint": body.segment_joint.tolist(),
+        "influences": int(body.skin_weights.shape[1]),
+        "landmarks": {
+            "names": list(body.landmarks.names),
+            "segments": body.landmarks.segments.tolist(),
+            "points": body.landmarks.points.tolist(),
+        },
+    }
+
+
+def _add_nodes(gltf: GLTF2, body: Body, origins: Float) -> None:
+    """Node s is segment s; then the armature above them and the mesh."""
+    S = len(origins)
+    above = body.segment_parent
+    for s, name in enumerate(body.segment_names):
+        start = origins[above[s]] if above[s] >= 0 else np.zeros(3)
+        children = [int(c) for c in np.flatnonzero(above == s)]
+        gltf.nodes.append(Node(name=name, children=children, translation=(TO_REST.T @ (origins[s] - start)).tolist()))
+    gltf.nodes.append(Node(name="armature", children=[int(c) for c in np.flatnonzero(above < 0)]))
+    gltf.nodes.append(Node(name=body.name, mesh=0, skin=0))
+    gltf.scenes.append(Scene(nodes=[S, S + 1]))
+
+
+def _add_skin(gltf: GLTF2, pack: Packer, origins: Float) -> None:
+    inverse_binds = se3.transform(np.eye(3), -origins @ TO_REST)
+    matrices = pack.add(inverse_binds.transpose(0, 2, 1).astype(np.float32), "MAT4")
+    S = len(origins)
+    gltf.skins.append(Skin(joints=list(range(S)), skeleton=S, inverseBindMatrices=matrices, extras={EXTRAS: True}))
+
+
+def _add_mesh(gltf: GLTF2, pack: Packer, body: Body) -> None:
+    attributes = Attributes()
+    vertices = body.vertices @ TO_REST
+    attributes.POSITION = pack.add(vertices.astype(np.float32), "VEC3", ARRAY_BUFFER, bounds=True)
+    attributes.NORMAL = pack.add(_normals(vertices, body).astype(np.float32), "VEC3", ARRAY_BUFFER)
+    V, K = body.skin_weights.shape
+    sets = -(-K // 4)
+    segments, weights = np.zeros((V, 4 * sets), np.uint16), np.zeros((V, 4 * sets), np.float32)
+    weights[:, :K] = body.skin_weights
+    segments[:, :K] = np.where(
+        body.skin_weights > 0, body.skin_segments, 0
+    )  # the validator wants unused joints to be 0
+    for n in range(sets):
+        part = slice(4 * n, 4 * n + 4)
+        setattr(attributes, f"JOINTS_{n}", pack.add(segments[:, part], "VEC4", ARRAY_BUFFER))
+        setattr(attributes, f"WEIGHTS_{n}", pack.add(weights[:, part], "VEC4", ARRAY_BUFFER))
+    indices = pack.add(body.faces.astype(np.uint32).ravel(), "SCALAR", ELEMENT_ARRAY_BUFFER)
+    gltf.materials.append(
+        Material(
+            name="body",
+            pbrMetallicRoughness=PbrMetallicRoughness(
+                baseColorFactor=[0.8, 0.8, 0.8, 1.0], metallicFactor=0.0, roughnessFactor=0.9
+            ),
+        )
+    )
+    gltf.meshes.append(Mesh(name=body.name, primitives=[Primitive(attributes=attributes, indices=indices, material=0)]))
+
+
+def _normals(vertices: Float, body: Body) -> Float:
+    corners = vertices[body.faces]
+    by_face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    out = np.zeros_like(vertices)
+    for k in range(3):
+        np.add.at(out, body.faces[:, k], by_face)
+    length = np.linalg.norm(out, axis=1, keepdims=True)
+    return np.where(length > 0, out / np.where(length > 0, length, 1.0), [0.0, 1.0, 0.0])
+
+
+def _add_animation(gltf: GLTF2, pack: Packer, body: Body, origins: Float, poses: Sequence[Pose], fps: float) -> None:
+    rotations, translations = local_motions(body, origins, poses)
+    times = pack.add((np.arange(len(poses)) / fps).astype(np.float32), "SCALAR", bounds=True)
+    animation = Animation(name="motion")
+    for s in range(len(origins)):
+        for path, values, kind in (("rotation", rotations, "VEC4"), ("translation", translations, "VEC3")):
+            output = pack.add(values[:, s].astype(np.float32), kind)
+            animation.samplers.append(AnimationSampler(input=times, output=output, interpolation="LINEAR"))
+            target = AnimationChannelTarget(node=s, path=path)
+            animation.channels.append(AnimationChannel(sampler=len(animation.samplers) - 1, target=target))
+    gltf.animations.append(animation)
+
+
+def local_motions(body: Body, origins: Float, poses: Sequence[Pose]) -> tuple[Float, Float]:
+    """Quaternions (T, S, 4; x y z w, continuous in time) and translations (T, S, 3) of each segment in its parent.
+
+    In glTF's axes; a segment's frame stands at its origin (S, 3) and is unturned in the rest pose.
+    """
+    motions = np.array([Posed(body, pose).segment_transforms for pose in poses])
+    C = se3.transform(TO_REST.T, np.zeros(3))
+    frames = C @ motions @ se3.transform(np.eye(3), origins) @ C.T
+    above = body.segment_parent
+    local = np.where((above >= 0)[:, None, None], se3.inverse(frames[:, above]) @ frames, frames)
+    quaternions = _quaternions(local[..., :3, :3])
+    for t in range(1, len(quaternions)):
+        opposite = np.sum(quaternions[t] * quaternions[t - 1], axis=-1, keepdims=True) < 0
+        quaternions[t] = np.where(opposite, -quaternions[t], quaternions[t])
+    return quaternions, local[..., :3, 3]
+
+
+def _quaternions(rotations: Float) -> Float:
+    omega = se3.log_rotation(rotations)
+    half = np.linalg.norm(omega, axis=-1, keepdims=True) / 2.0
+    return np.concatenate([omega / 2.0 * np.sinc(half / np.pi), np.cos(half)], axis=-1)
