@@ -24,7 +24,7 @@ def background(config: StudioConfig, camera: int) -> Float32:
     for spacing, gain in ((60 * unit, 0.05), (9 * unit, 0.035), (3.5 * unit, 0.025)):
         picture += gain * smooth_noise(rng, (height, width), spacing)
     if config.hard:
-        picture = HARD_GREY + 0.22 * (picture - picture.mean())
+        picture = HARD_GREY + 0.3 * (picture - picture.mean())
     return np.clip(picture, 0.0, 1.0).astype(np.float32)
 
 

@@ -39,11 +39,12 @@ def look(body: Body, config: StudioConfig) -> Look:
     garments = garment_of_face(body, stream(config.seed, "cut"))
     palette = wardrobe(config)
     albedo = np.array([palette[g] for g in garments])
-    contrast = np.where(garments == "skin", 0.16, np.where(garments == "hair", 0.2, 0.27))
+    contrast = np.where(garments == "skin", 0.11, np.where(garments == "hair", 0.14, 0.18))
     if config.one_colour:
         albedo, contrast = np.broadcast_to(palette["shirt"], albedo.shape).copy(), np.zeros(len(albedo))
     if config.hard:
-        albedo = HARD_GREY / 0.82 + 0.18 * (albedo - 0.5)  # 0.82: what the lights leave of an albedo on average
+        # 0.82: what the lights leave of an albedo on average; the texture is as faint as the room's clutter
+        albedo, contrast = HARD_GREY / 0.82 + 0.18 * (albedo - 0.5), 0.55 * contrast
     lights, ambient = _lights(stream(config.seed, "lights"))
     return Look(albedo, contrast, _lattice(stream(config.seed, "texture")), lights, ambient)
 
@@ -58,8 +59,8 @@ def garment_of_face(body: Body, rng: np.random.Generator) -> np.ndarray:
 
 def _garment(segment: str, short_sleeves: bool, shorts: bool) -> str:
     rules = [
-        (("head", "neck", "hand"), "skin"),
-        (("radius", "ulna", "forearm"), "skin" if short_sleeves else "shirt"),
+        (("head", "neck", "hand", "radius"), "skin"),
+        (("ulna", "forearm"), "skin" if short_sleeves else "shirt"),
         (("foot", "toe", "calc", "talus"), "shoes"),
         (("tibia", "shank"), "skin" if shorts else "trousers"),
         (("femur", "thigh", "pelvis"), "trousers"),
@@ -110,7 +111,7 @@ def _grey(colour: Float) -> float:
 def _lattice(rng: np.random.Generator) -> Float32:
     """Channels share most of their values, so that the texture is light and dark rather than a rainbow."""
     n = (1 << LATTICE_BITS) ** 3
-    values = np.clip(0.96 * rng.normal(size=(n, 1)) + 0.28 * rng.normal(size=(n, 3)), -2.5, 2.5)
+    values = np.clip(0.96 * rng.normal(size=(n, 1)) + 0.18 * rng.normal(size=(n, 3)), -2.5, 2.5)
     return (values - values.mean()).astype(np.float32)
 
 

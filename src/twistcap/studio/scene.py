@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 
-from twistcap import se3
 from twistcap._typing import Bool, Float, Float32, UInt8
 from twistcap.body import Body, Pose, Posed, rescaled
 from twistcap.camera import Rig
@@ -152,9 +151,10 @@ def default_poses(config: StudioConfig, body: Body, heading: float) -> list[Pose
 
     if config.motion != "gait":
         raise InputError(f"studio: motion is {config.motion!r}; it must be 'gait' (other motions are given as poses).")
-    poses = gait(body, fps=config.fps / config.speed_factor, frames=config.frames)
-    turn = se3.transform(se3.exp_rotation([0.0, 0.0, heading]), np.zeros(3))
-    return [Pose(turn @ pose.root, pose.q) for pose in poses]
+    rng = stream(config.seed, "gait")
+    speed, phase = float(rng.uniform(1.15, 1.45)), float(rng.uniform(0, 1))
+    fps = config.fps / config.speed_factor
+    return gait(body, fps=fps, frames=config.frames, speed=speed, heading=heading, phase=phase)
 
 
 def ring_around(config: StudioConfig, body: Body, poses: Sequence[Pose], heading: float) -> Rig:

@@ -9,7 +9,7 @@ from twistcap._typing import Float, Float32, Int
 from twistcap.render.raster import barycentric
 
 LATTICE_BITS = 5  # the texture repeats after 2⁵ lattice steps
-OCTAVES = np.array([[0.018, 0.7], [0.034, 0.9], [0.070, 1.0]])  # lattice spacing in m, amplitude; a wave is two spacings
+OCTAVES = np.array([[0.018, 0.7], [0.034, 0.9], [0.070, 1.0]])  # lattice spacing (half a wave), m; amplitude
 
 
 @njit(cache=True, nogil=True)
