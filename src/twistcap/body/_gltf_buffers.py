@@ -12,6 +12,7 @@ import numpy as np
 from pygltflib import GLTF2, Accessor, BufferView
 
 from twistcap._typing import AnyArray, Float
+from twistcap.body.rig_spec import RigSpec
 from twistcap.errors import InputError
 
 _TYPES: dict[int, type[np.generic]] = {
@@ -19,6 +20,8 @@ _TYPES: dict[int, type[np.generic]] = {
 }  # fmt: skip
 _CODES = {np.dtype(kind): code for code, kind in _TYPES.items()}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+TO_REST = RigSpec().to_rest()  # (3, 3) from glTF's axes to ours: a cyclic permutation, exact
+EXTRAS = "twistcap"  # under which our own data stand in extras
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 
 

@@ -16,14 +16,15 @@ from pygltflib import GLTF2
 
 from twistcap import se3
 from twistcap._typing import Float, Int
-from twistcap.body._gltf_buffers import Buffers
+from twistcap.body._gltf_buffers import EXTRAS, TO_REST, Buffers
+from twistcap.body.gltf_write import save_glb
 from twistcap.body.model import Body, Landmarks
 from twistcap.body.rig import SkinnedMesh, build_body, in_tree_order, welded
 from twistcap.body.rig_spec import RigSpec, read_rig
 from twistcap.errors import InputError
 
-TO_REST = RigSpec().to_rest()  # (3, 3) from glTF's axes to ours: a cyclic permutation, exact
-EXTRAS = "twistcap"
+__all__ = ["load_glb", "save_glb"]
+
 _TRIANGLES = 4
 
 

@@ -27,8 +27,7 @@ from pygltflib import (
 
 from twistcap import se3
 from twistcap._typing import Float
-from twistcap.body._gltf_buffers import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, Packer
-from twistcap.body.gltf import EXTRAS, TO_REST
+from twistcap.body._gltf_buffers import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, EXTRAS, TO_REST, Packer
 from twistcap.body.kinematics import Pose, Posed
 from twistcap.body.model import Body
 from twistcap.body.shape import joint_origin
