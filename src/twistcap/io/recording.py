@@ -1,0 +1,153 @@
+"""From a session to what the tracker takes: cameras, frames, body and first pose."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from twistcap.body import Body, Pose, Posed, rescaled
+from twistcap.camera import Rig
+from twistcap.errors import InputError
+from twistcap.estimate import Keypoints
+from twistcap.firstpose import fit_keypoints, fit_keypoints_sequence, pose_at
+from twistcap.io.calibration import read_rig
+from twistcap.io.keypoints import Grid, openpose_files, read_clicks, read_openpose
+from twistcap.io.plausible import check_plausible, check_upright
+from twistcap.io.pose_file import read_pose
+from twistcap.io.session import FirstPoseTable, GlbBody, HumanoidBody, KeypointSet, Session
+from twistcap.io.video import Views, open_views
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A session made ready.
+
+    Attributes:
+        session: as read.
+        rig: cameras as calibrated, in use.
+        views: the frames; `views.image_rig` are the cameras of their images.
+        body, first_pose: at the fitted lengths; the pose of the first frame.
+    """
+
+    session: Session
+    rig: Rig
+    views: Views
+    body: Body
+    first_pose: Pose
+
+
+def open_recording(session: Session) -> Recording:
+    """Read everything a session names and check that it can be true.
+
+    Raises:
+        InputError: whatever is missing, malformed or impossible, in one sentence.
+    """
+    rig = rig_of(session)
+    views = views_of(session, rig)
+    body, pose = first_pose_of(session, rig, body_of(session), views)
+    return Recording(session, rig, views, body, pose)
+
+
+def rig_of(session: Session) -> Rig:
+    """The cameras in use, in the order of ``[cameras] use`` or of the file."""
+    rig = read_rig(session.cameras.calibration, session.cameras.unit)
+    use = session.cameras.use or rig.names
+    for name in use:
+        if name not in rig.names:
+            raise InputError(
+                f"[cameras] use names {name!r}, which {session.cameras.calibration} does not hold; it has {', '.join(rig.names)}."
+            )
+    rig = Rig(tuple(rig[rig.names.index(name)] for name in use))
+    check_plausible(rig, floor=floor_of(session), source=f"calibration {session.cameras.calibration}")
+    return rig
+
+
+def floor_of(session: Session) -> float | None:
+    """Height of the floor, m, or None where the session says that z is not upward."""
+    return None if session.cameras.floor is False else float(session.cameras.floor)
+
+
+def views_of(session: Session, rig: Rig) -> Views:
+    """The frames that the session asks for."""
+    first, last = session.frames or (0, None)
+    videos = {name: path for name, path in session.videos.items() if session.cameras.use is None or name in rig.names}
+    return open_views(videos, rig, first, last, session.step, session.scale, session.fps, session.time_offset)
+
+
+def body_of(session: Session) -> Body:
+    """The generic body of ``[body]``, before any fit."""
+    body = session.body
+    if isinstance(body, HumanoidBody):
+        from twistcap.body.humanoid import humanoid
+
+        return humanoid(**body.model_dump(exclude={"kind"}))
+    if isinstance(body, GlbBody):
+        from twistcap.body.gltf import load_glb
+
+        loaded = load_glb(body.path, body.rig)
+    else:
+        from twistcap.body.obj_rig import load_makehuman
+
+        targets = {Path(path): weight for path, weight in body.targets.items()}
+        loaded = load_makehuman(body.path, body.rig, body.weights, targets, body.spec)
+    return rescaled(loaded, body.lengths, body.girths, body.stature)
+
+
+def first_pose_of(session: Session, rig: Rig, body: Body, views: Views) -> tuple[Body, Pose]:
+    """Body (at the fitted lengths) and pose of the first frame, checked against floor and cameras."""
+    table = session.first_pose
+    if table.file is not None:
+        pose = read_pose(table.file, body, table.frame)
+    elif table.clicks is not None:
+        found = fit_keypoints(body, rig, read_clicks(table.clicks, rig.names), fit_lengths=table.fit_lengths)
+        body, pose = found.body, found.pose
+    else:
+        body, pose = _from_keypoints(table, rig, body, float(views.indices[0]))
+    check_first_pose(session, rig, body, pose)
+    return body, pose
+
+
+def check_first_pose(session: Session, rig: Rig, body: Body, pose: Pose) -> None:
+    """Above ground, in view, and upright unless the session says otherwise."""
+    points = Posed(body, pose).landmarks
+    marks = points if len(points) else Posed(body, pose).vertices
+    source = f"calibration {session.cameras.calibration}"
+    check_plausible(rig, marks, floor_of(session), source)
+    if session.first_pose.upright and floor_of(session) is not None:
+        check_upright(dict(zip(body.landmarks.names, points, strict=True)))
+
+
+def _from_keypoints(table: FirstPoseTable, rig: Rig, body: Body, first_frame: float) -> tuple[Body, Pose]:
+    """One fit over the instants near the first frame and those that only tell the lengths."""
+    assert table.keypoints is not None
+    own = keypoints_of(table.keypoints, rig)
+    instants, rigs = list(own), [rig] * len(own)
+    for extra in table.lengths_from:
+        their_rig = read_rig(extra.calibration, extra.unit) if extra.calibration else rig
+        found = keypoints_of(extra, their_rig)
+        instants += found
+        rigs += [their_rig] * len(found)
+    fits = fit_keypoints_sequence(body, rigs, instants, fit_lengths=table.fit_lengths)[: len(own)]
+    times = [frame + table.keypoints.offset for frame in table.keypoints.frames]
+    poses = [fit.pose for fit in fits]
+    return fits[0].body, poses[0] if len(poses) == 1 else pose_at(poses, times, first_frame)
+
+
+def keypoints_of(table: KeypointSet, rig: Rig) -> Sequence[Keypoints]:
+    """The keypoints of every instant of a set."""
+    grids = {name: Grid(grid.scale, grid.offset) for name, grid in table.grid.items()}
+    for name in (*table.folders, *grids):
+        if name not in rig.names:
+            raise InputError(f"[first_pose] keypoints name the camera {name!r}, which is not in use; remove it.")
+    return [
+        read_openpose(openpose_files(table.folders, frame), rig.names, table.format, table.person, grids)
+        for frame in table.frames
+    ]
+
+
+def first_frame_time(views: Views) -> float:
+    """Time of the first frame, s."""
+    return float(np.float64(views.indices[0]) / views.fps + views.time_offset)

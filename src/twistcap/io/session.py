@@ -1,0 +1,239 @@
+"""The session file: one TOML that says what was recorded and how to track it; ``docs/session.md`` tells every key.
+
+Precedence: command line over session over defaults. An unknown key is an error. Paths are relative to the file (or to
+its ``data`` folder); ``${NAME}`` and ``${NAME:-default}`` are taken from the environment.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, ValidationInfo, model_validator
+
+from twistcap.errors import InputError
+from twistcap.io.strict import dataclass_from, validated
+
+if TYPE_CHECKING:
+    from twistcap.track import TrackerConfig
+
+
+def _from_folder(path: str, info: ValidationInfo) -> str:
+    folder = (info.context or {}).get("folder", Path())
+    return os.path.normpath(Path(folder) / Path(path).expanduser())
+
+
+DataPath = Annotated[str, AfterValidator(_from_folder)]
+Factors = dict[str, Annotated[float, Field(gt=0)]]
+
+
+class Table(BaseModel):
+    """A TOML table; unknown keys are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Cameras(Table):
+    """``[cameras]``: calibration file, its unit, the cameras to use (all) and the height of the floor (m, or false)."""
+
+    calibration: DataPath
+    unit: Literal["m", "mm"] | None = None
+    use: tuple[str, ...] | None = None
+    floor: float | Literal[False] = 0.0
+
+
+class HumanoidBody(Table):
+    """``[body] kind = "humanoid"``: the built-in person."""
+
+    kind: Literal["humanoid"] = "humanoid"
+    variant: Literal["full", "legs"] = "full"
+    stature: float = Field(1.75, gt=0.3, lt=3.0)
+    lengths: Factors = {}
+    girths: Factors = {}
+    thorax: bool = False
+    neck: bool = True
+    clavicles: bool = False
+    wrists: bool = False
+
+
+class GlbBody(Table):
+    """``[body] kind = "glb"``: a skinned GLB or glTF and the TOML that tells what its joints are."""
+
+    kind: Literal["glb"]
+    path: DataPath
+    rig: DataPath | None = None
+    stature: float = Field(1.0, gt=0)
+    lengths: Factors = {}
+    girths: Factors = {}
+
+
+class ObjBody(Table):
+    """``[body] kind = "obj"``: an OBJ with a MakeHuman-style rig and weights."""
+
+    kind: Literal["obj"]
+    path: DataPath
+    rig: DataPath | None = None
+    weights: DataPath | None = None
+    spec: DataPath | None = None
+    targets: dict[DataPath, float] = {}
+    stature: float = Field(1.0, gt=0)
+    lengths: Factors = {}
+    girths: Factors = {}
+
+
+class GridTable(Table):
+    """How a detector's pixels relate to the video's: ``detector = scale · video + offset``, per axis (x, y)."""
+
+    scale: tuple[float, float] = (1.0, 1.0)
+    offset: tuple[float, float] = (0.0, 0.0)
+
+
+class KeypointSet(Table):
+    """2D keypoints of some instants: a folder of OpenPose-style JSON files per camera.
+
+    `frames` are file numbers; file j belongs to video frame ``j + offset``.
+    """
+
+    format: Literal["body_25", "body_25b", "coco_17"] = "body_25"
+    folders: dict[str, DataPath]
+    frames: tuple[Annotated[int, Field(ge=0)], ...] = (0,)
+    offset: float = 0.0
+    person: int | dict[str, int] = 0
+    grid: dict[str, GridTable] = {}
+    calibration: DataPath | None = None
+    unit: Literal["m", "mm"] | None = None
+
+
+class FirstPoseTable(Table):
+    """``[first_pose]``: exactly one of file, clicks and keypoints."""
+
+    file: DataPath | None = None
+    frame: int | None = None
+    clicks: DataPath | None = None
+    keypoints: KeypointSet | None = None
+    lengths_from: tuple[KeypointSet, ...] = ()
+    fit_lengths: bool = True
+    refine: bool = True
+    upright: bool = True
+
+    @model_validator(mode="after")
+    def _one_source(self) -> FirstPoseTable:
+        given = [name for name in ("file", "clicks", "keypoints") if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise ValueError(f"give one of file, clicks and keypoints, not {' and '.join(given) or 'none'}")
+        return self
+
+
+class FitGirths(Table):
+    """``[fit_girths]``: one girth factor per part, on the first frames' silhouettes or on given masks."""
+
+    masks: DataPath | None = None
+    frames: tuple[Annotated[int, Field(ge=0)], ...] = (0,)
+
+
+class Output(Table):
+    """``[output]``: folder, and which files beside result.h5 to write."""
+
+    folder: str | None = None
+    overlay: bool = True
+    report: bool = True
+    exports: tuple[Literal["trc", "mot", "bvh", "csv", "glb"], ...] = ("trc", "csv")
+
+
+class Session(Table):
+    """A recording and how to track it."""
+
+    data: str = "."
+    frames: tuple[Annotated[int, Field(ge=0)], int] | None = None
+    step: int = Field(1, ge=1)
+    fps: float | None = Field(None, gt=0)
+    time_offset: float = 0.0
+    scale: float = Field(1.0, gt=0, le=4)
+    cameras: Cameras
+    videos: dict[str, DataPath]
+    body: Annotated[HumanoidBody | GlbBody | ObjBody, Field(discriminator="kind")] = HumanoidBody()
+    first_pose: FirstPoseTable
+    fit_girths: FitGirths | None = None
+    tracker: dict[str, Any] = {}
+    output: Output = Output()
+    _source: str = PrivateAttr("")
+
+    @property
+    def tracker_config(self) -> TrackerConfig:
+        """``[tracker]`` as the tracker takes it."""
+        return tracker_config(self.tracker, self._source)
+
+
+def load_session(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Session:
+    """Read and check a session file.
+
+    Args:
+        path: the TOML.
+        overrides: what the command line says, by dotted key (``tracker.method``); None values are passed over.
+
+    Raises:
+        InputError: for a file that cannot be read, an unknown key, a wrong value or a missing table.
+    """
+    path = Path(path)
+    data = _expanded(_load(path), path)
+    for key, value in (overrides or {}).items():
+        if value is not None:
+            _set(data, key.split("."), value)
+    if "body" in data and isinstance(data["body"], dict):
+        data["body"].setdefault("kind", "humanoid")
+    folder = path.parent / str(data.get("data", "."))
+    session: Session = validated(Session, data, str(path), {"folder": folder})
+    session._source = str(path)  # for messages
+    tracker_config(session.tracker, str(path))
+    return session
+
+
+def tracker_config(table: Mapping[str, Any], source: str) -> TrackerConfig:
+    """A `TrackerConfig` from its table.
+
+    Raises:
+        InputError: for an unknown key or a wrong value.
+    """
+    from twistcap.track import TrackerConfig
+
+    return dataclass_from(TrackerConfig, table, source, "tracker")
+
+
+def _load(path: Path) -> dict[str, Any]:
+    try:
+        with path.open("rb") as file:
+            return tomllib.load(file)
+    except OSError as error:
+        raise InputError(f"session {path} cannot be read: {error.strerror}; check the path.") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"session {path} is not valid TOML: {error}.") from error
+
+
+def _expanded(value: Any, path: Path) -> Any:
+    """All strings with ``${NAME}`` and ``${NAME:-default}`` filled in."""
+    if isinstance(value, dict):
+        return {key: _expanded(item, path) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_expanded(item, path) for item in value]
+    return (
+        re.sub(r"\$\{(\w+)(?::-([^}]*))?\}", lambda m: _variable(m, path), value) if isinstance(value, str) else value
+    )
+
+
+def _variable(match: re.Match[str], path: Path) -> str:
+    value = os.environ.get(match[1]) or match[2]
+    if value is None:
+        raise InputError(
+            f"{path}: the environment variable {match[1]} is not set; set it, or write ${{{match[1]}:-default}}."
+        )
+    return value
+
+
+def _set(data: dict[str, Any], keys: list[str], value: Any) -> None:
+    for key in keys[:-1]:
+        data = data.setdefault(key, {})
+    data[keys[-1]] = value
