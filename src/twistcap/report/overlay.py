@@ -1,0 +1,382 @@
+"""The tracked body drawn over the images: shaded surface, outline and skeleton; and videos of all views."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import cv2
+import numpy as np
+
+from twistcap._typing import AnyArray, Bool, Float, Float32, Int
+from twistcap.body import Body, Pose, Posed
+from twistcap.body.shape import joint_origin
+from twistcap.camera import Camera, Rig
+from twistcap.estimate import Frame
+from twistcap.io.videowriter import VideoWriter
+from twistcap.render.raster import barycentric, rasterise
+
+Colour = tuple[int, int, int]
+
+RIGHT: Colour = (255, 150, 50)
+LEFT: Colour = (50, 170, 255)
+MIDDLE: Colour = (225, 225, 215)
+LOST: Colour = (235, 40, 50)
+_INK: Colour = (20, 24, 32)
+_PAPER: Colour = (245, 246, 248)
+_CREASE = 0.02  # a jump of this share of the depth between neighbouring pixels is drawn as a line
+
+
+@dataclass(frozen=True)
+class Style:
+    """How a body is drawn.
+
+    Attributes:
+        opacity: of the surface, 0 to 1.
+        skeleton: whether bones and joints are drawn.
+        width: of lines in pixels; 0 picks one that suits the image.
+    """
+
+    opacity: float = 0.5
+    skeleton: bool = True
+    width: float = 0.0
+
+
+class Shown(Protocol):
+    """What is drawn of a frame; `twistcap.estimate.Estimate` has it."""
+
+    @property
+    def index(self) -> int: ...
+    @property
+    def pose(self) -> Pose: ...
+    @property
+    def lost(self) -> bool: ...
+
+
+@dataclass(frozen=True)
+class Bones:
+    """The lines of a skeleton.
+
+    Attributes:
+        segments: (B,) the segment that each bone moves with.
+        ends: (B, 2, 3) rest-pose end points, m.
+    """
+
+    segments: Int
+    ends: Float
+
+    def at(self, posed: Posed) -> Float:
+        """(B, 2, 3) world end points."""
+        T = posed.segment_transforms[self.segments]
+        return self.ends @ np.swapaxes(T[:, :3, :3], 1, 2) + T[:, None, :3, 3]
+
+
+def bones_of(body: Body) -> Bones:
+    """A bone from every segment's joint to each joint below it, or to the segment's farthest landmark at the ends."""
+    origins = [joint_origin(body, s) for s in range(len(body.segment_names))]
+    bones: list[tuple[int, Float, Float]] = []
+    for s, above in enumerate(body.segment_parent):
+        if above >= 0:
+            bones.append((int(above), origins[above], origins[s]))
+        if s not in body.segment_parent:
+            own = body.landmarks.points[body.landmarks.segments == s]
+            if len(own):
+                bones.append((s, origins[s], own[np.argmax(np.linalg.norm(own - origins[s], axis=1))]))
+    ends = np.array([[a, b] for _, a, b in bones]).reshape(-1, 2, 3)
+    return Bones(np.array([s for s, _, _ in bones], dtype=np.int32), ends)
+
+
+def draw_overlay(
+    image: AnyArray | None,
+    camera: Camera,
+    posed: Posed,
+    lost: bool = False,
+    style: Style | None = None,
+    bones: Bones | None = None,
+) -> AnyArray:
+    """The body drawn over one image.
+
+    Args:
+        image: (H, W) or (H, W, 3), uint8 or float in [0, 1]; None for a dropped frame (drawn on a dark ground).
+        camera: the camera of that very image: with distortion for images as recorded, `pinhole()` for rectified ones.
+        posed: the body at its pose.
+        lost: draw it all in red.
+        style: see `Style`.
+        bones: `bones_of` the body, to save their computation when many images are drawn.
+
+    Returns:
+        (H, W, 3) uint8 RGB.
+    """
+    style = style or Style()
+    canvas = _canvas(image, camera)
+    pixels, inverse_depth = visible_projection(camera, posed.vertices)
+    window = _window(pixels[inverse_depth > 0], camera.size)
+    width = style.width or max(1.5, camera.size[1] / 400)
+    if window:
+        face_index, buffer = rasterise(pixels, inverse_depth, posed.body.faces, *window)
+        colours = _shaded(posed, camera, pixels, inverse_depth, face_index, window[0], lost)
+        part = _cut(canvas, *window)
+        seen = face_index >= 0
+        part[seen] = (part[seen] * (1 - style.opacity) + colours * style.opacity).astype(np.uint8)
+        _draw_outline(canvas, seen, buffer, window, LOST if lost else _PAPER, width)
+    if style.skeleton:
+        _draw_bones(canvas, camera, bones or bones_of(posed.body), posed, LOST if lost else None, width)
+    return canvas
+
+
+Window = tuple[tuple[int, int], tuple[int, int]]  # (x, y) of the first pixel, (width, height)
+
+
+def _window(pixels: Float, size: tuple[int, int], margin: int = 4) -> Window | None:
+    """The part of the image that holds the pixels (N, 2) and a margin; None where there is none."""
+    if not len(pixels):
+        return None
+    low = np.clip(np.floor(pixels.min(axis=0)) - margin, 0, size)
+    high = np.clip(np.ceil(pixels.max(axis=0)) + margin + 1, 0, size)
+    if np.any(high <= low):
+        return None
+    return (int(low[0]), int(low[1])), (int(high[0] - low[0]), int(high[1] - low[1]))
+
+
+def _cut(canvas: AnyArray, origin: tuple[int, int], size: tuple[int, int]) -> AnyArray:
+    return canvas[origin[1] : origin[1] + size[1], origin[0] : origin[0] + size[0]]
+
+
+def visible_projection(camera: Camera, points: Float) -> tuple[Float, Float]:
+    """Pixels (N, 2), distortion included, and inverse depths (N,) 1/m; 0 for points that the camera cannot see.
+
+    Far outside the image the distortion polynomial folds back into it: points that do not survive the round trip
+    pixel → ray are taken as unseen.
+    """
+    pixels, depth = camera.project(points)
+    good = (depth > 1e-3) & np.isfinite(pixels).all(axis=-1)
+    if np.any(camera.dist):
+        straight, _ = camera.pinhole().project(points)
+        back = camera.normalised(np.where(good[:, None], pixels, 0.0)) @ camera.K[:2, :2].T + camera.K[:2, 2]
+        with np.errstate(invalid="ignore"):
+            good &= np.abs(back - straight).max(axis=-1) < 1.0
+    inverse_depth = np.where(good, 1.0 / np.where(good, depth, 1.0), 0.0)
+    return np.where(good[:, None], pixels, 0.0), inverse_depth
+
+
+def _canvas(image: AnyArray | None, camera: Camera) -> AnyArray:
+    if image is None:
+        return np.full((camera.size[1], camera.size[0], 3), 40, np.uint8)
+    if image.dtype != np.uint8:
+        image = (np.clip(image, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+    return np.repeat(image[..., None], 3, axis=-1) if image.ndim == 2 else image.copy()
+
+
+def part_colours(body: Body) -> Float:
+    """(S, 3) RGB of every segment: right warm, left cool, the middle neutral."""
+    sides = {"_r": RIGHT, "_l": LEFT}
+    return np.array([sides.get(name[-2:].lower(), MIDDLE) for name in body.segment_names], dtype=float)
+
+
+def vertex_normals(vertices: Float, faces: Int) -> Float:
+    """(V, 3) area-weighted unit normals."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    across = np.cross(b - a, c - a)
+    normals = np.zeros_like(vertices)
+    for k in range(3):
+        np.add.at(normals, faces[:, k], across)
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+
+
+def _shaded(
+    posed: Posed,
+    camera: Camera,
+    pixels: Float,
+    inverse_depth: Float,
+    face_index: Int,
+    origin: tuple[int, int],
+    lost: bool,
+) -> Float:
+    """(n, 3) colours of the covered pixels, lit from the camera's upper left."""
+    body = posed.body
+    y, x = np.nonzero(face_index >= 0)
+    faces_seen = face_index[y, x]
+    at = np.stack([x + origin[0], y + origin[1]], axis=1)
+    weights = barycentric(faces_seen, body.faces, pixels, inverse_depth, at)
+    light = np.array([-0.35, -0.55, -0.76]) @ camera.T_cam_world[:3, :3]
+    bright = 0.30 + 0.70 * np.clip(vertex_normals(posed.vertices, body.faces) @ light, 0.0, 1.0)
+    base = np.array(LOST, float) if lost else part_colours(body)[body.face_part[faces_seen]]
+    return np.einsum("nk,nk->n", weights, bright[body.faces[faces_seen]])[:, None] * base
+
+
+def _draw_outline(
+    canvas: AnyArray, seen: Bool, inverse_depth: Float32, window: Window, colour: Colour, width: float
+) -> None:
+    """A light line along the silhouette, a dark rim outside it, dark creases where one limb passes before another."""
+    part = _cut(canvas, *window)
+    part[_creases(inverse_depth)] //= 2
+    reach = 2 * round(width) + 3
+    rim = cv2.dilate(seen.astype(np.uint8), np.ones((reach, reach), np.uint8)).astype(bool) & ~seen
+    part[rim] //= 3
+    contours, _ = cv2.findContours(seen.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    cv2.drawContours(canvas, contours, -1, colour, max(1, round(0.8 * width)), cv2.LINE_AA, offset=window[0])
+
+
+def _creases(inverse_depth: Float32) -> Bool:
+    """(H, W) the farther pixels of every depth jump inside the silhouette."""
+    out = np.zeros(inverse_depth.shape, bool)
+    for axis in (0, 1):
+        for shift in (1, -1):
+            other = np.roll(inverse_depth, shift, axis=axis)
+            out |= (inverse_depth > 0) & (other > inverse_depth * (1 + _CREASE))
+    return out
+
+
+def _draw_bones(
+    canvas: AnyArray, camera: Camera, bones: Bones, posed: Posed, colour: Colour | None, width: float
+) -> None:
+    ends = bones.at(posed)
+    pixels, inverse_depth = visible_projection(camera, ends.reshape(-1, 3))
+    pixels, inside = pixels.reshape(-1, 2, 2), np.all((inverse_depth > 0).reshape(-1, 2), axis=1)
+    colours = part_colours(posed.body)[bones.segments]
+    thick = max(1, round(width))
+    for dark in (True, False):  # all dark borders first, so that no border cuts another bone
+        for (a, b), own, visible in zip(pixels, colours, inside.tolist(), strict=True):
+            if visible:
+                ink = _INK if dark else colour or _as_colour(own)
+                cv2.line(canvas, _fixed(a), _fixed(b), ink, thick + 2 * dark, cv2.LINE_AA, _SHIFT)
+    for a, visible in zip(pixels.reshape(-1, 2), np.repeat(inside, 2).tolist(), strict=True):
+        if visible:
+            radius = round(1.4 * width * 2**_SHIFT)
+            cv2.circle(canvas, _fixed(a), radius + 2**_SHIFT, _INK, -1, cv2.LINE_AA, _SHIFT)
+            cv2.circle(canvas, _fixed(a), radius, _PAPER, -1, cv2.LINE_AA, _SHIFT)
+
+
+_SHIFT = 4  # OpenCV draws at sixteenths of a pixel
+
+
+def _fixed(pixel: Float) -> tuple[int, int]:
+    clipped = np.clip(pixel, -1e4, 1e4) * 2**_SHIFT
+    return round(float(clipped[0])), round(float(clipped[1]))
+
+
+def _as_colour(rgb: Float) -> Colour:
+    return int(rgb[0]), int(rgb[1]), int(rgb[2])
+
+
+@dataclass(frozen=True)
+class Mosaic:
+    """A grid of views under a heading.
+
+    Attributes:
+        cell: (width, height) of one view, pixels.
+        columns, rows: of the grid.
+        cameras: each camera scaled to fit its cell.
+        heading: height of the heading in pixels.
+    """
+
+    cell: tuple[int, int]
+    columns: int
+    rows: int
+    cameras: tuple[Camera, ...]
+    heading: int = 40
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) of the whole, both even as H.264 wants them."""
+        width, height = self.columns * self.cell[0], self.rows * self.cell[1] + self.heading
+        return width + width % 2, height + height % 2
+
+    def place(self, canvas: AnyArray, k: int, view: AnyArray) -> tuple[int, int]:
+        """Put view k into the middle of its cell; returns the (x, y) of its upper left corner."""
+        x = (k % self.columns) * self.cell[0] + (self.cell[0] - view.shape[1]) // 2
+        y = self.heading + (k // self.columns) * self.cell[1] + (self.cell[1] - view.shape[0]) // 2
+        canvas[y : y + view.shape[0], x : x + view.shape[1]] = view
+        return x, y
+
+
+def mosaic_for(rig: Rig, width: int = 1600, height: int = 900) -> Mosaic:
+    """The grid that shows the views largest within a size in pixels; small images are enlarged at most threefold."""
+    w, h = max(camera.size[0] for camera in rig), max(camera.size[1] for camera in rig)
+
+    def scale(columns: int) -> float:
+        return min(3.0, width / (columns * w), height / (math.ceil(len(rig) / columns) * h))
+
+    columns = max(range(1, len(rig) + 1), key=scale)
+    cameras = tuple(camera.scaled(scale(columns)) for camera in rig)
+    cell = (max(camera.size[0] for camera in cameras) + 4, max(camera.size[1] for camera in cameras) + 4)
+    return Mosaic(cell, columns, math.ceil(len(rig) / columns), cameras)
+
+
+def draw_mosaic(
+    frame: Frame, rig: Rig, body: Body, shown: Shown | None, mosaic: Mosaic, title: str = "", bones: Bones | None = None
+) -> AnyArray:
+    """All views of one frame (H, W, 3) uint8, with the body over them, camera names, frame number and time."""
+    canvas = np.full((mosaic.size[1], mosaic.size[0], 3), _INK, np.uint8)
+    posed = Posed(body, shown.pose) if shown else None
+    lost = bool(shown and shown.lost)
+    for k, (image, camera) in enumerate(zip(frame.images, mosaic.cameras, strict=True)):
+        resized = None if image is None else _resized(image, camera.size)
+        view = _canvas(resized, camera) if posed is None else draw_overlay(resized, camera, posed, lost, None, bones)
+        x, y = mosaic.place(canvas, k, view)
+        _label(canvas, camera.name + ("" if image is not None else ": no image"), (x + 8, y + 24))
+    state = "no pose" if shown is None else "lost" if lost else ""
+    _label(canvas, title, (12, 27))
+    _label(canvas, f"frame {frame.index}   {frame.time:.3f} s", (canvas.shape[1] - 12, 27), right=True)
+    _label(canvas, state, (canvas.shape[1] - 260, 27), LOST, right=True)
+    return canvas
+
+
+def _resized(image: AnyArray, size: tuple[int, int]) -> AnyArray:
+    smaller = size[0] < image.shape[1]
+    return cv2.resize(image, size, interpolation=cv2.INTER_AREA if smaller else cv2.INTER_CUBIC)
+
+
+def _label(canvas: AnyArray, text: str, at: tuple[int, int], colour: Colour = _PAPER, right: bool = False) -> None:
+    """Text on a darkened strip; `at` is the lower left (or lower right) corner of its letters."""
+    if not text:
+        return
+    text = text.encode("ascii", "replace").decode()  # OpenCV's own letters know no more
+    (width, height), base = cv2.getTextSize(text, cv2.FONT_HERSHEY_DUPLEX, 0.6, 1)
+    x, y = at[0] - width * right, at[1]
+    strip = canvas[max(0, y - height - 6) : y + base + 3, max(0, x - 6) : x + width + 6]
+    np.minimum(strip, _INK, out=strip, casting="unsafe")
+    cv2.putText(canvas, text, (x, y), cv2.FONT_HERSHEY_DUPLEX, 0.6, colour, 1, cv2.LINE_AA)
+
+
+def overlay_video(
+    path: Path | str,
+    frames: Iterable[Frame],
+    rig: Rig,
+    estimates: Iterable[Shown],
+    body: Body,
+    fps: float,
+    title: str = "",
+    size: tuple[int, int] = (1600, 900),
+) -> Path:
+    """Write an H.264 video of all views with the tracked body over them.
+
+    Args:
+        path: of the ``.mp4``.
+        frames: the recording; a camera that dropped a frame shows the body alone.
+        rig: the cameras of these very images (`Rig.pinhole` when they have been rectified), at full size.
+        estimates: by frame index; frames without one are shown bare.
+        body: that was tracked.
+        fps: frames per second of the video.
+        title: heading.
+        size: greatest (width, height) of all views together, pixels.
+    """
+    mosaic, bones = mosaic_for(rig, *size), bones_of(body)
+    by_index: Mapping[int, Shown] = {int(e.index): e for e in estimates}
+    with VideoWriter(path, fps) as writer:
+        for frame in frames:
+            writer.write(draw_mosaic(frame, rig, body, by_index.get(frame.index), mosaic, title, bones))
+    return Path(path)
+
+
+def contact_sheet(images: Sequence[AnyArray], columns: int) -> AnyArray:
+    """Images of one size (H, W, 3) side by side, row by row; the rest stays dark."""
+    h, w = images[0].shape[:2]
+    sheet = np.full((math.ceil(len(images) / columns) * h, columns * w, 3), _INK, np.uint8)
+    for k, image in enumerate(images):
+        y, x = k // columns * h, k % columns * w
+        sheet[y : y + h, x : x + w] = image
+    return sheet

@@ -1,0 +1,190 @@
+"""Plots of joint angles with their uncertainty, and of joint position errors, as PNG files."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from twistcap._typing import AnyArray, Bool, Float
+
+_COLOURS = {"r": "#e8790c", "l": "#1780d6", "": "#3d8f6d"}
+_DARK = {"r": "#6e3500", "l": "#0a3a66", "": "#16452f"}
+_SIDES = {"r": "right", "l": "left", "": "middle"}
+_LOST, _DROPPED = "#e5484d", "#9aa3ad"
+
+
+@dataclass(frozen=True)
+class AngleSeries:
+    """Joint angles over time.
+
+    Attributes:
+        times: (N,) s.
+        names: J coordinates.
+        angles: (N, J) rad, NaN where there is none.
+        sigma: (N, J) standard deviations, rad; None where they are not known.
+    """
+
+    times: Float
+    names: tuple[str, ...]
+    angles: Float
+    sigma: Float | None = None
+
+
+def split_side(name: str) -> tuple[str, str]:
+    """``knee_angle_r`` -> ("knee_angle", "r"); the side of a middle coordinate is empty."""
+    return (name[:-2], name[-1]) if name[-2:] in ("_r", "_l") else (name, "")
+
+
+def angle_plot(
+    path: Path | str,
+    estimate: AngleSeries,
+    truth: AngleSeries | None = None,
+    lost: Bool | None = None,
+    dropped: Bool | None = None,
+    title: str = "",
+    only: Sequence[str] | None = None,
+) -> Path:
+    """Small multiples of joint angles, right and left in one panel, with bands of ± 2σ.
+
+    Args:
+        path: of the PNG.
+        estimate: what was tracked.
+        truth: drawn dashed, on its own times.
+        lost, dropped: (N,) frames to shade red and grey.
+        title: heading.
+        only: coordinates to show; all by default.
+    """
+    names = [name for name in estimate.names if only is None or name in only]
+    panels = list(dict.fromkeys(split_side(name)[0] for name in names))
+    figure, axes = _grid(len(panels), title)
+    for axis, panel in zip(axes, panels, strict=True):
+        _shade(axis, estimate.times, lost, _LOST)
+        _shade(axis, estimate.times, dropped, _DROPPED)
+        for name in (name for name in names if split_side(name)[0] == panel):
+            _draw_angle(axis, estimate, name)
+            if truth is not None and name in truth.names:
+                colour = _DARK[split_side(name)[1]]
+                values = np.degrees(truth.angles[:, truth.names.index(name)])
+                axis.plot(truth.times, values, "--", color=colour, lw=1.1, dashes=(4, 2.5), zorder=4)
+        axis.set_title(f"{panel.replace('_', ' ')} (°)", loc="left", fontsize=9, fontweight="bold")
+    _legend(figure, names, truth is not None, estimate.sigma is not None, lost, dropped)
+    return _saved(figure, path)
+
+
+def _draw_angle(axis: Axes, series: AngleSeries, name: str) -> None:
+    k, colour = series.names.index(name), _COLOURS[split_side(name)[1]]
+    values = np.degrees(series.angles[:, k])
+    if series.sigma is not None:
+        band = 2 * np.degrees(series.sigma[:, k])
+        axis.fill_between(series.times, values - band, values + band, color=colour, alpha=0.22, lw=0, zorder=2)
+    axis.plot(series.times, values, color=colour, lw=1.6, zorder=3)
+
+
+def joint_error_plot(
+    path: Path | str,
+    times: Float,
+    names: Sequence[str],
+    errors_mm: Float,
+    lost: Bool | None = None,
+    dropped: Bool | None = None,
+    title: str = "Joint position error (mm)",
+) -> Path:
+    """Position error of each joint (N, L) in mm over time, one panel per joint; in grey the median of all."""
+    panels = list(dict.fromkeys(split_side(name)[0] for name in names))
+    figure, axes = _grid(len(panels), title)
+    top = _ceiling(errors_mm)
+    for axis, panel in zip(axes, panels, strict=True):
+        _shade(axis, times, lost, _LOST)
+        _shade(axis, times, dropped, _DROPPED)
+        axis.plot(times, _median(errors_mm), color="#b9c0c8", lw=1.2, zorder=2)
+        for k, name in enumerate(names):
+            if split_side(name)[0] == panel:
+                axis.plot(times, errors_mm[:, k], color=_COLOURS[split_side(name)[1]], lw=1.5, zorder=3)
+        axis.set_ylim(0, top)
+        axis.set_title(panel.replace("_", " "), loc="left", fontsize=9, fontweight="bold")
+    _legend(figure, names, False, False, lost, dropped, [Line2D([], [], color="#b9c0c8", label="median of all joints")])
+    return _saved(figure, path)
+
+
+def _median(errors: Float) -> Float:
+    known = ~np.isnan(errors).all(axis=1)
+    out = np.full(len(errors), np.nan)
+    out[known] = np.nanmedian(errors[known], axis=1)
+    return out
+
+
+def _ceiling(errors: Float) -> float:
+    """Top of the error axis: all of the curves, unless a lost limb would flatten the rest."""
+    known = errors[np.isfinite(errors)]
+    if not known.size:
+        return 1.0
+    return 1.08 * float(min(known.max(), max(5.0 * np.percentile(known, 90), 1.0))) or 1.0
+
+
+def _grid(panels: int, title: str) -> tuple[Figure, list[Axes]]:
+    columns = min(4, max(1, math.ceil(math.sqrt(panels))))
+    rows = math.ceil(panels / columns)
+    figure = Figure(figsize=(3.2 * columns, 1.9 * rows + 0.9), dpi=130, layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
+    cells = figure.subplots(rows, columns, sharex=True, squeeze=False).ravel().tolist()
+    for k, axis in enumerate(cells):
+        axis.set_visible(k < panels)
+        axis.grid(True, color="#e6e9ed", lw=0.8)
+        axis.set_axisbelow(True)
+        axis.tick_params(labelsize=8, length=2, color="#9aa3ad", labelbottom=k + columns >= panels)
+        axis.spines[["top", "right"]].set_visible(False)
+        axis.spines[["left", "bottom"]].set_color("#9aa3ad")
+        if k + columns >= panels:
+            axis.set_xlabel("time (s)", fontsize=8)
+    return figure, cells[:panels]
+
+
+def spans(times: Float, flags: AnyArray) -> list[tuple[float, float]]:
+    """Stretches of flagged frames, each frame reaching half way to its neighbours."""
+    edges = np.concatenate([times[:1], (times[1:] + times[:-1]) / 2, times[-1:]])
+    steps = np.diff(np.concatenate([[0], np.asarray(flags, int), [0]]))
+    starts, ends = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
+    return [(float(edges[a]), float(edges[b])) for a, b in zip(starts, ends, strict=True)]
+
+
+def _shade(axis: Axes, times: Float, flags: Bool | None, colour: str) -> None:
+    if flags is not None:
+        for start, end in spans(times, flags):
+            axis.axvspan(start, end, color=colour, alpha=0.22, lw=0, zorder=0)
+
+
+def _legend(
+    figure: Figure,
+    names: Sequence[str],
+    truth: bool,
+    bands: bool,
+    lost: Bool | None,
+    dropped: Bool | None,
+    more: Sequence[Line2D] = (),
+) -> None:
+    sides = dict.fromkeys(split_side(name)[1] for name in names)
+    entries: list[Line2D | Patch] = [Line2D([], [], color=_COLOURS[s], lw=2, label=_SIDES[s]) for s in sides]
+    if bands:
+        entries.append(Patch(color="#777777", alpha=0.25, label="± 2σ"))
+    if truth:
+        entries.append(Line2D([], [], color="#333333", ls="--", label="reference"))
+    for flags, colour, label in ((lost, _LOST, "lost"), (dropped, _DROPPED, "dropped")):
+        if flags is not None and np.any(flags):
+            entries.append(Patch(color=colour, alpha=0.3, label=label))
+    entries += more
+    figure.legend(handles=entries, loc="outside upper right", ncols=len(entries), frameon=False, fontsize=9)
+
+
+def _saved(figure: Figure, path: Path | str) -> Path:
+    figure.savefig(path, facecolor="white")
+    return Path(path)
