@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from twistcap.body import Body, Pose, Posed, rescaled
 from twistcap.camera import Rig
 from twistcap.errors import InputError
@@ -38,6 +36,11 @@ class Recording:
     body: Body
     first_pose: Pose
 
+    @property
+    def first_time(self) -> float:
+        """Time of the first frame, s."""
+        return self.views.indices[0] / self.views.fps + self.views.time_offset
+
 
 def open_recording(session: Session) -> Recording:
     """Read everything a session names and check that it can be true.
@@ -58,7 +61,8 @@ def rig_of(session: Session) -> Rig:
     for name in use:
         if name not in rig.names:
             raise InputError(
-                f"[cameras] use names {name!r}, which {session.cameras.calibration} does not hold; it has {', '.join(rig.names)}."
+                f"[cameras] use names {name!r}, which {session.cameras.calibration} does not hold;"
+                f" it has {', '.join(rig.names)}."
             )
     rig = Rig(tuple(rig[rig.names.index(name)] for name in use))
     check_plausible(rig, floor=floor_of(session), source=f"calibration {session.cameras.calibration}")
@@ -146,8 +150,3 @@ def keypoints_of(table: KeypointSet, rig: Rig) -> Sequence[Keypoints]:
         read_openpose(openpose_files(table.folders, frame), rig.names, table.format, table.person, grids)
         for frame in table.frames
     ]
-
-
-def first_frame_time(views: Views) -> float:
-    """Time of the first frame, s."""
-    return float(np.float64(views.indices[0]) / views.fps + views.time_offset)

@@ -28,6 +28,7 @@ def _from_folder(path: str, info: ValidationInfo) -> str:
 
 
 DataPath = Annotated[str, AfterValidator(_from_folder)]
+ExportKind = Literal["trc", "mot", "bvh", "csv", "glb"]
 Factors = dict[str, Annotated[float, Field(gt=0)]]
 
 
@@ -141,7 +142,7 @@ class Output(Table):
     folder: str | None = None
     overlay: bool = True
     report: bool = True
-    exports: tuple[Literal["trc", "mot", "bvh", "csv", "glb"], ...] = ("trc", "csv")
+    exports: tuple[ExportKind, ...] = ("trc", "csv")
 
 
 class Session(Table):

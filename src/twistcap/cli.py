@@ -1,0 +1,58 @@
+"""The command line: ``twistcap COMMAND``. Bad input ends with one sentence on stderr and exit code 2."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+import typer
+
+from twistcap.commands.demo import demo
+from twistcap.commands.evaluate import evaluate
+from twistcap.commands.export import export
+from twistcap.commands.studio import studio
+from twistcap.commands.tables import bench, reproduce
+from twistcap.commands.track import track
+from twistcap.errors import InputError
+
+app = typer.Typer(
+    name="twistcap",
+    help="Markerless motion capture with a body model: calibrated video in, joint angles out.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+for command in (demo, track, studio, evaluate, export, reproduce, bench):
+    app.command()(command)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        from importlib.metadata import version
+
+        typer.echo(f"twistcap {version('twistcap')}")
+        raise typer.Exit
+
+
+@app.callback()
+def common(
+    version: bool = typer.Option(False, "--version", callback=_version, is_eager=True, help="Print the version."),
+) -> None:
+    """Markerless motion capture with a body model: calibrated video in, joint angles out.
+
+    Begin with `twistcap demo`.
+    """
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Entry point; `arguments` default to the process's own."""
+    try:
+        app(args=None if arguments is None else list(arguments))
+    except InputError as error:
+        print(f"twistcap: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,65 @@
+"""The loop that `demo` and `track` share: step, write, tell; and the files that are made of a result."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from twistcap._typing import Float
+from twistcap.commands.terminal import progress
+from twistcap.errors import InputError
+from twistcap.estimate import Estimate, Frame
+from twistcap.io.result import Result, ResultWriter
+from twistcap.track import Tracker
+
+
+@dataclass
+class Timing:
+    """Milliseconds of the tracker alone, decoding apart, frame by frame."""
+
+    ms: list[float] = field(default_factory=list[float])
+
+    @property
+    def median(self) -> float:
+        """Without the first frame, which also compiles; NaN where there is none."""
+        times = self.ms[1:] or self.ms
+        return float(np.median(times)) if times else float("nan")
+
+
+def follow(frames: Iterable[Frame], total: int, tracker: Tracker, writer: ResultWriter) -> Timing:
+    """Track all frames; each is in the file before the next is touched.
+
+    Raises:
+        InputError: where a frame cannot be read; says what has been kept.
+    """
+    timing = Timing()
+    with progress("tracking", total) as advance:
+        try:
+            for frame in frames:
+                estimate = _step(tracker, frame, timing)
+                writer.append(estimate)
+                advance(f"{timing.ms[-1]:.0f} ms{'  LOST' if estimate.lost else ''}")
+        except InputError as error:
+            kept = f"the {len(writer)} frames before it are kept in the result file (go on with --resume)"
+            raise InputError(f"{str(error).rstrip('.')}; {kept}.") from error
+    return timing
+
+
+def _step(tracker: Tracker, frame: Frame, timing: Timing) -> Estimate:
+    start = time.perf_counter()
+    estimate = tracker.step(frame)
+    timing.ms.append(1000 * (time.perf_counter() - start))
+    return estimate
+
+
+def angle_sigmas(result: Result) -> Float:
+    """(N, J) standard deviations of the coordinates, rad."""
+    return np.sqrt(np.maximum(np.diagonal(result.covariances, axis1=1, axis2=2)[:, 6:], 0.0))
+
+
+def frame_rate(times: Sequence[float] | Float) -> float:
+    """Frames per second of rising times; 60 for a single frame."""
+    return float(1.0 / np.median(np.diff(times))) if len(times) > 1 else 60.0

@@ -1,0 +1,72 @@
+"""``twistcap studio``: a synthetic recording on disk, as a laboratory would have it, with its truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal, cast
+
+import typer
+
+from twistcap.commands import terminal
+from twistcap.errors import InputError
+
+
+def studio(
+    out: Annotated[Path, typer.Argument(help="Folder to write.", metavar="OUT")],
+    seed: Annotated[int, typer.Option(min=0, help="Another person, room and walk.")] = 0,
+    views: Annotated[int, typer.Option(min=1, max=8, help="Cameras on the ring.")] = 4,
+    frames: Annotated[int, typer.Option(min=1, help="Number of frames.")] = 60,
+    fps: Annotated[float, typer.Option(help="Frames per second.")] = 60.0,
+    size: Annotated[str, typer.Option(help="WIDTHxHEIGHT in pixels.")] = "384x280",
+    condition: Annotated[str, typer.Option(help="exact, or mismatch: body, cameras and first pose are off.")] = "exact",
+    hard: Annotated[bool, typer.Option("--hard", help="Person and room in nearly the same greys.")] = False,
+    one_colour: Annotated[bool, typer.Option("--one-colour", help="Clothes, skin and hair in one colour.")] = False,
+    grey: Annotated[bool, typer.Option("--grey", help="Grey images.")] = False,
+    speed: Annotated[float, typer.Option(help="How many times faster than real.")] = 1.0,
+    drop: Annotated[list[str] | None, typer.Option(help="FIRST:LAST frames that no camera delivers.")] = None,
+    noise: Annotated[float, typer.Option(help="Share of pixels replaced by uniform noise.")] = 0.0,
+    rectangles: Annotated[int, typer.Option(help="Random rectangles painted over each image.")] = 0,
+    occluders: Annotated[int, typer.Option(help="Things that stand before the person.")] = 0,
+    blur: Annotated[int, typer.Option(help="Sub-frames of motion blur.")] = 1,
+    json: terminal.Json = False,
+) -> None:
+    """Render a synthetic session: videos, Calib.toml, body.glb, masks and truth, and a session.toml to track.
+
+    Examples:
+
+      twistcap studio /tmp/walk
+
+      twistcap studio /tmp/hard --condition mismatch --hard --seed 3
+
+      twistcap studio /tmp/gap --drop 20:24 && twistcap track /tmp/gap/session.toml
+    """
+    from twistcap.io.synthetic import write_session
+    from twistcap.studio import StudioConfig, capture
+
+    spans = [terminal.frame_range(text) for text in drop or []]
+    config = StudioConfig(
+        seed=seed, views=views, size=_size(size), frames=frames, fps=fps, condition=_condition(condition), hard=hard,
+        one_colour=one_colour, colour=not grey, speed_factor=speed, dropped=tuple(s for s in spans if s),
+        uniform_noise=noise, rectangles=rectangles, occluders=occluders, motion_blur=blur,
+    )  # fmt: skip
+    with terminal.progress("rendering", frames) as advance:
+        session = write_session(capture(config), out, progress=lambda done, total: advance(""))
+    if json:
+        terminal.emit(
+            {"id": "studio", "session": session, "folder": out, "frames": frames, "views": views, "seed": seed}
+        )
+    else:
+        terminal.words.print(f"now run: twistcap track {session}")
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, _, height = text.lower().partition("x")
+    if not (width.isdigit() and height.isdigit()):
+        raise InputError(f"--size is {text!r}; write WIDTHxHEIGHT, such as 384x280.")
+    return int(width), int(height)
+
+
+def _condition(text: str) -> Literal["exact", "mismatch"]:
+    if text not in ("exact", "mismatch"):
+        raise InputError(f"--condition is {text!r}; it must be exact or mismatch.")
+    return cast(Literal["exact", "mismatch"], text)

@@ -1,0 +1,94 @@
+"""What every command shares: progress and words on stderr, one JSON document on stdout, output folders."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from twistcap.errors import InputError
+
+words = Console(stderr=True, highlight=False)
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document alone on standard output.")]
+Advance = Callable[[str], None]
+
+
+@contextmanager
+def progress(title: str, total: int) -> Iterator[Advance]:
+    """A bar on stderr; call what it gives once per step, with a few words on how it goes."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, TextColumn("{task.fields[note]}"), console=words) as bar:
+        task = bar.add_task(title, total=total, note="")
+        yield lambda note="": bar.update(task, advance=1, note=note)
+
+
+def emit(document: Mapping[str, Any]) -> None:
+    """Print one JSON document on stdout; what JSON has no word for (NaN, infinity) becomes null."""
+    typer.echo(json.dumps(_plain(document), indent=2, ensure_ascii=False, allow_nan=False))
+
+
+def show_rows(title: str, rows: list[Any]) -> None:
+    """A table of measures on stdout."""
+    table = Table(title=title, title_justify="left")
+    for name in ("case", "measure", "value", "unit", "to reach", "lost"):
+        table.add_column(name, justify="right" if name in ("value", "to reach", "lost") else "left")
+    for row in rows:
+        colour = {True: "green", False: "red", None: ""}[row["holds"]]
+        value = (
+            "–" if row["value"] is None else f"{row['value']:.3g}" if abs(row["value"]) < 100 else f"{row['value']:.0f}"
+        )
+        lost = "" if row["lost"] is None else str(row["lost"])
+        shown = f"[{colour}]{value}[/]" if colour else value
+        table.add_row(row["case"], row["metric"], shown, row["unit"], str(row["target"] or ""), lost)
+    Console(highlight=False).print(table)
+
+
+def output_folder(path: str | Path) -> Path:
+    """The folder, made if need be.
+
+    Raises:
+        InputError: where it cannot be made.
+    """
+    folder = Path(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"output folder {folder} cannot be made: {error.strerror}; choose another with --out."
+        ) from error
+    return folder
+
+
+def frame_range(text: str | None) -> tuple[int, int] | None:
+    """``10:20`` as frames 10 to 20, both included.
+
+    Raises:
+        InputError: where it reads otherwise.
+    """
+    if text is None:
+        return None
+    first, colon, last = text.partition(":")
+    if not (colon and first.isdigit() and last.isdigit()):
+        raise InputError(f"--frames is {text!r}; write FIRST:LAST, both included, such as 0:99.")
+    return int(first), int(last)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return str(value) if isinstance(value, Path) else value

@@ -1,0 +1,161 @@
+"""``twistcap track``: a person in a calibrated recording, from a session file."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from twistcap.commands import terminal
+from twistcap.commands.follow import Timing, follow
+from twistcap.commands.terminal import words
+from twistcap.errors import InputError
+
+
+def track(
+    session: Annotated[Path, typer.Argument(help="Session TOML; docs/session.md tells every key.", metavar="SESSION")],
+    out: Annotated[Path | None, typer.Option(help="Folder for everything that is written.")] = None,
+    method: Annotated[str | None, typer.Option(help="direct or levelset.")] = None,
+    frames: Annotated[str | None, typer.Option(help="FIRST:LAST, both included.")] = None,
+    scale: Annotated[float | None, typer.Option(help="Resize the images by this factor.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on after the last frame of OUT/result.h5.")] = False,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Any key of the session.")
+    ] = None,
+    json: terminal.Json = False,
+) -> None:
+    """Track a person through the recording that SESSION describes.
+
+    Writes result.h5, overlay.mp4, angles.png, joints.trc, angles.csv and report.html.
+
+    Examples:
+
+      twistcap track examples/balance_4view.toml --out out/balance
+
+      twistcap track walk.toml --method levelset --frames 0:59 --scale 0.5
+
+      twistcap track walk.toml --out out/walk --resume
+
+      twistcap track walk.toml --set tracker.iterations=6 --set 'body.girths.torso=1.1'
+    """
+    from twistcap.io.session import load_session
+
+    said = {
+        "tracker.method": method,
+        "frames": terminal.frame_range(frames),
+        "scale": scale,
+        **parsed_settings(set_ or []),
+    }
+    loaded = load_session(session, said)
+    folder = terminal.output_folder(out or loaded.output.folder or Path("out") / session.stem)
+    document = run_session(loaded, folder, resume)
+    if json:
+        terminal.emit(document)
+    else:
+        tell(document)
+
+
+def run_session(session: Any, folder: Path, resume: bool = False) -> dict[str, Any]:
+    """Track a session into a folder; what ``--json`` prints."""
+    from twistcap.io.result import read_result
+
+    path = folder / "result.h5"
+    views, timing = _tracked(session, path, resume)
+    result = read_result(path)
+    files = _outputs(session, views, result, folder, timing)
+    return {
+        "id": "track",
+        "result": path,
+        "frames": len(result),
+        "lost": [int(i) for i in result.indices[result.lost]],
+        "ms_per_frame": timing.median,
+        "files": [path, *files],
+    }
+
+
+def _tracked(session: Any, path: Path, resume: bool) -> tuple[Any, Timing]:
+    from twistcap.io.recording import open_recording, rig_of, views_of
+    from twistcap.io.result import ResultWriter, read_result
+    from twistcap.track import Tracker
+
+    config = session.tracker_config
+    done = read_result(path) if resume and path.is_file() else None
+    if done is not None and len(done):
+        # Body and cameras are those of the file: a resumed track is one track.
+        views = views_of(session, rig_of(session))
+        tracker = Tracker(done.body, views.image_rig, config)
+        tracker.restore(done.estimates)
+        rest = views.starting_at(int(done.indices[-1]) + 1)
+        words.print(f"going on after frame {done.indices[-1]}: {len(rest)} frames to go")
+        with ResultWriter.resume(path) as writer:
+            return views, _kept(rest, tracker, writer, path)
+    with words.status("reading the session, fitting the first pose"):
+        recording = open_recording(session)
+    tracker = Tracker(recording.body, recording.views.image_rig, config)
+    tracker.start(recording.first_pose, recording.first_time)
+    with ResultWriter(path, recording.body, recording.rig, session.model_dump(mode="json")) as writer:
+        return recording.views, _kept(recording.views, tracker, writer, path)
+
+
+def _kept(views: Any, tracker: Any, writer: Any, path: Path) -> Timing:
+    try:
+        return follow(views, len(views), tracker, writer)
+    except KeyboardInterrupt:
+        words.print(f"interrupted: the first {len(writer)} frames are kept in {path}; go on with --resume")
+        raise typer.Exit(130) from None
+
+
+def _outputs(session: Any, views: Any, result: Any, folder: Path, timing: Timing) -> list[Path]:
+    from twistcap.commands import outputs
+    from twistcap.report import Headline
+
+    with words.status("writing plots, exports and the overlay"):
+        files = outputs.write_exports(result, session.output.exports, folder)
+        plot = outputs.write_angle_plot(result, folder)
+        files.append(plot)
+        if session.output.overlay:
+            shown = replace(views, indices=views.indices[: len(result)])
+            files.append(
+                outputs.write_overlay(result, shown, views.image_rig, folder, min(views.fps / session.step, 60.0))
+            )
+        if session.output.report:
+            headlines = [
+                Headline("frames tracked", str(len(result))),
+                Headline("frames lost", str(int(np.sum(result.lost))), good=not np.any(result.lost)),
+                Headline("per frame, decoding apart", f"{timing.median:.0f}", "ms"),
+            ]
+            lead = f"{len(views.rig)} cameras, {views.fps:g} fps, images at {session.scale:g} of their size."
+            title = f"Track of {Path(session.cameras.calibration).parent.name}"
+            files.append(outputs.write_page(folder, title, lead, headlines, [], {plot: "Joint angles, ± 2σ"}))
+    return files
+
+
+def tell(document: dict[str, Any]) -> None:
+    """The end of a run, for a person."""
+    lost = document["lost"]
+    words.print(f"{document['frames']} frames, {document['ms_per_frame']:.1f} ms each (median); ", end="")
+    words.print(f"lost: {', '.join(map(str, lost))}" if lost else "none lost")
+    for path in document["files"]:
+        typer.echo(path)
+
+
+def parsed_settings(settings: list[str]) -> dict[str, Any]:
+    """``key=value`` pairs, the values as TOML (bare words are strings).
+
+    Raises:
+        InputError: for one without ``=``.
+    """
+    out: dict[str, Any] = {}
+    for text in settings:
+        key, equals, value = text.partition("=")
+        if not equals or not key:
+            raise InputError(f"--set is {text!r}; write KEY=VALUE, such as tracker.iterations=6.")
+        try:
+            out[key.strip()] = tomllib.loads(f"value = {value}")["value"]
+        except tomllib.TOMLDecodeError:
+            out[key.strip()] = value
+    return out
