@@ -1,0 +1,153 @@
+"""Poses as BVH: the format's y up, facing +z; one joint per segment, rotations Z Y X."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from twistcap import se3
+from twistcap._typing import Float
+from twistcap.body import Body, Pose, Posed
+from twistcap.body.shape import joint_origin
+from twistcap.errors import InputError
+from twistcap.io.angles import decomposed
+from twistcap.io.markers import TO_FILE, write_lines
+
+_TO_FILE = TO_FILE["pose2sim"]  # our (x, y, z) -> (y, z, x)
+_ZYX = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+
+
+@dataclass(frozen=True)
+class _Joint:
+    """One BVH joint: it moves with coordinate `moved_by` (-1: the root), at `origin` (3,) in the rest pose."""
+
+    name: str
+    parent: int
+    moved_by: int
+    origin: Float
+
+
+def write_bvh(path: Path | str, body: Body, poses: Sequence[Pose], fps: float, scale: float = 1.0) -> None:
+    """Writes skeleton and motion.
+
+    Axes of one joint that do not meet in a point (ankle and subtalar) become two BVH joints, so that the file's forward
+    kinematics are the body's.
+
+    Args:
+        path: of the file.
+        body: that the poses are of.
+        poses: one per frame.
+        fps: frames per second.
+        scale: file units per metre; 100 for software that reads centimetres.
+
+    Raises:
+        InputError: for a frame rate that is not positive, sliding coordinates, several root segments, or if the file
+            cannot be written.
+    """
+    path = Path(path)
+    if not fps > 0:
+        raise InputError(f"{path}: the frame rate is {fps}; it must be positive.")
+    if not np.all(np.any(body.twists[:, :3] != 0, axis=1)):
+        raise InputError(f"{path}: body {body.name!r} has sliding coordinates, which BVH cannot hold.")
+    joints = _joints(path, body)
+    lines = ["HIERARCHY", *_hierarchy(body, joints, 0, 0, scale), "MOTION"]
+    lines += [f"Frames: {len(poses)}", f"Frame Time: {1.0 / fps:.8f}"]
+    place, turns = _channels(body, joints, poses)
+    order = _depth_first(joints, 0)
+    rows = np.hstack([place * scale, np.degrees(turns[:, order]).reshape(len(poses), -1)])
+    write_lines(path, [*lines, *(" ".join(f"{v:.6f}" for v in row) for row in rows)])
+
+
+def _joints(path: Path, body: Body) -> list[_Joint]:
+    if int(np.sum(body.segment_joint < 0)) != 1:
+        raise InputError(f"{path}: body {body.name!r} must have one root segment for BVH.")
+    joints: list[_Joint] = []
+    of_segment: dict[int, int] = {}
+    for s, name in enumerate(body.segment_names):
+        above = int(body.segment_parent[s])
+        parent = of_segment.get(above, -1)
+        runs = _runs(body, s, above)
+        for n, run in enumerate(runs):
+            last = n == len(runs) - 1
+            origin = joint_origin(body, s) if len(runs) == 1 else _meeting_point(body, run)[0]
+            joints.append(_Joint(name if last else f"{name}_{n + 1}", parent, run[-1] if run else -1, origin))
+            parent = len(joints) - 1
+        of_segment[s] = parent
+    return joints
+
+
+def _runs(body: Body, segment: int, above: int) -> list[list[int]]:
+    """The coordinates between a segment and the one above, in runs whose axes meet in a point."""
+    top = int(body.segment_joint[above]) if above >= 0 else -1
+    k, chain = int(body.segment_joint[segment]), list[int]()
+    while k not in (-1, top):
+        chain.insert(0, k)
+        k = int(body.parent[k])
+    runs: list[list[int]] = [[]]
+    for k in chain:
+        if runs[-1] and _meeting_point(body, [*runs[-1], k])[1] > 1e-7:
+            runs.append([])
+        runs[-1].append(k)
+    return runs
+
+
+def _meeting_point(body: Body, coordinates: list[int]) -> tuple[Float, float]:
+    """(3,) point next to all axes, and how far it misses them, m."""
+    w, v = body.twists[coordinates, :3], body.twists[coordinates, 3:]
+    rows, rhs = -se3.hat(w).reshape(-1, 3), v.reshape(-1)  # ω × p = −v
+    guess = body.joint_points[coordinates[0]]
+    point = guess + np.linalg.lstsq(rows, rhs - rows @ guess, rcond=1e-9)[0]
+    return point, float(np.max(np.abs(rows @ point - rhs)))
+
+
+def _hierarchy(body: Body, joints: list[_Joint], number: int, depth: int, scale: float) -> list[str]:
+    joint, tab = joints[number], "\t" * depth
+    start = joints[joint.parent].origin if joint.parent >= 0 else joint.origin  # the root's place is in its channels
+    head = "ROOT" if joint.parent < 0 else "JOINT"
+    places = "6 Xposition Yposition Zposition" if joint.parent < 0 else "3"
+    lines = [f"{tab}{head} {joint.name}", f"{tab}{{", _offset(joint.origin - start, depth + 1, scale)]
+    lines.append(f"{tab}\tCHANNELS {places} Zrotation Yrotation Xrotation")
+    below = [n for n, other in enumerate(joints) if other.parent == number]
+    for n in below:
+        lines += _hierarchy(body, joints, n, depth + 1, scale)
+    if not below:
+        end = _offset(_tip(body, joint) - joint.origin, depth + 2, scale)
+        lines += [f"{tab}\tEnd Site", f"{tab}\t{{", end, f"{tab}\t}}"]
+    return [*lines, f"{tab}}}"]
+
+
+def _offset(vector: Float, depth: int, scale: float) -> str:
+    return "\t" * depth + "OFFSET " + " ".join(f"{v:.8f}" for v in _TO_FILE @ vector * scale)
+
+
+def _tip(body: Body, joint: _Joint) -> Float:
+    """Where a last segment ends: its farthest landmark, or else its farthest vertex."""
+    segment = body.segment(joint.name)
+    points = body.landmarks.points[body.landmarks.segments == segment]
+    away = np.linalg.norm(points - joint.origin, axis=1)
+    if not len(points) or away.max() < 0.01:
+        points = np.concatenate([body.vertices[body.vertex_part == segment], joint.origin[None]])
+        away = np.linalg.norm(points - joint.origin, axis=1)
+    return points[np.argmax(away)]
+
+
+def _depth_first(joints: list[_Joint], number: int) -> list[int]:
+    """Joints in the order of the hierarchy, which is that of the channels."""
+    below = [n for n, other in enumerate(joints) if other.parent == number]
+    return [number] + [m for n in below for m in _depth_first(joints, n)]
+
+
+def _channels(body: Body, joints: list[_Joint], poses: Sequence[Pose]) -> tuple[Float, Float]:
+    """Place of the root (T, 3) and rotations of every joint in its parent (T, joints, 3; z, y, x) rad."""
+    roots = np.array([pose.root for pose in poses]).reshape(-1, 4, 4)
+    motions = np.array([Posed(body, pose).joint_transforms for pose in poses]).reshape(len(roots), -1, 4, 4)
+    motions = np.concatenate([motions, roots[:, None]], axis=1)  # -1 picks the root
+    R = _TO_FILE @ motions[:, [j.moved_by for j in joints], :3, :3] @ _TO_FILE.T
+    turns = np.zeros((len(poses), len(joints), 3))
+    for n, joint in enumerate(joints):
+        local = R[:, n] if joint.parent < 0 else np.swapaxes(R[:, joint.parent], 1, 2) @ R[:, n]
+        turns[:, n] = decomposed(local, _ZYX, np.zeros(3))
+    return se3.apply(roots, joints[0].origin[None])[:, 0] @ _TO_FILE.T, turns

@@ -1,0 +1,182 @@
+"""Point trajectories: TRC marker files, and 3D keypoints as npz.
+
+A TRC is y up, in one of two turns about the vertical: Pose2Sim writes the world point (x, y, z) as (y, z, x); OpenSim's
+own models walk along its x, so that (x, y, z) is (x, z, −y). Files do not say which; give MOT and TRC the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from twistcap._typing import Float
+from twistcap.errors import InputError
+from twistcap.io.keypoints import LAYOUTS
+
+WorldAxes = Literal["pose2sim", "opensim"]
+TO_FILE: Mapping[str, Float] = {  # (3, 3) from our world (z up) to the file's axes (y up)
+    "pose2sim": np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
+    "opensim": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
+}
+_UNITS: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+
+
+@dataclass(frozen=True)
+class Markers:
+    """Named points over time: `names` (M), `times` (N,) s, `points` (N, M, 3) world z up, m, NaN where unseen."""
+
+    names: tuple[str, ...]
+    times: Float
+    points: Float
+
+
+def write_trc(
+    path: Path | str,
+    times: Float,
+    names: Sequence[str],
+    points: Float,
+    unit: Literal["m", "mm"] = "m",
+    axes: WorldAxes = "pose2sim",
+) -> None:
+    """Writes a TRC; NaN becomes an empty field.
+
+    Args:
+        path: of the file.
+        times: (N,) s.
+        names: M marker names.
+        points: (N, M, 3) world, z up, m.
+        unit: that the numbers are written in, named in the field Units.
+        axes: how the world is turned, see the module's head.
+
+    Raises:
+        InputError: for shapes that do not fit each other, or if the file cannot be written.
+    """
+    path, points = Path(path), np.asarray(points, dtype=float)
+    if points.shape != (len(times), len(names), 3):
+        raise InputError(f"{path}: points are {points.shape}, but {len(times)} times and {len(names)} names stand by.")
+    values = points @ TO_FILE[axes].T / _UNITS[unit]
+    digits = 6 if unit == "m" else 3
+    rate = f"{frame_rate(np.asarray(times)):.10g}"
+    labels = [f"{axis}{m + 1}" for m in range(len(names)) for axis in "XYZ"]
+    lines = [
+        f"PathFileType\t4\t(X/Y/Z)\t{path.name}",
+        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
+        "\t".join([rate, rate, str(len(times)), str(len(names)), unit, rate, "1", str(len(times))]),
+        "Frame#\tTime\t" + "\t\t\t".join(names) + "\t\t",
+        "\t\t" + "\t".join(labels),
+        "",
+    ]
+    for n, (time, row) in enumerate(zip(times, values.reshape(len(values), -1), strict=True), start=1):
+        fields = ["" if np.isnan(v) else f"{v:.{digits}f}" for v in row]
+        lines.append("\t".join([str(n), f"{time:.6f}", *fields]))
+    write_lines(path, lines)
+
+
+def read_trc(path: Path | str, axes: WorldAxes = "pose2sim") -> Markers:
+    """The markers of a TRC in our world, z up, m. Units mm, cm and m are known.
+
+    Raises:
+        InputError: if it cannot be read, or a header field or a row is broken, naming it.
+    """
+    path = Path(path)
+    lines = read_lines(path)
+    if len(lines) < 5 or not lines[0].startswith("PathFileType"):
+        raise InputError(f"{path}: not a TRC file (its first line must start with PathFileType).")
+    header = dict(zip(lines[1].split(), lines[2].split(), strict=False))
+    unit = header.get("Units", "")
+    if unit not in _UNITS:
+        raise InputError(f"{path}: Units is {unit!r}; it must be one of {', '.join(_UNITS)}.")
+    names = tuple(name.strip() for name in lines[3].split("\t")[2:] if name.strip())
+    if header.get("NumMarkers") != str(len(names)):
+        raise InputError(f"{path}: NumMarkers is {header.get('NumMarkers')}, but line 4 names {len(names)} markers.")
+    rows = [_trc_row(path, n, line, len(names)) for n, line in enumerate(lines[5:], start=6) if line.strip()]
+    if not rows:
+        raise InputError(f"{path}: it has no frames.")
+    table = np.array(rows)
+    points = table[:, 2:].reshape(len(table), len(names), 3) * _UNITS[unit]
+    return Markers(names, table[:, 1], points @ TO_FILE[axes])
+
+
+def _trc_row(path: Path, number: int, line: str, markers: int) -> list[float]:
+    """Frame, time and coordinates; empty and missing fields are NaN."""
+    fields = [field.strip() for field in line.split("\t")]
+    width = 2 + 3 * markers
+    if any(fields[width:]):
+        raise InputError(f"{path}: line {number} has more than {width} fields, 3 for each of {markers} markers.")
+    fields = (fields + [""] * width)[:width]
+    try:
+        row = [float(field) if field else np.nan for field in fields]
+    except ValueError as error:
+        raise InputError(f"{path}: line {number}: {error}.") from error
+    if not np.isfinite(row[1]):
+        raise InputError(f"{path}: line {number}: Time is missing.")
+    return row
+
+
+def read_keypoints3d(
+    path: Path | str, times: Float | None = None, fps: float | None = None, names: Sequence[str] | None = None
+) -> Markers:
+    """3D keypoints of an npz: `X` (N, P, 3) world m, with `names` and `times` or `fps` if the file has them.
+
+    Args:
+        path: the file.
+        times, fps: the clock, if the file has none; row n is at n / fps.
+        names: of the P points, if the file has none; default OpenPose BODY_25B in the body's landmark names.
+
+    Raises:
+        InputError: if it cannot be read, lacks X or a clock, or shapes do not fit.
+    """
+    path = Path(path)
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            data = {key: archive[key] for key in archive.files}
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: not a readable npz file ({error}).") from error
+    if "X" not in data or data["X"].ndim != 3 or data["X"].shape[2] != 3:
+        raise InputError(f"{path}: it needs an array X of shape (frames, points, 3).")
+    X = data["X"].astype(float)
+    names = tuple(map(str, data["names"])) if "names" in data else tuple(names or LAYOUTS["body_25b"])
+    if len(names) != X.shape[1]:
+        raise InputError(f"{path}: X has {X.shape[1]} points, but there are {len(names)} names.")
+    if times is None:
+        fps = float(data["fps"]) if "fps" in data else fps
+        if "times" not in data and fps is None:
+            raise InputError(f"{path}: it has no clock; give times or fps.")
+        times = data["times"].astype(float) if "times" in data else np.arange(len(X)) / (fps or 1.0)
+    if len(times) != len(X):
+        raise InputError(f"{path}: X has {len(X)} frames, but there are {len(times)} times.")
+    return Markers(tuple(names), np.asarray(times, dtype=float), X)
+
+
+def frame_rate(times: Float) -> float:
+    """Frames per second of evenly spaced times (N,) s; 0 for a single one."""
+    span = float(times[-1] - times[0]) if len(times) > 1 else 0.0
+    return round((len(times) - 1) / span, 6) if span > 0 else 0.0
+
+
+def read_lines(path: Path) -> list[str]:
+    """Lines of a text file.
+
+    Raises:
+        InputError: if it cannot be read.
+    """
+    try:
+        return path.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
+
+
+def write_lines(path: Path, lines: Sequence[str]) -> None:
+    """Writes a text file.
+
+    Raises:
+        InputError: if it cannot be written.
+    """
+    try:
+        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}).") from error

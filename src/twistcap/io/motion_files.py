@@ -1,0 +1,188 @@
+"""Joint angles over time: OpenSim MOT and STO in and out, CSV out."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from twistcap import se3
+from twistcap._typing import Float
+from twistcap.body import Body, Pose
+from twistcap.errors import InputError
+from twistcap.estimate import Estimate
+from twistcap.io import angles as convert
+from twistcap.io.bvh import write_bvh
+from twistcap.io.markers import TO_FILE, WorldAxes, read_lines, write_lines
+
+__all__ = ["MotionTable", "poses_from_mot", "read_mot", "write_bvh", "write_csv", "write_mot"]
+
+_LENGTHS = re.compile(r"(_[tpv][xyz]|_beta_t[xyz])$|force|torque|moment", re.IGNORECASE)
+_NEGATIVE_KNEE = np.radians(-5.0)  # no walker has a mean knee angle below this
+
+
+@dataclass(frozen=True)
+class MotionTable:
+    """Columns of a MOT or STO: `columns` (C names without time), `times` (N,) s, `values` (N, C) rad, or m and N."""
+
+    columns: tuple[str, ...]
+    times: Float
+    values: Float
+
+    def get(self, name: str) -> Float:
+        """(N,) one column, zeros where the file has none of that name."""
+        return self.values[:, self.columns.index(name)] if name in self.columns else np.zeros(len(self.times))
+
+
+def write_mot(path: Path | str, body: Body, times: Float, poses: Sequence[Pose], axes: WorldAxes = "opensim") -> None:
+    """Writes the poses in OpenSim's coordinates: inDegrees=yes, lengths in m.
+
+    The root becomes pelvis_tilt, list, rotation, tx, ty, tz in OpenSim's order and frame, shoulders turn in OpenSim's
+    order (`io.angles`); all other coordinates stand under their own names.
+
+    Args:
+        path: of the file.
+        body: that the poses are of.
+        times: (N,) s.
+        poses: N poses.
+        axes: how the world is turned about the vertical, see `io.markers`.
+
+    Raises:
+        InputError: for unequal numbers, or if the file cannot be written.
+    """
+    path = Path(path)
+    if len(times) != len(poses):
+        raise InputError(f"{path}: there are {len(poses)} poses, but {len(times)} times.")
+    roots = np.array([pose.root for pose in poses]).reshape(-1, 4, 4)
+    turns, place = convert.pelvis_coordinates(roots, convert.pelvis_point(body), TO_FILE[axes])
+    q = np.array([pose.q for pose in poses]).reshape(len(poses), -1)
+    for ours, opensim in convert.shoulders_of(body):
+        q = convert.reordered(body, q, ours, opensim)
+    turning = np.any(body.twists[:, :3] != 0, axis=1)
+    values = np.hstack([np.degrees(turns), place, np.where(turning, np.degrees(q), q)])
+    columns = [*convert.PELVIS_ANGLES, *convert.PELVIS_PLACE, *body.coordinate_names]
+    head = ["Coordinates", "version=1", f"nRows={len(times)}", f"nColumns={len(columns) + 1}", "inDegrees=yes", ""]
+    head += ["Units are S.I. units (second, meters, Newtons, ...)", "Angles are in degrees.", "", "endheader"]
+    rows = ["\t".join(f"{v:.8f}" for v in (time, *row)) for time, row in zip(times, values, strict=True)]
+    write_lines(path, [*head, "\t".join(["time", *columns]), *rows])
+
+
+def read_mot(path: Path | str) -> MotionTable:
+    """A MOT or STO table. Angles come in rad; columns of lengths and forces (_tx, force, …) stay as they are.
+
+    Raises:
+        InputError: if it cannot be read, has no endheader, no time column, or a broken row, naming it.
+    """
+    path = Path(path)
+    lines = [line.strip() for line in read_lines(path)]
+    ends = [n for n, line in enumerate(lines) if line.lower() == "endheader"]
+    if not ends:
+        raise InputError(f"{path}: not a MOT or STO file (no line 'endheader').")
+    header = dict(line.lower().split("=", 1) for line in lines[: ends[0]] if re.match(r"\w+=", line))
+    start = next((n for n in range(ends[0] + 1, len(lines)) if lines[n]), len(lines) - 1)
+    columns = lines[start].split()
+    if not columns or columns[0].lower() != "time":
+        raise InputError(f"{path}: its first column is {columns[0] if columns else ''!r}; it must be time.")
+    rows = [_mot_row(path, n + 1, lines[n], columns) for n in range(start + 1, len(lines)) if lines[n]]
+    if not rows:
+        raise InputError(f"{path}: it has no rows.")
+    table = np.array(rows)
+    values = table[:, 1:]
+    if header.get("indegrees", "yes").strip() == "yes":
+        angular = np.array([not _LENGTHS.search(name) for name in columns[1:]], dtype=bool)
+        values = np.where(angular, np.radians(values), values)
+    return MotionTable(tuple(columns[1:]), table[:, 0], values)
+
+
+def _mot_row(path: Path, number: int, line: str, columns: list[str]) -> list[float]:
+    fields = line.split()
+    if len(fields) != len(columns):
+        raise InputError(f"{path}: line {number} has {len(fields)} fields, the head names {len(columns)} columns.")
+    try:
+        return [float(field) for field in fields]
+    except ValueError as error:
+        raise InputError(f"{path}: line {number}: {error}.") from error
+
+
+def poses_from_mot(
+    table: MotionTable,
+    body: Body,
+    axes: WorldAxes = "opensim",
+    knee: Literal["auto", "positive", "negative"] = "auto",
+) -> tuple[list[Pose], list[str]]:
+    """Poses of a body from a motion file, matched by coordinate names; missing coordinates are 0.
+
+    Args:
+        table: as `read_mot` gives it.
+        body: whose coordinates have OpenSim's names.
+        axes: how the file's world is turned about the vertical, see `io.markers`.
+        knee: sign of knee flexion in the file; gait2392 and its kin bend to negative angles. "auto" takes the columns
+            as negative if their mean lies below −5°.
+
+    Returns:
+        One pose per row, and the names of the columns that the body has no use for.
+
+    Raises:
+        InputError: if a used column holds NaN, or none of the columns is known to the body.
+    """
+    known = {*convert.PELVIS_ANGLES, *convert.PELVIS_PLACE, *body.coordinate_names}
+    unknown = [name for name in table.columns if name not in known]
+    if len(unknown) == len(table.columns):
+        raise InputError(f"the motion file: none of its columns is a coordinate of body {body.name!r}.")
+    q = np.stack([table.get(name) for name in body.coordinate_names], axis=1).reshape(len(table.times), -1)
+    knees = [k for k, name in enumerate(body.coordinate_names) if name.startswith("knee_angle")]
+    if knees and (knee == "negative" or (knee == "auto" and float(np.mean(q[:, knees])) < _NEGATIVE_KNEE)):
+        q[:, knees] *= -1.0
+    for ours, opensim in convert.shoulders_of(body):
+        q = convert.reordered(body, q, opensim, ours)
+    turns = np.stack([table.get(name) for name in convert.PELVIS_ANGLES], axis=1)
+    place = np.stack([table.get(name) for name in convert.PELVIS_PLACE], axis=1)
+    roots = convert.pelvis_roots(turns, place, convert.pelvis_point(body), TO_FILE[axes])
+    if not (np.all(np.isfinite(q)) and np.all(np.isfinite(roots))):
+        raise InputError("the motion file: a coordinate is NaN; fill or cut the rows without values.")
+    return [Pose(root, row) for root, row in zip(roots, q, strict=True)], unknown
+
+
+def write_csv(path: Path | str, body: Body, estimates: Sequence[Estimate]) -> None:
+    """One row per frame: time, root, coordinates, their standard deviations, status, support and the lost flag.
+
+    Units stand in the column names: `_deg` and `_m`, standard deviations end in `_std_deg` and `_std_m`. The root is
+    its place in the world and its rotation vector.
+
+    Raises:
+        InputError: if the file cannot be written.
+    """
+    units = ["deg" if np.any(twist[:3]) else "m" for twist in body.twists]
+    named = [("root_" + axis, "m") for axis in ("x", "y", "z")] + [("root_r" + axis, "deg") for axis in ("x", "y", "z")]
+    named += list(zip(body.coordinate_names, units, strict=True))
+    head = ["frame", "time", *(f"{n}_{u}" for n, u in named), *(f"{n}_std_{u}" for n, u in named)]
+    scale = np.array([np.degrees(1.0) if unit == "deg" else 1.0 for _, unit in named])
+    try:
+        with Path(path).open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow([*head, "status", "support", "lost"])
+            for e in estimates:
+                cells = np.concatenate([_values(e.pose) * scale, _deviations(e) * scale])
+                ends = [e.status, f"{e.support:.4f}", int(e.lost)]
+                writer.writerow([e.index, f"{e.time:.6f}", *(f"{v:.6f}" for v in cells), *ends])
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
+
+
+def _values(pose: Pose) -> Float:
+    return np.concatenate([pose.root[:3, 3], se3.log_rotation(pose.root[:3, :3]), pose.q])
+
+
+def _deviations(estimate: Estimate) -> Float:
+    """Standard deviations (6 + J,) of `_values`: place of the root, its rotation, the coordinates."""
+    C = estimate.covariance
+    by_place = np.hstack(
+        [-se3.hat(estimate.pose.root[:3, 3]), np.eye(3)]
+    )  # the root moves in the world, about its origin
+    place = by_place @ C[:6, :6] @ by_place.T
+    return np.sqrt(np.maximum(np.concatenate([np.diag(place), np.diag(C)[:3], np.diag(C)[6:]]), 0.0))
