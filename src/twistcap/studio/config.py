@@ -11,6 +11,7 @@ import numpy as np
 from twistcap.errors import InputError
 
 Condition = Literal["exact", "mismatch"]
+Variant = Literal["full", "legs"]
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ class StudioConfig:
     motion_blur: int = 1
     shutter: float = 0.5
     sensor_noise: float = 0.012
-    variant: str = "full"
+    variant: Variant = "full"
 
     def __post_init__(self) -> None:
         _expect(self.seed >= 0, "seed", self.seed, "0 or more")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twistcap import se3
 from twistcap._typing import Float
@@ -75,7 +76,7 @@ def joint_coordinates(body: Body, segment: int) -> list[int]:
     return out
 
 
-def _marks_of(body: Body, segment: int, centre: Float, within: float = 0.01) -> Float:
+def _marks_of(body: Body, segment: int, centre: Float, within: float = 0.01) -> NDArray[np.intp]:
     """Landmarks (indices) that mark a joint: on one of its two segments and at its centre."""
     marks = body.landmarks
     beside = (marks.segments == segment) | (marks.segments == body.segment_parent[segment])

@@ -64,7 +64,7 @@ def picture_of(moments: Sequence[Posed], camera: Camera, look: Look, room: Float
     pictures = [room.copy() for _ in moments]
     for posed, picture in zip(moments, pictures, strict=True):
         render_body(posed, camera, look).over(picture)
-    return pictures[0] if len(pictures) == 1 else np.mean(pictures, axis=0, dtype=np.float32)
+    return pictures[0] if len(pictures) == 1 else np.mean(np.stack(pictures), axis=0).astype(np.float32)
 
 
 def between(first: Pose, second: Pose, share: float) -> Pose:

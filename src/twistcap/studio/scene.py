@@ -9,7 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from twistcap._typing import Bool, Float, Float32, UInt8
-from twistcap.body import Body, Pose, Posed, rescaled
+from twistcap.body import Body, Pose, Posed
+from twistcap.body.humanoid import humanoid
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
@@ -18,6 +19,7 @@ from twistcap.studio.config import StudioConfig, stream
 from twistcap.studio.look import Look, look
 from twistcap.studio.marring import marred
 from twistcap.studio.mismatch import wrong_body, wrong_pose, wrong_rig
+from twistcap.studio.motion import gait
 from twistcap.studio.picture import Layer, between, picture_of, render_body
 from twistcap.studio.ring import ring, zoom_to_fit
 
@@ -140,15 +142,11 @@ def capture(config: StudioConfig, body: Body | None = None, poses: Sequence[Pose
 
 def default_body(config: StudioConfig) -> Body:
     """The built-in humanoid, its stature ± 5 % by the seed."""
-    from twistcap.body.humanoid import humanoid
-
-    return rescaled(humanoid(config.variant), stature=float(stream(config.seed, "stature").uniform(0.95, 1.05)))
+    return humanoid(config.variant, stature=1.75 * float(stream(config.seed, "stature").uniform(0.95, 1.05)))
 
 
 def default_poses(config: StudioConfig, body: Body, heading: float) -> list[Pose]:
     """The motion that the configuration names, turned to a heading (rad, from x towards y)."""
-    from twistcap.studio.motion import gait
-
     if config.motion != "gait":
         raise InputError(f"studio: motion is {config.motion!r}; it must be 'gait' (other motions are given as poses).")
     rng = stream(config.seed, "gait")
