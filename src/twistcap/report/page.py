@@ -133,6 +133,11 @@ def number(value: float | None) -> str:
     return f"{value:.1f}" if abs(value) >= 10 else f"{value:.2f}"
 
 
+def unit(name: str) -> str:
+    """A unit as people write it, escaped."""
+    return {"deg": "°"}.get(name, escape(name))
+
+
 def _page(title: str, body: str) -> str:
     return (
         f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>{escape(title)}</title>\n'
@@ -143,7 +148,7 @@ def _page(title: str, body: str) -> str:
 
 def _cards(headlines: Sequence[Headline]) -> str:
     cards = [
-        f'<div class="card{_verdict(h.good)}"><b>{escape(h.value)} <small>{escape(h.unit)}</small></b>'
+        f'<div class="card{_verdict(h.good)}"><b>{escape(h.value)} <small>{unit(h.unit)}</small></b>'
         f"<span>{escape(h.label)}</span></div>"
         for h in headlines
     ]
@@ -192,7 +197,7 @@ def _table_line(line: Row, targets: bool) -> str:
     target = f'<td class="n">{escape(line["target"] or "")}</td>' if targets else ""
     return (
         f"<tr><td>{escape(line['case'])}</td><td>{escape(line['metric'])}</td>"
-        f'<td class="n{verdict}">{number(line["value"])}</td><td>{escape(line["unit"])}</td>{target}</tr>'
+        f'<td class="n{verdict}">{number(line["value"])}</td><td>{unit(line["unit"])}</td>{target}</tr>'
     )
 
 
