@@ -15,8 +15,9 @@ from twistcap.commands.follow import angle_sigmas, frame_rate
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
 from twistcap.evaluate.load import Reference
+from twistcap.io.bvh import write_bvh
 from twistcap.io.markers import write_trc
-from twistcap.io.motion_files import write_bvh, write_csv, write_mot
+from twistcap.io.motion_files import write_csv, write_mot
 from twistcap.io.result import Result
 from twistcap.io.session import ExportKind
 from twistcap.report import Figure, Headline, angle_plot, joint_error_plot, overlay_video, write_report
