@@ -52,9 +52,12 @@ class Field:
         h = 1e-4
         return np.stack([(self(points + e) - self(points - e)) / (2 * h) for e in h * np.eye(3)], axis=1)
 
-    def part_distance(self, points: Float, part: str) -> Float:
-        """(V,) distance to the nearest sweep of a part."""
-        return self.distances(points)[:, [p == part for p in self.parts]].min(axis=1)
+    def lead(self, points: Float, part: str, side: str) -> Float:
+        """(V,) by how much a limb is nearer than every other part but its mirror image, m."""
+        d = self.distances(points)
+        own = [p == f"{part}_{side}" for p in self.parts]
+        others = [not p.startswith(part) for p in self.parts]
+        return d[:, others].min(axis=1) - d[:, own].min(axis=1)
 
 
 def field_of(central: Sequence[P.Sweep], paired: Sequence[P.Sweep], motions: dict[str, Float]) -> Field:
@@ -110,7 +113,7 @@ def _distances(points: Float, maps: Float, profiles: Float, scalars: Float) -> F
             gx, gy, gs = (px / r) ** (n - 1) / a, (py / r) ** (n - 1) / b, (ps / r) ** (n - 1) / c
             d = (r - 1.0) / (np.sqrt(gx * gx + gy * gy + gs * gs) + 1e-9)
             if scalars[i, 5] >= 0.0:  # the flat sole: a rounded intersection with z > 0
-                e = -y
+                e = 0.003 - y
                 d = 0.5 * (d + e + np.sqrt((d - e) ** 2 + 0.008**2)) - 0.002
             out[v, i] = d
     return out

@@ -12,13 +12,14 @@ from twistcap import se3
 from twistcap._typing import Float, Int
 from twistcap.body import _humanoid_profiles as P
 from twistcap.body import _humanoid_surface as surface
+from twistcap.body._humanoid_binding import binding
 from twistcap.body.kinematics import Pose, Posed
 from twistcap.body.model import Body, Landmarks
 from twistcap.body.shape import rescaled
 from twistcap.errors import InputError
 
 Variant = Literal["full", "legs"]
-_ARM_OUT, _LEG_OUT = np.deg2rad(50.0), np.deg2rad(7.0)  # modelling pose: no limb touches another
+_ARM_OUT, _LEG_OUT = np.deg2rad(42.0), np.deg2rad(7.0)  # modelling pose: no limb touches another
 _FLEX, _SIDE, _TURN = (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 # Talocrural and subtalar axes after Inman, "The Joints of the Ankle" (1976), as gait models use them; right side.
 _ANKLE, _SUBTALAR = (-0.105, -0.979, -0.174), (0.787, 0.121, 0.605)
@@ -178,8 +179,7 @@ def _with_surface(s: _Skeleton, variant: str) -> Body:
     points = surface.place(corners, variant, motions)
     points = surface.relaxed(points, quads, field, field.gradient)
     faces = surface.triangles(quads, points)
-    weights = _weights(bare, field, points)
-    segments, weights = _strongest(weights)
+    segments, weights = binding(bare.segment_names, field, points, faces, motions)
     rest = _unposed(Posed(bare, model).segment_transforms, segments, weights, points)
     return _body(s, variant, rest, faces, segments, weights)
 
@@ -199,64 +199,6 @@ def _modelling_pose(body: Body) -> Pose:
             if f"{name}_{side}" in body.coordinate_names:
                 pose.q[body.coordinate(f"{name}_{side}")] = -angle
     return pose
-
-
-def _ramp(x: Float, centre: float, half_width: float) -> Float:
-    """Smooth step from 0 to 1 around a centre."""
-    t = np.clip((x - centre) / (2 * half_width) + 0.5, 0.0, 1.0)
-    return t * t * (3 - 2 * t)
-
-
-def _weights(body: Body, field: surface.Field, points: Float) -> Float:
-    """(V, S) smooth binding of the surface in the modelling pose: from the trunk outwards, joint by joint."""
-    W = np.zeros((len(points), len(body.segment_names)))
-    name = {n: i for i, n in enumerate(body.segment_names)}
-    W[:, 0] = 1.0
-
-    def hand_over(above: str, below: str, share: Float) -> None:
-        if below in name:
-            moved = W[:, name[above]] * share
-            W[:, name[above]] -= moved
-            W[:, name[below]] += moved
-
-    z = points[:, 2]
-    hand_over("pelvis", "torso", _ramp(z, P.LUMBAR[2], 0.08))
-    hand_over("torso", "thorax", _ramp(z, P.THORAX[2], 0.07))
-    chest = "thorax" if "thorax" in name else "torso"
-    hand_over(chest, "head", _ramp(z + 0.3 * points[:, 0], P.NECK[2] + 0.035, 0.045))
-    trunk = field.part_distance(points, "trunk")
-    motions = _left_motions()
-    for side, sign in (("l", 1.0), ("r", -1.0)):
-        mirrored = points * [1.0, sign, 1.0]
-        hand_over(chest, f"clavicle_{side}", _ramp(mirrored[:, 1], 0.09, 0.06) * _ramp(z, 0.40, 0.10))
-        for part, joints in (
-            ("arm", ((P.ELBOW, "humerus", "ulna", 0.045), (P.WRIST, "radius", "hand", 0.03))),
-            ("leg", ((P.KNEE, "femur", "tibia", 0.055), (P.ANKLE, "tibia", "foot", 0.035))),
-        ):
-            if f"{part}_{side}" not in field.parts:
-                continue
-            share = _ramp(trunk - field.part_distance(points, f"{part}_{side}"), 0.0, 0.035)
-            share = share * _ramp(mirrored[:, 1], 0.015, 0.015)  # never the other side's
-            root = "humerus" if part == "arm" else "femur"
-            for above in list(name):
-                if above in ("pelvis", "torso", "thorax", f"clavicle_{side}"):
-                    hand_over(above, f"{root}_{side}", share)
-            local = se3.apply(se3.inverse(motions[part]), mirrored)
-            for at, above, below, width in joints:
-                if below == "hand":
-                    twist = np.clip((P.ELBOW[2] - 0.05 - local[:, 2]) / (P.ELBOW[2] - 0.06 - P.WRIST[2]), 0.0, 1.0)
-                    hand_over(f"ulna_{side}", f"radius_{side}", twist)
-                hand_over(f"{above}_{side}", f"{below}_{side}", _ramp(at[2] - local[:, 2], 0.0, width))
-    return W
-
-
-def _strongest(weights: Float, K: int = 4) -> tuple[Int, Float]:
-    """The K strongest segments (V, K) of each vertex and their weights (V, K), which sum to 1."""
-    K = min(K, weights.shape[1])
-    segments = np.argsort(-weights, axis=1, kind="stable")[:, :K]
-    kept = np.take_along_axis(weights, segments, axis=1)
-    kept[kept < 1e-3] = 0.0
-    return segments.astype(np.int32), kept / kept.sum(axis=1, keepdims=True)
 
 
 def _unposed(transforms: Float, segments: Int, weights: Float, points: Float) -> Float:
