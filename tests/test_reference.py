@@ -13,11 +13,15 @@ import pytest
 from twistcap import se3
 from twistcap._typing import AnyArray
 from twistcap.body import Body, Landmarks, Pose, Posed
+from twistcap.body.humanoid import humanoid
 from twistcap.camera import Camera, Rig, look_at
 from twistcap.errors import InputError
 from twistcap.evaluate import evaluate
 from twistcap.evaluate.load import interpolated, landmark_name, parsed_exclusion
 from twistcap.evaluate.metrics import silhouette
+from twistcap.io.keypoints import LAYOUTS
+from twistcap.io.markers import write_trc
+from twistcap.io.motion_files import write_mot
 
 BOX = np.array([[x, y, z] for x in (-0.2, 0.2) for y in (-0.15, 0.15) for z in (-0.5, 0.5)])
 BOX_FACES = np.array(
@@ -194,6 +198,59 @@ def test_interpolation_spreads_the_unknown_no_farther_than_needed() -> None:
         interpolated(times, values, np.array([-0.1, 0.0, 0.25, 1.0, 1.5, 2.0, 3.0, 3.1])),
         [np.nan, 0.0, 2.5, 10.0, np.nan, np.nan, 30.0, np.nan],
     )
+
+
+def test_marker_files(tracked: Tracked, tmp_path: Path) -> None:
+    hips_and_ankles = np.stack([Posed(tracked.body, pose).landmarks[:2] for pose in tracked.poses])
+    points = hips_and_ankles + np.array([0.0, 0.0, 0.003])
+    write_trc(tmp_path / "walk.trc", tracked.times, ("RHip", "RAnkle"), points, axes="opensim")
+    rows = rows_of(evaluate(tracked, tmp_path / "walk.trc", axes="opensim"))
+    assert rows["joints, mean"] == pytest.approx(3.0, abs=0.01)
+    assert rows["joints, mean, offset removed"] == pytest.approx(0.0, abs=0.01)
+    turned = rows_of(evaluate(tracked, tmp_path / "walk.trc"))  # the world turned by 90°: feet stay, the walk does not
+    assert turned["joints, mean, offset removed"] > 10
+
+
+def test_motion_files_whatever_their_knee_sign(tracked: Tracked, tmp_path: Path) -> None:
+    tracked.poses = [Pose(pose.root, pose.q + np.radians(30.0)) for pose in tracked.poses]
+    write_mot(tmp_path / "walk.mot", tracked.body, tracked.times, [Pose(p.root, p.q + 0.01) for p in tracked.poses])
+    assert rows_of(evaluate(tracked, tmp_path / "walk.mot"))["KHE"] == pytest.approx(np.degrees(0.01), abs=1e-4)
+    write_mot(tmp_path / "old.mot", tracked.body, tracked.times, [Pose(p.root, -p.q) for p in tracked.poses])
+    evaluation = evaluate(tracked, tmp_path / "old.mot")
+    assert rows_of(evaluation)["KHE"] == pytest.approx(0.0, abs=1e-4)
+    assert "turned round" in evaluation.notes[0]
+
+
+def test_shoulders_are_compared_in_our_order(tmp_path: Path) -> None:
+    """What OpenSim's order of shoulder angles hides must come back as our own angles."""
+    body = humanoid("full")
+    names = [f"arm_{part}_l" for part in ("add", "flex", "rot")]
+    q = np.zeros(len(body.coordinate_names))
+    q[[body.coordinate(name) for name in names]] = np.radians([-40.0, 50.0, 20.0])
+    times, poses = np.arange(3) / 60, [Pose(np.eye(4), q)] * 3
+    write_mot(tmp_path / "arm.mot", body, times, poses)
+    covariances = np.zeros((3, body.dof, body.dof))
+    result = Tracked(body, Rig((camera(),)), times, np.arange(3), poses, np.zeros(3, bool), covariances)
+    evaluation = evaluate(result, tmp_path / "arm.mot")
+    assert evaluation.angles is not None
+    assert set(names) <= set(evaluation.angles.names)
+    np.testing.assert_allclose(evaluation.angles.raw, 0.0, atol=1e-4)
+
+
+def test_the_real_keypoints_agree_with_themselves(shared_data: Path, tracked: Tracked) -> None:
+    """A hip that rides on the real reference is exact at the 1.3-frame offset and off without it."""
+    path = shared_data / "balance_4view" / "reference" / "keypoints3d_world.npz"
+    with np.load(path) as archive:
+        hip = archive["X"][:, LAYOUTS["body_25b"].index("hip_r")]
+    video = np.stack([np.interp(tracked.indices, np.arange(100) + 1.3, hip[:, k]) for k in range(3)], axis=1)
+    tracked.poses = [Pose(se3.transform(np.eye(3), place), np.zeros(1)) for place in video]
+    at_offset = evaluate(tracked, path, time_offset=1.3 / 60)
+    assert at_offset.joints is not None
+    k = at_offset.joints.names.index("hip_r")
+    np.testing.assert_allclose(at_offset.joints.raw[:, k], 0.0, atol=1e-6)
+    without = evaluate(tracked, path)
+    assert without.joints is not None
+    assert without.joints.raw[:, k].max() > 1.0
 
 
 def test_names_of_markers_and_exclusions() -> None:

@@ -82,7 +82,7 @@ def _reported(scene: Any, pictures: list[Any], result: Any, folder: Path, timing
 
     with words.status("writing plots, exports and the overlay"):
         write_truth(scene, folder / "truth.npz")
-        truth = load_reference(folder / "truth.npz", lambda rows: result.times[:rows])
+        truth = load_reference(folder / "truth.npz", result.body, lambda rows: result.times[:rows])
         found = compare(result, truth, "studio walk")
         exports = outputs.write_exports(result, ("trc", "csv"), folder)
         plots = {outputs.write_angle_plot(result, folder, truth): "Joint angles (± 2σ) and the truth, dashed"}

@@ -10,8 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from twistcap._typing import AnyArray, Float
+from twistcap.body import Body
 from twistcap.errors import InputError
-from twistcap.io.keypoints import LAYOUTS
+from twistcap.io.angles import shoulders_of
+from twistcap.io.markers import WorldAxes, read_keypoints3d, read_trc
+from twistcap.io.motion_files import poses_from_mot, read_mot
 
 _DETECTOR_NAMES: Mapping[str, str] = {
     "hip": "hip", "knee": "knee", "ankle": "ankle", "shoulder": "shoulder", "elbow": "elbow", "wrist": "wrist",
@@ -95,27 +98,36 @@ def parsed_exclusion(text: str, rows: int) -> tuple[str, slice]:
     return name, slice(int(first), int(last or first) + 1)
 
 
-def load_reference(path: Path, frame_times: Callable[[int], Float]) -> Reference:
+def load_reference(
+    path: Path, body: Body, frame_times: Callable[[int], Float], axes: WorldAxes = "pose2sim"
+) -> Reference:
     """Read a reference by its ending: ``.npz`` (studio truth or keypoints), ``.trc`` or ``.mot`` / ``.sto``.
 
     Args:
         path: the file.
+        body: whose coordinates a motion file is read into (OpenSim turns the shoulder in another order).
         frame_times: times (M,) of the recording's frames 0 … M − 1, for files that have no clock of their own.
+        axes: how a TRC's world is turned about the vertical, see `io.markers`.
 
     Raises:
         InputError: for a missing, unknown or unreadable file.
     """
     if not path.exists():
         raise InputError(f"the reference {path} does not exist; give a file or a folder of masks.")
-    readers = {".npz": _from_npz, ".trc": _from_trc, ".mot": _from_mot, ".sto": _from_mot}
-    reader = readers.get(path.suffix.lower())
-    if reader is None:
+    ending = path.suffix.lower()
+    if ending == ".npz":
+        reference = _from_npz(path, frame_times)
+    elif ending == ".trc":
+        markers = read_trc(path, axes)
+        reference = Reference(markers.times, tuple(landmark_name(name) for name in markers.names), markers.points)
+    elif ending in (".mot", ".sto"):
+        reference = _from_mot(path, body)
+    else:
         raise InputError(
             f"the reference {path} has an unknown ending; give .npz, .trc, .mot, .sto or a folder of masks."
         )
-    reference = reader(path, frame_times)
-    if len(reference.times) == 0 or not np.all(np.diff(reference.times) > 0):
-        raise InputError(f"the reference {path} needs at least one row and times that rise from row to row.")
+    if not np.all(np.diff(reference.times) > 0):
+        raise InputError(f"the reference {path} needs times that rise from row to row.")
     return reference
 
 
@@ -126,7 +138,10 @@ def _from_npz(path: Path, frame_times: Callable[[int], Float]) -> Reference:
     except (OSError, ValueError) as error:
         raise InputError(f"the reference {path} cannot be read as an npz file: {error}.") from error
     if "X" in data:
-        return _from_keypoints(path, data, frame_times)
+        clock = {"times", "fps"} & set(data)
+        markers = read_keypoints3d(path, None if clock else frame_times(len(data["X"])))
+        notes = () if "names" in data else ("keypoints read in BODY_25B order",)
+        return Reference(markers.times, markers.names, markers.points, notes=notes)
     missing = [key for key in ("q", "landmarks", "names", "coordinate_names") if key not in data]
     if missing:
         raise InputError(
@@ -137,37 +152,18 @@ def _from_npz(path: Path, frame_times: Callable[[int], Float]) -> Reference:
 
 
 def _from_truth(data: Mapping[str, AnyArray], frame_times: Callable[[int], Float]) -> Reference:
+    rows = len(data["q"])
+    if "times" in data:
+        times = data["times"].astype(float)
+    else:
+        times = np.arange(rows) / float(data["fps"]) if "fps" in data else frame_times(rows)
     return Reference(
-        times=_times_of(data, len(data["q"]), frame_times),
+        times=times,
         names=tuple(str(name) for name in data["names"]),
         points=data["landmarks"].astype(float),
         coordinate_names=tuple(str(name) for name in data["coordinate_names"]),
         angles=data["q"].astype(float),
     )
-
-
-def _from_keypoints(path: Path, data: Mapping[str, AnyArray], frame_times: Callable[[int], Float]) -> Reference:
-    X = data["X"].astype(float)
-    names = tuple(str(name) for name in data["names"]) if "names" in data else LAYOUTS["body_25b"]
-    if X.ndim != 3 or X.shape[1:] != (len(names), 3):
-        raise InputError(
-            f"the reference {path}: X has shape {X.shape}, but {len(names)} points need (N, {len(names)}, 3)."
-        )
-    notes = () if "names" in data else ("keypoints read in BODY_25B order",)
-    return Reference(_times_of(data, len(X), frame_times), names, X, notes=notes)
-
-
-def _times_of(data: Mapping[str, AnyArray], rows: int, frame_times: Callable[[int], Float]) -> Float:
-    if "times" in data:
-        return data["times"].astype(float)
-    return np.arange(rows) / float(data["fps"]) if "fps" in data else frame_times(rows)
-
-
-def _from_trc(path: Path, frame_times: Callable[[int], Float]) -> Reference:
-    from twistcap.io.markers import read_trc
-
-    markers = read_trc(path)
-    return Reference(markers.times, tuple(landmark_name(name) for name in markers.names), markers.points)
 
 
 def landmark_name(marker: str) -> str:
@@ -180,14 +176,25 @@ def landmark_name(marker: str) -> str:
     return marker
 
 
-def _from_mot(path: Path, frame_times: Callable[[int], Float]) -> Reference:
-    from twistcap.io.motion_files import read_mot
-
+def _from_mot(path: Path, body: Body) -> Reference:
+    """Angles of a motion file in the body's own coordinates: knees bend to positive, shoulders turn in our order."""
     table = read_mot(path)
-    angles, notes = table.values.copy(), list[str]()
-    for k, name in enumerate(table.columns):
-        # Older OpenSim models (gait2392) bend the knee to negative angles; no walker has a mean knee below −5°.
-        if name.startswith("knee_angle") and np.nanmean(angles[:, k]) < np.radians(-5.0):
-            angles[:, k] *= -1.0
-            notes.append(f"{name} was negative in flexion and has been turned round")
-    return Reference(table.times, coordinate_names=tuple(table.columns), angles=angles, notes=tuple(notes))
+    poses, _ = poses_from_mot(table, body)
+    names = tuple(name for name in body.coordinate_names if _complete(name, table.columns, body))
+    q = np.stack([pose.q for pose in poses])[:, [body.coordinate(name) for name in names]]
+    flipped = [
+        name
+        for k, name in enumerate(names)
+        if name.startswith("knee_angle") and np.allclose(q[:, k], -table.get(name)) and np.any(q[:, k])
+    ]
+    notes = tuple(f"{name} was negative in flexion and has been turned round" for name in flipped)
+    return Reference(table.times, coordinate_names=names, angles=q, notes=notes)
+
+
+def _complete(name: str, columns: Sequence[str], body: Body) -> bool:
+    """Whether a coordinate is in the file, and if it is one of a shoulder's three, with the other two."""
+    together = {name}
+    for ours, _ in shoulders_of(body):
+        trio = {body.coordinate_names[k] for k in ours}
+        together |= trio if name in trio else set()
+    return together <= set(columns)

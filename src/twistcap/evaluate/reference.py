@@ -18,6 +18,7 @@ from twistcap.errors import InputError
 from twistcap.evaluate import metrics
 from twistcap.evaluate.load import Reference, load_reference
 from twistcap.evaluate.metrics import Row, row
+from twistcap.io.markers import WorldAxes
 
 
 class Tracked(Protocol):
@@ -115,6 +116,7 @@ def evaluate(
     *,
     exclude: Sequence[str] = (),
     case: str | None = None,
+    axes: WorldAxes = "pose2sim",
 ) -> Evaluation:
     """Compare a result with a reference.
 
@@ -125,6 +127,7 @@ def evaluate(
         time_offset: seconds to add to the reference's clock to get the recording's.
         exclude: flawed stretches of the reference, see `Reference.without`.
         case: name in the table; the reference's own name by default.
+        axes: how a TRC's world is turned about the vertical, see `io.markers`.
 
     Raises:
         InputError: for a reference that is missing, unreadable, or has nothing in common with the result.
@@ -136,7 +139,7 @@ def evaluate(
         if time_offset:
             raise InputError(f"masks in {path} are matched by frame number; leave the time offset out.")
         return _against_masks(result, path, case)
-    truth = load_reference(path, lambda rows: frame_times(result, rows))
+    truth = load_reference(path, result.body, lambda rows: frame_times(result, rows), axes)
     truth = replace(truth, times=truth.times + time_offset).without(exclude)
     return compare(result, truth, case, str(path))
 
