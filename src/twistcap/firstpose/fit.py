@@ -26,7 +26,8 @@ STARTS_DEG: tuple[Mapping[str, float], ...] = (
     {},
     {"arm_add": -80.0},
     {"arm_flex": 70.0, "elbow_flex": 40.0},
-    {"arm_add": -115.0, "elbow_flex": 20.0},
+    {"arm_add": -150.0, "elbow_flex": 20.0},
+    {"arm_flex": 140.0, "elbow_flex": 20.0},
     {"hip_flexion": 70.0, "knee_angle": 90.0, "ankle_angle": 20.0, "elbow_flex": 60.0},
     {"arm_flex": -30.0, "elbow_flex": 90.0, "lumbar_extension": -30.0},
 )
@@ -120,9 +121,9 @@ def fit_keypoints_sequence(
     frames = tuple(evidence(body, rig, k, sigma_px) for rig, k in zip(rigs, keypoints, strict=True))
     skeleton, priors = Skeleton(body), priors or Priors()
     given = starts or [None] * len(frames)
-    singles = [
-        _best_start(skeleton, frame, priors, fit_lengths, extra) for frame, extra in zip(frames, given, strict=True)
-    ]
+    singles: list[State] = []
+    for frame, extra in zip(frames, given, strict=True):
+        singles.append(_first_state(skeleton, frame, priors, fit_lengths, extra, singles[-1] if singles else None))
     factors = np.median([s.log_factors for s in singles], axis=0)
     state = State(tuple(s.poses[0] for s in singles), factors)
     problem = Problem(skeleton, frames, _neutral(body), priors, _REACH, fit_lengths)
@@ -136,18 +137,28 @@ def _neutral(body: Body) -> Float:
     return np.clip(np.zeros(len(body.coordinate_names)), *body.limits.T)
 
 
-def _best_start(skeleton: Skeleton, frame: Evidence, priors: Priors, fit_lengths: bool, extra: Pose | None) -> State:
-    """The best of all starts for one instant, first on the keypoints the views agree on, then on all."""
-    body = skeleton.body
+def _first_state(
+    skeleton: Skeleton, frame: Evidence, priors: Priors, fit_lengths: bool, extra: Pose | None, before: State | None
+) -> State:
+    """One instant by itself: carried on from the one before if that explains the keypoints, else from all starts."""
+    problem = Problem(skeleton, (frame,), _neutral(skeleton.body), priors, 2 * _REACH, fit_lengths)
+    if before is not None:
+        carried = minimise(problem, before)
+        if problem.energy(carried) < 1.5 * frame.weights.sum():  # noise alone costs about 1 for each keypoint
+            return carried
+    return _best_start(problem, frame, extra)
+
+
+def _best_start(fine: Problem, frame: Evidence, extra: Pose | None) -> State:
+    """The best of all starts: each first on the keypoints the views agree on, the best three then on all."""
     seen = triangulate(frame.rig, frame.pixels, frame.weights, frame.sigma)
     trusted = replace(frame, weights=np.where(seen.inliers, 1.0, 0.1) * frame.weights)
-    loose = replace(priors, limit=max(priors.limit, 0.2))
-    coarse = Problem(skeleton, (trusted,), _neutral(body), loose, 10 * _REACH, fit_lengths)
-    fine = Problem(skeleton, (frame,), _neutral(body), priors, 2 * _REACH, fit_lengths)
-    first = State((), np.zeros(skeleton.size))
-    poses = [*_start_poses(body, frame, seen), *([] if extra is None else [extra])]
-    ends = [minimise(fine, minimise(coarse, replace(first, poses=(pose,)), 15), 10) for pose in poses]
-    return min(ends, key=fine.energy)
+    loose = replace(fine.priors, limit=max(fine.priors.limit, 0.2))
+    coarse = replace(fine, frames=(trusted,), priors=loose, reach=10 * _REACH)
+    first = State((), np.zeros(fine.skeleton.size))
+    poses = [*_start_poses(fine.skeleton.body, frame, seen), *([] if extra is None else [extra])]
+    ends = [minimise(coarse, replace(first, poses=(pose,)), 15) for pose in poses]
+    return min((minimise(fine, end, 10) for end in sorted(ends, key=coarse.energy)[:3]), key=fine.energy)
 
 
 def _start_poses(body: Body, frame: Evidence, seen: Triangulated) -> list[Pose]:
