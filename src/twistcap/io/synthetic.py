@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Literal
@@ -59,7 +59,7 @@ def write_session(
         raise InputError(f"folder {folder} cannot be made: {error.strerror}.") from error
     write_rig(capture.rig, folder / "Calib.toml")
     save_glb(capture.body, folder / "body.glb")
-    np.savez(folder / "first_pose.npz", **_pose_arrays(capture.body, [capture.first_pose]))
+    _save(folder / "first_pose.npz", _pose_arrays(capture.body, [capture.first_pose]))
     write_truth(capture, folder / "truth.npz")
     (folder / "session.toml").write_text(session_text(capture, images))
     _write_images(capture, folder, images, masks, progress)
@@ -71,10 +71,15 @@ def write_truth(capture: Capture, path: Path | str) -> None:
 
     Holds root (N, 4, 4), q (N, J) rad, landmarks (N, L, 3) m, their names, coordinate_names, times (N,) s and fps.
     """
-    names = np.array(capture.true_body.landmarks.names)
-    times = np.arange(len(capture.true_poses)) / capture.config.fps
-    poses = _pose_arrays(capture.true_body, capture.true_poses)
-    np.savez(Path(path), **poses, landmarks=capture.landmarks, names=names, times=times, fps=capture.config.fps)
+    arrays = _pose_arrays(capture.true_body, capture.true_poses)
+    arrays["landmarks"], arrays["names"] = capture.landmarks, np.array(capture.true_body.landmarks.names)
+    arrays["fps"] = np.array(capture.config.fps)
+    arrays["times"] = np.arange(len(capture.true_poses)) / capture.config.fps
+    _save(Path(path), arrays)
+
+
+def _save(path: Path, arrays: Mapping[str, AnyArray]) -> None:
+    np.savez(path, allow_pickle=False, **arrays)
 
 
 def session_text(capture: Capture, images: Images) -> str:

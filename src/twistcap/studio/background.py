@@ -19,7 +19,8 @@ def background(config: StudioConfig, camera: int) -> Float32:
     canvas = _room(rng, width * _OVER, height * _OVER)
     for k in range(30):
         _draw_shape(canvas, rng, k)
-    picture = canvas.reshape(height, _OVER, width, _OVER, 3).mean(axis=(1, 3)) / 255.0
+    cells = [canvas[i::_OVER, j::_OVER].astype(float) for i in range(_OVER) for j in range(_OVER)]
+    picture = np.sum(cells, axis=0) / (255.0 * len(cells))
     unit = height / 280
     for spacing, gain in ((60 * unit, 0.05), (9 * unit, 0.035), (3.5 * unit, 0.025)):
         picture += gain * smooth_noise(rng, (height, width), spacing)

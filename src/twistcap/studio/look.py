@@ -42,10 +42,10 @@ def look(body: Body, config: StudioConfig) -> Look:
     contrast = np.where(garments == "skin", 0.11, np.where(garments == "hair", 0.14, 0.18))
     if config.one_colour:
         albedo, contrast = np.broadcast_to(palette["shirt"], albedo.shape).copy(), np.zeros(len(albedo))
-    if config.hard:
-        # 0.82: what the lights leave of an albedo on average; the texture is as faint as the room's clutter
-        albedo, contrast = HARD_GREY / 0.82 + 0.18 * (albedo - 0.5), 0.55 * contrast
     lights, ambient = _lights(stream(config.seed, "lights"))
+    if config.hard:  # the same mean grey as the room's, and texture as faint as its clutter
+        albedo = HARD_GREY / mean_light(lights, ambient) + 0.18 * (albedo - _mean_colour(body, albedo))
+        contrast = 0.55 * contrast
     return Look(albedo, contrast, _lattice(stream(config.seed, "texture")), lights, ambient)
 
 
@@ -86,7 +86,7 @@ def wardrobe(config: StudioConfig) -> dict[str, Float]:
     colours = {
         "skin": _between(rng, _SKIN),
         "hair": _between(rng, _HAIR),
-        "shirt": _cloth(rng, 0.35, 0.95),
+        "shirt": _cloth(rng, 0.3, 0.85),
         "trousers": _cloth(rng, 0.2, 0.75),
         "shoes": _cloth(rng, 0.1, 0.9),
     }
@@ -118,9 +118,21 @@ def _lattice(rng: np.random.Generator) -> Float32:
 def _lights(rng: np.random.Generator) -> tuple[Float, Float]:
     """A key light from above and a weaker one from about the other side, slightly warm and cold."""
     azimuth = rng.uniform(0, 2 * np.pi)
-    key = _light(azimuth, rng.uniform(0.6, 1.0), rng.uniform(0.42, 0.55), rng.normal(0, 0.03))
-    other = _light(azimuth + rng.uniform(1.8, 4.4), rng.uniform(0.2, 0.7), rng.uniform(0.15, 0.28), rng.normal(0, 0.03))
-    return np.stack([key, other]), np.full(3, rng.uniform(0.48, 0.56))
+    key = _light(azimuth, rng.uniform(0.6, 1.0), rng.uniform(0.46, 0.6), rng.normal(0, 0.03))
+    other = _light(azimuth + rng.uniform(1.8, 4.4), rng.uniform(0.2, 0.7), rng.uniform(0.12, 0.26), rng.normal(0, 0.03))
+    return np.stack([key, other]), np.full(3, rng.uniform(0.58, 0.66))
+
+
+def mean_light(lights: Float, ambient: Float) -> Float:
+    """(3,) light on a surface, averaged over all the directions that it may face."""
+    return 0.85 * ambient + 0.25 * lights[:, 3:].sum(axis=0)
+
+
+def _mean_colour(body: Body, albedo: Float) -> Float:
+    """(3,) mean over the surface, by area."""
+    a, b, c = np.swapaxes(body.vertices[body.faces], 0, 1)
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    return area @ albedo / area.sum()
 
 
 def _light(azimuth: float, elevation: float, strength: float, warmth: float) -> Float:
