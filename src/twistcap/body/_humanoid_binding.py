@@ -10,7 +10,7 @@ from scipy.sparse import coo_matrix
 from twistcap import se3
 from twistcap._typing import Float, Int
 from twistcap.body import _humanoid_profiles as P
-from twistcap.body._humanoid_surface import Field
+from twistcap.body._humanoid_field import Field
 from twistcap.body.model import edges_of
 
 _SOFT = 0.035  # m, half of the zone in which a limb takes over from the trunk
@@ -40,14 +40,13 @@ class _Binding:
 def binding(
     segments: tuple[str, ...], field: Field, points: Float, faces: Int, motions: Mapping[str, Float]
 ) -> tuple[Int, Float]:
-    """Segments and weights (V, 4) of surface points in the modelling pose, to which `motions` carry left arm and leg."""
+    """Segments and weights (V, 4) of points in the modelling pose, to which `motions` carry the left arm and leg."""
     out = _Binding(segments, points)
     _bind_trunk(out, points)
     for side, sign in (("l", 1.0), ("r", -1.0)):
         mirrored = points * [1.0, sign, 1.0]
         collar = _ramp(mirrored[:, 1], 0.09, 0.06) * _ramp(points[:, 2], 0.40, 0.10)
-        for chest in ("torso", "thorax"):
-            out.hand_over(chest, f"clavicle_{side}", collar if chest == _chest(out) else 0.0 * collar)
+        out.hand_over(_chest(out), f"clavicle_{side}", collar)
         for part in _BRANCHES:
             if f"{part}_{side}" in field.parts:
                 near = _ramp(field.lead(points, part, side), 0.0, _SOFT) * _ramp(mirrored[:, 1], 0.015, 0.015)

@@ -11,8 +11,9 @@ import numpy as np
 from twistcap import se3
 from twistcap._typing import Float, Int
 from twistcap.body import _humanoid_profiles as P
-from twistcap.body import _humanoid_surface as surface
 from twistcap.body._humanoid_binding import binding
+from twistcap.body._humanoid_field import field_of
+from twistcap.body._humanoid_surface import surface
 from twistcap.body.kinematics import Pose, Posed
 from twistcap.body.model import Body, Landmarks
 from twistcap.body.shape import rescaled
@@ -174,11 +175,8 @@ def _with_surface(s: _Skeleton, variant: str) -> Body:
     central = (P.TRUNK, *P.CENTRAL) if variant == "full" else (P.PELVIS_ONLY,)
     kept = ("trunk", "arm", "leg") if variant == "full" else ("trunk", "leg")
     paired = [p for p in P.PAIRED if p.part in kept and (variant == "full" or p.bone != "torso")]
-    field = surface.field_of(central, paired, motions)
-    corners, quads = surface.lattice(variant)
-    points = surface.place(corners, variant, motions)
-    points = surface.relaxed(points, quads, field, field.gradient)
-    faces = surface.triangles(quads, points)
+    field = field_of(central, paired, motions)
+    points, faces = surface(field, variant, motions)
     segments, weights = binding(bare.segment_names, field, points, faces, motions)
     rest = _unposed(Posed(bare, model).segment_transforms, segments, weights, points)
     return _body(s, variant, rest, faces, segments, weights)
