@@ -70,9 +70,10 @@ def _joints(path: Path, body: Body) -> list[_Joint]:
         above = int(body.segment_parent[s])
         parent = of_segment.get(above, -1)
         runs = _runs(body, s, above)
+        whole = joint_origin(body, s)
         for n, run in enumerate(runs):
             last = n == len(runs) - 1
-            origin = joint_origin(body, s) if len(runs) == 1 else _meeting_point(body, run)[0]
+            origin = whole if len(runs) == 1 else _meeting_point(body, run, whole)[0]
             joints.append(_Joint(name if last else f"{name}_{n + 1}", parent, run[-1] if run else -1, origin))
             parent = len(joints) - 1
         of_segment[s] = parent
@@ -88,17 +89,16 @@ def _runs(body: Body, segment: int, above: int) -> list[list[int]]:
         k = int(body.parent[k])
     runs: list[list[int]] = [[]]
     for k in chain:
-        if runs[-1] and _meeting_point(body, [*runs[-1], k])[1] > 1e-7:
+        if runs[-1] and _meeting_point(body, [*runs[-1], k], np.zeros(3))[1] > 1e-7:
             runs.append([])
         runs[-1].append(k)
     return runs
 
 
-def _meeting_point(body: Body, coordinates: list[int]) -> tuple[Float, float]:
-    """(3,) point next to all axes, and how far it misses them, m."""
+def _meeting_point(body: Body, coordinates: list[int], guess: Float) -> tuple[Float, float]:
+    """(3,) the point on all axes that is nearest to a guess, and how far it misses them, m."""
     w, v = body.twists[coordinates, :3], body.twists[coordinates, 3:]
     rows, rhs = -se3.hat(w).reshape(-1, 3), v.reshape(-1)  # ω × p = −v
-    guess = body.joint_points[coordinates[0]]
     point = guess + np.linalg.lstsq(rows, rhs - rows @ guess, rcond=1e-9)[0]
     return point, float(np.max(np.abs(rows @ point - rhs)))
 

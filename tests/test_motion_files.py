@@ -1,0 +1,331 @@
+"""Marker and motion files: round trips, independent readers, real files, bad files."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pybvh
+import pytest
+from scipy.spatial.transform import Rotation
+
+from twistcap import se3
+from twistcap.body import Body, Pose, Posed
+from twistcap.body.humanoid import humanoid
+from twistcap.body.shape import joint_origin
+from twistcap.errors import InputError
+from twistcap.estimate import Estimate
+from twistcap.io.angles import decomposed, product
+from twistcap.io.markers import WorldAxes, read_keypoints3d, read_trc, write_trc
+from twistcap.io.motion_files import poses_from_mot, read_mot, write_bvh, write_csv, write_mot
+
+AXES: tuple[WorldAxes, ...] = ("pose2sim", "opensim")
+
+
+@pytest.fixture(scope="module")
+def body() -> Body:
+    return humanoid("full")
+
+
+def some_poses(body: Body, count: int = 12) -> list[Pose]:
+    """A smooth motion through wide poses, upright enough that no pelvis is at list ±90°."""
+    rng = np.random.default_rng(3)
+    lo, hi = 0.8 * body.limits.T
+    t = np.linspace(0, 1, count)[:, None]
+    q = lo + (hi - lo) * (0.5 + 0.5 * np.sin(2 * np.pi * (t + rng.uniform(size=len(lo)))))
+    roots = se3.transform(se3.exp_rotation(t * [0.4, -0.3, 4.0]), np.hstack([t, 2 * t, 0.9 + 0 * t]))
+    return [Pose(root, row) for root, row in zip(roots, q, strict=True)]
+
+
+def test_angles_of_any_square_axes() -> None:
+    rng = np.random.default_rng(0)
+    for signs in ([1, 1, 1], [-1, 1, 1], [1, -1, -1]):
+        axes = Rotation.random(random_state=1).as_matrix() * np.array(signs)[:, None]
+        angles = np.cumsum(rng.normal(scale=0.05, size=(300, 3)), axis=0)  # wanders far past ±90°
+        np.testing.assert_allclose(decomposed(product(angles, axes), axes, angles[0]), angles, atol=1e-9)
+
+
+def test_angles_against_scipy() -> None:
+    R = Rotation.random(50, random_state=0)
+    ours = [decomposed(r[None], np.eye(3)[[2, 0, 1]], np.zeros(3))[0] for r in R.as_matrix()]
+    np.testing.assert_allclose(Rotation.from_euler("ZXY", np.array(ours)).as_matrix(), R.as_matrix(), atol=1e-9)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_angles_at_gimbal_lock(sign: int) -> None:
+    angles = np.array([[0.3, sign * np.pi / 2, 0.2], [0.3, sign * 1.5, 0.2]])
+    for axes in (np.eye(3), np.diag([-1.0, 1, 1])):
+        again = decomposed(product(angles, axes), axes, np.array([0.3, 1.0, 0.0]))
+        np.testing.assert_allclose(product(again, axes), product(angles, axes), atol=1e-6)
+        assert np.all(np.abs(np.diff(again, axis=0)) < 0.2)  # no jump out of the lock
+
+
+# --- TRC --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("unit", ["m", "mm"])
+@pytest.mark.parametrize("axes", AXES)
+def test_trc_round_trip(tmp_path: Path, unit: str, axes: WorldAxes) -> None:
+    rng = np.random.default_rng(0)
+    times, points = np.arange(5) / 60, rng.normal(size=(5, 3, 3))
+    points[2, 1] = points[4, 2] = np.nan  # in the middle and at the end of a row
+    write_trc(tmp_path / "a.trc", times, ["hip_r", "nose", "last"], points, "mm" if unit == "mm" else "m", axes)
+    again = read_trc(tmp_path / "a.trc", axes)
+    assert again.names == ("hip_r", "nose", "last")
+    np.testing.assert_allclose(again.times, times, atol=1e-6)
+    np.testing.assert_allclose(again.points, points, atol=1e-6)
+
+
+def test_trc_axes_as_pose2sim_writes_them(tmp_path: Path) -> None:
+    write_trc(tmp_path / "a.trc", np.array([0.0, 0.5]), ["p"], np.array([[[1.0, 2.0, 3.0]]] * 2))
+    lines = (tmp_path / "a.trc").read_text().splitlines()
+    assert lines[0].startswith("PathFileType\t4\t(X/Y/Z)")
+    assert lines[2].split("\t")[:5] == ["2", "2", "2", "1", "m"]
+    assert [float(v) for v in lines[6].split("\t")[2:]] == [2.0, 3.0, 1.0]
+
+
+TRC_ERRORS = {
+    "Units is 'km'": ("\tm\t", "\tkm\t"),
+    "NumMarkers is 2": ("\t1\tm", "\t2\tm"),
+    "line 7: could not convert": ("2.000000", "two"),
+    "line 7 has more than 5 fields": ("2.000000", "2.0\t3.0"),
+    "not a TRC file": ("PathFileType", "Path"),
+    "Time is missing": ("1\t0.000000", "1\t"),
+}
+
+
+@pytest.mark.parametrize("said", TRC_ERRORS)
+def test_bad_trc(tmp_path: Path, said: str) -> None:
+    path = tmp_path / "a.trc"
+    write_trc(path, np.array([0.0, 0.5]), ["p"], np.array([[[1.0, 2.0, 3.0]]] * 2))
+    path.write_text(path.read_text().replace(*TRC_ERRORS[said], 1))
+    with pytest.raises(InputError, match=said):
+        read_trc(path)
+
+
+def test_missing_files(tmp_path: Path) -> None:
+    for reader in (read_trc, read_mot, read_keypoints3d):
+        with pytest.raises(InputError, match=r"gone\.x"):
+            reader(tmp_path / "gone.x")
+
+
+# --- MOT --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("axes", AXES)
+def test_mot_round_trip(tmp_path: Path, body: Body, axes: WorldAxes) -> None:
+    poses, times = some_poses(body), np.arange(12) / 60
+    write_mot(tmp_path / "a.mot", body, times, poses, axes)
+    table = read_mot(tmp_path / "a.mot")
+    again, unknown = poses_from_mot(table, body, axes, knee="positive")
+    assert unknown == []
+    np.testing.assert_allclose(table.times, times, atol=1e-8)
+    for pose, other in zip(poses, again, strict=True):
+        np.testing.assert_allclose(other.root, pose.root, atol=1e-7)
+        np.testing.assert_allclose(Posed(body, other).landmarks, Posed(body, pose).landmarks, atol=1e-7)
+
+
+def test_mot_pelvis_is_opensims(tmp_path: Path, body: Body) -> None:
+    """R = Rz(tilt) Rx(list) Ry(rotation) in OpenSim's frame (x forward, y up, z right), written out with scipy."""
+    poses = some_poses(body)
+    write_mot(tmp_path / "a.mot", body, np.arange(12) / 60, poses)
+    table = read_mot(tmp_path / "a.mot")
+    to_opensim = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    angles = np.stack([table.get(f"pelvis_{n}") for n in ("tilt", "list", "rotation")], axis=1)
+    R = Rotation.from_euler("ZXY", angles).as_matrix()
+    ours = np.array([to_opensim @ pose.root[:3, :3] @ to_opensim.T for pose in poses])
+    np.testing.assert_allclose(R, ours, atol=1e-7)
+    assert np.abs(np.diff(angles, axis=0)).max() < 1.0  # a full turn stays continuous
+
+
+def test_mot_shoulders_are_opensims(tmp_path: Path, body: Body) -> None:
+    """arm_flex, arm_add, arm_rot about z, x, y (mirrored on the left) give the upper arm's rotation in the torso."""
+    poses = some_poses(body)
+    write_mot(tmp_path / "a.mot", body, np.arange(12) / 60, poses)
+    table = read_mot(tmp_path / "a.mot")
+    to_opensim = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    for side, sign in (("r", 1), ("l", -1)):
+        angles = np.stack([table.get(f"arm_{n}_{side}") for n in ("flex", "add", "rot")], axis=1)
+        R = Rotation.from_euler("ZXY", angles * [1, sign, sign]).as_matrix()
+        for pose, wanted in zip(poses, R, strict=True):
+            T = Posed(body, pose).segment_transforms
+            torso, arm = T[body.segment("torso"), :3, :3], T[body.segment(f"humerus_{side}"), :3, :3]
+            np.testing.assert_allclose(to_opensim @ torso.T @ arm @ to_opensim.T, wanted, atol=1e-7)
+
+
+def test_t_pose_goes_through_opensims_gimbal_lock(tmp_path: Path, body: Body) -> None:
+    q = np.zeros(len(body.coordinate_names))
+    q[[body.coordinate("arm_add_r"), body.coordinate("arm_add_l")]] = -np.pi / 2
+    q[body.coordinate("arm_rot_r")] = 0.3
+    pose = Pose(np.eye(4), q)
+    write_mot(tmp_path / "a.mot", body, np.array([0.0]), [pose])
+    again, _ = poses_from_mot(read_mot(tmp_path / "a.mot"), body)
+    np.testing.assert_allclose(Posed(body, again[0]).vertices, Posed(body, pose).vertices, atol=1e-6)
+
+
+MOT = "x\nversion=1\nnRows=2\nnColumns=3\ninDegrees={deg}\nendheader\n"
+MOT += "time\tknee_angle_r\tpelvis_ty\n0\t{k}\t1\n1\t{k}\t1\n"
+
+
+def test_mot_units_and_knee_sign(tmp_path: Path, body: Body) -> None:
+    path = tmp_path / "a.mot"
+    path.write_text(MOT.format(deg="yes", k=-40))
+    table = read_mot(path)
+    np.testing.assert_allclose(table.values, [[np.radians(-40), 1.0]] * 2)
+    knee = body.coordinate("knee_angle_r")
+    for sign, wanted in (("auto", 40), ("negative", 40), ("positive", -40)):
+        poses, _ = poses_from_mot(table, body, knee=sign)  # type: ignore[arg-type]
+        assert np.degrees(poses[0].q[knee]) == pytest.approx(wanted)
+    path.write_text(MOT.format(deg="no", k=0.5))
+    assert read_mot(path).values[0, 0] == 0.5
+
+
+MOT_ERRORS = {
+    "endheader": ("endheader\n", ""),
+    "must be time": ("time\t", "frame\t"),
+    "line 8 has 2 fields": ("0\t3\t1", "0\t3"),
+    "line 8: could not convert": ("0\t3\t1", "0\t3\tone"),
+}
+
+
+@pytest.mark.parametrize("said", MOT_ERRORS)
+def test_bad_mot(tmp_path: Path, said: str) -> None:
+    path = tmp_path / "a.mot"
+    path.write_text(MOT.format(deg="yes", k=3).replace(*MOT_ERRORS[said], 1))
+    with pytest.raises(InputError, match=said):
+        read_mot(path)
+
+
+def test_mot_that_fits_no_body(tmp_path: Path, body: Body) -> None:
+    path = tmp_path / "a.mot"
+    path.write_text(MOT.format(deg="yes", k="nan"))
+    with pytest.raises(InputError, match="NaN"):
+        poses_from_mot(read_mot(path), body)
+    path.write_text(MOT.format(deg="yes", k=1).replace("knee_angle_r", "force_x").replace("pelvis_ty", "force_y"))
+    with pytest.raises(InputError, match="none of its columns"):
+        poses_from_mot(read_mot(path), body)
+
+
+# --- BVH --------------------------------------------------------------------------------------------------------------
+
+
+def skewed(body: Body) -> Body:
+    """The body with subtalar axes 3 cm below the ankle's, so that the two do not meet."""
+    twists = body.twists.copy()
+    for side in "rl":
+        k = body.coordinate(f"subtalar_angle_{side}")
+        twists[k, 3:] += np.cross([0, 0, 0.03], twists[k, :3])  # v = −ω × p
+    return replace(body, twists=twists)
+
+
+@pytest.mark.parametrize("skew", [False, True])
+@pytest.mark.parametrize("scale", [1.0, 100.0])
+def test_bvh_against_pybvh(tmp_path: Path, body: Body, skew: bool, scale: float) -> None:
+    body = skewed(body) if skew else body
+    poses = some_poses(body)
+    write_bvh(tmp_path / "a.bvh", body, poses, 60.0, scale)
+    read = pybvh.read_bvh_file(tmp_path / "a.bvh")
+    assert read.fps == pytest.approx(60.0, rel=1e-5)
+    assert len(read.joint_names) == len(body.segment_names) + (2 if skew else 0)
+    assert set(read.euler_orders) == {"ZYX"}
+    there = read.joint_positions()[..., [2, 0, 1]] / scale
+    motions = np.array([Posed(body, pose).segment_transforms for pose in poses])
+    for s, name in enumerate(body.segment_names):
+        ours = se3.apply(motions[:, s], joint_origin(body, s)[None])[:, 0]
+        if not (skew and name.startswith("foot")):  # there the last joint stands on the second axis
+            np.testing.assert_allclose(there[:, read.joint_names.index(name)], ours, atol=1e-4)
+    # The ends of the feet prove rotations too: the landmark farthest from the joint is the big toe.
+    ends = read.node_positions()[..., [2, 0, 1]] / scale
+    marks = np.array([Posed(body, pose).landmarks for pose in poses])
+    toes = marks[:, [body.landmarks.index("toe_r"), body.landmarks.index("toe_l")]]
+    for n in range(2):
+        nearest = np.linalg.norm(ends - toes[:, n, None], axis=-1).min(axis=1)
+        assert nearest.max() < 1e-4
+
+
+def test_bvh_refuses_what_it_cannot_hold(tmp_path: Path, body: Body) -> None:
+    with pytest.raises(InputError, match="frame rate"):
+        write_bvh(tmp_path / "a.bvh", body, some_poses(body), 0.0)
+    sliding = body.twists.copy()
+    sliding[0] = [0, 0, 0, 0, 0, 1]
+    with pytest.raises(InputError, match="sliding"):
+        write_bvh(tmp_path / "a.bvh", replace(body, twists=sliding), some_poses(body), 60.0)
+
+
+# --- CSV and npz ------------------------------------------------------------------------------------------------------
+
+
+def test_csv(tmp_path: Path, body: Body) -> None:
+    poses = some_poses(body, 2)
+    covariance = np.diag(np.r_[np.full(3, 0.01), np.full(3, 0.02), np.full(len(poses[0].q), 0.03)] ** 2)
+    estimates = [Estimate(n, n / 60, pose, covariance, lost=n == 1) for n, pose in enumerate(poses)]
+    write_csv(tmp_path / "a.csv", body, estimates)
+    with (tmp_path / "a.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["lost"] for row in rows] == ["0", "1"]
+    knee = body.coordinate("knee_angle_r")
+    assert float(rows[1]["knee_angle_r_deg"]) == pytest.approx(np.degrees(poses[1].q[knee]), abs=1e-5)
+    assert float(rows[1]["knee_angle_r_std_deg"]) == pytest.approx(np.degrees(0.03), abs=1e-5)
+    _, y, z = poses[1].root[:3, 3]  # the place varies with the turn about the world's origin too
+    assert float(rows[1]["root_x_std_m"]) == pytest.approx(np.hypot(0.02, 0.01 * np.hypot(y, z)), abs=1e-5)
+    assert float(rows[1]["root_z_m"]) == pytest.approx(z, abs=1e-5)
+
+
+def test_keypoints3d(tmp_path: Path) -> None:
+    X = np.random.default_rng(0).normal(size=(4, 25, 3))
+    np.savez(tmp_path / "k.npz", X=X)
+    with pytest.raises(InputError, match="clock"):
+        read_keypoints3d(tmp_path / "k.npz")
+    markers = read_keypoints3d(tmp_path / "k.npz", fps=50.0)
+    assert markers.names[0] == "nose" and markers.times[3] == pytest.approx(0.06)
+    np.savez(tmp_path / "k.npz", X=X[:, :3], fps=10.0)
+    with pytest.raises(InputError, match="3 points"):
+        read_keypoints3d(tmp_path / "k.npz")
+
+
+# --- real files -------------------------------------------------------------------------------------------------------
+
+
+def test_real_trc_files(shared_data: Path) -> None:
+    files = sorted(shared_data.glob("opensim_gait/**/*.trc")) + sorted(shared_data.glob("balance_4view/**/*.trc"))
+    assert len(files) == 13
+    for path in files:
+        markers = read_trc(path)
+        height = np.nanmax(markers.points[0, :, 2])
+        assert 1.3 < height < 2.0, path  # metres, z up
+        assert np.nanmin(markers.points[..., 2]) > -0.1
+
+
+def test_real_mot_files(shared_data: Path, body: Body) -> None:
+    gait = shared_data / "opensim_gait"
+    knee, hip = body.coordinate("knee_angle_r"), body.coordinate("hip_flexion_r")
+    for name in (
+        "Pipelines/Gait2354_Simbody/subject01_walk1_ik.mot",
+        "Tutorials/Intro_to_Musculoskeletal_Modeling/normal.mot",
+    ):
+        poses, _ = poses_from_mot(read_mot(gait / name), body)
+        q = np.degrees([pose.q for pose in poses])
+        assert 50 < q[:, knee].max() < 75 and q[:, knee].min() > -5  # flexion turned positive
+        assert 15 < q[:, hip].max() < 45
+        assert all(0.8 < pose.root[2, 3] < 1.2 for pose in poses)  # upright, z up
+    forces = read_mot(gait / "Pipelines/Gait2354_Simbody/subject01_walk1_grf.mot")
+    assert forces.get("ground_force_vy").max() > 700  # newtons stay newtons, though inDegrees=yes
+
+
+def test_real_angles_put_the_joints_where_the_keypoints_were(shared_data: Path, body: Body) -> None:
+    """Pose2Sim's own angles on our generic body against its own TRC: centimetres, or the conventions are wrong.
+
+    Legs only: that model bends its spine joint by joint, which ours does not know.
+    """
+    folder = shared_data / "balance_4view" / "reference"
+    table = read_mot(next((folder / "S00_P00_OpenSim").glob("*BalancingTrial*body25b.mot")))
+    trial = folder / "S00_P00_T01_BalancingTrial" / "pose-3d" / "S00_P00_T01_BalancingTrial_0-100_filt_butterworth.trc"
+    markers = read_trc(trial)
+    poses, unknown = poses_from_mot(table, body, "pose2sim")
+    assert "mtp_angle_r" in unknown
+    marks = np.array([Posed(body, pose).landmarks for pose in poses])
+    for ours, theirs in (("hip_r", "RHip"), ("knee_r", "RKnee"), ("knee_l", "LKnee"), ("ankle_l", "LAnkle")):
+        gap = marks[:, body.landmarks.index(ours)] - markers.points[:, markers.names.index(theirs)]
+        assert np.median(np.linalg.norm(gap, axis=1)) < 0.10, ours
