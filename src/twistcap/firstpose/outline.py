@@ -1,0 +1,98 @@
+"""Outlines of masks and their matching with the contour of the model, both ways."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.spatial import KDTree
+
+from twistcap._typing import AnyArray, Float, Float32, Int
+from twistcap.render import ContourPoints
+
+
+@dataclass(frozen=True)
+class Outline:
+    """Points (M, 2) on the outline of a mask, pixels, and unit normals (M, 2) off it."""
+
+    points: Float
+    normals: Float
+
+
+@dataclass(frozen=True)
+class Matches:
+    """Contour samples of the model and where the mask wants them.
+
+    Attributes:
+        index: (N,) contour sample.
+        normals: (N, 2) direction along which the distance counts.
+        distance: (N,) signed distance to go along the normal, px.
+        weight: (N,) 1 over the number of matches of a kind that fall to the same sample.
+    """
+
+    index: Int
+    normals: Float
+    distance: Float
+    weight: Float
+
+
+def outline_of(mask: AnyArray, spacing: float) -> Outline:
+    """Outline of a mask (H, W) between its pixels, about `spacing` px apart; the edge of the image is no outline."""
+    inside = np.asarray(mask) > 0
+    distance = _signed_distance(inside)
+    smooth = cv2.GaussianBlur(distance, (0, 0), 1.5)
+    gx, gy = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=3), cv2.Sobel(smooth, cv2.CV_32F, 0, 1, ksize=3)
+    curves, _ = cv2.findContours(inside.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    pixels = np.concatenate([c[:: max(1, round(spacing)), 0] for c in curves if len(c) > 20] or [np.zeros((0, 2), int)])
+    x, y = pixels.T
+    height, width = inside.shape
+    pixels = pixels[(x > 1) & (y > 1) & (x < width - 2) & (y < height - 2)]
+    x, y = pixels.T
+    normals = np.stack([gx[y, x], gy[y, x]], axis=1).astype(np.float64)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+    # Pixel centres of the border lie half a pixel inside the outline.
+    return Outline(pixels - normals * distance[y, x, None], normals)
+
+
+def _signed_distance(inside: AnyArray) -> Float32:
+    """Distance to the outline, negative inside; the outline runs midway between pixel centres."""
+    outward = cv2.distanceTransform((~inside).astype(np.uint8), cv2.DIST_L2, 5)
+    inward = cv2.distanceTransform(inside.astype(np.uint8), cv2.DIST_L2, 5)
+    return np.where(inside, 0.5 - inward, outward - 0.5).astype(np.float32)
+
+
+def match(contour: ContourPoints, outline: Outline, reach: float, agree: float = 0.5) -> Matches:
+    """Every outer contour sample to the nearest outline point, and every outline point to the nearest sample.
+
+    Without the second way, an arm that lies before the torso in the model is never drawn out to its mask.
+
+    Args:
+        reach: greatest distance, px.
+        agree: least cosine between the two normals.
+    """
+    outer = np.flatnonzero(contour.outer)
+    if not len(outer) or not len(outline.points):
+        return Matches(np.zeros(0, np.int32), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+    ours, theirs = contour.pixels[outer], outline.points
+    near = _nearest(theirs, outline.normals, ours, contour.normals[outer], reach, agree)
+    back = _nearest(ours, contour.normals[outer], theirs, outline.normals, reach, agree)
+    a, b = near >= 0, back >= 0
+    index = np.concatenate([outer[a], outer[back[b]]]).astype(np.int32)
+    normals = np.concatenate([outline.normals[near[a]], contour.normals[outer][back[b]]])
+    target = np.concatenate([theirs[near[a]], theirs[b]])
+    distance = np.sum(normals * (target - contour.pixels[index]), axis=1)
+    shared = np.bincount(back[b], minlength=len(outer))
+    weight = np.concatenate([np.ones(a.sum()), 1.0 / np.sqrt(shared[back[b]])])
+    return Matches(index, normals, distance, weight)
+
+
+def _nearest(points: Float, normals: Float, queries: Float, query_normals: Float, reach: float, agree: float) -> Int:
+    """(Q,) index of the nearest point with a like normal, -1 for none; of 8 neighbours tried."""
+    distance, index = KDTree(points).query(queries, k=min(8, len(points)), distance_upper_bound=reach)
+    distance, index = distance.reshape(len(queries), -1), index.reshape(len(queries), -1)
+    safe = np.minimum(index, len(points) - 1)
+    like = np.isfinite(distance) & (np.einsum("qki,qi->qk", normals[safe], query_normals) > agree)
+    first = np.argmax(like, axis=1)
+    found = np.take_along_axis(safe, first[:, None], axis=1)[:, 0]
+    return np.where(like.any(axis=1), found, -1).astype(np.int32)
