@@ -1,9 +1,10 @@
 """Numbers of the built-in humanoid: proportions and cross-sections of a sex-neutral adult, own work.
 
-Lengths are fractions of stature (Drillis and Contini 1966 in Winter, "Biomechanics and Motor Control of Human Movement",
-4th ed. 2009, fig. 4.1, DOI 10.1002/9780470549148). Cross-sections are metres at a stature of 1.75 m, drawn by us so that
-girths lie between the female and male means of ANSUR II (Gordon et al. 2014, NATICK/TR-15/007) and the volume agrees
-with the body mass at a density near 1 kg/l. All in the neutral rest pose: x forward, y left, z up, origin at mid-hip.
+Lengths are fractions of stature: Drillis and Contini (1966) as given by Winter, "Biomechanics and Motor Control of
+Human Movement", 4th ed. 2009, fig. 4.1 (DOI 10.1002/9780470549148). Cross-sections are metres at a stature of 1.75 m,
+drawn by us so that girths lie near the mean of women and men in ANSUR II (Gordon et al. 2014, NATICK/TR-15/007), a
+little slimmer since soldiers are heavy-set, and the volume agrees with a body mass of 70 kg at about 1 kg/l.
+All in the neutral rest pose: x forward, y left, z up, origin at mid-hip.
 """
 
 from __future__ import annotations
@@ -48,12 +49,12 @@ TOE_X = HEEL_X + RATIOS["foot"] * H
 class Sweep:
     """A limb: superelliptic cross-sections (at, half_1, half_2, offset_1, offset_2) along a straight axis.
 
-    `axis` names where `at` runs: "down" and "up" along ∓z (cross-section in x, y), "forward" along x (in y, z); `origin`
-    is the point at = 0. `caps` are the heights of the rounded ends, `part` the limb it belongs to, `bone` what moves it.
+    `axis` names where `at` runs: "down" and "up" along ∓z (cross-section in x, y), "left" along y (in x, z), "forward"
+    along x (in z, y); `origin` is the point at = 0. `caps` are the heights of the rounded ends, `exponent` squares the
+    cross-section, a `sole` cuts it flat. `part` is the limb it belongs to.
     """
 
     part: str
-    bone: str
     axis: str
     origin: tuple[float, float, float]
     stations: tuple[tuple[float, float, float, float, float], ...]
@@ -62,7 +63,7 @@ class Sweep:
     sole: bool = False
 
 
-TRUNK = Sweep("trunk", "torso", "up", (0.0, 0.0, 0.0), (
+TRUNK = Sweep("trunk", "up", (0.0, 0.0, 0.0), (
     (-0.060, 0.085, 0.125, -0.015, 0.0),
     (0.000, 0.110, 0.162, -0.010, 0.0),
     (0.060, 0.114, 0.168, -0.006, 0.0),
@@ -76,33 +77,32 @@ TRUNK = Sweep("trunk", "torso", "up", (0.0, 0.0, 0.0), (
     (0.540, 0.058, 0.080, -0.030, 0.0),
 ), (0.040, 0.02), 2.3)  # fmt: skip
 
-PELVIS_ONLY = Sweep("trunk", "pelvis", "up", (0.0, 0.0, 0.0), (*TRUNK.stations[:5],), (0.040, 0.03), 2.3)
+PELVIS_ONLY = Sweep("trunk", "up", (0.0, 0.0, 0.0), (*TRUNK.stations[:5],), (0.040, 0.03), 2.3)
 
 CENTRAL = (
-    Sweep("trunk", "torso", "up", (-0.032, 0.0, 0.52), (
+    Sweep("trunk", "up", (-0.032, 0.0, 0.52), (
         (0.00, 0.058, 0.066, 0.0, 0.0),
         (0.06, 0.053, 0.055, 0.012, 0.0),
         (0.13, 0.052, 0.053, 0.028, 0.0),
     ), (0.03, 0.03)),
-    Sweep("trunk", "torso", "up", (0.000, 0.0, TOP - 0.0885), ((0.0, 0.097, 0.0755, 0.0, 0.0),), (0.100, 0.0885)),
-    Sweep("trunk", "torso", "up", (0.0, 0.0, 0.602), (
+    Sweep("trunk", "up", (0.000, 0.0, TOP - 0.0885), ((0.0, 0.097, 0.0755, 0.0, 0.0),), (0.100, 0.0885)),
+    Sweep("trunk", "up", (0.0, 0.0, 0.602), (
         (0.000, 0.040, 0.038, 0.054, 0.0),
         (0.035, 0.054, 0.052, 0.043, 0.0),
         (0.080, 0.062, 0.060, 0.034, 0.0),
         (0.130, 0.070, 0.062, 0.023, 0.0),
     ), (0.012, 0.03), 2.3),
-    Sweep("trunk", "torso", "up", (0.103, 0.0, 0.690), ((0.0, 0.012, 0.012, 0.0, 0.0),), (0.016, 0.035)),
+    Sweep("trunk", "up", (0.103, 0.0, 0.690), ((0.0, 0.012, 0.012, 0.0, 0.0),), (0.016, 0.035)),
 )  # fmt: skip
 
-PAIRED = (  # left side
-    Sweep("trunk", "pelvis", "up", (-0.060, 0.074, -0.030), ((0.0, 0.072, 0.078, 0.0, 0.0),), (0.095, 0.100)),
-    Sweep("trunk", "torso", "up", (0.066, 0.080, 0.405), ((0.0, 0.040, 0.070, 0.0, 0.0),), (0.070, 0.070)),
-    Sweep("trunk", "torso", "left", (-0.026, 0.02, 0.520), (
+UPPER_LEFT = (  # breast, collar, arm and hand
+    Sweep("trunk", "up", (0.066, 0.080, 0.405), ((0.0, 0.040, 0.070, 0.0, 0.0),), (0.070, 0.070)),
+    Sweep("trunk", "left", (-0.026, 0.02, 0.520), (
         (0.00, 0.050, 0.055, 0.0, 0.0),
         (0.05, 0.051, 0.050, 0.0, -0.008),
         (0.11, 0.052, 0.045, 0.008, -0.028),
     ), (0.03, 0.035)),
-    Sweep("arm", "humerus", "down", SHOULDER, (
+    Sweep("arm", "down", SHOULDER, (
         (-0.01, 0.054, 0.044, 0.0, 0.0),
         (0.04, 0.061, 0.053, 0.0, 0.002),
         (0.08, 0.059, 0.055, 0.0, 0.002),
@@ -113,10 +113,10 @@ PAIRED = (  # left side
         (0.375, 0.047, 0.043, 0.0, 0.0),
         (0.430, 0.043, 0.039, 0.0, 0.0),
         (0.500, 0.035, 0.030, 0.0, 0.0),
-        (0.550, 0.029, 0.023, 0.0, 0.0),
-        (0.575, 0.028, 0.020, 0.0, 0.0),
+        (0.545, 0.027, 0.021, 0.0, 0.0),
+        (0.570, 0.025, 0.017, 0.0, 0.0),
     ), (0.040, 0.01)),
-    Sweep("arm", "hand", "down", WRIST, (
+    Sweep("arm", "down", WRIST, (
         (-0.005, 0.025, 0.017, 0.0, 0.0),
         (0.030, 0.036, 0.019, 0.004, 0.0),
         (0.060, 0.044, 0.019, 0.005, 0.0),
@@ -124,7 +124,11 @@ PAIRED = (  # left side
         (0.130, 0.037, 0.014, -0.002, 0.0),
         (0.165, 0.028, 0.011, -0.003, 0.0),
     ), (0.01, 0.024), 2.4),
-    Sweep("leg", "femur", "down", HIP, (
+)  # fmt: skip
+
+LOWER_LEFT = (  # buttock, leg and foot
+    Sweep("trunk", "up", (-0.060, 0.074, -0.030), ((0.0, 0.072, 0.078, 0.0, 0.0),), (0.095, 0.100)),
+    Sweep("leg", "down", HIP, (
         (0.00, 0.094, 0.084, -0.006, 0.012),
         (0.06, 0.100, 0.090, -0.008, 0.011),
         (0.13, 0.096, 0.089, -0.001, 0.009),
@@ -140,29 +144,29 @@ PAIRED = (  # left side
         (0.850, 0.041, 0.036, -0.006, 0.0),
         (0.880, 0.043, 0.035, -0.006, 0.0),
     ), (0.08, 0.03)),
-    Sweep("leg", "foot", "forward", (0.0, ANKLE[1], FLOOR), (
+    Sweep("leg", "forward", (0.0, ANKLE[1], FLOOR), (
         (-0.025, 0.030, 0.045, 0.0, 0.030),
         (0.000, 0.034, 0.050, 0.0, 0.035),
         (0.040, 0.037, 0.045, -0.002, 0.038),
         (0.080, 0.040, 0.036, -0.004, 0.030),
         (0.120, 0.045, 0.028, -0.004, 0.022),
-        (0.155, 0.047, 0.023, -0.001, 0.018),
-        (0.190, 0.043, 0.019, -0.006, 0.015),
-        (0.222, 0.034, 0.017, -0.010, 0.013),
+        (0.146, 0.047, 0.023, -0.001, 0.018),
+        (0.172, 0.043, 0.019, -0.006, 0.015),
+        (0.189, 0.036, 0.017, -0.009, 0.013),
     ), (0.024, 0.022), 2.4, True),
 )  # fmt: skip
 
 # Rings of the surface: where the layers of the lattice lie.
 TRUNK_LEVELS = (-0.075, -0.025, 0.02, 0.065, 0.11, 0.155, 0.20, 0.245, 0.29, 0.335, 0.38, 0.42, 0.46, 0.505, 0.545)
 HEAD_LEVELS = (0.575, 0.60, 0.63, 0.66, 0.69, 0.72, 0.755, 0.79, 0.815)
-LEG_LEVELS = (0.125, 0.165, 0.205, 0.245, 0.285, 0.325, 0.363, 0.398, 0.432, 0.466, 0.502, 0.54, 0.58, 0.622, 0.665, 0.71,
-              0.755, 0.80, 0.842)  # fmt: skip
+LEG_LEVELS = (0.125, 0.165, 0.205, 0.245, 0.285, 0.325, 0.363, 0.398, 0.432, 0.466, 0.502, 0.54, 0.58, 0.622, 0.665,
+              0.71, 0.755, 0.80, 0.842)  # fmt: skip
 ARM_LEVELS = (0.06, 0.10, 0.14, 0.18, 0.22, 0.26, 0.295, 0.3255, 0.357, 0.395, 0.435, 0.475, 0.515, 0.552, 0.585, 0.615,
               0.645, 0.675, 0.705, 0.735, 0.765)  # fmt: skip
-FOOT_XS = (-0.048, -0.028, 0.0, 0.025, 0.05, 0.078, 0.106, 0.136, 0.166, 0.196, 0.230)
+FOOT_XS = (-0.048, -0.028, 0.0, 0.025, 0.05, 0.078, 0.106, 0.132, 0.157, 0.181, 0.204)
 
-# Clinical ranges of motion, degrees, from the neutral pose: AAOS, "Joint Motion: Method of Measuring and Recording" (1965),
-# and Norkin and White, "Measurement of Joint Motion" (5th ed. 2016), widened a little where athletes go further.
+# Clinical ranges of motion, degrees, from the neutral pose: AAOS, "Joint Motion: Method of Measuring and Recording"
+# (1965), and Norkin and White, "Measurement of Joint Motion" (5th ed. 2016), a little wider where athletes go further.
 LIMITS_DEG = {
     "lumbar_extension": (-60, 25), "lumbar_bending": (-35, 35), "lumbar_rotation": (-45, 45),
     "thorax_extension": (-40, 25), "thorax_bending": (-30, 30), "thorax_rotation": (-40, 40),

@@ -23,7 +23,9 @@ _ROUNDS = 14
 def surface(field: Field, variant: str, motions: Mapping[str, Float]) -> tuple[Float, Int]:
     """Vertices (V, 3) in the modelling pose and outward triangles (F, 3) of the zero level of the field."""
     corners, quads = _boundary(_cells(variant))
-    points = _relaxed(_placed(corners, variant, motions), quads, field)
+    foot = corners[:, 2] < -len(P.LEG_LEVELS)  # relaxing freely would draw the toes back into the foot
+    mobility = np.where(foot, 0.1, 0.5)[:, None]
+    points = _relaxed(_placed(corners, variant, motions), mobility, quads, field)
     return points, _triangles(quads, points)
 
 
@@ -119,8 +121,8 @@ def _on_foot(ix: Int, jy: Int, k: Int) -> Float:
     return np.stack([np.array(P.FOOT_XS)[ix], y, P.FLOOR + height * k / 2], axis=1)
 
 
-def _relaxed(points: Float, quads: Int, field: Field) -> Float:
-    """Corners spread evenly along, and brought onto, the zero level of the field."""
+def _relaxed(points: Float, mobility: Float, quads: Int, field: Field) -> Float:
+    """Corners spread evenly along, and brought onto, the zero level; `mobility` (V, 1) is their speed along it."""
     pairs = np.stack([quads, np.roll(quads, -1, axis=1)], axis=-1).reshape(-1, 2)  # every edge once in each sense
     degree = np.bincount(pairs[:, 0], minlength=len(points))
     x = points
@@ -132,7 +134,7 @@ def _relaxed(points: Float, quads: Int, field: Field) -> Float:
         sums = [np.bincount(pairs[:, 0], x[pairs[:, 1], k], len(points)) for k in range(3)]
         apart = np.stack(sums, axis=1) / degree[:, None] - x
         along = apart - (apart * normal).sum(axis=1, keepdims=True) * normal
-        x = x + onto + (0.5 * along if n < _ROUNDS - 3 else 0.0)
+        x = x + onto + (mobility * along if n < _ROUNDS - 3 else 0.0)
     return x
 
 

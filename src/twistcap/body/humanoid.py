@@ -173,8 +173,7 @@ def _with_surface(s: _Skeleton, variant: str) -> Body:
     model = _modelling_pose(bare)
     motions = _left_motions()
     central = (P.TRUNK, *P.CENTRAL) if variant == "full" else (P.PELVIS_ONLY,)
-    kept = ("trunk", "arm", "leg") if variant == "full" else ("trunk", "leg")
-    paired = [p for p in P.PAIRED if p.part in kept and (variant == "full" or p.bone != "torso")]
+    paired = (*P.UPPER_LEFT, *P.LOWER_LEFT) if variant == "full" else P.LOWER_LEFT
     field = field_of(central, paired, motions)
     points, faces = surface(field, variant, motions)
     segments, weights = binding(bare.segment_names, field, points, faces, motions)
