@@ -118,9 +118,11 @@ def outline_of_sphere(camera: Camera, centre: np.ndarray, radius: float) -> tupl
 
 
 def plain(body: Body) -> Look:
-    F = len(body.faces)
-    lattice = np.zeros((32**3, 3), np.float32)
-    return Look(np.ones((F, 3)), np.zeros(F), lattice, np.zeros((0, 6)), np.ones(3))
+    """White, without texture, lit the same from all sides."""
+    ambient = np.array([[0.0, 0.0, 0.0, 1.0, 1.0, 1.0]])
+    return Look(
+        np.ones((len(body.vertices), 1)), np.ones((1, 3)), np.zeros(1), np.zeros((32**3, 3), np.float32), ambient
+    )
 
 
 def test_shading_kernel_agrees_with_its_readable_twin():
@@ -133,7 +135,7 @@ def test_shading_kernel_agrees_with_its_readable_twin():
     normals = vertex_normals(posed.vertices, posed.body.faces)
     dress = take.look
     surface = (posed.body.faces, pixels, inverse_depth, posed.body.vertices, normals)
-    light = (dress.albedo, dress.contrast, dress.lattice, OCTAVES, dress.lights, dress.ambient)
+    light = (dress.cover, dress.albedo, dress.contrast, dress.lattice, OCTAVES, dress.lights)
     np.testing.assert_allclose(
         shade(index, origin, 3, *surface, *light), shade_reference(index, origin, 3, *surface, *light), atol=1e-10
     )
@@ -143,7 +145,7 @@ def test_the_texture_sticks_to_the_surface():
     """A surface point keeps its texture when the body moves: without lights, a moved ball looks the same."""
     body = sphere(0.25, (0.0, 0.0, 0.0), n=40)
     dress = replace(
-        look(body, SMALL), lights=np.zeros((0, 6)), ambient=np.ones(3), contrast=np.full(len(body.faces), 0.2)
+        plain(body), contrast=np.full(1, 0.2), lattice=look(body, SMALL).lattice, albedo=np.full((1, 3), 0.5)
     )
     camera = Camera(
         "c",

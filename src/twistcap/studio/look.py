@@ -12,6 +12,9 @@ from twistcap.body import Body
 from twistcap.studio.config import StudioConfig, stream
 from twistcap.studio.shade import LATTICE_BITS
 
+GARMENTS = ("skin", "hair", "shirt", "trousers", "shoes")
+_CONTRAST = np.array([0.11, 0.14, 0.18, 0.18, 0.18])  # of the texture on each garment
+GREY = np.array([0.299, 0.587, 0.114])  # weights of red, green and blue in a grey image (ITU-R BT.601)
 HARD_GREY = 0.47  # the grey that person and background share in hard scenes
 _SKIN = np.array([[0.94, 0.78, 0.68], [0.82, 0.62, 0.50], [0.60, 0.42, 0.32], [0.40, 0.27, 0.20]])
 _HAIR = np.array([[0.12, 0.09, 0.08], [0.35, 0.22, 0.13], [0.70, 0.55, 0.33], [0.55, 0.54, 0.53]])
@@ -19,45 +22,53 @@ _HAIR = np.array([[0.12, 0.09, 0.08], [0.35, 0.22, 0.13], [0.70, 0.55, 0.33], [0
 
 @dataclass(frozen=True)
 class Look:
-    """Everything the shading kernel needs beside the geometry.
+    """Everything the shading kernel needs beside the geometry; see `shade.shade`.
 
     Attributes:
-        albedo: (F, 3) colour of each triangle; contrast: (F,) of the texture on it.
+        cover: (V, G) share of each garment in each vertex.
+        albedo: (G, 3) colour of each garment; contrast: (G,) of the texture on it.
         lattice: (n³, 3) random values with mean 0 that the texture interpolates.
-        lights: (L, 6) unit direction towards each light (world) and its colour; ambient: (3,) light from everywhere.
+        lights: (L + 1, 6) unit direction (world) and colour of each light; the last row is the ambient light.
     """
 
+    cover: Float
     albedo: Float
     contrast: Float
     lattice: Float32
     lights: Float
-    ambient: Float
 
 
 def look(body: Body, config: StudioConfig) -> Look:
     """Dress a body and light it, as the seed says."""
-    garments = garment_of_face(body, stream(config.seed, "cut"))
-    palette = wardrobe(config)
-    albedo = np.array([palette[g] for g in garments])
-    contrast = np.where(garments == "skin", 0.11, np.where(garments == "hair", 0.14, 0.18))
+    cover = garment_shares(body, stream(config.seed, "cut"))
+    albedo, contrast = wardrobe(config), _CONTRAST.copy()
+    lights = _lights(stream(config.seed, "lights"))
     if config.one_colour:
-        albedo, contrast = np.broadcast_to(palette["shirt"], albedo.shape).copy(), np.zeros(len(albedo))
-    lights, ambient = _lights(stream(config.seed, "lights"))
+        albedo[:], contrast[:] = albedo[GARMENTS.index("shirt")].copy(), 0.0
     if config.hard:  # the same mean grey as the room's, and texture as faint as its clutter
-        albedo = HARD_GREY / mean_light(lights, ambient) + 0.18 * (albedo - _mean_colour(body, albedo))
+        albedo = HARD_GREY / mean_light(lights) + 0.18 * (albedo - _mean_colour(body, cover, albedo))
         contrast = 0.55 * contrast
-    return Look(albedo, contrast, _lattice(stream(config.seed, "texture")), lights, ambient)
+    return Look(cover, albedo, contrast, _lattice(stream(config.seed, "texture")), lights)
 
 
-def garment_of_face(body: Body, rng: np.random.Generator) -> np.ndarray:
-    """(F,) name of what covers each triangle: skin, shirt, trousers, shoes, hair, by the segment's name."""
-    short_sleeves, shorts = rng.random() < 0.6, rng.random() < 0.35
-    by_segment = [_garment(name, bool(short_sleeves), bool(shorts)) for name in body.segment_names]
-    garments = np.array(by_segment, dtype="<U8")[body.face_part]
-    return np.where(_scalp(body), "hair", garments)
+def garment_shares(body: Body, rng: np.random.Generator) -> Float:
+    """(V, G) share of each garment in each vertex.
+
+    It follows the skinning weights, so that hems run smoothly across triangles where the weights are smooth.
+    """
+    short_sleeves, shorts = bool(rng.random() < 0.6), bool(rng.random() < 0.35)
+    worn = [GARMENTS.index(_garment(name, short_sleeves, shorts)) for name in body.segment_names]
+    cover = np.zeros((len(body.vertices), len(GARMENTS)))
+    for k in range(body.skin_segments.shape[1]):
+        np.add.at(cover, (np.arange(len(cover)), np.array(worn)[body.skin_segments[:, k]]), body.skin_weights[:, k])
+    hair = _hair_share(body) * cover[:, 0]
+    cover[:, 0] -= hair
+    cover[:, GARMENTS.index("hair")] = hair
+    return cover
 
 
 def _garment(segment: str, short_sleeves: bool, shorts: bool) -> str:
+    """What covers a segment, by its name."""
     rules = [
         (("head", "neck", "hand", "radius"), "skin"),
         (("ulna", "forearm"), "skin" if short_sleeves else "shirt"),
@@ -68,29 +79,25 @@ def _garment(segment: str, short_sleeves: bool, shorts: bool) -> str:
     return next((g for keys, g in rules if any(k in segment.lower() for k in keys)), "shirt")
 
 
-def _scalp(body: Body) -> np.ndarray:
-    """(F,) triangles of the head's crown and back, where hair grows (x is forward, z up)."""
+def _hair_share(body: Body) -> Float:
+    """(V,) share of hair on the crown and back of a head (x is forward, z up), smooth across the hairline."""
     heads = [s for s, name in enumerate(body.segment_names) if "head" in name.lower()]
-    on_head = np.isin(body.face_part, heads)
+    on_head = np.isin(body.vertex_part, heads)
     if not on_head.any():
-        return on_head
-    centres = body.vertices[body.faces].mean(axis=1)
-    low, high = centres[on_head].min(axis=0), centres[on_head].max(axis=0)
-    share = (centres - low) / np.maximum(high - low, 1e-9)
-    return on_head & ((share[:, 2] > 0.82) | ((share[:, 0] < 0.5) & (share[:, 2] > 0.42)))
+        return np.zeros(len(body.vertices))
+    low, high = body.vertices[on_head].min(axis=0), body.vertices[on_head].max(axis=0)
+    place = (body.vertices - low) / np.maximum(high - low, 1e-9)
+    above = np.maximum(place[:, 2] - 0.82, np.minimum(0.5 - place[:, 0], place[:, 2] - 0.42))
+    return np.where(on_head, np.clip(0.5 + 2 * above, 0.0, 1.0), 0.0)
 
 
-def wardrobe(config: StudioConfig) -> dict[str, Float]:
-    """Colour of each garment, RGB in [0, 1]."""
+def wardrobe(config: StudioConfig) -> Float:
+    """(G, 3) colour of each garment, RGB in [0, 1]."""
     rng = stream(config.seed, "wardrobe")
-    colours = {
-        "skin": _between(rng, _SKIN),
-        "hair": _between(rng, _HAIR),
-        "shirt": _cloth(rng, 0.3, 0.85),
-        "trousers": _cloth(rng, 0.2, 0.75),
-        "shoes": _cloth(rng, 0.1, 0.9),
-    }
-    return colours if config.colour else {name: np.full(3, _grey(c)) for name, c in colours.items()}
+    skin, hair = _between(rng, _SKIN), _between(rng, _HAIR)
+    shirt, trousers, shoes = _cloth(rng, 0.3, 0.85), _cloth(rng, 0.2, 0.75), _cloth(rng, 0.1, 0.9)
+    colours = np.stack([skin, hair, shirt, trousers, shoes])
+    return colours if config.colour else np.repeat(colours @ GREY[:, None], 3, axis=1)
 
 
 def _between(rng: np.random.Generator, steps: Float) -> Float:
@@ -104,10 +111,6 @@ def _cloth(rng: np.random.Generator, darkest: float, lightest: float) -> Float:
     return np.array(colorsys.hsv_to_rgb(hue, saturation, value))
 
 
-def _grey(colour: Float) -> float:
-    return float(colour @ np.array([0.299, 0.587, 0.114]))
-
-
 def _lattice(rng: np.random.Generator) -> Float32:
     """Channels share most of their values, so that the texture is light and dark rather than a rainbow."""
     n = (1 << LATTICE_BITS) ** 3
@@ -115,24 +118,24 @@ def _lattice(rng: np.random.Generator) -> Float32:
     return (values - values.mean()).astype(np.float32)
 
 
-def _lights(rng: np.random.Generator) -> tuple[Float, Float]:
-    """A key light from above and a weaker one from about the other side, slightly warm and cold."""
+def _lights(rng: np.random.Generator) -> Float:
+    """A key light from above and a weaker one from about the other side, slightly warm and cold, and ambient light."""
     azimuth = rng.uniform(0, 2 * np.pi)
     key = _light(azimuth, rng.uniform(0.6, 1.0), rng.uniform(0.46, 0.6), rng.normal(0, 0.03))
     other = _light(azimuth + rng.uniform(1.8, 4.4), rng.uniform(0.2, 0.7), rng.uniform(0.12, 0.26), rng.normal(0, 0.03))
-    return np.stack([key, other]), np.full(3, rng.uniform(0.58, 0.66))
+    return np.stack([key, other, _light(0.0, 0.0, rng.uniform(0.58, 0.66), 0.0)])
 
 
-def mean_light(lights: Float, ambient: Float) -> Float:
+def mean_light(lights: Float) -> Float:
     """(3,) light on a surface, averaged over all the directions that it may face."""
-    return 0.85 * ambient + 0.25 * lights[:, 3:].sum(axis=0)
+    return 0.85 * lights[-1, 3:] + 0.25 * lights[:-1, 3:].sum(axis=0)
 
 
-def _mean_colour(body: Body, albedo: Float) -> Float:
+def _mean_colour(body: Body, cover: Float, albedo: Float) -> Float:
     """(3,) mean over the surface, by area."""
     a, b, c = np.swapaxes(body.vertices[body.faces], 0, 1)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    return area @ albedo / area.sum()
+    return area @ albedo[np.argmax(cover[body.faces].sum(axis=1), axis=1)] / area.sum()
 
 
 def _light(azimuth: float, elevation: float, strength: float, warmth: float) -> Float:

@@ -46,7 +46,7 @@ def render_body(posed: Posed, camera: Camera, look: Look) -> Layer:
     index, _ = rasterise(pixels, inverse_depth, faces, origin, size)
     normals = vertex_normals(posed.vertices, faces)
     surface = (faces, pixels, inverse_depth, posed.body.vertices, normals)
-    dress = (look.albedo, look.contrast, look.lattice, OCTAVES, look.lights, look.ambient)
+    dress = (look.cover, look.albedo, look.contrast, look.lattice, OCTAVES, look.lights)
     return Layer(int(low[0]), int(low[1]), shade(index, origin, n, *surface, *dress).astype(np.float32))
 
 

@@ -16,7 +16,7 @@ from twistcap.errors import InputError
 from twistcap.estimate import Frame
 from twistcap.studio.background import background, occluder_layer
 from twistcap.studio.config import StudioConfig, stream
-from twistcap.studio.look import Look, look
+from twistcap.studio.look import GREY, Look, look
 from twistcap.studio.marring import marred
 from twistcap.studio.mismatch import wrong_body, wrong_pose, wrong_rig
 from twistcap.studio.motion import gait
@@ -83,7 +83,7 @@ class Capture:
         if self.config.occluders:
             Layer(0, 0, self.occluders[camera]).over(picture)
         if not self.config.colour:
-            picture = picture @ np.array([0.299, 0.587, 0.114], np.float32)
+            picture = picture @ GREY.astype(np.float32)
         return marred(picture, self.config, index, camera)
 
     def masks(self, index: int) -> list[Bool]:

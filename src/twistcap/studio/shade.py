@@ -72,6 +72,60 @@ def solid_noise_reference(lattice: Float32, octaves: Float, points: Float) -> Fl
 
 
 @njit(cache=True, nogil=True)
+def _corner_weights(
+    pixels: Float, inverse_depth: Float, corners: Int, x: float, y: float
+) -> tuple[float, float, float]:
+    """Perspective-correct barycentric coordinates of an image point on a triangle."""
+    a, b, c = corners[0], corners[1], corners[2]
+    ax, ay = pixels[a, 0], pixels[a, 1]
+    bx, by = pixels[b, 0] - ax, pixels[b, 1] - ay
+    cx, cy = pixels[c, 0] - ax, pixels[c, 1] - ay
+    x, y = x - ax, y - ay
+    scale = 1.0 / (bx * cy - by * cx)
+    lb, lc = (x * cy - y * cx) * scale, (bx * y - by * x) * scale
+    wa, wb, wc = (1.0 - lb - lc) * inverse_depth[a], lb * inverse_depth[b], lc * inverse_depth[c]
+    total = 1.0 / (wa + wb + wc)
+    return wa * total, wb * total, wc * total
+
+
+@njit(cache=True, nogil=True)
+def _blend(values: Float, corners: Int, weights: tuple[float, float, float], column: int) -> float:
+    """One column of a vertex array, interpolated on a triangle."""
+    wa, wb, wc = weights
+    return wa * values[corners[0], column] + wb * values[corners[1], column] + wc * values[corners[2], column]
+
+
+@njit(cache=True, nogil=True)
+def _garment(cover: Float, corners: Int, weights: tuple[float, float, float]) -> int:
+    """The garment that covers most of a surface point."""
+    best, most = 0, -1.0
+    for g in range(cover.shape[1]):
+        share = _blend(cover, corners, weights, g)
+        if share > most:
+            best, most = g, share
+    return best
+
+
+@njit(cache=True, nogil=True)
+def _illuminate(normals: Float, corners: Int, weights: tuple[float, float, float], lights: Float, light: Float) -> None:
+    """Lambert's law: light (3,) on a surface point; the last row of `lights` is the ambient light."""
+    n0, n1, n2 = (
+        _blend(normals, corners, weights, 0),
+        _blend(normals, corners, weights, 1),
+        _blend(normals, corners, weights, 2),
+    )
+    norm = 1.0 / np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
+    n0, n1, n2 = n0 * norm, n1 * norm, n2 * norm
+    last = len(lights) - 1
+    for ch in range(3):
+        light[ch] = lights[last, 3 + ch] * (0.85 + 0.15 * n2)
+    for k in range(last):
+        cosine = max(0.0, n0 * lights[k, 0] + n1 * lights[k, 1] + n2 * lights[k, 2])
+        for ch in range(3):
+            light[ch] += cosine * lights[k, 3 + ch]
+
+
+@njit(cache=True, nogil=True)
 def shade(
     face_index: Int,
     origin: tuple[int, int],
@@ -81,12 +135,12 @@ def shade(
     inverse_depth: Float,
     rest: Float,
     normals: Float,
+    cover: Float,
     albedo: Float,
     contrast: Float,
     lattice: Float32,
     octaves: Float,
     lights: Float,
-    ambient: Float,
 ) -> Float:
     """Lit and textured samples averaged over blocks of factor × factor.
 
@@ -97,10 +151,11 @@ def shade(
         faces, pixels, inverse_depth: as given to the rasteriser.
         rest: (V, 3) rest-pose vertices, m, where the texture lives.
         normals: (V, 3) world normals of the posed surface.
-        albedo: (F, 3) colour, contrast: (F,) of the texture on it.
+        cover: (V, G) share of each garment in each vertex; a sample takes the one with the largest share.
+        albedo: (G, 3) colour, contrast: (G,) of the texture on it.
         lattice, octaves: the texture, see `solid_noise`.
-        lights: (L, 6) unit direction towards each light and its colour.
-        ambient: (3,) colour of the light from everywhere (70 % of it from below, all from above).
+        lights: (L + 1, 6) unit direction towards each light and its colour; the last row is the ambient light, the
+            same from everywhere but for 15 % more from above and less from below.
 
     Returns:
         (H, W, 4) colour times coverage, and coverage in [0, 1].
@@ -111,40 +166,19 @@ def shade(
     texture, light = np.zeros(3), np.zeros(3)
     for row in range(height * factor):
         for col in range(width * factor):
-            f = face_index[row, col]
-            if f < 0:
+            if face_index[row, col] < 0:
                 continue
-            a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-            ax, ay = pixels[a, 0], pixels[a, 1]
-            bx, by = pixels[b, 0] - ax, pixels[b, 1] - ay
-            cx, cy = pixels[c, 0] - ax, pixels[c, 1] - ay
-            x, y = col + origin[0] - ax, row + origin[1] - ay
-            area = bx * cy - by * cx
-            wb = (x * cy - y * cx) / area * inverse_depth[b]
-            wc = (bx * y - by * x) / area * inverse_depth[c]
-            wa = (1.0 - (x * cy - y * cx) / area - (bx * y - by * x) / area) * inverse_depth[a]
-            total = wa + wb + wc
-            wa, wb, wc = wa / total, wb / total, wc / total
+            corners = faces[face_index[row, col]]
+            weights = _corner_weights(pixels, inverse_depth, corners, float(col + origin[0]), float(row + origin[1]))
+            g = _garment(cover, corners, weights)
             texture[0] = texture[1] = texture[2] = 0.0
-            if contrast[f] > 0.0:
-                px = wa * rest[a, 0] + wb * rest[b, 0] + wc * rest[c, 0]
-                py = wa * rest[a, 1] + wb * rest[b, 1] + wc * rest[c, 1]
-                pz = wa * rest[a, 2] + wb * rest[b, 2] + wc * rest[c, 2]
-                solid_noise(lattice, octaves, px, py, pz, texture)
-            n0 = wa * normals[a, 0] + wb * normals[b, 0] + wc * normals[c, 0]
-            n1 = wa * normals[a, 1] + wb * normals[b, 1] + wc * normals[c, 1]
-            n2 = wa * normals[a, 2] + wb * normals[b, 2] + wc * normals[c, 2]
-            norm = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
-            n0, n1, n2 = n0 / norm, n1 / norm, n2 / norm
-            for ch in range(3):
-                light[ch] = ambient[ch] * (0.85 + 0.15 * n2)
-            for k in range(len(lights)):
-                cosine = max(0.0, n0 * lights[k, 0] + n1 * lights[k, 1] + n2 * lights[k, 2])
-                for ch in range(3):
-                    light[ch] += cosine * lights[k, 3 + ch]
+            if contrast[g] > 0.0:
+                x, y = _blend(rest, corners, weights, 0), _blend(rest, corners, weights, 1)
+                solid_noise(lattice, octaves, x, y, _blend(rest, corners, weights, 2), texture)
+            _illuminate(normals, corners, weights, lights, light)
             i, j = row // factor, col // factor
             for ch in range(3):
-                value = albedo[f, ch] * (1.0 + contrast[f] * texture[ch]) * light[ch]
+                value = albedo[g, ch] * (1.0 + contrast[g] * texture[ch]) * light[ch]
                 out[i, j, ch] += share * min(max(value, 0.0), 1.0)
             out[i, j, 3] += share
     return out
@@ -159,27 +193,29 @@ def shade_reference(
     inverse_depth: Float,
     rest: Float,
     normals: Float,
+    cover: Float,
     albedo: Float,
     contrast: Float,
     lattice: Float32,
     octaves: Float,
     lights: Float,
-    ambient: Float,
 ) -> Float:
     """Readable twin of `shade`."""
     rows, cols = np.nonzero(face_index >= 0)
     f = face_index[rows, cols]
-    corners = faces[f]
     weights = barycentric(f, faces, pixels, inverse_depth, np.stack([cols, rows], axis=1) + np.array(origin))
-    points = np.einsum("nk,nki->ni", weights, rest[corners])
-    n = np.einsum("nk,nki->ni", weights, normals[corners])
+
+    def blend(values: Float) -> Float:
+        return np.einsum("nk,nki->ni", weights, values[faces[f]])
+
+    g = np.argmax(blend(cover), axis=1)
+    n = blend(normals)
     n /= np.linalg.norm(n, axis=1, keepdims=True)
-    light = ambient * (0.85 + 0.15 * n[:, 2:])
-    for source in lights:
-        light = light + np.maximum(n @ source[:3], 0.0)[:, None] * source[3:]
-    texture = 1.0 + contrast[f, None] * solid_noise_reference(lattice, octaves, points)
+    light = lights[-1, 3:] * (0.85 + 0.15 * n[:, 2:])
+    light = light + np.maximum(n @ lights[:-1, :3].T, 0.0) @ lights[:-1, 3:]
+    texture = 1.0 + contrast[g, None] * solid_noise_reference(lattice, octaves, blend(rest))
     samples = np.zeros((*face_index.shape, 4))
-    samples[rows, cols, :3] = np.clip(albedo[f] * texture * light, 0.0, 1.0)
+    samples[rows, cols, :3] = np.clip(albedo[g] * texture * light, 0.0, 1.0)
     samples[rows, cols, 3] = 1.0
     H, W = face_index.shape[0] // factor, face_index.shape[1] // factor
     return samples.reshape(H, factor, W, factor, 4).mean(axis=(1, 3))
