@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -40,7 +41,7 @@ class Camera:
         R, t = self.T_cam_world[:3, :3], self.T_cam_world[:3, 3]
         return -R.T @ t
 
-    @property
+    @cached_property
     def P(self) -> Float:
         """(3, 4) pinhole projection matrix ``K [R | t]``; it knows nothing of distortion."""
         return self.K @ self.T_cam_world[:3]
@@ -78,6 +79,11 @@ class Camera:
         fx, fy = size[0] / self.size[0], size[1] / self.size[1]
         to_small = np.array([[fx, 0.0, 0.5 * fx - 0.5], [0.0, fy, 0.5 * fy - 0.5], [0.0, 0.0, 1.0]])
         return replace(self, K=to_small @ self.K, size=size)
+
+    def cropped(self, origin: tuple[int, int], size: tuple[int, int]) -> Camera:
+        """The camera of the window of its image that starts at pixel `origin` (x, y) and is `size` (w, h) large."""
+        shift = np.array([[0.0, 0.0, origin[0]], [0.0, 0.0, origin[1]], [0.0, 0.0, 0.0]])
+        return replace(self, K=self.K - shift, size=size)
 
     def pinhole(self) -> Camera:
         """The same camera without distortion: the one that `Rectifier` turns images into."""

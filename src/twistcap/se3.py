@@ -8,6 +8,7 @@ they stay exact near θ = 0 and θ = π.
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike
 
 from twistcap._typing import Float
@@ -166,6 +167,16 @@ def left_jacobian(twist: ArrayLike) -> Float:
     return np.where(phi < 1.0, series, closed)
 
 
+def inverse_left_jacobian(twist: ArrayLike) -> Float:
+    """Inverse of `left_jacobian`; below 0.1 rad by the Bernoulli series. (..., 6) -> (..., 6, 6)."""
+    xi = np.asarray(twist, dtype=np.float64)
+    if np.all(np.abs(xi[..., :3]) < 0.1):
+        ad = bracket_matrix(xi)
+        ad2 = ad @ ad
+        return np.eye(6) - 0.5 * ad + ad2 / 12.0 - (ad2 @ ad2) / 720.0 + (ad2 @ ad2 @ ad2) / 30240.0
+    return np.linalg.inv(left_jacobian(xi))
+
+
 def orthonormalised(motion: ArrayLike) -> Float:
     """The nearest motion to a matrix that rounding has carried off SE(3). (..., 4, 4) -> (..., 4, 4)."""
     T = np.array(motion, dtype=np.float64)
@@ -173,3 +184,37 @@ def orthonormalised(motion: ArrayLike) -> Float:
     sign = np.linalg.det(U @ Vt)[..., None]
     U = np.concatenate([U[..., :2], U[..., 2:] * sign[..., None]], axis=-1)
     return transform(U @ Vt, T[..., :3, 3])
+
+
+@njit(cache=True, nogil=True)
+def log_one(T: Float) -> Float:
+    """`log` of a single motion (4, 4) -> (6,), without the cost of batching."""
+    trace = T[0, 0] + T[1, 1] + T[2, 2]
+    K = np.empty((4, 4))
+    K[0, 0] = 1.0 + trace
+    K[0, 1], K[0, 2], K[0, 3] = T[2, 1] - T[1, 2], T[0, 2] - T[2, 0], T[1, 0] - T[0, 1]
+    for i in range(3):
+        K[i + 1, 0] = K[0, i + 1]
+        for j in range(3):
+            K[i + 1, j + 1] = T[i, j] + T[j, i] + (1.0 - trace if i == j else 0.0)
+    best = 0
+    for i in range(1, 4):
+        if K[i, i] > K[best, best]:
+            best = i
+    q = K[:, best] / np.sqrt(K[0, best] ** 2 + K[1, best] ** 2 + K[2, best] ** 2 + K[3, best] ** 2)
+    if q[0] < 0.0:
+        q = -q
+    sine = np.sqrt(q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
+    theta = 2.0 * np.arctan2(sine, q[0])
+    factor = 2.0 if sine < 1e-12 else theta / sine
+    w0, w1, w2 = factor * q[1], factor * q[2], factor * q[3]
+    half = 0.5 * theta
+    rest = 1 / 12 + theta**2 / 720 + theta**4 / 30240 if theta < 1e-2 else (1 - half / np.tan(half)) / (4 * half**2)
+    t0, t1, t2 = T[0, 3], T[1, 3], T[2, 3]
+    c0, c1, c2 = w1 * t2 - w2 * t1, w2 * t0 - w0 * t2, w0 * t1 - w1 * t0
+    out = np.empty(6)
+    out[0], out[1], out[2] = w0, w1, w2
+    out[3] = t0 - 0.5 * c0 + rest * (w1 * c2 - w2 * c1)
+    out[4] = t1 - 0.5 * c1 + rest * (w2 * c0 - w0 * c2)
+    out[5] = t2 - 0.5 * c2 + rest * (w0 * c1 - w1 * c0)
+    return out

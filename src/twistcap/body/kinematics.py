@@ -34,7 +34,7 @@ class Pose:
 
     def minus(self, other: Pose) -> Float:
         """The step (6 + J,) that `retract` needs to come from `other` to this pose."""
-        return np.concatenate([se3.log(self.root @ se3.inverse(other.root)), self.q - other.q])
+        return np.concatenate([se3.log_one(self.root @ se3.inverse(other.root)), self.q - other.q])
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,1 @@
+"""Evidence in images, made into terms: direct contour, level-set contour, brightness."""

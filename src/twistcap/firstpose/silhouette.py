@@ -134,7 +134,7 @@ class _Instant:
         """Intersection over union in each view, NaN without mask."""
         out: list[float] = []
         for camera, mask in zip(self.cameras, self.masks, strict=True):
-            ours = render(posed, camera).full_mask()
+            ours = render(posed, camera).mask
             out.append(np.nan if mask is None else float((ours & mask).sum() / max((ours | mask).sum(), 1)))
         return out
 

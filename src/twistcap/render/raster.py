@@ -101,13 +101,18 @@ def rasterise_reference(
     return face_index, buffer
 
 
+@njit(cache=True, nogil=True)
 def barycentric(face_index: Int, faces: Int, pixels: Float, inverse_depth: Float, at: AnyArray) -> Float:
     """Perspective-correct barycentric coordinates (N, 3) on the given triangles (N,) at pixel positions (N, 2)."""
-    corners = faces[face_index]
-    p, w = pixels[corners], inverse_depth[corners]
-    d1, d2, dp = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0], at - p[:, 0]
-    area = d1[:, 0] * d2[:, 1] - d1[:, 1] * d2[:, 0]
-    lb = (dp[:, 0] * d2[:, 1] - dp[:, 1] * d2[:, 0]) / area
-    lc = (d1[:, 0] * dp[:, 1] - d1[:, 1] * dp[:, 0]) / area
-    weights = np.stack([1 - lb - lc, lb, lc], axis=1) * w
-    return weights / weights.sum(axis=1, keepdims=True)
+    out = np.empty((len(face_index), 3))
+    for n in range(len(face_index)):
+        a, b, c = faces[face_index[n], 0], faces[face_index[n], 1], faces[face_index[n], 2]
+        x1, y1 = pixels[b, 0] - pixels[a, 0], pixels[b, 1] - pixels[a, 1]
+        x2, y2 = pixels[c, 0] - pixels[a, 0], pixels[c, 1] - pixels[a, 1]
+        x, y = at[n, 0] - pixels[a, 0], at[n, 1] - pixels[a, 1]
+        area = x1 * y2 - y1 * x2
+        lb, lc = (x * y2 - y * x2) / area, (x1 * y - y1 * x) / area
+        wa, wb, wc = (1.0 - lb - lc) * inverse_depth[a], lb * inverse_depth[b], lc * inverse_depth[c]
+        total = wa + wb + wc
+        out[n, 0], out[n, 1], out[n, 2] = wa / total, wb / total, wc / total
+    return out

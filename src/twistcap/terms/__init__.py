@@ -1,0 +1,17 @@
+"""Terms of the one least-squares system: each gives its energy and its quadratic at a pose."""
+
+from twistcap.terms.coordinates import GaussianTerm, LimitTerm
+from twistcap.terms.points import KeypointTerm, PointNormalTerm, PointRayTerm
+from twistcap.terms.photometric import PhotometricTerm
+from twistcap.terms.quadratic import Quadratic, Term
+
+__all__ = [
+    "GaussianTerm",
+    "KeypointTerm",
+    "LimitTerm",
+    "PhotometricTerm",
+    "PointNormalTerm",
+    "PointRayTerm",
+    "Quadratic",
+    "Term",
+]

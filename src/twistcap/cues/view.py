@@ -1,0 +1,58 @@
+"""One camera's image at one instant, as the cues want it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from twistcap._typing import AnyArray, Float32
+from twistcap.body import Posed
+from twistcap.camera import Camera
+from twistcap.features import Channels, feature_channels, grey
+from twistcap.render import body_window
+
+
+@dataclass(frozen=True)
+class View:
+    """A rectified image, cropped to where the body is expected, and the camera of that crop.
+
+    Attributes:
+        camera: pinhole, of the crop.
+        image: (H, W[, 3]) uint8 or float32.
+        channels: what the region statistics look at.
+    """
+
+    camera: Camera
+    image: AnyArray
+    channels: Channels = "grey"
+    _blurs: dict[float, Float32] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def features(self) -> Float32:
+        """(H, W, C) float32."""
+        return self.grey[..., None] if self.channels == "grey" else feature_channels(self.image, self.channels)
+
+    @cached_property
+    def grey(self) -> Float32:
+        """(H, W) float32."""
+        return grey(self.image)
+
+    def blurred(self, sigma: float) -> Float32:
+        """(H, W) grey values under a Gaussian of `sigma` px (to a tenth of a pixel); computed once."""
+        sigma = round(sigma, 1)
+        if sigma not in self._blurs:
+            self._blurs[sigma] = self.grey if sigma < 0.3 else cv2.GaussianBlur(self.grey, (0, 0), sigma)
+        return self._blurs[sigma]
+
+
+def crop_view(image: AnyArray, camera: Camera, posed: Posed, margin_m: float, channels: Channels) -> View | None:
+    """The view of a posed body with `margin_m` metres about it; None where the body is not in the image."""
+    depth = camera.T_cam_world[2, :3] @ posed.pose.root[:3, 3] + camera.T_cam_world[2, 3]
+    window = body_window(posed, camera, margin_m * camera.K[0, 0] / max(depth, 0.1) + 3.0)
+    if window is None:
+        return None
+    (x, y), (w, h) = window
+    return View(camera.cropped((x, y), (w, h)), np.ascontiguousarray(image[y : y + h, x : x + w]), channels)

@@ -1,0 +1,70 @@
+"""Predictors: where the body is expected in the next frame, and how sure that is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from twistcap import se3
+from twistcap._typing import Float
+from twistcap.body import Pose
+
+PredictorName = Literal["constant_velocity", "hold"]
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A pose at a time (s)."""
+
+    time: float
+    pose: Pose
+
+
+@dataclass(frozen=True)
+class MotionNoise:
+    """How far motion strays from its prediction.
+
+    Attributes:
+        joint, turn, shift: standard deviation of acceleration of joints (rad/s²), root rotation (rad/s²) and root
+            translation (m/s²), for the constant-velocity predictor.
+        joint_speed, turn_speed, shift_speed: of velocity (rad/s, rad/s, m/s), for the hold predictor.
+    """
+
+    joint: float = 40.0
+    turn: float = 25.0
+    shift: float = 10.0
+    joint_speed: float = 4.0
+    turn_speed: float = 2.0
+    shift_speed: float = 1.5
+
+    def covariance(self, dof: int, dt: float, predictor: PredictorName, centre: Float) -> Float:
+        """(dof, dof) covariance of a prediction over dt seconds; the root turns about `centre` (3,) m, world."""
+        if predictor == "constant_velocity":
+            joint, turn, shift = (a * dt * dt for a in (self.joint, self.turn, self.shift))
+        else:
+            joint, turn, shift = (v * dt for v in (self.joint_speed, self.turn_speed, self.shift_speed))
+        diagonal = np.full(dof, joint**2)
+        diagonal[:3], diagonal[3:6] = turn**2, shift**2
+        # δξ acts about the world's origin: a turn about the body's centre is ω there, with −ω × centre as v.
+        A = np.eye(dof)
+        A[3:6, :3] = se3.hat(centre)
+        return A @ np.diag(diagonal) @ A.T
+
+
+def constant_velocity(history: Sequence[Moment], time: float) -> Pose:
+    """The motion between the last two moments goes on, scaled to the time that passes; hold where there is but one."""
+    last = history[-1]
+    if len(history) < 2 or time <= last.time:
+        return last.pose
+    before = history[-2]
+    ratio = (time - last.time) / (last.time - before.time)
+    step = last.pose.minus(before.pose)
+    return last.pose.retract(ratio * step)
+
+
+def predict(history: Sequence[Moment], time: float, predictor: PredictorName) -> Pose:
+    """The expected pose at `time`."""
+    return constant_velocity(history, time) if predictor == "constant_velocity" else history[-1].pose

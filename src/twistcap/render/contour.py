@@ -1,0 +1,200 @@
+"""Visible contour points of a rendered body, sub-pixel, each with its place on the surface.
+
+Where a front-facing and a back-facing triangle meet, the surface turns away from the camera: the projections of those
+edges that nothing hides are exactly the outline of the mesh, so no half pixel is lost as it would be on a mask.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+
+from twistcap._typing import Bool, Float, Float32, Int
+from twistcap.body import Posed
+from twistcap.render.raster import project_pinhole
+from twistcap.render.view import RenderedView, SurfacePoints, surface_points
+
+_HIDDEN, _OUTER, _INNER = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class ContourPoints:
+    """Samples of a body's visible contour in one view.
+
+    Attributes:
+        points: (N,) places on the surface.
+        pixels: (N, 2) image positions, px.
+        normals: (N, 2) unit image normals, pointing off the part.
+        part: (N,) segment the contour belongs to.
+        outer: (N,) True on the silhouette, False before another part of the body.
+        inverse_depth: (N,) 1/m.
+    """
+
+    points: SurfacePoints
+    pixels: Float
+    normals: Float
+    part: Int
+    outer: Bool
+    inverse_depth: Float
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+    def __getitem__(self, which: Bool | Int) -> ContourPoints:
+        return ContourPoints(
+            self.points[which], self.pixels[which], self.normals[which], self.part[which], self.outer[which],
+            self.inverse_depth[which],
+        )  # fmt: skip
+
+
+def reprojected(contour: ContourPoints, posed: Posed, P: Float) -> ContourPoints:
+    """The same contour points after the body moved a little; their normals and order of depth are taken to stay."""
+    pixels, inverse_depth = project_pinhole(P, contour.points.at(posed))
+    return replace(contour, pixels=pixels, inverse_depth=inverse_depth)
+
+
+def visible_contour(view: RenderedView, spacing: float = 3.0, inner_gap: float = 0.04) -> ContourPoints:
+    """Contour points about `spacing` px apart along the outline.
+
+    Args:
+        view: the rendered body.
+        spacing: px between samples.
+        inner_gap: contours before another part count only where that part lies at least so far behind, m.
+    """
+    body = view.posed.body
+    edges, edge_faces = body.edges
+    normals = vertex_normals(view.posed.vertices, body.faces)
+    which, t, pixels, image_normals, kind, inverse_depth = _contour_samples(
+        view.posed.vertices, view.camera.P, view.pixels, view.inverse_depth, body.faces, edges, edge_faces, normals,
+        view.face_index, view.inverse_depth_image, body.face_part, spacing, inner_gap,
+    )  # fmt: skip
+    ends = edges[which]
+    points = surface_points(body, ends, np.stack([1.0 - t, t], axis=1))
+    part = np.where(t < 0.5, body.vertex_part[ends[:, 0]], body.vertex_part[ends[:, 1]]).astype(np.int32)
+    return ContourPoints(points, pixels, image_normals, part, kind == _OUTER, inverse_depth)
+
+
+@njit(cache=True, nogil=True)
+def vertex_normals(vertices: Float, faces: Int) -> Float:
+    """(V, 3) area-weighted outward normals, not normalised."""
+    out = np.zeros_like(vertices)
+    for f in range(len(faces)):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
+        wx, wy, wz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
+        nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
+        for v in (a, b, c):
+            out[v, 0] += nx
+            out[v, 1] += ny
+            out[v, 2] += nz
+    return out
+
+
+def vertex_normals_reference(vertices: Float, faces: Int) -> Float:
+    """Readable twin of `vertex_normals`."""
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    normals = np.cross(b - a, c - a)
+    out = np.zeros_like(vertices)
+    for i in range(3):
+        np.add.at(out, faces[:, i], normals)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _faces_camera(pixels: Float, inverse_depth: Float, faces: Int) -> Int:
+    """(F,) 1 front, -1 back, 0 behind the camera."""
+    out = np.zeros(len(faces), dtype=np.int32)
+    for f in range(len(faces)):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        if inverse_depth[a] == 0.0 or inverse_depth[b] == 0.0 or inverse_depth[c] == 0.0:
+            continue
+        area = (pixels[b, 0] - pixels[a, 0]) * (pixels[c, 1] - pixels[a, 1]) - (pixels[b, 1] - pixels[a, 1]) * (
+            pixels[c, 0] - pixels[a, 0]
+        )
+        out[f] = 1 if area < 0.0 else -1
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _image_normal(P: Float, u: float, v: float, nx: float, ny: float, nz: float) -> tuple[float, float]:
+    """Unit image direction in which a point moving along a surface normal moves."""
+    a = (P[0, 0] - u * P[2, 0]) * nx + (P[0, 1] - u * P[2, 1]) * ny + (P[0, 2] - u * P[2, 2]) * nz
+    b = (P[1, 0] - v * P[2, 0]) * nx + (P[1, 1] - v * P[2, 1]) * ny + (P[1, 2] - v * P[2, 2]) * nz
+    length = np.sqrt(a * a + b * b)
+    if length < 1e-12:
+        return 0.0, 0.0
+    return a / length, b / length
+
+
+@njit(cache=True, nogil=True)
+def _visibility(
+    x: float, y: float, nx: float, ny: float, w: float, part: int, face_index: Int, buffer: Float32,
+    face_part: Int, inner_gap: float,
+) -> int:  # fmt: skip
+    """Whether a contour point is hidden, on the silhouette, or before another part: looks a pixel in and out."""
+    height, width = face_index.shape
+    column, row = int(np.round(x - nx)), int(np.round(y - ny))
+    if not (0 <= column < width and 0 <= row < height):
+        return _HIDDEN
+    inside = face_index[row, column]
+    depth = 1.0 / w
+    if inside >= 0 and face_part[inside] != part and 1.0 / buffer[row, column] < depth - 0.03:
+        return _HIDDEN
+    column, row = int(np.round(x + 1.5 * nx)), int(np.round(y + 1.5 * ny))
+    if not (0 <= column < width and 0 <= row < height):
+        return _HIDDEN  # beyond the image's edge: there is nothing to be seen outside
+    outside = face_index[row, column]
+    if outside < 0:
+        return _OUTER
+    return _INNER if 1.0 / buffer[row, column] > depth + inner_gap else _HIDDEN
+
+
+@njit(cache=True, nogil=True)
+def _contour_samples(
+    vertices: Float, P: Float, pixels: Float, inverse_depth: Float, faces: Int, edges: Int, edge_faces: Int,
+    normals: Float, face_index: Int, buffer: Float32, face_part: Int, spacing: float,
+    inner_gap: float,
+) -> tuple[Int, Float, Float, Float, Int, Float]:  # fmt: skip
+    """Walk all contour edges and drop a sample each time `spacing` pixels of edge have gone by."""
+    front = _faces_camera(pixels, inverse_depth, faces)
+    capacity = 4096
+    which, t_out = np.empty(capacity, dtype=np.int32), np.empty(capacity)
+    at, normal_out = np.empty((capacity, 2)), np.empty((capacity, 2))
+    kind_out, w_out = np.empty(capacity, dtype=np.int32), np.empty(capacity)
+    count, walked = 0, 0.5 * spacing
+    for e in range(len(edges)):
+        f, g = edge_faces[e, 0], edge_faces[e, 1]
+        if g < 0 or front[f] * front[g] != -1:
+            continue
+        i, j = edges[e, 0], edges[e, 1]
+        dx, dy = pixels[j, 0] - pixels[i, 0], pixels[j, 1] - pixels[i, 1]
+        length = np.sqrt(dx * dx + dy * dy)
+        if length == 0.0:
+            continue
+        part = face_part[f] if front[f] == 1 else face_part[g]
+        position = spacing - walked
+        walked += length
+        while position <= length and count < capacity:
+            walked -= spacing
+            s = position / length  # along the projected edge; the place on the 3D edge follows from perspective
+            position += spacing
+            w = (1.0 - s) * inverse_depth[i] + s * inverse_depth[j]
+            t = s * inverse_depth[j] / w
+            u, v = pixels[i, 0] + s * dx, pixels[i, 1] + s * dy
+            n0 = (1.0 - t) * normals[i, 0] + t * normals[j, 0]
+            n1 = (1.0 - t) * normals[i, 1] + t * normals[j, 1]
+            n2 = (1.0 - t) * normals[i, 2] + t * normals[j, 2]
+            a, b = _image_normal(P, u, v, n0, n1, n2)
+            if a == 0.0 and b == 0.0:
+                continue
+            kind = _visibility(u, v, a, b, w, part, face_index, buffer, face_part, inner_gap)
+            if kind == _HIDDEN:
+                continue
+            which[count], t_out[count] = e, t
+            at[count, 0], at[count, 1] = u, v
+            normal_out[count, 0], normal_out[count, 1] = a, b
+            kind_out[count], w_out[count] = kind, w
+            count += 1
+    return which[:count], t_out[:count], at[:count], normal_out[:count], kind_out[:count], w_out[:count]

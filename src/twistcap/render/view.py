@@ -1,0 +1,172 @@
+"""`RenderedView`: one body at one pose in one camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numba import njit
+
+from twistcap._typing import Bool, Float, Float32, Int
+from twistcap.body import Body, Posed
+from twistcap.camera import Camera
+from twistcap.render.raster import barycentric, project_pinhole, rasterise
+
+
+@dataclass(frozen=True)
+class SurfacePoints:
+    """Points fixed to the surface, carried by linear-blend skinning.
+
+    Attributes:
+        segments, weights: (N, K) binding.
+        local: (N, 3) rest-pose positions, m.
+    """
+
+    segments: Int
+    weights: Float
+    local: Float
+
+    def __len__(self) -> int:
+        return len(self.local)
+
+    def __getitem__(self, which: Bool | Int) -> SurfacePoints:
+        return SurfacePoints(self.segments[which], self.weights[which], self.local[which])
+
+    def at(self, posed: Posed) -> Float:
+        """(N, 3) world positions."""
+        return posed.points(self.segments, self.weights, self.local)
+
+
+@dataclass(frozen=True)
+class RenderedView:
+    """What one camera sees of a body.
+
+    Attributes:
+        posed: the body at its pose.
+        camera: the (pinhole) camera.
+        pixels: (V, 2) projected vertices.
+        inverse_depth: (V,) 1/m, 0 behind the camera.
+        face_index: (H, W) visible triangle, -1 for none.
+        inverse_depth_image: (H, W) 1/m, 0 for none.
+    """
+
+    posed: Posed
+    camera: Camera
+    pixels: Float
+    inverse_depth: Float
+    face_index: Int
+    inverse_depth_image: Float32
+
+    @cached_property
+    def px_per_m(self) -> float:
+        """Image scale at the body: focal length over its mean depth, px/m (0 where none of it is before the camera)."""
+        seen = self.inverse_depth[self.inverse_depth > 0]
+        return float(self.camera.K[0, 0] * seen.mean()) if len(seen) else 0.0
+
+    @cached_property
+    def mask(self) -> Bool:
+        """(H, W) silhouette."""
+        return self.face_index >= 0
+
+    @cached_property
+    def part(self) -> Int:
+        """(H, W) visible segment, -1 off the body."""
+        return _part_image(self.face_index, self.posed.body.face_part)
+
+    def surface_points(self, rows: Int, columns: Int) -> SurfacePoints:
+        """The surface seen at pixels (N,), all of which must lie on the body."""
+        body = self.posed.body
+        face = self.face_index[rows, columns]
+        at = np.stack([columns, rows], axis=1).astype(float)
+        weights = barycentric(face, body.faces, self.pixels, self.inverse_depth, at)
+        return surface_points(body, body.faces[face], weights)
+
+
+def render(posed: Posed, camera: Camera) -> RenderedView:
+    """Rasterise a posed body in a (pinhole) camera."""
+    pixels, inverse_depth = project_pinhole(camera.P, posed.vertices)
+    face_index, buffer = rasterise(pixels, inverse_depth, posed.body.faces, (0, 0), camera.size)
+    return RenderedView(posed, camera, pixels, inverse_depth, face_index, buffer)
+
+
+def body_window(posed: Posed, camera: Camera, margin: float) -> tuple[tuple[int, int], tuple[int, int]] | None:
+    """Origin (x, y) and size (w, h) of the image window that holds the body and `margin` px about it; None off it."""
+    pixels, inverse_depth = project_pinhole(camera.P, posed.vertices)
+    pixels = pixels[inverse_depth > 0]
+    if len(pixels) == 0:
+        return None
+    last = np.array(camera.size) - 1
+    low, high = np.floor(pixels.min(axis=0) - margin), np.ceil(pixels.max(axis=0) + margin)
+    if np.any(high < 1) or np.any(low > last - 1):
+        return None
+    low, high = np.clip(low, 0, last).astype(int), np.clip(high, 0, last).astype(int)
+    return (int(low[0]), int(low[1])), (int(high[0] - low[0] + 1), int(high[1] - low[1] + 1))
+
+
+@njit(cache=True, nogil=True)
+def _part_image(face_index: Int, face_part: Int) -> Int:
+    out = np.full(face_index.shape, -1, dtype=np.int32)
+    for r in range(face_index.shape[0]):
+        for c in range(face_index.shape[1]):
+            if face_index[r, c] >= 0:
+                out[r, c] = face_part[face_index[r, c]]
+    return out
+
+
+def surface_points(body: Body, corners: Int, weights: Float, keep: int = 4) -> SurfacePoints:
+    """Surface points from vertex indices (N, M) and their weights (N, M): binding blended, its `keep` largest kept."""
+    local = np.einsum("nm,nmi->ni", weights, body.vertices[corners])
+    segments, skin = _blend_binding(body.skin_segments, body.skin_weights, corners, weights, keep)
+    return SurfacePoints(segments, skin, local)
+
+
+@njit(cache=True, nogil=True)
+def _blend_binding(
+    skin_segments: Int, skin_weights: Float, corners: Int, weights: Float, keep: int
+) -> tuple[Int, Float]:
+    """Merge the bindings of several vertices; unused places hold weight 0. See `blend_binding_reference`."""
+    N, M = corners.shape
+    K = skin_segments.shape[1]
+    segments, out = np.zeros((N, keep), dtype=np.int32), np.zeros((N, keep))
+    names, sums = np.zeros(M * K, dtype=np.int32), np.zeros(M * K)
+    for n in range(N):
+        count = 0
+        for m in range(M):
+            v = corners[n, m]
+            for k in range(K):
+                w = weights[n, m] * skin_weights[v, k]
+                if w <= 0.0:
+                    continue
+                s = skin_segments[v, k]
+                slot = 0
+                while slot < count and names[slot] != s:
+                    slot += 1
+                if slot == count:
+                    names[slot], sums[slot] = s, 0.0
+                    count += 1
+                sums[slot] += w
+        total = 0.0
+        for place in range(min(keep, count)):
+            best = place
+            for slot in range(place + 1, count):
+                if sums[slot] > sums[best]:
+                    best = slot
+            names[place], names[best] = names[best], names[place]
+            sums[place], sums[best] = sums[best], sums[place]
+            segments[n, place], out[n, place] = names[place], sums[place]
+            total += sums[place]
+        for place in range(min(keep, count)):
+            out[n, place] /= total
+    return segments, out
+
+
+def blend_binding_reference(body: Body, corners: Int, weights: Float, keep: int = 4) -> Float:
+    """Readable twin of the binding kernel, as dense weights (N, S)."""
+    dense = np.zeros((len(body.vertices), len(body.segment_names)))
+    rows = np.repeat(np.arange(len(body.vertices)), body.skin_segments.shape[1])
+    np.add.at(dense, (rows, body.skin_segments.ravel()), body.skin_weights.ravel())
+    blended = np.einsum("nm,nms->ns", weights, dense[corners])
+    threshold = -np.sort(-blended, axis=1)[:, min(keep, blended.shape[1]) - 1 :][:, :1]
+    kept = np.where(blended >= threshold, blended, 0.0)
+    return kept / kept.sum(axis=1, keepdims=True)

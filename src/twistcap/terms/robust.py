@@ -1,0 +1,21 @@
+"""Robust losses ρ(r²/σ²) as (energy, weight) pairs for iteratively reweighted least squares."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twistcap._typing import Float
+
+
+def huber(residual: Float, scale: Float | float) -> tuple[Float, Float]:
+    """Quadratic up to `scale`, linear beyond: (energy in residual², weight in (0, 1])."""
+    size = np.abs(residual)
+    inside = size <= scale
+    energy = np.where(inside, 0.5 * size**2, scale * (size - 0.5 * scale))
+    return energy, np.where(inside, 1.0, scale / np.maximum(size, 1e-300))
+
+
+def cauchy(residual: Float, scale: Float | float) -> tuple[Float, Float]:
+    """Lorentzian: large residuals lose their say: (energy in residual², weight in (0, 1])."""
+    ratio = (residual / scale) ** 2
+    return 0.5 * scale**2 * np.log1p(ratio), 1.0 / (1.0 + ratio)

@@ -1,0 +1,181 @@
+"""The tracker: one frame after the other, predict, then alternate correspond and update.
+
+ARCHITECTURE.md walks through one frame; the settings of each cue stand with the cue.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from twistcap._typing import Float
+from twistcap.body import Body, Pose, Posed
+from twistcap.camera import Rig
+from twistcap.cues.brightness import Brightness, Template
+from twistcap.cues.direct import DirectContour
+from twistcap.cues.view import View, crop_view
+from twistcap.estimate import Estimate, Frame
+from twistcap.features import Channels
+from twistcap.predict import Moment, MotionNoise, PredictorName, predict
+from twistcap.render import ContourPoints, RenderedView, render, reprojected, visible_contour
+from twistcap.solve import SolveResult, covariance, least_squares
+from twistcap.terms import GaussianTerm, LimitTerm, Term
+
+
+@dataclass(frozen=True)
+class TrackerConfig:
+    """All settings of the tracker.
+
+    Attributes:
+        method: "direct" (no level set; the default) or "levelset" (the chapter's coupled method).
+        channels: what region statistics look at, "grey" or "lab".
+        photometric: whether brightness constancy joins the contours.
+        predictor: "constant_velocity" or "hold".
+        iterations: alternations of correspond and update in a frame.
+        first_iterations: the same in the first frame, which starts from a given pose.
+        render_every: the body is rendered anew in every so many alternations.
+        contour_spacing: m on the body between contour samples.
+        coarse_search: factor on the search length and the robust scale in the first alternation.
+        first_sigma_deg, first_sigma_m: how far the given first pose may be off (joints and root turn; root place).
+    """
+
+    method: Literal["direct", "levelset"] = "direct"
+    channels: Channels = "grey"
+    photometric: bool = True
+    predictor: PredictorName = "constant_velocity"
+    iterations: int = 4
+    first_iterations: int = 10
+    render_every: int = 2
+    contour_spacing: float = 0.025
+    coarse_search: float = 2.0
+    first_sigma_deg: float = 1.0
+    first_sigma_m: float = 0.005
+    direct: DirectContour = field(default_factory=DirectContour)
+    brightness: Brightness = field(default_factory=Brightness)
+    noise: MotionNoise = field(default_factory=MotionNoise)
+
+
+@dataclass(frozen=True)
+class _Sight:
+    """What one camera contributes to one alternation."""
+
+    camera_index: int
+    view: View
+    seen: RenderedView
+    contour: ContourPoints
+
+
+class Tracker:
+    """Follows one body through a recording; `step` once per frame, in order."""
+
+    def __init__(self, body: Body, rig: Rig, config: TrackerConfig | None = None) -> None:
+        self.body, self.rig, self.config = body, rig.pinhole(), config or TrackerConfig()
+        self._history: list[Moment] = []
+        self._templates: list[Template | None] = [None] * len(rig)
+        self._started = False
+
+    def start(self, pose: Pose, time: float = 0.0) -> None:
+        """Take the pose from which the first frame is tracked."""
+        self._history = [Moment(time, pose)]
+        self._templates = [None] * len(self.rig)
+        self._started = False
+
+    def step(self, frame: Frame) -> Estimate:
+        """Track one frame."""
+        guess = predict(self._history, frame.time, self.config.predictor) if self._started else self._history[-1].pose
+        expected = self._expected(guess, frame.time)
+        fixed: list[Term] = [LimitTerm(), GaussianTerm(guess, np.linalg.inv(expected))]
+        views = self._views(frame, guess)
+        if not views:
+            self._advance(frame.time, guess)
+            return Estimate(frame.index, frame.time, guess, expected, {}, "no_images", 0, support=0.0)
+        result, sights = self._fit(guess, views, fixed)
+        self._remember(sights, result.pose)
+        self._advance(frame.time, result.pose)
+        return self._estimate(frame, result, sights)
+
+    def _fit(self, guess: Pose, views: dict[int, View], fixed: Sequence[Term]) -> tuple[SolveResult, list[_Sight]]:
+        """Alternate correspond and update."""
+        config = self.config
+        pose, sights, steps = guess, [], 0
+        result: SolveResult | None = None
+        for iteration in range(config.iterations if self._started else config.first_iterations):
+            posed = Posed(self.body, pose)
+            if iteration % config.render_every == 0:
+                sights = [self._look(posed, camera, view) for camera, view in views.items()]
+            else:
+                sights = [replace(s, contour=reprojected(s.contour, posed, s.view.camera.P)) for s in sights]
+            terms = [term for sight in sights for term in self._evidence(sight, coarse=iteration == 0)]
+            result = least_squares(self.body, pose, [*fixed, *terms])
+            pose, steps = result.pose, steps + result.steps
+        assert result is not None
+        return replace(result, steps=steps), sights
+
+    def _look(self, posed: Posed, camera_index: int, view: View) -> _Sight:
+        seen = render(posed, view.camera)
+        spacing = max(1.0, self.config.contour_spacing * seen.px_per_m)
+        return _Sight(camera_index, view, seen, visible_contour(seen, spacing))
+
+    def _evidence(self, sight: _Sight, coarse: bool) -> list[Term]:
+        config, cue = self.config, self.config.direct
+        if coarse:
+            cue = replace(cue, search=cue.search * config.coarse_search, robust=cue.robust * config.coarse_search)
+        measured = cue.measure(sight.view, sight.seen, sight.contour)
+        terms: list[Term] = [cue.term(sight.seen, sight.contour, measured)]
+        template = self._templates[sight.camera_index]
+        if config.photometric and template is not None:
+            level = 0 if coarse else len(config.brightness.blurs) - 1
+            terms.append(config.brightness.term(sight.view, sight.seen, template, level))
+        return terms
+
+    def _expected(self, guess: Pose, time: float) -> Float:
+        """Covariance of the prediction, or of the given first pose."""
+        config, centre = self.config, guess.root[:3, 3]
+        if not self._started:
+            turn = float(np.deg2rad(config.first_sigma_deg))
+            given = MotionNoise(joint_speed=turn, turn_speed=turn, shift_speed=config.first_sigma_m)
+            return given.covariance(self.body.dof, 1.0, "hold", centre)
+        dt = time - self._history[-1].time
+        return config.noise.covariance(self.body.dof, dt, config.predictor, centre)
+
+    def _views(self, frame: Frame, guess: Pose) -> dict[int, View]:
+        posed, margin = Posed(self.body, guess), 2.0 * self.config.direct.search * self.config.coarse_search
+        views: dict[int, View] = {}
+        for i, image in enumerate(frame.images):
+            view = None if image is None else crop_view(image, self.rig[i], posed, margin, self.config.channels)
+            if view is not None:
+                views[i] = view
+        return views
+
+    def _remember(self, sights: Sequence[_Sight], pose: Pose) -> None:
+        if self.config.photometric:
+            posed = Posed(self.body, pose)
+            for sight in sights:
+                template = self.config.brightness.remember(sight.view, sight.seen, posed)
+                self._templates[sight.camera_index] = template
+
+    def _advance(self, time: float, pose: Pose) -> None:
+        if not self._started:
+            self._history = []
+        self._history = [*self._history, Moment(time, pose)][-50:]
+        self._started = True
+
+    def _estimate(self, frame: Frame, result: SolveResult, sights: Sequence[_Sight]) -> Estimate:
+        return Estimate(
+            frame.index, frame.time, result.pose, covariance(result.quadratic), {"total": result.energy}, result.status,
+            result.steps,
+        )  # fmt: skip
+
+
+def track(
+    frames: Iterable[Frame], body: Body, rig: Rig, first_pose: Pose, config: TrackerConfig | None = None
+) -> Iterator[Estimate]:
+    """Track a body through frames, one estimate each."""
+    tracker = Tracker(body, rig, config)
+    for k, frame in enumerate(frames):
+        if k == 0:
+            tracker.start(first_pose, frame.time)
+        yield tracker.step(frame)
