@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal, cast
+from typing import Annotated, Literal
 
 import typer
 
@@ -69,4 +69,4 @@ def _size(text: str) -> tuple[int, int]:
 def _condition(text: str) -> Literal["exact", "mismatch"]:
     if text not in ("exact", "mismatch"):
         raise InputError(f"--condition is {text!r}; it must be exact or mismatch.")
-    return cast(Literal["exact", "mismatch"], text)
+    return text

@@ -95,7 +95,7 @@ def body_of(session: Session) -> Body:
     else:
         from twistcap.body.obj_rig import load_makehuman
 
-        targets = {Path(path): weight for path, weight in body.targets.items()}
+        targets: dict[Path | str, float] = {Path(path): weight for path, weight in body.targets.items()}
         loaded = load_makehuman(body.path, body.rig, body.weights, targets, body.spec)
     return rescaled(loaded, body.lengths, body.girths, body.stature)
 

@@ -69,8 +69,13 @@ class Result:
     def __len__(self) -> int:
         return len(self.times)
 
-    @cached_property
+    @property
     def poses(self) -> tuple[Pose, ...]:
+        """N poses."""
+        return self._poses
+
+    @cached_property
+    def _poses(self) -> tuple[Pose, ...]:
         return tuple(Pose(root, q) for root, q in zip(self.roots, self.q, strict=True))
 
     @cached_property
@@ -230,14 +235,14 @@ def write_body(group: h5py.Group, body: Body) -> None:
 
 def read_body(group: h5py.Group) -> Body:
     """The body that `write_body` stored."""
-    arrays = {name: np.asarray(_dataset(group, name)[()]) for name in _ARRAYS}
+    arrays: dict[str, Any] = {name: np.asarray(_dataset(group, name)[()]) for name in _ARRAYS}
     marks = _group(group, "landmarks")
     landmarks = Landmarks(
         _strings(_dataset(marks, "names")),
         np.asarray(_dataset(marks, "segments")[()]),
         np.asarray(_dataset(marks, "points")[()]),
     )
-    names = {name: _strings(_dataset(group, name)) for name in _NAMES}
+    names: dict[str, Any] = {name: _strings(_dataset(group, name)) for name in _NAMES}
     return Body(name=str(group.attrs["name"]), landmarks=landmarks, **names, **arrays)
 
 
@@ -329,7 +334,7 @@ def _opened(path: str | Path, mode: str) -> h5py.File:
 def _check_format(path: str | Path, file: h5py.File) -> None:
     if file.attrs.get("format") != FORMAT or "frames" not in file:
         raise InputError(f"{path} is an HDF5 file, but no twistcap result; give the result.h5 that track wrote.")
-    if int(file.attrs["format_version"]) > FORMAT_VERSION:
+    if int(str(file.attrs["format_version"])) > FORMAT_VERSION:
         raise InputError(
             f"{path} was written by a newer twistcap (format {file.attrs['format_version']}); update twistcap."
         )

@@ -52,7 +52,7 @@ class HumanoidBody(Table):
 
     kind: Literal["humanoid"] = "humanoid"
     variant: Literal["full", "legs"] = "full"
-    stature: float = Field(1.75, gt=0.3, lt=3.0)
+    stature: float = Field(default=1.75, gt=0.3, lt=3.0)
     lengths: Factors = {}
     girths: Factors = {}
     thorax: bool = False
@@ -67,7 +67,7 @@ class GlbBody(Table):
     kind: Literal["glb"]
     path: DataPath
     rig: DataPath | None = None
-    stature: float = Field(1.0, gt=0)
+    stature: float = Field(default=1.0, gt=0)
     lengths: Factors = {}
     girths: Factors = {}
 
@@ -81,7 +81,7 @@ class ObjBody(Table):
     weights: DataPath | None = None
     spec: DataPath | None = None
     targets: dict[DataPath, float] = {}
-    stature: float = Field(1.0, gt=0)
+    stature: float = Field(default=1.0, gt=0)
     lengths: Factors = {}
     girths: Factors = {}
 
@@ -156,12 +156,16 @@ class Session(Table):
     scale: float = Field(1.0, gt=0, le=4)
     cameras: Cameras
     videos: dict[str, DataPath]
-    body: Annotated[HumanoidBody | GlbBody | ObjBody, Field(discriminator="kind")] = HumanoidBody()
+    body: Annotated[HumanoidBody | GlbBody | ObjBody, Field(discriminator="kind", default_factory=HumanoidBody)]
     first_pose: FirstPoseTable
     fit_girths: FitGirths | None = None
     tracker: dict[str, Any] = {}
     output: Output = Output()
-    _source: str = PrivateAttr("")
+    _source: str = PrivateAttr(default="")
+
+    def remember(self, source: str) -> None:
+        """The file that messages name."""
+        self._source = source
 
     @property
     def tracker_config(self) -> TrackerConfig:
@@ -188,7 +192,7 @@ def load_session(path: str | Path, overrides: Mapping[str, Any] | None = None) -
         data["body"].setdefault("kind", "humanoid")
     folder = path.parent / str(data.get("data", "."))
     session: Session = validated(Session, data, str(path), {"folder": folder})
-    session._source = str(path)  # for messages
+    session.remember(str(path))
     tracker_config(session.tracker, str(path))
     return session
 

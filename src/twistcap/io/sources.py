@@ -12,6 +12,7 @@ from typing import Any
 import av
 import cv2
 import numpy as np
+from av.error import FFmpegError
 
 from twistcap._typing import UInt8
 from twistcap.errors import InputError
@@ -37,7 +38,7 @@ class VideoSource:
                 self._stamps = _time_stamps(self.name, container)
                 stream = container.streams.video[0]
                 self._fps = float(stream.average_rate) if stream.average_rate else None
-        except av.error.FFmpegError as error:
+        except FFmpegError as error:
             raise InputError(f"video {path} cannot be opened ({error.strerror}); is it a video file?") from error
 
     def __len__(self) -> int:
@@ -47,9 +48,13 @@ class VideoSource:
     def fps(self) -> float | None:
         return self._fps
 
-    @cached_property
+    @property
     def size(self) -> tuple[int, int]:
         """(width, height) px as shown: a rotation told by the file is applied."""
+        return self._size
+
+    @cached_property
+    def _size(self) -> tuple[int, int]:
         image = next(self.read([0]))
         return image.shape[1], image.shape[0]
 
@@ -79,7 +84,7 @@ class VideoSource:
                 if frame.pts > wanted or frame.is_corrupt:
                     break
                 return _upright(frame)
-        except av.error.FFmpegError as error:
+        except FFmpegError as error:
             raise InputError(f"video {self.name}: frame {index} is corrupt ({error.strerror}); {_MEND}.") from error
         raise InputError(f"video {self.name}: frame {index} is corrupt or missing; {_MEND}.")
 
@@ -122,9 +127,13 @@ class ImageSource:
     def __len__(self) -> int:
         return len(self._files)
 
-    @cached_property
+    @property
     def size(self) -> tuple[int, int]:
         """(width, height) px of the first image."""
+        return self._size
+
+    @cached_property
+    def _size(self) -> tuple[int, int]:
         first = next(i for i, file in enumerate(self._files) if file is not None)
         image = _read_image(self.name, self._files[first], first)
         return image.shape[1], image.shape[0]
@@ -170,9 +179,14 @@ def _numbered(pattern: str) -> list[str | None]:
 
 def _in_order(pattern: str) -> list[str | None]:
     files = glob(str(Path(pattern) / "*")) if Path(pattern).is_dir() else glob(pattern)
-    images = [file for file in files if Path(file).suffix.lower() in _IMAGES]
-    return sorted(images, key=lambda file: [int(t) if t.isdigit() else t for t in re.split(r"(\d+)", file)])
+    images: list[str] = [file for file in files if Path(file).suffix.lower() in _IMAGES]
+    return [*sorted(images, key=_natural)]
 
 
 def _escape(text: str) -> str:
     return re.sub(r"([*?[])", r"[\1]", text)
+
+
+def _natural(file: str) -> list[tuple[int, str]]:
+    """Sorts 2 before 10."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", file)]

@@ -9,6 +9,7 @@ from typing import Any
 
 import av
 import numpy as np
+from av.error import FFmpegError
 
 from twistcap._typing import AnyArray
 from twistcap.errors import InputError
@@ -30,7 +31,7 @@ class VideoWriter:
         self._stream: Any = None
         try:
             self._container: Any = av.open(str(path), "w", options={"movflags": "faststart"})
-        except (av.error.FFmpegError, OSError) as error:
+        except (FFmpegError, OSError) as error:
             raise InputError(f"video {path} cannot be written: {error.strerror}.") from error
 
     def write(self, image: AnyArray) -> None:

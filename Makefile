@@ -1,0 +1,47 @@
+# Everything works from a bare clone: each target makes its own virtual environment in .venv first.
+#   make demo    render, track and report a synthetic walk
+#   make test    all tests
+#   make lint    ruff and pyright
+#   make bench   milliseconds per frame by stage
+
+VENV := .venv
+PY := $(VENV)/bin/python
+JOBS ?= 2
+.DEFAULT_GOAL := help
+.PHONY: help demo test lint bench clean
+
+help:
+	@sed -n 's/^#   //p' Makefile
+
+# A Python of at least 3.11 that runs (a pyenv shim may exist and not run).
+$(PY):
+	@for python in $(PYTHON) python3.12 python3.11 python3.13 python3.14 python3 python; do \
+	  if $$python -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then \
+	    echo "using $$($$python --version) for $(VENV)"; exec $$python -m venv $(VENV); fi; \
+	done; echo "twistcap needs Python 3.11 or newer: install one, or run make PYTHON=/path/to/python" >&2; exit 1
+
+$(VENV)/run.stamp: pyproject.toml | $(PY)
+	$(PY) -m pip install --quiet -e .
+	@touch $@
+
+$(VENV)/dev.stamp: pyproject.toml $(VENV)/run.stamp
+	$(PY) -m pip install --quiet -e '.[dev]'
+	@touch $@
+
+demo: $(VENV)/run.stamp
+	$(PY) -m twistcap.cli demo --out demo
+
+test: $(VENV)/dev.stamp
+	$(PY) -m pytest -n $(JOBS) --dist loadscope $(ARGS)
+
+lint: $(VENV)/dev.stamp
+	$(PY) -m ruff check
+	$(PY) -m ruff format --check
+	$(PY) -m pyright
+
+bench: $(VENV)/run.stamp
+	$(PY) -m twistcap.cli bench
+
+clean:
+	rm -rf $(VENV) demo out build dist .pytest_cache .ruff_cache .hypothesis
+	find src tests \( -name '*.nbi' -o -name '*.nbc' \) -delete
