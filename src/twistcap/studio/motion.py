@@ -13,7 +13,7 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from twistcap import se3
-from twistcap._typing import Float
+from twistcap._typing import Float, Int
 from twistcap.body import Body, Pose, Posed
 from twistcap.errors import InputError
 
@@ -22,7 +22,7 @@ _HARMONICS = 8
 _WALK_RATIO = 0.0064  # m per (step/min): step length over cadence of adults (Sekiya et al. 1997, Gait Posture 5:201)
 
 # Degrees at per cent of the right leg's cycle, from its heel strike; mirrored half a cycle later for the left. The
-# published values were nudged by up to 4 degrees, within one standard deviation, so that a foot without toe joints rolls.
+# published values were nudged by up to 4 degrees, within one deviation, so that a foot without toe joints rolls.
 _LIMBS: dict[str, tuple[tuple[float, float], ...]] = {
     "hip_flexion": ((0, 29.5), (6, 28.5), (15, 21.5), (31, 3.5), (42, -7.5), (50, -10.5), (55, -8.5), (62, 1), (74, 23),
                     (85, 33.5), (94, 32)),
@@ -89,11 +89,11 @@ def gait(
 
 @dataclass(frozen=True)
 class _Cycle:
-    """One cycle of walking in place of a line: Fourier series over the phase, angles in rad."""
+    """One cycle, sampled: angles (_PHASES,) in rad, metres advanced, and mid-hip (_PHASES, 3) less an even advance."""
 
     angles: dict[str, Float]
-    stride: float = 0.0
-    offset: Float | None = None  # (_PHASES, 3) mid-hip less the even advance, m
+    stride: float
+    offset: Float
 
 
 def fourier(samples: Float, at: Float, harmonics: int = _HARMONICS) -> Float:
@@ -150,11 +150,11 @@ def _cycle_of_stride(body: Body, stride: float) -> _Cycle:
 
 def _grounded(body: Body, swing: float) -> _Cycle:
     """Stride length and mid-hip motion that keep the lowest points of the surface still on the floor."""
-    angles = _angles(swing)
-    surfaces = np.array([_surface(body, angles, n) for n in range(_PHASES)])
-    low = surfaces[:, :, 2].min(axis=1)
-    load = np.exp(-(surfaces[:, :, 2] - low[:, None]) / 0.006)  # share of the ground contact
-    ahead = np.roll(surfaces, -1, axis=0) - surfaces
+    angles, near = _angles(swing), _near_ground(body)
+    feet = np.array([_surface(body, near, angles, n) for n in range(_PHASES)])
+    low = feet[:, :, 2].min(axis=1)
+    load = np.exp(-(feet[:, :, 2] - low[:, None]) / 0.006) * _stance(body, near)  # share of the ground contact
+    ahead = np.roll(feet, -1, axis=0) - feet
     both = load * np.roll(load, -1, axis=0)
     slip = (both[..., None] * ahead[..., :2]).sum(axis=1) / both.sum(axis=1)[:, None]
     moved = -slip.mean(axis=0) * _PHASES
@@ -166,13 +166,30 @@ def _grounded(body: Body, swing: float) -> _Cycle:
     return _Cycle(angles, float(moved[0]), position)
 
 
-def _surface(body: Body, angles: dict[str, Float], n: int) -> Float:
+def _near_ground(body: Body) -> Int:
+    """The vertices of the lowest eighth of the standing body: its feet."""
+    z = body.vertices[:, 2]
+    return np.flatnonzero(z < z.min() + np.ptp(z) / 8).astype(np.int32)
+
+
+def _stance(body: Body, near: Int) -> Float:
+    """(_PHASES, N) how far each vertex may bear load: those of a leg in its stance, 0 to 60 % of its cycle."""
+    out = np.full((_PHASES, len(near)), 1e-6)
+    for side, shift in (("r", 0.0), ("l", 0.5)):
+        if f"hip_flexion_{side}" in body.coordinate_names:
+            at = 100.0 * ((np.arange(_PHASES) / _PHASES + shift) % 1.0)
+            leg = body.chain[body.vertex_part[near], body.coordinate(f"hip_flexion_{side}")]
+            out += np.interp(at, [0, 6, 54, 60, 94, 100], [0.5, 1, 1, 0, 0, 0.5])[:, None] * leg
+    return out
+
+
+def _surface(body: Body, near: Int, angles: dict[str, Float], n: int) -> Float:
     root = se3.transform(_pelvis(angles, n), np.zeros(3))
-    return Posed(body, Pose(root, _coordinates(body, angles, n))).vertices
+    posed = Posed(body, Pose(root, _coordinates(body, angles, n)))
+    return posed.points(body.skin_segments[near], body.skin_weights[near], body.vertices[near])
 
 
 def _poses(body: Body, cycle: _Cycle, phases: Float, heading: float, start: tuple[float, float]) -> list[Pose]:
-    assert cycle.offset is not None
     angles = {name: fourier(values, phases) for name, values in cycle.angles.items()}
     offset = fourier(cycle.offset, phases)
     offset[:, 0] += (phases - phases[:1]) * cycle.stride
