@@ -39,7 +39,7 @@ class Buffers:
             InputError: for an accessor that does not exist, is sparse, runs past its buffer, or holds NaN.
         """
         try:
-            entry = self.gltf.accessors[number]
+            entry = dict(enumerate(self.gltf.accessors))[number]  # no negative numbers here
             if entry.sparse is not None or entry.bufferView is None:
                 raise InputError(f"{self.path}: {where}: sparse accessors cannot be read; export it without.")
             view = self.gltf.bufferViews[entry.bufferView]
@@ -53,7 +53,7 @@ class Buffers:
         raw = np.ndarray((entry.count, width), kind, data, start, (stride, kind.itemsize)).astype(np.float64)
         if not np.all(np.isfinite(raw)):
             raise InputError(f"{self.path}: {where}: a value is not finite.")
-        return np.maximum(raw / np.iinfo(kind).max, -1.0) if entry.normalized else raw
+        return np.maximum(raw / np.iinfo(kind.name).max, -1.0) if entry.normalized else raw
 
     def _buffer(self, number: int, where: str) -> bytes:
         if number not in self._data:

@@ -8,6 +8,8 @@ motion. Without inverse bind matrices it is the pose of the nodes. Coordinates t
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +46,10 @@ def load_glb(path: Path | str, rig: Path | str | RigSpec | None = None, influenc
     path = Path(path)
     gltf = _open(path)
     own = (gltf.asset.extras or {}).get(EXTRAS)
-    mesh = _read_mesh(gltf, path, own is not None)
+    try:
+        mesh = _read_mesh(_Scene(gltf, path), own is not None)
+    except (IndexError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{path}: broken glTF, it refers to what is not there ({error}).") from error
     if own is not None and rig is None:
         return _own_body(mesh, own, path)
     beside = path.with_name(path.stem + ".rig.toml")
@@ -71,57 +76,117 @@ def _open(path: Path) -> GLTF2:
     return gltf
 
 
-def _read_mesh(gltf: GLTF2, path: Path, as_is: bool) -> SkinnedMesh:
-    """All skinned meshes of the file as one, in glTF's axes."""
-    buffers = Buffers(gltf, path)
-    node_parents = _node_parents(gltf, path)
-    world = _node_worlds(gltf, node_parents)
-    joints = _joints_in_order(gltf, node_parents)
-    column = {node: b for b, node in enumerate(joints)}
-    binds = [_bind_motions(gltf, buffers, skin, world) for skin in range(len(gltf.skins))]
-    parts: list[tuple[Float, Int, Float]] = []
-    for node in gltf.nodes:
-        if node.skin is None or node.mesh is None:
-            continue
-        _expect(node.skin < len(gltf.skins), path, f"node {node.name!r} names skin {node.skin}, which does not exist")
-        columns = np.array([column[j] for j in gltf.skins[node.skin].joints])
-        for number, primitive in enumerate(gltf.meshes[node.mesh].primitives):
-            where = f"mesh {gltf.meshes[node.mesh].name or node.mesh!r}, primitive {number}"
-            vertices, faces, influences = _primitive(buffers, primitive, path, where, len(columns))
-            weights = np.zeros((len(vertices), len(joints)))
-            weights[:, columns] = influences
-            parts.append((*_in_scene(vertices, faces, weights, binds[node.skin][0], columns),))
-    _expect(bool(parts), path, "no mesh uses its skin")
-    vertices, faces, weights = _joined(parts)
+@dataclass(frozen=True)
+class _Scene:
+    """A parsed file with its joints in tree order."""
+
+    gltf: GLTF2
+    path: Path
+
+    @cached_property
+    def buffers(self) -> Buffers:
+        return Buffers(self.gltf, self.path)
+
+    @cached_property
+    def parents(self) -> list[int]:
+        """Parent of each node, -1 at the top."""
+        parents = [-1] * len(self.gltf.nodes)
+        for number, node in enumerate(self.gltf.nodes):
+            for child in node.children or []:
+                _expect(
+                    0 <= child < len(parents), self.path, f"node {number} has the child {child}, which is not there"
+                )
+                parents[child] = number
+        _expect(len(in_tree_order(parents)) == len(parents), self.path, "its nodes form a ring instead of a tree")
+        return parents
+
+    @cached_property
+    def world(self) -> Float:
+        """(nodes, 4, 4) motions of the nodes as they stand in the file."""
+        world = np.zeros((len(self.parents), 4, 4))
+        for n in in_tree_order(self.parents):
+            above = world[self.parents[n]] if self.parents[n] >= 0 else np.eye(4)
+            world[n] = above @ _node_matrix(self.gltf.nodes[n])
+        return world
+
+    def skin_joints(self, skin: int) -> list[int]:
+        return list(self.gltf.skins[skin].joints or [])
+
+    @cached_property
+    def joints(self) -> list[int]:
+        """The nodes that are joints, parents first; our own files keep the order of their segments."""
+        if EXTRAS in (self.gltf.skins[0].extras or {}):
+            return self.skin_joints(0)
+        used = {joint for skin in range(len(self.gltf.skins)) for joint in self.skin_joints(skin)}
+        return [n for n in in_tree_order(self.parents) if n in used]
+
+    @cached_property
+    def column(self) -> dict[int, int]:
+        """Number among the joints, by node."""
+        return {node: b for b, node in enumerate(self.joints)}
+
+    def names(self) -> tuple[str, ...]:
+        names: list[str] = []
+        for node in self.joints:
+            name = self.gltf.nodes[node].name or f"joint_{node}"
+            names.append(name if name not in names else f"{name}_{node}")
+        return tuple(names)
+
+    def joint_above(self, node: int) -> int:
+        node = self.parents[node]
+        while node >= 0 and node not in self.column:
+            node = self.parents[node]
+        return self.column.get(node, -1)
+
+    def bind_motions(self, number: int) -> tuple[Float, Float]:
+        """Motions (B, 4, 4) of the stored vertices to the rest pose, by joint; the joints' frames (B, 4, 4) there."""
+        joints, skin = self.skin_joints(number), self.gltf.skins[number]
+        nodes = self.world[joints]
+        if skin.inverseBindMatrices is None:
+            return nodes, nodes
+        binds = self.buffers.accessor(skin.inverseBindMatrices, f"skin {number}: inverseBindMatrices")
+        binds = binds.reshape(-1, 4, 4).transpose(0, 2, 1)
+        invertible = len(binds) == len(nodes) and bool(np.all(np.abs(np.linalg.det(binds)) > 1e-18))
+        _expect(invertible, self.path, f"skin {number}: inverseBindMatrices must be one invertible matrix per joint")
+        root = int(np.argmin([self.column[joint] for joint in joints]))
+        motion = nodes[root] @ binds[root]
+        return np.tile(motion, (len(nodes), 1, 1)), motion @ np.linalg.inv(binds)
+
+
+def _read_mesh(scene: _Scene, as_is: bool) -> SkinnedMesh:
+    """All skinned meshes of the file as one, in glTF's axes; `as_is`: without welding."""
+    binds = [scene.bind_motions(skin) for skin in range(len(scene.gltf.skins))]
+    vertices, faces, weights = _joined(_parts(scene, binds))
     if not as_is:
         vertices, faces, weights = welded(vertices, faces, weights)
     return SkinnedMesh(
-        name=path.stem,
-        source=path.name,
-        joints=_joint_names(gltf, joints),
-        parents=np.array([_joint_above(node_parents, node, column) for node in joints], dtype=np.int32),
-        frames=_joint_frames(gltf, binds, joints),
+        name=scene.path.stem,
+        source=scene.path.name,
+        joints=scene.names(),
+        parents=np.array([scene.joint_above(node) for node in scene.joints], dtype=np.int32),
+        frames=_joint_frames(scene, binds),
         vertices=vertices,
         faces=faces,
         weights=weights,
     )
 
 
-def _node_parents(gltf: GLTF2, path: Path) -> list[int]:
-    parents = [-1] * len(gltf.nodes)
-    for number, node in enumerate(gltf.nodes):
-        for child in node.children or []:
-            _expect(0 <= child < len(parents), path, f"node {number} has the child {child}, which does not exist")
-            parents[child] = number
-    _expect(len(in_tree_order(parents)) == len(parents), path, "its nodes form a ring instead of a tree")
-    return parents
-
-
-def _node_worlds(gltf: GLTF2, parents: list[int]) -> Float:
-    world = np.zeros((len(parents), 4, 4))
-    for n in in_tree_order(parents):
-        world[n] = (world[parents[n]] if parents[n] >= 0 else np.eye(4)) @ _node_matrix(gltf.nodes[n])
-    return world
+def _parts(scene: _Scene, binds: list[tuple[Float, Float]]) -> list[tuple[Float, Int, Float]]:
+    """Vertices (V, 3) in the rest pose, triangles (F, 3) and weights (V, joints) of every skinned primitive."""
+    parts: list[tuple[Float, Int, Float]] = []
+    for node in scene.gltf.nodes:
+        if node.skin is None or node.mesh is None:
+            continue
+        columns = np.array([scene.column[joint] for joint in scene.skin_joints(node.skin)])
+        mesh = scene.gltf.meshes[node.mesh]
+        for number, primitive in enumerate(mesh.primitives):
+            where = f"mesh {mesh.name or node.mesh!r}, primitive {number}"
+            vertices, faces, shares = _primitive(scene, primitive, where, len(columns))
+            weights = np.zeros((len(vertices), len(scene.joints)))
+            weights[:, columns] = shares
+            parts.append((*_in_scene(vertices, faces, shares, binds[node.skin][0]), weights))
+    _expect(bool(parts), scene.path, "no mesh uses its skin")
+    return parts
 
 
 def _node_matrix(node: Any) -> Float:
@@ -134,94 +199,58 @@ def _node_matrix(node: Any) -> Float:
     return se3.transform(R, np.array(node.translation or (0.0, 0.0, 0.0)))
 
 
-def _joints_in_order(gltf: GLTF2, parents: list[int]) -> list[int]:
-    used = {joint for skin in gltf.skins for joint in skin.joints}
-    if any(EXTRAS in (skin.extras or {}) for skin in gltf.skins):
-        return list(gltf.skins[0].joints)  # our own file: segments in their order
-    return [n for n in in_tree_order(parents) if n in used]
-
-
-def _joint_names(gltf: GLTF2, joints: list[int]) -> tuple[str, ...]:
-    names: list[str] = []
-    for node in joints:
-        name = gltf.nodes[node].name or f"joint_{node}"
-        names.append(name if name not in names else f"{name}_{node}")
-    return tuple(names)
-
-
-def _joint_above(parents: list[int], node: int, column: dict[int, int]) -> int:
-    node = parents[node]
-    while node >= 0 and node not in column:
-        node = parents[node]
-    return column.get(node, -1)
-
-
-def _bind_motions(gltf: GLTF2, buffers: Buffers, number: int, world: Float) -> tuple[Float, Float]:
-    """Motions (B, 4, 4) of the stored vertices to the rest pose, by joint, and the joints' frames (B, 4, 4) there."""
-    skin = gltf.skins[number]
-    nodes = world[skin.joints]
-    if skin.inverseBindMatrices is None:
-        return nodes, nodes
-    inverse_binds = buffers.accessor(skin.inverseBindMatrices, f"skin {number}: inverseBindMatrices")
-    inverse_binds = inverse_binds.reshape(-1, 4, 4).transpose(0, 2, 1)
-    if len(inverse_binds) != len(nodes) or not np.all(np.abs(np.linalg.det(inverse_binds)) > 1e-18):
-        raise InputError(f"{buffers.path}: skin {number}: inverseBindMatrices must be one invertible matrix per joint.")
-    root = int(np.argmin([_depth(gltf, joint) for joint in skin.joints]))
-    motion = nodes[root] @ inverse_binds[root]
-    return np.broadcast_to(motion, nodes.shape), motion @ np.linalg.inv(inverse_binds)
-
-
-def _depth(gltf: GLTF2, node: int) -> int:
-    above = [n for n, other in enumerate(gltf.nodes) if node in (other.children or [])]
-    return 1 + _depth(gltf, above[0]) if above else 0
-
-
-def _joint_frames(gltf: GLTF2, binds: list[tuple[Float, Float]], joints: list[int]) -> Float:
+def _joint_frames(scene: _Scene, binds: list[tuple[Float, Float]]) -> Float:
     found: dict[int, Float] = {}
-    for skin, (_, frames) in zip(gltf.skins, binds, strict=True):
-        for joint, frame in zip(skin.joints, frames, strict=True):
+    for skin, (_, frames) in enumerate(binds):
+        for joint, frame in zip(scene.skin_joints(skin), frames, strict=True):
             found.setdefault(joint, frame)
-    return np.array([found[joint] for joint in joints])
+    return np.array([found[joint] for joint in scene.joints])
 
 
-def _primitive(buffers: Buffers, primitive: Any, path: Path, where: str, joint_count: int) -> tuple[Float, Int, Float]:
+def _primitive(scene: _Scene, primitive: Any, where: str, joint_count: int) -> tuple[Float, Int, Float]:
     """Vertices (V, 3), triangles (F, 3) and weights (V, B) by the skin's joints."""
-    mode = _TRIANGLES if primitive.mode is None else primitive.mode
+    path, mode = scene.path, _TRIANGLES if primitive.mode is None else primitive.mode
     _expect(mode == _TRIANGLES, path, f"{where}: its mode is {mode}, only triangles (4) can be read; triangulate it")
-    attributes = vars(primitive.attributes)
-    _expect(attributes.get("JOINTS_0") is not None, path, f"{where}: it has a skin but no JOINTS_0")
-    _expect(attributes.get("WEIGHTS_0") is not None, path, f"{where}: it has a skin but no WEIGHTS_0")
-    _expect(attributes.get("POSITION") is not None, path, f"{where}: it has no POSITION")
-    vertices = buffers.accessor(attributes["POSITION"], f"{where}: POSITION")
-    weights = np.zeros((len(vertices), joint_count))
-    rows = np.arange(len(vertices))
-    for name in sorted(n for n, at in attributes.items() if n.startswith("JOINTS_") and at is not None):
-        held = buffers.accessor(attributes[name], f"{where}: {name}").astype(int)
-        share = buffers.accessor(attributes[name.replace("JOINTS", "WEIGHTS")], f"{where}: {name} weights")
-        _expect(len(held) == len(share) == len(rows), path, f"{where}: {name} and POSITION differ in length")
-        _expect(int(held.max(initial=0)) < joint_count, path, f"{where}: {name} names a joint the skin has not")
-        for k in range(held.shape[1]):
-            np.add.at(weights, (rows, held[:, k]), share[:, k])
+    attributes: dict[str, Any] = vars(primitive.attributes)
+    for name in ("POSITION", "JOINTS_0", "WEIGHTS_0"):
+        _expect(attributes.get(name) is not None, path, f"{where}: it has a skin but no {name}")
+    vertices = scene.buffers.accessor(attributes["POSITION"], f"{where}: POSITION")
     if primitive.indices is None:
-        corners = rows
+        corners = np.arange(len(vertices))
     else:
-        corners = buffers.accessor(primitive.indices, f"{where}: indices").astype(int).ravel()
+        corners = scene.buffers.accessor(primitive.indices, f"{where}: indices").astype(int).ravel()
     _expect(len(corners) % 3 == 0, path, f"{where}: its indices are no whole number of triangles")
-    _expect(int(corners.max(initial=0)) < len(rows), path, f"{where}: indices name a vertex that does not exist")
-    return vertices, corners.reshape(-1, 3).astype(np.int32), weights
+    _expect(int(corners.max(initial=0)) < len(vertices), path, f"{where}: indices name a vertex that is not there")
+    shares = _shares(scene, attributes, where, (len(vertices), joint_count))
+    return vertices, corners.reshape(-1, 3).astype(np.int32), shares
 
 
-def _in_scene(vertices: Float, faces: Int, weights: Float, motions: Float, columns: Int) -> tuple[Float, Int, Float]:
-    """The vertices of one primitive in the rest pose; faces turned over where the motion mirrors."""
-    share = weights[:, columns] / np.maximum(weights.sum(axis=1, keepdims=True), 1e-12)
-    if np.allclose(motions, motions[0], atol=1e-12):
-        blended = motions[:1]
-        placed = vertices if np.array_equal(motions[0], np.eye(4)) else se3.apply(motions[0], vertices)
+def _shares(scene: _Scene, attributes: dict[str, Any], where: str, shape: tuple[int, int]) -> Float:
+    """(V, B) weights of the skin's joints, from all sets JOINTS_n and WEIGHTS_n."""
+    out, rows = np.zeros(shape), np.arange(shape[0])
+    for name in sorted(n for n, at in attributes.items() if n.startswith("JOINTS_") and at is not None):
+        held = scene.buffers.accessor(attributes[name], f"{where}: {name}").astype(int)
+        share = scene.buffers.accessor(
+            attributes.get(name.replace("JOINTS", "WEIGHTS"), -1), f"{where}: {name} weights"
+        )
+        _expect(len(held) == len(share) == len(rows), scene.path, f"{where}: {name} and POSITION differ in length")
+        known = int(held.max(initial=0)) < shape[1]
+        _expect(known, scene.path, f"{where}: {name} names a joint the skin has not")
+        for k in range(held.shape[1]):
+            np.add.at(out, (rows, held[:, k]), share[:, k])
+    return out
+
+
+def _in_scene(vertices: Float, faces: Int, shares: Float, motions: Float) -> tuple[Float, Int]:
+    """The vertices (V, 3) of one primitive in the rest pose; faces turned over where the motion mirrors."""
+    if np.array_equal(motions, np.broadcast_to(motions[0], motions.shape)):  # the bind pose
+        still = np.array_equal(motions[0], np.eye(4))
+        placed, blended = vertices if still else se3.apply(motions[0], vertices), motions[:1]
     else:
-        blended = np.einsum("vb,bij->vij", share, motions)
+        blended = np.einsum("vb,bij->vij", shares / np.maximum(shares.sum(axis=1, keepdims=True), 1e-12), motions)
         placed = se3.apply(blended, vertices[:, None, :])[:, 0]
     mirrored = float(np.median(np.linalg.det(blended[:, :3, :3]))) < 0
-    return placed, np.ascontiguousarray(faces[:, ::-1]) if mirrored else faces, weights
+    return placed, np.ascontiguousarray(faces[:, ::-1]) if mirrored else faces
 
 
 def _joined(parts: list[tuple[Float, Int, Float]]) -> tuple[Float, Int, Float]:

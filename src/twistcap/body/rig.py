@@ -227,7 +227,7 @@ def _landmark_point(mesh: SkinnedMesh, spec: RigSpec, name: str, mark: str | Lan
     if isinstance(mark, str) or (mark.at is None and mark.point is None and mark.vertices is None):
         return mesh.frames[mesh.joints.index(mark if isinstance(mark, str) else mark.joint), :3, 3]
     if mark.at is not None:
-        return np.linalg.solve(spec.to_rest(), np.array(mark.at))
+        return np.array(mark.at) @ spec.to_rest() / spec.scale**2  # the rows are square and as long as the scale
     if mark.point is not None:
         if mark.point not in mesh.points:
             raise InputError(f"{where}: the file has no point {mark.point!r}.")

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from twistcap._typing import Float
+from twistcap._typing import AnyArray, Float
 from twistcap.errors import InputError
 from twistcap.io.keypoints import LAYOUTS
 
@@ -142,14 +142,19 @@ def read_keypoints3d(
     names = tuple(map(str, data["names"])) if "names" in data else tuple(names or LAYOUTS["body_25b"])
     if len(names) != X.shape[1]:
         raise InputError(f"{path}: X has {X.shape[1]} points, but there are {len(names)} names.")
-    if times is None:
-        fps = float(data["fps"]) if "fps" in data else fps
-        if "times" not in data and fps is None:
-            raise InputError(f"{path}: it has no clock; give times or fps.")
-        times = data["times"].astype(float) if "times" in data else np.arange(len(X)) / (fps or 1.0)
-    if len(times) != len(X):
-        raise InputError(f"{path}: X has {len(X)} frames, but there are {len(times)} times.")
-    return Markers(tuple(names), np.asarray(times, dtype=float), X)
+    clock = _clock(path, data, len(X), fps) if times is None else np.asarray(times, dtype=float)
+    if len(clock) != len(X):
+        raise InputError(f"{path}: X has {len(X)} frames, but there are {len(clock)} times.")
+    return Markers(tuple(names), clock, X)
+
+
+def _clock(path: Path, data: Mapping[str, AnyArray], frames: int, fps: float | None) -> Float:
+    if "times" in data:
+        return data["times"].astype(float)
+    fps = float(data["fps"]) if "fps" in data else fps
+    if not fps:
+        raise InputError(f"{path}: it has no clock; give times or fps.")
+    return np.arange(frames) / fps
 
 
 def frame_rate(times: Float) -> float:
