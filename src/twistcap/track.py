@@ -16,6 +16,8 @@ from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Rig
 from twistcap.cues.brightness import Brightness, Template
 from twistcap.cues.direct import DirectContour
+from twistcap.cues.evidence import ContourCue, ContourEvidence
+from twistcap.cues.levelset import LevelSetContour
 from twistcap.cues.view import View, crop_view
 from twistcap.estimate import Estimate, Frame
 from twistcap.features import Channels
@@ -38,7 +40,9 @@ class TrackerConfig:
         first_iterations: the same in the first frame, which starts from a given pose.
         render_every: the body is rendered anew in every so many alternations.
         contour_spacing: m on the body between contour samples.
-        coarse_search: factor on the search length and the robust scale in the first alternation.
+        coarse: factor on the contour cue's capture range in the first alternation.
+        solver_steps: Gauss-Newton steps in each alternation.
+        margin: m about the expected body within which images are looked at.
         first_sigma_deg, first_sigma_m: how far the given first pose may be off (joints and root turn; root place).
     """
 
@@ -50,10 +54,13 @@ class TrackerConfig:
     first_iterations: int = 10
     render_every: int = 2
     contour_spacing: float = 0.025
-    coarse_search: float = 2.0
+    coarse: float = 2.0
+    solver_steps: int = 1
+    margin: float = 0.15
     first_sigma_deg: float = 1.0
     first_sigma_m: float = 0.005
     direct: DirectContour = field(default_factory=DirectContour)
+    levelset: LevelSetContour = field(default_factory=LevelSetContour)
     brightness: Brightness = field(default_factory=Brightness)
     noise: MotionNoise = field(default_factory=MotionNoise)
 
@@ -73,6 +80,7 @@ class Tracker:
 
     def __init__(self, body: Body, rig: Rig, config: TrackerConfig | None = None) -> None:
         self.body, self.rig, self.config = body, rig.pinhole(), config or TrackerConfig()
+        self._contour: ContourCue = self.config.direct if self.config.method == "direct" else self.config.levelset
         self._history: list[Moment] = []
         self._templates: list[Template | None] = [None] * len(rig)
         self._started = False
@@ -108,8 +116,9 @@ class Tracker:
                 sights = [self._look(posed, camera, view) for camera, view in views.items()]
             else:
                 sights = [replace(s, contour=reprojected(s.contour, posed, s.view.camera.P)) for s in sights]
-            terms = [term for sight in sights for term in self._evidence(sight, coarse=iteration == 0)]
-            result = least_squares(self.body, pose, [*fixed, *terms])
+            evidence = [self._evidence(sight, coarse=iteration == 0) for sight in sights]
+            terms = [term for by_view, _ in evidence for term in by_view]
+            result = least_squares(self.body, pose, [*fixed, *terms], steps=config.solver_steps)
             pose, steps = result.pose, steps + result.steps
         assert result is not None
         return replace(result, steps=steps), sights
@@ -119,17 +128,16 @@ class Tracker:
         spacing = max(1.0, self.config.contour_spacing * seen.px_per_m)
         return _Sight(camera_index, view, seen, visible_contour(seen, spacing))
 
-    def _evidence(self, sight: _Sight, coarse: bool) -> list[Term]:
-        config, cue = self.config, self.config.direct
-        if coarse:
-            cue = replace(cue, search=cue.search * config.coarse_search, robust=cue.robust * config.coarse_search)
-        measured = cue.measure(sight.view, sight.seen, sight.contour)
-        terms: list[Term] = [cue.term(sight.seen, sight.contour, measured)]
+    def _evidence(self, sight: _Sight, coarse: bool) -> tuple[list[Term], ContourEvidence]:
+        """Terms of one camera: its contour, and the brightness of what it saw in the frame before."""
+        config = self.config
+        found = self._contour.measure(sight.view, sight.seen, sight.contour, config.coarse if coarse else 1.0)
+        terms: list[Term] = [found.term]
         template = self._templates[sight.camera_index]
         if config.photometric and template is not None:
             level = 0 if coarse else len(config.brightness.blurs) - 1
             terms.append(config.brightness.term(sight.view, sight.seen, template, level))
-        return terms
+        return terms, found
 
     def _expected(self, guess: Pose, time: float) -> Float:
         """Covariance of the prediction, or of the given first pose."""
@@ -142,7 +150,7 @@ class Tracker:
         return config.noise.covariance(self.body.dof, dt, config.predictor, centre)
 
     def _views(self, frame: Frame, guess: Pose) -> dict[int, View]:
-        posed, margin = Posed(self.body, guess), 2.0 * self.config.direct.search * self.config.coarse_search
+        posed, margin = Posed(self.body, guess), self.config.margin
         views: dict[int, View] = {}
         for i, image in enumerate(frame.images):
             view = None if image is None else crop_view(image, self.rig[i], posed, margin, self.config.channels)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twistcap._typing import Float
+from twistcap.cues.evidence import ContourEvidence
 from twistcap.cues.view import View
 from twistcap.region.lines import boundary_posterior, line_moments, pooled_gaussians, sample_lines
 from twistcap.render import ContourPoints, RenderedView
@@ -39,37 +39,26 @@ class DirectContour:
     clip: float = 3.0
     least_sigma: float = 0.5
     share: float = 0.2
-    robust: float = 0.02
-    inner: float = 1.0
+    robust: float = 0.01
+    inner: float = 0.3
 
-    def measure(self, view: View, seen: RenderedView, contour: ContourPoints) -> ContourMeasurement:
-        """Displacement, variance and evidence of every contour point."""
-        px_per_m = seen.camera.K[0, 0] * contour.inverse_depth
-        step = np.maximum(self.search * px_per_m / self.samples, 0.25)
+    def measure(self, view: View, seen: RenderedView, contour: ContourPoints, coarse: float) -> ContourEvidence:
+        """Measure every contour point along its normal and make a point-to-normal term of it.
+
+        `coarse` ≥ 1 lengthens the search lines and loosens the robust scale in early alternations.
+        """
+        step = np.maximum(coarse * self.search / self.samples * view.camera.K[0, 0] * contour.inverse_depth, 0.25)
         values, first, last = sample_lines(
-            view.features, seen.part, contour.pixels, contour.normals, contour.part, contour.outer,
-            step, self.samples,
-        )  # fmt: skip
-        moments = line_moments(values, first, last, step)
-        mean, variance = pooled_gaussians(
-            moments, contour.pixels, contour.part, self.rho * seen.px_per_m, self.prior_mass, self.floor
+            view.features, seen.part, contour.pixels, contour.normals, contour.part, contour.outer, step, self.samples
         )
-        displacement, spread, evidence = boundary_posterior(values, first, last, step, mean, variance, self.clip)
-        return ContourMeasurement(displacement, spread, evidence, (first, last, step))
-
-    def term(self, seen: RenderedView, contour: ContourPoints, measured: ContourMeasurement) -> PointNormalTerm:
-        """Point-to-normal term of the measured displacements."""
-        target = contour.pixels + measured.displacement[:, None] * contour.normals
-        weight = self.share / (measured.variance + self.least_sigma**2)
-        weight *= np.where(contour.outer, 1.0, self.inner)
-        return PointNormalTerm(seen.camera.P, contour.points, target, contour.normals, weight, self.robust * seen.px_per_m)
-
-
-@dataclass(frozen=True)
-class ContourMeasurement:
-    """What the lines across a contour say, each (N,): displacement px, variance px², evidence nats; and their extent."""
-
-    displacement: Float
-    variance: Float
-    evidence: Float
-    extent: tuple[Float, ...] = ()
+        mean, variance = pooled_gaussians(
+            line_moments(values, first, last, step), contour.pixels, contour.part, self.rho * seen.px_per_m,
+            self.prior_mass, self.floor,
+        )  # fmt: skip
+        displacement, spread, contrast = boundary_posterior(values, first, last, step, mean, variance, self.clip)
+        weight = self.share / (spread + self.least_sigma**2) * np.where(contour.outer, 1.0, self.inner)
+        term = PointNormalTerm(
+            view.camera.P, contour.points, contour.pixels + displacement[:, None] * contour.normals, contour.normals,
+            weight, coarse * self.robust * seen.px_per_m,
+        )  # fmt: skip
+        return ContourEvidence(term, contour, displacement, contrast)

@@ -1,0 +1,105 @@
+"""The level-set contour cue: segment with the projected body as shape prior, match, and pull on the pixels' rays.
+
+The coupled method of the chapter (Brox, Rosenhahn and Cremers, sections 11.2-11.3): the readable reference, and the
+oracle that the direct cue is held against.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from twistcap._typing import Float, Float32
+from twistcap.cues.evidence import ContourEvidence
+from twistcap.cues.view import View
+from twistcap.region.densities import global_log_ratio, heaviside, local_log_ratio
+from twistcap.region.levelset import evolve, nearest_with_normal, signed_distance, zero_crossings
+from twistcap.render import ContourPoints, RenderedView
+from twistcap.terms import PointRayTerm
+
+
+@dataclass(frozen=True)
+class LevelSetContour:
+    """Settings of the level-set cue; lengths in metres are on the body.
+
+    Attributes:
+        density: "local" Gaussians (the default) or one "global" Gaussian per region.
+        rho: window of the local densities, m.
+        floor: least variance, brightness².
+        prior_mass: share of a window at which global statistics weigh as much as local ones.
+        rounds: how often densities are estimated anew from the evolved contour (EM).
+        steps, tau: explicit evolution steps and their size.
+        nu: weight of the contour's length.
+        lam: weight λ of the shape prior.
+        width: standard deviation of H', m.
+        clip: largest log density ratio, nats.
+        least_cosine: partners whose normals differ by more are no match.
+        sigma: measurement noise of a contour point, px.
+        share: share of the points' information that counts (they are correlated).
+        robust: distance at which a match begins to lose its say, m.
+    """
+
+    density: Literal["local", "global"] = "local"
+    rho: float = 0.09
+    floor: float = 4e-4
+    prior_mass: float = 0.02
+    rounds: int = 1
+    steps: int = 8
+    tau: float = 1.5
+    nu: float = 0.5
+    lam: float = 0.05
+    width: float = 0.015
+    clip: float = 3.0
+    least_cosine: float = 0.5
+    sigma: float = 0.8
+    share: float = 0.2
+    robust: float = 0.01
+
+    def measure(self, view: View, seen: RenderedView, contour: ContourPoints, coarse: float) -> ContourEvidence:
+        """Segment, match the silhouette's points to the evolved contour, and make the term of their rays.
+
+        `coarse` ≥ 1 widens the capture range in early alternations.
+        """
+        contour = contour[contour.outer]
+        width = max(1.0, coarse * self.width * seen.px_per_m)
+        phi0 = signed_distance(seen.mask)
+        phi, ratio = phi0, self._log_ratio(view, phi0, seen.px_per_m)
+        for again in range(self.rounds):
+            ratio = self._log_ratio(view, phi, seen.px_per_m) if again else ratio
+            phi = evolve(phi0, ratio, self.steps, self.tau * width, self.nu, self.lam / width, width, self.clip)
+        partner, distance = nearest_with_normal(
+            contour.pixels, contour.normals, *zero_crossings(phi), self.least_cosine
+        )
+        matched = distance < 4.0 * width
+        term = self._term(view, seen, contour[matched], partner[matched], coarse)
+        displacement = np.where(matched, np.sum((partner - contour.pixels) * contour.normals, axis=1), 0.0)
+        contrast = _contrast(np.clip(ratio, -self.clip, self.clip), contour, 0.02 * seen.px_per_m)
+        return ContourEvidence(term, contour, displacement, np.where(matched, contrast, 0.0))
+
+    def _log_ratio(self, view: View, phi: Float32, px_per_m: float) -> Float32:
+        inside = heaviside(phi, 0.7)
+        if self.density == "global":
+            return global_log_ratio(view.features, inside, self.floor)
+        return local_log_ratio(view.features, inside, self.rho * px_per_m, self.floor, self.prior_mass)
+
+    def _term(
+        self, view: View, seen: RenderedView, contour: ContourPoints, partner: Float, coarse: float
+    ) -> PointRayTerm:
+        direction, moment = view.camera.rays(partner)
+        weight = np.full(len(contour), self.share / self.sigma**2)
+        px_per_m = view.camera.K[0, 0] * contour.inverse_depth
+        robust = coarse * self.robust * seen.px_per_m
+        return PointRayTerm(contour.points, direction, moment, px_per_m, weight, robust)
+
+
+def _contrast(log_ratio: Float32, contour: ContourPoints, reach: float) -> Float:
+    """(N,) how much more the pixels `reach` px inside each contour point look like the body than those outside."""
+
+    def at(pixels: Float) -> Float:
+        x, y = pixels[:, 0].astype(np.float32), pixels[:, 1].astype(np.float32)
+        return cv2.remap(log_ratio, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[:, 0].astype(float)
+
+    return at(contour.pixels - reach * contour.normals) - at(contour.pixels + reach * contour.normals)
