@@ -235,7 +235,7 @@ def _joint_rows(case: str, errors: Errors, lost: int) -> list[Row]:
         rows.append(row(case, f"joints, median{what}", metrics.percentile_known(values, 50), "mm"))
         rows.append(row(case, f"joints, p95{what}", metrics.percentile_known(values, 95), "mm"))
     rows.append(row(case, "lost frames, by the reference", float(lost), "frames", lost=lost))
-    rows.append(row(case, "lost sequence", float(metrics.lost_sequence(errors.raw)), "", at_most=0))
+    rows.append(row(case, "lost sequence", float(metrics.lost_sequence(errors.raw)), "of 1"))
     return rows
 
 

@@ -19,6 +19,7 @@ from twistcap._typing import AnyArray, Bool, Float
 _COLOURS = {"r": "#e8790c", "l": "#1780d6", "": "#3d8f6d"}
 _DARK = {"r": "#6e3500", "l": "#0a3a66", "": "#16452f"}
 _SIDES = {"r": "right", "l": "left", "": "middle"}
+_LEAST_SPAN_DEG = 10.0
 _LOST, _DROPPED = "#e5484d", "#9aa3ad"
 
 
@@ -75,9 +76,17 @@ def angle_plot(
                 colour = _DARK[split_side(name)[1]]
                 values = np.degrees(truth.angles[:, truth.names.index(name)])
                 axis.plot(truth.times, values, "--", color=colour, lw=1.1, dashes=(4, 2.5), zorder=4)
+        _widen(axis, _LEAST_SPAN_DEG)
         axis.set_title(f"{panel.replace('_', ' ')} (°)", loc="left", fontsize=9, fontweight="bold")
     _legend(figure, names, truth is not None, estimate.sigma is not None, lost, dropped)
     return _saved(figure, path)
+
+
+def _widen(axis: Axes, least: float) -> None:
+    """Keep a hair's breadth of motion from filling a panel."""
+    low, high = axis.get_ylim()
+    more = max(0.0, least - (high - low)) / 2
+    axis.set_ylim(low - more, high + more)
 
 
 def _draw_angle(axis: Axes, series: AngleSeries, name: str) -> None:
