@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -71,8 +72,9 @@ class Capture:
 
     def frame(self, index: int) -> Frame:
         """One frame; the same pixels whether rendered alone or in turn."""
-        moments = self._moments(index)
-        images = tuple(self.image(index, c, moments) for c in range(len(self.true_rig)))
+        moments, views = self._moments(index), range(len(self.rooms))
+        with ThreadPoolExecutor(len(views)) as pool:  # one thread per camera: the kernels let go of the interpreter
+            images = tuple(pool.map(lambda camera: self.image(index, camera, moments), views))
         return Frame(index, index / self.config.fps, images)
 
     def image(self, index: int, camera: int, moments: Sequence[Posed] | None = None) -> UInt8 | None:

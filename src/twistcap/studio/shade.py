@@ -33,26 +33,28 @@ def vertex_normals(vertices: Float, faces: Int) -> Float:
 
 
 @njit(cache=True, nogil=True)
-def solid_noise(lattice: Float32, octaves: Float, x: float, y: float, z: float, out: Float) -> None:
-    """Adds the three channels of value noise at a rest-pose point (m) into `out` (3,); `lattice` is (n³, 3)."""
+def solid_noise(lattice: Float32, octaves: Float, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Three channels of value noise at a rest-pose point (m); `lattice` is (n³, 3)."""
     n = 1 << LATTICE_BITS
     mask = n - 1
+    red, green, blue = 0.0, 0.0, 0.0
     for o in range(len(octaves)):
         scale, gain = 1.0 / octaves[o, 0], octaves[o, 1]
         px, py, pz = x * scale + 7.3 * o, y * scale + 3.1 * o, z * scale + 5.7 * o
         fx, fy, fz = np.floor(px), np.floor(py), np.floor(pz)
         tx, ty, tz = px - fx, py - fy, pz - fz
         tx, ty, tz = tx * tx * (3 - 2 * tx), ty * ty * (3 - 2 * ty), tz * tz * (3 - 2 * tz)
-        ix, iy, iz = int(fx), int(fy), int(fz)
+        ix, iy = int(fx), int(fy)
+        near, far = np.uint64(int(fz) & mask), np.uint64((int(fz) + 1) & mask)
         for i in range(2):
-            wx, kx = gain * (tx if i else 1 - tx), (ix + i) & mask
             for j in range(2):
-                wxy, kxy = wx * (ty if j else 1 - ty), (kx * n + ((iy + j) & mask)) * n
-                for k in range(2):
-                    weight, at = wxy * (tz if k else 1 - tz), np.uint64(kxy + ((iz + k) & mask))
-                    out[0] += weight * lattice[at, 0]
-                    out[1] += weight * lattice[at, 1]
-                    out[2] += weight * lattice[at, 2]
+                weight = gain * (tx if i else 1 - tx) * (ty if j else 1 - ty)
+                row = np.uint64((((ix + i) & mask) * n + ((iy + j) & mask)) * n)  # unsigned: no check for below 0
+                p, q, wp, wq = row + near, row + far, weight * (1 - tz), weight * tz
+                red += wp * lattice[p, 0] + wq * lattice[q, 0]
+                green += wp * lattice[p, 1] + wq * lattice[q, 1]
+                blue += wp * lattice[p, 2] + wq * lattice[q, 2]
+    return red, green, blue
 
 
 def solid_noise_reference(lattice: Float32, octaves: Float, points: Float) -> Float:
@@ -97,9 +99,12 @@ def _blend(values: Float, corners: Int, weights: tuple[float, float, float], col
 
 @njit(cache=True, nogil=True)
 def _garment(cover: Float, corners: Int, weights: tuple[float, float, float]) -> int:
-    """The garment that covers most of a surface point."""
+    """The garment that covers most of a surface point; where it covers most of all corners, that is plain."""
+    a, b, c = corners[0], corners[1], corners[2]
     best, most = 0, -1.0
     for g in range(cover.shape[1]):
+        if cover[a, g] > 0.5 and cover[b, g] > 0.5 and cover[c, g] > 0.5:
+            return g
         share = _blend(cover, corners, weights, g)
         if share > most:
             best, most = g, share
@@ -171,10 +176,10 @@ def shade(
             corners = faces[face_index[row, col]]
             weights = _corner_weights(pixels, inverse_depth, corners, float(col + origin[0]), float(row + origin[1]))
             g = _garment(cover, corners, weights)
-            texture[0] = texture[1] = texture[2] = 0.0
             if contrast[g] > 0.0:
                 x, y = _blend(rest, corners, weights, 0), _blend(rest, corners, weights, 1)
-                solid_noise(lattice, octaves, x, y, _blend(rest, corners, weights, 2), texture)
+                z = _blend(rest, corners, weights, 2)
+                texture[0], texture[1], texture[2] = solid_noise(lattice, octaves, x, y, z)
             _illuminate(normals, corners, weights, lights, light)
             i, j = row // factor, col // factor
             for ch in range(3):
