@@ -20,6 +20,7 @@ from twistcap.firstpose.triangulate import Triangulated, rigid_fit, triangulate
 
 _FEWEST = 5  # triangulated joints below which no pose is worth the name
 _REACH = 4.0  # final scale of the robust function, standard deviations
+_USED = 0.2  # robust weight above which a keypoint counts as used
 
 # Start poses in degrees, both sides alike; a coordinate the body lacks is passed over.
 STARTS_DEG: tuple[Mapping[str, float], ...] = (
@@ -197,21 +198,34 @@ def _answers(
     skeleton = problem.skeleton
     proportions = skeleton.proportions(state.log_factors)
     body = rescaled(skeleton.body, proportions.lengths, proportions.girths, proportions.stature)
-    covariance = np.asarray(np.linalg.inv(problem.normal_equations(state)[1]), np.float64)
+    errors = [
+        residuals(frame, Posed(body, pose).landmarks[frame.marks])
+        for frame, pose in zip(problem.frames, state.poses, strict=True)
+    ]
+    covariance = _covariance(problem, state, errors)
     out: list[FirstPose] = []
     for f, (frame, pose) in enumerate(zip(problem.frames, state.poses, strict=True)):
         own = slice(f * body.dof, (f + 1) * body.dof)
-        r = residuals(frame, Posed(body, pose).landmarks[frame.marks])
-        weight = frame.weights * problem.robust_weight(r)
-        spread = float(np.sum(weight[..., None] * r * r) / max(2 * np.count_nonzero(weight > 0.2) - body.dof, 1))
         residual = np.full(keypoints[f].confidence.shape, np.nan)
         used = np.zeros(residual.shape, dtype=bool)
-        distance = np.linalg.norm(r, axis=-1) * frame.sigma
+        distance = np.linalg.norm(errors[f], axis=-1) * frame.sigma
         residual[:, frame.columns] = np.where(frame.weights > 0, distance, np.nan)
-        used[:, frame.columns] = (frame.weights > 0) & (problem.robust_weight(r) > 0.2)
+        used[:, frame.columns] = (frame.weights > 0) & (problem.robust_weight(errors[f]) > _USED)
         marks = keypoints[f].names, rigs[f].names
-        out.append(FirstPose(body, pose, proportions, residual, used, *marks, covariance[own, own] * max(spread, 1e-3)))
+        out.append(FirstPose(body, pose, proportions, residual, used, *marks, covariance[own, own]))
     return tuple(out)
+
+
+def _covariance(problem: Problem, state: State, errors: Sequence[Float]) -> Float:
+    """Inverse of the normal matrix, the keypoints' standard deviations scaled to the residuals found."""
+    weights = [frame.weights * problem.robust_weight(r) for frame, r in zip(problem.frames, errors, strict=True)]
+    squares = sum(float(np.sum(w[..., None] * r * r)) for w, r in zip(weights, errors, strict=True))
+    used = sum(2 * np.count_nonzero(w > _USED) for w in weights)
+    free = max(used - len(state.poses) * problem.skeleton.body.dof, 1)
+    scale = max(float(np.sqrt(squares / free)), 0.05)
+    frames = tuple(replace(frame, sigma=scale * frame.sigma) for frame in problem.frames)
+    scaled = replace(problem, frames=frames, reach=problem.reach / scale)  # the same robust weights as before
+    return np.asarray(np.linalg.inv(scaled.normal_equations(state)[1]), np.float64)
 
 
 def pose_at(poses: Sequence[Pose], times: Sequence[float], time: float) -> Pose:

@@ -14,7 +14,7 @@ from twistcap.body.shape import rescaled, stretch_maps
 from twistcap.camera import Camera, Rectifier, Rig
 from twistcap.errors import InputError
 from twistcap.firstpose.outline import Outline, match, outline_of
-from twistcap.render import ContourPoints, render, visible_contour
+from twistcap.render import SurfacePoints, render, visible_contour
 
 Groups = Mapping[str, Sequence[str]]
 
@@ -100,10 +100,13 @@ def refine_on_silhouettes(
     instants = [_Instant.of(rig, m, options) for m in many_masks]
     priors = [_information(body, covariances[f] if covariances else None) for f in range(len(many_poses))]
     state = _State(body, tuple(many_poses), np.zeros(len(names)), np.zeros((0, 0)))
+    wider: list[_Wider] = []
     for i in range(options.iterations):
         part = i / max(options.iterations - 1, 1)
         reach = options.first_reach * (options.last_reach / options.first_reach) ** part
-        state = _step(state, body, instants, priors, many_poses, names, reach, options)
+        if i % _REFRESH == 0:
+            wider = [_Wider.of(state.body, group) for group in names.values()]
+        state = _step(state, body, instants, priors, many_poses, names, wider, reach, options)
     iou = np.array([instant.overlaps(Posed(state.body, p)) for instant, p in zip(instants, state.poses, strict=True)])
     return Refined(state.body, state.poses, _factors(names, state.log_girths), iou, _covariances(state, body.dof))
 
@@ -181,13 +184,13 @@ def _step(
     priors: Sequence[Float],
     starts: Sequence[Pose],
     groups: Groups,
+    wider: Sequence[_Wider],
     reach: float,
     options: SilhouetteOptions,
 ) -> _State:
     """One re-matching and one Gauss-Newton step for all instants and girths."""
     D, F, n = generic.dof, len(instants), len(instants) * generic.dof + len(groups)
     g, H = np.zeros(n), np.zeros((n, n))
-    wider = [_Wider(generic, state.body, groups, state.log_girths, k) for k in range(len(groups))]
     for f, (instant, pose) in enumerate(zip(instants, state.poses, strict=True)):
         rows = np.r_[f * D : (f + 1) * D, F * D : n]
         gradient, matrix = _evidence(instant, Posed(state.body, pose), wider, reach, options)
@@ -206,27 +209,28 @@ def _step(
     return _State(body, tuple(Pose(p.root, np.clip(p.q, lower, upper)) for p in moved), log_girths, H)
 
 
+_WIDER = 1e-3  # step of the difference quotient by a log-girth
+_REFRESH = 5  # iterations after which the difference quotients are taken anew: the joints move little with girths
+
+
 @dataclass(frozen=True)
 class _Wider:
-    """The present body with one girth a little larger, for a difference quotient."""
+    """A body with one girth a little larger, the body as it was, and the map of each segment between them."""
 
-    generic: Body
-    present: Body
-    groups: Groups
-    log_girths: Float
-    which: int
-    step: float = 1e-3
+    before: Body
+    after: Body
+    maps: Float
 
-    def derivative(self, posed: Posed, contour: ContourPoints) -> Float:
-        """(N, 3) derivative of the contour samples by the log-girth."""
-        group = tuple(self.groups.values())[self.which]
-        factors = dict.fromkeys(group, float(np.exp(self.step)))
-        body = rescaled(self.present, girths=factors)
-        points = contour.points
-        maps = np.ascontiguousarray(stretch_maps(self.present, {}, factors))
-        local = skin_points(maps, points.segments, points.weights, points.local)
-        moved = Posed(body, posed.pose).points(points.segments, points.weights, local)
-        return (moved - points.at(posed)) / self.step
+    @staticmethod
+    def of(body: Body, group: Sequence[str]) -> _Wider:
+        factors = dict.fromkeys(group, float(np.exp(_WIDER)))
+        return _Wider(body, rescaled(body, girths=factors), np.ascontiguousarray(stretch_maps(body, {}, factors)))
+
+    def derivative(self, posed: Posed, points: SurfacePoints) -> Float:
+        """(N, 3) derivative of surface points by the log-girth."""
+        local = skin_points(self.maps, points.segments, points.weights, points.local)
+        after = Posed(self.after, posed.pose).points(points.segments, points.weights, local)
+        return (after - points.at(Posed(self.before, posed.pose))) / _WIDER
 
 
 def _evidence(
@@ -242,7 +246,7 @@ def _evidence(
         found = match(contour, outline, reach * height)
         points = contour.points[found.index]
         by_pose = posed.point_jacobian(points.segments, points.weights, points.local)
-        by_girth = [w.derivative(posed, contour)[found.index, :, None] for w in wider]
+        by_girth = [w.derivative(posed, points)[:, :, None] for w in wider]
         J = np.concatenate([by_pose, *by_girth], axis=2)
         row = np.einsum("ni,nij,njd->nd", found.normals, _projection_jacobian(camera, points.at(posed)), J)
         sigma = options.sigma * height

@@ -94,17 +94,25 @@ def openpose_files(folders: Mapping[str, Path | str], frame: int) -> dict[str, P
     return out
 
 
-def read_clicks(path: Path | str, cameras: Sequence[str]) -> Keypoints:
+def read_clicks(path: Path | str, cameras: Sequence[str], joints: Sequence[str] | None = None) -> Keypoints:
     """Clicked joints: CSV with columns camera, joint, x, y[, confidence], or JSON ``{camera: {joint: [x, y]}}``.
 
+    Args:
+        path: ``.json``, or anything else for CSV.
+        cameras: the rig's camera names, in order.
+        joints: the names to accept (a body's landmarks); by default any.
+
     Raises:
-        InputError: for a file that cannot be read, a missing column, an unknown camera, a joint clicked twice in one
-            camera, or a coordinate that is no finite number.
+        InputError: for a file that cannot be read, a missing column, an unknown camera or joint, a joint clicked twice
+            in one camera, or a coordinate that is no finite number.
     """
     path = Path(path)
     rows = _json_rows(path) if path.suffix.lower() == ".json" else _csv_rows(path)
     _expect_cameras([row[0] for row in rows], cameras, str(path))
     names = tuple(dict.fromkeys(row[1] for row in rows))
+    for name in names:
+        if joints is not None and name not in joints:
+            raise InputError(f"{path}: joint {name!r} is unknown; the body has {', '.join(joints)}.")
     pixels, confidence = _blank(len(cameras), len(names))
     for camera, joint, *values in rows:
         at = cameras.index(camera), names.index(joint)
