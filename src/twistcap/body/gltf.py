@@ -48,8 +48,10 @@ def load_glb(path: Path | str, rig: Path | str | RigSpec | None = None, influenc
     own = (gltf.asset.extras or {}).get(EXTRAS)
     try:
         mesh = _read_mesh(_Scene(gltf, path), own is not None)
-    except (IndexError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{path}: broken glTF, it refers to what is not there ({error}).") from error
+    except InputError:
+        raise
+    except (IndexError, KeyError, TypeError, AttributeError, ValueError) as error:
+        raise InputError(f"{path}: broken glTF, a value is missing or has no meaning ({error}).") from error
     if own is not None and rig is None:
         return _own_body(mesh, own, path)
     beside = path.with_name(path.stem + ".rig.toml")
