@@ -65,7 +65,7 @@ def field_of(central: Sequence[Sweep], paired: Sequence[Sweep], motions: Mapping
         [s.stations[-1][0] - s.stations[0][0], s.stations[0][0], *s.caps, s.exponent, 0.0 if s.sole else -1.0]
         for s, _ in sided
     ]
-    return Field(parts, np.array(maps), np.array(profiles), np.array(scalars))
+    return Field(parts, np.array(maps, np.float64), np.array(profiles), np.array(scalars))
 
 
 def _frame(sweep: Sweep, side: str, motion: Float) -> Float:
