@@ -221,7 +221,7 @@ def test_refinement_on_silhouettes(body: Body) -> None:
     rng, rig = np.random.default_rng(11), ring(4)
     truth = Posed(body, posed_like(body, "balance", rng))
     fit = fit_keypoints(body, rig, seen(rig, truth.landmarks, body.landmarks.names, 3.0, rng), fit_lengths=False)
-    masks = [render(truth, camera).full_mask() for camera in rig]
+    masks = [render(truth, camera).mask for camera in rig]
     refined = refine_on_silhouettes(body, rig, fit.pose, masks, covariances=[fit.covariance])
     names = body.landmarks.names
     which = [i for i, n in enumerate(names) if stem(n) in JOINTS]
@@ -234,7 +234,7 @@ def test_girths_from_silhouettes(body: Body) -> None:
     rng, rig = np.random.default_rng(12), ring(4)
     thick = rescaled(body, girths={"femur_r": 1.15, "femur_l": 1.15, "tibia_r": 0.9, "tibia_l": 0.9})
     truth = Posed(thick, posed_like(thick, "t", rng))
-    masks = [render(truth, camera).full_mask() for camera in rig]
+    masks = [render(truth, camera).mask for camera in rig]
     found = refine_on_silhouettes(body, rig, truth.pose, masks, groups=girth_groups(body))
     assert found.girths["femur_r"] == pytest.approx(1.15, abs=0.05)
     assert found.girths["tibia_l"] == pytest.approx(0.90, abs=0.05)
@@ -358,7 +358,7 @@ def test_balance_first_frames(body: Body, shared_data: Path) -> None:
     for camera in rig:
         mask = cv2.imread(str(folder / "masks" / camera.name / "frame_0000.png"), cv2.IMREAD_GRAYSCALE)
         theirs = Rectifier(camera)(mask, nearest=True) > 127
-        our = render(Posed(fits[0].body, pose), camera.pinhole()).full_mask()
+        our = render(Posed(fits[0].body, pose), camera.pinhole()).mask
         assert (our & theirs).sum() / (our | theirs).sum() > 0.75
 
 
@@ -385,7 +385,7 @@ def test_leewalk_clicks_and_silhouettes(body: Body, shared_data: Path) -> None:
     overlap: list[float] = []
     for camera, m in zip(rig, noisy, strict=True):
         theirs = Rectifier(camera)(m, nearest=True) > 0
-        our = render(Posed(found.body, found.poses[0]), camera.pinhole()).full_mask()
+        our = render(Posed(found.body, found.poses[0]), camera.pinhole()).mask
         overlap.append((our & theirs).sum() / (our | theirs).sum())
     # The supplied cylinder body reaches 0.63 to 0.73 (README of the data).
     assert min(overlap) > 0.63 and float(np.mean(overlap)) > 0.73
