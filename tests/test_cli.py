@@ -141,7 +141,7 @@ def frames_in(path: Path) -> int:
 
 def test_corrupt_frame_loses_nothing(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     good = session.parent / "videos" / "cam02.mp4"
-    corrupted(good, session.parent / "videos" / "bad.mp4")
+    corrupted(good, session.parent / "videos" / "bad.mp4", 0.9)
     replace(session, "cam02.mp4", "bad.mp4")
     sentence = told(capsys, "track", session, "--out", tmp_path / "out")
     assert "bad.mp4: frame " in sentence and "is corrupt" in sentence and "--resume" in sentence

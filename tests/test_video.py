@@ -143,11 +143,11 @@ def test_lengths_sizes_and_ranges(tmp_path: Path, video: Path, rig: Rig) -> None
         open_views({"cam0": video, "cam1": small}, rig, last=2)
 
 
-def corrupted(source: Path, path: Path) -> Path:
-    """The video with the pictures of its second half overwritten; header and index stay."""
+def corrupted(source: Path, path: Path, share: float = 0.5) -> Path:
+    """The video with its pictures overwritten from a share of the file on; header and index stay."""
     data = bytearray(source.read_bytes())
     start = data.index(b"mdat")
-    cut = start + (len(data) - start) // 2
+    cut = start + int(share * (len(data) - start))
     data[cut:] = np.random.default_rng(0).integers(0, 256, len(data) - cut, dtype=np.uint8).tobytes()
     path.write_bytes(bytes(data))
     return path

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from functools import cached_property
 from glob import glob
 from pathlib import Path
@@ -89,7 +90,15 @@ class VideoSource:
         raise InputError(f"video {self.name}: frame {index} is corrupt or missing; {_MEND}.")
 
     def _decoded(self, container: Any) -> Iterator[Any]:
-        yield from container.decode(video=0)
+        """Frames in order of display; at a broken packet first those that the decoder still holds, then the error."""
+        stream = container.streams.video[0]
+        for packet in container.demux(stream):
+            try:
+                yield from packet.decode()
+            except FFmpegError as error:
+                with suppress(FFmpegError):
+                    yield from stream.codec_context.decode(None)
+                raise error
 
 
 def _time_stamps(name: str, container: Any) -> list[int]:
