@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from twistcap.body import Body, Pose, Posed, rescaled
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
-from twistcap.firstpose import fit_keypoints, fit_keypoints_sequence, pose_at
+from twistcap.firstpose import (
+    fit_keypoints,
+    fit_keypoints_sequence,
+    girth_groups,
+    pose_at,
+    refine_on_silhouettes,
+)
 from twistcap.io.calibration import read_rig
 from twistcap.io.keypoints import Grid, openpose_files, read_clicks, read_openpose
+from twistcap.io.masks import read_masks
 from twistcap.io.plausible import check_plausible, check_upright
 from twistcap.io.pose_file import read_pose
 from twistcap.io.session import FirstPoseTable, GlbBody, HumanoidBody, KeypointSet, Session
@@ -101,17 +108,17 @@ def body_of(session: Session) -> Body:
 
 
 def first_pose_of(session: Session, rig: Rig, body: Body, views: Views) -> tuple[Body, Pose]:
-    """Body (at the fitted lengths) and pose of the first frame, checked against floor and cameras."""
-    table = session.first_pose
-    if table.file is not None:
-        pose = read_pose(table.file, body, table.frame)
-    elif table.clicks is not None:
-        found = fit_keypoints(body, rig, read_clicks(table.clicks, rig.names), fit_lengths=table.fit_lengths)
-        body, pose = found.body, found.pose
-    else:
-        body, pose = _from_keypoints(table, rig, body, float(views.indices[0]))
-    check_first_pose(session, rig, body, pose)
-    return body, pose
+    """Body (at the fitted lengths and girths) and pose of the first frame, checked against floor and cameras."""
+    start = _Start.of(session, rig, body)
+    first = views.indices[0]
+    check_first_pose(session, rig, start.body, start.at(first))
+    start = _with_girths(session, rig, start)
+    pose = start.at(first)
+    if session.first_pose.masks is not None and session.first_pose.refine:
+        masks = read_masks(session.first_pose.masks, rig, first)
+        pose = refine_on_silhouettes(start.body, rig, pose, masks).poses[0]
+    check_first_pose(session, rig, start.body, pose)
+    return start.body, pose
 
 
 def check_first_pose(session: Session, rig: Rig, body: Body, pose: Pose) -> None:
@@ -124,7 +131,29 @@ def check_first_pose(session: Session, rig: Rig, body: Body, pose: Pose) -> None
         check_upright(dict(zip(body.landmarks.names, points, strict=True)))
 
 
-def _from_keypoints(table: FirstPoseTable, rig: Rig, body: Body, first_frame: float) -> tuple[Body, Pose]:
+@dataclass(frozen=True)
+class _Start:
+    """The body and its poses at one or more (fractional) frames near the first."""
+
+    body: Body
+    frames: tuple[float, ...]
+    poses: tuple[Pose, ...]
+
+    def at(self, frame: float) -> Pose:
+        return self.poses[0] if len(self.poses) == 1 else pose_at(self.poses, self.frames, frame)
+
+    @staticmethod
+    def of(session: Session, rig: Rig, body: Body) -> _Start:
+        table, first = session.first_pose, float((session.frames or (0, 0))[0])
+        if table.file is not None:
+            return _Start(body, (first,), (read_pose(table.file, body, table.frame),))
+        if table.clicks is not None:
+            found = fit_keypoints(body, rig, read_clicks(table.clicks, rig.names), fit_lengths=table.fit_lengths)
+            return _Start(found.body, (first,), (found.pose,))
+        return _from_keypoints(table, rig, body)
+
+
+def _from_keypoints(table: FirstPoseTable, rig: Rig, body: Body) -> _Start:
     """One fit over the instants near the first frame and those that only tell the lengths."""
     assert table.keypoints is not None
     own = keypoints_of(table.keypoints, rig)
@@ -135,9 +164,22 @@ def _from_keypoints(table: FirstPoseTable, rig: Rig, body: Body, first_frame: fl
         instants += found
         rigs += [their_rig] * len(found)
     fits = fit_keypoints_sequence(body, rigs, instants, fit_lengths=table.fit_lengths)[: len(own)]
-    times = [frame + table.keypoints.offset for frame in table.keypoints.frames]
-    poses = [fit.pose for fit in fits]
-    return fits[0].body, poses[0] if len(poses) == 1 else pose_at(poses, times, first_frame)
+    frames = tuple(number + table.keypoints.offset for number in table.keypoints.frames)
+    return _Start(fits[0].body, frames, tuple(fit.pose for fit in fits))
+
+
+def _with_girths(session: Session, rig: Rig, start: _Start) -> _Start:
+    """One girth factor per kind of segment, on the masks of ``[fit_girths]``."""
+    table = session.fit_girths
+    if table is None:
+        return start
+    far = [f for f in table.frames if not start.frames[0] - 5 <= f <= start.frames[-1] + 5]
+    if far:
+        raise InputError(f"[fit_girths] frames: frame {far[0]} is too far from the first pose; give frames beside it.")
+    poses = [start.at(frame) for frame in table.frames]
+    masks = [read_masks(table.masks, rig, frame) for frame in table.frames]
+    fitted = refine_on_silhouettes(start.body, rig, poses, masks, groups=girth_groups(start.body))
+    return replace(start, body=fitted.body)
 
 
 def keypoints_of(table: KeypointSet, rig: Rig) -> Sequence[Keypoints]:

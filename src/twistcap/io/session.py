@@ -118,6 +118,7 @@ class FirstPoseTable(Table):
     keypoints: KeypointSet | None = None
     lengths_from: tuple[KeypointSet, ...] = ()
     fit_lengths: bool = True
+    masks: DataPath | None = None
     refine: bool = True
     upright: bool = True
 
@@ -130,9 +131,9 @@ class FirstPoseTable(Table):
 
 
 class FitGirths(Table):
-    """``[fit_girths]``: one girth factor per part, on the first frames' silhouettes or on given masks."""
+    """``[fit_girths]``: one girth factor per kind of segment, fitted on given silhouettes."""
 
-    masks: DataPath | None = None
+    masks: DataPath
     frames: tuple[Annotated[int, Field(ge=0)], ...] = (0,)
 
 

@@ -1,0 +1,36 @@
+"""Given silhouettes: a folder ``CAM/frame_XXXX.png``, white on the person."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from twistcap._typing import Bool
+from twistcap.camera import Rig
+from twistcap.errors import InputError
+
+
+def read_masks(folder: str | Path, rig: Rig, frame: int) -> tuple[Bool | None, ...]:
+    """One mask (H, W) per camera of the rig for a frame, in the camera's own pixels; None where there is none.
+
+    Raises:
+        InputError: if no camera has one, or one cannot be read or has another size than the calibration.
+    """
+    files = [Path(folder) / camera.name / f"frame_{frame:04d}.png" for camera in rig]
+    masks = tuple(_read(file, camera.size) if file.is_file() else None for file, camera in zip(files, rig, strict=True))
+    if all(mask is None for mask in masks):
+        raise InputError(f"masks: {folder} holds none of frame {frame}; one would be {files[0]}.")
+    return masks
+
+
+def _read(file: Path, size: tuple[int, int]) -> Bool:
+    image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+    if image is None:
+        raise InputError(f"mask {file} cannot be read; replace or delete it.")
+    if (image.shape[1], image.shape[0]) != size:
+        raise InputError(
+            f"mask {file} is {image.shape[1]}×{image.shape[0]} pixels, but the calibration is for {size[0]}×{size[1]}."
+        )
+    return np.asarray(image) > 127
