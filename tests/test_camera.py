@@ -20,7 +20,7 @@ def camera(dist: np.ndarray = DIST) -> Camera:
 
 
 def cloud(n: int = 200) -> np.ndarray:
-    return np.random.default_rng(0).uniform(-0.8, 0.8, (n, 3)) + [0.1, 0.2, 0.9]
+    return np.random.default_rng(0).uniform(-0.8, 0.8, (n, 3)) + np.array([0.1, 0.2, 0.9])
 
 
 @pytest.mark.parametrize("dist", [DIST, np.zeros(5)])
@@ -147,7 +147,7 @@ def test_look_at_centres_the_target_with_up_upward() -> None:
     c = Camera("c", K, look_at(eye, target), (640, 480))
     np.testing.assert_allclose(c.centre, eye, atol=1e-14)
     np.testing.assert_allclose(np.linalg.det(c.T_cam_world[:3, :3]), 1.0)
-    at, above = c.project(np.stack([target, target + [0, 0, 0.1]]))[0]
+    at, above = c.project(np.stack([target, target + np.array([0, 0, 0.1])]))[0]
     np.testing.assert_allclose(at, K[:2, 2], atol=1e-9)
     assert above[1] < at[1] and abs(above[0] - at[0]) < 1e-9
 
