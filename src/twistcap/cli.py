@@ -52,6 +52,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except InputError as error:
         print(f"twistcap: {error}", file=sys.stderr)
         sys.exit(2)
+    except OSError as error:  # a full disk, a folder that may not be written
+        print(f"twistcap: {error.filename or 'a file'} cannot be used: {error.strerror or error}.", file=sys.stderr)
+        sys.exit(2)
 
 
 if __name__ == "__main__":

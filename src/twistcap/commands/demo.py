@@ -89,7 +89,7 @@ def _reported(scene: Any, pictures: list[Any], result: Any, folder: Path, timing
         if found.joints is not None:
             errors = found.joints
             plots[outputs.write_error_plot(result.times, errors.names, errors.raw, folder)] = "Joint position errors"
-        video = outputs.write_overlay(result, pictures, scene.rig.pinhole(), folder, scene.config.fps)
+        video = outputs.write_overlay(result, pictures, scene.rig.pinhole(), folder, scene.config.fps, "twistcap demo")
         speed = Headline("per frame, decoding apart", f"{timing.median:.0f}", "ms")
         headlines = [*headline_rows(found.rows, _headlines(found.rows)), speed]
         lead = f"A synthetic walk in {len(scene.rig)} views, tracked from its first pose and held against its truth."

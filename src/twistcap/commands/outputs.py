@@ -89,9 +89,11 @@ def write_error_plot(times: Any, names: Sequence[str], errors_mm: Any, folder: P
     return joint_error_plot(folder / "joint_errors.png", times, names, errors_mm)
 
 
-def write_overlay(result: Result, frames: Iterable[Frame], image_rig: Rig, folder: Path, fps: float) -> Path:
+def write_overlay(
+    result: Result, frames: Iterable[Frame], image_rig: Rig, folder: Path, fps: float, title: str
+) -> Path:
     """``overlay.mp4``: the body over every view, beside one another."""
-    return overlay_video(folder / "overlay.mp4", frames, image_rig, result.estimates, result.body, fps)
+    return overlay_video(folder / "overlay.mp4", frames, image_rig, result.estimates, result.body, fps, title)
 
 
 def write_page(

@@ -111,27 +111,32 @@ def _kept(views: Any, tracker: Any, writer: Any, path: Path) -> Timing:
 
 def _outputs(session: Any, views: Any, result: Any, folder: Path, timing: Timing) -> list[Path]:
     from twistcap.commands import outputs
-    from twistcap.report import Headline
 
+    title = session.title
     with words.status("writing plots, exports and the overlay"):
         files = outputs.write_exports(result, session.output.exports, folder)
         plot = outputs.write_angle_plot(result, folder)
         files.append(plot)
         if session.output.overlay:
             shown = replace(views, indices=views.indices[: len(result)])
-            files.append(
-                outputs.write_overlay(result, shown, views.image_rig, folder, min(views.fps / session.step, 60.0))
-            )
+            fps = min(views.fps / session.step, 60.0)
+            files.append(outputs.write_overlay(result, shown, views.image_rig, folder, fps, title))
         if session.output.report:
-            headlines = [
-                Headline("frames tracked", str(len(result))),
-                Headline("frames lost", str(int(np.sum(result.lost))), good=not np.any(result.lost)),
-                Headline("per frame, decoding apart", f"{timing.median:.0f}", "ms"),
-            ]
             lead = f"{len(views.rig)} cameras, {views.fps:g} fps, images at {session.scale:g} of their size."
-            title = f"Track of {Path(session.cameras.calibration).parent.name}"
-            files.append(outputs.write_page(folder, title, lead, headlines, [], {plot: "Joint angles, ± 2σ"}))
+            plots = {plot: "Joint angles, ± 2σ"}
+            files.append(outputs.write_page(folder, title, lead, _headlines(result, timing), [], plots))
     return files
+
+
+def _headlines(result: Any, timing: Timing) -> list[Any]:
+    from twistcap.report import Headline
+
+    lost = int(np.sum(result.lost))
+    return [
+        Headline("frames tracked", str(len(result))),
+        Headline("frames lost", str(lost), good=lost == 0),
+        Headline("per frame, decoding apart", f"{timing.median:.0f}", "ms"),
+    ]
 
 
 def tell(document: dict[str, Any]) -> None:

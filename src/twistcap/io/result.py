@@ -322,7 +322,8 @@ def _datasets(group: h5py.Group) -> list[h5py.Dataset]:
 
 def _opened(path: str | Path, mode: str) -> h5py.File:
     try:
-        return h5py.File(path, mode)
+        # Reading does not lock: a running track may be looked at.
+        return h5py.File(path, mode, locking=False) if mode == "r" else h5py.File(path, mode)
     except FileNotFoundError as error:
         missing = "its folder does not exist" if mode == "w" else "it does not exist"
         raise InputError(f"result file {path} cannot be opened: {missing}; check its path.") from error

@@ -169,6 +169,11 @@ class Session(Table):
         self._source = source
 
     @property
+    def title(self) -> str:
+        """Name of the session file, for headings."""
+        return Path(self._source).stem
+
+    @property
     def tracker_config(self) -> TrackerConfig:
         """``[tracker]`` as the tracker takes it."""
         return tracker_config(self.tracker, self._source)
