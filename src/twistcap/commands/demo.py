@@ -38,7 +38,7 @@ def demo(
         terminal.emit(document)
         return
     terminal.show_rows("The studio walk against its truth", document["rows"])
-    words.print(f"{document['ms_per_frame']:.1f} ms per frame (median, one thread, rendering and decoding apart)")
+    words.print(f"{document['ms_per_frame']:.1f} ms per frame (median, rendering apart)")
     words.print(f"look at {document['report']}")
 
 
