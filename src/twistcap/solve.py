@@ -67,7 +67,10 @@ def least_squares(
         return SolveResult(pose, "failed", 0, energy, quadratic)
     for taken in range(steps):
         if taken:
-            quadratic = linearized(terms, posed)
+            fresh = linearized(terms, posed)
+            if not _finite(fresh):
+                return SolveResult(posed.pose, "failed", taken, energy, quadratic)
+            quadratic = fresh
         accepted = _downhill(terms, posed, quadratic, damping)
         if accepted is None:
             return SolveResult(posed.pose, "stalled", taken, energy, quadratic)
@@ -103,7 +106,8 @@ def _downhill(
 
 
 def _finite(quadratic: Quadratic) -> bool:
-    return bool(np.isfinite(quadratic.value) and np.all(np.isfinite(quadratic.gradient)))
+    parts = (quadratic.value, quadratic.gradient, quadratic.hessian)
+    return all(bool(np.all(np.isfinite(part))) for part in parts)
 
 
 def covariance(quadratic: Quadratic) -> Float:
