@@ -22,7 +22,9 @@ def track(
     method: Annotated[str | None, typer.Option(help="direct or levelset.")] = None,
     frames: Annotated[str | None, typer.Option(help="FIRST:LAST, both included.")] = None,
     scale: Annotated[float | None, typer.Option(help="Resize the images by this factor.")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on after the last frame of OUT/result.h5.")] = False,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on after the last frame of OUT/result.h5, with its body and cameras.")
+    ] = False,
     set_: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Any key of the session.")
     ] = None,
@@ -135,14 +137,16 @@ def _headlines(result: Any, timing: Timing) -> list[Any]:
     return [
         Headline("frames tracked", str(len(result))),
         Headline("frames lost", str(lost), good=lost == 0),
-        Headline("per frame, decoding apart", f"{timing.median:.0f}", "ms"),
+        Headline("per frame, decoding apart", f"{timing.median:.0f}" if timing.ms else "–", "ms"),
     ]
 
 
 def tell(document: dict[str, Any]) -> None:
     """The end of a run, for a person."""
     lost = document["lost"]
-    words.print(f"{document['frames']} frames, {document['ms_per_frame']:.1f} ms each (median); ", end="")
+    speed = document["ms_per_frame"]
+    pace = "nothing left to track" if np.isnan(speed) else f"{speed:.1f} ms each (median)"
+    words.print(f"{document['frames']} frames, {pace}; ", end="")
     words.print(f"lost: {', '.join(map(str, lost))}" if lost else "none lost")
     for path in document["files"]:
         typer.echo(path)
