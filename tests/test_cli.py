@@ -119,6 +119,11 @@ def test_resume_goes_on(made: Path, tmp_path: Path, capsys: pytest.CaptureFixtur
     np.testing.assert_array_equal(after.roots[:4], before.roots)
 
 
+def test_resume_refuses_other_cameras(session: Path, tracked: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    replace(session, 'unit = "m"', 'unit = "m"\nuse = ["cam02"]')
+    assert "was tracked with cameras cam01, cam02" in told(capsys, "track", session, "--out", tracked, "--resume")
+
+
 def test_killed_run_keeps_its_frames_and_goes_on(made: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "twistcap.cli", "track", str(made / "session.toml"), "--out", str(tmp_path)]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as child:

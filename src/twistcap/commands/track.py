@@ -23,7 +23,7 @@ def track(
     frames: Annotated[str | None, typer.Option(help="FIRST:LAST, both included.")] = None,
     scale: Annotated[float | None, typer.Option(help="Resize the images by this factor.")] = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on after the last frame of OUT/result.h5, with its body and cameras.")
+        bool, typer.Option("--resume", help="Go on after the last frame of OUT/result.h5, with its body.")
     ] = False,
     set_: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Any key of the session.")
@@ -80,27 +80,38 @@ def run_session(session: Any, folder: Path, resume: bool = False) -> dict[str, A
 
 
 def _tracked(session: Any, path: Path, resume: bool) -> tuple[Any, Timing]:
-    from twistcap.io.recording import open_recording, rig_of, views_of
+    from twistcap.io.recording import open_recording
     from twistcap.io.result import ResultWriter, read_result
     from twistcap.track import Tracker
 
-    config = session.tracker_config
     done = read_result(path) if resume and path.is_file() else None
     if done is not None and len(done):
-        # Body and cameras are those of the file: a resumed track is one track.
-        views = views_of(session, rig_of(session))
-        tracker = Tracker(done.body, views.image_rig, config)
-        tracker.restore(done.estimates)
-        rest = views.starting_at(int(done.indices[-1]) + 1)
-        words.print(f"going on after frame {done.indices[-1]}: {len(rest)} frames to go")
-        with ResultWriter.resume(path) as writer:
-            return views, _kept(rest, tracker, writer, path)
+        return _resumed(session, path, done)
     with words.status("reading the session, fitting the first pose"):
         recording = open_recording(session)
-    tracker = Tracker(recording.body, recording.views.image_rig, config)
+    tracker = Tracker(recording.body, recording.views.image_rig, session.tracker_config)
     tracker.start(recording.first_pose, recording.first_time)
     with ResultWriter(path, recording.body, recording.rig, session.model_dump(mode="json")) as writer:
         return recording.views, _kept(recording.views, tracker, writer, path)
+
+
+def _resumed(session: Any, path: Path, done: Any) -> tuple[Any, Timing]:
+    """Go on with the body of the file: a resumed track is one track."""
+    from twistcap.io.recording import rig_of, views_of
+    from twistcap.io.result import ResultWriter
+    from twistcap.track import Tracker
+
+    rig = rig_of(session)
+    if rig.names != done.rig.names:
+        had, has = ", ".join(done.rig.names), ", ".join(rig.names)
+        raise InputError(f"{path} was tracked with cameras {had}, the session has {has}; track anew without --resume.")
+    views = views_of(session, rig)
+    tracker = Tracker(done.body, views.image_rig, session.tracker_config)
+    tracker.restore(done.estimates)
+    rest = views.starting_at(int(done.indices[-1]) + 1)
+    words.print(f"going on after frame {done.indices[-1]}: {len(rest)} frames to go")
+    with ResultWriter.resume(path) as writer:
+        return views, _kept(rest, tracker, writer, path)
 
 
 def _kept(views: Any, tracker: Any, writer: Any, path: Path) -> Timing:
