@@ -18,6 +18,7 @@ from twistcap.cues.brightness import Brightness, Template
 from twistcap.cues.direct import DirectContour
 from twistcap.cues.evidence import ContourCue, ContourEvidence
 from twistcap.cues.levelset import LevelSetContour
+from twistcap.cues.support import SupportRule, part_support
 from twistcap.cues.view import View, crop_view
 from twistcap.estimate import Estimate, Frame
 from twistcap.features import Channels
@@ -47,7 +48,7 @@ class TrackerConfig:
     """
 
     method: Literal["direct", "levelset"] = "direct"
-    channels: Channels = "grey"
+    channels: Channels = "lab"
     photometric: bool = True
     predictor: PredictorName = "constant_velocity"
     iterations: int = 4
@@ -63,6 +64,7 @@ class TrackerConfig:
     levelset: LevelSetContour = field(default_factory=LevelSetContour)
     brightness: Brightness = field(default_factory=Brightness)
     noise: MotionNoise = field(default_factory=MotionNoise)
+    support: SupportRule = field(default_factory=SupportRule)
 
 
 @dataclass(frozen=True)
@@ -83,12 +85,14 @@ class Tracker:
         self._contour: ContourCue = self.config.direct if self.config.method == "direct" else self.config.levelset
         self._history: list[Moment] = []
         self._templates: list[Template | None] = [None] * len(rig)
+        self._support = np.ones(len(body.segment_names))
         self._started = False
 
     def start(self, pose: Pose, time: float = 0.0) -> None:
         """Take the pose from which the first frame is tracked."""
         self._history = [Moment(time, pose)]
         self._templates = [None] * len(self.rig)
+        self._support[:] = 1.0
         self._started = False
 
     def step(self, frame: Frame) -> Estimate:
@@ -100,15 +104,20 @@ class Tracker:
         if not views:
             self._advance(frame.time, guess)
             return Estimate(frame.index, frame.time, guess, expected, {}, "no_images", 0, support=0.0)
-        result, sights = self._fit(guess, views, fixed)
+        result, sights, found = self._fit(guess, views, fixed)
         self._remember(sights, result.pose)
         self._advance(frame.time, result.pose)
-        return self._estimate(frame, result, sights)
+        self._judge(sights, found)
+        return self._estimate(frame, result)
 
-    def _fit(self, guess: Pose, views: dict[int, View], fixed: Sequence[Term]) -> tuple[SolveResult, list[_Sight]]:
+    def _fit(
+        self, guess: Pose, views: dict[int, View], fixed: Sequence[Term]
+    ) -> tuple[SolveResult, list[_Sight], list[ContourEvidence]]:
         """Alternate correspond and update."""
         config = self.config
-        pose, sights, steps = guess, [], 0
+        pose, steps = guess, 0
+        sights: list[_Sight] = []
+        evidence: list[tuple[list[Term], ContourEvidence]] = []
         result: SolveResult | None = None
         for iteration in range(config.iterations if self._started else config.first_iterations):
             posed = Posed(self.body, pose)
@@ -121,7 +130,7 @@ class Tracker:
             result = least_squares(self.body, pose, [*fixed, *terms], steps=config.solver_steps)
             pose, steps = result.pose, steps + result.steps
         assert result is not None
-        return replace(result, steps=steps), sights
+        return replace(result, steps=steps), sights, [found for _, found in evidence]
 
     def _look(self, posed: Posed, camera_index: int, view: View) -> _Sight:
         seen = render(posed, view.camera)
@@ -162,8 +171,8 @@ class Tracker:
         if self.config.photometric:
             posed = Posed(self.body, pose)
             for sight in sights:
-                template = self.config.brightness.remember(sight.view, sight.seen, posed)
-                self._templates[sight.camera_index] = template
+                old = self._templates[sight.camera_index]
+                self._templates[sight.camera_index] = self.config.brightness.remember(sight.view, sight.seen, posed, old)
 
     def _advance(self, time: float, pose: Pose) -> None:
         if not self._started:
@@ -171,10 +180,20 @@ class Tracker:
         self._history = [*self._history, Moment(time, pose)][-50:]
         self._started = True
 
-    def _estimate(self, frame: Frame, result: SolveResult, sights: Sequence[_Sight]) -> Estimate:
+    def _judge(self, sights: Sequence[_Sight], found: Sequence[ContourEvidence]) -> None:
+        """Update each part's support by what this frame shows of it; a part hardly seen keeps what it had."""
+        rule = self.config.support
+        focal = [sight.view.camera.K[0, 0] for sight in sights]
+        share, seen = part_support(found, focal, len(self.body.segment_names), rule)
+        judged = seen >= rule.least_points
+        self.part_share, self.part_seen = share, seen
+        self._support[judged] = rule.memory * self._support[judged] + (1.0 - rule.memory) * share[judged]
+
+    def _estimate(self, frame: Frame, result: SolveResult) -> Estimate:
+        support = float(self._support.min())
         return Estimate(
             frame.index, frame.time, result.pose, covariance(result.quadratic), {"total": result.energy}, result.status,
-            result.steps,
+            result.steps, support < self.config.support.least_share, support,
         )  # fmt: skip
 
 

@@ -30,6 +30,13 @@ class Template:
     value: Float
     gradient: Float
 
+    def __add__(self, other: Template) -> Template:
+        """Both templates' points."""
+        return Template(
+            self.points + other.points, np.concatenate([self.value, other.value], axis=1),
+            np.concatenate([self.gradient, other.gradient], axis=1),
+        )  # fmt: skip
+
 
 @dataclass(frozen=True)
 class Brightness:
@@ -41,55 +48,89 @@ class Brightness:
         sigma: brightness noise (sensor, shading, template).
         scale: difference at which a point begins to lose its say.
         share: share of the points' information that counts (neighbouring points see the same pixels).
+        update: share of the new brightness that a template point takes over in each frame.
+        depth_tolerance: m that a point may lie behind the rendered surface and still count as seen.
     """
 
     points: int = 750
-    blurs: tuple[float, ...] = (0.025, 0.010)
-    sigma: float = 0.03
-    scale: float = 0.06
-    share: float = 0.2
+    blurs: tuple[float, ...] = (0.020, 0.005)
+    sigma: float = 0.015
+    scale: float = 0.03
+    share: float = 0.3
+    update: float = 0.2
+    depth_tolerance: float = 0.012
 
-    def remember(self, view: View, seen: RenderedView, posed: Posed) -> Template:
-        """Template of the points now visible; `seen` chooses them, `posed` (the settled pose) places them."""
-        rows, columns = textured_pixels(view.grey, seen.inverse_depth_image, self.points)
-        points = seen.surface_points(rows, columns)
+    def remember(self, view: View, seen: RenderedView, posed: Posed, old: Template | None) -> Template:
+        """Template for the next frame; `seen` chooses the points now visible, `posed` (the settled pose) places them.
+
+        Points of the old template that are still seen stay, and their brightness follows the image slowly, which
+        keeps the track from creeping along the surface; new points fill the places that have none.
+        """
+        kept = None if old is None else self._still_seen(view, seen, posed, old)
+        taken = np.zeros((0, 2)) if kept is None else project_pinhole(view.camera.P, kept.points.at(posed))[0]
+        rows, columns = textured_pixels(view.grey, seen.inverse_depth_image, self.points, taken)
+        fresh = self._template(view, seen, posed, seen.surface_points(rows, columns))
+        return fresh if kept is None else kept + fresh
+
+    def _still_seen(self, view: View, seen: RenderedView, posed: Posed, old: Template) -> Template:
+        visible = visible_points(
+            view.camera.P, old.points.at(posed), seen.inverse_depth_image, self.depth_tolerance
+        )
+        now = self._template(view, seen, posed, old.points)
+        off_by = np.abs(now.value[-1] - old.value[-1])
+        keep = (visible > 0) & np.isfinite(off_by) & (off_by < 2.0 * self.scale)
+        a = self.update
+        return Template(
+            old.points[keep], ((1.0 - a) * old.value + a * now.value)[:, keep],
+            ((1.0 - a) * old.gradient + a * now.gradient)[:, keep],
+        )  # fmt: skip
+
+    def _template(self, view: View, seen: RenderedView, posed: Posed, points: SurfacePoints) -> Template:
+        """Brightness of points as they now lie in the image; NaN outside it."""
         pixels, _ = project_pinhole(view.camera.P, points.at(posed))
         value, gradient = np.empty((len(self.blurs), len(points))), np.empty((len(self.blurs), len(points), 2))
-        good = np.ones(len(points), dtype=bool)
         for level, blur in enumerate(self.blurs):
             image = view.blurred(blur * seen.px_per_m)
-            value[level], gradient[level, :, 0], gradient[level, :, 1], valid = sample_with_gradient(
-                image, pixels[:, 0], pixels[:, 1]
-            )
-            good &= valid > 0
-        return Template(points[good], value[:, good], gradient[:, good])
+            x, y = np.ascontiguousarray(pixels[:, 0]), np.ascontiguousarray(pixels[:, 1])
+            value[level], gradient[level, :, 0], gradient[level, :, 1], valid = sample_with_gradient(image, x, y)
+            value[level, valid == 0] = np.nan
+        return Template(points, value, gradient)
 
     def term(self, view: View, seen: RenderedView, template: Template, level: int) -> PhotometricTerm:
         """Brightness constancy of the template's points that the rendered view says are visible."""
         P = view.camera.P
-        visible = visible_points(P, template.points.at(seen.posed), seen.inverse_depth_image, 0.03)
+        visible = visible_points(P, template.points.at(seen.posed), seen.inverse_depth_image, self.depth_tolerance)
         return PhotometricTerm(
             P, template.points, view.blurred(self.blurs[level] * seen.px_per_m), template.value[level],
             template.gradient[level], visible * (self.share / self.sigma**2), self.scale,
         )  # fmt: skip
 
 
-def textured_pixels(grey: Float32, inverse_depth: Float32, count: int) -> tuple[Int, Int]:
-    """Rows and columns of about `count` body pixels, the most textured of each cell of a grid, none at a rim."""
+def textured_pixels(grey: Float32, inverse_depth: Float32, count: int, taken: Float) -> tuple[Int, Int]:
+    """Rows and columns of body pixels, the most textured of each cell of a grid of about `count`, none at a rim.
+
+    Cells that hold one of the points `taken` (M, 2) px are left out.
+    """
     area = max(int(np.count_nonzero(inverse_depth)), 1)
     cell = max(1, int(np.sqrt(area / max(count, 1))))
-    return _strongest_in_cells(np.ascontiguousarray(grey), inverse_depth, cell)
+    return _strongest_in_cells(np.ascontiguousarray(grey), inverse_depth, cell, taken)
 
 
 @njit(cache=True, nogil=True)
-def _strongest_in_cells(grey: Float32, inverse_depth: Float32, cell: int) -> tuple[Int, Int]:
+def _strongest_in_cells(grey: Float32, inverse_depth: Float32, cell: int, taken: Float) -> tuple[Int, Int]:
     height, width = grey.shape
-    rows, columns = np.empty(height * width // (cell * cell) + height + width, dtype=np.int32), np.empty(
-        height * width // (cell * cell) + height + width, dtype=np.int32
-    )
+    most = (height // cell + 1) * (width // cell + 1)
+    rows, columns = np.empty(most, dtype=np.int32), np.empty(most, dtype=np.int32)
+    occupied = np.zeros((height // cell + 1, width // cell + 1), dtype=np.bool_)
+    for m in range(len(taken)):
+        r, c = (int(np.round(taken[m, 1])) - 2) // cell, (int(np.round(taken[m, 0])) - 2) // cell
+        if 0 <= r < occupied.shape[0] and 0 <= c < occupied.shape[1]:
+            occupied[r, c] = True
     count = 0
     for top in range(2, height - 2, cell):
         for left in range(2, width - 2, cell):
+            if occupied[(top - 2) // cell, (left - 2) // cell]:
+                continue
             best, best_row, best_column = 0.0, -1, -1
             for r in range(top, min(top + cell, height - 2)):
                 for c in range(left, min(left + cell, width - 2)):

@@ -37,8 +37,8 @@ class DirectContour:
     prior_mass: float = 3.0
     floor: float = 4e-4
     clip: float = 3.0
-    least_sigma: float = 0.5
-    share: float = 0.2
+    least_sigma: float = 0.25
+    share: float = 1.0
     robust: float = 0.01
     inner: float = 0.3
 

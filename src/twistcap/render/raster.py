@@ -7,6 +7,8 @@ from numba import njit
 
 from twistcap._typing import AnyArray, Float, Float32, Int
 
+_EDGE = 1e-9  # triangles overlap by this much, so that rounding leaves no crack along a shared edge
+
 
 @njit(cache=True, nogil=True)
 def project_pinhole(P: Float, points: Float) -> tuple[Float, Float]:
@@ -68,7 +70,7 @@ def rasterise(
             lb = bx * (x0 - xc) + by * (y - yc)
             for x in range(x0, x1 + 1):
                 lc = 1.0 - la - lb
-                if la >= 0.0 and lb >= 0.0 and lc >= 0.0:
+                if la >= -_EDGE and lb >= -_EDGE and lc >= -_EDGE:
                     w = la * wa + lb * wb + lc * wc
                     if w > buffer[y, x]:
                         buffer[y, x] = w
@@ -96,7 +98,7 @@ def rasterise_reference(
         lb = ((yc - ya) * (x - xc) + (xa - xc) * (y - yc)) / area
         lc = 1.0 - la - lb
         depth = (la * w[0] + lb * w[1] + lc * w[2]).astype(np.float32)
-        nearer = (la >= 0) & (lb >= 0) & (lc >= 0) & (depth > buffer)
+        nearer = (la >= -_EDGE) & (lb >= -_EDGE) & (lc >= -_EDGE) & (depth > buffer)
         face_index[nearer], buffer[nearer] = f, depth[nearer]
     return face_index, buffer
 

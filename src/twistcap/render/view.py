@@ -33,6 +33,12 @@ class SurfacePoints:
     def __getitem__(self, which: Bool | Int) -> SurfacePoints:
         return SurfacePoints(self.segments[which], self.weights[which], self.local[which])
 
+    def __add__(self, other: SurfacePoints) -> SurfacePoints:
+        return SurfacePoints(
+            np.concatenate([self.segments, other.segments]), np.concatenate([self.weights, other.weights]),
+            np.concatenate([self.local, other.local]),
+        )  # fmt: skip
+
     def at(self, posed: Posed) -> Float:
         """(N, 3) world positions."""
         return posed.points(self.segments, self.weights, self.local)
