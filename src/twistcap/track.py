@@ -95,6 +95,13 @@ class Tracker:
         self._support[:] = 1.0
         self._started = False
 
+    def restore(self, estimates: Sequence[Estimate]) -> None:
+        """Go on after a track's last estimate, as `--resume` does; brightness is learnt anew from the next frame."""
+        last = estimates[-1]
+        self.start(last.pose, last.time)
+        self._history = [Moment(e.time, e.pose) for e in estimates[-50:]]
+        self._started = True
+
     def step(self, frame: Frame) -> Estimate:
         """Track one frame."""
         guess = predict(self._history, frame.time, self.config.predictor) if self._started else self._history[-1].pose
