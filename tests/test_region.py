@@ -296,8 +296,9 @@ def test_evolution_moves_a_wrong_disc_onto_the_images(density: str) -> None:
     assert np.abs(before).mean() > 3
     on_disc = np.abs(after) < 3.0  # where local densities meet noise far from the edge, islands of a few pixels stay
     assert on_disc.mean() > (0.999 if density == "global" else 0.85)
-    assert np.abs(after[on_disc]).mean() < (0.4 if density == "global" else 0.6)
-    assert abs(after[on_disc].mean()) < 0.15
+    # Local densities, estimated across the wrong contour, lag a little behind it.
+    tolerance, bias = (0.4, 0.15) if density == "global" else (0.6, 0.3)
+    assert np.abs(after[on_disc]).mean() < tolerance and abs(after[on_disc].mean()) < bias
 
 
 def radial_error(phi: np.ndarray) -> np.ndarray:
