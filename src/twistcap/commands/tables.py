@@ -14,10 +14,18 @@ Seeds = Annotated[str, typer.Option(help="FIRST-LAST or a list such as 0,3,5.")]
 Quick = Annotated[bool, typer.Option("--quick", help="Fewer cases and seeds, under a minute.")]
 
 
-def reproduce(case: Case = None, seeds: Seeds = "0-7", quick: Quick = False, json: terminal.Json = False) -> None:
+def reproduce(
+    case: Case = None,
+    seeds: Seeds = "0-7",
+    quick: Quick = False,
+    names: Annotated[bool, typer.Option("--list", help="Say what there is to run, and stop.")] = False,
+    json: terminal.Json = False,
+) -> None:
     """Run the accuracy tables again, on the studio's seeds.
 
     Examples:
+
+      twistcap reproduce --list
 
       twistcap reproduce studio --quick
 
@@ -25,7 +33,12 @@ def reproduce(case: Case = None, seeds: Seeds = "0-7", quick: Quick = False, jso
     """
     from twistcap.evaluate import reproduce as table
 
-    _print(table.run(case, parsed_seeds(seeds), quick, _told), json)
+    if names:
+        _print_list(table.listed(), json)
+        return
+    with terminal.telling("reproduce") as told:
+        found = table.run(case, parsed_seeds(seeds), quick, told)
+    _print(found, json)
 
 
 def bench(case: Case = None, seeds: Seeds = "0", quick: Quick = False, json: terminal.Json = False) -> None:
@@ -39,7 +52,9 @@ def bench(case: Case = None, seeds: Seeds = "0", quick: Quick = False, json: ter
     """
     from twistcap.evaluate import bench as table
 
-    _print(table.run(case, parsed_seeds(seeds), quick, _told), json)
+    with terminal.telling("bench") as told:
+        found = table.run(case, parsed_seeds(seeds), quick, told)
+    _print(found, json)
 
 
 def parsed_seeds(text: str) -> tuple[int, ...]:
@@ -57,8 +72,13 @@ def parsed_seeds(text: str) -> tuple[int, ...]:
     return tuple(int(part) for part in parts)
 
 
-def _told(text: str) -> None:
-    terminal.words.print(text)
+def _print_list(cases: list[dict[str, str]], json: bool) -> None:
+    if json:
+        terminal.emit({"id": "cases", "cases": cases})
+        return
+    width = max(len(item["id"]) for item in cases)
+    for item in cases:
+        typer.echo(f"{item['id']:{width}}  {item['says']}")
 
 
 def _print(table: Any, json: bool) -> None:

@@ -31,6 +31,19 @@ def progress(title: str, total: int) -> Generator[Advance]:
         yield lambda note="": bar.update(task, advance=1, note=note)
 
 
+@contextmanager
+def telling(title: str) -> Generator[Callable[..., None]]:
+    """A bar on stderr for work whose extent is known later; call what it gives with (words, done, total)."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, TextColumn("{task.fields[note]}"), console=words) as bar:
+        task = bar.add_task(title, total=None, note="")
+
+        def told(note: str, done: int = 0, total: int | None = None) -> None:
+            bar.update(task, completed=done, total=total, note=note)
+
+        yield told
+
+
 def emit(document: Mapping[str, Any]) -> None:
     """Print one JSON document on stdout; what JSON has no word for (NaN, infinity) becomes null."""
     typer.echo(json.dumps(_plain(document), indent=2, ensure_ascii=False, allow_nan=False))

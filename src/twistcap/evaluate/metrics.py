@@ -37,7 +37,7 @@ class Row(TypedDict):
     unit: str
     target: str | None
     holds: bool | None
-    seeds: list[int] | None
+    seeds: list[float | None] | None
     lost: int | None
 
 
@@ -49,10 +49,13 @@ def row(
     *,
     at_most: float | None = None,
     at_least: float | None = None,
-    seeds: Sequence[int] | None = None,
+    seeds: Sequence[float] | None = None,
     lost: int | None = None,
 ) -> Row:
-    """A table line; its target is `at_most` or `at_least`, and a value that is not finite never holds."""
+    """A table line; its target is `at_most` or `at_least`, and a value that is not finite never holds.
+
+    `seeds` are the values on every seed that `value` sums up, `lost` how many of those sequences were lost.
+    """
     finite = math.isfinite(value)
     target, holds = None, None
     if at_most is not None:
@@ -66,7 +69,7 @@ def row(
         unit=unit,
         target=target,
         holds=holds,
-        seeds=None if seeds is None else [int(seed) for seed in seeds],
+        seeds=None if seeds is None else [seed if math.isfinite(seed) else None for seed in seeds],
         lost=lost,
     )
 
