@@ -185,3 +185,22 @@ def test_orthonormalised_never_mirrors() -> None:
     mirrored = np.diag([1.0, 1.0, -1e-3, 1.0])
     batch = se3.orthonormalised(np.stack([mirrored, np.eye(4)]))
     np.testing.assert_allclose(np.linalg.det(batch[:, :3, :3]), 1.0)
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-9, 1e-5, 1e-2, 0.29, 0.31, 1.0, 3.1])
+def test_single_versions_agree_with_the_batched_ones(size: float) -> None:
+    rng = np.random.default_rng(7)
+    for _ in range(20):
+        turn = rng.normal(size=3)
+        xi = np.concatenate([size * turn / np.linalg.norm(turn), rng.normal(size=3)])
+        other = se3.exp(rng.normal(size=6))
+        np.testing.assert_allclose(se3.exp_one(xi), se3.exp(xi), atol=2e-14)
+        np.testing.assert_allclose(se3.inverse_one(other), se3.inverse(other), atol=1e-14)
+        np.testing.assert_allclose(se3.compose_one(se3.exp(xi), other), se3.exp(xi) @ other, atol=1e-14)
+        np.testing.assert_allclose(se3.difference_one(se3.exp(xi) @ other, other), xi, atol=1e-12)
+
+
+def test_composition_brings_a_rotation_back_that_rounding_carried_off() -> None:
+    off = se3.exp(np.array([0.3, -0.2, 0.5, 1.0, 2.0, 3.0])) + 1e-6 * np.random.default_rng(0).normal(size=(4, 4))
+    R = se3.compose_one(off, np.eye(4))[:3, :3]
+    assert np.abs(R.T @ R - np.eye(3)).max() < 1e-10 < np.abs(off[:3, :3].T @ off[:3, :3] - np.eye(3)).max()

@@ -218,3 +218,64 @@ def log_one(T: Float) -> Float:
     out[4] = t1 - 0.5 * c1 + rest * (w2 * c0 - w0 * c2)
     out[5] = t2 - 0.5 * c2 + rest * (w0 * c1 - w1 * c0)
     return out
+
+
+@njit(cache=True, nogil=True)
+def exp_one(twist: Float) -> Float:
+    """`exp` of a single twist (6,) -> (4, 4), without the cost of batching."""
+    w0, w1, w2, v0, v1, v2 = twist
+    t2 = w0 * w0 + w1 * w1 + w2 * w2
+    t = np.sqrt(t2)
+    a = 1.0 - t2 / 6.0 if t < _SMALL else np.sin(t) / t
+    b = 0.5 - t2 / 24.0 if t < _SMALL else 2.0 * np.sin(0.5 * t) ** 2 / t2
+    c = 1 / 6 - t2 / 120 * (1 - t2 / 42 * (1 - t2 / 72 * (1 - t2 / 110))) if t < 0.3 else (t - np.sin(t)) / (t * t2)
+    c0, c1, c2 = w1 * v2 - w2 * v1, w2 * v0 - w0 * v2, w0 * v1 - w1 * v0
+    out = np.empty((4, 4))
+    out[0, 0], out[0, 1], out[0, 2] = 1.0 - b * (w1 * w1 + w2 * w2), b * w0 * w1 - a * w2, b * w0 * w2 + a * w1
+    out[1, 0], out[1, 1], out[1, 2] = b * w0 * w1 + a * w2, 1.0 - b * (w0 * w0 + w2 * w2), b * w1 * w2 - a * w0
+    out[2, 0], out[2, 1], out[2, 2] = b * w0 * w2 - a * w1, b * w1 * w2 + a * w0, 1.0 - b * (w0 * w0 + w1 * w1)
+    out[0, 3] = v0 + b * c0 + c * (w1 * c2 - w2 * c1)
+    out[1, 3] = v1 + b * c1 + c * (w2 * c0 - w0 * c2)
+    out[2, 3] = v2 + b * c2 + c * (w0 * c1 - w1 * c0)
+    out[3, 0], out[3, 1], out[3, 2], out[3, 3] = 0.0, 0.0, 0.0, 1.0
+    return out
+
+
+@njit(cache=True, nogil=True)
+def compose_one(A: Float, B: Float) -> Float:
+    """``A B`` of single motions (4, 4), its rotation kept orthonormal.
+
+    One Newton step of the polar decomposition, ``R <- R (3 I - RᵀR) / 2``, squares the error that rounding leaves.
+    """
+    out = np.zeros((4, 4))
+    R = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            R[i, j] = A[i, 0] * B[0, j] + A[i, 1] * B[1, j] + A[i, 2] * B[2, j]
+        out[i, 3] = A[i, 0] * B[0, 3] + A[i, 1] * B[1, 3] + A[i, 2] * B[2, 3] + A[i, 3]
+    for j in range(3):
+        for k in range(3):
+            gram = R[0, j] * R[0, k] + R[1, j] * R[1, k] + R[2, j] * R[2, k]
+            factor = 0.5 * ((3.0 if j == k else 0.0) - gram)
+            for i in range(3):
+                out[i, k] += R[i, j] * factor
+    out[3, 3] = 1.0
+    return out
+
+
+@njit(cache=True, nogil=True)
+def inverse_one(T: Float) -> Float:
+    """`inverse` of a single motion (4, 4)."""
+    out = np.zeros((4, 4))
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = T[j, i]
+            out[i, 3] -= T[j, i] * T[j, 3]
+    out[3, 3] = 1.0
+    return out
+
+
+@njit(cache=True, nogil=True)
+def difference_one(A: Float, B: Float) -> Float:
+    """Twist (6,) with ``A = exp(ξ̂) B``."""
+    return log_one(compose_one(A, inverse_one(B)))

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from twistcap import se3
-from twistcap._typing import Float, Int
+from twistcap._typing import Bool, Float, Int
 from twistcap.body.model import Body
 
 
@@ -30,11 +30,11 @@ class Pose:
 
     def retract(self, delta: Float) -> Pose:
         """The pose after a step (6 + J,): ``root <- exp(δξ) root`` (world frame), ``q <- q + δq``."""
-        return Pose(se3.orthonormalised(se3.exp(delta[:6]) @ self.root), self.q + delta[6:])
+        return Pose(se3.compose_one(se3.exp_one(delta[:6]), self.root), self.q + delta[6:])
 
     def minus(self, other: Pose) -> Float:
         """The step (6 + J,) that `retract` needs to come from `other` to this pose."""
-        return np.concatenate([se3.log_one(self.root @ se3.inverse(other.root)), self.q - other.q])
+        return np.concatenate([se3.difference_one(self.root, other.root), self.q - other.q])
 
 
 @dataclass(frozen=True)
@@ -52,13 +52,12 @@ class Posed:
     @cached_property
     def segment_transforms(self) -> Float:
         """(S, 4, 4) motion of each segment, rest to world."""
-        all_motions = np.concatenate([self.joint_transforms, self.pose.root[None]])
-        return np.ascontiguousarray(all_motions[self.body.segment_joint])  # -1 picks the root
+        return _picked(self.joint_transforms, self.pose.root, self.body.segment_joint)
 
     @cached_property
     def world_twists(self) -> Float:
         """(J, 6) ``ξ'_k = Ad_{M g₁…g_{k−1}} ξ_k``; g_k leaves its own twist as it is, so its motion may stand in."""
-        return (se3.adjoint(self.joint_transforms) @ self.body.twists[..., None])[..., 0]
+        return _carried_twists(self.joint_transforms, self.body.twists)
 
     @cached_property
     def vertices(self) -> Float:
@@ -76,10 +75,7 @@ class Posed:
     @cached_property
     def projector(self) -> Float:
         """(6 S, 6 + J) from a pose step to the world twist of every segment, stacked by segment."""
-        blocks = np.zeros((len(self.body.segment_names), 6, self.body.dof))
-        blocks[:, :, :6] = np.eye(6)
-        blocks[:, :, 6:] = self.body.chain[:, None, :] * self.world_twists.T[None]
-        return blocks.reshape(-1, self.body.dof)
+        return _projector(self.body.chain, self.world_twists)
 
     def points(self, segments: Int, weights: Float, local: Float) -> Float:
         """World positions (N, 3) of surface points given as (N, K) segments and weights and (N, 3) rest points."""
@@ -94,39 +90,56 @@ class Posed:
         return np.einsum("nk,nkij,nkjd->nid", weights, by_twist, blocks)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _chain(root: Float, twists: Float, parent: Int, q: Float) -> Float:
     """Motions (J, 4, 4) of all coordinates; see `chain_reference`."""
-    J = len(q)
-    out = np.zeros((J, 4, 4))
-    g = np.zeros((3, 4))
-    for k in range(J):
+    out = np.zeros((len(q), 4, 4))
+    for k in range(len(q)):
         before = root if parent[k] < 0 else out[parent[k]]
-        w0, w1, w2, v0, v1, v2 = twists[k]
-        angle = q[k] * np.sqrt(w0 * w0 + w1 * w1 + w2 * w2)
-        if angle == 0.0:
-            a, b, c = 1.0, 0.5, 1.0 / 6.0
-        elif abs(angle) < 1e-3:
-            a, b, c = 1.0 - angle**2 / 6.0, 0.5 - angle**2 / 24.0, 1.0 / 6.0 - angle**2 / 120.0
-        else:
-            a, b = np.sin(angle) / angle, 2.0 * np.sin(0.5 * angle) ** 2 / angle**2
-            c = (1.0 - a) / angle**2
-        W = np.array([[0.0, -w2, w1], [w2, 0.0, -w0], [-w1, w0, 0.0]]) * q[k]
-        W2 = W @ W
-        for i in range(3):
-            for j in range(3):
-                g[i, j] = a * W[i, j] + b * W2[i, j] + (1.0 if i == j else 0.0)
-            g[i, 3] = 0.0
-            for j in range(3):
-                v = (v0 if j == 0 else (v1 if j == 1 else v2)) * q[k]
-                g[i, 3] += (b * W[i, j] + c * W2[i, j] + (1.0 if i == j else 0.0)) * v
+        g = se3.exp_one(q[k] * twists[k])
         for i in range(3):
             for j in range(4):
-                s = before[i, 3] if j == 3 else 0.0
-                for m in range(3):
-                    s += before[i, m] * g[m, j]
-                out[k, i, j] = s
+                out[k, i, j] = before[i, 0] * g[0, j] + before[i, 1] * g[1, j] + before[i, 2] * g[2, j]
+            out[k, i, 3] += before[i, 3]
         out[k, 3, 3] = 1.0
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _picked(motions: Float, root: Float, which: Int) -> Float:
+    """(S, 4, 4) the motion of each segment's last coordinate, the root's where it has none."""
+    out = np.empty((len(which), 4, 4))
+    for s in range(len(which)):
+        out[s] = root if which[s] < 0 else motions[which[s]]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _carried_twists(motions: Float, twists: Float) -> Float:
+    """(J, 6) ``Ad_T ξ`` of each: `se3.adjoint` without its matrices."""
+    out = np.empty_like(twists)
+    for k in range(len(twists)):
+        T, xi = motions[k], twists[k]
+        for i in range(3):
+            out[k, i] = T[i, 0] * xi[0] + T[i, 1] * xi[1] + T[i, 2] * xi[2]
+            out[k, 3 + i] = T[i, 0] * xi[3] + T[i, 1] * xi[4] + T[i, 2] * xi[5]
+        out[k, 3] += T[1, 3] * out[k, 2] - T[2, 3] * out[k, 1]
+        out[k, 4] += T[2, 3] * out[k, 0] - T[0, 3] * out[k, 2]
+        out[k, 5] += T[0, 3] * out[k, 1] - T[1, 3] * out[k, 0]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _projector(chain: Bool, world_twists: Float) -> Float:
+    """(6 S, 6 + J) the identity for the root, and the twists of those coordinates that move the segment."""
+    S, J = chain.shape
+    out = np.zeros((6 * S, 6 + J))
+    for s in range(S):
+        for i in range(6):
+            out[6 * s + i, i] = 1.0
+            for k in range(J):
+                if chain[s, k]:
+                    out[6 * s + i, 6 + k] = world_twists[k, i]
     return out
 
 
