@@ -53,7 +53,8 @@ def show_rows(title: str, rows: list[Any]) -> None:
     """A table of measures on stdout."""
     table = Table(title=title, title_justify="left")
     for name in ("case", "measure", "value", "unit", "to reach", "lost"):
-        table.add_column(name, justify="right" if name in ("value", "to reach", "lost") else "left")
+        right = name in ("value", "to reach", "lost")
+        table.add_column(name, justify="right" if right else "left", no_wrap=name == "case")
     for row in rows:
         colour = {True: "green", False: "red", None: ""}[row["holds"]]
         value = (

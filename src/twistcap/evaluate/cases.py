@@ -51,7 +51,7 @@ class Case:
         every: only every so many frames are given to the tracker.
         frames: only so many of the scene's frames are used; all by default.
         start: the first pose: the scene's own, or fitted to noisy keypoints, the body's lengths being known or not.
-        keypoint_noise_px: standard deviation of each keypoint coordinate.
+        keypoint_noise_px: standard deviation of each keypoint coordinate, which the fit is told.
     """
 
     id: str
@@ -152,7 +152,7 @@ STUDIO = Suite(
             "the same, stature and lengths unknown and fitted to the same keypoints",
             StudioConfig(views=4),
             _KEYPOINTS,
-            (Bar("joints at the start", over="worst"), Bar("joints", over="worst")),
+            _FIRST,
             frames=1,
             start="keypoints, lengths unknown",
         ),

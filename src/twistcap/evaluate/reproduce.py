@@ -113,7 +113,7 @@ def outcomes_of(cases: Sequence[Case], seeds: Sequence[int], progress: Tell, wor
         for done, future in enumerate(as_completed(waiting), 1):
             job = waiting[future]
             found.update(((c.id, job.seed), o) for c, o in zip(job.cases, future.result(), strict=True))
-            progress(f"seed {job.seed}: {', '.join(c.id for c in job.cases)}", done, len(jobs))
+            progress(f"seed {job.seed}, {job.studio.views} views", done, len(jobs))
     return {case.id: [found[case.id, seed] for seed in seeds] for case in cases}
 
 

@@ -8,7 +8,7 @@ from time import perf_counter
 
 import numpy as np
 
-from twistcap._typing import Bool, Float
+from twistcap._typing import Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.estimate import Estimate, Frame, Keypoints
@@ -79,9 +79,9 @@ def first_pose(case: Case, scene: Capture) -> tuple[Body, Pose]:
     """The body and the pose that the tracker of a case starts from."""
     if case.start == "given":
         return scene.body, scene.first_pose
-    known = case.start == "keypoints"
+    known, noise = case.start == "keypoints", case.keypoint_noise_px
     body = scene.body if known else humanoid(scene.config.variant)
-    fit = fit_keypoints(body, scene.rig, noisy_keypoints(scene, case.keypoint_noise_px), fit_lengths=not known)
+    fit = fit_keypoints(body, scene.rig, noisy_keypoints(scene, noise), fit_lengths=not known, sigma_px=noise)
     return fit.body, fit.pose
 
 
@@ -126,8 +126,3 @@ def joint_errors_mm(scene: Capture, body: Body, poses: Sequence[Pose], indices: 
     ours, theirs = ([b.landmarks.names.index(name) for name in names] for b in (body, scene.true_body))
     found = np.stack([Posed(body, pose).landmarks[ours] for pose in poses])
     return metrics.distances_mm(metrics.differences(found, scene.landmarks[list(indices)][:, theirs]))
-
-
-def lost_joints(errors_mm: Float) -> Bool:
-    """(K,) which joints are on average as far off as a lost sequence is."""
-    return np.asarray(np.nanmean(errors_mm, axis=0) > metrics.LOST_SEQUENCE_MM)
