@@ -253,7 +253,7 @@ def test_a_rays_residual_is_its_pixel_distance() -> None:
     offset = 2.0 * units((N, 2), seed=11)
     direction, moment = CAMERA.rays(pixels + offset)
     term = PointRayTerm(places(), direction, moment, CAMERA.K[0, 0] / depth, np.ones(N), huber_px=1e9)
-    distance = np.linalg.norm(term._residual(X), axis=1)
+    distance = np.linalg.norm(term.rows(POSED)[2].residual.reshape(2, -1), axis=0)
     # f differs by 3 % between x and y, and off the axis a ray is up to 1/cos farther from z: 0.87 here.
     np.testing.assert_allclose(distance, 2.0, rtol=0.14)
     central = np.linalg.norm(pixels - CAMERA.K[:2, 2], axis=1) < 40
@@ -310,10 +310,11 @@ def test_mean_of_both_gradients_is_right_to_second_order() -> None:
     u, v = CAMERA.project(X)[0].T
     template, gx, gy, _ = sample_with_gradient(wave(), u, v)
     step = np.array([0.02, -0.03, 0.025])
-    residual, gradient, _ = brightness_rows(CAMERA.P, X + step, wave(), template, np.stack([gx, gy], axis=1))
-    _, own, _ = brightness_rows(
+    one = np.ones(len(X))
+    residual, gradient = brightness_rows(CAMERA.P, X + step, wave(), template, np.stack([gx, gy], axis=1), one)
+    _, own = brightness_rows(
         CAMERA.P, X + step, wave(), template,
-        np.stack(sample_with_gradient(wave(), *CAMERA.project(X + step)[0].T)[1:3], axis=1),
+        np.stack(sample_with_gradient(wave(), *CAMERA.project(X + step)[0].T)[1:3], axis=1), one,
     )  # fmt: skip
     assert np.abs(residual).mean() > 0.02
     error_of_mean, error_of_one = np.abs(gradient @ step - residual), np.abs(own @ step - residual)

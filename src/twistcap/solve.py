@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import reduce
-from operator import add
 from typing import Literal
 
 import numpy as np
@@ -13,7 +11,7 @@ import scipy.linalg
 
 from twistcap._typing import Float
 from twistcap.body import Body, Pose, Posed
-from twistcap.terms import Quadratic, Term
+from twistcap.terms import PointTerm, Quadratic, SegmentSums, Term
 
 Status = Literal["converged", "max_iterations", "stalled", "failed"]
 
@@ -44,8 +42,14 @@ def total_energy(terms: Sequence[Term], posed: Posed) -> float:
 
 
 def linearized(terms: Sequence[Term], posed: Posed) -> Quadratic:
-    """Sum of the terms' quadratics."""
-    return reduce(add, (term.linearize(posed) for term in terms), Quadratic.zero(posed.body.dof))
+    """Sum of the terms' quadratics; point terms are summed by segment first and brought to the pose's step once."""
+    sums, total = SegmentSums(posed), Quadratic.zero(posed.body.dof)
+    for term in terms:
+        if isinstance(term, PointTerm):
+            sums.add(*term.rows(posed))
+        else:
+            total = total + term.linearize(posed)
+    return total + sums.quadratic()
 
 
 def least_squares(

@@ -1,8 +1,9 @@
 """Terms of the one least-squares system: each gives its energy and its quadratic at a pose."""
 
+from twistcap.terms.accumulate import PointTerm, SegmentSums
 from twistcap.terms.coordinates import GaussianTerm, LimitTerm
-from twistcap.terms.points import KeypointTerm, PointNormalTerm, PointRayTerm
 from twistcap.terms.photometric import PhotometricTerm
+from twistcap.terms.points import KeypointTerm, PointNormalTerm, PointRayTerm
 from twistcap.terms.quadratic import Quadratic, Term
 
 __all__ = [
@@ -12,6 +13,8 @@ __all__ = [
     "PhotometricTerm",
     "PointNormalTerm",
     "PointRayTerm",
+    "PointTerm",
     "Quadratic",
+    "SegmentSums",
     "Term",
 ]

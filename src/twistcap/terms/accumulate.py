@@ -15,16 +15,19 @@ from numba import njit
 from twistcap._typing import Float, Int
 from twistcap.body import Posed
 from twistcap.render import SurfacePoints
+from twistcap.terms.quadratic import Quadratic
+
+_WIDTH = 8  # twists padded from 6, so that the rows of a block lie as vector registers want them
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Residual rows of surface points.
+    """Residual rows of N surface points, R for each: row n belongs to point n mod N.
 
     Attributes:
-        gradient: (N, 3) derivative of each residual by its world point.
-        residual: (N,) in the term's own unit.
-        weight: (N,) information 1/unit², robust weights included.
+        gradient: (R N, 3) derivative of each residual by its world point.
+        residual: (R N,) in the term's own unit.
+        weight: (R N,) information 1/unit², robust weights included.
     """
 
     gradient: Float
@@ -32,55 +35,106 @@ class Rows:
     weight: Float
 
 
+class SegmentSums:
+    """Energy and normal equations of any number of point terms at one pose, by segment twists."""
+
+    def __init__(self, posed: Posed) -> None:
+        S = len(posed.body.segment_names)
+        self.posed, self.value = posed, 0.0
+        self.blocks, self.vector = np.zeros((S, S, 6, _WIDTH)), np.zeros((S, 6))
+
+    def add(self, energy: float, points: SurfacePoints, rows: Rows) -> None:
+        """Add a term's rows."""
+        self.value += energy
+        accumulate(
+            self.posed.segment_transforms, points.segments, points.weights, points.local, rows.gradient, rows.residual,
+            rows.weight, self.blocks, self.vector,
+        )  # fmt: skip
+
+    def quadratic(self) -> Quadratic:
+        """The sums as a quadratic of the pose step."""
+        A, S = self.posed.projector, len(self.vector)
+        upper = self.blocks[..., :6].transpose(0, 2, 1, 3).reshape(6 * S, 6 * S)
+        half = A.T @ (upper @ A)
+        return Quadratic(self.value, A.T @ self.vector.ravel(), half + half.T)
+
+
+class PointTerm:
+    """A term of surface points: it says what rows they have, which is all that a sum over terms needs."""
+
+    def rows(self, posed: Posed) -> tuple[float, SurfacePoints, Rows]:
+        """Energy, the N points and their rows at a pose."""
+        raise NotImplementedError
+
+    def energy(self, posed: Posed) -> float:
+        """Energy at a pose."""
+        return self.rows(posed)[0]
+
+    def linearize(self, posed: Posed) -> Quadratic:
+        """Gauss-Newton quadratic at a pose."""
+        sums = SegmentSums(posed)
+        sums.add(*self.rows(posed))
+        return sums.quadratic()
+
+
 def normal_equations(posed: Posed, points: SurfacePoints, rows: Rows) -> tuple[Float, Float]:
     """Gradient (6 + J,) and Gauss-Newton Hessian (6 + J, 6 + J) of ½ Σ weight · residual²."""
-    blocks, vector = accumulate(
-        posed.segment_transforms, points.segments, points.weights, points.local, rows.gradient, rows.residual,
-        rows.weight,
-    )  # fmt: skip
-    A = posed.projector
-    return A.T @ vector, A.T @ blocks @ A
+    sums = SegmentSums(posed)
+    sums.add(0.0, points, rows)
+    quadratic = sums.quadratic()
+    return quadratic.gradient, quadratic.hessian
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
 def accumulate(
-    transforms: Float, segments: Int, weights: Float, local: Float, gradient: Float, residual: Float, row_weight: Float
-) -> tuple[Float, Float]:
-    """Σ W j jᵀ (6 S, 6 S) and Σ W r j (6 S,) over rows, j the derivative by the stacked segment twists."""
+    transforms: Float, segments: Int, weights: Float, local: Float, gradient: Float, residual: Float,
+    row_weight: Float, blocks: Float, vector: Float,
+) -> None:  # fmt: skip
+    """Add Σ W j jᵀ to blocks (S, S, 6, 8) and Σ W r j to vector (S, 6), j the derivative by the segment twists.
+
+    Of two segments only the block above the diagonal is kept, and of a segment's own block half: with its transpose
+    the sum is whole.
+    """
     N, K = segments.shape
-    S = len(transforms)
-    blocks, vector = np.zeros((6 * S, 6 * S)), np.zeros(6 * S)
-    j = np.zeros((K, 6))
-    for n in range(N):
-        W = row_weight[n]
+    j = np.zeros((K, _WIDTH))
+    own = np.zeros(K, dtype=np.int64)
+    for row in range(len(residual)):
+        W, n = row_weight[row], row % N
         if W == 0.0:
             continue
-        g0, g1, g2 = gradient[n, 0], gradient[n, 1], gradient[n, 2]
+        g0, g1, g2 = gradient[row, 0], gradient[row, 1], gradient[row, 2]
         x, y, z = local[n, 0], local[n, 1], local[n, 2]
+        count = 0
         for k in range(K):
             w = weights[n, k]
             if w == 0.0:
                 continue
-            T = transforms[segments[n, k]]
-            X = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
-            Y = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
-            Z = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
-            j[k, 0], j[k, 1], j[k, 2] = w * (Y * g2 - Z * g1), w * (Z * g0 - X * g2), w * (X * g1 - Y * g0)
-            j[k, 3], j[k, 4], j[k, 5] = w * g0, w * g1, w * g2
-        for k in range(K):
-            if weights[n, k] == 0.0:
-                continue
-            a = 6 * segments[n, k]
+            s = segments[n, k]
+            X = transforms[s, 0, 0] * x + transforms[s, 0, 1] * y + transforms[s, 0, 2] * z + transforms[s, 0, 3]
+            Y = transforms[s, 1, 0] * x + transforms[s, 1, 1] * y + transforms[s, 1, 2] * z + transforms[s, 1, 3]
+            Z = transforms[s, 2, 0] * x + transforms[s, 2, 1] * y + transforms[s, 2, 2] * z + transforms[s, 2, 3]
+            j[count, 0], j[count, 1], j[count, 2] = w * (Y * g2 - Z * g1), w * (Z * g0 - X * g2), w * (X * g1 - Y * g0)
+            j[count, 3], j[count, 4], j[count, 5] = w * g0, w * g1, w * g2
+            own[count] = s
+            count += 1
+        Wr = W * residual[row]
+        for a in range(count):
             for p in range(6):
-                Wj = W * j[k, p]
-                vector[a + p] += Wj * residual[n]
-                for l in range(K):
-                    if weights[n, l] == 0.0:
-                        continue
-                    b = 6 * segments[n, l]
-                    for q in range(6):
-                        blocks[a + p, b + q] += Wj * j[l, q]
-    return blocks, vector
+                vector[own[a], p] += Wr * j[a, p]
+            for b in range(count):
+                if own[b] < own[a]:
+                    continue
+                block = blocks[own[a], own[b]]
+                share = 0.5 * W if a == b else W
+                j0, j1, j2, j3, j4, j5 = j[b, 0], j[b, 1], j[b, 2], j[b, 3], j[b, 4], j[b, 5]
+                for p in range(6):
+                    Wj = share * j[a, p]
+                    block[p, 0] += Wj * j0
+                    block[p, 1] += Wj * j1
+                    block[p, 2] += Wj * j2
+                    block[p, 3] += Wj * j3
+                    block[p, 4] += Wj * j4
+                    block[p, 5] += Wj * j5
 
 
 def normal_equations_reference(posed: Posed, points: SurfacePoints, rows: Rows) -> tuple[Float, Float]:

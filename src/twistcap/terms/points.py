@@ -10,9 +10,8 @@ from numba import njit
 from twistcap._typing import Float
 from twistcap.body import Posed
 from twistcap.render import SurfacePoints
-from twistcap.terms.accumulate import Rows, normal_equations
-from twistcap.terms.quadratic import Quadratic
-from twistcap.terms.robust import cauchy, huber
+from twistcap.terms.accumulate import PointTerm, Rows
+from twistcap.terms.robust import huber, weighted_cauchy
 
 
 @njit(cache=True, nogil=True)
@@ -44,7 +43,7 @@ def projected_rows_reference(P: Float, world: Float, direction: Float, target: F
 
 
 @dataclass(frozen=True)
-class PointNormalTerm:
+class PointNormalTerm(PointTerm):
     """Contour points pulled along their image normals to measured places: Cauchy on the residual in pixels.
 
     Attributes:
@@ -64,19 +63,35 @@ class PointNormalTerm:
     scale_px: float = 3.0
     name: str = "contour"
 
-    def energy(self, posed: Posed) -> float:
-        residual, _ = projected_rows(self.P, self.points.at(posed), self.normal, self.target)
-        return float(self.weight @ cauchy(residual, self.scale_px)[0])
-
-    def linearize(self, posed: Posed) -> Quadratic:
+    def rows(self, posed: Posed) -> tuple[float, SurfacePoints, Rows]:
         residual, gradient = projected_rows(self.P, self.points.at(posed), self.normal, self.target)
-        energy, robust = cauchy(residual, self.scale_px)
-        rows = Rows(gradient, residual, self.weight * robust)
-        return Quadratic(float(self.weight @ energy), *normal_equations(posed, self.points, rows))
+        energy, weight = weighted_cauchy(residual, self.weight, self.scale_px)
+        return energy, self.points, Rows(gradient, residual, weight)
+
+
+@njit(cache=True, nogil=True)
+def ray_rows(world: Float, direction: Float, moment: Float, scale: Float) -> tuple[Float, Float]:
+    """Residuals (2 N,) px and gradients (2 N, 3) of ``scale (x × n − m)`` along two unit directions e across each ray.
+
+    ``d(x × n) = −n̂ dx``, so along e it is ``e · (dx × n) = dx · (n × e)``.
+    """
+    N = len(world)
+    residual, gradient = np.empty(2 * N), np.empty((2 * N, 3))
+    for i in range(N):
+        n, f = direction[i], scale[i]
+        e = np.array([0.0, n[2], -n[1]]) if abs(n[0]) < 0.7 else np.array([-n[2], 0.0, n[0]])  # n × an axis
+        e /= np.sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2])
+        across = np.cross(n, e)
+        off = np.cross(world[i], n) - moment[i]
+        residual[i] = f * (e[0] * off[0] + e[1] * off[1] + e[2] * off[2])
+        residual[N + i] = f * (across[0] * off[0] + across[1] * off[1] + across[2] * off[2])
+        for k in range(3):
+            gradient[i, k], gradient[N + i, k] = f * across[k], -f * e[k]
+    return residual, gradient
 
 
 @dataclass(frozen=True)
-class PointRayTerm:
+class PointRayTerm(PointTerm):
     """Contour points drawn to the Plücker rays of their partners in the image.
 
     The residual ``x × n − m`` is the distance to the ray in metres; times f/z it is in pixels, so that near and far
@@ -99,35 +114,15 @@ class PointRayTerm:
     huber_px: float = 3.0
     name: str = "contour"
 
-    def _residual(self, world: Float) -> Float:
-        return self.scale[:, None] * (np.cross(world, self.direction) - self.moment)
-
-    def energy(self, posed: Posed) -> float:
-        length = np.linalg.norm(self._residual(self.points.at(posed)), axis=1)
-        return float(self.weight @ huber(length, self.huber_px)[0])
-
-    def linearize(self, posed: Posed) -> Quadratic:
-        residual = self._residual(self.points.at(posed))
-        energy, robust = huber(np.linalg.norm(residual, axis=1), self.huber_px)
-        across = np.stack(_across(self.direction))  # (2, N, 3)
-        # d(x × n) = −n̂ dx, so along a unit e: e · (dx × n) = dx · (n × e).
-        gradient = self.scale[:, None] * np.cross(self.direction, across)
-        value = np.einsum("eni,ni->en", across, residual)
-        both = np.tile(np.arange(len(self.points)), 2)
-        rows = Rows(gradient.reshape(-1, 3), value.ravel(), np.tile(self.weight * robust, 2))
-        return Quadratic(float(self.weight @ energy), *normal_equations(posed, self.points[both], rows))
-
-
-def _across(direction: Float) -> tuple[Float, Float]:
-    """Two unit vectors (N, 3) that make an orthonormal frame with each direction."""
-    helper = np.where(np.abs(direction[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
-    first = np.cross(direction, helper)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return first, np.cross(direction, first)
+    def rows(self, posed: Posed) -> tuple[float, SurfacePoints, Rows]:
+        residual, gradient = ray_rows(self.points.at(posed), self.direction, self.moment, self.scale)
+        energy, robust = huber(np.hypot(*residual.reshape(2, -1)), self.huber_px)
+        weight = np.tile(self.weight * robust, 2)
+        return float(self.weight @ energy), self.points, Rows(gradient, residual, weight)
 
 
 @dataclass(frozen=True)
-class KeypointTerm:
+class KeypointTerm(PointTerm):
     """Landmarks against 2D keypoints in one view, Cauchy on each coordinate.
 
     Attributes:
@@ -145,20 +140,10 @@ class KeypointTerm:
     scale_px: float = 5.0
     name: str = "keypoints"
 
-    def _rows(self, posed: Posed) -> tuple[Float, Float, Float]:
+    def rows(self, posed: Posed) -> tuple[float, SurfacePoints, Rows]:
         world = self.points.at(posed)
         both = np.concatenate([world, world])
         axes = np.repeat(np.eye(2), len(world), axis=0)
         residual, gradient = projected_rows(self.P, both, axes, np.concatenate([self.target, self.target]))
-        return residual, gradient, np.tile(self.weight, 2)
-
-    def energy(self, posed: Posed) -> float:
-        residual, _, weight = self._rows(posed)
-        return float(weight @ cauchy(residual, self.scale_px)[0])
-
-    def linearize(self, posed: Posed) -> Quadratic:
-        residual, gradient, weight = self._rows(posed)
-        energy, robust = cauchy(residual, self.scale_px)
-        both = np.tile(np.arange(len(self.points)), 2)
-        rows = Rows(gradient, residual, weight * robust)
-        return Quadratic(float(weight @ energy), *normal_equations(posed, self.points[both], rows))
+        energy, weight = weighted_cauchy(residual, np.tile(self.weight, 2), self.scale_px)
+        return energy, self.points, Rows(gradient, residual, weight)

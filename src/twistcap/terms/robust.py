@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from twistcap._typing import Float
 
@@ -19,3 +20,16 @@ def cauchy(residual: Float, scale: Float | float) -> tuple[Float, Float]:
     """Lorentzian: large residuals lose their say: (energy in residual², weight in (0, 1])."""
     ratio = (residual / scale) ** 2
     return 0.5 * scale**2 * np.log1p(ratio), 1.0 / (1.0 + ratio)
+
+
+@njit(cache=True, nogil=True)
+def weighted_cauchy(residual: Float, weight: Float, scale: float) -> tuple[float, Float]:
+    """Σ weight · energy of `cauchy` over residuals (N,), and the weights (N,) times its own."""
+    energy, out = 0.0, np.zeros(len(residual))
+    for n in range(len(residual)):
+        if weight[n] == 0.0:
+            continue
+        ratio = (residual[n] / scale) ** 2
+        energy += weight[n] * np.log1p(ratio)
+        out[n] = weight[n] / (1.0 + ratio)
+    return 0.5 * scale * scale * energy, out
