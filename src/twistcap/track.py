@@ -5,7 +5,7 @@ ARCHITECTURE.md walks through one frame; the settings of each cue stand with the
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -24,8 +24,8 @@ from twistcap.estimate import Estimate, Frame
 from twistcap.features import Channels
 from twistcap.predict import Moment, MotionNoise, PredictorName, predict
 from twistcap.render import ContourPoints, RenderedView, render, reprojected, visible_contour
-from twistcap.solve import SolveResult, covariance, least_squares
-from twistcap.terms import GaussianTerm, LimitTerm, Term
+from twistcap.solve import SolveResult, Status, covariance, least_squares
+from twistcap.terms import GaussianTerm, LimitTerm, Quadratic, Term
 
 
 @dataclass(frozen=True)
@@ -37,13 +37,17 @@ class TrackerConfig:
         channels: what region statistics look at, "grey" or "lab".
         photometric: whether brightness constancy joins the contours.
         predictor: "constant_velocity" or "hold".
-        iterations: alternations of correspond and update in a frame.
+        iterations: fine alternations of correspond and update in a frame.
         first_iterations: the same in the first frame, which starts from a given pose.
+        coarse: factor on the contour cue's capture range in the coarse alternations that come first.
+        coarse_rounds: coarse alternations at most; one is enough where the prediction was good.
+        settled: m that the body may still move in a coarse alternation that is the last one.
         render_every: the body is rendered anew in every so many alternations.
         contour_spacing: m on the body between contour samples.
-        coarse: factor on the contour cue's capture range in the first alternation.
         solver_steps: Gauss-Newton steps in each alternation.
         margin: m about the expected body within which images are looked at.
+        inflation: factor on every claimed standard deviation: contour and brightness samples are not independent, and
+            no body is exact; set on studio captures with truth (docs/covariance.md).
         first_sigma_deg, first_sigma_m: how far the given first pose may be off (joints and root turn; root place).
     """
 
@@ -51,13 +55,16 @@ class TrackerConfig:
     channels: Channels = "lab"
     photometric: bool = True
     predictor: PredictorName = "constant_velocity"
-    iterations: int = 4
+    iterations: int = 3
     first_iterations: int = 10
+    coarse: float = 3.0
+    coarse_rounds: int = 5
+    settled: float = 0.015
     render_every: int = 2
     contour_spacing: float = 0.025
-    coarse: float = 2.0
     solver_steps: int = 1
-    margin: float = 0.15
+    margin: float = 0.2
+    inflation: float = 5.0
     first_sigma_deg: float = 1.0
     first_sigma_m: float = 0.005
     direct: DirectContour = field(default_factory=DirectContour)
@@ -77,6 +84,17 @@ class _Sight:
     contour: ContourPoints
 
 
+@dataclass(frozen=True)
+class _Fit:
+    """State of a frame between alternations: the answer so far, and what it was made from."""
+
+    result: SolveResult
+    sights: Sequence[_Sight] = ()
+    terms: Sequence[Term] = ()
+    found: Sequence[ContourEvidence] = ()
+    energies: Mapping[str, float] = field(default_factory=dict[str, float])
+
+
 class Tracker:
     """Follows one body through a recording; `step` once per frame, in order."""
 
@@ -86,6 +104,8 @@ class Tracker:
         self._history: list[Moment] = []
         self._templates: list[Template | None] = [None] * len(rig)
         self._support = np.ones(len(body.segment_names))
+        self._covariance = np.zeros((body.dof, body.dof))
+        self._seen_time = 0.0
         self._started = False
 
     def start(self, pose: Pose, time: float = 0.0) -> None:
@@ -93,6 +113,7 @@ class Tracker:
         self._history = [Moment(time, pose)]
         self._templates = [None] * len(self.rig)
         self._support[:] = 1.0
+        self._seen_time = time
         self._started = False
 
     def restore(self, estimates: Sequence[Estimate]) -> None:
@@ -100,6 +121,7 @@ class Tracker:
         last = estimates[-1]
         self.start(last.pose, last.time)
         self._history = [Moment(e.time, e.pose) for e in estimates[-50:]]
+        self._covariance = last.covariance
         self._started = True
 
     def step(self, frame: Frame) -> Estimate:
@@ -110,34 +132,47 @@ class Tracker:
         views = self._views(frame, guess)
         if not views:
             self._advance(frame.time, guess)
-            return Estimate(frame.index, frame.time, guess, expected, {}, "no_images", 0, support=0.0)
-        result, sights, found = self._fit(guess, views, fixed)
-        self._remember(sights, result.pose)
-        self._advance(frame.time, result.pose)
-        self._judge(sights, found)
-        return self._estimate(frame, result)
+            return Estimate(frame.index, frame.time, guess, expected + self._covariance, {}, "no_images", support=0.0)
+        fit = self._fit(guess, views, fixed)
+        self._covariance = self._claimed(fit.result, expected)
+        self._remember(fit.sights, fit.result.pose)
+        self._advance(frame.time, fit.result.pose)
+        self._seen_time = frame.time
+        support = self._judge(fit)
+        return Estimate(
+            frame.index, frame.time, fit.result.pose, self._covariance, fit.energies, fit.result.status,
+            fit.result.steps, support < self.config.support.least_share, support,
+        )  # fmt: skip
 
-    def _fit(
-        self, guess: Pose, views: dict[int, View], fixed: Sequence[Term]
-    ) -> tuple[SolveResult, list[_Sight], list[ContourEvidence]]:
-        """Alternate correspond and update."""
+    def _fit(self, guess: Pose, views: dict[int, View], fixed: Sequence[Term]) -> _Fit:
+        """Alternate correspond and update: coarse until the body has settled, then fine."""
         config = self.config
-        pose, steps = guess, 0
-        sights: list[_Sight] = []
-        evidence: list[tuple[list[Term], ContourEvidence]] = []
-        result: SolveResult | None = None
-        for iteration in range(config.iterations if self._started else config.first_iterations):
-            posed = Posed(self.body, pose)
-            if iteration % config.render_every == 0:
-                sights = [self._look(posed, camera, view) for camera, view in views.items()]
-            else:
-                sights = [replace(s, contour=reprojected(s.contour, posed, s.view.camera.P)) for s in sights]
-            evidence = [self._evidence(sight, coarse=iteration == 0) for sight in sights]
-            terms = [term for by_view, _ in evidence for term in by_view]
-            result = least_squares(self.body, pose, [*fixed, *terms], steps=config.solver_steps)
-            pose, steps = result.pose, steps + result.steps
-        assert result is not None
-        return replace(result, steps=steps), sights, [found for _, found in evidence]
+        fine = config.iterations if self._started else config.first_iterations
+        fit = _Fit(SolveResult(guess, "max_iterations", 0, np.inf, Quadratic.zero(self.body.dof)))
+        coarse, rounds = True, 0
+        while fine > 0:
+            fit, moved = self._alternate(fit, views, fixed, coarse, again=coarse or rounds % config.render_every == 0)
+            rounds += 1
+            fine -= not coarse
+            coarse = coarse and moved > config.settled and rounds < config.coarse_rounds
+            fit = replace(fit, result=replace(fit.result, status=_status(fit.result, moved, config.settled)))
+        return replace(fit, energies=_energies([*fixed, *fit.terms], Posed(self.body, fit.result.pose)))
+
+    def _alternate(
+        self, fit: _Fit, views: dict[int, View], fixed: Sequence[Term], coarse: bool, again: bool
+    ) -> tuple[_Fit, float]:
+        """One alternation, with the body rendered `again` or its contour carried along; and how far it moved, m."""
+        config, posed = self.config, Posed(self.body, fit.result.pose)
+        if again:
+            sights = [self._look(posed, camera, view) for camera, view in views.items()]
+        else:
+            sights = [replace(s, contour=reprojected(s.contour, posed, s.view.camera.P)) for s in fit.sights]
+        evidence = [self._evidence(sight, coarse) for sight in sights]
+        terms = [term for by_view, _ in evidence for term in by_view]
+        result = least_squares(self.body, posed.pose, [*fixed, *terms], steps=config.solver_steps)
+        moved = _reach(result.pose.minus(posed.pose), posed.pose.root[:3, 3])
+        result = replace(result, steps=fit.result.steps + result.steps)
+        return _Fit(result, sights, terms, [found for _, found in evidence]), moved
 
     def _look(self, posed: Posed, camera_index: int, view: View) -> _Sight:
         seen = render(posed, view.camera)
@@ -162,7 +197,7 @@ class Tracker:
             turn = float(np.deg2rad(config.first_sigma_deg))
             given = MotionNoise(joint_speed=turn, turn_speed=turn, shift_speed=config.first_sigma_m)
             return given.covariance(self.body.dof, 1.0, "hold", centre)
-        dt = time - self._history[-1].time
+        dt = time - self._seen_time  # through dropped frames the prediction runs open-loop
         return config.noise.covariance(self.body.dof, dt, config.predictor, centre)
 
     def _views(self, frame: Frame, guess: Pose) -> dict[int, View]:
@@ -178,8 +213,8 @@ class Tracker:
         if self.config.photometric:
             posed = Posed(self.body, pose)
             for sight in sights:
-                old = self._templates[sight.camera_index]
-                self._templates[sight.camera_index] = self.config.brightness.remember(sight.view, sight.seen, posed, old)
+                old, cue = self._templates[sight.camera_index], self.config.brightness
+                self._templates[sight.camera_index] = cue.remember(sight.view, sight.seen, posed, old)
 
     def _advance(self, time: float, pose: Pose) -> None:
         if not self._started:
@@ -187,21 +222,41 @@ class Tracker:
         self._history = [*self._history, Moment(time, pose)][-50:]
         self._started = True
 
-    def _judge(self, sights: Sequence[_Sight], found: Sequence[ContourEvidence]) -> None:
-        """Update each part's support by what this frame shows of it; a part hardly seen keeps what it had."""
-        rule = self.config.support
-        focal = [sight.view.camera.K[0, 0] for sight in sights]
-        share, seen = part_support(found, focal, len(self.body.segment_names), rule)
-        judged = seen >= rule.least_points
-        self.part_share, self.part_seen = share, seen
-        self._support[judged] = rule.memory * self._support[judged] + (1.0 - rule.memory) * share[judged]
+    def _claimed(self, result: SolveResult, expected: Float) -> Float:
+        """Covariance of the answer; that of the prediction where the solve failed."""
+        if result.status == "failed":
+            return expected
+        return self.config.inflation**2 * covariance(result.quadratic)
 
-    def _estimate(self, frame: Frame, result: SolveResult) -> Estimate:
-        support = float(self._support.min())
-        return Estimate(
-            frame.index, frame.time, result.pose, covariance(result.quadratic), {"total": result.energy}, result.status,
-            result.steps, support < self.config.support.least_share, support,
-        )  # fmt: skip
+    def _judge(self, fit: _Fit) -> float:
+        """The least support of any part, after this frame; a part that is hardly seen keeps what it had."""
+        rule = self.config.support
+        focal = [sight.view.camera.K[0, 0] for sight in fit.sights]
+        share, seen = part_support(fit.found, focal, len(self.body.segment_names), rule)
+        judged = seen >= rule.least_points
+        self._support[judged] = rule.memory * self._support[judged] + (1.0 - rule.memory) * share[judged]
+        return float(self._support.min())
+
+
+def _status(result: SolveResult, moved: float, settled: float) -> Status:
+    """Of a whole frame: a step that hardly moved the body has converged."""
+    if result.status == "failed":
+        return "failed"
+    return "converged" if moved < settled else "max_iterations"
+
+
+def _reach(step: Float, centre: Float) -> float:
+    """How far a pose step moves the body, m: its root, and a joint's turn at the end of a 0.4 m limb."""
+    shift = step[3:6] + np.cross(step[:3], centre)
+    return float(max(np.linalg.norm(shift), 0.4 * np.abs(step[[0, 1, 2, *range(6, len(step))]]).max(initial=0.0)))
+
+
+def _energies(terms: Sequence[Term], posed: Posed) -> dict[str, float]:
+    """Energy by name of term."""
+    out: dict[str, float] = {}
+    for term in terms:
+        out[term.name] = out.get(term.name, 0.0) + term.energy(posed)
+    return out
 
 
 def track(
