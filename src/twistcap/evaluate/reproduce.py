@@ -2,42 +2,25 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-from collections.abc import Generator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from concurrent.futures import as_completed
 from dataclasses import dataclass, replace
-from typing import Protocol, TypedDict
 
 import numpy as np
 
 from twistcap.errors import InputError
 from twistcap.evaluate.cases import SUITES, UNITS, Agreement, Bar, Case, Suite
 from twistcap.evaluate.metrics import Row, row
+from twistcap.evaluate.parallel import Table, Tell, one_thread_processes
 from twistcap.evaluate.sequence import Outcome, run_scene
 from twistcap.studio import StudioConfig
 
 QUICK_FRAMES, QUICK_SEEDS = 12, 2
 QUICK = ("4-views-exact-direct", "4-views-exact-levelset", "stereo-exact", "first-pose", "direct-levelset-exact")
 WORKERS = 2
-_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 
 Outcomes = Mapping[str, Sequence[Outcome]]
 """One outcome per seed, by case."""
-
-
-class Table(TypedDict):
-    """What `reproduce` and `bench` print as JSON."""
-
-    id: str
-    rows: list[Row]
-
-
-class Tell(Protocol):
-    """Is told how far a table is."""
-
-    def __call__(self, note: str, done: int = 0, total: int | None = None) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -108,30 +91,13 @@ def outcomes_of(cases: Sequence[Case], seeds: Sequence[int], progress: Tell, wor
     scenes = dict.fromkeys(case.studio for case in cases)
     jobs = [_Job(scene, seed, tuple(c for c in cases if c.studio == scene)) for seed in seeds for scene in scenes]
     found: dict[tuple[str, int], Outcome] = {}
-    with _pool(min(workers, len(jobs))) as pool:
+    with one_thread_processes(min(workers, len(jobs))) as pool:
         waiting = {pool.submit(run_scene, job.studio, job.seed, job.cases): job for job in jobs}
         for done, future in enumerate(as_completed(waiting), 1):
             job = waiting[future]
             found.update(((c.id, job.seed), o) for c, o in zip(job.cases, future.result(), strict=True))
             progress(f"seed {job.seed}, {job.studio.views} views", done, len(jobs))
     return {case.id: [found[case.id, seed] for seed in seeds] for case in cases}
-
-
-@contextmanager
-def _pool(workers: int) -> Generator[ProcessPoolExecutor]:
-    """Fresh processes of one thread each: numerical libraries read their thread numbers when they are loaded."""
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ.update(_ONE_THREAD)
-    try:
-        with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
-            try:
-                yield pool
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
-    finally:
-        for name, value in before.items():
-            os.environ.pop(name) if value is None else os.environ.update({name: value})
 
 
 def rows_of(suite: Suite, outcomes: Outcomes) -> list[Row]:

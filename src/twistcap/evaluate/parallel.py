@@ -1,0 +1,61 @@
+"""What `reproduce` and `bench` share: processes of one thread each, and how they speak of their tables."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Generator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from typing import Protocol, TypedDict
+
+from twistcap.evaluate.metrics import Row
+
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+class Table(TypedDict):
+    """What `reproduce` and `bench` print as JSON; "seeds" of a row holds its value on every seed, in order."""
+
+    id: str
+    rows: list[Row]
+
+
+class Tell(Protocol):
+    """Is told how far a table is."""
+
+    def __call__(self, note: str, done: int = 0, total: int | None = None) -> None: ...
+
+
+@contextmanager
+def one_thread_processes(workers: int) -> Generator[ProcessPoolExecutor]:
+    """Fresh processes of one thread each: numerical libraries read their thread numbers when they are loaded."""
+    with _environment(dict.fromkeys(_THREADS, "1")):
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(workers, context, initializer=_one_thread_for_images) as pool:
+            try:
+                yield pool
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+
+
+def _one_thread_for_images() -> None:
+    import cv2
+
+    cv2.setNumThreads(1)  # it has no environment variable of its own
+
+
+@contextmanager
+def _environment(values: dict[str, str]) -> Generator[None]:
+    """Environment variables for a while: child processes inherit them."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
