@@ -52,21 +52,20 @@ def sample_lines(
                 k = half + direction * i
                 d = direction * i * step[n]
                 x, y = pixels[n, 0] + d * normals[n, 0], pixels[n, 1] + d * normals[n, 1]
-                column, row = int(np.round(x)), int(np.round(y))
-                seen = part_image[row, column] if 0 <= column < width and 0 <= row < height else -1
+                if not (0.0 <= x < width - 1 and 0.0 <= y < height - 1):
+                    break
                 if i * step[n] > 1.0:  # at the contour itself rounding decides: not asked there
+                    seen = part_image[int(y + 0.5), int(x + 0.5)]
                     if direction < 0 and seen != part[n]:
                         break
                     if direction > 0 and ((outer[n] and seen >= 0) or seen == part[n]):
                         break
-                x0, y0 = int(np.floor(x)), int(np.floor(y))
-                if x0 < 0 or y0 < 0 or x0 >= width - 1 or y0 >= height - 1:
-                    break
-                fx, fy = x - x0, y - y0
+                x0, y0 = int(x), int(y)
+                fx, fy = np.float32(x - x0), np.float32(y - y0)
                 for c in range(channels):
-                    top = (1.0 - fx) * image[y0, x0, c] + fx * image[y0, x0 + 1, c]
-                    bottom = (1.0 - fx) * image[y0 + 1, x0, c] + fx * image[y0 + 1, x0 + 1, c]
-                    values[n, k, c] = (1.0 - fy) * top + fy * bottom
+                    top = image[y0, x0, c] + fx * (image[y0, x0 + 1, c] - image[y0, x0, c])
+                    bottom = image[y0 + 1, x0, c] + fx * (image[y0 + 1, x0 + 1, c] - image[y0 + 1, x0, c])
+                    values[n, k, c] = top + fy * (bottom - top)
                 if direction < 0:
                     first[n] = k
                 else:
@@ -93,6 +92,29 @@ def line_moments(values: Float32, first: Int, last: Int, step: Float) -> Float:
     return out
 
 
+@njit(cache=True, nogil=True, fastmath={"contract"})
+def _pooled(moments: Float, pixels: Float, part: Int, rho: float) -> Float:
+    """(N, F) moments (N, F) of all lines of the same part under a Gaussian window of `rho` px, each pair seen once."""
+    N, fields = moments.shape
+    out = moments.copy()
+    order = np.argsort(part, kind="mergesort")
+    for i in range(N):
+        n = order[i]
+        for j in range(i + 1, N):
+            m = order[j]
+            if part[m] != part[n]:
+                break
+            dx, dy = pixels[m, 0] - pixels[n, 0], pixels[m, 1] - pixels[n, 1]
+            d2 = (dx * dx + dy * dy) / (rho * rho)
+            if d2 >= 6.25:
+                continue
+            weight = np.exp(-0.5 * d2)
+            for f in range(fields):
+                out[n, f] += weight * moments[m, f]
+                out[m, f] += weight * moments[n, f]
+    return out
+
+
 @njit(cache=True, nogil=True)
 def pooled_gaussians(
     moments: Float, pixels: Float, part: Int, rho: float, prior_mass: float, floor: float
@@ -102,41 +124,24 @@ def pooled_gaussians(
     A Gaussian window of `rho` px weights the neighbours; the part's whole statistics come in with `prior_mass`
     samples, so that a line without neighbours falls back on them smoothly. `floor` is the least variance.
     """
-    N, channels = len(pixels), (moments.shape[2] - 1) // 2
+    N, _, fields = moments.shape
+    channels = (fields - 1) // 2
     mean, variance = np.zeros((N, 2, channels)), np.zeros((N, 2, channels))
-    fields = moments.shape[2]
+    pooled = _pooled(moments.reshape(N, 2 * fields), pixels, part, rho).reshape(N, 2, fields)
     whole = np.zeros((part.max() + 1 if N else 1, 2, fields))
-    everything = np.zeros((2, fields))
+    for n in range(N):
+        whole[part[n]] += moments[n]
+    everything = whole.sum(axis=0)
     for n in range(N):
         for side in range(2):
-            for i in range(fields):
-                whole[part[n], side, i] += moments[n, side, i]
-                everything[side, i] += moments[n, side, i]
-    pooled = np.zeros((2, fields))
-    for n in range(N):
-        pooled[:] = 0.0
-        for m in range(N):
-            if part[m] != part[n]:
-                continue
-            dx, dy = pixels[m, 0] - pixels[n, 0], pixels[m, 1] - pixels[n, 1]
-            d2 = (dx * dx + dy * dy) / (rho * rho)
-            if d2 >= 6.25:
-                continue
-            weight = np.exp(-0.5 * d2)
-            for side in range(2):
-                for i in range(fields):
-                    pooled[side, i] += weight * moments[m, side, i]
-        for side in range(2):
-            use_whole = whole[part[n], side, 0] > 0.0
-            total = whole[part[n], side, 0] if use_whole else everything[side, 0]
-            if total > 0.0:
-                for i in range(fields):
-                    pooled[side, i] += prior_mass / total * (whole[part[n], side, i] if use_whole else everything[side, i])
-            mass = max(pooled[side, 0], 1e-9)
+            fallback = whole[part[n], side] if whole[part[n], side, 0] > 0.0 else everything[side]
+            share = prior_mass / fallback[0] if fallback[0] > 0.0 else 0.0
+            mass = max(pooled[n, side, 0] + share * fallback[0], 1e-9)
             for c in range(channels):
-                mu = pooled[side, 1 + c] / mass
+                mu = (pooled[n, side, 1 + c] + share * fallback[1 + c]) / mass
+                second = (pooled[n, side, 1 + channels + c] + share * fallback[1 + channels + c]) / mass
                 mean[n, side, c] = mu
-                variance[n, side, c] = max(pooled[side, 1 + channels + c] / mass - mu * mu, 0.0) + floor
+                variance[n, side, c] = max(second - mu * mu, 0.0) + floor
     return mean, variance
 
 
@@ -153,18 +158,19 @@ def boundary_posterior(
     N, length, channels = values.shape
     half = length // 2
     displacement, spread, evidence = np.zeros(N), np.zeros(N), np.zeros(N)
-    score = np.zeros(length + 1)
+    score, precision = np.zeros(length + 1), np.zeros((2, channels))
     for n in range(N):
         lo, hi = first[n], last[n]
         total, best, log_spread = 0.0, 0.0, 0.0
         for c in range(channels):
             log_spread += 0.5 * np.log(variance[n, 1, c] / variance[n, 0, c])
+            precision[0, c], precision[1, c] = 0.5 / variance[n, 0, c], 0.5 / variance[n, 1, c]
         score[lo] = 0.0
         for k in range(lo, hi + 1):
             ratio = log_spread
             for c in range(channels):
                 inside, outside = values[n, k, c] - mean[n, 0, c], values[n, k, c] - mean[n, 1, c]
-                ratio += 0.5 * (outside * outside / variance[n, 1, c] - inside * inside / variance[n, 0, c])
+                ratio += outside * outside * precision[1, c] - inside * inside * precision[0, c]
             total += step[n] * min(max(ratio, -clip), clip)
             score[k + 1] = total
             best = max(best, total)
