@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).parents[1] / "src" / "twistcap"
 
 # From the ground up; a room may import from its own floor and from those before it.
 FLOORS: tuple[tuple[str, ...], ...] = (
-    ("errors", "_typing"),
+    ("errors", "_typing", "stages"),
     ("se3",),
     ("camera",),
     ("body",),
