@@ -25,6 +25,7 @@ from twistcap.features import Channels
 from twistcap.predict import Moment, MotionNoise, PredictorName, predict
 from twistcap.render import ContourPoints, RenderedView, render, reprojected, visible_contour
 from twistcap.solve import SolveResult, Status, covariance, least_squares
+from twistcap.stages import next_frame, stage
 from twistcap.terms import GaussianTerm, LimitTerm, Quadratic, Term
 
 
@@ -42,7 +43,7 @@ class TrackerConfig:
         coarse: factor on the contour cue's capture range in the coarse alternations that come first.
         coarse_rounds: coarse alternations at most; one is enough where the prediction was good.
         settled: m that the body may still move in a coarse alternation that is the last one.
-        render_every: the body is rendered anew in every so many alternations.
+        render_every: the body is rendered anew in every so many alternations (always for the level set).
         contour_spacing: m on the body between contour samples.
         solver_steps: Gauss-Newton steps in each alternation.
         margin: m about the expected body within which images are looked at.
@@ -126,6 +127,7 @@ class Tracker:
 
     def step(self, frame: Frame) -> Estimate:
         """Track one frame."""
+        next_frame()
         guess = predict(self._history, frame.time, self.config.predictor) if self._started else self._history[-1].pose
         expected = self._expected(guess, frame.time)
         fixed: list[Term] = [LimitTerm(), GaussianTerm(guess, np.linalg.inv(expected))]
@@ -135,7 +137,8 @@ class Tracker:
             return Estimate(frame.index, frame.time, guess, expected + self._covariance, {}, "no_images", support=0.0)
         fit = self._fit(guess, views, fixed)
         self._covariance = self._claimed(fit.result, expected)
-        self._remember(fit.sights, fit.result.pose)
+        with stage("remember"):
+            self._remember(fit.sights, fit.result.pose)
         self._advance(frame.time, fit.result.pose)
         self._seen_time = frame.time
         support = self._judge(fit)
@@ -149,9 +152,10 @@ class Tracker:
         config = self.config
         fine = config.iterations if self._started else config.first_iterations
         fit = _Fit(SolveResult(guess, "max_iterations", 0, np.inf, Quadratic.zero(self.body.dof)))
+        every = 1 if config.method == "levelset" else config.render_every  # its shape prior is the rendered mask
         coarse, rounds = True, 0
         while fine > 0:
-            fit, moved = self._alternate(fit, views, fixed, coarse, again=coarse or rounds % config.render_every == 0)
+            fit, moved = self._alternate(fit, views, fixed, coarse, again=coarse or rounds % every == 0)
             rounds += 1
             fine -= not coarse
             coarse = coarse and moved > config.settled and rounds < config.coarse_rounds
@@ -169,25 +173,30 @@ class Tracker:
             sights = [replace(s, contour=reprojected(s.contour, posed, s.view.camera.P)) for s in fit.sights]
         evidence = [self._evidence(sight, coarse) for sight in sights]
         terms = [term for by_view, _ in evidence for term in by_view]
-        result = least_squares(self.body, posed.pose, [*fixed, *terms], steps=config.solver_steps)
+        with stage("solve"):
+            result = least_squares(self.body, posed.pose, [*fixed, *terms], steps=config.solver_steps)
         moved = _reach(result.pose.minus(posed.pose), posed.pose.root[:3, 3])
         result = replace(result, steps=fit.result.steps + result.steps)
         return _Fit(result, sights, terms, [found for _, found in evidence]), moved
 
     def _look(self, posed: Posed, camera_index: int, view: View) -> _Sight:
-        seen = render(posed, view.camera)
-        spacing = max(1.0, self.config.contour_spacing * seen.px_per_m)
-        return _Sight(camera_index, view, seen, visible_contour(seen, spacing))
+        with stage("render"):
+            seen = render(posed, view.camera)
+        with stage("contour"):
+            spacing = max(1.0, self.config.contour_spacing * seen.px_per_m)
+            return _Sight(camera_index, view, seen, visible_contour(seen, spacing))
 
     def _evidence(self, sight: _Sight, coarse: bool) -> tuple[list[Term], ContourEvidence]:
         """Terms of one camera: its contour, and the brightness of what it saw in the frame before."""
         config = self.config
-        found = self._contour.measure(sight.view, sight.seen, sight.contour, config.coarse if coarse else 1.0)
+        with stage("statistics"):
+            found = self._contour.measure(sight.view, sight.seen, sight.contour, config.coarse if coarse else 1.0)
         terms: list[Term] = [found.term]
         template = self._templates[sight.camera_index]
         if config.photometric and template is not None:
             level = 0 if coarse else len(config.brightness.blurs) - 1
-            terms.append(config.brightness.term(sight.view, sight.seen, template, level))
+            with stage("photometric"):
+                terms.append(config.brightness.term(sight.view, sight.seen, template, level))
         return terms, found
 
     def _expected(self, guess: Pose, time: float) -> Float:

@@ -43,7 +43,7 @@ class LevelSetContour:
     """
 
     density: Literal["local", "global"] = "local"
-    rho: float = 0.09
+    rho: float = 0.06
     floor: float = 4e-4
     prior_mass: float = 0.02
     rounds: int = 1
@@ -54,8 +54,8 @@ class LevelSetContour:
     width: float = 0.015
     clip: float = 3.0
     least_cosine: float = 0.5
-    sigma: float = 0.8
-    share: float = 0.2
+    sigma: float = 0.5
+    share: float = 1.0
     robust: float = 0.01
 
     def measure(self, view: View, seen: RenderedView, contour: ContourPoints, coarse: float) -> ContourEvidence:
