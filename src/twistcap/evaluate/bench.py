@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
 
+from twistcap import stages
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
 from twistcap.evaluate.metrics import Row, row
@@ -96,31 +98,35 @@ def timed(bench: Bench, seed: int, frames: int | None = None) -> Times:
     pictures = [scene.frame(k) for k in range(frames or scene.config.frames)]
     tracker = Tracker(scene.body, scene.rig, bench.tracker)
     tracker.start(scene.first_pose)
-    times: Times = {}
-    gc.disable()  # a collection would fall on some frames and not on others
-    try:
-        for k, picture in enumerate(pictures):
-            spent = _step(tracker, picture)
-            for stage, ms in spent.items() if k >= WARM else ():
-                times.setdefault(stage, []).append(ms)
-    finally:
-        gc.enable()
-    return times
+    with _no_collection(), stages.record() as spent:
+        totals = [_step(tracker, picture) for picture in pictures]
+    by_stage = {stage: [1000.0 * seconds for seconds in values[WARM:]] for stage, values in spent.items()}
+    return {TOTAL: totals[WARM:], **by_stage}
 
 
 def rows_of(bench: Bench, times: Sequence[Mapping[str, Sequence[float]]]) -> list[Row]:
     """A line for the whole frame, then one for each stage."""
-    stages = [TOTAL, *sorted({stage for by_seed in times for stage in by_seed} - {TOTAL})]
+    names = {stage: None for by_seed in times for stage in by_seed}  # in the order they are met, the whole first
     rows: list[Row] = []
-    for stage in stages:
+    for stage in names:
         medians = [float(np.median(by_seed.get(stage, [0.0]))) for by_seed in times]
         limit = bench.at_most if stage == TOTAL else None
         rows.append(row(bench.id, stage, float(np.mean(medians)), "ms", at_most=limit, seeds=medians))
     return rows
 
 
-def _step(tracker: Tracker, picture: Frame) -> dict[str, float]:
-    """Milliseconds of one frame, by stage."""
+def _step(tracker: Tracker, picture: Frame) -> float:
+    """Milliseconds of one frame."""
     began = perf_counter()
     tracker.step(picture)
-    return {TOTAL: 1000.0 * (perf_counter() - began)}
+    return 1000.0 * (perf_counter() - began)
+
+
+@contextmanager
+def _no_collection() -> Generator[None]:
+    """A garbage collection would fall on some frames and not on others."""
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
