@@ -369,7 +369,7 @@ def local_ratio_reference(
                 share = share / share.size
                 mu0, var0 = weighted(v, w)
                 mu = ((share * window).sum() + prior * mu0) / (share.sum() + prior)
-                second = (share * window**2).sum() + prior * (var0 + mu0**2)
+                second = (share * window**2).sum() + prior * (var0 - FLOOR + mu0**2)  # the floor is added once, below
                 sides.append((mu, second / (share.sum() + prior) - mu**2 + FLOOR))
             total += gaussian_ratio(v[r, c], *sides)
         out.append(float(total))

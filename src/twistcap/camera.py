@@ -69,9 +69,10 @@ class Camera:
         Source: Brox, Rosenhahn and Cremers, "Contours, Optic Flow, and Prior Knowledge", eq. 11.16-11.19.
         """
         xy = self.normalised(pixels)
-        n = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1) @ self.T_cam_world[:3, :3]
-        n = n / np.linalg.norm(n, axis=-1, keepdims=True)
-        return n, np.cross(np.broadcast_to(self.centre, n.shape), n)
+        R = self.T_cam_world[:3, :3]
+        n = xy @ R[:2] + R[2]
+        n = n / np.sqrt(np.sum(n * n, axis=-1, keepdims=True))
+        return n, n @ se3.hat(self.centre).T
 
     def scaled(self, factor: float) -> Camera:
         """The camera of the image resized by `factor`; pixel centres stay at integers."""

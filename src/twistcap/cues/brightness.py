@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Float, Float32, Int
+from twistcap._typing import Bool, Float, Float32, Int
 from twistcap.body import Posed
 from twistcap.cues.view import View
 from twistcap.render import RenderedView, SurfacePoints
@@ -29,6 +29,12 @@ class Template:
     points: SurfacePoints
     value: Float
     gradient: Float
+
+    def __getitem__(self, which: Int) -> Template:
+        """The points of some indices."""
+        return Template(
+            self.points[which], np.take(self.value, which, axis=1), np.take(self.gradient, which, axis=1)
+        )
 
     def __add__(self, other: Template) -> Template:
         """Both templates' points."""
@@ -56,42 +62,46 @@ class Brightness:
     blurs: tuple[float, ...] = (0.020, 0.005)
     sigma: float = 0.015
     scale: float = 0.03
-    share: float = 0.3
+    share: float = 0.8
     update: float = 0.2
     depth_tolerance: float = 0.012
 
     def remember(self, view: View, seen: RenderedView, posed: Posed, old: Template | None) -> Template:
         """Template for the next frame; `seen` chooses the points now visible, `posed` (the settled pose) places them.
 
-        Points of the old template that are still seen stay, and their brightness follows the image slowly, which
-        keeps the track from creeping along the surface; new points fill the places that have none.
+        Points of the old template that are still seen stay, one in each cell of a grid, and their brightness follows
+        the image slowly, which keeps the track from creeping along the surface; new points fill the empty cells.
         """
-        kept = None if old is None else self._still_seen(view, seen, posed, old)
-        taken = np.zeros((0, 2)) if kept is None else project_pinhole(view.camera.P, kept.points.at(posed))[0]
-        rows, columns = textured_pixels(view.grey, seen.inverse_depth_image, self.points, taken)
+        area = max(int(np.count_nonzero(seen.mask)), 1)
+        cell = max(1, round(float(np.sqrt(area / max(self.points, 1)))))
+        occupied = np.zeros((view.grey.shape[0] // cell + 1, view.grey.shape[1] // cell + 1), dtype=np.bool_)
+        kept = None if old is None else self._still_seen(view, seen, posed, old, cell, occupied)
+        rows, columns = strongest_in_cells(view.grey, seen.inverse_depth_image, cell, occupied)
         fresh = self._template(view, seen, posed, seen.surface_points(rows, columns))
         return fresh if kept is None else kept + fresh
 
-    def _still_seen(self, view: View, seen: RenderedView, posed: Posed, old: Template) -> Template:
-        visible = visible_points(
-            view.camera.P, old.points.at(posed), seen.inverse_depth_image, self.depth_tolerance
-        )
+    def _still_seen(
+        self, view: View, seen: RenderedView, posed: Posed, old: Template, cell: int, occupied: Bool
+    ) -> Template:
+        """The old points that are still seen, one in each cell, refreshed; their cells are marked as occupied."""
+        P, world = view.camera.P, old.points.at(posed)
+        visible = visible_points(P, world, seen.inverse_depth_image, self.depth_tolerance)
+        old = old[first_in_cells(project_pinhole(P, world)[0], visible, cell, occupied)]
         now = self._template(view, seen, posed, old.points)
         off_by = np.abs(now.value[-1] - old.value[-1])
-        keep = (visible > 0) & np.isfinite(off_by) & (off_by < 2.0 * self.scale)
         a = self.update
-        return Template(
-            old.points[keep], ((1.0 - a) * old.value + a * now.value)[:, keep],
-            ((1.0 - a) * old.gradient + a * now.gradient)[:, keep],
-        )  # fmt: skip
+        followed = Template(
+            old.points, (1.0 - a) * old.value + a * now.value, (1.0 - a) * old.gradient + a * now.gradient
+        )
+        return followed[np.flatnonzero(off_by < 2.0 * self.scale)]
 
     def _template(self, view: View, seen: RenderedView, posed: Posed, points: SurfacePoints) -> Template:
         """Brightness of points as they now lie in the image; NaN outside it."""
         pixels, _ = project_pinhole(view.camera.P, points.at(posed))
+        x, y = np.ascontiguousarray(pixels.T)
         value, gradient = np.empty((len(self.blurs), len(points))), np.empty((len(self.blurs), len(points), 2))
         for level, blur in enumerate(self.blurs):
             image = view.blurred(blur * seen.px_per_m)
-            x, y = np.ascontiguousarray(pixels[:, 0]), np.ascontiguousarray(pixels[:, 1])
             value[level], gradient[level, :, 0], gradient[level, :, 1], valid = sample_with_gradient(image, x, y)
             value[level, valid == 0] = np.nan
         return Template(points, value, gradient)
@@ -106,26 +116,28 @@ class Brightness:
         )  # fmt: skip
 
 
-def textured_pixels(grey: Float32, inverse_depth: Float32, count: int, taken: Float) -> tuple[Int, Int]:
-    """Rows and columns of body pixels, the most textured of each cell of a grid of about `count`, none at a rim.
-
-    Cells that hold one of the points `taken` (M, 2) px are left out.
-    """
-    area = max(int(np.count_nonzero(inverse_depth)), 1)
-    cell = max(1, int(np.sqrt(area / max(count, 1))))
-    return _strongest_in_cells(np.ascontiguousarray(grey), inverse_depth, cell, taken)
+@njit(cache=True, nogil=True)
+def first_in_cells(pixels: Float, visible: Float, cell: int, occupied: Bool) -> Int:
+    """Indices of the points that are visible and the first in their cell of the grid `occupied`, which is filled in."""
+    out = np.empty(len(pixels), dtype=np.int64)
+    count = 0
+    for n in range(len(pixels)):
+        if visible[n] == 0.0:
+            continue
+        r, c = (int(np.round(pixels[n, 1])) - 2) // cell, (int(np.round(pixels[n, 0])) - 2) // cell
+        if 0 <= r < occupied.shape[0] and 0 <= c < occupied.shape[1] and not occupied[r, c]:
+            occupied[r, c] = True
+            out[count] = n
+            count += 1
+    return out[:count]
 
 
 @njit(cache=True, nogil=True)
-def _strongest_in_cells(grey: Float32, inverse_depth: Float32, cell: int, taken: Float) -> tuple[Int, Int]:
+def strongest_in_cells(grey: Float32, inverse_depth: Float32, cell: int, occupied: Bool) -> tuple[Int, Int]:
+    """Rows and columns of body pixels, the most textured of each cell that is not occupied, none at a rim."""
     height, width = grey.shape
     most = (height // cell + 1) * (width // cell + 1)
     rows, columns = np.empty(most, dtype=np.int32), np.empty(most, dtype=np.int32)
-    occupied = np.zeros((height // cell + 1, width // cell + 1), dtype=np.bool_)
-    for m in range(len(taken)):
-        r, c = (int(np.round(taken[m, 1])) - 2) // cell, (int(np.round(taken[m, 0])) - 2) // cell
-        if 0 <= r < occupied.shape[0] and 0 <= c < occupied.shape[1]:
-            occupied[r, c] = True
     count = 0
     for top in range(2, height - 2, cell):
         for left in range(2, width - 2, cell):

@@ -13,6 +13,7 @@ from twistcap.body import Posed
 from twistcap.camera import Camera
 from twistcap.features import Channels, feature_channels, grey
 from twistcap.render import body_window
+from twistcap.stages import stage
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,8 @@ class View:
     @cached_property
     def features(self) -> Float32:
         """(H, W, C) float32."""
-        return self.grey[..., None] if self.channels == "grey" else feature_channels(self.image, self.channels)
+        with stage("features"):
+            return self.grey[..., None] if self.channels == "grey" else feature_channels(self.image, self.channels)
 
     @cached_property
     def grey(self) -> Float32:
@@ -44,7 +46,8 @@ class View:
         """(H, W) grey values under a Gaussian of `sigma` px (to a tenth of a pixel); computed once."""
         sigma = round(sigma, 1)
         if sigma not in self._blurs:
-            self._blurs[sigma] = self.grey if sigma < 0.3 else cv2.GaussianBlur(self.grey, (0, 0), sigma)
+            with stage("features"):
+                self._blurs[sigma] = self.grey if sigma < 0.3 else cv2.GaussianBlur(self.grey, (0, 0), sigma)
         return self._blurs[sigma]
 
 

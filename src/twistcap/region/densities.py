@@ -6,16 +6,23 @@ deviations, where the paper omits the square.
 
 from __future__ import annotations
 
-import cv2
+import math
+
 import numpy as np
-from scipy.special import erf
+from numba import njit
 
-from twistcap._typing import Float32
+from twistcap._typing import Float, Float32
 
 
+@njit(cache=True, nogil=True)
 def heaviside(phi: Float32, width: float) -> Float32:
     """Smooth step: the error function of `phi` px, whose derivative is a Gaussian of standard deviation `width` px."""
-    return (0.5 * (1.0 + erf(phi / (np.sqrt(2.0) * width)))).astype(np.float32)
+    out = np.empty(phi.size, dtype=np.float32)
+    flat = phi.ravel()
+    for n in range(len(flat)):
+        x = flat[n] / (math.sqrt(2.0) * width)
+        out[n] = 1.0 if x > 4.0 else (0.0 if x < -4.0 else 0.5 * (1.0 + math.erf(x)))
+    return out.reshape(phi.shape)
 
 
 def global_log_ratio(channels: Float32, inside: Float32, floor: float) -> Float32:
@@ -29,46 +36,86 @@ def global_log_ratio(channels: Float32, inside: Float32, floor: float) -> Float3
     return out
 
 
+@njit(cache=True, nogil=True)
 def local_log_ratio(channels: Float32, inside: Float32, rho: float, floor: float, prior_mass: float) -> Float32:
     """(H, W) Σ_j log p₁/p₂ under Gaussians estimated in a window of standard deviation `rho` px about each pixel.
 
-    The window is a box of that deviation, which costs the same at any size. Where a region hardly reaches into the
-    window, its global statistics take over smoothly, with the weight of `prior_mass` (share of the window).
+    The window is a box of that deviation, which costs the same at any size: sums of its columns, and of their rows,
+    are carried along; at the border the image is mirrored. Where a region hardly reaches into the window, its global
+    statistics take over smoothly, with the weight of `prior_mass` (share of the window).
     """
-    size = max(3, 2 * round(rho * np.sqrt(3.0)) + 1)
-    out = np.zeros(inside.shape, dtype=np.float32)
-    mass_in, mass_out = _box(inside, size), _box(1.0 - inside, size)
-    for j in range(channels.shape[2]):
-        values = channels[..., j]
-        first, second = _box(values, size), _box(values * values, size)
-        first_in, second_in = _box(values * inside, size), _box(values * values * inside, size)
-        g_in = _weighted_gaussian(values, inside, floor)
-        g_out = _weighted_gaussian(values, 1.0 - inside, floor)
-        local_in = _blended(mass_in, first_in, second_in, g_in, floor, prior_mass)
-        local_out = _blended(mass_out, first - first_in, second - second_in, g_out, floor, prior_mass)
-        out += _log_ratio(values, *local_in, *local_out)
+    height, width, C = channels.shape
+    reach = max(3, 2 * round(rho * math.sqrt(3.0)) + 1) // 2
+    whole = np.zeros((2, 1 + 2 * C))
+    for r in range(height):
+        for c in range(width):
+            _add_pixel(whole, channels, inside, r, c, 1.0)
+    prior = prior_mass * (2 * reach + 1) ** 2
+    for side in range(2):
+        whole[side] *= prior / max(whole[side, 0], 1e-6)
+    columns, window = np.zeros((width, 2, 1 + 2 * C)), np.zeros((2, 1 + 2 * C))
+    for c in range(width):
+        for r in range(-reach, reach + 1):
+            _add_pixel(columns[c], channels, inside, _mirrored(r, height), c, 1.0)
+    out = np.empty((height, width), dtype=np.float32)
+    for r in range(height):
+        window[:] = whole
+        for c in range(-reach, reach + 1):
+            window += columns[_mirrored(c, width)]
+        for c in range(width):
+            out[r, c] = _ratio_of_sums(channels[r, c], window, floor)
+            enters, leaves = columns[_mirrored(c + reach + 1, width)], columns[_mirrored(c - reach, width)]
+            for side in range(2):
+                for i in range(1 + 2 * C):
+                    window[side, i] += enters[side, i] - leaves[side, i]
+        enter, leave = _mirrored(r + reach + 1, height), _mirrored(r - reach, height)
+        for c in range(width):
+            _add_pixel(columns[c], channels, inside, enter, c, 1.0)
+            _add_pixel(columns[c], channels, inside, leave, c, -1.0)
     return out
 
 
-def _box(values: Float32, size: int) -> Float32:
-    return cv2.blur(values, (size, size), borderType=cv2.BORDER_REFLECT_101)
+@njit(cache=True, nogil=True, inline="always")
+def _mirrored(i: int, size: int) -> int:
+    """Index of a place beyond the border: 2 1 | 0 1 2 …"""
+    period = max(2 * (size - 1), 1)
+    i = abs(i) % period
+    return period - i if i >= size else i
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _add_pixel(sums: Float, channels: Float32, inside: Float32, r: int, c: int, sign: float) -> None:
+    """Add a pixel to mass, values and squares (2, 1 + 2 C) of the two regions, inside first."""
+    C = channels.shape[2]
+    share = float(inside[r, c])
+    for side in range(2):
+        weight = sign * (share if side == 0 else 1.0 - share)
+        sums[side, 0] += weight
+        for j in range(C):
+            value = float(channels[r, c, j])
+            sums[side, 1 + j] += weight * value
+            sums[side, 1 + C + j] += weight * value * value
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _ratio_of_sums(values: Float32, sums: Float, floor: float) -> float:
+    """Σ_j log p₁/p₂ of one pixel under the Gaussians of the two regions' sums."""
+    C = len(values)
+    mass_in, mass_out = 1.0 / sums[0, 0], 1.0 / sums[1, 0]
+    ratio, spread = 0.0, 1.0
+    for j in range(C):
+        mu_in, mu_out = sums[0, 1 + j] * mass_in, sums[1, 1 + j] * mass_out
+        var_in = max(sums[0, 1 + C + j] * mass_in - mu_in * mu_in, 0.0) + floor
+        var_out = max(sums[1, 1 + C + j] * mass_out - mu_out * mu_out, 0.0) + floor
+        ratio += (values[j] - mu_out) ** 2 / var_out - (values[j] - mu_in) ** 2 / var_in
+        spread *= var_out / var_in
+    return 0.5 * (ratio + math.log(spread))
 
 
 def _weighted_gaussian(values: Float32, weight: Float32, floor: float) -> tuple[float, float]:
     mass = float(weight.sum()) + 1e-6
     mu = float((weight * values).sum()) / mass
     return mu, float((weight * (values - mu) ** 2).sum()) / mass + floor
-
-
-def _blended(
-    mass: Float32, first: Float32, second: Float32, fallback: tuple[float, float], floor: float, prior_mass: float
-) -> tuple[Float32, Float32]:
-    """Local mean and variance, with `prior_mass` of the global Gaussian mixed in."""
-    mu0, var0 = fallback
-    total = mass + prior_mass
-    mu = (first + prior_mass * mu0) / total
-    variance = (second + prior_mass * (var0 + mu0 * mu0)) / total - mu * mu
-    return mu, np.maximum(variance, 0.0) + np.float32(floor)
 
 
 def _log_ratio(

@@ -12,6 +12,8 @@ from numba import njit
 
 from twistcap._typing import Bool, Float, Float32
 
+_TABLE = 512  # places at which H' is tabulated
+
 
 def signed_distance(mask: Bool) -> Float32:
     """(H, W) distance to the mask's outline in px, positive inside.
@@ -33,32 +35,31 @@ def evolve(
     `width` is the standard deviation of H' in px; nothing moves where H' has fallen below 1/3000 of its top.
     """
     height, width_px = phi0.shape
-    phi = phi0.copy()
-    new = phi0.copy()
     band = 4.0 * width
-    top = 1.0 / (np.sqrt(2.0 * np.pi) * width)
+    pull_of = np.exp(-0.5 * (np.arange(_TABLE + 2) * 4.0 / _TABLE) ** 2) / (np.sqrt(2.0 * np.pi) * width)
+    rows, columns = np.nonzero(np.abs(phi0) <= band)  # beyond it nothing ever moves
+    phi, new = phi0.copy(), phi0.copy()
     for _ in range(steps):
-        for r in range(height):
-            up, down = max(r - 1, 0), min(r + 1, height - 1)
-            for c in range(width_px):
-                value = phi[r, c]
-                if abs(value) > band:
-                    continue
-                left, right = max(c - 1, 0), min(c + 1, width_px - 1)
-                px, py = 0.5 * (phi[r, right] - phi[r, left]), 0.5 * (phi[down, c] - phi[up, c])
-                pxx = phi[r, right] - 2.0 * value + phi[r, left]
-                pyy = phi[down, c] - 2.0 * value + phi[up, c]
-                pxy = 0.25 * (phi[down, right] - phi[down, left] - phi[up, right] + phi[up, left])
-                slope2 = px * px + py * py + 1e-6
-                curvature = (pxx * py * py - 2.0 * px * py * pxy + pyy * px * px) / (slope2 * np.sqrt(slope2))
-                curvature = min(max(curvature, -1.0), 1.0)
-                ratio = min(max(log_ratio[r, c], -clip), clip)
-                pull = top * np.exp(-0.5 * value * value / (width * width))
-                new[r, c] = value + tau * (pull * (ratio + nu * curvature) + 2.0 * lam * (phi0[r, c] - value))
+        for n in range(len(rows)):
+            r, c = rows[n], columns[n]
+            value = phi[r, c]
+            new[r, c] = value
+            if abs(value) > band:
+                continue
+            up, down, left, right = max(r - 1, 0), min(r + 1, height - 1), max(c - 1, 0), min(c + 1, width_px - 1)
+            px, py = 0.5 * (phi[r, right] - phi[r, left]), 0.5 * (phi[down, c] - phi[up, c])
+            pxx = phi[r, right] - 2.0 * value + phi[r, left]
+            pyy = phi[down, c] - 2.0 * value + phi[up, c]
+            pxy = 0.25 * (phi[down, right] - phi[down, left] - phi[up, right] + phi[up, left])
+            slope2 = px * px + py * py + 1e-6
+            curvature = (pxx * py * py - 2.0 * px * py * pxy + pyy * px * px) / (slope2 * np.sqrt(slope2))
+            curvature = min(max(curvature, -1.0), 1.0)
+            ratio = min(max(log_ratio[r, c], -clip), clip)
+            place = abs(value) / band * _TABLE
+            i = int(place)
+            pull = pull_of[i] + (place - i) * (pull_of[i + 1] - pull_of[i])
+            new[r, c] = value + tau * (pull * (ratio + nu * curvature) + 2.0 * lam * (phi0[r, c] - value))
         phi, new = new, phi
-        for r in range(height):
-            for c in range(width_px):
-                new[r, c] = phi[r, c]
     return phi
 
 
@@ -114,18 +115,26 @@ def nearest_with_normal(
     points: Float, normals: Float, candidates: Float, candidate_normals: Float, least_cosine: float
 ) -> tuple[Float, Float]:
     """For each point (N, 2) the nearest candidate (N, 2) whose normal agrees, and its distance (N,), inf for none."""
-    N = len(points)
+    N, M = len(points), len(candidates)
     partner, distance = np.zeros((N, 2)), np.full(N, np.inf)
+    order = np.argsort(candidates[:, 1])
+    heights = candidates[:, 1][order]
     for n in range(N):
         best = np.inf
-        for m in range(len(candidates)):
-            dx, dy = candidates[m, 0] - points[n, 0], candidates[m, 1] - points[n, 1]
-            d2 = dx * dx + dy * dy
-            if d2 >= best:
-                continue
-            if normals[n, 0] * candidate_normals[m, 0] + normals[n, 1] * candidate_normals[m, 1] < least_cosine:
-                continue
-            best = d2
-            partner[n, 0], partner[n, 1] = candidates[m, 0], candidates[m, 1]
+        start = np.searchsorted(heights, points[n, 1])
+        for direction in (-1, 1):  # up and down from the point's own height, until nothing nearer can follow
+            k = start if direction > 0 else start - 1
+            while 0 <= k < M:
+                m = order[k]
+                dx, dy = candidates[m, 0] - points[n, 0], candidates[m, 1] - points[n, 1]
+                if dy * dy >= best:
+                    break
+                k += direction
+                if dx * dx + dy * dy >= best:
+                    continue
+                if normals[n, 0] * candidate_normals[m, 0] + normals[n, 1] * candidate_normals[m, 1] < least_cosine:
+                    continue
+                best = dx * dx + dy * dy
+                partner[n, 0], partner[n, 1] = candidates[m, 0], candidates[m, 1]
         distance[n] = np.sqrt(best)
     return partner, distance
