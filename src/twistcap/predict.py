@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from twistcap import se3
 from twistcap._typing import Float
-from twistcap.body import Pose
+from twistcap.body import Body, Pose
 
 PredictorName = Literal["constant_velocity", "hold"]
 
@@ -54,17 +54,36 @@ class MotionNoise:
         return A @ np.diag(diagonal) @ A.T
 
 
-def constant_velocity(history: Sequence[Moment], time: float) -> Pose:
-    """The motion between the last two moments goes on, scaled to the time that passes; hold where there is but one."""
+def constant_velocity(history: Sequence[Moment], time: float, decay: float = np.inf) -> Pose:
+    """The motion between the last two moments goes on, scaled to the time that passes; hold where there is but one.
+
+    Args:
+        history: at least one moment, the latest last.
+        time: s.
+        decay: time constant (s) with which joint velocities die away, so that a limb nobody sees comes to rest.
+    """
     last = history[-1]
-    if len(history) < 2 or time <= last.time:
+    if len(history) < 2 or time <= last.time or last.time <= history[-2].time:
         return last.pose
-    before = history[-2]
-    ratio = (time - last.time) / (last.time - before.time)
-    step = last.pose.minus(before.pose)
-    return last.pose.retract(ratio * step)
+    passed, between = time - last.time, last.time - history[-2].time
+    step = last.pose.minus(history[-2].pose) * (passed / between)
+    step[6:] *= np.exp(-passed / decay)
+    return last.pose.retract(step)
 
 
-def predict(history: Sequence[Moment], time: float, predictor: PredictorName) -> Pose:
-    """The expected pose at `time`."""
-    return constant_velocity(history, time) if predictor == "constant_velocity" else history[-1].pose
+def predict(history: Sequence[Moment], time: float, predictor: PredictorName, decay: float = np.inf) -> Pose:
+    """The expected pose at `time`; see `constant_velocity` for `decay`."""
+    return constant_velocity(history, time, decay) if predictor == "constant_velocity" else history[-1].pose
+
+
+def turned_limbs(body: Body, pose: Pose, segment: int, angle: float) -> Iterator[Pose]:
+    """Other guesses for a limb: each coordinate of the segment's own joint and of the one above it turned ± `angle`."""
+    above = int(body.segment_parent[segment])
+    nearer = int(body.segment_parent[above]) if above >= 0 else -1
+    fixed = body.chain[nearer] if nearer >= 0 else np.zeros(len(body.coordinate_names), dtype=bool)
+    low, high = body.limits.T
+    for k in np.flatnonzero(body.chain[segment] & ~fixed):
+        for turn in (-angle, angle):
+            q = pose.q.copy()
+            q[k] = np.clip(q[k] + turn, low[k], high[k])
+            yield Pose(pose.root, q)

@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from twistcap._typing import Float
+from twistcap._typing import Float, Int
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Rig
 from twistcap.cues.brightness import Brightness, Template
@@ -22,7 +22,7 @@ from twistcap.cues.support import SupportRule, part_support
 from twistcap.cues.view import View, crop_view
 from twistcap.estimate import Estimate, Frame
 from twistcap.features import Channels
-from twistcap.predict import Moment, MotionNoise, PredictorName, predict
+from twistcap.predict import Moment, MotionNoise, PredictorName, predict, turned_limbs
 from twistcap.render import ContourPoints, RenderedView, render, reprojected, visible_contour
 from twistcap.solve import SolveResult, Status, covariance, least_squares
 from twistcap.stages import next_frame, stage
@@ -38,6 +38,8 @@ class TrackerConfig:
         channels: what region statistics look at, "grey" or "lab".
         photometric: whether brightness constancy joins the contours.
         predictor: "constant_velocity" or "hold".
+        decay: time constant (s) with which predicted joint velocities die away.
+        rest_sigma_deg: how far joints are expected from the rest pose; matters only to a limb that nothing shows.
         iterations: fine alternations of correspond and update in a frame.
         first_iterations: the same in the first frame, which starts from a given pose.
         coarse: factor on the contour cue's capture range in the coarse alternations that come first.
@@ -46,6 +48,7 @@ class TrackerConfig:
         render_every: the body is rendered anew in every so many alternations (always for the level set).
         contour_spacing: m on the body between contour samples.
         solver_steps: Gauss-Newton steps in each alternation.
+        recovery_deg: how far joints are turned, either way, to find a limb again whose contour was suddenly lost.
         margin: m about the expected body within which images are looked at.
         inflation: factor on every claimed standard deviation: contour and brightness samples are not independent, and
             no body is exact; set on studio captures with truth (docs/covariance.md).
@@ -56,6 +59,8 @@ class TrackerConfig:
     channels: Channels = "lab"
     photometric: bool = True
     predictor: PredictorName = "constant_velocity"
+    decay: float = 0.5
+    rest_sigma_deg: float = 40.0
     iterations: int = 3
     first_iterations: int = 10
     coarse: float = 3.0
@@ -64,6 +69,7 @@ class TrackerConfig:
     render_every: int = 2
     contour_spacing: float = 0.025
     solver_steps: int = 1
+    recovery_deg: float = 30.0
     margin: float = 0.2
     inflation: float = 5.0
     first_sigma_deg: float = 1.0
@@ -104,6 +110,7 @@ class Tracker:
         self._contour: ContourCue = self.config.direct if self.config.method == "direct" else self.config.levelset
         self._history: list[Moment] = []
         self._templates: list[Template | None] = [None] * len(rig)
+        self._rest = _rest_term(body, np.deg2rad(self.config.rest_sigma_deg))
         self._support = np.ones(len(body.segment_names))
         self._covariance = np.zeros((body.dof, body.dof))
         self._seen_time = 0.0
@@ -128,14 +135,15 @@ class Tracker:
     def step(self, frame: Frame) -> Estimate:
         """Track one frame."""
         next_frame()
-        guess = predict(self._history, frame.time, self.config.predictor) if self._started else self._history[-1].pose
+        config = self.config
+        guess = predict(self._history, frame.time, config.predictor, config.decay)
         expected = self._expected(guess, frame.time)
-        fixed: list[Term] = [LimitTerm(), GaussianTerm(guess, np.linalg.inv(expected))]
+        fixed: list[Term] = [LimitTerm(), self._rest, GaussianTerm(guess, np.linalg.inv(expected))]
         views = self._views(frame, guess)
         if not views:
             self._advance(frame.time, guess)
             return Estimate(frame.index, frame.time, guess, expected + self._covariance, {}, "no_images", support=0.0)
-        fit = self._fit(guess, views, fixed)
+        fit = self._recovered(self._fit(guess, views, fixed), views, fixed)
         self._covariance = self._claimed(fit.result, expected)
         with stage("remember"):
             self._remember(fit.sights, fit.result.pose)
@@ -144,7 +152,7 @@ class Tracker:
         support = self._judge(fit)
         return Estimate(
             frame.index, frame.time, fit.result.pose, self._covariance, fit.energies, fit.result.status,
-            fit.result.steps, support < self.config.support.least_share, support,
+            fit.result.steps, support < config.support.least_share, support,
         )  # fmt: skip
 
     def _fit(self, guess: Pose, views: dict[int, View], fixed: Sequence[Term]) -> _Fit:
@@ -161,6 +169,26 @@ class Tracker:
             coarse = coarse and moved > config.settled and rounds < config.coarse_rounds
             fit = replace(fit, result=replace(fit.result, status=_status(fit.result, moved, config.settled)))
         return replace(fit, energies=_energies([*fixed, *fit.terms], Posed(self.body, fit.result.pose)))
+
+    def _recovered(self, fit: _Fit, views: dict[int, View], fixed: Sequence[Term]) -> _Fit:
+        """Where a part has suddenly lost its contour, try its joints turned either way; the best-supported fit wins."""
+        rule = self.config.support
+        share, seen = self._part_support(fit)
+        dropped = (seen >= rule.least_points) & (share < rule.drop * self._support)
+        if not self._started or not np.any(dropped):
+            return fit
+        worst = int(np.argmin(np.where(dropped, share, np.inf)))
+        best, agreeing = fit, float(share @ seen)
+        for start in turned_limbs(self.body, fit.result.pose, worst, np.deg2rad(self.config.recovery_deg)):
+            other = self._fit(start, views, fixed)
+            share, seen = self._part_support(other)
+            if share @ seen > agreeing + rule.least_points / 2:
+                best, agreeing = other, float(share @ seen)
+        return best
+
+    def _part_support(self, fit: _Fit) -> tuple[Float, Int]:
+        focal = [sight.view.camera.K[0, 0] for sight in fit.sights]
+        return part_support(fit.found, focal, len(self.body.segment_names), self.config.support)
 
     def _alternate(
         self, fit: _Fit, views: dict[int, View], fixed: Sequence[Term], coarse: bool, again: bool
@@ -207,7 +235,8 @@ class Tracker:
             given = MotionNoise(joint_speed=turn, turn_speed=turn, shift_speed=config.first_sigma_m)
             return given.covariance(self.body.dof, 1.0, "hold", centre)
         dt = time - self._seen_time  # through dropped frames the prediction runs open-loop
-        return config.noise.covariance(self.body.dof, dt, config.predictor, centre)
+        predictor = config.predictor if len(self._history) > 1 else "hold"  # one moment has no velocity
+        return config.noise.covariance(self.body.dof, dt, predictor, centre)
 
     def _views(self, frame: Frame, guess: Pose) -> dict[int, View]:
         posed, margin = Posed(self.body, guess), self.config.margin
@@ -240,11 +269,17 @@ class Tracker:
     def _judge(self, fit: _Fit) -> float:
         """The least support of any part, after this frame; a part that is hardly seen keeps what it had."""
         rule = self.config.support
-        focal = [sight.view.camera.K[0, 0] for sight in fit.sights]
-        share, seen = part_support(fit.found, focal, len(self.body.segment_names), rule)
+        share, seen = self._part_support(fit)
         judged = seen >= rule.least_points
         self._support[judged] = rule.memory * self._support[judged] + (1.0 - rule.memory) * share[judged]
         return float(self._support.min())
+
+
+def _rest_term(body: Body, sigma: float) -> GaussianTerm:
+    """A weak Gaussian (rad) around the joints' rest pose; the root is free."""
+    information = np.full(body.dof, sigma**-2)
+    information[:6] = 0.0
+    return GaussianTerm(Pose.rest(body), np.diag(information), "rest")
 
 
 def _status(result: SolveResult, moved: float, settled: float) -> Status:

@@ -23,6 +23,7 @@ class SupportRule:
         tolerance: m (on the body) that the boundary may lie off.
         least_points: contour points over all views below which a part is not judged.
         least_share: share of agreeing points below which a part is lost.
+        drop: a part has suddenly lost its contour when its share falls below this much of its running mean.
         memory: weight of the past in the running mean of each part's share, per frame.
     """
 
@@ -30,6 +31,7 @@ class SupportRule:
     tolerance: float = 0.015
     least_points: int = 12
     least_share: float = 0.3
+    drop: float = 0.6
     memory: float = 0.8
 
 
