@@ -171,7 +171,11 @@ class Tracker:
         return replace(fit, energies=_energies([*fixed, *fit.terms], Posed(self.body, fit.result.pose)))
 
     def _recovered(self, fit: _Fit, views: dict[int, View], fixed: Sequence[Term]) -> _Fit:
-        """Where a part has suddenly lost its contour, try its joints turned either way; the best-supported fit wins."""
+        """Where a part has suddenly lost its contour, try its joints turned either way.
+
+        The fit with the most agreeing contour points wins, if brightness, which remembers the limb from the frame
+        before, does not object: contours alone would lay one arm upon the other.
+        """
         rule = self.config.support
         share, seen = self._part_support(fit)
         dropped = (seen >= rule.least_points) & (share < rule.drop * self._support)
@@ -182,7 +186,8 @@ class Tracker:
         for start in turned_limbs(self.body, fit.result.pose, worst, np.deg2rad(self.config.recovery_deg)):
             other = self._fit(start, views, fixed)
             share, seen = self._part_support(other)
-            if share @ seen > agreeing + rule.least_points / 2:
+            objection = other.energies.get("photometric", 0.0) - fit.energies.get("photometric", 0.0)
+            if objection <= rule.objection * fit.energies.get("photometric", 0.0) and share @ seen > agreeing + rule.least_points / 2:
                 best, agreeing = other, float(share @ seen)
         return best
 

@@ -24,6 +24,7 @@ class SupportRule:
         least_points: contour points over all views below which a part is not judged.
         least_share: share of agreeing points below which a part is lost.
         drop: a part has suddenly lost its contour when its share falls below this much of its running mean.
+        objection: share by which the brightness energy may rise when a limb is sought again.
         memory: weight of the past in the running mean of each part's share, per frame.
     """
 
@@ -32,6 +33,7 @@ class SupportRule:
     least_points: int = 12
     least_share: float = 0.3
     drop: float = 0.6
+    objection: float = 0.1
     memory: float = 0.8
 
 
