@@ -8,7 +8,7 @@ import numpy as np
 
 from twistcap.cues.evidence import ContourEvidence
 from twistcap.cues.view import View
-from twistcap.region.lines import boundary_posterior, line_moments, pooled_gaussians, sample_lines
+from twistcap.region.lines import measured_lines
 from twistcap.render import ContourPoints, RenderedView
 from twistcap.terms import PointNormalTerm
 
@@ -33,7 +33,7 @@ class DirectContour:
 
     search: float = 0.035
     rho: float = 0.06
-    samples: int = 12
+    samples: int = 8
     prior_mass: float = 3.0
     floor: float = 4e-4
     clip: float = 3.0
@@ -48,14 +48,10 @@ class DirectContour:
         `coarse` ≥ 1 lengthens the search lines and loosens the robust scale in early alternations.
         """
         step = np.maximum(coarse * self.search / self.samples * view.camera.K[0, 0] * contour.inverse_depth, 0.25)
-        values, first, last = sample_lines(
-            view.features, seen.part, contour.pixels, contour.normals, contour.part, contour.outer, step, self.samples
-        )
-        mean, variance = pooled_gaussians(
-            line_moments(values, first, last, step), contour.pixels, contour.part, self.rho * seen.px_per_m,
-            self.prior_mass, self.floor,
+        displacement, spread, contrast = measured_lines(
+            view.features, seen.part, contour.pixels, contour.normals, contour.part, contour.outer, step, self.samples,
+            self.rho * seen.px_per_m, self.prior_mass, self.floor, self.clip,
         )  # fmt: skip
-        displacement, spread, contrast = boundary_posterior(values, first, last, step, mean, variance, self.clip)
         weight = self.share / (spread + self.least_sigma**2) * np.where(contour.outer, 1.0, self.inner)
         term = PointNormalTerm(
             view.camera.P, contour.points, contour.pixels + displacement[:, None] * contour.normals, contour.normals,

@@ -8,45 +8,58 @@ density ratios on the inner side of it. The posterior's mean is the displacement
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Float, Float32, Int
+from twistcap._typing import Bool, Float, Float32, Int
+
+_FAST = {"contract", "reassoc", "arcp", "nnan", "ninf", "nsz"}  # lines are of finite numbers only
 
 
-@dataclass(frozen=True)
-class LineSamples:
-    """Image values on lines across a contour; sample k of a line lies ``(k − M) · step`` px outward.
+@njit(cache=True, nogil=True, fastmath=_FAST)
+def measured_lines(
+    image: Float32, part_image: Int, pixels: Float, normals: Float, part: Int, outer: Bool, step: Float, half: int,
+    rho: float, prior_mass: float, floor: float, clip: float,
+) -> tuple[Float, Float, Float]:  # fmt: skip
+    """All of a view's lines: displacement (px, outward), variance (px²) and evidence (nats) of each, (N,).
 
-    Attributes:
-        values: (N, 2M + 1, C) channels.
-        first, last: (N,) the run of usable samples: own part inward, not own part outward.
-        step: (N,) px between samples.
+    The arguments are those of the four steps below, which it takes in turn.
     """
+    values, first, last = sample_lines(image, part_image, pixels, normals, part, outer, step, half)
+    moments = line_moments(values, first, last, step)
+    mean, variance = pooled_gaussians(moments, pixels, part, rho, prior_mass, floor)
+    return boundary_posterior(values, first, last, step, mean, variance, clip)
 
-    values: Float32
-    first: Int
-    last: Int
-    step: Float
+
+@njit(cache=True, nogil=True, fastmath=_FAST, inline="always")
+def _bilinear(
+    flat: Float32, at: int, row: int, channels: int, fx: np.float32, fy: np.float32, out: Float32
+) -> None:  # fmt: skip
+    """Value at (fx, fy) beyond the pixel whose first channel stands at `at`; `row` channels make a row."""
+    for c in range(channels):
+        a, b = flat[at + c], flat[at + row + c]
+        top, bottom = a + fx * (flat[at + channels + c] - a), b + fx * (flat[at + row + channels + c] - b)
+        out[c] = top + fy * (bottom - top)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=_FAST)
 def sample_lines(
-    image: Float32, part_image: Int, pixels: Float, normals: Float, part: Int, outer: Int,
+    image: Float32, part_image: Int, pixels: Float, normals: Float, part: Int, outer: Bool,
     step: Float, half: int,
 ) -> tuple[Float32, Int, Int]:  # fmt: skip
     """Bilinear values (N, 2 half + 1, C) along the lines, and the first and last usable sample of each (N,).
 
-    Inward a line is usable while it stays on its own part, outward while it stays off it: off the body for outer
-    contours, off the part for inner ones. `part_image` (H, W) holds the visible part, -1 off the body.
+    Sample k of a line lies ``(k − half) · step`` px outward. Inward a line is usable while it stays on its own part,
+    outward while it stays off it: off the body for outer contours, off the part for inner ones. `part_image` (H, W)
+    holds the visible part, -1 off the body. Values beyond the usable ones are left unset.
     """
     N, channels = len(pixels), image.shape[2]
     height, width = image.shape[:2]
-    values = np.zeros((N, 2 * half + 1, channels), dtype=np.float32)
+    flat, row = image.reshape(-1), width * channels
+    values = np.empty((N, 2 * half + 1, channels), dtype=np.float32)
     first, last = np.full(N, half, dtype=np.int32), np.full(N, half, dtype=np.int32)
     for n in range(N):
+        own, off_body, nearest = part[n], outer[n], 1.0 / step[n]  # at the contour itself rounding decides: not asked
         for direction in (-1, 1):
             for i in range(0 if direction < 0 else 1, half + 1):
                 k = half + direction * i
@@ -54,18 +67,19 @@ def sample_lines(
                 x, y = pixels[n, 0] + d * normals[n, 0], pixels[n, 1] + d * normals[n, 1]
                 if not (0.0 <= x < width - 1 and 0.0 <= y < height - 1):
                     break
-                if i * step[n] > 1.0:  # at the contour itself rounding decides: not asked there
+                if i > nearest:
                     seen = part_image[int(y + 0.5), int(x + 0.5)]
-                    if direction < 0 and seen != part[n]:
+                    if direction < 0 and seen != own:
                         break
-                    if direction > 0 and ((outer[n] and seen >= 0) or seen == part[n]):
+                    if direction > 0 and ((off_body and seen >= 0) or seen == own):
                         break
                 x0, y0 = int(x), int(y)
                 fx, fy = np.float32(x - x0), np.float32(y - y0)
-                for c in range(channels):
-                    top = image[y0, x0, c] + fx * (image[y0, x0 + 1, c] - image[y0, x0, c])
-                    bottom = image[y0 + 1, x0, c] + fx * (image[y0 + 1, x0 + 1, c] - image[y0 + 1, x0, c])
-                    values[n, k, c] = top + fy * (bottom - top)
+                at = y0 * row + x0 * channels
+                if channels == 3:  # a number that the compiler knows
+                    _bilinear(flat, at, row, 3, fx, fy, values[n, k])
+                else:
+                    _bilinear(flat, at, row, channels, fx, fy, values[n, k])
                 if direction < 0:
                     first[n] = k
                 else:
@@ -73,31 +87,33 @@ def sample_lines(
     return values, first, last
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=_FAST)
 def line_moments(values: Float32, first: Int, last: Int, step: Float) -> Float:
     """(N, 2, 1 + 2C) mass, sums and sums of squares of each line, inside and outside, a pixel off the contour."""
     N, length, channels = values.shape
     half = length // 2
     out = np.zeros((N, 2, 1 + 2 * channels))
     for n in range(N):
-        for k in range(first[n], last[n] + 1):
-            if abs(k - half) * step[n] < 1.0:
-                continue
-            side = 0 if k < half else 1
-            out[n, side, 0] += 1.0
-            for c in range(channels):
-                value = values[n, k, c]
-                out[n, side, 1 + c] += value
-                out[n, side, 1 + channels + c] += value * value
+        skip = int(np.ceil(1.0 / step[n]))
+        for side in range(2):
+            lo, hi = (first[n], half - skip) if side == 0 else (half + skip, last[n])
+            sums = out[n, side]
+            sums[0] = max(hi - lo + 1, 0)
+            for k in range(lo, hi + 1):
+                for c in range(channels):
+                    value = values[n, k, c]
+                    sums[1 + c] += value
+                    sums[1 + channels + c] += value * value
     return out
 
 
-@njit(cache=True, nogil=True, fastmath={"contract"})
+@njit(cache=True, nogil=True, fastmath=_FAST)
 def _pooled(moments: Float, pixels: Float, part: Int, rho: float) -> Float:
-    """(N, F) moments (N, F) of all lines of the same part under a Gaussian window of `rho` px, each pair seen once."""
+    """(N, F) moments (N, F) of all lines of the same part under a window of `rho` px, each pair seen once."""
     N, fields = moments.shape
     out = moments.copy()
     order = np.argsort(part, kind="mergesort")
+    scale = 1.0 / (rho * rho)
     for i in range(N):
         n = order[i]
         for j in range(i + 1, N):
@@ -105,23 +121,25 @@ def _pooled(moments: Float, pixels: Float, part: Int, rho: float) -> Float:
             if part[m] != part[n]:
                 break
             dx, dy = pixels[m, 0] - pixels[n, 0], pixels[m, 1] - pixels[n, 1]
-            d2 = (dx * dx + dy * dy) / (rho * rho)
+            d2 = (dx * dx + dy * dy) * scale
             if d2 >= 6.25:
                 continue
-            weight = np.exp(-0.5 * d2)
+            u = 1.0 - d2 / 6.25
+            weight = u * u * u  # as good as exp(-d2 / 2), and no cliff at the end
             for f in range(fields):
                 out[n, f] += weight * moments[m, f]
+            for f in range(fields):
                 out[m, f] += weight * moments[n, f]
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=_FAST)
 def pooled_gaussians(
     moments: Float, pixels: Float, part: Int, rho: float, prior_mass: float, floor: float
 ) -> tuple[Float, Float]:
     """Local means and variances (N, 2, C) of both sides, pooled over the lines of the same part within about `rho` px.
 
-    A Gaussian window of `rho` px weights the neighbours; the part's whole statistics come in with `prior_mass`
+    A window like a Gaussian of `rho` px weights the neighbours; the part's whole statistics come in with `prior_mass`
     samples, so that a line without neighbours falls back on them smoothly. `floor` is the least variance.
     """
     N, _, fields = moments.shape
@@ -145,7 +163,32 @@ def pooled_gaussians(
     return mean, variance
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=_FAST, inline="always")
+def _exp(x: np.float32) -> np.float32:
+    """e^x for x ≤ 0 as (1 + x/1024)^1024: x²/2048 off relative to itself, and the compiler takes many at once."""
+    y = max(np.float32(1.0) + x * np.float32(1.0 / 1024.0), np.float32(0.0))
+    y *= y
+    y *= y
+    y *= y
+    y *= y
+    y *= y
+    y *= y
+    y *= y
+    y *= y
+    y *= y
+    return y * y
+
+
+@njit(cache=True, nogil=True, fastmath=_FAST, inline="always")
+def _parabola(values: Float32, linear: Float32, square: Float32, channels: int) -> np.float32:
+    """Σ_c value · (linear + square · value)."""
+    total = np.float32(0.0)
+    for c in range(channels):
+        total += values[c] * (linear[c] + square[c] * values[c])
+    return total
+
+
+@njit(cache=True, nogil=True, fastmath=_FAST)
 def boundary_posterior(
     values: Float32, first: Int, last: Int, step: Float, mean: Float, variance: Float, clip: float
 ) -> tuple[Float, Float, Float]:
@@ -158,32 +201,40 @@ def boundary_posterior(
     N, length, channels = values.shape
     half = length // 2
     displacement, spread, evidence = np.zeros(N), np.zeros(N), np.zeros(N)
-    score, precision = np.zeros(length + 1), np.zeros((2, channels))
+    score = np.zeros(length + 1, dtype=np.float32)
+    # log p_in / p_out = constant + linear · value + square · value², channel by channel
+    linear, square = np.zeros(channels, dtype=np.float32), np.zeros(channels, dtype=np.float32)
     for n in range(N):
-        lo, hi = first[n], last[n]
-        total, best, log_spread = 0.0, 0.0, 0.0
+        lo, hi, h = first[n], last[n], np.float32(step[n])
+        limit, total, best = np.float32(clip * step[n]), np.float32(0.0), np.float32(0.0)
+        constant, spreads = 0.0, 1.0
         for c in range(channels):
-            log_spread += 0.5 * np.log(variance[n, 1, c] / variance[n, 0, c])
-            precision[0, c], precision[1, c] = 0.5 / variance[n, 0, c], 0.5 / variance[n, 1, c]
-        score[lo] = 0.0
+            within, without = 0.5 / variance[n, 0, c], 0.5 / variance[n, 1, c]
+            spreads *= within / without
+            constant += without * mean[n, 1, c] ** 2 - within * mean[n, 0, c] ** 2
+            linear[c] = 2.0 * h * (within * mean[n, 0, c] - without * mean[n, 1, c])
+            square[c] = h * (without - within)
+        start = np.float32(h * (constant + 0.5 * np.log(spreads)))
+        score[lo] = total
         for k in range(lo, hi + 1):
-            ratio = log_spread
-            for c in range(channels):
-                inside, outside = values[n, k, c] - mean[n, 0, c], values[n, k, c] - mean[n, 1, c]
-                ratio += outside * outside * precision[1, c] - inside * inside * precision[0, c]
-            total += step[n] * min(max(ratio, -clip), clip)
+            ratio = start
+            if channels == 3:
+                ratio += _parabola(values[n, k], linear, square, 3)
+            else:
+                ratio += _parabola(values[n, k], linear, square, channels)
+            total += min(max(ratio, -limit), limit)
             score[k + 1] = total
             best = max(best, total)
-        sum_p, sum_d, sum_d2 = 0.0, 0.0, 0.0
+        sum_p, sum_d, sum_d2 = np.float32(0.0), np.float32(0.0), np.float32(0.0)
         for k in range(lo, hi + 2):
-            p = np.exp(score[k] - best)
-            d = (k - half - 0.5) * step[n]
+            p, d = _exp(score[k] - best), np.float32(k - half) - np.float32(0.5)
             sum_p += p
             sum_d += p * d
             sum_d2 += p * d * d
-        displacement[n] = sum_d / sum_p
-        spread[n] = max(sum_d2 / sum_p - displacement[n] ** 2, 0.0)
-        evidence[n] = best - max(0.0, total)
+        middle = sum_d / sum_p
+        displacement[n] = step[n] * middle
+        spread[n] = step[n] ** 2 * max(sum_d2 / sum_p - middle * middle, 0.0)
+        evidence[n] = best - max(np.float32(0.0), total)
     return displacement, spread, evidence
 
 
