@@ -22,9 +22,10 @@ from twistcap.terms import (
     PointNormalTerm,
     PointRayTerm,
     Quadratic,
+    RestTerm,
     Term,
 )
-from twistcap.terms.accumulate import Rows, normal_equations, normal_equations_reference
+from twistcap.terms.accumulate import PointTerm, Rows, SegmentSums, normal_equations, normal_equations_reference
 from twistcap.terms.photometric import brightness_rows, sample_with_gradient
 from twistcap.terms.points import projected_rows, projected_rows_reference
 from twistcap.terms.robust import cauchy, huber
@@ -97,13 +98,17 @@ def limit_term() -> LimitTerm:
     return LimitTerm(sigma=0.1)
 
 
+def rest_term() -> RestTerm:
+    return RestTerm(0.3)
+
+
 def gaussian_term(seed: int = 8, size: float = 0.4) -> GaussianTerm:
     A = np.random.default_rng(9).normal(size=(BODY.dof, BODY.dof))
     return GaussianTerm(random_pose(BODY, seed, size), A @ A.T + np.eye(BODY.dof))
 
 
 TERMS: list[Callable[[], Term]] = [
-    normal_term, ray_term, keypoint_term, photometric_term, limit_term, gaussian_term,
+    normal_term, ray_term, keypoint_term, photometric_term, limit_term, rest_term, gaussian_term,
 ]  # fmt: skip
 
 
@@ -213,6 +218,18 @@ def test_normal_equations_agree_with_their_twin() -> None:
     expected_gradient, expected_hessian = normal_equations_reference(POSED, places(), rows)
     np.testing.assert_allclose(gradient, expected_gradient, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(hessian, expected_hessian, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("make", [normal_term, photometric_term], ids=lambda f: f.__name__)
+def test_fused_kernels_agree_with_the_rows(make: Callable[[], PointTerm]) -> None:
+    term = make()
+    fused, summed = SegmentSums(POSED), SegmentSums(POSED)
+    term.add_to(fused)
+    summed.add_rows(*term.rows(POSED))
+    assert term.energy(POSED) == pytest.approx(term.rows(POSED)[0], rel=1e-12)
+    assert fused.value == pytest.approx(summed.value, rel=1e-12)
+    np.testing.assert_allclose(fused.vector, summed.vector, rtol=1e-9, atol=1e-9 * np.abs(summed.vector).max())
+    np.testing.assert_allclose(fused.blocks, summed.blocks, rtol=1e-9, atol=1e-9 * np.abs(summed.blocks).max())
 
 
 def test_point_jacobian_is_the_derivative_of_the_points() -> None:

@@ -46,7 +46,7 @@ def linearized(terms: Sequence[Term], posed: Posed) -> Quadratic:
     sums, total = SegmentSums(posed), Quadratic.zero(posed.body.dof)
     for term in terms:
         if isinstance(term, PointTerm):
-            sums.add(*term.rows(posed))
+            term.add_to(sums)
         else:
             total = total + term.linearize(posed)
     return total + sums.quadratic()

@@ -1,7 +1,7 @@
 """Terms of the one least-squares system: each gives its energy and its quadratic at a pose."""
 
 from twistcap.terms.accumulate import PointTerm, SegmentSums
-from twistcap.terms.coordinates import GaussianTerm, LimitTerm
+from twistcap.terms.coordinates import GaussianTerm, LimitTerm, RestTerm
 from twistcap.terms.photometric import PhotometricTerm
 from twistcap.terms.points import KeypointTerm, PointNormalTerm, PointRayTerm
 from twistcap.terms.quadratic import Quadratic, Term
@@ -15,6 +15,7 @@ __all__ = [
     "PointRayTerm",
     "PointTerm",
     "Quadratic",
+    "RestTerm",
     "SegmentSums",
     "Term",
 ]

@@ -43,7 +43,7 @@ class SegmentSums:
         self.posed, self.value = posed, 0.0
         self.blocks, self.vector = np.zeros((S, S, 6, _WIDTH)), np.zeros((S, 6))
 
-    def add(self, energy: float, points: SurfacePoints, rows: Rows) -> None:
+    def add_rows(self, energy: float, points: SurfacePoints, rows: Rows) -> None:
         """Add a term's rows."""
         self.value += energy
         accumulate(
@@ -60,7 +60,10 @@ class SegmentSums:
 
 
 class PointTerm:
-    """A term of surface points: it says what rows they have, which is all that a sum over terms needs."""
+    """A term of surface points: it says what rows they have, which is all that a sum over terms needs.
+
+    The terms of every frame have kernels of their own for `energy` and `add_to`, which make no rows.
+    """
 
     def rows(self, posed: Posed) -> tuple[float, SurfacePoints, Rows]:
         """Energy, the N points and their rows at a pose."""
@@ -73,14 +76,18 @@ class PointTerm:
     def linearize(self, posed: Posed) -> Quadratic:
         """Gauss-Newton quadratic at a pose."""
         sums = SegmentSums(posed)
-        sums.add(*self.rows(posed))
+        self.add_to(sums)
         return sums.quadratic()
+
+    def add_to(self, sums: SegmentSums) -> None:
+        """Add the term's energy and normal equations to sums at a pose."""
+        sums.add_rows(*self.rows(sums.posed))
 
 
 def normal_equations(posed: Posed, points: SurfacePoints, rows: Rows) -> tuple[Float, Float]:
     """Gradient (6 + J,) and Gauss-Newton Hessian (6 + J, 6 + J) of ½ Σ weight · residual²."""
     sums = SegmentSums(posed)
-    sums.add(0.0, points, rows)
+    sums.add_rows(0.0, points, rows)
     quadratic = sums.quadratic()
     return quadratic.gradient, quadratic.hessian
 

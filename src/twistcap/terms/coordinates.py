@@ -36,6 +36,22 @@ class LimitTerm:
 
 
 @dataclass(frozen=True)
+class RestTerm:
+    """A weak Gaussian (`sigma` rad) around the joints' rest pose, for limbs that nothing shows; the root is free."""
+
+    sigma: float
+    name: str = "rest"
+
+    def energy(self, posed: Posed) -> float:
+        return 0.5 * float(posed.pose.q @ posed.pose.q) / self.sigma**2
+
+    def linearize(self, posed: Posed) -> Quadratic:
+        gradient, diagonal = np.zeros(posed.body.dof), np.zeros(posed.body.dof)
+        gradient[6:], diagonal[6:] = posed.pose.q / self.sigma**2, 1.0 / self.sigma**2
+        return Quadratic(self.energy(posed), gradient, np.diag(diagonal))
+
+
+@dataclass(frozen=True)
 class GaussianTerm:
     """A Gaussian around a pose: ``½ dᵀ information d`` with d the step from `mean` to the pose.
 

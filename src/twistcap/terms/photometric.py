@@ -11,10 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Float, Float32
+from twistcap._typing import Float, Float32, Int
 from twistcap.body import Posed
+from twistcap.body.kinematics import skin_points
 from twistcap.render import SurfacePoints
-from twistcap.terms.accumulate import PointTerm, Rows
+from twistcap.terms.accumulate import PointTerm, Rows, SegmentSums, accumulate
 from twistcap.terms.robust import weighted_cauchy
 
 
@@ -107,3 +108,41 @@ class PhotometricTerm(PointTerm):
         )
         energy, weight = weighted_cauchy(residual, self.weight, self.scale)
         return energy, self.points, Rows(gradient, residual, weight)
+
+    def energy(self, posed: Posed) -> float:
+        p = self.points
+        return _brightness_energy(
+            posed.segment_transforms, p.segments, p.weights, p.local, self.P, self.image, self.template,
+            self.template_gradient, self.weight, self.scale,
+        )  # fmt: skip
+
+    def add_to(self, sums: SegmentSums) -> None:
+        p = self.points
+        sums.value += _add_brightness(
+            sums.posed.segment_transforms, p.segments, p.weights, p.local, self.P, self.image, self.template,
+            self.template_gradient, self.weight, self.scale, sums.blocks, sums.vector,
+        )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def _brightness_energy(
+    transforms: Float, segments: Int, weights: Float, local: Float, P: Float, image: Float32, template: Float,
+    template_gradient: Float, weight: Float, scale: float,
+) -> float:  # fmt: skip
+    """`PhotometricTerm.rows` for its energy alone."""
+    world = skin_points(transforms, segments, weights, local)
+    residual, _ = brightness_rows(P, world, image, template, template_gradient, weight)
+    return weighted_cauchy(residual, weight, scale)[0]
+
+
+@njit(cache=True, nogil=True)
+def _add_brightness(
+    transforms: Float, segments: Int, weights: Float, local: Float, P: Float, image: Float32, template: Float,
+    template_gradient: Float, weight: Float, scale: float, blocks: Float, vector: Float,
+) -> float:  # fmt: skip
+    """`PhotometricTerm.rows` and their sums in one call; returns the energy."""
+    world = skin_points(transforms, segments, weights, local)
+    residual, gradient = brightness_rows(P, world, image, template, template_gradient, weight)
+    energy, robust = weighted_cauchy(residual, weight, scale)
+    accumulate(transforms, segments, weights, local, gradient, residual, robust, blocks, vector)
+    return energy

@@ -7,14 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Float
+from twistcap._typing import Float, Int
 from twistcap.body import Posed
+from twistcap.body.kinematics import skin_points
 from twistcap.render import SurfacePoints
-from twistcap.terms.accumulate import PointTerm, Rows
+from twistcap.terms.accumulate import PointTerm, Rows, SegmentSums, accumulate
 from twistcap.terms.robust import huber, weighted_cauchy
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
 def projected_rows(P: Float, world: Float, direction: Float, target: Float) -> tuple[Float, Float]:
     """Residual ``direction · (π(x) − target)`` (N,) px and its gradient by x (N, 3); 0 behind the camera."""
     N = len(world)
@@ -24,12 +25,12 @@ def projected_rows(P: Float, world: Float, direction: Float, target: Float) -> t
         depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
         if depth < 1e-3:
             continue
-        u = (P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) / depth
-        v = (P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) / depth
-        a, b = direction[n, 0], direction[n, 1]
+        w, a, b = 1.0 / depth, direction[n, 0], direction[n, 1]
+        u = (P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) * w
+        v = (P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) * w
         residual[n] = a * (u - target[n, 0]) + b * (v - target[n, 1])
         for i in range(3):
-            gradient[n, i] = (a * (P[0, i] - u * P[2, i]) + b * (P[1, i] - v * P[2, i])) / depth
+            gradient[n, i] = (a * (P[0, i] - u * P[2, i]) + b * (P[1, i] - v * P[2, i])) * w
     return residual, gradient
 
 
@@ -67,6 +68,42 @@ class PointNormalTerm(PointTerm):
         residual, gradient = projected_rows(self.P, self.points.at(posed), self.normal, self.target)
         energy, weight = weighted_cauchy(residual, self.weight, self.scale_px)
         return energy, self.points, Rows(gradient, residual, weight)
+
+    def energy(self, posed: Posed) -> float:
+        p = self.points
+        return _normal_energy(
+            posed.segment_transforms, p.segments, p.weights, p.local, self.P, self.normal, self.target, self.weight,
+            self.scale_px,
+        )  # fmt: skip
+
+    def add_to(self, sums: SegmentSums) -> None:
+        p = self.points
+        sums.value += _add_normals(
+            sums.posed.segment_transforms, p.segments, p.weights, p.local, self.P, self.normal, self.target,
+            self.weight, self.scale_px, sums.blocks, sums.vector,
+        )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def _normal_energy(
+    transforms: Float, segments: Int, weights: Float, local: Float, P: Float, direction: Float, target: Float,
+    weight: Float, scale: float,
+) -> float:  # fmt: skip
+    """`PointNormalTerm.rows` for its energy alone."""
+    residual, _ = projected_rows(P, skin_points(transforms, segments, weights, local), direction, target)
+    return weighted_cauchy(residual, weight, scale)[0]
+
+
+@njit(cache=True, nogil=True)
+def _add_normals(
+    transforms: Float, segments: Int, weights: Float, local: Float, P: Float, direction: Float, target: Float,
+    weight: Float, scale: float, blocks: Float, vector: Float,
+) -> float:  # fmt: skip
+    """`PointNormalTerm.rows` and their sums in one call; returns the energy."""
+    residual, gradient = projected_rows(P, skin_points(transforms, segments, weights, local), direction, target)
+    energy, robust = weighted_cauchy(residual, weight, scale)
+    accumulate(transforms, segments, weights, local, gradient, residual, robust, blocks, vector)
+    return energy
 
 
 @njit(cache=True, nogil=True)
