@@ -85,13 +85,14 @@ def least_squares(
 
 
 def damped_step(quadratic: Quadratic, damping: float) -> Float | None:
-    """Minimiser of the quadratic with its diagonal raised; None where the matrix is not positive definite."""
+    """Minimiser of the quadratic with its diagonal raised, at most 1 rad (m) long in any entry; None where there is none."""
     diagonal = np.diagonal(quadratic.hessian)
     H = quadratic.hessian + np.diag(damping * diagonal + 1e-9 * (1.0 + diagonal.max()))
     try:
-        return -scipy.linalg.cho_solve(scipy.linalg.cho_factor(H, check_finite=False), quadratic.gradient)
+        step = -scipy.linalg.cho_solve(scipy.linalg.cho_factor(H, check_finite=False), quadratic.gradient)
     except np.linalg.LinAlgError:
         return None
+    return step / max(1.0, float(np.abs(step).max()))  # beyond 1 rad no linearisation holds
 
 
 def _downhill(

@@ -26,7 +26,7 @@ from twistcap.predict import Moment, MotionNoise, PredictorName, predict, turned
 from twistcap.render import ContourPoints, RenderedView, render, reprojected, visible_contour
 from twistcap.solve import SolveResult, Status, covariance, least_squares
 from twistcap.stages import next_frame, stage
-from twistcap.terms import GaussianTerm, LimitTerm, Quadratic, Term
+from twistcap.terms import GaussianTerm, LimitTerm, Quadratic, RestTerm, Term
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class Tracker:
         self._contour: ContourCue = self.config.direct if self.config.method == "direct" else self.config.levelset
         self._history: list[Moment] = []
         self._templates: list[Template | None] = [None] * len(rig)
-        self._rest = _rest_term(body, np.deg2rad(self.config.rest_sigma_deg))
+        self._rest = RestTerm(float(np.deg2rad(self.config.rest_sigma_deg)))
         self._support = np.ones(len(body.segment_names))
         self._covariance = np.zeros((body.dof, body.dof))
         self._seen_time = 0.0
@@ -138,7 +138,8 @@ class Tracker:
         config = self.config
         guess = predict(self._history, frame.time, config.predictor, config.decay)
         expected = self._expected(guess, frame.time)
-        fixed: list[Term] = [LimitTerm(), self._rest, GaussianTerm(guess, np.linalg.inv(expected))]
+        information = np.asarray(np.linalg.inv(expected), dtype=np.float64)
+        fixed: Sequence[Term] = (LimitTerm(), self._rest, GaussianTerm(guess, information))
         views = self._views(frame, guess)
         if not views:
             self._advance(frame.time, guess)
@@ -278,13 +279,6 @@ class Tracker:
         judged = seen >= rule.least_points
         self._support[judged] = rule.memory * self._support[judged] + (1.0 - rule.memory) * share[judged]
         return float(self._support.min())
-
-
-def _rest_term(body: Body, sigma: float) -> GaussianTerm:
-    """A weak Gaussian (rad) around the joints' rest pose; the root is free."""
-    information = np.full(body.dof, sigma**-2)
-    information[:6] = 0.0
-    return GaussianTerm(Pose.rest(body), np.diag(information), "rest")
 
 
 def _status(result: SolveResult, moved: float, settled: float) -> Status:

@@ -76,7 +76,7 @@ class LevelSetContour:
         matched = distance < 4.0 * width
         term = self._term(view, seen, contour[matched], partner[matched], coarse)
         displacement = np.where(matched, np.sum((partner - contour.pixels) * contour.normals, axis=1), 0.0)
-        contrast = _contrast(np.clip(ratio, -self.clip, self.clip), contour, 0.02 * seen.px_per_m)
+        contrast = _contrast(np.clip(ratio, -self.clip, self.clip), contour, seen.px_per_m)
         return ContourEvidence(term, contour, displacement, np.where(matched, contrast, 0.0))
 
     def _log_ratio(self, view: View, phi: Float32, px_per_m: float) -> Float32:
@@ -95,11 +95,13 @@ class LevelSetContour:
         return PointRayTerm(contour.points, direction, moment, px_per_m, weight, robust)
 
 
-def _contrast(log_ratio: Float32, contour: ContourPoints, reach: float) -> Float:
-    """(N,) how much more the pixels `reach` px inside each contour point look like the body than those outside."""
+def _contrast(log_ratio: Float32, contour: ContourPoints, px_per_m: float) -> Float:
+    """(N,) nats by which 3 cm of pixels inside each contour point look more like the body than 3 cm outside."""
 
     def at(pixels: Float) -> Float:
         x, y = pixels[:, 0].astype(np.float32), pixels[:, 1].astype(np.float32)
         return cv2.remap(log_ratio, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[:, 0].astype(float)
 
-    return at(contour.pixels - reach * contour.normals) - at(contour.pixels + reach * contour.normals)
+    step = 0.01 * px_per_m
+    offsets = [k * step * contour.normals for k in (1, 2, 3)]
+    return step * sum((at(contour.pixels - d) - at(contour.pixels + d) for d in offsets), np.zeros(len(contour)))
