@@ -51,12 +51,12 @@ def sample_lines(
 
     Sample k of a line lies ``(k − half) · step`` px outward. Inward a line is usable while it stays on its own part,
     outward while it stays off it: off the body for outer contours, off the part for inner ones. `part_image` (H, W)
-    holds the visible part, -1 off the body. Values beyond the usable ones are left unset.
+    holds the visible part, -1 off the body. Values beyond the usable ones are 0.
     """
     N, channels = len(pixels), image.shape[2]
     height, width = image.shape[:2]
     flat, row = image.reshape(-1), width * channels
-    values = np.empty((N, 2 * half + 1, channels), dtype=np.float32)
+    values = np.zeros((N, 2 * half + 1, channels), dtype=np.float32)
     first, last = np.full(N, half, dtype=np.int32), np.full(N, half, dtype=np.int32)
     for n in range(N):
         own, off_body, nearest = part[n], outer[n], 1.0 / step[n]  # at the contour itself rounding decides: not asked
