@@ -143,7 +143,8 @@ class Tracker:
         views = self._views(frame, guess)
         if not views:
             self._advance(frame.time, guess)
-            return Estimate(frame.index, frame.time, guess, expected + self._covariance, {}, "no_images", support=0.0)
+            claimed = self._covariance + config.inflation**2 * expected
+            return Estimate(frame.index, frame.time, guess, claimed, {}, "no_images", support=0.0)
         fit = self._recovered(self._fit(guess, views, fixed), views, fixed)
         self._covariance = self._claimed(fit.result, expected)
         with stage("remember"):
@@ -188,7 +189,8 @@ class Tracker:
             other = self._fit(start, views, fixed)
             share, seen = self._part_support(other)
             objection = other.energies.get("photometric", 0.0) - fit.energies.get("photometric", 0.0)
-            if objection <= rule.objection * fit.energies.get("photometric", 0.0) and share @ seen > agreeing + rule.least_points / 2:
+            heeded = objection <= rule.objection * fit.energies.get("photometric", 0.0)
+            if heeded and share @ seen > agreeing + rule.least_points / 2:
                 best, agreeing = other, float(share @ seen)
         return best
 
@@ -267,10 +269,18 @@ class Tracker:
         self._started = True
 
     def _claimed(self, result: SolveResult, expected: Float) -> Float:
-        """Covariance of the answer; that of the prediction where the solve failed."""
+        """Covariance of the answer: what this frame's images add to what was known, as a Kalman filter would have it.
+
+        A limb that nothing shows grows less certain from frame to frame. Where the solve failed, only that happens.
+        """
+        scale = self.config.inflation**2
+        before = self._covariance + scale * expected
         if result.status == "failed":
-            return expected
-        return self.config.inflation**2 * covariance(result.quadratic)
+            return before
+        # The solve held the prediction against its own spread alone; put the uncertainty of the past in its place.
+        information = result.quadratic.hessian - np.linalg.inv(expected)
+        zero = np.zeros(self.body.dof)
+        return covariance(Quadratic(0.0, zero, information / scale + np.linalg.inv(before)))
 
     def _judge(self, fit: _Fit) -> float:
         """The least support of any part, after this frame; a part that is hardly seen keeps what it had."""

@@ -31,7 +31,7 @@ class SupportRule:
     contrast: float = 3.0
     tolerance: float = 0.015
     least_points: int = 12
-    least_share: float = 0.3
+    least_share: float = 0.35
     drop: float = 0.6
     objection: float = 0.1
     memory: float = 0.8
