@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from twistcap.cues.evidence import ContourEvidence
 from twistcap.cues.view import View
 from twistcap.region.lines import measured_lines
@@ -47,14 +45,13 @@ class DirectContour:
 
         `coarse` ≥ 1 lengthens the search lines and loosens the robust scale in early alternations.
         """
-        step = np.maximum(coarse * self.search / self.samples * view.camera.K[0, 0] * contour.inverse_depth, 0.25)
-        displacement, spread, contrast = measured_lines(
-            view.features, seen.part, contour.pixels, contour.normals, contour.part, contour.outer, step, self.samples,
-            self.rho * seen.px_per_m, self.prior_mass, self.floor, self.clip,
+        scale, size = view.camera.K[0, 0], seen.px_per_m
+        displacement, weight, contrast, target = measured_lines(
+            view.features, seen.part, contour.pixels, contour.normals, contour.part, contour.outer,
+            contour.inverse_depth, coarse * self.search * scale, self.samples, self.rho * size, self.prior_mass,
+            self.floor, self.clip, self.share, self.inner, self.least_sigma,
         )  # fmt: skip
-        weight = self.share / (spread + self.least_sigma**2) * np.where(contour.outer, 1.0, self.inner)
         term = PointNormalTerm(
-            view.camera.P, contour.points, contour.pixels + displacement[:, None] * contour.normals, contour.normals,
-            weight, coarse * self.robust * seen.px_per_m,
-        )  # fmt: skip
+            view.camera.P, contour.points, target, contour.normals, weight, coarse * self.robust * size
+        )
         return ContourEvidence(term, contour, displacement, contrast)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -47,7 +48,9 @@ class View:
         sigma = round(sigma, 1)
         if sigma not in self._blurs:
             with stage("features"):
-                self._blurs[sigma] = self.grey if sigma < 0.3 else cv2.GaussianBlur(self.grey, (0, 0), sigma)
+                size = 2 * math.ceil(2.7 * sigma) + 1
+                blur = self.grey if sigma < 0.3 else cv2.GaussianBlur(self.grey, (size, size), sigma)
+                self._blurs[sigma] = np.asarray(blur, dtype=np.float32)
         return self._blurs[sigma]
 
 

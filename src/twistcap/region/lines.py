@@ -18,17 +18,31 @@ _FAST = {"contract", "reassoc", "arcp", "nnan", "ninf", "nsz"}  # lines are of f
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def measured_lines(
-    image: Float32, part_image: Int, pixels: Float, normals: Float, part: Int, outer: Bool, step: Float, half: int,
-    rho: float, prior_mass: float, floor: float, clip: float,
-) -> tuple[Float, Float, Float]:  # fmt: skip
-    """All of a view's lines: displacement (px, outward), variance (px²) and evidence (nats) of each, (N,).
+    image: Float32, part_image: Int, pixels: Float, normals: Float, part: Int, outer: Bool, inverse_depth: Float,
+    reach: float, half: int, rho: float, prior_mass: float, floor: float, clip: float, share: float, inner: float,
+    least_sigma: float,
+) -> tuple[Float, Float, Float, Float]:  # fmt: skip
+    """All of a view's lines by the four steps below, whose arguments these are, and what they weigh.
 
-    The arguments are those of the four steps below, which it takes in turn.
+    Args:
+        reach: half length of the lines, px at 1 m from the camera; `inverse_depth` (N,) 1/m scales it.
+        share, inner: share of the information of all points, and of inner contours beside.
+        least_sigma: measurement noise that is added, px.
+
+    Returns:
+        (N,) displacement (px, outward), (N,) information (1/px²), (N,) evidence (nats) and (N, 2) target (px).
     """
+    step = np.maximum(reach / half * inverse_depth, 0.25)
     values, first, last = sample_lines(image, part_image, pixels, normals, part, outer, step, half)
     moments = line_moments(values, first, last, step)
     mean, variance = pooled_gaussians(moments, pixels, part, rho, prior_mass, floor)
-    return boundary_posterior(values, first, last, step, mean, variance, clip)
+    displacement, spread, evidence = boundary_posterior(values, first, last, step, mean, variance, clip)
+    weight, target = np.empty_like(spread), np.empty_like(pixels)
+    for n in range(len(pixels)):
+        weight[n] = share * (1.0 if outer[n] else inner) / (spread[n] + least_sigma**2)
+        target[n, 0] = pixels[n, 0] + displacement[n] * normals[n, 0]
+        target[n, 1] = pixels[n, 1] + displacement[n] * normals[n, 1]
+    return displacement, weight, evidence, target
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST, inline="always")

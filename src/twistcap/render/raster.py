@@ -28,7 +28,7 @@ def project_pinhole(P: Float, points: Float) -> tuple[Float, Float]:
     return pixels, inverse_depth
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "arcp"}, error_model="numpy")
 def rasterise(
     pixels: Float, inverse_depth: Float, faces: Int, origin: tuple[int, int], size: tuple[int, int]
 ) -> tuple[Int, Float32]:
@@ -63,20 +63,21 @@ def rasterise(
         if x0 > x1 or y0 > y1:
             continue
         # Barycentric coordinates and inverse depth are linear in the image: walk them by increments.
-        ax, ay = (yb - yc) / area, (xc - xb) / area
-        bx, by = (yc - ya) / area, (xa - xc) / area
+        scale = 1.0 / area
+        ax, ay = (yb - yc) * scale, (xc - xb) * scale
+        bx, by = (yc - ya) * scale, (xa - xc) * scale
+        dw = ax * (wa - wc) + bx * (wb - wc)
         for y in range(y0, y1 + 1):
             la = ax * (x0 - xb) + ay * (y - yb)
             lb = bx * (x0 - xc) + by * (y - yc)
+            w = wc + la * (wa - wc) + lb * (wb - wc)
             for x in range(x0, x1 + 1):
-                lc = 1.0 - la - lb
-                if la >= -_EDGE and lb >= -_EDGE and lc >= -_EDGE:
-                    w = la * wa + lb * wb + lc * wc
-                    if w > buffer[y, x]:
-                        buffer[y, x] = w
-                        face_index[y, x] = f
+                if min(la, lb, 1.0 - la - lb) >= -_EDGE and w > buffer[y, x]:
+                    buffer[y, x] = w
+                    face_index[y, x] = f
                 la += ax
                 lb += bx
+                w += dw
     return face_index, buffer
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -98,16 +99,27 @@ def render(posed: Posed, camera: Camera) -> RenderedView:
 
 def body_window(posed: Posed, camera: Camera, margin: float) -> tuple[tuple[int, int], tuple[int, int]] | None:
     """Origin (x, y) and size (w, h) of the image window that holds the body and `margin` px about it; None off it."""
-    pixels, inverse_depth = project_pinhole(camera.P, posed.vertices)
-    pixels = pixels[inverse_depth > 0]
-    if len(pixels) == 0:
+    left, top, right, bottom = bounds(camera.P, posed.vertices)
+    if left > right:
         return None
-    last = np.array(camera.size) - 1
-    low, high = np.floor(pixels.min(axis=0) - margin), np.ceil(pixels.max(axis=0) + margin)
-    if np.any(high < 1) or np.any(low > last - 1):
+    width, height = camera.size
+    left, top, right, bottom = left - margin, top - margin, right + margin, bottom + margin
+    if right <= 0 or bottom <= 0 or left >= width - 1 or top >= height - 1:
         return None
-    low, high = np.clip(low, 0, last).astype(int), np.clip(high, 0, last).astype(int)
-    return (int(low[0]), int(low[1])), (int(high[0] - low[0] + 1), int(high[1] - low[1] + 1))
+    x, y = max(math.floor(left), 0), max(math.floor(top), 0)
+    return (x, y), (min(math.ceil(right), width - 1) - x + 1, min(math.ceil(bottom), height - 1) - y + 1)
+
+
+@njit(cache=True, nogil=True)
+def bounds(P: Float, points: Float) -> tuple[float, float, float, float]:
+    """Least x, y and largest x, y (px) of world points' (N, 3) projections; upside down where the camera sees none."""
+    left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
+    pixels, inverse_depth = project_pinhole(P, points)
+    for n in range(len(points)):
+        if inverse_depth[n] > 0.0:
+            left, right = min(left, pixels[n, 0]), max(right, pixels[n, 0])
+            top, bottom = min(top, pixels[n, 1]), max(bottom, pixels[n, 1])
+    return left, top, right, bottom
 
 
 @njit(cache=True, nogil=True)
