@@ -10,22 +10,6 @@ from twistcap.body import Pose
 
 
 @dataclass(frozen=True)
-class Frame:
-    """One instant of a recording.
-
-    Attributes:
-        index: frame number in the recording.
-        time: seconds.
-        images: one per camera of the rig, (H, W) grey or (H, W, 3) RGB, uint8 or float32 in [0, 1], rectified
-            (`camera.Rectifier`); None where the camera dropped the frame.
-    """
-
-    index: int
-    time: float
-    images: tuple[AnyArray | None, ...]
-
-
-@dataclass(frozen=True)
 class Keypoints:
     """2D keypoints of one instant, in every camera of a rig.
 
@@ -38,6 +22,24 @@ class Keypoints:
     names: tuple[str, ...]
     pixels: Float
     confidence: Float
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One instant of a recording.
+
+    Attributes:
+        index: frame number in the recording.
+        time: seconds.
+        images: one per camera of the rig, (H, W) grey or (H, W, 3) RGB, uint8 or float32 in [0, 1], rectified
+            (`camera.Rectifier`); None where the camera dropped the frame.
+        keypoints: 2D landmarks of this instant, where somebody has them.
+    """
+
+    index: int
+    time: float
+    images: tuple[AnyArray | None, ...]
+    keypoints: Keypoints | None = None
 
 
 @dataclass(frozen=True)

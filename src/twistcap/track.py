@@ -17,6 +17,7 @@ from twistcap.camera import Rig
 from twistcap.cues.brightness import Brightness, Template
 from twistcap.cues.direct import DirectContour
 from twistcap.cues.evidence import ContourCue, ContourEvidence
+from twistcap.cues.keypoints import KeypointCue
 from twistcap.cues.levelset import LevelSetContour
 from twistcap.cues.support import SupportRule, part_support
 from twistcap.cues.view import View, crop_view
@@ -77,6 +78,7 @@ class TrackerConfig:
     direct: DirectContour = field(default_factory=DirectContour)
     levelset: LevelSetContour = field(default_factory=LevelSetContour)
     brightness: Brightness = field(default_factory=Brightness)
+    keypoints: KeypointCue = field(default_factory=KeypointCue)
     noise: MotionNoise = field(default_factory=MotionNoise)
     support: SupportRule = field(default_factory=SupportRule)
 
@@ -107,6 +109,7 @@ class Tracker:
 
     def __init__(self, body: Body, rig: Rig, config: TrackerConfig | None = None) -> None:
         self.body, self.rig, self.config = body, rig.pinhole(), config or TrackerConfig()
+        self._given_rig = rig  # keypoints come in its pixels, images rectified
         self._contour: ContourCue = self.config.direct if self.config.method == "direct" else self.config.levelset
         self._history: list[Moment] = []
         self._templates: list[Template | None] = [None] * len(rig)
@@ -139,9 +142,10 @@ class Tracker:
         guess = predict(self._history, frame.time, config.predictor, config.decay)
         expected = self._expected(guess, frame.time)
         information = np.asarray(np.linalg.inv(expected), dtype=np.float64)
-        fixed: Sequence[Term] = (LimitTerm(), self._rest, GaussianTerm(guess, information))
+        found = self._keypoints(frame, guess)
+        fixed: Sequence[Term] = (LimitTerm(), self._rest, GaussianTerm(guess, information), *found)
         views = self._views(frame, guess)
-        if not views:
+        if not views and not found:
             self._advance(frame.time, guess)
             claimed = self._covariance + config.inflation**2 * expected
             return Estimate(frame.index, frame.time, guess, claimed, {}, "no_images", support=0.0)
@@ -254,6 +258,11 @@ class Tracker:
             if view is not None:
                 views[i] = view
         return views
+
+    def _keypoints(self, frame: Frame, guess: Pose) -> Sequence[Term]:
+        if frame.keypoints is None:
+            return ()
+        return self.config.keypoints.terms(frame.keypoints, self._given_rig, Posed(self.body, guess))
 
     def _remember(self, sights: Sequence[_Sight], pose: Pose) -> None:
         if self.config.photometric:

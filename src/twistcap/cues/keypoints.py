@@ -1,0 +1,56 @@
+"""The keypoint cue: a detector's or a person's 2D landmarks beside the images' own evidence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twistcap.body import Body, Posed
+from twistcap.camera import Rig
+from twistcap.estimate import Keypoints
+from twistcap.render import SurfacePoints
+from twistcap.terms import KeypointTerm
+
+
+@dataclass(frozen=True)
+class KeypointCue:
+    """Settings of the keypoint cue; lengths are on the body.
+
+    Attributes:
+        sigma: noise of a keypoint of confidence 1, m.
+        robust: distance at which a keypoint begins to lose its say, m.
+    """
+
+    sigma: float = 0.03
+    robust: float = 0.09
+
+    def terms(self, keypoints: Keypoints, rig: Rig, posed: Posed) -> list[KeypointTerm]:
+        """One term per camera that has keypoints; landmarks the body does not have are left out.
+
+        Args:
+            keypoints: of the frame, pixels of the cameras of `rig` (distorted as those are).
+            posed: the expected body, which tells how many pixels a metre has.
+        """
+        marks = posed.body.landmarks
+        known = [(i, marks.index(name)) for i, name in enumerate(keypoints.names) if name in marks.names]
+        if not known:
+            return []
+        columns, landmarks = (np.array(pair) for pair in zip(*known, strict=True))
+        points = _rigid_points(posed.body, landmarks)
+        out: list[KeypointTerm] = []
+        for k, camera in enumerate(rig):
+            xy = camera.normalised(keypoints.pixels[k, columns])
+            target = xy @ camera.K[:2, :2].T + camera.K[:2, 2]
+            seen = np.isfinite(target).all(axis=1) & (keypoints.confidence[k, columns] > 0)
+            px_per_m = camera.K[0, 0] / np.maximum(camera.project(posed.landmarks[landmarks])[1], 0.1)
+            weight = np.where(seen, keypoints.confidence[k, columns], 0.0) / (self.sigma * px_per_m) ** 2
+            if np.any(seen):
+                scale = float(self.robust * np.median(px_per_m))
+                out.append(KeypointTerm(camera.P, points, np.where(seen[:, None], target, 0.0), weight, scale))
+        return out
+
+
+def _rigid_points(body: Body, which: np.ndarray) -> SurfacePoints:
+    marks = body.landmarks
+    return SurfacePoints(marks.segments[which, None], np.ones((len(which), 1)), marks.points[which])
