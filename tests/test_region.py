@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from twistcap.region.densities import global_log_ratio, heaviside, local_log_ratio
+from twistcap.region.densities import blockwise_log_ratio, global_log_ratio, heaviside, local_log_ratio
 from twistcap.region.levelset import (
     evolve,
     evolve_reference,
@@ -384,6 +384,17 @@ def test_local_ratio_agrees_with_its_brute_force_twin() -> None:
     expected = local_ratio_reference(channels, inside, 7.0, 0.05, places)
     np.testing.assert_allclose([found[p] for p in places], expected, rtol=5e-3, atol=5e-3)
     assert np.ptp(expected) > 1
+
+
+def test_blockwise_ratio_is_the_local_one() -> None:
+    rng = np.random.default_rng(3)
+    channels = cv2.GaussianBlur(rng.uniform(0, 1, (91, 120, 3)).astype(np.float32), (0, 0), 2.0)
+    inside = heaviside(disc_distance((60.0, 45.0), 25.0)[:91, :120].astype(np.float32), 0.7)
+    exact = local_log_ratio(channels, inside, 12.0, FLOOR, 0.02)
+    blocks = blockwise_log_ratio(channels, inside, 12.0, FLOOR, 0.02)
+    assert np.abs(blocks - exact).mean() < 0.1 * exact.std()
+    alone = blockwise_log_ratio(channels, inside, 12.0, FLOOR, 0.02, block=1)
+    np.testing.assert_allclose(alone, exact, atol=2e-2)
 
 
 def test_local_ratio_copes_where_the_global_one_cannot() -> None:

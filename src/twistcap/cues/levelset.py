@@ -15,7 +15,7 @@ import numpy as np
 from twistcap._typing import Float, Float32
 from twistcap.cues.evidence import ContourEvidence
 from twistcap.cues.view import View
-from twistcap.region.densities import global_log_ratio, heaviside, local_log_ratio
+from twistcap.region.densities import blockwise_log_ratio, global_log_ratio, heaviside
 from twistcap.region.levelset import evolve, nearest_with_normal, signed_distance, zero_crossings
 from twistcap.render import ContourPoints, RenderedView
 from twistcap.terms import PointRayTerm
@@ -83,7 +83,7 @@ class LevelSetContour:
         inside = heaviside(phi, 0.7)
         if self.density == "global":
             return global_log_ratio(view.features, inside, self.floor)
-        return local_log_ratio(view.features, inside, self.rho * px_per_m, self.floor, self.prior_mass)
+        return blockwise_log_ratio(view.features, inside, self.rho * px_per_m, self.floor, self.prior_mass)
 
     def _term(
         self, view: View, seen: RenderedView, contour: ContourPoints, partner: Float, coarse: float
