@@ -1,6 +1,6 @@
 """Render a synthetic walk, track it, and compare with the truth.
 
-    python examples/01_studio_walk.py
+python examples/01_studio_walk.py
 """
 
 import numpy as np

@@ -1,6 +1,6 @@
 """The idea of twistcap in twenty lines: keypoints, joint limits and a prior meet in one least-squares system.
 
-    python examples/02_one_system.py
+python examples/02_one_system.py
 """
 
 import numpy as np

@@ -1,6 +1,6 @@
 """Track a rigged mesh of your own: any skinned GLB becomes a body (here, one that we write ourselves first).
 
-    python examples/03_your_own_mesh.py
+python examples/03_your_own_mesh.py
 """
 
 import tempfile

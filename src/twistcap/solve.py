@@ -85,7 +85,7 @@ def least_squares(
 
 
 def damped_step(quadratic: Quadratic, damping: float) -> Float | None:
-    """Minimiser of the quadratic with its diagonal raised, at most 1 rad (m) long in any entry; None where there is none."""
+    """Minimiser of the quadratic with its diagonal raised, no entry above 1 rad (m); None where there is none."""
     diagonal = np.diagonal(quadratic.hessian)
     H = quadratic.hessian + np.diag(damping * diagonal + 1e-9 * (1.0 + diagonal.max()))
     try:

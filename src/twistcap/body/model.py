@@ -62,9 +62,7 @@ class Body:
     faces: Int
     skin_segments: Int
     skin_weights: Float
-    landmarks: Landmarks = field(
-        default_factory=lambda: Landmarks((), np.zeros(0, np.int32), np.zeros((0, 3)))
-    )
+    landmarks: Landmarks = field(default_factory=lambda: Landmarks((), np.zeros(0, np.int32), np.zeros((0, 3))))
 
     def __post_init__(self) -> None:
         self._check_tree()

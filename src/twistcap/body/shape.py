@@ -15,7 +15,10 @@ from twistcap.errors import InputError
 
 
 def rescaled(
-    body: Body, lengths: Mapping[str, float] | None = None, girths: Mapping[str, float] | None = None, stature: float = 1.0
+    body: Body,
+    lengths: Mapping[str, float] | None = None,
+    girths: Mapping[str, float] | None = None,
+    stature: float = 1.0,
 ) -> Body:
     """The body with its segments stretched along (`lengths`) and across (`girths`) their axes, by factors.
 

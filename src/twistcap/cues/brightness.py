@@ -32,9 +32,7 @@ class Template:
 
     def __getitem__(self, which: Int) -> Template:
         """The points of some indices."""
-        return Template(
-            self.points[which], np.take(self.value, which, axis=1), np.take(self.gradient, which, axis=1)
-        )
+        return Template(self.points[which], np.take(self.value, which, axis=1), np.take(self.gradient, which, axis=1))
 
     def __add__(self, other: Template) -> Template:
         """Both templates' points."""
@@ -168,9 +166,7 @@ def strongest_in_cells(grey: Float32, inverse_depth: Float32, cell: int, occupie
 
 
 @njit(cache=True, nogil=True)
-def visible_points(
-    P: Float, world: Float, inverse_depth: Float32, tolerance: float
-) -> Float:
+def visible_points(P: Float, world: Float, inverse_depth: Float32, tolerance: float) -> Float:
     """(N,) 1.0 where a surface point lies no more than `tolerance` m behind the rendered surface, else 0.0."""
     h, w = inverse_depth.shape
     out = np.zeros(len(world))

@@ -37,7 +37,9 @@ class SupportRule:
     memory: float = 0.8
 
 
-def part_support(found: Sequence[ContourEvidence], focal: Sequence[float], parts: int, rule: SupportRule) -> tuple[Float, Int]:
+def part_support(
+    found: Sequence[ContourEvidence], focal: Sequence[float], parts: int, rule: SupportRule
+) -> tuple[Float, Int]:
     """Share (S,) of each segment's silhouette points that agree, and how many points it has (S,).
 
     Args:

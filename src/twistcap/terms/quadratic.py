@@ -24,9 +24,7 @@ class Quadratic:
         return Quadratic(0.0, np.zeros(dof), np.zeros((dof, dof)))
 
     def __add__(self, other: Quadratic) -> Quadratic:
-        return Quadratic(
-            self.value + other.value, self.gradient + other.gradient, self.hessian + other.hessian
-        )
+        return Quadratic(self.value + other.value, self.gradient + other.gradient, self.hessian + other.hessian)
 
 
 class Term(Protocol):
