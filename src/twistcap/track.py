@@ -62,13 +62,13 @@ class TrackerConfig:
     predictor: PredictorName = "constant_velocity"
     decay: float = 0.5
     rest_sigma_deg: float = 40.0
-    iterations: int = 3
+    iterations: int = 2
     first_iterations: int = 10
     coarse: float = 3.0
     coarse_rounds: int = 5
     settled: float = 0.015
-    render_every: int = 2
-    contour_spacing: float = 0.025
+    render_every: int = 4
+    contour_spacing: float = 0.032
     solver_steps: int = 1
     recovery_deg: float = 30.0
     margin: float = 0.2

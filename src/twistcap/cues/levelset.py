@@ -47,8 +47,8 @@ class LevelSetContour:
     floor: float = 4e-4
     prior_mass: float = 0.02
     rounds: int = 1
-    steps: int = 8
-    tau: float = 1.5
+    steps: int = 5
+    tau: float = 2.4
     nu: float = 0.5
     lam: float = 0.05
     width: float = 0.015
