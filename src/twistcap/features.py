@@ -19,7 +19,7 @@ _BYTE_TO_FLOAT = (_BYTE / 255.0)[None]
 def to_float(image: AnyArray) -> Float32:
     """uint8 or float image to float32 in [0, 1]; the shape stays."""
     if image.dtype == np.uint8:
-        return cv2.LUT(image, _BYTE_TO_FLOAT) if image.size else image.astype(np.float32)
+        return np.asarray(cv2.LUT(image, _BYTE_TO_FLOAT), np.float32) if image.size else image.astype(np.float32)
     return image.astype(np.float32)
 
 
@@ -38,5 +38,5 @@ def feature_channels(image: AnyArray, channels: Channels) -> Float32:
     if channels == "grey" or image.ndim == 2:
         return np.ascontiguousarray(grey(image)[..., None])
     if image.dtype == np.uint8:  # in whole steps of OpenCV's 8-bit CIELAB: far below sensor noise, and much faster
-        return cv2.LUT(cv2.cvtColor(image, cv2.COLOR_RGB2LAB), _LAB_OF_BYTE)
+        return np.asarray(cv2.LUT(cv2.cvtColor(image, cv2.COLOR_RGB2LAB), _LAB_OF_BYTE), np.float32)
     return cv2.cvtColor(to_float(image), cv2.COLOR_RGB2LAB) * np.float32(0.01)

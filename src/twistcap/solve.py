@@ -118,16 +118,17 @@ def _finite(quadratic: Quadratic) -> bool:
 def covariance(quadratic: Quadratic) -> Float:
     """(6 + J, 6 + J) inverse of the Hessian; directions without any information get a variance of at least 10² rad²."""
     H = 0.5 * (quadratic.hessian + quadratic.hessian.T)
-    inverse, failed = _inverse(H)
-    if not failed and 1.0 / np.linalg.norm(inverse) > 1e-2:  # no eigenvalue can be below that
+    inverse = _inverse(H)
+    if inverse is not None and 1.0 / np.linalg.norm(inverse) > 1e-2:  # no eigenvalue can be below that
         return inverse
     values, vectors = np.linalg.eigh(H)
     return (vectors / np.maximum(values, 1e-2)) @ vectors.T
 
 
-def _inverse(H: Float) -> tuple[Float, bool]:
-    """Inverse of a symmetric matrix by Cholesky, and whether that failed."""
-    factor, info = scipy.linalg.lapack.dpotrf(H, lower=0)
-    upper, info2 = scipy.linalg.lapack.dpotri(factor, lower=0) if info == 0 else (factor, 1)
-    upper = np.triu(upper)
-    return upper + np.triu(upper, 1).T, info2 != 0
+def _inverse(H: Float) -> Float | None:
+    """Inverse of a symmetric matrix by Cholesky; None where it is not positive definite."""
+    try:
+        inverse = scipy.linalg.cho_solve(scipy.linalg.cho_factor(H, check_finite=False), np.eye(len(H)))
+    except np.linalg.LinAlgError:
+        return None
+    return 0.5 * (inverse + inverse.T)

@@ -6,7 +6,7 @@ taken out of the outer one's time. One thread at a time.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from time import perf_counter
 
@@ -31,7 +31,7 @@ _recorder: _Recorder | None = None
 
 
 @contextmanager
-def record() -> Iterator[Times]:
+def record() -> Generator[Times]:
     """Record every `stage` until the block ends; yields stage -> seconds per frame, complete once it has ended."""
     global _recorder
     before, _recorder = _recorder, _Recorder()
@@ -56,7 +56,7 @@ def stage(name: str) -> AbstractContextManager[None]:
 
 
 @contextmanager
-def _timed(recorder: _Recorder, name: str) -> Iterator[None]:
+def _timed(recorder: _Recorder, name: str) -> Generator[None]:
     recorder.frames = max(recorder.frames, 1)
     recorder.inner.append(0.0)
     start = perf_counter()

@@ -88,9 +88,11 @@ def blockwise_log_ratio(
     blocks = sums.shape[0] * sums.shape[1]
     mean = np.full(blocks, 1.0 / blocks, dtype=np.float32)  # a product is a faster mean than np.mean
     whole = (mean @ sums.reshape(blocks, -1)).reshape(sums.shape[2:])
-    window = cv2.boxFilter(sums.reshape(*sums.shape[:2], -1), -1, (size, size), borderType=cv2.BORDER_REFLECT_101)
-    prior = np.float32(prior_mass * block**2) * whole / np.maximum(whole[:, :1], np.float32(1e-6))
-    return _ratios_of_blocks(channels, window.reshape(sums.shape), prior, block, floor)
+    flat = sums.reshape(*sums.shape[:2], -1)
+    box = cv2.boxFilter(flat, -1, (size, size), borderType=cv2.BORDER_REFLECT_101)
+    window = np.asarray(box, dtype=np.float32).reshape(sums.shape)
+    prior = (prior_mass * block**2 * whole / np.maximum(whole[:, :1], 1e-6)).astype(np.float32)
+    return _ratios_of_blocks(channels, window, prior, block, floor)
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
