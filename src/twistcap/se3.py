@@ -174,7 +174,7 @@ def inverse_left_jacobian(twist: ArrayLike) -> Float:
         ad = bracket_matrix(xi)
         ad2 = ad @ ad
         return np.eye(6) - 0.5 * ad + ad2 / 12.0 - (ad2 @ ad2) / 720.0 + (ad2 @ ad2 @ ad2) / 30240.0
-    return np.linalg.inv(left_jacobian(xi))
+    return np.asarray(np.linalg.inv(left_jacobian(xi)), dtype=np.float64)
 
 
 def orthonormalised(motion: ArrayLike) -> Float:

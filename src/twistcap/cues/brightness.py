@@ -91,7 +91,7 @@ class Brightness:
         followed = Template(
             old.points, (1.0 - a) * old.value + a * now.value, (1.0 - a) * old.gradient + a * now.gradient
         )
-        return followed[np.flatnonzero(off_by < 2.0 * self.scale)]
+        return followed[np.flatnonzero(off_by < 2.0 * self.scale).astype(np.int32)]
 
     def _template(self, view: View, seen: RenderedView, posed: Posed, points: SurfacePoints) -> Template:
         """Brightness of points as they now lie in the image; NaN outside it."""
@@ -117,7 +117,7 @@ class Brightness:
 @njit(cache=True, nogil=True)
 def first_in_cells(pixels: Float, visible: Float, cell: int, occupied: Bool) -> Int:
     """Indices of the points that are visible and the first in their cell of the grid `occupied`, which is filled in."""
-    out = np.empty(len(pixels), dtype=np.int64)
+    out = np.empty(len(pixels), dtype=np.int32)
     count = 0
     for n in range(len(pixels)):
         if visible[n] == 0.0:

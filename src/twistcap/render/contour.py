@@ -173,7 +173,7 @@ def _contour_samples(
         length = np.sqrt(dx * dx + dy * dy)
         if length == 0.0:
             continue
-        part = face_part[f] if front[f] == 1 else face_part[g]
+        part = int(face_part[f] if front[f] == 1 else face_part[g])
         position = spacing - walked
         walked += length
         while position <= length and count < capacity:
