@@ -54,7 +54,7 @@ class LevelSetContour:
     width: float = 0.015
     clip: float = 3.0
     least_cosine: float = 0.5
-    sigma: float = 0.5
+    sigma: float = 0.8
     share: float = 1.0
     robust: float = 0.01
 
