@@ -33,9 +33,9 @@ class MotionNoise:
         joint_speed, turn_speed, shift_speed: of velocity (rad/s, rad/s, m/s), for the hold predictor.
     """
 
-    joint: float = 40.0
-    turn: float = 25.0
-    shift: float = 10.0
+    joint: float = 100.0
+    turn: float = 60.0
+    shift: float = 25.0
     joint_speed: float = 4.0
     turn_speed: float = 2.0
     shift_speed: float = 1.5

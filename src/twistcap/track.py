@@ -60,8 +60,8 @@ class TrackerConfig:
     channels: Channels = "lab"
     photometric: bool = True
     predictor: PredictorName = "constant_velocity"
-    decay: float = 0.5
-    rest_sigma_deg: float = 40.0
+    decay: float = 0.2
+    rest_sigma_deg: float = 30.0
     iterations: int = 2
     first_iterations: int = 10
     coarse: float = 3.0
