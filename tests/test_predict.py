@@ -71,7 +71,9 @@ def test_noise_grows_with_time_as_its_predictor_says() -> None:
     noise, centre = MotionNoise(), np.zeros(3)
     fast = [noise.covariance(6 + J, dt, "constant_velocity", centre) for dt in (0.02, 0.04)]
     np.testing.assert_allclose(fast[1], 16 * fast[0])  # σ = a dt²
-    np.testing.assert_allclose(np.sqrt(np.diag(fast[0]))[[0, 3, 6]], np.array([noise.turn, noise.shift, noise.joint]) * 0.02**2)
+    np.testing.assert_allclose(
+        np.sqrt(np.diag(fast[0]))[[0, 3, 6]], np.array([noise.turn, noise.shift, noise.joint]) * 0.02**2
+    )
     held = [noise.covariance(6 + J, dt, "hold", centre) for dt in (0.02, 0.04)]
     np.testing.assert_allclose(held[1], 4 * held[0])  # σ = v dt
     np.testing.assert_allclose(np.sqrt(np.diag(held[0]))[[0, 3, 6]], np.array([2.0, 1.5, 4.0]) * 0.02)
