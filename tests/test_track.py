@@ -87,19 +87,20 @@ def test_a_pose_far_off_the_person_is_flagged_lost() -> None:
     assert estimates[-1].lost and estimates[-1].support < 0.35
 
 
-def test_a_limb_put_wrong_is_found_again() -> None:
-    scene, frames = walk()
-    tracker = Tracker(scene.body, scene.rig)
-    tracker.start(scene.first_pose)
-    for frame in frames[:4]:
-        tracker.step(frame)
-    fast = capture(StudioConfig(seed=2, views=3, frames=6, fps=20.0))
-    estimates = list(track(fast.frames(), fast.body, fast.rig, fast.first_pose))
-    without = replace(TrackerConfig(), support=replace(TrackerConfig().support, drop=0.0))
-    lazy = list(track(fast.frames(), fast.body, fast.rig, fast.first_pose, without))
-    recovered = np.mean([joint_errors_mm(fast, e).mean() for e in estimates])
-    assert recovered <= np.mean([joint_errors_mm(fast, e).mean() for e in lazy]) + 0.5
-    assert recovered < 40.0
+def test_a_limb_that_loses_its_contour_is_found_again() -> None:
+    fast = capture(StudioConfig(seed=5, views=4, frames=4, fps=30.0, condition="mismatch"))
+    frames = list(fast.frames())
+
+    def worst_mm(drop: float) -> float:
+        support = replace(TrackerConfig().support, drop=drop)
+        config = TrackerConfig(support=support)
+        last = list(track(frames, fast.body, fast.rig, fast.first_pose, config))[-1]
+        return float(joint_errors_mm(fast, last).max())
+
+    with_search, without = worst_mm(drop=0.6), worst_mm(drop=0.0)
+    print(with_search, without)
+    assert without > 200.0  # a swinging foot, its speed not yet known, is gone at once
+    assert with_search < 0.6 * without
 
 
 def test_a_restored_track_goes_on() -> None:
