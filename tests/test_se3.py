@@ -198,6 +198,7 @@ def test_single_versions_agree_with_the_batched_ones(size: float) -> None:
         np.testing.assert_allclose(se3.inverse_one(other), se3.inverse(other), atol=1e-14)
         np.testing.assert_allclose(se3.compose_one(se3.exp(xi), other), se3.exp(xi) @ other, atol=1e-14)
         np.testing.assert_allclose(se3.difference_one(se3.exp(xi) @ other, other), xi, atol=1e-12)
+        np.testing.assert_allclose(se3.inverse_left_jacobian_one(xi), se3.inverse_left_jacobian(xi), atol=1e-11)
 
 
 def test_composition_brings_a_rotation_back_that_rounding_carried_off() -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from twistcap import se3
 from twistcap._typing import Float
-from twistcap.body import Body, Pose
+from twistcap.body import Pose
 
 PredictorName = Literal["constant_velocity", "hold"]
 
@@ -74,16 +74,3 @@ def constant_velocity(history: Sequence[Moment], time: float, decay: float = np.
 def predict(history: Sequence[Moment], time: float, predictor: PredictorName, decay: float = np.inf) -> Pose:
     """The expected pose at `time`; see `constant_velocity` for `decay`."""
     return constant_velocity(history, time, decay) if predictor == "constant_velocity" else history[-1].pose
-
-
-def turned_limbs(body: Body, pose: Pose, segment: int, angle: float) -> Iterator[Pose]:
-    """Other guesses for a limb: each coordinate of the segment's own joint and of the one above it turned ± `angle`."""
-    above = int(body.segment_parent[segment])
-    nearer = int(body.segment_parent[above]) if above >= 0 else -1
-    fixed = body.chain[nearer] if nearer >= 0 else np.zeros(len(body.coordinate_names), dtype=bool)
-    low, high = body.limits.T
-    for k in np.flatnonzero(body.chain[segment] & ~fixed):
-        for turn in (-angle, angle):
-            q = pose.q.copy()
-            q[k] = np.clip(q[k] + turn, low[k], high[k])
-            yield Pose(pose.root, q)

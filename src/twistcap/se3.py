@@ -276,6 +276,27 @@ def inverse_one(T: Float) -> Float:
 
 
 @njit(cache=True, nogil=True)
+def inverse_left_jacobian_one(twist: Float) -> Float:
+    """`inverse_left_jacobian` of a single twist (6,) -> (6, 6), without the cost of batching.
+
+    Below 0.1 rad the Bernoulli series, whose rest is there below the last digit; above it the series of the Jacobian.
+    """
+    w0, w1, w2, v0, v1, v2 = twist
+    ad, eye = np.zeros((6, 6)), np.eye(6)
+    ad[0, 1], ad[0, 2], ad[1, 0], ad[1, 2], ad[2, 0], ad[2, 1] = -w2, w1, w2, -w0, -w1, w0
+    ad[3, 1], ad[3, 2], ad[4, 0], ad[4, 2], ad[5, 0], ad[5, 1] = -v2, v1, v2, -v0, -v1, v0
+    ad[3:, 3:] = ad[:3, :3]
+    ad2 = ad @ ad
+    if w0 * w0 + w1 * w1 + w2 * w2 < 0.01:
+        ad4 = ad2 @ ad2
+        return eye - 0.5 * ad + ad2 / 12.0 - ad4 / 720.0 + ad4 @ ad2 / 30240.0
+    series = eye.copy()
+    for n in range(40, 0, -1):
+        series = eye + ad @ series / (n + 1)
+    return np.linalg.inv(series)
+
+
+@njit(cache=True, nogil=True)
 def difference_one(A: Float, B: Float) -> Float:
     """Twist (6,) with ``A = exp(ξ̂) B``."""
     return log_one(compose_one(A, inverse_one(B)))

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import scipy.linalg
+from scipy.linalg.lapack import dposv
 
 from twistcap._typing import Float
-from twistcap.body import Body, Pose, Posed
+from twistcap.body import Pose, Posed
 from twistcap.terms import PointTerm, Quadratic, SegmentSums, Term
 
 Status = Literal["converged", "max_iterations", "stalled", "failed"]
@@ -21,24 +22,37 @@ class SolveResult:
     """Outcome of `least_squares`.
 
     Attributes:
-        pose: the best pose reached; the first one where nothing better was found.
+        posed: the body at the best pose reached; at the first one where nothing better was found.
         status: "converged" (step below tolerance), "max_iterations", "stalled" (no step lowered the energy) or
             "failed" (a number was not finite, or the system could not be solved).
         steps: accepted steps.
-        energy: at `pose`.
+        energies: at that pose, by name of term.
         quadratic: of all terms, at the pose where the last step was taken from.
     """
 
-    pose: Pose
+    posed: Posed
     status: Status
     steps: int
-    energy: float
+    energies: Mapping[str, float]
     quadratic: Quadratic
 
+    @property
+    def pose(self) -> Pose:
+        """The best pose reached."""
+        return self.posed.pose
 
-def total_energy(terms: Sequence[Term], posed: Posed) -> float:
-    """Sum of the terms' energies."""
-    return sum(term.energy(posed) for term in terms)
+    @property
+    def energy(self) -> float:
+        """Sum of the energies there."""
+        return sum(self.energies.values())
+
+
+def energies_at(terms: Sequence[Term], posed: Posed) -> dict[str, float]:
+    """Energies by name of term; terms of the same name are summed."""
+    out: dict[str, float] = {}
+    for term in terms:
+        out[term.name] = out.get(term.name, 0.0) + term.energy(posed)
+    return out
 
 
 def linearized(terms: Sequence[Term], posed: Posed) -> Quadratic:
@@ -53,66 +67,71 @@ def linearized(terms: Sequence[Term], posed: Posed) -> Quadratic:
 
 
 def least_squares(
-    body: Body, pose: Pose, terms: Sequence[Term], steps: int = 1, damping: float = 1e-3, tolerance: float = 1e-6
+    posed: Posed, terms: Sequence[Term], steps: int = 1, damping: float = 1e-3, tolerance: float = 1e-6
 ) -> SolveResult:
     """Levenberg-Marquardt over the pose.
 
     Args:
-        body, pose: what is moved, and from where.
+        posed: what is moved, and from where.
         terms: whose energies are summed.
         steps: how many steps to accept at most.
         damping: first Levenberg factor on the Hessian's diagonal.
         tolerance: largest entry (rad, m) of a step that counts as standing still.
     """
-    posed = Posed(body, pose)
     quadratic = linearized(terms, posed)
-    energy = quadratic.value
+    energies: Mapping[str, float] | None = None  # known where a step has been taken
+    status, taken = "max_iterations", 0
     if not _finite(quadratic):
-        return SolveResult(pose, "failed", 0, energy, quadratic)
-    for taken in range(steps):
+        return SolveResult(posed, "failed", 0, energies_at(terms, posed), quadratic)
+    while taken < steps:
         if taken:
             fresh = linearized(terms, posed)
             if not _finite(fresh):
-                return SolveResult(posed.pose, "failed", taken, energy, quadratic)
+                status = "failed"
+                break
             quadratic = fresh
         accepted = _downhill(terms, posed, quadratic, damping)
         if accepted is None:
-            return SolveResult(posed.pose, "stalled", taken, energy, quadratic)
-        posed, energy, size = accepted
+            status = "stalled"
+            break
+        posed, energies, size = accepted
+        taken += 1
         if size < tolerance:
-            return SolveResult(posed.pose, "converged", taken + 1, energy, quadratic)
-    return SolveResult(posed.pose, "max_iterations", steps, energy, quadratic)
+            status = "converged"
+            break
+    return SolveResult(posed, status, taken, energies or energies_at(terms, posed), quadratic)
 
 
 def damped_step(quadratic: Quadratic, damping: float) -> Float | None:
     """Minimiser of the quadratic with its diagonal raised, no entry above 1 rad (m); None where there is none."""
+    H = quadratic.hessian.copy()
     diagonal = np.diagonal(quadratic.hessian)
-    H = quadratic.hessian + np.diag(damping * diagonal + 1e-9 * (1.0 + diagonal.max()))
-    try:
-        step = -scipy.linalg.cho_solve(scipy.linalg.cho_factor(H, check_finite=False), quadratic.gradient)
-    except np.linalg.LinAlgError:
+    np.fill_diagonal(H, (1.0 + damping) * diagonal + 1e-9 * (1.0 + diagonal.max()))
+    _, step, failed = dposv(H, -quadratic.gradient)
+    if failed:
         return None
     return step / max(1.0, float(np.abs(step).max()))  # beyond 1 rad no linearisation holds
 
 
 def _downhill(
     terms: Sequence[Term], posed: Posed, quadratic: Quadratic, damping: float, tries: int = 5
-) -> tuple[Posed, float, float] | None:
-    """The first damped step that lowers the energy: its posed body, energy and size."""
+) -> tuple[Posed, dict[str, float], float] | None:
+    """The first damped step that lowers the energy: its posed body, energies and size."""
     for _ in range(tries):
         step = damped_step(quadratic, damping)
         if step is not None and np.all(np.isfinite(step)):
             candidate = Posed(posed.body, posed.pose.retract(step))
-            energy = total_energy(terms, candidate)
+            energies = energies_at(terms, candidate)
+            energy = sum(energies.values())
             if np.isfinite(energy) and energy <= quadratic.value + 1e-12 * abs(quadratic.value):
-                return candidate, energy, float(np.abs(step).max())
+                return candidate, energies, float(np.abs(step).max())
         damping = max(10.0 * damping, 1e-3)
     return None
 
 
 def _finite(quadratic: Quadratic) -> bool:
-    parts = (quadratic.value, quadratic.gradient, quadratic.hessian)
-    return all(bool(np.all(np.isfinite(part))) for part in parts)
+    # A sum is finite only where every number is; that it overflows with all of them finite is no use either.
+    return math.isfinite(quadratic.value + float(quadratic.gradient.sum()) + float(quadratic.hessian.sum()))
 
 
 def covariance(quadratic: Quadratic) -> Float:
@@ -127,8 +146,5 @@ def covariance(quadratic: Quadratic) -> Float:
 
 def _inverse(H: Float) -> Float | None:
     """Inverse of a symmetric matrix by Cholesky; None where it is not positive definite."""
-    try:
-        inverse = scipy.linalg.cho_solve(scipy.linalg.cho_factor(H, check_finite=False), np.eye(len(H)))
-    except np.linalg.LinAlgError:
-        return None
-    return 0.5 * (inverse + inverse.T)
+    _, inverse, failed = dposv(H, np.eye(len(H)))
+    return None if failed else 0.5 * (inverse + inverse.T)

@@ -14,20 +14,24 @@ import numpy as np
 from twistcap._typing import Float, Int
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Rig
+from twistcap.cues.appearance import Appearance, AppearanceRule
 from twistcap.cues.brightness import Brightness, Template
 from twistcap.cues.direct import DirectContour
 from twistcap.cues.evidence import ContourCue, ContourEvidence
 from twistcap.cues.keypoints import KeypointCue
 from twistcap.cues.levelset import LevelSetContour
+from twistcap.cues.rivals import RivalRule, doubted_limbs, segment_doubts
 from twistcap.cues.support import SupportRule, part_support
 from twistcap.cues.view import View, crop_view
 from twistcap.estimate import Estimate, Frame
 from twistcap.features import Channels
-from twistcap.predict import Moment, MotionNoise, PredictorName, predict, turned_limbs
+from twistcap.predict import Moment, MotionNoise, PredictorName, predict
 from twistcap.render import ContourPoints, RenderedView, render, reprojected, visible_contour
 from twistcap.solve import SolveResult, Status, covariance, least_squares
 from twistcap.stages import next_frame, stage
 from twistcap.terms import GaussianTerm, LimitTerm, Quadratic, RestTerm, Term
+
+_JUMP = np.deg2rad(2.0)  # of a joint: more than a fit wavers
 
 
 @dataclass(frozen=True)
@@ -45,11 +49,10 @@ class TrackerConfig:
         first_iterations: the same in the first frame, which starts from a given pose.
         coarse: factor on the contour cue's capture range in the coarse alternations that come first.
         coarse_rounds: coarse alternations at most; one is enough where the prediction was good.
-        settled: m that the body may still move in a coarse alternation that is the last one.
+        settled: m that the contour may still move in a coarse alternation that is the last one.
         render_every: the body is rendered anew in every so many alternations (always for the level set).
         contour_spacing: m on the body between contour samples.
         solver_steps: Gauss-Newton steps in each alternation.
-        recovery_deg: how far joints are turned, either way, to find a limb again whose contour was suddenly lost.
         margin: m about the expected body within which images are looked at.
         inflation: factor on every claimed standard deviation: contour and brightness samples are not independent, and
             no body is exact; set on studio captures with truth (docs/covariance.md).
@@ -62,15 +65,14 @@ class TrackerConfig:
     predictor: PredictorName = "constant_velocity"
     decay: float = 0.2
     rest_sigma_deg: float = 30.0
-    iterations: int = 2
+    iterations: int = 1
     first_iterations: int = 10
     coarse: float = 3.0
     coarse_rounds: int = 5
-    settled: float = 0.015
+    settled: float = 0.008
     render_every: int = 4
     contour_spacing: float = 0.032
     solver_steps: int = 1
-    recovery_deg: float = 30.0
     margin: float = 0.2
     inflation: float = 5.0
     first_sigma_deg: float = 1.0
@@ -80,6 +82,8 @@ class TrackerConfig:
     brightness: Brightness = field(default_factory=Brightness)
     keypoints: KeypointCue = field(default_factory=KeypointCue)
     noise: MotionNoise = field(default_factory=MotionNoise)
+    rivals: RivalRule = field(default_factory=RivalRule)
+    appearance: AppearanceRule = field(default_factory=AppearanceRule)
     support: SupportRule = field(default_factory=SupportRule)
 
 
@@ -101,7 +105,6 @@ class _Fit:
     sights: Sequence[_Sight] = ()
     terms: Sequence[Term] = ()
     found: Sequence[ContourEvidence] = ()
-    energies: Mapping[str, float] = field(default_factory=dict[str, float])
 
 
 class Tracker:
@@ -122,8 +125,11 @@ class Tracker:
     def start(self, pose: Pose, time: float = 0.0) -> None:
         """Take the pose from which the first frame is tracked."""
         self._history = [Moment(time, pose)]
+        self._appearance = Appearance(len(self.rig), len(self.body.segment_names), self.config.appearance)
         self._templates = [None] * len(self.rig)
         self._support[:] = 1.0
+        self._doubt = np.zeros(len(self.body.segment_names))
+        self._turn = 0
         self._seen_time = time
         self._started = False
 
@@ -149,15 +155,26 @@ class Tracker:
             self._advance(frame.time, guess)
             claimed = self._covariance + config.inflation**2 * expected
             return Estimate(frame.index, frame.time, guess, claimed, {}, "no_images", support=0.0)
-        fit = self._recovered(self._fit(guess, views, fixed), views, fixed)
-        self._covariance = self._claimed(fit.result, expected)
+        fit = self._fit(guess, views, fixed)
+        claimed = self._claimed(fit.result, expected)
+        with stage("rivals"):
+            rival = self._rival(fit, claimed, views, information, found)
+        if rival is not None:
+            self._forget_motion(rival.result.pose.minus(fit.result.pose), rival.result.pose)
+            fit, claimed = rival, self._claimed(rival.result, expected)
+        self._covariance = claimed
         with stage("remember"):
-            self._remember(fit.sights, fit.result.pose)
+            self._remember(fit.sights, fit.result.posed)
+            for sight, seen in zip(fit.sights, fit.found, strict=True):
+                share, _ = part_support(
+                    [seen], [sight.view.camera.K[0, 0]], len(self.body.segment_names), config.support
+                )
+                self._appearance.learn(sight.camera_index, sight.view, sight.seen, share)
         self._advance(frame.time, fit.result.pose)
         self._seen_time = frame.time
         support = self._judge(fit)
         return Estimate(
-            frame.index, frame.time, fit.result.pose, self._covariance, fit.energies, fit.result.status,
+            frame.index, frame.time, fit.result.pose, self._covariance, fit.result.energies, fit.result.status,
             fit.result.steps, support < config.support.least_share, support,
         )  # fmt: skip
 
@@ -165,7 +182,8 @@ class Tracker:
         """Alternate correspond and update: coarse until the body has settled, then fine."""
         config = self.config
         fine = config.iterations if self._started else config.first_iterations
-        fit = _Fit(SolveResult(guess, "max_iterations", 0, np.inf, Quadratic.zero(self.body.dof)))
+        posed = Posed(self.body, guess)
+        fit = _Fit(SolveResult(posed, "max_iterations", 0, {}, Quadratic.zero(self.body.dof)))
         every = 1 if config.method == "levelset" else config.render_every  # its shape prior is the rendered mask
         coarse, rounds = True, 0
         while fine > 0:
@@ -174,29 +192,41 @@ class Tracker:
             fine -= not coarse
             coarse = coarse and moved > config.settled and rounds < config.coarse_rounds
             fit = replace(fit, result=replace(fit.result, status=_status(fit.result, moved, config.settled)))
-        return replace(fit, energies=_energies([*fixed, *fit.terms], Posed(self.body, fit.result.pose)))
+        return fit
 
-    def _recovered(self, fit: _Fit, views: dict[int, View], fixed: Sequence[Term]) -> _Fit:
-        """Where a part has suddenly lost its contour, try its joints turned either way.
+    def _rival(
+        self, fit: _Fit, claimed: Float, views: dict[int, View], information: Float, found: Sequence[Term]
+    ) -> _Fit | None:
+        """A fit elsewhere that explains the images clearly better than `fit` does, where a limb is in doubt."""
+        rule, posed = self.config.rivals, fit.result.posed
+        poses = list(self._rival_poses(posed, claimed)) if self._started else []
+        if not poses:
+            return None
+        colours = [self._appearance.of(i, view.features.shape[2]) for i, view in views.items()]
+        judge = rule.judge(list(views.values()), colours, posed)
+        evidence = [judge.evidence(pose) for pose in poses]
+        if max(evidence) < rule.margin:
+            return None
+        best = poses[int(np.argmax(evidence))]
+        other = self._fit(best, views, (LimitTerm(), self._rest, GaussianTerm(best, information), *found))
+        return other if judge.evidence(other.result.pose) > rule.margin else None
 
-        The fit with the most agreeing contour points wins, if brightness, which remembers the limb from the frame
-        before, does not object: contours alone would lay one arm upon the other.
-        """
-        rule = self.config.support
-        share, seen = self._part_support(fit)
-        dropped = (seen >= rule.least_points) & (share < rule.drop * self._support)
-        if not self._started or not np.any(dropped):
-            return fit
-        worst = int(np.argmin(np.where(dropped, share, np.inf)))
-        best, agreeing = fit, float(share @ seen)
-        for start in turned_limbs(self.body, fit.result.pose, worst, np.deg2rad(self.config.recovery_deg)):
-            other = self._fit(start, views, fixed)
-            share, seen = self._part_support(other)
-            objection = other.energies.get("photometric", 0.0) - fit.energies.get("photometric", 0.0)
-            heeded = objection <= rule.objection * fit.energies.get("photometric", 0.0)
-            if heeded and share @ seen > agreeing + rule.least_points / 2:
-                best, agreeing = other, float(share @ seen)
-        return best
+    def _rival_poses(self, posed: Posed, claimed: Float) -> Iterator[Pose]:
+        """Where else a limb might be that is in doubt; one limb per frame."""
+        rule = self.config.rivals
+        sd, directions = segment_doubts(posed, claimed)
+        self._doubt = np.maximum(sd, rule.memory * self._doubt)
+        limbs = doubted_limbs(self.body, self._doubt, rule.least_sd)
+        if limbs:
+            s = limbs[self._turn % len(limbs)]
+            yield from rule.along(posed.pose, directions[s] * self._doubt[s] / sd[s])
+            self._turn += 1
+
+    def _forget_motion(self, jump: Float, pose: Pose) -> None:
+        """After a jump to a rival: the last pose was off as well; joints that jumped start again from rest."""
+        last = self._history[-1]
+        q = np.where(np.abs(jump[6:]) > _JUMP, pose.q, last.pose.q)
+        self._history[-1] = Moment(last.time, Pose(last.pose.retract(jump).root, q))
 
     def _part_support(self, fit: _Fit) -> tuple[Float, Int]:
         focal = [sight.view.camera.K[0, 0] for sight in fit.sights]
@@ -206,7 +236,7 @@ class Tracker:
         self, fit: _Fit, views: dict[int, View], fixed: Sequence[Term], coarse: bool, again: bool
     ) -> tuple[_Fit, float]:
         """One alternation, with the body rendered `again` or its contour carried along; and how far it moved, m."""
-        config, posed = self.config, Posed(self.body, fit.result.pose)
+        config, posed = self.config, fit.result.posed
         if again:
             sights = [self._look(posed, camera, view) for camera, view in views.items()]
         else:
@@ -214,8 +244,8 @@ class Tracker:
         evidence = [self._evidence(sight, coarse) for sight in sights]
         terms = [term for by_view, _ in evidence for term in by_view]
         with stage("solve"):
-            result = least_squares(self.body, posed.pose, [*fixed, *terms], steps=config.solver_steps)
-        moved = _reach(result.pose.minus(posed.pose), posed.pose.root[:3, 3])
+            result = least_squares(posed, [*fixed, *terms], steps=config.solver_steps)
+        moved = _moved(sights, result.posed)
         result = replace(result, steps=fit.result.steps + result.steps)
         return _Fit(result, sights, terms, [found for _, found in evidence]), moved
 
@@ -230,7 +260,13 @@ class Tracker:
         """Terms of one camera: its contour, and the brightness of what it saw in the frame before."""
         config = self.config
         with stage("statistics"):
-            found = self._contour.measure(sight.view, sight.seen, sight.contour, config.coarse if coarse else 1.0)
+            found = self._contour.measure(
+                sight.view,
+                sight.seen,
+                sight.contour,
+                config.coarse if coarse else 1.0,
+                self._appearance.of(sight.camera_index, sight.view.features.shape[2]),
+            )
         terms: list[Term] = [found.term]
         template = self._templates[sight.camera_index]
         if config.photometric and template is not None:
@@ -264,9 +300,8 @@ class Tracker:
             return ()
         return self.config.keypoints.terms(frame.keypoints, self._given_rig, Posed(self.body, guess))
 
-    def _remember(self, sights: Sequence[_Sight], pose: Pose) -> None:
+    def _remember(self, sights: Sequence[_Sight], posed: Posed) -> None:
         if self.config.photometric:
-            posed = Posed(self.body, pose)
             for sight in sights:
                 old, cue = self._templates[sight.camera_index], self.config.brightness
                 self._templates[sight.camera_index] = cue.remember(sight.view, sight.seen, posed, old)
@@ -307,18 +342,13 @@ def _status(result: SolveResult, moved: float, settled: float) -> Status:
     return "converged" if moved < settled else "max_iterations"
 
 
-def _reach(step: Float, centre: Float) -> float:
-    """How far a pose step moves the body, m: its root, and a joint's turn at the end of a 0.4 m limb."""
-    shift = step[3:6] + np.cross(step[:3], centre)
-    return float(max(np.linalg.norm(shift), 0.4 * np.abs(step[[0, 1, 2, *range(6, len(step))]]).max(initial=0.0)))
-
-
-def _energies(terms: Sequence[Term], posed: Posed) -> dict[str, float]:
-    """Energy by name of term."""
-    out: dict[str, float] = {}
-    for term in terms:
-        out[term.name] = out.get(term.name, 0.0) + term.energy(posed)
-    return out
+def _moved(sights: Sequence[_Sight], posed: Posed) -> float:
+    """How far the contour has moved on the body since it was measured, m: of all but the farthest fiftieth."""
+    if not sights:
+        return 0.0
+    steps = np.concatenate([s.contour.moved_by(posed, s.view.camera.P) / s.seen.px_per_m for s in sights])
+    k = int(0.98 * len(steps))
+    return float(np.partition(steps, k)[k]) if len(steps) else 0.0
 
 
 def track(

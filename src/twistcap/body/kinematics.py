@@ -73,6 +73,12 @@ class Posed:
         return (T[:, :3, :3] @ marks.points[..., None])[..., 0] + T[:, :3, 3]
 
     @cached_property
+    def segment_middles(self) -> Float:
+        """(S, 3) the middle of each segment's own surface; where it has none, that of the whole body."""
+        T, middles = self.segment_transforms, self.body.segment_middles
+        return (T[:, :3, :3] @ middles[..., None])[..., 0] + T[:, :3, 3]
+
+    @cached_property
     def projector(self) -> Float:
         """(6 S, 6 + J) from a pose step to the world twist of every segment, stacked by segment."""
         return _projector(self.body.chain, self.world_twists)

@@ -121,6 +121,14 @@ class Body:
         return out
 
     @cached_property
+    def segment_middles(self) -> Float:
+        """(S, 3) rest-pose mean of the vertices of each segment; the whole body's where it has none, m."""
+        middles = np.tile(self.vertices.mean(axis=0), (len(self.segment_names), 1))
+        for s in np.unique(self.vertex_part):
+            middles[s] = self.vertices[self.vertex_part == s].mean(axis=0)
+        return middles
+
+    @cached_property
     def joint_points(self) -> Float:
         """(J, 3) a point on each rest-pose axis, the one nearest the origin (0 for sliding joints)."""
         return np.cross(self.twists[:, :3], self.twists[:, 3:])

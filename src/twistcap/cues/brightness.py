@@ -56,7 +56,7 @@ class Brightness:
         depth_tolerance: m that a point may lie behind the rendered surface and still count as seen.
     """
 
-    points: int = 750
+    points: int = 500
     blurs: tuple[float, ...] = (0.020, 0.005)
     sigma: float = 0.015
     scale: float = 0.03

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from twistcap._typing import Float
 from twistcap.cues.evidence import ContourEvidence
 from twistcap.cues.view import View
 from twistcap.region.lines import measured_lines
@@ -39,8 +40,11 @@ class DirectContour:
     share: float = 1.0
     robust: float = 0.01
     inner: float = 0.3
+    known_mass: float = 20.0
 
-    def measure(self, view: View, seen: RenderedView, contour: ContourPoints, coarse: float) -> ContourEvidence:
+    def measure(
+        self, view: View, seen: RenderedView, contour: ContourPoints, coarse: float, colours: Float
+    ) -> ContourEvidence:
         """Measure every contour point along its normal and make a point-to-normal term of it.
 
         `coarse` ≥ 1 lengthens the search lines and loosens the robust scale in early alternations.
@@ -49,7 +53,8 @@ class DirectContour:
         displacement, weight, contrast, target = measured_lines(
             view.features, seen.part, contour.pixels, contour.normals, contour.part, contour.outer,
             contour.inverse_depth, coarse * self.search * scale, self.samples, self.rho * size, self.prior_mass,
-            self.floor, self.clip, self.share, self.inner, self.least_sigma,
+            self.floor, self.clip, self.share, self.inner, self.least_sigma, colours,
+            self.known_mass,
         )  # fmt: skip
         term = PointNormalTerm(
             view.camera.P, contour.points, target, contour.normals, weight, coarse * self.robust * size

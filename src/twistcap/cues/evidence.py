@@ -31,6 +31,11 @@ class ContourEvidence:
 class ContourCue(Protocol):
     """A method that finds the body's contour in an image near where the body was rendered."""
 
-    def measure(self, view: View, seen: RenderedView, contour: ContourPoints, coarse: float) -> ContourEvidence:
-        """Evidence of one view; `coarse` ≥ 1 widens the capture range in early alternations."""
+    def measure(
+        self, view: View, seen: RenderedView, contour: ContourPoints, coarse: float, colours: Float
+    ) -> ContourEvidence:
+        """Evidence of one view; `coarse` ≥ 1 widens the capture range in early alternations.
+
+        `colours` (S, 1 + 2C) is what `Appearance.of` remembers of each part.
+        """
         ...

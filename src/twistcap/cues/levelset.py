@@ -58,7 +58,9 @@ class LevelSetContour:
     share: float = 1.0
     robust: float = 0.01
 
-    def measure(self, view: View, seen: RenderedView, contour: ContourPoints, coarse: float) -> ContourEvidence:
+    def measure(
+        self, view: View, seen: RenderedView, contour: ContourPoints, coarse: float, colours: Float
+    ) -> ContourEvidence:
         """Segment, match the silhouette's points to the evolved contour, and make the term of their rays.
 
         `coarse` ≥ 1 widens the capture range in early alternations.

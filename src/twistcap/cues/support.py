@@ -23,8 +23,6 @@ class SupportRule:
         tolerance: m (on the body) that the boundary may lie off.
         least_points: contour points over all views below which a part is not judged.
         least_share: share of agreeing points below which a part is lost.
-        drop: a part has suddenly lost its contour when its share falls below this much of its running mean.
-        objection: share by which the brightness energy may rise when a limb is sought again.
         memory: weight of the past in the running mean of each part's share, per frame.
     """
 
@@ -32,8 +30,6 @@ class SupportRule:
     tolerance: float = 0.015
     least_points: int = 12
     least_share: float = 0.35
-    drop: float = 0.6
-    objection: float = 0.1
     memory: float = 0.8
 
 

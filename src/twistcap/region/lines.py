@@ -20,7 +20,7 @@ _FAST = {"contract", "reassoc", "arcp", "nnan", "ninf", "nsz"}  # lines are of f
 def measured_lines(
     image: Float32, part_image: Int, pixels: Float, normals: Float, part: Int, outer: Bool, inverse_depth: Float,
     reach: float, half: int, rho: float, prior_mass: float, floor: float, clip: float, share: float, inner: float,
-    least_sigma: float,
+    least_sigma: float, known: Float, known_mass: float,
 ) -> tuple[Float, Float, Float, Float]:  # fmt: skip
     """All of a view's lines by the four steps below, whose arguments these are, and what they weigh.
 
@@ -35,7 +35,7 @@ def measured_lines(
     step = np.maximum(reach / half * inverse_depth, 0.25)
     values, first, last = sample_lines(image, part_image, pixels, normals, part, outer, step, half)
     moments = line_moments(values, first, last, step)
-    mean, variance = pooled_gaussians(moments, pixels, part, rho, prior_mass, floor)
+    mean, variance = pooled_gaussians(moments, pixels, part, rho, prior_mass, floor, known, known_mass)
     displacement, spread, evidence = boundary_posterior(values, first, last, step, mean, variance, clip)
     weight, target = np.empty_like(spread), np.empty_like(pixels)
     for n in range(len(pixels)):
@@ -149,7 +149,14 @@ def _pooled(moments: Float, pixels: Float, part: Int, rho: float) -> Float:
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def pooled_gaussians(
-    moments: Float, pixels: Float, part: Int, rho: float, prior_mass: float, floor: float
+    moments: Float,
+    pixels: Float,
+    part: Int,
+    rho: float,
+    prior_mass: float,
+    floor: float,
+    known: Float,
+    known_mass: float,
 ) -> tuple[Float, Float]:
     """Local means and variances (N, 2, C) of both sides, pooled over the lines of the same part within about `rho` px.
 
@@ -168,7 +175,11 @@ def pooled_gaussians(
         for side in range(2):
             fallback = whole[part[n], side] if whole[part[n], side, 0] > 0.0 else everything[side]
             share = prior_mass / fallback[0] if fallback[0] > 0.0 else 0.0
-            mass = max(pooled[n, side, 0] + share * fallback[0], 1e-9)
+            prior = share * fallback[0]
+            if side == 0 and known[part[n], 0] > 0.0:
+                fallback, share = known[part[n]], known_mass * known[part[n], 0]
+                prior = share
+            mass = max(pooled[n, side, 0] + prior, 1e-9)
             for c in range(channels):
                 mu = (pooled[n, side, 1 + c] + share * fallback[1 + c]) / mass
                 second = (pooled[n, side, 1 + channels + c] + share * fallback[1 + channels + c]) / mass

@@ -49,10 +49,25 @@ class ContourPoints:
         )  # fmt: skip
 
 
+    def moved_by(self, posed: Posed, P: Float) -> Float:
+        """(N,) px by which the points lie elsewhere with the body so posed."""
+        return step_lengths(P, self.points.at(posed), self.pixels)
+
+
 def reprojected(contour: ContourPoints, posed: Posed, P: Float) -> ContourPoints:
     """The same contour points after the body moved a little; their normals and order of depth are taken to stay."""
     pixels, inverse_depth = project_pinhole(P, contour.points.at(posed))
     return replace(contour, pixels=pixels, inverse_depth=inverse_depth)
+
+
+@njit(cache=True, nogil=True)
+def step_lengths(P: Float, world: Float, pixels: Float) -> Float:
+    """(N,) px between the projections of world points (N, 3) and `pixels` (N, 2)."""
+    now, _ = project_pinhole(P, world)
+    out = np.empty(len(now))
+    for n in range(len(now)):
+        out[n] = np.hypot(now[n, 0] - pixels[n, 0], now[n, 1] - pixels[n, 1])
+    return out
 
 
 def visible_contour(view: RenderedView, spacing: float = 3.0, inner_gap: float = 0.04) -> ContourPoints:

@@ -73,7 +73,11 @@ class GaussianTerm:
     def linearize(self, posed: Posed) -> Quadratic:
         d = posed.pose.minus(self.mean)
         # d = log(exp(δ) exp(d_root)): its derivative by δ is the inverse left Jacobian at d.
-        D = np.eye(len(d))
-        D[:6, :6] = se3.inverse_left_jacobian(d[:6])
-        A = self.information @ D
-        return Quadratic(0.5 * float(d @ self.information @ d), A.T @ d, D.T @ A)
+        D = se3.inverse_left_jacobian_one(d[:6])
+        along = self.information @ d
+        value = 0.5 * float(d @ along)
+        H = self.information.copy()
+        H[:6] = D.T @ H[:6]
+        H[:, :6] = H[:, :6] @ D
+        along[:6] = D.T @ along[:6]
+        return Quadratic(value, along, H)

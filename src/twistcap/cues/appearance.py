@@ -1,0 +1,84 @@
+"""What each part of the body has looked like to each camera: the colours that a frame's statistics start from.
+
+Statistics taken from the present frame alone forget: once a limb's contour has slipped onto the background, the
+background's colours pass for the limb's, and nothing pulls it back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from twistcap._typing import Bool, Float, Float32, Int
+from twistcap.cues.view import View
+from twistcap.render import RenderedView
+
+
+@dataclass(frozen=True)
+class AppearanceRule:
+    """How colours are remembered.
+
+    Attributes:
+        memory: share of what is known that is kept from frame to frame.
+        least_share: share of a part's contour that must agree with the image before it is learnt from.
+        other_cameras: weight of what other cameras have seen of a part.
+        shading: standard deviation of a part's lightness from camera to camera: one sees its sunny side, one the other.
+        trusted: pixels, over all frames remembered, at which colours are trusted by half.
+    """
+
+    memory: float = 0.9
+    least_share: float = 0.7
+    other_cameras: float = 0.3
+    shading: float = 0.12
+    trusted: float = 100.0
+
+
+class Appearance:
+    """Colours of S parts in each of a rig's cameras, learnt from frame to frame."""
+
+    def __init__(self, cameras: int, parts: int, rule: AppearanceRule) -> None:
+        self._rule, self._cameras, self._parts = rule, cameras, parts
+        self._sums: Float | None = None  # until the first image tells how many channels there are
+
+    def of(self, camera_index: int, channels: int) -> Float:
+        """(S, 1 + 2C) confidence 0 … 1, mean and mean square of each part's colours in a camera."""
+        sums = self._all(channels)
+        borrowed = self._rule.other_cameras * (sums.sum(axis=0) - sums[camera_index])
+        borrowed[:, 1 + channels] += self._rule.shading**2 * borrowed[:, 0]
+        pooled = sums[camera_index] + borrowed
+        mass = pooled[:, :1]
+        return np.concatenate([mass / (mass + self._rule.trusted), pooled[:, 1:] / np.maximum(mass, 1e-9)], axis=1)
+
+    def learn(self, camera_index: int, view: View, seen: RenderedView, share: Float) -> None:
+        """Add a view's colours to what is known, of those parts (S,) whose contour agrees well enough."""
+        sums = self._all(view.features.shape[2])[camera_index]
+        now = part_colours(view.features, seen.part, share >= self._rule.least_share)
+        learnt = now[:, 0] > 0.0
+        sums[learnt] = self._rule.memory * sums[learnt] + now[learnt]
+
+    def _all(self, channels: int) -> Float:
+        if self._sums is None:
+            self._sums = np.zeros((self._cameras, self._parts, 1 + 2 * channels))
+        return self._sums
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+def part_colours(features: Float32, part: Int, wanted: Bool) -> Float:
+    """(S, 1 + 2C) number, sum and sum of squares of the pixels inside each wanted part, none at its rim."""
+    height, width, channels = features.shape
+    out = np.zeros((len(wanted), 1 + 2 * channels))
+    for r in range(1, height - 1):
+        for c in range(1, width - 1):
+            s = part[r, c]
+            if s < 0 or not wanted[s]:
+                continue
+            if part[r - 1, c] != s or part[r + 1, c] != s or part[r, c - 1] != s or part[r, c + 1] != s:
+                continue
+            out[s, 0] += 1.0
+            for j in range(channels):
+                value = features[r, c, j]
+                out[s, 1 + j] += value
+                out[s, 1 + channels + j] += value * value
+    return out
