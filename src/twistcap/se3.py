@@ -293,7 +293,8 @@ def inverse_left_jacobian_one(twist: Float) -> Float:
     series = eye.copy()
     for n in range(40, 0, -1):
         series = eye + ad @ series / (n + 1)
-    return np.linalg.inv(series)
+    inverse: Float = np.linalg.inv(series)
+    return inverse
 
 
 @njit(cache=True, nogil=True)

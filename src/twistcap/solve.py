@@ -8,11 +8,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.linalg.lapack import dposv
+from scipy.linalg import get_lapack_funcs
 
 from twistcap._typing import Float
 from twistcap.body import Pose, Posed
 from twistcap.terms import PointTerm, Quadratic, SegmentSums, Term
+
+_posv = get_lapack_funcs("posv", dtype=np.float64)  # Cholesky, without the cost of scipy's batching
 
 Status = Literal["converged", "max_iterations", "stalled", "failed"]
 
@@ -107,7 +109,7 @@ def damped_step(quadratic: Quadratic, damping: float) -> Float | None:
     H = quadratic.hessian.copy()
     diagonal = np.diagonal(quadratic.hessian)
     np.fill_diagonal(H, (1.0 + damping) * diagonal + 1e-9 * (1.0 + diagonal.max()))
-    _, step, failed = dposv(H, -quadratic.gradient)
+    _, step, failed = _posv(H, -quadratic.gradient)
     if failed:
         return None
     return step / max(1.0, float(np.abs(step).max()))  # beyond 1 rad no linearisation holds
@@ -146,5 +148,5 @@ def covariance(quadratic: Quadratic) -> Float:
 
 def _inverse(H: Float) -> Float | None:
     """Inverse of a symmetric matrix by Cholesky; None where it is not positive definite."""
-    _, inverse, failed = dposv(H, np.eye(len(H)))
+    _, inverse, failed = _posv(H, np.eye(len(H)))
     return None if failed else 0.5 * (inverse + inverse.T)

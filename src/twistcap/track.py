@@ -5,13 +5,13 @@ ARCHITECTURE.md walks through one frame; the settings of each cue stand with the
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
-from twistcap._typing import Float, Int
+from twistcap._typing import Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Rig
 from twistcap.cues.appearance import Appearance, AppearanceRule
@@ -20,8 +20,8 @@ from twistcap.cues.direct import DirectContour
 from twistcap.cues.evidence import ContourCue, ContourEvidence
 from twistcap.cues.keypoints import KeypointCue
 from twistcap.cues.levelset import LevelSetContour
-from twistcap.cues.rivals import RivalRule, doubted_limbs, segment_doubts
-from twistcap.cues.support import SupportRule, part_support
+from twistcap.cues.rivals import RivalRule, Rivals
+from twistcap.cues.support import SupportRule, part_tally
 from twistcap.cues.view import View, crop_view
 from twistcap.estimate import Estimate, Frame
 from twistcap.features import Channels
@@ -49,8 +49,11 @@ class TrackerConfig:
         first_iterations: the same in the first frame, which starts from a given pose.
         coarse: factor on the contour cue's capture range in the coarse alternations that come first.
         coarse_rounds: coarse alternations at most; one is enough where the prediction was good.
+        surprise: m by which the first, fine alternation moves the contour where the prediction was not good enough, so
+            that coarse ones follow.
         settled: m that the contour may still move in a coarse alternation that is the last one.
-        render_every: the body is rendered anew in every so many alternations (always for the level set).
+        render_after: m that the contour may have moved, all in all, before the body is rendered anew (the level set
+            always renders: its shape prior is the rendered mask).
         contour_spacing: m on the body between contour samples.
         solver_steps: Gauss-Newton steps in each alternation.
         margin: m about the expected body within which images are looked at.
@@ -69,8 +72,9 @@ class TrackerConfig:
     first_iterations: int = 10
     coarse: float = 3.0
     coarse_rounds: int = 5
-    settled: float = 0.008
-    render_every: int = 4
+    surprise: float = 0.0085
+    settled: float = 0.006
+    render_after: float = 0.008
     contour_spacing: float = 0.032
     solver_steps: int = 1
     margin: float = 0.2
@@ -105,6 +109,8 @@ class _Fit:
     sights: Sequence[_Sight] = ()
     terms: Sequence[Term] = ()
     found: Sequence[ContourEvidence] = ()
+    moved: float = 0.0  # m by which the last update moved the contour
+    strayed: float = 0.0  # m since the body was rendered
 
 
 class Tracker:
@@ -121,6 +127,9 @@ class Tracker:
         self._covariance = np.zeros((body.dof, body.dof))
         self._seen_time = 0.0
         self._started = False
+        self._appearance = Appearance(len(rig), len(body.segment_names), self.config.appearance)
+        self._colours: dict[int, Float] = {}  # of this frame's views
+        self._rivals = Rivals(body, self.config.rivals)
 
     def start(self, pose: Pose, time: float = 0.0) -> None:
         """Take the pose from which the first frame is tracked."""
@@ -128,8 +137,7 @@ class Tracker:
         self._appearance = Appearance(len(self.rig), len(self.body.segment_names), self.config.appearance)
         self._templates = [None] * len(self.rig)
         self._support[:] = 1.0
-        self._doubt = np.zeros(len(self.body.segment_names))
-        self._turn = 0
+        self._rivals = Rivals(self.body, self.config.rivals)
         self._seen_time = time
         self._started = False
 
@@ -155,6 +163,7 @@ class Tracker:
             self._advance(frame.time, guess)
             claimed = self._covariance + config.inflation**2 * expected
             return Estimate(frame.index, frame.time, guess, claimed, {}, "no_images", support=0.0)
+        self._colours = {i: self._appearance.of(i, view.features.shape[2]) for i, view in views.items()}
         fit = self._fit(guess, views, fixed)
         claimed = self._claimed(fit.result, expected)
         with stage("rivals"):
@@ -164,63 +173,47 @@ class Tracker:
             fit, claimed = rival, self._claimed(rival.result, expected)
         self._covariance = claimed
         with stage("remember"):
-            self._remember(fit.sights, fit.result.posed)
-            for sight, seen in zip(fit.sights, fit.found, strict=True):
-                share, _ = part_support(
-                    [seen], [sight.view.camera.K[0, 0]], len(self.body.segment_names), config.support
-                )
-                self._appearance.learn(sight.camera_index, sight.view, sight.seen, share)
+            self._remember(fit)
         self._advance(frame.time, fit.result.pose)
         self._seen_time = frame.time
-        support = self._judge(fit)
+        support = float(self._support.min())
         return Estimate(
             frame.index, frame.time, fit.result.pose, self._covariance, fit.result.energies, fit.result.status,
             fit.result.steps, support < config.support.least_share, support,
         )  # fmt: skip
 
     def _fit(self, guess: Pose, views: dict[int, View], fixed: Sequence[Term]) -> _Fit:
-        """Alternate correspond and update: coarse until the body has settled, then fine."""
+        """Alternate correspond and update: fine where the prediction was good, else coarse until it settles."""
         config = self.config
-        fine = config.iterations if self._started else config.first_iterations
-        posed = Posed(self.body, guess)
-        fit = _Fit(SolveResult(posed, "max_iterations", 0, {}, Quadratic.zero(self.body.dof)))
-        every = 1 if config.method == "levelset" else config.render_every  # its shape prior is the rendered mask
-        coarse, rounds = True, 0
-        while fine > 0:
-            fit, moved = self._alternate(fit, views, fixed, coarse, again=coarse or rounds % every == 0)
-            rounds += 1
-            fine -= not coarse
-            coarse = coarse and moved > config.settled and rounds < config.coarse_rounds
-            fit = replace(fit, result=replace(fit.result, status=_status(fit.result, moved, config.settled)))
-        return fit
+        fit = _Fit(SolveResult(Posed(self.body, guess), "max_iterations", 0, {}, Quadratic.zero(self.body.dof)))
+        fine = config.first_iterations
+        if self._started:
+            fit, fine = self._alternate(fit, views, fixed, coarse=False), config.iterations - 1
+        if not self._started or fit.moved > config.surprise:
+            for _ in range(config.coarse_rounds):
+                fit = self._alternate(fit, views, fixed, coarse=True)
+                if fit.moved <= config.settled:
+                    break
+            fine = config.iterations if self._started else config.first_iterations
+        for _ in range(fine):
+            fit = self._alternate(fit, views, fixed, coarse=False)
+        return replace(fit, result=replace(fit.result, status=_status(fit.result, fit.moved, config.settled)))
 
     def _rival(
         self, fit: _Fit, claimed: Float, views: dict[int, View], information: Float, found: Sequence[Term]
     ) -> _Fit | None:
         """A fit elsewhere that explains the images clearly better than `fit` does, where a limb is in doubt."""
         rule, posed = self.config.rivals, fit.result.posed
-        poses = list(self._rival_poses(posed, claimed)) if self._started else []
+        poses = self._rivals.poses(posed, claimed) if self._started else []
         if not poses:
             return None
-        colours = [self._appearance.of(i, view.features.shape[2]) for i, view in views.items()]
-        judge = rule.judge(list(views.values()), colours, posed)
+        judge = self._rivals.judge(list(views.values()), [self._colours[i] for i in views], posed)
         evidence = [judge.evidence(pose) for pose in poses]
-        if max(evidence) < rule.margin:
+        if max(evidence) < rule.promising:
             return None
         best = poses[int(np.argmax(evidence))]
         other = self._fit(best, views, (LimitTerm(), self._rest, GaussianTerm(best, information), *found))
         return other if judge.evidence(other.result.pose) > rule.margin else None
-
-    def _rival_poses(self, posed: Posed, claimed: Float) -> Iterator[Pose]:
-        """Where else a limb might be that is in doubt; one limb per frame."""
-        rule = self.config.rivals
-        sd, directions = segment_doubts(posed, claimed)
-        self._doubt = np.maximum(sd, rule.memory * self._doubt)
-        limbs = doubted_limbs(self.body, self._doubt, rule.least_sd)
-        if limbs:
-            s = limbs[self._turn % len(limbs)]
-            yield from rule.along(posed.pose, directions[s] * self._doubt[s] / sd[s])
-            self._turn += 1
 
     def _forget_motion(self, jump: Float, pose: Pose) -> None:
         """After a jump to a rival: the last pose was off as well; joints that jumped start again from rest."""
@@ -228,15 +221,10 @@ class Tracker:
         q = np.where(np.abs(jump[6:]) > _JUMP, pose.q, last.pose.q)
         self._history[-1] = Moment(last.time, Pose(last.pose.retract(jump).root, q))
 
-    def _part_support(self, fit: _Fit) -> tuple[Float, Int]:
-        focal = [sight.view.camera.K[0, 0] for sight in fit.sights]
-        return part_support(fit.found, focal, len(self.body.segment_names), self.config.support)
-
-    def _alternate(
-        self, fit: _Fit, views: dict[int, View], fixed: Sequence[Term], coarse: bool, again: bool
-    ) -> tuple[_Fit, float]:
-        """One alternation, with the body rendered `again` or its contour carried along; and how far it moved, m."""
+    def _alternate(self, fit: _Fit, views: dict[int, View], fixed: Sequence[Term], coarse: bool) -> _Fit:
+        """One alternation; the body is rendered anew where it has moved, else its contour is carried along."""
         config, posed = self.config, fit.result.posed
+        again = not fit.sights or config.method == "levelset" or fit.strayed > config.render_after
         if again:
             sights = [self._look(posed, camera, view) for camera, view in views.items()]
         else:
@@ -247,7 +235,8 @@ class Tracker:
             result = least_squares(posed, [*fixed, *terms], steps=config.solver_steps)
         moved = _moved(sights, result.posed)
         result = replace(result, steps=fit.result.steps + result.steps)
-        return _Fit(result, sights, terms, [found for _, found in evidence]), moved
+        strayed = moved if again else fit.strayed + moved
+        return _Fit(result, sights, terms, [found for _, found in evidence], moved, strayed)
 
     def _look(self, posed: Posed, camera_index: int, view: View) -> _Sight:
         with stage("render"):
@@ -260,13 +249,8 @@ class Tracker:
         """Terms of one camera: its contour, and the brightness of what it saw in the frame before."""
         config = self.config
         with stage("statistics"):
-            found = self._contour.measure(
-                sight.view,
-                sight.seen,
-                sight.contour,
-                config.coarse if coarse else 1.0,
-                self._appearance.of(sight.camera_index, sight.view.features.shape[2]),
-            )
+            wide, colours = config.coarse if coarse else 1.0, self._colours[sight.camera_index]
+            found = self._contour.measure(sight.view, sight.seen, sight.contour, wide, colours)
         terms: list[Term] = [found.term]
         template = self._templates[sight.camera_index]
         if config.photometric and template is not None:
@@ -300,11 +284,20 @@ class Tracker:
             return ()
         return self.config.keypoints.terms(frame.keypoints, self._given_rig, Posed(self.body, guess))
 
-    def _remember(self, sights: Sequence[_Sight], posed: Posed) -> None:
-        if self.config.photometric:
-            for sight in sights:
-                old, cue = self._templates[sight.camera_index], self.config.brightness
-                self._templates[sight.camera_index] = cue.remember(sight.view, sight.seen, posed, old)
+    def _remember(self, fit: _Fit) -> None:
+        """Learn from the settled frame: brightness of the surface, colours of the parts, and how well they agree."""
+        rule, parts = self.config.support, len(self.body.segment_names)
+        good, seen = np.zeros(parts), np.zeros(parts, dtype=np.int32)
+        for sight, found in zip(fit.sights, fit.found, strict=True):
+            i, cue = sight.camera_index, self.config.brightness
+            if self.config.photometric:
+                self._templates[i] = cue.remember(sight.view, sight.seen, fit.result.posed, self._templates[i])
+            agreeing, points = part_tally(found, sight.view.camera.K[0, 0], parts, rule)
+            self._appearance.learn(i, sight.view, sight.seen, agreeing / np.maximum(points, 1))
+            good, seen = good + agreeing, seen + points
+        judged = seen >= rule.least_points  # a part that is hardly seen keeps the support it had
+        self._support[judged] *= rule.memory
+        self._support[judged] += (1.0 - rule.memory) * good[judged] / seen[judged]
 
     def _advance(self, time: float, pose: Pose) -> None:
         if not self._started:
@@ -325,14 +318,6 @@ class Tracker:
         information = result.quadratic.hessian - np.linalg.inv(expected)
         zero = np.zeros(self.body.dof)
         return covariance(Quadratic(0.0, zero, information / scale + np.linalg.inv(before)))
-
-    def _judge(self, fit: _Fit) -> float:
-        """The least support of any part, after this frame; a part that is hardly seen keeps what it had."""
-        rule = self.config.support
-        share, seen = self._part_support(fit)
-        judged = seen >= rule.least_points
-        self._support[judged] = rule.memory * self._support[judged] + (1.0 - rule.memory) * share[judged]
-        return float(self._support.min())
 
 
 def _status(result: SolveResult, moved: float, settled: float) -> Status:

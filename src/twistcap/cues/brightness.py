@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,9 +12,9 @@ from twistcap._typing import Bool, Float, Float32, Int
 from twistcap.body import Posed
 from twistcap.cues.view import View
 from twistcap.render import RenderedView, SurfacePoints
-from twistcap.render.raster import project_pinhole
 from twistcap.terms import PhotometricTerm
-from twistcap.terms.photometric import sample_with_gradient
+from twistcap.terms.accumulate import skinned_point
+from twistcap.terms.photometric import sample
 
 
 @dataclass(frozen=True)
@@ -29,10 +30,6 @@ class Template:
     points: SurfacePoints
     value: Float
     gradient: Float
-
-    def __getitem__(self, which: Int) -> Template:
-        """The points of some indices."""
-        return Template(self.points[which], np.take(self.value, which, axis=1), np.take(self.gradient, which, axis=1))
 
     def __add__(self, other: Template) -> Template:
         """Both templates' points."""
@@ -70,39 +67,20 @@ class Brightness:
         Points of the old template that are still seen stay, one in each cell of a grid, and their brightness follows
         the image slowly, which keeps the track from creeping along the surface; new points fill the empty cells.
         """
-        area = max(int(np.count_nonzero(seen.mask)), 1)
-        cell = max(1, round(float(np.sqrt(area / max(self.points, 1)))))
+        cell = max(1, round(math.sqrt(max(np.count_nonzero(seen.mask), 1) / max(self.points, 1))))
         occupied = np.zeros((view.grey.shape[0] // cell + 1, view.grey.shape[1] // cell + 1), dtype=np.bool_)
-        kept = None if old is None else self._still_seen(view, seen, posed, old, cell, occupied)
-        rows, columns = strongest_in_cells(view.grey, seen.inverse_depth_image, cell, occupied)
-        fresh = self._template(view, seen, posed, seen.surface_points(rows, columns))
-        return fresh if kept is None else kept + fresh
-
-    def _still_seen(
-        self, view: View, seen: RenderedView, posed: Posed, old: Template, cell: int, occupied: Bool
-    ) -> Template:
-        """The old points that are still seen, one in each cell, refreshed; their cells are marked as occupied."""
-        P, world = view.camera.P, old.points.at(posed)
-        visible = visible_points(P, world, seen.inverse_depth_image, self.depth_tolerance)
-        old = old[first_in_cells(project_pinhole(P, world)[0], visible, cell, occupied)]
-        now = self._template(view, seen, posed, old.points)
-        off_by = np.abs(now.value[-1] - old.value[-1])
-        a = self.update
-        followed = Template(
-            old.points, (1.0 - a) * old.value + a * now.value, (1.0 - a) * old.gradient + a * now.gradient
-        )
-        return followed[np.flatnonzero(off_by < 2.0 * self.scale).astype(np.int32)]
-
-    def _template(self, view: View, seen: RenderedView, posed: Posed, points: SurfacePoints) -> Template:
-        """Brightness of points as they now lie in the image; NaN outside it."""
-        pixels, _ = project_pinhole(view.camera.P, points.at(posed))
-        x, y = np.ascontiguousarray(pixels.T)
-        value, gradient = np.empty((len(self.blurs), len(points))), np.empty((len(self.blurs), len(points), 2))
-        for level, blur in enumerate(self.blurs):
-            image = view.blurred(blur * seen.px_per_m)
-            value[level], gradient[level, :, 0], gradient[level, :, 1], valid = sample_with_gradient(image, x, y)
-            value[level, valid == 0] = np.nan
-        return Template(points, value, gradient)
+        images = tuple(view.blurred(blur * seen.px_per_m) for blur in self.blurs)
+        P, T = view.camera.P, posed.segment_transforms
+        kept: Template | None = None
+        if old is not None:
+            value, gradient, which = refreshed(
+                P, T, old.points.segments, old.points.weights, old.points.local, old.value, old.gradient, images,
+                seen.inverse_depth_image, self.depth_tolerance, self.update, 2.0 * self.scale, cell, occupied,
+            )  # fmt: skip
+            kept = Template(old.points[which], value, gradient)
+        fresh = seen.surface_points(*strongest_in_cells(view.grey, seen.inverse_depth_image, cell, occupied))
+        new = Template(fresh, *template_values(P, T, fresh.segments, fresh.weights, fresh.local, images))
+        return new if kept is None else kept + new
 
     def term(self, view: View, seen: RenderedView, template: Template, level: int) -> PhotometricTerm:
         """Brightness constancy of the template's points that the rendered view says are visible."""
@@ -115,19 +93,78 @@ class Brightness:
 
 
 @njit(cache=True, nogil=True)
-def first_in_cells(pixels: Float, visible: Float, cell: int, occupied: Bool) -> Int:
-    """Indices of the points that are visible and the first in their cell of the grid `occupied`, which is filled in."""
-    out = np.empty(len(pixels), dtype=np.int32)
+def template_values(
+    P: Float, transforms: Float, segments: Int, weights: Float, local: Float, images: tuple[Float32, ...]
+) -> tuple[Float, Float]:
+    """Brightness (B, N) and image gradient (B, N, 2) of surface points in the B blurs of an image; NaN outside it."""
+    B, N = len(images), len(local)
+    value, gradient = np.full((B, N), np.nan), np.zeros((B, N, 2))
+    for n in range(N):
+        x, y, _, before = _projected(P, transforms, segments, weights, local, n)
+        for b in range(B):
+            here, gx, gy, inside = sample(images[b], x, y)
+            if before and inside:
+                value[b, n], gradient[b, n, 0], gradient[b, n, 1] = here, gx, gy
+    return value, gradient
+
+
+@njit(cache=True, nogil=True)
+def refreshed(
+    P: Float, transforms: Float, segments: Int, weights: Float, local: Float, value: Float, gradient: Float,
+    images: tuple[Float32, ...], inverse_depth: Float32, tolerance: float, update: float, most: float, cell: int,
+    occupied: Bool,
+) -> tuple[Float, Float, Int]:  # fmt: skip
+    """Template points that are still seen, the first in each cell of the grid `occupied`, which is filled in.
+
+    Args:
+        value, gradient: (B, N) and (B, N, 2) of the old template, finest blur last.
+        images: the B blurs of the present image.
+        inverse_depth: (H, W) of the rendered body; a point is seen no more than `tolerance` m behind it.
+        update: share of the present brightness that is taken over.
+        most: difference of brightness beyond which a point is given up.
+
+    Returns:
+        New values (B, M), gradients (B, M, 2) and indices (M,) of the points kept.
+    """
+    B, N = value.shape
+    kept, now, slope = np.empty(N, dtype=np.int32), np.empty((B, N)), np.empty((B, N, 2))
+    height, width = inverse_depth.shape
     count = 0
-    for n in range(len(pixels)):
-        if visible[n] == 0.0:
+    for n in range(N):
+        x, y, depth, before = _projected(P, transforms, segments, weights, local, n)
+        if not before or not (-0.5 <= x < width - 0.5 and -0.5 <= y < height - 0.5):
             continue
-        r, c = (int(np.round(pixels[n, 1])) - 2) // cell, (int(np.round(pixels[n, 0])) - 2) // cell
-        if 0 <= r < occupied.shape[0] and 0 <= c < occupied.shape[1] and not occupied[r, c]:
+        row, column = int(np.round(y)), int(np.round(x))
+        surface = inverse_depth[row, column]
+        r, c = (row - 2) // cell, (column - 2) // cell
+        if surface == 0.0 or depth >= 1.0 / surface + tolerance or row < 2 or column < 2 or occupied[r, c]:
+            continue
+        all_inside = True
+        for b in range(B):
+            here, gx, gy, inside = sample(images[b], x, y)
+            all_inside &= inside
+            now[b, count] = value[b, n] + update * (here - value[b, n])
+            slope[b, count, 0] = gradient[b, n, 0] + update * (gx - gradient[b, n, 0])
+            slope[b, count, 1] = gradient[b, n, 1] + update * (gy - gradient[b, n, 1])
+        if all_inside and abs(now[B - 1, count] - value[B - 1, n]) < update * most:
             occupied[r, c] = True
-            out[count] = n
+            kept[count] = n
             count += 1
-    return out[:count]
+    return now[:, :count].copy(), slope[:, :count].copy(), kept[:count].copy()
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _projected(
+    P: Float, transforms: Float, segments: Int, weights: Float, local: Float, n: int
+) -> tuple[float, float, float, bool]:
+    """Pixel (x, y) and depth (m) of surface point n, and whether it lies before the camera."""
+    X, Y, Z = skinned_point(transforms, segments, weights, local, n)
+    depth = P[2, 0] * X + P[2, 1] * Y + P[2, 2] * Z + P[2, 3]
+    if depth < 1e-3:
+        return 0.0, 0.0, depth, False
+    x = (P[0, 0] * X + P[0, 1] * Y + P[0, 2] * Z + P[0, 3]) / depth
+    y = (P[1, 0] * X + P[1, 1] * Y + P[1, 2] * Z + P[1, 3]) / depth
+    return x, y, depth, True
 
 
 @njit(cache=True, nogil=True)
@@ -147,22 +184,25 @@ def strongest_in_cells(grey: Float32, inverse_depth: Float32, cell: int, occupie
                     w = inverse_depth[r, c]
                     if w == 0.0:
                         continue
-                    depth = 1.0 / w
-                    at_rim = False
-                    for dr, dc in ((-2, 0), (2, 0), (0, -2), (0, 2)):
-                        other = inverse_depth[r + dr, c + dc]
-                        if other == 0.0 or abs(1.0 / other - depth) > 0.04:
-                            at_rim = True
-                    if at_rim:
-                        continue
                     gx, gy = grey[r, c + 1] - grey[r, c - 1], grey[r + 1, c] - grey[r - 1, c]
                     strength = 1e-9 + gx * gx + gy * gy
-                    if strength > best:
+                    if strength > best and not _at_rim(inverse_depth, r, c):
                         best, best_row, best_column = strength, r, c
             if best_row >= 0:
                 rows[count], columns[count] = best_row, best_column
                 count += 1
     return rows[:count], columns[:count]
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _at_rim(inverse_depth: Float32, r: int, c: int) -> bool:
+    """Whether the body ends, or its depth jumps by 4 cm, two pixels off."""
+    w = inverse_depth[r, c]
+    for dr, dc in ((-2, 0), (2, 0), (0, -2), (0, 2)):
+        other = inverse_depth[r + dr, c + dc]
+        if other == 0.0 or abs(w - other) > 0.04 * w * other:
+            return True
+    return False
 
 
 @njit(cache=True, nogil=True)

@@ -6,7 +6,7 @@ where the image could pull it back. The covariance knows the direction in which 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -17,7 +17,7 @@ from twistcap._typing import Bool, Float, Float32, Int
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Camera
 from twistcap.cues.view import View
-from twistcap.region.compare import background_moments, label_evidence
+from twistcap.region.compare import BLOCK, background_moments, label_evidence
 from twistcap.render import render
 
 
@@ -29,9 +29,12 @@ class RivalRule:
         least_sd: m of uncertainty of a segment's middle from which on it is in doubt.
         memory: share of its doubt that a segment keeps from frame to frame when it suddenly seems certain.
         steps: how far rivals lie off, in standard deviations along the least certain direction.
-        margin: nats by which a rival must explain the images better.
+        every: rivals are tried in every so many frames, of one limb after the other.
+        promising: nats from which on a rival is fitted to the images, which it may miss by little yet.
+        margin: nats by which a fitted rival must explain the images better.
         px_per_m: resolution at which images are compared.
         radius: m about a pixel from which its background is gathered.
+        berth: m about either pose within which nothing counts as background.
         floor: least variance of a density, brightness².
         clip: most that one pixel can say, nats.
     """
@@ -39,29 +42,43 @@ class RivalRule:
     least_sd: float = 0.03
     memory: float = 0.9
     steps: tuple[float, ...] = (-2.4, -1.2, 1.2, 2.4)
-    margin: float = 10.0
+    every: int = 3
+    promising: float = -10.0
+    margin: float = 15.0
     px_per_m: float = 60.0
     radius: float = 0.1
+    berth: float = 0.05
     floor: float = 4e-4
     clip: float = 3.0
 
-    def along(self, pose: Pose, direction: Float) -> Iterator[Pose]:
-        """Poses along a direction (6 + J,), a standard deviation in length."""
-        for step in self.steps:
-            yield pose.retract(step * direction)
+
+class Rivals:
+    """Remembers which limbs are in doubt, proposes where else they might be, one limb at a time, and judges."""
+
+    def __init__(self, body: Body, rule: RivalRule) -> None:
+        self._body, self._rule = body, rule
+        self._doubt = np.zeros(len(body.segment_names))
+        self._frame = 0
+
+    def poses(self, posed: Posed, covariance: Float) -> list[Pose]:
+        """Rivals of a pose of this covariance (6 + J, 6 + J); most often there are none. To be asked in every frame."""
+        rule = self._rule
+        self._frame += 1
+        if self._frame % rule.every:
+            return []
+        sd, directions = segment_doubts(posed, covariance)
+        self._doubt = np.maximum(sd, rule.memory**rule.every * self._doubt)
+        limbs = doubted_limbs(self._body, self._doubt, rule.least_sd)
+        if not limbs:
+            return []
+        s = limbs[self._frame // rule.every % len(limbs)]
+        direction = directions[s] * self._doubt[s] / sd[s]
+        return [posed.pose.retract(step * direction) for step in rule.steps]
 
     def judge(self, views: Sequence[View], colours: Sequence[Float], posed: Posed) -> Judge:
         """The judge of rivals of a posed body in views in which its parts have the given colours."""
-        scenes = [self._scene(view, known, posed) for view, known in zip(views, colours, strict=True)]
-        return Judge(self, posed.body, scenes)
-
-    def _scene(self, view: View, colours: Float, posed: Posed) -> _Scene:
-        seen_from = view.camera
-        depth = seen_from.T_cam_world[2, :3] @ posed.pose.root[:3, 3] + seen_from.T_cam_world[2, 3]
-        factor = min(1.0, self.px_per_m * max(depth, 0.1) / seen_from.K[0, 0])
-        camera = seen_from.scaled(factor)
-        features = cv2.resize(view.features, camera.size, interpolation=cv2.INTER_AREA).reshape(*camera.size[::-1], -1)
-        return _Scene(camera, features, colours, render(posed, camera).part)
+        scenes = [_scene(self._rule, view, known, posed) for view, known in zip(views, colours, strict=True)]
+        return Judge(self._rule, self._body, scenes)
 
 
 @dataclass(frozen=True)
@@ -72,6 +89,15 @@ class _Scene:
     features: Float32
     colours: Float
     part: Int
+
+
+def _scene(rule: RivalRule, view: View, colours: Float, posed: Posed) -> _Scene:
+    seen_from = view.camera
+    depth = seen_from.T_cam_world[2, :3] @ posed.pose.root[:3, 3] + seen_from.T_cam_world[2, 3]
+    camera = seen_from.scaled(min(1.0, rule.px_per_m * max(depth, 0.1) / seen_from.K[0, 0]))
+    features = cv2.resize(view.features, camera.size, interpolation=cv2.INTER_AREA)
+    features = np.asarray(features, dtype=np.float32).reshape(*camera.size[::-1], -1)
+    return _Scene(camera, features, colours, render(posed, camera).part)
 
 
 @dataclass(frozen=True)
@@ -89,8 +115,11 @@ class Judge:
 
     def _compared(self, scene: _Scene, other: Int) -> float:
         rule = self.rule
-        radius = max(2, round(rule.radius * rule.px_per_m))
-        background = background_moments(scene.features, (scene.part < 0) & (other < 0), radius)
+        reach = max(1, round(rule.radius * rule.px_per_m / BLOCK))
+        body = ((scene.part >= 0) | (other >= 0)).astype(np.uint8)
+        size = 2 * max(1, round(rule.berth * rule.px_per_m)) + 1  # a rival may miss the limb by a little
+        near = cv2.dilate(body, np.ones((size, size), np.uint8))
+        background = background_moments(scene.features, near == 0, reach)
         return label_evidence(scene.features, background, scene.colours, scene.part, other, rule.floor, rule.clip)
 
 

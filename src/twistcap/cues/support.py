@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,21 +32,16 @@ class SupportRule:
     memory: float = 0.8
 
 
-def part_support(
-    found: Sequence[ContourEvidence], focal: Sequence[float], parts: int, rule: SupportRule
-) -> tuple[Float, Int]:
-    """Share (S,) of each segment's silhouette points that agree, and how many points it has (S,).
+def part_tally(evidence: ContourEvidence, focal: float, parts: int, rule: SupportRule) -> tuple[Float, Int]:
+    """How many of each segment's silhouette points agree in one view (S,), and how many it has (S,).
 
     Args:
-        found: the evidence of each view; `focal`: its focal length, px.
+        evidence: of the view; `focal`: its focal length, px.
         parts: S, number of segments.
     """
-    good, seen = np.zeros(parts), np.zeros(parts, dtype=np.int32)
-    for evidence, f in zip(found, focal, strict=True):
-        outer = evidence.contour.outer
-        part = evidence.contour.part[outer]
-        off_by = np.abs(evidence.displacement[outer]) / (f * evidence.contour.inverse_depth[outer])
-        agrees = (evidence.contrast[outer] > rule.contrast) & (off_by < rule.tolerance)
-        good += np.bincount(part, weights=agrees, minlength=parts)
-        seen += np.bincount(part, minlength=parts).astype(np.int32)
-    return good / np.maximum(seen, 1), seen
+    outer = evidence.contour.outer
+    part = evidence.contour.part[outer]
+    off_by = np.abs(evidence.displacement[outer]) / (focal * evidence.contour.inverse_depth[outer])
+    agrees = (evidence.contrast[outer] > rule.contrast) & (off_by < rule.tolerance)
+    good = np.bincount(part, weights=agrees, minlength=parts)
+    return good.astype(np.float64), np.bincount(part, minlength=parts).astype(np.int32)

@@ -2,46 +2,69 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numba import njit
 
 from twistcap._typing import Bool, Float, Float32, Int
 
+BLOCK = 4  # px: the background's statistics are gathered in blocks of this size
 _FALLBACK = 0.02  # share of a window at which the whole background weighs as much as the window's own
 
 
-def background_moments(features: Float32, off: Bool, radius: int) -> Float32:
-    """(H, W, 2C) mean and mean square of the background about each pixel.
+@njit(cache=True, nogil=True)
+def background_moments(features: Float32, off: Bool, reach: int) -> Float:
+    """(H', W', 2C) mean and mean square of the background about each block of pixels.
 
     Args:
         features: (H, W, C).
-        off: (H, W) what is background under both labellings: what only one calls so must not speak for it.
-        radius: px about a pixel from which its background is gathered; where there is none, the whole one stands in.
+        off: (H, W) where it is surely background: what a limb covers, or may cover, must not speak against it.
+        reach: blocks about a block from which its background is gathered; where there is none, the whole one stands in.
     """
-    mass = off.astype(np.float32)[..., None]
-    sums = np.concatenate([mass, mass * features, mass * features**2], axis=2)
-    size = (2 * radius + 1, 2 * radius + 1)
-    window = np.asarray(cv2.boxFilter(sums, -1, size, borderType=cv2.BORDER_REFLECT), dtype=np.float32)
-    whole = sums.mean(axis=(0, 1))
-    window += _FALLBACK * whole / max(float(whole[0]), 1e-6)
-    return window[..., 1:] / window[..., :1]
+    height, width, C = features.shape
+    sums = np.zeros(((height + BLOCK - 1) // BLOCK, (width + BLOCK - 1) // BLOCK, 1 + 2 * C))
+    whole = np.zeros(1 + 2 * C)
+    for r in range(height):
+        for c in range(width):
+            if not off[r, c]:
+                continue
+            here = sums[r // BLOCK, c // BLOCK]
+            here[0] += 1.0
+            for k in range(C):
+                here[1 + k] += features[r, c, k]
+                here[1 + C + k] += features[r, c, k] ** 2
+    rows, columns = sums.shape[:2]
+    for r in range(rows):
+        for c in range(columns):
+            whole += sums[r, c]
+    fallback = _FALLBACK * ((2 * reach + 1) * BLOCK) ** 2 / max(whole[0], 1.0)
+    out, window = np.empty((rows, columns, 2 * C)), np.empty(1 + 2 * C)
+    for r in range(rows):
+        for c in range(columns):
+            for k in range(1 + 2 * C):
+                window[k] = fallback * whole[k]
+            for i in range(max(r - reach, 0), min(r + reach + 1, rows)):
+                for j in range(max(c - reach, 0), min(c + reach + 1, columns)):
+                    for k in range(1 + 2 * C):
+                        window[k] += sums[i, j, k]
+            for k in range(2 * C):
+                out[r, c, k] = window[1 + k] / max(window[0], 1e-9)
+    return out
 
 
 @njit(cache=True, nogil=True)
 def label_evidence(
-    features: Float32, background: Float32, colours: Float, part: Int, other: Int, floor: float, clip: float
+    features: Float32, background: Float, colours: Float, part: Int, other: Int, floor: float, clip: float
 ) -> float:
     """Log-likelihood (nats) of labels `other` (H, W) over labels `part`; -1 is background.
 
     Args:
         features: (H, W, C).
-        background: (H, W, 2C) as `background_moments` gives it.
+        background: as `background_moments` gives it.
         colours: (S, 1 + 2C) confidence, mean and mean square of each part; parts of confidence 0 are not asked.
         floor: least variance.
         clip: most that one pixel can say, nats.
     """
-    C, total = features.shape[2], 0.0
+    total = 0.0
     for r in range(part.shape[0]):
         for c in range(part.shape[1]):
             before, after = part[r, c], other[r, c]
@@ -49,20 +72,16 @@ def label_evidence(
                 continue
             if (before >= 0 and colours[before, 0] == 0.0) or (after >= 0 and colours[after, 0] == 0.0):
                 continue
-            here = background[r, c]
-            old = _log_density(features[r, c], colours[before, 1:], floor) if before >= 0 else _log_density(
-                features[r, c], here, floor
-            )  # fmt: skip
-            new = _log_density(features[r, c], colours[after, 1:], floor) if after >= 0 else _log_density(
-                features[r, c], here, floor
-            )  # fmt: skip
+            values, here = features[r, c], background[r // BLOCK, c // BLOCK]
+            old = _log_density(values, colours[before, 1:] if before >= 0 else here, floor)
+            new = _log_density(values, colours[after, 1:] if after >= 0 else here, floor)
             total += min(max(new - old, -clip), clip)
     return total
 
 
 @njit(cache=True, nogil=True, inline="always")
 def _log_density(values: Float32, moments: Float, floor: float) -> float:
-    """Log density of a pixel's C channels under independent Gaussians of mean and mean square (2C,), less a constant."""
+    """Log density, but for a constant, of a pixel (C,) under independent Gaussians of mean and mean square (2C,)."""
     C, out = len(values), 0.0
     for k in range(C):
         variance = max(moments[C + k] - moments[k] ** 2, 0.0) + floor

@@ -48,7 +48,6 @@ class ContourPoints:
             self.inverse_depth[which],
         )  # fmt: skip
 
-
     def moved_by(self, posed: Posed, P: Float) -> Float:
         """(N,) px by which the points lie elsewhere with the body so posed."""
         return step_lengths(P, self.points.at(posed), self.pixels)

@@ -32,7 +32,12 @@ class SurfacePoints:
         return len(self.local)
 
     def __getitem__(self, which: Bool | Int) -> SurfacePoints:
-        return SurfacePoints(self.segments[which], self.weights[which], self.local[which])
+        if which.dtype == np.bool_:
+            which = np.flatnonzero(which).astype(np.int32)
+        take = np.take  # much faster than indexing
+        return SurfacePoints(
+            take(self.segments, which, axis=0), take(self.weights, which, axis=0), take(self.local, which, axis=0)
+        )
 
     def __add__(self, other: SurfacePoints) -> SurfacePoints:
         return SurfacePoints(
@@ -134,9 +139,20 @@ def _part_image(face_index: Int, face_part: Int) -> Int:
 
 def surface_points(body: Body, corners: Int, weights: Float, keep: int = 4) -> SurfacePoints:
     """Surface points from vertex indices (N, M) and their weights (N, M): binding blended, its `keep` largest kept."""
-    local = np.einsum("nm,nmi->ni", weights, body.vertices[corners])
     segments, skin = _blend_binding(body.skin_segments, body.skin_weights, corners, weights, keep)
+    local = _blend_places(body.vertices, corners, weights)
     return SurfacePoints(segments, skin, local)
+
+
+@njit(cache=True, nogil=True)
+def _blend_places(vertices: Float, corners: Int, weights: Float) -> Float:
+    """(N, 3) weighted means of vertices."""
+    out = np.zeros((len(corners), 3))
+    for n in range(len(corners)):
+        for m in range(corners.shape[1]):
+            for i in range(3):
+                out[n, i] += weights[n, m] * vertices[corners[n, m], i]
+    return out
 
 
 @njit(cache=True, nogil=True)

@@ -17,7 +17,7 @@ from twistcap.body import Posed
 from twistcap.render import SurfacePoints
 from twistcap.terms.quadratic import Quadratic
 
-_WIDTH = 8  # twists padded from 6, so that the rows of a block lie as vector registers want them
+TWIST_WIDTH = 8  # twists padded from 6, so that the rows of a block lie as vector registers want them
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class SegmentSums:
     def __init__(self, posed: Posed) -> None:
         S = len(posed.body.segment_names)
         self.posed, self.value = posed, 0.0
-        self.blocks, self.vector = np.zeros((S, S, 6, _WIDTH)), np.zeros((S, 6))
+        self.blocks, self.vector = np.zeros((S, S, 6, TWIST_WIDTH)), np.zeros((S, 6))
 
     def add_rows(self, energy: float, points: SurfacePoints, rows: Rows) -> None:
         """Add a term's rows."""
@@ -92,56 +92,81 @@ def normal_equations(posed: Posed, points: SurfacePoints, rows: Rows) -> tuple[F
     return quadratic.gradient, quadratic.hessian
 
 
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"}, inline="always")
+def skinned_point(transforms: Float, segments: Int, weights: Float, local: Float, n: int) -> tuple[float, float, float]:
+    """World position of surface point n."""
+    x, y, z = local[n, 0], local[n, 1], local[n, 2]
+    X, Y, Z = 0.0, 0.0, 0.0
+    for k in range(segments.shape[1]):
+        w = weights[n, k]
+        if w == 0.0:
+            continue
+        T = transforms[segments[n, k]]
+        X += w * (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3])
+        Y += w * (T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3])
+        Z += w * (T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3])
+    return X, Y, Z
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+def add_row(
+    transforms: Float, segments: Int, weights: Float, local: Float, n: int, g0: float, g1: float, g2: float,
+    residual: float, W: float, j: Float, own: Int, blocks: Float, vector: Float,
+) -> None:  # fmt: skip
+    """Add W j jᵀ to blocks (S, S, 6, 8) and W r j to vector (S, 6), j the derivative by the twists of n's segments.
+
+    Of two segments only the block above the diagonal is kept, and of a segment's own block half: with its transpose
+    the sum is whole. `j` (K, 8) and `own` (K,) are room to work in.
+    """
+    x, y, z = local[n, 0], local[n, 1], local[n, 2]
+    count = 0
+    for k in range(segments.shape[1]):
+        w = weights[n, k]
+        if w == 0.0:
+            continue
+        s = segments[n, k]
+        T = transforms[s]
+        X = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
+        Y = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
+        Z = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+        j[count, 0], j[count, 1], j[count, 2] = w * (Y * g2 - Z * g1), w * (Z * g0 - X * g2), w * (X * g1 - Y * g0)
+        j[count, 3], j[count, 4], j[count, 5] = w * g0, w * g1, w * g2
+        own[count] = s
+        count += 1
+    Wr = W * residual
+    for a in range(count):
+        for p in range(6):
+            vector[own[a], p] += Wr * j[a, p]
+        for b in range(count):
+            if own[b] < own[a]:
+                continue
+            block = blocks[own[a], own[b]]
+            share = 0.5 * W if a == b else W
+            j0, j1, j2, j3, j4, j5 = j[b, 0], j[b, 1], j[b, 2], j[b, 3], j[b, 4], j[b, 5]
+            for p in range(6):
+                Wj = share * j[a, p]
+                block[p, 0] += Wj * j0
+                block[p, 1] += Wj * j1
+                block[p, 2] += Wj * j2
+                block[p, 3] += Wj * j3
+                block[p, 4] += Wj * j4
+                block[p, 5] += Wj * j5
+
+
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
 def accumulate(
     transforms: Float, segments: Int, weights: Float, local: Float, gradient: Float, residual: Float,
     row_weight: Float, blocks: Float, vector: Float,
 ) -> None:  # fmt: skip
-    """Add Σ W j jᵀ to blocks (S, S, 6, 8) and Σ W r j to vector (S, 6), j the derivative by the segment twists.
-
-    Of two segments only the block above the diagonal is kept, and of a segment's own block half: with its transpose
-    the sum is whole.
-    """
+    """`add_row` of rows (R N,), row n being of point n mod N."""
     N, K = segments.shape
-    j = np.zeros((K, _WIDTH))
-    own = np.zeros(K, dtype=np.int64)
+    j, own = np.zeros((K, TWIST_WIDTH)), np.zeros(K, dtype=np.int32)
     for row in range(len(residual)):
-        W, n = row_weight[row], row % N
-        if W == 0.0:
-            continue
-        g0, g1, g2 = gradient[row, 0], gradient[row, 1], gradient[row, 2]
-        x, y, z = local[n, 0], local[n, 1], local[n, 2]
-        count = 0
-        for k in range(K):
-            w = weights[n, k]
-            if w == 0.0:
-                continue
-            s = segments[n, k]
-            X = transforms[s, 0, 0] * x + transforms[s, 0, 1] * y + transforms[s, 0, 2] * z + transforms[s, 0, 3]
-            Y = transforms[s, 1, 0] * x + transforms[s, 1, 1] * y + transforms[s, 1, 2] * z + transforms[s, 1, 3]
-            Z = transforms[s, 2, 0] * x + transforms[s, 2, 1] * y + transforms[s, 2, 2] * z + transforms[s, 2, 3]
-            j[count, 0], j[count, 1], j[count, 2] = w * (Y * g2 - Z * g1), w * (Z * g0 - X * g2), w * (X * g1 - Y * g0)
-            j[count, 3], j[count, 4], j[count, 5] = w * g0, w * g1, w * g2
-            own[count] = s
-            count += 1
-        Wr = W * residual[row]
-        for a in range(count):
-            for p in range(6):
-                vector[own[a], p] += Wr * j[a, p]
-            for b in range(count):
-                if own[b] < own[a]:
-                    continue
-                block = blocks[own[a], own[b]]
-                share = 0.5 * W if a == b else W
-                j0, j1, j2, j3, j4, j5 = j[b, 0], j[b, 1], j[b, 2], j[b, 3], j[b, 4], j[b, 5]
-                for p in range(6):
-                    Wj = share * j[a, p]
-                    block[p, 0] += Wj * j0
-                    block[p, 1] += Wj * j1
-                    block[p, 2] += Wj * j2
-                    block[p, 3] += Wj * j3
-                    block[p, 4] += Wj * j4
-                    block[p, 5] += Wj * j5
+        if row_weight[row] != 0.0:
+            add_row(
+                transforms, segments, weights, local, row % N, gradient[row, 0], gradient[row, 1], gradient[row, 2],
+                residual[row], row_weight[row], j, own, blocks, vector,
+            )  # fmt: skip
 
 
 def normal_equations_reference(posed: Posed, points: SurfacePoints, rows: Rows) -> tuple[Float, Float]:

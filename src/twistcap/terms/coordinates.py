@@ -20,19 +20,26 @@ class LimitTerm:
     name: str = "limits"
 
     def _excess(self, posed: Posed) -> Float:
-        low, high = posed.body.limits.T
-        q = posed.pose.q
-        return np.minimum(q - low, 0.0) + np.maximum(q - high, 0.0)
+        limits, q = posed.body.limits, posed.pose.q
+        return q - np.minimum(np.maximum(q, limits[:, 0]), limits[:, 1])
 
     def energy(self, posed: Posed) -> float:
-        return 0.5 * float(np.sum(self._excess(posed) ** 2)) / self.sigma**2
+        excess = self._excess(posed)
+        return 0.5 * float(excess @ excess) / self.sigma**2
 
     def linearize(self, posed: Posed) -> Quadratic:
-        excess = self._excess(posed)
-        gradient, diagonal = np.zeros(posed.body.dof), np.zeros(posed.body.dof)
-        gradient[6:] = excess / self.sigma**2
-        diagonal[6:] = (excess != 0.0) / self.sigma**2
-        return Quadratic(self.energy(posed), gradient, np.diag(diagonal))
+        excess, information = self._excess(posed), 1.0 / self.sigma**2
+        return _of_joints(
+            0.5 * float(excess @ excess) * information, excess * information, (excess != 0.0) * information
+        )
+
+
+def _of_joints(value: float, gradient: Float, diagonal: Float | float) -> Quadratic:
+    """A quadratic of the joint coordinates alone, each by itself: gradient and diagonal of the Hessian (J,)."""
+    out = Quadratic(value, np.zeros(6 + len(gradient)), np.zeros((6 + len(gradient), 6 + len(gradient))))
+    out.gradient[6:] = gradient
+    np.fill_diagonal(out.hessian[6:, 6:], diagonal)
+    return out
 
 
 @dataclass(frozen=True)
@@ -46,9 +53,8 @@ class RestTerm:
         return 0.5 * float(posed.pose.q @ posed.pose.q) / self.sigma**2
 
     def linearize(self, posed: Posed) -> Quadratic:
-        gradient, diagonal = np.zeros(posed.body.dof), np.zeros(posed.body.dof)
-        gradient[6:], diagonal[6:] = posed.pose.q / self.sigma**2, 1.0 / self.sigma**2
-        return Quadratic(self.energy(posed), gradient, np.diag(diagonal))
+        information = 1.0 / self.sigma**2
+        return _of_joints(self.energy(posed), posed.pose.q * information, information)
 
 
 @dataclass(frozen=True)

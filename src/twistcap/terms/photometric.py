@@ -13,14 +13,16 @@ from numba import njit
 
 from twistcap._typing import Float, Float32, Int
 from twistcap.body import Posed
-from twistcap.body.kinematics import skin_points
 from twistcap.render import SurfacePoints
-from twistcap.terms.accumulate import PointTerm, Rows, SegmentSums, accumulate
+from twistcap.terms.accumulate import TWIST_WIDTH, PointTerm, Rows, SegmentSums, add_row, skinned_point
 from twistcap.terms.robust import weighted_cauchy
+
+_FAST = {"contract", "reassoc", "arcp"}
+_NEAR = 1e-3  # m before the camera; what is nearer has no image
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _sample(image: Float32, x: float, y: float) -> tuple[float, float, float, bool]:
+def sample(image: Float32, x: float, y: float) -> tuple[float, float, float, bool]:
     """Bilinear value, its central differences and whether all pixels they need are there."""
     height, width = image.shape
     if not (1.0 <= x < width - 2 and 1.0 <= y < height - 2):
@@ -46,7 +48,7 @@ def sample_with_gradient(image: Float32, x: Float, y: Float) -> tuple[Float, Flo
     N = len(x)
     value, gx, gy, valid = np.zeros(N), np.zeros(N), np.zeros(N), np.zeros(N)
     for n in range(N):
-        value[n], gx[n], gy[n], inside = _sample(image, x[n], y[n])
+        value[n], gx[n], gy[n], inside = sample(image, x[n], y[n])
         valid[n] = 1.0 if inside else 0.0
     return value, gx, gy, valid
 
@@ -69,7 +71,7 @@ def brightness_rows(
             continue
         x = (P[0, 0] * X + P[0, 1] * Y + P[0, 2] * Z + P[0, 3]) / depth
         y = (P[1, 0] * X + P[1, 1] * Y + P[1, 2] * Z + P[1, 3]) / depth
-        value, gx, gy, inside = _sample(image, x, y)
+        value, gx, gy, inside = sample(image, x, y)
         if not inside:
             continue
         residual[n] = value - template[n]
@@ -113,7 +115,7 @@ class PhotometricTerm(PointTerm):
         p = self.points
         return _brightness_energy(
             posed.segment_transforms, p.segments, p.weights, p.local, self.P, self.image, self.template,
-            self.template_gradient, self.weight, self.scale,
+            self.weight, self.scale,
         )  # fmt: skip
 
     def add_to(self, sums: SegmentSums) -> None:
@@ -124,25 +126,65 @@ class PhotometricTerm(PointTerm):
         )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=_FAST)
 def _brightness_energy(
     transforms: Float, segments: Int, weights: Float, local: Float, P: Float, image: Float32, template: Float,
-    template_gradient: Float, weight: Float, scale: float,
+    weight: Float, scale: float,
 ) -> float:  # fmt: skip
     """`PhotometricTerm.rows` for its energy alone."""
-    world = skin_points(transforms, segments, weights, local)
-    residual, _ = brightness_rows(P, world, image, template, template_gradient, weight)
-    return weighted_cauchy(residual, weight, scale)[0]
+    energy, per = 0.0, 1.0 / scale
+    height, width = image.shape
+    for n in range(len(weight)):
+        if weight[n] == 0.0:
+            continue
+        X, Y, Z = skinned_point(transforms, segments, weights, local, n)
+        depth = P[2, 0] * X + P[2, 1] * Y + P[2, 2] * Z + P[2, 3]
+        if depth < _NEAR:
+            continue
+        w = 1.0 / depth
+        x = (P[0, 0] * X + P[0, 1] * Y + P[0, 2] * Z + P[0, 3]) * w
+        y = (P[1, 0] * X + P[1, 1] * Y + P[1, 2] * Z + P[1, 3]) * w
+        if not (1.0 <= x < width - 2 and 1.0 <= y < height - 2):
+            continue
+        x0, y0 = int(x), int(y)
+        fx, fy = x - x0, y - y0
+        top = image[y0, x0] + fx * (image[y0, x0 + 1] - image[y0, x0])
+        bottom = image[y0 + 1, x0] + fx * (image[y0 + 1, x0 + 1] - image[y0 + 1, x0])
+        r = (top + fy * (bottom - top) - template[n]) * per
+        energy += weight[n] * np.log1p(r * r)
+    return 0.5 * scale * scale * energy
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=_FAST)
 def _add_brightness(
     transforms: Float, segments: Int, weights: Float, local: Float, P: Float, image: Float32, template: Float,
     template_gradient: Float, weight: Float, scale: float, blocks: Float, vector: Float,
 ) -> float:  # fmt: skip
-    """`PhotometricTerm.rows` and their sums in one call; returns the energy."""
-    world = skin_points(transforms, segments, weights, local)
-    residual, gradient = brightness_rows(P, world, image, template, template_gradient, weight)
-    energy, robust = weighted_cauchy(residual, weight, scale)
-    accumulate(transforms, segments, weights, local, gradient, residual, robust, blocks, vector)
-    return energy
+    """`PhotometricTerm.rows` and their sums in one pass; returns the energy."""
+    K = segments.shape[1]
+    j, own = np.zeros((K, TWIST_WIDTH)), np.zeros(K, dtype=np.int32)
+    energy, per = 0.0, 1.0 / scale
+    for n in range(len(weight)):
+        if weight[n] == 0.0:
+            continue
+        X, Y, Z = skinned_point(transforms, segments, weights, local, n)
+        depth = P[2, 0] * X + P[2, 1] * Y + P[2, 2] * Z + P[2, 3]
+        if depth < _NEAR:
+            continue
+        w = 1.0 / depth
+        x = (P[0, 0] * X + P[0, 1] * Y + P[0, 2] * Z + P[0, 3]) * w
+        y = (P[1, 0] * X + P[1, 1] * Y + P[1, 2] * Z + P[1, 3]) * w
+        value, gx, gy, inside = sample(image, x, y)
+        if not inside:
+            continue
+        residual = value - template[n]
+        ratio = (residual * per) ** 2
+        energy += weight[n] * np.log1p(ratio)
+        a, b = 0.5 * (gx + template_gradient[n, 0]) * w, 0.5 * (gy + template_gradient[n, 1]) * w
+        c = -(a * x + b * y)
+        add_row(
+            transforms, segments, weights, local, n, a * P[0, 0] + b * P[1, 0] + c * P[2, 0],
+            a * P[0, 1] + b * P[1, 1] + c * P[2, 1], a * P[0, 2] + b * P[1, 2] + c * P[2, 2], residual,
+            weight[n] / (1.0 + ratio), j, own, blocks, vector,
+        )  # fmt: skip
+    return 0.5 * scale * scale * energy

@@ -9,13 +9,15 @@ from numba import njit
 
 from twistcap._typing import Float, Int
 from twistcap.body import Posed
-from twistcap.body.kinematics import skin_points
 from twistcap.render import SurfacePoints
-from twistcap.terms.accumulate import PointTerm, Rows, SegmentSums, accumulate
+from twistcap.terms.accumulate import TWIST_WIDTH, PointTerm, Rows, SegmentSums, add_row, skinned_point
 from twistcap.terms.robust import huber, weighted_cauchy
 
+_FAST = {"contract", "reassoc", "arcp"}
+_NEAR = 1e-3  # m before the camera; what is nearer has no image
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+
+@njit(cache=True, nogil=True, fastmath=_FAST)
 def projected_rows(P: Float, world: Float, direction: Float, target: Float) -> tuple[Float, Float]:
     """Residual ``direction · (π(x) − target)`` (N,) px and its gradient by x (N, 3); 0 behind the camera."""
     N = len(world)
@@ -23,7 +25,7 @@ def projected_rows(P: Float, world: Float, direction: Float, target: Float) -> t
     for n in range(N):
         x, y, z = world[n, 0], world[n, 1], world[n, 2]
         depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
-        if depth < 1e-3:
+        if depth < _NEAR:
             continue
         w, a, b = 1.0 / depth, direction[n, 0], direction[n, 1]
         u = (P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) * w
@@ -84,26 +86,57 @@ class PointNormalTerm(PointTerm):
         )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=_FAST)
 def _normal_energy(
     transforms: Float, segments: Int, weights: Float, local: Float, P: Float, direction: Float, target: Float,
     weight: Float, scale: float,
 ) -> float:  # fmt: skip
     """`PointNormalTerm.rows` for its energy alone."""
-    residual, _ = projected_rows(P, skin_points(transforms, segments, weights, local), direction, target)
-    return weighted_cauchy(residual, weight, scale)[0]
+    energy, per = 0.0, 1.0 / scale
+    for n in range(len(weight)):
+        if weight[n] == 0.0:
+            continue
+        x, y, z = skinned_point(transforms, segments, weights, local, n)
+        depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
+        if depth < _NEAR:
+            continue
+        w = 1.0 / depth
+        u = (P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) * w
+        v = (P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) * w
+        r = (direction[n, 0] * (u - target[n, 0]) + direction[n, 1] * (v - target[n, 1])) * per
+        energy += weight[n] * np.log1p(r * r)
+    return 0.5 * scale * scale * energy
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=_FAST)
 def _add_normals(
     transforms: Float, segments: Int, weights: Float, local: Float, P: Float, direction: Float, target: Float,
     weight: Float, scale: float, blocks: Float, vector: Float,
 ) -> float:  # fmt: skip
-    """`PointNormalTerm.rows` and their sums in one call; returns the energy."""
-    residual, gradient = projected_rows(P, skin_points(transforms, segments, weights, local), direction, target)
-    energy, robust = weighted_cauchy(residual, weight, scale)
-    accumulate(transforms, segments, weights, local, gradient, residual, robust, blocks, vector)
-    return energy
+    """`PointNormalTerm.rows` and their sums in one pass; returns the energy."""
+    K = segments.shape[1]
+    j, own = np.zeros((K, TWIST_WIDTH)), np.zeros(K, dtype=np.int32)
+    energy, per = 0.0, 1.0 / scale
+    for n in range(len(weight)):
+        if weight[n] == 0.0:
+            continue
+        x, y, z = skinned_point(transforms, segments, weights, local, n)
+        depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
+        if depth < _NEAR:
+            continue
+        w, a, b = 1.0 / depth, direction[n, 0], direction[n, 1]
+        u = (P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) * w
+        v = (P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) * w
+        residual = a * (u - target[n, 0]) + b * (v - target[n, 1])
+        ratio = (residual * per) ** 2
+        energy += weight[n] * np.log1p(ratio)
+        c, a, b = -(a * u + b * v) * w, a * w, b * w
+        add_row(
+            transforms, segments, weights, local, n, a * P[0, 0] + b * P[1, 0] + c * P[2, 0],
+            a * P[0, 1] + b * P[1, 1] + c * P[2, 1], a * P[0, 2] + b * P[1, 2] + c * P[2, 2], residual,
+            weight[n] / (1.0 + ratio), j, own, blocks, vector,
+        )  # fmt: skip
+    return 0.5 * scale * scale * energy
 
 
 @njit(cache=True, nogil=True)
