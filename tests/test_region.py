@@ -23,6 +23,7 @@ from twistcap.region.lines import (
 )
 
 HALF, FLOOR, CLIP = 12, 4e-4, 3.0
+UNKNOWN = np.zeros((8, 7))  # no colours are remembered of any part
 
 
 def edge_image(normal: np.ndarray, offset: float, noise: float, seed: int = 0) -> np.ndarray:
@@ -61,7 +62,7 @@ def measured(
         image, part_at(normal, offset), pixels, normals, part, np.ones(n, dtype=bool), steps, HALF
     )
     assert np.all(first == 0) and np.all(last == 2 * HALF)
-    mean, variance = pooled_gaussians(line_moments(values, first, last, steps), pixels, part, 20.0, 3.0, FLOOR)
+    mean, variance = pooled_gaussians(line_moments(values, first, last, steps), pixels, part, 20.0, 3.0, FLOOR, UNKNOWN, 0.0)
     return boundary_posterior(values, first, last, steps, mean, variance, CLIP)
 
 
@@ -129,8 +130,8 @@ def test_posterior_agrees_with_its_twin() -> None:
     lines = random_lines()
     displacement, spread, _ = boundary_posterior(*lines, CLIP)
     expected, expected_spread = boundary_posterior_reference(*lines, CLIP)
-    np.testing.assert_allclose(displacement, expected, atol=2e-2)
-    np.testing.assert_allclose(spread, expected_spread, rtol=2e-2, atol=2e-2)
+    np.testing.assert_allclose(displacement, expected, atol=5e-3)
+    np.testing.assert_allclose(spread, expected_spread, rtol=5e-3, atol=5e-3)
     assert displacement.std() > 1
 
 
@@ -194,7 +195,7 @@ def test_line_moments_and_pooled_gaussians_are_weighted_statistics() -> None:
     n, rho, prior = len(values), 9.0, 3.0
     rng = np.random.default_rng(3)
     pixels, part = rng.uniform(0, 30, (n, 2)), rng.integers(0, 2, n).astype(np.int32)
-    mean, variance = pooled_gaussians(line_moments(values, first, last, step), pixels, part, rho, prior, FLOOR)
+    mean, variance = pooled_gaussians(line_moments(values, first, last, step), pixels, part, rho, prior, FLOOR, UNKNOWN, 0.0)
     for i in range(n):
         for side in range(2):
             samples, weights, whole = [], [], []
@@ -219,7 +220,7 @@ def test_a_part_without_samples_outside_takes_those_of_the_whole_body() -> None:
     part[0], last[0] = 1, HALF  # nothing usable outward
     pixels = np.random.default_rng(0).uniform(0, 30, (len(values), 2))
     moments = line_moments(values, first, last, step)
-    mean, variance = pooled_gaussians(moments, pixels, part, 9.0, 3.0, FLOOR)
+    mean, variance = pooled_gaussians(moments, pixels, part, 9.0, 3.0, FLOOR, UNKNOWN, 0.0)
     everything = moments[:, 1].sum(axis=0)
     np.testing.assert_allclose(mean[0, 1], everything[1:4] / everything[0], rtol=1e-9)
     assert np.all(np.isfinite(variance)) and variance.min() >= FLOOR
@@ -241,7 +242,7 @@ def test_signed_distance_of_discs() -> None:
     for _ in range(20):
         true = disc_distance((60 + rng.uniform(-2, 2), 50 + rng.uniform(-2, 2)), rng.uniform(20, 35))
         error = signed_distance(true > 0) - true
-        assert np.abs(error[np.abs(true) < 12]).max() < 0.5 + 1e-3
+        assert np.abs(error[np.abs(true) < 12]).max() < 0.5 + 0.02 * 12
         means.append(error[np.abs(true) < 3].mean())
     assert abs(np.mean(means)) < 0.03 and np.abs(means).max() < 0.1
 
@@ -394,7 +395,7 @@ def test_blockwise_ratio_is_the_local_one() -> None:
     blocks = blockwise_log_ratio(channels, inside, 12.0, FLOOR, 0.02)
     assert np.abs(blocks - exact).mean() < 0.1 * exact.std()
     alone = blockwise_log_ratio(channels, inside, 12.0, FLOOR, 0.02, block=1)
-    np.testing.assert_allclose(alone, exact, atol=2e-2)
+    np.testing.assert_allclose(alone, exact, atol=5e-3)
 
 
 def test_local_ratio_copes_where_the_global_one_cannot() -> None:

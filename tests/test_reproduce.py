@@ -100,7 +100,7 @@ def test_run_prints_a_table_and_tells_how_far_it_is(monkeypatch: pytest.MonkeyPa
 
 def test_a_tracker_that_stands_still_does_not_hold() -> None:
     stubborn = MotionNoise(joint_speed=1e-6, turn_speed=1e-6, shift_speed=1e-6)
-    broken = TrackerConfig(predictor="hold", noise=stubborn, photometric=False, iterations=1)
+    broken = TrackerConfig(predictor="hold", noise=stubborn, photometric=False)
     case = replace(CASE["stereo-exact"], studio=SMALL, tracker=broken, every=15)
     found = run_case(case, Pictures(capture(SMALL)))
     rows = {row["metric"]: row for row in reproduce.rows_of(Suite("s", (case,)), {case.id: [found]})}

@@ -220,7 +220,7 @@ def test_normal_equations_agree_with_their_twin() -> None:
     np.testing.assert_allclose(hessian, expected_hessian, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("make", [normal_term, photometric_term], ids=lambda f: f.__name__)
+@pytest.mark.parametrize("make", [normal_term, ray_term, photometric_term], ids=lambda f: f.__name__)
 def test_fused_kernels_agree_with_the_rows(make: Callable[[], PointTerm]) -> None:
     term = make()
     fused, summed = SegmentSums(POSED), SegmentSums(POSED)

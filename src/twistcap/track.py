@@ -45,15 +45,13 @@ class TrackerConfig:
         predictor: "constant_velocity" or "hold".
         decay: time constant (s) with which predicted joint velocities die away.
         rest_sigma_deg: how far joints are expected from the rest pose; matters only to a limb that nothing shows.
-        iterations: fine alternations of correspond and update in a frame.
-        first_iterations: the same in the first frame, which starts from a given pose.
+        first_iterations: fine alternations in the first frame, which starts from a given pose.
         coarse: factor on the contour cue's capture range in the coarse alternations that come first.
         coarse_rounds: coarse alternations at most; one is enough where the prediction was good.
         surprise: m by which the first, fine alternation moves the contour where the prediction was not good enough, so
             that coarse ones follow.
         settled: m that the contour may still move in a coarse alternation that is the last one.
-        render_after: m that the contour may have moved, all in all, before the body is rendered anew (the level set
-            always renders: its shape prior is the rendered mask).
+        render_after: m that the contour may have moved, all in all, before the body is rendered anew.
         contour_spacing: m on the body between contour samples.
         solver_steps: Gauss-Newton steps in each alternation.
         margin: m about the expected body within which images are looked at.
@@ -68,7 +66,6 @@ class TrackerConfig:
     predictor: PredictorName = "constant_velocity"
     decay: float = 0.2
     rest_sigma_deg: float = 30.0
-    iterations: int = 1
     first_iterations: int = 10
     coarse: float = 3.0
     coarse_rounds: int = 5
@@ -188,13 +185,13 @@ class Tracker:
         fit = _Fit(SolveResult(Posed(self.body, guess), "max_iterations", 0, {}, Quadratic.zero(self.body.dof)))
         fine = config.first_iterations
         if self._started:
-            fit, fine = self._alternate(fit, views, fixed, coarse=False), config.iterations - 1
+            fit, fine = self._alternate(fit, views, fixed, coarse=False), self._contour.alternations - 1
         if not self._started or fit.moved > config.surprise:
             for _ in range(config.coarse_rounds):
                 fit = self._alternate(fit, views, fixed, coarse=True)
                 if fit.moved <= config.settled:
                     break
-            fine = config.iterations if self._started else config.first_iterations
+            fine = self._contour.alternations if self._started else config.first_iterations
         for _ in range(fine):
             fit = self._alternate(fit, views, fixed, coarse=False)
         return replace(fit, result=replace(fit.result, status=_status(fit.result, fit.moved, config.settled)))
@@ -224,12 +221,13 @@ class Tracker:
     def _alternate(self, fit: _Fit, views: dict[int, View], fixed: Sequence[Term], coarse: bool) -> _Fit:
         """One alternation; the body is rendered anew where it has moved, else its contour is carried along."""
         config, posed = self.config, fit.result.posed
-        again = not fit.sights or config.method == "levelset" or fit.strayed > config.render_after
+        again = not fit.sights or fit.strayed > config.render_after
         if again:
             sights = [self._look(posed, camera, view) for camera, view in views.items()]
         else:
             sights = [replace(s, contour=reprojected(s.contour, posed, s.view.camera.P)) for s in fit.sights]
-        evidence = [self._evidence(sight, coarse) for sight in sights]
+        earlier = [None] * len(sights) if again else fit.found
+        evidence = [self._evidence(s, coarse, found) for s, found in zip(sights, earlier, strict=True)]
         terms = [term for by_view, _ in evidence for term in by_view]
         with stage("solve"):
             result = least_squares(posed, [*fixed, *terms], steps=config.solver_steps)
@@ -245,12 +243,14 @@ class Tracker:
             spacing = max(1.0, self.config.contour_spacing * seen.px_per_m)
             return _Sight(camera_index, view, seen, visible_contour(seen, spacing))
 
-    def _evidence(self, sight: _Sight, coarse: bool) -> tuple[list[Term], ContourEvidence]:
+    def _evidence(
+        self, sight: _Sight, coarse: bool, earlier: ContourEvidence | None
+    ) -> tuple[list[Term], ContourEvidence]:
         """Terms of one camera: its contour, and the brightness of what it saw in the frame before."""
         config = self.config
         with stage("statistics"):
             wide, colours = config.coarse if coarse else 1.0, self._colours[sight.camera_index]
-            found = self._contour.measure(sight.view, sight.seen, sight.contour, wide, colours)
+            found = self._contour.measure(sight.view, sight.seen, sight.contour, wide, colours, earlier)
         terms: list[Term] = [found.term]
         template = self._templates[sight.camera_index]
         if config.photometric and template is not None:

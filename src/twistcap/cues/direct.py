@@ -28,6 +28,8 @@ class DirectContour:
             so that they are not independent.
         robust: displacement at which a point begins to lose its say, m.
         inner: share of the information of contours before another part of the body.
+        known_mass: samples with which a part's remembered colours enter, where they are sure.
+        alternations: fine alternations of correspond and update in each frame.
     """
 
     search: float = 0.035
@@ -41,10 +43,12 @@ class DirectContour:
     robust: float = 0.01
     inner: float = 0.3
     known_mass: float = 20.0
+    alternations: int = 1
 
     def measure(
-        self, view: View, seen: RenderedView, contour: ContourPoints, coarse: float, colours: Float
-    ) -> ContourEvidence:
+        self, view: View, seen: RenderedView, contour: ContourPoints, coarse: float, colours: Float,
+        earlier: ContourEvidence | None = None,
+    ) -> ContourEvidence:  # fmt: skip
         """Measure every contour point along its normal and make a point-to-normal term of it.
 
         `coarse` ≥ 1 lengthens the search lines and loosens the robust scale in early alternations.

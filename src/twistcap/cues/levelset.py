@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from twistcap._typing import Float, Float32
-from twistcap.cues.evidence import ContourEvidence
+from twistcap.cues.evidence import ContourEvidence, Segmentation
 from twistcap.cues.view import View
 from twistcap.region.densities import blockwise_log_ratio, global_log_ratio, heaviside
 from twistcap.region.levelset import evolve, nearest_with_normal, signed_distance, zero_crossings
@@ -40,52 +40,66 @@ class LevelSetContour:
         sigma: measurement noise of a contour point, px.
         share: share of the points' information that counts (they are correlated).
         robust: distance at which a match begins to lose its say, m.
+        alternations: fine alternations of correspond and update in each frame.
     """
 
     density: Literal["local", "global"] = "local"
-    rho: float = 0.06
+    rho: float = 0.04
     floor: float = 4e-4
     prior_mass: float = 0.02
     rounds: int = 1
-    steps: int = 5
+    steps: int = 3
     tau: float = 2.4
     nu: float = 0.5
     lam: float = 0.05
     width: float = 0.015
     clip: float = 3.0
     least_cosine: float = 0.5
-    sigma: float = 0.8
+    sigma: float = 0.5
     share: float = 1.0
     robust: float = 0.01
+    alternations: int = 2
 
     def measure(
-        self, view: View, seen: RenderedView, contour: ContourPoints, coarse: float, colours: Float
-    ) -> ContourEvidence:
+        self, view: View, seen: RenderedView, contour: ContourPoints, coarse: float, colours: Float,
+        earlier: ContourEvidence | None = None,
+    ) -> ContourEvidence:  # fmt: skip
         """Segment, match the silhouette's points to the evolved contour, and make the term of their rays.
 
-        `coarse` ≥ 1 widens the capture range in early alternations.
+        `coarse` ≥ 1 widens the capture range in early alternations. The segmentation of `earlier` evidence, of the same
+        rendered body, is matched again: its shape prior has hardly moved.
         """
         contour = contour[contour.outer]
         width = max(1.0, coarse * self.width * seen.px_per_m)
-        phi0 = signed_distance(seen.mask)
-        phi, ratio = phi0, self._log_ratio(view, phi0, seen.px_per_m)
-        for again in range(self.rounds):
-            ratio = self._log_ratio(view, phi, seen.px_per_m) if again else ratio
-            phi = evolve(phi0, ratio, self.steps, self.tau * width, self.nu, self.lam / width, width, self.clip)
+        found = earlier.segmentation if earlier is not None else None
+        if found is None or found.width != width:
+            found = self._segmented(view, seen, width)
         partner, distance = nearest_with_normal(
-            contour.pixels, contour.normals, *zero_crossings(phi), self.least_cosine
+            contour.pixels, contour.normals, found.points, found.normals, self.least_cosine
         )
         matched = distance < 4.0 * width
         term = self._term(view, seen, contour[matched], partner[matched], coarse)
         displacement = np.where(matched, np.sum((partner - contour.pixels) * contour.normals, axis=1), 0.0)
-        contrast = _contrast(np.clip(ratio, -self.clip, self.clip), contour, seen.px_per_m)
-        return ContourEvidence(term, contour, displacement, np.where(matched, contrast, 0.0))
+        contrast = np.where(matched, _contrast(found.log_ratio, contour, seen.px_per_m), 0.0)
+        return ContourEvidence(term, contour, displacement, contrast, found)
 
-    def _log_ratio(self, view: View, phi: Float32, px_per_m: float) -> Float32:
+    def _segmented(self, view: View, seen: RenderedView, width: float) -> Segmentation:
+        """Evolve the rendered body's outline in the image."""
+        phi0 = signed_distance(seen.mask)
+        band = max(4.0 * width, 0.04 * seen.px_per_m)  # where the contour may go, or contrast is looked for
+        phi, ratio = phi0, self._log_ratio(view, phi0, seen.px_per_m, band)
+        for again in range(self.rounds):
+            ratio = self._log_ratio(view, phi, seen.px_per_m, 2.0 * band) if again else ratio
+            phi = evolve(phi0, ratio, self.steps, self.tau * width, self.nu, self.lam / width, width, self.clip)
+        return Segmentation(*zero_crossings(phi), np.clip(ratio, -self.clip, self.clip), width)
+
+    def _log_ratio(self, view: View, phi: Float32, px_per_m: float, band: float) -> Float32:
+        """The ratio within `band` px of the contour; beyond it nobody asks, and it is 0 or right."""
         inside = heaviside(phi, 0.7)
         if self.density == "global":
             return global_log_ratio(view.features, inside, self.floor)
-        return blockwise_log_ratio(view.features, inside, self.rho * px_per_m, self.floor, self.prior_mass)
+        wanted = np.abs(phi) <= band
+        return blockwise_log_ratio(view.features, inside, self.rho * px_per_m, self.floor, self.prior_mass, wanted)
 
     def _term(
         self, view: View, seen: RenderedView, contour: ContourPoints, partner: Float, coarse: float

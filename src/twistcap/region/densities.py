@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Float, Float32
+from twistcap._typing import Bool, Float, Float32
 
 
 @njit(cache=True, nogil=True)
@@ -77,12 +77,16 @@ def local_log_ratio(channels: Float32, inside: Float32, rho: float, floor: float
 
 
 def blockwise_log_ratio(
-    channels: Float32, inside: Float32, rho: float, floor: float, prior_mass: float, block: int = 2
+    channels: Float32, inside: Float32, rho: float, floor: float, prior_mass: float, wanted: Bool | None = None,
+    block: int = 2,
 ) -> Float32:  # fmt: skip
     """(H, W) like `local_log_ratio`, which it is tested against, with statistics of blocks of `block`² pixels.
 
-    The densities vary slowly, so that it costs no accuracy; every pixel's own value is looked at.
+    The densities vary slowly, so that it costs no accuracy; every pixel's own value is looked at. Where nobody wants
+    it (H, W) the ratio is 0.
     """
+    if wanted is None:
+        wanted = np.ones(inside.shape, dtype=np.bool_)
     sums = _block_sums(channels, inside, block)
     size = max(3, 2 * round(rho / block * math.sqrt(3.0)) + 1)
     blocks = sums.shape[0] * sums.shape[1]
@@ -92,28 +96,51 @@ def blockwise_log_ratio(
     box = cv2.boxFilter(flat, -1, (size, size), borderType=cv2.BORDER_REFLECT_101)
     window = np.asarray(box, dtype=np.float32).reshape(sums.shape)
     prior = (prior_mass * block**2 * whole / np.maximum(whole[:, :1], 1e-6)).astype(np.float32)
-    return _ratios_of_blocks(channels, window, prior, block, floor)
+    return _ratios_of_blocks(channels, window, prior, wanted, block, floor)
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
 def _block_sums(channels: Float32, inside: Float32, block: int) -> Float32:
     """(h, w, 2, 1 + 2 C) sums of `_add_pixel` over each block."""
     height, width, C = channels.shape
-    out = np.zeros(((height + block - 1) // block, (width + block - 1) // block, 2, 1 + 2 * C), dtype=np.float32)
-    for r in range(height):
-        for c in range(width):
-            _add_pixel(out[r // block, c // block], channels, inside, r, c, 1.0)
+    out = np.empty(((height + block - 1) // block, (width + block - 1) // block, 2, 1 + 2 * C), dtype=np.float32)
+    whole, within = np.zeros(1 + 2 * C, dtype=np.float32), np.zeros(1 + 2 * C, dtype=np.float32)
+    for br in range(out.shape[0]):
+        for bc in range(out.shape[1]):
+            whole[:], within[:] = np.float32(0.0), np.float32(0.0)
+            for r in range(br * block, min(br * block + block, height)):
+                for c in range(bc * block, min(bc * block + block, width)):
+                    share = inside[r, c]
+                    whole[0] += np.float32(1.0)
+                    within[0] += share
+                    for j in range(C):
+                        value = channels[r, c, j]
+                        square = value * value
+                        whole[1 + j] += value
+                        whole[1 + C + j] += square
+                        within[1 + j] += share * value
+                        within[1 + C + j] += share * square
+            for i in range(1 + 2 * C):
+                out[br, bc, 0, i], out[br, bc, 1, i] = within[i], whole[i] - within[i]
     return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "arcp"})
-def _ratios_of_blocks(channels: Float32, window: Float32, prior: Float32, block: int, floor: float) -> Float32:
+def _ratios_of_blocks(
+    channels: Float32, window: Float32, prior: Float32, wanted: Bool, block: int, floor: float
+) -> Float32:  # fmt: skip
     """(H, W) each pixel under the two Gaussians of its block's window (h, w, 2, 1 + 2 C) and the prior sums."""
     height, width, C = channels.shape
-    out = np.empty((height, width), dtype=np.float32)
+    out = np.zeros((height, width), dtype=np.float32)
     mu, within = np.empty((2, C)), np.empty((2, C))
     for br in range(window.shape[0]):
         for bc in range(window.shape[1]):
+            asked = False
+            for r in range(br * block, min(br * block + block, height)):
+                for c in range(bc * block, min(bc * block + block, width)):
+                    asked |= wanted[r, c]
+            if not asked:
+                continue
             spread = 1.0
             for side in range(2):
                 mass = 1.0 / (window[br, bc, side, 0] + prior[side, 0])

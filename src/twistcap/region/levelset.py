@@ -18,15 +18,15 @@ _TABLE = 512  # places at which H' is tabulated
 def signed_distance(mask: Bool) -> Float32:
     """(H, W) distance to the mask's outline in px, positive inside.
 
-    The outline runs half a pixel outside the mask's own pixel centres, which is corrected for.
+    The outline runs half a pixel outside the mask's own pixel centres, which is corrected for. Good to 2 % of itself.
     """
     inside = mask.astype(np.uint8)
-    to_outside = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    to_inside = cv2.distanceTransform(1 - inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    to_outside = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_5)
+    to_inside = cv2.distanceTransform(1 - inside, cv2.DIST_L2, cv2.DIST_MASK_5)
     return np.where(mask, to_outside - np.float32(0.5), np.float32(0.5) - to_inside)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "arcp"})
 def evolve(
     phi0: Float32, log_ratio: Float32, steps: int, tau: float, nu: float, lam: float, width: float, clip: float
 ) -> Float32:

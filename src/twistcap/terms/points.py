@@ -190,6 +190,78 @@ class PointRayTerm(PointTerm):
         weight = np.tile(self.weight * robust, 2)
         return float(self.weight @ energy), self.points, Rows(gradient, residual, weight)
 
+    def energy(self, posed: Posed) -> float:
+        p = self.points
+        return _ray_energy(
+            posed.segment_transforms, p.segments, p.weights, p.local, self.direction, self.moment, self.scale,
+            self.weight, self.huber_px,
+        )  # fmt: skip
+
+    def add_to(self, sums: SegmentSums) -> None:
+        p = self.points
+        sums.value += _add_rays(
+            sums.posed.segment_transforms, p.segments, p.weights, p.local, self.direction, self.moment, self.scale,
+            self.weight, self.huber_px, sums.blocks, sums.vector,
+        )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, fastmath=_FAST, inline="always")
+def _off_ray(
+    x: float, y: float, z: float, n: Float, m: Float, scale: float
+) -> tuple[float, float, float, float]:  # fmt: skip
+    """``scale (x × n − m)`` and its length."""
+    a = scale * (y * n[2] - z * n[1] - m[0])
+    b = scale * (z * n[0] - x * n[2] - m[1])
+    c = scale * (x * n[1] - y * n[0] - m[2])
+    return a, b, c, np.sqrt(a * a + b * b + c * c)
+
+
+@njit(cache=True, nogil=True, fastmath=_FAST)
+def _ray_energy(
+    transforms: Float, segments: Int, weights: Float, local: Float, direction: Float, moment: Float, scale: Float,
+    weight: Float, knee: float,
+) -> float:  # fmt: skip
+    """`PointRayTerm.rows` for its energy alone."""
+    energy = 0.0
+    for n in range(len(weight)):
+        x, y, z = skinned_point(transforms, segments, weights, local, n)
+        _, _, _, size = _off_ray(x, y, z, direction[n], moment[n], scale[n])
+        energy += weight[n] * (0.5 * size * size if size <= knee else knee * (size - 0.5 * knee))
+    return energy
+
+
+@njit(cache=True, nogil=True, fastmath=_FAST)
+def _add_rays(
+    transforms: Float, segments: Int, weights: Float, local: Float, direction: Float, moment: Float, scale: Float,
+    weight: Float, knee: float, blocks: Float, vector: Float,
+) -> float:  # fmt: skip
+    """`PointRayTerm.rows` and their sums in one pass; returns the energy."""
+    K = segments.shape[1]
+    j, own = np.zeros((K, TWIST_WIDTH)), np.zeros(K, dtype=np.int32)
+    energy = 0.0
+    for i in range(len(weight)):
+        n, f = direction[i], scale[i]
+        x, y, z = skinned_point(transforms, segments, weights, local, i)
+        a, b, c, size = _off_ray(x, y, z, n, moment[i], f)
+        energy += weight[i] * (0.5 * size * size if size <= knee else knee * (size - 0.5 * knee))
+        W = weight[i] * (1.0 if size <= knee else knee / size)
+        if abs(n[0]) < 0.7:  # e: n × an axis, of unit length
+            length = np.sqrt(n[1] * n[1] + n[2] * n[2])
+            e0, e1, e2 = 0.0, n[2] / length, -n[1] / length
+        else:
+            length = np.sqrt(n[0] * n[0] + n[2] * n[2])
+            e0, e1, e2 = -n[2] / length, 0.0, n[0] / length
+        u0, u1, u2 = n[1] * e2 - n[2] * e1, n[2] * e0 - n[0] * e2, n[0] * e1 - n[1] * e0
+        add_row(
+            transforms, segments, weights, local, i, f * u0, f * u1, f * u2, e0 * a + e1 * b + e2 * c, W, j, own,
+            blocks, vector,
+        )  # fmt: skip
+        add_row(
+            transforms, segments, weights, local, i, -f * e0, -f * e1, -f * e2, u0 * a + u1 * b + u2 * c, W, j, own,
+            blocks, vector,
+        )  # fmt: skip
+    return energy
+
 
 @dataclass(frozen=True)
 class KeypointTerm(PointTerm):
