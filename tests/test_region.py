@@ -62,7 +62,9 @@ def measured(
         image, part_at(normal, offset), pixels, normals, part, np.ones(n, dtype=bool), steps, HALF
     )
     assert np.all(first == 0) and np.all(last == 2 * HALF)
-    mean, variance = pooled_gaussians(line_moments(values, first, last, steps), pixels, part, 20.0, 3.0, FLOOR, UNKNOWN, 0.0)
+    mean, variance = pooled_gaussians(
+        line_moments(values, first, last, steps), pixels, part, 20.0, 3.0, FLOOR, UNKNOWN, 0.0
+    )
     return boundary_posterior(values, first, last, steps, mean, variance, CLIP)
 
 
@@ -131,7 +133,7 @@ def test_posterior_agrees_with_its_twin() -> None:
     displacement, spread, _ = boundary_posterior(*lines, CLIP)
     expected, expected_spread = boundary_posterior_reference(*lines, CLIP)
     np.testing.assert_allclose(displacement, expected, atol=5e-3)
-    np.testing.assert_allclose(spread, expected_spread, rtol=5e-3, atol=5e-3)
+    np.testing.assert_allclose(spread, expected_spread, rtol=2e-2, atol=5e-3)
     assert displacement.std() > 1
 
 
@@ -195,7 +197,9 @@ def test_line_moments_and_pooled_gaussians_are_weighted_statistics() -> None:
     n, rho, prior = len(values), 9.0, 3.0
     rng = np.random.default_rng(3)
     pixels, part = rng.uniform(0, 30, (n, 2)), rng.integers(0, 2, n).astype(np.int32)
-    mean, variance = pooled_gaussians(line_moments(values, first, last, step), pixels, part, rho, prior, FLOOR, UNKNOWN, 0.0)
+    mean, variance = pooled_gaussians(
+        line_moments(values, first, last, step), pixels, part, rho, prior, FLOOR, UNKNOWN, 0.0
+    )
     for i in range(n):
         for side in range(2):
             samples, weights, whole = [], [], []
@@ -383,7 +387,7 @@ def test_local_ratio_agrees_with_its_brute_force_twin() -> None:
     places = [(0, 0), (50, 60), (48, 36), (48, 37), (3, 118), (74, 62), (50, 90), (100, 120)]
     found = local_log_ratio(channels, inside, 7.0, FLOOR, 0.05)
     expected = local_ratio_reference(channels, inside, 7.0, 0.05, places)
-    np.testing.assert_allclose([found[p] for p in places], expected, rtol=5e-3, atol=5e-3)
+    np.testing.assert_allclose([found[p] for p in places], expected, rtol=2e-2, atol=5e-3)
     assert np.ptp(expected) > 1
 
 

@@ -186,7 +186,7 @@ class Tracker:
         fine = config.first_iterations
         if self._started:
             fit, fine = self._alternate(fit, views, fixed, coarse=False), self._contour.alternations - 1
-        if not self._started or fit.moved > config.surprise:
+        if not self._started or fit.moved > config.surprise or self._slipping(fit):
             for _ in range(config.coarse_rounds):
                 fit = self._alternate(fit, views, fixed, coarse=True)
                 if fit.moved <= config.settled:
@@ -195,6 +195,16 @@ class Tracker:
         for _ in range(fine):
             fit = self._alternate(fit, views, fixed, coarse=False)
         return replace(fit, result=replace(fit.result, status=_status(fit.result, fit.moved, config.settled)))
+
+    def _tallies(self, fit: _Fit) -> list[tuple[Float, Int]]:
+        """Per view: contour points of each part that agree with the image, and how many it has."""
+        parts, rule = len(self.body.segment_names), self.config.support
+        return [part_tally(e, s.view.camera.K[0, 0], parts, rule) for s, e in zip(fit.sights, fit.found, strict=True)]
+
+    def _slipping(self, fit: _Fit) -> bool:
+        """Whether a part's contour agrees with the images much less than it used to."""
+        (good, seen), rule = _summed(self._tallies(fit), len(self._support)), self.config.support
+        return bool(np.any((seen >= rule.least_points) & (good < rule.slip * self._support * seen)))
 
     def _rival(
         self, fit: _Fit, claimed: Float, views: dict[int, View], information: Float, found: Sequence[Term]
@@ -286,15 +296,13 @@ class Tracker:
 
     def _remember(self, fit: _Fit) -> None:
         """Learn from the settled frame: brightness of the surface, colours of the parts, and how well they agree."""
-        rule, parts = self.config.support, len(self.body.segment_names)
-        good, seen = np.zeros(parts), np.zeros(parts, dtype=np.int32)
-        for sight, found in zip(fit.sights, fit.found, strict=True):
-            i, cue = sight.camera_index, self.config.brightness
+        tallies, rule, cue = self._tallies(fit), self.config.support, self.config.brightness
+        for sight, (good, points) in zip(fit.sights, tallies, strict=True):
+            i = sight.camera_index
             if self.config.photometric:
                 self._templates[i] = cue.remember(sight.view, sight.seen, fit.result.posed, self._templates[i])
-            agreeing, points = part_tally(found, sight.view.camera.K[0, 0], parts, rule)
-            self._appearance.learn(i, sight.view, sight.seen, agreeing / np.maximum(points, 1))
-            good, seen = good + agreeing, seen + points
+            self._appearance.learn(i, sight.view, sight.seen, good / np.maximum(points, 1))
+        good, seen = _summed(tallies, len(self._support))
         judged = seen >= rule.least_points  # a part that is hardly seen keeps the support it had
         self._support[judged] *= rule.memory
         self._support[judged] += (1.0 - rule.memory) * good[judged] / seen[judged]
@@ -318,6 +326,14 @@ class Tracker:
         information = result.quadratic.hessian - np.linalg.inv(expected)
         zero = np.zeros(self.body.dof)
         return covariance(Quadratic(0.0, zero, information / scale + np.linalg.inv(before)))
+
+
+def _summed(tallies: Sequence[tuple[Float, Int]], parts: int) -> tuple[Float, Float]:
+    """The tallies of all views together, of S parts."""
+    good, seen = np.zeros(parts), np.zeros(parts)
+    for agreeing, points in tallies:
+        good, seen = good + agreeing, seen + points
+    return good, seen
 
 
 def _status(result: SolveResult, moved: float, settled: float) -> Status:

@@ -24,14 +24,15 @@ class AppearanceRule:
         memory: share of what is known that is kept from frame to frame.
         least_share: share of a part's contour that must agree with the image before it is learnt from.
         other_cameras: weight of what other cameras have seen of a part.
-        shading: standard deviation of a part's lightness from camera to camera: one sees its sunny side, one the other.
+        shading: standard deviation of the factor by which a part's colours differ from camera to camera: one sees its
+            sunny side, one the other.
         trusted: pixels, over all frames remembered, at which colours are trusted by half.
     """
 
     memory: float = 0.9
     least_share: float = 0.7
     other_cameras: float = 0.3
-    shading: float = 0.12
+    shading: float = 0.3
     trusted: float = 100.0
 
 
@@ -46,7 +47,8 @@ class Appearance:
         """(S, 1 + 2C) confidence 0 … 1, mean and mean square of each part's colours in a camera."""
         sums = self._all(channels)
         borrowed = self._rule.other_cameras * (sums.sum(axis=0) - sums[camera_index])
-        borrowed[:, 1 + channels] += self._rule.shading**2 * borrowed[:, 0]
+        means = borrowed[:, 1 : 1 + channels]
+        borrowed[:, 1 + channels :] += self._rule.shading**2 * means**2 / np.maximum(borrowed[:, :1], 1e-9)
         pooled = sums[camera_index] + borrowed
         mass = pooled[:, :1]
         return np.concatenate([mass / (mass + self._rule.trusted), pooled[:, 1:] / np.maximum(mass, 1e-9)], axis=1)
