@@ -230,6 +230,21 @@ def test_a_part_without_samples_outside_takes_those_of_the_whole_body() -> None:
     assert np.all(np.isfinite(variance)) and variance.min() >= FLOOR
 
 
+def test_remembered_colours_take_the_place_of_the_parts_own() -> None:
+    values, first, last, step, _, _ = random_lines(5)
+    part, pixels = np.zeros(len(values), np.int32), np.random.default_rng(1).uniform(0, 30, (len(values), 2))
+    moments = line_moments(values, first, last, step)
+    colours = np.zeros((1, 7))
+    colours[0] = [0.5, 0.1, 0.2, 0.3, 0.1**2 + 1e-3, 0.2**2 + 1e-3, 0.3**2 + 1e-3]
+    mean, variance = pooled_gaussians(moments, pixels, part, 9.0, 3.0, FLOOR, colours, 2e9)
+    np.testing.assert_allclose(mean[:, 0], np.tile(colours[0, 1:4], (len(values), 1)), atol=1e-5)
+    np.testing.assert_allclose(variance[:, 0], 1e-3 + FLOOR, atol=1e-5)
+    plain, _ = pooled_gaussians(moments, pixels, part, 9.0, 3.0, FLOOR, UNKNOWN, 0.0)
+    np.testing.assert_array_equal(mean[:, 1], plain[:, 1])  # the background has no memory
+    halved, _ = pooled_gaussians(moments, pixels, part, 1e-6, 3.0, FLOOR, colours, 2.0 * moments[0, 0, 0])
+    np.testing.assert_allclose(halved[0, 0, 0], 0.5 * (moments[0, 0, 1] / moments[0, 0, 0] + 0.1), rtol=1e-6)
+
+
 # ---- level sets ------------------------------------------------------------------------------------------------
 
 SIZE = (101, 121)

@@ -109,12 +109,12 @@ def test_a_limb_on_other_ground_keeps_its_colours() -> None:
     fast = capture(StudioConfig(seed=1, views=4, frames=5, fps=30.0, condition="mismatch"))
     frames = list(fast.frames())
 
-    def worst_mm(known_mass: float) -> float:
-        config = TrackerConfig(direct=replace(TrackerConfig().direct, known_mass=known_mass))
+    def worst_mm(colour_mass: float) -> float:
+        config = TrackerConfig(direct=replace(TrackerConfig().direct, colour_mass=colour_mass))
         last = list(track(frames, fast.body, fast.rig, fast.first_pose, config))[-1]
         return float(joint_errors_mm(fast, last).max())
 
-    remembered, forgotten = worst_mm(TrackerConfig().direct.known_mass), worst_mm(0.0)
+    remembered, forgotten = worst_mm(TrackerConfig().direct.colour_mass), worst_mm(0.0)
     print(remembered, forgotten)
     assert remembered < 40.0 < forgotten
 

@@ -61,7 +61,10 @@ class Camera:
     def normalised(self, pixels: ArrayLike) -> Float:
         """Pixels (..., 2) to undistorted image-plane coordinates (..., 2) at depth 1."""
         px = np.asarray(pixels, float)
-        return undistort((px - self.K[:2, 2]) @ np.linalg.inv(self.K[:2, :2]).T, self.dist)
+        (fx, skew), fy = self.K[0, :2], self.K[1, 1]
+        y = (px[..., 1] - self.K[1, 2]) / fy
+        x = (px[..., 0] - self.K[0, 2] - skew * y) / fx
+        return undistort(np.stack([x, y], axis=-1), self.dist)
 
     def rays(self, pixels: ArrayLike) -> tuple[Float, Float]:
         """Plücker rays through pixels: unit direction n and moment m = c × n, both (..., 3), world, metres.

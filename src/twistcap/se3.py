@@ -293,8 +293,7 @@ def inverse_left_jacobian_one(twist: Float) -> Float:
     series = eye.copy()
     for n in range(40, 0, -1):
         series = eye + ad @ series / (n + 1)
-    inverse: Float = np.linalg.inv(series)
-    return inverse
+    return np.linalg.inv(series).astype(np.float64)
 
 
 @njit(cache=True, nogil=True)

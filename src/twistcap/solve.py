@@ -14,7 +14,7 @@ from twistcap._typing import Float
 from twistcap.body import Pose, Posed
 from twistcap.terms import PointTerm, Quadratic, SegmentSums, Term
 
-_posv = get_lapack_funcs("posv", dtype=np.float64)  # Cholesky, without the cost of scipy's batching
+(_posv,) = get_lapack_funcs(("posv",), dtype=np.float64)  # Cholesky, without the cost of scipy's batching
 
 Status = Literal["converged", "max_iterations", "stalled", "failed"]
 

@@ -74,7 +74,7 @@ class TrackerConfig:
     render_after: float = 0.008
     contour_spacing: float = 0.032
     solver_steps: int = 1
-    margin: float = 0.2
+    margin: float = 0.15
     inflation: float = 5.0
     first_sigma_deg: float = 1.0
     first_sigma_m: float = 0.005
@@ -139,7 +139,7 @@ class Tracker:
         self._started = False
 
     def restore(self, estimates: Sequence[Estimate]) -> None:
-        """Go on after a track's last estimate, as `--resume` does; brightness is learnt anew from the next frame."""
+        """Go on after a track's last estimate, as `--resume` does; brightness and colours are learnt anew."""
         last = estimates[-1]
         self.start(last.pose, last.time)
         self._history = [Moment(e.time, e.pose) for e in estimates[-50:]]
@@ -203,8 +203,11 @@ class Tracker:
 
     def _slipping(self, fit: _Fit) -> bool:
         """Whether a part's contour agrees with the images much less than it used to."""
-        (good, seen), rule = _summed(self._tallies(fit), len(self._support)), self.config.support
-        return bool(np.any((seen >= rule.least_points) & (good < rule.slip * self._support * seen)))
+        slip = self._contour.slip
+        if slip == 0.0:
+            return False
+        good, seen = _summed(self._tallies(fit), len(self._support))
+        return bool(np.any((seen >= self.config.support.least_points) & (good < slip * self._support * seen)))
 
     def _rival(
         self, fit: _Fit, claimed: Float, views: dict[int, View], information: Float, found: Sequence[Term]

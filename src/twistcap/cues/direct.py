@@ -28,8 +28,9 @@ class DirectContour:
             so that they are not independent.
         robust: displacement at which a point begins to lose its say, m.
         inner: share of the information of contours before another part of the body.
-        known_mass: samples with which a part's remembered colours enter, where they are sure.
+        colour_mass: samples with which a part's remembered colours enter, where they are sure.
         alternations: fine alternations of correspond and update in each frame.
+        slip: share of its running mean below which a part's agreement calls for coarse alternations.
     """
 
     search: float = 0.035
@@ -42,8 +43,9 @@ class DirectContour:
     share: float = 1.0
     robust: float = 0.01
     inner: float = 0.3
-    known_mass: float = 20.0
+    colour_mass: float = 20.0
     alternations: int = 1
+    slip: float = 0.7
 
     def measure(
         self, view: View, seen: RenderedView, contour: ContourPoints, coarse: float, colours: Float,
@@ -58,7 +60,7 @@ class DirectContour:
             view.features, seen.part, contour.pixels, contour.normals, contour.part, contour.outer,
             contour.inverse_depth, coarse * self.search * scale, self.samples, self.rho * size, self.prior_mass,
             self.floor, self.clip, self.share, self.inner, self.least_sigma, colours,
-            self.known_mass,
+            self.colour_mass,
         )  # fmt: skip
         term = PointNormalTerm(
             view.camera.P, contour.points, target, contour.normals, weight, coarse * self.robust * size

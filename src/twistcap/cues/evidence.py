@@ -54,6 +54,11 @@ class ContourCue(Protocol):
         """Fine alternations of correspond and update in each frame."""
         ...
 
+    @property
+    def slip(self) -> float:
+        """Share of its running mean below which a part's agreement calls for coarse alternations."""
+        ...
+
     def measure(
         self, view: View, seen: RenderedView, contour: ContourPoints, coarse: float, colours: Float,
         earlier: ContourEvidence | None = None,

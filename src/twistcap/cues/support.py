@@ -22,7 +22,6 @@ class SupportRule:
         tolerance: m (on the body) that the boundary may lie off.
         least_points: contour points over all views below which a part is not judged.
         least_share: share of agreeing points below which a part is lost.
-        slip: share of its running mean below which a part's agreement calls for coarse alternations.
         memory: weight of the past in the running mean of each part's share, per frame.
     """
 
@@ -30,7 +29,6 @@ class SupportRule:
     tolerance: float = 0.015
     least_points: int = 12
     least_share: float = 0.35
-    slip: float = 0.7
     memory: float = 0.8
 
 

@@ -20,7 +20,7 @@ _FAST = {"contract", "reassoc", "arcp", "nnan", "ninf", "nsz"}  # lines are of f
 def measured_lines(
     image: Float32, part_image: Int, pixels: Float, normals: Float, part: Int, outer: Bool, inverse_depth: Float,
     reach: float, half: int, rho: float, prior_mass: float, floor: float, clip: float, share: float, inner: float,
-    least_sigma: float, known: Float, known_mass: float,
+    least_sigma: float, colours: Float, colour_mass: float,
 ) -> tuple[Float, Float, Float, Float]:  # fmt: skip
     """All of a view's lines by the four steps below, whose arguments these are, and what they weigh.
 
@@ -28,6 +28,7 @@ def measured_lines(
         reach: half length of the lines, px at 1 m from the camera; `inverse_depth` (N,) 1/m scales it.
         share, inner: share of the information of all points, and of inner contours beside.
         least_sigma: measurement noise that is added, px.
+        colours, colour_mass: what is remembered of each part, and the samples it counts for.
 
     Returns:
         (N,) displacement (px, outward), (N,) information (1/px²), (N,) evidence (nats) and (N, 2) target (px).
@@ -35,7 +36,7 @@ def measured_lines(
     step = np.maximum(reach / half * inverse_depth, 0.25)
     values, first, last = sample_lines(image, part_image, pixels, normals, part, outer, step, half)
     moments = line_moments(values, first, last, step)
-    mean, variance = pooled_gaussians(moments, pixels, part, rho, prior_mass, floor, known, known_mass)
+    mean, variance = pooled_gaussians(moments, pixels, part, rho, prior_mass, floor, colours, colour_mass)
     displacement, spread, evidence = boundary_posterior(values, first, last, step, mean, variance, clip)
     weight, target = np.empty_like(spread), np.empty_like(pixels)
     for n in range(len(pixels)):
@@ -155,13 +156,16 @@ def pooled_gaussians(
     rho: float,
     prior_mass: float,
     floor: float,
-    known: Float,
-    known_mass: float,
+    colours: Float,
+    colour_mass: float,
 ) -> tuple[Float, Float]:
     """Local means and variances (N, 2, C) of both sides, pooled over the lines of the same part within about `rho` px.
 
     A window like a Gaussian of `rho` px weights the neighbours; the part's whole statistics come in with `prior_mass`
     samples, so that a line without neighbours falls back on them smoothly. `floor` is the least variance.
+
+    Inside, where a part's `colours` (S, 1 + 2C: confidence, mean, mean square) are remembered, they take the place of
+    its whole statistics, with `colour_mass` samples times their confidence.
     """
     N, _, fields = moments.shape
     channels = (fields - 1) // 2
@@ -176,8 +180,8 @@ def pooled_gaussians(
             fallback = whole[part[n], side] if whole[part[n], side, 0] > 0.0 else everything[side]
             share = prior_mass / fallback[0] if fallback[0] > 0.0 else 0.0
             prior = share * fallback[0]
-            if side == 0 and known[part[n], 0] > 0.0:
-                fallback, share = known[part[n]], known_mass * known[part[n], 0]
+            if side == 0 and colours[part[n], 0] > 0.0:
+                fallback, share = colours[part[n]], colour_mass * colours[part[n], 0]
                 prior = share
             mass = max(pooled[n, side, 0] + prior, 1e-9)
             for c in range(channels):
