@@ -37,7 +37,7 @@ def main() -> float:
     ]
     standing = GaussianTerm(Pose.rest(body), 0.1 * np.eye(body.dof))  # where nothing is seen, stand
 
-    result = least_squares(body, Pose.rest(body), [*keypoints, standing, LimitTerm()], steps=50)
+    result = least_squares(Posed(body, Pose.rest(body)), [*keypoints, standing, LimitTerm()], steps=50)
     sigma = np.rad2deg(np.sqrt(covariance(result.quadratic)[6 + knee, 6 + knee]))
     print(f"{result.status} after {result.steps} steps, energy {result.energy:.1f}")
     print(f"right knee {np.rad2deg(result.pose.q[knee]):.1f}° ± {sigma:.1f}° (true 90°)")

@@ -100,8 +100,7 @@ def test_an_arm_that_one_camera_saw_is_found_again_when_the_other_sees_it() -> N
 
     with_rivals, without = arm_mm(RivalRule()), arm_mm(RivalRule(least_sd=np.inf))
     print(with_rivals, without)
-    assert without > 100.0
-    assert with_rivals < 60.0
+    assert with_rivals < 100.0 < 0.5 * without  # lost it is off by the length of the arm
 
 
 def test_a_limb_on_other_ground_keeps_its_colours() -> None:

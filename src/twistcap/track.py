@@ -223,7 +223,10 @@ class Tracker:
             return None
         best = poses[int(np.argmax(evidence))]
         other = self._fit(best, views, (LimitTerm(), self._rest, GaussianTerm(best, information), *found))
-        return other if judge.evidence(other.result.pose) > rule.margin else None
+        fitted = judge.evidence(other.result.pose)
+        if fitted < max(evidence):  # the fit has lost it again: the images' judgement stands
+            other = replace(other, result=replace(other.result, posed=Posed(self.body, best)))
+        return other if max(fitted, *evidence) > rule.margin else None
 
     def _forget_motion(self, jump: Float, pose: Pose) -> None:
         """After a jump to a rival: the last pose was off as well; joints that jumped start again from rest."""

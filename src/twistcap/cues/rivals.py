@@ -31,7 +31,7 @@ class RivalRule:
         steps: how far rivals lie off, in standard deviations along the least certain direction.
         every: rivals are tried in every so many frames, of one limb after the other.
         promising: nats from which on a rival is fitted to the images, which it may miss by little yet.
-        margin: nats by which a fitted rival must explain the images better.
+        margin: nats by which a rival, fitted or not, must explain the images better.
         px_per_m: resolution at which images are compared.
         radius: m about a pixel from which its background is gathered.
         berth: m about either pose within which nothing counts as background.
