@@ -86,6 +86,7 @@ def test_no_step_is_accepted_that_raises_the_energy() -> None:
     result = least_squares(Posed(BODY, pose), [term], steps=3)
     assert result.status == "stalled" and result.steps == 0
     assert result.pose is pose and len(term.asked) > 1
+    assert result.energy == 1.5  # that of the pose, as the term tells it
 
 
 def test_a_shorter_step_is_tried_when_the_first_one_climbs() -> None:

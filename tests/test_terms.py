@@ -26,7 +26,7 @@ from twistcap.terms import (
     Term,
 )
 from twistcap.terms.accumulate import PointTerm, Rows, SegmentSums, normal_equations, normal_equations_reference
-from twistcap.terms.photometric import brightness_rows, sample_with_gradient
+from twistcap.terms.photometric import brightness_rows, sample
 from twistcap.terms.points import projected_rows, projected_rows_reference
 from twistcap.terms.robust import cauchy, huber
 
@@ -54,6 +54,12 @@ def places(n: int = N, seed: int = 1) -> SurfacePoints:
 def units(shape: tuple[int, ...], seed: int = 2) -> Array:
     x = np.random.default_rng(seed).normal(size=shape)
     return x / np.linalg.norm(x, axis=-1, keepdims=True)
+
+
+def sampled(image: Array, x: Array, y: Array) -> tuple[Array, Array, Array, Array]:
+    """Brightness, ∂x, ∂y and validity (0/1), each (N,), of `sample` at every point."""
+    value, gx, gy, valid = np.array([sample(image, u, v) for u, v in zip(x, y, strict=True)], dtype=float).T
+    return value, gx, gy, valid
 
 
 def weights(n: int = N) -> Array:
@@ -88,7 +94,7 @@ def photometric_term(offset: float = 0.02) -> PhotometricTerm:
     y, x = np.mgrid[:240, :320].astype(float)
     image = (0.2 + 1.1e-3 * x + 0.7e-3 * y + 3e-6 * x * y).astype(np.float32)
     u, v = CAMERA.project(places().at(POSED))[0].T
-    value, gx, gy, _ = sample_with_gradient(image, u, v)
+    value, gx, gy, _ = sampled(image, u, v)
     template = value - offset * np.random.default_rng(7).normal(size=N)
     information = np.random.default_rng(3).uniform(0.2, 3.0, N) * 1e4
     return PhotometricTerm(CAMERA.P, places(), image, template, np.stack([gx, gy], axis=1), information, 0.05)
@@ -195,7 +201,7 @@ def test_hessian_of_brightness_is_that_of_its_residuals() -> None:
 
     def residual(posed: Posed) -> Array:
         u, v = CAMERA.project(term.points.at(posed))[0].T
-        return sample_with_gradient(term.image, u, v)[0] - term.template
+        return sampled(term.image, u, v)[0] - term.template
 
     check_hessian(term, residual, term.weight * cauchy(residual(POSED), 0.05)[1], rtol=5e-3)
 
@@ -309,7 +315,7 @@ def wave() -> Array:
 def test_samples_are_those_of_the_analytic_image() -> None:
     rng = np.random.default_rng(13)
     x, y = rng.uniform(5, 310, 200), rng.uniform(5, 230, 200)
-    value, gx, gy, valid = sample_with_gradient(wave(), x, y)
+    value, gx, gy, valid = sampled(wave(), x, y)
     assert np.all(valid == 1)
     np.testing.assert_allclose(value, 0.5 + 0.2 * np.sin(x / 9) * np.cos(y / 11), atol=1e-3)
     np.testing.assert_allclose(gx, 0.2 / 9 * np.cos(x / 9) * np.cos(y / 11), atol=2e-4)
@@ -318,20 +324,20 @@ def test_samples_are_those_of_the_analytic_image() -> None:
 
 def test_samples_off_the_image_are_not_valid() -> None:
     x, y = np.array([-1e6, 0.5, 318.5, 50.0, 50.0, 50.0]), np.array([50.0, 50.0, 50.0, 0.5, 238.5, 50.0])
-    assert sample_with_gradient(wave(), x, y)[3].tolist() == [0, 0, 0, 0, 0, 1]
+    assert sampled(wave(), x, y)[3].tolist() == [0, 0, 0, 0, 0, 1]
 
 
 def test_mean_of_both_gradients_is_right_to_second_order() -> None:
     """Going back to the template's place changes brightness by what the mean gradient says, with error O(d³)."""
     X = places().at(POSED)
     u, v = CAMERA.project(X)[0].T
-    template, gx, gy, _ = sample_with_gradient(wave(), u, v)
+    template, gx, gy, _ = sampled(wave(), u, v)
     step = np.array([0.02, -0.03, 0.025])
     one = np.ones(len(X))
     residual, gradient = brightness_rows(CAMERA.P, X + step, wave(), template, np.stack([gx, gy], axis=1), one)
     _, own = brightness_rows(
         CAMERA.P, X + step, wave(), template,
-        np.stack(sample_with_gradient(wave(), *CAMERA.project(X + step)[0].T)[1:3], axis=1), one,
+        np.stack(sampled(wave(), *CAMERA.project(X + step)[0].T)[1:3], axis=1), one,
     )  # fmt: skip
     assert np.abs(residual).mean() > 0.02
     error_of_mean, error_of_one = np.abs(gradient @ step - residual), np.abs(own @ step - residual)

@@ -27,7 +27,7 @@ from twistcap.estimate import Estimate, Frame
 from twistcap.features import Channels
 from twistcap.predict import Moment, MotionNoise, PredictorName, predict
 from twistcap.render import ContourPoints, RenderedView, render, reprojected, visible_contour
-from twistcap.solve import SolveResult, Status, covariance, least_squares
+from twistcap.solve import SolveResult, Status, covariance, energies_at, least_squares
 from twistcap.stages import next_frame, stage
 from twistcap.terms import GaussianTerm, LimitTerm, Quadratic, RestTerm, Term
 
@@ -153,21 +153,22 @@ class Tracker:
         guess = predict(self._history, frame.time, config.predictor, config.decay)
         expected = self._expected(guess, frame.time)
         information = np.asarray(np.linalg.inv(expected), dtype=np.float64)
-        found = self._keypoints(frame, guess)
+        posed = Posed(self.body, guess)
+        found = self._keypoints(frame, posed)
         fixed: Sequence[Term] = (LimitTerm(), self._rest, GaussianTerm(guess, information), *found)
-        views = self._views(frame, guess)
+        views = self._views(frame, posed)
         if not views and not found:
             self._advance(frame.time, guess)
             claimed = self._covariance + config.inflation**2 * expected
             return Estimate(frame.index, frame.time, guess, claimed, {}, "no_images", support=0.0)
         self._colours = {i: self._appearance.of(i, view.features.shape[2]) for i, view in views.items()}
-        fit = self._fit(guess, views, fixed)
-        claimed = self._claimed(fit.result, expected)
+        fit = self._fit(posed, views, fixed)
+        claimed = self._claimed(fit.result, expected, information)
         with stage("rivals"):
             rival = self._rival(fit, claimed, views, information, found)
         if rival is not None:
             self._forget_motion(rival.result.pose.minus(fit.result.pose), rival.result.pose)
-            fit, claimed = rival, self._claimed(rival.result, expected)
+            fit, claimed = rival, self._claimed(rival.result, expected, information)
         self._covariance = claimed
         with stage("remember"):
             self._remember(fit)
@@ -179,10 +180,10 @@ class Tracker:
             fit.result.steps, support < config.support.least_share, support,
         )  # fmt: skip
 
-    def _fit(self, guess: Pose, views: dict[int, View], fixed: Sequence[Term]) -> _Fit:
+    def _fit(self, guess: Posed, views: dict[int, View], fixed: Sequence[Term]) -> _Fit:
         """Alternate correspond and update: fine where the prediction was good, else coarse until it settles."""
         config = self.config
-        fit = _Fit(SolveResult(Posed(self.body, guess), "max_iterations", 0, {}, Quadratic.zero(self.body.dof)))
+        fit = _Fit(SolveResult(guess, "max_iterations", 0, {}, Quadratic.zero(self.body.dof)))
         fine = config.first_iterations
         if self._started:
             fit, fine = self._alternate(fit, views, fixed, coarse=False), self._contour.alternations - 1
@@ -214,18 +215,20 @@ class Tracker:
     ) -> _Fit | None:
         """A fit elsewhere that explains the images clearly better than `fit` does, where a limb is in doubt."""
         rule, posed = self.config.rivals, fit.result.posed
-        poses = self._rivals.poses(posed, claimed) if self._started else []
+        poses = self._rivals.poses(posed, claimed) if self._started and views else []
         if not poses:
             return None
         judge = self._rivals.judge(list(views.values()), [self._colours[i] for i in views], posed)
         evidence = [judge.evidence(pose) for pose in poses]
         if max(evidence) < rule.promising:
             return None
-        best = poses[int(np.argmax(evidence))]
-        other = self._fit(best, views, (LimitTerm(), self._rest, GaussianTerm(best, information), *found))
+        best = Posed(self.body, poses[int(np.argmax(evidence))])
+        fixed = (LimitTerm(), self._rest, GaussianTerm(best.pose, information), *found)
+        other = self._fit(best, views, fixed)
         fitted = judge.evidence(other.result.pose)
         if fitted < max(evidence):  # the fit has lost it again: the images' judgement stands
-            other = replace(other, result=replace(other.result, posed=Posed(self.body, best)))
+            energies = energies_at([*fixed, *other.terms], best)
+            other = replace(other, result=replace(other.result, posed=best, energies=energies))
         return other if max(fitted, *evidence) > rule.margin else None
 
     def _forget_motion(self, jump: Float, pose: Pose) -> None:
@@ -286,19 +289,22 @@ class Tracker:
         predictor = config.predictor if len(self._history) > 1 else "hold"  # one moment has no velocity
         return config.noise.covariance(self.body.dof, dt, predictor, centre)
 
-    def _views(self, frame: Frame, guess: Pose) -> dict[int, View]:
-        posed, margin = Posed(self.body, guess), self.config.margin
+    def _views(self, frame: Frame, guess: Posed) -> dict[int, View]:
         views: dict[int, View] = {}
         for i, image in enumerate(frame.images):
-            view = None if image is None else crop_view(image, self.rig[i], posed, margin, self.config.channels)
+            view = (
+                None
+                if image is None
+                else crop_view(image, self.rig[i], guess, self.config.margin, self.config.channels)
+            )
             if view is not None:
                 views[i] = view
         return views
 
-    def _keypoints(self, frame: Frame, guess: Pose) -> Sequence[Term]:
+    def _keypoints(self, frame: Frame, guess: Posed) -> Sequence[Term]:
         if frame.keypoints is None:
             return ()
-        return self.config.keypoints.terms(frame.keypoints, self._given_rig, Posed(self.body, guess))
+        return self.config.keypoints.terms(frame.keypoints, self._given_rig, guess)
 
     def _remember(self, fit: _Fit) -> None:
         """Learn from the settled frame: brightness of the surface, colours of the parts, and how well they agree."""
@@ -319,7 +325,7 @@ class Tracker:
         self._history = [*self._history, Moment(time, pose)][-50:]
         self._started = True
 
-    def _claimed(self, result: SolveResult, expected: Float) -> Float:
+    def _claimed(self, result: SolveResult, expected: Float, information: Float) -> Float:
         """Covariance of the answer: what this frame's images add to what was known, as a Kalman filter would have it.
 
         A limb that nothing shows grows less certain from frame to frame. Where the solve failed, only that happens.
@@ -329,9 +335,9 @@ class Tracker:
         if result.status == "failed":
             return before
         # The solve held the prediction against its own spread alone; put the uncertainty of the past in its place.
-        information = result.quadratic.hessian - np.linalg.inv(expected)
+        of_images = result.quadratic.hessian - information
         zero = np.zeros(self.body.dof)
-        return covariance(Quadratic(0.0, zero, information / scale + np.linalg.inv(before)))
+        return covariance(Quadratic(0.0, zero, of_images / scale + np.linalg.inv(before)))
 
 
 def _summed(tallies: Sequence[tuple[Float, Int]], parts: int) -> tuple[Float, Float]:

@@ -69,14 +69,12 @@ class Posed:
     def landmarks(self) -> Float:
         """(L, 3) the body's landmarks."""
         marks = self.body.landmarks
-        T = self.segment_transforms[marks.segments]
-        return (T[:, :3, :3] @ marks.points[..., None])[..., 0] + T[:, :3, 3]
+        return _carried(self.segment_transforms[marks.segments], marks.points)
 
     @cached_property
     def segment_middles(self) -> Float:
         """(S, 3) the middle of each segment's own surface; where it has none, that of the whole body."""
-        T, middles = self.segment_transforms, self.body.segment_middles
-        return (T[:, :3, :3] @ middles[..., None])[..., 0] + T[:, :3, 3]
+        return _carried(self.segment_transforms, self.body.segment_middles)
 
     @cached_property
     def projector(self) -> Float:
@@ -90,10 +88,15 @@ class Posed:
     def point_jacobian(self, segments: Int, weights: Float, local: Float) -> Float:
         """(N, 3, 6 + J) derivative of `points` by the pose step. The readable twin of the accumulation kernels."""
         T = self.segment_transforms[segments]
-        carried = (T[..., :3, :3] @ local[:, None, :, None])[..., 0] + T[..., :3, 3]
+        carried = _carried(T, local[:, None, :])
         by_twist = np.concatenate([-se3.hat(carried), np.broadcast_to(np.eye(3), (*carried.shape, 3))], axis=-1)
         blocks = self.projector.reshape(-1, 6, self.body.dof)[segments]
         return np.einsum("nk,nkij,nkjd->nid", weights, by_twist, blocks)
+
+
+def _carried(T: Float, points: Float) -> Float:
+    """Points (..., 3) after the motions (..., 4, 4)."""
+    return (T[..., :3, :3] @ points[..., None])[..., 0] + T[..., :3, 3]
 
 
 @njit(cache=True, nogil=True)
@@ -178,5 +181,4 @@ def skin_points(transforms: Float, segments: Int, weights: Float, local: Float) 
 def skin_points_reference(transforms: Float, segments: Int, weights: Float, local: Float) -> Float:
     """Readable twin of `skin_points`."""
     T = transforms[segments]
-    carried = (T[..., :3, :3] @ local[:, None, :, None])[..., 0] + T[..., :3, 3]
-    return np.einsum("nk,nki->ni", weights, carried)
+    return np.einsum("nk,nki->ni", weights, _carried(T, local[:, None, :]))

@@ -13,7 +13,7 @@ from twistcap.body import Posed
 from twistcap.cues.view import View
 from twistcap.render import RenderedView, SurfacePoints
 from twistcap.terms import PhotometricTerm
-from twistcap.terms.accumulate import skinned_point
+from twistcap.terms.accumulate import projected_point
 from twistcap.terms.photometric import sample
 
 
@@ -70,22 +70,24 @@ class Brightness:
         cell = max(1, round(math.sqrt(max(np.count_nonzero(seen.mask), 1) / max(self.points, 1))))
         occupied = np.zeros((view.grey.shape[0] // cell + 1, view.grey.shape[1] // cell + 1), dtype=np.bool_)
         images = tuple(view.blurred(blur * seen.px_per_m) for blur in self.blurs)
-        P, T = view.camera.P, posed.segment_transforms
+        P = view.camera.P
         kept: Template | None = None
         if old is not None:
             value, gradient, which = refreshed(
-                P, T, old.points.segments, old.points.weights, old.points.local, old.value, old.gradient, images,
-                seen.inverse_depth_image, self.depth_tolerance, self.update, 2.0 * self.scale, cell, occupied,
+                P, *old.points.bound_to(posed), old.value, old.gradient, images, seen.inverse_depth_image,
+                self.depth_tolerance, self.update, 2.0 * self.scale, cell, occupied,
             )  # fmt: skip
             kept = Template(old.points[which], value, gradient)
         fresh = seen.surface_points(*strongest_in_cells(view.grey, seen.inverse_depth_image, cell, occupied))
-        new = Template(fresh, *template_values(P, T, fresh.segments, fresh.weights, fresh.local, images))
+        new = Template(fresh, *template_values(P, *fresh.bound_to(posed), images))
         return new if kept is None else kept + new
 
     def term(self, view: View, seen: RenderedView, template: Template, level: int) -> PhotometricTerm:
         """Brightness constancy of the template's points that the rendered view says are visible."""
         P = view.camera.P
-        visible = visible_points(P, template.points.at(seen.posed), seen.inverse_depth_image, self.depth_tolerance)
+        visible = visible_points(
+            P, *template.points.bound_to(seen.posed), seen.inverse_depth_image, self.depth_tolerance
+        )
         return PhotometricTerm(
             P, template.points, view.blurred(self.blurs[level] * seen.px_per_m), template.value[level],
             template.gradient[level], visible * (self.share / self.sigma**2), self.scale,
@@ -100,10 +102,10 @@ def template_values(
     B, N = len(images), len(local)
     value, gradient = np.full((B, N), np.nan), np.zeros((B, N, 2))
     for n in range(N):
-        x, y, _, before = _projected(P, transforms, segments, weights, local, n)
+        x, y, w = projected_point(P, transforms, segments, weights, local, n)
         for b in range(B):
             here, gx, gy, inside = sample(images[b], x, y)
-            if before and inside:
+            if w > 0.0 and inside:
                 value[b, n], gradient[b, n, 0], gradient[b, n, 1] = here, gx, gy
     return value, gradient
 
@@ -128,16 +130,14 @@ def refreshed(
     """
     B, N = value.shape
     kept, now, slope = np.empty(N, dtype=np.int32), np.empty((B, N)), np.empty((B, N, 2))
-    height, width = inverse_depth.shape
     count = 0
     for n in range(N):
-        x, y, depth, before = _projected(P, transforms, segments, weights, local, n)
-        if not before or not (-0.5 <= x < width - 0.5 and -0.5 <= y < height - 0.5):
+        x, y, w = projected_point(P, transforms, segments, weights, local, n)
+        if not _in_sight(x, y, w, inverse_depth, tolerance):
             continue
         row, column = int(np.round(y)), int(np.round(x))
-        surface = inverse_depth[row, column]
         r, c = (row - 2) // cell, (column - 2) // cell
-        if surface == 0.0 or depth >= 1.0 / surface + tolerance or row < 2 or column < 2 or occupied[r, c]:
+        if row < 2 or column < 2 or occupied[r, c]:
             continue
         all_inside = True
         for b in range(B):
@@ -154,17 +154,14 @@ def refreshed(
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _projected(
-    P: Float, transforms: Float, segments: Int, weights: Float, local: Float, n: int
-) -> tuple[float, float, float, bool]:
-    """Pixel (x, y) and depth (m) of surface point n, and whether it lies before the camera."""
-    X, Y, Z = skinned_point(transforms, segments, weights, local, n)
-    depth = P[2, 0] * X + P[2, 1] * Y + P[2, 2] * Z + P[2, 3]
-    if depth < 1e-3:
-        return 0.0, 0.0, depth, False
-    x = (P[0, 0] * X + P[0, 1] * Y + P[0, 2] * Z + P[0, 3]) / depth
-    y = (P[1, 0] * X + P[1, 1] * Y + P[1, 2] * Z + P[1, 3]) / depth
-    return x, y, depth, True
+def _in_sight(x: float, y: float, w: float, inverse_depth: Float32, tolerance: float) -> bool:
+    """Whether a point of inverse depth w, seen at (x, y), lies no more than `tolerance` m behind the surface there."""
+    height, width = inverse_depth.shape
+    column, row = int(np.round(x)), int(np.round(y))
+    if w == 0.0 or not (0 <= column < width and 0 <= row < height):
+        return False
+    surface = inverse_depth[row, column]
+    return surface > 0.0 and 1.0 / w < 1.0 / surface + tolerance
 
 
 @njit(cache=True, nogil=True)
@@ -206,19 +203,12 @@ def _at_rim(inverse_depth: Float32, r: int, c: int) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def visible_points(P: Float, world: Float, inverse_depth: Float32, tolerance: float) -> Float:
+def visible_points(
+    P: Float, transforms: Float, segments: Int, weights: Float, local: Float, inverse_depth: Float32, tolerance: float
+) -> Float:
     """(N,) 1.0 where a surface point lies no more than `tolerance` m behind the rendered surface, else 0.0."""
-    h, w = inverse_depth.shape
-    out = np.zeros(len(world))
-    for n in range(len(world)):
-        x, y, z = world[n, 0], world[n, 1], world[n, 2]
-        depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
-        if depth < 1e-3:
-            continue
-        column = int(np.round((P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) / depth))
-        row = int(np.round((P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) / depth))
-        if 0 <= column < w and 0 <= row < h:
-            surface = inverse_depth[row, column]
-            if surface > 0.0 and depth < 1.0 / surface + tolerance:
-                out[n] = 1.0
+    out = np.zeros(len(local))
+    for n in range(len(local)):
+        x, y, w = projected_point(P, transforms, segments, weights, local, n)
+        out[n] = 1.0 if _in_sight(x, y, w, inverse_depth, tolerance) else 0.0
     return out

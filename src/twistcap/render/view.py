@@ -45,6 +45,10 @@ class SurfacePoints:
             np.concatenate([self.local, other.local]),
         )  # fmt: skip
 
+    def bound_to(self, posed: Posed) -> tuple[Float, Int, Float, Float]:
+        """Segment motions (S, 4, 4), segments, weights and local: what a kernel needs to carry the points itself."""
+        return posed.segment_transforms, self.segments, self.weights, self.local
+
     def at(self, posed: Posed) -> Float:
         """(N, 3) world positions."""
         return posed.points(self.segments, self.weights, self.local)

@@ -17,6 +17,7 @@ from twistcap.body import Posed
 from twistcap.render import SurfacePoints
 from twistcap.terms.quadratic import Quadratic
 
+NEAR = 1e-3  # m before the camera; what is nearer has no image
 TWIST_WIDTH = 8  # twists padded from 6, so that the rows of a block lie as vector registers want them
 
 
@@ -151,6 +152,35 @@ def add_row(
                 block[p, 3] += Wj * j3
                 block[p, 4] += Wj * j4
                 block[p, 5] += Wj * j5
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "arcp"}, inline="always")
+def projected_point(
+    P: Float, transforms: Float, segments: Int, weights: Float, local: Float, n: int
+) -> tuple[float, float, float]:
+    """Pixel (x, y) and inverse depth (1/m) of surface point n; inverse depth 0 where it is not before the camera."""
+    X, Y, Z = skinned_point(transforms, segments, weights, local, n)
+    depth = P[2, 0] * X + P[2, 1] * Y + P[2, 2] * Z + P[2, 3]
+    if depth < NEAR:
+        return 0.0, 0.0, 0.0
+    w = 1.0 / depth
+    x = (P[0, 0] * X + P[0, 1] * Y + P[0, 2] * Z + P[0, 3]) * w
+    return x, (P[1, 0] * X + P[1, 1] * Y + P[1, 2] * Z + P[1, 3]) * w, w
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"}, inline="always")
+def add_image_row(
+    P: Float, x: float, y: float, w: float, a: float, b: float, transforms: Float, segments: Int, weights: Float,
+    local: Float, n: int, residual: float, W: float, j: Float, own: Int, blocks: Float, vector: Float,
+) -> None:  # fmt: skip
+    """`add_row` of a residual that changes by (a, b) per pixel about the projection (x, y, w) of `projected_point`."""
+    a, b = a * w, b * w
+    c = -(a * x + b * y)
+    add_row(
+        transforms, segments, weights, local, n, a * P[0, 0] + b * P[1, 0] + c * P[2, 0],
+        a * P[0, 1] + b * P[1, 1] + c * P[2, 1], a * P[0, 2] + b * P[1, 2] + c * P[2, 2], residual, W, j, own, blocks,
+        vector,
+    )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})

@@ -14,11 +14,18 @@ from numba import njit
 from twistcap._typing import Float, Float32, Int
 from twistcap.body import Posed
 from twistcap.render import SurfacePoints
-from twistcap.terms.accumulate import TWIST_WIDTH, PointTerm, Rows, SegmentSums, add_row, skinned_point
+from twistcap.terms.accumulate import (
+    NEAR,
+    TWIST_WIDTH,
+    PointTerm,
+    Rows,
+    SegmentSums,
+    add_image_row,
+    projected_point,
+)
 from twistcap.terms.robust import weighted_cauchy
 
 _FAST = {"contract", "reassoc", "arcp"}
-_NEAR = 1e-3  # m before the camera; what is nearer has no image
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -43,17 +50,6 @@ def sample(image: Float32, x: float, y: float) -> tuple[float, float, float, boo
 
 
 @njit(cache=True, nogil=True)
-def sample_with_gradient(image: Float32, x: Float, y: Float) -> tuple[Float, Float, Float, Float]:
-    """Bilinear value, ∂x, ∂y (central differences of the bilinear surface) and validity (0/1), each (N,)."""
-    N = len(x)
-    value, gx, gy, valid = np.zeros(N), np.zeros(N), np.zeros(N), np.zeros(N)
-    for n in range(N):
-        value[n], gx[n], gy[n], inside = sample(image, x[n], y[n])
-        valid[n] = 1.0 if inside else 0.0
-    return value, gx, gy, valid
-
-
-@njit(cache=True, nogil=True)
 def brightness_rows(
     P: Float, world: Float, image: Float32, template: Float, template_gradient: Float, weight: Float
 ) -> tuple[Float, Float]:
@@ -67,7 +63,7 @@ def brightness_rows(
     for n in range(N):
         X, Y, Z = world[n, 0], world[n, 1], world[n, 2]
         depth = P[2, 0] * X + P[2, 1] * Y + P[2, 2] * Z + P[2, 3]
-        if weight[n] == 0.0 or depth < 1e-3:
+        if weight[n] == 0.0 or depth < NEAR:
             continue
         x = (P[0, 0] * X + P[0, 1] * Y + P[0, 2] * Z + P[0, 3]) / depth
         y = (P[1, 0] * X + P[1, 1] * Y + P[1, 2] * Z + P[1, 3]) / depth
@@ -112,17 +108,14 @@ class PhotometricTerm(PointTerm):
         return energy, self.points, Rows(gradient, residual, weight)
 
     def energy(self, posed: Posed) -> float:
-        p = self.points
         return _brightness_energy(
-            posed.segment_transforms, p.segments, p.weights, p.local, self.P, self.image, self.template,
-            self.weight, self.scale,
-        )  # fmt: skip
+            *self.points.bound_to(posed), self.P, self.image, self.template, self.weight, self.scale
+        )
 
     def add_to(self, sums: SegmentSums) -> None:
-        p = self.points
         sums.value += _add_brightness(
-            sums.posed.segment_transforms, p.segments, p.weights, p.local, self.P, self.image, self.template,
-            self.template_gradient, self.weight, self.scale, sums.blocks, sums.vector,
+            *self.points.bound_to(sums.posed), self.P, self.image, self.template, self.template_gradient, self.weight,
+            self.scale, sums.blocks, sums.vector,
         )  # fmt: skip
 
 
@@ -137,13 +130,9 @@ def _brightness_energy(
     for n in range(len(weight)):
         if weight[n] == 0.0:
             continue
-        X, Y, Z = skinned_point(transforms, segments, weights, local, n)
-        depth = P[2, 0] * X + P[2, 1] * Y + P[2, 2] * Z + P[2, 3]
-        if depth < _NEAR:
+        x, y, w = projected_point(P, transforms, segments, weights, local, n)
+        if w == 0.0:
             continue
-        w = 1.0 / depth
-        x = (P[0, 0] * X + P[0, 1] * Y + P[0, 2] * Z + P[0, 3]) * w
-        y = (P[1, 0] * X + P[1, 1] * Y + P[1, 2] * Z + P[1, 3]) * w
         if not (1.0 <= x < width - 2 and 1.0 <= y < height - 2):
             continue
         x0, y0 = int(x), int(y)
@@ -167,24 +156,18 @@ def _add_brightness(
     for n in range(len(weight)):
         if weight[n] == 0.0:
             continue
-        X, Y, Z = skinned_point(transforms, segments, weights, local, n)
-        depth = P[2, 0] * X + P[2, 1] * Y + P[2, 2] * Z + P[2, 3]
-        if depth < _NEAR:
+        x, y, w = projected_point(P, transforms, segments, weights, local, n)
+        if w == 0.0:
             continue
-        w = 1.0 / depth
-        x = (P[0, 0] * X + P[0, 1] * Y + P[0, 2] * Z + P[0, 3]) * w
-        y = (P[1, 0] * X + P[1, 1] * Y + P[1, 2] * Z + P[1, 3]) * w
         value, gx, gy, inside = sample(image, x, y)
         if not inside:
             continue
         residual = value - template[n]
         ratio = (residual * per) ** 2
         energy += weight[n] * np.log1p(ratio)
-        a, b = 0.5 * (gx + template_gradient[n, 0]) * w, 0.5 * (gy + template_gradient[n, 1]) * w
-        c = -(a * x + b * y)
-        add_row(
-            transforms, segments, weights, local, n, a * P[0, 0] + b * P[1, 0] + c * P[2, 0],
-            a * P[0, 1] + b * P[1, 1] + c * P[2, 1], a * P[0, 2] + b * P[1, 2] + c * P[2, 2], residual,
-            weight[n] / (1.0 + ratio), j, own, blocks, vector,
+        a, b = 0.5 * (gx + template_gradient[n, 0]), 0.5 * (gy + template_gradient[n, 1])
+        add_image_row(
+            P, x, y, w, a, b, transforms, segments, weights, local, n, residual, weight[n] / (1.0 + ratio), j, own,
+            blocks, vector,
         )  # fmt: skip
     return 0.5 * scale * scale * energy

@@ -10,11 +10,20 @@ from numba import njit
 from twistcap._typing import Float, Int
 from twistcap.body import Posed
 from twistcap.render import SurfacePoints
-from twistcap.terms.accumulate import TWIST_WIDTH, PointTerm, Rows, SegmentSums, add_row, skinned_point
+from twistcap.terms.accumulate import (
+    NEAR,
+    TWIST_WIDTH,
+    PointTerm,
+    Rows,
+    SegmentSums,
+    add_image_row,
+    add_row,
+    projected_point,
+    skinned_point,
+)
 from twistcap.terms.robust import huber, weighted_cauchy
 
 _FAST = {"contract", "reassoc", "arcp"}
-_NEAR = 1e-3  # m before the camera; what is nearer has no image
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
@@ -25,7 +34,7 @@ def projected_rows(P: Float, world: Float, direction: Float, target: Float) -> t
     for n in range(N):
         x, y, z = world[n, 0], world[n, 1], world[n, 2]
         depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
-        if depth < _NEAR:
+        if depth < NEAR:
             continue
         w, a, b = 1.0 / depth, direction[n, 0], direction[n, 1]
         u = (P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) * w
@@ -72,17 +81,14 @@ class PointNormalTerm(PointTerm):
         return energy, self.points, Rows(gradient, residual, weight)
 
     def energy(self, posed: Posed) -> float:
-        p = self.points
         return _normal_energy(
-            posed.segment_transforms, p.segments, p.weights, p.local, self.P, self.normal, self.target, self.weight,
-            self.scale_px,
-        )  # fmt: skip
+            *self.points.bound_to(posed), self.P, self.normal, self.target, self.weight, self.scale_px
+        )
 
     def add_to(self, sums: SegmentSums) -> None:
-        p = self.points
         sums.value += _add_normals(
-            sums.posed.segment_transforms, p.segments, p.weights, p.local, self.P, self.normal, self.target,
-            self.weight, self.scale_px, sums.blocks, sums.vector,
+            *self.points.bound_to(sums.posed), self.P, self.normal, self.target, self.weight, self.scale_px,
+            sums.blocks, sums.vector,
         )  # fmt: skip
 
 
@@ -96,13 +102,9 @@ def _normal_energy(
     for n in range(len(weight)):
         if weight[n] == 0.0:
             continue
-        x, y, z = skinned_point(transforms, segments, weights, local, n)
-        depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
-        if depth < _NEAR:
+        u, v, w = projected_point(P, transforms, segments, weights, local, n)
+        if w == 0.0:
             continue
-        w = 1.0 / depth
-        u = (P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) * w
-        v = (P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) * w
         r = (direction[n, 0] * (u - target[n, 0]) + direction[n, 1] * (v - target[n, 1])) * per
         energy += weight[n] * np.log1p(r * r)
     return 0.5 * scale * scale * energy
@@ -120,21 +122,16 @@ def _add_normals(
     for n in range(len(weight)):
         if weight[n] == 0.0:
             continue
-        x, y, z = skinned_point(transforms, segments, weights, local, n)
-        depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
-        if depth < _NEAR:
+        u, v, w = projected_point(P, transforms, segments, weights, local, n)
+        if w == 0.0:
             continue
-        w, a, b = 1.0 / depth, direction[n, 0], direction[n, 1]
-        u = (P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) * w
-        v = (P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) * w
+        a, b = direction[n, 0], direction[n, 1]
         residual = a * (u - target[n, 0]) + b * (v - target[n, 1])
         ratio = (residual * per) ** 2
         energy += weight[n] * np.log1p(ratio)
-        c, a, b = -(a * u + b * v) * w, a * w, b * w
-        add_row(
-            transforms, segments, weights, local, n, a * P[0, 0] + b * P[1, 0] + c * P[2, 0],
-            a * P[0, 1] + b * P[1, 1] + c * P[2, 1], a * P[0, 2] + b * P[1, 2] + c * P[2, 2], residual,
-            weight[n] / (1.0 + ratio), j, own, blocks, vector,
+        add_image_row(
+            P, u, v, w, a, b, transforms, segments, weights, local, n, residual, weight[n] / (1.0 + ratio), j, own,
+            blocks, vector,
         )  # fmt: skip
     return 0.5 * scale * scale * energy
 
@@ -191,17 +188,14 @@ class PointRayTerm(PointTerm):
         return float(self.weight @ energy), self.points, Rows(gradient, residual, weight)
 
     def energy(self, posed: Posed) -> float:
-        p = self.points
         return _ray_energy(
-            posed.segment_transforms, p.segments, p.weights, p.local, self.direction, self.moment, self.scale,
-            self.weight, self.huber_px,
-        )  # fmt: skip
+            *self.points.bound_to(posed), self.direction, self.moment, self.scale, self.weight, self.huber_px
+        )
 
     def add_to(self, sums: SegmentSums) -> None:
-        p = self.points
         sums.value += _add_rays(
-            sums.posed.segment_transforms, p.segments, p.weights, p.local, self.direction, self.moment, self.scale,
-            self.weight, self.huber_px, sums.blocks, sums.vector,
+            *self.points.bound_to(sums.posed), self.direction, self.moment, self.scale, self.weight, self.huber_px,
+            sums.blocks, sums.vector,
         )  # fmt: skip
 
 

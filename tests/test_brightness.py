@@ -1,0 +1,155 @@
+"""The brightness cue: what a template keeps, gives up and takes over from the present image."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from shapes import camera_at
+from twistcap.body import Pose, Posed
+from twistcap.body.humanoid import humanoid
+from twistcap.cues.brightness import Brightness, refreshed, strongest_in_cells, template_values, visible_points
+from twistcap.cues.view import View
+from twistcap.render import SurfacePoints, render
+from twistcap.render.view import surface_points
+from twistcap.terms.photometric import sample
+
+Array = np.ndarray
+BODY = humanoid()
+CAMERA = camera_at((2.8, 0.7, 0.4))
+POSED = Posed(BODY, Pose(np.eye(4), np.zeros(BODY.dof - 6)))
+SEEN = render(POSED, CAMERA)
+TOLERANCE = 0.012
+
+
+def noise_image(seed: int, blur: float = 1.5) -> Array:
+    height, width = SEEN.inverse_depth_image.shape
+    image = np.random.default_rng(seed).uniform(size=(height, width)).astype(np.float32)
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), blur), np.float32)
+
+
+def places(n: int = 400) -> SurfacePoints:
+    rng = np.random.default_rng(1)
+    return surface_points(BODY, BODY.faces[rng.integers(len(BODY.faces), size=n)], rng.dirichlet(np.ones(3), n))
+
+
+def in_sight(points: SurfacePoints) -> tuple[Array, Array]:
+    """Pixels (N, 2) and visibility (N,) from the public projection and the depth image."""
+    pixels, depth = CAMERA.project(points.at(POSED))
+    column, row = np.rint(pixels).astype(int).T
+    height, width = SEEN.inverse_depth_image.shape
+    inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+    surface = np.where(inside, SEEN.inverse_depth_image[row.clip(0, height - 1), column.clip(0, width - 1)], 0.0)
+    with np.errstate(divide="ignore"):
+        return pixels, (surface > 0) & (depth > 0) & (depth < 1.0 / surface + TOLERANCE)
+
+
+def test_visible_points_are_those_that_the_depth_image_shows() -> None:
+    points = places()
+    _, expected = in_sight(points)
+    found = visible_points(CAMERA.P, *points.bound_to(POSED), SEEN.inverse_depth_image, TOLERANCE)
+    np.testing.assert_array_equal(found, expected.astype(float))
+    assert 0.2 < expected.mean() < 0.8
+
+
+def test_a_point_behind_the_camera_is_not_visible() -> None:
+    points, turned = places(50), -CAMERA.P  # the same pixels, from the other side
+    assert not visible_points(turned, *points.bound_to(POSED), SEEN.inverse_depth_image, TOLERANCE).any()
+
+
+def test_a_new_template_holds_the_images_values_and_nan_outside() -> None:
+    images = (noise_image(2, 4.0), noise_image(2))
+    points = places()
+    value, gradient = template_values(CAMERA.P, *points.bound_to(POSED), images)
+    pixels = CAMERA.project(points.at(POSED))[0]
+    for b, image in enumerate(images):
+        expected = np.array([sample(image, u, v) for u, v in pixels], dtype=float)
+        inside = expected[:, 3] == 1
+        assert inside.any()
+        np.testing.assert_allclose(value[b, inside], expected[inside, 0], rtol=1e-6)
+        np.testing.assert_allclose(gradient[b, inside], expected[inside, 1:3], rtol=1e-5, atol=1e-7)
+        assert np.all(np.isnan(value[b, ~inside]))
+    elsewhere = CAMERA.cropped((200, 0), CAMERA.size)  # the body's right half lies left of this image
+    assert np.isnan(template_values(elsewhere.P, *points.bound_to(POSED), images)[0]).any()
+
+
+def refreshed_reference(
+    points: SurfacePoints, value: Array, gradient: Array, images: tuple[Array, ...], update: float, most: float,
+    cell: int, occupied: Array,
+) -> tuple[Array, Array, list[int]]:  # fmt: skip
+    """Readable twin of `refreshed`: one point after another."""
+    pixels, visible = in_sight(points)
+    values, gradients, kept = [], [], []
+    for n in np.flatnonzero(visible):
+        (x, y), (column, row) = pixels[n], np.rint(pixels[n]).astype(int)
+        place = (row - 2) // cell, (column - 2) // cell
+        here = np.array([sample(image, x, y) for image in images], dtype=float)
+        if min(row, column) < 2 or occupied[place] or not here[:, 3].all():
+            continue
+        change = update * (here[:, 0] - value[:, n])
+        if abs(change[-1]) < update * most:
+            occupied[place] = True
+            kept.append(int(n))
+            values.append(value[:, n] + change)
+            gradients.append(gradient[:, n] + update * (here[:, 1:3] - gradient[:, n]))
+    return np.array(values).T, np.swapaxes(gradients, 0, 1), kept
+
+
+@pytest.mark.parametrize("cell", [3, 9])
+def test_refreshing_agrees_with_its_twin(cell: int) -> None:
+    points, rng = places(), np.random.default_rng(4)
+    images = (noise_image(3, 4.0), noise_image(3))
+    value, gradient = template_values(CAMERA.P, *points.bound_to(POSED), images)
+    value += rng.normal(0, 0.05, value.shape)  # some points have changed too much to be kept
+    height, width = SEEN.inverse_depth_image.shape
+    grid = np.zeros((height // cell + 1, width // cell + 1), dtype=np.bool_)
+    grid[::3] = True
+    expected_grid = grid.copy()
+    found = refreshed(
+        CAMERA.P, *points.bound_to(POSED), value, gradient, images, SEEN.inverse_depth_image, TOLERANCE, 0.2, 0.06,
+        cell, grid,
+    )  # fmt: skip
+    expected = refreshed_reference(points, value, gradient, images, 0.2, 0.06, cell, expected_grid)
+    np.testing.assert_array_equal(found[2], expected[2])
+    np.testing.assert_allclose(found[0], expected[0], rtol=1e-6)
+    np.testing.assert_allclose(found[1], expected[1], rtol=1e-5, atol=1e-7)
+    np.testing.assert_array_equal(grid, expected_grid)
+    assert 10 < len(expected[2]) < in_sight(points)[1].sum()
+
+
+def test_new_points_are_the_most_textured_of_each_free_cell() -> None:
+    image, cell = noise_image(5), 8
+    height, width = image.shape
+    occupied = np.zeros((height // cell + 1, width // cell + 1), dtype=np.bool_)
+    occupied[::2] = True
+    rows, columns = strongest_in_cells(image, SEEN.inverse_depth_image, cell, occupied)
+    places = {((r - 2) // cell, (c - 2) // cell) for r, c in zip(rows, columns, strict=True)}
+    assert len(places) == len(rows) > 20 and not any(occupied[p] for p in places)
+    assert SEEN.mask[rows, columns].all()
+    strength = np.zeros_like(image)
+    strength[1:-1, 1:-1] = (image[1:-1, 2:] - image[1:-1, :-2]) ** 2 + (image[2:, 1:-1] - image[:-2, 1:-1]) ** 2
+    strength[~away_from_rims()] = 0.0
+    for r, c in zip(rows, columns, strict=True):
+        top, left = (r - 2) // cell * cell + 2, (c - 2) // cell * cell + 2
+        assert strength[r, c] == strength[top : min(top + cell, height - 2), left : min(left + cell, width - 2)].max()
+
+
+def away_from_rims() -> Array:
+    """(H, W) where the body goes on, without a jump in depth of 4 cm, two pixels off in each direction."""
+    w = SEEN.inverse_depth_image.astype(float)
+    away = w > 0
+    for shift in ((-2, 0), (2, 0), (0, -2), (0, 2)):
+        other = np.roll(w, shift, axis=(0, 1))
+        away &= (other > 0) & (np.abs(w - other) <= 0.04 * w * other)
+    return away
+
+
+def test_templates_follow_the_image_slowly_and_fill_up_again() -> None:
+    cue = Brightness(points=120, update=0.2)
+    first_image, second_image = noise_image(6), noise_image(6) + np.float32(0.02)
+    first = cue.remember(View(CAMERA, first_image), SEEN, POSED, None)
+    second = cue.remember(View(CAMERA, second_image), SEEN, POSED, first)
+    assert 60 < len(first.points) <= len(second.points) < 400
+    kept = len(first.points)
+    np.testing.assert_allclose(second.value[-1, :kept], first.value[-1] + 0.2 * 0.02, atol=1e-3)
