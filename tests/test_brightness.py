@@ -59,24 +59,21 @@ def test_a_point_behind_the_camera_is_not_visible() -> None:
 
 
 def test_a_new_template_holds_the_images_values_and_nan_outside() -> None:
-    images = (noise_image(2, 4.0), noise_image(2))
-    points = places()
-    value, gradient = template_values(CAMERA.P, *points.bound_to(POSED), images)
-    pixels = CAMERA.project(points.at(POSED))[0]
-    for b, image in enumerate(images):
-        expected = np.array([sample(image, u, v) for u, v in pixels], dtype=float)
-        inside = expected[:, 3] == 1
-        assert inside.any()
-        np.testing.assert_allclose(value[b, inside], expected[inside, 0], rtol=1e-6)
-        np.testing.assert_allclose(gradient[b, inside], expected[inside, 1:3], rtol=1e-5, atol=1e-7)
-        assert np.all(np.isnan(value[b, ~inside]))
+    image, points = noise_image(2), places()
+    value, gradient = template_values(CAMERA.P, *points.bound_to(POSED), image)
+    expected = np.array([sample(image, u, v) for u, v in CAMERA.project(points.at(POSED))[0]], dtype=float)
+    inside = expected[:, 3] == 1
+    assert inside.any()
+    np.testing.assert_allclose(value[inside], expected[inside, 0], rtol=1e-6)
+    np.testing.assert_allclose(gradient[inside], expected[inside, 1:3], rtol=1e-5, atol=1e-7)
+    assert np.all(np.isnan(value[~inside]))
     elsewhere = CAMERA.cropped((200, 0), CAMERA.size)  # the body's right half lies left of this image
-    assert np.isnan(template_values(elsewhere.P, *points.bound_to(POSED), images)[0]).any()
+    assert np.isnan(template_values(elsewhere.P, *points.bound_to(POSED), image)[0]).any()
 
 
 def refreshed_reference(
-    points: SurfacePoints, value: Array, gradient: Array, images: tuple[Array, ...], update: float, most: float,
-    cell: int, occupied: Array,
+    points: SurfacePoints, value: Array, gradient: Array, image: Array, update: float, most: float, cell: int,
+    occupied: Array,
 ) -> tuple[Array, Array, list[int]]:  # fmt: skip
     """Readable twin of `refreshed`: one point after another."""
     pixels, visible = in_sight(points)
@@ -84,33 +81,31 @@ def refreshed_reference(
     for n in np.flatnonzero(visible):
         (x, y), (column, row) = pixels[n], np.rint(pixels[n]).astype(int)
         place = (row - 2) // cell, (column - 2) // cell
-        here = np.array([sample(image, x, y) for image in images], dtype=float)
-        if min(row, column) < 2 or occupied[place] or not here[:, 3].all():
+        here, gx, gy, inside = sample(image, x, y)
+        if min(row, column) < 2 or occupied[place] or not inside or abs(here - value[n]) >= most:
             continue
-        change = update * (here[:, 0] - value[:, n])
-        if abs(change[-1]) < update * most:
-            occupied[place] = True
-            kept.append(int(n))
-            values.append(value[:, n] + change)
-            gradients.append(gradient[:, n] + update * (here[:, 1:3] - gradient[:, n]))
-    return np.array(values).T, np.swapaxes(gradients, 0, 1), kept
+        occupied[place] = True
+        kept.append(int(n))
+        values.append((1 - update) * value[n] + update * here)
+        gradients.append((1 - update) * gradient[n] + update * np.array([gx, gy]))
+    return np.array(values), np.array(gradients), kept
 
 
 @pytest.mark.parametrize("cell", [3, 9])
 def test_refreshing_agrees_with_its_twin(cell: int) -> None:
     points, rng = places(), np.random.default_rng(4)
-    images = (noise_image(3, 4.0), noise_image(3))
-    value, gradient = template_values(CAMERA.P, *points.bound_to(POSED), images)
+    image = noise_image(3)
+    value, gradient = template_values(CAMERA.P, *points.bound_to(POSED), image)
     value += rng.normal(0, 0.05, value.shape)  # some points have changed too much to be kept
     height, width = SEEN.inverse_depth_image.shape
     grid = np.zeros((height // cell + 1, width // cell + 1), dtype=np.bool_)
     grid[::3] = True
     expected_grid = grid.copy()
     found = refreshed(
-        CAMERA.P, *points.bound_to(POSED), value, gradient, images, SEEN.inverse_depth_image, TOLERANCE, 0.2, 0.06,
+        CAMERA.P, *points.bound_to(POSED), value, gradient, image, SEEN.inverse_depth_image, TOLERANCE, 0.2, 0.06,
         cell, grid,
     )  # fmt: skip
-    expected = refreshed_reference(points, value, gradient, images, 0.2, 0.06, cell, expected_grid)
+    expected = refreshed_reference(points, value, gradient, image, 0.2, 0.06, cell, expected_grid)
     np.testing.assert_array_equal(found[2], expected[2])
     np.testing.assert_allclose(found[0], expected[0], rtol=1e-6)
     np.testing.assert_allclose(found[1], expected[1], rtol=1e-5, atol=1e-7)
@@ -152,4 +147,6 @@ def test_templates_follow_the_image_slowly_and_fill_up_again() -> None:
     second = cue.remember(View(CAMERA, second_image), SEEN, POSED, first)
     assert 60 < len(first.points) <= len(second.points) < 400
     kept = len(first.points)
-    np.testing.assert_allclose(second.value[-1, :kept], first.value[-1] + 0.2 * 0.02, atol=1e-3)
+    np.testing.assert_allclose(second.value[:kept], first.value + 0.2 * 0.02, atol=1e-3)
+    coarse, _ = second.blurred(3.0)  # of the last image as it is
+    np.testing.assert_allclose(coarse, first.blurred(3.0)[0][: len(coarse)] + 0.02, atol=1e-3)

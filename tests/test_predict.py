@@ -69,12 +69,12 @@ def test_one_moment_or_no_time_holds() -> None:
 
 def test_noise_grows_with_time_as_its_predictor_says() -> None:
     noise, centre = MotionNoise(), np.zeros(3)
-    fast = [noise.covariance(6 + J, dt, "constant_velocity", centre) for dt in (0.02, 0.04)]
+    fast = [noise.covariance(6 + J, dt, "constant_velocity", centre)[0] for dt in (0.02, 0.04)]
     np.testing.assert_allclose(fast[1], 16 * fast[0])  # σ = a dt²
     np.testing.assert_allclose(
         np.sqrt(np.diag(fast[0]))[[0, 3, 6]], np.array([noise.turn, noise.shift, noise.joint]) * 0.02**2
     )
-    held = [noise.covariance(6 + J, dt, "hold", centre) for dt in (0.02, 0.04)]
+    held = [noise.covariance(6 + J, dt, "hold", centre)[0] for dt in (0.02, 0.04)]
     np.testing.assert_allclose(held[1], 4 * held[0])  # σ = v dt
     np.testing.assert_allclose(np.sqrt(np.diag(held[0]))[[0, 3, 6]], np.array([2.0, 1.5, 4.0]) * 0.02)
 
@@ -83,7 +83,8 @@ def test_noise_grows_with_time_as_its_predictor_says() -> None:
 def test_the_root_turns_about_the_bodys_centre(predictor: str) -> None:
     """At the centre only the shift is felt; elsewhere the turn adds its lever."""
     noise, centre, dt = MotionNoise(), np.array([2.0, -1.0, 0.9]), 0.02
-    C = noise.covariance(6 + J, dt, predictor, centre)  # type: ignore[arg-type]
+    C, information = noise.covariance(6 + J, dt, predictor, centre)  # type: ignore[arg-type]
+    np.testing.assert_allclose(information @ C, np.eye(6 + J), atol=1e-9)
     np.testing.assert_allclose(C, C.T)
     assert np.linalg.eigvalsh(C).min() > 0
 
@@ -91,7 +92,7 @@ def test_the_root_turns_about_the_bodys_centre(predictor: str) -> None:
         A = np.concatenate([-se3.hat(x), np.eye(3)], axis=1)
         return A @ C[:6, :6] @ A.T
 
-    plain = noise.covariance(6 + J, dt, predictor, np.zeros(3))  # type: ignore[arg-type]
+    plain, _ = noise.covariance(6 + J, dt, predictor, np.zeros(3))  # type: ignore[arg-type]
     np.testing.assert_allclose(at(centre), plain[3:6, 3:6], atol=1e-12 * plain.max())
     lever = at(centre + np.array([0, 0, 0.5])) - at(centre)
     np.testing.assert_allclose(np.diag(lever), [0.25 * plain[0, 0], 0.25 * plain[0, 0], 0], atol=1e-9 * plain[0, 0])

@@ -11,8 +11,9 @@ from shapes import camera_at, outline, round_mesh, two_part_body
 from twistcap import se3
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.humanoid import humanoid
+from twistcap.body.kinematics import vertex_normals, vertex_normals_reference
 from twistcap.render import ContourPoints, RenderedView, render, visible_contour
-from twistcap.render.contour import reprojected, vertex_normals, vertex_normals_reference
+from twistcap.render.contour import reprojected
 from twistcap.render.raster import barycentric, project_pinhole, rasterise, rasterise_reference
 from twistcap.render.view import blend_binding_reference, body_window, surface_points
 

@@ -6,14 +6,33 @@ from typing import Literal
 
 import cv2
 import numpy as np
+from numba import njit
 
 from twistcap._typing import AnyArray, Float32
 
 Channels = Literal["grey", "lab"]
 
 _BYTE = np.arange(256, dtype=np.float32)
-_LAB_OF_BYTE = np.stack([_BYTE / 255.0, (_BYTE - 128.0) / 100.0, (_BYTE - 128.0) / 100.0], axis=1)[None]
 _BYTE_TO_FLOAT = (_BYTE / 255.0)[None]
+_STEPS = 4096  # of the tabulated cube root; the error of CIELAB so computed stays below that of half a byte
+
+
+def _share_of_white() -> Float32:
+    """(3, 256, 3) share of white's X, Y and Z (CIE 1931, D65) that each byte of R, G and B adds, in steps."""
+    u = _BYTE.astype(np.float64) / 255.0
+    linear = np.where(u <= 0.04045, u / 12.92, ((u + 0.055) / 1.055) ** 2.4)  # sRGB, IEC 61966-2-1
+    xyz = np.array([[0.412453, 0.357580, 0.180423], [0.212671, 0.715160, 0.072169], [0.019334, 0.119193, 0.950227]])
+    shares = (xyz / xyz.sum(axis=1, keepdims=True)).T
+    return ((_STEPS - 1) * linear[None, :, None] * shares[:, None]).astype(np.float32)
+
+
+def _lightness() -> Float32:
+    """(steps,) CIELAB's f: the cube root, and a line near black."""
+    t = np.arange(_STEPS) / (_STEPS - 1)
+    return np.where(t > 216 / 24389, np.cbrt(t), (24389 / 27 * t + 16) / 116).astype(np.float32)
+
+
+_SHARES, _LIGHTNESS = _share_of_white(), _lightness()
 
 
 def to_float(image: AnyArray) -> Float32:
@@ -37,6 +56,22 @@ def feature_channels(image: AnyArray, channels: Channels) -> Float32:
     """
     if channels == "grey" or image.ndim == 2:
         return np.ascontiguousarray(grey(image)[..., None])
-    if image.dtype == np.uint8:  # in whole steps of OpenCV's 8-bit CIELAB: far below sensor noise, and much faster
-        return np.asarray(cv2.LUT(cv2.cvtColor(image, cv2.COLOR_RGB2LAB), _LAB_OF_BYTE), np.float32)
+    if image.dtype == np.uint8:
+        return _lab_of_bytes(np.ascontiguousarray(image), _SHARES, _LIGHTNESS)
     return cv2.cvtColor(to_float(image), cv2.COLOR_RGB2LAB) * np.float32(0.01)
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"}, error_model="numpy")
+def _lab_of_bytes(image: AnyArray, shares: Float32, lightness: Float32) -> Float32:
+    """(H, W, 3) CIELAB / 100 of an RGB image (H, W, 3) of bytes, by tables: `_SHARES` and `_LIGHTNESS`."""
+    out = np.empty(image.shape, dtype=np.float32)
+    rgb, lab, half = image.reshape(-1), out.reshape(-1), np.float32(0.5)
+    for i in range(0, len(rgb), 3):
+        r, g, b = shares[0, np.int64(rgb[i])], shares[1, np.int64(rgb[i + 1])], shares[2, np.int64(rgb[i + 2])]
+        x = lightness[np.int64(r[0] + g[0] + b[0] + half)]
+        y = lightness[np.int64(r[1] + g[1] + b[1] + half)]
+        z = lightness[np.int64(r[2] + g[2] + b[2] + half)]
+        lab[i] = np.float32(1.16) * y - np.float32(0.16)
+        lab[i + 1] = np.float32(5.0) * (x - y)
+        lab[i + 2] = np.float32(2.0) * (y - z)
+    return out

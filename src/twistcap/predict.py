@@ -40,18 +40,18 @@ class MotionNoise:
     turn_speed: float = 2.0
     shift_speed: float = 1.5
 
-    def covariance(self, dof: int, dt: float, predictor: PredictorName, centre: Float) -> Float:
-        """(dof, dof) covariance of a prediction over dt seconds; the root turns about `centre` (3,) m, world."""
+    def covariance(self, dof: int, dt: float, predictor: PredictorName, centre: Float) -> tuple[Float, Float]:
+        """(dof, dof) covariance of a prediction over dt seconds, and its inverse; the root turns about `centre`."""
         if predictor == "constant_velocity":
             joint, turn, shift = (a * dt * dt for a in (self.joint, self.turn, self.shift))
         else:
             joint, turn, shift = (v * dt for v in (self.joint_speed, self.turn_speed, self.shift_speed))
-        diagonal = np.full(dof, joint**2)
-        diagonal[:3], diagonal[3:6] = turn**2, shift**2
+        variance = np.full(dof, joint**2)
+        variance[:3], variance[3:6] = turn**2, shift**2
         # δξ acts about the world's origin: a turn about the body's centre is ω there, with −ω × centre as v.
-        A = np.eye(dof)
-        A[3:6, :3] = se3.hat(centre)
-        return A @ np.diag(diagonal) @ A.T
+        A, back, arm = np.eye(dof), np.eye(dof), se3.hat(centre)
+        A[3:6, :3], back[3:6, :3] = arm, -arm
+        return (A * variance) @ A.T, (back.T / variance) @ back
 
 
 def constant_velocity(history: Sequence[Moment], time: float, decay: float = np.inf) -> Pose:

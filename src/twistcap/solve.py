@@ -14,7 +14,8 @@ from twistcap._typing import Float
 from twistcap.body import Pose, Posed
 from twistcap.terms import PointTerm, Quadratic, SegmentSums, Term
 
-(_posv,) = get_lapack_funcs(("posv",), dtype=np.float64)  # Cholesky, without the cost of scipy's batching
+# Cholesky, without the cost of scipy's batching
+_posv, _potrf, _potri = get_lapack_funcs(("posv", "potrf", "potri"), dtype=np.float64)
 
 Status = Literal["converged", "max_iterations", "stalled", "failed"]
 
@@ -62,7 +63,7 @@ def linearized(terms: Sequence[Term], posed: Posed) -> Quadratic:
     sums, total = SegmentSums(posed), Quadratic.zero(posed.body.dof)
     for term in terms:
         if isinstance(term, PointTerm):
-            term.add_to(sums)
+            sums.add_rows(*term.rows(posed))
         else:
             total = total + term.linearize(posed)
     return total + sums.quadratic()
@@ -139,14 +140,21 @@ def _finite(quadratic: Quadratic) -> bool:
 def covariance(quadratic: Quadratic) -> Float:
     """(6 + J, 6 + J) inverse of the Hessian; directions without any information get a variance of at least 10² rad²."""
     H = 0.5 * (quadratic.hessian + quadratic.hessian.T)
-    inverse = _inverse(H)
-    if inverse is not None and 1.0 / np.linalg.norm(inverse) > 1e-2:  # no eigenvalue can be below that
-        return inverse
+    found = inverse(H)
+    if found is not None and 1.0 / np.linalg.norm(found) > 1e-2:  # no eigenvalue can be below that
+        return found
     values, vectors = np.linalg.eigh(H)
     return (vectors / np.maximum(values, 1e-2)) @ vectors.T
 
 
-def _inverse(H: Float) -> Float | None:
+def inverse(H: Float) -> Float | None:
     """Inverse of a symmetric matrix by Cholesky; None where it is not positive definite."""
-    _, inverse, failed = _posv(H, np.eye(len(H)))
-    return None if failed else 0.5 * (inverse + inverse.T)
+    factor, failed = _potrf(H)
+    if failed:
+        return None
+    upper, failed = _potri(factor)
+    if failed:
+        return None
+    out = upper + upper.T
+    out.flat[:: len(H) + 1] *= 0.5
+    return out

@@ -27,7 +27,7 @@ from twistcap.estimate import Estimate, Frame
 from twistcap.features import Channels
 from twistcap.predict import Moment, MotionNoise, PredictorName, predict
 from twistcap.render import ContourPoints, RenderedView, render, reprojected, visible_contour
-from twistcap.solve import SolveResult, Status, covariance, energies_at, least_squares
+from twistcap.solve import SolveResult, Status, covariance, energies_at, inverse, least_squares
 from twistcap.stages import next_frame, stage
 from twistcap.terms import GaussianTerm, LimitTerm, Quadratic, RestTerm, Term
 
@@ -151,8 +151,7 @@ class Tracker:
         next_frame()
         config = self.config
         guess = predict(self._history, frame.time, config.predictor, config.decay)
-        expected = self._expected(guess, frame.time)
-        information = np.asarray(np.linalg.inv(expected), dtype=np.float64)
+        expected, information = self._expected(guess, frame.time)
         posed = Posed(self.body, guess)
         found = self._keypoints(frame, posed)
         fixed: Sequence[Term] = (LimitTerm(), self._rest, GaussianTerm(guess, information), *found)
@@ -278,8 +277,8 @@ class Tracker:
                 terms.append(config.brightness.term(sight.view, sight.seen, template, level))
         return terms, found
 
-    def _expected(self, guess: Pose, time: float) -> Float:
-        """Covariance of the prediction, or of the given first pose."""
+    def _expected(self, guess: Pose, time: float) -> tuple[Float, Float]:
+        """Covariance of the prediction, or of the given first pose, and its inverse."""
         config, centre = self.config, guess.root[:3, 3]
         if not self._started:
             turn = float(np.deg2rad(config.first_sigma_deg))
@@ -337,7 +336,8 @@ class Tracker:
         # The solve held the prediction against its own spread alone; put the uncertainty of the past in its place.
         of_images = result.quadratic.hessian - information
         zero = np.zeros(self.body.dof)
-        return covariance(Quadratic(0.0, zero, of_images / scale + np.linalg.inv(before)))
+        known = inverse(before)
+        return before if known is None else covariance(Quadratic(0.0, zero, of_images / scale + known))
 
 
 def _summed(tallies: Sequence[tuple[Float, Int]], parts: int) -> tuple[Float, Float]:

@@ -66,6 +66,11 @@ class Posed:
         return skin_points(self.segment_transforms, body.skin_segments, body.skin_weights, body.vertices)
 
     @cached_property
+    def vertex_normals(self) -> Float:
+        """(V, 3) outward normals of the surface, as long as the area about each vertex (times 6)."""
+        return vertex_normals(self.vertices, self.body.faces)
+
+    @cached_property
     def landmarks(self) -> Float:
         """(L, 3) the body's landmarks."""
         marks = self.body.landmarks
@@ -182,3 +187,29 @@ def skin_points_reference(transforms: Float, segments: Int, weights: Float, loca
     """Readable twin of `skin_points`."""
     T = transforms[segments]
     return np.einsum("nk,nki->ni", weights, _carried(T, local[:, None, :]))
+
+
+@njit(cache=True, nogil=True)
+def vertex_normals(vertices: Float, faces: Int) -> Float:
+    """(V, 3) area-weighted outward normals, not normalised."""
+    out = np.zeros_like(vertices)
+    for f in range(len(faces)):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
+        wx, wy, wz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
+        nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
+        for v in (a, b, c):
+            out[v, 0] += nx
+            out[v, 1] += ny
+            out[v, 2] += nz
+    return out
+
+
+def vertex_normals_reference(vertices: Float, faces: Int) -> Float:
+    """Readable twin of `vertex_normals`."""
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    normals = np.cross(b - a, c - a)
+    out = np.zeros_like(vertices)
+    for i in range(3):
+        np.add.at(out, faces[:, i], normals)
+    return out

@@ -19,24 +19,24 @@ from twistcap.terms.photometric import sample
 
 @dataclass(frozen=True)
 class Template:
-    """Brightness of surface points in one view at one past frame, at several blurs.
+    """Brightness of surface points in one view, as past frames showed it.
 
     Attributes:
         points: N places on the surface.
-        value: (B, N) brightness under each blur.
-        gradient: (B, N, 2) image gradient there, 1/px.
+        value: (N,) brightness under the finest blur.
+        gradient: (N, 2) image gradient there, 1/px.
+        view, posed: the last frame's, where coarser blurs are read when they are wanted.
     """
 
     points: SurfacePoints
     value: Float
     gradient: Float
+    view: View
+    posed: Posed
 
-    def __add__(self, other: Template) -> Template:
-        """Both templates' points."""
-        return Template(
-            self.points + other.points, np.concatenate([self.value, other.value], axis=1),
-            np.concatenate([self.gradient, other.gradient], axis=1),
-        )  # fmt: skip
+    def blurred(self, sigma: float) -> tuple[Float, Float]:
+        """Value (N,) and gradient (N, 2) in the last frame's image under a Gaussian of `sigma` px."""
+        return template_values(self.view.camera.P, *self.points.bound_to(self.posed), self.view.blurred(sigma))
 
 
 @dataclass(frozen=True)
@@ -69,67 +69,73 @@ class Brightness:
         """
         cell = max(1, round(math.sqrt(max(np.count_nonzero(seen.mask), 1) / max(self.points, 1))))
         occupied = np.zeros((view.grey.shape[0] // cell + 1, view.grey.shape[1] // cell + 1), dtype=np.bool_)
-        images = tuple(view.blurred(blur * seen.px_per_m) for blur in self.blurs)
-        P = view.camera.P
+        P, image, depths = view.camera.P, view.blurred(self.blurs[-1] * seen.px_per_m), seen.inverse_depth_image
         kept: Template | None = None
         if old is not None:
             value, gradient, which = refreshed(
-                P, *old.points.bound_to(posed), old.value, old.gradient, images, seen.inverse_depth_image,
-                self.depth_tolerance, self.update, 2.0 * self.scale, cell, occupied,
+                P, *old.points.bound_to(posed), old.value, old.gradient, image, depths, self.depth_tolerance,
+                self.update, 2.0 * self.scale, cell, occupied,
             )  # fmt: skip
-            kept = Template(old.points[which], value, gradient)
-        fresh = seen.surface_points(*strongest_in_cells(view.grey, seen.inverse_depth_image, cell, occupied))
-        new = Template(fresh, *template_values(P, *fresh.bound_to(posed), images))
-        return new if kept is None else kept + new
+            kept = Template(old.points[which], value, gradient, view, posed)
+        fresh = strongest_in_cells(view.grey, depths, cell, occupied)
+        if kept is not None and not len(fresh[0]):
+            return kept
+        points = seen.surface_points(*fresh)
+        value, gradient = template_values(P, *points.bound_to(posed), image)
+        if kept is None:
+            return Template(points, value, gradient, view, posed)
+        return Template(
+            kept.points + points, np.concatenate([kept.value, value]), np.concatenate([kept.gradient, gradient]), view,
+            posed,
+        )  # fmt: skip
 
     def term(self, view: View, seen: RenderedView, template: Template, level: int) -> PhotometricTerm:
         """Brightness constancy of the template's points that the rendered view says are visible."""
-        P = view.camera.P
+        P, sigma = view.camera.P, self.blurs[level] * seen.px_per_m
         visible = visible_points(
             P, *template.points.bound_to(seen.posed), seen.inverse_depth_image, self.depth_tolerance
         )
+        finest = level in (-1, len(self.blurs) - 1)
+        value, gradient = (template.value, template.gradient) if finest else template.blurred(sigma)
         return PhotometricTerm(
-            P, template.points, view.blurred(self.blurs[level] * seen.px_per_m), template.value[level],
-            template.gradient[level], visible * (self.share / self.sigma**2), self.scale,
-        )  # fmt: skip
+            P, template.points, view.blurred(sigma), value, gradient, visible * (self.share / self.sigma**2), self.scale
+        )
 
 
 @njit(cache=True, nogil=True)
 def template_values(
-    P: Float, transforms: Float, segments: Int, weights: Float, local: Float, images: tuple[Float32, ...]
+    P: Float, transforms: Float, segments: Int, weights: Float, local: Float, image: Float32
 ) -> tuple[Float, Float]:
-    """Brightness (B, N) and image gradient (B, N, 2) of surface points in the B blurs of an image; NaN outside it."""
-    B, N = len(images), len(local)
-    value, gradient = np.full((B, N), np.nan), np.zeros((B, N, 2))
+    """Brightness (N,) and image gradient (N, 2) of surface points in an image; NaN and 0 outside it."""
+    N = len(local)
+    value, gradient = np.full(N, np.nan), np.zeros((N, 2))
     for n in range(N):
         x, y, w = projected_point(P, transforms, segments, weights, local, n)
-        for b in range(B):
-            here, gx, gy, inside = sample(images[b], x, y)
-            if w > 0.0 and inside:
-                value[b, n], gradient[b, n, 0], gradient[b, n, 1] = here, gx, gy
+        here, gx, gy, inside = sample(image, x, y)
+        if w > 0.0 and inside:
+            value[n], gradient[n, 0], gradient[n, 1] = here, gx, gy
     return value, gradient
 
 
 @njit(cache=True, nogil=True)
 def refreshed(
     P: Float, transforms: Float, segments: Int, weights: Float, local: Float, value: Float, gradient: Float,
-    images: tuple[Float32, ...], inverse_depth: Float32, tolerance: float, update: float, most: float, cell: int,
-    occupied: Bool,
+    image: Float32, inverse_depth: Float32, tolerance: float, update: float, most: float, cell: int, occupied: Bool,
 ) -> tuple[Float, Float, Int]:  # fmt: skip
     """Template points that are still seen, the first in each cell of the grid `occupied`, which is filled in.
 
     Args:
-        value, gradient: (B, N) and (B, N, 2) of the old template, finest blur last.
-        images: the B blurs of the present image.
+        value, gradient: (N,) and (N, 2) of the old template.
+        image: the present one, blurred as the template's.
         inverse_depth: (H, W) of the rendered body; a point is seen no more than `tolerance` m behind it.
         update: share of the present brightness that is taken over.
         most: difference of brightness beyond which a point is given up.
 
     Returns:
-        New values (B, M), gradients (B, M, 2) and indices (M,) of the points kept.
+        New values (M,), gradients (M, 2) and indices (M,) of the points kept.
     """
-    B, N = value.shape
-    kept, now, slope = np.empty(N, dtype=np.int32), np.empty((B, N)), np.empty((B, N, 2))
+    N = len(value)
+    kept, now, slope = np.empty(N, dtype=np.int32), np.empty(N), np.empty((N, 2))
     count = 0
     for n in range(N):
         x, y, w = projected_point(P, transforms, segments, weights, local, n)
@@ -139,18 +145,16 @@ def refreshed(
         r, c = (row - 2) // cell, (column - 2) // cell
         if row < 2 or column < 2 or occupied[r, c]:
             continue
-        all_inside = True
-        for b in range(B):
-            here, gx, gy, inside = sample(images[b], x, y)
-            all_inside &= inside
-            now[b, count] = value[b, n] + update * (here - value[b, n])
-            slope[b, count, 0] = gradient[b, n, 0] + update * (gx - gradient[b, n, 0])
-            slope[b, count, 1] = gradient[b, n, 1] + update * (gy - gradient[b, n, 1])
-        if all_inside and abs(now[B - 1, count] - value[B - 1, n]) < update * most:
-            occupied[r, c] = True
-            kept[count] = n
-            count += 1
-    return now[:, :count].copy(), slope[:, :count].copy(), kept[:count].copy()
+        here, gx, gy, inside = sample(image, x, y)
+        if not inside or not abs(here - value[n]) < most:
+            continue
+        now[count] = value[n] + update * (here - value[n])
+        slope[count, 0] = gradient[n, 0] + update * (gx - gradient[n, 0])
+        slope[count, 1] = gradient[n, 1] + update * (gy - gradient[n, 1])
+        occupied[r, c] = True
+        kept[count] = n
+        count += 1
+    return now[:count].copy(), slope[:count].copy(), kept[:count].copy()
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -168,26 +172,26 @@ def _in_sight(x: float, y: float, w: float, inverse_depth: Float32, tolerance: f
 def strongest_in_cells(grey: Float32, inverse_depth: Float32, cell: int, occupied: Bool) -> tuple[Int, Int]:
     """Rows and columns of body pixels, the most textured of each cell that is not occupied, none at a rim."""
     height, width = grey.shape
-    most = (height // cell + 1) * (width // cell + 1)
-    rows, columns = np.empty(most, dtype=np.int32), np.empty(most, dtype=np.int32)
-    count = 0
-    for top in range(2, height - 2, cell):
-        for left in range(2, width - 2, cell):
-            if occupied[(top - 2) // cell, (left - 2) // cell]:
+    best = np.zeros(occupied.shape, dtype=np.float32)
+    best_row, best_column = np.empty(best.shape, dtype=np.int32), np.empty(best.shape, dtype=np.int32)
+    for r in range(2, height - 2):
+        i = (r - 2) // cell
+        for c in range(2, width - 2):
+            if inverse_depth[r, c] == 0.0:
                 continue
-            best, best_row, best_column = 0.0, -1, -1
-            for r in range(top, min(top + cell, height - 2)):
-                for c in range(left, min(left + cell, width - 2)):
-                    w = inverse_depth[r, c]
-                    if w == 0.0:
-                        continue
-                    gx, gy = grey[r, c + 1] - grey[r, c - 1], grey[r + 1, c] - grey[r - 1, c]
-                    strength = 1e-9 + gx * gx + gy * gy
-                    if strength > best and not _at_rim(inverse_depth, r, c):
-                        best, best_row, best_column = strength, r, c
-            if best_row >= 0:
-                rows[count], columns[count] = best_row, best_column
-                count += 1
+            j = (c - 2) // cell
+            if occupied[i, j]:
+                continue
+            gx, gy = grey[r, c + 1] - grey[r, c - 1], grey[r + 1, c] - grey[r - 1, c]
+            strength = np.float32(1e-9) + gx * gx + gy * gy
+            if strength > best[i, j] and not _at_rim(inverse_depth, r, c):
+                best[i, j], best_row[i, j], best_column[i, j] = strength, r, c
+    rows, columns = np.empty(best.size, dtype=np.int32), np.empty(best.size, dtype=np.int32)
+    count = 0
+    for i, j in np.ndindex(occupied.shape):
+        if best[i, j] > 0.0:
+            rows[count], columns[count] = best_row[i, j], best_column[i, j]
+            count += 1
     return rows[:count], columns[:count]
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
-from twistcap._typing import Float, Int
+from twistcap._typing import Bool, Float, Int
 from twistcap.cues.evidence import ContourEvidence
 
 
@@ -39,9 +40,22 @@ def part_tally(evidence: ContourEvidence, focal: float, parts: int, rule: Suppor
         evidence: of the view; `focal`: its focal length, px.
         parts: S, number of segments.
     """
-    outer = evidence.contour.outer
-    part = evidence.contour.part[outer]
-    off_by = np.abs(evidence.displacement[outer]) / (focal * evidence.contour.inverse_depth[outer])
-    agrees = (evidence.contrast[outer] > rule.contrast) & (off_by < rule.tolerance)
-    good = np.bincount(part, weights=agrees, minlength=parts)
-    return good.astype(np.float64), np.bincount(part, minlength=parts).astype(np.int32)
+    contour = evidence.contour
+    return _tally(
+        contour.part, contour.outer, contour.inverse_depth, evidence.displacement, evidence.contrast, focal, parts,
+        rule.contrast, rule.tolerance,
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def _tally(
+    part: Int, outer: Bool, inverse_depth: Float, displacement: Float, contrast: Float, focal: float, parts: int,
+    least_contrast: float, tolerance: float,
+) -> tuple[Float, Int]:  # fmt: skip
+    good, seen = np.zeros(parts), np.zeros(parts, dtype=np.int32)
+    for n in range(len(part)):
+        if outer[n]:
+            seen[part[n]] += 1
+            if contrast[n] > least_contrast and abs(displacement[n]) < tolerance * focal * inverse_depth[n]:
+                good[part[n]] += 1.0
+    return good, seen

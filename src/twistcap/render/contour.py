@@ -79,41 +79,14 @@ def visible_contour(view: RenderedView, spacing: float = 3.0, inner_gap: float =
     """
     body = view.posed.body
     edges, edge_faces = body.edges
-    normals = vertex_normals(view.posed.vertices, body.faces)
     which, t, pixels, image_normals, kind, inverse_depth = _contour_samples(
-        view.posed.vertices, view.camera.P, view.pixels, view.inverse_depth, body.faces, edges, edge_faces, normals,
-        view.face_index, view.inverse_depth_image, body.face_part, spacing, inner_gap,
+        view.posed.vertices, view.camera.P, view.pixels, view.inverse_depth, body.faces, edges, edge_faces,
+        view.posed.vertex_normals, view.face_index, view.inverse_depth_image, body.face_part, spacing, inner_gap,
     )  # fmt: skip
     ends = edges[which]
     points = surface_points(body, ends, np.stack([1.0 - t, t], axis=1))
     part = np.where(t < 0.5, body.vertex_part[ends[:, 0]], body.vertex_part[ends[:, 1]]).astype(np.int32)
     return ContourPoints(points, pixels, image_normals, part, kind == _OUTER, inverse_depth)
-
-
-@njit(cache=True, nogil=True)
-def vertex_normals(vertices: Float, faces: Int) -> Float:
-    """(V, 3) area-weighted outward normals, not normalised."""
-    out = np.zeros_like(vertices)
-    for f in range(len(faces)):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
-        wx, wy, wz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
-        nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
-        for v in (a, b, c):
-            out[v, 0] += nx
-            out[v, 1] += ny
-            out[v, 2] += nz
-    return out
-
-
-def vertex_normals_reference(vertices: Float, faces: Int) -> Float:
-    """Readable twin of `vertex_normals`."""
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    normals = np.cross(b - a, c - a)
-    out = np.zeros_like(vertices)
-    for i in range(3):
-        np.add.at(out, faces[:, i], normals)
-    return out
 
 
 @njit(cache=True, nogil=True)

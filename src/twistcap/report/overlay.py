@@ -17,7 +17,6 @@ from twistcap.body.shape import joint_origin
 from twistcap.camera import Camera, Rig
 from twistcap.estimate import Frame
 from twistcap.io.videowriter import VideoWriter
-from twistcap.render.contour import vertex_normals
 from twistcap.render.raster import barycentric, rasterise
 
 Colour = tuple[int, int, int]
@@ -193,8 +192,8 @@ def _shaded(
     at = np.stack([x + origin[0], y + origin[1]], axis=1)
     weights = barycentric(faces_seen, body.faces, pixels, inverse_depth, at)
     light = np.array([-0.35, -0.55, -0.76]) @ camera.T_cam_world[:3, :3]
-    normals = vertex_normals(posed.vertices, body.faces)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    normals = posed.vertex_normals
+    normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     bright = 0.30 + 0.70 * np.clip(normals @ light, 0.0, 1.0)
     base = np.array(LOST, float) if lost else part_colours(body)[body.face_part[faces_seen]]
     return np.einsum("nk,nk->n", weights, bright[body.faces[faces_seen]])[:, None] * base

@@ -63,7 +63,7 @@ class SegmentSums:
 class PointTerm:
     """A term of surface points: it says what rows they have, which is all that a sum over terms needs.
 
-    The terms of every frame have kernels of their own for `energy` and `add_to`, which make no rows.
+    The terms of every frame have kernels of their own for `energy`, which make no rows.
     """
 
     def rows(self, posed: Posed) -> tuple[float, SurfacePoints, Rows]:
@@ -77,12 +77,8 @@ class PointTerm:
     def linearize(self, posed: Posed) -> Quadratic:
         """Gauss-Newton quadratic at a pose."""
         sums = SegmentSums(posed)
-        self.add_to(sums)
+        sums.add_rows(*self.rows(posed))
         return sums.quadratic()
-
-    def add_to(self, sums: SegmentSums) -> None:
-        """Add the term's energy and normal equations to sums at a pose."""
-        sums.add_rows(*self.rows(sums.posed))
 
 
 def normal_equations(posed: Posed, points: SurfacePoints, rows: Rows) -> tuple[Float, Float]:
@@ -109,51 +105,6 @@ def skinned_point(transforms: Float, segments: Int, weights: Float, local: Float
     return X, Y, Z
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
-def add_row(
-    transforms: Float, segments: Int, weights: Float, local: Float, n: int, g0: float, g1: float, g2: float,
-    residual: float, W: float, j: Float, own: Int, blocks: Float, vector: Float,
-) -> None:  # fmt: skip
-    """Add W j jᵀ to blocks (S, S, 6, 8) and W r j to vector (S, 6), j the derivative by the twists of n's segments.
-
-    Of two segments only the block above the diagonal is kept, and of a segment's own block half: with its transpose
-    the sum is whole. `j` (K, 8) and `own` (K,) are room to work in.
-    """
-    x, y, z = local[n, 0], local[n, 1], local[n, 2]
-    count = 0
-    for k in range(segments.shape[1]):
-        w = weights[n, k]
-        if w == 0.0:
-            continue
-        s = segments[n, k]
-        T = transforms[s]
-        X = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
-        Y = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
-        Z = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
-        j[count, 0], j[count, 1], j[count, 2] = w * (Y * g2 - Z * g1), w * (Z * g0 - X * g2), w * (X * g1 - Y * g0)
-        j[count, 3], j[count, 4], j[count, 5] = w * g0, w * g1, w * g2
-        own[count] = s
-        count += 1
-    Wr = W * residual
-    for a in range(count):
-        for p in range(6):
-            vector[own[a], p] += Wr * j[a, p]
-        for b in range(count):
-            if own[b] < own[a]:
-                continue
-            block = blocks[own[a], own[b]]
-            share = 0.5 * W if a == b else W
-            j0, j1, j2, j3, j4, j5 = j[b, 0], j[b, 1], j[b, 2], j[b, 3], j[b, 4], j[b, 5]
-            for p in range(6):
-                Wj = share * j[a, p]
-                block[p, 0] += Wj * j0
-                block[p, 1] += Wj * j1
-                block[p, 2] += Wj * j2
-                block[p, 3] += Wj * j3
-                block[p, 4] += Wj * j4
-                block[p, 5] += Wj * j5
-
-
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "arcp"}, inline="always")
 def projected_point(
     P: Float, transforms: Float, segments: Int, weights: Float, local: Float, n: int
@@ -168,35 +119,60 @@ def projected_point(
     return x, (P[1, 0] * X + P[1, 1] * Y + P[1, 2] * Z + P[1, 3]) * w, w
 
 
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"}, inline="always")
-def add_image_row(
-    P: Float, x: float, y: float, w: float, a: float, b: float, transforms: Float, segments: Int, weights: Float,
-    local: Float, n: int, residual: float, W: float, j: Float, own: Int, blocks: Float, vector: Float,
-) -> None:  # fmt: skip
-    """`add_row` of a residual that changes by (a, b) per pixel about the projection (x, y, w) of `projected_point`."""
-    a, b = a * w, b * w
-    c = -(a * x + b * y)
-    add_row(
-        transforms, segments, weights, local, n, a * P[0, 0] + b * P[1, 0] + c * P[2, 0],
-        a * P[0, 1] + b * P[1, 1] + c * P[2, 1], a * P[0, 2] + b * P[1, 2] + c * P[2, 2], residual, W, j, own, blocks,
-        vector,
-    )  # fmt: skip
-
-
-@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"}, error_model="numpy")
 def accumulate(
     transforms: Float, segments: Int, weights: Float, local: Float, gradient: Float, residual: Float,
     row_weight: Float, blocks: Float, vector: Float,
 ) -> None:  # fmt: skip
-    """`add_row` of rows (R N,), row n being of point n mod N."""
+    """Add W j jᵀ to blocks (S, S, 6, 8) and W r j to vector (S, 6), j a row's derivative by its segments' twists.
+
+    Row n of (R N,) is of point n mod N. Of two segments only the block above the diagonal is kept, and of a segment's
+    own block half: with its transpose the sum is whole. Flat indices spare a search for every number.
+    """
     N, K = segments.shape
-    j, own = np.zeros((K, TWIST_WIDTH)), np.zeros(K, dtype=np.int32)
+    S = len(transforms)
+    j, own = np.zeros((K, 6)), np.zeros(K, dtype=np.int64)
+    T, out = transforms.reshape(-1), blocks.reshape(-1)
+    n = -1
     for row in range(len(residual)):
-        if row_weight[row] != 0.0:
-            add_row(
-                transforms, segments, weights, local, row % N, gradient[row, 0], gradient[row, 1], gradient[row, 2],
-                residual[row], row_weight[row], j, own, blocks, vector,
-            )  # fmt: skip
+        n = n + 1 if n + 1 < N else 0
+        W = row_weight[row]
+        if W == 0.0:
+            continue
+        x, y, z = local[n, 0], local[n, 1], local[n, 2]
+        g0, g1, g2, Wr = gradient[row, 0], gradient[row, 1], gradient[row, 2], W * residual[row]
+        count = 0
+        for k in range(K):
+            w = weights[n, k]
+            if w == 0.0:
+                continue
+            s = np.int64(segments[n, k])
+            o = 16 * s
+            X = T[o] * x + T[o + 1] * y + T[o + 2] * z + T[o + 3]
+            Y = T[o + 4] * x + T[o + 5] * y + T[o + 6] * z + T[o + 7]
+            Z = T[o + 8] * x + T[o + 9] * y + T[o + 10] * z + T[o + 11]
+            f0, f1, f2 = w * g0, w * g1, w * g2
+            j[count, 0], j[count, 1], j[count, 2] = Y * f2 - Z * f1, Z * f0 - X * f2, X * f1 - Y * f0
+            j[count, 3], j[count, 4], j[count, 5] = f0, f1, f2
+            for p in range(6):
+                vector[s, p] += Wr * j[count, p]
+            own[count] = s
+            count += 1
+        for b in range(count):
+            j0, j1, j2, j3, j4, j5 = j[b, 0], j[b, 1], j[b, 2], j[b, 3], j[b, 4], j[b, 5]
+            for a in range(count):
+                if own[b] < own[a]:
+                    continue
+                share = 0.5 * W if a == b else W
+                base = (own[a] * S + own[b]) * 6 * TWIST_WIDTH
+                for p in range(6):
+                    Wj, o = share * j[a, p], base + p * TWIST_WIDTH
+                    out[o] += Wj * j0
+                    out[o + 1] += Wj * j1
+                    out[o + 2] += Wj * j2
+                    out[o + 3] += Wj * j3
+                    out[o + 4] += Wj * j4
+                    out[o + 5] += Wj * j5
 
 
 def normal_equations_reference(posed: Posed, points: SurfacePoints, rows: Rows) -> tuple[Float, Float]:

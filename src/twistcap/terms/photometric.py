@@ -16,11 +16,8 @@ from twistcap.body import Posed
 from twistcap.render import SurfacePoints
 from twistcap.terms.accumulate import (
     NEAR,
-    TWIST_WIDTH,
     PointTerm,
     Rows,
-    SegmentSums,
-    add_image_row,
     projected_point,
 )
 from twistcap.terms.robust import weighted_cauchy
@@ -36,17 +33,16 @@ def sample(image: Float32, x: float, y: float) -> tuple[float, float, float, boo
         return 0.0, 0.0, 0.0, False
     x0, y0 = int(x), int(y)
     fx, fy = x - x0, y - y0
-    row0 = (1.0 - fx) * image[y0 - 1, x0] + fx * image[y0 - 1, x0 + 1]
-    row1 = (1.0 - fx) * image[y0, x0] + fx * image[y0, x0 + 1]
-    row2 = (1.0 - fx) * image[y0 + 1, x0] + fx * image[y0 + 1, x0 + 1]
-    row3 = (1.0 - fx) * image[y0 + 2, x0] + fx * image[y0 + 2, x0 + 1]
-    left = (1.0 - fy) * image[y0, x0 - 1] + fy * image[y0 + 1, x0 - 1]
-    middle_left = (1.0 - fy) * image[y0, x0] + fy * image[y0 + 1, x0]
-    middle_right = (1.0 - fy) * image[y0, x0 + 1] + fy * image[y0 + 1, x0 + 1]
-    right = (1.0 - fy) * image[y0, x0 + 2] + fy * image[y0 + 1, x0 + 2]
-    gx = 0.5 * ((1.0 - fx) * (middle_right - left) + fx * (right - middle_left))
-    gy = 0.5 * ((1.0 - fy) * (row2 - row0) + fy * (row3 - row1))
-    return (1.0 - fy) * row1 + fy * row2, gx, gy, True
+    flat, at = image.reshape(-1), (y0 - 1) * width + x0  # flat indices spare a search for every number
+    a, b, at1, at2, at3 = flat[at], flat[at + 1], at + width, at + 2 * width, at + 3 * width
+    c0, c1, c2, c3 = flat[at1 - 1], flat[at1], flat[at1 + 1], flat[at1 + 2]
+    d0, d1, d2, d3 = flat[at2 - 1], flat[at2], flat[at2 + 1], flat[at2 + 2]
+    e, f = flat[at3], flat[at3 + 1]
+    left, middle, next_, right = c0 + fy * (d0 - c0), c1 + fy * (d1 - c1), c2 + fy * (d2 - c2), c3 + fy * (d3 - c3)
+    above, upper, lower, below = a + fx * (b - a), c1 + fx * (c2 - c1), d1 + fx * (d2 - d1), e + fx * (f - e)
+    gx = 0.5 * ((1.0 - fx) * (next_ - left) + fx * (right - middle))
+    gy = 0.5 * ((1.0 - fy) * (lower - above) + fy * (below - upper))
+    return float((1.0 - fy) * upper + fy * lower), float(gx), float(gy), True
 
 
 @njit(cache=True, nogil=True)
@@ -112,12 +108,6 @@ class PhotometricTerm(PointTerm):
             *self.points.bound_to(posed), self.P, self.image, self.template, self.weight, self.scale
         )
 
-    def add_to(self, sums: SegmentSums) -> None:
-        sums.value += _add_brightness(
-            *self.points.bound_to(sums.posed), self.P, self.image, self.template, self.template_gradient, self.weight,
-            self.scale, sums.blocks, sums.vector,
-        )  # fmt: skip
-
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def _brightness_energy(
@@ -141,33 +131,4 @@ def _brightness_energy(
         bottom = image[y0 + 1, x0] + fx * (image[y0 + 1, x0 + 1] - image[y0 + 1, x0])
         r = (top + fy * (bottom - top) - template[n]) * per
         energy += weight[n] * np.log1p(r * r)
-    return 0.5 * scale * scale * energy
-
-
-@njit(cache=True, nogil=True, fastmath=_FAST)
-def _add_brightness(
-    transforms: Float, segments: Int, weights: Float, local: Float, P: Float, image: Float32, template: Float,
-    template_gradient: Float, weight: Float, scale: float, blocks: Float, vector: Float,
-) -> float:  # fmt: skip
-    """`PhotometricTerm.rows` and their sums in one pass; returns the energy."""
-    K = segments.shape[1]
-    j, own = np.zeros((K, TWIST_WIDTH)), np.zeros(K, dtype=np.int32)
-    energy, per = 0.0, 1.0 / scale
-    for n in range(len(weight)):
-        if weight[n] == 0.0:
-            continue
-        x, y, w = projected_point(P, transforms, segments, weights, local, n)
-        if w == 0.0:
-            continue
-        value, gx, gy, inside = sample(image, x, y)
-        if not inside:
-            continue
-        residual = value - template[n]
-        ratio = (residual * per) ** 2
-        energy += weight[n] * np.log1p(ratio)
-        a, b = 0.5 * (gx + template_gradient[n, 0]), 0.5 * (gy + template_gradient[n, 1])
-        add_image_row(
-            P, x, y, w, a, b, transforms, segments, weights, local, n, residual, weight[n] / (1.0 + ratio), j, own,
-            blocks, vector,
-        )  # fmt: skip
     return 0.5 * scale * scale * energy

@@ -12,12 +12,8 @@ from twistcap.body import Posed
 from twistcap.render import SurfacePoints
 from twistcap.terms.accumulate import (
     NEAR,
-    TWIST_WIDTH,
     PointTerm,
     Rows,
-    SegmentSums,
-    add_image_row,
-    add_row,
     projected_point,
     skinned_point,
 )
@@ -85,12 +81,6 @@ class PointNormalTerm(PointTerm):
             *self.points.bound_to(posed), self.P, self.normal, self.target, self.weight, self.scale_px
         )
 
-    def add_to(self, sums: SegmentSums) -> None:
-        sums.value += _add_normals(
-            *self.points.bound_to(sums.posed), self.P, self.normal, self.target, self.weight, self.scale_px,
-            sums.blocks, sums.vector,
-        )  # fmt: skip
-
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def _normal_energy(
@@ -107,32 +97,6 @@ def _normal_energy(
             continue
         r = (direction[n, 0] * (u - target[n, 0]) + direction[n, 1] * (v - target[n, 1])) * per
         energy += weight[n] * np.log1p(r * r)
-    return 0.5 * scale * scale * energy
-
-
-@njit(cache=True, nogil=True, fastmath=_FAST)
-def _add_normals(
-    transforms: Float, segments: Int, weights: Float, local: Float, P: Float, direction: Float, target: Float,
-    weight: Float, scale: float, blocks: Float, vector: Float,
-) -> float:  # fmt: skip
-    """`PointNormalTerm.rows` and their sums in one pass; returns the energy."""
-    K = segments.shape[1]
-    j, own = np.zeros((K, TWIST_WIDTH)), np.zeros(K, dtype=np.int32)
-    energy, per = 0.0, 1.0 / scale
-    for n in range(len(weight)):
-        if weight[n] == 0.0:
-            continue
-        u, v, w = projected_point(P, transforms, segments, weights, local, n)
-        if w == 0.0:
-            continue
-        a, b = direction[n, 0], direction[n, 1]
-        residual = a * (u - target[n, 0]) + b * (v - target[n, 1])
-        ratio = (residual * per) ** 2
-        energy += weight[n] * np.log1p(ratio)
-        add_image_row(
-            P, u, v, w, a, b, transforms, segments, weights, local, n, residual, weight[n] / (1.0 + ratio), j, own,
-            blocks, vector,
-        )  # fmt: skip
     return 0.5 * scale * scale * energy
 
 
@@ -192,12 +156,6 @@ class PointRayTerm(PointTerm):
             *self.points.bound_to(posed), self.direction, self.moment, self.scale, self.weight, self.huber_px
         )
 
-    def add_to(self, sums: SegmentSums) -> None:
-        sums.value += _add_rays(
-            *self.points.bound_to(sums.posed), self.direction, self.moment, self.scale, self.weight, self.huber_px,
-            sums.blocks, sums.vector,
-        )  # fmt: skip
-
 
 @njit(cache=True, nogil=True, fastmath=_FAST, inline="always")
 def _off_ray(
@@ -221,39 +179,6 @@ def _ray_energy(
         x, y, z = skinned_point(transforms, segments, weights, local, n)
         _, _, _, size = _off_ray(x, y, z, direction[n], moment[n], scale[n])
         energy += weight[n] * (0.5 * size * size if size <= knee else knee * (size - 0.5 * knee))
-    return energy
-
-
-@njit(cache=True, nogil=True, fastmath=_FAST)
-def _add_rays(
-    transforms: Float, segments: Int, weights: Float, local: Float, direction: Float, moment: Float, scale: Float,
-    weight: Float, knee: float, blocks: Float, vector: Float,
-) -> float:  # fmt: skip
-    """`PointRayTerm.rows` and their sums in one pass; returns the energy."""
-    K = segments.shape[1]
-    j, own = np.zeros((K, TWIST_WIDTH)), np.zeros(K, dtype=np.int32)
-    energy = 0.0
-    for i in range(len(weight)):
-        n, f = direction[i], scale[i]
-        x, y, z = skinned_point(transforms, segments, weights, local, i)
-        a, b, c, size = _off_ray(x, y, z, n, moment[i], f)
-        energy += weight[i] * (0.5 * size * size if size <= knee else knee * (size - 0.5 * knee))
-        W = weight[i] * (1.0 if size <= knee else knee / size)
-        if abs(n[0]) < 0.7:  # e: n × an axis, of unit length
-            length = np.sqrt(n[1] * n[1] + n[2] * n[2])
-            e0, e1, e2 = 0.0, n[2] / length, -n[1] / length
-        else:
-            length = np.sqrt(n[0] * n[0] + n[2] * n[2])
-            e0, e1, e2 = -n[2] / length, 0.0, n[0] / length
-        u0, u1, u2 = n[1] * e2 - n[2] * e1, n[2] * e0 - n[0] * e2, n[0] * e1 - n[1] * e0
-        add_row(
-            transforms, segments, weights, local, i, f * u0, f * u1, f * u2, e0 * a + e1 * b + e2 * c, W, j, own,
-            blocks, vector,
-        )  # fmt: skip
-        add_row(
-            transforms, segments, weights, local, i, -f * e0, -f * e1, -f * e2, u0 * a + u1 * b + u2 * c, W, j, own,
-            blocks, vector,
-        )  # fmt: skip
     return energy
 
 
