@@ -51,7 +51,7 @@ def measured(
     n = len(pixels)
     steps, part = np.full(n, step), np.zeros(n, np.int32)
     values, first, last = sample_lines(
-        image, part_at(normal, offset), pixels, normals, part, np.ones(n, dtype=bool), steps, HALF
+        image, part_at(normal, offset), np.arange(1), pixels, normals, part, np.ones(n, dtype=bool), steps, HALF
     )
     assert np.all(first == 0) and np.all(last == 2 * HALF)
     mean, variance = pooled_gaussians(
@@ -147,7 +147,8 @@ def test_line_samples_are_bilinear_and_lie_on_the_line() -> None:
     pixels, normals = np.array([[40.3, 30.8]]), np.array([[0.6, -0.8]])
     step = np.array([0.9])
     part = np.where(30.8 + (x - 40.3) * 0.75 < y, 0, -1).astype(np.int32)
-    values, first, last = sample_lines(image, part, pixels, normals, np.zeros(1, np.int32), np.ones(1, bool), step, 8)
+    one = np.zeros(1, np.int32), np.ones(1, bool)
+    values, first, last = sample_lines(image, part, np.arange(1), pixels, normals, *one, step, 8)
     k = np.arange(first[0], last[0] + 1)
     d = (k - 8)[:, None] * 0.9
     at = pixels + d * normals
@@ -162,8 +163,8 @@ def run_of(outer: bool) -> tuple[int, int]:
     parts[:, 20:40], parts[:, 44:] = 1, 2
     image = np.zeros((40, 80, 1), np.float32)
     _, first, last = sample_lines(
-        image, parts, np.array([[39.5, 20.0]]), np.array([[1.0, 0.0]]), np.ones(1, np.int32), np.array([outer]),
-        np.ones(1), 30,
+        image, parts, np.arange(3), np.array([[39.5, 20.0]]), np.array([[1.0, 0.0]]), np.ones(1, np.int32),
+        np.array([outer]), np.ones(1), 30,
     )  # fmt: skip
     return first[0] - 30, last[0] - 30
 
@@ -179,7 +180,15 @@ def test_lines_end_at_the_images_border() -> None:
     parts[:, 35:] = -1
     one = np.ones(1)
     _, first, last = sample_lines(
-        image, parts, np.array([[34.5, 20.0]]), np.array([[1.0, 0]]), np.zeros(1, np.int32), np.ones(1, bool), one, 10
+        image,
+        parts,
+        np.arange(1),
+        np.array([[34.5, 20.0]]),
+        np.array([[1.0, 0]]),
+        np.zeros(1, np.int32),
+        np.ones(1, bool),
+        one,
+        10,
     )
     assert first[0] == 0 and last[0] == 10 + 4  # 38.5 is the last place with pixels on both sides
 

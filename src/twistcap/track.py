@@ -308,11 +308,13 @@ class Tracker:
     def _remember(self, fit: _Fit) -> None:
         """Learn from the settled frame: brightness of the surface, colours of the parts, and how well they agree."""
         tallies, rule, cue = self._tallies(fit), self.config.support, self.config.brightness
+        lesson = self._appearance.lesson()
         for sight, (good, points) in zip(fit.sights, tallies, strict=True):
             i = sight.camera_index
             if self.config.photometric:
                 self._templates[i] = cue.remember(sight.view, sight.seen, fit.result.posed, self._templates[i])
-            self._appearance.learn(i, sight.view, sight.seen, good / np.maximum(points, 1))
+            if lesson:
+                self._appearance.learn(i, sight.view, sight.seen, good / np.maximum(points, 1))
         good, seen = _summed(tallies, len(self._support))
         judged = seen >= rule.least_points  # a part that is hardly seen keeps the support it had
         self._support[judged] *= rule.memory

@@ -57,9 +57,9 @@ class DirectContour:
         """
         scale, size = view.camera.K[0, 0], seen.px_per_m
         displacement, weight, contrast, target = measured_lines(
-            view.features, seen.part, contour.pixels, contour.normals, contour.part, contour.outer,
-            contour.inverse_depth, coarse * self.search * scale, self.samples, self.rho * size, self.prior_mass,
-            self.floor, self.clip, self.share, self.inner, self.least_sigma, colours,
+            view.features, seen.face_index, seen.posed.body.face_part, contour.pixels, contour.normals, contour.part,
+            contour.outer, contour.inverse_depth, coarse * self.search * scale, self.samples, self.rho * size,
+            self.prior_mass, self.floor, self.clip, self.share, self.inner, self.least_sigma, colours,
             self.colour_mass,
         )  # fmt: skip
         term = PointNormalTerm(

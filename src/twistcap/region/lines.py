@@ -18,9 +18,9 @@ _FAST = {"contract", "reassoc", "arcp", "nnan", "ninf", "nsz"}  # lines are of f
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def measured_lines(
-    image: Float32, part_image: Int, pixels: Float, normals: Float, part: Int, outer: Bool, inverse_depth: Float,
-    reach: float, half: int, rho: float, prior_mass: float, floor: float, clip: float, share: float, inner: float,
-    least_sigma: float, colours: Float, colour_mass: float,
+    image: Float32, face_index: Int, face_part: Int, pixels: Float, normals: Float, part: Int, outer: Bool,
+    inverse_depth: Float, reach: float, half: int, rho: float, prior_mass: float, floor: float, clip: float,
+    share: float, inner: float, least_sigma: float, colours: Float, colour_mass: float,
 ) -> tuple[Float, Float, Float, Float]:  # fmt: skip
     """All of a view's lines by the four steps below, whose arguments these are, and what they weigh.
 
@@ -34,7 +34,7 @@ def measured_lines(
         (N,) displacement (px, outward), (N,) information (1/px²), (N,) evidence (nats) and (N, 2) target (px).
     """
     step = np.maximum(reach / half * inverse_depth, 0.25)
-    values, first, last = sample_lines(image, part_image, pixels, normals, part, outer, step, half)
+    values, first, last = sample_lines(image, face_index, face_part, pixels, normals, part, outer, step, half)
     moments = line_moments(values, first, last, step)
     mean, variance = pooled_gaussians(moments, pixels, part, rho, prior_mass, floor, colours, colour_mass)
     displacement, spread, evidence = boundary_posterior(values, first, last, step, mean, variance, clip)
@@ -59,14 +59,14 @@ def _bilinear(
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def sample_lines(
-    image: Float32, part_image: Int, pixels: Float, normals: Float, part: Int, outer: Bool,
+    image: Float32, face_index: Int, face_part: Int, pixels: Float, normals: Float, part: Int, outer: Bool,
     step: Float, half: int,
 ) -> tuple[Float32, Int, Int]:  # fmt: skip
     """Bilinear values (N, 2 half + 1, C) along the lines, and the first and last usable sample of each (N,).
 
     Sample k of a line lies ``(k − half) · step`` px outward. Inward a line is usable while it stays on its own part,
-    outward while it stays off it: off the body for outer contours, off the part for inner ones. `part_image` (H, W)
-    holds the visible part, -1 off the body. Values beyond the usable ones are 0.
+    outward while it stays off it: off the body for outer contours, off the part for inner ones. `face_index` (H, W)
+    holds the visible triangle, -1 off the body, `face_part` (F,) each one's part. Values beyond the usable ones are 0.
     """
     N, channels = len(pixels), image.shape[2]
     height, width = image.shape[:2]
@@ -83,7 +83,8 @@ def sample_lines(
                 if not (0.0 <= x < width - 1 and 0.0 <= y < height - 1):
                     break
                 if i > nearest:
-                    seen = part_image[int(y + 0.5), int(x + 0.5)]
+                    face = face_index[int(y + 0.5), int(x + 0.5)]
+                    seen = face_part[face] if face >= 0 else -1
                     if direction < 0 and seen != own:
                         break
                     if direction > 0 and ((off_body and seen >= 0) or seen == own):

@@ -79,14 +79,12 @@ def visible_contour(view: RenderedView, spacing: float = 3.0, inner_gap: float =
     """
     body = view.posed.body
     edges, edge_faces = body.edges
-    which, t, pixels, image_normals, kind, inverse_depth = _contour_samples(
-        view.posed.vertices, view.camera.P, view.pixels, view.inverse_depth, body.faces, edges, edge_faces,
-        view.posed.vertex_normals, view.face_index, view.inverse_depth_image, body.face_part, spacing, inner_gap,
+    ends, shares, part, outer, pixels, image_normals, inverse_depth = _contour_samples(
+        view.camera.P, view.pixels, view.inverse_depth, body.faces, edges, edge_faces, view.posed.vertex_normals,
+        view.face_index, view.inverse_depth_image, body.face_part, body.vertex_part, spacing, inner_gap,
     )  # fmt: skip
-    ends = edges[which]
-    points = surface_points(body, ends, np.stack([1.0 - t, t], axis=1))
-    part = np.where(t < 0.5, body.vertex_part[ends[:, 0]], body.vertex_part[ends[:, 1]]).astype(np.int32)
-    return ContourPoints(points, pixels, image_normals, part, kind == _OUTER, inverse_depth)
+    points = surface_points(body, ends, shares)
+    return ContourPoints(points, pixels, image_normals, part, outer, inverse_depth)
 
 
 @njit(cache=True, nogil=True)
@@ -140,16 +138,20 @@ def _visibility(
 
 @njit(cache=True, nogil=True)
 def _contour_samples(
-    vertices: Float, P: Float, pixels: Float, inverse_depth: Float, faces: Int, edges: Int, edge_faces: Int,
-    normals: Float, face_index: Int, buffer: Float32, face_part: Int, spacing: float,
-    inner_gap: float,
-) -> tuple[Int, Float, Float, Float, Int, Float]:  # fmt: skip
-    """Walk all contour edges and drop a sample each time `spacing` pixels of edge have gone by."""
+    P: Float, pixels: Float, inverse_depth: Float, faces: Int, edges: Int, edge_faces: Int, normals: Float,
+    face_index: Int, buffer: Float32, face_part: Int, vertex_part: Int, spacing: float, inner_gap: float,
+) -> tuple[Int, Float, Int, Bool, Float, Float, Float]:  # fmt: skip
+    """Walk all contour edges and drop a sample each time `spacing` pixels of edge have gone by.
+
+    Returns:
+        Of N samples the vertices (N, 2) at the ends of their edges and their shares (N, 2), part (N,), whether on the
+        silhouette (N,), pixels (N, 2), image normals (N, 2) and inverse depth (N,).
+    """
     front = _faces_camera(pixels, inverse_depth, faces)
     capacity = 4096
-    which, t_out = np.empty(capacity, dtype=np.int32), np.empty(capacity)
-    at, normal_out = np.empty((capacity, 2)), np.empty((capacity, 2))
-    kind_out, w_out = np.empty(capacity, dtype=np.int32), np.empty(capacity)
+    ends, shares = np.empty((capacity, 2), dtype=np.int32), np.empty((capacity, 2))
+    at, normal_out, w_out = np.empty((capacity, 2)), np.empty((capacity, 2)), np.empty(capacity)
+    part_out, outer = np.empty(capacity, dtype=np.int32), np.empty(capacity, dtype=np.bool_)
     count, walked = 0, 0.5 * spacing
     for e in range(len(edges)):
         f, g = edge_faces[e, 0], edge_faces[e, 1]
@@ -179,9 +181,10 @@ def _contour_samples(
             kind = _visibility(u, v, a, b, w, part, face_index, buffer, face_part, inner_gap)
             if kind == _HIDDEN:
                 continue
-            which[count], t_out[count] = e, t
+            ends[count, 0], ends[count, 1], shares[count, 0], shares[count, 1] = i, j, 1.0 - t, t
+            part_out[count], outer[count] = vertex_part[i if t < 0.5 else j], kind == _OUTER
             at[count, 0], at[count, 1] = u, v
             normal_out[count, 0], normal_out[count, 1] = a, b
-            kind_out[count], w_out[count] = kind, w
+            w_out[count] = w
             count += 1
-    return which[:count], t_out[:count], at[:count], normal_out[:count], kind_out[:count], w_out[:count]
+    return ends[:count], shares[:count], part_out[:count], outer[:count], at[:count], normal_out[:count], w_out[:count]

@@ -17,7 +17,7 @@ from twistcap.terms.accumulate import (
     projected_point,
     skinned_point,
 )
-from twistcap.terms.robust import huber, weighted_cauchy
+from twistcap.terms.robust import weighted_cauchy
 
 _FAST = {"contract", "reassoc", "arcp"}
 
@@ -100,25 +100,46 @@ def _normal_energy(
     return 0.5 * scale * scale * energy
 
 
-@njit(cache=True, nogil=True)
-def ray_rows(world: Float, direction: Float, moment: Float, scale: Float) -> tuple[Float, Float]:
-    """Residuals (2 N,) px and gradients (2 N, 3) of ``scale (x × n − m)`` along two unit directions e across each ray.
+@njit(cache=True, nogil=True, fastmath=_FAST, inline="always")
+def _off_ray(
+    x: float, y: float, z: float, n: Float, m: Float, scale: float
+) -> tuple[float, float, float, float]:  # fmt: skip
+    """``scale (x × n − m)`` and its length."""
+    a = scale * (y * n[2] - z * n[1] - m[0])
+    b = scale * (z * n[0] - x * n[2] - m[1])
+    c = scale * (x * n[1] - y * n[0] - m[2])
+    return a, b, c, np.sqrt(a * a + b * b + c * c)
 
-    ``d(x × n) = −n̂ dx``, so along e it is ``e · (dx × n) = dx · (n × e)``.
+
+@njit(cache=True, nogil=True, fastmath=_FAST)
+def ray_rows(
+    world: Float, direction: Float, moment: Float, scale: Float, weight: Float, knee: float
+) -> tuple[float, Float, Float, Float]:
+    """Rows of ``scale (x × n − m)`` (px) along two unit directions e across each ray: N of the one, N of the other.
+
+    ``d(x × n) = −n̂ dx``, so along e it is ``e · (dx × n) = dx · (n × e)``. The loss is Huber's of the length of both.
+
+    Returns:
+        Energy, residuals (2 N,), gradients (2 N, 3) and robust weights (2 N,).
     """
     N = len(world)
-    residual, gradient = np.empty(2 * N), np.empty((2 * N, 3))
+    energy, residual, gradient, robust = 0.0, np.empty(2 * N), np.empty((2 * N, 3)), np.empty(2 * N)
     for i in range(N):
         n, f = direction[i], scale[i]
-        e = np.array([0.0, n[2], -n[1]]) if abs(n[0]) < 0.7 else np.array([-n[2], 0.0, n[0]])  # n × an axis
-        e /= np.sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2])
-        across = np.cross(n, e)
-        off = np.cross(world[i], n) - moment[i]
-        residual[i] = f * (e[0] * off[0] + e[1] * off[1] + e[2] * off[2])
-        residual[N + i] = f * (across[0] * off[0] + across[1] * off[1] + across[2] * off[2])
-        for k in range(3):
-            gradient[i, k], gradient[N + i, k] = f * across[k], -f * e[k]
-    return residual, gradient
+        a, b, c, size = _off_ray(world[i, 0], world[i, 1], world[i, 2], n, moment[i], f)
+        energy += weight[i] * (0.5 * size * size if size <= knee else knee * (size - 0.5 * knee))
+        robust[i] = robust[N + i] = weight[i] * (1.0 if size <= knee else knee / size)
+        if abs(n[0]) < 0.7:  # e: n × an axis, of unit length
+            length = np.sqrt(n[1] * n[1] + n[2] * n[2])
+            e0, e1, e2 = 0.0, n[2] / length, -n[1] / length
+        else:
+            length = np.sqrt(n[0] * n[0] + n[2] * n[2])
+            e0, e1, e2 = -n[2] / length, 0.0, n[0] / length
+        u0, u1, u2 = n[1] * e2 - n[2] * e1, n[2] * e0 - n[0] * e2, n[0] * e1 - n[1] * e0
+        residual[i], residual[N + i] = e0 * a + e1 * b + e2 * c, u0 * a + u1 * b + u2 * c
+        gradient[i, 0], gradient[i, 1], gradient[i, 2] = f * u0, f * u1, f * u2
+        gradient[N + i, 0], gradient[N + i, 1], gradient[N + i, 2] = -f * e0, -f * e1, -f * e2
+    return energy, residual, gradient, robust
 
 
 @dataclass(frozen=True)
@@ -146,26 +167,15 @@ class PointRayTerm(PointTerm):
     name: str = "contour"
 
     def rows(self, posed: Posed) -> tuple[float, SurfacePoints, Rows]:
-        residual, gradient = ray_rows(self.points.at(posed), self.direction, self.moment, self.scale)
-        energy, robust = huber(np.hypot(*residual.reshape(2, -1)), self.huber_px)
-        weight = np.tile(self.weight * robust, 2)
-        return float(self.weight @ energy), self.points, Rows(gradient, residual, weight)
+        energy, residual, gradient, weight = ray_rows(
+            self.points.at(posed), self.direction, self.moment, self.scale, self.weight, self.huber_px
+        )
+        return energy, self.points, Rows(gradient, residual, weight)
 
     def energy(self, posed: Posed) -> float:
         return _ray_energy(
             *self.points.bound_to(posed), self.direction, self.moment, self.scale, self.weight, self.huber_px
         )
-
-
-@njit(cache=True, nogil=True, fastmath=_FAST, inline="always")
-def _off_ray(
-    x: float, y: float, z: float, n: Float, m: Float, scale: float
-) -> tuple[float, float, float, float]:  # fmt: skip
-    """``scale (x × n − m)`` and its length."""
-    a = scale * (y * n[2] - z * n[1] - m[0])
-    b = scale * (z * n[0] - x * n[2] - m[1])
-    c = scale * (x * n[1] - y * n[0] - m[2])
-    return a, b, c, np.sqrt(a * a + b * b + c * c)
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
