@@ -143,10 +143,13 @@ def away_from_rims() -> Array:
 def test_templates_follow_the_image_slowly_and_fill_up_again() -> None:
     cue = Brightness(points=120, update=0.2)
     first_image, second_image = noise_image(6), noise_image(6) + np.float32(0.02)
-    first = cue.remember(View(CAMERA, first_image), SEEN, POSED, None)
-    second = cue.remember(View(CAMERA, second_image), SEEN, POSED, first)
+    first = cue.remember(View(CAMERA, first_image), SEEN, POSED, None, True)
+    second = cue.remember(View(CAMERA, second_image), SEEN, POSED, first, True)
     assert 60 < len(first.points) <= len(second.points) < 400
-    kept = len(first.points)
-    np.testing.assert_allclose(second.value[:kept], first.value + 0.2 * 0.02, atol=1e-3)
+    unfilled = cue.remember(View(CAMERA, second_image), SEEN, POSED, first, False)
+    kept = len(unfilled.points)
+    assert 0 < kept <= len(first.points)
+    np.testing.assert_array_equal(unfilled.points.local, second.points.local[:kept])
+    np.testing.assert_allclose(second.value[:kept], first.value[:kept] + 0.2 * 0.02, atol=1e-3)
     coarse, _ = second.blurred(3.0)  # of the last image as it is
     np.testing.assert_allclose(coarse, first.blurred(3.0)[0][: len(coarse)] + 0.02, atol=1e-3)

@@ -123,7 +123,7 @@ def test_the_images_prefer_the_true_pose() -> None:
     scene, truth, views = scene_and_views()
     appearance = Appearance(2, len(scene.body.segment_names), AppearanceRule())
     for i, view in views.items():
-        appearance.learn(i, view, render(truth, view.camera), np.ones(len(scene.body.segment_names)))
+        appearance.learn(i, view, render(truth, view.camera), np.ones(len(scene.body.segment_names)), 1)
     colours = [appearance.of(i, 3) for i in views]
     q = truth.pose.q.copy()
     q[scene.body.coordinate("arm_flex_r")] += np.deg2rad(40)
@@ -151,7 +151,7 @@ def test_colours_from_another_camera_are_trusted_less_and_less_sure() -> None:
     S = len(scene.body.segment_names)
     appearance = Appearance(2, S, AppearanceRule())
     assert np.all(appearance.of(0, 3)[:, 0] == 0.0)
-    appearance.learn(0, views[0], render(truth, views[0].camera), np.ones(S))
+    appearance.learn(0, views[0], render(truth, views[0].camera), np.ones(S), 1)
     own, borrowed = appearance.of(0, 3), appearance.of(1, 3)
     seen = own[:, 0] > 0
     assert np.all(borrowed[seen, 0] < own[seen, 0])
@@ -162,5 +162,5 @@ def test_colours_from_another_camera_are_trusted_less_and_less_sure() -> None:
 
     wider = variance(borrowed) - variance(own)
     np.testing.assert_allclose(wider, (AppearanceRule().shading * own[seen, 1:4]) ** 2, rtol=1e-6, atol=1e-9)
-    appearance.learn(0, views[0], render(truth, views[0].camera), np.zeros(S))  # nothing agreed: nothing is learnt
+    appearance.learn(0, views[0], render(truth, views[0].camera), np.zeros(S), 1)  # nothing agreed: nothing is learnt
     np.testing.assert_array_equal(appearance.of(0, 3), own)

@@ -54,6 +54,8 @@ class TrackerConfig:
         render_after: m that the contour may have moved, all in all, before the body is rendered anew.
         contour_spacing: m on the body between contour samples.
         solver_steps: Gauss-Newton steps in each alternation.
+        learn_every: frames from one to the next in which the parts' colours are learnt, and new points whose brightness
+            is to be followed are sought.
         margin: m about the expected body within which images are looked at.
         inflation: factor on every claimed standard deviation: contour and brightness samples are not independent, and
             no body is exact; set on studio captures with truth (docs/covariance.md).
@@ -74,6 +76,7 @@ class TrackerConfig:
     render_after: float = 0.008
     contour_spacing: float = 0.032
     solver_steps: int = 1
+    learn_every: int = 3
     margin: float = 0.15
     inflation: float = 5.0
     first_sigma_deg: float = 1.0
@@ -124,6 +127,7 @@ class Tracker:
         self._covariance = np.zeros((body.dof, body.dof))
         self._seen_time = 0.0
         self._started = False
+        self._frames = 0  # remembered since the start
         self._appearance = Appearance(len(rig), len(body.segment_names), self.config.appearance)
         self._colours: dict[int, Float] = {}  # of this frame's views
         self._rivals = Rivals(body, self.config.rivals)
@@ -137,6 +141,7 @@ class Tracker:
         self._rivals = Rivals(self.body, self.config.rivals)
         self._seen_time = time
         self._started = False
+        self._frames = 0
 
     def restore(self, estimates: Sequence[Estimate]) -> None:
         """Go on after a track's last estimate, as `--resume` does; brightness and colours are learnt anew."""
@@ -308,13 +313,14 @@ class Tracker:
     def _remember(self, fit: _Fit) -> None:
         """Learn from the settled frame: brightness of the surface, colours of the parts, and how well they agree."""
         tallies, rule, cue = self._tallies(fit), self.config.support, self.config.brightness
-        lesson = self._appearance.lesson()
+        every = self.config.learn_every
+        lesson, self._frames = self._frames % every == 0, self._frames + 1
         for sight, (good, points) in zip(fit.sights, tallies, strict=True):
             i = sight.camera_index
             if self.config.photometric:
-                self._templates[i] = cue.remember(sight.view, sight.seen, fit.result.posed, self._templates[i])
+                self._templates[i] = cue.remember(sight.view, sight.seen, fit.result.posed, self._templates[i], lesson)
             if lesson:
-                self._appearance.learn(i, sight.view, sight.seen, good / np.maximum(points, 1))
+                self._appearance.learn(i, sight.view, sight.seen, good / np.maximum(points, 1), every)
         good, seen = _summed(tallies, len(self._support))
         judged = seen >= rule.least_points  # a part that is hardly seen keeps the support it had
         self._support[judged] *= rule.memory

@@ -22,7 +22,6 @@ class AppearanceRule:
 
     Attributes:
         memory: share of what is known that is kept from frame to frame.
-        every: frames from one lesson to the next; colours do not change fast.
         least_share: share of a part's contour that must agree with the image before it is learnt from.
         other_cameras: weight of what other cameras have seen of a part.
         shading: standard deviation of the factor by which a part's colours differ from camera to camera: one sees its
@@ -31,7 +30,6 @@ class AppearanceRule:
     """
 
     memory: float = 0.9
-    every: int = 3
     least_share: float = 0.7
     other_cameras: float = 0.3
     shading: float = 0.3
@@ -44,12 +42,6 @@ class Appearance:
     def __init__(self, cameras: int, parts: int, rule: AppearanceRule) -> None:
         self._rule, self._cameras, self._parts = rule, cameras, parts
         self._sums: Float | None = None  # until the first image tells how many channels there are
-        self._frame = -1
-
-    def lesson(self) -> bool:
-        """Whether there is to be learnt from this frame. To be asked in every frame."""
-        self._frame += 1
-        return self._frame % self._rule.every == 0
 
     def of(self, camera_index: int, channels: int) -> Float:
         """(S, 1 + 2C) confidence 0 … 1, mean and mean square of each part's colours in a camera."""
@@ -61,13 +53,17 @@ class Appearance:
         mass = pooled[:, :1]
         return np.concatenate([mass / (mass + self._rule.trusted), pooled[:, 1:] / np.maximum(mass, 1e-9)], axis=1)
 
-    def learn(self, camera_index: int, view: View, seen: RenderedView, share: Float) -> None:
-        """Add a view's colours to what is known, of those parts (S,) whose contour agrees well enough; in a lesson."""
+    def learn(self, camera_index: int, view: View, seen: RenderedView, share: Float, frames: int) -> None:
+        """Add a view's colours to what is known, of those parts whose contour agrees well enough.
+
+        Args:
+            share: (S,) of each part's contour that agrees with the image.
+            frames: that have passed since the last time, for all of which this one stands.
+        """
         sums = self._all(view.features.shape[2])[camera_index]
         now = part_colours(view.features, seen.part, share >= self._rule.least_share)
         learnt = now[:, 0] > 0.0
-        every = self._rule.every
-        sums[learnt] = self._rule.memory**every * sums[learnt] + every * now[learnt]
+        sums[learnt] = self._rule.memory**frames * sums[learnt] + frames * now[learnt]
 
     def _all(self, channels: int) -> Float:
         if self._sums is None:

@@ -61,11 +61,11 @@ class Brightness:
     update: float = 0.2
     depth_tolerance: float = 0.012
 
-    def remember(self, view: View, seen: RenderedView, posed: Posed, old: Template | None) -> Template:
+    def remember(self, view: View, seen: RenderedView, posed: Posed, old: Template | None, fill: bool) -> Template:
         """Template for the next frame; `seen` chooses the points now visible, `posed` (the settled pose) places them.
 
         Points of the old template that are still seen stay, one in each cell of a grid, and their brightness follows
-        the image slowly, which keeps the track from creeping along the surface; new points fill the empty cells.
+        the image slowly, which keeps the track from creeping along the surface. New points `fill` the empty cells.
         """
         cell = max(1, round(math.sqrt(max(np.count_nonzero(seen.mask), 1) / max(self.points, 1))))
         occupied = np.zeros((view.grey.shape[0] // cell + 1, view.grey.shape[1] // cell + 1), dtype=np.bool_)
@@ -77,10 +77,9 @@ class Brightness:
                 self.update, 2.0 * self.scale, cell, occupied,
             )  # fmt: skip
             kept = Template(old.points[which], value, gradient, view, posed)
-        fresh = strongest_in_cells(view.grey, depths, cell, occupied)
-        if kept is not None and not len(fresh[0]):
+        if kept is not None and not fill:
             return kept
-        points = seen.surface_points(*fresh)
+        points = seen.surface_points(*strongest_in_cells(view.grey, depths, cell, occupied))
         value, gradient = template_values(P, *points.bound_to(posed), image)
         if kept is None:
             return Template(points, value, gradient, view, posed)
@@ -141,7 +140,7 @@ def refreshed(
         x, y, w = projected_point(P, transforms, segments, weights, local, n)
         if not _in_sight(x, y, w, inverse_depth, tolerance):
             continue
-        row, column = int(np.round(y)), int(np.round(x))
+        row, column = int(y + 0.5), int(x + 0.5)
         r, c = (row - 2) // cell, (column - 2) // cell
         if row < 2 or column < 2 or occupied[r, c]:
             continue
@@ -161,10 +160,9 @@ def refreshed(
 def _in_sight(x: float, y: float, w: float, inverse_depth: Float32, tolerance: float) -> bool:
     """Whether a point of inverse depth w, seen at (x, y), lies no more than `tolerance` m behind the surface there."""
     height, width = inverse_depth.shape
-    column, row = int(np.round(x)), int(np.round(y))
-    if w == 0.0 or not (0 <= column < width and 0 <= row < height):
+    if w == 0.0 or not (-0.5 <= x < width - 0.5 and -0.5 <= y < height - 0.5):
         return False
-    surface = inverse_depth[row, column]
+    surface = inverse_depth[int(y + 0.5), int(x + 0.5)]
     return surface > 0.0 and 1.0 / w < 1.0 / surface + tolerance
 
 
@@ -174,12 +172,13 @@ def strongest_in_cells(grey: Float32, inverse_depth: Float32, cell: int, occupie
     height, width = grey.shape
     best = np.zeros(occupied.shape, dtype=np.float32)
     best_row, best_column = np.empty(best.shape, dtype=np.int32), np.empty(best.shape, dtype=np.int32)
+    cell_of = (np.arange(width) - 2) // cell  # divisions are slow
     for r in range(2, height - 2):
         i = (r - 2) // cell
         for c in range(2, width - 2):
             if inverse_depth[r, c] == 0.0:
                 continue
-            j = (c - 2) // cell
+            j = cell_of[c]
             if occupied[i, j]:
                 continue
             gx, gy = grey[r, c + 1] - grey[r, c - 1], grey[r + 1, c] - grey[r - 1, c]

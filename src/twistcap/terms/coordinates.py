@@ -36,10 +36,10 @@ class LimitTerm:
 
 def _of_joints(value: float, gradient: Float, diagonal: Float | float) -> Quadratic:
     """A quadratic of the joint coordinates alone, each by itself: gradient and diagonal of the Hessian (J,)."""
-    out = Quadratic(value, np.zeros(6 + len(gradient)), np.zeros((6 + len(gradient), 6 + len(gradient))))
+    out = Quadratic.zero(6 + len(gradient))
     out.gradient[6:] = gradient
-    np.fill_diagonal(out.hessian[6:, 6:], diagonal)
-    return out
+    out.hessian.reshape(-1)[:: len(out.hessian) + 1][6:] = diagonal
+    return Quadratic(value, out.gradient, out.hessian)
 
 
 @dataclass(frozen=True)
