@@ -42,7 +42,7 @@ def _implicit_down(u: Float32, tau: float, epsilon: float) -> Float32:
     """Solve ``x − τ ∂_y(g ∂_y x) = u`` (C, H, W) down all columns at once, by the Thomas algorithm."""
     C, height, width = u.shape
     tau, least = np.float32(tau), np.float32(epsilon * epsilon)
-    quarter, one = np.float32(0.25), np.float32(1.0)
+    quarter, one, near = np.float32(0.25), np.float32(1.0), min(1, width - 1)
     out = np.empty_like(u)
     upper = np.empty((height, width), dtype=np.float32)  # what elimination leaves above the diagonal, negated
     above, below = np.zeros(width, dtype=np.float32), np.zeros(width, dtype=np.float32)
@@ -52,9 +52,10 @@ def _implicit_down(u: Float32, tau: float, epsilon: float) -> Float32:
             below[:] = least
             for k in range(C):
                 here, next_row = u[k, r], u[k, r + 1]
-                for c in range(width):  # twice the mean of the central differences of both rows
-                    left, right = max(c - 1, 0), min(c + 1, width - 1)
-                    across[c] = (here[right] - here[left]) + (next_row[right] - next_row[left])
+                for c in range(1, width - 1):  # twice the sum of the central differences of both rows
+                    across[c] = (here[c + 1] - here[c - 1]) + (next_row[c + 1] - next_row[c - 1])
+                across[0] = (here[near] - here[0]) + (next_row[near] - next_row[0])
+                across[width - 1] = (here[width - 1] - here[-1 - near]) + (next_row[width - 1] - next_row[-1 - near])
                 for c in range(width):
                     step, aside = next_row[c] - here[c], quarter * across[c]
                     below[c] += step * step + aside * aside

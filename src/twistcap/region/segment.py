@@ -32,7 +32,7 @@ class Evolution:
         clip: largest log density ratio, nats.
     """
 
-    rounds: int = 200
+    rounds: int = 100
     steps: int = 4
     tau: float = 4.0
     nu: float = 2.0
@@ -44,7 +44,8 @@ def segment(features: Float32, start: Bool, log_ratio: LogRatio, how: Evolution 
     """(H, W) the inner region, grown from `start` (H, W) on channels (H, W, C).
 
     Every round asks the region model for log p₁/p₂ under the present regions, moves the contour a few steps, and makes
-    Φ a signed distance again. It ends early where no pixel changes hands any more.
+    Φ a signed distance again. It ends early where the contour rests, or
+    only wavers.
 
     Raises:
         InputError: if start and image differ in size, or start has no inside or no outside.
@@ -54,13 +55,15 @@ def segment(features: Float32, start: Bool, log_ratio: LogRatio, how: Evolution 
         raise InputError(f"segment: the start is {start.shape}, the image {features.shape[:2]}; give them one size.")
     if start.all() or not start.any():
         raise InputError("segment: the start must leave pixels both inside and outside.")
-    region = np.asarray(start, dtype=np.bool_)
+    region = before = np.asarray(start, dtype=np.bool_)
     for _ in range(how.rounds):
         phi = signed_distance(region)
         ratio = log_ratio(features, heaviside(phi, 0.7))
         phi = evolve(phi, ratio, how.steps, how.tau * how.width, how.nu, 0.0, how.width, how.clip)
         after = phi > 0.0
-        if np.array_equal(after, region) or after.all() or not after.any():
+        if after.all() or not after.any():
             return region
-        region = after
+        if np.array_equal(after, region) or np.array_equal(after, before):
+            return after
+        before, region = region, after
     return region
