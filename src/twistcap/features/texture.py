@@ -44,12 +44,12 @@ class Texture:
     blend: bool = False
     strength: float = 0.2
     knee: float = 0.1
-    largest: float = 24.0
+    largest: float = 16.0
     flow_steps: int = 10
-    flow_tau: float = 0.05
+    flow_tau: float = 0.07
     window: float = 4.0
     steps: int = 3
-    tau: float = 0.2
+    tau: float = 0.12
     epsilon: float = 0.01
 
     def __post_init__(self) -> None:

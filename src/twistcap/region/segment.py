@@ -35,7 +35,7 @@ class Evolution:
     rounds: int = 100
     steps: int = 4
     tau: float = 4.0
-    nu: float = 2.0
+    nu: float = 4.0
     width: float = 3.0
     clip: float = 3.0
 
