@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Float, Float32
+from twistcap._typing import AnyArray, Float, Float32
 from twistcap.errors import InputError
 from twistcap.features.tvflow import tv_step
 
@@ -81,7 +81,7 @@ def with_texture(colours: Float32, light: Float32, how: Texture) -> Float32:
     return _joined(cv2.split(colours), planes[C:], how.resolution, (height, width))
 
 
-def _joined(sharp: Sequence[Float32], planes: Float32, block: int, shape: tuple[int, int]) -> Float32:
+def _joined(sharp: Sequence[AnyArray], planes: Float32, block: int, shape: tuple[int, int]) -> Float32:
     """(H, W, C) sharp channels and the planes (k, h, w) of the grid, brought to the image's own `shape`."""
     size = (block * planes.shape[2], block * planes.shape[1])
     large = [cv2.resize(p, size, interpolation=cv2.INTER_LINEAR)[: shape[0], : shape[1]] for p in planes]
@@ -143,7 +143,7 @@ def structure_tensor(light: Float32, block: int, strength: float, knee: float) -
     """
     height, width = light.shape
     out = np.zeros((3, -(-height // block), -(-width // block)), dtype=np.float32)
-    half, strength, knee = np.float32(0.5), np.float32(strength), np.float32(knee)
+    half, top, bend = np.float32(0.5), np.float32(strength), np.float32(knee)
     for r in range(height):
         up, down, i = light[max(r - 1, 0)], light[min(r + 1, height - 1)], r // block
         rows = min(block, height - i * block)
@@ -153,7 +153,7 @@ def structure_tensor(light: Float32, block: int, strength: float, knee: float) -
             y = half * (down[c] - up[c])
             slope = np.sqrt(x * x + y * y)
             share = np.float32(rows * min(block, width - j * block))
-            weight = strength / ((slope + np.float32(1e-9)) * (slope + knee) * share)
+            weight = top / ((slope + np.float32(1e-9)) * (slope + bend) * share)
             out[0, i, j] += weight * x * x
             out[1, i, j] += weight * y * y
             out[2, i, j] += weight * x * y

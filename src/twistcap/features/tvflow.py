@@ -41,7 +41,7 @@ def _mean(down: Float32, along: Float32) -> Float32:
 def _implicit_down(u: Float32, tau: float, epsilon: float) -> Float32:
     """Solve ``x − τ ∂_y(g ∂_y x) = u`` (C, H, W) down all columns at once, by the Thomas algorithm."""
     C, height, width = u.shape
-    tau, least = np.float32(tau), np.float32(epsilon * epsilon)
+    size, least = np.float32(tau), np.float32(epsilon * epsilon)
     quarter, one, near = np.float32(0.25), np.float32(1.0), min(1, width - 1)
     out = np.empty_like(u)
     upper = np.empty((height, width), dtype=np.float32)  # what elimination leaves above the diagonal, negated
@@ -60,7 +60,7 @@ def _implicit_down(u: Float32, tau: float, epsilon: float) -> Float32:
                     step, aside = next_row[c] - here[c], quarter * across[c]
                     below[c] += step * step + aside * aside
             for c in range(width):
-                below[c] = tau / np.sqrt(below[c])
+                below[c] = size / np.sqrt(below[c])
         else:
             below[:] = np.float32(0.0)
         for c in range(width):

@@ -74,7 +74,8 @@ def _stripes(size: tuple[int, int], degrees: float) -> Float:
     """(H, W) spectrum of waves in one direction."""
     fx, fy = _frequencies(size)
     cx, cy = np.cos(np.radians(degrees)) / _WAVELENGTH, np.sin(np.radians(degrees)) / _WAVELENGTH
-    return sum(np.exp(-0.5 * np.hypot(fx - s * cx, fy - s * cy) ** 2 / _SPREAD**2) for s in (-1.0, 1.0))
+    there, back = (np.exp(-0.5 * np.hypot(fx - s * cx, fy - s * cy) ** 2 / _SPREAD**2) for s in (-1.0, 1.0))
+    return there + back
 
 
 def _ring(size: tuple[int, int], wavelength: float) -> Float:
@@ -84,4 +85,5 @@ def _ring(size: tuple[int, int], wavelength: float) -> Float:
 
 def _frequencies(size: tuple[int, int]) -> tuple[Float, Float]:
     """Of x (1, W) and y (H, 1), 1/px."""
-    return np.fft.fftfreq(size[1])[None], np.fft.fftfreq(size[0])[:, None]
+    fy, fx = (np.asarray(np.fft.fftfreq(n), dtype=np.float64) for n in size)
+    return fx[None], fy[:, None]
