@@ -40,7 +40,7 @@ class TrackerConfig:
 
     Attributes:
         method: "direct" (no level set; the default) or "levelset" (the chapter's coupled method).
-        channels: what region statistics look at, "grey" or "lab".
+        channels: what region statistics look at: "grey", "lab", "grey+texture" (5 channels) or "lab+texture" (7).
         photometric: whether brightness constancy joins the contours.
         predictor: "constant_velocity" or "hold".
         decay: time constant (s) with which predicted joint velocities die away.

@@ -1,16 +1,12 @@
-"""Images to feature channels: float32 (H, W, C), about [0, 1]."""
+"""Grey values and CIELAB."""
 
 from __future__ import annotations
-
-from typing import Literal
 
 import cv2
 import numpy as np
 from numba import njit
 
 from twistcap._typing import AnyArray, Float32
-
-Channels = Literal["grey", "lab"]
 
 _BYTE = np.arange(256, dtype=np.float32)
 _BYTE_TO_FLOAT = (_BYTE / 255.0)[None]
@@ -49,13 +45,8 @@ def grey(image: AnyArray) -> Float32:
     return to_float(image)
 
 
-def feature_channels(image: AnyArray, channels: Channels) -> Float32:
-    """(H, W, C) channels that the region statistics use; "lab" of a grey image is its grey value.
-
-    CIELAB comes divided by 100: equal steps then look about equally large in every channel.
-    """
-    if channels == "grey" or image.ndim == 2:
-        return np.ascontiguousarray(grey(image)[..., None])
+def lab(image: AnyArray) -> Float32:
+    """(H, W, 3) CIELAB of an RGB image (H, W, 3), divided by 100: equal steps look about equally large."""
     if image.dtype == np.uint8:
         return _lab_of_bytes(np.ascontiguousarray(image), _SHARES, _LIGHTNESS)
     return cv2.cvtColor(to_float(image), cv2.COLOR_RGB2LAB) * np.float32(0.01)

@@ -1,0 +1,28 @@
+"""What the region statistics look at, by name."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from twistcap._typing import AnyArray, Float32
+from twistcap.features.colour import grey, lab
+from twistcap.features.texture import Texture, with_texture
+
+Channels = Literal["grey", "lab", "grey+texture", "lab+texture"]
+
+_DEFAULT = Texture()
+
+
+def feature_channels(image: AnyArray, channels: Channels, texture: Texture = _DEFAULT) -> Float32:
+    """(H, W, C) channels of a grey (H, W) or RGB (H, W, 3) image.
+
+    "grey" has 1 channel, "lab" 3 (`colour.lab`); "+texture" adds 4 to either: the structure tensor's J₁₁ (x), J₂₂ (y)
+    and J₁₂, and the local scale (`texture.with_texture`). "lab" of a grey image is its grey value.
+    """
+    coloured = channels.startswith("lab") and image.ndim == 3
+    colours = lab(image) if coloured else grey(image)[..., None]
+    if channels.endswith("+texture"):
+        return with_texture(colours, grey(image) if coloured else colours[..., 0], texture)
+    return np.ascontiguousarray(colours)
