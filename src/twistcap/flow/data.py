@@ -37,20 +37,23 @@ def _derivative(image: Float32, axis: int) -> Float32:
 
 @njit(cache=True, nogil=True, fastmath=FAST)
 def motion_tensors(
-    first: Float32, second: Float32, u: Float32, v: Float32, mask: Bool, zeta: float, blend: float
+    first: Float32, second: Float32, u: Float32, v: Float32, mask: Bool, top: int, left: int, zeta: float, blend: float
 ) -> Float32:
     """(H, 12, W) motion tensors of brightness (6 entries) and gradient, summed over the channels.
 
     0 where the mask is, or where the flow leaves the image: nothing is known of what is not seen.
 
     Args:
-        first, second: (C, H, W, 6) `derivative_maps` of the two images.
+        first: (C, H, W, 6) `derivative_maps` of a window of the first image.
+        second: (C, H', W', 6) of the whole second image.
+        top, left: first row and column of the window.
         u, v: (H, W) flow, px, at which the second image is looked up by Catmull-Rom interpolation.
         mask: (H, W) where tensors are wanted.
         zeta: noise floor (intensity per px) of the normalisation; 0 leaves the constraints as they are.
         blend: share of the first image's derivatives in the constraint.
     """
     C, H, W, _ = first.shape
+    rows_there, columns_there = second.shape[1:3]
     out = np.zeros((H, 2 * TENSOR, W), dtype=np.float32)
     warped, mean = np.empty(_MAPS, dtype=np.float32), np.empty(_MAPS, dtype=np.float32)
     rows, columns = np.empty(4, dtype=np.int64), np.empty(4, dtype=np.int64)
@@ -58,11 +61,11 @@ def motion_tensors(
     b = np.float32(blend)
     for r in range(H):
         for c in range(W):
-            x, y = c + u[r, c], r + v[r, c]
-            if not mask[r, c] or x < 0.0 or y < 0.0 or x > W - 1 or y > H - 1:
+            x, y = left + c + u[r, c], top + r + v[r, c]
+            if not mask[r, c] or x < 0.0 or y < 0.0 or x > columns_there - 1 or y > rows_there - 1:
                 continue
-            cubic_taps(x, W, columns, at_x)
-            cubic_taps(y, H, rows, at_y)
+            cubic_taps(x, columns_there, columns, at_x)
+            cubic_taps(y, rows_there, rows, at_y)
             for channel in range(C):
                 look_up(second[channel], rows, at_y, columns, at_x, warped)
                 here = first[channel, r, c]

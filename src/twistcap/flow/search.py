@@ -10,7 +10,7 @@ import numpy as np
 from twistcap._typing import Bool, Float32, Int
 from twistcap.flow.expansion import expand
 from twistcap.flow.matching import LABEL, match_blocks, spread
-from twistcap.flow.pyramid import filled, resized_flow
+from twistcap.flow.pyramid import resized_flow, smoothed
 from twistcap.flow.settings import SearchSettings
 
 _NEWS = 1.0  # px by which a motion must differ to be offered
@@ -26,7 +26,7 @@ def searched(first: Float32, second: Float32, mask: Bool, flow: Float32, setting
         settings: of the search.
     """
     s = settings
-    a, b = (_smoothed(image, s.presmooth) for image in (first, second))
+    a, b = (smoothed(image, s.presmooth) for image in (first, second))
     nodes = np.ascontiguousarray(cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8))[:: s.step, :: s.step] > 0)
     blocks = (s.step, s.half, s.spacing, s.radius)
     turn, table = np.deg2rad(s.turn_deg), _table()
@@ -44,11 +44,7 @@ def searched(first: Float32, second: Float32, mask: Bool, flow: Float32, setting
         window, _NEWS,
     )  # fmt: skip
     labels, _ = matched(labels, s.apart, s.polish)
-    return filled(spread(labels, s.step, *mask.shape), mask)
-
-
-def _smoothed(image: Float32, sigma: float) -> Float32:
-    return cv2.GaussianBlur(image, (0, 0), sigma, borderType=cv2.BORDER_REFLECT).reshape(image.shape)
+    return spread(labels, s.step, *mask.shape)
 
 
 def _labels(flow: Float32, shape: tuple[int, ...], step: int) -> Float32:
