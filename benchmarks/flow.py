@@ -110,13 +110,13 @@ def picture(pairs: list[FlowPair], path: Path) -> None:
         flows = [p.flow, *(METHODS[m](p.first, p.second, p.mask) for m in ("accurate", "fast", "DIS"))]
         shown = [wheel(np.where(p.mask[..., None], f, np.nan), 25.0) for f in flows]
         rows.append(np.hstack([*(np.repeat(i[..., None], 3, axis=2) for i in (p.first, p.second)), *shown]))
-    size = 60
+    size, top = 40, 24
     y, x = np.mgrid[-size : size + 1, -size : size + 1] / size
     disc = np.where((np.hypot(x, y) <= 1)[..., None], np.stack([x, y], axis=-1), np.nan).astype(np.float32)
-    strip = np.full((2 * size + 11, rows[0].shape[1], 3), 255, np.uint8)
-    strip[5 : 2 * size + 6, 5 : 2 * size + 6] = wheel(disc, 1.0)
+    rows[0][:, -2 * size - 1 :][: 2 * size + 1] = np.minimum(rows[0][: 2 * size + 1, -2 * size - 1 :], wheel(disc, 1.0))
+    strip = np.full((top, rows[0].shape[1], 3), 255, np.uint8)
     for k, word in enumerate(("first", "second", "truth", "accurate", "fast", "OpenCV DIS")):
-        cv2.putText(strip, word, (150 * k + 5 + 130 * (k == 0), 20), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 0, 0), 1)
+        cv2.putText(strip, word, (150 * k + 8, 17), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 0, 0), 1)
     cv2.imwrite(str(path), np.vstack([strip, *rows])[..., ::-1])
 
 

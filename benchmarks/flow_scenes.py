@@ -54,7 +54,9 @@ def _thrown(body: Body, pose: Pose, swing: float, seed: int) -> Pose:
     arm, leg = ("r", "l") if seed % 2 else ("l", "r")
     q = pose.q.copy()
     for name, degrees in _SWING.items():
-        q[body.coordinate(f"{name}_{leg if name in ('hip_flexion', 'knee_angle') else arm}")] += np.deg2rad(swing * degrees)
+        q[body.coordinate(f"{name}_{leg if name in ('hip_flexion', 'knee_angle') else arm}")] += np.deg2rad(
+            swing * degrees
+        )
     return replace(pose, q=q)
 
 

@@ -45,7 +45,12 @@ def expand(
         offer, present = offered[i, j], labels[i, j]
         if abs(offer[0] - present[0]) + abs(offer[1] - present[1]) < news:
             continue
-        top, bottom, left, right = max(i - window, 0), min(i + window + 1, h), max(j - window, 0), min(j + window + 1, w)
+        top, bottom, left, right = (
+            max(i - window, 0),
+            min(i + window + 1, h),
+            max(j - window, 0),
+            min(j + window + 1, w),
+        )
         for a in range(top, bottom):
             for b in range(left, right):
                 if nodes[a, b]:

@@ -41,7 +41,9 @@ def match_blocks(
     for i in range(h):
         for j in range(w):
             if nodes[i, j]:
-                cost[i, j] = block_cost(first, second, mask, step * i, step * j, labels[i, j], half, spacing, ceiling, 1e9)
+                cost[i, j] = block_cost(
+                    first, second, mask, step * i, step * j, labels[i, j], half, spacing, ceiling, 1e9
+                )
     for turn_of in range(rounds):
         ahead = turn_of % 2 == 0
         for a in range(h):
@@ -88,7 +90,16 @@ def match_blocks(
 
 @njit(cache=True, nogil=True, fastmath=FAST)
 def block_cost(
-    first: Float32, second: Float32, mask: Bool, r: int, c: int, label: Float32, half: int, spacing: int, ceiling: float, limit: float
+    first: Float32,
+    second: Float32,
+    mask: Bool,
+    r: int,
+    c: int,
+    label: Float32,
+    half: int,
+    spacing: int,
+    ceiling: float,
+    limit: float,
 ) -> np.float32:
     """Root mean square difference over a block, most of its mean forgiven: light changes as limbs turn.
 

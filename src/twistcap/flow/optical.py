@@ -63,7 +63,9 @@ def flow_confidence(forward: Float32, backward: Float32) -> Float32:
         InputError: if the two differ in size.
     """
     if forward.shape != backward.shape or forward.ndim != 3 or forward.shape[2] != 2:
-        raise InputError(f"flow_confidence: sizes {forward.shape} and {backward.shape} must both be the same (H, W, 2).")
+        raise InputError(
+            f"flow_confidence: sizes {forward.shape} and {backward.shape} must both be the same (H, W, 2)."
+        )
     H, W, _ = forward.shape
     x, y = np.meshgrid(np.arange(W, dtype=np.float32), np.arange(H, dtype=np.float32))
     x, y = x + forward[..., 0], y + forward[..., 1]
@@ -130,5 +132,7 @@ def _mask(mask: AnyArray, shape: tuple[int, int]) -> Bool:
 
 def _initial(initial: AnyArray, shape: tuple[int, int]) -> Float32:
     if initial.shape != (*shape, 2) or not np.isfinite(initial).all():
-        raise InputError(f"optical_flow: the initial flow has size {initial.shape}; give {(*shape, 2)} of finite numbers.")
+        raise InputError(
+            f"optical_flow: the initial flow has size {initial.shape}; give {(*shape, 2)} of finite numbers."
+        )
     return np.ascontiguousarray(initial, dtype=np.float32)

@@ -29,21 +29,21 @@ def searched(first: Float32, second: Float32, mask: Bool, flow: Float32, setting
     a, b = (smoothed(image, s.presmooth) for image in (first, second))
     nodes = np.ascontiguousarray(cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8))[:: s.step, :: s.step] > 0)
     blocks = (s.step, s.half, s.spacing, s.radius)
-    turn, table = np.deg2rad(s.turn_deg), _table()
+    turn, window = np.deg2rad(s.turn_deg), round(s.window / s.step)
 
-    def matched(labels: Float32, apart: float, rounds: int) -> tuple[Float32, Float32]:
+    def matched(labels: Float32, apart: float, rounds: int, loop: int) -> tuple[Float32, Float32]:
         return match_blocks(
-            a, b, mask, nodes, labels, table, *blocks, turn, s.ceiling, apart, s.most_apart, rounds, s.draws
+            a, b, mask, nodes, labels, _table(loop), *blocks, turn, s.ceiling, apart, s.most_apart, rounds, s.draws
         )
 
-    labels, cost = matched(_labels(flow, mask.shape, s.step), s.apart, 0)
-    offered, _ = matched(labels, s.loose, s.rounds)
-    window = round(s.window / s.step)
-    expand(
-        a, b, mask, nodes, labels, cost, offered, _order(nodes, s.every), *blocks, s.ceiling, s.apart, s.most_apart,
-        window, _NEWS,
-    )  # fmt: skip
-    labels, _ = matched(labels, s.apart, s.polish)
+    labels, cost = matched(_labels(flow, mask.shape, s.step), s.apart, 0, 0)
+    for loop in range(s.loops):
+        offered, _ = matched(labels, s.loose, s.rounds, loop)
+        order = _order(nodes, s.every, loop)
+        expand(
+            a, b, mask, nodes, labels, cost, offered, order, *blocks, s.ceiling, s.apart, s.most_apart, window, _NEWS
+        )
+        labels, cost = matched(labels, s.apart, s.polish, loop)
     return spread(labels, s.step, *mask.shape)
 
 
@@ -53,16 +53,16 @@ def _labels(flow: Float32, shape: tuple[int, ...], step: int) -> Float32:
     return np.concatenate([here, np.zeros((*here.shape[:2], LABEL - 2), np.float32)], axis=2)
 
 
-def _order(nodes: Bool, every: int) -> Int:
+def _order(nodes: Bool, every: int, loop: int) -> Int:
     """(N, 2) one node in `every`, in an order without pattern that is always the same."""
     places = np.argwhere(nodes).astype(np.int32)
-    return places[np.random.default_rng(0).permutation(len(places))[::every]]
+    return places[np.random.default_rng(loop).permutation(len(places))[::every]]
 
 
 @cache
-def _table() -> Float32:
+def _table(loop: int) -> Float32:
     """(N, 3) random places in the unit disc and turns in [-1, 1]; always the same."""
-    rng = np.random.default_rng(0)
+    rng = np.random.default_rng(loop)
     n = 4093  # a prime: rounds of candidates do not meet the same draws again
     angle, radius = rng.uniform(0, 2 * np.pi, n), np.sqrt(rng.uniform(size=n))
     return np.stack([radius * np.cos(angle), radius * np.sin(angle), rng.uniform(-1, 1, n)], axis=1).astype(np.float32)

@@ -25,13 +25,14 @@ class SearchSettings:
         most_apart: px beyond which neighbours may part for no more.
         rounds, polish: times through all nodes before and after whole limbs are offered motions.
         draws: random candidates of a node in a round, each half as far as the one before.
+        loops: times that candidates are gathered and offered.
         every: one node in so many offers its motion to those around it.
         window: px each way to which a motion is offered.
     """
 
     radius: float = 40.0
     step: int = 4
-    half: int = 2
+    half: int = 3
     spacing: int = 2
     turn_deg: float = 30.0
     presmooth: float = 0.7
@@ -42,6 +43,7 @@ class SearchSettings:
     rounds: int = 3
     polish: int = 2
     draws: int = 8
+    loops: int = 4
     every: int = 2
     window: float = 40.0
 
@@ -94,7 +96,9 @@ class FlowSettings:
 ACCURATE = FlowSettings()
 FAST_PRESET = replace(
     ACCURATE, factor=0.5, least_size=12, finest=0.5, warps=2, inner=2, sweeps=6,
-    search=SearchSettings(step=5, turn_deg=20.0, most_apart=16.0, rounds=2, polish=0, draws=6, every=2),
+    search=SearchSettings(
+        step=5, half=2, turn_deg=20.0, most_apart=16.0, rounds=2, polish=0, draws=6, loops=1, every=2
+    ),
 )  # fmt: skip
 PRESETS: dict[str, FlowSettings] = {"accurate": ACCURATE, "fast": FAST_PRESET}
 # Brox, Bruhn, Papenberg and Weickert 2004, but for a robust function of its own on either constancy (eq. 11.24 of the

@@ -53,7 +53,10 @@ def _at_level(first: Float32, second: Float32, mask: Bool, flow: Float32, s: Flo
     if not inside.any():
         return flow
     near, box = box_of(inside, _REACH), box_of(inside, _MARGIN)
-    cut = tuple(slice(b.start - n.start, b.start - n.start + _length(b, full)) for b, n, full in zip(box, near, shape, strict=True))
+    cut = tuple(
+        slice(b.start - n.start, b.start - n.start + _length(b, full))
+        for b, n, full in zip(box, near, shape, strict=True)
+    )
     maps = np.ascontiguousarray(derivative_maps(first[near])[:, *cut])
     window = np.ascontiguousarray(inside[box])
     corner = (box[0].start, box[1].start)
