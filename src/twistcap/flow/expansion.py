@@ -1,0 +1,180 @@
+"""Rigid expansion: whole limbs change their motion at once.
+
+A node alone cannot leave its neighbours, even where all of them together would gain. So the rigid motion of one node is
+offered to all nodes around it, and those take it that lower the energy together: a fusion of two labellings (Lempitsky,
+Rother, Roth and Blake 2010, "Fusion moves for Markov random field optimization", DOI 10.1109/TPAMI.2009.143), decided by
+belief propagation and carried out only if the energy falls.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from twistcap._typing import Bool, Float32, Int
+from twistcap.flow.matching import FAST, LABEL, block_cost, carried, parting_of
+
+_SWEEPS = 4
+_HUGE = np.float32(1e3)
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def expand(
+    first: Float32, second: Float32, mask: Bool, nodes: Bool, labels: Float32, cost: Float32, offered: Float32,
+    order: Int, step: int, half: int, spacing: int, radius: float, ceiling: float, apart: float, most_apart: float,
+    window: int, news: float,
+) -> int:  # fmt: skip
+    """Offer the motions `offered` (h, w, 4) of the nodes in `order` (N, 2), one after the other; labels in place.
+
+    Args:
+        first, second, mask, nodes, step, half, spacing, radius, ceiling, apart, most_apart: as for `match_blocks`.
+        labels, cost: (h, w, 4) present motions and (h, w) their block costs; both change.
+        window: nodes each way to which a motion is offered.
+        news: px by which a motion must differ from the present one of its node to be offered at all.
+
+    Returns:
+        How many motions were taken by some nodes.
+    """
+    h, w, _ = labels.shape
+    proposal, price = np.zeros((h, w, LABEL), np.float32), np.zeros((h, w), np.float32)
+    field, messages = np.zeros((h, w), np.float32), np.zeros((h, w, 4), np.float32)
+    edges = np.zeros((h, w, 2, 3), np.float32)
+    taken = 0
+    for n in range(len(order)):
+        i, j = order[n]
+        offer, present = offered[i, j], labels[i, j]
+        if abs(offer[0] - present[0]) + abs(offer[1] - present[1]) < news:
+            continue
+        top, bottom, left, right = (
+            max(i - window, 0),
+            min(i + window + 1, h),
+            max(j - window, 0),
+            min(j + window + 1, w),
+        )
+        for a in range(top, bottom):
+            for b in range(left, right):
+                if nodes[a, b]:
+                    out = proposal[a, b]
+                    carried(offer, np.float32(step * (b - j)), np.float32(step * (a - i)), np.float32(0.0), out)
+                    if out[0] ** 2 + out[1] ** 2 > radius * radius:
+                        price[a, b] = _HUGE
+                    else:
+                        price[a, b] = block_cost(
+                            first, second, mask, step * a, step * b, out, half, spacing, ceiling, 1e9
+                        )
+        _edges(labels, proposal, nodes, step, apart, most_apart, top, bottom, left, right, edges)
+        _fields(labels, proposal, nodes, cost, price, step, apart, most_apart, top, bottom, left, right, field)
+        _propagate(field, edges, nodes, top, bottom, left, right, messages)
+        if _change(field, edges, messages, nodes, top, bottom, left, right) < -1e-6:
+            taken += 1
+            for a in range(top, bottom):
+                for b in range(left, right):
+                    if nodes[a, b] and _belief(field, messages, a, b) < 0.0:
+                        labels[a, b] = proposal[a, b]
+                        cost[a, b] = price[a, b]
+    return taken
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def _edges(
+    labels: Float32, proposal: Float32, nodes: Bool, step: int, apart: float, most_apart: float,
+    top: int, bottom: int, left: int, right: int, out: Float32,
+) -> None:  # fmt: skip
+    """out (h, w, 2, 3): cost of the edge to the right and to the one below if neither, the other, this one changes."""
+    for a in range(top, bottom):
+        for b in range(left, right):
+            for k in range(2):
+                m, n = a + k, b + 1 - k
+                if m >= bottom or n >= right or not nodes[a, b] or not nodes[m, n]:
+                    out[a, b, k, :] = 0.0
+                    continue
+                out[a, b, k, 0] = parting_of(labels[a, b], labels[m, n], 1 - k, k, step, apart, most_apart)
+                out[a, b, k, 1] = parting_of(labels[a, b], proposal[m, n], 1 - k, k, step, apart, most_apart)
+                out[a, b, k, 2] = parting_of(proposal[a, b], labels[m, n], 1 - k, k, step, apart, most_apart)
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def _fields(
+    labels: Float32, proposal: Float32, nodes: Bool, cost: Float32, price: Float32, step: int, apart: float,
+    most_apart: float, top: int, bottom: int, left: int, right: int, out: Float32,
+) -> None:  # fmt: skip
+    """out (h, w): what a change costs a node itself, and towards neighbours outside the window."""
+    h, w, _ = labels.shape
+    for a in range(top, bottom):
+        for b in range(left, right):
+            if not nodes[a, b]:
+                continue
+            out[a, b] = price[a, b] - cost[a, b]
+            for k in range(4):
+                da, db = (k - 1) % 2 * (1 if k == 2 else -1), (k % 2) * (1 if k == 1 else -1)
+                m, n = a + da, b + db
+                if top <= m < bottom and left <= n < right:
+                    continue
+                if 0 <= m < h and 0 <= n < w and nodes[m, n]:
+                    out[a, b] += parting_of(proposal[a, b], labels[m, n], db, da, step, apart, most_apart)
+                    out[a, b] -= parting_of(labels[a, b], labels[m, n], db, da, step, apart, most_apart)
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+def _belief(field: Float32, messages: Float32, a: int, b: int) -> np.float32:
+    return field[a, b] + messages[a, b, 0] + messages[a, b, 1] + messages[a, b, 2] + messages[a, b, 3]
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def _propagate(
+    field: Float32, edges: Float32, nodes: Bool, top: int, bottom: int, left: int, right: int, messages: Float32
+) -> None:
+    """Sequential min-sum belief propagation; a message (from left, above, right, below) favours the present label."""
+    messages[top:bottom, left:right] = 0.0
+    for sweep in range(_SWEEPS):
+        for s in range(bottom - top):
+            a = top + s if sweep % 2 == 0 else bottom - 1 - s
+            for t in range(right - left):
+                b = left + t if sweep % 2 == 0 else right - 1 - t
+                if not nodes[a, b]:
+                    continue
+                total = _belief(field, messages, a, b)
+                if sweep % 2 == 0:
+                    if b + 1 < right and nodes[a, b + 1]:
+                        messages[a, b + 1, 0] = _message(total - messages[a, b, 2], edges[a, b, 0], False)
+                    if a + 1 < bottom and nodes[a + 1, b]:
+                        messages[a + 1, b, 1] = _message(total - messages[a, b, 3], edges[a, b, 1], False)
+                else:
+                    if b > left and nodes[a, b - 1]:
+                        messages[a, b - 1, 2] = _message(total - messages[a, b, 0], edges[a, b - 1, 0], True)
+                    if a > top and nodes[a - 1, b]:
+                        messages[a - 1, b, 3] = _message(total - messages[a, b, 1], edges[a - 1, b, 1], True)
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+def _message(h: np.float32, edge: Float32, back: bool) -> np.float32:
+    """What a node that would pay h for the change tells its neighbour; the edge is free if both change."""
+    other, own = (edge[2], edge[1]) if back else (edge[1], edge[2])
+    return min(other, h) - min(edge[0], h + own)
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def _change(
+    field: Float32, edges: Float32, messages: Float32, nodes: Bool, top: int, bottom: int, left: int, right: int
+) -> np.float32:
+    """Energy after the change less that before."""
+    total = np.float32(0.0)
+    for a in range(top, bottom):
+        for b in range(left, right):
+            if not nodes[a, b]:
+                continue
+            this = _belief(field, messages, a, b) < 0.0
+            if this:
+                total += field[a, b]
+            for k in range(2):
+                m, n = a + k, b + 1 - k
+                if m >= bottom or n >= right or not nodes[m, n]:
+                    continue
+                other, edge = _belief(field, messages, m, n) < 0.0, edges[a, b, k]
+                if this and other:
+                    total -= edge[0]
+                elif other:
+                    total += edge[1] - edge[0]
+                elif this:
+                    total += edge[2] - edge[0]
+    return total

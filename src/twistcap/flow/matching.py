@@ -1,0 +1,192 @@
+"""Large displacements: blocks that move and turn rigidly, matched by propagation and random search.
+
+Coarse-to-fine warping loses what the coarse images no longer show: a limb that moves farther than it is wide (Brox and
+Malik 2011, "Large displacement optical flow", DOI 10.1109/TPAMI.2010.143). Here nodes some pixels apart each carry a
+rigid motion of their block, of which only the masked pixels count: what lies behind a limb has no say. Good motions
+spread to neighbours (Barnes, Shechtman, Finkelstein and Goldman 2009, "PatchMatch", DOI 10.1145/1531326.1531330), as
+the neighbour's turn carries them there, or bent at a hinge between the two; and neighbours that move apart pay for it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from twistcap._typing import Bool, Float32
+from twistcap.flow.solver import FAST
+
+LABEL = 4  # of a node: u, v (px), cos θ - 1, sin θ
+_FORGIVEN = 0.9  # share of a block's mean square that a change of light explains
+NEIGHBOURS = ((-1, 0), (0, -1), (1, 0), (0, 1))
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def match_blocks(
+    first: Float32, second: Float32, mask: Bool, nodes: Bool, start: Float32, table: Float32, step: int, half: int, spacing: int, radius: float,
+    turn: float, ceiling: float, apart: float, most_apart: float, rounds: int, draws: int,
+) -> tuple[Float32, Float32]:  # fmt: skip
+    """(h, w, 4) rigid motion of the block at each node (step i, step j): u, v (px), cos θ - 1, sin θ.
+
+    Args:
+        first, second: (H, W, C).
+        mask: (H, W); nodes off it keep their start.
+        start: (h, w, 4).
+        table: (N, 3) random numbers places in the unit disc, turns in [-1, 1].
+        step, half, radius, ceiling, apart, most_apart, rounds, draws: see `SearchSettings`.
+        turn: rad.
+    """
+    h, w, _ = start.shape
+    labels, cost = start.copy(), np.zeros((h, w), dtype=np.float32)
+    candidate, count = np.empty(LABEL, dtype=np.float32), 0
+    for i in range(h):
+        for j in range(w):
+            if nodes[i, j]:
+                cost[i, j] = block_cost(
+                    first, second, mask, step * i, step * j, labels[i, j], half, spacing, ceiling, 1e9
+                )
+    for turn_of in range(rounds):
+        ahead = turn_of % 2 == 0
+        for a in range(h):
+            i = a if ahead else h - 1 - a
+            for b in range(w):
+                j = b if ahead else w - 1 - b
+                if not nodes[i, j]:
+                    continue
+                mine = labels[i, j]
+                data = cost[i, j]
+                total = data + _parting(labels, nodes, step, i, j, mine, apart, most_apart)
+                for k in range(8 + draws):
+                    if k < 8:
+                        di, dj = NEIGHBOURS[k % 4]
+                        m, n = i + di, j + dj
+                        if not (0 <= m < h and 0 <= n < w and nodes[m, n]):
+                            continue
+                        bend = np.float32(0.0)
+                        if k >= 4:
+                            bend = table[count % len(table), 2] * np.float32(turn)
+                            count += 1
+                        carried(labels[m, n], np.float32(-dj * step), np.float32(-di * step), bend, candidate)
+                    else:
+                        reach = np.float32(0.5 ** (k - 8))
+                        draw = table[count % len(table)]
+                        count += 1
+                        _turned(mine, np.float32(turn) * reach * draw[2], candidate)
+                        candidate[0] = mine[0] + np.float32(radius) * reach * draw[0]
+                        candidate[1] = mine[1] + np.float32(radius) * reach * draw[1]
+                    if candidate[0] ** 2 + candidate[1] ** 2 > radius * radius:
+                        continue
+                    parting = _parting(labels, nodes, step, i, j, candidate, apart, most_apart)
+                    if parting >= total:
+                        continue
+                    here = block_cost(
+                        first, second, mask, step * i, step * j, candidate, half, spacing, ceiling, total - parting
+                    )
+                    if here + parting < total:
+                        data, total = here, here + parting
+                        mine[:] = candidate
+                cost[i, j] = data
+    return labels, cost
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def block_cost(
+    first: Float32,
+    second: Float32,
+    mask: Bool,
+    r: int,
+    c: int,
+    label: Float32,
+    half: int,
+    spacing: int,
+    ceiling: float,
+    limit: float,
+) -> np.float32:
+    """Root mean square difference over a block, most of its mean forgiven: light changes as limbs turn.
+
+    Masked pixels count as equal, pixels outside the image as different by the ceiling; given up beyond the limit.
+    """
+    H, W, C = first.shape
+    top, size = np.float32(ceiling), np.float32((2 * half + 1) ** 2 * C)
+    most = np.float32(limit) ** 2 * size
+    squares, total, n, lost = np.float32(0.0), np.float32(0.0), np.float32(1e-6), np.float32(0.0)
+    for dy in range(-half * spacing, half * spacing + 1, spacing):
+        if not 0 <= r + dy < H:
+            continue
+        for dx in range(-half * spacing, half * spacing + 1, spacing):
+            if not 0 <= c + dx < W or not mask[r + dy, c + dx]:
+                continue
+            x = np.float32(c + dx) + label[0] + label[2] * dx - label[3] * dy + np.float32(0.5)
+            y = np.float32(r + dy) + label[1] + label[3] * dx + label[2] * dy + np.float32(0.5)
+            if x < 0.0 or y < 0.0 or x >= W or y >= H:
+                lost += top * top * C
+                continue
+            for k in range(C):
+                d = second[int(y), int(x), k] - first[r + dy, c + dx, k]
+                d = min(max(d, -top), top)
+                squares += d * d
+                total += d
+                n += np.float32(1.0)
+        if lost + squares - np.float32(_FORGIVEN) * total * total / n > most:
+            break
+    return np.sqrt(max(lost + squares - np.float32(_FORGIVEN) * total * total / n, np.float32(0.0)) / size)
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def _parting(
+    labels: Float32, nodes: Bool, step: int, i: int, j: int, mine: Float32, apart: float, most_apart: float
+) -> np.float32:
+    """Cost of how far four neighbours and a label at node (i, j) disagree, each half turned by either's turn."""
+    h, w, _ = labels.shape
+    total = np.float32(0.0)
+    for k in range(4):
+        di, dj = NEIGHBOURS[k]
+        m, n = i + di, j + dj
+        if 0 <= m < h and 0 <= n < w and nodes[m, n]:
+            total += parting_of(mine, labels[m, n], dj, di, step, apart, most_apart)
+    return total
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+def parting_of(
+    mine: Float32, other: Float32, dj: int, di: int, step: int, apart: float, most_apart: float
+) -> np.float32:
+    """Cost of how far two neighbours, the other one (dj, di) nodes away, disagree: each turned half by either's turn."""
+    x, y = np.float32(-0.5 * step * dj), np.float32(-0.5 * step * di)
+    cosine, sine = mine[2] + other[2], mine[3] + other[3]
+    du = mine[0] - other[0] - cosine * x + sine * y
+    dv = mine[1] - other[1] - sine * x - cosine * y
+    return np.float32(apart) * min(np.sqrt(du * du + dv * dv), np.float32(most_apart))
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+def _turned(label: Float32, angle: np.float32, out: Float32) -> None:
+    """out = label, turned further by an angle."""
+    square = angle * angle
+    c = square * (square * np.float32(1.0 / 24.0) - np.float32(0.5))  # of cos - 1 and sin, below 1e-3 off up to 60°
+    s = angle * (np.float32(1.0) - square * (np.float32(1.0 / 6.0) - square * np.float32(1.0 / 120.0)))
+    out[0], out[1] = label[0], label[1]
+    out[2] = c + label[2] + c * label[2] - s * label[3]
+    out[3] = s + label[3] + s * label[2] + c * label[3]
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+def carried(label: Float32, x: np.float32, y: np.float32, bend: np.float32, out: Float32) -> None:
+    """out = what a neighbour's label means (x, y) px from it, bent by an angle at the middle between the two."""
+    _turned(label, bend, out)
+    cosine, sine = np.float32(0.5) * (label[2] + out[2]), np.float32(0.5) * (label[3] + out[3])
+    out[0] = label[0] + cosine * x - sine * y
+    out[1] = label[1] + sine * x + cosine * y
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def spread(labels: Float32, step: int, height: int, width: int) -> Float32:
+    """(height, width, 2) px: the flow that the motion of the nearest node means at each pixel."""
+    h, w, _ = labels.shape
+    out = np.empty((height, width, 2), dtype=np.float32)
+    for r in range(height):
+        for c in range(width):
+            i, j = min((r + step // 2) // step, h - 1), min((c + step // 2) // step, w - 1)
+            label, x, y = labels[i, j], np.float32(c - step * j), np.float32(r - step * i)
+            out[r, c, 0] = label[0] + label[2] * x - label[3] * y
+            out[r, c, 1] = label[1] + label[3] * x + label[2] * y
+    return out

@@ -1,0 +1,68 @@
+"""Large displacements within a mask: candidates gathered node by node, then offered to whole limbs."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import cv2
+import numpy as np
+
+from twistcap._typing import Bool, Float32, Int
+from twistcap.flow.expansion import expand
+from twistcap.flow.matching import LABEL, match_blocks, spread
+from twistcap.flow.pyramid import resized_flow, smoothed
+from twistcap.flow.settings import SearchSettings
+
+_NEWS = 1.0  # px by which a motion must differ to be offered
+
+
+def searched(first: Float32, second: Float32, mask: Bool, flow: Float32, settings: SearchSettings) -> Float32:
+    """(H, W, 2) px: the flow, with limbs moved where the images agree better.
+
+    Args:
+        first, second: (H, W, C).
+        mask: (H, W); only its pixels are compared.
+        flow: (h, w, 2) px of its own size, from which the search starts.
+        settings: of the search.
+    """
+    s = settings
+    a, b = (smoothed(image, s.presmooth) for image in (first, second))
+    nodes = np.ascontiguousarray(cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8))[:: s.step, :: s.step] > 0)
+    blocks = (s.step, s.half, s.spacing, s.radius)
+    turn, window = np.deg2rad(s.turn_deg), round(s.window / s.step)
+
+    def matched(labels: Float32, apart: float, rounds: int, loop: int) -> tuple[Float32, Float32]:
+        return match_blocks(
+            a, b, mask, nodes, labels, _table(loop), *blocks, turn, s.ceiling, apart, s.most_apart, rounds, s.draws
+        )
+
+    labels, cost = matched(_labels(flow, mask.shape, s.step), s.apart, 0, 0)
+    for loop in range(s.loops):
+        offered, _ = matched(labels, s.loose, s.rounds, loop)
+        order = _order(nodes, s.every, loop)
+        expand(
+            a, b, mask, nodes, labels, cost, offered, order, *blocks, s.ceiling, s.apart, s.most_apart, window, _NEWS
+        )
+        labels, cost = matched(labels, s.apart, s.polish, loop)
+    return spread(labels, s.step, *mask.shape)
+
+
+def _labels(flow: Float32, shape: tuple[int, ...], step: int) -> Float32:
+    """(h, w, 4) motions of the nodes, not turned."""
+    here = resized_flow(flow, (shape[0], shape[1]))[::step, ::step]
+    return np.concatenate([here, np.zeros((*here.shape[:2], LABEL - 2), np.float32)], axis=2)
+
+
+def _order(nodes: Bool, every: int, loop: int) -> Int:
+    """(N, 2) one node in `every`, in an order without pattern that is always the same."""
+    places = np.argwhere(nodes).astype(np.int32)
+    return places[np.random.default_rng(loop).permutation(len(places))[::every]]
+
+
+@cache
+def _table(loop: int) -> Float32:
+    """(N, 3) random places in the unit disc and turns in [-1, 1]; always the same."""
+    rng = np.random.default_rng(loop)
+    n = 4093  # a prime: rounds of candidates do not meet the same draws again
+    angle, radius = rng.uniform(0, 2 * np.pi, n), np.sqrt(rng.uniform(size=n))
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), rng.uniform(-1, 1, n)], axis=1).astype(np.float32)

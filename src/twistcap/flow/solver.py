@@ -1,0 +1,185 @@
+"""The linear system of one inner fixed point: assembled from lagged weights, relaxed by red-black SOR.
+
+At every pixel the two unknowns are the total flow (u, v), not its increment; a relaxation solves the pixel's 2 by 2
+block exactly. Red and black pixels lie in arrays of their own, so that a row is updated by straight vector loops, and
+all half sweeps go down the image together, one row apart: each finds its rows still in the cache. The result is that
+of whole sweeps one after the other.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from twistcap._typing import Bool, Float32
+
+FAST = {"contract", "reassoc", "arcp", "nnan", "ninf", "nsz"}  # non-finite images were turned away at the door
+TENSOR = 6  # entries of a symmetric 3 by 3 motion tensor: 11, 12, 22, 13, 23, 33
+_COEFFICIENTS = 9  # of a pixel's two equations: right sides, inverse block (11, 12, 22), weights left, right, up, down
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def diffusivity(u: Float32, v: Float32, mask: Bool, epsilon: float) -> Float32:
+    """(H, W) Ψ'(|∇u|² + |∇v|²) for Ψ(s²) = sqrt(s² + ε²); |∇u|² is half the sum of the squared steps to 4 neighbours.
+
+    Steps across the mask's edge do not exist: the boundary reflects.
+    """
+    H, W = u.shape
+    out = np.empty((H, W), dtype=np.float32)
+    across = np.empty(W + 1, dtype=np.float32)  # squared steps from column c - 1 to c
+    above, below = np.zeros(W, dtype=np.float32), np.zeros(W, dtype=np.float32)
+    across[0] = across[W] = 0.0
+    e2 = np.float32(epsilon * epsilon)
+    for r in range(H):
+        for c in range(1, W):
+            du, dv = u[r, c] - u[r, c - 1], v[r, c] - v[r, c - 1]
+            across[c] = (du * du + dv * dv) * (mask[r, c] & mask[r, c - 1])
+        if r + 1 < H:
+            for c in range(W):
+                du, dv = u[r + 1, c] - u[r, c], v[r + 1, c] - v[r, c]
+                below[c] = (du * du + dv * dv) * (mask[r + 1, c] & mask[r, c])
+        else:
+            below[:] = 0.0
+        for c in range(W):
+            s2 = np.float32(0.5) * (across[c] + across[c + 1] + above[c] + below[c])
+            out[r, c] = np.float32(0.5) / np.sqrt(s2 + e2)
+        above, below = below, above
+    return out
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def data_weights(tensors: Float32, du: Float32, dv: Float32, gamma: float, epsilon: float, robust: bool) -> Float32:
+    """(H, 5, W) weighted data term ψ'₁J₁ + γψ'₂J₂ of the increment: entries 11, 12, 22, 13, 23.
+
+    Args:
+        tensors: (H, 12, W) motion tensors of the brightness and of the gradient.
+        du, dv: (H, W) increment at which the weights are lagged, px.
+        gamma: weight of the gradient's constancy.
+        epsilon: of Ψ(s²) = sqrt(s² + ε²).
+        robust: otherwise Ψ' = 1.
+    """
+    H, _, W = tensors.shape
+    out = np.zeros((H, TENSOR - 1, W), dtype=np.float32)
+    weight = np.empty(W, dtype=np.float32)
+    e2, half, two, zero = np.float32(epsilon * epsilon), np.float32(0.5), np.float32(2.0), np.float32(0.0)
+    for term in range(2):
+        factor = np.float32(1.0 if term == 0 else gamma)
+        if factor == zero:
+            continue
+        for r in range(H):
+            J = tensors[r, TENSOR * term : TENSOR * (term + 1)]
+            weight[:] = factor
+            if robust:
+                _quadratic_form(J, du[r], dv[r], weight)
+                for c in range(W):
+                    weight[c] = half * factor / np.sqrt(max(weight[c], zero) + e2)
+            for k in range(TENSOR - 1):
+                _add_scaled(out[r, k], weight, J[k])
+    return out
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+def _quadratic_form(J: Float32, du: Float32, dv: Float32, out: Float32) -> None:
+    """out (W,) = wᵀ J w for w = (du, dv, 1)."""
+    two = np.float32(2.0)
+    for c in range(len(out)):
+        a = J[0, c] * du[c] + two * (J[1, c] * dv[c] + J[3, c])
+        b = J[2, c] * dv[c] + two * J[4, c]
+        out[c] = a * du[c] + b * dv[c] + J[5, c]
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+def _add_scaled(out: Float32, a: Float32, b: Float32) -> None:
+    for c in range(len(out)):
+        out[c] += a[c] * b[c]
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def assemble(data: Float32, u0: Float32, v0: Float32, g: Float32, alpha: float, mask: Bool) -> Float32:
+    """(2, H, 9, K) coefficients of every pixel's equations, red and black pixels apart; 0 outside the mask.
+
+    Args:
+        data: (H, 5, W) as `data_weights` gives it.
+        u0, v0: (H, W) flow at which the images were warped, px.
+        g: (H, W) diffusivity Ψ'.
+        alpha: weight of the smoothness.
+        mask: (H, W).
+    """
+    H, W = mask.shape
+    out = np.zeros((2, H, _COEFFICIENTS, (W + 1) // 2), dtype=np.float32)
+    half = np.float32(0.5 * alpha)
+    for r in range(H):
+        for c in range(W):
+            if not mask[r, c]:
+                continue
+            here, total = out[(r + c) & 1, r, :, c >> 1], np.float32(1e-9)
+            for side in range(4):
+                i, j = r, c
+                if side == 0:
+                    j -= 1
+                elif side == 1:
+                    j += 1
+                elif side == 2:
+                    i -= 1
+                else:
+                    i += 1
+                if 0 <= i < H and 0 <= j < W and mask[i, j]:
+                    weight = half * (g[r, c] + g[i, j])
+                    here[5 + side] = weight
+                    total += weight
+            a, b, d = data[r, 0, c], data[r, 1, c], data[r, 2, c]
+            here[0] = a * u0[r, c] + b * v0[r, c] - data[r, 3, c]
+            here[1] = b * u0[r, c] + d * v0[r, c] - data[r, 4, c]
+            a, d = a + total, d + total
+            inverse = np.float32(1.0) / (a * d - b * b)
+            here[2], here[3], here[4] = d * inverse, -b * inverse, a * inverse
+    return out
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def relax(coefficients: Float32, u: Float32, v: Float32, sweeps: int, omega: float) -> None:
+    """SOR in place on u, v (H, W): `sweeps` red-black sweeps; pixels off the mask stay as they are."""
+    _, H, _, K = coefficients.shape
+    W = u.shape[1]
+    split = np.zeros((2, 2, H + 2, K + 2), dtype=np.float32)  # u or v, colour, and a border that weighs nothing
+    for r in range(H):
+        for c in range(W):
+            split[0, (r + c) & 1, r + 1, (c >> 1) + 1] = u[r, c]
+            split[1, (r + c) & 1, r + 1, (c >> 1) + 1] = v[r, c]
+    su, sv = np.empty(K, dtype=np.float32), np.empty(K, dtype=np.float32)
+    w = np.float32(omega)
+    for front in range(H + 2 * sweeps - 1):
+        for half in range(2 * sweeps):
+            r = front - half
+            if 0 <= r < H:
+                colour = half & 1
+                p, row = (r + colour) & 1, coefficients[colour, r]
+                _gather(row, split[0, 1 - colour, r : r + 3], p, row[0], su)
+                _gather(row, split[1, 1 - colour, r : r + 3], p, row[1], sv)
+                _mix(split[0, colour, r + 1, 1:-1], row[2], su, row[3], sv, w)
+                _mix(split[1, colour, r + 1, 1:-1], row[3], su, row[4], sv, w)
+    for r in range(H):
+        for c in range(W):
+            if coefficients[(r + c) & 1, r, 2, c >> 1] > 0.0:
+                u[r, c] = split[0, (r + c) & 1, r + 1, (c >> 1) + 1]
+                v[r, c] = split[1, (r + c) & 1, r + 1, (c >> 1) + 1]
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+def _gather(row: Float32, other: Float32, p: int, right_side: Float32, out: Float32) -> None:
+    """out (K,) = right side + Σ weight · neighbour; `other` (3, K + 2) are the rows of the other colour around."""
+    K = len(out)
+    left, right, up, down = other[1, p : p + K], other[1, p + 1 : p + 1 + K], other[0, 1 : K + 1], other[2, 1 : K + 1]
+    a, b = row[5], row[6]
+    for k in range(K):
+        out[k] = right_side[k] + a[k] * left[k] + b[k] * right[k]
+    a, b = row[7], row[8]
+    for k in range(K):
+        out[k] += a[k] * up[k] + b[k] * down[k]
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+def _mix(x: Float32, a: Float32, s: Float32, b: Float32, t: Float32, omega: np.float32) -> None:
+    """Over-relaxation of x (K,) towards a·s + b·t."""
+    for k in range(len(x)):
+        x[k] += omega * (a[k] * s[k] + b[k] * t[k] - x[k])
