@@ -12,7 +12,7 @@ from twistcap import se3
 from twistcap._typing import Float
 from twistcap.body import Pose
 
-PredictorName = Literal["constant_velocity", "hold"]
+PredictorName = Literal["constant_velocity", "hold", "flow"]
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class MotionNoise:
 
     Attributes:
         joint, turn, shift: standard deviation of acceleration of joints (rad/s²), root rotation (rad/s²) and root
-            translation (m/s²), for the constant-velocity predictor.
+            translation (m/s²), for the constant-velocity and flow predictors.
         joint_speed, turn_speed, shift_speed: of velocity (rad/s, rad/s, m/s), for the hold predictor.
     """
 
@@ -42,7 +42,7 @@ class MotionNoise:
 
     def covariance(self, dof: int, dt: float, predictor: PredictorName, centre: Float) -> tuple[Float, Float]:
         """(dof, dof) covariance of a prediction over dt seconds, and its inverse; the root turns about `centre`."""
-        if predictor == "constant_velocity":
+        if predictor != "hold":
             joint, turn, shift = (a * dt * dt for a in (self.joint, self.turn, self.shift))
         else:
             joint, turn, shift = (v * dt for v in (self.joint_speed, self.turn_speed, self.shift_speed))
@@ -72,5 +72,5 @@ def constant_velocity(history: Sequence[Moment], time: float, decay: float = np.
 
 
 def predict(history: Sequence[Moment], time: float, predictor: PredictorName, decay: float = np.inf) -> Pose:
-    """The expected pose at `time`; see `constant_velocity` for `decay`."""
-    return constant_velocity(history, time, decay) if predictor == "constant_velocity" else history[-1].pose
+    """The expected pose at `time`, but for what images say; see `constant_velocity` for `decay`."""
+    return history[-1].pose if predictor == "hold" else constant_velocity(history, time, decay)

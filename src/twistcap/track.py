@@ -18,6 +18,7 @@ from twistcap.cues.appearance import Appearance, AppearanceRule
 from twistcap.cues.brightness import Brightness, Template
 from twistcap.cues.direct import DirectContour
 from twistcap.cues.evidence import ContourCue, ContourEvidence
+from twistcap.cues.flow import FlowCue, Followed
 from twistcap.cues.keypoints import KeypointCue
 from twistcap.cues.levelset import LevelSetContour
 from twistcap.cues.rivals import RivalRule, Rivals
@@ -42,7 +43,8 @@ class TrackerConfig:
         method: "direct" (no level set; the default) or "levelset" (the chapter's coupled method).
         channels: what region statistics look at: "grey", "lab", "grey+texture" (5 channels) or "lab+texture" (7).
         photometric: whether brightness constancy joins the contours.
-        predictor: "constant_velocity" or "hold".
+        predictor: "constant_velocity", "hold", or "flow": optic flow, constant velocity where flow cannot be trusted.
+        start_by_flow: whether flow predicts as long as there is no velocity: in the second frame.
         decay: time constant (s) with which predicted joint velocities die away.
         rest_sigma_deg: how far joints are expected from the rest pose; matters only to a limb that nothing shows.
         first_iterations: fine alternations in the first frame, which starts from a given pose.
@@ -66,6 +68,7 @@ class TrackerConfig:
     channels: Channels = "lab"
     photometric: bool = True
     predictor: PredictorName = "constant_velocity"
+    start_by_flow: bool = True
     decay: float = 0.2
     rest_sigma_deg: float = 30.0
     first_iterations: int = 10
@@ -85,6 +88,7 @@ class TrackerConfig:
     levelset: LevelSetContour = field(default_factory=LevelSetContour)
     brightness: Brightness = field(default_factory=Brightness)
     keypoints: KeypointCue = field(default_factory=KeypointCue)
+    flow: FlowCue = field(default_factory=FlowCue)
     noise: MotionNoise = field(default_factory=MotionNoise)
     rivals: RivalRule = field(default_factory=RivalRule)
     appearance: AppearanceRule = field(default_factory=AppearanceRule)
@@ -126,6 +130,7 @@ class Tracker:
         self._support = np.ones(len(body.segment_names))
         self._covariance = np.zeros((body.dof, body.dof))
         self._seen_time = 0.0
+        self._last: Followed | None = None
         self._started = False
         self._frames = 0  # remembered since the start
         self._appearance = Appearance(len(rig), len(body.segment_names), self.config.appearance)
@@ -142,6 +147,7 @@ class Tracker:
         self._seen_time = time
         self._started = False
         self._frames = 0
+        self._last = None
 
     def restore(self, estimates: Sequence[Estimate]) -> None:
         """Go on after a track's last estimate, as `--resume` does; brightness and colours are learnt anew."""
@@ -155,7 +161,7 @@ class Tracker:
         """Track one frame."""
         next_frame()
         config = self.config
-        guess = predict(self._history, frame.time, config.predictor, config.decay)
+        guess, predicted = self._predicted(frame)
         expected, information = self._expected(guess, frame.time)
         posed = Posed(self.body, guess)
         found = self._keypoints(frame, posed)
@@ -164,7 +170,7 @@ class Tracker:
         if not views and not found:
             self._advance(frame.time, guess)
             claimed = self._covariance + config.inflation**2 * expected
-            return Estimate(frame.index, frame.time, guess, claimed, {}, "no_images", support=0.0)
+            return Estimate(frame.index, frame.time, guess, claimed, {}, "no_images", support=0.0, predicted=predicted)
         self._colours = {i: self._appearance.of(i, view.features.shape[2]) for i, view in views.items()}
         fit = self._fit(posed, views, fixed)
         claimed = self._claimed(fit.result, expected, information)
@@ -178,11 +184,27 @@ class Tracker:
             self._remember(fit)
         self._advance(frame.time, fit.result.pose)
         self._seen_time = frame.time
+        self._last = Followed(fit.result.posed, frame.time, frame.images)
         support = float(self._support.min())
         return Estimate(
             frame.index, frame.time, fit.result.pose, self._covariance, fit.result.energies, fit.result.status,
-            fit.result.steps, support < config.support.least_share, support,
+            fit.result.steps, support < config.support.least_share, support, predicted,
         )  # fmt: skip
+
+    def _predicted(self, frame: Frame) -> tuple[Pose, PredictorName]:
+        """The expected pose and what told it: optic flow where it is asked for and can be trusted, else the history."""
+        config = self.config
+        moving = len(self._history) > 1 and config.predictor != "hold"
+        guess = predict(self._history, frame.time, config.predictor, config.decay)
+        base: PredictorName = "constant_velocity" if moving else "hold"
+        wanted = config.predictor == "flow" or (config.start_by_flow and config.predictor != "hold" and not moving)
+        if self._last is None or not wanted:
+            return guess, base
+        dt = frame.time - self._last.time
+        _, information = config.noise.covariance(self.body.dof, dt, "hold", guess.root[:3, 3])
+        with stage("flow"):
+            flowed = config.flow.predict(self._last, frame.images, self.rig, guess, information)
+        return (guess, base) if flowed is None else (flowed, "flow")
 
     def _fit(self, guess: Posed, views: dict[int, View], fixed: Sequence[Term]) -> _Fit:
         """Alternate correspond and update: fine where the prediction was good, else coarse until it settles."""

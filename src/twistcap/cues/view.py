@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -56,9 +57,18 @@ class View:
 
 def crop_view(image: AnyArray, camera: Camera, posed: Posed, margin_m: float, channels: Channels) -> View | None:
     """The view of a posed body with `margin_m` metres about it; None where the body is not in the image."""
+    views = crop_views((image,), camera, posed, margin_m, channels)
+    return views[0] if views else None
+
+
+def crop_views(
+    images: Sequence[AnyArray], camera: Camera, posed: Posed, margin_m: float, channels: Channels
+) -> list[View]:
+    """One window of several images of a camera, as `crop_view` would cut it; empty where the body is not in it."""
     depth = camera.T_cam_world[2, :3] @ posed.pose.root[:3, 3] + camera.T_cam_world[2, 3]
     window = body_window(posed, camera, margin_m * camera.K[0, 0] / max(depth, 0.1) + 3.0)
     if window is None:
-        return None
+        return []
     (x, y), (w, h) = window
-    return View(camera.cropped((x, y), (w, h)), np.ascontiguousarray(image[y : y + h, x : x + w]), channels)
+    crop = camera.cropped((x, y), (w, h))
+    return [View(crop, np.ascontiguousarray(image[y : y + h, x : x + w]), channels) for image in images]

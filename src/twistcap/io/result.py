@@ -24,7 +24,7 @@ from twistcap.errors import InputError
 from twistcap.estimate import Estimate
 
 FORMAT = "twistcap-result"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 _ARRAYS = (
     "parent", "twists", "limits", "segment_joint", "vertices", "faces", "skin_segments", "skin_weights",
 )  # fmt: skip
@@ -47,6 +47,7 @@ class Result:
         iterations: (N,) accepted solver steps.
         lost: (N,) whether the evidence no longer supported the pose.
         support: (N,) that evidence in [0, 1].
+        predicted: N words, what told the pose that each frame was started from; see `Estimate`.
         config: what the run was configured with, as JSON data.
         versions: of the programs, by name.
     """
@@ -63,6 +64,7 @@ class Result:
     iterations: Int
     lost: Bool
     support: Float
+    predicted: tuple[str, ...]
     config: Mapping[str, Any]
     versions: Mapping[str, str]
 
@@ -94,6 +96,7 @@ class Result:
             iterations=int(self.iterations[n]),
             lost=bool(self.lost[n]),
             support=float(self.support[n]),
+            predicted=self.predicted[n],
         )
 
 
@@ -206,6 +209,7 @@ def read_result(path: str | Path) -> Result:
             iterations=get("iterations").astype(np.int32),
             lost=get("lost").astype(bool),
             support=get("support"),
+            predicted=tuple(s.decode() for s in get("predicted")),
             config=json.loads(str(file.attrs["config"])),
             versions={k: str(v) for k, v in _group(file, "versions").attrs.items()} if "versions" in file else {},
         )
@@ -268,6 +272,7 @@ _GETTERS: Mapping[str, Callable[[Estimate], Any]] = {
     "iterations": lambda e: e.iterations,
     "lost": lambda e: e.lost,
     "support": lambda e: e.support,
+    "predicted": lambda e: e.predicted,
 }
 
 
@@ -282,6 +287,7 @@ def _frame_fields(J: int) -> tuple[tuple[str, tuple[int, ...], Any], ...]:
         ("iterations", (), np.dtype("i4")),
         ("lost", (), np.dtype("bool")),
         ("support", (), np.dtype("f8")),
+        ("predicted", (), h5py.string_dtype("ascii", 20)),
     )
 
 
@@ -335,10 +341,11 @@ def _opened(path: str | Path, mode: str) -> h5py.File:
 def _check_format(path: str | Path, file: h5py.File) -> None:
     if file.attrs.get("format") != FORMAT or "frames" not in file:
         raise InputError(f"{path} is an HDF5 file, but no twistcap result; give the result.h5 that track wrote.")
-    if int(str(file.attrs["format_version"])) > FORMAT_VERSION:
-        raise InputError(
-            f"{path} was written by a newer twistcap (format {file.attrs['format_version']}); update twistcap."
-        )
+    version = int(str(file.attrs["format_version"]))
+    if version > FORMAT_VERSION:
+        raise InputError(f"{path} was written by a newer twistcap (format {version}); update twistcap.")
+    if version < FORMAT_VERSION:
+        raise InputError(f"{path} was written by an older twistcap (format {version}); track the recording anew.")
 
 
 def _group(parent: h5py.Group, name: str) -> h5py.Group:
