@@ -2,9 +2,9 @@
 
     python benchmarks/flow.py [--json] [--studio-only] [--picture flow.png]
 
-Middlebury: grey, average endpoint error over all known pixels. Studio: crops of 150 by 250 px of 8 people, error within the
-body's mask, of all its pixels and of those that move by more than 10 px. One thread; times are the best of five, ours and
-DIS in turns.
+Middlebury: grey, average endpoint error over all known pixels. Studio: crops of 150 by 250 px of 8 people, error
+within the body's mask, of all its pixels and of those that move by more than 10 px. One thread; times there are the
+best of five, ours and DIS in turns.
 """
 
 from __future__ import annotations
@@ -110,10 +110,10 @@ def picture(pairs: list[FlowPair], path: Path) -> None:
         flows = [p.flow, *(METHODS[m](p.first, p.second, p.mask) for m in ("accurate", "fast", "DIS"))]
         shown = [wheel(np.where(p.mask[..., None], f, np.nan), 25.0) for f in flows]
         rows.append(np.hstack([*(np.repeat(i[..., None], 3, axis=2) for i in (p.first, p.second)), *shown]))
-    size, top = 40, 24
+    size, top = 25, 24
     y, x = np.mgrid[-size : size + 1, -size : size + 1] / size
     disc = np.where((np.hypot(x, y) <= 1)[..., None], np.stack([x, y], axis=-1), np.nan).astype(np.float32)
-    rows[0][:, -2 * size - 1 :][: 2 * size + 1] = np.minimum(rows[0][: 2 * size + 1, -2 * size - 1 :], wheel(disc, 1.0))
+    rows[1][: 2 * size + 1, -2 * size - 1 :] = wheel(disc, 1.0)  # a corner without a body
     strip = np.full((top, rows[0].shape[1], 3), 255, np.uint8)
     for k, word in enumerate(("first", "second", "truth", "accurate", "fast", "OpenCV DIS")):
         cv2.putText(strip, word, (150 * k + 8, 17), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 0, 0), 1)

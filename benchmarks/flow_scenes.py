@@ -1,4 +1,4 @@
-"""Pairs of images with exact optic flow: a studio body in two consecutive frames, its visible surface points followed."""
+"""Pairs of images with exact optic flow: a studio body in two consecutive frames, its visible points followed."""
 
 from __future__ import annotations
 

@@ -56,7 +56,7 @@ def motion_tensors(
     rows_there, columns_there = second.shape[1:3]
     out = np.zeros((H, 2 * TENSOR, W), dtype=np.float32)
     warped, mean = np.empty(_MAPS, dtype=np.float32), np.empty(_MAPS, dtype=np.float32)
-    rows, columns = np.empty(4, dtype=np.int64), np.empty(4, dtype=np.int64)
+    rows, columns = np.empty(4, dtype=np.int32), np.empty(4, dtype=np.int32)
     at_x, at_y = np.empty(4, dtype=np.float32), np.empty(4, dtype=np.float32)
     b = np.float32(blend)
     for r in range(H):

@@ -1,9 +1,9 @@
 """Rigid expansion: whole limbs change their motion at once.
 
-A node alone cannot leave its neighbours, even where all of them together would gain. So the rigid motion of one node is
-offered to all nodes around it, and those take it that lower the energy together: a fusion of two labellings (Lempitsky,
-Rother, Roth and Blake 2010, "Fusion moves for Markov random field optimization", DOI 10.1109/TPAMI.2009.143), decided by
-belief propagation and carried out only if the energy falls.
+A node alone cannot leave its neighbours, even where all of them together would gain. So the rigid motion of one node
+is offered to all nodes around it, and those take it that lower the energy together: a fusion of two labellings
+(Lempitsky, Rother, Roth and Blake 2010, "Fusion moves for Markov random field optimization", DOI
+10.1109/TPAMI.2009.143), decided by belief propagation and carried out only if the energy falls.
 """
 
 from __future__ import annotations

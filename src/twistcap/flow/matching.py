@@ -22,17 +22,18 @@ NEIGHBOURS = ((-1, 0), (0, -1), (1, 0), (0, 1))
 
 @njit(cache=True, nogil=True, fastmath=FAST)
 def match_blocks(
-    first: Float32, second: Float32, mask: Bool, nodes: Bool, start: Float32, table: Float32, step: int, half: int, spacing: int, radius: float,
-    turn: float, ceiling: float, apart: float, most_apart: float, rounds: int, draws: int,
+    first: Float32, second: Float32, mask: Bool, nodes: Bool, start: Float32, table: Float32, step: int, half: int,
+    spacing: int, radius: float, turn: float, ceiling: float, apart: float, most_apart: float, rounds: int, draws: int,
 ) -> tuple[Float32, Float32]:  # fmt: skip
-    """(h, w, 4) rigid motion of the block at each node (step i, step j): u, v (px), cos θ - 1, sin θ.
+    """Rigid motion (h, w, 4) of the block at each node (step i, step j): u, v (px), cos θ - 1, sin θ; and its cost.
 
     Args:
         first, second: (H, W, C).
-        mask: (H, W); nodes off it keep their start.
+        mask: (H, W) pixels that are compared.
+        nodes: (h, w) nodes that are asked; the others keep their start.
         start: (h, w, 4).
-        table: (N, 3) random numbers places in the unit disc, turns in [-1, 1].
-        step, half, radius, ceiling, apart, most_apart, rounds, draws: see `SearchSettings`.
+        table: (N, 3) random numbers: places in the unit disc, turns in [-1, 1].
+        step, half, spacing, radius, ceiling, apart, most_apart, rounds, draws: see `SearchSettings`.
         turn: rad.
     """
     h, w, _ = start.shape
@@ -56,31 +57,24 @@ def match_blocks(
                 data = cost[i, j]
                 total = data + _parting(labels, nodes, step, i, j, mine, apart, most_apart)
                 for k in range(8 + draws):
+                    draw = table[count % len(table)]
+                    count += 1
                     if k < 8:
                         di, dj = NEIGHBOURS[k % 4]
                         m, n = i + di, j + dj
                         if not (0 <= m < h and 0 <= n < w and nodes[m, n]):
                             continue
-                        bend = np.float32(0.0)
-                        if k >= 4:
-                            bend = table[count % len(table), 2] * np.float32(turn)
-                            count += 1
+                        bend = np.float32(turn) * draw[2] if k >= 4 else np.float32(0.0)
                         carried(labels[m, n], np.float32(-dj * step), np.float32(-di * step), bend, candidate)
                     else:
-                        reach = np.float32(0.5 ** (k - 8))
-                        draw = table[count % len(table)]
-                        count += 1
-                        _turned(mine, np.float32(turn) * reach * draw[2], candidate)
-                        candidate[0] = mine[0] + np.float32(radius) * reach * draw[0]
-                        candidate[1] = mine[1] + np.float32(radius) * reach * draw[1]
+                        _disturbed(mine, draw, radius * 0.5 ** (k - 8), turn * 0.5 ** (k - 8), candidate)
                     if candidate[0] ** 2 + candidate[1] ** 2 > radius * radius:
                         continue
                     parting = _parting(labels, nodes, step, i, j, candidate, apart, most_apart)
                     if parting >= total:
                         continue
-                    here = block_cost(
-                        first, second, mask, step * i, step * j, candidate, half, spacing, ceiling, total - parting
-                    )
+                    left = float(total - parting)
+                    here = block_cost(first, second, mask, step * i, step * j, candidate, half, spacing, ceiling, left)
                     if here + parting < total:
                         data, total = here, here + parting
                         mine[:] = candidate
@@ -150,7 +144,7 @@ def _parting(
 def parting_of(
     mine: Float32, other: Float32, dj: int, di: int, step: int, apart: float, most_apart: float
 ) -> np.float32:
-    """Cost of how far two neighbours, the other one (dj, di) nodes away, disagree: each turned half by either's turn."""
+    """Cost of how far two neighbours disagree, the other one (dj, di) nodes away: half turned by either's turn."""
     x, y = np.float32(-0.5 * step * dj), np.float32(-0.5 * step * di)
     cosine, sine = mine[2] + other[2], mine[3] + other[3]
     du = mine[0] - other[0] - cosine * x + sine * y
@@ -167,6 +161,14 @@ def _turned(label: Float32, angle: np.float32, out: Float32) -> None:
     out[0], out[1] = label[0], label[1]
     out[2] = c + label[2] + c * label[2] - s * label[3]
     out[3] = s + label[3] + s * label[2] + c * label[3]
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
+def _disturbed(label: Float32, draw: Float32, radius: float, turn: float, out: Float32) -> None:
+    """out = label, moved within a radius and turned within an angle as the random numbers (3,) say."""
+    _turned(label, np.float32(turn) * draw[2], out)
+    out[0] += np.float32(radius) * draw[0]
+    out[1] += np.float32(radius) * draw[1]
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")

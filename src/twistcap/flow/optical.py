@@ -28,8 +28,8 @@ def optical_flow(
 
     Args:
         image1, image2: (H, W) or (H, W, C), uint8 or float in [0, 1]; all channels count alike.
-        mask: (H, W), the foreground in the first image: nothing is asked of other pixels and nothing smoothed across its
-            edge. Off it the flow is that of the nearest pixel on it. Within a mask, displacements up to
+        mask: (H, W), the foreground in the first image: nothing is asked of other pixels and nothing smoothed across
+            its edge. Off it the flow is that of the nearest pixel on it. Within a mask, displacements up to
             `SearchSettings.radius` are searched for: limbs may move farther than they are wide.
         preset: "accurate" (some tenths of a second for a person) or "fast" (some milliseconds).
         settings: used instead of the preset's; `BROX_2004` and `CHAPTER` are the published forms.
@@ -52,11 +52,11 @@ def optical_flow(
 
 
 def flow_confidence(forward: Float32, backward: Float32) -> Float32:
-    """(H, W) in [0, 1]: how well a flow (H, W, 2) px is undone by the flow back (H, W, 2) px; 0 where it leaves the image.
+    """(H, W) in [0, 1]: how well a flow (H, W, 2) px is undone by the flow back (H, W, 2) px; 0 where it leads outside.
 
     It is ``exp(-d² / 2b)`` for the distance d to where forth and back again lead, and b = 0.5 px² and 1 % of both
     squared lengths: the bound of Sundaram, Brox and Keutzer 2010 ("Dense point trajectories by GPU-accelerated large
-    displacement optical flow", eq. 5, DOI 10.1007/978-3-642-15549-9_32), made soft. Below exp(-1/2) = 0.61 a vector fails
+    displacement optical flow", DOI 10.1007/978-3-642-15549-9_32), made soft. Below exp(-1/2) = 0.61 a vector fails
     their test. Points that the second image hides fail it mostly; so do those where nothing fixes the flow.
 
     Raises:

@@ -42,7 +42,8 @@ def smoothed(image: Float32, sigma: float) -> Float32:
     if sigma < 0.05:
         return image
     size = 2 * int(np.ceil(3.0 * sigma)) + 1
-    return cv2.GaussianBlur(image, (size, size), sigma, borderType=cv2.BORDER_REFLECT).reshape(image.shape)
+    blurred = cv2.GaussianBlur(image, (size, size), sigma, borderType=cv2.BORDER_REFLECT)
+    return np.asarray(blurred, np.float32).reshape(image.shape)
 
 
 def resized_mask(mask: Bool, shape: Shape) -> Bool:
@@ -65,7 +66,8 @@ def resized_flow(flow: Float32, shape: Shape) -> Float32:
 def _resized(image: Float32, shape: Shape) -> Float32:
     if image.shape[:2] == shape:
         return image
-    return cv2.resize(image, shape[::-1], interpolation=cv2.INTER_LINEAR).reshape(*shape, image.shape[2])
+    new = cv2.resize(image, shape[::-1], interpolation=cv2.INTER_LINEAR)
+    return np.asarray(new, np.float32).reshape(*shape, image.shape[2])
 
 
 def box_of(mask: Bool, margin: int) -> tuple[slice, slice]:
@@ -78,12 +80,12 @@ def box_of(mask: Bool, margin: int) -> tuple[slice, slice]:
 
 
 def filled(flow: Float32, mask: Bool) -> Float32:
-    """The flow (H, W, 2) with each pixel off the mask (H, W) as the nearest one on it, so that it may be interpolated."""
+    """The flow (H, W, 2), each pixel off the mask (H, W) as the nearest one on it: so it may be interpolated."""
     if mask.all() or not mask.any():
         return flow
     off = np.logical_not(mask).astype(np.uint8)
     _, labels = cv2.distanceTransformWithLabels(off, cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL)
-    return _taken(flow, mask, labels)
+    return _taken(flow, mask, np.asarray(labels, np.int32))
 
 
 @njit(cache=True, nogil=True)

@@ -53,11 +53,11 @@ class FlowSettings:
     """The model and its numerical scheme.
 
     Attributes:
-        smoothness: "robust", flow-driven and isotropic (Brox et al. 2004), or "homogeneous", the chapter's quadratic one.
+        smoothness: "robust", flow-driven and isotropic (Brox et al. 2004), or "homogeneous", the chapter's quadratic.
         robust_data: Ψ(s²) = sqrt(s² + ε²) on either constancy; otherwise both are quadratic.
         alpha: weight of the smoothness. It goes with the data term's unit: px with `zeta`, intensity in [0, 1] without.
         gamma: weight of the gradient's constancy against the brightness'; 0 leaves it out.
-        zeta: noise floor (intensity per px) of the normalised constraints (Zimmer et al. 2011); 0 leaves them as they are.
+        zeta: noise floor (intensity per px) of the normalised constraints (Zimmer et al. 2011); 0 does not normalise.
         blend: share of the first image's derivatives in the constraints; 0 takes the warped image's alone, as in 2004.
         epsilon_data, epsilon_smooth: ε of either Ψ, in the term's own unit.
         factor: from one level's size to the next coarser one's.
@@ -97,7 +97,7 @@ ACCURATE = FlowSettings()
 FAST_PRESET = replace(
     ACCURATE, factor=0.5, least_size=12, finest=0.5, warps=2, inner=2, sweeps=6,
     search=SearchSettings(
-        step=5, half=2, turn_deg=20.0, most_apart=16.0, rounds=2, polish=0, draws=6, loops=1, every=2
+        step=5, half=2, turn_deg=20.0, most_apart=16.0, rounds=2, polish=0, draws=6, loops=1, every=3
     ),
 )  # fmt: skip
 PRESETS: dict[str, FlowSettings] = {"accurate": ACCURATE, "fast": FAST_PRESET}

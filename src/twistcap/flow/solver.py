@@ -61,7 +61,7 @@ def data_weights(tensors: Float32, du: Float32, dv: Float32, gamma: float, epsil
     H, _, W = tensors.shape
     out = np.zeros((H, TENSOR - 1, W), dtype=np.float32)
     weight = np.empty(W, dtype=np.float32)
-    e2, half, two, zero = np.float32(epsilon * epsilon), np.float32(0.5), np.float32(2.0), np.float32(0.0)
+    e2, half, zero = np.float32(epsilon * epsilon), np.float32(0.5), np.float32(0.0)
     for term in range(2):
         factor = np.float32(1.0 if term == 0 else gamma)
         if factor == zero:

@@ -30,7 +30,7 @@ def coarse_to_fine(
     """
     s, shape = settings, (first.shape[0], first.shape[1])
     shapes = level_shapes(shape, s.factor, s.least_size, s.finest)
-    levels = list(zip(*(pyramid(image, shapes, s.presmooth) for image in (first, second)), strict=True))
+    levels = list(zip(pyramid(first, shapes, s.presmooth), pyramid(second, shapes, s.presmooth), strict=True))
     before = [level for level in levels if level[0].shape[0] < s.search_scale * shape[0]]
     flow = initial
     if flow is None:
