@@ -10,6 +10,7 @@ import pytest
 from twistcap.errors import InputError
 from twistcap.evaluate import reproduce
 from twistcap.evaluate.cases import STUDIO, UNITS, Bar, Case, Suite
+from twistcap.evaluate.experiments import EXPERIMENTS
 from twistcap.evaluate.sequence import Outcome, Pictures, noisy_keypoints, run_case
 from twistcap.predict import MotionNoise
 from twistcap.studio import StudioConfig, capture
@@ -52,7 +53,9 @@ def test_names_choose_lines_of_the_table() -> None:
         reproduce.selected("walk")
     with pytest.raises(InputError, match="--seeds"):
         reproduce.run("studio", (), True, silent)
-    assert len({item["id"] for item in reproduce.listed()}) == len(STUDIO.cases) + len(STUDIO.agreements)
+    assert len({item["id"] for item in reproduce.listed()}) == (
+        len(STUDIO.cases) + len(STUDIO.agreements) + len(EXPERIMENTS)
+    )
 
 
 def test_quick_is_a_shorter_table_of_the_same_cases() -> None:

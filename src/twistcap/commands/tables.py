@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from twistcap.commands import terminal
 from twistcap.errors import InputError
+
+if TYPE_CHECKING:
+    from twistcap.evaluate.experiments import Experiment
 
 Case = Annotated[str | None, typer.Argument(help="Table or case to run; all by default.", metavar="[CASE]")]
 Seeds = Annotated[str, typer.Option(help="FIRST-LAST or a list such as 0,3,5.")]
@@ -19,9 +23,10 @@ def reproduce(
     seeds: Seeds = "0-7",
     quick: Quick = False,
     names: Annotated[bool, typer.Option("--list", help="Say what there is to run, and stop.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder for the picture of an experiment.")] = None,
     json: terminal.Json = False,
 ) -> None:
-    """Run the accuracy tables again, on the studio's seeds.
+    """Run the accuracy tables and the papers' experiments again, on the studio's seeds.
 
     Examples:
 
@@ -30,15 +35,36 @@ def reproduce(
       twistcap reproduce studio --quick
 
       twistcap reproduce studio --seeds 0-7 --json
+
+      twistcap reproduce C-3 --out out/C-3
     """
     from twistcap.evaluate import reproduce as table
+    from twistcap.evaluate.experiments import EXPERIMENTS
 
     if names:
         _print_list(table.listed(), json)
         return
+    for experiment in (e for e in EXPERIMENTS if e.id == case):
+        _experiment(experiment, parsed_seeds(seeds)[: 2 if quick else None], out, json)
+        return
+    if out is not None:
+        raise InputError("--out: only an experiment (C-1, C-2, …) draws a picture; leave it out.")
     with terminal.telling("reproduce") as told:
         found = table.run(case, parsed_seeds(seeds), quick, told)
     _print(found, json)
+
+
+def _experiment(experiment: Experiment, seeds: tuple[int, ...], out: Path | None, json: bool) -> None:
+    from twistcap.report.experiment import experiment_picture
+
+    folder = None if out is None else terminal.output_folder(out)
+    with terminal.telling("reproduce") as told:
+        findings = experiment.run(seeds, told)
+    if folder is not None:
+        experiment_picture(folder / f"{experiment.id}.png", experiment, findings)
+    _print({"id": experiment.id, "rows": findings.rows}, json)
+    if folder is not None and not json:
+        typer.echo(str(folder / f"{experiment.id}.png"))
 
 
 def bench(case: Case = None, seeds: Seeds = "0", quick: Quick = False, json: terminal.Json = False) -> None:

@@ -17,6 +17,7 @@ from twistcap._typing import AnyArray, Float
 from twistcap.body import Pose, Posed
 from twistcap.camera import Rig
 from twistcap.cues.view import View, crop_views
+from twistcap.features import Channels
 from twistcap.flow import Preset, flow_confidence, moved_mask, optical_flow
 from twistcap.render import RenderedView, render
 from twistcap.solve import least_squares
@@ -43,6 +44,9 @@ class FlowCue:
         sigma: noise of a flow vector, px.
         share: share of the points' information that counts (neighbours move alike, and err alike).
         robust: m by which a point may disagree before it begins to lose its say.
+        loosened: factors on `robust` of one solve after the other: a point that a limb has left far behind must count
+            at first.
+        channels: what flow looks at.
         least_confidence: how well the flow back must undo a vector that has a say.
         least_share: share of all points with a say below which the flow as a whole is not believed.
     """
@@ -53,6 +57,8 @@ class FlowCue:
     sigma: float = 1.0
     share: float = 0.3
     robust: float = 0.02
+    loosened: tuple[float, ...] = (30.0, 8.0, 2.0)
+    channels: Channels = "lab"
     least_confidence: float = 0.6
     least_share: float = 0.3
 
@@ -70,14 +76,14 @@ class FlowCue:
         for camera, before, after in zip(rig, last.images, images, strict=True):
             if before is None or after is None:
                 continue
-            views = crop_views((before, after), camera, last.posed, self.margin, "grey")
+            views = crop_views((before, after), camera, last.posed, self.margin, self.channels)
             seen = render(last.posed, views[0].camera) if views else None
             if seen is not None and seen.mask.any():
                 found.append(self.term(views[0], views[1], seen))
         if not found or np.mean([share for _, share in found]) < self.least_share:
             return None
         posed = Posed(last.posed.body, guess)
-        for loosened in (5.0, 1.0):  # a guess that is far off would put every point beyond the robust scale
+        for loosened in self.loosened:
             terms = [replace(term, scale_px=loosened * term.scale_px) for term, _ in found]
             solved = least_squares(posed, [LimitTerm(), GaussianTerm(guess, information), *terms], steps=8)
             if solved.status == "failed":

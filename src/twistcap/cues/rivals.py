@@ -95,8 +95,9 @@ def _scene(rule: RivalRule, view: View, colours: Float, posed: Posed) -> _Scene:
     seen_from = view.camera
     depth = seen_from.T_cam_world[2, :3] @ posed.pose.root[:3, 3] + seen_from.T_cam_world[2, 3]
     camera = seen_from.scaled(min(1.0, rule.px_per_m * max(depth, 0.1) / seen_from.K[0, 0]))
-    features = cv2.resize(view.features, camera.size, interpolation=cv2.INTER_AREA)
-    features = np.asarray(features, dtype=np.float32).reshape(*camera.size[::-1], -1)
+    planes = cv2.split(view.features)  # OpenCV averages four channels at most
+    small = [cv2.resize(plane, camera.size, interpolation=cv2.INTER_AREA) for plane in planes]
+    features = np.asarray(np.stack(small, axis=2), dtype=np.float32)
     return _Scene(camera, features, colours, render(posed, camera).part)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from twistcap.errors import InputError
 from twistcap.evaluate.cases import SUITES, UNITS, Agreement, Bar, Case, Suite
+from twistcap.evaluate.experiments import EXPERIMENTS
 from twistcap.evaluate.metrics import Row, row
 from twistcap.evaluate.parallel import Table, Tell, one_thread_processes
 from twistcap.evaluate.sequence import Outcome, run_scene
@@ -57,7 +58,8 @@ def run(case: str | None, seeds: Sequence[int], quick: bool, progress: Tell, wor
 
 def listed() -> list[dict[str, str]]:
     """Id and one line of every case."""
-    return [{"id": item.id, "says": item.says} for suite in SUITES for item in (*suite.cases, *suite.agreements)]
+    tables = [item for suite in SUITES for item in (*suite.cases, *suite.agreements)]
+    return [{"id": item.id, "says": item.says} for item in (*tables, *EXPERIMENTS)]
 
 
 def selected(name: str | None) -> Suite:

@@ -1,0 +1,83 @@
+"""The flow predictor: the pose that optic flow leads to, and when it is not believed."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from twistcap.body import Pose, Posed
+from twistcap.cues.flow import FlowCue, Followed
+from twistcap.evaluate.experiments import EXPERIMENTS
+from twistcap.evaluate.experiments.fast_motion import FASTEST, fastest, waving
+from twistcap.predict import MotionNoise
+from twistcap.studio import Capture, StudioConfig, capture
+from twistcap.track import Tracker, TrackerConfig
+
+DT = 0.04
+
+
+@cache
+def walk() -> Capture:
+    """Two frames of a quick walk, exact."""
+    return capture(StudioConfig(seed=2, views=2, frames=4, fps=1 / DT))
+
+
+def predicted(scene: Capture, cue: FlowCue, shown: int) -> Pose | None:
+    """Where flow leads from frame 0 to what frame `shown` shows; without it the body is expected to stand still."""
+    first, then = scene.frame(0), scene.frame(shown)
+    pose = scene.true_poses[0]
+    _, information = MotionNoise().covariance(scene.body.dof, DT, "hold", pose.root[:3, 3])
+    last = Followed(Posed(scene.body, pose), 0.0, first.images)
+    return cue.predict(last, then.images, scene.rig, pose, information)
+
+
+def landmarks_off(scene: Capture, pose: Pose, frame: int) -> float:
+    here, there = Posed(scene.body, pose).landmarks, Posed(scene.true_body, scene.true_poses[frame]).landmarks
+    return float(np.linalg.norm(here - there, axis=1).mean())
+
+
+def test_flow_takes_the_body_along() -> None:
+    scene = walk()
+    pose = predicted(scene, FlowCue(), 1)
+    assert pose is not None
+    standing = landmarks_off(scene, scene.true_poses[0], 1)
+    assert standing > 0.03 and landmarks_off(scene, pose, 1) < 0.25 * standing
+
+
+def test_what_the_way_back_does_not_confirm_is_not_believed() -> None:
+    """Noise moves nowhere: too few vectors agree there and back, and the predictor says that it has nothing to say."""
+    scene = walk()
+    rng = np.random.default_rng(0)
+    pose = scene.true_poses[0]
+    images = tuple(rng.integers(0, 256, np.shape(image), dtype=np.uint8) for image in scene.frame(0).images)
+    last = Followed(Posed(scene.body, pose), 0.0, scene.frame(0).images)
+    assert FlowCue().predict(last, images, scene.rig, pose, np.eye(scene.body.dof)) is None
+    assert FlowCue().predict(last, (None, None), scene.rig, pose, np.eye(scene.body.dof)) is None
+
+
+@pytest.mark.parametrize(
+    ("config", "words"),
+    [
+        (TrackerConfig(), ["hold", "flow", "constant_velocity", "constant_velocity"]),
+        (TrackerConfig(start_by_flow=False), ["hold", "hold", "constant_velocity", "constant_velocity"]),
+        (TrackerConfig(predictor="flow"), ["hold", "flow", "flow", "flow"]),
+        (TrackerConfig(predictor="hold"), ["hold", "hold", "hold", "hold"]),
+    ],
+)
+def test_the_estimate_says_what_predicted_it(config: TrackerConfig, words: list[str]) -> None:
+    scene = walk()
+    tracker = Tracker(scene.body, scene.rig, config)
+    tracker.start(scene.first_pose)
+    assert [tracker.step(scene.frame(k)).predicted for k in range(4)] == words
+
+
+def test_the_waving_arm_is_as_fast_as_it_is_said_to_be() -> None:
+    scene = waving(1)
+    assert fastest(scene.true_body, scene.true_poses, scene.true_rig, "wrist_r") == pytest.approx(FASTEST, rel=0.03)
+
+
+def test_every_experiment_has_a_name_and_a_line() -> None:
+    names = [experiment.id for experiment in EXPERIMENTS]
+    assert len(set(names)) == len(names) and all(len(e.says) > 20 for e in EXPERIMENTS)
