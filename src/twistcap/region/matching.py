@@ -55,10 +55,10 @@ class VariationalRule:
         reach: px from the contour within which the shapes must agree.
     """
 
-    alpha: float = 30.0
-    resolution: int = 3
-    warps: int = 3
-    iterations: int = 12
+    alpha: float = 100.0
+    resolution: int = 4
+    warps: int = 2
+    iterations: int = 8
     reach: float = 12.0
 
 
@@ -75,8 +75,9 @@ def displacement(phi0: Float32, phi: Float32, rule: VariationalRule, start: Disp
         start: field that is already known of the same grid.
     """
     r = rule.resolution
+    distances = (phi0, _distance(phi))
     size = (max(phi.shape[1] // r, 2), max(phi.shape[0] // r, 2))
-    source, target = (np.asarray(cv2.resize(p / r, size, interpolation=cv2.INTER_AREA)) for p in (phi0, _distance(phi)))
+    source, target = (np.asarray(cv2.resize(p, size, interpolation=cv2.INTER_AREA), np.float32) / r for p in distances)
     slopes = np.gradient(target)
     packed = np.ascontiguousarray(np.stack([target, slopes[1], slopes[0]], axis=2), np.float32)
     weight = (np.abs(source) <= rule.reach / r).astype(np.float32)
@@ -86,7 +87,7 @@ def displacement(phi0: Float32, phi: Float32, rule: VariationalRule, start: Disp
         warped = cv2.remap(
             packed, x + field[..., 0], y + field[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
         )
-        relax(field, np.asarray(warped), source, weight, rule.alpha / r**2, rule.iterations)
+        relax(field, np.asarray(warped, np.float32), source, weight, rule.alpha / r**2, rule.iterations)
     return Displacement(r * field, r)
 
 
@@ -109,25 +110,27 @@ def relax(field: Float32, warped: Float32, source: Float32, weight: Float32, alp
         iterations: sweeps.
     """
     height, width = source.shape
-    rest = np.empty((height, width), dtype=np.float32)
+    a, keep, relaxed = np.float32(alpha), np.float32(1.0 - _RELAXATION), np.float32(_RELAXATION)
+    # Both equations of a place, divided by α: what pulls u and v, how they pull each other, and the sweep's step.
+    system = np.empty((height, width, 5), dtype=np.float32)
     for r in range(height):
         for c in range(width):
-            slopes = warped[r, c, 1] * field[r, c, 0] + warped[r, c, 2] * field[r, c, 1]
-            rest[r, c] = warped[r, c, 0] - source[r, c] - slopes
-    a, keep = np.float32(alpha), np.float32(1.0 - _RELAXATION)
+            m, fx, fy = weight[r, c] / a, warped[r, c, 1], warped[r, c, 2]
+            rest = m * (warped[r, c, 0] - source[r, c] - fx * field[r, c, 0] - fy * field[r, c, 1])
+            system[r, c, 0], system[r, c, 1], system[r, c, 2] = fx * rest, fy * rest, m * fx * fy
+            system[r, c, 3] = relaxed / (np.float32(4.0) + m * fx * fx)
+            system[r, c, 4] = relaxed / (np.float32(4.0) + m * fy * fy)
     for _ in range(iterations):
         for r in range(height):
+            up, down = max(r - 1, 0), min(r + 1, height - 1)
             for c in range(width):
-                up, down, left, right = max(r - 1, 0), min(r + 1, height - 1), max(c - 1, 0), min(c + 1, width - 1)
-                m, fx, fy = weight[r, c], warped[r, c, 1], warped[r, c, 2]
-                around = field[up, c, 0] + field[down, c, 0] + field[r, left, 0] + field[r, right, 0]
-                u = a * around - m * fx * (rest[r, c] + fy * field[r, c, 1])
-                u /= np.float32(4.0) * a + m * fx * fx
-                field[r, c, 0] = keep * field[r, c, 0] + np.float32(_RELAXATION) * u
-                around = field[up, c, 1] + field[down, c, 1] + field[r, left, 1] + field[r, right, 1]
-                v = a * around - m * fy * (rest[r, c] + fx * field[r, c, 0])
-                v /= np.float32(4.0) * a + m * fy * fy
-                field[r, c, 1] = keep * field[r, c, 1] + np.float32(_RELAXATION) * v
+                left, right = max(c - 1, 0), min(c + 1, width - 1)
+                x, y, xy = system[r, c, 0], system[r, c, 1], system[r, c, 2]
+                u, v = field[r, c, 0], field[r, c, 1]
+                around = field[up, c, 0] + field[down, c, 0] + field[r, right, 0] + field[r, left, 0]
+                u = keep * u + system[r, c, 3] * (around - x - xy * v)
+                around = field[up, c, 1] + field[down, c, 1] + field[r, right, 1] + field[r, left, 1]
+                field[r, c, 0], field[r, c, 1] = u, keep * v + system[r, c, 4] * (around - y - xy * u)
 
 
 def displaced_partners(
@@ -135,8 +138,8 @@ def displaced_partners(
 ) -> tuple[Float, Float]:
     """For each point (N, 2) px where the field takes it, and how far that is (N,).
 
-    The field is coarse: its end is put on the zero level of `phi` (H, W) itself. Where the outward normal there does not
-    agree with the point's own (N, 2), or the zero level is not met, the distance is infinite.
+    The field is coarse: its end is put on the zero level of `phi` (H, W) itself. Where the outward normal there does
+    not agree with the point's own (N, 2), or the zero level is not met, the distance is infinite.
     """
     return _on_contour(points, normals, points + flow.at(points), phi, least_cosine)
 

@@ -155,7 +155,9 @@ def nearest_part(part: Int) -> Int:
     off = (part < 0).astype(np.uint8)
     if off.all():
         return part
-    _, label = cv2.distanceTransformWithLabels(off, cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL)
+    label = np.asarray(
+        cv2.distanceTransformWithLabels(off, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)[1], np.int32
+    )
     of_label = np.full(int(label.max()) + 1, -1, dtype=np.int32)
     of_label[label[off == 0]] = part[off == 0]
     return of_label[label]
