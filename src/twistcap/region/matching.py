@@ -75,13 +75,14 @@ def displacement(phi0: Float32, phi: Float32, rule: VariationalRule, start: Disp
         start: field that is already known of the same grid.
     """
     r = rule.resolution
+    scale = np.float32(r)
     distances = (phi0, _distance(phi))
     size = (max(phi.shape[1] // r, 2), max(phi.shape[0] // r, 2))
-    source, target = (np.asarray(cv2.resize(p, size, interpolation=cv2.INTER_AREA), np.float32) / r for p in distances)
+    source, target = (cv2.resize(p, size, interpolation=cv2.INTER_AREA).astype(np.float32) / scale for p in distances)
     slopes = np.gradient(target)
     packed = np.ascontiguousarray(np.stack([target, slopes[1], slopes[0]], axis=2), np.float32)
     weight = (np.abs(source) <= rule.reach / r).astype(np.float32)
-    field = np.zeros((*source.shape, 2), np.float32) if start is None else (start.field / r).astype(np.float32)
+    field = np.zeros((*size[::-1], 2), np.float32) if start is None else np.asarray(start.field / r, np.float32)
     x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in size))
     for _ in range(rule.warps):
         warped = cv2.remap(
