@@ -1,7 +1,7 @@
 """The chapter's two claims about regions, shown again: C-1, coupled against two-step, and C-2, local against global.
 
 Brox, Rosenhahn and Cremers, "Contours, Optic Flow, and Prior Knowledge", Figs. 11.2-11.4. Both arms of a comparison see
-the same frames and differ in one thing only; as in the chapter, contours alone are followed, no brightness.
+the same frames and differ in one thing only.
 """
 
 from __future__ import annotations
@@ -129,10 +129,8 @@ def run(scene: Capture, frames: Sequence[Frame], config: TrackerConfig) -> Run:
     ]
     cue = config.levelset
     regions = cue.regions if isinstance(cue, FreeContour) else {}
-    return Run(
-        np.array(iou, dtype=np.float64), metrics.mean_known(joints), metrics.mean_known(arms), metrics.lost_sequence(joints), poses[-1],
-        regions,
-    )  # fmt: skip
+    joint, arm, lost = metrics.mean_known(joints), metrics.mean_known(arms), metrics.lost_sequence(joints)
+    return Run(np.array(iou, dtype=np.float64), joint, arm, lost, poses[-1], regions)
 
 
 def _overlap(scene: Capture, pose: Pose, index: int, camera: int) -> float:

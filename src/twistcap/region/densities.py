@@ -148,7 +148,7 @@ def _ratios_of_blocks(
                 continue
             spread = 1.0
             for side in range(2):
-                mass = 1.0 / (window[br, bc, side, 0] + prior[side, 0])
+                mass = 1.0 / max(window[br, bc, side, 0] + prior[side, 0], 1e-6)  # a region may be empty
                 for j in range(C):
                     mu[side, j] = (window[br, bc, side, 1 + j] + prior[side, 1 + j]) * mass
                     second = (window[br, bc, side, 1 + C + j] + prior[side, 1 + C + j]) * mass
