@@ -36,7 +36,7 @@ from twistcap.track import Tracker, TrackerConfig
 ARM = ("elbow_r", "elbow_l", "wrist_r", "wrist_l")
 COUPLED = TrackerConfig(method="levelset")
 COUPLED_SCENE = StudioConfig(views=2, frames=40)
-LOCAL = TrackerConfig(method="levelset", photometric=False)
+LOCAL = TrackerConfig(channels="grey")
 LOCAL_SCENE = StudioConfig(views=4, frames=30)
 
 
