@@ -9,7 +9,6 @@ channel. To reach: overlap of at least 0.9 with texture, at most 0.6 with grey, 
 from __future__ import annotations
 
 import argparse
-from functools import partial
 from time import perf_counter
 
 import cv2
@@ -18,14 +17,14 @@ import numpy as np
 
 from twistcap.features import Texture, feature_channels
 from twistcap.features.channels import Channels
-from twistcap.region.densities import global_log_ratio
+from twistcap.region.models import GlobalGaussian
 from twistcap.region.segment import segment
 from twistcap.studio.textures import DIFFERENCES, texture_scene
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-MODEL = partial(global_log_ratio, floor=4e-4)
+MODEL = GlobalGaussian(floor=4e-4)
 CROP = (250, 150)  # px, a person of the studio
 ARMS = (
     ("grey", "grey", Texture()),

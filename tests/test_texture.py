@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 import pytest
 
@@ -12,13 +10,13 @@ from twistcap.features import Texture, feature_channels
 from twistcap.features.channels import Channels
 from twistcap.features.texture import flow_speed, structure_tensor, structure_tensor_reference
 from twistcap.features.tvflow import tv_step, tv_step_reference
-from twistcap.region.densities import global_log_ratio
+from twistcap.region.models import GlobalGaussian
 from twistcap.region.segment import segment
 from twistcap.studio.textures import DIFFERENCES, Difference, texture_scene
 
 PAPERS = Texture(resolution=1, blend=True)
 COUNTS: dict[Channels, int] = {"grey": 1, "lab": 3, "grey+texture": 5, "lab+texture": 7}
-MODEL = partial(global_log_ratio, floor=4e-4)
+MODEL = GlobalGaussian(floor=4e-4)
 
 
 def noise(seed: int, *shape: int) -> np.ndarray:

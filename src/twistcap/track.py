@@ -27,6 +27,7 @@ from twistcap.cues.view import View, crop_view
 from twistcap.estimate import Estimate, Frame
 from twistcap.features import Channels
 from twistcap.predict import Moment, MotionNoise, PredictorName, predict
+from twistcap.region.models import Density, Statistics
 from twistcap.render import ContourPoints, RenderedView, render, reprojected, visible_contour
 from twistcap.solve import SolveResult, Status, covariance, energies_at, inverse, least_squares
 from twistcap.stages import next_frame, stage
@@ -42,6 +43,10 @@ class TrackerConfig:
     Attributes:
         method: "direct" (no level set; the default) or "levelset" (the chapter's coupled method).
         channels: what region statistics look at: "grey", "lab", "grey+texture" (5 channels) or "lab+texture" (7).
+        density: what the regions' densities are: "local" Gaussians, one "global" Gaussian per region, or "parzen", one
+            smoothed histogram per region. Reaches both methods.
+        statistics: whether inside densities are each "part"'s own or of the "whole" body; None is part for local
+            densities in the direct method, else whole, as in the chapter.
         photometric: whether brightness constancy joins the contours.
         predictor: "constant_velocity", "hold", or "flow": optic flow, constant velocity where flow cannot be trusted.
         start_by_flow: whether flow predicts as long as there is no velocity: in the second frame.
@@ -66,6 +71,8 @@ class TrackerConfig:
 
     method: Literal["direct", "levelset"] = "direct"
     channels: Channels = "lab"
+    density: Density = "local"
+    statistics: Statistics | None = None
     photometric: bool = True
     predictor: PredictorName = "constant_velocity"
     start_by_flow: bool = True
@@ -123,7 +130,7 @@ class Tracker:
     def __init__(self, body: Body, rig: Rig, config: TrackerConfig | None = None) -> None:
         self.body, self.rig, self.config = body, rig.pinhole(), config or TrackerConfig()
         self._given_rig = rig  # keypoints come in its pixels, images rectified
-        self._contour: ContourCue = self.config.direct if self.config.method == "direct" else self.config.levelset
+        self._contour = _contour_cue(self.config)
         self._history: list[Moment] = []
         self._templates: list[Template | None] = [None] * len(rig)
         self._rest = RestTerm(float(np.deg2rad(self.config.rest_sigma_deg)))
@@ -368,6 +375,12 @@ class Tracker:
         zero = np.zeros(self.body.dof)
         known = inverse(before)
         return before if known is None else covariance(Quadratic(0.0, zero, of_images / scale + known))
+
+
+def _contour_cue(config: TrackerConfig) -> ContourCue:
+    """The cue of the chosen method; what it leaves open is the tracker's."""
+    cue = config.direct if config.method == "direct" else config.levelset
+    return replace(cue, density=cue.density or config.density, statistics=cue.statistics or config.statistics)
 
 
 def _summed(tallies: Sequence[tuple[Float, Int]], parts: int) -> tuple[Float, Float]:

@@ -4,12 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from twistcap._typing import Float
 from twistcap.cues.evidence import ContourEvidence
 from twistcap.cues.view import View
-from twistcap.region.lines import measured_lines
+from twistcap.region.levelset import signed_distance
+from twistcap.region.lines import measured_lines, ratio_lines
+from twistcap.region.models import Density, Statistics, log_ratio_by_part, nearest_part, region_model
 from twistcap.render import ContourPoints, RenderedView
 from twistcap.terms import PointNormalTerm
+
+Measured = tuple[Float, Float, Float, Float]
+"""As `measured_lines` gives it."""
 
 
 @dataclass(frozen=True)
@@ -17,6 +24,12 @@ class DirectContour:
     """Settings of the direct contour cue; lengths are on the body, so that they scale with the person's size.
 
     Attributes:
+        density: "local" Gaussians, one "global" Gaussian per region, or "parzen"; None: as the tracker has it. Local
+            ones are estimated on the search lines themselves; all other models on the image, and only silhouettes are
+            measured: what lies outside an inner contour is no background.
+        statistics: of the "whole" body inside, or of each "part" its own; None: as the tracker has it, or part for
+            local densities, else whole. Whole ones do without the parts' remembered colours and inner contours.
+        parzen_sigma: kernel of Parzen densities, brightness.
         search: half length of the search lines, m.
         rho: width of the statistics' window along the contour, m.
         samples: samples on each half of a line.
@@ -33,6 +46,9 @@ class DirectContour:
         slip: share of its running mean below which a part's agreement calls for coarse alternations.
     """
 
+    density: Density | None = None
+    statistics: Statistics | None = None
+    parzen_sigma: float = 0.02
     search: float = 0.035
     rho: float = 0.06
     samples: int = 8
@@ -55,14 +71,45 @@ class DirectContour:
 
         `coarse` ≥ 1 lengthens the search lines and loosens the robust scale in early alternations.
         """
-        scale, size = view.camera.K[0, 0], seen.px_per_m
-        displacement, weight, contrast, target = measured_lines(
-            view.features, seen.face_index, seen.posed.body.face_part, contour.pixels, contour.normals, contour.part,
-            contour.outer, contour.inverse_depth, coarse * self.search * scale, self.samples, self.rho * size,
-            self.prior_mass, self.floor, self.clip, self.share, self.inner, self.least_sigma, colours,
-            self.colour_mass,
-        )  # fmt: skip
+        size, local = seen.px_per_m, self.density in (None, "local")
+        if not local or self.statistics == "whole":
+            contour = contour[contour.outer]
+        reach = coarse * self.search * view.camera.K[0, 0]
+        measured = self._on_lines if local else self._on_image
+        displacement, weight, contrast, target = measured(view, seen, contour, reach, colours)
         term = PointNormalTerm(
             view.camera.P, contour.points, target, contour.normals, weight, coarse * self.robust * size
         )
         return ContourEvidence(term, contour, displacement, contrast)
+
+    def _on_lines(
+        self, view: View, seen: RenderedView, contour: ContourPoints, reach: float, colours: Float
+    ) -> Measured:
+        """Local Gaussians of the lines about each one."""
+        group = contour.part
+        if self.statistics == "whole":
+            group, colours = np.zeros_like(group), np.zeros_like(colours)
+        return measured_lines(
+            view.features, seen.face_index, seen.posed.body.face_part, contour.pixels, contour.normals, contour.part,
+            contour.outer, contour.inverse_depth, reach, self.samples, self.rho * seen.px_per_m,
+            self.prior_mass, self.floor, self.clip, self.share, self.inner, self.least_sigma, colours,
+            self.colour_mass, group,
+        )  # fmt: skip
+
+    def _on_image(
+        self, view: View, seen: RenderedView, contour: ContourPoints, reach: float, colours: Float
+    ) -> Measured:
+        """Any region model, whose log ratio on the image is looked up along the lines."""
+        longest = reach * float(contour.inverse_depth.max(initial=0.0))
+        model = region_model(self.density or "local", self.rho, self.floor, 0.0, self.parzen_sigma)
+        inside, wanted = seen.mask.astype(np.float32), np.abs(signed_distance(seen.mask)) <= longest + 2.0
+        if self.statistics == "part":
+            part = nearest_part(seen.part)
+            ratio = log_ratio_by_part(model, view.features, inside, part, seen.px_per_m, wanted)
+        else:
+            ratio = model.log_ratio(view.features, inside, np.float32(1.0) - inside, seen.px_per_m, wanted)
+        return ratio_lines(
+            ratio, seen.face_index, seen.posed.body.face_part, contour.pixels, contour.normals, contour.part,
+            contour.outer, contour.inverse_depth, reach, self.samples, self.clip, self.share, self.inner,
+            self.least_sigma,
+        )  # fmt: skip

@@ -7,6 +7,7 @@ from typing import Protocol
 
 from twistcap._typing import Float, Float32
 from twistcap.cues.view import View
+from twistcap.region.matching import Displacement
 from twistcap.render import ContourPoints, RenderedView
 from twistcap.terms import Term
 
@@ -19,12 +20,16 @@ class Segmentation:
         points, normals: (M, 2) px on it, and its outward unit normals.
         log_ratio: (H, W) log density ratio inside to outside that drove it.
         width: px, standard deviation of the band in which it was driven.
+        phi: (H, W) the level set itself, positive inside.
+        flow: displacements from the rendered body's outline to it, where they were asked for.
     """
 
     points: Float
     normals: Float
     log_ratio: Float32
     width: float
+    phi: Float32
+    flow: Displacement | None = None
 
 
 @dataclass(frozen=True)

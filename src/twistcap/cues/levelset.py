@@ -6,19 +6,24 @@ oracle that the direct cue is held against.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Float, Float32
+from twistcap._typing import Bool, Float, Float32
 from twistcap.cues.evidence import ContourEvidence, Segmentation
 from twistcap.cues.view import View
-from twistcap.region.densities import blockwise_log_ratio, global_log_ratio, heaviside
+from twistcap.region.densities import heaviside
 from twistcap.region.levelset import evolve, nearest_with_normal, signed_distance, zero_crossings
+from twistcap.region.matching import VariationalRule, displaced_partners, displacement
+from twistcap.region.models import Density, Statistics, log_ratio_by_part, nearest_part, region_model
 from twistcap.render import ContourPoints, RenderedView
 from twistcap.terms import PointRayTerm
+
+Matching = Literal["icp", "variational", "both"]
 
 
 @dataclass(frozen=True)
@@ -26,16 +31,22 @@ class LevelSetContour:
     """Settings of the level-set cue; lengths in metres are on the body.
 
     Attributes:
-        density: "local" Gaussians (the default) or one "global" Gaussian per region.
+        density: "local" Gaussians, one "global" Gaussian per region, or "parzen"; None: as the tracker has it.
+        statistics: of the "whole" body inside, or of each "part" its own; None: as the tracker has it, or whole.
+        parzen_sigma: kernel of Parzen densities, brightness.
         rho: window of the local densities, m.
         floor: least variance, brightness².
         prior_mass: share of a window at which global statistics weigh as much as local ones.
         rounds: how often densities are estimated anew from the evolved contour (EM).
+        continuation: factor on window and width in the first round, which shrinks to 1 in the last (coarse-to-fine).
         steps, tau: explicit evolution steps and their size.
         nu: weight of the contour's length.
         lam: weight λ of the shape prior.
         width: standard deviation of H', m.
         clip: largest log density ratio, nats.
+        matching: partners of the contour's points on the evolved one: the nearest ("icp"), those of a smooth
+            displacement field ("variational"), or both, with half the weight each.
+        variational: how that field is found.
         least_cosine: partners whose normals differ by more are no match.
         sigma: measurement noise of a contour point, px.
         share: share of the points' information that counts (they are correlated).
@@ -45,17 +56,22 @@ class LevelSetContour:
             limb before the body has no outline here, and often agrees little.
     """
 
-    density: Literal["local", "global"] = "local"
+    density: Density | None = None
+    statistics: Statistics | None = None
+    parzen_sigma: float = 0.02
     rho: float = 0.04
     floor: float = 4e-4
     prior_mass: float = 0.02
     rounds: int = 1
+    continuation: float = 1.0
     steps: int = 3
     tau: float = 2.4
     nu: float = 0.5
     lam: float = 0.05
     width: float = 0.015
     clip: float = 3.0
+    matching: Matching = "icp"
+    variational: VariationalRule = field(default_factory=VariationalRule)
     least_cosine: float = 0.5
     sigma: float = 0.5
     share: float = 1.0
@@ -77,41 +93,63 @@ class LevelSetContour:
         found = earlier.segmentation if earlier is not None else None
         if found is None or found.width != width:
             found = self._segmented(view, seen, width)
-        partner, distance = nearest_with_normal(
-            contour.pixels, contour.normals, found.points, found.normals, self.least_cosine
-        )
-        matched = distance < 4.0 * width
-        term = self._term(view, seen, contour[matched], partner[matched], coarse)
-        displacement = np.where(matched, np.sum((partner - contour.pixels) * contour.normals, axis=1), 0.0)
-        contrast = np.where(matched, _contrast(found.log_ratio, contour.pixels, contour.normals, seen.px_per_m), 0.0)
+        matches = [(p, d < 4.0 * width) for p, d in self._partners(contour, found)]
+        where = np.concatenate([np.flatnonzero(matched) for _, matched in matches])
+        partner = np.concatenate([p[matched] for p, matched in matches])
+        term = self._term(view, seen, contour[where.astype(np.int32)], partner, coarse, len(matches))
+        displacement = _mean_along(contour.pixels, contour.normals, matches)
+        contrast = _contrast(found.log_ratio, contour.pixels, contour.normals, seen.px_per_m)
+        contrast = np.where(np.any([matched for _, matched in matches], axis=0), contrast, 0.0)
         return ContourEvidence(term, contour, displacement, contrast, found)
 
-    def _segmented(self, view: View, seen: RenderedView, width: float) -> Segmentation:
-        """Evolve the rendered body's outline in the image."""
-        phi0 = signed_distance(seen.mask)
-        band = max(4.0 * width, 0.04 * seen.px_per_m)  # where the contour may go, or contrast is looked for
-        phi, ratio = phi0, self._log_ratio(view, phi0, seen.px_per_m, band)
-        for again in range(self.rounds):
-            ratio = self._log_ratio(view, phi, seen.px_per_m, 2.0 * band) if again else ratio
-            phi = evolve(phi0, ratio, self.steps, self.tau * width, self.nu, self.lam / width, width, self.clip)
-        return Segmentation(*zero_crossings(phi), np.clip(ratio, -self.clip, self.clip), width)
+    def _partners(self, contour: ContourPoints, found: Segmentation) -> list[tuple[Float, Float]]:
+        """Partners (N, 2) px of the points and their distances (N,), of each way of matching."""
+        out: list[tuple[Float, Float]] = []
+        if self.matching != "variational":
+            out.append(
+                nearest_with_normal(contour.pixels, contour.normals, found.points, found.normals, self.least_cosine)
+            )
+        if found.flow is not None:
+            out.append(displaced_partners(contour.pixels, contour.normals, found.flow, found.phi, self.least_cosine))
+        return out
 
-    def _log_ratio(self, view: View, phi: Float32, px_per_m: float, band: float) -> Float32:
+    def _segmented(self, view: View, seen: RenderedView, width: float) -> Segmentation:
+        """Evolve the rendered body's outline in the image, and match the two shapes."""
+        phi0 = signed_distance(seen.mask)
+        phi = ratio = phi0
+        for k in range(self.rounds):
+            stretch = self.continuation ** (1.0 - k / (self.rounds - 1.0)) if self.rounds > 1 else 1.0
+            wide = width * stretch
+            band = max(4.0 * wide, 0.04 * seen.px_per_m)  # where the contour may go, or contrast is looked for
+            ratio = self._log_ratio(view, seen, phi, (2.0 if k else 1.0) * band, stretch)
+            phi = evolve(phi0, ratio, self.steps, self.tau * wide, self.nu, self.lam / wide, wide, self.clip)
+        flow = None if self.matching == "icp" else displacement(phi0, phi, self.variational)
+        return Segmentation(*zero_crossings(phi), np.clip(ratio, -self.clip, self.clip), width, phi, flow)
+
+    def _log_ratio(self, view: View, seen: RenderedView, phi: Float32, band: float, stretch: float) -> Float32:
         """The ratio within `band` px of the contour; beyond it nobody asks, and it is 0 or right."""
-        inside = heaviside(phi, 0.7)
-        if self.density == "global":
-            return global_log_ratio(view.features, inside, self.floor)
-        wanted = np.abs(phi) <= band
-        return blockwise_log_ratio(view.features, inside, self.rho * px_per_m, self.floor, self.prior_mass, wanted)
+        model = region_model(
+            self.density or "local", stretch * self.rho, self.floor, self.prior_mass, self.parzen_sigma
+        )
+        inside, wanted = heaviside(phi, 0.7), np.abs(phi) <= band
+        if self.statistics == "part":
+            return log_ratio_by_part(model, view.features, inside, nearest_part(seen.part), seen.px_per_m, wanted)
+        return model.log_ratio(view.features, inside, np.float32(1.0) - inside, seen.px_per_m, wanted)
 
     def _term(
-        self, view: View, seen: RenderedView, contour: ContourPoints, partner: Float, coarse: float
+        self, view: View, seen: RenderedView, contour: ContourPoints, partner: Float, coarse: float, ways: int
     ) -> PointRayTerm:
         direction, moment = view.camera.rays(partner)
-        weight = np.full(len(contour), self.share / self.sigma**2)
+        weight = np.full(len(contour), self.share / (ways * self.sigma**2))
         px_per_m = view.camera.K[0, 0] * contour.inverse_depth
         robust = coarse * self.robust * seen.px_per_m
         return PointRayTerm(contour.points, direction, moment, px_per_m, weight, robust)
+
+
+def _mean_along(pixels: Float, normals: Float, matches: Sequence[tuple[Float, Bool]]) -> Float:
+    """(N,) px outward to the mean of each point's partners; 0 where it has none."""
+    steps = np.array([np.where(ok, np.sum((p - pixels) * normals, axis=1), 0.0) for p, ok in matches])
+    return steps.sum(axis=0) / np.maximum(np.sum([ok for _, ok in matches], axis=0), 1)
 
 
 @njit(cache=True, nogil=True)

@@ -26,13 +26,17 @@ def heaviside(phi: Float32, width: float) -> Float32:
     return out.reshape(phi.shape)
 
 
-def global_log_ratio(channels: Float32, inside: Float32, floor: float) -> Float32:
-    """(H, W) Σ_j log p₁/p₂ under one Gaussian per region and channel. `inside` (H, W) is the region's membership."""
+def global_log_ratio(channels: Float32, inside: Float32, floor: float, outside: Float32 | None = None) -> Float32:
+    """(H, W) Σ_j log p₁/p₂ under one Gaussian per region and channel.
+
+    `inside` and `outside` (H, W) are the regions' memberships; without the latter it is what is left.
+    """
     out = np.zeros(inside.shape, dtype=np.float32)
+    outside = np.float32(1.0) - inside if outside is None else outside
     for j in range(channels.shape[2]):
         values = channels[..., j]
         mu_in, var_in = _weighted_gaussian(values, inside, floor)
-        mu_out, var_out = _weighted_gaussian(values, 1.0 - inside, floor)
+        mu_out, var_out = _weighted_gaussian(values, outside, floor)
         out += _log_ratio(values, mu_in, var_in, mu_out, var_out)
     return out
 
@@ -78,16 +82,17 @@ def local_log_ratio(channels: Float32, inside: Float32, rho: float, floor: float
 
 def blockwise_log_ratio(
     channels: Float32, inside: Float32, rho: float, floor: float, prior_mass: float, wanted: Bool | None = None,
-    block: int = 2,
+    block: int = 2, outside: Float32 | None = None,
 ) -> Float32:  # fmt: skip
     """(H, W) like `local_log_ratio`, which it is tested against, with statistics of blocks of `block`² pixels.
 
     The densities vary slowly, so that it costs no accuracy; every pixel's own value is looked at. Where nobody wants
-    it (H, W) the ratio is 0.
+    it (H, W) the ratio is 0. `outside` (H, W) is the other region where it is not all that is left.
     """
+    outside = np.float32(1.0) - inside if outside is None else outside
     if wanted is None:
         wanted = np.ones(inside.shape, dtype=np.bool_)
-    sums = _block_sums(channels, inside, block)
+    sums = _block_sums(channels, inside, outside, block)
     size = max(3, 2 * round(rho / block * math.sqrt(3.0)) + 1)
     blocks = sums.shape[0] * sums.shape[1]
     mean = np.full(blocks, 1.0 / blocks, dtype=np.float32)  # a product is a faster mean than np.mean
@@ -100,28 +105,28 @@ def blockwise_log_ratio(
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
-def _block_sums(channels: Float32, inside: Float32, block: int) -> Float32:
+def _block_sums(channels: Float32, inside: Float32, outside: Float32, block: int) -> Float32:
     """(h, w, 2, 1 + 2 C) sums of `_add_pixel` over each block."""
     height, width, C = channels.shape
     out = np.empty(((height + block - 1) // block, (width + block - 1) // block, 2, 1 + 2 * C), dtype=np.float32)
-    whole, within = np.zeros(1 + 2 * C, dtype=np.float32), np.zeros(1 + 2 * C, dtype=np.float32)
+    without, within = np.zeros(1 + 2 * C, dtype=np.float32), np.zeros(1 + 2 * C, dtype=np.float32)
     for br in range(out.shape[0]):
         for bc in range(out.shape[1]):
-            whole[:], within[:] = np.float32(0.0), np.float32(0.0)
+            without[:], within[:] = np.float32(0.0), np.float32(0.0)
             for r in range(br * block, min(br * block + block, height)):
                 for c in range(bc * block, min(bc * block + block, width)):
-                    share = inside[r, c]
-                    whole[0] += np.float32(1.0)
+                    share, rest = inside[r, c], outside[r, c]
+                    without[0] += rest
                     within[0] += share
                     for j in range(C):
                         value = channels[r, c, j]
                         square = value * value
-                        whole[1 + j] += value
-                        whole[1 + C + j] += square
+                        without[1 + j] += rest * value
+                        without[1 + C + j] += rest * square
                         within[1 + j] += share * value
                         within[1 + C + j] += share * square
             for i in range(1 + 2 * C):
-                out[br, bc, 0, i], out[br, bc, 1, i] = within[i], whole[i] - within[i]
+                out[br, bc, 0, i], out[br, bc, 1, i] = within[i], without[i]
     return out
 
 
@@ -143,7 +148,7 @@ def _ratios_of_blocks(
                 continue
             spread = 1.0
             for side in range(2):
-                mass = 1.0 / (window[br, bc, side, 0] + prior[side, 0])
+                mass = 1.0 / max(window[br, bc, side, 0] + prior[side, 0], 1e-6)  # a region may be empty
                 for j in range(C):
                     mu[side, j] = (window[br, bc, side, 1 + j] + prior[side, 1 + j]) * mass
                     second = (window[br, bc, side, 1 + C + j] + prior[side, 1 + C + j]) * mass

@@ -6,7 +6,6 @@ the shape prior. Densities and contour take turns (EM).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,9 +14,7 @@ from twistcap._typing import Bool, Float32
 from twistcap.errors import InputError
 from twistcap.region.densities import heaviside
 from twistcap.region.levelset import evolve, signed_distance
-
-LogRatio = Callable[[Float32, Float32], Float32]
-"""A region model: channels (H, W, C) and membership of the inner region (H, W) to log p₁/p₂ (H, W), in nats."""
+from twistcap.region.models import RegionModel
 
 
 @dataclass(frozen=True)
@@ -40,12 +37,12 @@ class Evolution:
     clip: float = 3.0
 
 
-def segment(features: Float32, start: Bool, log_ratio: LogRatio, how: Evolution | None = None) -> Bool:
+def segment(features: Float32, start: Bool, model: RegionModel, how: Evolution | None = None) -> Bool:
     """(H, W) the inner region, grown from `start` (H, W) on channels (H, W, C).
 
     Every round asks the region model for log p₁/p₂ under the present regions, moves the contour a few steps, and makes
     Φ a signed distance again. It ends early where the contour rests, or
-    only wavers.
+    only wavers. Lengths of the model are in pixels here.
 
     Raises:
         InputError: if start and image differ in size, or start has no inside or no outside.
@@ -58,7 +55,8 @@ def segment(features: Float32, start: Bool, log_ratio: LogRatio, how: Evolution 
     region = before = np.asarray(start, dtype=np.bool_)
     for _ in range(how.rounds):
         phi = signed_distance(region)
-        ratio = log_ratio(features, heaviside(phi, 0.7))
+        inside = heaviside(phi, 0.7)
+        ratio = model.log_ratio(features, inside, np.float32(1.0) - inside, 1.0)
         phi = evolve(phi, ratio, how.steps, how.tau * how.width, how.nu, 0.0, how.width, how.clip)
         after = phi > 0.0
         if after.all() or not after.any():

@@ -1,0 +1,251 @@
+"""The chapter's two claims about regions, shown again: C-1, coupled against two-step, and C-2, local against global.
+
+Brox, Rosenhahn and Cremers, "Contours, Optic Flow, and Prior Knowledge", Figs. 11.2-11.4. Both arms of a comparison see
+the same frames and differ in one thing only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from twistcap._typing import AnyArray, Bool, Float
+from twistcap.body import Pose, Posed
+from twistcap.camera import Camera, Rig
+from twistcap.cues.evidence import Segmentation
+from twistcap.cues.levelset import LevelSetContour
+from twistcap.cues.view import View
+from twistcap.errors import InputError
+from twistcap.estimate import Frame
+from twistcap.evaluate import metrics
+from twistcap.evaluate.metrics import Row, row
+from twistcap.evaluate.parallel import Tell
+from twistcap.evaluate.sequence import joint_errors_mm
+from twistcap.region.densities import heaviside
+from twistcap.region.levelset import signed_distance, zero_crossings
+from twistcap.region.models import region_model
+from twistcap.region.segment import Evolution, segment
+from twistcap.render import RenderedView
+from twistcap.studio import Capture, StudioConfig, capture
+from twistcap.track import Tracker, TrackerConfig
+
+ARM = ("elbow_r", "elbow_l", "wrist_r", "wrist_l")
+COUPLED = TrackerConfig(method="levelset")
+COUPLED_SCENE = StudioConfig(views=2, frames=40)
+LOCAL = TrackerConfig(channels="grey")
+LOCAL_SCENE = StudioConfig(views=4, frames=30)
+
+
+@dataclass(frozen=True)
+class FreeContour(LevelSetContour):
+    """The two-step method: the contour goes on from where it was in the last frame, and the body has no say in it.
+
+    Attributes:
+        rig: the tracker's cameras, uncropped.
+        evolution: of the contour, in each frame.
+        regions: (H, W) the inner region in each camera, as it is carried on; filled in as frames come.
+    """
+
+    rig: Rig | None = None
+    evolution: Evolution = field(default_factory=lambda: Evolution(rounds=4, steps=3, tau=2.4, nu=2.0))
+    regions: dict[int, Bool] = field(default_factory=dict)
+    _seen: dict[int, tuple[View, Segmentation]] = field(default_factory=dict, repr=False)
+
+    def _segmented(self, view: View, seen: RenderedView, width: float) -> Segmentation:
+        """Segment each view once; its alternations all match the same contour."""
+        index, (x, y) = self._camera(view.camera)
+        known = self._seen.get(index)
+        if known is not None and known[0] is view:
+            return replace(known[1], width=width)
+        height, across = seen.mask.shape
+        whole = self.regions.setdefault(index, _on_canvas(seen.mask, (x, y), self._size(index)))
+        before = whole[y : y + height, x : x + across]
+        model = region_model(self.density or "local", self.rho * seen.px_per_m, self.floor, self.prior_mass, 0.02)
+        inside = before if before.all() or not before.any() else segment(view.features, before, model, self.evolution)
+        whole[y : y + height, x : x + across] = inside
+        phi = signed_distance(inside)
+        share = heaviside(phi, 0.7)
+        ratio = model.log_ratio(view.features, share, np.float32(1.0) - share, 1.0)
+        found = Segmentation(*zero_crossings(phi), np.clip(ratio, -self.clip, self.clip), width, phi)
+        self._seen[index] = (view, found)
+        return found
+
+    def _camera(self, cropped: Camera) -> tuple[int, tuple[int, int]]:
+        """Which camera a crop is of, and the crop's origin (x, y) in it."""
+        cameras = [] if self.rig is None else list(self.rig.pinhole())
+        for k, camera in enumerate(cameras):
+            if np.array_equal(camera.T_cam_world, cropped.T_cam_world):
+                x, y = np.round(camera.K[:2, 2] - cropped.K[:2, 2]).astype(int)
+                return k, (int(x), int(y))
+        raise InputError("two-step: a view is of no camera of the rig; give the tracker's own rig.")
+
+    def _size(self, index: int) -> tuple[int, int]:
+        assert self.rig is not None
+        return self.rig[index].size
+
+
+def _on_canvas(mask: Bool, origin: tuple[int, int], size: tuple[int, int]) -> Bool:
+    """The mask of a crop (h, w) in its whole image of (width, height)."""
+    out = np.zeros(size[::-1], dtype=np.bool_)
+    out[origin[1] : origin[1] + mask.shape[0], origin[0] : origin[0] + mask.shape[1]] = mask
+    return out
+
+
+@dataclass(frozen=True)
+class Run:
+    """One tracked sequence.
+
+    Attributes:
+        iou: (N,) overlap of the body's silhouette with the true one, mean over the views.
+        joints_mm, arms_mm: mean error of all joint centres, and of elbows and wrists.
+        lost: whether the sequence counts as lost.
+        last: pose of the last frame.
+        regions: (H, W) inner region in each camera, where the contour ran free.
+    """
+
+    iou: Float
+    joints_mm: float
+    arms_mm: float
+    lost: bool
+    last: Pose
+    regions: dict[int, Bool]
+
+
+def run(scene: Capture, frames: Sequence[Frame], config: TrackerConfig) -> Run:
+    """Track a scene's frames from its first pose and hold them against the truth."""
+    tracker = Tracker(scene.body, scene.rig, config)
+    tracker.start(scene.first_pose)
+    poses = [tracker.step(frame).pose for frame in frames]
+    indices = [frame.index for frame in frames]
+    joints = joint_errors_mm(scene, scene.body, poses, indices)
+    names = [name for name in metrics.JOINT_CENTRES if name in scene.body.landmarks.names]
+    arms = joints[:, [names.index(name) for name in ARM]]
+    iou = [
+        np.mean([_overlap(scene, p, k, c) for c in range(len(scene.rig))]) for p, k in zip(poses, indices, strict=True)
+    ]
+    cue = config.levelset
+    regions = cue.regions if isinstance(cue, FreeContour) else {}
+    joint, arm, lost = metrics.mean_known(joints), metrics.mean_known(arms), metrics.lost_sequence(joints)
+    return Run(np.array(iou, dtype=np.float64), joint, arm, lost, poses[-1], regions)
+
+
+def _overlap(scene: Capture, pose: Pose, index: int, camera: int) -> float:
+    return metrics.iou(_silhouette(scene, pose, camera), scene.masks(index)[camera])
+
+
+def _silhouette(scene: Capture, pose: Pose, camera: int) -> Bool:
+    view = scene.rig.pinhole()[camera]
+    return metrics.silhouette(view.P, Posed(scene.body, pose).vertices, scene.body.faces, view.size)
+
+
+def coupled_against_two_step(
+    seeds: Sequence[int], progress: Tell | None = None, out: Path | None = None, studio: StudioConfig = COUPLED_SCENE
+) -> list[Row]:
+    """C-1: the contour held by the body's shape in every frame, and the contour that evolves freely.
+
+    Args:
+        seeds: of the studio.
+        progress: is told each time a seed is done.
+        out: folder for a picture per seed: the last frame, coupled above, two-step below.
+        studio: the scene; its seed is replaced.
+    """
+    coupled, free = list[Run](), list[Run]()
+    for done, seed in enumerate(seeds, 1):
+        scene = capture(replace(studio, seed=seed))
+        frames = list(scene.frames())
+        coupled.append(run(scene, frames, COUPLED))
+        free.append(run(scene, frames, replace(COUPLED, levelset=FreeContour(rig=scene.rig))))
+        if out is not None:
+            save_picture(out / f"C-1-seed-{seed}.png", scene, frames[-1], [coupled[-1], free[-1]])
+        if progress is not None:
+            progress(f"C-1, seed {seed}", done, len(seeds))
+    gaps = [float(a.iou.mean() - b.iou.mean()) for a, b in zip(coupled, free, strict=True)]
+    worse = [float(b.lost or gap >= 0.1) for b, gap in zip(free, gaps, strict=True)]
+    return [
+        *_rows("C-1 coupled", coupled, at_most_lost=0.0),
+        *_rows("C-1 two-step", free),
+        row("C-1", "IoU, coupled less two-step", float(np.mean(gaps)), "share", seeds=gaps),
+        row(
+            "C-1", "two-step lost, or worse by 0.1", sum(worse), "sequences", at_least=len(seeds) // 2 + 1, seeds=worse
+        ),
+    ]
+
+
+def local_against_global(
+    seeds: Sequence[int], progress: Tell | None = None, out: Path | None = None, studio: StudioConfig = LOCAL_SCENE,
+    tracker: TrackerConfig = LOCAL,
+) -> list[Row]:  # fmt: skip
+    """C-2: local Gaussians against one Parzen density of the whole body and one of the whole background.
+
+    Args:
+        seeds, progress: as above.
+        out: folder for a picture per seed: the last frame, local above, global below.
+        studio: the scene; its seed is replaced.
+        tracker: settings of both arms but for the density.
+    """
+    local, whole = list[Run](), list[Run]()
+    for done, seed in enumerate(seeds, 1):
+        scene = capture(replace(studio, seed=seed))
+        frames = list(scene.frames())
+        local.append(run(scene, frames, replace(tracker, density="local")))
+        whole.append(run(scene, frames, replace(tracker, density="parzen")))
+        if out is not None:
+            save_picture(out / f"C-2-seed-{seed}.png", scene, frames[-1], [local[-1], whole[-1]])
+        if progress is not None:
+            progress(f"C-2, seed {seed}", done, len(seeds))
+    shares = [a.arms_mm / b.arms_mm for a, b in zip(local, whole, strict=True)]
+    ratio = float(np.mean([a.arms_mm for a in local]) / np.mean([b.arms_mm for b in whole]))
+    return [
+        *_rows("C-2 local", local),
+        *_rows("C-2 global Parzen", whole),
+        row("C-2", "arm error, local to global", ratio, "ratio", at_most=0.5, seeds=shares),
+    ]
+
+
+def _rows(case: str, runs: Sequence[Run], at_most_lost: float | None = None) -> list[Row]:
+    """Overlap, errors and losses of one arm."""
+    iou, joints = [float(r.iou.mean()) for r in runs], [r.joints_mm for r in runs]
+    arms, lost = [r.arms_mm for r in runs], [float(r.lost) for r in runs]
+    return [
+        row(case, "IoU", float(np.mean(iou)), "share", seeds=iou),
+        row(case, "joints", float(np.mean(joints)), "mm", seeds=joints),
+        row(case, "arms", float(np.mean(arms)), "mm", seeds=arms),
+        row(case, "lost sequences", sum(lost), "sequences", at_most=at_most_lost, seeds=lost, lost=int(sum(lost))),
+    ]
+
+
+def save_picture(path: Path, scene: Capture, frame: Frame, runs: Sequence[Run]) -> None:
+    """A row for each run, a column for each view: true outline white, body green, free contour red.
+
+    Raises:
+        InputError: if the picture cannot be written.
+    """
+    rows = [np.hstack([_drawn(scene, frame, camera, r) for camera in range(len(scene.rig))]) for r in runs]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not cv2.imwrite(str(path), np.vstack(rows)[..., ::-1]):
+        raise InputError(f"{path} cannot be written; choose another folder.")
+
+
+def _drawn(scene: Capture, frame: Frame, camera: int, result: Run, zoom: int = 2) -> AnyArray:
+    """One view (H, W, 3) RGB."""
+    image = frame.images[camera]
+    width, height = scene.rig[camera].size
+    if image is None:
+        return np.zeros((zoom * height, zoom * width, 3), np.uint8)
+    colour = image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
+    canvas = cv2.resize(colour, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_LINEAR)
+    layers = [
+        (scene.masks(frame.index)[camera], (255, 255, 255)),
+        (_silhouette(scene, result.last, camera), (0, 255, 0)),
+    ]
+    if camera in result.regions:
+        layers.append((result.regions[camera], (255, 0, 0)))
+    for mask, rgb in layers:
+        large = cv2.resize(mask.astype(np.uint8), None, fx=zoom, fy=zoom, interpolation=cv2.INTER_NEAREST)
+        outline, _ = cv2.findContours(large, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+        cv2.drawContours(canvas, outline, -1, rgb, 1)
+    return canvas

@@ -1,0 +1,182 @@
+"""Matching two shapes: which point of the image's contour belongs to which of the body's.
+
+Two ways (Brox, Rosenhahn and Cremers, "Contours, Optic Flow, and Prior Knowledge", section 11.3.3; B. Rosenhahn et al.,
+"A comparison of shape matching methods for contour based pose estimation", IWCIA 2006, LNCS 4040, 263-276): the nearest
+point (`nearest_with_normal`), and a smooth field of displacements between the two signed distances, which also slides
+points along the contour where their neighbours go.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numba import njit
+
+from twistcap._typing import Float, Float32
+from twistcap.region.levelset import signed_distance
+
+_RELAXATION = 1.8
+
+
+@dataclass(frozen=True)
+class Displacement:
+    """A displacement field on a coarse grid.
+
+    Attributes:
+        field: (h, w, 2) px of the image, (x, y).
+        resolution: px of the image in each row and column of the grid.
+    """
+
+    field: Float32
+    resolution: int
+
+    def at(self, points: Float) -> Float:
+        """(N, 2) px by which points (N, 2) px move; beyond the border as at it."""
+        grid = ((points + 0.5) / self.resolution - 0.5).astype(np.float32)
+        if not len(grid):
+            return np.zeros((0, 2))
+        moved = cv2.remap(
+            self.field, grid[:, None, 0], grid[:, None, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
+        return np.asarray(moved, dtype=np.float64).reshape(-1, 2)
+
+
+@dataclass(frozen=True)
+class VariationalRule:
+    """How displacement fields are found.
+
+    Attributes:
+        alpha: weight of smoothness, in squared px of the image.
+        resolution: px of the image in each row and column of the grid; signed distances are smooth.
+        warps: linearisations.
+        iterations: of the linear solver in each.
+        reach: px from the contour within which the shapes must agree.
+    """
+
+    alpha: float = 100.0
+    resolution: int = 4
+    warps: int = 2
+    iterations: int = 8
+    reach: float = 12.0
+
+
+def displacement(phi0: Float32, phi: Float32, rule: VariationalRule, start: Displacement | None = None) -> Displacement:
+    """The smooth field w that makes Φ(x + w) agree with Φ₀(x).
+
+    Minimises ``∫ (Φ₀(x) − Φ(x + w))² + α (|∇u|² + |∇v|²)`` (eq. 11.15, with the roles of the two shapes exchanged, so
+    that w starts on the body's contour), by warping and successive over-relaxation, about the contour of Φ₀ only.
+
+    Args:
+        phi0, phi: (H, W) signed distances px, positive inside; of `phi` only the sign is used, so that a level set
+            that is no distance any more will do.
+        rule: settings.
+        start: field that is already known of the same grid.
+    """
+    r = rule.resolution
+    scale = np.float32(r)
+    distances = (phi0, _distance(phi))
+    size = (max(phi.shape[1] // r, 2), max(phi.shape[0] // r, 2))
+    source, target = (cv2.resize(p, size, interpolation=cv2.INTER_AREA).astype(np.float32) / scale for p in distances)
+    slopes = np.gradient(target)
+    packed = np.ascontiguousarray(np.stack([target, slopes[1], slopes[0]], axis=2), np.float32)
+    weight = (np.abs(source) <= rule.reach / r).astype(np.float32)
+    field = np.zeros((*size[::-1], 2), np.float32) if start is None else np.asarray(start.field / r, np.float32)
+    x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in size))
+    for _ in range(rule.warps):
+        warped = cv2.remap(
+            packed, x + field[..., 0], y + field[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
+        relax(field, np.asarray(warped, np.float32), source, weight, rule.alpha / r**2, rule.iterations)
+    return Displacement(r * field, r)
+
+
+def _distance(phi: Float32) -> Float32:
+    """The signed distance of a level set; all on one side it stays as it is."""
+    inside = phi > 0.0
+    return signed_distance(inside) if inside.any() and not inside.all() else phi
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "arcp"})
+def relax(field: Float32, warped: Float32, source: Float32, weight: Float32, alpha: float, iterations: int) -> None:
+    """Improve a field (h, w, 2) in place on the system linearised about it, by successive over-relaxation.
+
+    Args:
+        field: u and v.
+        warped: (h, w, 3) value and x and y slope of the target at x + w.
+        source: (h, w) what the value should be.
+        weight: (h, w) of the data; 0 where neighbours alone decide.
+        alpha: of the smoothness; borders reflect.
+        iterations: sweeps.
+    """
+    height, width = source.shape
+    a, keep, relaxed = np.float32(alpha), np.float32(1.0 - _RELAXATION), np.float32(_RELAXATION)
+    # Both equations of a place, divided by α: what pulls u and v, how they pull each other, and the sweep's step.
+    system = np.empty((height, width, 5), dtype=np.float32)
+    for r in range(height):
+        for c in range(width):
+            m, fx, fy = weight[r, c] / a, warped[r, c, 1], warped[r, c, 2]
+            rest = m * (warped[r, c, 0] - source[r, c] - fx * field[r, c, 0] - fy * field[r, c, 1])
+            system[r, c, 0], system[r, c, 1], system[r, c, 2] = fx * rest, fy * rest, m * fx * fy
+            system[r, c, 3] = relaxed / (np.float32(4.0) + m * fx * fx)
+            system[r, c, 4] = relaxed / (np.float32(4.0) + m * fy * fy)
+    for _ in range(iterations):
+        for r in range(height):
+            up, down = max(r - 1, 0), min(r + 1, height - 1)
+            for c in range(width):
+                left, right = max(c - 1, 0), min(c + 1, width - 1)
+                x, y, xy = system[r, c, 0], system[r, c, 1], system[r, c, 2]
+                u, v = field[r, c, 0], field[r, c, 1]
+                around = field[up, c, 0] + field[down, c, 0] + field[r, right, 0] + field[r, left, 0]
+                u = keep * u + system[r, c, 3] * (around - x - xy * v)
+                around = field[up, c, 1] + field[down, c, 1] + field[r, right, 1] + field[r, left, 1]
+                field[r, c, 0], field[r, c, 1] = u, keep * v + system[r, c, 4] * (around - y - xy * u)
+
+
+def displaced_partners(
+    points: Float, normals: Float, flow: Displacement, phi: Float32, least_cosine: float
+) -> tuple[Float, Float]:
+    """For each point (N, 2) px where the field takes it, and how far that is (N,).
+
+    The field is coarse: its end is put on the zero level of `phi` (H, W) itself. Where the outward normal there does
+    not agree with the point's own (N, 2), or the zero level is not met, the distance is infinite.
+    """
+    return _on_contour(points, normals, points + flow.at(points), phi, least_cosine)
+
+
+@njit(cache=True, nogil=True)
+def _on_contour(
+    points: Float, normals: Float, ends: Float, phi: Float32, least_cosine: float, steps: int = 4
+) -> tuple[Float, Float]:
+    """Newton's steps from `ends` (N, 2) down Φ to its zero level."""
+    height, width = phi.shape
+    partner, distance = ends.copy(), np.full(len(points), np.inf)
+    for n in range(len(points)):
+        gx = gy = value = 0.0
+        for _ in range(steps):
+            x = min(max(partner[n, 0], 1.0), width - 2.001)
+            y = min(max(partner[n, 1], 1.0), height - 2.001)
+            value, gx, gy = _sample(phi, x, y)
+            slope2 = gx * gx + gy * gy
+            if slope2 < 1e-4:
+                break
+            by = min(max(value / slope2, -3.0), 3.0)
+            partner[n, 0], partner[n, 1] = x - by * gx, y - by * gy
+            if abs(value) < 0.02:
+                break
+        slope = np.sqrt(gx * gx + gy * gy)
+        if abs(value) > 0.5 or -(gx * normals[n, 0] + gy * normals[n, 1]) < least_cosine * slope:
+            continue
+        distance[n] = np.hypot(partner[n, 0] - points[n, 0], partner[n, 1] - points[n, 1])
+    return partner, distance
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _sample(phi: Float32, x: float, y: float) -> tuple[float, float, float]:
+    """Bilinear value of Φ, and its slope within the cell."""
+    c, r = int(x), int(y)
+    fx, fy = x - c, y - r
+    a, b, d, e = phi[r, c], phi[r, c + 1], phi[r + 1, c], phi[r + 1, c + 1]
+    top, bottom = a + fx * (b - a), d + fx * (e - d)
+    return top + fy * (bottom - top), (1.0 - fy) * (b - a) + fy * (e - d), bottom - top

@@ -1,0 +1,173 @@
+"""What the two regions look like: the models a session chooses from, behind one protocol.
+
+A model is asked for one thing only, each pixel's log density ratio inside to outside, so that whatever tracks or
+segments takes any model. After Brox, Rosenhahn and Cremers, "Contours, Optic Flow, and Prior Knowledge", section 11.2,
+which compares the local Gaussians with a global Parzen estimate.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, Protocol, get_args
+
+import cv2
+import numpy as np
+
+from twistcap._typing import Bool, Float32, Int
+from twistcap.errors import InputError
+from twistcap.region.densities import blockwise_log_ratio, global_log_ratio
+from twistcap.region.parzen import parzen_log_ratio
+
+Density = Literal["local", "global", "parzen"]
+Statistics = Literal["part", "whole"]
+
+
+class RegionModel(Protocol):
+    """Densities of two regions."""
+
+    @property
+    def window(self) -> float:
+        """How far from a pixel its densities are estimated, m; infinite for global models."""
+        ...
+
+    def log_ratio(
+        self, features: Float32, inside: Float32, outside: Float32, px_per_m: float, wanted: Bool | None = None
+    ) -> Float32:
+        """(H, W) log p₁/p₂, nats, of channels (H, W, C) under the densities of the two regions.
+
+        Args:
+            features: (H, W, C).
+            inside, outside: (H, W) membership of each region, 0 … 1; what is in neither is not asked.
+            px_per_m: scale of the image.
+            wanted: (H, W) where the ratio is needed; elsewhere it is 0 or right.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class LocalGaussian:
+    """One Gaussian per region and channel in a window about each pixel.
+
+    Attributes:
+        rho: standard deviation of the window, m.
+        floor: least variance, brightness².
+        prior_mass: share of a window at which global statistics weigh as much as local ones.
+    """
+
+    rho: float = 0.04
+    floor: float = 4e-4
+    prior_mass: float = 0.02
+
+    @property
+    def window(self) -> float:
+        """As far as the box of that deviation reaches."""
+        return math.sqrt(3.0) * self.rho
+
+    def log_ratio(
+        self, features: Float32, inside: Float32, outside: Float32, px_per_m: float, wanted: Bool | None = None
+    ) -> Float32:
+        """See `RegionModel`."""
+        return blockwise_log_ratio(
+            features, inside, self.rho * px_per_m, self.floor, self.prior_mass, wanted, outside=outside
+        )
+
+
+@dataclass(frozen=True)
+class GlobalGaussian:
+    """One Gaussian per region and channel. `floor` is the least variance, brightness²."""
+
+    floor: float = 4e-4
+    window: float = math.inf
+
+    def log_ratio(
+        self, features: Float32, inside: Float32, outside: Float32, px_per_m: float, wanted: Bool | None = None
+    ) -> Float32:
+        """See `RegionModel`."""
+        return global_log_ratio(features, inside, self.floor, outside)
+
+
+@dataclass(frozen=True)
+class GlobalParzen:
+    """One smoothed histogram per region and channel.
+
+    Attributes:
+        sigma: standard deviation of the kernel, brightness.
+        floor: density per unit of brightness that is added everywhere.
+    """
+
+    sigma: float = 0.02
+    floor: float = 0.05
+    window: float = math.inf
+
+    def log_ratio(
+        self, features: Float32, inside: Float32, outside: Float32, px_per_m: float, wanted: Bool | None = None
+    ) -> Float32:
+        """See `RegionModel`."""
+        return parzen_log_ratio(features, inside, outside, self.sigma, self.floor)
+
+
+def region_model(density: Density, rho: float, floor: float, prior_mass: float, parzen_sigma: float) -> RegionModel:
+    """The model of a name, with those settings (see its class) that it has.
+
+    Raises:
+        InputError: for a name that no model has.
+    """
+    if density == "local":
+        return LocalGaussian(rho, floor, prior_mass)
+    if density == "global":
+        return GlobalGaussian(floor)
+    if density == "parzen":
+        return GlobalParzen(parzen_sigma)
+    raise InputError(f"density is {density!r}; choose one of {', '.join(get_args(Density))}.")
+
+
+def log_ratio_by_part(
+    model: RegionModel, features: Float32, inside: Float32, part: Int, px_per_m: float, wanted: Bool
+) -> Float32:
+    """(H, W) log p₁/p₂ where p₁ is the density of each pixel's own part of the body only.
+
+    Args:
+        model: of the densities.
+        features: (H, W, C).
+        inside: (H, W) membership of the whole body.
+        part: (H, W) the part that each pixel belongs to, or would if the body were a little larger; -1 for none.
+        px_per_m: scale of the image; a model of finite window is asked about the part's surroundings only.
+        wanted: (H, W) where the ratio is needed; elsewhere it is 0.
+    """
+    out, outside = np.zeros(inside.shape, dtype=np.float32), np.float32(1.0) - inside
+    for s in np.unique(part[wanted]):
+        own = part == s
+        asked = own & wanted
+        if s < 0 or not np.any(inside[own] > 0.5):
+            continue
+        box = _box(asked, model.window * px_per_m)
+        ratio = model.log_ratio(
+            np.ascontiguousarray(features[box]), np.ascontiguousarray(np.where(own, inside, 0.0)[box], np.float32),
+            np.ascontiguousarray(outside[box]), px_per_m, np.ascontiguousarray(asked[box]),
+        )  # fmt: skip
+        out[box][asked[box]] = ratio[asked[box]]
+    return out
+
+
+def nearest_part(part: Int) -> Int:
+    """(H, W) the part (H, W; -1 off the body) of the nearest pixel on the body, to half a pixel or so."""
+    off = (part < 0).astype(np.uint8)
+    if off.all():
+        return part
+    label = np.asarray(
+        cv2.distanceTransformWithLabels(off, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)[1], np.int32
+    )
+    of_label = np.full(int(label.max()) + 1, -1, dtype=np.int32)
+    of_label[label[off == 0]] = part[off == 0]
+    return of_label[label]
+
+
+def _box(mask: Bool, margin: float) -> tuple[slice, slice]:
+    """Rows and columns of all that is set, with `margin` px about it; the whole image for an infinite one."""
+    if math.isinf(margin):
+        return slice(None), slice(None)
+    m = math.ceil(margin)
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    top, left = max(int(rows[0]) - m, 0), max(int(columns[0]) - m, 0)
+    return slice(top, int(rows[-1]) + m + 1), slice(left, int(columns[-1]) + m + 1)
