@@ -26,6 +26,7 @@ from twistcap.cues.view import View, crop_view
 from twistcap.estimate import Estimate, Frame
 from twistcap.features import Channels
 from twistcap.predict import Moment, MotionNoise, PredictorName, predict
+from twistcap.priors import ParzenPrior, PriorRule, PriorTerm, matched
 from twistcap.render import ContourPoints, RenderedView, render, reprojected, visible_contour
 from twistcap.solve import SolveResult, Status, covariance, energies_at, inverse, least_squares
 from twistcap.stages import next_frame, stage
@@ -89,6 +90,7 @@ class TrackerConfig:
     rivals: RivalRule = field(default_factory=RivalRule)
     appearance: AppearanceRule = field(default_factory=AppearanceRule)
     support: SupportRule = field(default_factory=SupportRule)
+    prior: PriorRule = field(default_factory=PriorRule)
 
 
 @dataclass(frozen=True)
@@ -116,7 +118,9 @@ class _Fit:
 class Tracker:
     """Follows one body through a recording; `step` once per frame, in order."""
 
-    def __init__(self, body: Body, rig: Rig, config: TrackerConfig | None = None) -> None:
+    def __init__(
+        self, body: Body, rig: Rig, config: TrackerConfig | None = None, prior: ParzenPrior | None = None
+    ) -> None:
         self.body, self.rig, self.config = body, rig.pinhole(), config or TrackerConfig()
         self._given_rig = rig  # keypoints come in its pixels, images rectified
         self._contour: ContourCue = self.config.direct if self.config.method == "direct" else self.config.levelset
@@ -124,7 +128,8 @@ class Tracker:
         self._templates: list[Template | None] = [None] * len(rig)
         self._rest = RestTerm(float(np.deg2rad(self.config.rest_sigma_deg)))
         self._support = np.ones(len(body.segment_names))
-        self._covariance = np.zeros((body.dof, body.dof))
+        self._prior = None if prior is None else matched(prior, body)
+        self._covariance = np.zeros((body.dof, body.dof))  # of what the images and the motion tell; no prior in it
         self._seen_time = 0.0
         self._started = False
         self._frames = 0  # remembered since the start
@@ -167,21 +172,21 @@ class Tracker:
             return Estimate(frame.index, frame.time, guess, claimed, {}, "no_images", support=0.0)
         self._colours = {i: self._appearance.of(i, view.features.shape[2]) for i, view in views.items()}
         fit = self._fit(posed, views, fixed)
-        claimed = self._claimed(fit.result, expected, information)
+        told = self._claimed(fit, expected, information)
         with stage("rivals"):
-            rival = self._rival(fit, claimed, views, information, found)
+            rival = self._rival(fit, self._familiar(told, fit), views, information, found)
         if rival is not None:
             self._forget_motion(rival.result.pose.minus(fit.result.pose), rival.result.pose)
-            fit, claimed = rival, self._claimed(rival.result, expected, information)
-        self._covariance = claimed
+            fit, told = rival, self._claimed(rival, expected, information)
+        self._covariance = told
         with stage("remember"):
             self._remember(fit)
         self._advance(frame.time, fit.result.pose)
         self._seen_time = frame.time
         support = float(self._support.min())
         return Estimate(
-            frame.index, frame.time, fit.result.pose, self._covariance, fit.result.energies, fit.result.status,
-            fit.result.steps, support < config.support.least_share, support,
+            frame.index, frame.time, fit.result.pose, self._familiar(told, fit), fit.result.energies,
+            fit.result.status, fit.result.steps, support < config.support.least_share, support,
         )  # fmt: skip
 
     def _fit(self, guess: Posed, views: dict[int, View], fixed: Sequence[Term]) -> _Fit:
@@ -252,6 +257,9 @@ class Tracker:
         earlier = [None] * len(sights) if again else fit.found
         evidence = [self._evidence(s, coarse, found) for s, found in zip(sights, earlier, strict=True)]
         terms = [term for by_view, _ in evidence for term in by_view]
+        if self._prior is not None:
+            points = sum(len(found.contour.part) for _, found in evidence)
+            terms.append(self._prior.weighted(config.prior, points))
         with stage("solve"):
             result = least_squares(posed, [*fixed, *terms], steps=config.solver_steps)
         moved = _moved(sights, result.posed)
@@ -332,20 +340,27 @@ class Tracker:
         self._history = [*self._history, Moment(time, pose)][-50:]
         self._started = True
 
-    def _claimed(self, result: SolveResult, expected: Float, information: Float) -> Float:
+    def _claimed(self, fit: _Fit, expected: Float, information: Float) -> Float:
         """Covariance of the answer: what this frame's images add to what was known, as a Kalman filter would have it.
 
         A limb that nothing shows grows less certain from frame to frame. Where the solve failed, only that happens.
         """
         scale = self.config.inflation**2
         before = self._covariance + scale * expected
-        if result.status == "failed":
+        if fit.result.status == "failed":
             return before
         # The solve held the prediction against its own spread alone; put the uncertainty of the past in its place.
-        of_images = result.quadratic.hessian - information
-        zero = np.zeros(self.body.dof)
+        # What a pose prior says is no news of this frame: taken in anew in every frame it would add up.
+        of_images = fit.result.quadratic.hessian - information
+        of_images -= sum(term.hessian(self.body.dof) for term in fit.terms if isinstance(term, PriorTerm))
         known = inverse(before)
-        return before if known is None else covariance(Quadratic(0.0, zero, of_images / scale + known))
+        return before if known is None else covariance(Quadratic(0.0, before[0], of_images / scale + known))
+
+    def _familiar(self, known: Float, fit: _Fit) -> Float:
+        """A covariance with what the pose prior knows added, once; it does not go on to the next frame."""
+        if self._prior is None or (information := inverse(known)) is None:
+            return known
+        return covariance(Quadratic(0.0, known[0], information + self._prior.claimed(fit.result.posed)))
 
 
 def _summed(tallies: Sequence[tuple[Float, Int]], parts: int) -> tuple[Float, Float]:
