@@ -36,3 +36,14 @@ def walks_of_another(body: Body, seed: int, walks: int = 3, frames: int = 120, f
     share = np.maximum(0.5, 1.0 + SHARE * rng.standard_normal(q.shape[1]))
     mean = q.mean(axis=0)
     return np.clip(np.where(moving, mean + shift + share * (q - mean), q), body.limits[:, 0], body.limits[:, 1])
+
+
+def squats(body: Body, frames: int = 120, times: int = 2) -> Float:
+    """Joint angles (frames, J) rad of knee bends with the arms held forward: what a walker never does."""
+    deep = 0.5 - 0.5 * np.cos(2 * np.pi * times * np.arange(frames) / frames)
+    q = np.zeros((frames, len(body.coordinate_names)))
+    for joint, degrees in {"hip_flexion": 95, "knee_angle": 110, "ankle_angle": 25, "arm_flex": 80}.items():
+        for side in ("r", "l"):
+            if f"{joint}_{side}" in body.coordinate_names:
+                q[:, body.coordinate(f"{joint}_{side}")] = np.deg2rad(degrees) * deep
+    return np.clip(q, body.limits[:, 0], body.limits[:, 1])
