@@ -95,6 +95,12 @@ class ParzenPrior:
         return (self.mean(q) - q) * self.information
 
     @property
+    def median_distance(self) -> float:
+        """Median distance between neighbouring samples, in the unit of `sigma`; 0 for a single one."""
+        different = _different(self._places)
+        return float(np.median(nearest_distances(different))) if len(different) > 1 else 0.0
+
+    @property
     def information(self) -> Float:
         """(J,) curvature ``1/(σ s)²`` of each kernel; `energy` never curves more, so that it majorises."""
         return 1.0 / (self.sigma * self._scales) ** 2
@@ -121,10 +127,14 @@ def kernel_width(samples: Float) -> float:
     Raises:
         InputError: where all samples are the same.
     """
-    different = np.unique(np.round(samples, _SAME), axis=0)
+    different = _different(samples)
     if len(different) < 2:
         raise InputError("prior: all its samples are the same pose, which tells no sigma; give sigma, or a motion.")
     return float(nearest_distances(different).max())
+
+
+def _different(samples: Float) -> Float:
+    return np.unique(np.round(samples, _SAME), axis=0)
 
 
 def nearest_distances(samples: Float) -> Float:
