@@ -24,6 +24,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("terms", "solve"),
     ("cues",),
     ("predict", "priors"),
+    ("settings",),
     ("track",),
     ("firstpose",),
     ("studio",),

@@ -10,6 +10,7 @@ import typer
 from twistcap.commands.demo import demo
 from twistcap.commands.evaluate import evaluate
 from twistcap.commands.export import export
+from twistcap.commands.prior import prior
 from twistcap.commands.studio import studio
 from twistcap.commands.tables import bench, reproduce
 from twistcap.commands.track import track
@@ -25,6 +26,7 @@ app = typer.Typer(
 )
 for command in (demo, track, studio, evaluate, export, reproduce, bench):
     app.command()(command)
+app.add_typer(prior)
 
 
 def _version(asked: bool) -> None:

@@ -6,100 +6,30 @@ ARCHITECTURE.md walks through one frame; the settings of each cue stand with the
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from twistcap._typing import Float, Int
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Rig
-from twistcap.cues.appearance import Appearance, AppearanceRule
-from twistcap.cues.brightness import Brightness, Template
-from twistcap.cues.direct import DirectContour
+from twistcap.cues.appearance import Appearance
+from twistcap.cues.brightness import Template
 from twistcap.cues.evidence import ContourCue, ContourEvidence
-from twistcap.cues.flow import FlowCue, Followed
-from twistcap.cues.keypoints import KeypointCue
-from twistcap.cues.levelset import LevelSetContour
-from twistcap.cues.rivals import RivalRule, Rivals
-from twistcap.cues.support import SupportRule, part_tally
+from twistcap.cues.flow import Followed
+from twistcap.cues.rivals import Rivals
+from twistcap.cues.support import part_tally
 from twistcap.cues.view import View, crop_view
 from twistcap.estimate import Estimate, Frame
-from twistcap.features import Channels
 from twistcap.predict import Moment, MotionNoise, PredictorName, predict
-from twistcap.region.models import Density, Statistics
+from twistcap.priors import ParzenPrior, PriorTerm, matched
 from twistcap.render import ContourPoints, RenderedView, render, reprojected, visible_contour
+from twistcap.settings import TrackerConfig
 from twistcap.solve import SolveResult, Status, covariance, energies_at, inverse, least_squares
 from twistcap.stages import next_frame, stage
 from twistcap.terms import GaussianTerm, LimitTerm, Quadratic, RestTerm, Term
 
 _JUMP = np.deg2rad(2.0)  # of a joint: more than a fit wavers
-
-
-@dataclass(frozen=True)
-class TrackerConfig:
-    """All settings of the tracker.
-
-    Attributes:
-        method: "direct" (no level set; the default) or "levelset" (the chapter's coupled method).
-        channels: what region statistics look at: "grey", "lab", "grey+texture" (5 channels) or "lab+texture" (7).
-        density: what the regions' densities are: "local" Gaussians, one "global" Gaussian per region, or "parzen", one
-            smoothed histogram per region. Reaches both methods.
-        statistics: whether inside densities are each "part"'s own or of the "whole" body; None is part for local
-            densities in the direct method, else whole, as in the chapter.
-        photometric: whether brightness constancy joins the contours.
-        predictor: "constant_velocity", "hold", or "flow": optic flow, constant velocity where flow cannot be trusted.
-        start_by_flow: whether flow predicts as long as there is no velocity: in the second frame.
-        decay: time constant (s) with which predicted joint velocities die away.
-        rest_sigma_deg: how far joints are expected from the rest pose; matters only to a limb that nothing shows.
-        first_iterations: fine alternations in the first frame, which starts from a given pose.
-        coarse: factor on the contour cue's capture range in the coarse alternations that come first.
-        coarse_rounds: coarse alternations at most; one is enough where the prediction was good.
-        surprise: m by which the first, fine alternation moves the contour where the prediction was not good enough, so
-            that coarse ones follow.
-        settled: m that the contour may still move in a coarse alternation that is the last one.
-        render_after: m that the contour may have moved, all in all, before the body is rendered anew.
-        contour_spacing: m on the body between contour samples.
-        solver_steps: Gauss-Newton steps in each alternation.
-        learn_every: frames from one to the next in which the parts' colours are learnt, and new points whose brightness
-            is to be followed are sought.
-        margin: m about the expected body within which images are looked at.
-        inflation: factor on every claimed standard deviation: contour and brightness samples are not independent, and
-            no body is exact; set on studio captures with truth (docs/covariance.md).
-        first_sigma_deg, first_sigma_m: how far the given first pose may be off (joints and root turn; root place).
-    """
-
-    method: Literal["direct", "levelset"] = "direct"
-    channels: Channels = "lab"
-    density: Density = "local"
-    statistics: Statistics | None = None
-    photometric: bool = True
-    predictor: PredictorName = "constant_velocity"
-    start_by_flow: bool = True
-    decay: float = 0.2
-    rest_sigma_deg: float = 30.0
-    first_iterations: int = 10
-    coarse: float = 3.0
-    coarse_rounds: int = 5
-    surprise: float = 0.0085
-    settled: float = 0.006
-    render_after: float = 0.008
-    contour_spacing: float = 0.032
-    solver_steps: int = 1
-    learn_every: int = 3
-    margin: float = 0.15
-    inflation: float = 5.0
-    first_sigma_deg: float = 1.0
-    first_sigma_m: float = 0.005
-    direct: DirectContour = field(default_factory=DirectContour)
-    levelset: LevelSetContour = field(default_factory=LevelSetContour)
-    brightness: Brightness = field(default_factory=Brightness)
-    keypoints: KeypointCue = field(default_factory=KeypointCue)
-    flow: FlowCue = field(default_factory=FlowCue)
-    noise: MotionNoise = field(default_factory=MotionNoise)
-    rivals: RivalRule = field(default_factory=RivalRule)
-    appearance: AppearanceRule = field(default_factory=AppearanceRule)
-    support: SupportRule = field(default_factory=SupportRule)
 
 
 @dataclass(frozen=True)
@@ -127,7 +57,9 @@ class _Fit:
 class Tracker:
     """Follows one body through a recording; `step` once per frame, in order."""
 
-    def __init__(self, body: Body, rig: Rig, config: TrackerConfig | None = None) -> None:
+    def __init__(
+        self, body: Body, rig: Rig, config: TrackerConfig | None = None, prior: ParzenPrior | None = None
+    ) -> None:
         self.body, self.rig, self.config = body, rig.pinhole(), config or TrackerConfig()
         self._given_rig = rig  # keypoints come in its pixels, images rectified
         self._contour = _contour_cue(self.config)
@@ -135,7 +67,8 @@ class Tracker:
         self._templates: list[Template | None] = [None] * len(rig)
         self._rest = RestTerm(float(np.deg2rad(self.config.rest_sigma_deg)))
         self._support = np.ones(len(body.segment_names))
-        self._covariance = np.zeros((body.dof, body.dof))
+        self._prior = None if prior is None else matched(prior, body)
+        self._covariance = np.zeros((body.dof, body.dof))  # of what the images and the motion tell; no prior in it
         self._seen_time = 0.0
         self._last: Followed | None = None
         self._started = False
@@ -180,13 +113,13 @@ class Tracker:
             return Estimate(frame.index, frame.time, guess, claimed, {}, "no_images", support=0.0, predicted=predicted)
         self._colours = {i: self._appearance.of(i, view.features.shape[2]) for i, view in views.items()}
         fit = self._fit(posed, views, fixed)
-        claimed = self._claimed(fit.result, expected, information)
+        told = self._claimed(fit, expected, information)
         with stage("rivals"):
-            rival = self._rival(fit, claimed, views, information, found)
+            rival = self._rival(fit, self._familiar(told, fit), views, information, found)
         if rival is not None:
             self._forget_motion(rival.result.pose.minus(fit.result.pose), rival.result.pose)
-            fit, claimed = rival, self._claimed(rival.result, expected, information)
-        self._covariance = claimed
+            fit, told = rival, self._claimed(rival, expected, information)
+        self._covariance = told
         with stage("remember"):
             self._remember(fit)
         self._advance(frame.time, fit.result.pose)
@@ -194,8 +127,8 @@ class Tracker:
         self._last = Followed(fit.result.posed, frame.time, frame.images)
         support = float(self._support.min())
         return Estimate(
-            frame.index, frame.time, fit.result.pose, self._covariance, fit.result.energies, fit.result.status,
-            fit.result.steps, support < config.support.least_share, support, predicted,
+            frame.index, frame.time, fit.result.pose, self._familiar(told, fit), fit.result.energies,
+            fit.result.status, fit.result.steps, support < config.support.least_share, support, predicted,
         )  # fmt: skip
 
     def _predicted(self, frame: Frame) -> tuple[Pose, PredictorName]:
@@ -281,6 +214,9 @@ class Tracker:
         earlier = [None] * len(sights) if again else fit.found
         evidence = [self._evidence(s, coarse, found) for s, found in zip(sights, earlier, strict=True)]
         terms = [term for by_view, _ in evidence for term in by_view]
+        if self._prior is not None:
+            points = sum(len(found.contour.part) for _, found in evidence)
+            terms.append(self._prior.weighted(config.prior, points))
         with stage("solve"):
             result = least_squares(posed, [*fixed, *terms], steps=config.solver_steps)
         moved = _moved(sights, result.posed)
@@ -361,20 +297,27 @@ class Tracker:
         self._history = [*self._history, Moment(time, pose)][-50:]
         self._started = True
 
-    def _claimed(self, result: SolveResult, expected: Float, information: Float) -> Float:
+    def _claimed(self, fit: _Fit, expected: Float, information: Float) -> Float:
         """Covariance of the answer: what this frame's images add to what was known, as a Kalman filter would have it.
 
         A limb that nothing shows grows less certain from frame to frame. Where the solve failed, only that happens.
         """
         scale = self.config.inflation**2
         before = self._covariance + scale * expected
-        if result.status == "failed":
+        if fit.result.status == "failed":
             return before
         # The solve held the prediction against its own spread alone; put the uncertainty of the past in its place.
-        of_images = result.quadratic.hessian - information
-        zero = np.zeros(self.body.dof)
-        known = inverse(before)
+        # What a pose prior says is no news of this frame: taken in anew in every frame it would add up.
+        of_images = fit.result.quadratic.hessian - information
+        of_images -= sum(term.hessian(self.body.dof) for term in fit.terms if isinstance(term, PriorTerm))
+        known, zero = inverse(before), np.zeros(self.body.dof)
         return before if known is None else covariance(Quadratic(0.0, zero, of_images / scale + known))
+
+    def _familiar(self, known: Float, fit: _Fit) -> Float:
+        """A covariance with what the pose prior knows added, once; it does not go on to the next frame."""
+        if self._prior is None or (information := inverse(known)) is None:
+            return known
+        return covariance(Quadratic(0.0, np.zeros(len(known)), information + self._prior.claimed(fit.result.posed)))
 
 
 def _contour_cue(config: TrackerConfig) -> ContourCue:

@@ -89,7 +89,7 @@ def _tracked(session: Any, path: Path, resume: bool) -> tuple[Any, Timing]:
         return _resumed(session, path, done)
     with words.status("reading the session, fitting the first pose"):
         recording = open_recording(session)
-    tracker = Tracker(recording.body, recording.views.image_rig, session.tracker_config)
+    tracker = Tracker(recording.body, recording.views.image_rig, session.tracker_config, session.pose_prior)
     tracker.start(recording.first_pose, recording.first_time)
     with ResultWriter(path, recording.body, recording.rig, session.model_dump(mode="json")) as writer:
         return recording.views, _kept(recording.views, tracker, writer, path)
@@ -106,7 +106,7 @@ def _resumed(session: Any, path: Path, done: Any) -> tuple[Any, Timing]:
         had, has = ", ".join(done.rig.names), ", ".join(rig.names)
         raise InputError(f"{path} was tracked with cameras {had}, the session has {has}; track anew without --resume.")
     views = views_of(session, rig)
-    tracker = Tracker(done.body, views.image_rig, session.tracker_config)
+    tracker = Tracker(done.body, views.image_rig, session.tracker_config, session.pose_prior)
     tracker.restore(done.estimates)
     rest = views.starting_at(int(done.indices[-1]) + 1)
     words.print(f"going on after frame {done.indices[-1]}: {len(rest)} frames to go")

@@ -11,6 +11,7 @@ from twistcap.track import TrackerConfig
 Condition = Literal["exact", "mismatch"]
 Method = Literal["direct", "levelset"]
 Measure = Literal["KHE", "joints", "joints at the start", "KHE within 2σ", "lost sequences", "time per frame"]
+Training = Literal["another's walk", "squats"]
 Start = Literal["given", "keypoints", "keypoints, lengths unknown"]
 
 UNITS: dict[Measure, str] = {
@@ -52,6 +53,7 @@ class Case:
         frames: only so many of the scene's frames are used; all by default.
         start: the first pose: the scene's own, or fitted to noisy keypoints, the body's lengths being known or not.
         keypoint_noise_px: standard deviation of each keypoint coordinate, which the fit is told.
+        prior: what the pose prior has learnt from, of the next seed's person; None without a prior.
     """
 
     id: str
@@ -63,6 +65,7 @@ class Case:
     frames: int | None = None
     start: Start = "given"
     keypoint_noise_px: float = 3.0
+    prior: Training | None = None
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,9 @@ from twistcap.estimate import Estimate, Frame, Keypoints
 from twistcap.evaluate import metrics
 from twistcap.evaluate.cases import Case, Measure
 from twistcap.firstpose import fit_keypoints
+from twistcap.priors import ParzenPrior
 from twistcap.studio import Capture, StudioConfig, capture
+from twistcap.studio.subjects import squats, walks_of_another
 from twistcap.track import Tracker
 
 
@@ -62,9 +64,14 @@ def run_scene(studio: StudioConfig, seed: int, cases: Sequence[Case]) -> list[Ou
 
 def run_case(case: Case, pictures: Pictures) -> Outcome:
     """Track one sequence and measure it."""
+    return measured(pictures.scene, *tracked(case, pictures))
+
+
+def tracked(case: Case, pictures: Pictures) -> tuple[Body, Pose, list[Estimate], list[float]]:
+    """Track one sequence: the body, its first pose, an estimate of every frame, and the milliseconds it took."""
     scene = pictures.scene
     body, pose = first_pose(case, scene)
-    tracker = Tracker(body, scene.rig, case.tracker)
+    tracker = Tracker(body, scene.rig, case.tracker, prior_of(case, scene))
     tracker.start(pose)
     estimates: list[Estimate] = []
     times: list[float] = []
@@ -72,7 +79,16 @@ def run_case(case: Case, pictures: Pictures) -> Outcome:
         began = perf_counter()
         estimates.append(tracker.step(frame))
         times.append(1000.0 * (perf_counter() - began))
-    return measured(scene, body, pose, estimates, times)
+    return body, pose, estimates, times
+
+
+def prior_of(case: Case, scene: Capture) -> ParzenPrior | None:
+    """The prior of a case, of somebody else than the person of the scene."""
+    if case.prior is None:
+        return None
+    body = humanoid(scene.config.variant)
+    samples = walks_of_another(body, scene.config.seed + 1) if case.prior == "another's walk" else squats(body)
+    return ParzenPrior.trained(body.coordinate_names, samples)
 
 
 def first_pose(case: Case, scene: Capture) -> tuple[Body, Pose]:

@@ -10,6 +10,7 @@ import os
 import re
 import tomllib
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -19,6 +20,7 @@ from twistcap.errors import InputError
 from twistcap.io.strict import dataclass_from, validated
 
 if TYPE_CHECKING:
+    from twistcap.priors import ParzenPrior
     from twistcap.track import TrackerConfig
 
 
@@ -130,6 +132,15 @@ class FirstPoseTable(Table):
         return self
 
 
+class PriorTable(Table):
+    """``[prior]``: a pose prior that `twistcap prior train` made, and how much it counts."""
+
+    path: DataPath
+    strength: float | None = Field(None, ge=0)
+    sigma: float | None = Field(None, gt=0)
+    scale: Factors = {}
+
+
 class FitGirths(Table):
     """``[fit_girths]``: one girth factor per kind of segment, fitted on given silhouettes."""
 
@@ -160,6 +171,7 @@ class Session(Table):
     body: Annotated[HumanoidBody | GlbBody | ObjBody, Field(discriminator="kind", default_factory=HumanoidBody)]
     first_pose: FirstPoseTable
     fit_girths: FitGirths | None = None
+    prior: PriorTable | None = None
     tracker: dict[str, Any] = {}
     output: Output = Output()
     _source: str = PrivateAttr(default="")
@@ -175,8 +187,24 @@ class Session(Table):
 
     @property
     def tracker_config(self) -> TrackerConfig:
-        """``[tracker]`` as the tracker takes it."""
-        return tracker_config(self.tracker, self._source)
+        """``[tracker]`` as the tracker takes it; the strength of ``[prior]`` goes over that of ``[tracker.prior]``."""
+        config = tracker_config(self.tracker, self._source)
+        if self.prior is None or self.prior.strength is None:
+            return config
+        return replace(config, prior=replace(config.prior, strength=self.prior.strength))
+
+    @property
+    def pose_prior(self) -> ParzenPrior | None:
+        """What ``[prior]`` names, read.
+
+        Raises:
+            InputError: for a file that is no prior, or a scale of a coordinate that it has not learnt.
+        """
+        if self.prior is None:
+            return None
+        from twistcap.io.prior_file import adjusted, read_prior
+
+        return adjusted(read_prior(self.prior.path), self.prior.sigma, self.prior.scale)
 
 
 def load_session(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Session:

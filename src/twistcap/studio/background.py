@@ -93,3 +93,17 @@ def occluder_layer(config: StudioConfig, camera: int) -> Float32:
         layer[max(0, y) : y + h, x : x + w, 3] = 1.0
     layer[..., :3] *= np.clip(1 + 0.1 * smooth_noise(rng, (height, width), 6.0), 0, 1.5)
     return np.clip(layer, 0.0, 1.0).astype(np.float32)
+
+
+def board_layer(config: StudioConfig, number: int, camera: int, low: Float, high: Float) -> Float32:
+    """(H, W, 4) colour times coverage, and coverage, of a board from pixel `low` to pixel `high` (x, y)."""
+    rng = stream(config.seed, "boards", number, camera)
+    width, height = config.size
+    layer = np.zeros((height, width, 4))
+    (x, y), (right, bottom) = np.maximum(low, 0).astype(int), np.maximum(np.ceil(high), 0).astype(int)
+    cells = smooth_noise(rng, (height, width), 9.0 * height / 280)
+    layer[..., :3] = np.clip(np.array(_colour(rng, 0.2)) / 255 * (1 + 0.15 * cells), 0, 1)
+    layer[..., 3] = 1.0
+    inside = np.zeros((height, width, 1))
+    inside[y : bottom + 1, x : right + 1] = 1.0
+    return (layer * inside).astype(np.float32)

@@ -15,6 +15,29 @@ Variant = Literal["full", "legs"]
 
 
 @dataclass(frozen=True)
+class Board:
+    """A board that hides some segments of the body in some views for a while, and nothing else of it.
+
+    It stands between those segments and the rest of the body, wherever the cameras are, and is as large as the segments
+    need while it is there. It does not move, so that its edges tell nothing of them.
+
+    Attributes:
+        segments: that are hidden, ``("femur_r", "tibia_r", "foot_r")``.
+        first, last: frames in which it is there, both included.
+        cameras: in whose views it stands, by number; all by default.
+    """
+
+    segments: tuple[str, ...]
+    first: int
+    last: int
+    cameras: tuple[int, ...] | None = None
+
+    def stands(self, frame: int, camera: int) -> bool:
+        """Whether it is seen."""
+        return self.first <= frame <= self.last and (self.cameras is None or camera in self.cameras)
+
+
+@dataclass(frozen=True)
 class StudioConfig:
     """A synthetic capture.
 
@@ -35,6 +58,7 @@ class StudioConfig:
             sequence: (0, 1, 0) rises from none to all and falls again.
         rectangles: rectangles of random place, size and colour painted over each image anew.
         occluders: things that stand before the person in each view, the same in all frames.
+        boards: things that hide chosen parts of the person for a while.
         motion_blur: sub-frames averaged over the time the shutter is open; 1 is a sharp image.
         shutter: open time as a share of the frame interval, centred on the frame's time.
         sensor_noise: standard deviation of Gaussian noise, in intensities of [0, 1].
@@ -56,6 +80,7 @@ class StudioConfig:
     uniform_noise: float | tuple[float, ...] = 0.0
     rectangles: int = 0
     occluders: int = 0
+    boards: tuple[Board, ...] = ()
     motion_blur: int = 1
     shutter: float = 0.5
     sensor_noise: float = 0.012
@@ -70,6 +95,8 @@ class StudioConfig:
         _expect(self.speed_factor > 0, "speed_factor", self.speed_factor, "positive")
         _expect(self.condition in ("exact", "mismatch"), "condition", self.condition, "'exact' or 'mismatch'")
         _expect(self.rectangles >= 0 and self.occluders >= 0, "rectangles and occluders", "negative", "0 or more")
+        spans = all(0 <= board.first <= board.last < self.frames for board in self.boards)
+        _expect(spans, "boards", self.boards, "boards whose first and last frame lie in the sequence")
         _expect(self.motion_blur >= 1, "motion_blur", self.motion_blur, "1 or more")
         _expect(0 <= self.shutter <= 1, "shutter", self.shutter, "in [0, 1]")
         _expect(self.sensor_noise >= 0, "sensor_noise", self.sensor_noise, "0 or more")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,7 +15,7 @@ from twistcap.body.humanoid import humanoid
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
-from twistcap.studio.background import background, occluder_layer
+from twistcap.studio.background import background, board_layer, occluder_layer
 from twistcap.studio.config import StudioConfig, stream
 from twistcap.studio.look import GREY, Look, look
 from twistcap.studio.marring import marred
@@ -25,6 +25,7 @@ from twistcap.studio.picture import Layer, between, picture_of, render_body
 from twistcap.studio.ring import ring, zoom_to_fit
 
 PERSON_SHARE = 0.68  # of the image's height, for a person in the middle of the ring: 190 px of 280
+BORDER = 3.0  # px that a board is larger than what it hides
 RADIUS = 2.9  # of the ring, in statures
 # Direction of the first camera from the walking direction, deg, by number of views. Two cameras look at the person's
 # left and right from the front, so that each arm is seen by one of them.
@@ -81,12 +82,33 @@ class Capture:
         """One camera's image, uint8 (H, W, 3) or grey (H, W); None if it was dropped."""
         if self.config.is_dropped(index, camera):
             return None
-        picture = picture_of(moments or self._moments(index), self.true_rig[camera], self.look, self.rooms[camera])
+        moments = moments or self._moments(index)
+        picture = picture_of(moments, self.true_rig[camera], self.look, self.rooms[camera])
+        for number, board in enumerate(self.config.boards):
+            if board.stands(index, camera):
+                picture = self._behind_board(picture, moments, number, camera)
         if self.config.occluders:
             Layer(0, 0, self.occluders[camera]).over(picture)
         if not self.config.colour:
             picture = picture @ GREY.astype(np.float32)
         return marred(picture, self.config, index, camera)
+
+    def _behind_board(self, picture: Float32, moments: Sequence[Posed], number: int, camera: int) -> Float32:
+        """The picture with a board over it, and over that what of the body it does not hide."""
+        Layer(0, 0, self._board(number, camera)).over(picture)
+        body = self.true_body
+        hidden = np.isin(body.face_part, [body.segment(name) for name in self.config.boards[number].segments])
+        rest = replace(body, faces=np.ascontiguousarray(body.faces[~hidden]))
+        return picture_of([Posed(rest, m.pose) for m in moments], self.true_rig[camera], self.look, picture)
+
+    def _board(self, number: int, camera: int) -> Float32:
+        """As large as what it hides needs while it stands there."""
+        board, body = self.config.boards[number], self.true_body
+        hidden = np.isin(body.vertex_part, [body.segment(name) for name in board.segments])
+        poses = self.true_poses[max(0, board.first - 1) : board.last + 2]
+        cloud = np.concatenate([Posed(body, pose).vertices[hidden] for pose in poses])
+        pixels = self.true_rig[camera].project(cloud)[0]
+        return board_layer(self.config, number, camera, pixels.min(axis=0) - BORDER, pixels.max(axis=0) + BORDER)
 
     def masks(self, index: int) -> list[Bool]:
         """True silhouettes (H, W) of the whole body, occluded or not: pixels that it covers by half or more."""

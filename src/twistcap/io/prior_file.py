@@ -1,0 +1,167 @@
+"""Pose priors: trained from motion files and results, kept as NPZ."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from twistcap._typing import Float
+from twistcap.body.humanoid import humanoid
+from twistcap.errors import InputError
+from twistcap.io.angles import shoulders_of
+from twistcap.io.motion_files import poses_from_mot, read_mot
+from twistcap.io.result import read_result
+from twistcap.priors import ParzenPrior
+
+FORMAT = "twistcap-prior"
+Motion = tuple[tuple[str, ...], Float]
+"""Names of J joint coordinates, and samples (N, J) of them, rad."""
+
+
+def write_prior(path: str | Path, prior: ParzenPrior) -> Path:
+    """Write a prior as NPZ: format, names, samples (rad), sigma, scale.
+
+    Raises:
+        InputError: where the file cannot be written.
+    """
+    path = Path(path)
+    scale = np.ones(len(prior.names)) if prior.scale is None else prior.scale
+    try:
+        with path.open("wb") as file:  # a path without .npz would be given one
+            np.savez_compressed(
+                file, format=FORMAT, names=np.array(prior.names), samples=prior.samples, sigma=prior.sigma, scale=scale
+            )
+    except OSError as error:
+        raise InputError(f"prior {path} cannot be written: {error.strerror}; choose another path.") from error
+    return path
+
+
+def read_prior(path: str | Path) -> ParzenPrior:
+    """Read what `write_prior` wrote.
+
+    Raises:
+        InputError: for a file that is missing, is no prior, or holds numbers that are not finite.
+    """
+    data = _arrays(path, "prior")
+    if str(data.get("format", "")) != FORMAT or not {"names", "samples", "sigma", "scale"} <= data.keys():
+        raise InputError(f"prior {path} is no twistcap prior; make one with twistcap prior train.")
+    names = tuple(str(name) for name in np.atleast_1d(data["names"]))
+    try:
+        samples, scale = (np.asarray(data[key], dtype=float) for key in ("samples", "scale"))
+        return ParzenPrior(names, samples, float(data["sigma"]), scale)
+    except (InputError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def trained_prior(
+    paths: Sequence[str | Path],
+    every: int = 1,
+    coordinates: Sequence[str] | None = None,
+    sigma: float | None = None,
+    scale: Mapping[str, float] | None = None,
+) -> ParzenPrior:
+    """A prior of all samples of some motions.
+
+    Args:
+        paths: MOT or STO, a result file (its lost frames are left out), or an NPZ of poses (``q``,
+            ``coordinate_names``, rad) such as the studio's ``truth.npz``.
+        every: only every so many frames of each.
+        coordinates: to learn; by default all that every file has.
+        sigma: kernel width, rad; by default the paper's rule.
+        scale: by coordinate, what its differences are divided by; 1 where it is not named.
+
+    Raises:
+        InputError: for a file that cannot be read, a value that is not finite, or a coordinate that a file lacks.
+    """
+    if not paths or every < 1:
+        raise InputError("prior: give one motion file or more, and every how many frames to take (1 or more).")
+    motions = [_motion(Path(path)) for path in paths]
+    names = tuple(coordinates or [n for n in motions[0][0] if all(n in known for known, _ in motions)])
+    if not names:
+        raise InputError(f"prior: {', '.join(map(str, paths))} have no joint coordinate in common.")
+    parts = [_columns(path, motion, names)[::every] for path, motion in zip(paths, motions, strict=True)]
+    return ParzenPrior.trained(names, np.concatenate(parts), sigma, scale_of(names, scale))
+
+
+def adjusted(prior: ParzenPrior, sigma: float | None, scale: Mapping[str, float] | None) -> ParzenPrior:
+    """A prior with another width or scales; new scales without a width call for the paper's rule again.
+
+    Raises:
+        InputError: for a scale of a coordinate that the prior has not learnt.
+    """
+    if sigma is None and not scale:
+        return prior
+    scales = scale_of(prior.names, scale) if scale else prior.scale
+    return ParzenPrior.trained(prior.names, prior.samples, sigma, scales)
+
+
+def scale_of(names: Sequence[str], scale: Mapping[str, float] | None) -> Float | None:
+    """(J,) scales of the coordinates, 1 where none is given."""
+    for name in scale or {}:
+        if name not in names:
+            raise InputError(f"prior: scale names {name!r}, which is none of its coordinates ({', '.join(names)}).")
+    return np.array([float(scale.get(name, 1.0)) for name in names]) if scale else None
+
+
+def _motion(path: Path) -> Motion:
+    readers = {".mot": _of_mot, ".sto": _of_mot, ".h5": _of_result, ".hdf5": _of_result, ".npz": _of_npz}
+    reader = readers.get(path.suffix.lower())
+    if reader is None:
+        raise InputError(f"motion {path} has an unknown ending; give .mot, .sto, .h5 or .npz.")
+    names, q = reader(path)
+    if q.shape != (len(q), len(names)) or not len(q):
+        raise InputError(f"motion {path}: it holds no joint angles, or not one for each of its coordinate names.")
+    bad = np.argwhere(~np.isfinite(q))
+    if len(bad):
+        row, column = bad[0]
+        raise InputError(f"motion {path}: {names[column]!r} is not finite in row {row}; fill or cut such rows.")
+    return names, q
+
+
+def _of_mot(path: Path) -> Motion:
+    """The file's own joint coordinates, in our signs and order: a shoulder only where all three angles are there."""
+    table = read_mot(path)
+    body = humanoid(thorax=True, clavicles=True, wrists=True)
+    try:
+        poses, _ = poses_from_mot(table, body)
+    except InputError as error:
+        raise InputError(f"motion {path}: {error}") from error
+    known = [name in table.columns for name in body.coordinate_names]
+    for ours, _ in shoulders_of(body):
+        whole = all(known[k] for k in ours)
+        for k in ours:
+            known[k] = whole
+    names = tuple(name for name, there in zip(body.coordinate_names, known, strict=True) if there)
+    return names, np.stack([pose.q for pose in poses])[:, known]
+
+
+def _of_result(path: Path) -> Motion:
+    result = read_result(path)
+    return result.body.coordinate_names, result.q[~result.lost]
+
+
+def _of_npz(path: Path) -> Motion:
+    data = _arrays(path, "motion")
+    if not {"q", "coordinate_names"} <= data.keys():
+        raise InputError(f"motion {path} must hold q and coordinate_names.")
+    return tuple(str(name) for name in data["coordinate_names"]), np.atleast_2d(np.asarray(data["q"], dtype=float))
+
+
+def _arrays(path: str | Path, what: str) -> dict[str, np.ndarray]:
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            return dict(data)
+    except FileNotFoundError as error:
+        raise InputError(f"{what} {path} does not exist; check its path.") from error
+    except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        raise InputError(f"{what} {path} cannot be read as NPZ: it is another kind of file, or damaged.") from error
+
+
+def _columns(path: str | Path, motion: Motion, names: Sequence[str]) -> Float:
+    for name in names:
+        if name not in motion[0]:
+            raise InputError(f"motion {path} has no coordinate {name!r}; it has {', '.join(motion[0])}.")
+    return motion[1][:, [motion[0].index(name) for name in names]]

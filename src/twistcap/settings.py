@@ -1,0 +1,86 @@
+"""The tracker's settings; those of each cue stand with the cue."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from twistcap.cues.appearance import AppearanceRule
+from twistcap.cues.brightness import Brightness
+from twistcap.cues.direct import DirectContour
+from twistcap.cues.flow import FlowCue
+from twistcap.cues.keypoints import KeypointCue
+from twistcap.cues.levelset import LevelSetContour
+from twistcap.cues.rivals import RivalRule
+from twistcap.cues.support import SupportRule
+from twistcap.features import Channels
+from twistcap.predict import MotionNoise, PredictorName
+from twistcap.priors import PriorRule
+from twistcap.region.models import Density, Statistics
+
+
+@dataclass(frozen=True)
+class TrackerConfig:
+    """All settings of the tracker.
+
+    Attributes:
+        method: "direct" (no level set; the default) or "levelset" (the chapter's coupled method).
+        channels: what region statistics look at: "grey", "lab", "grey+texture" (5 channels) or "lab+texture" (7).
+        density: what the regions' densities are: "local" Gaussians, one "global" Gaussian per region, or "parzen", one
+            smoothed histogram per region. Reaches both methods.
+        statistics: whether inside densities are each "part"'s own or of the "whole" body; None is part for local
+            densities in the direct method, else whole, as in the chapter.
+        photometric: whether brightness constancy joins the contours.
+        predictor: "constant_velocity", "hold", or "flow": optic flow, constant velocity where flow cannot be trusted.
+        start_by_flow: whether flow predicts as long as there is no velocity: in the second frame.
+        decay: time constant (s) with which predicted joint velocities die away.
+        rest_sigma_deg: how far joints are expected from the rest pose; matters only to a limb that nothing shows.
+        first_iterations: fine alternations in the first frame, which starts from a given pose.
+        coarse: factor on the contour cue's capture range in the coarse alternations that come first.
+        coarse_rounds: coarse alternations at most; one is enough where the prediction was good.
+        surprise: m by which the first, fine alternation moves the contour where the prediction was not good enough, so
+            that coarse ones follow.
+        settled: m that the contour may still move in a coarse alternation that is the last one.
+        render_after: m that the contour may have moved, all in all, before the body is rendered anew.
+        contour_spacing: m on the body between contour samples.
+        solver_steps: Gauss-Newton steps in each alternation.
+        learn_every: frames from one to the next in which the parts' colours are learnt, and new points whose brightness
+            is to be followed are sought.
+        margin: m about the expected body within which images are looked at.
+        inflation: factor on every claimed standard deviation: contour and brightness samples are not independent, and
+            no body is exact; set on studio captures with truth (docs/covariance.md).
+        first_sigma_deg, first_sigma_m: how far the given first pose may be off (joints and root turn; root place).
+    """
+
+    method: Literal["direct", "levelset"] = "direct"
+    channels: Channels = "lab"
+    density: Density = "local"
+    statistics: Statistics | None = None
+    photometric: bool = True
+    predictor: PredictorName = "constant_velocity"
+    start_by_flow: bool = True
+    decay: float = 0.2
+    rest_sigma_deg: float = 30.0
+    first_iterations: int = 10
+    coarse: float = 3.0
+    coarse_rounds: int = 5
+    surprise: float = 0.0085
+    settled: float = 0.006
+    render_after: float = 0.008
+    contour_spacing: float = 0.032
+    solver_steps: int = 1
+    learn_every: int = 3
+    margin: float = 0.15
+    inflation: float = 5.0
+    first_sigma_deg: float = 1.0
+    first_sigma_m: float = 0.005
+    direct: DirectContour = field(default_factory=DirectContour)
+    levelset: LevelSetContour = field(default_factory=LevelSetContour)
+    brightness: Brightness = field(default_factory=Brightness)
+    keypoints: KeypointCue = field(default_factory=KeypointCue)
+    flow: FlowCue = field(default_factory=FlowCue)
+    noise: MotionNoise = field(default_factory=MotionNoise)
+    rivals: RivalRule = field(default_factory=RivalRule)
+    appearance: AppearanceRule = field(default_factory=AppearanceRule)
+    support: SupportRule = field(default_factory=SupportRule)
+    prior: PriorRule = field(default_factory=PriorRule)
