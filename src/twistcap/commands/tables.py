@@ -59,12 +59,12 @@ def _experiment(experiment: Experiment, seeds: tuple[int, ...], out: Path | None
 
     folder = None if out is None else terminal.output_folder(out)
     with terminal.telling("reproduce") as told:
-        findings = experiment.run(seeds, told)
-    if folder is not None:
+        findings = experiment.run(seeds, told, folder)
+    if folder is not None and findings.quantity:
         experiment_picture(folder / f"{experiment.id}.png", experiment, findings)
     _print({"id": experiment.id, "rows": findings.rows}, json)
     if folder is not None and not json:
-        typer.echo(str(folder / f"{experiment.id}.png"))
+        typer.echo(str(folder))
 
 
 def bench(case: Case = None, seeds: Seeds = "0", quick: Quick = False, json: terminal.Json = False) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import as_completed
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -78,8 +79,8 @@ class Experiment(Protocol):
         """Claim and scene in one line."""
         ...
 
-    def run(self, seeds: Sequence[int], progress: Tell, workers: int = 2) -> Findings:
-        """Run it on seeds of the studio."""
+    def run(self, seeds: Sequence[int], progress: Tell, out: Path | None = None) -> Findings:
+        """Run it on seeds of the studio; one that draws its own pictures puts them into the folder `out`."""
         ...
 
 
@@ -106,10 +107,10 @@ class Comparison:
     rows: Callable[[Sequence[Trace]], list[Row]]
     shown: tuple[int, int] = (-1, 0)
 
-    def run(self, seeds: Sequence[int], progress: Tell, workers: int = 2) -> Findings:
-        """All arms on all seeds, scenes in parallel."""
+    def run(self, seeds: Sequence[int], progress: Tell, out: Path | None = None) -> Findings:
+        """All arms on all seeds, two scenes at a time."""
         found: dict[int, list[Trace]] = {}
-        with one_thread_processes(min(workers, len(seeds))) as pool:
+        with one_thread_processes(min(2, len(seeds))) as pool:
             waiting = {pool.submit(_traces, self, seed): seed for seed in seeds}
             for done, future in enumerate(as_completed(waiting), 1):
                 found[waiting[future]] = future.result()

@@ -6,7 +6,7 @@ the same frames and differ in one thing only.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -22,6 +22,7 @@ from twistcap.cues.view import View
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
 from twistcap.evaluate import metrics
+from twistcap.evaluate.experiments.arms import Findings
 from twistcap.evaluate.metrics import Row, row
 from twistcap.evaluate.parallel import Tell
 from twistcap.evaluate.sequence import joint_errors_mm
@@ -249,3 +250,28 @@ def _drawn(scene: Capture, frame: Frame, camera: int, result: Run, zoom: int = 2
         outline, _ = cv2.findContours(large, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
         cv2.drawContours(canvas, outline, -1, rgb, 1)
     return canvas
+
+
+@dataclass(frozen=True)
+class Claim:
+    """An `Experiment` that draws its own pictures: C-1 or C-2."""
+
+    id: str
+    says: str
+    measured: Callable[[Sequence[int], Tell | None, Path | None], list[Row]]
+
+    def run(self, seeds: Sequence[int], progress: Tell, out: Path | None = None) -> Findings:
+        """The claim's rows; its pictures, one per seed, go into the folder `out`."""
+        return Findings(self.measured(seeds, progress, out), "", ())
+
+
+C1 = Claim(
+    "C-1",
+    "contour and pose coupled, against a contour that evolves freely and a pose fitted to it: two views, clutter",
+    coupled_against_two_step,
+)
+C2 = Claim(
+    "C-2",
+    "local Gaussian statistics against one Parzen density of the body and one of the background: the error of the arms",
+    local_against_global,
+)
