@@ -18,10 +18,11 @@ from twistcap.cues.appearance import Appearance, AppearanceRule
 from twistcap.cues.brightness import Brightness, Template
 from twistcap.cues.direct import DirectContour
 from twistcap.cues.evidence import ContourCue, ContourEvidence
+from twistcap.cues.hidden import HiddenRule
 from twistcap.cues.keypoints import KeypointCue
 from twistcap.cues.levelset import LevelSetContour
 from twistcap.cues.rivals import RivalRule, Rivals
-from twistcap.cues.support import SupportRule, part_tally
+from twistcap.cues.support import SupportRule, part_tally, summed
 from twistcap.cues.view import View, crop_view
 from twistcap.estimate import Estimate, Frame
 from twistcap.features import Channels
@@ -91,6 +92,7 @@ class TrackerConfig:
     appearance: AppearanceRule = field(default_factory=AppearanceRule)
     support: SupportRule = field(default_factory=SupportRule)
     prior: PriorRule = field(default_factory=PriorRule)
+    hidden: HiddenRule = field(default_factory=HiddenRule)  # where there is a pose prior
 
 
 @dataclass(frozen=True)
@@ -216,7 +218,7 @@ class Tracker:
         slip = self._contour.slip
         if slip == 0.0:
             return False
-        good, seen = _summed(self._tallies(fit), len(self._support))
+        good, seen = summed(self._tallies(fit), len(self._support))
         return bool(np.any((seen >= self.config.support.least_points) & (good < slip * self._support * seen)))
 
     def _rival(
@@ -288,7 +290,7 @@ class Tracker:
             level = 0 if coarse else len(config.brightness.blurs) - 1
             with stage("photometric"):
                 terms.append(config.brightness.term(sight.view, sight.seen, template, level))
-        return terms, found
+        return (terms if self._prior is None else config.hidden.yielded(terms, found, len(self._support))), found
 
     def _expected(self, guess: Pose, time: float) -> tuple[Float, Float]:
         """Covariance of the prediction, or of the given first pose, and its inverse."""
@@ -329,7 +331,7 @@ class Tracker:
                 self._templates[i] = cue.remember(sight.view, sight.seen, fit.result.posed, self._templates[i], lesson)
             if lesson:
                 self._appearance.learn(i, sight.view, sight.seen, good / np.maximum(points, 1), every)
-        good, seen = _summed(tallies, len(self._support))
+        good, seen = summed(tallies, len(self._support))
         judged = seen >= rule.least_points  # a part that is hardly seen keeps the support it had
         self._support[judged] *= rule.memory
         self._support[judged] += (1.0 - rule.memory) * good[judged] / seen[judged]
@@ -361,14 +363,6 @@ class Tracker:
         if self._prior is None or (information := inverse(known)) is None:
             return known
         return covariance(Quadratic(0.0, known[0], information + self._prior.claimed(fit.result.posed)))
-
-
-def _summed(tallies: Sequence[tuple[Float, Int]], parts: int) -> tuple[Float, Float]:
-    """The tallies of all views together, of S parts."""
-    good, seen = np.zeros(parts), np.zeros(parts)
-    for agreeing, points in tallies:
-        good, seen = good + agreeing, seen + points
-    return good, seen
 
 
 def _status(result: SolveResult, moved: float, settled: float) -> Status:

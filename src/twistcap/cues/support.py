@@ -47,6 +47,14 @@ def part_tally(evidence: ContourEvidence, focal: float, parts: int, rule: Suppor
     )  # fmt: skip
 
 
+def summed(tallies: Sequence[tuple[Float, Int]], parts: int) -> tuple[Float, Float]:
+    """The tallies of all views together, of S parts."""
+    good, seen = np.zeros(parts), np.zeros(parts)
+    for agreeing, points in tallies:
+        good, seen = good + agreeing, seen + points
+    return good, seen
+
+
 @njit(cache=True, nogil=True)
 def _tally(
     part: Int, outer: Bool, inverse_depth: Float, displacement: Float, contrast: Float, focal: float, parts: int,
