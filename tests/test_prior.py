@@ -32,7 +32,8 @@ BODY = humanoid()
 NAMES = ("hip_flexion_r", "knee_angle_r", "elbow_flex_l")
 RNG = np.random.default_rng(0)
 SAMPLES = RNG.normal(0.3, 0.4, size=(40, 3))
-PRIOR = ParzenPrior(NAMES, SAMPLES, 0.35, np.array([1.0, 0.5, 2.0]))
+SCALE = np.array([1.0, 0.5, 2.0])
+PRIOR = ParzenPrior(NAMES, SAMPLES, 0.35, SCALE)
 
 
 def posed(q: np.ndarray | None = None) -> Posed:
@@ -41,7 +42,7 @@ def posed(q: np.ndarray | None = None) -> Posed:
 
 def test_energy_is_the_paper_s_density() -> None:
     q = np.array([0.1, 0.6, -0.2])
-    d = (SAMPLES - q) / PRIOR.scale
+    d = (SAMPLES - q) / SCALE
     p = np.mean(np.exp(-np.sum(d**2, axis=1) / (2 * PRIOR.sigma**2)))
     assert PRIOR.energy(q) == pytest.approx(-np.log(p), rel=1e-12)
     assert ParzenPrior(("a",), np.array([[0.2], [0.2]]), 1.0).energy(np.array([0.2])) == pytest.approx(0.0)
@@ -169,7 +170,12 @@ def test_files_that_are_no_priors_are_told(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no twistcap prior"):
         read_prior(path)
     good = {"format": "twistcap-prior", "names": np.array(NAMES), "samples": SAMPLES, "sigma": 0.3, "scale": np.ones(3)}
-    for change in ({"samples": SAMPLES * np.nan}, {"names": np.array(["a"])}, {"sigma": -1.0}, {"sigma": np.array("x")}):
+    for change in (
+        {"samples": SAMPLES * np.nan},
+        {"names": np.array(["a"])},
+        {"sigma": -1.0},
+        {"sigma": np.array("x")},
+    ):
         np.savez(path, **{**good, **change})
         with pytest.raises(InputError, match=r"bad\.npz"):
             read_prior(path)

@@ -230,13 +230,17 @@ class Tracker:
         if not poses:
             return None
         judge = self._rivals.judge(list(views.values()), [self._colours[i] for i in views], posed)
-        evidence = [judge.evidence(pose) for pose in poses]
+        before, familiar = (
+            _prior_energy(fit.terms, posed),
+            [_prior_energy(fit.terms, Posed(self.body, p)) for p in poses],
+        )
+        evidence = [judge.evidence(pose) + before - prior for pose, prior in zip(poses, familiar, strict=True)]
         if max(evidence) < rule.promising:
             return None
         best = Posed(self.body, poses[int(np.argmax(evidence))])
         fixed = (LimitTerm(), self._rest, GaussianTerm(best.pose, information), *found)
         other = self._fit(best, views, fixed)
-        fitted = judge.evidence(other.result.pose)
+        fitted = judge.evidence(other.result.pose) + before - _prior_energy(fit.terms, other.result.posed)
         if fitted < max(evidence):  # the fit has lost it again: the images' judgement stands
             energies = energies_at([*fixed, *other.terms], best)
             other = replace(other, result=replace(other.result, posed=best, energies=energies))
@@ -363,6 +367,10 @@ class Tracker:
         if self._prior is None or (information := inverse(known)) is None:
             return known
         return covariance(Quadratic(0.0, known[0], information + self._prior.claimed(fit.result.posed)))
+
+
+def _prior_energy(terms: Sequence[Term], posed: Posed) -> float:
+    return sum(term.energy(posed) for term in terms if isinstance(term, PriorTerm))
 
 
 def _status(result: SolveResult, moved: float, settled: float) -> Status:

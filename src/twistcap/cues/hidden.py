@@ -24,8 +24,8 @@ class HiddenRule:
     """
 
     contrast: float = 3.0
-    hidden: float = 0.4
-    shown: float = 0.7
+    hidden: float = 0.6
+    shown: float = 0.9
 
     def trust(self, evidence: ContourEvidence, parts: int) -> Float:
         """(S,) in [0, 1] how far each of S parts is in sight in a view; 1 where it has no contour."""
