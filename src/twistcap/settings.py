@@ -9,6 +9,7 @@ from twistcap.cues.appearance import AppearanceRule
 from twistcap.cues.brightness import Brightness
 from twistcap.cues.direct import DirectContour
 from twistcap.cues.flow import FlowCue
+from twistcap.cues.hidden import HiddenRule
 from twistcap.cues.keypoints import KeypointCue
 from twistcap.cues.levelset import LevelSetContour
 from twistcap.cues.rivals import RivalRule
@@ -84,3 +85,4 @@ class TrackerConfig:
     appearance: AppearanceRule = field(default_factory=AppearanceRule)
     support: SupportRule = field(default_factory=SupportRule)
     prior: PriorRule = field(default_factory=PriorRule)
+    hidden: HiddenRule = field(default_factory=HiddenRule)  # where there is a pose prior

@@ -18,7 +18,7 @@ from twistcap.cues.brightness import Template
 from twistcap.cues.evidence import ContourCue, ContourEvidence
 from twistcap.cues.flow import Followed
 from twistcap.cues.rivals import Rivals
-from twistcap.cues.support import part_tally
+from twistcap.cues.support import part_tally, summed
 from twistcap.cues.view import View, crop_view
 from twistcap.estimate import Estimate, Frame
 from twistcap.predict import Moment, MotionNoise, PredictorName, predict
@@ -173,7 +173,7 @@ class Tracker:
         slip = self._contour.slip
         if slip == 0.0:
             return False
-        good, seen = _summed(self._tallies(fit), len(self._support))
+        good, seen = summed(self._tallies(fit), len(self._support))
         return bool(np.any((seen >= self.config.support.least_points) & (good < slip * self._support * seen)))
 
     def _rival(
@@ -185,13 +185,15 @@ class Tracker:
         if not poses:
             return None
         judge = self._rivals.judge(list(views.values()), [self._colours[i] for i in views], posed)
-        evidence = [judge.evidence(pose) for pose in poses]
+        before = _prior_energy(fit.terms, posed)
+        familiar = [_prior_energy(fit.terms, Posed(self.body, pose)) for pose in poses]
+        evidence = [judge.evidence(pose) + before - prior for pose, prior in zip(poses, familiar, strict=True)]
         if max(evidence) < rule.promising:
             return None
         best = Posed(self.body, poses[int(np.argmax(evidence))])
         fixed = (LimitTerm(), self._rest, GaussianTerm(best.pose, information), *found)
         other = self._fit(best, views, fixed)
-        fitted = judge.evidence(other.result.pose)
+        fitted = judge.evidence(other.result.pose) + before - _prior_energy(fit.terms, other.result.posed)
         if fitted < max(evidence):  # the fit has lost it again: the images' judgement stands
             energies = energies_at([*fixed, *other.terms], best)
             other = replace(other, result=replace(other.result, posed=best, energies=energies))
@@ -245,7 +247,7 @@ class Tracker:
             level = 0 if coarse else len(config.brightness.blurs) - 1
             with stage("photometric"):
                 terms.append(config.brightness.term(sight.view, sight.seen, template, level))
-        return terms, found
+        return (terms if self._prior is None else config.hidden.yielded(terms, found, len(self._support))), found
 
     def _expected(self, guess: Pose, time: float) -> tuple[Float, Float]:
         """Covariance of the prediction, or of the given first pose, and its inverse."""
@@ -286,7 +288,7 @@ class Tracker:
                 self._templates[i] = cue.remember(sight.view, sight.seen, fit.result.posed, self._templates[i], lesson)
             if lesson:
                 self._appearance.learn(i, sight.view, sight.seen, good / np.maximum(points, 1), every)
-        good, seen = _summed(tallies, len(self._support))
+        good, seen = summed(tallies, len(self._support))
         judged = seen >= rule.least_points  # a part that is hardly seen keeps the support it had
         self._support[judged] *= rule.memory
         self._support[judged] += (1.0 - rule.memory) * good[judged] / seen[judged]
@@ -326,12 +328,8 @@ def _contour_cue(config: TrackerConfig) -> ContourCue:
     return replace(cue, density=cue.density or config.density, statistics=cue.statistics or config.statistics)
 
 
-def _summed(tallies: Sequence[tuple[Float, Int]], parts: int) -> tuple[Float, Float]:
-    """The tallies of all views together, of S parts."""
-    good, seen = np.zeros(parts), np.zeros(parts)
-    for agreeing, points in tallies:
-        good, seen = good + agreeing, seen + points
-    return good, seen
+def _prior_energy(terms: Sequence[Term], posed: Posed) -> float:
+    return sum(term.energy(posed) for term in terms if isinstance(term, PriorTerm))
 
 
 def _status(result: SolveResult, moved: float, settled: float) -> Status:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,6 +46,14 @@ def part_tally(evidence: ContourEvidence, focal: float, parts: int, rule: Suppor
         contour.part, contour.outer, contour.inverse_depth, evidence.displacement, evidence.contrast, focal, parts,
         rule.contrast, rule.tolerance,
     )  # fmt: skip
+
+
+def summed(tallies: Sequence[tuple[Float, Int]], parts: int) -> tuple[Float, Float]:
+    """The tallies of all views together, of S parts."""
+    good, seen = np.zeros(parts), np.zeros(parts)
+    for agreeing, points in tallies:
+        good, seen = good + agreeing, seen + points
+    return good, seen
 
 
 @njit(cache=True, nogil=True)

@@ -1,0 +1,49 @@
+"""Parts that a view does not show, though it should: there the contour found is something else's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from twistcap._typing import Float
+from twistcap.cues.evidence import ContourEvidence
+from twistcap.terms import PhotometricTerm, PointNormalTerm, PointRayTerm, Term
+
+
+@dataclass(frozen=True)
+class HiddenRule:
+    """When the say of a part in a view is taken from it, so that a pose prior can have it.
+
+    On a part in sight nearly all contour points tell inside from outside; behind something hardly any do.
+
+    Attributes:
+        contrast: nats by which a point must tell inside from outside.
+        hidden, shown: shares of such points up to which a part has no say at all, and from which it has all of it.
+    """
+
+    contrast: float = 3.0
+    hidden: float = 0.6
+    shown: float = 0.9
+
+    def trust(self, evidence: ContourEvidence, parts: int) -> Float:
+        """(S,) in [0, 1] how far each of S parts is in sight in a view; 1 where it has no contour."""
+        part, outer = evidence.contour.part, evidence.contour.outer
+        seen = np.bincount(part[outer], minlength=parts)
+        telling = np.bincount(part[outer & (evidence.contrast > self.contrast)], minlength=parts)
+        share = np.where(seen > 0, telling / np.maximum(seen, 1), 1.0)
+        return np.clip((share - self.hidden) / (self.shown - self.hidden), 0.0, 1.0)
+
+    def yielded(self, terms: Sequence[Term], evidence: ContourEvidence, parts: int) -> list[Term]:
+        """The terms of a view, less what they say of parts that it does not show."""
+        trust = self.trust(evidence, parts)
+        return list(terms) if np.all(trust == 1.0) else [_trusted(term, trust) for term in terms]
+
+
+def _trusted(term: Term, trust: Float) -> Term:
+    if not isinstance(term, (PhotometricTerm, PointNormalTerm, PointRayTerm)):
+        return term
+    segments, weights = term.points.segments, term.points.weights
+    main = np.take_along_axis(segments, np.argmax(weights, axis=1)[:, None], axis=1)[:, 0]
+    return replace(term, weight=term.weight * trust[main])
