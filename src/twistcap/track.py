@@ -225,22 +225,19 @@ class Tracker:
         self, fit: _Fit, claimed: Float, views: dict[int, View], information: Float, found: Sequence[Term]
     ) -> _Fit | None:
         """A fit elsewhere that explains the images clearly better than `fit` does, where a limb is in doubt."""
-        rule, posed = self.config.rivals, fit.result.posed
-        poses = self._rivals.poses(posed, claimed) if self._started and views else []
+        config, rule, posed = self.config, self.config.rivals, fit.result.posed
+        shown = 1.0 if self._prior is None else config.hidden.trust(fit.found, len(self._support))
+        poses = self._rivals.poses(posed, claimed, shown) if self._started and views else []
         if not poses:
             return None
         judge = self._rivals.judge(list(views.values()), [self._colours[i] for i in views], posed)
-        before, familiar = (
-            _prior_energy(fit.terms, posed),
-            [_prior_energy(fit.terms, Posed(self.body, p)) for p in poses],
-        )
-        evidence = [judge.evidence(pose) + before - prior for pose, prior in zip(poses, familiar, strict=True)]
+        evidence = [judge.evidence(pose) for pose in poses]
         if max(evidence) < rule.promising:
             return None
         best = Posed(self.body, poses[int(np.argmax(evidence))])
         fixed = (LimitTerm(), self._rest, GaussianTerm(best.pose, information), *found)
         other = self._fit(best, views, fixed)
-        fitted = judge.evidence(other.result.pose) + before - _prior_energy(fit.terms, other.result.posed)
+        fitted = judge.evidence(other.result.pose)
         if fitted < max(evidence):  # the fit has lost it again: the images' judgement stands
             energies = energies_at([*fixed, *other.terms], best)
             other = replace(other, result=replace(other.result, posed=best, energies=energies))
@@ -367,10 +364,6 @@ class Tracker:
         if self._prior is None or (information := inverse(known)) is None:
             return known
         return covariance(Quadratic(0.0, known[0], information + self._prior.claimed(fit.result.posed)))
-
-
-def _prior_energy(terms: Sequence[Term], posed: Posed) -> float:
-    return sum(term.energy(posed) for term in terms if isinstance(term, PriorTerm))
 
 
 def _status(result: SolveResult, moved: float, settled: float) -> Status:

@@ -27,17 +27,19 @@ class HiddenRule:
     hidden: float = 0.6
     shown: float = 0.9
 
-    def trust(self, evidence: ContourEvidence, parts: int) -> Float:
-        """(S,) in [0, 1] how far each of S parts is in sight in a view; 1 where it has no contour."""
-        part, outer = evidence.contour.part, evidence.contour.outer
-        seen = np.bincount(part[outer], minlength=parts)
-        telling = np.bincount(part[outer & (evidence.contrast > self.contrast)], minlength=parts)
+    def trust(self, evidence: Sequence[ContourEvidence], parts: int) -> Float:
+        """(S,) in [0, 1] how far each of S parts is in sight in some views; 1 where it has no contour."""
+        seen, telling = np.zeros(parts), np.zeros(parts)
+        for found in evidence:
+            part, outer = found.contour.part, found.contour.outer
+            seen += np.bincount(part[outer], minlength=parts)
+            telling += np.bincount(part[outer & (found.contrast > self.contrast)], minlength=parts)
         share = np.where(seen > 0, telling / np.maximum(seen, 1), 1.0)
         return np.clip((share - self.hidden) / (self.shown - self.hidden), 0.0, 1.0)
 
     def yielded(self, terms: Sequence[Term], evidence: ContourEvidence, parts: int) -> list[Term]:
         """The terms of a view, less what they say of parts that it does not show."""
-        trust = self.trust(evidence, parts)
+        trust = self.trust([evidence], parts)
         return list(terms) if np.all(trust == 1.0) else [_trusted(term, trust) for term in terms]
 
 
