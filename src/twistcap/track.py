@@ -261,8 +261,10 @@ class Tracker:
         evidence = [self._evidence(s, coarse, found) for s, found in zip(sights, earlier, strict=True)]
         terms = [term for by_view, _ in evidence for term in by_view]
         if self._prior is not None:
-            points = sum(len(found.contour.part) for _, found in evidence)
-            terms.append(self._prior.weighted(config.prior, points))
+            all_found = [found for _, found in evidence]
+            hidden = config.hidden.concealed(all_found, len(self._support))
+            points = sum(len(found.contour.part) for found in all_found)
+            terms.append(self._prior.weighted(config.prior, points, hidden))
         with stage("solve"):
             result = least_squares(posed, [*fixed, *terms], steps=config.solver_steps)
         moved = _moved(sights, result.posed)
