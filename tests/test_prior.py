@@ -20,7 +20,10 @@ from twistcap.io.prior_file import adjusted, read_prior, trained_prior, write_pr
 from twistcap.io.session import load_session
 from twistcap.priors import ParzenPrior, PriorRule, kernel_width, matched
 from twistcap.solve import least_squares
+from twistcap.studio import Board, StudioConfig, capture
 from twistcap.studio.motion import gait
+from twistcap.studio.subjects import squats, walks_of_another
+from twistcap.track import Tracker, TrackerConfig
 
 BODY = humanoid()
 NAMES = ("hip_flexion_r", "knee_angle_r", "elbow_flex_l")
@@ -170,7 +173,7 @@ def test_files_that_are_no_priors_are_told(tmp_path: Path) -> None:
         {"sigma": -1.0},
         {"sigma": np.array("x")},
     ):
-        np.savez(path, **{**good, **change})
+        np.savez(path, **{**good, **change})  # type: ignore[arg-type]
         with pytest.raises(InputError, match=r"bad\.npz"):
             read_prior(path)
 
@@ -250,3 +253,41 @@ def test_a_session_names_a_prior(tmp_path: Path) -> None:
     path.write_text(SESSION + '[prior]\npath = "p.npz"\nstrength = -1\n')
     with pytest.raises(InputError, match="strength"):
         load_session(path)
+
+
+def test_a_hidden_leg_follows_the_rest_of_the_body() -> None:
+    """Frames 3 to 7 show no right leg: with a prior it goes on as it should, and its claimed error stays small."""
+    leg = ("femur_r", "tibia_r", "foot_r")
+    scene = capture(StudioConfig(seed=2, views=3, frames=8, fps=30, boards=(Board(leg, 3, 7),)))
+    prior = ParzenPrior.trained(scene.body.coordinate_names, walks_of_another(scene.body, 3))
+    frames, knee = list(scene.frames()), scene.body.coordinate("knee_angle_r")
+    errors, claims = dict[bool, float](), dict[bool, float]()
+    for helped in (False, True):
+        tracker = Tracker(scene.body, scene.rig, TrackerConfig(), prior if helped else None)
+        tracker.start(scene.first_pose)
+        last = [tracker.step(frame) for frame in frames][-1]
+        errors[helped] = float(np.degrees(np.abs(last.pose.q[knee] - scene.true_poses[-1].q[knee])))
+        claims[helped] = float(np.degrees(np.sqrt(last.covariance[6 + knee, 6 + knee])))
+        assert ("prior" in last.energies) == helped and np.linalg.eigvalsh(last.covariance).min() > 0
+    assert errors[True] < 15.0 and errors[True] < 0.5 * errors[False], errors
+    assert claims[True] < np.degrees(np.sqrt(np.linalg.eigvalsh(prior.spread(scene.true_poses[-1].q)).max())), claims
+
+
+def test_boards_hide_what_they_should_and_when() -> None:
+    board = Board(("femur_r", "tibia_r", "foot_r"), 1, 1, cameras=(0,))
+    with_board = capture(StudioConfig(seed=2, views=2, frames=3, size=(192, 140), boards=(board,)))
+    without = capture(StudioConfig(seed=2, views=2, frames=3, size=(192, 140)))
+    for frame in range(3):
+        for camera in range(2):
+            same = np.array_equal(with_board.image(frame, camera), without.image(frame, camera))  # type: ignore[arg-type]
+            assert same == ((frame, camera) != (1, 0))
+    with pytest.raises(InputError, match="boards"):
+        StudioConfig(frames=3, boards=(Board(("foot_r",), 1, 3),))
+
+
+def test_other_walkers_differ_and_stay_within_limits() -> None:
+    first, again, other = (walks_of_another(BODY, seed, walks=1, frames=20) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert np.degrees(np.abs(first - other).mean()) > 1.0
+    for q in (first, squats(BODY)):
+        assert np.all((q >= BODY.limits[:, 0]) & (q <= BODY.limits[:, 1]))

@@ -180,20 +180,19 @@ class Tracker:
         self, fit: _Fit, claimed: Float, views: dict[int, View], information: Float, found: Sequence[Term]
     ) -> _Fit | None:
         """A fit elsewhere that explains the images clearly better than `fit` does, where a limb is in doubt."""
-        rule, posed = self.config.rivals, fit.result.posed
-        poses = self._rivals.poses(posed, claimed) if self._started and views else []
+        config, rule, posed = self.config, self.config.rivals, fit.result.posed
+        shown = 1.0 if self._prior is None else config.hidden.trust(fit.found, len(self._support))
+        poses = self._rivals.poses(posed, claimed, shown) if self._started and views else []
         if not poses:
             return None
         judge = self._rivals.judge(list(views.values()), [self._colours[i] for i in views], posed)
-        before = _prior_energy(fit.terms, posed)
-        familiar = [_prior_energy(fit.terms, Posed(self.body, pose)) for pose in poses]
-        evidence = [judge.evidence(pose) + before - prior for pose, prior in zip(poses, familiar, strict=True)]
+        evidence = [judge.evidence(pose) for pose in poses]
         if max(evidence) < rule.promising:
             return None
         best = Posed(self.body, poses[int(np.argmax(evidence))])
         fixed = (LimitTerm(), self._rest, GaussianTerm(best.pose, information), *found)
         other = self._fit(best, views, fixed)
-        fitted = judge.evidence(other.result.pose) + before - _prior_energy(fit.terms, other.result.posed)
+        fitted = judge.evidence(other.result.pose)
         if fitted < max(evidence):  # the fit has lost it again: the images' judgement stands
             energies = energies_at([*fixed, *other.terms], best)
             other = replace(other, result=replace(other.result, posed=best, energies=energies))
@@ -217,8 +216,10 @@ class Tracker:
         evidence = [self._evidence(s, coarse, found) for s, found in zip(sights, earlier, strict=True)]
         terms = [term for by_view, _ in evidence for term in by_view]
         if self._prior is not None:
-            points = sum(len(found.contour.part) for _, found in evidence)
-            terms.append(self._prior.weighted(config.prior, points))
+            all_found = [found for _, found in evidence]
+            hidden = config.hidden.concealed(all_found, len(self._support))
+            points = sum(len(found.contour.part) for found in all_found)
+            terms.append(self._prior.weighted(config.prior, points, hidden))
         with stage("solve"):
             result = least_squares(posed, [*fixed, *terms], steps=config.solver_steps)
         moved = _moved(sights, result.posed)
@@ -326,10 +327,6 @@ def _contour_cue(config: TrackerConfig) -> ContourCue:
     """The cue of the chosen method; what it leaves open is the tracker's."""
     cue = config.direct if config.method == "direct" else config.levelset
     return replace(cue, density=cue.density or config.density, statistics=cue.statistics or config.statistics)
-
-
-def _prior_energy(terms: Sequence[Term], posed: Posed) -> float:
-    return sum(term.energy(posed) for term in terms if isinstance(term, PriorTerm))
 
 
 def _status(result: SolveResult, moved: float, settled: float) -> Status:

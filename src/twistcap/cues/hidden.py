@@ -21,23 +21,36 @@ class HiddenRule:
     Attributes:
         contrast: nats by which a point must tell inside from outside.
         hidden, shown: shares of such points up to which a part has no say at all, and from which it has all of it.
+        least_points: contour points over all views below which no part counts as hidden from all.
     """
 
     contrast: float = 3.0
     hidden: float = 0.6
     shown: float = 0.9
+    least_points: int = 12
 
-    def trust(self, evidence: ContourEvidence, parts: int) -> Float:
-        """(S,) in [0, 1] how far each of S parts is in sight in a view; 1 where it has no contour."""
-        part, outer = evidence.contour.part, evidence.contour.outer
-        seen = np.bincount(part[outer], minlength=parts)
-        telling = np.bincount(part[outer & (evidence.contrast > self.contrast)], minlength=parts)
-        share = np.where(seen > 0, telling / np.maximum(seen, 1), 1.0)
+    def trust(self, evidence: Sequence[ContourEvidence], parts: int) -> Float:
+        """(S,) in [0, 1] how far each of S parts is in sight in some views; 1 where it has no contour."""
+        share, _ = self._shares(evidence, parts)
         return np.clip((share - self.hidden) / (self.shown - self.hidden), 0.0, 1.0)
+
+    def concealed(self, evidence: Sequence[ContourEvidence], parts: int) -> float:
+        """How much of its contour the part that all views together show least is lacking, in [0, 1]."""
+        share, seen = self._shares(evidence, parts)
+        return float(np.max(np.where(seen >= self.least_points, np.maximum(1.0 - share / self.hidden, 0.0), 0.0)))
+
+    def _shares(self, evidence: Sequence[ContourEvidence], parts: int) -> tuple[Float, Float]:
+        """(S,) shares of the contour points that tell inside from outside, and how many points there are."""
+        seen, telling = np.zeros(parts), np.zeros(parts)
+        for found in evidence:
+            part, outer = found.contour.part, found.contour.outer
+            seen += np.bincount(part[outer], minlength=parts)
+            telling += np.bincount(part[outer & (found.contrast > self.contrast)], minlength=parts)
+        return np.where(seen > 0, telling / np.maximum(seen, 1), 1.0), seen
 
     def yielded(self, terms: Sequence[Term], evidence: ContourEvidence, parts: int) -> list[Term]:
         """The terms of a view, less what they say of parts that it does not show."""
-        trust = self.trust(evidence, parts)
+        trust = self.trust([evidence], parts)
         return list(terms) if np.all(trust == 1.0) else [_trusted(term, trust) for term in terms]
 
 

@@ -60,14 +60,17 @@ class Rivals:
         self._doubt = np.zeros(len(body.segment_names))
         self._frame = 0
 
-    def poses(self, posed: Posed, covariance: Float) -> list[Pose]:
-        """Rivals of a pose of this covariance (6 + J, 6 + J); most often there are none. To be asked in every frame."""
+    def poses(self, posed: Posed, covariance: Float, shown: Float | float = 1.0) -> list[Pose]:
+        """Rivals of a pose of this covariance (6 + J, 6 + J); most often there are none. To be asked in every frame.
+
+        `shown` (S,) in [0, 1] says how far each segment is in sight: the images cannot judge what they do not show.
+        """
         rule = self._rule
         self._frame += 1
         if self._frame % rule.every:
             return []
         sd, directions = segment_doubts(posed, covariance)
-        self._doubt = np.maximum(sd, rule.memory**rule.every * self._doubt)
+        self._doubt = shown * np.maximum(sd, rule.memory**rule.every * self._doubt)
         limbs = doubted_limbs(self._body, self._doubt, rule.least_sd)
         if not limbs:
             return []

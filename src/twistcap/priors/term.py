@@ -20,20 +20,25 @@ class PriorRule:
     Attributes:
         strength: weight of ``−log p`` per contour point, so that image and prior weigh alike however many there are.
             Contour points are not independent, so that honest data would carry a fraction of their weight; the prior
-            is raised by as much instead.
+            is raised by as much instead. It counts in full while a part of the body is hidden from all views.
+        in_sight: share of the strength that counts while every part is in sight: the images know better than other
+            people's motion, and a prior that does not fit must do no harm.
         step: share of the way to the weighted mean of the samples that the prior alone would go in one solver step.
             1 majorises and minimises; the paper's ``τ = 0.125 σ²`` is 0.125, which also holds against the images.
     """
 
     strength: float = 0.05
+    in_sight: float = 0.1
     step: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in ("strength", "step"):
-            value = getattr(self, name)
-            if not (0 <= value < np.inf) or (name == "step" and not 0 < value <= 1):
-                wanted = "0 or more" if name == "strength" else "above 0 and at most 1"
-                raise InputError(f"prior: {name} is {value}; it must be {wanted}.")
+        for name, value, most in (
+            ("strength", self.strength, 1e6),
+            ("in_sight", self.in_sight, 1),
+            ("step", self.step, 1),
+        ):
+            _expect(name, value, 0 <= value <= most, f"from 0 to {most:g}")
+        _expect("step", self.step, self.step > 0, "above 0")
 
 
 @dataclass(frozen=True)
@@ -70,9 +75,10 @@ class PriorTerm:
         out[at, at] = self.weight / self.step * self.prior.information
         return out
 
-    def weighted(self, rule: PriorRule, points: int) -> PriorTerm:
-        """The term beside so many contour points."""
-        return replace(self, weight=rule.strength * points, step=rule.step)
+    def weighted(self, rule: PriorRule, points: int, hidden: float) -> PriorTerm:
+        """The term beside so many contour points, where the part that is hidden most is so by a share in [0, 1]."""
+        share = rule.in_sight + (1.0 - rule.in_sight) * hidden**2
+        return replace(self, weight=rule.strength * share * points, step=rule.step)
 
     def claimed(self, posed: Posed) -> Float:
         """(6 + J, 6 + J) information of the density itself at a pose: of a Gaussian as wide as the kernels that count.
@@ -98,3 +104,8 @@ def matched(prior: ParzenPrior, body: Body) -> PriorTerm:
         )
     columns = np.array([body.coordinate(name) for name in names], dtype=np.int32)
     return PriorTerm(prior if len(names) == len(prior.names) else prior.restricted(names), columns, 1.0)
+
+
+def _expect(name: str, value: float, holds: bool, wanted: str) -> None:
+    if not holds:
+        raise InputError(f"prior: {name} is {value}; it must be {wanted}.")
