@@ -13,6 +13,7 @@ import pytest
 from twistcap import se3
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.humanoid import humanoid
+from twistcap.body.kinematics import unit_vertex_normals
 from twistcap.camera import Camera, look_at
 from twistcap.errors import InputError
 from twistcap.io.calibration import read_rig
@@ -27,7 +28,7 @@ from twistcap.studio.mismatch import joint_coordinates
 from twistcap.studio.motion import gait
 from twistcap.studio.picture import render_body
 from twistcap.studio.scene import PERSON_SHARE
-from twistcap.studio.shade import OCTAVES, shade, shade_reference, vertex_normals
+from twistcap.studio.shade import OCTAVES, shade, shade_reference
 
 SMALL = StudioConfig(seed=3, views=2, frames=3, size=(192, 140))
 
@@ -132,7 +133,7 @@ def test_shading_kernel_agrees_with_its_readable_twin():
     origin, size = (150, 90), (240, 270)
     index, _ = rasterise(pixels, inverse_depth, posed.body.faces, origin, size)
     assert (index >= 0).sum() > 1000
-    normals = vertex_normals(posed.vertices, posed.body.faces)
+    normals = unit_vertex_normals(posed.vertices, posed.body.faces)
     dress = take.look
     surface = (posed.body.faces, pixels, inverse_depth, posed.body.vertices, normals)
     light = (dress.cover, dress.albedo, dress.contrast, dress.lattice, OCTAVES, dress.lights)

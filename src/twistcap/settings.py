@@ -50,6 +50,14 @@ class TrackerConfig:
         margin: m about the expected body within which images are looked at.
         inflation: factor on every claimed standard deviation: contour and brightness samples are not independent, and
             no body is exact; set on studio captures with truth (docs/covariance.md).
+        direct, levelset: the contour cue of each method.
+        brightness, keypoints, flow: the other cues.
+        noise: how far a body strays from the prediction.
+        rivals: which doubtful limbs are tried elsewhere, and how.
+        appearance: how the parts' colours are remembered.
+        support: when a part counts as lost.
+        prior, hidden: how a prior of poses counts, and what a part that no view shows may do; without effect unless the
+            tracker is given a prior.
         first_sigma_deg, first_sigma_m: how far the given first pose may be off (joints and root turn; root place).
     """
 

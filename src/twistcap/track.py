@@ -50,6 +50,7 @@ class _Fit:
     sights: Sequence[_Sight] = ()
     terms: Sequence[Term] = ()
     found: Sequence[ContourEvidence] = ()
+    tallies: Sequence[tuple[Float, Int]] = ()  # per view: contour points of each part that agree, and how many it has
     moved: float = 0.0  # m by which the last update moved the contour
     strayed: float = 0.0  # m since the body was rendered
 
@@ -163,17 +164,12 @@ class Tracker:
             fit = self._alternate(fit, views, fixed, coarse=False)
         return replace(fit, result=replace(fit.result, status=_status(fit.result, fit.moved, config.settled)))
 
-    def _tallies(self, fit: _Fit) -> list[tuple[Float, Int]]:
-        """Per view: contour points of each part that agree with the image, and how many it has."""
-        parts, rule = len(self.body.segment_names), self.config.support
-        return [part_tally(e, s.view.camera.K[0, 0], parts, rule) for s, e in zip(fit.sights, fit.found, strict=True)]
-
     def _slipping(self, fit: _Fit) -> bool:
         """Whether a part's contour agrees with the images much less than it used to."""
         slip = self._contour.slip
         if slip == 0.0:
             return False
-        good, seen = summed(self._tallies(fit), len(self._support))
+        good, seen = summed(fit.tallies, len(self._support))
         return bool(np.any((seen >= self.config.support.least_points) & (good < slip * self._support * seen)))
 
     def _rival(
@@ -225,7 +221,10 @@ class Tracker:
         moved = _moved(sights, result.posed)
         result = replace(result, steps=fit.result.steps + result.steps)
         strayed = moved if again else fit.strayed + moved
-        return _Fit(result, sights, terms, [found for _, found in evidence], moved, strayed)
+        parts, rule = len(self._support), config.support
+        found = [found for _, found in evidence]
+        tallies = [part_tally(e, s.view.camera.K[0, 0], parts, rule) for s, e in zip(sights, found, strict=True)]
+        return _Fit(result, sights, terms, found, tallies, moved, strayed)
 
     def _look(self, posed: Posed, camera_index: int, view: View) -> _Sight:
         with stage("render"):
@@ -264,11 +263,9 @@ class Tracker:
     def _views(self, frame: Frame, guess: Posed) -> dict[int, View]:
         views: dict[int, View] = {}
         for i, image in enumerate(frame.images):
-            view = (
-                None
-                if image is None
-                else crop_view(image, self.rig[i], guess, self.config.margin, self.config.channels)
-            )
+            if image is None:
+                continue
+            view = crop_view(image, self.rig[i], guess, self.config.margin, self.config.channels)
             if view is not None:
                 views[i] = view
         return views
@@ -280,16 +277,16 @@ class Tracker:
 
     def _remember(self, fit: _Fit) -> None:
         """Learn from the settled frame: brightness of the surface, colours of the parts, and how well they agree."""
-        tallies, rule, cue = self._tallies(fit), self.config.support, self.config.brightness
+        rule, cue = self.config.support, self.config.brightness
         every = self.config.learn_every
         lesson, self._frames = self._frames % every == 0, self._frames + 1
-        for sight, (good, points) in zip(fit.sights, tallies, strict=True):
+        for sight, (good, points) in zip(fit.sights, fit.tallies, strict=True):
             i = sight.camera_index
             if self.config.photometric:
                 self._templates[i] = cue.remember(sight.view, sight.seen, fit.result.posed, self._templates[i], lesson)
             if lesson:
                 self._appearance.learn(i, sight.view, sight.seen, good / np.maximum(points, 1), every)
-        good, seen = summed(tallies, len(self._support))
+        good, seen = summed(fit.tallies, len(self._support))
         judged = seen >= rule.least_points  # a part that is hardly seen keeps the support it had
         self._support[judged] *= rule.memory
         self._support[judged] += (1.0 - rule.memory) * good[judged] / seen[judged]
@@ -346,10 +343,11 @@ def _moved(sights: Sequence[_Sight], posed: Posed) -> float:
 
 
 def track(
-    frames: Iterable[Frame], body: Body, rig: Rig, first_pose: Pose, config: TrackerConfig | None = None
-) -> Iterator[Estimate]:
+    frames: Iterable[Frame], body: Body, rig: Rig, first_pose: Pose, config: TrackerConfig | None = None,
+    prior: ParzenPrior | None = None,
+) -> Iterator[Estimate]:  # fmt: skip
     """Track a body through frames, one estimate each."""
-    tracker = Tracker(body, rig, config)
+    tracker = Tracker(body, rig, config, prior)
     for k, frame in enumerate(frames):
         if k == 0:
             tracker.start(first_pose, frame.time)

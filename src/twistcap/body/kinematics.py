@@ -189,6 +189,12 @@ def skin_points_reference(transforms: Float, segments: Int, weights: Float, loca
     return np.einsum("nk,nki->ni", weights, _carried(T, local[:, None, :]))
 
 
+def unit_vertex_normals(vertices: Float, faces: Int) -> Float:
+    """(V, 3) outward unit normals, the mean of the adjoining triangles weighted by their area."""
+    normals = vertex_normals(vertices, faces)
+    return normals / np.maximum(np.sqrt((normals * normals).sum(axis=1, keepdims=True)), 1e-12)
+
+
 @njit(cache=True, nogil=True)
 def vertex_normals(vertices: Float, faces: Int) -> Float:
     """(V, 3) area-weighted outward normals, not normalised."""

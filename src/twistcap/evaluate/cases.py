@@ -163,4 +163,22 @@ STUDIO = Suite(
     (_agreement("exact"), _agreement("mismatch")),
 )
 
-SUITES = (STUDIO,)
+_STEREO = Case(
+    "stereo-mismatch-prior",
+    "two views, mismatch body and cameras, prior trained on another subject's gait",
+    StudioConfig(views=2, condition="mismatch"),
+    TrackerConfig(),
+    followed(1.2, 10.0),
+    prior="another's walk",
+)
+_UNFITTING = Case(
+    "4-views-exact-squats",
+    "4 views, exact, prior trained on knee bends, which the walk is unlike: it must do no harm",
+    StudioConfig(views=4),
+    TrackerConfig(),
+    followed(0.7, 3.0),
+    prior="squats",
+)
+PRIOR = Suite("prior", (_STEREO, _UNFITTING))
+
+SUITES = (STUDIO, PRIOR)

@@ -13,6 +13,7 @@ import numpy as np
 
 from twistcap._typing import AnyArray, Bool, Float, Float32, Int
 from twistcap.body import Body, Pose, Posed
+from twistcap.body.kinematics import unit_vertex_normals
 from twistcap.body.shape import joint_origin
 from twistcap.camera import Camera, Rig
 from twistcap.estimate import Frame
@@ -192,8 +193,7 @@ def _shaded(
     at = np.stack([x + origin[0], y + origin[1]], axis=1)
     weights = barycentric(faces_seen, body.faces, pixels, inverse_depth, at)
     light = np.array([-0.35, -0.55, -0.76]) @ camera.T_cam_world[:3, :3]
-    normals = posed.vertex_normals
-    normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    normals = unit_vertex_normals(posed.vertices, body.faces)
     bright = 0.30 + 0.70 * np.clip(normals @ light, 0.0, 1.0)
     base = np.array(LOST, float) if lost else part_colours(body)[body.face_part[faces_seen]]
     return np.einsum("nk,nk->n", weights, bright[body.faces[faces_seen]])[:, None] * base

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from twistcap import se3
 from twistcap._typing import Float
 from twistcap.body import Body, Pose
-from twistcap.body.kinematics import Posed, skin_points
+from twistcap.body.kinematics import Posed, skin_points, unit_vertex_normals
 from twistcap.body.model import Landmarks
 from twistcap.body.shape import joint_origin, segment_axes
 from twistcap.camera import Camera, Rig
-from twistcap.studio.shade import vertex_normals
 
 GIRTH = 1.04  # factor of the surface's distance from each segment's axis
 BUMPS = 0.004  # m, root mean square of the smooth surface error along the normals
@@ -47,7 +46,7 @@ def bumpy(body: Body, height: float, rng: np.random.Generator, waves: int = 24) 
     phases = rng.uniform(0, 2 * np.pi, waves)
     field = np.sin(body.vertices @ directions.T * (2 * np.pi / BUMP_WAVE) + phases).sum(axis=1)
     field *= height / np.sqrt(np.mean(field**2))
-    normals = vertex_normals(body.vertices, body.faces)
+    normals = unit_vertex_normals(body.vertices, body.faces)
     return replace(body, vertices=body.vertices + np.clip(field, -2 * height, 2 * height)[:, None] * normals)
 
 

@@ -9,10 +9,11 @@ import numpy as np
 
 from twistcap._typing import Float, Float32
 from twistcap.body import Pose, Posed
+from twistcap.body.kinematics import unit_vertex_normals
 from twistcap.camera import Camera
 from twistcap.render.raster import project_pinhole, rasterise
 from twistcap.studio.look import Look
-from twistcap.studio.shade import OCTAVES, shade, vertex_normals
+from twistcap.studio.shade import OCTAVES, shade
 
 SAMPLES = 3  # per pixel and axis
 
@@ -44,7 +45,7 @@ def render_body(posed: Posed, camera: Camera, look: Look) -> Layer:
     size = (int(high[0] - low[0]) * n, int(high[1] - low[1]) * n)
     origin = (int(low[0]) * n, int(low[1]) * n)
     index, _ = rasterise(pixels, inverse_depth, faces, origin, size)
-    normals = vertex_normals(posed.vertices, faces)
+    normals = unit_vertex_normals(posed.vertices, faces)
     surface = (faces, pixels, inverse_depth, posed.body.vertices, normals)
     dress = (look.cover, look.albedo, look.contrast, look.lattice, OCTAVES, look.lights)
     return Layer(int(low[0]), int(low[1]), shade(index, origin, n, *surface, *dress).astype(np.float32))

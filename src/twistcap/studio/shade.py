@@ -13,26 +13,6 @@ OCTAVES = np.array([[0.018, 0.7], [0.034, 0.9], [0.070, 1.0]])  # lattice spacin
 
 
 @njit(cache=True, nogil=True)
-def vertex_normals(vertices: Float, faces: Int) -> Float:
-    """(V, 3) unit normals, the mean of the adjoining triangles weighted by their area."""
-    normals = np.zeros_like(vertices)
-    for f in range(len(faces)):
-        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
-        vx, vy, vz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
-        n0, n1, n2 = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        for i in (a, b, c):
-            normals[i, 0] += n0
-            normals[i, 1] += n1
-            normals[i, 2] += n2
-    for i in range(len(normals)):
-        norm = np.sqrt(normals[i, 0] ** 2 + normals[i, 1] ** 2 + normals[i, 2] ** 2)
-        for c in range(3):
-            normals[i, c] /= max(norm, 1e-12)
-    return normals
-
-
-@njit(cache=True, nogil=True)
 def solid_noise(lattice: Float32, octaves: Float, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Three channels of value noise at a rest-pose point (m); `lattice` is (n³, 3)."""
     n = 1 << LATTICE_BITS

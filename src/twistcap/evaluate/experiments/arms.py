@@ -17,15 +17,14 @@ from twistcap.estimate import Estimate
 from twistcap.evaluate.metrics import Row
 from twistcap.evaluate.parallel import Tell, one_thread_processes
 from twistcap.studio import Capture
-from twistcap.track import Tracker, TrackerConfig
+from twistcap.track import TrackerConfig, track
 
 
 @dataclass(frozen=True)
 class Arm:
-    """One way of tracking. `says` what is special about it, for plot and table."""
+    """One way of tracking."""
 
     name: str
-    says: str
     tracker: TrackerConfig
 
 
@@ -124,9 +123,7 @@ def _traces(experiment: Comparison, seed: int) -> list[Trace]:
     frames = [scene.frame(k) for k in range(scene.config.frames)]
     out: list[Trace] = []
     for arm in experiment.arms:
-        tracker = Tracker(scene.body, scene.rig, arm.tracker)
-        tracker.start(scene.first_pose, frames[0].time)
-        estimates = [tracker.step(frame) for frame in frames]
+        estimates = list(track(frames, scene.body, scene.rig, scene.first_pose, arm.tracker))
         errors = np.array([experiment.error(scene, e) for e in estimates])
         k, camera = experiment.shown
         image = frames[k].images[camera]

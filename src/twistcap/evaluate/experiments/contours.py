@@ -32,7 +32,7 @@ from twistcap.region.models import region_model
 from twistcap.region.segment import Evolution, segment
 from twistcap.render import RenderedView
 from twistcap.studio import Capture, StudioConfig, capture
-from twistcap.track import Tracker, TrackerConfig
+from twistcap.track import TrackerConfig, track
 
 ARM = ("elbow_r", "elbow_l", "wrist_r", "wrist_l")
 COUPLED = TrackerConfig(method="levelset")
@@ -118,9 +118,7 @@ class Run:
 
 def run(scene: Capture, frames: Sequence[Frame], config: TrackerConfig) -> Run:
     """Track a scene's frames from its first pose and hold them against the truth."""
-    tracker = Tracker(scene.body, scene.rig, config)
-    tracker.start(scene.first_pose)
-    poses = [tracker.step(frame).pose for frame in frames]
+    poses = [e.pose for e in track(frames, scene.body, scene.rig, scene.first_pose, config)]
     indices = [frame.index for frame in frames]
     joints = joint_errors_mm(scene, scene.body, poses, indices)
     names = [name for name in metrics.JOINT_CENTRES if name in scene.body.landmarks.names]
@@ -143,27 +141,35 @@ def _silhouette(scene: Capture, pose: Pose, camera: int) -> Bool:
     return metrics.silhouette(view.P, Posed(scene.body, pose).vertices, scene.body.faces, view.size)
 
 
-def coupled_against_two_step(
-    seeds: Sequence[int], progress: Tell | None = None, out: Path | None = None, studio: StudioConfig = COUPLED_SCENE
-) -> list[Row]:
+def both(
+    case: str, seeds: Sequence[int], studio: StudioConfig, arms: Callable[[Capture], Sequence[TrackerConfig]],
+    progress: Tell, out: Path | None,
+) -> tuple[Sequence[Run], ...]:  # fmt: skip
+    """The runs of every arm, one per seed, on the same frames; a picture per seed of the last one, an arm in a row."""
+    runs = list[list[Run]]()
+    for done, seed in enumerate(seeds, 1):
+        scene = capture(replace(studio, seed=seed))
+        frames = list(scene.frames())
+        runs.append([run(scene, frames, config) for config in arms(scene)])
+        if out is not None:
+            save_picture(out / f"{case}-seed-{seed}.png", scene, frames[-1], runs[-1])
+        progress(f"{case}, seed {seed}", done, len(seeds))
+    return tuple(zip(*runs, strict=True))
+
+
+def coupled_against_two_step(seeds: Sequence[int], progress: Tell, out: Path | None = None) -> list[Row]:
     """C-1: the contour held by the body's shape in every frame, and the contour that evolves freely.
 
     Args:
         seeds: of the studio.
         progress: is told each time a seed is done.
         out: folder for a picture per seed: the last frame, coupled above, two-step below.
-        studio: the scene; its seed is replaced.
     """
-    coupled, free = list[Run](), list[Run]()
-    for done, seed in enumerate(seeds, 1):
-        scene = capture(replace(studio, seed=seed))
-        frames = list(scene.frames())
-        coupled.append(run(scene, frames, COUPLED))
-        free.append(run(scene, frames, replace(COUPLED, levelset=FreeContour(rig=scene.rig))))
-        if out is not None:
-            save_picture(out / f"C-1-seed-{seed}.png", scene, frames[-1], [coupled[-1], free[-1]])
-        if progress is not None:
-            progress(f"C-1, seed {seed}", done, len(seeds))
+
+    def arms(scene: Capture) -> Sequence[TrackerConfig]:
+        return COUPLED, replace(COUPLED, levelset=FreeContour(rig=scene.rig))
+
+    coupled, free = both("C-1", seeds, COUPLED_SCENE, arms, progress, out)
     gaps = [float(a.iou.mean() - b.iou.mean()) for a, b in zip(coupled, free, strict=True)]
     worse = [float(b.lost or gap >= 0.1) for b, gap in zip(free, gaps, strict=True)]
     return [
@@ -176,28 +182,18 @@ def coupled_against_two_step(
     ]
 
 
-def local_against_global(
-    seeds: Sequence[int], progress: Tell | None = None, out: Path | None = None, studio: StudioConfig = LOCAL_SCENE,
-    tracker: TrackerConfig = LOCAL,
-) -> list[Row]:  # fmt: skip
+def local_against_global(seeds: Sequence[int], progress: Tell, out: Path | None = None) -> list[Row]:
     """C-2: local Gaussians against one Parzen density of the whole body and one of the whole background.
 
     Args:
         seeds, progress: as above.
         out: folder for a picture per seed: the last frame, local above, global below.
-        studio: the scene; its seed is replaced.
-        tracker: settings of both arms but for the density.
     """
-    local, whole = list[Run](), list[Run]()
-    for done, seed in enumerate(seeds, 1):
-        scene = capture(replace(studio, seed=seed))
-        frames = list(scene.frames())
-        local.append(run(scene, frames, replace(tracker, density="local")))
-        whole.append(run(scene, frames, replace(tracker, density="parzen")))
-        if out is not None:
-            save_picture(out / f"C-2-seed-{seed}.png", scene, frames[-1], [local[-1], whole[-1]])
-        if progress is not None:
-            progress(f"C-2, seed {seed}", done, len(seeds))
+
+    def arms(_: Capture) -> Sequence[TrackerConfig]:
+        return replace(LOCAL, density="local"), replace(LOCAL, density="parzen")
+
+    local, whole = both("C-2", seeds, LOCAL_SCENE, arms, progress, out)
     shares = [a.arms_mm / b.arms_mm for a, b in zip(local, whole, strict=True)]
     ratio = float(np.mean([a.arms_mm for a in local]) / np.mean([b.arms_mm for b in whole]))
     return [
@@ -258,7 +254,7 @@ class Claim:
 
     id: str
     says: str
-    measured: Callable[[Sequence[int], Tell | None, Path | None], list[Row]]
+    measured: Callable[[Sequence[int], Tell, Path | None], list[Row]]
 
     def run(self, seeds: Sequence[int], progress: Tell, out: Path | None = None) -> Findings:
         """The claim's rows; its pictures, one per seed, go into the folder `out`."""

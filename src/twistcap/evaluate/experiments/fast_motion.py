@@ -68,8 +68,8 @@ C3 = Comparison(
     "error of elbow and wrist, mm",
     waving,
     (
-        Arm("hold", "the last pose is expected again", TrackerConfig(predictor="hold", start_by_flow=False)),
-        Arm("flow", "optic flow predicts", TrackerConfig(predictor="flow")),
+        Arm("hold", TrackerConfig(predictor="hold", start_by_flow=False)),
+        Arm("flow", TrackerConfig(predictor="flow")),
     ),
     _error,
     _rows,
