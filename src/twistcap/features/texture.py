@@ -69,8 +69,7 @@ def with_texture(colours: Float32, light: Float32, how: Texture) -> Float32:
     """
     height, width, C = colours.shape
     planes = np.concatenate([
-        _planes(colours, how.resolution),
-        structure_tensor(light, how.resolution, how.strength, how.knee),
+        grid_planes([*cv2.split(colours), *structure_tensor(light, how.strength, how.knee)], how.resolution),
         flow_speed(light, how)[None],
     ])  # fmt: skip
     for _ in range(how.steps):
@@ -100,68 +99,64 @@ def flow_speed(light: Float32, how: Texture) -> Float32:
         after = tv_step(before, how.flow_tau, how.epsilon)
         _add_changes(before[0], after[0], slowest * how.flow_tau, moved, time)
         before = after
-    sigma = how.window / how.resolution
-    sums = (_planes(x[..., None], how.resolution)[0] for x in (moved, time))
+    sums, sigma = grid_planes((moved, time), how.resolution), how.window / how.resolution
     moved, time = (cv2.GaussianBlur(x, (0, 0), sigma, borderType=cv2.BORDER_REFLECT) for x in sums)
     rest = np.float32(1e-3 * how.flow_steps)  # steps of the slowest change that every pixel is granted
     return (moved + rest * np.float32(slowest * how.flow_tau)) / ((time + rest) * np.float32(how.flow_tau))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "arcp"})
 def _add_changes(before: Float32, after: Float32, least: float, moved: Float32, time: Float32) -> None:
     """Add how far each pixel went, and one step where it went more than `least`."""
+    one, zero, enough = np.float32(1.0), np.float32(0.0), np.float32(least)
     for r in range(before.shape[0]):
-        for c in range(before.shape[1]):
-            change = abs(after[r, c] - before[r, c])
-            on = change > np.float32(least)
-            moved[r, c] += change if on else np.float32(0.0)
-            time[r, c] += np.float32(1.0) if on else np.float32(0.0)
+        old, new, way, steps = before[r], after[r], moved[r], time[r]
+        for c in range(len(old)):
+            change = abs(new[c] - old[c])
+            on = one if change > enough else zero
+            way[c] += on * change
+            steps[c] += on
 
 
-@njit(cache=True, nogil=True)
-def _planes(image: Float32, block: int) -> Float32:
-    """(C, h, w) means over blocks of pixels of an image (H, W, C)."""
-    height, width, C = image.shape
-    out = np.empty((C, -(-height // block), -(-width // block)), dtype=np.float32)
-    for r in range(out.shape[1]):
-        for c in range(out.shape[2]):
-            rows, columns = min(block, height - r * block), min(block, width - c * block)
-            for k in range(C):
-                total = np.float32(0.0)
-                for i in range(r * block, r * block + rows):
-                    for j in range(c * block, c * block + columns):
-                        total += image[i, j, k]
-                out[k, r, c] = total / np.float32(rows * columns)
+def grid_planes(channels: Sequence[AnyArray], block: int) -> Float32:
+    """(C, h, w) means over blocks of pixels of channels (H, W); last rows and columns repeat to fill the last block."""
+    height, width = channels[0].shape
+    h, w = -(-height // block), -(-width // block)
+    out = np.empty((len(channels), h, w), dtype=np.float32)
+    for channel, plane in zip(channels, out, strict=True):
+        whole = cv2.copyMakeBorder(channel, 0, h * block - height, 0, w * block - width, cv2.BORDER_REPLICATE)
+        cv2.resize(whole, (w, h), dst=plane, interpolation=cv2.INTER_AREA)
     return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "arcp"})
-def structure_tensor(light: Float32, block: int, strength: float, knee: float) -> Float32:
-    """(3, h, w) J₁₁, J₂₂, J₁₂ of ``strength · ∇I∇Iᵀ / (|∇I| (|∇I| + knee))``, means over blocks of pixels.
+def structure_tensor(light: Float32, strength: float, knee: float) -> Float32:
+    """(3, H, W) J₁₁, J₂₂, J₁₂ of ``strength · ∇I∇Iᵀ / (|∇I| (|∇I| + knee))``.
 
     Gradients are central differences; the image (H, W) is mirrored at its border.
     """
     height, width = light.shape
-    out = np.zeros((3, -(-height // block), -(-width // block)), dtype=np.float32)
-    half, top, bend = np.float32(0.5), np.float32(strength), np.float32(knee)
+    out, x = np.empty((3, height, width), dtype=np.float32), np.empty(width, dtype=np.float32)
+    half, top, bend, tiny = np.float32(0.5), np.float32(strength), np.float32(knee), np.float32(1e-9)
+    near = min(1, width - 1)
     for r in range(height):
-        up, down, i = light[max(r - 1, 0)], light[min(r + 1, height - 1)], r // block
-        rows = min(block, height - i * block)
+        up, here, down = light[max(r - 1, 0)], light[r], light[min(r + 1, height - 1)]
+        for c in range(1, width - 1):
+            x[c] = half * (here[c + 1] - here[c - 1])
+        x[0], x[width - 1] = half * (here[near] - here[0]), half * (here[width - 1] - here[width - 1 - near])
+        xx, yy, xy = out[0, r], out[1, r], out[2, r]
         for c in range(width):
-            j = c // block
-            x = half * (light[r, min(c + 1, width - 1)] - light[r, max(c - 1, 0)])
             y = half * (down[c] - up[c])
-            slope = np.sqrt(x * x + y * y)
-            share = np.float32(rows * min(block, width - j * block))
-            weight = top / ((slope + np.float32(1e-9)) * (slope + bend) * share)
-            out[0, i, j] += weight * x * x
-            out[1, i, j] += weight * y * y
-            out[2, i, j] += weight * x * y
+            slope = np.sqrt(x[c] * x[c] + y * y)
+            weight = top / ((slope + tiny) * (slope + bend))
+            xx[c] = weight * x[c] * x[c]
+            yy[c] = weight * y * y
+            xy[c] = weight * x[c] * y
     return out
 
 
 def structure_tensor_reference(light: Float32, strength: float, knee: float) -> Float:
-    """Readable twin of `structure_tensor` with blocks of one pixel."""
+    """Readable twin of `structure_tensor`."""
     padded = np.pad(light.astype(float), 1, mode="edge")
     x, y = (padded[1:-1, 2:] - padded[1:-1, :-2]) / 2, (padded[2:, 1:-1] - padded[:-2, 1:-1]) / 2
     slope = np.hypot(x, y)
