@@ -130,7 +130,7 @@ def test_speed_is_two_over_the_width_of_a_stripe() -> None:
     """Square stripes: all of them move, alternately up and down, at both their edges."""
     x = np.arange(160)
     light = np.tile(np.where(x // 5 % 2 == 0, 0.3, 0.7), (40, 1)).astype(np.float32)
-    speed = flow_speed(light, Texture(flow_tau=0.01, epsilon=1e-3, resolution=1))
+    speed = flow_speed(light, Texture(flow_time=0.06, epsilon=1e-3, resolution=1))
     assert speed[20, 60:100] == pytest.approx(2.0 / 5.0, rel=0.05)
 
 

@@ -33,8 +33,9 @@ class Texture:
         strength: largest value of the structure tensor's channels: their weight beside grey.
         knee: gradient (brightness/px) at which half the strength is reached; a lone strong edge is no strong texture.
         largest: size (px) of the structures at which the local scale is 1; those of 1 px have 0.
-        flow_steps, flow_tau: steps of TV flow that measure the scale, and their size, brightness · px; a structure of
+        flow_steps, flow_time: steps of TV flow that measure the scale, and their sum, brightness · px; a structure of
             size m and height h has gone after m h / 2.
+        flow_growth: factor from one of these steps to the next: what is fine goes early and needs short steps.
         window: standard deviation (px) over which the flow's changes and their times are summed.
         steps, tau: steps of the joint smoothing, and their size, brightness · px.
         epsilon: gradient (brightness per px of the grid) below which TV flow turns into linear diffusion.
@@ -45,15 +46,25 @@ class Texture:
     strength: float = 0.2
     knee: float = 0.1
     largest: float = 16.0
-    flow_steps: int = 10
-    flow_tau: float = 0.07
+    flow_steps: int = 6
+    flow_time: float = 0.5
+    flow_growth: float = 1.25
     window: float = 4.0
     steps: int = 3
     tau: float = 0.12
     epsilon: float = 0.01
 
     def __post_init__(self) -> None:
-        numbers = (self.resolution, self.strength, self.knee, self.flow_tau, self.window, self.tau, self.epsilon)
+        numbers = (
+            self.resolution,
+            self.strength,
+            self.knee,
+            self.flow_time,
+            self.flow_growth,
+            self.window,
+            self.tau,
+            self.epsilon,
+        )
         if not all(math.isfinite(x) and x > 0 for x in numbers) or self.flow_steps < 1 or self.steps < 0:
             raise InputError("texture: sizes, steps and weights must be positive and finite.")
         if not (math.isfinite(self.largest) and self.largest > 1.0):
@@ -95,27 +106,28 @@ def flow_speed(light: Float32, how: Texture) -> Float32:
     """
     before, slowest = light[None], 2.0 / how.largest
     moved, time = np.zeros_like(light), np.zeros_like(light)
-    for _ in range(how.flow_steps):
-        after = tv_step(before, how.flow_tau, how.epsilon)
-        _add_changes(before[0], after[0], slowest * how.flow_tau, moved, time)
+    growth = how.flow_growth ** np.arange(how.flow_steps)
+    for tau in (how.flow_time / growth.sum() * growth).tolist():
+        after = tv_step(before, tau, how.epsilon)
+        _add_changes(before[0], after[0], tau, slowest, moved, time)
         before = after
     sums, sigma = grid_planes((moved, time), how.resolution), how.window / how.resolution
     moved, time = (cv2.GaussianBlur(x, (0, 0), sigma, borderType=cv2.BORDER_REFLECT) for x in sums)
-    rest = np.float32(1e-3 * how.flow_steps)  # steps of the slowest change that every pixel is granted
-    return (moved + rest * np.float32(slowest * how.flow_tau)) / ((time + rest) * np.float32(how.flow_tau))
+    rest = np.float32(1e-3 * how.flow_time)  # of the slowest change, that every pixel is granted
+    return (moved + rest * np.float32(slowest)) / (time + rest)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "arcp"})
-def _add_changes(before: Float32, after: Float32, least: float, moved: Float32, time: Float32) -> None:
-    """Add how far each pixel went, and one step where it went more than `least`."""
-    one, zero, enough = np.float32(1.0), np.float32(0.0), np.float32(least)
+def _add_changes(before: Float32, after: Float32, tau: float, slowest: float, moved: Float32, time: Float32) -> None:
+    """Add how far each pixel went in a step of `tau`, and how long, where it went faster than `slowest`."""
+    passed, zero, enough = np.float32(tau), np.float32(0.0), np.float32(slowest * tau)
     for r in range(before.shape[0]):
-        old, new, way, steps = before[r], after[r], moved[r], time[r]
+        old, new, way, spent = before[r], after[r], moved[r], time[r]
         for c in range(len(old)):
             change = abs(new[c] - old[c])
-            on = one if change > enough else zero
-            way[c] += on * change
-            steps[c] += on
+            on = change > enough
+            way[c] += change if on else zero
+            spent[c] += passed if on else zero
 
 
 def grid_planes(channels: Sequence[AnyArray], block: int) -> Float32:
