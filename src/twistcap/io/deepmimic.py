@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
+from twistcap import se3
 from twistcap._typing import Float
 from twistcap.errors import InputError
 from twistcap.motion.skeleton import SkeletonMotion
@@ -42,7 +43,7 @@ def read_deepmimic(path: Path | str, skeleton: Path | str | None = None) -> Skel
         if joint["Type"] == "spherical":
             local[:, s] = _of_quaternions(path, values)
         elif joint["Type"] == "revolute":
-            local[:, s] = Rotation.from_euler("z", values[:, 0]).as_matrix()
+            local[:, s] = se3.exp_rotation(values * np.array([0.0, 0.0, 1.0]))
     offsets = np.array([[float(joint[f"Attach{axis}"]) for axis in "XYZ"] for joint in joints])
     step, places, local = _even(path, rows[:-1, 0], rows[:, 1:4], local)
     names, parents = [str(joint["Name"]) for joint in joints], [int(joint["Parent"]) for joint in joints]

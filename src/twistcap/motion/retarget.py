@@ -22,8 +22,8 @@ from twistcap.motion.skeleton import SkeletonMotion
 from twistcap.motion.table import Calibration, SkeletonTable, calibrated, table_for
 
 # How much the directions of a segment's forward, left and up axes count. The long axis is what one sees; a foot's is the
-# first. A hand hangs on few joints, or on none of its own.
-_WEIGHTS = {"foot": (1.0, 0.5, 0.5), "hand": (0.2, 0.1, 0.2)}
+# first. Feet and hands count little: their joints cannot follow every turn, and limbs shall not bend aside for them.
+_WEIGHTS = {"foot": (0.2, 0.1, 0.1), "hand": (0.2, 0.1, 0.2)}
 _USUAL = (0.5, 0.5, 1.0)
 _REST = 1e-3  # pull to zero of what no target determines: a rad of it counts like a milliradian of direction
 _LIMITS = 0.05  # a rad beyond a limit counts like 0.05 rad of direction
@@ -136,7 +136,26 @@ def fitted_angles(body: Body, roots: Float, targets: Targets) -> Float:
     for n, root in enumerate(roots):
         q = _refined(body, Pose(root, q), targets, n)
         out[n] = q
+    for joint in _square_joints(body):
+        out[:, joint] = _nearest_branch(out[:, joint], body.limits[joint])
     return out
+
+
+def _square_joints(body: Body) -> list[list[int]]:
+    """Coordinates of the joints of three axes square to each other, whose rotations have two sets of angles each."""
+    chains = [[int(body.parent[int(body.parent[k])]), int(body.parent[k]), k] for k in range(2, len(body.parent))]
+    chains = [c for c in chains if min(c) >= 0]
+    ends = {int(k) for k in body.segment_joint}
+    whole = [c for c in chains if c[2] in ends and c[0] not in ends and c[1] not in ends]
+    return [c for c in whole if np.allclose(body.twists[c, :3] @ body.twists[c, :3].T, np.eye(3), atol=1e-6)]
+
+
+def _nearest_branch(angles: Float, limits: Float) -> Float:
+    """Of the two sets (N, 3) that are the same rotations, each up to whole turns, the one that keeps the limits best."""
+    flipped = angles * [1.0, -1.0, 1.0] + np.pi
+    both = [a - 2 * np.pi * np.round((a.mean(axis=0) - limits.mean(axis=1)) / (2 * np.pi)) for a in (angles, flipped)]
+    beyond = [np.sum(np.abs(a - np.clip(a, limits[:, 0], limits[:, 1]))) for a in both]
+    return both[int(np.argmin(beyond))]
 
 
 def _swept(body: Body, pose: Pose, targets: Targets) -> Float:
