@@ -71,8 +71,10 @@ def _joints(path: Path) -> list[dict[str, Any]]:
             if joint["Type"] not in _WIDTHS or not 0 <= int(joint["Parent"]) < s:
                 raise InputError(f"{path}: joint {joint['Name']!r} has an unknown type or stands before its parent.")
     except (KeyError, TypeError, ValueError) as error:
-        raise error if isinstance(error, InputError) else InputError(
-            f"{path}: not a DeepMimic skeleton (no Skeleton, Joints)."
+        raise (
+            error
+            if isinstance(error, InputError)
+            else InputError(f"{path}: not a DeepMimic skeleton (no Skeleton, Joints).")
         ) from error
     return joints
 

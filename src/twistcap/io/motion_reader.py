@@ -59,7 +59,8 @@ def read_motion(
     else:
         motion = without_rest_frame(read_skeleton(path, skeleton))
         known = read_table(table) if isinstance(table, (str, Path)) else table
-        clip = retarget(motion, body, known, scale)
+        motion = motion if rate is None else motion.resampled(rate)  # rotations on geodesics, before they become angles
+        return retarget(motion, body, known, scale)
     return clip if rate is None or rate == clip.rate else clip.resampled(rate)
 
 

@@ -1,7 +1,7 @@
 """Motion as data: clips in a body's coordinates, skeletons of motion files, retargeting between them."""
 
 from twistcap.motion.clip import MotionClip
-from twistcap.motion.retarget import retarget
+from twistcap.motion.retargeting import retarget
 from twistcap.motion.skeleton import SkeletonMotion, skeleton_of
 from twistcap.motion.table import SkeletonTable, body_table, read_table, table_for
 

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from twistcap import se3
 from twistcap._typing import Float, Int
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.shape import joint_origin
@@ -61,6 +62,23 @@ class SkeletonMotion:
 
     def __getitem__(self, frames: slice) -> SkeletonMotion:
         return replace(self, rotations=self.rotations[frames], positions=self.positions[frames])
+
+    def resampled(self, rate: float) -> SkeletonMotion:
+        """The same motion at another rate: rotations along geodesics, positions linear.
+
+        Raises:
+            InputError: for a rate that is not positive.
+        """
+        if not (np.isfinite(rate) and rate > 0):
+            raise InputError(f"motion {self.name!r}: the new rate is {rate}; it must be positive.")
+        last = len(self) - 1
+        at = np.arange(int(np.floor(last * rate / self.rate + 1e-6)) + 1) * self.rate / rate
+        low = np.minimum(at.astype(int), max(last - 1, 0))
+        high, share = np.minimum(low + 1, last), np.clip(at - low, 0.0, 1.0)[:, None, None]
+        R = self.rotations[low]
+        step = se3.log_rotation(np.swapaxes(R, 2, 3) @ self.rotations[high])
+        positions = (1 - share) * self.positions[low] + share * self.positions[high]
+        return replace(self, rotations=R @ se3.exp_rotation(share * step), positions=positions, rate=rate)
 
     def rest_positions(self) -> Float:
         """(S, 3) joints in the rest pose, m."""

@@ -17,6 +17,7 @@ from twistcap._typing import Float, Int
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.shape import joint_origin
 from twistcap.errors import InputError
+from twistcap.motion.branches import within_limits
 from twistcap.motion.clip import MotionClip
 from twistcap.motion.skeleton import SkeletonMotion
 from twistcap.motion.table import Calibration, SkeletonTable, calibrated, table_for
@@ -26,8 +27,8 @@ from twistcap.motion.table import Calibration, SkeletonTable, calibrated, table_
 _WEIGHTS = {"foot": (0.2, 0.1, 0.1), "hand": (0.2, 0.1, 0.2)}
 _USUAL = (0.5, 0.5, 1.0)
 _REST = 1e-3  # pull to zero of what no target determines: a rad of it counts like a milliradian of direction
-_LIMITS = 0.05  # a rad beyond a limit counts like 0.05 rad of direction
-_SWEEPS, _STEPS, _TOLERANCE = 40, 30, 1e-7
+_LIMITS = 0.15  # a rad beyond a limit counts like 0.15 rad of direction
+_SWEEPS, _STEPS, _TOLERANCE = 40, 30, 1e-6
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,9 @@ def retarget(
     hips = [motion.positions[:, known.joints[f"femur_{side}"]] for side in "rl"]
     place = factor * 0.5 * (hips[0] + hips[1]) @ turned.T
     roots = se3.transform(pelvis, place - pelvis @ _mid_hip(body))
-    return MotionClip(motion.name, body.coordinate_names, motion.rate, roots, fitted_angles(body, roots, targets))
+    return MotionClip(
+        motion.name, body.coordinate_names, motion.rate, roots, fitted_angles(body, roots, targets, motion.rate)
+    )
 
 
 def leg_length(body: Body) -> float:
@@ -123,39 +126,23 @@ def _targets(motion: SkeletonMotion, body: Body, known: Calibration, turned: Flo
     return Targets(segments, np.stack(rotations, axis=1), np.array(weights))
 
 
-def fitted_angles(body: Body, roots: Float, targets: Targets) -> Float:
+def fitted_angles(body: Body, roots: Float, targets: Targets, rate: float) -> Float:
     """(N, J) coordinates whose segments come nearest to their targets, each frame followed from the one before.
 
     Args:
         body: with J coordinates.
         roots: (N, 4, 4) root motions.
         targets: in the world.
+        rate: frames per second.
     """
     out = np.zeros((len(roots), len(body.coordinate_names)))
     q = _swept(body, Pose(roots[0], out[0]), targets)
     for n, root in enumerate(roots):
-        q = _refined(body, Pose(root, q), targets, n)
-        out[n] = q
-    for joint in _square_joints(body):
-        out[:, joint] = _nearest_branch(out[:, joint], body.limits[joint])
+        q = out[n] = _refined(body, Pose(root, q), targets, n, limits=0.0)
+    out, bridged = within_limits(body, out, rate)
+    for n in np.flatnonzero(~bridged):
+        out[n] = _refined(body, Pose(roots[n], out[n]), targets, int(n), _LIMITS)
     return out
-
-
-def _square_joints(body: Body) -> list[list[int]]:
-    """Coordinates of the joints of three axes square to each other, whose rotations have two sets of angles each."""
-    chains = [[int(body.parent[int(body.parent[k])]), int(body.parent[k]), k] for k in range(2, len(body.parent))]
-    chains = [c for c in chains if min(c) >= 0]
-    ends = {int(k) for k in body.segment_joint}
-    whole = [c for c in chains if c[2] in ends and c[0] not in ends and c[1] not in ends]
-    return [c for c in whole if np.allclose(body.twists[c, :3] @ body.twists[c, :3].T, np.eye(3), atol=1e-6)]
-
-
-def _nearest_branch(angles: Float, limits: Float) -> Float:
-    """Of the two sets (N, 3) that are the same rotations, each up to whole turns, the one that keeps the limits best."""
-    flipped = angles * [1.0, -1.0, 1.0] + np.pi
-    both = [a - 2 * np.pi * np.round((a.mean(axis=0) - limits.mean(axis=1)) / (2 * np.pi)) for a in (angles, flipped)]
-    beyond = [np.sum(np.abs(a - np.clip(a, limits[:, 0], limits[:, 1]))) for a in both]
-    return both[int(np.argmin(beyond))]
 
 
 def _swept(body: Body, pose: Pose, targets: Targets) -> Float:
@@ -179,13 +166,13 @@ def _swept(body: Body, pose: Pose, targets: Targets) -> Float:
     return q - 2 * np.pi * np.round((q - body.limits.mean(axis=1)) / (2 * np.pi))
 
 
-def _refined(body: Body, pose: Pose, targets: Targets, n: int) -> Float:
+def _refined(body: Body, pose: Pose, targets: Targets, n: int, limits: float) -> Float:
     """Levenberg-Marquardt on the differences of directions, with weak pulls to zero and into the limits."""
-    q, damping = pose.q, 1e-4
-    value, gradient, curvature = _normal_equations(body, pose, targets, n)
+    q, damping = pose.q, 1e-6
+    value, gradient, curvature = _normal_equations(body, pose, targets, n, limits)
     for _ in range(_STEPS):
         step = -np.linalg.solve(curvature + damping * np.eye(len(q)), gradient)
-        tried = _normal_equations(body, Pose(pose.root, q + step), targets, n)
+        tried = _normal_equations(body, Pose(pose.root, q + step), targets, n, limits)
         if tried[0] > value:
             damping = 10.0 * damping
         else:
@@ -195,17 +182,21 @@ def _refined(body: Body, pose: Pose, targets: Targets, n: int) -> Float:
     return q
 
 
-def _normal_equations(body: Body, pose: Pose, targets: Targets, n: int) -> tuple[float, Float, Float]:
-    """Half the sum of squares, its gradient (J,) and its Gauss-Newton curvature (J, J)."""
+def _normal_equations(body: Body, pose: Pose, targets: Targets, n: int, limits: float) -> tuple[float, Float, Float]:
+    """Half the sum of squares, its gradient (J,) and its Gauss-Newton curvature (J, J).
+
+    For the direction h of an axis, the one t it shall have and a coordinate that turns about ω: the derivative of h is
+    ω × h, so that the gradient is ω·(t × h), and for two of them the curvature is ω·(I − h hᵀ) ω'.
+    """
     posed = Posed(body, pose)
-    have = posed.segment_transforms[targets.segments, :3, :3]  # columns are the axes
-    weights = np.repeat(targets.weights[:, None, :], 3, axis=1)
-    r = (weights * (have - targets.rotations[n])).reshape(-1)
-    by_turn = se3.hat(posed.world_twists[:, :3])  # (J, 3, 3)
-    moved = weights[..., None] * np.einsum("kij,mja->miak", by_turn, have) * body.chain[targets.segments][:, None, None]
-    J = moved.reshape(len(r), -1)
-    q, limits = pose.q, body.limits
-    outside = _LIMITS * (q - np.clip(q, limits[:, 0], limits[:, 1]))
-    value = 0.5 * float(r @ r + outside @ outside + _REST**2 * (q @ q))
-    gradient = J.T @ r + _LIMITS * outside + _REST**2 * q
-    return value, gradient, J.T @ J + np.diag(_LIMITS**2 * (outside != 0) + _REST**2)
+    have, want = posed.segment_transforms[targets.segments, :3, :3], targets.rotations[n]  # columns are the axes
+    w2 = targets.weights[:, None, :] ** 2
+    by_turn = np.sum(w2 * np.cross(want, have, axis=1), axis=2)
+    spread = np.sum(w2, axis=2)[..., None] * np.eye(3) - (w2 * have) @ np.swapaxes(have, 1, 2)
+    turns = body.chain[targets.segments][..., None] * posed.world_twists[:, :3]  # (M, J, 3)
+    flat = np.swapaxes(turns, 1, 2).reshape(-1, turns.shape[1])
+    H = np.swapaxes(turns @ spread, 1, 2).reshape(flat.shape).T @ flat
+    beyond = pose.q - np.clip(pose.q, body.limits[:, 0], body.limits[:, 1])
+    value = 0.5 * float(np.sum(w2 * (have - want) ** 2) + limits**2 * beyond @ beyond + _REST**2 * pose.q @ pose.q)
+    gradient = flat.T @ by_turn.reshape(-1) + limits**2 * beyond + _REST**2 * pose.q
+    return value, gradient, H + np.diag(limits**2 * (beyond != 0) + _REST**2)
