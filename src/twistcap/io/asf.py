@@ -1,8 +1,8 @@
 """Acclaim ASF skeletons and AMC motions in.
 
-No maintained library reads them, so this does: after Lander, "Working with Motion Capture File Formats" (Game Developer,
-1998) and the CMU graphics lab's files. A bone's rotation in the world turns from its rest direction by C M C⁻¹, with C the bone's
-`axis` and M the product of its degrees of freedom.
+No maintained library reads them, so this does, after Lander, "Working with Motion Capture File Formats" (Game
+Developer, January 1998), and the files of the CMU graphics lab. A bone turns from its rest direction by C M C⁻¹ in the
+one above, with C from the bone's `axis` and M the product of its degrees of freedom.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""DeepMimic's motions in: JSON of Peng et al. (2018), DOI 10.1145/3197517.3201311, with the skeleton `humanoid3d.txt`."""
+"""DeepMimic's motions in: JSON of Peng et al. 2018 (DOI 10.1145/3197517.3201311) and its skeleton `humanoid3d.txt`."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ _WIDTHS = {"spherical": 4, "revolute": 1, "fixed": 0}
 def read_deepmimic(path: Path | str, skeleton: Path | str | None = None) -> SkeletonMotion:
     """The motion of a DeepMimic clip.
 
-    A frame is: its duration s, root position m, then quaternions (w x y z) of the root and the spherical joints, and angles
-    rad of the revolute ones, which turn about z. Frames of unequal duration are brought to their median by slerp.
+    A frame is: its duration s, root position m, then quaternions (w x y z) of the root and the spherical joints, and
+    angles rad of the revolute ones, which turn about z. Unequal durations are brought to their median by slerp.
 
     Args:
         path: the clip.

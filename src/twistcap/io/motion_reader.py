@@ -35,9 +35,9 @@ def read_motion(
 ) -> MotionClip:
     """The motion of a file in a body's coordinates, z up.
 
-    BVH, AMC and DeepMimic's JSON are retargeted (`motion.retarget`), after a rest pose that stands as first frame has been cut. MOT, STO
-    and our results hold coordinates already, which pass as they are wherever the body has them; of a result the longest
-    stretch that was not lost is taken.
+    BVH, AMC and DeepMimic's JSON are retargeted (`motion.retarget`); a rest pose that stands as first frame is cut.
+    MOT, STO and our results hold coordinates already, which pass as they are if the body has them; of a result the
+    longest stretch that was not lost is taken.
 
     Args:
         path: .bvh, .amc, .txt or .json (DeepMimic), .mot, .sto, .h5.
@@ -49,7 +49,7 @@ def read_motion(
         axes: how the world of a MOT is turned about the vertical, see `io.markers`.
 
     Raises:
-        InputError: if the file is missing, broken, of an unknown kind or skeleton, or holds numbers that are not finite.
+        InputError: if the file is missing, broken, of an unknown kind or skeleton, or a number is not finite.
     """
     path = Path(path)
     kind = path.suffix.lower()
@@ -130,7 +130,7 @@ def _even_rate(path: Path, times: Float) -> float:
 
 def _carried(source: Body, clip: MotionClip, body: Body, scale: float | None) -> MotionClip:
     """Coordinates as they are where the body has all that move, about the same axes; else by retargeting."""
-    moving = [k for k in range(len(clip.names)) if np.any(clip.q[:, k])]
+    moving = [k for k in range(len(clip.names)) if np.any(clip.q[:, k]) and _concerns(source, k, body)]
     same = all(
         clip.names[k] in body.coordinate_names
         and np.allclose(source.twists[k, :3], body.twists[body.coordinate(clip.names[k]), :3], atol=1e-6)
@@ -143,3 +143,9 @@ def _carried(source: Body, clip: MotionClip, body: Body, scale: float | None) ->
     for k in moving:
         q[:, body.coordinate(clip.names[k])] = clip.q[:, k]
     return MotionClip(clip.name, body.coordinate_names, clip.rate, clip.roots, q)
+
+
+def _concerns(source: Body, coordinate: int, body: Body) -> bool:
+    """Whether a coordinate moves a segment that the body has too."""
+    moved = np.flatnonzero(source.chain[:, coordinate])
+    return any(source.segment_names[s] in body.segment_names for s in moved)

@@ -1,9 +1,9 @@
 """Which of their two sets of angles the joints of three axes take.
 
-A rotation by (a, b, c) about three axes square to each other is also one by (a + π, π − b, c + π). Followed over time, a
-shoulder that swings about its middle axis' poles (b = ±π/2; arms straight forward) winds from one set into the other and leaves its limits
-for good. Where that would happen, the angles cross to the other set in a short bridge: at the pole, where this turns
-the limb least.
+A rotation by (a, b, c) about three axes square to each other is also one by (a + π, π − b, c + π). Followed over time,
+a shoulder that swings around a pole of its middle axis (b = ±π/2: arms straight forward) winds from one set into the
+other, and leaves its limits for good. Where that would happen, the angles cross to the other set on a short bridge,
+near the pole, where this turns the limb least.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def _cheapest(sets: Float, limits: Float) -> Int:
 
 
 def _bridge(q: Float, joint: Sequence[int], n: int, half: int) -> Bool:
-    """Smooth the step between frames n and n + 1 over `half` frames to both sides, in place; (N,) the frames changed."""
+    """Smooth the step after frame n over `half` frames to both sides, in place; (N,) which frames it changed."""
     first, last = max(n - half + 1, 0), min(n + half, len(q) - 1)
     share = np.linspace(0.0, 1.0, last - first + 1)[:, None]
     share = share * share * (3.0 - 2.0 * share)

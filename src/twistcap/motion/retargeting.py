@@ -1,19 +1,20 @@
 """From a skeleton's motion to the coordinates of a body, by the anatomical frames of the segments.
 
-In every frame each segment of the source has an orientation in the world: that of its anatomical axes (`motion.table`). The
-body's coordinates are those whose segments come nearest to these orientations in the sense of least squares; the pelvis
-takes its orientation exactly. Joints with fewer axes than the source's, or with oblique ones, find the best compromise,
-and a long axis counts more than the turn about it.
+In every frame each segment of the source has an orientation in the world: that of its anatomical axes (`motion.table`).
+The body's coordinates are those whose segments come nearest to these orientations in the sense of least squares; the
+pelvis takes its orientation exactly. Joints with fewer axes than the source's, or with oblique ones, find the
+best compromise, and a long axis counts more than the turn about it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 
 from twistcap import se3
-from twistcap._typing import Float, Int
+from twistcap._typing import Bool, Float, Int
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.shape import joint_origin
 from twistcap.errors import InputError
@@ -22,8 +23,8 @@ from twistcap.motion.clip import MotionClip
 from twistcap.motion.skeleton import SkeletonMotion
 from twistcap.motion.table import Calibration, SkeletonTable, calibrated, table_for
 
-# How much the directions of a segment's forward, left and up axes count. The long axis is what one sees; a foot's is the
-# first. Feet and hands count little: their joints cannot follow every turn, and limbs shall not bend aside for them.
+# How much the directions of a segment's forward, left and up axes count. The long axis is what one sees, a foot's is
+# the first. Feet and hands count little: their joints cannot follow every turn, and limbs shall not bend for them.
 _WEIGHTS = {"foot": (0.2, 0.1, 0.1), "hand": (0.2, 0.1, 0.2)}
 _USUAL = (0.5, 0.5, 1.0)
 _REST = 1e-3  # pull to zero of what no target determines: a rad of it counts like a milliradian of direction
@@ -55,7 +56,7 @@ def retarget(
         motion: of a skeleton.
         body: with our segment names (`motion.table.SEGMENTS`).
         table: of the skeleton; None takes the shipped one that fits.
-        scale: of the root's path; None takes the ratio of the lengths of the legs, so that feet neither slide nor float.
+        scale: of the root's path; None takes the ratio of the lengths of the legs, so that feet do not slide.
 
     Raises:
         InputError: for a skeleton that no shipped table fits or that lacks a joint of the table, or a body without our
@@ -92,7 +93,7 @@ def _source_leg(motion: SkeletonMotion, known: Calibration) -> float:
 
 
 def _path(points: list[Float]) -> float:
-    return float(sum(np.linalg.norm(b - a) for a, b in zip(points, points[1:], strict=False)))
+    return float(np.sum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
 
 
 def _origin(body: Body, segment: str) -> Float:
@@ -169,10 +170,10 @@ def _swept(body: Body, pose: Pose, targets: Targets) -> Float:
 def _refined(body: Body, pose: Pose, targets: Targets, n: int, limits: float) -> Float:
     """Levenberg-Marquardt on the differences of directions, with weak pulls to zero and into the limits."""
     q, damping = pose.q, 1e-6
-    value, gradient, curvature = _normal_equations(body, pose, targets, n, limits)
+    value, gradient, curvature = _equations(body, pose, targets, n, limits)
     for _ in range(_STEPS):
         step = -np.linalg.solve(curvature + damping * np.eye(len(q)), gradient)
-        tried = _normal_equations(body, Pose(pose.root, q + step), targets, n, limits)
+        tried = _equations(body, Pose(pose.root, q + step), targets, n, limits)
         if tried[0] > value:
             damping = 10.0 * damping
         else:
@@ -182,21 +183,78 @@ def _refined(body: Body, pose: Pose, targets: Targets, n: int, limits: float) ->
     return q
 
 
-def _normal_equations(body: Body, pose: Pose, targets: Targets, n: int, limits: float) -> tuple[float, Float, Float]:
-    """Half the sum of squares, its gradient (J,) and its Gauss-Newton curvature (J, J).
-
-    For the direction h of an axis, the one t it shall have and a coordinate that turns about ω: the derivative of h is
-    ω × h, so that the gradient is ω·(t × h), and for two of them the curvature is ω·(I − h hᵀ) ω'.
-    """
+def _equations(body: Body, pose: Pose, targets: Targets, n: int, limits: float) -> tuple[float, Float, Float]:
+    """Half the sum of squares, its gradient (J,) and its Gauss-Newton curvature (J, J)."""
     posed = Posed(body, pose)
-    have, want = posed.segment_transforms[targets.segments, :3, :3], targets.rotations[n]  # columns are the axes
-    w2 = targets.weights[:, None, :] ** 2
+    have = posed.segment_transforms[targets.segments, :3, :3]
+    moves = body.chain[targets.segments]
+    value, gradient, H = direction_sums(have, targets.rotations[n], targets.weights**2, moves, posed.world_twists)
+    beyond = pose.q - np.clip(pose.q, body.limits[:, 0], body.limits[:, 1])
+    value += 0.5 * float(limits**2 * beyond @ beyond + _REST**2 * pose.q @ pose.q)
+    gradient += limits**2 * beyond + _REST**2 * pose.q
+    return value, gradient, H + np.diag(limits**2 * (beyond != 0) + _REST**2)
+
+
+@njit(cache=True, nogil=True)
+def direction_sums(have: Float, want: Float, squares: Float, moves: Bool, twists: Float) -> tuple[float, Float, Float]:
+    """Normal equations of ``½ Σ w² |h − t|²`` over the axes of M segments; see `direction_sums_reference`."""
+    M, J = moves.shape
+    value, gradient, H = 0.0, np.zeros(J), np.zeros((J, J))
+    turn, spread, carried = np.zeros(3), np.zeros((3, 3)), np.zeros(3)
+    for m in range(M):
+        turn[:] = 0.0
+        spread[:] = 0.0
+        for a in range(3):
+            w, h, t = squares[m, a], have[m, :, a], want[m, :, a]
+            for i in range(3):
+                j, k = (i + 1) % 3, (i + 2) % 3
+                value += 0.5 * w * (h[i] - t[i]) ** 2
+                turn[i] += w * (t[j] * h[k] - t[k] * h[j])
+                spread[i, i] += w
+                for j in range(3):
+                    spread[i, j] -= w * h[i] * h[j]
+        for k in range(J):
+            if not moves[m, k]:
+                continue
+            for i in range(3):
+                gradient[k] += twists[k, i] * turn[i]
+                carried[i] = spread[i, 0] * twists[k, 0] + spread[i, 1] * twists[k, 1] + spread[i, 2] * twists[k, 2]
+            for l in range(J):
+                if moves[m, l]:
+                    H[k, l] += carried[0] * twists[l, 0] + carried[1] * twists[l, 1] + carried[2] * twists[l, 2]
+    return value, gradient, H
+
+
+def direction_sums_reference(
+    have: Float, want: Float, squares: Float, moves: Bool, twists: Float
+) -> tuple[float, Float, Float]:
+    """Readable twin of `direction_sums`.
+
+    For the direction h of an axis, the one t it shall have and a coordinate that turns about ω, the derivative of h is
+    ω × h: the gradient of ``½ w² |h − t|²`` is ``w² ω·(t × h)``, and the curvature of two coordinates
+    ``w² ω·(I − h hᵀ) ω'``.
+
+    Args:
+        have, want: (M, 3, 3) rotations, whose columns are the axes.
+        squares: (M, 3) their w².
+        moves: (M, J) whether a coordinate moves a segment.
+        twists: (J, 6) world twists.
+    """
+    w2 = squares[:, None, :]
     by_turn = np.sum(w2 * np.cross(want, have, axis=1), axis=2)
     spread = np.sum(w2, axis=2)[..., None] * np.eye(3) - (w2 * have) @ np.swapaxes(have, 1, 2)
-    turns = body.chain[targets.segments][..., None] * posed.world_twists[:, :3]  # (M, J, 3)
-    flat = np.swapaxes(turns, 1, 2).reshape(-1, turns.shape[1])
-    H = np.swapaxes(turns @ spread, 1, 2).reshape(flat.shape).T @ flat
-    beyond = pose.q - np.clip(pose.q, body.limits[:, 0], body.limits[:, 1])
-    value = 0.5 * float(np.sum(w2 * (have - want) ** 2) + limits**2 * beyond @ beyond + _REST**2 * pose.q @ pose.q)
-    gradient = flat.T @ by_turn.reshape(-1) + limits**2 * beyond + _REST**2 * pose.q
-    return value, gradient, H + np.diag(limits**2 * (beyond != 0) + _REST**2)
+    turns = moves[..., None] * twists[:, :3]  # (M, J, 3)
+    gradient = np.einsum("mji,mi->j", turns, by_turn)
+    return 0.5 * float(np.sum(w2 * (have - want) ** 2)), gradient, np.sum(turns @ spread @ turns.mT, axis=0)
+
+
+def grounded(clip: MotionClip, body: Body) -> MotionClip:
+    """The clip moved up or down as a whole, so that the surface touches the floor z = 0 (its 5 % lowest frames do).
+
+    A body's feet are not as thick as the source's, so that after retargeting they may stand a little too high or low.
+    """
+    every = max(1, len(clip) // 60)
+    lowest = [Posed(body, pose).vertices[:, 2].min() for pose in clip.poses()[::every]]
+    roots = clip.roots.copy()
+    roots[:, 2, 3] -= np.percentile(lowest, 5)
+    return replace(clip, roots=roots)

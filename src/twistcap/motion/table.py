@@ -6,9 +6,9 @@
     femur_r = { joint = ["RightUpLeg", "RightHip"], forward = [0, 0, 1], down = "tibia_r" }
     tibia_r = { joint = "RightLeg", forward = [0, 0, 1], down = "foot_r" }
 
-- Keys under `segments` are the segments of the built-in humanoid: pelvis, torso, thorax, head, and with _r and _l clavicle,
-  humerus, ulna, radius, hand, femur, tibia, foot. `pelvis`, both femurs and both tibias must be there. A body without a
-  thorax takes the `thorax` row for its torso.
+- Keys under `segments` are the segments of the built-in humanoid: pelvis, torso, thorax, head, and with _r and _l
+  clavicle, humerus, ulna, radius, hand, femur, tibia, foot. `pelvis`, both femurs and both tibias must be
+  there. A body without a thorax takes the `thorax` row for its torso.
 - `joint` is the one that the segment turns with; of several names the first that the skeleton has is taken.
 - Axes are those of the segment's anatomy, written down as they point in the skeleton's rest pose, in the file's axes:
   `up` is where its upper end lies when the person stands with hanging arms, `down` its opposite; either is a vector, or
@@ -32,11 +32,8 @@ from twistcap._typing import Float
 from twistcap.errors import InputError
 from twistcap.motion.skeleton import SkeletonMotion
 
-SEGMENTS = ("pelvis", "torso", "thorax", "head") + tuple(
-    f"{part}_{side}"
-    for part in ("clavicle", "humerus", "ulna", "radius", "hand", "femur", "tibia", "foot")
-    for side in "rl"
-)
+_SIDED = ("clavicle", "humerus", "ulna", "radius", "hand", "femur", "tibia", "foot")
+SEGMENTS = ("pelvis", "torso", "thorax", "head", *(f"{part}_{side}" for part in _SIDED for side in "rl"))
 REQUIRED = ("pelvis", "femur_r", "femur_l", "tibia_r", "tibia_l")
 Vector = tuple[float, float, float]
 
@@ -92,8 +89,8 @@ class SkeletonTable(BaseModel):
 class Calibration:
     """The segments of ours that a skeleton has.
 
-    `joints` by name are indices into the skeleton's; `axes` by name are (3, 3), whose columns are the segment's forward,
-    left and up in the skeleton's rest pose.
+    `joints` by name are indices into the skeleton's; `axes` by name are (3, 3), whose columns are the segment's
+    forward, left and up in the skeleton's rest pose.
     """
 
     joints: Mapping[str, int]
