@@ -27,7 +27,7 @@ from twistcap.motion.table import Calibration, SkeletonTable, calibrated, table_
 # the first. Feet and hands count little: their joints cannot follow every turn, and limbs shall not bend for them.
 _WEIGHTS = {"foot": (0.2, 0.1, 0.1), "hand": (0.2, 0.1, 0.2)}
 _USUAL = (0.5, 0.5, 1.0)
-_REST = 1e-3  # pull to zero of what no target determines: a rad of it counts like a milliradian of direction
+_REST = 1e-4  # pull to zero of what no target determines: a rad of it counts like 0.1 mrad of direction
 _LIMITS = 0.15  # a rad beyond a limit counts like 0.15 rad of direction
 _SWEEPS, _STEPS, _TOLERANCE = 40, 30, 1e-6
 
@@ -63,13 +63,13 @@ def retarget(
             segments.
     """
     known = calibrated(motion, table or table_for(motion))
-    turned = _world_turn(motion, known)
+    turned, mid_hip = _world_turn(motion, known), _mid_hip(body)
     targets = _targets(motion, body, known, turned)
     pelvis = turned @ motion.rotations[:, known.joints["pelvis"]] @ known.axes["pelvis"]
     factor = leg_length(body) / _source_leg(motion, known) if scale is None else scale
     hips = [motion.positions[:, known.joints[f"femur_{side}"]] for side in "rl"]
     place = factor * 0.5 * (hips[0] + hips[1]) @ turned.T
-    roots = se3.transform(pelvis, place - pelvis @ _mid_hip(body))
+    roots = se3.transform(pelvis, place - pelvis @ mid_hip)
     return MotionClip(
         motion.name, body.coordinate_names, motion.rate, roots, fitted_angles(body, roots, targets, motion.rate)
     )
