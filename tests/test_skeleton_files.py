@@ -15,7 +15,7 @@ from twistcap.errors import InputError
 from twistcap.io.asf import read_amc, read_asf
 from twistcap.io.bvh_read import read_bvh
 from twistcap.io.deepmimic import read_deepmimic
-from twistcap.io.motion_reader import read_skeleton, without_rest_frame
+from twistcap.io.motions import read_skeleton, without_rest_frame
 from twistcap.motion import SkeletonMotion, table_for
 
 ASF = """:version 1.10

@@ -1,4 +1,4 @@
-"""`read_motion`: any motion file as a clip in a body's coordinates."""
+"""`read_motion` and `write_motion`: any motion file as a clip in a body's coordinates."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from twistcap.io.asf import AMC_RATE, read_amc
 from twistcap.io.bvh_read import read_bvh
 from twistcap.io.deepmimic import read_deepmimic
 from twistcap.io.markers import WorldAxes, frame_rate
-from twistcap.io.motion_files import poses_from_mot, read_mot
+from twistcap.io.motion_files import poses_from_mot, read_mot, write_bvh, write_mot
 from twistcap.io.result import read_result
 from twistcap.motion import MotionClip, SkeletonMotion, SkeletonTable, body_table, read_table, retarget, skeleton_of
 
@@ -62,6 +62,30 @@ def read_motion(
         motion = motion if rate is None else motion.resampled(rate)  # rotations on geodesics, before they become angles
         return retarget(motion, body, known, scale)
     return clip if rate is None or rate == clip.rate else clip.resampled(rate)
+
+
+def write_motion(path: Path | str, body: Body, clip: MotionClip, axes: WorldAxes = "opensim") -> None:
+    """A clip as MOT, STO or BVH, by the file's ending; lengths in m.
+
+    Args:
+        path: .mot, .sto or .bvh.
+        body: whose coordinates the clip has.
+        clip: the motion.
+        axes: how the world of a MOT is turned about the vertical, see `io.markers`.
+
+    Raises:
+        InputError: for another ending, a clip of other coordinates, or if the file cannot be written.
+    """
+    path = Path(path)
+    if clip.names != body.coordinate_names:
+        raise InputError(f"motion {clip.name!r}: its coordinates are not those of body {body.name!r}.")
+    kind = path.suffix.lower()
+    if kind in (".mot", ".sto"):
+        write_mot(path, body, np.arange(len(clip)) / clip.rate, clip.poses(), axes)
+    elif kind == ".bvh":
+        write_bvh(path, body, clip.poses(), clip.rate)
+    else:
+        raise InputError(f"motion {path} has an unknown ending; motions are written as .mot, .sto or .bvh.")
 
 
 def read_skeleton(path: Path | str, skeleton: Path | str | None = None, rate: float = AMC_RATE) -> SkeletonMotion:
