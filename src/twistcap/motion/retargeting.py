@@ -29,7 +29,8 @@ _WEIGHTS = {"foot": (0.2, 0.1, 0.1), "hand": (0.2, 0.1, 0.2)}
 _USUAL = (0.5, 0.5, 1.0)
 _REST = 1e-4  # pull to zero of what no target determines: a rad of it counts like 0.1 mrad of direction
 _LIMITS = 0.15  # a rad beyond a limit counts like 0.15 rad of direction
-_SWEEPS, _STEPS, _TOLERANCE = 40, 30, 1e-6
+_SWEEPS, _NEAR = 40, 0.02  # and the rad by which the last of them may still turn a joint
+_STEPS, _TOLERANCE = 30, 1e-6
 
 
 @dataclass(frozen=True)
@@ -154,16 +155,17 @@ def _swept(body: Body, pose: Pose, targets: Targets) -> Float:
     moves, q = body.chain[targets.segments], pose.q.copy()
     want = np.swapaxes(targets.rotations[0], 1, 2) * targets.weights[:, :, None] ** 2  # (M, axis, xyz)
     for _ in range(_SWEEPS):
+        last = q.copy()
         for k in range(len(q)):
             posed = Posed(body, Pose(pose.root, q))
-            R = posed.segment_transforms[targets.segments, :3, :3]
-            w, m = posed.world_twists[k, :3], moves[:, k]
-            have = np.swapaxes(R, 1, 2)[m]
-            along = have @ w
-            a = np.sum(want[m] * (have - along[..., None] * w))
-            b = np.sum(want[m] * np.cross(w, have))
+            have = np.swapaxes(posed.segment_transforms[targets.segments, :3, :3], 1, 2)[moves[:, k]]
+            w, aim = posed.world_twists[k, :3], want[moves[:, k]]
+            a = np.sum(aim * (have - (have @ w)[..., None] * w))
+            b = np.sum(aim * np.cross(w, have))
             if np.hypot(a, b) > 1e-9:
                 q[k] += np.arctan2(b, a)
+        if np.abs(q - last).max() < _NEAR:
+            break
     return q - 2 * np.pi * np.round((q - body.limits.mean(axis=1)) / (2 * np.pi))
 
 
