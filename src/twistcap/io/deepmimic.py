@@ -1,0 +1,118 @@
+"""DeepMimic's motions in: JSON of Peng et al. 2018 (DOI 10.1145/3197517.3201311) and its skeleton `humanoid3d.txt`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from twistcap import se3
+from twistcap._typing import Float
+from twistcap.errors import InputError
+from twistcap.motion.skeleton import SkeletonMotion
+
+SKELETON = "humanoid3d.txt"
+_WIDTHS = {"spherical": 4, "revolute": 1, "fixed": 0}
+
+
+def read_deepmimic(path: Path | str, skeleton: Path | str | None = None) -> SkeletonMotion:
+    """The motion of a DeepMimic clip.
+
+    A frame is: its duration s, root position m, then quaternions (w x y z) of the root and the spherical joints, and
+    angles rad of the revolute ones, which turn about z. Unequal durations are brought to their median by slerp.
+
+    Args:
+        path: the clip.
+        skeleton: its skeleton; None takes `humanoid3d.txt` beside it.
+
+    Raises:
+        InputError: if a file is missing or no such JSON, a frame has the wrong length, or a number is not finite.
+    """
+    path = Path(path)
+    content = _json(path)
+    joints = _joints(Path(skeleton) if skeleton is not None else path.with_name(SKELETON))
+    rows = _rows(path, content, 8 + sum(_WIDTHS[joint["Type"]] for joint in joints[1:]))
+    local = np.tile(np.eye(3), (len(rows), len(joints), 1, 1))
+    local[:, 0], at = _of_quaternions(path, rows[:, 4:8]), 8
+    for s, joint in enumerate(joints[1:], start=1):
+        values = rows[:, at : at + _WIDTHS[joint["Type"]]]
+        at += values.shape[1]
+        if joint["Type"] == "spherical":
+            local[:, s] = _of_quaternions(path, values)
+        elif joint["Type"] == "revolute":
+            local[:, s] = se3.exp_rotation(values * np.array([0.0, 0.0, 1.0]))
+    offsets = np.array([[float(joint[f"Attach{axis}"]) for axis in "XYZ"] for joint in joints])
+    step, places, local = _even(path, rows[:-1, 0], rows[:, 1:4], local)
+    names, parents = [str(joint["Name"]) for joint in joints], [int(joint["Parent"]) for joint in joints]
+    return SkeletonMotion.from_local(path.stem, names, parents, offsets, local, places, 1.0 / step, "y")
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: not a JSON file ({error}).") from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path}: not a DeepMimic file (no table at its top).")
+    return content
+
+
+def _joints(path: Path) -> list[dict[str, Any]]:
+    if not path.is_file():
+        raise InputError(f"{path}: DeepMimic's skeleton is not there; lay it beside the clip or give skeleton=….")
+    try:
+        joints: list[dict[str, Any]] = _json(path)["Skeleton"]["Joints"]
+        for s, joint in enumerate(joints[1:], start=1):
+            if joint["Type"] not in _WIDTHS or not 0 <= int(joint["Parent"]) < s:
+                raise InputError(f"{path}: joint {joint['Name']!r} has an unknown type or stands before its parent.")
+    except (KeyError, TypeError, ValueError) as error:
+        raise (
+            error
+            if isinstance(error, InputError)
+            else InputError(f"{path}: not a DeepMimic skeleton (no Skeleton, Joints).")
+        ) from error
+    return joints
+
+
+def _rows(path: Path, content: dict[str, Any], width: int) -> Float:
+    frames = content.get("Frames")
+    if not isinstance(frames, list) or not frames:
+        raise InputError(f"{path}: not a DeepMimic clip (no Frames).")
+    for n, frame in enumerate(frames):
+        if not isinstance(frame, list) or len(frame) != width:
+            raise InputError(f"{path}: frame {n} must have {width} numbers.")
+        try:
+            finite = bool(np.all(np.isfinite(np.array(frame, dtype=float))))
+        except (TypeError, ValueError):
+            finite = False
+        if not finite:
+            raise InputError(f"{path}: frame {n} holds something that is no finite number.")
+    return np.array(frames, dtype=float)
+
+
+def _of_quaternions(path: Path, values: Float) -> Float:
+    if np.any(np.linalg.norm(values, axis=1) < 0.5):
+        raise InputError(f"{path}: a quaternion has no direction (its length is below ½).")
+    return Rotation.from_quat(values, scalar_first=True).as_matrix()
+
+
+def _even(path: Path, durations: Float, places: Float, local: Float) -> tuple[float, Float, Float]:
+    """Time step, places and rotations at even times."""
+    if not len(durations):
+        raise InputError(f"{path}: one frame is no motion.")
+    if not np.all(durations > 0):
+        raise InputError(f"{path}: the duration of a frame is not positive.")
+    step = float(np.median(durations))
+    if np.allclose(durations, step, rtol=0.01):
+        return step, places, local
+    times = np.concatenate([[0.0], np.cumsum(durations)])
+    even = np.arange(int(times[-1] / step + 1e-6) + 1) * step
+    even = even[even <= times[-1]]
+    turned = [Slerp(times, Rotation.from_matrix(local[:, s]))(even).as_matrix() for s in range(local.shape[1])]
+    moved = np.stack([np.interp(even, times, places[:, k]) for k in range(3)], axis=1)
+    return step, moved, np.stack(turned, axis=1)

@@ -1,0 +1,262 @@
+"""From a skeleton's motion to the coordinates of a body, by the anatomical frames of the segments.
+
+In every frame each segment of the source has an orientation in the world: that of its anatomical axes (`motion.table`).
+The body's coordinates are those whose segments come nearest to these orientations in the sense of least squares; the
+pelvis takes its orientation exactly. Joints with fewer axes than the source's, or with oblique ones, find the
+best compromise, and a long axis counts more than the turn about it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+
+from twistcap import se3
+from twistcap._typing import Bool, Float, Int
+from twistcap.body import Body, Pose, Posed
+from twistcap.body.shape import joint_origin
+from twistcap.errors import InputError
+from twistcap.motion.branches import within_limits
+from twistcap.motion.clip import MotionClip
+from twistcap.motion.skeleton import SkeletonMotion
+from twistcap.motion.table import Calibration, SkeletonTable, calibrated, table_for
+
+# How much the directions of a segment's forward, left and up axes count. The long axis is what one sees, a foot's is
+# the first. Feet and hands count little: their joints cannot follow every turn, and limbs shall not bend for them.
+_WEIGHTS = {"foot": (0.2, 0.1, 0.1), "hand": (0.2, 0.1, 0.2)}
+_USUAL = (0.5, 0.5, 1.0)
+_REST = 1e-4  # pull to zero of what no target determines: a rad of it counts like 0.1 mrad of direction
+_LIMITS = 0.15  # a rad beyond a limit counts like 0.15 rad of direction
+_SWEEPS, _NEAR = 40, 0.02  # and the rad by which the last of them may still turn a joint
+_STEPS, _TOLERANCE = 30, 1e-6
+
+
+@dataclass(frozen=True)
+class Targets:
+    """What M segments of a body shall look like in N frames.
+
+    Attributes:
+        segments: (M,) of the body.
+        rotations: (N, M, 3, 3) from the rest pose to the world.
+        weights: (M, 3) of the directions of their three axes.
+    """
+
+    segments: Int
+    rotations: Float
+    weights: Float
+
+
+def retarget(
+    motion: SkeletonMotion, body: Body, table: SkeletonTable | None = None, scale: float | None = None
+) -> MotionClip:
+    """The motion in a body's coordinates.
+
+    Args:
+        motion: of a skeleton.
+        body: with our segment names (`motion.table.SEGMENTS`).
+        table: of the skeleton; None takes the shipped one that fits.
+        scale: of the root's path; None takes the ratio of the lengths of the legs, so that feet do not slide.
+
+    Raises:
+        InputError: for a skeleton that no shipped table fits or that lacks a joint of the table, or a body without our
+            segments.
+    """
+    known = calibrated(motion, table or table_for(motion))
+    turned, mid_hip = _world_turn(motion, known), _mid_hip(body)
+    targets = _targets(motion, body, known, turned)
+    pelvis = turned @ motion.rotations[:, known.joints["pelvis"]] @ known.axes["pelvis"]
+    factor = leg_length(body) / _source_leg(motion, known) if scale is None else scale
+    hips = [motion.positions[:, known.joints[f"femur_{side}"]] for side in "rl"]
+    place = factor * 0.5 * (hips[0] + hips[1]) @ turned.T
+    roots = se3.transform(pelvis, place - pelvis @ mid_hip)
+    return MotionClip(
+        motion.name, body.coordinate_names, motion.rate, roots, fitted_angles(body, roots, targets, motion.rate)
+    )
+
+
+def leg_length(body: Body) -> float:
+    """Thigh and shank of a body's rest pose, mean of both sides, m."""
+    return float(np.mean([_path([_origin(body, f"{p}_{s}") for p in ("femur", "tibia", "foot")]) for s in "rl"]))
+
+
+def _source_leg(motion: SkeletonMotion, known: Calibration) -> float:
+    """As `leg_length`; a skeleton without feet counts with a shank as long as its thigh."""
+    rest, lengths = motion.rest_positions(), list[float]()
+    for side in "rl":
+        joints = [known.joints.get(f"{part}_{side}") for part in ("femur", "tibia", "foot")]
+        points = [rest[j] for j in joints if j is not None]
+        lengths.append(_path(points) * 2.0 / (len(points) - 1))
+    if not min(lengths) > 0:
+        raise InputError(f"motion {motion.name!r}: its legs have no length, so that its path cannot be scaled.")
+    return float(np.mean(lengths))
+
+
+def _path(points: list[Float]) -> float:
+    return float(np.sum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
+
+
+def _origin(body: Body, segment: str) -> Float:
+    if segment not in body.segment_names:
+        raise InputError(f"body {body.name!r} has no segment {segment!r}, onto which a motion could be brought.")
+    return joint_origin(body, body.segment(segment))
+
+
+def _mid_hip(body: Body) -> Float:
+    return 0.5 * (_origin(body, "femur_r") + _origin(body, "femur_l"))
+
+
+def _world_turn(motion: SkeletonMotion, known: Calibration) -> Float:
+    """(3, 3) from the file's axes to our world: z up, and the rest pose facing +x."""
+    up = np.eye(3)["xyz".index(motion.up)]
+    forward = known.axes["pelvis"][:, 0] - up * (up @ known.axes["pelvis"][:, 0])
+    if np.linalg.norm(forward) < 1e-3:  # a rest pose that lies on its back or front
+        forward = known.axes["pelvis"][:, 2] - up * (up @ known.axes["pelvis"][:, 2])
+    forward = forward / np.linalg.norm(forward)
+    return np.stack([forward, np.cross(up, forward), up])
+
+
+def _targets(motion: SkeletonMotion, body: Body, known: Calibration, turned: Float) -> Targets:
+    names = {name: name for name in known.joints if name in body.segment_names}
+    if "thorax" in known.joints and "thorax" not in body.segment_names:
+        names["thorax"] = "torso"  # the one trunk segment carries head and arms
+    names = {source: own for source, own in names.items() if own in body.segment_names}
+    rotations = [turned @ motion.rotations[:, known.joints[source]] @ known.axes[source] for source in names]
+    weights = [_WEIGHTS.get(own.partition("_")[0], _USUAL) for own in names.values()]
+    segments = np.array([body.segment(own) for own in names.values()], dtype=np.int32)
+    return Targets(segments, np.stack(rotations, axis=1), np.array(weights))
+
+
+def fitted_angles(body: Body, roots: Float, targets: Targets, rate: float) -> Float:
+    """(N, J) coordinates whose segments come nearest to their targets, each frame followed from the one before.
+
+    Args:
+        body: with J coordinates.
+        roots: (N, 4, 4) root motions.
+        targets: in the world.
+        rate: frames per second.
+    """
+    out = np.zeros((len(roots), len(body.coordinate_names)))
+    q = _swept(body, Pose(roots[0], out[0]), targets)
+    for n, root in enumerate(roots):
+        q = out[n] = _refined(body, Pose(root, q), targets, n, limits=0.0)
+    out, bridged = within_limits(body, out, rate)
+    for n in np.flatnonzero(~bridged):
+        out[n] = _refined(body, Pose(roots[n], out[n]), targets, int(n), _LIMITS)
+    return out
+
+
+def _swept(body: Body, pose: Pose, targets: Targets) -> Float:
+    """A start from afar, for the first frame: one coordinate after the other takes its best angle, several times over.
+
+    With all others fixed the sum of Σ w t·(R e) is A cos δ + B sin δ, whose greatest value is at atan2(B, A).
+    """
+    moves, q = body.chain[targets.segments], pose.q.copy()
+    want = np.swapaxes(targets.rotations[0], 1, 2) * targets.weights[:, :, None] ** 2  # (M, axis, xyz)
+    for _ in range(_SWEEPS):
+        last = q.copy()
+        for k in range(len(q)):
+            posed = Posed(body, Pose(pose.root, q))
+            have = np.swapaxes(posed.segment_transforms[targets.segments, :3, :3], 1, 2)[moves[:, k]]
+            w, aim = posed.world_twists[k, :3], want[moves[:, k]]
+            a = np.sum(aim * (have - (have @ w)[..., None] * w))
+            b = np.sum(aim * np.cross(w, have))
+            if np.hypot(a, b) > 1e-9:
+                q[k] += np.arctan2(b, a)
+        if np.abs(q - last).max() < _NEAR:
+            break
+    return q - 2 * np.pi * np.round((q - body.limits.mean(axis=1)) / (2 * np.pi))
+
+
+def _refined(body: Body, pose: Pose, targets: Targets, n: int, limits: float) -> Float:
+    """Levenberg-Marquardt on the differences of directions, with weak pulls to zero and into the limits."""
+    q, damping = pose.q, 1e-6
+    value, gradient, curvature = _equations(body, pose, targets, n, limits)
+    for _ in range(_STEPS):
+        step = -np.linalg.solve(curvature + damping * np.eye(len(q)), gradient)
+        tried = _equations(body, Pose(pose.root, q + step), targets, n, limits)
+        if tried[0] > value:
+            damping = 10.0 * damping
+        else:
+            q, (value, gradient, curvature), damping = q + step, tried, 0.1 * damping
+        if np.abs(step).max() < _TOLERANCE or damping > 1e6:
+            break
+    return q
+
+
+def _equations(body: Body, pose: Pose, targets: Targets, n: int, limits: float) -> tuple[float, Float, Float]:
+    """Half the sum of squares, its gradient (J,) and its Gauss-Newton curvature (J, J)."""
+    posed = Posed(body, pose)
+    have = posed.segment_transforms[targets.segments, :3, :3]
+    moves = body.chain[targets.segments]
+    value, gradient, H = direction_sums(have, targets.rotations[n], targets.weights**2, moves, posed.world_twists)
+    beyond = pose.q - np.clip(pose.q, body.limits[:, 0], body.limits[:, 1])
+    value += 0.5 * float(limits**2 * beyond @ beyond + _REST**2 * pose.q @ pose.q)
+    gradient += limits**2 * beyond + _REST**2 * pose.q
+    return value, gradient, H + np.diag(limits**2 * (beyond != 0) + _REST**2)
+
+
+@njit(cache=True, nogil=True)
+def direction_sums(have: Float, want: Float, squares: Float, moves: Bool, twists: Float) -> tuple[float, Float, Float]:
+    """Normal equations of ``½ Σ w² |h − t|²`` over the axes of M segments; see `direction_sums_reference`."""
+    M, J = moves.shape
+    value, gradient, H = 0.0, np.zeros(J), np.zeros((J, J))
+    turn, spread, carried = np.zeros(3), np.zeros((3, 3)), np.zeros(3)
+    for m in range(M):
+        turn[:] = 0.0
+        spread[:] = 0.0
+        for a in range(3):
+            w, h, t = squares[m, a], have[m, :, a], want[m, :, a]
+            for i in range(3):
+                j, k = (i + 1) % 3, (i + 2) % 3
+                value += 0.5 * w * (h[i] - t[i]) ** 2
+                turn[i] += w * (t[j] * h[k] - t[k] * h[j])
+                spread[i, i] += w
+                for j in range(3):
+                    spread[i, j] -= w * h[i] * h[j]
+        for k in range(J):
+            if not moves[m, k]:
+                continue
+            for i in range(3):
+                gradient[k] += twists[k, i] * turn[i]
+                carried[i] = spread[i, 0] * twists[k, 0] + spread[i, 1] * twists[k, 1] + spread[i, 2] * twists[k, 2]
+            for l in range(J):
+                if moves[m, l]:
+                    H[k, l] += carried[0] * twists[l, 0] + carried[1] * twists[l, 1] + carried[2] * twists[l, 2]
+    return value, gradient, H
+
+
+def direction_sums_reference(
+    have: Float, want: Float, squares: Float, moves: Bool, twists: Float
+) -> tuple[float, Float, Float]:
+    """Readable twin of `direction_sums`.
+
+    For the direction h of an axis, the one t it shall have and a coordinate that turns about ω, the derivative of h is
+    ω × h: the gradient of ``½ w² |h − t|²`` is ``w² ω·(t × h)``, and the curvature of two coordinates
+    ``w² ω·(I − h hᵀ) ω'``.
+
+    Args:
+        have, want: (M, 3, 3) rotations, whose columns are the axes.
+        squares: (M, 3) their w².
+        moves: (M, J) whether a coordinate moves a segment.
+        twists: (J, 6) world twists.
+    """
+    w2 = squares[:, None, :]
+    by_turn = np.sum(w2 * np.cross(want, have, axis=1), axis=2)
+    spread = np.sum(w2, axis=2)[..., None] * np.eye(3) - (w2 * have) @ np.swapaxes(have, 1, 2)
+    turns = moves[..., None] * twists[:, :3]  # (M, J, 3)
+    gradient = np.einsum("mji,mi->j", turns, by_turn)
+    return 0.5 * float(np.sum(w2 * (have - want) ** 2)), gradient, np.sum(turns @ spread @ turns.mT, axis=0)
+
+
+def grounded(clip: MotionClip, body: Body) -> MotionClip:
+    """The clip moved up or down as a whole, so that the surface touches the floor z = 0 (its 5 % lowest frames do).
+
+    A body's feet are not as thick as the source's, so that after retargeting they may stand a little too high or low.
+    """
+    every = max(1, len(clip) // 60)
+    lowest = [Posed(body, pose).vertices[:, 2].min() for pose in clip.poses()[::every]]
+    roots = clip.roots.copy()
+    roots[:, 2, 3] -= np.percentile(lowest, 5)
+    return replace(clip, roots=roots)
