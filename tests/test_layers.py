@@ -23,6 +23,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("flow",),
     ("terms", "solve"),
     ("cues",),
+    ("motion",),
     ("predict", "priors"),
     ("settings",),
     ("track",),

@@ -1,0 +1,226 @@
+"""Where in the training motion the last poses are found again, at whatever speed.
+
+Rosenhahn, Brox and Seidel, "Scaled Motion Dynamics for Markerless Motion Capture" (DOI 10.1109/CVPR.2007.383128),
+eq. 18; method.md 8: ``argmin_{s,j} Σ_{v<m} ‖Θ_{t−v} − Θ̃^s_{j−v}‖``, a sum of norms of joint angles alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twistcap._typing import Float, Float32, Int
+from twistcap.errors import InputError
+from twistcap.motion import _search as kernels
+from twistcap.motion.library import PAPER_SCALES, MotionLibrary, unwrapped
+
+_BLOCK = 16  # poses whose neighbourhood is bounded by one ball
+_BOUNDING_LAGS = 6  # of the query, whose distances to the balls are taken
+_NOWHERE = (np.zeros(0, np.int32), np.zeros((0, 2)))
+
+
+@dataclass(frozen=True)
+class Match:
+    """A place in the training motion.
+
+    Attributes:
+        clip: index of the clip.
+        position: of the last pose, in poses of the clip from its start, between two of them as a rule.
+        scale: s of the resampled motion; one frame of the query is 1/s poses of the clip.
+        distance: the sum of norms, rad.
+    """
+
+    clip: int
+    position: float
+    scale: float
+    distance: float
+
+    @property
+    def step(self) -> float:
+        """Poses of the clip per frame of the query."""
+        return 1.0 / self.scale
+
+    def after(self, frames: float) -> Match:
+        """The place some frames later."""
+        return Match(self.clip, self.position + frames * self.step, self.scale, self.distance)
+
+
+class Matcher:
+    """Exact search of a library, prepared once.
+
+    Args:
+        library: training motion.
+        columns: of the library's coordinates that are compared; by default all.
+        weights: one per column, by which its squared difference counts; by default 1, as in the paper.
+        scales: time scales s; one frame of the query is 1/s poses of the library.
+        ahead: frames by which a clip must go on after a match.
+
+    Raises:
+        InputError: for weights or scales that are not positive, or a column that does not exist.
+    """
+
+    def __init__(
+        self,
+        library: MotionLibrary,
+        columns: Sequence[int] | Int | None = None,
+        weights: Sequence[float] | Float | None = None,
+        scales: Sequence[float] = PAPER_SCALES,
+        ahead: float = 1.0,
+    ) -> None:
+        self.library, self.ahead = library, ahead
+        chosen = range(len(library.names)) if columns is None else columns
+        self.columns = np.array([int(c) for c in chosen], dtype=np.int32)
+        _expect(len(self.columns) > 0, "no coordinates are given to compare")
+        known = np.all((self.columns >= 0) & (self.columns < len(library.names)))
+        _expect(bool(known), f"a column is none of the library's {len(library.names)} coordinates")
+        given = np.ones(len(self.columns)) if weights is None else np.asarray(weights, dtype=float)
+        _expect(given.shape == self.columns.shape, f"{len(self.columns)} weights are needed, one for each coordinate")
+        _expect(bool(np.all((given > 0) & (given < np.inf))), "its weights must be positive")
+        self.scales = np.array(scales, dtype=float)
+        _expect(len(self.scales) > 0 and bool(np.all((self.scales > 0) & (self.scales < np.inf))), "bad time scales")
+        self._factors = np.sqrt(given)
+        self._base = _transposed(library.q, self.columns, self._factors)
+        self._jumps = _jumps(self._base, library.starts)
+        self._balls = _Balls.of(self._base, library.starts)
+
+    def best(self, query: Float, last: Match | None = None) -> Match | None:
+        """The best match of the last m poses.
+
+        Args:
+            query: (m, K) compared coordinates, rad, the latest last, one frame apart.
+            last: match of the frame before; among equals the one that continues it is taken.
+
+        Returns:
+            The match, or None where no clip is long enough.
+
+        Raises:
+            InputError: for a query that is not (m, K), or not finite.
+        """
+        found = self._ready(query)
+        near = None if last is None else found.near(last.after(1.0))
+        if near is None:
+            return found.best()
+        better = found.best(limit=near.distance * (1.0 - 1e-9) - 1e-9)
+        return near if better is None else better
+
+    def k_best(self, query: Float, count: int, apart: float) -> list[Match]:
+        """The best match and the next best ones, each more than `apart` poses from those before it in its clip.
+
+        Raises:
+            InputError: as `best`.
+        """
+        found, taken = self._ready(query), list[Match]()
+        while len(taken) < count:
+            match = found.best(taken, apart)
+            if match is None:
+                break
+            taken.append(match)
+        return taken
+
+    def _ready(self, query: Float) -> _Query:
+        shape = (len(query), len(self.columns))
+        _expect(len(query) > 0 and query.shape == shape, f"a query must be (m, {shape[1]}), one column per coordinate")
+        _expect(bool(np.isfinite(query).all()), "a pose of the query is not finite")
+        return _Query(self, np.ascontiguousarray((unwrapped(query) * self._factors)[::-1]))
+
+
+class _Query:
+    """A search: bounds are computed once for all that is asked of it."""
+
+    def __init__(self, matcher: Matcher, poses: Float) -> None:
+        self._matcher, self._poses = matcher, poses
+        m, self._steps = len(poses), 1.0 / matcher.scales
+        balls = matcher._balls
+        lags = np.unique(np.linspace(0, m - 1, min(m, _BOUNDING_LAGS)).astype(np.int32))
+        self._order = _spread(m)
+        distances = kernels.ball_distances(balls.centres, balls.radii, poses, lags)
+        slow, fast = float(self._steps.min()), float(self._steps.max())
+        bounds = kernels.block_bounds(distances, lags, slow, fast, balls.first_block, balls.clip_of, _BLOCK)
+        self._bounded = distances, lags, bounds
+
+    def best(self, taken: Sequence[Match] = (), apart: float = 0.0, limit: float = np.inf) -> Match | None:
+        clips, windows = _NOWHERE
+        if taken:
+            clips = np.array([match.clip for match in taken], np.int32)
+            windows = np.array([[match.position - apart, match.position + apart] for match in taken])
+        return self._search(self._bounded[2], clips, windows, limit)
+
+    def near(self, place: Match) -> Match | None:
+        """The best match within half a step of a place."""
+        balls, reach = self._matcher._balls, 0.5 * place.step + 1e-6
+        first = balls.first_block[place.clip]
+        last = first + (int(self._matcher.library.lengths[place.clip]) - 1) // _BLOCK
+        blocks = [first + int(p // _BLOCK) for p in (place.position - reach, place.position + reach)]
+        bounds = np.full(len(self._bounded[2]), np.inf)
+        low, high = np.clip(blocks, first, last)
+        bounds[low : high + 1] = self._bounded[2][low : high + 1]
+        outside = np.array([[-np.inf, place.position - reach], [place.position + reach, np.inf]])
+        return self._search(bounds, np.array([place.clip] * 2, np.int32), outside, 1e300)
+
+    def _search(self, bounds: Float, barred: Int, windows: Float, limit: float) -> Match | None:
+        matcher, balls = self._matcher, self._matcher._balls
+        distances, lags, _ = self._bounded
+        distance, clip, scale, pose = kernels.search(
+            matcher._base, matcher._jumps, self._poses, self._steps, self._order, distances, lags, bounds,
+            balls.first_block, balls.clip_of, matcher.library.starts, _BLOCK, matcher.ahead, barred, windows, limit,
+        )  # fmt: skip
+        if clip < 0:
+            return None
+        s = float(matcher.scales[scale])
+        return Match(int(clip), float(pose / s), s, float(distance))
+
+
+@dataclass(frozen=True)
+class _Balls:
+    """Balls around blocks of poses: centres (D, B), radii (B,); the first block of each clip, the clip of each block.
+
+    Each ball holds the first pose of the next block as well, and so all that lies between poses.
+    """
+
+    centres: Float32
+    radii: Float
+    first_block: Int
+    clip_of: Int
+
+    @staticmethod
+    def of(base: Float32, starts: Int) -> _Balls:
+        counts = -(-np.diff(starts) // _BLOCK)
+        first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
+        clip_of = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
+        begin = starts[clip_of] + (np.arange(first[-1]) - first[clip_of]) * _BLOCK
+        end = np.minimum(begin + _BLOCK + 1, starts[clip_of + 1])
+        centres, radii = kernels.balls(base, begin.astype(np.int32), end.astype(np.int32))
+        return _Balls(centres, radii, first[:-1].copy(), clip_of)
+
+
+def _transposed(q: Float32, columns: Int, factors: Float) -> Float32:
+    """(K, N) the compared coordinates, weighted."""
+    out = np.empty((len(columns), len(q)), np.float32)
+    for k, (column, factor) in enumerate(zip(columns, factors, strict=True)):
+        out[k] = q[:, column] * np.float32(factor)
+    return out
+
+
+def _jumps(base: Float32, starts: Int) -> Float:
+    """(N,) squared distance of each pose from the next one, 0 at seams."""
+    out = np.zeros(base.shape[1])
+    for row in base:
+        out[:-1] += np.diff(row.astype(float)) ** 2
+    out[starts[1:] - 1] = 0.0
+    return out
+
+
+def _spread(count: int) -> Int:
+    """Lags in an order that knows early how a stretch differs: both ends, the middle, the quarters, …"""
+    order, gap = [0, count - 1], max(count - 1, 1)
+    while gap > 1:
+        gap = -(-gap // 2)
+        order += range(gap, count - 1, gap)
+    return np.array(list(dict.fromkeys(order)) if count > 1 else [0], np.int32)
+
+
+def _expect(holds: bool, message: str) -> None:
+    if not holds:
+        raise InputError(f"motion matching: {message}.")
