@@ -1,8 +1,13 @@
 """Kernels of the exact search for the best match; `matching` explains what is searched.
 
-Poses lie in blocks of neighbours, each inside a ball. How far the query is from the balls bounds from below how well a
-block can match, so that most blocks are never looked into. Inside a block, distances to the stored poses are shared by
-all time scales: at a share f between two poses a and b, ``|Θ − P|² = (1−f)|Θ−a|² + f|Θ−b|² − f(1−f)|b−a|²``.
+Three bounds from below spare most of the work, and all are rounded down so that the answer stays exact:
+
+1. Poses lie in blocks of neighbours, each inside a ball: how far the query is from the balls rules out whole blocks.
+2. Between stored poses a and b, ``|Θ − P| ≥ (|Θ−a| + |Θ−b| − |b−a|)/2``. Distances to stored poses are shared by all
+   scales, so that a bound for one pose and scale costs m comparisons.
+3. At a share f from a to b, ``|Θ − P|² = (1−f)|Θ−a|² + f|Θ−b|² − f(1−f)|b−a|²``: the distance itself, in float32.
+
+What is left is summed in float64 from the angles.
 """
 
 from __future__ import annotations
@@ -12,181 +17,274 @@ from numba import njit
 
 from twistcap._typing import Float, Float32, Int
 
-_SLACK = 1e-7  # rad, above the rounding of the bounds
+BLOCK = 16  # poses whose neighbourhood is bounded by one ball
+_TILE = 256  # poses whose distances are held at a time
+_LOSS = np.float32(4e-6)  # relative, above the rounding of sums in float32
+_SLACK = 1e-6  # rad, above the rounding of the bounds
 _NEAR = 1e-8  # poses, above the rounding of positions in a clip
 
 
 @njit(cache=True, nogil=True)
-def balls(base: Float32, begin: Int, end: Int) -> tuple[Float32, Float]:
-    """Middles (D, B) of stretches of poses begin … end − 1 of base (D, N), and radii (B,) that reach all of them."""
-    D, B = len(base), len(begin)
-    centres, radii = np.empty((D, B), np.float32), np.empty(B)
+def prepared(query: Float, factors: Float) -> Float:
+    """(m, K) the query unwrapped as `library.unwrapped` does, weighted, the latest pose first; NaN stays NaN."""
+    m, K = query.shape
+    out = np.empty((m, K))
+    for k in range(K):
+        turn, total = 0.0, 0.0
+        for i in range(m):
+            if i > 0:
+                turn -= 2.0 * np.pi * np.round((query[i, k] - query[i - 1, k]) / (2.0 * np.pi))
+            out[m - 1 - i, k] = query[i, k] + turn
+            total += query[i, k] + turn
+        whole = 2.0 * np.pi * np.round(total / m / (2.0 * np.pi))
+        for i in range(m):
+            out[i, k] = (out[i, k] - whole) * factors[k]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def balls(base: Float32, begin: Int, end: Int) -> tuple[Float32, Float32]:
+    """Middles (K, B) of stretches of poses begin … end − 1 of base (K, N), and radii (B,) that reach all of them."""
+    K, B = len(base), len(begin)
+    centres, radii = np.empty((K, B), np.float32), np.empty(B, np.float32)
     for b in range(B):
-        for k in range(D):
+        for k in range(K):
             poses = base[k, begin[b] : end[b]]
             centres[k, b] = 0.5 * (poses.min() + poses.max())
         largest = 0.0
         for i in range(begin[b], end[b]):
             squared = 0.0
-            for k in range(D):
+            for k in range(K):
                 squared += (np.float64(base[k, i]) - centres[k, b]) ** 2
             largest = max(largest, squared)
-        radii[b] = np.sqrt(largest)
+        radii[b] = np.sqrt(largest) * (1.0 + _LOSS)
     return centres, radii
 
 
 @njit(cache=True, nogil=True)
-def ball_distances(centres: Float32, radii: Float, query: Float, lags: Int) -> Float:
-    """(L, B) least distance that each query pose can have to a pose of each block. Centres are (D, B)."""
-    out = np.empty((len(lags), centres.shape[1]))
-    for n in range(len(lags)):
-        squares = out[n]
-        squares[:] = 0.0
-        for k in range(centres.shape[0]):
-            row, x = centres[k], query[lags[n], k]
-            for b in range(len(row)):
-                d = row[b] - x
-                squares[b] += d * d
-        for b in range(len(squares)):
-            squares[b] = max(0.0, np.sqrt(squares[b]) - radii[b])
+def block_bounds(
+    centres: Float32, radii: Float32, query: Float32, lags: Int, slow: float, fast: float, first_block: Int
+) -> Float32:
+    """(B,) a sum of norms that no match ending in a block undercuts (bound 1).
+
+    Args:
+        centres, radii: (K, B) and (B,), of `balls`.
+        query: (m, K), the latest pose first.
+        lags: (L,) of the query poses that are looked at; fewer make a lower bound.
+        slow, fast: least and greatest step of the scales, poses per frame.
+        first_block: (B,) first block of each block's clip.
+    """
+    B = centres.shape[1]
+    out, away = np.zeros(B, np.float32), np.empty(B, np.float32)
+    for v in lags:
+        away[:] = 0.0
+        for k in range(len(centres)):
+            row, x = centres[k], query[v, k]
+            for b in range(B):
+                away[b] += (row[b] - x) * (row[b] - x)
+        for b in range(B):
+            away[b] = max(np.float32(0.0), np.sqrt(away[b]) * (np.float32(1.0) - _LOSS) - radii[b])
+        # The pose at this lag stands `slow·v` to `fast·v` poses before one in the block.
+        nearest, farthest = int(np.floor(slow * v / BLOCK)), int(np.ceil(fast * v / BLOCK))
+        for b in range(B):
+            low = away[max(first_block[b], b - nearest)]
+            for c in range(max(first_block[b], b - farthest), b - nearest):
+                low = min(low, away[c])
+            out[b] += low
     return out
 
 
 @njit(cache=True, nogil=True)
-def block_bounds(
-    distances: Float, lags: Int, slow: float, fast: float, first_block: Int, clip_of: Int, size: int
-) -> Float:
-    """(B,) a sum of norms that no match ending in each block undercuts.
+def _distances(base: Float32, query: Float32, jumps: Float32, first: int, squares: Float32, bounds: Float32) -> None:
+    """Squared distances (m, W) of the query poses to the poses first, first + 1, … of a clip, and bound 2 of each.
 
-    Args:
-        distances: of `ball_distances`.
-        lags: query poses before the last, by row of `distances`.
-        slow, fast: least and greatest step of the scales, poses.
-        first_block, clip_of: first block of each clip, and the clip of each block.
-        size: poses of a block.
+    Base is (K, N), jumps (N,) the lengths from pose to pose. Outside the clip both are infinite.
     """
-    B = distances.shape[1]
-    out = np.zeros(B)
-    for n in range(len(lags)):
-        row, v = distances[n], lags[n]
-        # The pose at this lag stands `fast·v` to `slow·v` poses before one in the block.
-        farthest = int(np.ceil(fast * v / size))
-        nearest = int(np.floor(slow * v / size))
-        for b in range(B):
-            first = first_block[clip_of[b]]
-            low = row[max(first, b - nearest)]
-            for c in range(max(first, b - farthest), max(first, b - nearest)):
-                low = min(low, row[c])
-            out[b] += low
-    return out - _SLACK
-
-
-@njit(cache=True, nogil=True)
-def _scale_bound(distances: Float, lags: Int, step: float, block: int, first: int, size: int) -> float:
-    """As `block_bounds`, for one block and one scale."""
-    total = 0.0
-    for n in range(len(lags)):
-        back = lags[n] * step / size
-        low = max(first, block - int(np.ceil(back)))
-        high = max(first, block - int(np.floor(back)))
-        total += min(distances[n, low], distances[n, high])
-    return total - _SLACK
-
-
-@njit(cache=True, nogil=True)
-def _squares(base: Float32, query: Float, start: int, low: int, high: int, slow: float, fast: float, out: Float) -> None:
-    """Squared distances of every query pose to the poses low … high − 1 that its lag can reach, into out (m, W).
-
-    Column i is pose start + i. Base is (D, N).
-    """
+    N, W = base.shape[1], squares.shape[1]
+    low, high = max(0, -first), min(W, N - first)
     for v in range(len(query)):
-        begin = max(start, low - int(np.ceil(v * fast)))
-        end = min(high, high - int(np.floor(v * slow)) + 1)
-        row = out[v, begin - start : end - start]
+        squares[v, :low] = np.inf
+        squares[v, high:] = np.inf
+        row = squares[v, low:high]
         row[:] = 0.0
-        for k in range(base.shape[0]):
-            poses, x = base[k, begin:end], query[v, k]
+        for k in range(len(base)):
+            poses, x = base[k, first + low : first + high], query[v, k]
             for i in range(len(poses)):
-                d = poses[i] - x
-                row[i] += d * d
+                row[i] += (poses[i] - x) * (poses[i] - x)
+        bounds[v, :] = np.inf
+        bound, jump = bounds[v, low:high], jumps[first + low : first + high]
+        for i in range(len(row) - 1):
+            both = (np.sqrt(row[i]) + np.sqrt(row[i + 1])) * (np.float32(1.0) - _LOSS)
+            bound[i] = max(np.float32(0.0), np.float32(0.5) * (both - jump[i]))
+        if len(row) and first + high == N:
+            bound[-1] = np.sqrt(row[-1]) * (np.float32(1.0) - _LOSS)
 
 
 @njit(cache=True, nogil=True)
-def _score(squares: Float, jumps: Float, origin: int, j: int, step: float, order: Int, limit: float) -> float:
-    """Sum of norms at pose j of a scaled clip; some number above the limit as soon as it is sure to be above it."""
+def _summed(bounds: Float32, halo: int, step: float, out: Float32) -> None:
+    """Bound 2 of matches that end between pose halo + i and the next, for one scale, into out (n,)."""
+    out[:] = 0.0
+    for v in range(len(bounds)):
+        back = v * step
+        near, far = int(np.floor(back + _NEAR)), int(np.ceil(back - _NEAR))
+        one = bounds[v, halo - near : halo - near + len(out)]
+        other = bounds[v, halo - far : halo - far + len(out)]
+        for i in range(len(out)):
+            out[i] += one[i] if one[i] < other[i] else other[i]
+
+
+@njit(cache=True, nogil=True)
+def _below(squares: Float32, jumps: Float32, first: int, j: int, step: float, limit: float) -> bool:
+    """Whether pose j of a scaled clip may match better than the limit (bound 3); columns of squares start at first."""
     total = 0.0
-    for n in range(len(order)):
-        v = order[n]
+    for v in range(len(squares)):
         p = (j - v) * step
         i = int(p + _NEAR)
-        f = p - i
-        squared = squares[v, i - origin]
+        f = np.float32(p - i)
+        squared = squares[v, i - first]
         if f > _NEAR:
-            squared = (1.0 - f) * squared + f * squares[v, i - origin + 1] - f * (1.0 - f) * jumps[i]
-        total += np.sqrt(max(squared, 0.0))
+            lost = _LOSS * (squared + squares[v, i - first + 1])
+            cut = f * (np.float32(1.0) - f) * jumps[i] * jumps[i]
+            squared = squared + f * (squares[v, i - first + 1] - squared) - cut - lost
+        if squared > 0.0:
+            total += np.sqrt(squared) * (np.float32(1.0) - _LOSS)
+            if total > limit:
+                return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def score(base: Float32, query: Float, j: int, step: float, limit: float) -> float:
+    """The sum of norms of pose j of a scaled clip, base (K, N); anything above the limit where it is above it."""
+    total = 0.0
+    for v in range(len(query)):
+        p = (j - v) * step
+        i = int(p + _NEAR)
+        f = p - i if p - i > _NEAR else 0.0
+        after = i + 1 if f > 0.0 else i
+        squared = 0.0
+        for k in range(len(base)):
+            d = (1.0 - f) * base[k, i] + f * base[k, after] - query[v, k]
+            squared += d * d
+        total += np.sqrt(squared)
         if total > limit:
             break
     return total
 
 
 @njit(cache=True, nogil=True)
+def _barred(clip: int, p: float, barred: Int, windows: Float) -> bool:
+    for e in range(len(barred)):
+        if barred[e] == clip and windows[e, 0] < p < windows[e, 1]:
+            return True
+    return False
+
+
+@njit(cache=True, nogil=True)
+def _stretch(
+    base: Float32, jumps: Float32, query: Float, rounded: Float32, steps: Float, low: int, high: int, ahead: float,
+    clip: int, barred: Int, windows: Float, squares: Float32, bounds: Float32, best: float, slack: float,
+) -> tuple[float, int, int]:  # fmt: skip
+    """The best match that ends at poses low … high of one clip, if it is better than `best`: score, scale and pose j.
+
+    Base (K, N) and jumps (N,) are the clip's; squares and bounds are room for (m, halo + _TILE + 2) values.
+    """
+    m, N, n = len(query), base.shape[1], high - low
+    halo = squares.shape[1] - _TILE - 2
+    squares, bounds = squares[:, : halo + n + 2], bounds[:, : halo + n + 2]
+    _distances(base, rounded, jumps, low - halo, squares, bounds)
+    best_scale, best_pose, least = -1, -1, np.empty(n, np.float32)
+    for s in range(len(steps)):
+        step = steps[s]
+        _summed(bounds, halo, step, least)
+        promising, limit = 0, np.float32(best + slack)
+        for i in range(n):
+            promising += least[i] <= limit
+        if promising == 0:
+            continue
+        for i in range(n):
+            if least[i] > best + slack:
+                continue
+            j = max(int(np.ceil((low + i - _NEAR) / step)), m - 1)
+            while j * step < low + i + 1 - _NEAR and (j + ahead) * step <= N - 1 + _NEAR:
+                if _below(squares, jumps, low - halo, j, step, best + slack) and not _barred(
+                    clip, j * step, barred, windows
+                ):
+                    value = score(base, query, j, step, best)
+                    if value < best:
+                        best, best_scale, best_pose = value, s, j
+                j += 1
+    return best, best_scale, best_pose
+
+
+@njit(cache=True, nogil=True)
 def search(
-    base: Float32, jumps: Float, query: Float, steps: Float, order: Int, distances: Float, lags: Int, bounds: Float,
-    first_block: Int, clip_of: Int, starts: Int, size: int, ahead: float,
-    barred: Int, windows: Float, limit: float,
+    base: Float32, jumps: Float32, query: Float, steps: Float, least: Float32,
+    first_block: Int, clip_of: Int, starts: Int, ahead: float, barred: Int, windows: Float, limit: float,
 ) -> tuple[float, int, int, int]:  # fmt: skip
     """The least sum of norms below a limit, its clip, scale and pose j of the scaled clip; clip −1 where there is none.
 
     Args:
-        base: (D, N) weighted coordinates.
-        jumps: (N,) squared distance of each pose to the next one of its clip.
-        query: (m, D) weighted, the latest first.
-        steps: (S,) poses per query pose, 1/s.
-        order: (m,) in which lags are summed.
-        distances, lags, bounds: of `ball_distances` and `block_bounds`.
-        first_block, clip_of, starts, size: how the poses lie in clips and blocks.
-        ahead: query poses by which a match must be followed inside its clip.
+        base: (K, N) weighted coordinates of all clips.
+        jumps: (N,) distance of each pose from the next one of its clip, rounded up; 0 at its end.
+        query: (m, K) weighted, the latest first.
+        steps: (S,) poses per frame of the query, 1/s.
+        least: (B,) bound of each block, of `block_bounds`.
+        first_block, clip_of: (B,) first block of each block's clip, and the clip.
+        starts: (C + 1,) where clips start.
+        ahead: frames by which a match must be followed inside its clip.
         barred: (E,) clips, and
-        windows: (E, 2) positions in them where no match may end.
+        windows: (E, 2) positions in them between which no match may end.
         limit: worse matches are not looked for.
     """
-    m, B = len(query), len(bounds)
+    m, B = len(query), len(least)
+    rounded = query.astype(np.float32)
+    slack = m * _SLACK * (1.0 + np.abs(query).max()) * np.sqrt(query.shape[1])
+    halo = int(np.ceil((m - 1) * steps.max())) + 1
+    squares = np.empty((m, halo + _TILE + 2), np.float32)
+    bounds = np.empty_like(squares)
     best, best_clip, best_scale, best_pose = limit, -1, -1, -1
-    slow, fast = steps.min(), steps.max()
-    scratch = np.empty((m, size + int(np.ceil((m - 1) * fast)) + 2))
-    candidates = np.flatnonzero(bounds <= limit)
-    if len(candidates) == 0:
-        return best, best_clip, best_scale, best_pose
-    turn = 0
-    lead = candidates[np.argmin(bounds[candidates])]
-    while turn <= len(candidates):
-        b = lead if turn == 0 else candidates[turn - 1]
-        turn += 1
-        if bounds[b] > best or (turn > 1 and b == lead):
+    lead = int(np.argmin(least))
+    b = lead
+    leading = True
+    while b < B:
+        if least[b] > best + slack or (not leading and b == lead):
+            b += 1
             continue
+        last = b + 1  # blocks that follow and promise as much are looked at together
+        while (
+            not leading and last < B and last - b < _TILE // BLOCK and clip_of[last] == clip_of[b]
+            and least[last] <= best + slack
+        ):  # fmt: skip
+            last += 1
         clip = clip_of[b]
         start, end = starts[clip], starts[clip + 1]
-        low = (b - first_block[clip]) * size  # within the clip
-        high = min(low + size, end - start)
-        ready = False
-        for s in range(len(steps)):
-            step = steps[s]
-            last_allowed = min(high - _NEAR, end - start - 1 - ahead * step + _NEAR)
-            j = max(int(np.ceil((low - _NEAR) / step)), m - 1)
-            if j * step > last_allowed or _scale_bound(distances, lags, step, b, first_block[clip], size) > best:
-                continue
-            if not ready:
-                origin = max(0, low - int(np.ceil((m - 1) * fast)))
-                _squares(base[:, start:end], query, origin, low, min(high + 1, end - start), slow, fast, scratch)
-                ready = True
-            while j * step <= last_allowed:
-                p = j * step
-                taken = False
-                for e in range(len(barred)):
-                    taken = taken or (barred[e] == clip and windows[e, 0] < p < windows[e, 1])
-                if not taken:
-                    score = _score(scratch, jumps[start:end], origin, j, step, order, best)
-                    if score < best or (best_clip < 0 and score <= best):
-                        best, best_clip, best_scale, best_pose = score, clip, s, j
-                j += 1
+        low = (b - first_block[b]) * BLOCK
+        high = min(low + (last - b) * BLOCK, end - start)
+        value, scale, pose = _stretch(
+            base[:, start:end], jumps[start:end], query, rounded, steps, low, high, ahead,
+            clip, barred, windows, squares, bounds, best, slack,
+        )  # fmt: skip
+        if scale >= 0:
+            best, best_clip, best_scale, best_pose = value, clip, scale, pose
+        b = 0 if leading else last
+        leading = False
     return best, best_clip, best_scale, best_pose
+
+
+@njit(cache=True, nogil=True)
+def nearby(
+    base: Float32, query: Float, steps: Float, low: float, high: float, ahead: float
+) -> tuple[float, int, int]:  # fmt: skip
+    """The best match that ends at positions low … high of one clip, base (K, N): score, scale and pose j."""
+    m, N = len(query), base.shape[1]
+    best, best_scale, best_pose = np.inf, -1, -1
+    for s in range(len(steps)):
+        step = steps[s]
+        j = max(int(np.ceil((low - _NEAR) / step)), m - 1)
+        while j * step <= high + _NEAR and (j + ahead) * step <= N - 1 + _NEAR:
+            value = score(base, query, j, step, best)
+            if value < best:
+                best, best_scale, best_pose = value, s, j
+            j += 1
+    return best, best_scale, best_pose

@@ -8,16 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from twistcap._typing import Float, Float32, Int
 from twistcap.errors import InputError
 from twistcap.motion import _search as kernels
-from twistcap.motion.library import PAPER_SCALES, MotionLibrary, unwrapped
+from twistcap.motion.library import PAPER_SCALES, MotionLibrary
 
-_BLOCK = 16  # poses whose neighbourhood is bounded by one ball
 _BOUNDING_LAGS = 6  # of the query, whose distances to the balls are taken
+_FEW = 32  # blocks that are all looked into
 _NOWHERE = (np.zeros(0, np.int32), np.zeros((0, 2)))
 
 
@@ -80,7 +81,7 @@ class Matcher:
         _expect(bool(np.all((given > 0) & (given < np.inf))), "its weights must be positive")
         self.scales = np.array(scales, dtype=float)
         _expect(len(self.scales) > 0 and bool(np.all((self.scales > 0) & (self.scales < np.inf))), "bad time scales")
-        self._factors = np.sqrt(given)
+        self._factors, self._steps = np.sqrt(given), 1.0 / self.scales
         self._base = _transposed(library.q, self.columns, self._factors)
         self._jumps = _jumps(self._base, library.starts)
         self._balls = _Balls.of(self._base, library.starts)
@@ -120,10 +121,12 @@ class Matcher:
         return taken
 
     def _ready(self, query: Float) -> _Query:
-        shape = (len(query), len(self.columns))
-        _expect(len(query) > 0 and query.shape == shape, f"a query must be (m, {shape[1]}), one column per coordinate")
-        _expect(bool(np.isfinite(query).all()), "a pose of the query is not finite")
-        return _Query(self, np.ascontiguousarray((unwrapped(query) * self._factors)[::-1]))
+        query = np.ascontiguousarray(query, dtype=float)
+        K = len(self.columns)
+        _expect(query.ndim == 2 and len(query) > 0 and query.shape[1] == K, f"a query must be (m, {K}), K coordinates")
+        poses = kernels.prepared(query, self._factors)
+        _expect(bool(np.isfinite(poses).all()), "a pose of the query is not finite")
+        return _Query(self, poses)
 
 
 class _Query:
@@ -131,68 +134,69 @@ class _Query:
 
     def __init__(self, matcher: Matcher, poses: Float) -> None:
         self._matcher, self._poses = matcher, poses
-        m, self._steps = len(poses), 1.0 / matcher.scales
-        balls = matcher._balls
-        lags = np.unique(np.linspace(0, m - 1, min(m, _BOUNDING_LAGS)).astype(np.int32))
-        self._order = _spread(m)
-        distances = kernels.ball_distances(balls.centres, balls.radii, poses, lags)
-        slow, fast = float(self._steps.min()), float(self._steps.max())
-        bounds = kernels.block_bounds(distances, lags, slow, fast, balls.first_block, balls.clip_of, _BLOCK)
-        self._bounded = distances, lags, bounds
 
-    def best(self, taken: Sequence[Match] = (), apart: float = 0.0, limit: float = np.inf) -> Match | None:
+    @cached_property
+    def _bounds(self) -> Float32:
+        """(B,) by block; zeros where the library is too small for the bounds to be worth their while."""
+        balls, steps = self._matcher._balls, self._matcher._steps
+        if len(balls.radii) <= _FEW:
+            return np.zeros(len(balls.radii), np.float32)
+        m = len(self._poses)
+        lags = np.unique(np.linspace(0, m - 1, min(m, _BOUNDING_LAGS)).astype(np.int32))
+        slow, fast = float(steps.min()), float(steps.max())
+        rounded = self._poses.astype(np.float32)
+        return kernels.block_bounds(balls.centres, balls.radii, rounded, lags, slow, fast, balls.first_block)
+
+    def best(self, taken: Sequence[Match] = (), apart: float = 0.0, limit: float = 1e300) -> Match | None:
+        """The best match below a limit, apart from those that are taken."""
+        matcher, balls = self._matcher, self._matcher._balls
         clips, windows = _NOWHERE
         if taken:
             clips = np.array([match.clip for match in taken], np.int32)
             windows = np.array([[match.position - apart, match.position + apart] for match in taken])
-        return self._search(self._bounded[2], clips, windows, limit)
+        distance, clip, scale, pose = kernels.search(
+            matcher._base, matcher._jumps, self._poses, matcher._steps, self._bounds, balls.first_block,
+            balls.clip_of, matcher.library.starts, matcher.ahead, clips, windows, limit,
+        )  # fmt: skip
+        return self._match(clip, scale, pose, distance)
 
     def near(self, place: Match) -> Match | None:
         """The best match within half a step of a place."""
-        balls, reach = self._matcher._balls, 0.5 * place.step + 1e-6
-        first = balls.first_block[place.clip]
-        last = first + (int(self._matcher.library.lengths[place.clip]) - 1) // _BLOCK
-        blocks = [first + int(p // _BLOCK) for p in (place.position - reach, place.position + reach)]
-        bounds = np.full(len(self._bounded[2]), np.inf)
-        low, high = np.clip(blocks, first, last)
-        bounds[low : high + 1] = self._bounded[2][low : high + 1]
-        outside = np.array([[-np.inf, place.position - reach], [place.position + reach, np.inf]])
-        return self._search(bounds, np.array([place.clip] * 2, np.int32), outside, 1e300)
+        matcher, reach = self._matcher, 0.5 * place.step
+        start, end = matcher.library.starts[place.clip : place.clip + 2]
+        low, high = place.position - reach, place.position + reach
+        base = matcher._base[:, start:end]
+        distance, scale, pose = kernels.nearby(base, self._poses, matcher._steps, low, high, matcher.ahead)
+        return self._match(place.clip, scale, pose, distance)
 
-    def _search(self, bounds: Float, barred: Int, windows: Float, limit: float) -> Match | None:
-        matcher, balls = self._matcher, self._matcher._balls
-        distances, lags, _ = self._bounded
-        distance, clip, scale, pose = kernels.search(
-            matcher._base, matcher._jumps, self._poses, self._steps, self._order, distances, lags, bounds,
-            balls.first_block, balls.clip_of, matcher.library.starts, _BLOCK, matcher.ahead, barred, windows, limit,
-        )  # fmt: skip
-        if clip < 0:
+    def _match(self, clip: int, scale: int, pose: int, distance: float) -> Match | None:
+        if scale < 0:
             return None
-        s = float(matcher.scales[scale])
-        return Match(int(clip), float(pose / s), s, float(distance))
+        s = float(self._matcher.scales[scale])
+        return Match(int(clip), float(pose * self._matcher._steps[scale]), s, float(distance))
 
 
 @dataclass(frozen=True)
 class _Balls:
-    """Balls around blocks of poses: centres (D, B), radii (B,); the first block of each clip, the clip of each block.
+    """Balls around blocks of poses: centres (K, B), radii (B,), clip and first block of the clip (B,).
 
     Each ball holds the first pose of the next block as well, and so all that lies between poses.
     """
 
     centres: Float32
-    radii: Float
-    first_block: Int
+    radii: Float32
     clip_of: Int
+    first_block: Int
 
     @staticmethod
     def of(base: Float32, starts: Int) -> _Balls:
-        counts = -(-np.diff(starts) // _BLOCK)
-        first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
+        counts = -(-np.diff(starts) // kernels.BLOCK)
         clip_of = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
-        begin = starts[clip_of] + (np.arange(first[-1]) - first[clip_of]) * _BLOCK
-        end = np.minimum(begin + _BLOCK + 1, starts[clip_of + 1])
+        first = np.repeat(np.cumsum(counts) - counts, counts).astype(np.int32)
+        begin = starts[clip_of] + (np.arange(len(first)) - first) * kernels.BLOCK
+        end = np.minimum(begin + kernels.BLOCK + 1, starts[clip_of + 1])
         centres, radii = kernels.balls(base, begin.astype(np.int32), end.astype(np.int32))
-        return _Balls(centres, radii, first[:-1].copy(), clip_of)
+        return _Balls(centres, radii, clip_of, first)
 
 
 def _transposed(q: Float32, columns: Int, factors: Float) -> Float32:
@@ -203,22 +207,13 @@ def _transposed(q: Float32, columns: Int, factors: Float) -> Float32:
     return out
 
 
-def _jumps(base: Float32, starts: Int) -> Float:
-    """(N,) squared distance of each pose from the next one, 0 at seams."""
-    out = np.zeros(base.shape[1])
+def _jumps(base: Float32, starts: Int) -> Float32:
+    """(N,) distance of each pose from the next one, rounded up; 0 at seams."""
+    squares = np.zeros(base.shape[1])
     for row in base:
-        out[:-1] += np.diff(row.astype(float)) ** 2
-    out[starts[1:] - 1] = 0.0
-    return out
-
-
-def _spread(count: int) -> Int:
-    """Lags in an order that knows early how a stretch differs: both ends, the middle, the quarters, …"""
-    order, gap = [0, count - 1], max(count - 1, 1)
-    while gap > 1:
-        gap = -(-gap // 2)
-        order += range(gap, count - 1, gap)
-    return np.array(list(dict.fromkeys(order)) if count > 1 else [0], np.int32)
+        squares[:-1] += np.diff(row.astype(float)) ** 2
+    squares[starts[1:] - 1] = 0.0
+    return (np.sqrt(squares) * (1.0 + 1e-6)).astype(np.float32)
 
 
 def _expect(holds: bool, message: str) -> None:
