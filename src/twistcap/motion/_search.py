@@ -95,29 +95,31 @@ def block_bounds(
 
 
 @njit(cache=True, nogil=True)
-def _distances(base: Float32, query: Float32, jumps: Float32, first: int, squares: Float32, bounds: Float32) -> None:
-    """Squared distances (m, W) of the query poses to the poses first, first + 1, … of a clip, and bound 2 of each.
+def _distances(
+    base: Float32, query: Float32, jumps: Float32, start: int, end: int, first: int, width: int,
+    squares: Float32, bounds: Float32,
+) -> None:  # fmt: skip
+    """Squared distances (m, W) of the query poses to `width` poses from `first` on, and bound 2 of each.
 
-    Base is (K, N), jumps (N,) the lengths from pose to pose. Outside the clip both are infinite.
+    Base is (K, N), jumps (N,) the lengths from pose to pose. Outside the clip, start … end − 1, both are infinite.
     """
-    N, W = base.shape[1], squares.shape[1]
-    low, high = max(0, -first), min(W, N - first)
+    low, high = max(0, start - first), min(width, end - first)
+    squares[:, :] = np.inf
+    bounds[:, :] = np.inf
+    jump, root = jumps[first + low : first + high], np.empty(high - low, np.float32)
     for v in range(len(query)):
-        squares[v, :low] = np.inf
-        squares[v, high:] = np.inf
-        row = squares[v, low:high]
+        row, bound = squares[v, low:high], bounds[v, low:high]
         row[:] = 0.0
         for k in range(len(base)):
             poses, x = base[k, first + low : first + high], query[v, k]
             for i in range(len(poses)):
                 row[i] += (poses[i] - x) * (poses[i] - x)
-        bounds[v, :] = np.inf
-        bound, jump = bounds[v, low:high], jumps[first + low : first + high]
-        for i in range(len(row) - 1):
-            both = (np.sqrt(row[i]) + np.sqrt(row[i + 1])) * (np.float32(1.0) - _LOSS)
-            bound[i] = max(np.float32(0.0), np.float32(0.5) * (both - jump[i]))
-        if len(row) and first + high == N:
-            bound[-1] = np.sqrt(row[-1]) * (np.float32(1.0) - _LOSS)
+        for i in range(len(root)):
+            root[i] = np.sqrt(row[i]) * (np.float32(1.0) - _LOSS)
+        for i in range(len(root) - 1):
+            bound[i] = np.float32(0.5) * (root[i] + root[i + 1] - jump[i])
+        if first + high == end:
+            bound[-1] = root[-1]
 
 
 @njit(cache=True, nogil=True)
@@ -130,12 +132,15 @@ def _summed(bounds: Float32, halo: int, step: float, out: Float32) -> None:
         one = bounds[v, halo - near : halo - near + len(out)]
         other = bounds[v, halo - far : halo - far + len(out)]
         for i in range(len(out)):
-            out[i] += one[i] if one[i] < other[i] else other[i]
+            least = one[i] if one[i] < other[i] else other[i]
+            out[i] += least if least > 0.0 else np.float32(0.0)
 
 
 @njit(cache=True, nogil=True)
-def _below(squares: Float32, jumps: Float32, first: int, j: int, step: float, limit: float) -> bool:
-    """Whether pose j of a scaled clip may match better than the limit (bound 3); columns of squares start at first."""
+def _below(
+    squares: Float32, jumps: Float32, start: int, first: int, j: int, step: float, limit: float
+) -> bool:  # fmt: skip
+    """Whether pose j of a scaled clip may match better than the limit (bound 3); column 0 is the clip's pose `first`."""
     total = 0.0
     for v in range(len(squares)):
         p = (j - v) * step
@@ -144,7 +149,7 @@ def _below(squares: Float32, jumps: Float32, first: int, j: int, step: float, li
         squared = squares[v, i - first]
         if f > _NEAR:
             lost = _LOSS * (squared + squares[v, i - first + 1])
-            cut = f * (np.float32(1.0) - f) * jumps[i] * jumps[i]
+            cut = f * (np.float32(1.0) - f) * jumps[start + i] * jumps[start + i]
             squared = squared + f * (squares[v, i - first + 1] - squared) - cut - lost
         if squared > 0.0:
             total += np.sqrt(squared) * (np.float32(1.0) - _LOSS)
@@ -154,13 +159,14 @@ def _below(squares: Float32, jumps: Float32, first: int, j: int, step: float, li
 
 
 @njit(cache=True, nogil=True)
-def score(base: Float32, query: Float, j: int, step: float, limit: float) -> float:
-    """The sum of norms of pose j of a scaled clip, base (K, N); anything above the limit where it is above it."""
+def score(base: Float32, query: Float, start: int, j: int, step: float, limit: float) -> float:
+    """The sum of norms of pose j of a scaled clip that starts at `start`; anything above the limit if it is above it."""
     total = 0.0
     for v in range(len(query)):
         p = (j - v) * step
         i = int(p + _NEAR)
         f = p - i if p - i > _NEAR else 0.0
+        i += start
         after = i + 1 if f > 0.0 else i
         squared = 0.0
         for k in range(len(base)):
@@ -182,17 +188,18 @@ def _barred(clip: int, p: float, barred: Int, windows: Float) -> bool:
 
 @njit(cache=True, nogil=True)
 def _stretch(
-    base: Float32, jumps: Float32, query: Float, rounded: Float32, steps: Float, low: int, high: int, ahead: float,
-    clip: int, barred: Int, windows: Float, squares: Float32, bounds: Float32, best: float, slack: float,
+    base: Float32, jumps: Float32, query: Float, rounded: Float32, steps: Float, start: int, end: int,
+    low: int, high: int, ahead: float, clip: int, barred: Int, windows: Float,
+    squares: Float32, bounds: Float32, best: float, slack: float,
 ) -> tuple[float, int, int]:  # fmt: skip
     """The best match that ends at poses low … high of one clip, if it is better than `best`: score, scale and pose j.
 
-    Base (K, N) and jumps (N,) are the clip's; squares and bounds are room for (m, halo + _TILE + 2) values.
+    The clip's poses are start … end − 1; low and high count from its start. Squares and bounds are room for
+    (m, halo + _TILE + 2) values.
     """
-    m, N, n = len(query), base.shape[1], high - low
+    m, N, n = len(query), end - start, high - low
     halo = squares.shape[1] - _TILE - 2
-    squares, bounds = squares[:, : halo + n + 2], bounds[:, : halo + n + 2]
-    _distances(base, rounded, jumps, low - halo, squares, bounds)
+    _distances(base, rounded, jumps, start, end, start + low - halo, halo + n + 2, squares, bounds)
     best_scale, best_pose, least = -1, -1, np.empty(n, np.float32)
     for s in range(len(steps)):
         step = steps[s]
@@ -207,10 +214,10 @@ def _stretch(
                 continue
             j = max(int(np.ceil((low + i - _NEAR) / step)), m - 1)
             while j * step < low + i + 1 - _NEAR and (j + ahead) * step <= N - 1 + _NEAR:
-                if _below(squares, jumps, low - halo, j, step, best + slack) and not _barred(
+                if _below(squares, jumps, start, low - halo, j, step, best + slack) and not _barred(
                     clip, j * step, barred, windows
                 ):
-                    value = score(base, query, j, step, best)
+                    value = score(base, query, start, j, step, best)
                     if value < best:
                         best, best_scale, best_pose = value, s, j
                 j += 1
@@ -262,8 +269,8 @@ def search(
         low = (b - first_block[b]) * BLOCK
         high = min(low + (last - b) * BLOCK, end - start)
         value, scale, pose = _stretch(
-            base[:, start:end], jumps[start:end], query, rounded, steps, low, high, ahead,
-            clip, barred, windows, squares, bounds, best, slack,
+            base, jumps, query, rounded, steps, start, end, low, high, ahead, clip, barred, windows,
+            squares, bounds, best, slack,
         )  # fmt: skip
         if scale >= 0:
             best, best_clip, best_scale, best_pose = value, clip, scale, pose
@@ -274,16 +281,16 @@ def search(
 
 @njit(cache=True, nogil=True)
 def nearby(
-    base: Float32, query: Float, steps: Float, low: float, high: float, ahead: float
+    base: Float32, query: Float, steps: Float, start: int, end: int, low: float, high: float, ahead: float
 ) -> tuple[float, int, int]:  # fmt: skip
-    """The best match that ends at positions low … high of one clip, base (K, N): score, scale and pose j."""
-    m, N = len(query), base.shape[1]
+    """The best match that ends at positions low … high of the clip start … end − 1: score, scale and pose j."""
+    m, N = len(query), end - start
     best, best_scale, best_pose = np.inf, -1, -1
     for s in range(len(steps)):
         step = steps[s]
         j = max(int(np.ceil((low - _NEAR) / step)), m - 1)
         while j * step <= high + _NEAR and (j + ahead) * step <= N - 1 + _NEAR:
-            value = score(base, query, j, step, best)
+            value = score(base, query, start, j, step, best)
             if value < best:
                 best, best_scale, best_pose = value, s, j
             j += 1

@@ -165,8 +165,9 @@ class _Query:
         matcher, reach = self._matcher, 0.5 * place.step
         start, end = matcher.library.starts[place.clip : place.clip + 2]
         low, high = place.position - reach, place.position + reach
-        base = matcher._base[:, start:end]
-        distance, scale, pose = kernels.nearby(base, self._poses, matcher._steps, low, high, matcher.ahead)
+        distance, scale, pose = kernels.nearby(
+            matcher._base, self._poses, matcher._steps, start, end, low, high, matcher.ahead
+        )
         return self._match(place.clip, scale, pose, distance)
 
     def _match(self, clip: int, scale: int, pose: int, distance: float) -> Match | None:
