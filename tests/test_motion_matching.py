@@ -62,6 +62,19 @@ def test_the_same_answer_as_trying_every_place(make, seed: int) -> None:
         assert (found.clip, found.position, found.scale) == pytest.approx((truth.clip, truth.position, truth.scale))
 
 
+@pytest.mark.parametrize("m", [1, 5, 30])
+def test_the_same_answer_in_a_library_where_whole_blocks_are_ruled_out(m: int) -> None:
+    rng = np.random.default_rng(m)
+    motions = library(*(smooth(rng, int(n), 6) for n in rng.integers(20, 900, 12)), rough(rng, 300, 6))
+    matcher, scales = Matcher(motions, scales=(0.5, 0.9, 1.7)), (0.5, 0.9, 1.7)
+    for k in range(6):
+        query = smooth(rng, m, 6) if k % 2 else motions.angles(k, 60 + np.arange(m) / 1.3) + rng.normal(0, 0.05, (m, 6))
+        truth, found = brute(motions, query, scales)[0], matcher.best(query)
+        assert found is not None
+        assert (found.clip, found.position, found.scale) == pytest.approx((truth.clip, truth.position, truth.scale))
+    assert len(matcher._balls.radii) > 200
+
+
 def test_the_next_best_ones_are_apart() -> None:
     rng = np.random.default_rng(3)
     motions, query = library(*(smooth(rng, 300, 4) for _ in range(3))), smooth(rng, 5, 4)

@@ -2,6 +2,8 @@
 
 Three bounds from below spare most of the work, and all are rounded down so that the answer stays exact:
 
+Coordinates stand in rows, padded with rows of zeros to a multiple of four.
+
 1. Poses lie in blocks of neighbours, each inside a ball: how far the query is from the balls rules out whole blocks.
 2. Between stored poses a and b, ``|Θ − P| ≥ (|Θ−a| + |Θ−b| − |b−a|)/2``. Distances to stored poses are shared by all
    scales, so that a bound for one pose and scale costs m comparisons.
@@ -17,18 +19,23 @@ from numba import njit
 
 from twistcap._typing import Float, Float32, Int
 
-BLOCK = 16  # poses whose neighbourhood is bounded by one ball
-_TILE = 256  # poses whose distances are held at a time
+BLOCK = 8  # poses whose neighbourhood is bounded by one ball
+_TILE = 512  # poses whose distances are held at a time
+_SHARE = 128  # blocks of which the most promising one is looked into first
+_GAP = 12  # blocks without promise that are looked into with their neighbours, which is cheaper than to begin anew
 _LOSS = np.float32(4e-6)  # relative, above the rounding of sums in float32
 _SLACK = 1e-6  # rad, above the rounding of the bounds
 _NEAR = 1e-8  # poses, above the rounding of positions in a clip
 
 
 @njit(cache=True, nogil=True)
-def prepared(query: Float, factors: Float) -> Float:
-    """(m, K) the query unwrapped as `library.unwrapped` does, weighted, the latest pose first; NaN stays NaN."""
+def prepared(query: Float, factors: Float, width: int) -> Float:
+    """(m, width) the query (m, K) unwrapped as `library.unwrapped` does, weighted, the latest pose first; then zeros.
+
+    What is not finite stays so.
+    """
     m, K = query.shape
-    out = np.empty((m, K))
+    out = np.zeros((m, width))
     for k in range(K):
         turn, total = 0.0, 0.0
         for i in range(m):
@@ -62,6 +69,16 @@ def balls(base: Float32, begin: Int, end: Int) -> tuple[Float32, Float32]:
 
 
 @njit(cache=True, nogil=True)
+def _add_squares(base: Float32, begin: int, end: int, pose: Float32, k: int, out: Float32) -> None:
+    """Add the squared differences of coordinates k … k + 3: four at once, or storing the sums would cost the most."""
+    a, b, c, d = base[k, begin:end], base[k + 1, begin:end], base[k + 2, begin:end], base[k + 3, begin:end]
+    x, y, z, w = pose[k], pose[k + 1], pose[k + 2], pose[k + 3]
+    for i in range(len(out)):
+        first = (a[i] - x) * (a[i] - x) + (b[i] - y) * (b[i] - y)
+        out[i] += first + ((c[i] - z) * (c[i] - z) + (d[i] - w) * (d[i] - w))
+
+
+@njit(cache=True, nogil=True)
 def block_bounds(
     centres: Float32, radii: Float32, query: Float32, lags: Int, slow: float, fast: float, first_block: Int
 ) -> Float32:
@@ -78,10 +95,8 @@ def block_bounds(
     out, away = np.zeros(B, np.float32), np.empty(B, np.float32)
     for v in lags:
         away[:] = 0.0
-        for k in range(len(centres)):
-            row, x = centres[k], query[v, k]
-            for b in range(B):
-                away[b] += (row[b] - x) * (row[b] - x)
+        for k in range(0, len(centres), 4):
+            _add_squares(centres, 0, B, query[v], k, away)
         for b in range(B):
             away[b] = max(np.float32(0.0), np.sqrt(away[b]) * (np.float32(1.0) - _LOSS) - radii[b])
         # The pose at this lag stands `slow·v` to `fast·v` poses before one in the block.
@@ -110,10 +125,8 @@ def _distances(
     for v in range(len(query)):
         row, bound = squares[v, low:high], bounds[v, low:high]
         row[:] = 0.0
-        for k in range(len(base)):
-            poses, x = base[k, first + low : first + high], query[v, k]
-            for i in range(len(poses)):
-                row[i] += (poses[i] - x) * (poses[i] - x)
+        for k in range(0, len(base), 4):
+            _add_squares(base, first + low, first + high, query[v], k, row)
         for i in range(len(root)):
             root[i] = np.sqrt(row[i]) * (np.float32(1.0) - _LOSS)
         for i in range(len(root) - 1):
@@ -225,6 +238,18 @@ def _stretch(
 
 
 @njit(cache=True, nogil=True)
+def _run(least: Float32, clip_of: Int, b: int, limit: float) -> int:
+    """One behind the last of the blocks from b on that are looked at together: promising ones with small gaps."""
+    last = b + 1
+    for c in range(b + 1, min(len(least), b + _TILE // BLOCK) if least[b] <= limit else b):
+        if clip_of[c] != clip_of[b] or c - last > _GAP:
+            break
+        if least[c] <= limit:
+            last = c + 1
+    return last
+
+
+@njit(cache=True, nogil=True)
 def search(
     base: Float32, jumps: Float32, query: Float, steps: Float, least: Float32,
     first_block: Int, clip_of: Int, starts: Int, ahead: float, barred: Int, windows: Float, limit: float,
@@ -251,31 +276,27 @@ def search(
     squares = np.empty((m, halo + _TILE + 2), np.float32)
     bounds = np.empty_like(squares)
     best, best_clip, best_scale, best_pose = limit, -1, -1, -1
-    lead = int(np.argmin(least))
-    b = lead
-    leading = True
+    leads = -(-B // _SHARE)  # the most promising block of each share goes first, so that the rest is soon ruled out
+    turn, b = 0, 0
     while b < B:
-        if least[b] > best + slack or (not leading and b == lead):
-            b += 1
-            continue
-        last = b + 1  # blocks that follow and promise as much are looked at together
-        while (
-            not leading and last < B and last - b < _TILE // BLOCK and clip_of[last] == clip_of[b]
-            and least[last] <= best + slack
-        ):  # fmt: skip
-            last += 1
-        clip = clip_of[b]
-        start, end = starts[clip], starts[clip + 1]
-        low = (b - first_block[b]) * BLOCK
-        high = min(low + (last - b) * BLOCK, end - start)
-        value, scale, pose = _stretch(
-            base, jumps, query, rounded, steps, start, end, low, high, ahead, clip, barred, windows,
-            squares, bounds, best, slack,
-        )  # fmt: skip
-        if scale >= 0:
-            best, best_clip, best_scale, best_pose = value, clip, scale, pose
-        b = 0 if leading else last
-        leading = False
+        if turn < leads:
+            begin = turn * _SHARE
+            b = begin + int(np.argmin(least[begin : begin + _SHARE]))
+            last = b + 1
+        else:
+            last = _run(least, clip_of, b, best + slack)
+        if least[b] <= best + slack:
+            start, end = starts[clip_of[b]], starts[clip_of[b] + 1]
+            low = (b - first_block[b]) * BLOCK
+            high = min(low + (last - b) * BLOCK, end - start)
+            value, scale, pose = _stretch(
+                base, jumps, query, rounded, steps, start, end, low, high, ahead, clip_of[b], barred, windows,
+                squares, bounds, best, slack,
+            )  # fmt: skip
+            if scale >= 0:
+                best, best_clip, best_scale, best_pose = value, clip_of[b], scale, pose
+        turn += 1
+        b = last if turn > leads else 0
     return best, best_clip, best_scale, best_pose
 
 

@@ -124,7 +124,7 @@ class Matcher:
         query = np.ascontiguousarray(query, dtype=float)
         K = len(self.columns)
         _expect(query.ndim == 2 and len(query) > 0 and query.shape[1] == K, f"a query must be (m, {K}), K coordinates")
-        poses = kernels.prepared(query, self._factors)
+        poses = kernels.prepared(query, self._factors, len(self._base))
         _expect(bool(np.isfinite(poses).all()), "a pose of the query is not finite")
         return _Query(self, poses)
 
@@ -201,8 +201,8 @@ class _Balls:
 
 
 def _transposed(q: Float32, columns: Int, factors: Float) -> Float32:
-    """(K, N) the compared coordinates, weighted."""
-    out = np.empty((len(columns), len(q)), np.float32)
+    """(K, N) the compared coordinates, weighted; K is padded with zeros to a multiple of four."""
+    out = np.zeros((-(-len(columns) // 4) * 4, len(q)), np.float32)
     for k, (column, factor) in enumerate(zip(columns, factors, strict=True)):
         out[k] = q[:, column] * np.float32(factor)
     return out
