@@ -18,7 +18,7 @@ from twistcap.motion import _search as kernels
 from twistcap.motion.library import PAPER_SCALES, MotionLibrary
 
 _BOUNDING_LAGS = 6  # of the query, whose distances to the balls are taken
-_FEW = 32  # blocks that are all looked into
+_FEW = 256  # blocks that are all looked into
 _NOWHERE = (np.zeros(0, np.int32), np.zeros((0, 2)))
 
 
