@@ -19,7 +19,10 @@ from twistcap.motion.library import PAPER_SCALES, MotionLibrary
 
 _BOUNDING_LAGS = 6  # of the query, whose distances to the balls are taken
 _FEW = 256  # blocks that are all looked into
-_NOWHERE = (np.zeros(0, np.int32), np.zeros((0, 2)))
+
+
+Stretch = tuple[int, float, float]
+"""A clip, and two positions in it."""
 
 
 @dataclass(frozen=True)
@@ -86,12 +89,13 @@ class Matcher:
         self._jumps = _jumps(self._base, library.starts)
         self._balls = _Balls.of(self._base, library.starts)
 
-    def best(self, query: Float, last: Match | None = None) -> Match | None:
+    def best(self, query: Float, last: Match | None = None, barred: Sequence[Stretch] = ()) -> Match | None:
         """The best match of the last m poses.
 
         Args:
             query: (m, K) compared coordinates, rad, the latest last, one frame apart.
             last: match of the frame before; among equals the one that continues it is taken.
+            barred: where no match may end.
 
         Returns:
             The match, or None where no clip is long enough.
@@ -100,21 +104,28 @@ class Matcher:
             InputError: for a query that is not (m, K), or not finite.
         """
         found = self._ready(query)
-        near = None if last is None else found.near(last.after(1.0))
+        near = None if last is None or barred else found.near(last.after(1.0))
         if near is None:
-            return found.best()
+            return found.best(barred)
         better = found.best(limit=near.distance * (1.0 - 1e-9) - 1e-9)
         return near if better is None else better
 
-    def k_best(self, query: Float, count: int, apart: float) -> list[Match]:
+    def k_best(self, query: Float, count: int, apart: float, barred: Sequence[Stretch] = ()) -> list[Match]:
         """The best match and the next best ones, each more than `apart` poses from those before it in its clip.
+
+        Args:
+            query: as for `best`.
+            count: how many.
+            apart: poses of the library.
+            barred: where no match may end.
 
         Raises:
             InputError: as `best`.
         """
         found, taken = self._ready(query), list[Match]()
         while len(taken) < count:
-            match = found.best(taken, apart)
+            around = [(match.clip, match.position - apart, match.position + apart) for match in taken]
+            match = found.best([*barred, *around])
             if match is None:
                 break
             taken.append(match)
@@ -147,13 +158,11 @@ class _Query:
         rounded = self._poses.astype(np.float32)
         return kernels.block_bounds(balls.centres, balls.radii, rounded, lags, slow, fast, balls.first_block)
 
-    def best(self, taken: Sequence[Match] = (), apart: float = 0.0, limit: float = 1e300) -> Match | None:
-        """The best match below a limit, apart from those that are taken."""
+    def best(self, barred: Sequence[Stretch] = (), limit: float = 1e300) -> Match | None:
+        """The best match below a limit that does not end where it is barred."""
         matcher, balls = self._matcher, self._matcher._balls
-        clips, windows = _NOWHERE
-        if taken:
-            clips = np.array([match.clip for match in taken], np.int32)
-            windows = np.array([[match.position - apart, match.position + apart] for match in taken])
+        clips = np.array([clip for clip, _, _ in barred], np.int32)
+        windows = np.array([[low, high] for _, low, high in barred]).reshape(-1, 2)
         distance, clip, scale, pose = kernels.search(
             matcher._base, matcher._jumps, self._poses, matcher._steps, self._bounds, balls.first_block,
             balls.clip_of, matcher.library.starts, matcher.ahead, clips, windows, limit,
