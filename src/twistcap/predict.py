@@ -48,10 +48,20 @@ class MotionNoise:
             joint, turn, shift = (v * dt for v in (self.joint_speed, self.turn_speed, self.shift_speed))
         variance = np.full(dof, joint**2)
         variance[:3], variance[3:6] = turn**2, shift**2
-        # δξ acts about the world's origin: a turn about the body's centre is ω there, with −ω × centre as v.
-        A, back, arm = np.eye(dof), np.eye(dof), se3.hat(centre)
-        A[3:6, :3], back[3:6, :3] = arm, -arm
-        return (A * variance) @ A.T, (back.T / variance) @ back
+        return covariance_about(variance, centre)
+
+
+def covariance_about(variance: Float, centre: Float) -> tuple[Float, Float]:
+    """Covariance (dof, dof) of a pose step, and its inverse.
+
+    Args:
+        variance: (dof,) of turns about a point of the body (rad²), its shifts (m²) and the coordinates (rad²).
+        centre: (3,) the point, m.
+    """
+    # δξ acts about the world's origin: a turn about the body's centre is ω there, with −ω × centre as v.
+    A, back, arm = np.eye(len(variance)), np.eye(len(variance)), se3.hat(centre)
+    A[3:6, :3], back[3:6, :3] = arm, -arm
+    return (A * variance) @ A.T, (back.T / variance) @ back
 
 
 def constant_velocity(history: Sequence[Moment], time: float, decay: float = np.inf) -> Pose:

@@ -1,12 +1,26 @@
-"""Motion as data: clips in a body's coordinates, skeletons of motion files, retargeting between them."""
+"""Motion as data: clips, skeletons of motion files, retargeting; libraries, scaled matching, prediction from them."""
 
 from twistcap.motion.clip import MotionClip
+from twistcap.motion.following import FollowedMotion, FollowRule
+from twistcap.motion.library import PAPER_SCALES, MotionLibrary
+from twistcap.motion.matching import Match, Matcher
+from twistcap.motion.openloop import Expected, MotionPredictor
+from twistcap.motion.paper import PaperMotion
 from twistcap.motion.retargeting import grounded, retarget
 from twistcap.motion.skeleton import SkeletonMotion, skeleton_of
 from twistcap.motion.table import SkeletonTable, body_table, read_table, table_for
 
 __all__ = [
+    "PAPER_SCALES",
+    "Expected",
+    "FollowRule",
+    "FollowedMotion",
+    "Match",
+    "Matcher",
     "MotionClip",
+    "MotionLibrary",
+    "MotionPredictor",
+    "PaperMotion",
     "SkeletonMotion",
     "SkeletonTable",
     "body_table",

@@ -1,0 +1,318 @@
+"""Kernels of the exact search for the best match; `matching` explains what is searched.
+
+Three bounds from below spare most of the work, and all are rounded down so that the answer stays exact:
+
+Coordinates stand in rows, padded with rows of zeros to a multiple of four.
+
+1. Poses lie in blocks of neighbours, each inside a ball: how far the query is from the balls rules out whole blocks.
+2. Between stored poses a and b, ``|Θ − P| ≥ (|Θ−a| + |Θ−b| − |b−a|)/2``. Distances to stored poses are shared by all
+   scales, so that a bound for one pose and scale costs m comparisons.
+3. At a share f from a to b, ``|Θ − P|² = (1−f)|Θ−a|² + f|Θ−b|² − f(1−f)|b−a|²``: the distance itself, in float32.
+
+What is left is summed in float64 from the angles.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from twistcap._typing import Float, Float32, Int
+
+BLOCK = 8  # poses whose neighbourhood is bounded by one ball
+_TILE = 512  # poses whose distances are held at a time
+_SHARE = 128  # blocks of which the most promising one is looked into first
+_GAP = 12  # blocks without promise that are looked into with their neighbours, which is cheaper than to begin anew
+_LOSS = np.float32(4e-6)  # relative, above the rounding of sums in float32
+_SLACK = 1e-6  # rad, above the rounding of the bounds
+_NEAR = 1e-8  # poses, above the rounding of positions in a clip
+
+
+@njit(cache=True, nogil=True)
+def prepared(query: Float, factors: Float, width: int) -> Float:
+    """(m, width) the query (m, K) unwrapped as `library.unwrapped` does, weighted, the latest pose first; then zeros.
+
+    What is not finite stays so.
+    """
+    m, K = query.shape
+    out = np.zeros((m, width))
+    for k in range(K):
+        turn, total = 0.0, 0.0
+        for i in range(m):
+            if i > 0:
+                turn -= 2.0 * np.pi * np.round((query[i, k] - query[i - 1, k]) / (2.0 * np.pi))
+            out[m - 1 - i, k] = query[i, k] + turn
+            total += query[i, k] + turn
+        whole = 2.0 * np.pi * np.round(total / m / (2.0 * np.pi))
+        for i in range(m):
+            out[i, k] = (out[i, k] - whole) * factors[k]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def balls(base: Float32, begin: Int, end: Int) -> tuple[Float32, Float32]:
+    """Middles (K, B) of stretches of poses begin … end − 1 of base (K, N), and radii (B,) that reach all of them."""
+    K, B = len(base), len(begin)
+    centres, radii = np.empty((K, B), np.float32), np.empty(B, np.float32)
+    for b in range(B):
+        for k in range(K):
+            poses = base[k, begin[b] : end[b]]
+            centres[k, b] = 0.5 * (poses.min() + poses.max())
+        largest = 0.0
+        for i in range(begin[b], end[b]):
+            squared = 0.0
+            for k in range(K):
+                squared += (np.float64(base[k, i]) - centres[k, b]) ** 2
+            largest = max(largest, squared)
+        radii[b] = np.sqrt(largest) * (1.0 + _LOSS)
+    return centres, radii
+
+
+@njit(cache=True, nogil=True)
+def _add_squares(base: Float32, begin: int, end: int, pose: Float32, k: int, out: Float32) -> None:
+    """Add the squared differences of coordinates k … k + 3: four at once, or storing the sums would cost the most."""
+    a, b, c, d = base[k, begin:end], base[k + 1, begin:end], base[k + 2, begin:end], base[k + 3, begin:end]
+    x, y, z, w = pose[k], pose[k + 1], pose[k + 2], pose[k + 3]
+    for i in range(len(out)):
+        first = (a[i] - x) * (a[i] - x) + (b[i] - y) * (b[i] - y)
+        out[i] += first + ((c[i] - z) * (c[i] - z) + (d[i] - w) * (d[i] - w))
+
+
+@njit(cache=True, nogil=True)
+def block_bounds(
+    centres: Float32, radii: Float32, query: Float32, lags: Int, slow: float, fast: float, first_block: Int
+) -> Float32:
+    """(B,) a sum of norms that no match ending in a block undercuts (bound 1).
+
+    Args:
+        centres, radii: (K, B) and (B,), of `balls`.
+        query: (m, K), the latest pose first.
+        lags: (L,) of the query poses that are looked at; fewer make a lower bound.
+        slow, fast: least and greatest step of the scales, poses per frame.
+        first_block: (B,) first block of each block's clip.
+    """
+    B = centres.shape[1]
+    out, away = np.zeros(B, np.float32), np.empty(B, np.float32)
+    for v in lags:
+        away[:] = 0.0
+        for k in range(0, len(centres), 4):
+            _add_squares(centres, 0, B, query[v], k, away)
+        for b in range(B):
+            away[b] = max(np.float32(0.0), np.sqrt(away[b]) * (np.float32(1.0) - _LOSS) - radii[b])
+        # The pose at this lag stands `slow·v` to `fast·v` poses before one in the block.
+        nearest, farthest = int(np.floor(slow * v / BLOCK)), int(np.ceil(fast * v / BLOCK))
+        for b in range(B):
+            low = away[max(first_block[b], b - nearest)]
+            for c in range(max(first_block[b], b - farthest), b - nearest):
+                low = min(low, away[c])
+            out[b] += low
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _distances(
+    base: Float32, query: Float32, jumps: Float32, start: int, end: int, first: int, width: int,
+    squares: Float32, bounds: Float32,
+) -> None:  # fmt: skip
+    """Squared distances (m, W) of the query poses to `width` poses from `first` on, and bound 2 of each.
+
+    Base is (K, N), jumps (N,) the lengths from pose to pose. Outside the clip, start … end − 1, both are infinite.
+    """
+    low, high = max(0, start - first), min(width, end - first)
+    squares[:, :] = np.inf
+    bounds[:, :] = np.inf
+    jump, root = jumps[first + low : first + high], np.empty(high - low, np.float32)
+    for v in range(len(query)):
+        row, bound = squares[v, low:high], bounds[v, low:high]
+        row[:] = 0.0
+        for k in range(0, len(base), 4):
+            _add_squares(base, first + low, first + high, query[v], k, row)
+        for i in range(len(root)):
+            root[i] = np.sqrt(row[i]) * (np.float32(1.0) - _LOSS)
+        for i in range(len(root) - 1):
+            bound[i] = np.float32(0.5) * (root[i] + root[i + 1] - jump[i])
+        if first + high == end:
+            bound[-1] = root[-1]
+
+
+@njit(cache=True, nogil=True)
+def _summed(bounds: Float32, halo: int, step: float, out: Float32) -> None:
+    """Bound 2 of matches that end between pose halo + i and the next, for one scale, into out (n,)."""
+    out[:] = 0.0
+    for v in range(len(bounds)):
+        back = v * step
+        near, far = int(np.floor(back + _NEAR)), int(np.ceil(back - _NEAR))
+        one = bounds[v, halo - near : halo - near + len(out)]
+        other = bounds[v, halo - far : halo - far + len(out)]
+        for i in range(len(out)):
+            least = one[i] if one[i] < other[i] else other[i]
+            out[i] += least if least > 0.0 else np.float32(0.0)
+
+
+@njit(cache=True, nogil=True)
+def _below(
+    squares: Float32, jumps: Float32, start: int, first: int, j: int, step: float, limit: float
+) -> bool:  # fmt: skip
+    """Whether pose j of a scaled clip may match better than the limit (bound 3); column 0 is pose `first`."""
+    total = 0.0
+    for v in range(len(squares)):
+        p = (j - v) * step
+        i = int(p + _NEAR)
+        f = np.float32(p - i)
+        squared = squares[v, i - first]
+        if f > _NEAR:
+            lost = _LOSS * (squared + squares[v, i - first + 1])
+            cut = f * (np.float32(1.0) - f) * jumps[start + i] * jumps[start + i]
+            squared = squared + f * (squares[v, i - first + 1] - squared) - cut - lost
+        if squared > 0.0:
+            total += np.sqrt(squared) * (np.float32(1.0) - _LOSS)
+            if total > limit:
+                return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def score(base: Float32, query: Float, start: int, j: int, step: float, limit: float) -> float:
+    """The sum of norms of pose j of a scaled clip that starts at `start`; any value above the limit if it is above."""
+    total = 0.0
+    for v in range(len(query)):
+        p = (j - v) * step
+        i = int(p + _NEAR)
+        f = p - i if p - i > _NEAR else 0.0
+        i += start
+        after = i + 1 if f > 0.0 else i
+        squared = 0.0
+        for k in range(len(base)):
+            d = (1.0 - f) * base[k, i] + f * base[k, after] - query[v, k]
+            squared += d * d
+        total += np.sqrt(squared)
+        if total > limit:
+            break
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _barred(clip: int, p: float, barred: Int, windows: Float) -> bool:
+    for e in range(len(barred)):  # noqa: SIM110 (numba has no any() of a generator)
+        if barred[e] == clip and windows[e, 0] < p < windows[e, 1]:
+            return True
+    return False
+
+
+@njit(cache=True, nogil=True)
+def _stretch(
+    base: Float32, jumps: Float32, query: Float, rounded: Float32, steps: Float, start: int, end: int,
+    low: int, high: int, ahead: float, clip: int, barred: Int, windows: Float,
+    squares: Float32, bounds: Float32, best: float, slack: float,
+) -> tuple[float, int, int]:  # fmt: skip
+    """The best match that ends at poses low … high of one clip, if it is better than `best`: score, scale and pose j.
+
+    The clip's poses are start … end − 1; low and high count from its start. Squares and bounds are room for
+    (m, halo + _TILE + 2) values.
+    """
+    m, N, n = len(query), end - start, high - low
+    halo = squares.shape[1] - _TILE - 2
+    _distances(base, rounded, jumps, start, end, start + low - halo, halo + n + 2, squares, bounds)
+    best_scale, best_pose, least = -1, -1, np.empty(n, np.float32)
+    for s in range(len(steps)):
+        step = steps[s]
+        _summed(bounds, halo, step, least)
+        promising, limit = 0, np.float32(best + slack)
+        for i in range(n):
+            promising += least[i] <= limit
+        if promising == 0:
+            continue
+        for i in range(n):
+            if least[i] > best + slack:
+                continue
+            j = max(int(np.ceil((low + i - _NEAR) / step)), m - 1)
+            while j * step < low + i + 1 - _NEAR and (j + ahead) * step <= N - 1 + _NEAR:
+                if _below(squares, jumps, start, low - halo, j, step, best + slack) and not _barred(
+                    clip, j * step, barred, windows
+                ):
+                    value = score(base, query, start, j, step, best)
+                    if value < best:
+                        best, best_scale, best_pose = value, s, j
+                j += 1
+    return best, best_scale, best_pose
+
+
+@njit(cache=True, nogil=True)
+def _run(least: Float32, clip_of: Int, b: int, limit: float) -> int:
+    """One behind the last of the blocks from b on that are looked at together: promising ones with small gaps."""
+    last = b + 1
+    for c in range(b + 1, min(len(least), b + _TILE // BLOCK) if least[b] <= limit else b):
+        if clip_of[c] != clip_of[b] or c - last > _GAP:
+            break
+        if least[c] <= limit:
+            last = c + 1
+    return last
+
+
+@njit(cache=True, nogil=True)
+def search(
+    base: Float32, jumps: Float32, query: Float, steps: Float, least: Float32,
+    first_block: Int, clip_of: Int, starts: Int, ahead: float, barred: Int, windows: Float, limit: float,
+) -> tuple[float, int, int, int]:  # fmt: skip
+    """The least sum of norms below a limit, its clip, scale and pose j of the scaled clip; clip −1 where there is none.
+
+    Args:
+        base: (K, N) weighted coordinates of all clips.
+        jumps: (N,) distance of each pose from the next one of its clip, rounded up; 0 at its end.
+        query: (m, K) weighted, the latest first.
+        steps: (S,) poses per frame of the query, 1/s.
+        least: (B,) bound of each block, of `block_bounds`.
+        first_block, clip_of: (B,) first block of each block's clip, and the clip.
+        starts: (C + 1,) where clips start.
+        ahead: frames by which a match must be followed inside its clip.
+        barred: (E,) clips, and
+        windows: (E, 2) positions in them between which no match may end.
+        limit: worse matches are not looked for.
+    """
+    m, B = len(query), len(least)
+    rounded = query.astype(np.float32)
+    slack = m * _SLACK * (1.0 + np.abs(query).max()) * np.sqrt(query.shape[1])
+    halo = int(np.ceil((m - 1) * steps.max())) + 1
+    squares = np.empty((m, halo + _TILE + 2), np.float32)
+    bounds = np.empty_like(squares)
+    best, best_clip, best_scale, best_pose = limit, -1, -1, -1
+    leads = -(-B // _SHARE)  # the most promising block of each share goes first, so that the rest is soon ruled out
+    turn, b = 0, 0
+    while b < B:
+        if turn < leads:
+            begin = turn * _SHARE
+            b = begin + int(np.argmin(least[begin : begin + _SHARE]))
+            last = b + 1
+        else:
+            last = _run(least, clip_of, b, best + slack)
+        if least[b] <= best + slack:
+            start, end = starts[clip_of[b]], starts[clip_of[b] + 1]
+            low = (b - first_block[b]) * BLOCK
+            high = min(low + (last - b) * BLOCK, end - start)
+            value, scale, pose = _stretch(
+                base, jumps, query, rounded, steps, start, end, low, high, ahead, clip_of[b], barred, windows,
+                squares, bounds, best, slack,
+            )  # fmt: skip
+            if scale >= 0:
+                best, best_clip, best_scale, best_pose = value, clip_of[b], scale, pose
+        turn += 1
+        b = last if turn > leads else 0
+    return best, best_clip, best_scale, best_pose
+
+
+@njit(cache=True, nogil=True)
+def nearby(
+    base: Float32, query: Float, steps: Float, start: int, end: int, low: float, high: float, ahead: float
+) -> tuple[float, int, int]:  # fmt: skip
+    """The best match that ends at positions low … high of the clip start … end − 1: score, scale and pose j."""
+    m, N = len(query), end - start
+    best, best_scale, best_pose = np.inf, -1, -1
+    for s in range(len(steps)):
+        step = steps[s]
+        j = max(int(np.ceil((low - _NEAR) / step)), m - 1)
+        while j * step <= high + _NEAR and (j + ahead) * step <= N - 1 + _NEAR:
+            value = score(base, query, start, j, step, best)
+            if value < best:
+                best, best_scale, best_pose = value, s, j
+            j += 1
+    return best, best_scale, best_pose

@@ -1,0 +1,246 @@
+"""Prediction by following a match: what was measured better than the paper's, and so the default.
+
+The k best matches of a long history are placed exactly in time and pace, adapted to the person (offset and range of
+each joint), followed to their ends, and blended. How this and the paper's compare: docs/motion.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+
+from twistcap import se3
+from twistcap._typing import Float
+from twistcap.body import Body
+from twistcap.errors import InputError
+from twistcap.motion.library import PAPER_SCALES, MotionLibrary
+from twistcap.motion.matching import Match, Matcher, Stretch
+from twistcap.motion.openloop import OpenLoop, Stretched
+from twistcap.motion.paper import standard_step
+
+
+@dataclass(frozen=True)
+class FollowRule:
+    """How matches are found and followed.
+
+    Attributes:
+        poses: lengths of history that are matched. The longest counts for which the library has anything as like as
+            for the shortest: a clip may be too short for it, or nobody there goes on like this.
+        as_like: factor by which its mean distance may be larger.
+        look_back: frames of history to which a match is then fitted.
+        count: matches that are blended, at most.
+        apart: frames between them.
+        sharpness: how fast a match's share falls with its distance, in units of the best one's.
+        fading: share of the last pose's offset from the match that is left after each frame.
+        stiffness: rad², swing (summed square deviation) below which a joint's range is not adapted.
+        trust: frames of history at which half of what they tell of the person is believed.
+        scales: time scales that are tried before the exact one is sought.
+    """
+
+    poses: tuple[int, ...] = (5, 15, 30)
+    as_like: float = 1.6
+    look_back: int = 60
+    count: int = 3
+    apart: int = 20
+    sharpness: float = 4.0
+    fading: float = 0.9
+    stiffness: float = 0.3
+    trust: float = 30.0
+    scales: tuple[float, ...] = PAPER_SCALES
+
+    def __post_init__(self) -> None:
+        if len(self.poses) == 0 or min(self.poses) < 2 or self.count < 1 or not 0 <= self.fading < 1:
+            raise InputError("motion prediction: take 2 poses or more, 1 match or more, and a fading in [0, 1).")
+
+
+class FollowedMotion(OpenLoop):
+    """Predicts by following the best matches.
+
+    Args:
+        library: training motion, at the frame rate of the recording.
+        body: that is tracked.
+        rule: how.
+
+    Raises:
+        InputError: as `OpenLoop`.
+    """
+
+    def __init__(self, library: MotionLibrary, body: Body, rule: FollowRule | None = None) -> None:
+        super().__init__(library, body)
+        self.rule = rule or FollowRule()
+        self.history = max(self.rule.look_back, *self.rule.poses)
+        self._matcher = Matcher(library, self.compared, scales=self.rule.scales, ahead=float(min(self.rule.poses)))
+
+    def unlikeness(self, match: Match | None) -> float:
+        """Mean distance of a matched pose, rad."""
+        return np.nan if match is None else match.distance
+
+    def go_on(self, past: Stretched, count: int, barred: Sequence[Stretch] = ()) -> Stretched:
+        """Poses up to where the best match ends; see `OpenLoop.go_on`."""
+        past = past.since(max(0, len(past) - self.history))
+        matches = self._matches(past, barred)
+        if not matches:
+            return standard_step(past.since(max(0, len(past) - 5)))
+        guides = [_Guide.fitted(self.library, past, match, poses, self.rule, self.compared) for match, poses in matches]
+        lasting = guides[0].lasting(self.library)
+        count = max(1, min(count, lasting))
+        used = [guide for guide in guides if guide.lasting(self.library) >= count]
+        best = matches[0][0].distance
+        likeness = [np.exp(-self.rule.sharpness * (g.match.distance / max(best, 1e-6) - 1.0)) for g in used]
+        followed = [guide.followed(self.library, past, count, self.rule.fading) for guide in used or guides[:1]]
+        return _blended(followed, np.array(likeness or [1.0]))
+
+    def _matches(self, past: Stretched, barred: Sequence[Stretch]) -> list[tuple[Match, int]]:
+        """The best matches, their distances by pose (rad), and the number of poses that were matched."""
+        out: list[tuple[Match, int]] = []
+        bar = np.inf
+        for poses in sorted(self.rule.poses):
+            if poses > len(past):
+                break
+            query = past.q[-poses:][:, self.compared]
+            found = self._matcher.k_best(query, self.rule.count, self.rule.apart, barred)
+            if found and found[0].distance / poses <= bar:
+                out = [(replace(match, distance=match.distance / poses), poses) for match in found]
+            bar = min(bar, self.rule.as_like * out[0][0].distance) if out else bar
+        return out
+
+
+@dataclass(frozen=True)
+class _Guide:
+    """A match placed exactly in time, and how the person differs from it.
+
+    Attributes:
+        match: where the last pose is in the library; its scale is the exact one.
+        gain, offset: (J,) of the joints: ``q ≈ gain · sample + offset``.
+        heading: (3, 3) turn about the vertical from the sample's world to ours.
+        way: complex factor of its horizontal ways, turned by `heading`.
+        lean: (3,) rotation vector from the sample's root to ours, in the root's frame.
+    """
+
+    match: Match
+    gain: Float
+    offset: Float
+    heading: Float
+    way: complex
+    lean: Float
+
+    @staticmethod
+    def fitted(
+        library: MotionLibrary, past: Stretched, match: Match, poses: int, rule: FollowRule, columns: np.ndarray
+    ) -> _Guide:
+        """Of a match of the last so many poses."""
+        clip = library.q[library.starts[match.clip] : library.starts[match.clip + 1]]
+        reached = min(len(past), rule.look_back, int(match.position / match.step + 1e-6) + 1)
+        query = np.ascontiguousarray(past.q[-max(poses, reached) :][:, columns])
+        position, step = placed(np.ascontiguousarray(clip[:, columns]), query, match.position, match.step)
+        match = Match(match.clip, position, 1.0 / step, match.distance)
+        length = min(len(past), rule.look_back, int(position / step + 1e-6) + 1)
+        where = position - step * np.arange(length)[::-1]
+        believed = length / (length + rule.trust)
+        gain, offset = adapted(past.q[-length:], library.angles(match.clip, where), rule.stiffness, believed)
+        heading, way, lean = _aligned(past.roots[-length:], library.root_motions(match.clip, where))
+        return _Guide(match, gain, offset, heading, way, lean)
+
+    def lasting(self, library: MotionLibrary) -> int:
+        """Frames until the clip ends."""
+        left = int(library.lengths[self.match.clip]) - 1 - self.match.position
+        return int(left / self.match.step + 1e-6)
+
+    def followed(self, library: MotionLibrary, past: Stretched, count: int, fading: float) -> Stretched:
+        """The next `count` poses; what the last pose differs by fades away."""
+        frames = np.arange(count + 1)
+        where = self.match.position + self.match.step * frames
+        left = fading ** frames[:, None]
+        q = self.gain * library.angles(self.match.clip, where) + self.offset
+        q = q + left * (past.q[-1] - q[0])
+        sample = library.root_motions(self.match.clip, where)
+        turned = self.heading @ sample[:, :3, :3]
+        rest = se3.log_rotation(turned[0].T @ past.roots[-1, :3, :3]) - self.lean
+        turned = turned @ se3.exp_rotation(self.lean + left * rest)
+        ways = (sample[:, :3, 3] - sample[0, :3, 3]) @ self.heading.T
+        across = self.way * (ways[:, 0] + 1j * ways[:, 1])
+        place = past.roots[-1, :3, 3] + np.stack([across.real, across.imag, ways[:, 2]], axis=1)
+        return Stretched(q[1:], se3.transform(turned, place)[1:], self.match.after(count))
+
+
+def adapted(query: Float, sample: Float, stiffness: float, believed: float) -> tuple[Float, Float]:
+    """Gain and offset (J,) that carry a sample (n, J) to a query (n, J), by ridge regression towards 1 and 0.
+
+    Args:
+        query, sample: rad.
+        stiffness: rad², of the ridge.
+        believed: share of the difference from 1 and 0 that is kept.
+    """
+    of_query, of_sample = query.mean(axis=0), sample.mean(axis=0)
+    a, b = sample - of_sample, query - of_query
+    gain = ((a * b).sum(axis=0) + stiffness) / ((a * a).sum(axis=0) + stiffness)
+    gain = np.clip(gain, 0.3, 3.0)
+    return 1.0 + believed * (gain - 1.0), believed * (of_query - gain * of_sample)
+
+
+_STRIDE = 0.15  # m: a sample that has gone less far tells little of length and direction of ways
+
+
+def _aligned(roots: Float, sample: Float) -> tuple[Float, complex, Float]:
+    """Heading, way and lean of `_Guide` from (n, 4, 4) roots of the person and the sample, frame by frame."""
+    between = (roots[:, :3, :3] @ np.swapaxes(sample[:, :3, :3], 1, 2)).sum(axis=0)
+    angle = np.arctan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1])
+    heading = se3.exp_rotation(np.array([0.0, 0.0, angle]))
+    lean = se3.log_rotation(np.swapaxes(heading @ sample[:, :3, :3], 1, 2) @ roots[:, :3, :3]).mean(axis=0)
+    ours, theirs = roots[-1, :2, 3] - roots[0, :2, 3], heading[:2, :2] @ (sample[-1, :2, 3] - sample[0, :2, 3])
+    a, b = complex(*ours), complex(*theirs)
+    way = (a * b.conjugate() + _STRIDE**2) / (abs(b) ** 2 + _STRIDE**2)
+    return heading, way, lean
+
+
+def _blended(ways: Sequence[Stretched], shares: Float) -> Stretched:
+    """The weighted mean of predictions; roots by the mean of their twists from the first one."""
+    shares = shares / shares.sum()
+    q = np.einsum("k,knj->nj", shares, np.array([way.q for way in ways]))
+    first = ways[0].roots
+    twists = [share * se3.log(se3.inverse(first) @ way.roots) for share, way in zip(shares, ways, strict=True)]
+    return Stretched(q, first @ se3.exp(np.sum(twists, axis=0)), ways[0].match)
+
+
+_FORGIVEN = 0.7  # share of a constant offset of the joints that does not count when a match is placed in time
+_GRID, _ROUNDS = 4, 3  # places to either side, and rounds of refinement
+_REACH, _PACE = 1.0, 0.06  # poses, and poses per frame, within which the exact place and pace are sought
+
+
+@njit(cache=True, nogil=True)
+def misplaced(clip: np.ndarray, query: Float, position: float, step: float) -> float:
+    """Sum of the norms by which a query (m, K) differs from a clip (N, K), most of its constant offset forgiven."""
+    m, K = query.shape
+    if position - (m - 1) * step < 0.0 or position > len(clip) - 1:
+        return np.inf
+    apart = np.empty((m, K))
+    for v in range(m):
+        p = position - (m - 1 - v) * step
+        i = min(int(p), len(clip) - 2)
+        for k in range(K):
+            apart[v, k] = clip[i, k] + (p - i) * (clip[i + 1, k] - clip[i, k]) - query[v, k]
+    total = 0.0
+    offset = np.array([_FORGIVEN * apart[:, k].mean() for k in range(K)])
+    for v in range(m):
+        total += np.sqrt(np.sum((apart[v] - offset) ** 2))
+    return total
+
+
+@njit(cache=True, nogil=True)
+def placed(clip: np.ndarray, query: Float, position: float, step: float) -> tuple[float, float]:
+    """Position and step near the given ones that fit a query (m, K) best, by ever finer grids."""
+    reach, pace = _REACH, _PACE
+    best = misplaced(clip, query, position, step)
+    for _ in range(_ROUNDS):
+        middle, middle_step = position, step
+        for a in range(-_GRID, _GRID + 1):
+            for b in range(-_GRID, _GRID + 1):
+                p, d = middle + reach * a / _GRID, middle_step + pace * b / _GRID
+                value = misplaced(clip, query, p, d)
+                if value < best:
+                    best, position, step = value, p, d
+        reach, pace = reach / 3.0, pace / 3.0
+    return position, step

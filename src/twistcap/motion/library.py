@@ -1,0 +1,141 @@
+"""Training motion: clips side by side, never joined, at one rate.
+
+Rosenhahn, Brox and Seidel, "Scaled Motion Dynamics for Markerless Motion Capture" (DOI 10.1109/CVPR.2007.383128),
+section 3; method.md 8.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from twistcap._typing import Float, Float32, Int
+from twistcap.errors import InputError
+from twistcap.motion.clip import MotionClip, interpolated_angles, interpolated_roots
+
+PAPER_SCALES: tuple[float, ...] = tuple(round(0.5 + 0.1 * k, 1) for k in range(16))
+
+
+@dataclass(frozen=True)
+class MotionLibrary:
+    """Clips of training motion, all of the same joint coordinates and rate.
+
+    The paper's resampled copies ``P^s`` are never stored: pose j of ``P^s`` stands at position j/s of its clip, between
+    two poses that are.
+
+    Attributes:
+        names: J joint coordinates.
+        rate: poses per second, that of the tracked recording.
+        clip_names: C names.
+        starts: (C + 1,) where each clip starts, and where the last one ends.
+        q: (N, J) joint coordinates of all clips, one after the other, rad; float32 holds them to 1e-7.
+        roots: (N, 4, 4) T_world_root.
+
+    Raises:
+        InputError: for shapes that do not fit, or values that are not finite.
+    """
+
+    names: tuple[str, ...]
+    rate: float
+    clip_names: tuple[str, ...]
+    starts: Int
+    q: Float32
+    roots: Float
+
+    def __post_init__(self) -> None:
+        N, J, C = len(self.q), len(self.names), len(self.clip_names)
+        _expect(J > 0 and self.q.shape == (N, J), f"its q must be (N, {J}), one column for each coordinate name")
+        _expect(self.roots.shape == (N, 4, 4), f"its roots must be ({N}, 4, 4), one for each pose")
+        seams_fit = self.starts.shape == (C + 1,) and self.starts[0] == 0 and self.starts[-1] == N
+        _expect(C > 0 and seams_fit and bool(np.all(np.diff(self.starts) > 0)), "its clips do not fill its poses")
+        _expect(bool(np.isfinite(self.q).all() and np.isfinite(self.roots).all()), "a pose is not finite")
+        _expect(bool(0 < self.rate < np.inf), f"its rate is {self.rate}; it must be positive, in poses per second")
+
+    @staticmethod
+    def of(
+        clips: Iterable[MotionClip], rate: float, names: Sequence[str] | None = None, mirrored: bool = False
+    ) -> MotionLibrary:
+        """A library of clips, resampled to one rate.
+
+        Args:
+            clips: training motion.
+            rate: of the recording that is to be tracked, frames per second.
+            names: the coordinates to keep; by default those of the first clip that all have.
+            mirrored: whether each clip's mirror image is added.
+
+        Raises:
+            InputError: where there is no clip, or a clip lacks a coordinate.
+        """
+        given = list(clips)
+        _expect(bool(given), "it has no clips; give one or more")
+        if names is None:
+            names = tuple(n for n in given[0].names if all(n in clip.names for clip in given))
+        _expect(len(names) > 0, "its clips have no joint coordinate in common")
+        kept = [clip for given_clip in given for clip in _both(_at_rate(given_clip, names, rate), mirrored)]
+        return MotionLibrary(
+            names=tuple(names),
+            rate=float(rate),
+            clip_names=tuple(clip.name for clip in kept),
+            starts=np.cumsum([0, *(len(clip) for clip in kept)]).astype(np.int32),
+            q=np.concatenate([clip.q for clip in kept], dtype=np.float32),
+            roots=np.concatenate([clip.roots for clip in kept]),
+        )
+
+    def __len__(self) -> int:
+        """Number of poses."""
+        return len(self.q)
+
+    @cached_property
+    def lengths(self) -> Int:
+        """(C,) poses of each clip."""
+        return np.diff(self.starts)
+
+    def clip(self, index: int) -> MotionClip:
+        """One of the clips."""
+        part = slice(self.starts[index], self.starts[index + 1])
+        return MotionClip(self.clip_names[index], self.names, self.rate, self.roots[part], self.q[part].astype(float))
+
+    def angles(self, clip: int, positions: Float) -> Float:
+        """(P, J) joint coordinates at positions (P,) in poses from the clip's start; those outside get its ends."""
+        part = self.q[self.starts[clip] : self.starts[clip + 1]]
+        return interpolated_angles(part, np.clip(positions, 0, len(part) - 1))
+
+    def root_motions(self, clip: int, positions: Float) -> Float:
+        """(P, 4, 4) roots at positions (P,) in poses from the clip's start; those outside get its ends."""
+        part = self.roots[self.starts[clip] : self.starts[clip + 1]]
+        return interpolated_roots(part, np.clip(positions, 0, len(part) - 1))
+
+    def columns(self, names: Sequence[str]) -> Int:
+        """(K,) where some coordinates stand in `names`.
+
+        Raises:
+            InputError: where the library lacks one.
+        """
+        for name in names:
+            _expect(name in self.names, f"it has no coordinate {name!r}; it has {', '.join(self.names)}")
+        return np.array([self.names.index(name) for name in names], dtype=np.int32)
+
+
+def unwrapped(q: Float) -> Float:
+    """Angles (N, J) without jumps by 2π, their mean within ±π: how clips and queries are compared modulo 2π."""
+    smooth = np.unwrap(q, axis=0)
+    return smooth - 2.0 * np.pi * np.round(smooth.mean(axis=0) / (2.0 * np.pi))
+
+
+def _at_rate(clip: MotionClip, names: Sequence[str], rate: float) -> MotionClip:
+    missing = [name for name in names if name not in clip.names]
+    _expect(not missing, f"its clip {clip.name!r} lacks the coordinate {missing[0] if missing else ''!r}")
+    q = unwrapped(clip.q[:, [clip.names.index(name) for name in names]])
+    return MotionClip(clip.name, tuple(names), clip.rate, clip.roots, q).resampled(rate)
+
+
+def _both(clip: MotionClip, mirrored: bool) -> list[MotionClip]:
+    return [clip, clip.mirrored()] if mirrored else [clip]
+
+
+def _expect(holds: bool, message: str) -> None:
+    if not holds:
+        raise InputError(f"motion library: {message}.")

@@ -1,0 +1,231 @@
+"""Where in the training motion the last poses are found again, at whatever speed.
+
+Rosenhahn, Brox and Seidel, "Scaled Motion Dynamics for Markerless Motion Capture" (DOI 10.1109/CVPR.2007.383128),
+eq. 18; method.md 8: ``argmin_{s,j} Σ_{v<m} ‖Θ_{t−v} − Θ̃^s_{j−v}‖``, a sum of norms of joint angles alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from twistcap._typing import Float, Float32, Int
+from twistcap.errors import InputError
+from twistcap.motion import _search as kernels
+from twistcap.motion.library import PAPER_SCALES, MotionLibrary
+
+_BOUNDING_LAGS = 6  # of the query, whose distances to the balls are taken
+_FEW = 256  # blocks that are all looked into
+
+
+Stretch = tuple[int, float, float]
+"""A clip, and two positions in it."""
+
+
+@dataclass(frozen=True)
+class Match:
+    """A place in the training motion.
+
+    Attributes:
+        clip: index of the clip.
+        position: of the last pose, in poses of the clip from its start, between two of them as a rule.
+        scale: s of the resampled motion; one frame of the query is 1/s poses of the clip.
+        distance: the sum of norms, rad.
+    """
+
+    clip: int
+    position: float
+    scale: float
+    distance: float
+
+    @property
+    def step(self) -> float:
+        """Poses of the clip per frame of the query."""
+        return 1.0 / self.scale
+
+    def after(self, frames: float) -> Match:
+        """The place some frames later."""
+        return Match(self.clip, self.position + frames * self.step, self.scale, self.distance)
+
+
+class Matcher:
+    """Exact search of a library, prepared once.
+
+    Args:
+        library: training motion.
+        columns: of the library's coordinates that are compared; by default all.
+        weights: one per column, by which its squared difference counts; by default 1, as in the paper.
+        scales: time scales s; one frame of the query is 1/s poses of the library.
+        ahead: frames by which a clip must go on after a match.
+
+    Raises:
+        InputError: for weights or scales that are not positive, or a column that does not exist.
+    """
+
+    def __init__(
+        self,
+        library: MotionLibrary,
+        columns: Sequence[int] | Int | None = None,
+        weights: Sequence[float] | Float | None = None,
+        scales: Sequence[float] = PAPER_SCALES,
+        ahead: float = 1.0,
+    ) -> None:
+        self.library, self.ahead = library, ahead
+        chosen = range(len(library.names)) if columns is None else columns
+        self.columns = np.array([int(c) for c in chosen], dtype=np.int32)
+        _expect(len(self.columns) > 0, "no coordinates are given to compare")
+        known = np.all((self.columns >= 0) & (self.columns < len(library.names)))
+        _expect(bool(known), f"a column is none of the library's {len(library.names)} coordinates")
+        given = np.ones(len(self.columns)) if weights is None else np.asarray(weights, dtype=float)
+        _expect(given.shape == self.columns.shape, f"{len(self.columns)} weights are needed, one for each coordinate")
+        _expect(bool(np.all((given > 0) & (given < np.inf))), "its weights must be positive")
+        self.scales = np.array(scales, dtype=float)
+        _expect(len(self.scales) > 0 and bool(np.all((self.scales > 0) & (self.scales < np.inf))), "bad time scales")
+        self._factors, self._steps = np.sqrt(given), 1.0 / self.scales
+        self._base = _transposed(library.q, self.columns, self._factors)
+        self._jumps = _jumps(self._base, library.starts)
+        self._balls = _Balls.of(self._base, library.starts)
+
+    def best(self, query: Float, last: Match | None = None, barred: Sequence[Stretch] = ()) -> Match | None:
+        """The best match of the last m poses.
+
+        Args:
+            query: (m, K) compared coordinates, rad, the latest last, one frame apart.
+            last: match of the frame before; among equals the one that continues it is taken.
+            barred: where no match may end.
+
+        Returns:
+            The match, or None where no clip is long enough.
+
+        Raises:
+            InputError: for a query that is not (m, K), or not finite.
+        """
+        found = self._ready(query)
+        near = None if last is None or barred else found.near(last.after(1.0))
+        if near is None:
+            return found.best(barred)
+        better = found.best(limit=near.distance * (1.0 - 1e-9) - 1e-9)
+        return near if better is None else better
+
+    def k_best(self, query: Float, count: int, apart: float, barred: Sequence[Stretch] = ()) -> list[Match]:
+        """The best match and the next best ones, each more than `apart` poses from those before it in its clip.
+
+        Args:
+            query: as for `best`.
+            count: how many.
+            apart: poses of the library.
+            barred: where no match may end.
+
+        Raises:
+            InputError: as `best`.
+        """
+        found, taken = self._ready(query), list[Match]()
+        while len(taken) < count:
+            around = [(match.clip, match.position - apart, match.position + apart) for match in taken]
+            match = found.best([*barred, *around])
+            if match is None:
+                break
+            taken.append(match)
+        return taken
+
+    def _ready(self, query: Float) -> _Query:
+        query = np.ascontiguousarray(query, dtype=float)
+        K = len(self.columns)
+        _expect(query.ndim == 2 and len(query) > 0 and query.shape[1] == K, f"a query must be (m, {K}), K coordinates")
+        poses = kernels.prepared(query, self._factors, len(self._base))
+        _expect(bool(np.isfinite(poses).all()), "a pose of the query is not finite")
+        return _Query(self, poses)
+
+
+class _Query:
+    """A search: bounds are computed once for all that is asked of it."""
+
+    def __init__(self, matcher: Matcher, poses: Float) -> None:
+        self._matcher, self._poses = matcher, poses
+
+    @cached_property
+    def _bounds(self) -> Float32:
+        """(B,) by block; zeros where the library is too small for the bounds to be worth their while."""
+        balls, steps = self._matcher._balls, self._matcher._steps
+        if len(balls.radii) <= _FEW:
+            return np.zeros(len(balls.radii), np.float32)
+        m = len(self._poses)
+        lags = np.unique(np.linspace(0, m - 1, min(m, _BOUNDING_LAGS)).astype(np.int32))
+        slow, fast = float(steps.min()), float(steps.max())
+        rounded = self._poses.astype(np.float32)
+        return kernels.block_bounds(balls.centres, balls.radii, rounded, lags, slow, fast, balls.first_block)
+
+    def best(self, barred: Sequence[Stretch] = (), limit: float = 1e300) -> Match | None:
+        """The best match below a limit that does not end where it is barred."""
+        matcher, balls = self._matcher, self._matcher._balls
+        clips = np.array([clip for clip, _, _ in barred], np.int32)
+        windows = np.array([[low, high] for _, low, high in barred]).reshape(-1, 2)
+        distance, clip, scale, pose = kernels.search(
+            matcher._base, matcher._jumps, self._poses, matcher._steps, self._bounds, balls.first_block,
+            balls.clip_of, matcher.library.starts, matcher.ahead, clips, windows, limit,
+        )  # fmt: skip
+        return self._match(clip, scale, pose, distance)
+
+    def near(self, place: Match) -> Match | None:
+        """The best match within half a step of a place."""
+        matcher, reach = self._matcher, 0.5 * place.step
+        start, end = matcher.library.starts[place.clip : place.clip + 2]
+        low, high = place.position - reach, place.position + reach
+        distance, scale, pose = kernels.nearby(
+            matcher._base, self._poses, matcher._steps, start, end, low, high, matcher.ahead
+        )
+        return self._match(place.clip, scale, pose, distance)
+
+    def _match(self, clip: int, scale: int, pose: int, distance: float) -> Match | None:
+        if scale < 0:
+            return None
+        s = float(self._matcher.scales[scale])
+        return Match(int(clip), float(pose * self._matcher._steps[scale]), s, float(distance))
+
+
+@dataclass(frozen=True)
+class _Balls:
+    """Balls around blocks of poses: centres (K, B), radii (B,), clip and first block of the clip (B,).
+
+    Each ball holds the first pose of the next block as well, and so all that lies between poses.
+    """
+
+    centres: Float32
+    radii: Float32
+    clip_of: Int
+    first_block: Int
+
+    @staticmethod
+    def of(base: Float32, starts: Int) -> _Balls:
+        counts = -(-np.diff(starts) // kernels.BLOCK)
+        clip_of = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
+        first = np.repeat(np.cumsum(counts) - counts, counts).astype(np.int32)
+        begin = starts[clip_of] + (np.arange(len(first)) - first) * kernels.BLOCK
+        end = np.minimum(begin + kernels.BLOCK + 1, starts[clip_of + 1])
+        centres, radii = kernels.balls(base, begin.astype(np.int32), end.astype(np.int32))
+        return _Balls(centres, radii, clip_of, first)
+
+
+def _transposed(q: Float32, columns: Int, factors: Float) -> Float32:
+    """(K, N) the compared coordinates, weighted; K is padded with zeros to a multiple of four."""
+    out = np.zeros((-(-len(columns) // 4) * 4, len(q)), np.float32)
+    for k, (column, factor) in enumerate(zip(columns, factors, strict=True)):
+        out[k] = q[:, column] * np.float32(factor)
+    return out
+
+
+def _jumps(base: Float32, starts: Int) -> Float32:
+    """(N,) distance of each pose from the next one, rounded up; 0 at seams."""
+    squares = np.zeros(base.shape[1])
+    for row in base:
+        squares[:-1] += np.diff(row.astype(float)) ** 2
+    squares[starts[1:] - 1] = 0.0
+    return (np.sqrt(squares) * (1.0 + 1e-6)).astype(np.float32)
+
+
+def _expect(holds: bool, message: str) -> None:
+    if not holds:
+        raise InputError(f"motion matching: {message}.")
