@@ -12,15 +12,16 @@ from twistcap import se3
 from twistcap._typing import Float
 from twistcap.body import Pose
 
-PredictorName = Literal["constant_velocity", "hold", "flow"]
+PredictorName = Literal["constant_velocity", "hold", "flow", "motion"]
 
 
 @dataclass(frozen=True)
 class Moment:
-    """A pose at a time (s)."""
+    """A pose at a time (s), and whether images told it or it is a prediction."""
 
     time: float
     pose: Pose
+    seen: bool = True
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class MotionNoise:
 
     Attributes:
         joint, turn, shift: standard deviation of acceleration of joints (rad/s²), root rotation (rad/s²) and root
-            translation (m/s²), for the constant-velocity and flow predictors.
+            translation (m/s²), for all predictors but hold.
         joint_speed, turn_speed, shift_speed: of velocity (rad/s, rad/s, m/s), for the hold predictor.
     """
 

@@ -32,7 +32,8 @@ class TrackerConfig:
         statistics: whether inside densities are each "part"'s own or of the "whole" body; None is part for local
             densities in the direct method, else whole, as in the chapter.
         photometric: whether brightness constancy joins the contours.
-        predictor: "constant_velocity", "hold", or "flow": optic flow, constant velocity where flow cannot be trusted.
+        predictor: "constant_velocity", "hold", "flow": optic flow, constant velocity where flow cannot be trusted, or
+            "motion": training motion, which the tracker is then given.
         start_by_flow: whether flow predicts as long as there is no velocity: in the second frame.
         decay: time constant (s) with which predicted joint velocities die away.
         rest_sigma_deg: how far joints are expected from the rest pose; matters only to a limb that nothing shows.

@@ -20,7 +20,9 @@ from twistcap.cues.flow import Followed
 from twistcap.cues.rivals import Rivals
 from twistcap.cues.support import part_tally, summed
 from twistcap.cues.view import View, crop_view
+from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
+from twistcap.motion import MotionPredictor
 from twistcap.predict import Moment, MotionNoise, PredictorName, predict
 from twistcap.priors import ParzenPrior, PriorTerm, matched
 from twistcap.render import ContourPoints, RenderedView, render, reprojected, visible_contour
@@ -29,6 +31,7 @@ from twistcap.solve import SolveResult, Status, covariance, energies_at, inverse
 from twistcap.stages import next_frame, stage
 from twistcap.terms import GaussianTerm, LimitTerm, Quadratic, RestTerm, Term
 
+_REMEMBERED = 128  # moments of the history
 _JUMP = np.deg2rad(2.0)  # of a joint: more than a fit wavers
 
 
@@ -59,8 +62,9 @@ class Tracker:
     """Follows one body through a recording; `step` once per frame, in order."""
 
     def __init__(
-        self, body: Body, rig: Rig, config: TrackerConfig | None = None, prior: ParzenPrior | None = None
-    ) -> None:
+        self, body: Body, rig: Rig, config: TrackerConfig | None = None, prior: ParzenPrior | None = None,
+        motions: MotionPredictor | None = None,
+    ) -> None:  # fmt: skip
         self.body, self.rig, self.config = body, rig.pinhole(), config or TrackerConfig()
         self._given_rig = rig  # keypoints come in its pixels, images rectified
         self._contour = _contour_cue(self.config)
@@ -68,6 +72,11 @@ class Tracker:
         self._templates: list[Template | None] = [None] * len(rig)
         self._rest = RestTerm(float(np.deg2rad(self.config.rest_sigma_deg)))
         self._support = np.ones(len(body.segment_names))
+        if (self.config.predictor == "motion") != (motions is not None):
+            raise InputError(
+                'tracker: predictor = "motion" and a library of motions need each other; give both or none.'
+            )
+        self._motions = motions
         self._prior = None if prior is None else matched(prior, body)
         self._covariance = np.zeros((body.dof, body.dof))  # of what the images and the motion tell; no prior in it
         self._seen_time = 0.0
@@ -94,7 +103,7 @@ class Tracker:
         """Go on after a track's last estimate, as `--resume` does; brightness and colours are learnt anew."""
         last = estimates[-1]
         self.start(last.pose, last.time)
-        self._history = [Moment(e.time, e.pose) for e in estimates[-50:]]
+        self._history = [Moment(e.time, e.pose, e.status != "no_images") for e in estimates[-_REMEMBERED:]]
         self._covariance = last.covariance
         self._started = True
 
@@ -102,24 +111,23 @@ class Tracker:
         """Track one frame."""
         next_frame()
         config = self.config
-        guess, predicted = self._predicted(frame)
-        expected, information = self._expected(guess, frame.time)
+        guess, predicted, strayed, information = self._predicted(frame)
         posed = Posed(self.body, guess)
         found = self._keypoints(frame, posed)
         fixed: Sequence[Term] = (LimitTerm(), self._rest, GaussianTerm(guess, information), *found)
         views = self._views(frame, posed)
         if not views and not found:
-            self._advance(frame.time, guess)
-            claimed = self._covariance + config.inflation**2 * expected
+            self._advance(frame.time, guess, seen=False)
+            claimed = self._covariance + strayed
             return Estimate(frame.index, frame.time, guess, claimed, {}, "no_images", support=0.0, predicted=predicted)
         self._colours = {i: self._appearance.of(i, view.features.shape[2]) for i, view in views.items()}
         fit = self._fit(posed, views, fixed)
-        told = self._claimed(fit, expected, information)
+        told = self._claimed(fit, strayed, information)
         with stage("rivals"):
             rival = self._rival(fit, self._familiar(told, fit), views, information, found)
         if rival is not None:
             self._forget_motion(rival.result.pose.minus(fit.result.pose), rival.result.pose)
-            fit, told = rival, self._claimed(rival, expected, information)
+            fit, told = rival, self._claimed(rival, strayed, information)
         self._covariance = told
         with stage("remember"):
             self._remember(fit)
@@ -132,20 +140,32 @@ class Tracker:
             fit.result.status, fit.result.steps, support < config.support.least_share, support, predicted,
         )  # fmt: skip
 
-    def _predicted(self, frame: Frame) -> tuple[Pose, PredictorName]:
-        """The expected pose and what told it: optic flow where it is asked for and can be trusted, else the history."""
-        config = self.config
-        moving = len(self._history) > 1 and config.predictor != "hold"
-        guess = predict(self._history, frame.time, config.predictor, config.decay)
+    def _predicted(self, frame: Frame) -> tuple[Pose, PredictorName, Float, Float]:
+        """The expected pose, what told it, the covariance that is claimed of the step from it, and the solve's inverse.
+
+        Training motion or optic flow tell it where they are asked for and can be trusted, else the history does.
+        """
+        config, history = self.config, self._history
+        seen = [moment for moment in history if moment.seen]
+        if self._motions is not None and self._started and len(seen) > 1:
+            with stage("motion"):
+                told = self._motions.predict(seen, frame.time)
+            name = "constant_velocity" if told.match is None else "motion"
+            return told.pose, name, told.covariance, told.information
+        moving = len(history) > 1 and config.predictor != "hold"
+        guess = predict(history, frame.time, config.predictor, config.decay)
         base: PredictorName = "constant_velocity" if moving else "hold"
-        wanted = config.predictor == "flow" or (config.start_by_flow and config.predictor != "hold" and not moving)
-        if self._last is None or not wanted:
-            return guess, base
-        dt = frame.time - self._last.time
-        _, information = config.noise.covariance(self.body.dof, dt, "hold", guess.root[:3, 3])
-        with stage("flow"):
-            flowed = config.flow.predict(self._last, frame.images, self.rig, guess, information)
-        return (guess, base) if flowed is None else (flowed, "flow")
+        flowed = None
+        if self._last is not None and (
+            config.predictor == "flow" or (config.start_by_flow and config.predictor != "hold" and not moving)
+        ):
+            dt = frame.time - self._last.time
+            _, information = config.noise.covariance(self.body.dof, dt, "hold", guess.root[:3, 3])
+            with stage("flow"):
+                flowed = config.flow.predict(self._last, frame.images, self.rig, guess, information)
+        pose = guess if flowed is None else flowed
+        expected, information = self._expected(pose, frame.time)
+        return pose, base if flowed is None else "flow", config.inflation**2 * expected, information
 
     def _fit(self, guess: Posed, views: dict[int, View], fixed: Sequence[Term]) -> _Fit:
         """Alternate correspond and update: fine where the prediction was good, else coarse until it settles."""
@@ -291,19 +311,19 @@ class Tracker:
         self._support[judged] *= rule.memory
         self._support[judged] += (1.0 - rule.memory) * good[judged] / seen[judged]
 
-    def _advance(self, time: float, pose: Pose) -> None:
+    def _advance(self, time: float, pose: Pose, seen: bool = True) -> None:
         if not self._started:
             self._history = []
-        self._history = [*self._history, Moment(time, pose)][-50:]
+        self._history = [*self._history, Moment(time, pose, seen)][-_REMEMBERED:]
         self._started = True
 
-    def _claimed(self, fit: _Fit, expected: Float, information: Float) -> Float:
+    def _claimed(self, fit: _Fit, strayed: Float, information: Float) -> Float:
         """Covariance of the answer: what this frame's images add to what was known, as a Kalman filter would have it.
 
         A limb that nothing shows grows less certain from frame to frame. Where the solve failed, only that happens.
         """
         scale = self.config.inflation**2
-        before = self._covariance + scale * expected
+        before = self._covariance + strayed
         if fit.result.status == "failed":
             return before
         # The solve held the prediction against its own spread alone; put the uncertainty of the past in its place.
@@ -344,10 +364,10 @@ def _moved(sights: Sequence[_Sight], posed: Posed) -> float:
 
 def track(
     frames: Iterable[Frame], body: Body, rig: Rig, first_pose: Pose, config: TrackerConfig | None = None,
-    prior: ParzenPrior | None = None,
+    prior: ParzenPrior | None = None, motions: MotionPredictor | None = None,
 ) -> Iterator[Estimate]:  # fmt: skip
     """Track a body through frames, one estimate each."""
-    tracker = Tracker(body, rig, config, prior)
+    tracker = Tracker(body, rig, config, prior, motions)
     for k, frame in enumerate(frames):
         if k == 0:
             tracker.start(first_pose, frame.time)
