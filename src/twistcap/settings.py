@@ -57,7 +57,7 @@ class TrackerConfig:
         appearance: how the parts' colours are remembered.
         support: when a part counts as lost.
         prior, hidden: how a prior of poses counts, and what a part that no view shows may do; without effect unless the
-            tracker is given a prior.
+            tracker is given a prior, or `hidden.alone` is set.
         first_sigma_deg, first_sigma_m: how far the given first pose may be off (joints and root turn; root place).
     """
 
@@ -93,4 +93,4 @@ class TrackerConfig:
     appearance: AppearanceRule = field(default_factory=AppearanceRule)
     support: SupportRule = field(default_factory=SupportRule)
     prior: PriorRule = field(default_factory=PriorRule)
-    hidden: HiddenRule = field(default_factory=HiddenRule)  # where there is a pose prior
+    hidden: HiddenRule = field(default_factory=HiddenRule)

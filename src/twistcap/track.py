@@ -69,6 +69,7 @@ class Tracker:
         self._rest = RestTerm(float(np.deg2rad(self.config.rest_sigma_deg)))
         self._support = np.ones(len(body.segment_names))
         self._prior = None if prior is None else matched(prior, body)
+        self._yields = prior is not None or self.config.hidden.alone
         self._covariance = np.zeros((body.dof, body.dof))  # of what the images and the motion tell; no prior in it
         self._seen_time = 0.0
         self._last: Followed | None = None
@@ -177,7 +178,7 @@ class Tracker:
     ) -> _Fit | None:
         """A fit elsewhere that explains the images clearly better than `fit` does, where a limb is in doubt."""
         config, rule, posed = self.config, self.config.rivals, fit.result.posed
-        shown = 1.0 if self._prior is None else config.hidden.trust(fit.found, len(self._support))
+        shown = config.hidden.trust(fit.found, len(self._support)) if self._yields else 1.0
         poses = self._rivals.poses(posed, claimed, shown) if self._started and views else []
         if not poses:
             return None
@@ -247,7 +248,7 @@ class Tracker:
             level = 0 if coarse else len(config.brightness.blurs) - 1
             with stage("photometric"):
                 terms.append(config.brightness.term(sight.view, sight.seen, template, level))
-        return (terms if self._prior is None else config.hidden.yielded(terms, found, len(self._support))), found
+        return (config.hidden.yielded(terms, found, len(self._support)) if self._yields else terms), found
 
     def _expected(self, guess: Pose, time: float) -> tuple[Float, Float]:
         """Covariance of the prediction, or of the given first pose, and its inverse."""

@@ -22,12 +22,14 @@ class HiddenRule:
         contrast: nats by which a point must tell inside from outside.
         hidden, shown: shares of such points up to which a part has no say at all, and from which it has all of it.
         least_points: contour points over all views below which no part counts as hidden from all.
+        alone: whether the rule acts also where no prior has the say instead; then the prediction has it.
     """
 
     contrast: float = 3.0
     hidden: float = 0.6
     shown: float = 0.9
     least_points: int = 12
+    alone: bool = False
 
     def trust(self, evidence: Sequence[ContourEvidence], parts: int) -> Float:
         """(S,) in [0, 1] how far each of S parts is in sight in some views; 1 where it has no contour."""
