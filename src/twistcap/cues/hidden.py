@@ -25,6 +25,7 @@ class HiddenRule:
         contrast: nats by which a point must tell inside from outside.
         hidden, shown: shares of such points up to which a part has no say at all, and from which it has all of it.
         gone: share over all views up to which a part counts as hidden from all, until it exceeds `hidden` again.
+        clear: median share of the parts that are not gone, below which none is.
         least_points: contour points over all views below which no part counts as hidden from all.
         alone: whether the rule acts also where no prior has the say instead; then the prediction has it.
     """
@@ -33,6 +34,7 @@ class HiddenRule:
     hidden: float = 0.6
     shown: float = 0.9
     gone: float = 0.25
+    clear: float = 0.75
     least_points: int = 12
     alone: bool = False
 
@@ -45,8 +47,14 @@ class HiddenRule:
         return np.where(gone, 0.0, np.clip((share - self.hidden) / (self.shown - self.hidden), 0.0, 1.0))
 
     def now_gone(self, before: Bool, evidence: Sequence[ContourEvidence], body: Body) -> Bool:
-        """(S,) which parts no view shows, by what `evidence` all views gave and which parts were gone before."""
+        """(S,) which parts no view shows, by what `evidence` all views gave and which parts were gone before.
+
+        Where even the others are seen badly, as in noise, that says nothing of any of them: then none is gone.
+        """
         share, seen = self._shares(evidence, len(before))
+        others = share[~before & (seen >= self.least_points)]
+        if len(others) == 0 or np.median(others) < self.clear:
+            return np.zeros_like(before)
         lost = (share <= self.gone) & (seen >= self.least_points)
         absent = lost | (before & (share <= self.hidden))
         return lost | (before & np.any(above(body) & absent, axis=1))

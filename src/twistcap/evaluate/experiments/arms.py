@@ -143,7 +143,7 @@ class Comparison:
         """All arms on all seeds, two scenes at a time."""
         found: dict[int, list[Trace]] = {}
         with one_thread_processes(min(2, len(seeds))) as pool:
-            waiting = {pool.submit(_traces, self, seed): seed for seed in seeds}
+            waiting = {pool.submit(run_seed, self, seed): seed for seed in seeds}
             for done, future in enumerate(as_completed(waiting), 1):
                 found[waiting[future]] = future.result()
                 progress(f"{self.id}, seed {waiting[future]}", done, len(seeds))
@@ -151,7 +151,7 @@ class Comparison:
         return Findings(self.rows(traces), self.quantity, traces, self.watched, self.span)
 
 
-def _traces(experiment: Comparison, seed: int) -> list[Trace]:
+def run_seed(experiment: Comparison, seed: int) -> list[Trace]:
     """All arms on one scene, which is rendered once."""
     scene = experiment.scene(seed)
     frames = [scene.frame(k) for k in range(scene.config.frames)]
