@@ -159,7 +159,7 @@ class Tracker:
         fine = config.first_iterations
         if self._started:
             fit, fine = self._alternate(fit, views, fixed, coarse=False), self._contour.alternations - 1
-        if not self._started or fit.moved > config.surprise or self._slipping(fit):
+        if not self._started or fit.moved > config.surprise or self._slipping(fit) or self._returning(fit):
             for _ in range(config.coarse_rounds):
                 fit = self._alternate(fit, views, fixed, coarse=True)
                 if fit.moved <= config.settled:
@@ -176,6 +176,13 @@ class Tracker:
             return False
         good, seen = summed(fit.tallies, len(self._support))
         return bool(np.any((seen >= self.config.support.least_points) & (good < slip * self._support * seen)))
+
+    def _returning(self, fit: _Fit) -> bool:
+        """Whether parts that were gone are seen again; they may have been carried off their place meanwhile."""
+        if not self._gone.any():
+            return False
+        before, self._gone = self._gone, self.config.hidden.now_gone(self._gone, fit.found, self.body)
+        return bool(np.any(before & ~self._gone))
 
     def _rival(
         self, fit: _Fit, claimed: Float, views: dict[int, View], information: Float, found: Sequence[Term]

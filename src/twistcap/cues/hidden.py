@@ -19,12 +19,13 @@ class HiddenRule:
 
     On a part in sight nearly all contour points tell inside from outside; behind something hardly any do. But a leg
     that nothing shows may come to lie before the other one, whose outline it then takes for its own: what all views
-    have lost must be seen again in all of them together, from where its limb begins.
+    have lost must be seen again in all of them together, and what else of its limb they have lost with it.
 
     Attributes:
         contrast: nats by which a point must tell inside from outside.
         hidden, shown: shares of such points up to which a part has no say at all, and from which it has all of it.
-        gone: share over all views up to which a part counts as hidden from all, until it exceeds `hidden` again.
+        gone: share over all views up to which a part counts as hidden from all, until all of its limb that does so
+            exceeds it again.
         clear: median share of the parts that are not gone, below which none is.
         least_points: contour points over all views below which no part counts as hidden from all.
         alone: whether the rule acts also where no prior has the say instead; then the prediction has it.
@@ -55,9 +56,10 @@ class HiddenRule:
         others = share[~before & (seen >= self.least_points)]
         if len(others) == 0 or np.median(others) < self.clear:
             return np.zeros_like(before)
-        lost = (share <= self.gone) & (seen >= self.least_points)
-        absent = lost | (before & (share <= self.hidden))
-        return lost | (before & np.any(above(body) & absent, axis=1))
+        hangs = above(body)
+        limb = (hangs | hangs.T) & before  # (S, S): of each part, those of its limb that were gone
+        still = limb @ (share * seen) <= self.gone * (limb @ seen)
+        return np.where(before, still, (share <= self.gone) & (seen >= self.least_points))
 
     def known(self, evidence: Sequence[ContourEvidence], gone: Bool, body: Body) -> Float:
         """(J,) in [0, 1] how far the images show each joint: the segment it moves, and all of its limb above that."""
