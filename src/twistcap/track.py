@@ -70,6 +70,7 @@ class Tracker:
         self._rest = RestTerm(float(np.deg2rad(self.config.rest_sigma_deg)))
         self._support = np.ones(len(body.segment_names))
         self._gone = np.zeros(len(body.segment_names), dtype=np.bool_)  # parts that no view shows
+        self._back = np.zeros_like(self._gone)  # those of which a view shows something again, in this frame
         self._prior = None if prior is None else matched(prior, body)
         self._yields = prior is not None or self.config.hidden.alone
         self._covariance = np.zeros((body.dof, body.dof))  # of what the images and the motion tell; no prior in it
@@ -107,6 +108,7 @@ class Tracker:
         next_frame()
         config = self.config
         frame = _despeckled(frame, config.despeckle)
+        self._back[:] = False
         guess, predicted = self._predicted(frame)
         expected, information = self._expected(guess, frame.time)
         posed = Posed(self.body, guess)
@@ -159,7 +161,8 @@ class Tracker:
         fine = config.first_iterations
         if self._started:
             fit, fine = self._alternate(fit, views, fixed, coarse=False), self._contour.alternations - 1
-        if not self._started or fit.moved > config.surprise or self._slipping(fit) or self._returning(fit):
+        returning = self._returning(fit)
+        if not self._started or returning or fit.moved > config.surprise or self._slipping(fit):
             for _ in range(config.coarse_rounds):
                 fit = self._alternate(fit, views, fixed, coarse=True)
                 if fit.moved <= config.settled:
@@ -181,8 +184,9 @@ class Tracker:
         """Whether parts that were gone are seen again; they may have been carried off their place meanwhile."""
         if not self._gone.any():
             return False
-        before, self._gone = self._gone, self.config.hidden.now_gone(self._gone, fit.found, self.body)
-        return bool(np.any(before & ~self._gone))
+        gone = self.config.hidden.now_gone(self._gone, fit.found, self.body)
+        self._back, self._gone = self._gone & ~gone, gone
+        return bool(self._back.any())
 
     def _rival(
         self, fit: _Fit, claimed: Float, views: dict[int, View], information: Float, found: Sequence[Term]
@@ -263,7 +267,7 @@ class Tracker:
             level = 0 if coarse else len(config.brightness.blurs) - 1
             with stage("photometric"):
                 terms.append(config.brightness.term(sight.view, sight.seen, template, level))
-        return (config.hidden.yielded(terms, found, self._gone) if self._yields else terms), found
+        return (config.hidden.yielded(terms, found, self._gone, self._back) if self._yields else terms), found
 
     def _expected(self, guess: Pose, time: float) -> tuple[Float, Float]:
         """Covariance of the prediction, or of the given first pose, and its inverse."""
@@ -304,7 +308,7 @@ class Tracker:
                 self._appearance.learn(i, sight.view, sight.seen, good / np.maximum(points, 1), every)
         good, seen = summed(fit.tallies, len(self._support))
         if self._yields:
-            self._gone = self.config.hidden.now_gone(self._gone, fit.found, self.body)
+            self._gone |= self.config.hidden.now_gone(self._gone, fit.found, self.body)
         judged = seen >= rule.least_points  # a part that is hardly seen keeps the support it had
         self._support[judged] *= rule.memory
         self._support[judged] += (1.0 - rule.memory) * good[judged] / seen[judged]

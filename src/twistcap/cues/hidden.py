@@ -81,9 +81,12 @@ class HiddenRule:
             telling += np.bincount(part[outer & (found.contrast > self.contrast)], minlength=parts)
         return np.where(seen > 0, telling / np.maximum(seen, 1), 1.0), seen
 
-    def yielded(self, terms: Sequence[Term], evidence: ContourEvidence, gone: Bool) -> list[Term]:
-        """The terms of a view, less what they say of parts that it does not show."""
-        trust = self.trust([evidence], gone)
+    def yielded(self, terms: Sequence[Term], evidence: ContourEvidence, gone: Bool, back: Bool) -> list[Term]:
+        """The terms of a view, less what they say of parts that it does not show.
+
+        Parts that are just `back` (S,) have their whole say, so that they find their place again.
+        """
+        trust = np.where(back, 1.0, self.trust([evidence], gone))
         return list(terms) if np.all(trust == 1.0) else [_trusted(term, trust) for term in terms]
 
 
