@@ -14,6 +14,7 @@ from twistcap.cues.keypoints import KeypointCue
 from twistcap.cues.levelset import LevelSetContour
 from twistcap.cues.rivals import RivalRule
 from twistcap.cues.support import SupportRule
+from twistcap.errors import InputError
 from twistcap.features import Channels
 from twistcap.predict import MotionNoise, PredictorName
 from twistcap.priors import PriorRule
@@ -27,6 +28,8 @@ class TrackerConfig:
     Attributes:
         method: "direct" (no level set; the default) or "levelset" (the chapter's coupled method).
         channels: what region statistics look at: "grey", "lab", "grey+texture" (5 channels) or "lab+texture" (7).
+        despeckle: px across of a median filter of all images, 1, 3 or 5: it takes out single wrong pixels, as noise
+            on a video line leaves them. 1 leaves the images as they are.
         density: what the regions' densities are: "local" Gaussians, one "global" Gaussian per region, or "parzen", one
             smoothed histogram per region. Reaches both methods.
         statistics: whether inside densities are each "part"'s own or of the "whole" body; None is part for local
@@ -58,12 +61,13 @@ class TrackerConfig:
         appearance: how the parts' colours are remembered.
         support: when a part counts as lost.
         prior, hidden: how a prior of poses counts, and what a part that no view shows may do; without effect unless the
-            tracker is given a prior.
+            tracker is given a prior, or `hidden.alone` is set.
         first_sigma_deg, first_sigma_m: how far the given first pose may be off (joints and root turn; root place).
     """
 
     method: Literal["direct", "levelset"] = "direct"
     channels: Channels = "lab"
+    despeckle: int = 1
     density: Density = "local"
     statistics: Statistics | None = None
     photometric: bool = True
@@ -94,4 +98,8 @@ class TrackerConfig:
     appearance: AppearanceRule = field(default_factory=AppearanceRule)
     support: SupportRule = field(default_factory=SupportRule)
     prior: PriorRule = field(default_factory=PriorRule)
-    hidden: HiddenRule = field(default_factory=HiddenRule)  # where there is a pose prior
+    hidden: HiddenRule = field(default_factory=HiddenRule)
+
+    def __post_init__(self) -> None:
+        if self.despeckle not in (1, 3, 5):
+            raise InputError(f"tracker: despeckle is {self.despeckle}; it must be 1, 3 or 5.")

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from twistcap._typing import Float, Int
@@ -77,7 +78,10 @@ class Tracker:
                 'tracker: predictor = "motion" and a library of motions need each other; give both or none.'
             )
         self._motions = motions
+        self._gone = np.zeros(len(body.segment_names), dtype=np.bool_)  # parts that no view shows
+        self._back = np.zeros_like(self._gone)  # those of which a view shows something again, in this frame
         self._prior = None if prior is None else matched(prior, body)
+        self._yields = prior is not None or self.config.hidden.alone
         self._covariance = np.zeros((body.dof, body.dof))  # of what the images and the motion tell; no prior in it
         self._seen_time = 0.0
         self._last: Followed | None = None
@@ -93,6 +97,7 @@ class Tracker:
         self._appearance = Appearance(len(self.rig), len(self.body.segment_names), self.config.appearance)
         self._templates = [None] * len(self.rig)
         self._support[:] = 1.0
+        self._gone[:] = False
         self._rivals = Rivals(self.body, self.config.rivals)
         self._seen_time = time
         self._started = False
@@ -111,6 +116,8 @@ class Tracker:
         """Track one frame."""
         next_frame()
         config = self.config
+        frame = _despeckled(frame, config.despeckle)
+        self._back[:] = False
         guess, predicted, strayed, information = self._predicted(frame)
         posed = Posed(self.body, guess)
         found = self._keypoints(frame, posed)
@@ -174,7 +181,8 @@ class Tracker:
         fine = config.first_iterations
         if self._started:
             fit, fine = self._alternate(fit, views, fixed, coarse=False), self._contour.alternations - 1
-        if not self._started or fit.moved > config.surprise or self._slipping(fit):
+        returning = self._returning(fit)
+        if not self._started or returning or fit.moved > config.surprise or self._slipping(fit):
             for _ in range(config.coarse_rounds):
                 fit = self._alternate(fit, views, fixed, coarse=True)
                 if fit.moved <= config.settled:
@@ -192,12 +200,20 @@ class Tracker:
         good, seen = summed(fit.tallies, len(self._support))
         return bool(np.any((seen >= self.config.support.least_points) & (good < slip * self._support * seen)))
 
+    def _returning(self, fit: _Fit) -> bool:
+        """Whether parts that were gone are seen again; they may have been carried off their place meanwhile."""
+        if not self._gone.any():
+            return False
+        gone = self.config.hidden.now_gone(self._gone, fit.found, self.body)
+        self._back, self._gone = self._gone & ~gone, gone
+        return bool(self._back.any())
+
     def _rival(
         self, fit: _Fit, claimed: Float, views: dict[int, View], information: Float, found: Sequence[Term]
     ) -> _Fit | None:
         """A fit elsewhere that explains the images clearly better than `fit` does, where a limb is in doubt."""
         config, rule, posed = self.config, self.config.rivals, fit.result.posed
-        shown = 1.0 if self._prior is None else config.hidden.trust(fit.found, len(self._support))
+        shown = config.hidden.trust(fit.found, self._gone) if self._yields else 1.0
         poses = self._rivals.poses(posed, claimed, shown) if self._started and views else []
         if not poses:
             return None
@@ -232,10 +248,7 @@ class Tracker:
         evidence = [self._evidence(s, coarse, found) for s, found in zip(sights, earlier, strict=True)]
         terms = [term for by_view, _ in evidence for term in by_view]
         if self._prior is not None:
-            all_found = [found for _, found in evidence]
-            hidden = config.hidden.concealed(all_found, len(self._support))
-            points = sum(len(found.contour.part) for found in all_found)
-            terms.append(self._prior.weighted(config.prior, points, hidden))
+            terms.append(self._familiarity(self._prior, posed, [found for _, found in evidence]))
         with stage("solve"):
             result = least_squares(posed, [*fixed, *terms], steps=config.solver_steps)
         moved = _moved(sights, result.posed)
@@ -245,6 +258,13 @@ class Tracker:
         found = [found for _, found in evidence]
         tallies = [part_tally(e, s.view.camera.K[0, 0], parts, rule) for s, e in zip(sights, found, strict=True)]
         return _Fit(result, sights, terms, found, tallies, moved, strayed)
+
+    def _familiarity(self, prior: PriorTerm, posed: Posed, found: Sequence[ContourEvidence]) -> PriorTerm:
+        """The pose prior beside what the images show: how much it counts, and by which joints it knows the pose."""
+        rule, hidden = self.config.prior, self.config.hidden
+        points = sum(len(one.contour.part) for one in found)
+        term = prior.weighted(rule, points, hidden.concealed(found, self._gone))
+        return term.told_by(hidden.known(found, self._gone, self.body), rule, posed)
 
     def _look(self, posed: Posed, camera_index: int, view: View) -> _Sight:
         with stage("render"):
@@ -267,7 +287,7 @@ class Tracker:
             level = 0 if coarse else len(config.brightness.blurs) - 1
             with stage("photometric"):
                 terms.append(config.brightness.term(sight.view, sight.seen, template, level))
-        return (terms if self._prior is None else config.hidden.yielded(terms, found, len(self._support))), found
+        return (config.hidden.yielded(terms, found, self._gone, self._back) if self._yields else terms), found
 
     def _expected(self, guess: Pose, time: float) -> tuple[Float, Float]:
         """Covariance of the prediction, or of the given first pose, and its inverse."""
@@ -307,6 +327,8 @@ class Tracker:
             if lesson:
                 self._appearance.learn(i, sight.view, sight.seen, good / np.maximum(points, 1), every)
         good, seen = summed(fit.tallies, len(self._support))
+        if self._yields:
+            self._gone |= self.config.hidden.now_gone(self._gone, fit.found, self.body)
         judged = seen >= rule.least_points  # a part that is hardly seen keeps the support it had
         self._support[judged] *= rule.memory
         self._support[judged] += (1.0 - rule.memory) * good[judged] / seen[judged]
@@ -338,6 +360,15 @@ class Tracker:
         if self._prior is None or (information := inverse(known)) is None:
             return known
         return covariance(Quadratic(0.0, np.zeros(len(known)), information + self._prior.claimed(fit.result.posed)))
+
+
+def _despeckled(frame: Frame, size: int) -> Frame:
+    """The frame, its images under a median filter of so many pixels."""
+    if size == 1:
+        return frame
+    with stage("despeckle"):
+        images = tuple(None if image is None else cv2.medianBlur(image, size) for image in frame.images)
+    return replace(frame, images=images)
 
 
 def _contour_cue(config: TrackerConfig) -> ContourCue:

@@ -23,7 +23,7 @@ def reproduce(
     seeds: Seeds = "0-7",
     quick: Quick = False,
     names: Annotated[bool, typer.Option("--list", help="Say what there is to run, and stop.")] = False,
-    out: Annotated[Path | None, typer.Option(help="Folder for the picture of an experiment.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for the pictures of an experiment.")] = None,
     json: terminal.Json = False,
 ) -> None:
     """Run the accuracy tables and the papers' experiments again, on the studio's seeds.
@@ -55,13 +55,15 @@ def reproduce(
 
 
 def _experiment(experiment: Experiment, seeds: tuple[int, ...], out: Path | None, json: bool) -> None:
-    from twistcap.report.experiment import experiment_picture
+    from twistcap.report.experiment import experiment_picture, seed_picture
 
     folder = None if out is None else terminal.output_folder(out)
     with terminal.telling("reproduce") as told:
         findings = experiment.run(seeds, told, folder)
     if folder is not None and findings.quantity:
         experiment_picture(folder / f"{experiment.id}.png", experiment, findings)
+        for seed in dict.fromkeys(trace.seed for trace in findings.traces):
+            seed_picture(folder / f"{experiment.id}-seed-{seed}.png", experiment, findings, seed)
     _print({"id": experiment.id, "rows": findings.rows}, json)
     if folder is not None and not json:
         typer.echo(str(folder))

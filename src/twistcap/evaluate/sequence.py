@@ -13,7 +13,7 @@ from twistcap.body import Body, Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.estimate import Estimate, Frame, Keypoints
 from twistcap.evaluate import metrics
-from twistcap.evaluate.cases import Case, Measure
+from twistcap.evaluate.cases import Case, Measure, Training
 from twistcap.firstpose import fit_keypoints
 from twistcap.priors import ParzenPrior
 from twistcap.studio import Capture, StudioConfig, capture
@@ -71,7 +71,7 @@ def tracked(case: Case, pictures: Pictures) -> tuple[Body, Pose, list[Estimate],
     """Track one sequence: the body, its first pose, an estimate of every frame, and the milliseconds it took."""
     scene = pictures.scene
     body, pose = first_pose(case, scene)
-    tracker = Tracker(body, scene.rig, case.tracker, prior_of(case, scene))
+    tracker = Tracker(body, scene.rig, case.tracker, prior_of(case.prior, scene))
     tracker.start(pose)
     estimates: list[Estimate] = []
     times: list[float] = []
@@ -82,12 +82,12 @@ def tracked(case: Case, pictures: Pictures) -> tuple[Body, Pose, list[Estimate],
     return body, pose, estimates, times
 
 
-def prior_of(case: Case, scene: Capture) -> ParzenPrior | None:
-    """The prior of a case, of somebody else than the person of the scene."""
-    if case.prior is None:
+def prior_of(training: Training | None, scene: Capture) -> ParzenPrior | None:
+    """The prior of somebody else than the person of the scene; None without training."""
+    if training is None:
         return None
     body = humanoid(scene.config.variant)
-    samples = walks_of_another(body, scene.config.seed + 1) if case.prior == "another's walk" else squats(body)
+    samples = walks_of_another(body, scene.config.seed + 1) if training == "another's walk" else squats(body)
     return ParzenPrior.trained(body.coordinate_names, samples)
 
 

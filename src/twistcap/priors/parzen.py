@@ -73,22 +73,28 @@ class ParzenPrior:
         """(N, J) scaled samples."""
         return self.samples / self._scales
 
-    def _exponents(self, q: Float) -> Float:
-        """(N,) logarithms of the weights w_i."""
+    def _exponents(self, q: Float, known: Float | float = 1.0) -> Float:
+        """(N,) logarithms of the weights w_i; a square difference counts as far as its joint is known."""
         d = self._places - q / self._scales
-        return np.einsum("nj,nj->n", d, d) * (-0.5 / self.sigma**2)
+        return np.einsum("nj,nj->n", d * known, d) * (-0.5 / self.sigma**2)
 
     def energy(self, q: Float) -> float:
         """``−log p`` (eq. 11.30) at angles q (J,), less the kernel's own constant: 0 in the midst of equal samples."""
         return float(np.log(len(self.samples)) - logsumexp(self._exponents(q)))
 
-    def weights(self, q: Float) -> Float:
-        """(N,) ``w_i / Σ w_i`` (eq. 11.32), by log-sum-exp: far from all samples every w_i itself underflows."""
-        return softmax(self._exponents(q))
+    def weights(self, q: Float, known: Float | float = 1.0) -> Float:
+        """(N,) ``w_i / Σ w_i`` (eq. 11.32), by log-sum-exp: far from all samples every w_i itself underflows.
 
-    def mean(self, q: Float) -> Float:
-        """(J,) weighted mean of the samples: where the mean shift leads in one step, and where `energy` falls to."""
-        return self.weights(q) @ self.samples
+        `known` (J,) in [0, 1] says how far each angle is to be believed: at 0 the others alone choose the samples.
+        """
+        return softmax(self._exponents(q, known))
+
+    def mean(self, q: Float, known: Float | float = 1.0) -> Float:
+        """(J,) weighted mean of the samples: where the mean shift leads in one step, and where `energy` falls to.
+
+        Where some angles are not `known`, it is the regression of these on the others.
+        """
+        return self.weights(q, known) @ self.samples
 
     def flow(self, q: Float) -> Float:
         """``∂_t Θ = Σ w_i (Θ_i − Θ) / (σ² Σ w_i)`` (eq. 11.31), (J,): minus the derivative of `energy`."""

@@ -23,18 +23,22 @@ class PriorRule:
             is raised by as much instead. It counts in full while a part of the body is hidden from all views.
         in_sight: share of the strength that counts while every part is in sight: the images know better than other
             people's motion, and a prior that does not fit must do no harm.
+        unseen: how far the angle of a joint that no view shows counts when the samples are weighed, in [0, 1]: what is
+            seen chooses among them, and the past of what is not seen only where that leaves it open.
         step: share of the way to the weighted mean of the samples that the prior alone would go in one solver step.
             1 majorises and minimises; the paper's ``τ = 0.125 σ²`` is 0.125, which also holds against the images.
     """
 
     strength: float = 0.05
     in_sight: float = 0.1
+    unseen: float = 0.02
     step: float = 1.0
 
     def __post_init__(self) -> None:
         for name, value, most in (
             ("strength", self.strength, 1e6),
             ("in_sight", self.in_sight, 1),
+            ("unseen", self.unseen, 1),
             ("step", self.step, 1),
         ):
             _expect(name, value, 0 <= value <= most, f"from 0 to {most:g}")
@@ -53,20 +57,28 @@ class PriorTerm:
         columns: (K,) their indices among the body's.
         weight: factor on ``−log p``.
         step: see `PriorRule`.
+        target: (K,) rad, a mean of the samples in which joints that are not known had no say; None for that of all
+            joints, at every pose. It is the expectation of an EM step: the energy is then the quadratic about it.
     """
 
     prior: ParzenPrior
     columns: Int
     weight: float
     step: float = 1.0
+    target: Float | None = None
     name: str = "prior"
 
     def energy(self, posed: Posed) -> float:
-        return self.weight * self.prior.energy(posed.pose.q[self.columns])
+        q = posed.pose.q[self.columns]
+        if self.target is None:
+            return self.weight * self.prior.energy(q)
+        return 0.5 * self.weight * float(self.prior.information @ (q - self.target) ** 2)
 
     def linearize(self, posed: Posed) -> Quadratic:
+        q = posed.pose.q[self.columns]
+        mean = self.prior.mean(q) if self.target is None else self.target
         gradient = np.zeros(posed.body.dof)
-        gradient[6 + self.columns] = -self.weight * self.prior.flow(posed.pose.q[self.columns])
+        gradient[6 + self.columns] = self.weight * self.prior.information * (q - mean)
         return Quadratic(self.energy(posed), gradient, self.hessian(posed.body.dof))
 
     def hessian(self, dof: int) -> Float:
@@ -79,6 +91,13 @@ class PriorTerm:
         """The term beside so many contour points, where the part that is hidden most is so by a share in [0, 1]."""
         share = rule.in_sight + (1.0 - rule.in_sight) * hidden**2
         return replace(self, weight=rule.strength * share * points, step=rule.step)
+
+    def told_by(self, known: Float, rule: PriorRule, posed: Posed) -> PriorTerm:
+        """The term whose samples are weighed by the joints that are known: (J,) in [0, 1], of all the body's."""
+        believed = np.maximum(known[self.columns], rule.unseen)
+        if np.all(believed == believed[0]):
+            return self
+        return replace(self, target=self.prior.mean(posed.pose.q[self.columns], believed / believed.max()))
 
     def claimed(self, posed: Posed) -> Float:
         """(6 + J, 6 + J) information of the density itself at a pose: of a Gaussian as wide as the kernels that count.

@@ -1,11 +1,12 @@
 """The papers' experiments, run again: both arms of each comparison, over seeds. `twistcap reproduce C-3` and so on."""
 
 from twistcap.evaluate.experiments.arms import Arm, Comparison, Experiment, Findings, Shot, Trace
+from twistcap.evaluate.experiments.clutter import C5
 from twistcap.evaluate.experiments.contours import C1, C2
 from twistcap.evaluate.experiments.fast_motion import C3
 from twistcap.evaluate.experiments.hidden_leg import C4
 from twistcap.evaluate.experiments.running_time import C6
 
-EXPERIMENTS: tuple[Experiment, ...] = (C1, C2, C3, C4, C6)
+EXPERIMENTS: tuple[Experiment, ...] = (C1, C2, C3, C4, C5, C6)
 
 __all__ = ["EXPERIMENTS", "Arm", "Comparison", "Experiment", "Findings", "Shot", "Trace"]

@@ -10,32 +10,42 @@ from typing import Protocol
 
 import numpy as np
 
-from twistcap._typing import AnyArray, Float
+from twistcap._typing import AnyArray, Bool, Float
 from twistcap.body import Pose, Posed
 from twistcap.camera import Camera
-from twistcap.estimate import Estimate
-from twistcap.evaluate.metrics import Row
+from twistcap.estimate import Estimate, Frame
+from twistcap.evaluate.cases import Training
+from twistcap.evaluate.metrics import Row, lost_sequence
 from twistcap.evaluate.parallel import Tell, one_thread_processes
+from twistcap.evaluate.sequence import joint_errors_mm, prior_of
 from twistcap.studio import Capture
 from twistcap.track import TrackerConfig, track
 
 
 @dataclass(frozen=True)
 class Arm:
-    """One way of tracking."""
+    """One way of tracking.
+
+    Attributes:
+        name: of it.
+        tracker: settings.
+        prior: what a pose prior has learnt from; None without one.
+    """
 
     name: str
     tracker: TrackerConfig
+    prior: Training | None = None
 
 
 @dataclass(frozen=True)
 class Shot:
-    """A picture to be drawn: an image of a camera and the body as one arm had it there."""
+    """A picture to be drawn: an image of a camera, the body as one arm had it there, and its true silhouette (H, W)."""
 
     title: str
     image: AnyArray
     camera: Camera
     posed: Posed
+    truth: Bool
 
 
 @dataclass(frozen=True)
@@ -45,6 +55,8 @@ class Trace:
     Attributes:
         arm, seed: which.
         errors: (N,) the experiment's error in each frame.
+        joints_mm: (N, K) errors of the joint centres.
+        course, true_course: (N,) what the experiment watches, as it was tracked and as it was; None where nothing is.
         estimates: N answers.
         shot: of the frame that shows most.
     """
@@ -52,17 +64,33 @@ class Trace:
     arm: str
     seed: int
     errors: Float
+    joints_mm: Float
     estimates: Sequence[Estimate]
     shot: Shot
+    course: Float | None = None
+    true_course: Float | None = None
+
+    @property
+    def lost(self) -> bool:
+        """Whether the sequence was lost, as everywhere: by its mean joint error."""
+        return lost_sequence(self.joints_mm)
 
 
 @dataclass(frozen=True)
 class Findings:
-    """What an experiment found: lines of its table; what its curves show, and those; none where only rows are drawn."""
+    """What an experiment found: lines of its table; what its curves show, and those; none where only rows are drawn.
+
+    Attributes:
+        rows, quantity, traces: these.
+        watched: what the traces' courses are; empty where they have none.
+        span: first and last frame of what the curves are about, to be shaded.
+    """
 
     rows: list[Row]
     quantity: str
     traces: Sequence[Trace]
+    watched: str = ""
+    span: tuple[int, int] | None = None
 
 
 class Experiment(Protocol):
@@ -95,6 +123,8 @@ class Comparison:
         error: of an estimate, by capture and frame number.
         rows: the table's lines from the traces of all arms and seeds.
         shown: frame and camera of the picture.
+        watched, course: a quantity, with its unit, whose course is drawn beside the true one, and its value at a pose.
+        span: first and last frame to be shaded in the curves.
     """
 
     id: str
@@ -105,35 +135,49 @@ class Comparison:
     error: Callable[[Capture, Estimate], float]
     rows: Callable[[Sequence[Trace]], list[Row]]
     shown: tuple[int, int] = (-1, 0)
+    watched: str = ""
+    course: Callable[[Posed], float] | None = None
+    span: tuple[int, int] | None = None
 
     def run(self, seeds: Sequence[int], progress: Tell, out: Path | None = None) -> Findings:
         """All arms on all seeds, two scenes at a time."""
         found: dict[int, list[Trace]] = {}
         with one_thread_processes(min(2, len(seeds))) as pool:
-            waiting = {pool.submit(_traces, self, seed): seed for seed in seeds}
+            waiting = {pool.submit(run_seed, self, seed): seed for seed in seeds}
             for done, future in enumerate(as_completed(waiting), 1):
                 found[waiting[future]] = future.result()
                 progress(f"{self.id}, seed {waiting[future]}", done, len(seeds))
         traces = [trace for seed in seeds for trace in found[seed]]
-        return Findings(self.rows(traces), self.quantity, traces)
+        return Findings(self.rows(traces), self.quantity, traces, self.watched, self.span)
 
 
-def _traces(experiment: Comparison, seed: int) -> list[Trace]:
+def run_seed(experiment: Comparison, seed: int) -> list[Trace]:
+    """All arms on one scene, which is rendered once."""
     scene = experiment.scene(seed)
     frames = [scene.frame(k) for k in range(scene.config.frames)]
-    out: list[Trace] = []
-    for arm in experiment.arms:
-        estimates = list(track(frames, scene.body, scene.rig, scene.first_pose, arm.tracker))
-        errors = np.array([experiment.error(scene, e) for e in estimates])
-        k, camera = experiment.shown
-        image = frames[k].images[camera]
-        assert image is not None
-        shot = Shot(
-            f"{arm.name}, frame {frames[k].index}", image, scene.rig[camera], Posed(scene.body, estimates[k].pose)
-        )
-        slim = [replace(e, covariance=np.empty((0, 0))) for e in estimates]  # processes need not carry them
-        out.append(Trace(arm.name, seed, errors, slim, shot))
-    return out
+    return [_trace(experiment, arm, scene, frames) for arm in experiment.arms]
+
+
+def _trace(experiment: Comparison, arm: Arm, scene: Capture, frames: Sequence[Frame]) -> Trace:
+    prior = prior_of(arm.prior, scene)
+    estimates = list(track(frames, scene.body, scene.rig, scene.first_pose, arm.tracker, prior))
+    errors = np.array([experiment.error(scene, e) for e in estimates])
+    joints = joint_errors_mm(scene, scene.body, [e.pose for e in estimates], [e.index for e in estimates])
+    slim = [replace(e, covariance=np.empty((0, 0))) for e in estimates]  # processes need not carry them
+    shot = _shot(arm.name, scene, frames[experiment.shown[0]], estimates[experiment.shown[0]], experiment.shown[1])
+    trace = Trace(arm.name, scene.config.seed, errors, joints, slim, shot)
+    if experiment.course is None:
+        return trace
+    course = np.array([experiment.course(Posed(scene.body, e.pose)) for e in estimates])
+    truth = np.array([experiment.course(Posed(scene.true_body, scene.true_poses[e.index])) for e in estimates])
+    return replace(trace, course=course, true_course=truth)
+
+
+def _shot(arm: str, scene: Capture, frame: Frame, estimate: Estimate, camera: int) -> Shot:
+    image = frame.images[camera]
+    assert image is not None
+    truth, posed = scene.masks(frame.index)[camera], Posed(scene.body, estimate.pose)
+    return Shot(f"{arm}, frame {frame.index}", image, scene.rig[camera], posed, truth)
 
 
 def landmark_error_mm(scene: Capture, estimate: Estimate, names: Sequence[str]) -> float:

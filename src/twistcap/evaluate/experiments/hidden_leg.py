@@ -1,118 +1,82 @@
-"""C-4: a leg that no view shows for half a second is lost without a pose prior, and kept with one."""
+"""C-4: a leg that no view shows for half a second is lost without a pose prior, and kept with one.
+
+Brox, Rosenhahn and Cremers, "Contours, Optic Flow, and Prior Knowledge", Fig. 11.7. A third arm shows what of it is the
+prior's own doing: there too a hidden part has no say, but nothing else has it instead.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from concurrent.futures import as_completed
-from dataclasses import dataclass, replace
-from pathlib import Path
+from collections.abc import Sequence
 
 import numpy as np
 
-from twistcap._typing import Float
-from twistcap.evaluate import metrics
-from twistcap.evaluate.cases import Case
-from twistcap.evaluate.experiments.arms import Findings
+from twistcap.body import Posed
+from twistcap.cues.hidden import HiddenRule
+from twistcap.estimate import Estimate
+from twistcap.evaluate.experiments.arms import Arm, Comparison, Trace, by_arm
 from twistcap.evaluate.metrics import Row, row
-from twistcap.evaluate.parallel import Tell, one_thread_processes
-from twistcap.evaluate.sequence import Pictures, joint_errors_mm, tracked
-from twistcap.studio import Board, StudioConfig, capture
+from twistcap.studio import Board, Capture, StudioConfig, capture
 from twistcap.track import TrackerConfig
 
 LEG = ("femur_r", "tibia_r", "foot_r")
 HIDDEN = (15, 44)  # frames in which no view shows the leg
 KNEE = "knee_angle_r"
-
-_LEG_HIDDEN = Case(
-    "C-4",
-    "a walk in 4 views; for 30 frames boards hide the right leg in all of them",
-    StudioConfig(views=4, frames=60, boards=(Board(LEG, *HIDDEN),)),
-    TrackerConfig(),
-    (),
-)
-ARMS: Mapping[str, Case] = {
-    "without prior": _LEG_HIDDEN,
-    "with prior": replace(_LEG_HIDDEN, prior="another's walk"),
-}
+WITHOUT, RULE, WITH = "without prior", "hidden rule alone", "with prior"
 
 
-@dataclass(frozen=True)
-class HiddenLeg:
-    """What one sequence with a hidden leg gave.
-
-    Attributes:
-        knee_deg: (N,) error of the hidden knee while it was hidden.
-        mean_mm, worst_mm: mean and largest error of the joints over all frames.
-        afterwards_deg: its mean error in the last ten frames, when it is seen again.
-    """
-
-    knee_deg: Float
-    mean_mm: float
-    worst_mm: float
-    afterwards_deg: float
-
-    @property
-    def lost(self) -> bool:
-        """Whether the sequence was lost, as everywhere: by its mean joint error."""
-        return self.mean_mm > metrics.LOST_SEQUENCE_MM
+def leg_hidden(seed: int) -> Capture:
+    """A walk in four views; boards hide the right leg in all of them."""
+    return capture(StudioConfig(seed=seed, views=4, frames=60, boards=(Board(LEG, *HIDDEN),)))
 
 
-@dataclass(frozen=True)
-class HiddenLegs:
-    """The `Experiment`: both arms on every seed."""
-
-    id: str = "C-4"
-    says: str = "a leg hidden for 30 frames in all views: lost without the pose prior, kept with it"
-
-    def run(self, seeds: Sequence[int], progress: Tell, out: Path | None = None) -> Findings:
-        """The table; two scenes at a time. There is no picture of it yet."""
-        found: dict[int, dict[str, HiddenLeg]] = {}
-        with one_thread_processes(min(2, len(seeds))) as pool:
-            waiting = {pool.submit(both_arms, seed): seed for seed in seeds}
-            for done, future in enumerate(as_completed(waiting), 1):
-                found[waiting[future]] = future.result()
-                progress(f"{self.id}, seed {waiting[future]}", done, len(seeds))
-        return Findings([r for arm in ARMS for r in _rows(arm, [found[seed][arm] for seed in seeds])], "", ())
+def _knee_deg(posed: Posed) -> float:
+    return float(np.degrees(posed.pose.q[posed.body.coordinate(KNEE)]))
 
 
-def both_arms(seed: int) -> dict[str, HiddenLeg]:
-    """Both arms on one scene, which is rendered once."""
-    pictures = Pictures(capture(replace(_LEG_HIDDEN.studio, seed=seed)))
-    return {arm: _followed(case, pictures) for arm, case in ARMS.items()}
+def _error(scene: Capture, estimate: Estimate) -> float:
+    truth = Posed(scene.true_body, scene.true_poses[estimate.index])
+    return abs(_knee_deg(Posed(scene.body, estimate.pose)) - _knee_deg(truth))
 
 
-def _followed(case: Case, pictures: Pictures) -> HiddenLeg:
-    scene = pictures.scene
-    body, _, estimates, _ = tracked(case, pictures)
-    joints = joint_errors_mm(scene, body, [e.pose for e in estimates], [e.index for e in estimates])
-    k = body.coordinate(KNEE)
-    true = np.array([scene.true_poses[e.index].q[scene.true_body.coordinate(KNEE)] for e in estimates])
-    knee = np.degrees(np.abs(np.array([e.pose.q[k] for e in estimates]) - true))
-    return HiddenLeg(
-        knee[HIDDEN[0] : HIDDEN[1] + 1], metrics.mean_known(joints), float(joints.max()), float(knee[-10:].mean())
-    )
+def _rows(traces: Sequence[Trace]) -> list[Row]:
+    return [line for arm in dict.fromkeys(t.arm for t in traces) for line in _arm_rows(by_arm(traces, arm))]
 
 
-def _rows(arm: str, found: Sequence[HiddenLeg]) -> list[Row]:
+def _arm_rows(traces: Sequence[Trace]) -> list[Row]:
     """The lost sequences and the knee: with the prior none may be lost, without it most are to be."""
-    helped, most = arm == "with prior", len(found) // 2 + 1
-    knees, after = [float(one.knee_deg.mean()) for one in found], [one.afterwards_deg for one in found]
-    lost = sum(one.lost for one in found)
-    name = f"C-4 {arm}"
-    at_most, at_least = (0.0, None) if helped else (None, float(most))
+    arm, lost = traces[0].arm, sum(t.lost for t in traces)
+    knees = [float(t.errors[HIDDEN[0] : HIDDEN[1] + 1].mean()) for t in traces]
+    after = [float(t.errors[-10:].mean()) for t in traces]
+    joints, worst = [float(t.joints_mm.mean()) for t in traces], [float(t.joints_mm.max()) for t in traces]
+    most = len(traces) // 2 + 1
+    at_most, at_least = (0.0 if arm == WITH else None), (most if arm == WITHOUT else None)
+    name, limit = f"C-4 {arm}", (5.0 if arm == WITH else None)
     return [
         row(
             name, "lost sequences", lost, "sequences", at_most=at_most, at_least=at_least,
-            seeds=[float(one.lost) for one in found], lost=lost,
+            seeds=[float(t.lost) for t in traces], lost=lost,
         ),
-        row(
-            name, "knee while hidden", float(np.mean(knees)), "deg", at_most=5.0 if helped else None, seeds=knees,
-            lost=lost,
-        ),
-        row(name, "joints", float(np.mean([o.mean_mm for o in found])), "mm", seeds=[o.mean_mm for o in found]),
-        row(name, "largest joint error", max(one.worst_mm for one in found), "mm", seeds=[o.worst_mm for o in found]),
+        row(name, "knee while hidden", float(np.mean(knees)), "deg", at_most=limit, seeds=knees, lost=lost),
+        row(name, "joints", float(np.mean(joints)), "mm", seeds=joints),
+        row(name, "largest joint error", max(worst), "mm", seeds=worst),
         row(name, "knee, seen again", float(np.mean(after)), "deg", seeds=after),
     ]  # fmt: skip
 
 
-C4 = HiddenLegs()
+C4 = Comparison(
+    "C-4",
+    "a leg hidden for 30 frames in all of 4 views: lost without the pose prior, kept with it",
+    "error of the hidden knee, deg",
+    leg_hidden,
+    (
+        Arm(WITHOUT, TrackerConfig()),
+        Arm(RULE, TrackerConfig(hidden=HiddenRule(alone=True))),
+        Arm(WITH, TrackerConfig(), "another's walk"),
+    ),
+    _error,
+    _rows,
+    shown=(HIDDEN[1], 0),
+    watched="angle of the hidden knee, deg",
+    course=_knee_deg,
+    span=HIDDEN,
+)
