@@ -38,7 +38,7 @@ def build(
 
     body = humanoid("legs" if variant == "legs" else "full")
     names = [name.strip() for name in coordinates.split(",")] if coordinates else None
-    library = MotionLibrary.of([read_motion(path, body) for path in files], fps, names, mirrored)
+    library = MotionLibrary.of([read_motion(path, body, rate=fps) for path in files], fps, names, mirrored)
     write_library(out, library)
     _tell(out, library, json)
 
