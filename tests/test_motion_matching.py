@@ -55,7 +55,11 @@ def test_the_same_answer_as_trying_every_place(make, seed: int) -> None:
     weights = rng.uniform(0.2, 3.0, joints) if seed % 2 else None
     scales = tuple(np.round(np.arange(0.5, 2.01, 0.1), 1))
     matcher = Matcher(motions, weights=weights, ahead=float(seed))
-    for query in (make(rng, m, joints), make(rng, 400, joints)[-m:], motions.q[40 : 40 + m] + rng.normal(0, 0.01, (m, joints))):
+    for query in (
+        make(rng, m, joints),
+        make(rng, 400, joints)[-m:],
+        motions.q[40 : 40 + m] + rng.normal(0, 0.01, (m, joints)),
+    ):
         truth, found = brute(motions, query, scales, float(seed), weights)[0], matcher.best(query)
         assert found is not None
         assert found.distance == pytest.approx(truth.distance, abs=1e-5)
@@ -72,7 +76,7 @@ def test_the_same_answer_in_a_library_where_whole_blocks_are_ruled_out(m: int) -
         truth, found = brute(motions, query, scales)[0], matcher.best(query)
         assert found is not None
         assert (found.clip, found.position, found.scale) == pytest.approx((truth.clip, truth.position, truth.scale))
-    assert len(matcher._balls.radii) > 200
+    assert len(matcher.balls.radii) > 200
 
 
 def test_the_next_best_ones_are_apart() -> None:

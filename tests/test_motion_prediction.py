@@ -26,7 +26,9 @@ def motion(rng: np.random.Generator) -> Float:
 
 def walking(seconds: float, speed: float, heading: float = 0.0) -> MotionClip:
     poses = gait(BODY, fps=FPS, frames=int(seconds * FPS), speed=speed, heading=heading)
-    return MotionClip("walk", BODY.coordinate_names, FPS, np.array([p.root for p in poses]), np.array([p.q for p in poses]))
+    return MotionClip(
+        "walk", BODY.coordinate_names, FPS, np.array([p.root for p in poses]), np.array([p.q for p in poses])
+    )
 
 
 def moments(clip: MotionClip) -> list[Moment]:

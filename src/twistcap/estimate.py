@@ -55,7 +55,8 @@ class Estimate:
         iterations: accepted solver steps.
         lost: whether the evidence no longer supports the pose.
         support: evidence for the pose in [0, 1], by which `lost` is decided.
-        predicted: what told the pose that the frame was started from: "flow", "constant_velocity" or "hold".
+        predicted: what told the pose that the frame was started from: "flow", "motion", "constant_velocity" or
+            "hold".
     """
 
     index: int

@@ -12,7 +12,7 @@ from twistcap import se3
 from twistcap._typing import Float
 from twistcap.body import Pose
 
-PredictorName = Literal["constant_velocity", "hold", "flow"]
+PredictorName = Literal["constant_velocity", "hold", "flow", "motion"]
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from twistcap.cues.levelset import LevelSetContour
 from twistcap.cues.rivals import RivalRule
 from twistcap.cues.support import SupportRule
 from twistcap.features import Channels
+from twistcap.motion import MotionKind
 from twistcap.predict import MotionNoise, PredictorName
 from twistcap.priors import PriorRule
 from twistcap.region.models import Density, Statistics
@@ -32,7 +33,9 @@ class TrackerConfig:
         statistics: whether inside densities are each "part"'s own or of the "whole" body; None is part for local
             densities in the direct method, else whole, as in the chapter.
         photometric: whether brightness constancy joins the contours.
-        predictor: "constant_velocity", "hold", or "flow": optic flow, constant velocity where flow cannot be trusted.
+        predictor: "constant_velocity", "hold", "flow": optic flow, constant velocity where flow cannot be trusted, or
+            "motion": training motion, which the tracker must be given.
+        motion: which prediction from training motion: "followed", or the paper's "scaled", "unscaled" or "standard".
         start_by_flow: whether flow predicts as long as there is no velocity: in the second frame.
         decay: time constant (s) with which predicted joint velocities die away.
         rest_sigma_deg: how far joints are expected from the rest pose; matters only to a limb that nothing shows.
@@ -67,6 +70,7 @@ class TrackerConfig:
     statistics: Statistics | None = None
     photometric: bool = True
     predictor: PredictorName = "constant_velocity"
+    motion: MotionKind = "followed"
     start_by_flow: bool = True
     decay: float = 0.2
     rest_sigma_deg: float = 30.0

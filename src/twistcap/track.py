@@ -20,7 +20,10 @@ from twistcap.cues.flow import Followed
 from twistcap.cues.rivals import Rivals
 from twistcap.cues.support import part_tally, summed
 from twistcap.cues.view import View, crop_view
+from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
+from twistcap.motion import MotionLibrary, motion_predictor
+from twistcap.motion.openloop import OpenLoop
 from twistcap.predict import Moment, MotionNoise, PredictorName, predict
 from twistcap.priors import ParzenPrior, PriorTerm, matched
 from twistcap.render import ContourPoints, RenderedView, render, reprojected, visible_contour
@@ -29,6 +32,7 @@ from twistcap.solve import SolveResult, Status, covariance, energies_at, inverse
 from twistcap.stages import next_frame, stage
 from twistcap.terms import GaussianTerm, LimitTerm, Quadratic, RestTerm, Term
 
+_REMEMBERED = 240  # moments, the past that training motion is matched with
 _JUMP = np.deg2rad(2.0)  # of a joint: more than a fit wavers
 
 
@@ -59,13 +63,16 @@ class Tracker:
     """Follows one body through a recording; `step` once per frame, in order."""
 
     def __init__(
-        self, body: Body, rig: Rig, config: TrackerConfig | None = None, prior: ParzenPrior | None = None
-    ) -> None:
+        self, body: Body, rig: Rig, config: TrackerConfig | None = None, prior: ParzenPrior | None = None,
+        motions: MotionLibrary | None = None,
+    ) -> None:  # fmt: skip
         self.body, self.rig, self.config = body, rig.pinhole(), config or TrackerConfig()
         self._given_rig = rig  # keypoints come in its pixels, images rectified
         self._contour = _contour_cue(self.config)
         self._history: list[Moment] = []
         self._templates: list[Template | None] = [None] * len(rig)
+        self._motion = _motion_of(self.config, motions, body)
+        self._seen: list[Moment] = []  # the history less what nothing was seen of
         self._rest = RestTerm(float(np.deg2rad(self.config.rest_sigma_deg)))
         self._support = np.ones(len(body.segment_names))
         self._prior = None if prior is None else matched(prior, body)
@@ -80,7 +87,7 @@ class Tracker:
 
     def start(self, pose: Pose, time: float = 0.0) -> None:
         """Take the pose from which the first frame is tracked."""
-        self._history = [Moment(time, pose)]
+        self._history, self._seen = [Moment(time, pose)], []
         self._appearance = Appearance(len(self.rig), len(self.body.segment_names), self.config.appearance)
         self._templates = [None] * len(self.rig)
         self._support[:] = 1.0
@@ -94,7 +101,8 @@ class Tracker:
         """Go on after a track's last estimate, as `--resume` does; brightness and colours are learnt anew."""
         last = estimates[-1]
         self.start(last.pose, last.time)
-        self._history = [Moment(e.time, e.pose) for e in estimates[-50:]]
+        self._history = [Moment(e.time, e.pose) for e in estimates[-_REMEMBERED:]]
+        self._seen = list(self._history)
         self._covariance = last.covariance
         self._started = True
 
@@ -102,8 +110,7 @@ class Tracker:
         """Track one frame."""
         next_frame()
         config = self.config
-        guess, predicted = self._predicted(frame)
-        expected, information = self._expected(guess, frame.time)
+        guess, predicted, expected, information = self._prediction(frame)
         posed = Posed(self.body, guess)
         found = self._keypoints(frame, posed)
         fixed: Sequence[Term] = (LimitTerm(), self._rest, GaussianTerm(guess, information), *found)
@@ -124,6 +131,7 @@ class Tracker:
         with stage("remember"):
             self._remember(fit)
         self._advance(frame.time, fit.result.pose)
+        self._seen = [*self._seen, self._history[-1]][-_REMEMBERED:]
         self._seen_time = frame.time
         self._last = Followed(fit.result.posed, frame.time, frame.images)
         support = float(self._support.min())
@@ -131,6 +139,17 @@ class Tracker:
             frame.index, frame.time, fit.result.pose, self._familiar(told, fit), fit.result.energies,
             fit.result.status, fit.result.steps, support < config.support.least_share, support, predicted,
         )  # fmt: skip
+
+    def _prediction(self, frame: Frame) -> tuple[Pose, PredictorName, Float, Float]:
+        """The expected pose, what told it, its covariance and the inverse of that."""
+        if self._motion is None or len(self._seen) < 2:
+            guess, predicted = self._predicted(frame)
+            return guess, predicted, *self._expected(guess, frame.time)
+        with stage("motion"):
+            told = self._motion.predict(self._seen, frame.time)
+        # All claims are widened by the inflation; what is learnt from motion is honest without it.
+        scale = self.config.inflation**2
+        return told.pose, "motion", told.covariance / scale, told.information * scale
 
     def _predicted(self, frame: Frame) -> tuple[Pose, PredictorName]:
         """The expected pose and what told it: optic flow where it is asked for and can be trusted, else the history."""
@@ -294,7 +313,7 @@ class Tracker:
     def _advance(self, time: float, pose: Pose) -> None:
         if not self._started:
             self._history = []
-        self._history = [*self._history, Moment(time, pose)][-50:]
+        self._history = [*self._history, Moment(time, pose)][-_REMEMBERED:]
         self._started = True
 
     def _claimed(self, fit: _Fit, expected: Float, information: Float) -> Float:
@@ -326,6 +345,15 @@ def _contour_cue(config: TrackerConfig) -> ContourCue:
     return replace(cue, density=cue.density or config.density, statistics=cue.statistics or config.statistics)
 
 
+def _motion_of(config: TrackerConfig, motions: MotionLibrary | None, body: Body) -> OpenLoop | None:
+    """The predictor from training motion, where it is asked for."""
+    if config.predictor != "motion":
+        return None
+    if motions is None:
+        raise InputError("tracker: predictor 'motion' needs a motion library; make one with twistcap motions build.")
+    return motion_predictor(config.motion, motions, body)
+
+
 def _status(result: SolveResult, moved: float, settled: float) -> Status:
     """Of a whole frame: a step that hardly moved the body has converged."""
     if result.status == "failed":
@@ -344,10 +372,10 @@ def _moved(sights: Sequence[_Sight], posed: Posed) -> float:
 
 def track(
     frames: Iterable[Frame], body: Body, rig: Rig, first_pose: Pose, config: TrackerConfig | None = None,
-    prior: ParzenPrior | None = None,
+    prior: ParzenPrior | None = None, motions: MotionLibrary | None = None,
 ) -> Iterator[Estimate]:  # fmt: skip
     """Track a body through frames, one estimate each."""
-    tracker = Tracker(body, rig, config, prior)
+    tracker = Tracker(body, rig, config, prior, motions)
     for k, frame in enumerate(frames):
         if k == 0:
             tracker.start(first_pose, frame.time)

@@ -1,5 +1,6 @@
 """Scaled motion dynamics: libraries of training motion, matching, and prediction from them."""
 
+from twistcap.motion.choice import MotionKind, motion_predictor
 from twistcap.motion.clip import MotionClip
 from twistcap.motion.following import FollowedMotion, FollowRule
 from twistcap.motion.library import PAPER_SCALES, MotionLibrary
@@ -15,7 +16,9 @@ __all__ = [
     "Match",
     "Matcher",
     "MotionClip",
+    "MotionKind",
     "MotionLibrary",
     "MotionPredictor",
     "PaperMotion",
+    "motion_predictor",
 ]

@@ -21,7 +21,6 @@ from twistcap.motion.matching import Match, Matcher, Stretch
 from twistcap.motion.openloop import OpenLoop, Stretched
 from twistcap.motion.paper import standard_step
 
-
 _ALIKE = 0.05  # rad per pose, of all joints together: differences below this tell nothing
 
 
@@ -142,7 +141,7 @@ class _Guide:
         position, step = placed(np.ascontiguousarray(clip[:, columns]), query, match.position, match.step)
         match = Match(match.clip, position, 1.0 / step, match.distance)
         length = min(len(past), rule.look_back, int(position / step + 1e-6) + 1)
-        where = position - step * np.arange(length)[::-1]
+        where = np.array(position - step * np.arange(length)[::-1], dtype=np.float64)
         believed = length / (length + rule.trust)
         gain, offset = adapted(past.q[-length:], library.angles(match.clip, where), rule.stiffness, believed)
         heading, way, lean = _aligned(past.roots[-length:], library.root_motions(match.clip, where))
@@ -156,8 +155,8 @@ class _Guide:
     def followed(self, library: MotionLibrary, past: Stretched, count: int, fading: float) -> Stretched:
         """The next `count` poses; what the last pose differs by fades away."""
         frames = np.arange(count + 1)
-        where = self.match.position + self.match.step * frames
-        left = fading**frames[:, None]
+        where = np.array(self.match.position + self.match.step * frames, dtype=np.float64)
+        left = fading ** frames[:, None]
         q = self.gain * library.angles(self.match.clip, where) + self.offset
         q = q + left * (past.q[-1] - q[0])
         sample = library.root_motions(self.match.clip, where)
