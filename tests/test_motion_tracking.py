@@ -37,7 +37,7 @@ def test_without_an_image_the_answer_is_the_prediction() -> None:
         assert np.all(np.diag(found[k].covariance) >= np.diag(told.covariance))
     assert np.all(np.diag(found[9].covariance)[6:] > np.diag(found[7].covariance)[6:])
     assert found[10].status != "no_images"
-    assert np.degrees(np.abs(found[11].pose.q - scene.poses[11].q)).mean() < 3.0
+    assert np.degrees(np.abs(found[11].pose.q - scene.true_poses[11].q)).mean() < 3.0
 
 
 def test_a_library_must_be_given() -> None:

@@ -147,9 +147,9 @@ class Tracker:
             return guess, predicted, *self._expected(guess, frame.time)
         with stage("motion"):
             told = self._motion.predict(self._seen, frame.time)
-        # All claims are widened by the inflation; what is learnt from motion is honest without it.
-        scale = self.config.inflation**2
-        return told.pose, "motion", told.covariance / scale, told.information * scale
+        # All claims are widened by the inflation, but what is learnt from motion is honest without it. The solve takes
+        # it as it stands: no person moves quite like the library, and images are to have the word where there are any.
+        return told.pose, "motion", told.covariance / self.config.inflation**2, told.information
 
     def _predicted(self, frame: Frame) -> tuple[Pose, PredictorName]:
         """The expected pose and what told it: optic flow where it is asked for and can be trusted, else the history."""
