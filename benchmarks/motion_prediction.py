@@ -56,7 +56,11 @@ def errors(predictor: MotionPredictor, case: Case, body: Body, every: int) -> di
         shift = np.linalg.norm(end.pose.root[:3, 3] - true_root[:3, 3])
         turn = np.arccos(np.clip((np.trace(end.pose.root[:3, :3].T @ true_root[:3, :3]) - 1) / 2, -1, 1))
         honest = np.mean(wrong[-1] ** 2 / np.diag(end.covariance)[6:])
-        rows.append(np.array([np.degrees(np.abs(wrong[:, knees]).mean()), 1e3 * shift, np.degrees(turn), honest]))
+        rows.append(
+            np.array(
+                [np.degrees(np.abs(wrong[:, knees]).mean()), 1e3 * shift, np.degrees(turn), honest], dtype=np.float64
+            )
+        )
     table = np.array(rows)
     return {
         "knee_deg": float(table[:, 0].mean()), "worst_knee_deg": float(table[:, 0].max()),

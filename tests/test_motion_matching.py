@@ -76,7 +76,7 @@ def test_the_same_answer_in_a_library_where_whole_blocks_are_ruled_out(m: int) -
         truth, found = brute(motions, query, scales)[0], matcher.best(query)
         assert found is not None
         assert (found.clip, found.position, found.scale) == pytest.approx((truth.clip, truth.position, truth.scale))
-    assert len(matcher._balls.radii) > 200
+    assert len(matcher.balls.radii) > 200
 
 
 def test_the_next_best_ones_are_apart() -> None:

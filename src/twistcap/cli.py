@@ -10,6 +10,7 @@ import typer
 from twistcap.commands.demo import demo
 from twistcap.commands.evaluate import evaluate
 from twistcap.commands.export import export
+from twistcap.commands.motions import motions
 from twistcap.commands.prior import prior
 from twistcap.commands.studio import studio
 from twistcap.commands.tables import bench, reproduce
@@ -27,6 +28,7 @@ app = typer.Typer(
 for command in (demo, track, studio, evaluate, export, reproduce, bench):
     app.command()(command)
 app.add_typer(prior)
+app.add_typer(motions)
 
 
 def _version(asked: bool) -> None:

@@ -16,6 +16,7 @@ from twistcap.cues.rivals import RivalRule
 from twistcap.cues.support import SupportRule
 from twistcap.errors import InputError
 from twistcap.features import Channels
+from twistcap.motion import MotionKind
 from twistcap.predict import MotionNoise, PredictorName
 from twistcap.priors import PriorRule
 from twistcap.region.models import Density, Statistics
@@ -36,7 +37,8 @@ class TrackerConfig:
             densities in the direct method, else whole, as in the chapter.
         photometric: whether brightness constancy joins the contours.
         predictor: "constant_velocity", "hold", "flow": optic flow, constant velocity where flow cannot be trusted, or
-            "motion": training motion, which the tracker is then given.
+            "motion": training motion, which the tracker must be given.
+        motion: which prediction from training motion: "followed", or the paper's "scaled", "unscaled" or "standard".
         start_by_flow: whether flow predicts as long as there is no velocity: in the second frame.
         decay: time constant (s) with which predicted joint velocities die away.
         rest_sigma_deg: how far joints are expected from the rest pose; matters only to a limb that nothing shows.
@@ -72,6 +74,7 @@ class TrackerConfig:
     statistics: Statistics | None = None
     photometric: bool = True
     predictor: PredictorName = "constant_velocity"
+    motion: MotionKind = "followed"
     start_by_flow: bool = True
     decay: float = 0.2
     rest_sigma_deg: float = 30.0

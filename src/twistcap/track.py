@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 
 from twistcap._typing import Float, Int
@@ -20,10 +19,10 @@ from twistcap.cues.evidence import ContourCue, ContourEvidence
 from twistcap.cues.flow import Followed
 from twistcap.cues.rivals import Rivals
 from twistcap.cues.support import part_tally, summed
-from twistcap.cues.view import View, crop_view
+from twistcap.cues.view import View, crop_view, despeckled
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
-from twistcap.motion import MotionPredictor
+from twistcap.motion import MotionLibrary, MotionPredictor, motion_predictor
 from twistcap.predict import Moment, MotionNoise, PredictorName, predict
 from twistcap.priors import ParzenPrior, PriorTerm, matched
 from twistcap.render import ContourPoints, RenderedView, render, reprojected, visible_contour
@@ -64,7 +63,7 @@ class Tracker:
 
     def __init__(
         self, body: Body, rig: Rig, config: TrackerConfig | None = None, prior: ParzenPrior | None = None,
-        motions: MotionPredictor | None = None,
+        motions: MotionLibrary | None = None,
     ) -> None:  # fmt: skip
         self.body, self.rig, self.config = body, rig.pinhole(), config or TrackerConfig()
         self._given_rig = rig  # keypoints come in its pixels, images rectified
@@ -73,11 +72,7 @@ class Tracker:
         self._templates: list[Template | None] = [None] * len(rig)
         self._rest = RestTerm(float(np.deg2rad(self.config.rest_sigma_deg)))
         self._support = np.ones(len(body.segment_names))
-        if (self.config.predictor == "motion") != (motions is not None):
-            raise InputError(
-                'tracker: predictor = "motion" and a library of motions need each other; give both or none.'
-            )
-        self._motions = motions
+        self._motions = _motions(self.config, motions, body)
         self._gone = np.zeros(len(body.segment_names), dtype=np.bool_)  # parts that no view shows
         self._back = np.zeros_like(self._gone)  # those of which a view shows something again, in this frame
         self._prior = None if prior is None else matched(prior, body)
@@ -116,7 +111,7 @@ class Tracker:
         """Track one frame."""
         next_frame()
         config = self.config
-        frame = _despeckled(frame, config.despeckle)
+        frame = despeckled(frame, config.despeckle)
         self._back[:] = False
         guess, predicted, strayed, information = self._predicted(frame)
         posed = Posed(self.body, guess)
@@ -362,19 +357,16 @@ class Tracker:
         return covariance(Quadratic(0.0, np.zeros(len(known)), information + self._prior.claimed(fit.result.posed)))
 
 
-def _despeckled(frame: Frame, size: int) -> Frame:
-    """The frame, its images under a median filter of so many pixels."""
-    if size == 1:
-        return frame
-    with stage("despeckle"):
-        images = tuple(None if image is None else cv2.medianBlur(image, size) for image in frame.images)
-    return replace(frame, images=images)
-
-
 def _contour_cue(config: TrackerConfig) -> ContourCue:
     """The cue of the chosen method; what it leaves open is the tracker's."""
     cue = config.direct if config.method == "direct" else config.levelset
     return replace(cue, density=cue.density or config.density, statistics=cue.statistics or config.statistics)
+
+
+def _motions(config: TrackerConfig, library: MotionLibrary | None, body: Body) -> MotionPredictor | None:
+    if (config.predictor == "motion") != (library is not None):
+        raise InputError('tracker: predictor "motion" and a library of motions go together; give both or none.')
+    return None if library is None else motion_predictor(config.motion, library, body)
 
 
 def _status(result: SolveResult, moved: float, settled: float) -> Status:
@@ -395,7 +387,7 @@ def _moved(sights: Sequence[_Sight], posed: Posed) -> float:
 
 def track(
     frames: Iterable[Frame], body: Body, rig: Rig, first_pose: Pose, config: TrackerConfig | None = None,
-    prior: ParzenPrior | None = None, motions: MotionPredictor | None = None,
+    prior: ParzenPrior | None = None, motions: MotionLibrary | None = None,
 ) -> Iterator[Estimate]:  # fmt: skip
     """Track a body through frames, one estimate each."""
     tracker = Tracker(body, rig, config, prior, motions)

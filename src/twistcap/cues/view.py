@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import cv2
@@ -13,6 +13,7 @@ import numpy as np
 from twistcap._typing import AnyArray, Float32
 from twistcap.body import Posed
 from twistcap.camera import Camera
+from twistcap.estimate import Frame
 from twistcap.features import Channels, feature_channels, grey
 from twistcap.render import body_window
 from twistcap.stages import stage
@@ -72,3 +73,12 @@ def crop_views(
     (x, y), (w, h) = window
     crop = camera.cropped((x, y), (w, h))
     return [View(crop, np.ascontiguousarray(image[y : y + h, x : x + w]), channels) for image in images]
+
+
+def despeckled(frame: Frame, size: int) -> Frame:
+    """The frame, its images under a median filter of so many pixels."""
+    if size == 1:
+        return frame
+    with stage("despeckle"):
+        images = tuple(None if image is None else cv2.medianBlur(image, size) for image in frame.images)
+    return replace(frame, images=images)

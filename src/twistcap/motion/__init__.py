@@ -1,5 +1,6 @@
 """Motion as data: clips, skeletons of motion files, retargeting; libraries, scaled matching, prediction from them."""
 
+from twistcap.motion.choice import MotionKind, motion_predictor
 from twistcap.motion.clip import MotionClip
 from twistcap.motion.following import FollowedMotion, FollowRule
 from twistcap.motion.library import PAPER_SCALES, MotionLibrary
@@ -18,6 +19,7 @@ __all__ = [
     "Match",
     "Matcher",
     "MotionClip",
+    "MotionKind",
     "MotionLibrary",
     "MotionPredictor",
     "PaperMotion",
@@ -25,6 +27,7 @@ __all__ = [
     "SkeletonTable",
     "body_table",
     "grounded",
+    "motion_predictor",
     "read_table",
     "retarget",
     "skeleton_of",

@@ -153,7 +153,7 @@ def _summed(bounds: Float32, halo: int, step: float, out: Float32) -> None:
 def _below(
     squares: Float32, jumps: Float32, start: int, first: int, j: int, step: float, limit: float
 ) -> bool:  # fmt: skip
-    """Whether pose j of a scaled clip may match better than the limit (bound 3); column 0 is pose `first`."""
+    """Whether pose j of a scaled clip may match better than the limit (bound 3); column 0 is its pose `first`."""
     total = 0.0
     for v in range(len(squares)):
         p = (j - v) * step
@@ -173,7 +173,7 @@ def _below(
 
 @njit(cache=True, nogil=True)
 def score(base: Float32, query: Float, start: int, j: int, step: float, limit: float) -> float:
-    """The sum of norms of pose j of a scaled clip that starts at `start`; any value above the limit if it is above."""
+    """The sum of norms of pose j of the scaled clip that starts at `start`; anything above the limit if above it."""
     total = 0.0
     for v in range(len(query)):
         p = (j - v) * step
@@ -193,7 +193,7 @@ def score(base: Float32, query: Float, start: int, j: int, step: float, limit: f
 
 @njit(cache=True, nogil=True)
 def _barred(clip: int, p: float, barred: Int, windows: Float) -> bool:
-    for e in range(len(barred)):  # noqa: SIM110 (numba has no any() of a generator)
+    for e in range(len(barred)):  # noqa: SIM110 - numba knows no any()
         if barred[e] == clip and windows[e, 0] < p < windows[e, 1]:
             return True
     return False
@@ -286,7 +286,7 @@ def search(
         else:
             last = _run(least, clip_of, b, best + slack)
         if least[b] <= best + slack:
-            start, end = starts[clip_of[b]], starts[clip_of[b] + 1]
+            start, end = int(starts[clip_of[b]]), int(starts[clip_of[b] + 1])
             low = (b - first_block[b]) * BLOCK
             high = min(low + (last - b) * BLOCK, end - start)
             value, scale, pose = _stretch(

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twistcap import se3
-from twistcap._typing import Float, Int
+from twistcap._typing import Float, Float32, Int
 from twistcap.body import Pose
 from twistcap.errors import InputError
 
@@ -125,7 +125,7 @@ def mirror_of(names: Sequence[str]) -> tuple[Int, Float]:
     return partner, sign
 
 
-def interpolated_angles(q: Float, positions: Float) -> Float:
+def interpolated_angles(q: Float | Float32, positions: Float) -> Float:
     """(P, J) joint coordinates between the poses of q (N, J), linear; positions (P,) in poses, within 0 … N − 1."""
     before, share = _between(len(q), positions)
     after = np.minimum(before + 1, len(q) - 1)

@@ -21,6 +21,8 @@ from twistcap.motion.matching import Match, Matcher, Stretch
 from twistcap.motion.openloop import OpenLoop, Stretched
 from twistcap.motion.paper import standard_step
 
+_ALIKE = 0.05  # rad per pose, of all joints together: differences below this tell nothing
+
 
 @dataclass(frozen=True)
 class FollowRule:
@@ -40,8 +42,8 @@ class FollowRule:
         scales: time scales that are tried before the exact one is sought.
     """
 
-    poses: tuple[int, ...] = (5, 15, 30)
-    as_like: float = 1.6
+    poses: tuple[int, ...] = (10, 20, 40)
+    as_like: float = 2.5
     look_back: int = 60
     count: int = 3
     apart: int = 20
@@ -85,13 +87,14 @@ class FollowedMotion(OpenLoop):
         if not matches:
             return standard_step(past.since(max(0, len(past) - 5)))
         guides = [_Guide.fitted(self.library, past, match, poses, self.rule, self.compared) for match, poses in matches]
-        lasting = guides[0].lasting(self.library)
-        count = max(1, min(count, lasting))
-        used = [guide for guide in guides if guide.lasting(self.library) >= count]
+        lasting = [guide.lasting(self.library) for guide in guides]
         best = matches[0][0].distance
-        likeness = [np.exp(-self.rule.sharpness * (g.match.distance / max(best, 1e-6) - 1.0)) for g in used]
-        followed = [guide.followed(self.library, past, count, self.rule.fading) for guide in used or guides[:1]]
-        return _blended(followed, np.array(likeness or [1.0]))
+        alike = [guide.match.distance <= 1.5 * best + _ALIKE for guide in guides]
+        # Of matches that are about as good, one that goes on for long enough leads.
+        count = max(1, min(count, max(n for n, good in zip(lasting, alike, strict=True) if good)))
+        used = [guide for guide, n in zip(guides, lasting, strict=True) if n >= count] or guides[:1]
+        likeness = [np.exp(-self.rule.sharpness * (g.match.distance - best) / (best + _ALIKE)) for g in used]
+        return _blended([g.followed(self.library, past, count, self.rule.fading) for g in used], np.array(likeness))
 
     def _matches(self, past: Stretched, barred: Sequence[Stretch]) -> list[tuple[Match, int]]:
         """The best matches, their distances by pose (rad), and the number of poses that were matched."""
@@ -104,7 +107,7 @@ class FollowedMotion(OpenLoop):
             found = self._matcher.k_best(query, self.rule.count, self.rule.apart, barred)
             if found and found[0].distance / poses <= bar:
                 out = [(replace(match, distance=match.distance / poses), poses) for match in found]
-            bar = min(bar, self.rule.as_like * out[0][0].distance) if out else bar
+            bar = min(bar, self.rule.as_like * out[0][0].distance + _ALIKE) if out else bar
         return out
 
 
@@ -138,7 +141,7 @@ class _Guide:
         position, step = placed(np.ascontiguousarray(clip[:, columns]), query, match.position, match.step)
         match = Match(match.clip, position, 1.0 / step, match.distance)
         length = min(len(past), rule.look_back, int(position / step + 1e-6) + 1)
-        where = position - step * np.arange(length)[::-1]
+        where = np.array(position - step * np.arange(length)[::-1], dtype=np.float64)
         believed = length / (length + rule.trust)
         gain, offset = adapted(past.q[-length:], library.angles(match.clip, where), rule.stiffness, believed)
         heading, way, lean = _aligned(past.roots[-length:], library.root_motions(match.clip, where))
@@ -152,7 +155,7 @@ class _Guide:
     def followed(self, library: MotionLibrary, past: Stretched, count: int, fading: float) -> Stretched:
         """The next `count` poses; what the last pose differs by fades away."""
         frames = np.arange(count + 1)
-        where = self.match.position + self.match.step * frames
+        where = np.array(self.match.position + self.match.step * frames, dtype=np.float64)
         left = fading ** frames[:, None]
         q = self.gain * library.angles(self.match.clip, where) + self.offset
         q = q + left * (past.q[-1] - q[0])

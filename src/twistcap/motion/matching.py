@@ -84,10 +84,10 @@ class Matcher:
         _expect(bool(np.all((given > 0) & (given < np.inf))), "its weights must be positive")
         self.scales = np.array(scales, dtype=float)
         _expect(len(self.scales) > 0 and bool(np.all((self.scales > 0) & (self.scales < np.inf))), "bad time scales")
-        self._factors, self._steps = np.sqrt(given), 1.0 / self.scales
-        self._base = _transposed(library.q, self.columns, self._factors)
-        self._jumps = _jumps(self._base, library.starts)
-        self._balls = _Balls.of(self._base, library.starts)
+        self._factors, self.steps = np.sqrt(given), 1.0 / self.scales
+        self.base = _transposed(library.q, self.columns, self._factors)
+        self.jumps = _jumps(self.base, library.starts)
+        self.balls = _Balls.of(self.base, library.starts)
 
     def best(self, query: Float, last: Match | None = None, barred: Sequence[Stretch] = ()) -> Match | None:
         """The best match of the last m poses.
@@ -135,7 +135,7 @@ class Matcher:
         query = np.ascontiguousarray(query, dtype=float)
         K = len(self.columns)
         _expect(query.ndim == 2 and len(query) > 0 and query.shape[1] == K, f"a query must be (m, {K}), K coordinates")
-        poses = kernels.prepared(query, self._factors, len(self._base))
+        poses = kernels.prepared(query, self._factors, len(self.base))
         _expect(bool(np.isfinite(poses).all()), "a pose of the query is not finite")
         return _Query(self, poses)
 
@@ -149,7 +149,7 @@ class _Query:
     @cached_property
     def _bounds(self) -> Float32:
         """(B,) by block; zeros where the library is too small for the bounds to be worth their while."""
-        balls, steps = self._matcher._balls, self._matcher._steps
+        balls, steps = self._matcher.balls, self._matcher.steps
         if len(balls.radii) <= _FEW:
             return np.zeros(len(balls.radii), np.float32)
         m = len(self._poses)
@@ -160,11 +160,11 @@ class _Query:
 
     def best(self, barred: Sequence[Stretch] = (), limit: float = 1e300) -> Match | None:
         """The best match below a limit that does not end where it is barred."""
-        matcher, balls = self._matcher, self._matcher._balls
+        matcher, balls = self._matcher, self._matcher.balls
         clips = np.array([clip for clip, _, _ in barred], np.int32)
         windows = np.array([[low, high] for _, low, high in barred]).reshape(-1, 2)
         distance, clip, scale, pose = kernels.search(
-            matcher._base, matcher._jumps, self._poses, matcher._steps, self._bounds, balls.first_block,
+            matcher.base, matcher.jumps, self._poses, matcher.steps, self._bounds, balls.first_block,
             balls.clip_of, matcher.library.starts, matcher.ahead, clips, windows, limit,
         )  # fmt: skip
         return self._match(clip, scale, pose, distance)
@@ -175,7 +175,7 @@ class _Query:
         start, end = matcher.library.starts[place.clip : place.clip + 2]
         low, high = place.position - reach, place.position + reach
         distance, scale, pose = kernels.nearby(
-            matcher._base, self._poses, matcher._steps, start, end, low, high, matcher.ahead
+            matcher.base, self._poses, matcher.steps, start, end, low, high, matcher.ahead
         )
         return self._match(place.clip, scale, pose, distance)
 
@@ -183,7 +183,7 @@ class _Query:
         if scale < 0:
             return None
         s = float(self._matcher.scales[scale])
-        return Match(int(clip), float(pose * self._matcher._steps[scale]), s, float(distance))
+        return Match(int(clip), float(pose * self._matcher.steps[scale]), s, float(distance))
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,78 @@
+"""``twistcap motions``: libraries of training motion."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from twistcap.commands import terminal
+
+motions = typer.Typer(name="motions", help="Gather training motion, by which tracking goes on without images.",
+                      no_args_is_help=True)  # fmt: skip
+
+
+@motions.command()
+def build(
+    out: Annotated[Path, typer.Argument(help="Library to write, .npz.", metavar="OUT")],
+    files: Annotated[list[Path], typer.Argument(help="Motion files, of anyone.", metavar="FILE...")],
+    fps: Annotated[float, typer.Option(min=1, help="Frame rate of the recording that is to be tracked.")] = 60.0,
+    variant: Annotated[str, typer.Option(help="Built-in body whose coordinates are meant: full or legs.")] = "full",
+    mirrored: Annotated[bool, typer.Option("--mirrored", help="Add the mirror image of each motion.")] = False,
+    coordinates: Annotated[
+        str | None, typer.Option(help="Joint coordinates, with commas; by default all that every file has.")
+    ] = None,
+    json: terminal.Json = False,
+) -> None:
+    """Build a library of training motion, one clip for each file; nothing is ever matched across two clips.
+
+    Examples:
+
+      twistcap motions build walking.npz walk1.bvh walk2.amc --fps 60 --mirrored
+    """
+    from twistcap.body.humanoid import humanoid
+    from twistcap.io.motion_library import write_library
+    from twistcap.io.motions import read_motion
+    from twistcap.motion import MotionLibrary
+
+    body = humanoid("legs" if variant == "legs" else "full")
+    names = [name.strip() for name in coordinates.split(",")] if coordinates else None
+    library = MotionLibrary.of([read_motion(path, body, rate=fps) for path in files], fps, names, mirrored)
+    write_library(out, library)
+    _tell(out, library, json)
+
+
+@motions.command()
+def show(
+    path: Annotated[Path, typer.Argument(help="Library of twistcap motions build.", metavar="LIBRARY")],
+    json: terminal.Json = False,
+) -> None:
+    """Show what a library holds.
+
+    Examples:
+
+      twistcap motions show walking.npz
+    """
+    from twistcap.io.motion_library import read_library
+
+    _tell(path, read_library(path), json)
+
+
+def _tell(path: Path, library: object, json: bool) -> None:
+    from twistcap.motion import MotionLibrary
+
+    assert isinstance(library, MotionLibrary)
+    clips = [
+        {"name": name, "poses": int(n), "seconds": round((int(n) - 1) / library.rate, 3)}
+        for name, n in zip(library.clip_names, library.lengths, strict=True)
+    ]
+    if json:
+        terminal.emit({"id": "motions", "library": path, "rate": library.rate, "poses": len(library), "clips": clips,
+                       "coordinates": list(library.names)})  # fmt: skip
+        return
+    terminal.words.print(f"{len(library)} poses at {library.rate:g} per second in {len(clips)} clips")
+    for clip in clips:
+        terminal.words.print(f"  {clip['name']}: {clip['poses']} poses, {clip['seconds']:.2f} s")
+    terminal.words.print(", ".join(library.names))
+    typer.echo(path)

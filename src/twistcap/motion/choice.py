@@ -1,0 +1,22 @@
+"""The predictors by name."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from twistcap.body import Body
+from twistcap.motion.following import FollowedMotion
+from twistcap.motion.library import MotionLibrary
+from twistcap.motion.openloop import OpenLoop
+from twistcap.motion.paper import PaperMotion
+
+MotionKind = Literal["followed", "scaled", "unscaled", "standard"]
+
+
+def motion_predictor(kind: MotionKind, library: MotionLibrary, body: Body) -> OpenLoop:
+    """The default, "followed", or one of the paper's (`PaperMotion`).
+
+    Raises:
+        InputError: where body and library have no coordinate in common.
+    """
+    return FollowedMotion(library, body) if kind == "followed" else PaperMotion(library, body, kind)

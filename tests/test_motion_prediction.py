@@ -1,0 +1,174 @@
+"""Predictions from training motion: what they take over from the sample, and what they tell of themselves."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from twistcap import se3
+from twistcap._typing import Float
+from twistcap.body import Pose
+from twistcap.body.humanoid import humanoid
+from twistcap.errors import InputError
+from twistcap.motion import FollowedMotion, FollowRule, MotionClip, MotionLibrary, PaperMotion
+from twistcap.motion.following import adapted, misplaced, placed
+from twistcap.motion.paper import root_speed, transferred
+from twistcap.predict import Moment
+from twistcap.studio.motion import gait
+
+BODY = humanoid("legs")
+FPS = 60.0
+
+
+def motion(rng: np.random.Generator) -> Float:
+    return se3.exp(rng.normal(0, 1, 6))
+
+
+def walking(seconds: float, speed: float, heading: float = 0.0) -> MotionClip:
+    poses = gait(BODY, fps=FPS, frames=int(seconds * FPS), speed=speed, heading=heading)
+    return MotionClip(
+        "walk", BODY.coordinate_names, FPS, np.array([p.root for p in poses]), np.array([p.q for p in poses])
+    )
+
+
+def moments(clip: MotionClip) -> list[Moment]:
+    return [Moment(5.0 + k / clip.rate, pose) for k, pose in enumerate(clip.poses())]
+
+
+def library(*clips: MotionClip) -> MotionLibrary:
+    return MotionLibrary.of(clips, FPS)
+
+
+def test_the_root_moves_as_the_sample_sees_itself_move() -> None:
+    """``D M = M M̃⁻¹ M̃'``, wherever the two stand."""
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        root, before, after = motion(rng), motion(rng), motion(rng)
+        np.testing.assert_allclose(
+            transferred(root, before, after, None, 0.0), root @ se3.inverse(before) @ after, atol=1e-9
+        )
+
+
+def test_the_twist_is_scaled_by_the_speeds() -> None:
+    """A straight way is covered at the person's speed; a standing sample is taken as it is, a wild ratio is cut."""
+    root, before = se3.exp(np.array([0.1, -0.2, 1.0, 3.0, 2.0, 1.0])), np.eye(4)
+    after = se3.transform(np.eye(3), np.array([0.02, 0.0, 0.0]))
+    moved = transferred(root, before, after, 0.03, 1e-3)
+    np.testing.assert_allclose(moved[:3, 3] - root[:3, 3], root[:3, :3] @ [0.03, 0, 0], atol=1e-12)
+    standing = se3.exp(np.array([0.0, 0.0, 0.01, 1e-5, 0.0, 0.0]))
+    np.testing.assert_allclose(transferred(root, before, standing, 0.03, 1e-3), root @ standing, atol=1e-12)
+    creeping = se3.transform(np.eye(3), np.array([0.002, 0.0, 0.0]))
+    assert np.linalg.norm((transferred(root, before, creeping, 1.0, 1e-3) - root)[:3, 3]) == pytest.approx(0.008)
+    assert root_speed(np.array([np.eye(4), after, after @ after])) == pytest.approx(0.02)
+
+
+def test_scaled_prediction_is_eq_18_and_the_increment() -> None:
+    clip = walking(3.0, 1.0)
+    predictor = PaperMotion(library(clip), BODY)
+    seen = moments(walking(1.0, 1.7, heading=0.7))[:40]
+    expected = predictor.predict(seen, seen[-1].time + 1 / FPS)
+    match = expected.match
+    assert match is not None and match.scale < 1.0  # the library walks slower: it is passed faster
+    samples = predictor.library.angles(match.clip, np.array([match.position, match.position + 1 / match.scale]))
+    np.testing.assert_allclose(expected.pose.q, seen[-1].pose.q + samples[1] - samples[0], atol=1e-9)
+    speed = root_speed(np.array([m.pose.root for m in seen[-5:]]))
+    assert np.linalg.norm((expected.pose.root - seen[-1].pose.root)[:3, 3]) == pytest.approx(speed, rel=1e-3)
+
+
+def test_standard_prediction_goes_on_as_before() -> None:
+    twist, rate = np.array([0.0, 0.0, 0.02, 0.01, 0.0, 0.005]), np.linspace(-0.02, 0.02, len(BODY.coordinate_names))
+    seen = [Moment(k / FPS, Pose(se3.exp(k * twist), k * rate)) for k in range(8)]
+    predictor = PaperMotion(library(walking(2.0, 1.2)), BODY, "standard")
+    expected = predictor.predict(seen, 17 / FPS)
+    np.testing.assert_allclose(expected.pose.q, 17 * rate, atol=1e-9)
+    np.testing.assert_allclose(expected.pose.root, se3.exp(17 * twist), atol=1e-9)
+
+
+@pytest.mark.parametrize("speed", [1.0, 1.5])
+def test_followed_motion_carries_on_at_another_speed_and_heading(speed: float) -> None:
+    """Half a second without any image: knees, place and heading stay right, the paper's form is worse."""
+    training, clip = library(walking(4.0, 1.25)), walking(2.5, speed, heading=2.0)
+    seen, last = moments(clip), 70
+    truth = seen[last + 30]
+    found = FollowedMotion(training, BODY).predict(seen[: last + 1], truth.time)
+    knees = [BODY.coordinate(f"knee_angle_{side}") for side in "rl"]
+    assert np.degrees(np.abs(found.pose.q - truth.pose.q)[knees]).max() < 3.0
+    assert np.linalg.norm(found.pose.root[:3, 3] - truth.pose.root[:3, 3]) < 0.05
+    assert np.degrees(np.linalg.norm(se3.log_rotation(found.pose.root[:3, :3] @ truth.pose.root[:3, :3].T))) < 3.0
+    paper = PaperMotion(training, BODY).predict(seen[: last + 1], truth.time)
+    assert np.abs(found.pose.q - truth.pose.q)[knees].mean() < np.abs(paper.pose.q - truth.pose.q)[knees].mean()
+
+
+def test_a_gap_may_be_crossed_in_steps_or_at_once() -> None:
+    training, seen = library(walking(1.2, 1.25)), moments(walking(1.2, 1.2))[:60]
+    for make in (FollowedMotion, PaperMotion):
+        steps, once = make(training, BODY), make(training, BODY)
+        ahead = [steps.predict(seen, seen[-1].time + k / FPS) for k in range(1, 91)]  # farther than any clip goes on
+        whole = once.predict(seen, seen[-1].time + 90 / FPS)
+        assert all(np.isfinite(e.pose.q).all() and np.isfinite(e.pose.root).all() for e in ahead)
+        if make is PaperMotion:
+            np.testing.assert_allclose(ahead[-1].pose.q, whole.pose.q, atol=1e-9)
+        spread = np.array([np.diag(e.covariance) for e in ahead])
+        assert np.all(np.diff(spread[:, 6:], axis=0) >= -1e-15) and np.all(spread[60, 6:] > spread[0, 6:])
+        np.testing.assert_allclose(whole.covariance @ whole.information, np.eye(BODY.dof), atol=1e-6)
+
+
+def test_the_covariance_is_learnt_from_the_library() -> None:
+    """Two people who walk unlike each other make less sure than one who walks like a clock."""
+    rng = np.random.default_rng(0)
+    clock, other = walking(4.0, 1.25), walking(4.0, 1.25)
+    drift = np.cumsum(rng.normal(0, 0.01, other.q.shape), axis=0)
+    wavering = MotionClip("other", other.names, FPS, other.roots, other.q + drift - drift.mean(axis=0))
+    sure, unsure = FollowedMotion(library(clock), BODY).spread, FollowedMotion(library(wavering), BODY).spread
+    assert np.all(sure.joints[-1] < np.radians(3.0))
+    assert np.mean(unsure.joints[-1]) > 1.5 * np.mean(sure.joints[-1])
+    close, far = sure.variances(10.0, sure.usual), sure.variances(10.0, 3.0 * sure.usual)
+    np.testing.assert_allclose(far[2], 9.0 * close[2])
+
+
+def test_coordinates_that_the_library_lacks_are_held() -> None:
+    names = [n for n in BODY.coordinate_names if not n.startswith("subtalar")]
+    predictor = FollowedMotion(MotionLibrary.of([walking(3.0, 1.25)], FPS, names), BODY)
+    seen = moments(walking(1.5, 1.2))[:60]
+    expected, column = predictor.predict(seen, seen[-1].time + 0.2), BODY.coordinate("subtalar_angle_r")
+    assert expected.pose.q[column] == seen[-1].pose.q[column]
+    assert expected.covariance[6 + column, 6 + column] > 0.1
+
+
+def test_whole_turns_of_the_tracked_joints_stay() -> None:
+    predictor, seen = FollowedMotion(library(walking(3.0, 1.25)), BODY), moments(walking(1.5, 1.2))[:60]
+    plain = predictor.predict(seen, seen[-1].time + 0.2).pose.q
+    turned = [Moment(m.time, Pose(m.pose.root, m.pose.q + 2 * np.pi)) for m in seen]
+    np.testing.assert_allclose(predictor.predict(turned, seen[-1].time + 0.2).pose.q, plain + 2 * np.pi, atol=1e-6)
+
+
+def test_a_match_is_placed_between_poses_and_scales() -> None:
+    clip = walking(3.0, 1.25).q.astype(np.float32)
+    where = 100.37 - 1.083 * np.arange(30)[::-1]
+    query = np.stack([np.interp(where, np.arange(len(clip)), column) for column in clip.T], axis=1)
+    position, step = placed(clip, query + 0.02, 100.0, 1.1)  # a constant offset mostly does not count
+    assert (position, step) == (pytest.approx(100.37, abs=0.05), pytest.approx(1.083, abs=0.004))
+    assert misplaced(clip, query, position, step) < misplaced(clip, query, 100.0, 1.1)
+    assert misplaced(clip, query, 10.0, 1.1) == np.inf
+
+
+def test_offset_and_range_are_learnt_where_there_is_swing() -> None:
+    t = np.arange(120)
+    sample = np.stack([0.6 * np.sin(0.1 * t), 1e-3 * np.sin(0.1 * t)], axis=1)
+    gain, offset = adapted(1.2 * sample + [0.1, 0.0], sample, 0.3, 1.0)
+    np.testing.assert_allclose(gain, [1.2, 1.0], atol=0.01)
+    np.testing.assert_allclose(offset, [0.1, 0.0], atol=0.01)
+    doubted, _ = adapted(1.2 * sample, sample, 0.3, 0.5)
+    assert doubted[0] == pytest.approx(1.1, abs=0.01)
+
+
+def test_bad_input_is_refused() -> None:
+    training = library(walking(1.0, 1.2))
+    with pytest.raises(InputError, match="shares no coordinate with body"):
+        PaperMotion(MotionLibrary.of([MotionClip("a", ("x",), FPS, np.eye(4)[None], np.zeros((1, 1)))], FPS), BODY)
+    with pytest.raises(InputError, match="take 2 or more"):
+        PaperMotion(training, BODY, poses=1)
+    with pytest.raises(InputError, match="at least one moment"):
+        PaperMotion(training, BODY).predict([], 1.0)
+    with pytest.raises(InputError, match="fading in"):
+        FollowRule(fading=1.0)
