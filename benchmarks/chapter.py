@@ -1,6 +1,6 @@
 """The chapter's own system on the real recording: a table over channels and statistics.
 
-    TWISTCAP_DATA=... TWISTCAP_PRIOR=walk.npz python benchmarks/chapter.py [--arms grey/whole lab/part] [--set KEY=VALUE]
+    TWISTCAP_DATA=... TWISTCAP_PRIOR=walk.npz python benchmarks/chapter.py [--arms lab/part ...] [--set KEY=VALUE]
 
 Level set, no photometric term, flow prediction, prior: as `examples/balance_4view_chapter.toml` says. Results are kept
 in --out, one folder for each arm, and an arm whose table line stands there already is not run again.

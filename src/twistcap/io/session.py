@@ -253,7 +253,7 @@ def _load(path: Path) -> dict[str, Any]:
 
 
 def _with_base(data: dict[str, Any], path: Path) -> dict[str, Any]:
-    """A session over the one that its `base` names, table by table; the base's paths stay relative to its own folder."""
+    """A session over the one that its `base` names, table by table; its paths stay relative to its own folder."""
     if "base" not in data:
         return data
     base = path.parent / str(data.pop("base"))

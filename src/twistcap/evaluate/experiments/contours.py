@@ -271,6 +271,6 @@ C1 = Claim(
 )
 C2 = Claim(
     "C-2",
-    "local Gaussians against one Parzen density of the body and one of the background: arms coloured like the far floor",
+    "local Gaussians against one Parzen density of the body and one of the background: arms with the floor's colour",
     local_against_global,
 )
