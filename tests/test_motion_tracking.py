@@ -42,5 +42,5 @@ def test_without_an_image_the_answer_is_the_prediction() -> None:
 
 def test_a_library_must_be_given() -> None:
     scene = capture(StudioConfig(seed=3, views=2, frames=1, variant="legs"))
-    with pytest.raises(InputError, match="needs a motion library"):
+    with pytest.raises(InputError, match="go together"):
         Tracker(scene.body, scene.rig, TrackerConfig(predictor="motion"))

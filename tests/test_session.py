@@ -183,3 +183,21 @@ def test_every_key_is_documented() -> None:
     for table in tables:
         for key in table.model_fields:
             assert re.search(rf"`{key}\b", page), f"docs/session.md lacks {table.__name__}.{key}"
+
+
+def test_a_session_over_another_one(path: Path) -> None:
+    other = path.parent / "sub" / "other.toml"
+    other.parent.mkdir()
+    other.write_text('base = "../s.toml"\nfps = 30.0\n[tracker]\nchannels = "grey"\n')
+    session = load_session(other, {"tracker.predictor": "flow"})
+    assert (session.fps, session.frames) == (30.0, (2, 9))
+    config = session.tracker_config
+    assert (config.method, config.channels, config.predictor) == ("direct", "grey", "flow")
+    assert session.cameras.calibration == str(path.parent / "Calib.toml")  # as in the base, not beside the other one
+
+    changed(path, "fps", 'base = "other.toml"\nfps')
+    with pytest.raises(InputError, match="has a base itself"):
+        load_session(other)
+    changed(other, "../s.toml", "none.toml")
+    with pytest.raises(InputError, match=r"none\.toml cannot be read"):
+        load_session(other)

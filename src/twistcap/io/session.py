@@ -218,7 +218,7 @@ def load_session(path: str | Path, overrides: Mapping[str, Any] | None = None) -
         InputError: for a file that cannot be read, an unknown key, a wrong value or a missing table.
     """
     path = Path(path)
-    data = _expanded(_load(path), path)
+    data = _expanded(_with_base(_load(path), path), path)
     for key, value in (overrides or {}).items():
         if value is not None:
             _set(data, key.split("."), value)
@@ -250,6 +250,23 @@ def _load(path: Path) -> dict[str, Any]:
         raise InputError(f"session {path} cannot be read: {error.strerror}; check the path.") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"session {path} is not valid TOML: {error}.") from error
+
+
+def _with_base(data: dict[str, Any], path: Path) -> dict[str, Any]:
+    """A session over the one that its `base` names, table by table; its paths stay relative to its own folder."""
+    if "base" not in data:
+        return data
+    base = path.parent / str(data.pop("base"))
+    below = _load(base)
+    if "base" in below:
+        raise InputError(f"session {path}: its base {base} has a base itself; name the last one.")
+    below["data"] = os.path.relpath(base.parent / str(_expanded(below.get("data", "."), base)), path.parent)
+    return _merged(below, data)
+
+
+def _merged(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+    both = {k: _merged(below[k], v) for k, v in above.items() if isinstance(v, dict) and isinstance(below.get(k), dict)}
+    return below | above | both
 
 
 def _expanded(value: Any, path: Path) -> Any:

@@ -40,7 +40,8 @@ class Look:
 
 def look(body: Body, config: StudioConfig) -> Look:
     """Dress a body and light it, as the seed says."""
-    cover = garment_shares(body, stream(config.seed, "cut"))
+    cut = stream(config.seed, "cut")
+    cover = garment_shares(body, bool(cut.random() < 0.6), bool(cut.random() < 0.35))
     albedo, contrast = wardrobe(config), _CONTRAST.copy()
     lights = _lights(stream(config.seed, "lights"))
     if config.one_colour:
@@ -51,12 +52,11 @@ def look(body: Body, config: StudioConfig) -> Look:
     return Look(cover, albedo, contrast, _lattice(stream(config.seed, "texture")), lights)
 
 
-def garment_shares(body: Body, rng: np.random.Generator) -> Float:
+def garment_shares(body: Body, short_sleeves: bool, shorts: bool) -> Float:
     """(V, G) share of each garment in each vertex.
 
     It follows the skinning weights, so that hems run smoothly across triangles where the weights are smooth.
     """
-    short_sleeves, shorts = bool(rng.random() < 0.6), bool(rng.random() < 0.35)
     worn = [GARMENTS.index(_garment(name, short_sleeves, shorts)) for name in body.segment_names]
     cover = np.zeros((len(body.vertices), len(GARMENTS)))
     for k in range(body.skin_segments.shape[1]):
