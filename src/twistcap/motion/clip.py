@@ -83,6 +83,28 @@ class MotionClip:
         roots, q = interpolated_roots(self.roots, positions), interpolated_angles(self.q, positions)
         return replace(self, rate=rate, roots=roots, q=q)
 
+    def looped(self, cycles: int) -> MotionClip:
+        """A clip that ends about as it began, played so many times; each cycle starts where the last ended.
+
+        What the ends differ by is spread over the cycle.
+
+        Raises:
+            InputError: for no cycle, or a clip whose ends differ by more than 40° in a joint.
+        """
+        self._expect(cycles >= 1, f"{cycles} cycles are asked of it; take 1 or more")
+        if cycles == 1:
+            return self
+        gap = self.q[-1] - self.q[0]
+        worst = float(np.degrees(np.abs(gap).max()))
+        self._expect(worst <= 40.0, f"its ends differ by {worst:.0f}° in a joint: it is no cycle")
+        q = self.q - np.linspace(-0.5, 0.5, len(self))[:, None] * gap
+        onward, roots = _level(self.roots[-1] @ se3.inverse(self.roots[0]), self.roots[0], self.roots[-1]), [self.roots]
+        for _ in range(cycles - 1):
+            roots.append(onward @ roots[-1])
+        parts = [part[:-1] for part in roots[:-1]]  # the last pose of a cycle is the first of the next one
+        all_q = np.concatenate([*[q[:-1]] * (cycles - 1), q])
+        return replace(self, roots=np.concatenate([*parts, roots[-1]]), q=all_q)
+
     def mirrored(self) -> MotionClip:
         """The motion in a mirror: left and right exchanged, the world's y axis turned round.
 
@@ -123,6 +145,14 @@ def mirror_of(names: Sequence[str]) -> tuple[Int, Float]:
                 "…_rotation do); leave mirrored copies away."
             )
     return partner, sign
+
+
+def _level(motion: Float, before: Float, after: Float) -> Float:
+    """(4, 4) the turn of a rigid motion about the vertical, with the shift that carries one root to another's place."""
+    angle = np.arctan2(motion[1, 0] - motion[0, 1], motion[0, 0] + motion[1, 1])
+    R = se3.exp_rotation(np.array([0.0, 0.0, angle]))
+    shift = after[:3, 3] - R @ before[:3, 3]
+    return se3.transform(R, shift * [1.0, 1.0, 0.0])
 
 
 def interpolated_angles(q: Float | Float32, positions: Float) -> Float:

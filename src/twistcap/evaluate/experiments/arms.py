@@ -18,6 +18,7 @@ from twistcap.evaluate.cases import Training
 from twistcap.evaluate.metrics import Row, lost_sequence
 from twistcap.evaluate.parallel import Tell, one_thread_processes
 from twistcap.evaluate.sequence import joint_errors_mm, prior_of
+from twistcap.motion import MotionLibrary
 from twistcap.studio import Capture
 from twistcap.track import TrackerConfig, track
 
@@ -30,11 +31,13 @@ class Arm:
         name: of it.
         tracker: settings.
         prior: what a pose prior has learnt from; None without one.
+        undisturbed: whether it gets all images, without noise.
     """
 
     name: str
     tracker: TrackerConfig
     prior: Training | None = None
+    undisturbed: bool = False
 
 
 @dataclass(frozen=True)
@@ -125,6 +128,7 @@ class Comparison:
         shown: frame and camera of the picture.
         watched, course: a quantity, with its unit, whose course is drawn beside the true one, and its value at a pose.
         span: first and last frame to be shaded in the curves.
+        motions: training motion for the arms that predict by it.
     """
 
     id: str
@@ -138,6 +142,7 @@ class Comparison:
     watched: str = ""
     course: Callable[[Posed], float] | None = None
     span: tuple[int, int] | None = None
+    motions: Callable[[Capture], MotionLibrary] | None = None
 
     def run(self, seeds: Sequence[int], progress: Tell, out: Path | None = None) -> Findings:
         """All arms on all seeds, two scenes at a time."""
@@ -154,13 +159,21 @@ class Comparison:
 def run_seed(experiment: Comparison, seed: int) -> list[Trace]:
     """All arms on one scene, which is rendered once."""
     scene = experiment.scene(seed)
-    frames = [scene.frame(k) for k in range(scene.config.frames)]
-    return [_trace(experiment, arm, scene, frames) for arm in experiment.arms]
+    clear = replace(scene, config=replace(scene.config, dropped=(), uniform_noise=0.0))
+    frames = {
+        disturbed: [shown.frame(k) for k in range(scene.config.frames)]
+        for disturbed, shown in ((True, scene), (False, clear))
+        if any(arm.undisturbed != disturbed for arm in experiment.arms)
+    }
+    motions = None if experiment.motions is None else experiment.motions(scene)
+    return [_trace(experiment, arm, scene, frames[not arm.undisturbed], motions) for arm in experiment.arms]
 
 
-def _trace(experiment: Comparison, arm: Arm, scene: Capture, frames: Sequence[Frame]) -> Trace:
-    prior = prior_of(arm.prior, scene)
-    estimates = list(track(frames, scene.body, scene.rig, scene.first_pose, arm.tracker, prior))
+def _trace(
+    experiment: Comparison, arm: Arm, scene: Capture, frames: Sequence[Frame], motions: MotionLibrary | None
+) -> Trace:
+    given = (prior_of(arm.prior, scene), motions if arm.tracker.predictor == "motion" else None)
+    estimates = list(track(frames, scene.body, scene.rig, scene.first_pose, arm.tracker, *given))
     errors = np.array([experiment.error(scene, e) for e in estimates])
     joints = joint_errors_mm(scene, scene.body, [e.pose for e in estimates], [e.index for e in estimates])
     slim = [replace(e, covariance=np.empty((0, 0))) for e in estimates]  # processes need not carry them
