@@ -16,10 +16,13 @@ import numpy as np
 import pytest
 
 from test_video import corrupted, write
+from twistcap.body.humanoid import humanoid
 from twistcap.cli import main
 from twistcap.errors import InputError
+from twistcap.io.motion_files import write_mot
 from twistcap.io.result import read_result
 from twistcap.io.video import VideoSource
+from twistcap.studio.motion import gait
 
 SMALL = ["--size", "192x140", "--views", "2", "--frames", "8"]
 
@@ -121,28 +124,30 @@ def test_resume_goes_on(made: Path, tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 def test_motions_carry_the_track_over_missing_images(
-    session: Path, tracked: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The library, of a walk tracked before, has another rate than the recording; --resume goes on with it."""
-    made = document(capsys, "motions", "build", tmp_path / "walk.npz", tracked / "result.h5", "--fps", "30")
+    """The library has another rate than the recording; --resume goes on with it."""
+    body = humanoid()
+    write_mot(tmp_path / "walk.mot", body, np.arange(120) / 60.0, gait(body, fps=60.0, frames=120, speed=1.2))
+    made = document(capsys, "motions", "build", tmp_path / "walk.npz", tmp_path / "walk.mot", "--fps", "30")
     assert document(capsys, "motions", "show", tmp_path / "walk.npz") == made
-    assert made["rate"] == 30.0 and made["clips"][0]["poses"] == 4
-    replace(session, "[first_pose]", f'[motions]\npath = "{tmp_path / "walk.npz"}"\n[first_pose]')
+    assert made["rate"] == 30.0 and made["clips"][0]["poses"] == 60
+    replace(session, "[first_pose]", f'[motions]\npath = "{tmp_path / "walk.npz"}"\nkind = "scaled"\n[first_pose]')
     for camera in ("cam01", "cam02"):
         folder = session.parent / camera
         folder.mkdir()
         video = cv2.VideoCapture(str(session.parent / "videos" / f"{camera}.mp4"))
         for k in range(8):
-            if (image := video.read()[1]) is not None and k not in (4, 5):
+            if (image := video.read()[1]) is not None and k != 6:
                 cv2.imwrite(str(folder / f"{k:04d}.png"), image)
         replace(session, f"videos/{camera}.mp4", f"{camera}/%04d.png")
     quick = ("--set", "output.overlay=false", "--set", "output.report=false")
-    assert run("track", session, "--out", tmp_path / "out", "--frames", "0:4", *quick) == 0
+    assert run("track", session, "--out", tmp_path / "out", "--frames", "0:6", *quick) == 0
     assert run("track", session, "--out", tmp_path / "out", "--resume", *quick) == 0
     result = read_result(tmp_path / "out" / "result.h5")
     told_by = [estimate.predicted for estimate in result.estimates]
-    assert len(result) == 8 and told_by[3:] == ["motion"] * 5
-    assert [estimate.status == "no_images" for estimate in result.estimates] == [k in (4, 5) for k in range(8)]
+    assert len(result) == 8 and told_by[6:] == ["motion"] * 2
+    assert [estimate.status == "no_images" for estimate in result.estimates] == [k == 6 for k in range(8)]
     assert "but tracker.predictor is 'hold'" in told(capsys, "track", session, "--set", "tracker.predictor=hold")
 
 

@@ -87,7 +87,11 @@ def test_command_line_over_session_over_defaults(path: Path) -> None:
         ('variant = "legs"', 'kind = "smpl"', "smpl"),
         ("${VIDEOS:-videos}", "${VIDEOS}", "environment variable VIDEOS is not set"),
         ("[cameras]", "[cameras", "not valid TOML"),
-        ('"direct"', '"direct"\npredictor = "flow"\n[motions]\npath = "m.npz"', "but tracker.predictor is 'flow'; remove"),
+        (
+            '"direct"',
+            '"direct"\npredictor = "flow"\n[motions]\npath = "m.npz"',
+            "tracker.predictor is 'flow'; remove one",
+        ),
         ('"direct"', '"direct"\npredictor = "motion"', r"is 'motion', but no \[motions\] names a library"),
         ('"direct"', '"direct"\n[motions]\npath = "m.npz"\nkind = "folowed"', "'motions.kind' is 'folowed'"),
     ],

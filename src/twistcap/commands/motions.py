@@ -78,7 +78,8 @@ def _tell(path: Path, library: object, json: bool) -> None:
         terminal.emit({"id": "motions", "library": path, "rate": library.rate, "poses": len(library), "clips": clips,
                        "coordinates": list(library.names)})  # fmt: skip
         return
-    terminal.words.print(f"{len(library)} poses at {library.rate:g} per second in {len(clips)} clip{'s' * (len(clips) > 1)}")
+    noun = "clip" if len(clips) == 1 else "clips"
+    terminal.words.print(f"{len(library)} poses at {library.rate:g} per second in {len(clips)} {noun}")
     for clip in clips:
         terminal.words.print(f"  {clip['name']}: {clip['poses']} poses, {clip['seconds']:.2f} s")
     terminal.words.print(", ".join(library.names))

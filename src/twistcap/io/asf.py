@@ -206,7 +206,7 @@ def _asf_beside(path: Path) -> Path:
     if len(others) != 1:
         there = f"are several ({', '.join(p.name for p in others)})" if others else "is none"
         raise InputError(
-            f"{path}: it needs its ASF skeleton, and beside it there {there}; name it (--skeleton, in Python skeleton=…)."
+            f"{path}: it needs its ASF skeleton, beside it there {there}; name it (--skeleton, in Python skeleton=…)."
         )
     return others[0]
 

@@ -143,7 +143,7 @@ class PriorTable(Table):
 
 
 class MotionsTable(Table):
-    """``[motions]``: training motion that `twistcap motions build` gathered, by which tracking goes on without images."""
+    """``[motions]``: training motion of `twistcap motions build`, by which tracking goes on without images."""
 
     path: DataPath
     kind: Literal["followed", "scaled", "unscaled", "standard"] | None = None
@@ -273,7 +273,7 @@ def _check_predictor(session: Session, source: str) -> None:
     predictor = session.tracker.get("predictor")
     if session.motions is not None and predictor not in (None, "motion"):
         raise InputError(
-            f"{source}: [motions] makes motion the predictor, but tracker.predictor is {predictor!r}; remove one of them."
+            f"{source}: [motions] makes motion the predictor, but tracker.predictor is {predictor!r}; remove one."
         )
     if session.motions is None and predictor == "motion":
         raise InputError(
