@@ -11,14 +11,18 @@ import time
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
 from test_video import corrupted, write
+from twistcap.body.humanoid import humanoid
 from twistcap.cli import main
 from twistcap.errors import InputError
+from twistcap.io.motion_files import write_mot
 from twistcap.io.result import read_result
 from twistcap.io.video import VideoSource
+from twistcap.studio.motion import gait
 
 SMALL = ["--size", "192x140", "--views", "2", "--frames", "8"]
 
@@ -117,6 +121,44 @@ def test_resume_goes_on(made: Path, tmp_path: Path, capsys: pytest.CaptureFixtur
     after = read_result(tmp_path / "result.h5")
     assert found["frames"] == 8 and list(after.indices) == list(range(8))
     np.testing.assert_array_equal(after.roots[:4], before.roots)
+
+
+def test_motions_carry_the_track_over_missing_images(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The library has another rate than the recording; --resume goes on with it."""
+    body = humanoid()
+    write_mot(tmp_path / "walk.mot", body, np.arange(120) / 60.0, gait(body, fps=60.0, frames=120, speed=1.2))
+    made = document(capsys, "motions", "build", tmp_path / "walk.npz", tmp_path / "walk.mot", "--fps", "30")
+    assert document(capsys, "motions", "show", tmp_path / "walk.npz") == made
+    assert made["rate"] == 30.0 and made["clips"][0]["poses"] == 60
+    replace(session, "[first_pose]", f'[motions]\npath = "{tmp_path / "walk.npz"}"\nkind = "scaled"\n[first_pose]')
+    for camera in ("cam01", "cam02"):
+        folder = session.parent / camera
+        folder.mkdir()
+        video = cv2.VideoCapture(str(session.parent / "videos" / f"{camera}.mp4"))
+        for k in range(8):
+            if (image := video.read()[1]) is not None and k != 6:
+                cv2.imwrite(str(folder / f"{k:04d}.png"), image)
+        replace(session, f"videos/{camera}.mp4", f"{camera}/%04d.png")
+    quick = ("--set", "output.overlay=false", "--set", "output.report=false")
+    assert run("track", session, "--out", tmp_path / "out", "--frames", "0:6", *quick) == 0
+    assert run("track", session, "--out", tmp_path / "out", "--resume", *quick) == 0
+    result = read_result(tmp_path / "out" / "result.h5")
+    told_by = [estimate.predicted for estimate in result.estimates]
+    assert len(result) == 8 and told_by[6:] == ["motion"] * 2
+    assert [estimate.status == "no_images" for estimate in result.estimates] == [k == 6 for k in range(8)]
+    assert "but tracker.predictor is 'hold'" in told(capsys, "track", session, "--set", "tracker.predictor=hold")
+
+
+def test_an_amc_is_built_on_the_skeleton_that_is_named(
+    shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cmu = shared_data / "motions" / "cmu"
+    build = ("motions", "build", tmp_path / "walk.npz", cmu / "08_04.amc")
+    assert "there are several (01.asf, 11.asf); name it (--skeleton" in told(capsys, *build)
+    assert document(capsys, *build, "--skeleton", cmu / "01.asf", "--fps", "30")["clips"][0]["name"] == "08_04"
+    assert "'leg' is unknown" in told(capsys, *build, "--variant", "leg")
 
 
 def test_resume_refuses_other_cameras(session: Path, tracked: Path, capsys: pytest.CaptureFixture[str]) -> None:

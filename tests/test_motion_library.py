@@ -34,6 +34,17 @@ def test_resampling_keeps_screws_and_lines() -> None:
     assert clip.resampled(20.0) is clip
 
 
+def test_a_library_at_another_rate_is_the_same_motion() -> None:
+    library = MotionLibrary.of([moving(), moving(21, name="short")], 20.0)
+    fast = library.resampled(40.0)
+    assert (fast.rate, fast.clip_names, list(fast.lengths)) == (40.0, ("clip", "short"), [81, 41])
+    np.testing.assert_allclose(fast.clip(0).q[::2], library.clip(0).q, atol=1e-6)
+    np.testing.assert_allclose(fast.clip(1).roots, moving(41, 40.0).roots, atol=1e-9)
+    assert library.resampled(20.0) is library
+    with pytest.raises(InputError):
+        library.resampled(0.0)
+
+
 def test_a_mirrored_motion_is_the_mirror_image_of_the_body() -> None:
     body, rng = humanoid("full"), np.random.default_rng(0)
     q = rng.uniform(-0.4, 0.4, (4, len(body.coordinate_names)))

@@ -13,9 +13,11 @@ from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.errors import InputError
 from twistcap.io.calibration import write_rig
+from twistcap.io.motion_library import write_library
 from twistcap.io.pose_file import read_pose, write_pose
 from twistcap.io.recording import body_of, check_first_pose, first_pose_of, keypoints_of, rig_of
 from twistcap.io.session import Session, load_session
+from twistcap.motion import MotionClip, MotionLibrary
 
 SESSION = """
 frames = [2, 9]
@@ -85,12 +87,36 @@ def test_command_line_over_session_over_defaults(path: Path) -> None:
         ('variant = "legs"', 'kind = "smpl"', "smpl"),
         ("${VIDEOS:-videos}", "${VIDEOS}", "environment variable VIDEOS is not set"),
         ("[cameras]", "[cameras", "not valid TOML"),
+        (
+            '"direct"',
+            '"direct"\npredictor = "flow"\n[motions]\npath = "m.npz"',
+            "tracker.predictor is 'flow'; remove one",
+        ),
+        ('"direct"', '"direct"\npredictor = "motion"', r"is 'motion', but no \[motions\] names a library"),
+        ('"direct"', '"direct"\n[motions]\npath = "m.npz"\nkind = "folowed"', "'motions.kind' is 'folowed'"),
     ],
 )
 def test_what_is_wrong_is_told_in_one_sentence(path: Path, old: str, new: str, told: str) -> None:
     with pytest.raises(InputError, match=told) as caught:
         load_session(changed(path, old, new))
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_motions_make_motion_the_predictor(path: Path) -> None:
+    assert load_session(path).motion_library is None
+    changed(path, "[tracker]", '[motions]\npath = "walk.npz"\n[tracker]')
+    session = load_session(path, {"tracker.motion": "unscaled"})
+    assert (session.tracker_config.predictor, session.tracker_config.motion) == ("motion", "unscaled")
+    session = load_session(path, {"tracker.predictor": "motion"})
+    assert (session.tracker_config.predictor, session.tracker_config.motion) == ("motion", "followed")
+    assert load_session(path, {"motions.kind": "scaled"}).tracker_config.motion == "scaled"
+    with pytest.raises(InputError, match=r"walk\.npz does not exist"):
+        _ = session.motion_library
+    t = np.arange(90)[:, None] / 30.0
+    clip = MotionClip("walk", ("knee_angle_r",), 30.0, np.tile(np.eye(4), (90, 1, 1)), np.sin(t))
+    write_library(path.parent / "walk.npz", MotionLibrary.of([clip], 30.0))
+    library = session.motion_library
+    assert library is not None and (library.rate, library.names, len(library)) == (30.0, ("knee_angle_r",), 90)
 
 
 def test_missing_session(tmp_path: Path) -> None:

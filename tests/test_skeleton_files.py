@@ -254,7 +254,7 @@ def test_broken_asf(tmp_path: Path, old: str, new: str, message: str) -> None:
 
 def test_which_asf(tmp_path: Path) -> None:
     amc = put(tmp_path, "02_05.amc", AMC)
-    with pytest.raises(InputError, match=r"needs its ASF skeleton, and beside it there is none"):
+    with pytest.raises(InputError, match=r"needs its ASF skeleton, beside it there is none"):
         read_amc(amc)
     put(tmp_path, "other.asf", ASF)
     assert len(read_amc(amc)) == 2

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal, cast
 
 import typer
 
@@ -23,6 +23,9 @@ def build(
     coordinates: Annotated[
         str | None, typer.Option(help="Joint coordinates, with commas; by default all that every file has.")
     ] = None,
+    skeleton: Annotated[
+        Path | None, typer.Option(help="ASF of all AMC files; by default the one beside each.", metavar="ASF")
+    ] = None,
     json: terminal.Json = False,
 ) -> None:
     """Build a library of training motion, one clip for each file; nothing is ever matched across two clips.
@@ -30,15 +33,19 @@ def build(
     Examples:
 
       twistcap motions build walking.npz walk1.bvh walk2.amc --fps 60 --mirrored
+
+      twistcap motions build walking.npz 08_02.amc 08_04.amc --skeleton 01.asf
     """
     from twistcap.body.humanoid import humanoid
     from twistcap.io.motion_library import write_library
     from twistcap.io.motions import read_motion
     from twistcap.motion import MotionLibrary
 
-    body = humanoid("legs" if variant == "legs" else "full")
+    body = humanoid(cast(Literal["full", "legs"], variant))  # which checks it
     names = [name.strip() for name in coordinates.split(",")] if coordinates else None
-    library = MotionLibrary.of([read_motion(path, body, rate=fps) for path in files], fps, names, mirrored)
+    skeletons = [skeleton if path.suffix.lower() == ".amc" else None for path in files]
+    clips = [read_motion(path, body, skeleton=its, rate=fps) for path, its in zip(files, skeletons, strict=True)]
+    library = MotionLibrary.of(clips, fps, names, mirrored)
     write_library(out, library)
     _tell(out, library, json)
 
@@ -71,7 +78,8 @@ def _tell(path: Path, library: object, json: bool) -> None:
         terminal.emit({"id": "motions", "library": path, "rate": library.rate, "poses": len(library), "clips": clips,
                        "coordinates": list(library.names)})  # fmt: skip
         return
-    terminal.words.print(f"{len(library)} poses at {library.rate:g} per second in {len(clips)} clips")
+    noun = "clip" if len(clips) == 1 else "clips"
+    terminal.words.print(f"{len(library)} poses at {library.rate:g} per second in {len(clips)} {noun}")
     for clip in clips:
         terminal.words.print(f"  {clip['name']}: {clip['poses']} poses, {clip['seconds']:.2f} s")
     terminal.words.print(", ".join(library.names))

@@ -82,14 +82,13 @@ def run_session(session: Any, folder: Path, resume: bool = False) -> dict[str, A
 def _tracked(session: Any, path: Path, resume: bool) -> tuple[Any, Timing]:
     from twistcap.io.recording import open_recording
     from twistcap.io.result import ResultWriter, read_result
-    from twistcap.track import Tracker
 
     done = read_result(path) if resume and path.is_file() else None
     if done is not None and len(done):
         return _resumed(session, path, done)
     with words.status("reading the session, fitting the first pose"):
         recording = open_recording(session)
-    tracker = Tracker(recording.body, recording.views.image_rig, session.tracker_config, session.pose_prior)
+    tracker = _tracker(session, recording.body, recording.views)
     tracker.start(recording.first_pose, recording.first_time)
     with ResultWriter(path, recording.body, recording.rig, session.model_dump(mode="json")) as writer:
         return recording.views, _kept(recording.views, tracker, writer, path)
@@ -99,19 +98,27 @@ def _resumed(session: Any, path: Path, done: Any) -> tuple[Any, Timing]:
     """Go on with the body of the file: a resumed track is one track."""
     from twistcap.io.recording import rig_of, views_of
     from twistcap.io.result import ResultWriter
-    from twistcap.track import Tracker
 
     rig = rig_of(session)
     if rig.names != done.rig.names:
         had, has = ", ".join(done.rig.names), ", ".join(rig.names)
         raise InputError(f"{path} was tracked with cameras {had}, the session has {has}; track anew without --resume.")
     views = views_of(session, rig)
-    tracker = Tracker(done.body, views.image_rig, session.tracker_config, session.pose_prior)
+    tracker = _tracker(session, done.body, views)
     tracker.restore(done.estimates)
     rest = views.starting_at(int(done.indices[-1]) + 1)
     words.print(f"going on after frame {done.indices[-1]}: {len(rest)} frames to go")
     with ResultWriter.resume(path) as writer:
         return views, _kept(rest, tracker, writer, path)
+
+
+def _tracker(session: Any, body: Any, views: Any) -> Any:
+    """The session's tracker; training motion is brought to the rate of the frames that are read."""
+    from twistcap.track import Tracker
+
+    library = session.motion_library
+    motions = None if library is None else library.resampled(views.fps / session.step)
+    return Tracker(body, views.image_rig, session.tracker_config, session.pose_prior, motions)
 
 
 def _kept(views: Any, tracker: Any, writer: Any, path: Path) -> Timing:

@@ -204,8 +204,10 @@ def _asf_beside(path: Path) -> Path:
             return beside
     others = sorted(path.parent.glob("*.asf"))
     if len(others) != 1:
-        there = f"several ({', '.join(p.name for p in others)})" if others else "none"
-        raise InputError(f"{path}: it needs its ASF skeleton, and beside it there is {there}; name it with skeleton=….")
+        there = f"are several ({', '.join(p.name for p in others)})" if others else "is none"
+        raise InputError(
+            f"{path}: it needs its ASF skeleton, beside it there {there}; name it (--skeleton, in Python skeleton=…)."
+        )
     return others[0]
 
 

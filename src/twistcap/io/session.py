@@ -20,6 +20,7 @@ from twistcap.errors import InputError
 from twistcap.io.strict import dataclass_from, validated
 
 if TYPE_CHECKING:
+    from twistcap.motion import MotionLibrary
     from twistcap.priors import ParzenPrior
     from twistcap.track import TrackerConfig
 
@@ -141,6 +142,13 @@ class PriorTable(Table):
     scale: Factors = {}
 
 
+class MotionsTable(Table):
+    """``[motions]``: training motion of `twistcap motions build`, by which tracking goes on without images."""
+
+    path: DataPath
+    kind: Literal["followed", "scaled", "unscaled", "standard"] | None = None
+
+
 class FitGirths(Table):
     """``[fit_girths]``: one girth factor per kind of segment, fitted on given silhouettes."""
 
@@ -172,6 +180,7 @@ class Session(Table):
     first_pose: FirstPoseTable
     fit_girths: FitGirths | None = None
     prior: PriorTable | None = None
+    motions: MotionsTable | None = None
     tracker: dict[str, Any] = {}
     output: Output = Output()
     _source: str = PrivateAttr(default="")
@@ -187,8 +196,10 @@ class Session(Table):
 
     @property
     def tracker_config(self) -> TrackerConfig:
-        """``[tracker]`` as the tracker takes it; the strength of ``[prior]`` goes over that of ``[tracker.prior]``."""
+        """``[tracker]`` as the tracker takes it; what ``[prior]`` and ``[motions]`` say goes over it."""
         config = tracker_config(self.tracker, self._source)
+        if self.motions is not None:
+            config = replace(config, predictor="motion", motion=self.motions.kind or config.motion)
         if self.prior is None or self.prior.strength is None:
             return config
         return replace(config, prior=replace(config.prior, strength=self.prior.strength))
@@ -206,6 +217,19 @@ class Session(Table):
 
         return adjusted(read_prior(self.prior.path), self.prior.sigma, self.prior.scale)
 
+    @property
+    def motion_library(self) -> MotionLibrary | None:
+        """What ``[motions]`` names, read, at its own rate.
+
+        Raises:
+            InputError: for a file that is no motion library.
+        """
+        if self.motions is None:
+            return None
+        from twistcap.io.motion_library import read_library
+
+        return read_library(self.motions.path)
+
 
 def load_session(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Session:
     """Read and check a session file.
@@ -215,7 +239,8 @@ def load_session(path: str | Path, overrides: Mapping[str, Any] | None = None) -
         overrides: what the command line says, by dotted key (``tracker.method``); None values are passed over.
 
     Raises:
-        InputError: for a file that cannot be read, an unknown key, a wrong value or a missing table.
+        InputError: for a file that cannot be read, an unknown key, a wrong value, a missing table, or a predictor that
+            does not fit ``[motions]``.
     """
     path = Path(path)
     data = _expanded(_with_base(_load(path), path), path)
@@ -228,6 +253,7 @@ def load_session(path: str | Path, overrides: Mapping[str, Any] | None = None) -
     session: Session = validated(Session, data, str(path), {"folder": folder})
     session.remember(str(path))
     tracker_config(session.tracker, str(path))
+    _check_predictor(session, str(path))
     return session
 
 
@@ -240,6 +266,20 @@ def tracker_config(table: Mapping[str, Any], source: str) -> TrackerConfig:
     from twistcap.track import TrackerConfig
 
     return dataclass_from(TrackerConfig, table, source, "tracker")
+
+
+def _check_predictor(session: Session, source: str) -> None:
+    """Motion predicts where ``[motions]`` names a library, and only there."""
+    predictor = session.tracker.get("predictor")
+    if session.motions is not None and predictor not in (None, "motion"):
+        raise InputError(
+            f"{source}: [motions] makes motion the predictor, but tracker.predictor is {predictor!r}; remove one."
+        )
+    if session.motions is None and predictor == "motion":
+        raise InputError(
+            f"{source}: tracker.predictor is 'motion', but no [motions] names a library; give its path there, of"
+            " twistcap motions build."
+        )
 
 
 def _load(path: Path) -> dict[str, Any]:

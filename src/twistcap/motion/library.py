@@ -84,6 +84,16 @@ class MotionLibrary:
             roots=np.concatenate([clip.roots for clip in kept]),
         )
 
+    def resampled(self, rate: float) -> MotionLibrary:
+        """The same motion at another rate, poses per second; see `MotionClip.resampled`.
+
+        Raises:
+            InputError: for a rate that is not positive.
+        """
+        if rate == self.rate:
+            return self
+        return MotionLibrary.of((self.clip(k) for k in range(len(self.clip_names))), rate, self.names)
+
     def __len__(self) -> int:
         """Number of poses."""
         return len(self.q)
