@@ -16,6 +16,7 @@ from twistcap import se3
 from twistcap._typing import Float
 from twistcap.body import Body
 from twistcap.errors import InputError
+from twistcap.motion.leverage import leverage
 from twistcap.motion.library import PAPER_SCALES, MotionLibrary
 from twistcap.motion.matching import Match, Matcher, Stretch
 from twistcap.motion.openloop import OpenLoop, Stretched
@@ -52,6 +53,7 @@ class FollowRule:
     stiffness: float = 0.3
     trust: float = 30.0
     scales: tuple[float, ...] = PAPER_SCALES
+    lever: float = 0.1
 
     def __post_init__(self) -> None:
         if len(self.poses) == 0 or min(self.poses) < 2 or self.count < 1 or not 0 <= self.fading < 1:
@@ -74,7 +76,16 @@ class FollowedMotion(OpenLoop):
         super().__init__(library, body)
         self.rule = rule or FollowRule()
         self.history = max(self.rule.look_back, *self.rule.poses)
-        self._matcher = Matcher(library, self.compared, scales=self.rule.scales, ahead=float(min(self.rule.poses)))
+        self._weights = self._by_leverage()
+        ahead = float(min(self.rule.poses))
+        self._matcher = Matcher(library, self.compared, self._weights**2, self.rule.scales, ahead)
+
+    def _by_leverage(self) -> Float:
+        """(K,) what an angle of each compared coordinate counts, their mean square being 1."""
+        q = np.zeros(len(self.body.coordinate_names))
+        q[self._theirs] = self.library.q[:, self._known].mean(axis=0)
+        by_joint = leverage(self.body, q)[self._theirs]
+        return by_joint / np.hypot(by_joint, self.rule.lever)
 
     def unlikeness(self, match: Match | None) -> float:
         """Mean distance of a matched pose, rad."""
@@ -86,7 +97,7 @@ class FollowedMotion(OpenLoop):
         matches = self._matches(past, barred)
         if not matches:
             return standard_step(past.since(max(0, len(past) - 5)))
-        guides = [_Guide.fitted(self.library, past, match, poses, self.rule, self.compared) for match, poses in matches]
+        guides = [_Guide.fitted(self.library, past, match, poses, self.rule, self.compared, self._weights) for match, poses in matches]
         lasting = [guide.lasting(self.library) for guide in guides]
         best = matches[0][0].distance
         alike = [guide.match.distance <= 1.5 * best + _ALIKE for guide in guides]
@@ -132,13 +143,13 @@ class _Guide:
 
     @staticmethod
     def fitted(
-        library: MotionLibrary, past: Stretched, match: Match, poses: int, rule: FollowRule, columns: np.ndarray
+        library: MotionLibrary, past: Stretched, match: Match, poses: int, rule: FollowRule, columns: np.ndarray, weights: Float
     ) -> _Guide:
         """Of a match of the last so many poses."""
         clip = library.q[library.starts[match.clip] : library.starts[match.clip + 1]]
         reached = min(len(past), rule.look_back, int(match.position / match.step + 1e-6) + 1)
-        query = np.ascontiguousarray(past.q[-max(poses, reached) :][:, columns])
-        position, step = placed(np.ascontiguousarray(clip[:, columns]), query, match.position, match.step)
+        query = np.ascontiguousarray(past.q[-max(poses, reached) :][:, columns]) * weights
+        position, step = placed(np.ascontiguousarray(clip[:, columns]) * weights, query, match.position, match.step)
         match = Match(match.clip, position, 1.0 / step, match.distance)
         length = min(len(past), rule.look_back, int(position / step + 1e-6) + 1)
         where = np.array(position - step * np.arange(length)[::-1], dtype=np.float64)
