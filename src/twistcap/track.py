@@ -15,7 +15,7 @@ from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Rig
 from twistcap.cues.appearance import Appearance
 from twistcap.cues.brightness import Template
-from twistcap.cues.evidence import ContourCue, ContourEvidence
+from twistcap.cues.evidence import ContourEvidence
 from twistcap.cues.flow import Followed
 from twistcap.cues.rivals import Rivals
 from twistcap.cues.support import part_tally, summed
@@ -67,7 +67,7 @@ class Tracker:
     ) -> None:  # fmt: skip
         self.body, self.rig, self.config = body, rig.pinhole(), config or TrackerConfig()
         self._given_rig = rig  # keypoints come in its pixels, images rectified
-        self._contour = _contour_cue(self.config)
+        self._contour = self.config.contour
         self._history: list[Moment] = []
         self._templates: list[Template | None] = [None] * len(rig)
         self._rest = RestTerm(float(np.deg2rad(self.config.rest_sigma_deg)))
@@ -363,12 +363,6 @@ class Tracker:
         if self._prior is None or (information := inverse(known)) is None:
             return known
         return covariance(Quadratic(0.0, np.zeros(len(known)), information + self._prior.claimed(fit.result.posed)))
-
-
-def _contour_cue(config: TrackerConfig) -> ContourCue:
-    """The cue of the chosen method; what it leaves open is the tracker's."""
-    cue = config.direct if config.method == "direct" else config.levelset
-    return replace(cue, density=cue.density or config.density, statistics=cue.statistics or config.statistics)
 
 
 def _motions(config: TrackerConfig, library: MotionLibrary | None, body: Body) -> MotionPredictor | None:

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from twistcap import se3
-from twistcap._typing import Float
+from twistcap._typing import Float, Int
 from twistcap.body import Body
 from twistcap.errors import InputError
 from twistcap.motion.leverage import leverage
@@ -41,6 +41,8 @@ class FollowRule:
         stiffness: rad², swing (summed square deviation) below which a joint's range is not adapted.
         trust: frames of history at which half of what they tell of the person is believed.
         scales: time scales that are tried before the exact one is sought.
+        lever: m/rad, leverage at which an angle counts 1/√2; one that moves the body less is told worse by images than
+            people differ, and counts less.
     """
 
     poses: tuple[int, ...] = (10, 20, 40)
@@ -81,7 +83,7 @@ class FollowedMotion(OpenLoop):
         self._matcher = Matcher(library, self.compared, self._weights**2, self.rule.scales, ahead)
 
     def _by_leverage(self) -> Float:
-        """(K,) what an angle of each compared coordinate counts, their mean square being 1."""
+        """(K,) what a deviation of each compared coordinate counts, 0 … 1."""
         q = np.zeros(len(self.body.coordinate_names))
         q[self._theirs] = self.library.q[:, self._known].mean(axis=0)
         by_joint = leverage(self.body, q)[self._theirs]
@@ -97,7 +99,10 @@ class FollowedMotion(OpenLoop):
         matches = self._matches(past, barred)
         if not matches:
             return standard_step(past.since(max(0, len(past) - 5)))
-        guides = [_Guide.fitted(self.library, past, match, poses, self.rule, self.compared, self._weights) for match, poses in matches]
+        guides = [
+            _Guide.fitted(self.library, past, match, poses, self.rule, self.compared, self._weights)
+            for match, poses in matches
+        ]
         lasting = [guide.lasting(self.library) for guide in guides]
         best = matches[0][0].distance
         alike = [guide.match.distance <= 1.5 * best + _ALIKE for guide in guides]
@@ -143,9 +148,10 @@ class _Guide:
 
     @staticmethod
     def fitted(
-        library: MotionLibrary, past: Stretched, match: Match, poses: int, rule: FollowRule, columns: np.ndarray, weights: Float
-    ) -> _Guide:
-        """Of a match of the last so many poses."""
+        library: MotionLibrary, past: Stretched, match: Match, poses: int, rule: FollowRule, columns: Int,
+        weights: Float,
+    ) -> _Guide:  # fmt: skip
+        """Of a match of the last so many poses; columns (K,) are compared, each deviation times its weight (K,)."""
         clip = library.q[library.starts[match.clip] : library.starts[match.clip + 1]]
         reached = min(len(past), rule.look_back, int(match.position / match.step + 1e-6) + 1)
         query = np.ascontiguousarray(past.q[-max(poses, reached) :][:, columns]) * weights

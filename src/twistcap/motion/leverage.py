@@ -1,9 +1,8 @@
 """How far a joint moves the body: what an error of its angle weighs, and how well images tell it.
 
 A radian of the hip carries the whole leg along, one of the forearm about its own axis hardly the hand. Images tell
-the first to a degree and the second to ten or twenty. Motions that are compared by the ways of the body's surface are
-compared by what was seen. Kovar, Gleicher and Pighin, "Motion Graphs" (DOI 10.1145/566654.566605), section 3, likewise
-compare poses by points that are attached to the body.
+the first to a degree and the second to ten or twenty; compared alike, the second would decide. Kovar, Gleicher and
+Pighin, "Motion Graphs" (DOI 10.1145/566654.566605), section 3, likewise compare poses by points of the body.
 """
 
 from __future__ import annotations
