@@ -228,6 +228,7 @@ def _blended(ways: Sequence[Stretched], shares: Float) -> Stretched:
 _FORGIVEN = 0.7  # share of a constant offset of the joints that does not count when a match is placed in time
 _GRID, _ROUNDS = 4, 3  # places to either side, and rounds of refinement
 _REACH, _PACE = 1.0, 0.06  # poses, and poses per frame, within which the exact place and pace are sought
+_SPACING = 0.05  # half the way from a scale to the next: steps are 1/s, and lie the farther apart the larger they are
 
 
 @njit(cache=True, nogil=True)
@@ -252,7 +253,7 @@ def misplaced(clip: np.ndarray, query: Float, position: float, step: float) -> f
 @njit(cache=True, nogil=True)
 def placed(clip: np.ndarray, query: Float, position: float, step: float) -> tuple[float, float]:
     """Position and step near the given ones that fit a query (m, K) best, by ever finer grids."""
-    reach, pace = _REACH, _PACE
+    reach, pace = _REACH, max(_PACE, _SPACING * step * step)
     best = misplaced(clip, query, position, step)
     for _ in range(_ROUNDS):
         middle, middle_step = position, step
