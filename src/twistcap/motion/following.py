@@ -39,7 +39,7 @@ class FollowRule:
         sharpness: how fast a match's share falls with its distance, in units of the best one's.
         fading: share of the last pose's offset from the match that is left after each frame.
         stiffness: rad², swing (summed square deviation) below which a joint's range is not adapted.
-        trust: frames of history at which half of what they tell of the person is believed.
+        trust: frames of history at which half of what they tell of the person is believed, of an angle of large leverage.
         scales: time scales that are tried before the exact one is sought.
         lever: m/rad, leverage at which an angle counts 1/√2; one that moves the body less is told worse by images than
             people differ, and counts less.
@@ -159,7 +159,9 @@ class _Guide:
         match = Match(match.clip, position, 1.0 / step, match.distance)
         length = min(len(past), rule.look_back, int(position / step + 1e-6) + 1)
         where = np.array(position - step * np.arange(length)[::-1], dtype=np.float64)
-        believed = length / (length + rule.trust)
+        told = np.zeros(len(library.names))  # frames, by how well they tell each angle
+        told[columns] = length * weights**2
+        believed = told / (told + rule.trust)
         gain, offset = adapted(past.q[-length:], library.angles(match.clip, where), rule.stiffness, believed)
         heading, way, lean = _aligned(past.roots[-length:], library.root_motions(match.clip, where))
         return _Guide(match, gain, offset, heading, way, lean)
@@ -186,13 +188,13 @@ class _Guide:
         return Stretched(q[1:], se3.transform(turned, place)[1:], self.match.after(count))
 
 
-def adapted(query: Float, sample: Float, stiffness: float, believed: float) -> tuple[Float, Float]:
+def adapted(query: Float, sample: Float, stiffness: float, believed: float | Float) -> tuple[Float, Float]:
     """Gain and offset (J,) that carry a sample (n, J) to a query (n, J), by ridge regression towards 1 and 0.
 
     Args:
         query, sample: rad.
         stiffness: rad², of the ridge.
-        believed: share of the difference from 1 and 0 that is kept.
+        believed: share of the difference from 1 and 0 that is kept, of all or of each joint.
     """
     of_query, of_sample = query.mean(axis=0), sample.mean(axis=0)
     a, b = sample - of_sample, query - of_query
