@@ -39,7 +39,7 @@ class FollowRule:
         sharpness: how fast a match's share falls with its distance, in units of the best one's.
         fading: share of the last pose's offset from the match that is left after each frame.
         stiffness: rad², swing (summed square deviation) below which a joint's range is not adapted.
-        trust: frames of history at which half of what they tell of the person is believed, of an angle of large leverage.
+        trust: frames of history at which half of what they tell of an angle of large leverage is believed.
         scales: time scales that are tried before the exact one is sought.
         lever: m/rad, leverage at which an angle counts 1/√2; one that moves the body less is told worse by images than
             people differ, and counts less.
