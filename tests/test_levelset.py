@@ -263,7 +263,7 @@ def test_a_segmentation_of_the_same_body_is_matched_again() -> None:
 
 
 def test_what_the_body_leaves_uncovered_is_no_background() -> None:
-    """A subject 3 cm larger than the body all around: without a gap the rim is held for background as much as for body."""
+    """A subject 3 cm larger than the body all around: without a gap its rim is hardly held for body."""
     scene = capture(StudioConfig(seed=1, views=2, frames=1))
     posed = Posed(scene.true_body, scene.true_poses[0])
     image = next(iter(scene.frames())).images[0]
