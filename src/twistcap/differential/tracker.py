@@ -8,7 +8,7 @@ motion is predicted, and a wide prior on its change keeps what no pixel sees fin
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -18,6 +18,7 @@ from twistcap.body import Body
 from twistcap.differential.background import STILL, dominant_motion, under_motion
 from twistcap.differential.memory import Memory, pyramid, remember, sampled
 from twistcap.differential.render import render
+from twistcap.differential.search import searched
 from twistcap.differential.support import Neighbourhood, posterior, robust_scale
 from twistcap.differential.system import EXPOSURE, Samples, normal_equations, residuals
 from twistcap.differential.view import ROOT, State
@@ -38,11 +39,12 @@ class DifferentialConfig:
         update: share of the new brightness a remembered point takes over in each frame; 1 remembers nothing.
         support: "em" for support maps by EM, "robust" for Cauchy weights, "shape" for the projected body as it is.
         behind: the layer behind stands "still", or moves as the "dominant" motion off the body.
-        predict: whether the last motion is tried as a start.
+        carry: share of the joints' last motion that is expected to go on; 0 expects everything to stay.
         exposure: whether each view's exposure may change from frame to frame.
         share: share of the pixels' information that counts, since neighbours see the same.
         turns: "planar" holds the view's turns out of the image.
         stray_deg, stray_scale, stray_px: how far joints and view turns, scale and place stray from the guess in a frame.
+        search_deg: how far about the guess limbs are sought before the gradients have their say; 0 seeks none.
         reach_px: distance from a rim at which half of the pixels are the body's own, prior of the support maps.
     """
 
@@ -52,7 +54,7 @@ class DifferentialConfig:
     update: float = 0.2
     support: Literal["em", "robust", "shape"] = "em"
     behind: Literal["still", "dominant"] = "still"
-    predict: bool = True
+    carry: float = 1.0
     exposure: bool = True
     share: float = 0.05
     turns: Literal["all", "planar"] = "all"
@@ -60,6 +62,7 @@ class DifferentialConfig:
     stray_turn_deg: float = 3.0
     stray_scale: float = 0.01
     stray_px: float = 8.0
+    search_deg: float = 0.0
     reach_px: float = 1.0
 
     def __post_init__(self) -> None:
@@ -108,6 +111,12 @@ class _Evidence:
     weight: Float
     support: Float
 
+    def of(self, segments: Bool) -> _Evidence:
+        """What some segments (S,) have of it, for a look at their residuals."""
+        own = np.flatnonzero(segments[self.part]).astype(np.int32)
+        few = Samples(self.samples.points[own], self.samples.value[own], self.samples.gradient[own])
+        return replace(self, samples=few, prior=self.prior[own])
+
 
 class DifferentialTracker:
     """Follows a body from a known first state.
@@ -134,14 +143,16 @@ class DifferentialTracker:
         """Follow the body into the next frame."""
         _check(self.body, self.state, images)
         pyramids = [pyramid(grey(image), self.config.levels) for image in images]
-        before, guess = self.state, self._clipped(self.state.retract(self.velocity if self.config.predict else 0 * self.velocity))
+        before, guess = self.state, self._clipped(self.state.retract(self._expected_motion()))
         moved = [self._behind(memory, levels) for memory, levels in zip(self._memory, pyramids, strict=True)]
         state, exposure = guess, np.zeros((len(images), EXPOSURE))
         views: list[_Evidence] = []
         for level in reversed(range(self.config.levels)):
             views = [self._evidence(v, level, pyramids[v], state, moved[v]) for v in range(len(images))]
-            if level == self.config.levels - 1 and self.config.predict:
+            if level == self.config.levels - 1 and self.config.carry > 0:
                 state = self._better(views, [guess, before], exposure)
+            if level == min(1, self.config.levels - 1) and self.config.search_deg > 0:
+                state = self._sought(views, state, exposure)
             state, exposure, energy, H = self._settle(views, state, guess, exposure)
         self._remember(state, views, pyramids, exposure)
         self.velocity, self.state = state.minus(before), state
@@ -150,6 +161,12 @@ class DifferentialTracker:
             state, np.array([e.support.mean() for e in views]), np.array([np.median(_sizes(e, state, self.body)) for e in views]),
             energy, np.linalg.inv(H)[:D, :D], exposure,
         )  # fmt: skip
+
+    def _expected_motion(self) -> Float:
+        """(6 V + J,) the last motion, that of the joints as far as it carries."""
+        out = self.velocity.copy()
+        out[ROOT * len(self.state.views) :] *= self.config.carry
+        return out if self.config.carry > 0 else 0.0 * out
 
     def _clipped(self, state: State) -> State:
         return State(state.views, np.clip(state.q, *self.body.limits.T))
@@ -188,7 +205,17 @@ class DifferentialTracker:
         """The start whose residuals are smaller."""
         return min(starts, key=lambda start: sum(self._misfit(e, v, start, exposure) for v, e in enumerate(views)))
 
+    def _sought(self, views: Sequence[_Evidence], state: State, exposure: Float) -> State:
+        """The state with limbs where a coarse search puts them."""
+
+        def misfit(trial: State, segments: Bool) -> float:
+            return sum(self._misfit(e.of(segments), v, trial, exposure) for v, e in enumerate(views))
+
+        return searched(self.body, state, misfit, np.deg2rad(self.config.search_deg), np.deg2rad(self.config.stray_deg))
+
     def _misfit(self, e: _Evidence, v: int, state: State, exposure: Float) -> float:
+        if len(e.samples.value) == 0:
+            return 0.0
         r = self._residuals(e, v, state, exposure)
         r = np.where(np.isfinite(r), r, 0.2)
         return float(np.mean(e.prior * np.log1p((r / _PLAIN_SIGMA) ** 2)))
