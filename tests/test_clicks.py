@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from finite_differences import numeric_jacobian
 
+from finite_differences import numeric_jacobian
 from twistcap import se3
 from twistcap.body import rescaled
 from twistcap.body.humanoid import humanoid
@@ -16,7 +16,10 @@ from twistcap.firstpose.clicks import ClickConfig, ClickEnergy, _gathered, fit_c
 from twistcap.firstpose.skeleton import Skeleton
 
 GENERIC = humanoid()
-JOINTS = tuple(f"{j}_{s}" for s in "rl" for j in ("hip", "knee", "ankle", "toe", "shoulder", "elbow", "wrist")) + ("neck", "head_top")
+JOINTS = tuple(f"{j}_{s}" for s in "rl" for j in ("hip", "knee", "ankle", "toe", "shoulder", "elbow", "wrist")) + (
+    "neck",
+    "head_top",
+)
 FRONT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
 
 
@@ -27,7 +30,10 @@ def view_of(facing_deg: float, scale: float = 110.0) -> ScaledView:
 
 def clicked(body, state, names, rng, noise):
     marks = state.posed(body).landmarks
-    return [{n: view.pixels(marks[body.landmarks.index(n)]) + rng.normal(0, noise, 2) for n in names} for view in state.views]
+    return [
+        {n: view.pixels(marks[body.landmarks.index(n)]) + rng.normal(0, noise, 2) for n in names}
+        for view in state.views
+    ]
 
 
 def test_the_gradient_is_that_of_the_energy() -> None:
@@ -38,13 +44,18 @@ def test_the_gradient_is_that_of_the_energy() -> None:
     energy = ClickEnergy(Skeleton(model), clicks, State((view_of(0), view_of(90)), np.zeros(19)))
     x = rng.normal(0, 0.15, 2 * ROOT + 19 + Skeleton(model).size)
     x[[1, 2, 7, 8]] *= 20
-    np.testing.assert_allclose(energy(x)[1], numeric_jacobian(lambda y: np.asarray(energy(y)[0]), x), rtol=1e-5, atol=1e-3)
+    np.testing.assert_allclose(
+        energy(x)[1], numeric_jacobian(lambda y: np.asarray(energy(y)[0]), x), rtol=1e-5, atol=1e-3
+    )
 
 
 def test_three_views_give_angles_and_lengths() -> None:
     rng = np.random.default_rng(1)
     generic = simplified(GENERIC, NINETEEN)
-    body = rescaled(generic, {"femur_r": 1.08, "femur_l": 1.08, "tibia_r": 0.94, "tibia_l": 0.94, "humerus_r": 1.1, "humerus_l": 1.1})
+    body = rescaled(
+        generic,
+        {"femur_r": 1.08, "femur_l": 1.08, "tibia_r": 0.94, "tibia_l": 0.94, "humerus_r": 1.1, "humerus_l": 1.1},
+    )
     q = np.zeros(19)
     for name, degrees in {"hip_flexion_r": 25, "knee_angle_r": 15, "hip_flexion_l": -10, "knee_angle_l": 35, "arm_flex_r": -20,
                           "arm_flex_l": 25, "elbow_flex_r": 20, "elbow_flex_l": 40}.items():  # fmt: skip
@@ -80,4 +91,4 @@ def test_bad_clicks_are_told() -> None:
     with pytest.raises(InputError, match="4 clicked"):
         fit_clicks(GENERIC, [{"hip_r": (1, 2)}])
     with pytest.raises(InputError, match="finite"):
-        fit_clicks(GENERIC, [{n: (np.nan, 2) for n in JOINTS}])
+        fit_clicks(GENERIC, [dict.fromkeys(JOINTS, (np.nan, 2))])

@@ -6,9 +6,8 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-import pytest
-from finite_differences import check_jacobian, numeric_jacobian
 
+from finite_differences import check_jacobian, numeric_jacobian
 from twistcap import se3
 from twistcap.body.humanoid import humanoid
 from twistcap.camera import Camera, look_at
@@ -30,7 +29,8 @@ def a_state(views: int = 1) -> State:
     rng = np.random.default_rng(3)
     facing = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])  # z up, seen from the front
     made = tuple(
-        ScaledView(se3.exp_rotation(rng.normal(0, 0.4, 3)) @ facing, 110.0, np.array([100.3, 120.8])) for _ in range(views)
+        ScaledView(se3.exp_rotation(rng.normal(0, 0.4, 3)) @ facing, 110.0, np.array([100.3, 120.8]))
+        for _ in range(views)
     )
     return State(made, np.clip(rng.normal(0, 0.4, len(BODY.coordinate_names)), *BODY.limits.T))
 
@@ -45,7 +45,9 @@ def some_points(state: State):
 def test_surface_points_lie_at_their_pixels_and_are_visible() -> None:
     state = a_state()
     points, rows, columns = some_points(state)
-    np.testing.assert_allclose(state.views[0].pixels(points.at(state.posed(BODY))), np.stack([columns, rows], 1), atol=0.3)
+    np.testing.assert_allclose(
+        state.views[0].pixels(points.at(state.posed(BODY))), np.stack([columns, rows], 1), atol=0.3
+    )
     visible, r, c = render(state.posed(BODY), state.views[0], SIZE).visible(points)
     assert visible.all()
     assert np.array_equal(r, rows)
@@ -80,7 +82,9 @@ def test_retract_and_minus_are_inverse() -> None:
 
 
 def test_a_far_pinhole_is_a_scaled_view_and_back() -> None:
-    camera = Camera("far", np.array([[8e4, 0, 500], [0, 8e4, 400], [0, 0, 1.0]]), look_at([400, 30, 1], [0, 0, 1]), (1000, 800))
+    camera = Camera(
+        "far", np.array([[8e4, 0, 500], [0, 8e4, 400], [0, 0, 1.0]]), look_at([400, 30, 1], [0, 0, 1]), (1000, 800)
+    )
     root = se3.transform(se3.exp_rotation([0.2, -0.1, 0.7]), [0.4, -0.3, 1.1])
     view = ScaledView.of(camera, root)
     points = BODY.vertices[::50]

@@ -1,7 +1,7 @@
 """Bodies of ellipsoids: one for each segment, fitted to a surface or laid along clicked joints.
 
-Bregler and Malik, "Tracking People with Twists and Exponential Maps", CVPR 1998: "we assume that the body segments can be
-approximated by ellipsoidal blobs". The body is a `Body` like any other, whose mesh is that of its ellipsoids.
+Bregler and Malik, "Tracking People with Twists and Exponential Maps", CVPR 1998, approximate the segments of the body by
+ellipsoidal blobs. The body is a `Body` like any other, whose mesh is that of its ellipsoids.
 """
 
 from __future__ import annotations
@@ -85,7 +85,8 @@ def ellipsoids_on_bones(body: Body, slenderness: float = 0.16) -> Ellipsoids:
         length = float(np.ptp(along))
         if length > 1e-3:
             centre = origins[s] + 0.5 * float(along.min() + along.max()) * axes[s]
-            across = max(slenderness * length, 0.6 * float(np.linalg.norm((ends - centre) - np.outer((ends - centre) @ axes[s], axes[s]), axis=1).max()))
+            off = (ends - centre) - np.outer((ends - centre) @ axes[s], axes[s])
+            across = max(slenderness * length, 0.6 * float(np.linalg.norm(off, axis=1).max()))
             rows.append((s, centre, _frame(axes[s]), np.array([across, across, 0.55 * length])))
     if not rows:
         raise InputError(f"body {body.name!r} has no landmarks to lay ellipsoids along; name its joints.")
@@ -99,7 +100,7 @@ def ellipsoid_body(body: Body, ellipsoids: Ellipsoids | None = None) -> Body:
 
 
 def nearest_depths(forms: Float, centres: Float, pixels: Float) -> tuple[Float, Int]:
-    """Depth (N,) of the nearest ellipsoid along each ray of a scaled-orthographic view, and which (N,); inf and -1 for none.
+    """Depth (N,) of the nearest ellipsoid along each ray of a scaled-orthographic view, and which; inf and -1 for none.
 
     The ray ``x(z) = (x, y, z)`` meets ``(x − c)ᵀ A (x − c) = 1`` where a quadratic in z vanishes; its lesser root is seen.
 

@@ -1,4 +1,4 @@
-"""Bodies with fewer joints: what a coarse model needs of a fine one, such as one side of a person in the image plane."""
+"""Bodies with fewer joints: what a coarse model needs of a fine one, such as one side of a person."""
 
 from __future__ import annotations
 
@@ -23,7 +23,12 @@ NINETEEN = ("neck_extension", "neck_bending", "neck_rotation", *(
 
 
 def simplified(
-    body: Body, kept: Sequence[str], *, at: Float | None = None, without: Collection[str] = (), axis: Float | None = None
+    body: Body,
+    kept: Sequence[str],
+    *,
+    at: Float | None = None,
+    without: Collection[str] = (),
+    axis: Float | None = None,
 ) -> Body:
     """The body with some of its joints only; the others stay as they are in a pose.
 
@@ -142,4 +147,6 @@ def _surface(body: Body, vertices: Float, dropped: Bool) -> tuple[Float, Int, In
 def with_surface(body: Body, vertices: Float, faces: Int, segments: Int) -> Body:
     """The body with another surface, rigid on the segments (V,) given."""
     one = np.ones((len(vertices), 1))
-    return replace(body, vertices=vertices, faces=faces, skin_segments=segments[:, None].astype(np.int32), skin_weights=one)
+    return replace(
+        body, vertices=vertices, faces=faces, skin_segments=segments[:, None].astype(np.int32), skin_weights=one
+    )

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from twistcap._typing import Bool, Float, Float32, Int
-from twistcap.body import Body
+from twistcap.body import Posed
 from twistcap.differential.render import OrthographicView
 from twistcap.differential.system import Samples
-from twistcap.differential.view import ScaledView, State
 from twistcap.render import SurfacePoints
-from twistcap.terms.photometric import sample
 
 
 def pyramid(image: Float32, levels: int, blur: float = 0.7) -> list[Float32]:
@@ -46,87 +45,147 @@ class Memory:
     """Surface points of one view after a frame.
 
     Attributes:
-        samples: the points and their brightness, which follows the image slowly.
+        points: N places on the surface.
+        value: (N, L) brightness at each level of the pyramid, which follows the image slowly.
+        gradient: (N, L, 2) image gradient there, 1/px of the level.
         trust: (N,) running support of each point.
-        inside: (N,) px from the nearest rim in that frame.
-        pixels: (N, 2) where they were in that frame.
-        view: of that frame.
+        inside: (N,) px from the nearest rim when it was last seen.
+        missed: (N,) frames since it was last seen.
+        pixels: (N, 2) where the points were in that frame.
         pyramid: that frame's images, finest first.
         mask: (H, W) that frame's silhouette.
     """
 
-    samples: Samples
+    points: SurfacePoints
+    value: Float
+    gradient: Float
     trust: Float
     inside: Float
+    missed: Int
     pixels: Float
-    view: ScaledView
-    pyramid: list[Float32]
+    pyramid: Sequence[Float32]
     mask: Bool
 
     def at_level(self, level: int, which: Int) -> Samples:
-        """Points `which` as a level of the pyramid saw them; the finest level gives what is remembered."""
-        points = self.samples.points[which]
-        if level == 0:
-            return Samples(points, self.samples.value[which], self.samples.gradient[which])
+        """Points `which` as a level of the pyramid shows them."""
+        value, gradient = np.take(self.value[:, level], which), np.take(self.gradient[:, level], which, axis=0)
+        return Samples(self.points[which], value, np.ascontiguousarray(gradient))
+
+    def level_pixels(self, level: int, which: Int) -> Float:
+        """(M, 2) where points were in the image of a level."""
         factor = 0.5**level
-        return Samples(points, *sampled(self.pyramid[level], factor * self.pixels[which] + 0.5 * (factor - 1.0)))
+        return factor * np.take(self.pixels, which, axis=0) + 0.5 * (factor - 1.0)
 
 
-def remember(
-    body: Body, state: State, v: int, images: list[Float32], seen: OrthographicView, old: Memory | None,
-    trust: Float | None, exposure: Float, spacing: int, update: float,
-) -> Memory:  # fmt: skip
-    """The memory of view `v` after a frame: old points still seen, brightness updated, and new ones between them.
+@dataclass(frozen=True)
+class Look:
+    """One view of a frame whose state is settled.
+
+    Attributes:
+        posed, seen: the body there.
+        pyramid: the images.
+        exposure: (2,) how the exposure differs from that of what is remembered.
+    """
+
+    posed: Posed
+    seen: OrthographicView
+    pyramid: Sequence[Float32]
+    exposure: Float
+
+    def pixels(self, points: SurfacePoints) -> Float:
+        return self.seen.view.pixels(points.at(self.posed))
+
+    def brightness(self, pixels: Float) -> tuple[Float, Float]:
+        """(N, L) and (N, L, 2) values and gradients at every level."""
+        found = [sampled(im, 0.5**k * pixels + 0.5 * (0.5**k - 1.0)) for k, im in enumerate(self.pyramid)]
+        return np.stack([f[0] for f in found], axis=1), np.stack([f[1] for f in found], axis=1)
+
+
+@dataclass(frozen=True)
+class Retention:
+    """How memory is kept.
+
+    Attributes:
+        spacing: px between points.
+        update: share of the new brightness that an old point takes over; 1 remembers nothing of the frames before.
+        hidden: frames that a point is remembered while something hides it.
+    """
+
+    spacing: int = 2
+    update: float = 0.2
+    hidden: int = 30
+
+
+def remember(look: Look, old: Memory | None, trust: Float | None, how: Retention) -> Memory:
+    """The memory of a view after a frame: old points, brightness of those seen updated, and new ones between them.
 
     Args:
-        images: the frame's pyramid.
-        seen: the body there.
+        look: the frame.
         old: memory before; None in the first frame.
-        trust: (N,) support of the old points in this frame.
-        exposure: (2,) how the frame's exposure differs from the memory's; what is remembered takes the frame's.
-        spacing: px between points.
-        update: share of the new brightness that an old point takes over.
+        trust: (N,) support of the old points, this frame's included.
+        how: settings.
     """
-    taken = np.zeros((images[0].shape[0] // spacing + 1, images[0].shape[1] // spacing + 1), dtype=bool)
-    rows, columns = np.nonzero(seen.mask[spacing // 2 :: spacing, spacing // 2 :: spacing])
-    rows, columns = rows * spacing + spacing // 2, columns * spacing + spacing // 2
-    kept: list[tuple[SurfacePoints, Float, Float, Float]] = []
-    if old is not None and trust is not None and update < 1.0:
-        kept.append(_carried(state, body, v, images[0], seen, old, trust, exposure, update, spacing, taken))
-    free = ~taken[rows // spacing, columns // spacing]
-    rows, columns = rows[free].astype(np.int32), columns[free].astype(np.int32)
-    points = seen.surface_points(rows, columns)
-    fresh = sampled(images[0], np.stack([columns, rows], axis=1).astype(float))
-    kept.append((points, *fresh, np.full(len(points), 0.5)))
-    joined = kept[0][0] if len(kept) == 1 else kept[0][0] + kept[1][0]
-    value, gradient, trusted = (np.concatenate([part[i] for part in kept]) for i in (1, 2, 3))
-    pixels = state.views[v].pixels(joined.at(state.posed(body)))
-    known = np.isfinite(value)
-    r, c = _clipped(pixels, seen.mask.shape)
-    return Memory(
-        Samples(joined[known], value[known], gradient[known]), trusted[known], seen.inside[r, c][known].astype(float),
-        pixels[known], state.views[v], images, seen.mask,
-    )  # fmt: skip
+    size, spacing = look.seen.mask.shape, how.spacing
+    taken = np.zeros((size[0] // spacing + 1, size[1] // spacing + 1), dtype=bool)
+    parts: list[Memory] = []
+    if old is not None and trust is not None and how.update < 1.0:
+        parts += _kept(look, old, trust, how, taken)
+    rows, columns = np.nonzero(look.seen.mask[spacing // 2 :: spacing, spacing // 2 :: spacing])
+    free = ~taken[rows, columns]
+    rows, columns = (i[free].astype(np.int32) * spacing + spacing // 2 for i in (rows, columns))
+    points = look.seen.surface_points(rows.astype(np.int32), columns.astype(np.int32))
+    pixels = np.stack([columns, rows], axis=1).astype(float)
+    none = np.zeros(len(points), np.int32)
+    inside = look.seen.inside[rows, columns].astype(float)
+    parts.append(
+        Memory(points, *look.brightness(pixels), none + 0.5, inside, none, pixels, look.pyramid, look.seen.mask)
+    )
+    return _joined(parts)
 
 
-def _carried(
-    state: State, body: Body, v: int, image: Float32, seen: OrthographicView, old: Memory, trust: Float,
-    exposure: Float, update: float, spacing: int, taken: Bool,
-) -> tuple[SurfacePoints, Float, Float, Float]:  # fmt: skip
-    """Old points that are still seen, the most trusted in each cell."""
-    visible, r, c = seen.visible(old.samples.points)
-    visible &= trust > 0.2
-    order = np.flatnonzero(visible)[np.argsort(-trust[visible], kind="stable")]
-    cell = (r // spacing) * taken.shape[1] + c // spacing
+def _kept(look: Look, old: Memory, trust: Float, how: Retention, taken: Bool) -> list[Memory]:
+    """Old points that are seen, the most trusted in each cell of the grid, which is filled in; and those now hidden."""
+    visible, r, c = look.seen.visible(old.points)
+    seen = np.flatnonzero(visible & (trust > 0.2))
+    order = seen[np.argsort(-trust[seen], kind="stable")]
+    cell = (r // how.spacing) * taken.shape[1] + c // how.spacing
     _, first = np.unique(cell[order], return_index=True)
     which = order[first].astype(np.int32)
     taken.ravel()[cell[which]] = True
-    points = old.samples.points[which]
-    now, slope = sampled(image, state.views[v].pixels(points.at(state.posed(body))))
-    was, gradient = (1.0 + exposure[0]) * old.samples.value[which] + exposure[1], old.samples.gradient[which]
-    return points, was + update * (now - was), gradient + update * (slope - gradient), trust[which]
+    hidden = np.flatnonzero(~visible & (trust > 0.5) & (old.missed < how.hidden)).astype(np.int32)
+    hidden = hidden[np.argsort(old.missed[hidden], kind="stable")][: max(len(which), 1)]
+    now, slope = look.brightness(look.pixels(old.points[which]))
+    was, gradient = _exposed(look, old.value[which]), old.gradient[which]
+    fresh = was + how.update * (now - was), gradient + how.update * (slope - gradient)
+    inside = look.seen.inside[r[which], c[which]].astype(float)
+    shown = _memory(look, old, which, trust, fresh, inside, np.zeros(len(which), np.int32))
+    still = _exposed(look, old.value[hidden]), old.gradient[hidden]
+    return [shown, _memory(look, old, hidden, trust, still, old.inside[hidden], old.missed[hidden] + 1)]
 
 
-def _clipped(pixels: Float, size: tuple[int, ...]) -> tuple[Int, Int]:
-    x, y = np.rint(pixels).astype(np.int32).T
-    return np.clip(y, 0, size[0] - 1), np.clip(x, 0, size[1] - 1)
+def _exposed(look: Look, value: Float) -> Float:
+    return (1.0 + look.exposure[0]) * value + look.exposure[1]
+
+
+def _memory(
+    look: Look, old: Memory, which: Int, trust: Float, brightness: tuple[Float, Float], inside: Float, missed: Int
+) -> Memory:
+    points = old.points[which]
+    return Memory(points, *brightness, trust[which], inside, missed, look.pixels(points), look.pyramid, look.seen.mask)
+
+
+def _joined(parts: Sequence[Memory]) -> Memory:
+    """All points of several memories of one frame that have a brightness."""
+    points = parts[0].points
+    for part in parts[1:]:
+        points = points + part.points
+    value, gradient, trust, inside, missed, pixels = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("value", "gradient", "trust", "inside", "missed", "pixels")
+    )
+    known = np.isfinite(value).all(axis=1)
+    last = parts[-1]
+    return Memory(
+        points[known], value[known], gradient[known], trust[known], inside[known], missed[known].astype(np.int32),
+        pixels[known], last.pyramid, last.mask,
+    )  # fmt: skip

@@ -1,7 +1,7 @@
 """A coarse search for limbs that move farther between frames than gradients reach.
 
-Bregler and Malik leave it to the future: "our technique needs to be augmented with an initial coarse search stage". Pairs
-of joint angles are tried on a grid about the present guess, limb by limb, and the best is where the descent goes on.
+Bregler and Malik (CVPR 1998) propose such a first stage for motions too fast for a differential method. Pairs of joint
+angles are tried on a grid about the present guess, limb by limb, and the best is where the descent goes on.
 """
 
 from __future__ import annotations
@@ -33,9 +33,7 @@ def moved_by(body: Body, coordinate: int) -> Bool:
     return body.chain[:, coordinate]
 
 
-def searched(
-    body: Body, state: State, misfit: Callable[[State, Bool], float], reach: float, spread: float
-) -> State:
+def searched(body: Body, state: State, misfit: Callable[[State, Bool], float], reach: float, spread: float) -> State:
     """The state with each limb at the best of the angles tried.
 
     Args:

@@ -1,7 +1,7 @@
 """One linear system for the motion of a view and of the joints, from brightness constancy.
 
-Each pixel of the body gives a row ``[H_i | J_i] (φ; θ̇) = −I_t``: H_i is the image gradient times the image motion of the
-view's φ = (s', v₁, v₂, ω_x, ω_y, ω_z), J_i times that of every joint above the pixel's segment, by the twists
+Each pixel of the body gives a row ``[H_i | J_i] (φ; θ̇) = −I_t``: H_i is the image gradient times the image motion of
+the view's φ = (s', v₁, v₂, ω_x, ω_y, ω_z), J_i times that of every joint above the pixel's segment, by the twists
 ``ξ'_k = Ad ξ_k`` (Bregler and Malik, DOI 10.1109/CVPR.1998.698581, eqs. 13 and 19). Two more columns take up a change
 of the exposure, ``I' = (1 + a) I + b``. Views have φ, a and b of their own and share the joints' columns.
 """

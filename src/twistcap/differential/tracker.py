@@ -1,14 +1,14 @@
 """The differential tracker: image gradients to twist and joint velocities, frame after frame.
 
-Bregler and Malik, "Tracking People with Twists and Exponential Maps", CVPR 1998, DOI 10.1109/CVPR.1998.698581. Beyond the
-paper: the brightness of surface points is remembered over frames (``update = 1`` gives the paper's frame to frame), the
+Bregler and Malik, "Tracking People with Twists and Exponential Maps", CVPR 1998, DOI 10.1109/CVPR.1998.698581. Beyond
+the paper: the brightness of surface points is remembered over frames (``update = 1`` gives the paper's frame to frame), the
 motion is predicted, and a wide prior on its change keeps what no pixel sees finite.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -16,7 +16,7 @@ import numpy as np
 from twistcap._typing import AnyArray, Bool, Float, Float32, Int
 from twistcap.body import Body
 from twistcap.differential.background import STILL, dominant_motion, under_motion
-from twistcap.differential.memory import Memory, pyramid, remember, sampled
+from twistcap.differential.memory import Look, Memory, Retention, pyramid, remember, sampled
 from twistcap.differential.render import render
 from twistcap.differential.search import searched
 from twistcap.differential.support import Neighbourhood, posterior, robust_scale
@@ -37,13 +37,15 @@ class DifferentialConfig:
         iterations: Gauss-Newton steps at each level.
         spacing: px between surface points at the finest level.
         update: share of the new brightness a remembered point takes over in each frame; 1 remembers nothing.
+        hidden: frames that points are remembered while something hides them.
         support: "em" for support maps by EM, "robust" for Cauchy weights, "shape" for the projected body as it is.
         behind: the layer behind stands "still", or moves as the "dominant" motion off the body.
         carry: share of the joints' last motion that is expected to go on; 0 expects everything to stay.
         exposure: whether each view's exposure may change from frame to frame.
         share: share of the pixels' information that counts, since neighbours see the same.
         turns: "planar" holds the view's turns out of the image.
-        stray_deg, stray_scale, stray_px: how far joints and view turns, scale and place stray from the guess in a frame.
+        stray_deg, stray_turn_deg, stray_scale, stray_px: how far joints, and the views' turns, scales and places stray
+            from the guess in a frame.
         search_deg: how far about the guess limbs are sought before the gradients have their say; 0 seeks none.
         reach_px: distance from a rim at which half of the pixels are the body's own, prior of the support maps.
     """
@@ -52,6 +54,7 @@ class DifferentialConfig:
     iterations: int = 6
     spacing: int = 2
     update: float = 0.2
+    hidden: int = 30
     support: Literal["em", "robust", "shape"] = "em"
     behind: Literal["still", "dominant"] = "still"
     carry: float = 1.0
@@ -69,7 +72,8 @@ class DifferentialConfig:
         whole = self.levels >= 1 and self.iterations >= 1 and self.spacing >= 1
         if not whole or not 0.0 < self.update <= 1.0 or not 0.0 < self.share <= 1.0:
             raise InputError(
-                "differential: levels, iterations and spacing must be 1 or more, update and share above 0 and at most 1."
+                "differential: levels, iterations and spacing must be 1 or more, "
+                "update and share above 0 and at most 1."
             )
         if min(self.stray_deg, self.stray_turn_deg, self.stray_scale, self.stray_px) <= 0.0:
             raise InputError("differential: stray_deg, stray_turn_deg, stray_scale and stray_px must be positive.")
@@ -108,8 +112,9 @@ class _Evidence:
     behind: Float
     part: Int
     near: Neighbourhood
-    weight: Float
-    support: Float
+    weight: Float = field(default_factory=lambda: np.zeros(0))
+    support: Float = field(default_factory=lambda: np.zeros(0))
+    sigma: float = np.nan
 
     def of(self, segments: Bool) -> _Evidence:
         """What some segments (S,) have of it, for a look at their residuals."""
@@ -158,7 +163,7 @@ class DifferentialTracker:
         self.velocity, self.state = state.minus(before), state
         D = len(self.velocity)
         return DifferentialEstimate(
-            state, np.array([e.support.mean() for e in views]), np.array([np.median(_sizes(e, state, self.body)) for e in views]),
+            state, np.array([e.support.mean() for e in views]), np.array([e.sigma for e in views]),
             energy, np.linalg.inv(H)[:D, :D], exposure,
         )  # fmt: skip
 
@@ -171,35 +176,27 @@ class DifferentialTracker:
     def _clipped(self, state: State) -> State:
         return State(state.views, np.clip(state.q, *self.body.limits.T))
 
-    def _behind(self, memory: Memory, levels: list[Float32]) -> Float:
+    def _behind(self, memory: Memory, levels: Sequence[Float32]) -> Float:
         if self.config.behind == "still":
             return STILL
         return dominant_motion(memory.pyramid[0], levels[0], memory.mask)
 
-    def _evidence(self, v: int, level: int, levels: list[Float32], state: State, motion: Float) -> _Evidence:
-        """Points of a view that are still seen at the present guess, thinned at coarse levels."""
+    def _evidence(self, v: int, level: int, levels: Sequence[Float32], state: State, motion: Float) -> _Evidence:
+        """Points of a view that are seen at the present guess, thinned at coarse levels."""
         memory, factor = self._memory[v], 0.5**level
-        seen = render(state.posed(self.body), state.views[v], levels[0].shape[::-1])
-        visible, *_ = seen.visible(memory.samples.points, 0.03)
-        cells = np.rint(factor * memory.pixels / self.config.spacing).astype(np.int64)
-        _, first = np.unique(cells[:, 0] * 100_000 + cells[:, 1], return_index=True)
-        first = first[visible[first]] if visible[first].sum() > 20 else first
-        samples = memory.at_level(level, first.astype(np.int32))
-        known = np.isfinite(samples.value)
-        which = first[known].astype(np.int32)
-        samples = Samples(samples.points[known], samples.value[known], samples.gradient[known])
-        small = levels[level]
-        prior = _shape_prior(factor * memory.inside[which], self.config.reach_px)
-        trust = memory.trust[which]
-        at = factor * memory.pixels[which] + 0.5 * (factor - 1.0)
+        seen = render(state.posed(self.body), state.views[v], _size(levels[0]))
+        visible, *_ = seen.visible(memory.points, 0.03)
+        which = _thinned(factor * memory.pixels / self.config.spacing, visible)
+        samples, small = memory.at_level(level, which), levels[level]
+        at = memory.level_pixels(level, which)
         was = sampled(memory.pyramid[level], at)[0]
-        shrunk = np.c_[motion[:, :2], factor * motion[:, 2]]
-        behind = sampled(small, under_motion(at, shrunk))[0] - was
-        r, c = np.clip(np.rint(at[:, ::-1]).astype(np.int32).T, 0, np.array(small.shape)[:, None] - 1)
-        part = _part(samples)
-        near = Neighbourhood(r.astype(np.int32), c.astype(np.int32), small.shape)
-        blend = np.clip(0.5 * (prior + trust), 0.02, 0.98) if self.config.support == "em" else np.ones(len(which))
-        return _Evidence(samples, which, small, factor, blend, behind, part, near, np.zeros(0), np.zeros(0))
+        behind = sampled(small, under_motion(at, np.c_[motion[:, :2], factor * motion[:, 2]]))[0] - was
+        behind[memory.missed[which] > 0] = np.nan  # what was seen at its pixel was not the point's own
+        prior = np.ones(len(which))
+        if self.config.support == "em":
+            shape = _shape_prior(factor * memory.inside[which], self.config.reach_px)
+            prior = np.clip(0.5 * (shape + memory.trust[which]), 0.02, 0.98)
+        return _Evidence(samples, which, small, factor, prior, behind, _part(samples), _near(at, small))
 
     def _better(self, views: Sequence[_Evidence], starts: Sequence[State], exposure: Float) -> State:
         """The start whose residuals are smaller."""
@@ -260,10 +257,13 @@ class DifferentialTracker:
             weight = known * (e.support if len(e.support) else e.prior)
             sigma = robust_scale(r, e.part, S, weight)[e.part]
             if self.config.support == "em":
-                sigma_behind = max(0.01, 1.48 * float(np.nanmedian(np.abs(e.behind))) if np.isfinite(e.behind).any() else 0.01)
+                sigma_behind = max(
+                    0.01, 1.48 * float(np.nanmedian(np.abs(e.behind))) if np.isfinite(e.behind).any() else 0.01
+                )
                 e.support = posterior(r, e.behind, e.prior, sigma, min(sigma_behind, 0.03), e.near)
             else:
                 e.support = known / (1.0 + np.where(known > 0, r, 0.0) ** 2 / sigma**2)
+        e.sigma = float(np.median(sigma)) if len(sigma) else np.nan
         e.weight = e.support * self.config.share / sigma**2 / e.factor**2  # thinned points stand for as many pixels
 
     def _sum(self, views: Sequence[_Evidence], state: State, guess: State, exposure: Float) -> tuple[Float, Float]:
@@ -277,7 +277,9 @@ class DifferentialTracker:
             per = np.ones(len(own_g))
             per[1:3] = e.factor  # the state's shifts are in px of the finest level
             own_g, own_H = per * own_g, per[:, None] * own_H * per
-            rows = np.r_[ROOT * v : ROOT * v + ROOT, ROOT * V : ROOT * V + J, n - EXPOSURE * (V - v) : n - EXPOSURE * (V - v - 1)]
+            rows = np.r_[
+                ROOT * v : ROOT * v + ROOT, ROOT * V : ROOT * V + J, n - EXPOSURE * (V - v) : n - EXPOSURE * (V - v - 1)
+            ]
             g[rows] += own_g
             H[np.ix_(rows, rows)] += own_H
         stiff, off = self._stiffness(V, J), np.concatenate([state.minus(guess), exposure.ravel()])
@@ -317,31 +319,43 @@ class DifferentialTracker:
         return total + 0.5 * float(np.sum(self._stiffness(len(views), len(state.q)) * off**2))
 
     def _remember(
-        self, state: State, views: Sequence[_Evidence], pyramids: Sequence[list[Float32]], exposure: Float
+        self, state: State, views: Sequence[_Evidence], pyramids: Sequence[Sequence[Float32]], exposure: Float
     ) -> None:
         memories: list[Memory] = []
         for v, e in enumerate(views):
             old = self._memory[v]
-            trust = np.zeros(len(old.trust))
-            trust[e.which] = 0.5 * (old.trust[e.which] + e.support)
-            seen = render(state.posed(self.body), state.views[v], pyramids[v][0].shape[::-1])
-            memories.append(
-                remember(
-                    self.body, state, v, pyramids[v], seen, old, trust, exposure[v], self.config.spacing,
-                    self.config.update,
-                )  # fmt: skip
-            )
+            trust = old.trust.copy()
+            trust[e.which] = 0.5 * (trust[e.which] + e.support)
+            memories.append(remember(self._look(state, v, pyramids[v], exposure[v]), old, trust, self._retention))
         self._memory = memories
 
-    def _remembered(self, v: int, levels: list[Float32]) -> Memory:
-        seen = render(self.state.posed(self.body), self.state.views[v], levels[0].shape[::-1])
-        c = self.config
-        return remember(self.body, self.state, v, levels, seen, None, None, np.zeros(2), c.spacing, c.update)
+    def _look(self, state: State, v: int, levels: Sequence[Float32], exposure: Float) -> Look:
+        posed = state.posed(self.body)
+        return Look(posed, render(posed, state.views[v], _size(levels[0])), levels, exposure)
+
+    @property
+    def _retention(self) -> Retention:
+        return Retention(self.config.spacing, self.config.update, self.config.hidden)
+
+    def _remembered(self, v: int, levels: Sequence[Float32]) -> Memory:
+        return remember(self._look(self.state, v, levels, np.zeros(EXPOSURE)), None, None, self._retention)
 
 
-def _sizes(e: _Evidence, state: State, body: Body) -> Float:
-    del state, body
-    return np.sqrt(np.where(e.weight > 0, e.support / np.maximum(e.weight, 1e-12), np.nan))
+def _size(image: Float32) -> tuple[int, int]:
+    return image.shape[1], image.shape[0]
+
+
+def _thinned(cells: Float, visible: Bool) -> Int:
+    """The first visible point in each cell of a unit grid."""
+    seen = np.flatnonzero(visible)
+    at = np.rint(cells[seen]).astype(np.int64)
+    _, first = np.unique(at[:, 0] * 100_000 + at[:, 1], return_index=True)
+    return seen[first].astype(np.int32)
+
+
+def _near(at: Float, image: Float32) -> Neighbourhood:
+    rows, columns = np.clip(np.rint(at[:, ::-1]).T, 0, np.array(image.shape)[:, None] - 1).astype(np.int32)
+    return Neighbourhood(rows, columns, image.shape)
 
 
 def _shape_prior(inside: Float, reach: float) -> Float:
@@ -364,7 +378,9 @@ def _check(body: Body, state: State, images: Sequence[AnyArray]) -> None:
     if len(images) != len(state.views):
         raise InputError(f"differential: {len(images)} images for {len(state.views)} views; give one for each view.")
     if len(state.q) != len(body.coordinate_names):
-        raise InputError(f"differential: {len(state.q)} angles for {len(body.coordinate_names)} coordinates of the body.")
+        raise InputError(
+            f"differential: {len(state.q)} angles for {len(body.coordinate_names)} coordinates of the body."
+        )
     for image in images:
         if image.dtype != np.uint8 and not np.all(np.isfinite(image)):
             raise InputError("differential: an image holds a value that is not finite; repair or leave out the frame.")

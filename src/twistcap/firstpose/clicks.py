@@ -132,7 +132,9 @@ def _starts(body: Body, clicks: _Clicks, facing_deg: Sequence[float] | None) -> 
     points = Posed(body, Pose(np.eye(4), q)).landmarks[clicks.marks]
     states = [State(tuple(_laid(points, clicks, v, a) for v, a in enumerate(angles)), q) for angles in first]
     if facing_deg is None and V > 1:  # each view by itself takes the direction that suits it best
-        best = [min((s.views[v] for s in states), key=lambda view, v=v: _misfit(view, points, clicks, v)) for v in range(V)]
+        best = [
+            min((s.views[v] for s in states), key=lambda view, v=v: _misfit(view, points, clicks, v)) for v in range(V)
+        ]
         states.append(State(tuple(best), q))
     return states
 

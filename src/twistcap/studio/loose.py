@@ -42,7 +42,9 @@ def passer(room: Float32, config: StudioConfig, number: int, camera: int, frame:
     y = int(rng.uniform(0.15, 0.5) * height)
     cell = rng.uniform(0.15, 0.85) * (1.0 + 0.25 * smooth_noise(rng, (h, w + 1), 5.0 * height / 280))
     shift = x - np.floor(x)
-    strip = (1 - shift) * np.pad(cell[:, :w], ((0, 0), (0, 1), (0, 0))) + shift * np.pad(cell[:, :w], ((0, 0), (1, 0), (0, 0)))
+    strip = (1 - shift) * np.pad(cell[:, :w], ((0, 0), (0, 1), (0, 0))) + shift * np.pad(
+        cell[:, :w], ((0, 0), (1, 0), (0, 0))
+    )
     cover = np.ones(w + 1)
     cover[0], cover[-1] = 1 - shift, shift
     first = int(np.floor(x))

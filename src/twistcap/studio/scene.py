@@ -17,8 +17,8 @@ from twistcap.errors import InputError
 from twistcap.estimate import Frame
 from twistcap.studio.background import background, board_layer, occluder_layer
 from twistcap.studio.config import StudioConfig, stream
-from twistcap.studio.loose import flutter, passer
 from twistcap.studio.look import GREY, Look, look
+from twistcap.studio.loose import flutter, passer
 from twistcap.studio.marring import marred
 from twistcap.studio.mismatch import wrong_body, wrong_pose, wrong_rig
 from twistcap.studio.motion import gait
@@ -84,7 +84,7 @@ class Capture:
         if self.config.is_dropped(index, camera):
             return None
         moments = moments or self._moments(index)
-        room, slide = self._room(index, camera), flutter(self.true_body, self.config, index)
+        room, slide = self._what_lies_behind(index, camera), flutter(self.true_body, self.config, index)
         picture = picture_of(moments, self.true_rig[camera], self.look, room, slide)
         for number, board in enumerate(self.config.boards):
             if board.stands(index, camera):
@@ -95,7 +95,7 @@ class Capture:
             picture = picture @ GREY.astype(np.float32)
         return marred(picture, self.config, index, camera)
 
-    def _room(self, index: int, camera: int) -> Float32:
+    def _what_lies_behind(self, index: int, camera: int) -> Float32:
         """The room and what moves in it."""
         if not self.config.passers:
             return self.rooms[camera]
