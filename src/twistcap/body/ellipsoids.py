@@ -1,7 +1,7 @@
 """Bodies of ellipsoids: one for each segment, fitted to a surface or laid along clicked joints.
 
-Bregler and Malik, "Tracking People with Twists and Exponential Maps", CVPR 1998, approximate the segments of the body by
-ellipsoidal blobs. The body is a `Body` like any other, whose mesh is that of its ellipsoids.
+Bregler and Malik, "Tracking People with Twists and Exponential Maps", CVPR 1998, approximate the segments of the body
+by ellipsoidal blobs. The body is a `Body` like any other, whose mesh is that of its ellipsoids.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def ellipsoid_body(body: Body, ellipsoids: Ellipsoids | None = None) -> Body:
 
 
 def nearest_depths(forms: Float, centres: Float, pixels: Float) -> tuple[Float, Int]:
-    """Depth (N,) of the nearest ellipsoid along each ray of a scaled-orthographic view, and which; inf and -1 for none.
+    """Depth (N,) of the nearest ellipsoid along each ray of a scaled-orthographic view, and which; inf, -1 if none.
 
     The ray ``x(z) = (x, y, z)`` meets ``(x − c)ᵀ A (x − c) = 1`` where a quadratic in z vanishes; its lesser root is seen.
 

@@ -1,7 +1,7 @@
 """The differential tracker: image gradients to twist and joint velocities, frame after frame.
 
 Bregler and Malik, "Tracking People with Twists and Exponential Maps", CVPR 1998, DOI 10.1109/CVPR.1998.698581. Beyond
-the paper: the brightness of surface points is remembered over frames (``update = 1`` gives the paper's frame to frame), the
+the paper: the brightness of surface points is remembered over frames (``update = 1`` remembers none), the
 motion is predicted, and a wide prior on its change keeps what no pixel sees finite.
 """
 
@@ -196,7 +196,7 @@ class DifferentialTracker:
         if self.config.support == "em":
             shape = _shape_prior(factor * memory.inside[which], self.config.reach_px)
             prior = np.clip(0.5 * (shape + memory.trust[which]), 0.02, 0.98)
-        return _Evidence(samples, which, small, factor, prior, behind, _part(samples), _near(at, small))
+        return _Evidence(samples, which, small, factor, prior, behind, _part(samples), _near(at))
 
     def _better(self, views: Sequence[_Evidence], starts: Sequence[State], exposure: Float) -> State:
         """The start whose residuals are smaller."""
@@ -353,9 +353,12 @@ def _thinned(cells: Float, visible: Bool) -> Int:
     return seen[first].astype(np.int32)
 
 
-def _near(at: Float, image: Float32) -> Neighbourhood:
-    rows, columns = np.clip(np.rint(at[:, ::-1]).T, 0, np.array(image.shape)[:, None] - 1).astype(np.int32)
-    return Neighbourhood(rows, columns, image.shape)
+def _near(at: Float) -> Neighbourhood:
+    at = np.rint(at[:, ::-1]).T.astype(np.int32)
+    low = at.min(axis=1, initial=0 if at.size == 0 else int(at.max()))
+    rows, columns = at - low[:, None]
+    size = (int(rows.max(initial=0)) + 1, int(columns.max(initial=0)) + 1)
+    return Neighbourhood(rows, columns, size)
 
 
 def _shape_prior(inside: Float, reach: float) -> Float:

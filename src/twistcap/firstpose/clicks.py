@@ -161,9 +161,23 @@ def _minimised(skeleton: Skeleton, clicks: _Clicks, start: State, config: ClickC
     for _ in range(2):
         problem = ClickEnergy(skeleton, clicks, state, config)
         x0 = np.concatenate([np.zeros(ROOT * len(state.views)), state.q, factors])
-        done = minimize(problem, x0, jac=True, method="L-BFGS-B", bounds=problem.bounds, options={"maxiter": 400})
-        energy, (state, factors) = float(done.fun), problem.unpacked(done.x)
+        unit = _units(len(state.views), len(x0))
+
+        def scaled(y: Float, problem: ClickEnergy = problem, unit: Float = unit) -> tuple[float, Float]:
+            value, gradient = problem(unit * y)
+            return value, unit * gradient
+
+        bounds = [tuple(None if b is None else b / u for b in pair) for pair, u in zip(problem.bounds, unit, strict=True)]
+        done = minimize(scaled, x0 / unit, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 300})
+        energy, (state, factors) = float(done.fun), problem.unpacked(unit * done.x)
     return energy, state, factors
+
+
+def _units(views: int, n: int) -> Float:
+    """(n,) steps of the unknowns that move pixels by about as much: a quasi-Newton method wants them alike."""
+    out = np.full(n, 0.1)
+    out[: ROOT * views] = np.tile([0.05, 5.0, 5.0, 0.1, 0.1, 0.1], views)
+    return out
 
 
 @dataclass(frozen=True)

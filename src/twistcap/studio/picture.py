@@ -37,8 +37,8 @@ class Layer:
 def render_body(posed: Posed, camera: Camera, look: Look, slide: Float | None = None) -> Layer:
     """A body as a camera without distortion sees it, in the window that it covers.
 
-    Sample ``SAMPLES * i + (SAMPLES - 1) / 2`` is the centre of pixel i: `Camera.scaled` keeps that exactly. The texture is
-    looked up `slide` (V, 3) m from the vertices of the rest pose.
+    Sample ``SAMPLES * i + (SAMPLES - 1) / 2`` is the centre of pixel i: `Camera.scaled` keeps that exactly.
+    The texture is looked up `slide` (V, 3) m from the vertices of the rest pose.
     """
     faces, n = posed.body.faces, SAMPLES
     pixels, inverse_depth = project_pinhole(camera.scaled(n).P, posed.vertices)
