@@ -8,15 +8,36 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from twistcap._typing import Bool, Float, Float32, Int
+from twistcap._typing import AnyArray, Bool, Float, Float32, Int
 from twistcap.body import Posed
 from twistcap.differential.render import OrthographicView
 from twistcap.differential.system import Samples
 from twistcap.render import SurfacePoints
 
+_OPPONENT = np.array([[0.299, 0.587, 0.114], [0.707, -0.707, 0.0], [0.408, 0.408, -0.816]], dtype=np.float32)
+
+
+def channels(image: AnyArray, colour: bool = True) -> Float32:
+    """(C, H, W) float32: grey in [0, 1], and for RGB images two opponent colours, red to green and yellow to blue.
+
+    Args:
+        image: (H, W) or (H, W, 3), uint8 or in [0, 1].
+        colour: False leaves grey alone.
+    """
+    values = image.astype(np.float32) / np.float32(255.0 if image.dtype == np.uint8 else 1.0)
+    if values.ndim == 2:
+        return values[None]
+    mixed = np.moveaxis(values, -1, 0)
+    return np.einsum("ck,khw->chw", _OPPONENT if colour else _OPPONENT[:1], mixed).astype(np.float32)
+
 
 def pyramid(image: Float32, levels: int, blur: float = 0.7) -> list[Float32]:
-    """The image and smaller ones by factors of 2 (pixel centres at integers), each blurred a little; finest first."""
+    """Images (C, H, W) by factors of 2 (pixel centres at integers), each blurred a little; finest first."""
+    each = [_pyramid(channel, levels, blur) for channel in image]
+    return [np.stack([channel[k] for channel in each]) for k in range(levels)]
+
+
+def _pyramid(image: Float32, levels: int, blur: float) -> list[Float32]:
     out = [cv2.GaussianBlur(image, (0, 0), blur)]
     for _ in range(levels - 1):
         height, width = out[-1].shape
@@ -27,7 +48,12 @@ def pyramid(image: Float32, levels: int, blur: float = 0.7) -> list[Float32]:
 
 
 def sampled(image: Float32, pixels: Float) -> tuple[Float, Float]:
-    """Brightness (N,), NaN off the image, and its gradient (N, 2) at pixel positions (N, 2)."""
+    """Values (N, C), NaN off the image (C, H, W), and their gradients (N, C, 2) at pixel positions (N, 2)."""
+    found = [_sampled(channel, pixels) for channel in image]
+    return np.stack([f[0] for f in found], axis=1), np.stack([f[1] for f in found], axis=1)
+
+
+def _sampled(image: Float32, pixels: Float) -> tuple[Float, Float]:
     x, y = pixels.astype(np.float32).T
     height, width = image.shape
     inside = (x >= 1) & (y >= 1) & (x < width - 2) & (y < height - 2)
@@ -46,8 +72,8 @@ class Memory:
 
     Attributes:
         points: N places on the surface.
-        value: (N, L) brightness at each level of the pyramid, which follows the image slowly.
-        gradient: (N, L, 2) image gradient there, 1/px of the level.
+        value: (N, L, C) each channel at each level of the pyramid, which follows the image slowly.
+        gradient: (N, L, C, 2) image gradient there, 1/px of the level.
         trust: (N,) running support of each point.
         inside: (N,) px from the nearest rim when it was last seen.
         missed: (N,) frames since it was last seen.
@@ -66,10 +92,12 @@ class Memory:
     pyramid: Sequence[Float32]
     mask: Bool
 
-    def at_level(self, level: int, which: Int) -> Samples:
-        """Points `which` as a level of the pyramid shows them."""
-        value, gradient = np.take(self.value[:, level], which), np.take(self.gradient[:, level], which, axis=0)
-        return Samples(self.points[which], value, np.ascontiguousarray(gradient))
+    def at_level(self, level: int, which: Int) -> tuple[Samples, ...]:
+        """Points `which` as each channel of a level of the pyramid shows them."""
+        points = self.points[which]
+        value, gradient = self.value[which, level], self.gradient[which, level]
+        pick = np.ascontiguousarray
+        return tuple(Samples(points, pick(value[:, c]), pick(gradient[:, c])) for c in range(value.shape[1]))
 
     def level_pixels(self, level: int, which: Int) -> Float:
         """(M, 2) where points were in the image of a level."""
@@ -96,7 +124,7 @@ class Look:
         return self.seen.view.pixels(points.at(self.posed))
 
     def brightness(self, pixels: Float) -> tuple[Float, Float]:
-        """(N, L) and (N, L, 2) values and gradients at every level."""
+        """(N, L, C) and (N, L, C, 2) values and gradients at every level."""
         found = [sampled(im, 0.5**k * pixels + 0.5 * (0.5**k - 1.0)) for k, im in enumerate(self.pyramid)]
         return np.stack([f[0] for f in found], axis=1), np.stack([f[1] for f in found], axis=1)
 
@@ -164,7 +192,10 @@ def _kept(look: Look, old: Memory, trust: Float, how: Retention, taken: Bool) ->
 
 
 def _exposed(look: Look, value: Float) -> Float:
-    return (1.0 + look.exposure[0]) * value + look.exposure[1]
+    """What is remembered (N, L, C) under the frame's exposure, which only grey has."""
+    out = value.copy()
+    out[..., 0] = (1.0 + look.exposure[0]) * value[..., 0] + look.exposure[1]
+    return out
 
 
 def _memory(
@@ -183,7 +214,7 @@ def _joined(parts: Sequence[Memory]) -> Memory:
         np.concatenate([getattr(part, name) for part in parts])
         for name in ("value", "gradient", "trust", "inside", "missed", "pixels")
     )
-    known = np.isfinite(value).all(axis=1)
+    known = np.isfinite(value).all(axis=(1, 2))
     last = parts[-1]
     return Memory(
         points[known], value[known], gradient[known], trust[known], inside[known], missed[known].astype(np.int32),

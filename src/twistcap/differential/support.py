@@ -66,23 +66,27 @@ def _scale_of(size: Float, weight: Float) -> float:
 
 
 def posterior(
-    residual: Float, behind: Float, prior: Float, sigma: Float, sigma_behind: float, near: Neighbourhood
+    residual: Float, behind: Float, prior: Float, sigma: Float, sigma_behind: Float, near: Neighbourhood
 ) -> Float:
     """(N,) probability that each pixel moves as the body does.
 
+    Channels see much the same, so that their mean evidence counts as that of one.
+
     Args:
-        residual: (N,) brightness differences under the body's motion, NaN for unknown (probability 0).
-        behind: (N,) the same under the motion of the layer behind; NaN where that is unknown.
+        residual: (N, C) differences under the body's motion, NaN for unknown (probability 0).
+        behind: (N, C) the same under the motion of the layer behind; NaN where that is unknown.
         prior: (N,) from the projected shape.
-        sigma: (N,) robust scale of each pixel's segment.
-        sigma_behind: that of the layer behind.
+        sigma: (N, C) robust scale of each pixel's segment.
+        sigma_behind: (C,) that of the layer behind.
         near: neighbours share their evidence: squares are averaged.
     """
-    body = prior * _normal(near.mean(residual**2), sigma)
-    back = (1.0 - prior) * np.where(np.isfinite(behind), _normal(near.mean(behind**2), sigma_behind), 0.0)
-    neither = _NEITHER * 0.5
-    return np.where(np.isfinite(residual), body / (body + back + neither), 0.0)
+    known = np.isfinite(behind).all(axis=1)
+    body = prior * _density(residual, sigma, near)
+    back = (1.0 - prior) * np.where(known, _density(behind, np.broadcast_to(sigma_behind, behind.shape), near), 0.0)
+    return np.where(np.isfinite(residual).all(axis=1), body / (body + back + 0.5 * _NEITHER), 0.0)
 
 
-def _normal(square: Float, sigma: Float | float) -> Float:
-    return np.exp(-0.5 * square / np.square(sigma)) / (np.sqrt(2 * np.pi) * np.asarray(sigma))
+def _density(residual: Float, sigma: Float, near: Neighbourhood) -> Float:
+    """(N,) normal density of the channels' mean square, shared by neighbours, at the mean scale."""
+    square = near.mean(np.mean((residual / sigma) ** 2, axis=1))
+    return np.exp(-0.5 * square - np.mean(np.log(sigma), axis=1)) / np.sqrt(2 * np.pi)

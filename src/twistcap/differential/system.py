@@ -42,7 +42,7 @@ class Samples:
 
     Attributes:
         points: N places on the surface.
-        value: (N,) brightness in the frames before.
+        value: (N,) brightness in the frames before, in one channel.
         gradient: (N, 2) image gradient there, 1/px.
     """
 

@@ -8,75 +8,23 @@ motion is predicted, and a wide prior on its change keeps what no pixel sees fin
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import dataclass
 
 import numpy as np
 
-from twistcap._typing import AnyArray, Bool, Float, Float32, Int
+from twistcap._typing import AnyArray, Bool, Float, Float32
 from twistcap.body import Body
-from twistcap.differential.background import STILL, dominant_motion, under_motion
-from twistcap.differential.memory import Look, Memory, Retention, pyramid, remember, sampled
+from twistcap.differential.background import STILL, dominant_motion
+from twistcap.differential.evidence import Evidence, evidence
+from twistcap.differential.memory import Look, Memory, Retention, channels, pyramid, remember
 from twistcap.differential.render import render
 from twistcap.differential.search import searched
-from twistcap.differential.support import Neighbourhood, posterior, robust_scale
-from twistcap.differential.system import EXPOSURE, Samples, normal_equations, residuals
+from twistcap.differential.settings import DifferentialConfig
+from twistcap.differential.system import EXPOSURE
 from twistcap.differential.view import ROOT, State
 from twistcap.errors import InputError
 
-_GREY = np.array([0.299, 0.587, 0.114])
-_PLAIN_SIGMA = 0.02  # brightness; scale of the residuals where none is estimated
-
-
-@dataclass(frozen=True)
-class DifferentialConfig:
-    """Settings of the differential tracker.
-
-    Attributes:
-        levels: of the image pyramid, by factors of 2.
-        iterations: Gauss-Newton steps at each level.
-        spacing: px between surface points at the finest level.
-        update: share of the new brightness a remembered point takes over in each frame; 1 remembers nothing.
-        hidden: frames that points are remembered while something hides them.
-        support: "em" for support maps by EM, "robust" for Cauchy weights, "shape" for the projected body as it is.
-        behind: the layer behind stands "still", or moves as the "dominant" motion off the body.
-        carry: share of the joints' last motion that is expected to go on; 0 expects everything to stay.
-        exposure: whether each view's exposure may change from frame to frame.
-        share: share of the pixels' information that counts, since neighbours see the same.
-        turns: "planar" holds the view's turns out of the image.
-        stray_deg, stray_turn_deg, stray_scale, stray_px: how far joints, and the views' turns, scales and places stray
-            from the guess in a frame.
-        search_deg: how far about the guess limbs are sought before the gradients have their say; 0 seeks none.
-        reach_px: distance from a rim at which half of the pixels are the body's own, prior of the support maps.
-    """
-
-    levels: int = 4
-    iterations: int = 6
-    spacing: int = 2
-    update: float = 0.2
-    hidden: int = 30
-    support: Literal["em", "robust", "shape"] = "em"
-    behind: Literal["still", "dominant"] = "still"
-    carry: float = 1.0
-    exposure: bool = True
-    share: float = 0.05
-    turns: Literal["all", "planar"] = "all"
-    stray_deg: float = 6.0
-    stray_turn_deg: float = 3.0
-    stray_scale: float = 0.01
-    stray_px: float = 8.0
-    search_deg: float = 0.0
-    reach_px: float = 1.0
-
-    def __post_init__(self) -> None:
-        whole = self.levels >= 1 and self.iterations >= 1 and self.spacing >= 1
-        if not whole or not 0.0 < self.update <= 1.0 or not 0.0 < self.share <= 1.0:
-            raise InputError(
-                "differential: levels, iterations and spacing must be 1 or more, "
-                "update and share above 0 and at most 1."
-            )
-        if min(self.stray_deg, self.stray_turn_deg, self.stray_scale, self.stray_px) <= 0.0:
-            raise InputError("differential: stray_deg, stray_turn_deg, stray_scale and stray_px must be positive.")
+_LONGEST = 0.35  # rad; no joint turns farther in one step of the descent
 
 
 @dataclass(frozen=True)
@@ -100,29 +48,6 @@ class DifferentialEstimate:
     exposure: Float
 
 
-@dataclass
-class _Evidence:
-    """What one view has at one level: points, their images and support."""
-
-    samples: Samples
-    which: Int
-    image: Float32
-    factor: float
-    prior: Float
-    behind: Float
-    part: Int
-    near: Neighbourhood
-    weight: Float = field(default_factory=lambda: np.zeros(0))
-    support: Float = field(default_factory=lambda: np.zeros(0))
-    sigma: float = np.nan
-
-    def of(self, segments: Bool) -> _Evidence:
-        """What some segments (S,) have of it, for a look at their residuals."""
-        own = np.flatnonzero(segments[self.part]).astype(np.int32)
-        few = Samples(self.samples.points[own], self.samples.value[own], self.samples.gradient[own])
-        return replace(self, samples=few, prior=self.prior[own])
-
-
 class DifferentialTracker:
     """Follows a body from a known first state.
 
@@ -142,30 +67,37 @@ class DifferentialTracker:
         self.body, self.config = body, config or DifferentialConfig()
         _check(body, state, images)
         self.state, self.velocity = state, np.zeros(ROOT * len(state.views) + len(state.q))
-        self._memory = [self._remembered(v, pyramid(grey(image), self.config.levels)) for v, image in enumerate(images)]
+        none = np.zeros(EXPOSURE)
+        looks = [self._look(state, v, self._pyramid(image), none) for v, image in enumerate(images)]
+        self._memory = [remember(look, None, None, self._retention) for look in looks]
 
     def step(self, images: Sequence[AnyArray]) -> DifferentialEstimate:
         """Follow the body into the next frame."""
         _check(self.body, self.state, images)
-        pyramids = [pyramid(grey(image), self.config.levels) for image in images]
+        pyramids = [self._pyramid(image) for image in images]
         before, guess = self.state, self._clipped(self.state.retract(self._expected_motion()))
         moved = [self._behind(memory, levels) for memory, levels in zip(self._memory, pyramids, strict=True)]
-        state, exposure = guess, np.zeros((len(images), EXPOSURE))
-        views: list[_Evidence] = []
+        problem = _Frame(self.body, self.config, guess)
+        state, views = guess, list[Evidence]()
         for level in reversed(range(self.config.levels)):
-            views = [self._evidence(v, level, pyramids[v], state, moved[v]) for v in range(len(images))]
+            views = [self._evidence(v, level, levels, state, moved[v]) for v, levels in enumerate(pyramids)]
+            problem.views = views
             if level == self.config.levels - 1 and self.config.carry > 0:
-                state = self._better(views, [guess, before], exposure)
+                state = min((guess, before), key=problem.misfit)
             if level == min(1, self.config.levels - 1) and self.config.search_deg > 0:
-                state = self._sought(views, state, exposure)
-            state, exposure, energy, H = self._settle(views, state, guess, exposure)
-        self._remember(state, views, pyramids, exposure)
+                state = self._sought(problem, state)
+            state = problem.settle(state)
+        self._remember(state, views, pyramids, problem.exposure)
         self.velocity, self.state = state.minus(before), state
         D = len(self.velocity)
         return DifferentialEstimate(
             state, np.array([e.support.mean() for e in views]), np.array([e.sigma for e in views]),
-            energy, np.linalg.inv(H)[:D, :D], exposure,
+            problem.energy(state, problem.exposure), np.asarray(np.linalg.inv(problem.matrix)[:D, :D], np.float64),
+            problem.exposure,
         )  # fmt: skip
+
+    def _pyramid(self, image: AnyArray) -> list[Float32]:
+        return pyramid(channels(image, self.config.colour), self.config.levels)
 
     def _expected_motion(self) -> Float:
         """(6 V + J,) the last motion, that of the joints as far as it carries."""
@@ -179,147 +111,20 @@ class DifferentialTracker:
     def _behind(self, memory: Memory, levels: Sequence[Float32]) -> Float:
         if self.config.behind == "still":
             return STILL
-        return dominant_motion(memory.pyramid[0], levels[0], memory.mask)
+        return dominant_motion(memory.pyramid[0][0], levels[0][0], memory.mask)
 
-    def _evidence(self, v: int, level: int, levels: Sequence[Float32], state: State, motion: Float) -> _Evidence:
-        """Points of a view that are seen at the present guess, thinned at coarse levels."""
-        memory, factor = self._memory[v], 0.5**level
+    def _evidence(self, v: int, level: int, levels: Sequence[Float32], state: State, motion: Float) -> Evidence:
         seen = render(state.posed(self.body), state.views[v], _size(levels[0]))
-        visible, *_ = seen.visible(memory.points, 0.03)
-        which = _thinned(factor * memory.pixels / self.config.spacing, visible)
-        samples, small = memory.at_level(level, which), levels[level]
-        at = memory.level_pixels(level, which)
-        was = sampled(memory.pyramid[level], at)[0]
-        behind = sampled(small, under_motion(at, np.c_[motion[:, :2], factor * motion[:, 2]]))[0] - was
-        behind[memory.missed[which] > 0] = np.nan  # what was seen at its pixel was not the point's own
-        prior = np.ones(len(which))
-        if self.config.support == "em":
-            shape = _shape_prior(factor * memory.inside[which], self.config.reach_px)
-            prior = np.clip(0.5 * (shape + memory.trust[which]), 0.02, 0.98)
-        return _Evidence(samples, which, small, factor, prior, behind, _part(samples), _near(at))
+        visible, *_ = seen.visible(self._memory[v].points, 0.03)
+        return evidence(self._memory[v], level, levels, visible, motion, self.config)
 
-    def _better(self, views: Sequence[_Evidence], starts: Sequence[State], exposure: Float) -> State:
-        """The start whose residuals are smaller."""
-        return min(starts, key=lambda start: sum(self._misfit(e, v, start, exposure) for v, e in enumerate(views)))
-
-    def _sought(self, views: Sequence[_Evidence], state: State, exposure: Float) -> State:
+    def _sought(self, problem: _Frame, state: State) -> State:
         """The state with limbs where a coarse search puts them."""
-
-        def misfit(trial: State, segments: Bool) -> float:
-            return sum(self._misfit(e.of(segments), v, trial, exposure) for v, e in enumerate(views))
-
-        return searched(self.body, state, misfit, np.deg2rad(self.config.search_deg), np.deg2rad(self.config.stray_deg))
-
-    def _misfit(self, e: _Evidence, v: int, state: State, exposure: Float) -> float:
-        if len(e.samples.value) == 0:
-            return 0.0
-        r = self._residuals(e, v, state, exposure)
-        r = np.where(np.isfinite(r), r, 0.2)
-        return float(np.mean(e.prior * np.log1p((r / _PLAIN_SIGMA) ** 2)))
-
-    def _residuals(self, e: _Evidence, v: int, state: State, exposure: Float) -> Float:
-        return residuals(state.posed(self.body), state.views[v].resized(e.factor), e.samples, e.image, exposure[v])
-
-    def _settle(
-        self, views: Sequence[_Evidence], state: State, guess: State, exposure: Float
-    ) -> tuple[State, Float, float, Float]:
-        """Gauss-Newton at one level; support maps are found anew before each step."""
-        energy, H = np.inf, np.eye(1)
-        for _ in range(self.config.iterations):
-            for v, e in enumerate(views):
-                self._support(e, self._residuals(e, v, state, exposure))
-            g, H = self._sum(views, state, guess, exposure)
-            energy = self._energy(views, state, guess, exposure)
-            delta = -np.linalg.solve(H, g)
-            size = float(np.abs(delta[ROOT * len(views) : len(delta) - EXPOSURE * len(views)]).max(initial=0.0))
-            delta *= min(1.0, 0.35 / max(size, 1e-9))
-            for _ in range(4):
-                trial = self._clipped(state.retract(delta[: len(delta) - EXPOSURE * len(views)]))
-                lit = exposure + delta[len(delta) - EXPOSURE * len(views) :].reshape(-1, EXPOSURE)
-                trial_energy = self._energy(views, trial, guess, lit)
-                if trial_energy < energy:
-                    break
-                delta *= 0.4
-            else:
-                break
-            state, exposure = trial, lit
-            if energy - trial_energy < 1e-3 * energy:
-                break
-        return state, exposure, energy, H
-
-    def _support(self, e: _Evidence, r: Float) -> None:
-        """The E step: support and weight of every point of a view."""
-        S = len(self.body.segment_names)
-        known = np.where(np.isfinite(r), 1.0, 0.0)
-        if self.config.support == "shape":
-            e.support, sigma = known, np.full(len(r), _PLAIN_SIGMA)
-        else:
-            weight = known * (e.support if len(e.support) else e.prior)
-            sigma = robust_scale(r, e.part, S, weight)[e.part]
-            if self.config.support == "em":
-                sigma_behind = max(
-                    0.01, 1.48 * float(np.nanmedian(np.abs(e.behind))) if np.isfinite(e.behind).any() else 0.01
-                )
-                e.support = posterior(r, e.behind, e.prior, sigma, min(sigma_behind, 0.03), e.near)
-            else:
-                e.support = known / (1.0 + np.where(known > 0, r, 0.0) ** 2 / sigma**2)
-        e.sigma = float(np.median(sigma)) if len(sigma) else np.nan
-        e.weight = e.support * self.config.share / sigma**2 / e.factor**2  # thinned points stand for as many pixels
-
-    def _sum(self, views: Sequence[_Evidence], state: State, guess: State, exposure: Float) -> tuple[Float, Float]:
-        """All views' systems in one, and the priors: by (views' motions, joints, exposures)."""
-        J, V = len(state.q), len(views)
-        n = ROOT * V + J + EXPOSURE * V
-        g, H, posed = np.zeros(n), np.zeros((n, n)), state.posed(self.body)
-        for v, e in enumerate(views):
-            view = state.views[v].resized(e.factor)
-            own_g, own_H = normal_equations(posed, view, e.samples, e.image, exposure[v], e.weight)
-            per = np.ones(len(own_g))
-            per[1:3] = e.factor  # the state's shifts are in px of the finest level
-            own_g, own_H = per * own_g, per[:, None] * own_H * per
-            rows = np.r_[
-                ROOT * v : ROOT * v + ROOT, ROOT * V : ROOT * V + J, n - EXPOSURE * (V - v) : n - EXPOSURE * (V - v - 1)
-            ]
-            g[rows] += own_g
-            H[np.ix_(rows, rows)] += own_H
-        stiff, off = self._stiffness(V, J), np.concatenate([state.minus(guess), exposure.ravel()])
-        g += stiff * off
-        H[range(n), range(n)] += stiff
-        held = self._held(state, g)
-        g[held], H[held], H[:, held] = 0.0, 0.0, 0.0
-        H[held, held] = 1.0
-        return g, H
-
-    def _held(self, state: State, g: Float) -> Bool:
-        """Which unknowns stay: joints pressed against a limit, and turns out of the image where those are not wanted."""
-        V, J = len(state.views), len(state.q)
-        held = np.zeros(len(g), dtype=bool)
-        lower, upper = self.body.limits.T
-        push = g[ROOT * V : ROOT * V + J]
-        held[ROOT * V : ROOT * V + J] = ((state.q <= lower) & (push > 0)) | ((state.q >= upper) & (push < 0))
-        if self.config.turns == "planar":
-            held[3 : ROOT * V : ROOT] = held[4 : ROOT * V : ROOT] = True
-        if not self.config.exposure:
-            held[ROOT * V + J :] = True
-        return held
-
-    def _stiffness(self, V: int, J: int) -> Float:
-        c = self.config
-        root = np.array([c.stray_scale, c.stray_px, c.stray_px, *[np.deg2rad(c.stray_turn_deg)] * 3])
-        sigma = np.concatenate([np.tile(root, V), np.full(J, np.deg2rad(c.stray_deg)), np.tile([0.1, 0.05], V)])
-        return 1.0 / sigma**2
-
-    def _energy(self, views: Sequence[_Evidence], state: State, guess: State, exposure: Float) -> float:
-        """Of the weighted residuals and the priors, the support maps as they are."""
-        total = 0.0
-        for v, e in enumerate(views):
-            r = self._residuals(e, v, state, exposure)
-            total += 0.5 * float(np.sum(e.weight * np.where(np.isfinite(r), r, 0.2) ** 2))
-        off = np.concatenate([state.minus(guess), exposure.ravel()])
-        return total + 0.5 * float(np.sum(self._stiffness(len(views), len(state.q)) * off**2))
+        reach, spread = np.deg2rad(self.config.search_deg), np.deg2rad(self.config.stray_deg)
+        return searched(self.body, state, problem.misfit_of, reach, spread)
 
     def _remember(
-        self, state: State, views: Sequence[_Evidence], pyramids: Sequence[Sequence[Float32]], exposure: Float
+        self, state: State, views: Sequence[Evidence], pyramids: Sequence[Sequence[Float32]], exposure: Float
     ) -> None:
         memories: list[Memory] = []
         for v, e in enumerate(views):
@@ -337,44 +142,106 @@ class DifferentialTracker:
     def _retention(self) -> Retention:
         return Retention(self.config.spacing, self.config.update, self.config.hidden)
 
-    def _remembered(self, v: int, levels: Sequence[Float32]) -> Memory:
-        return remember(self._look(self.state, v, levels, np.zeros(EXPOSURE)), None, None, self._retention)
+
+class _Frame:
+    """The least-squares problem of one frame: all views' evidence in one system, and the priors.
+
+    Unknowns are the views' motions, the joints' and the views' exposures, (6 V + J + 2 V).
+    """
+
+    def __init__(self, body: Body, config: DifferentialConfig, guess: State) -> None:
+        self.body, self.config, self.guess = body, config, guess
+        self.views: list[Evidence] = []
+        self.exposure = np.zeros((len(guess.views), EXPOSURE))
+        self.matrix = np.eye(1)
+        V, J = len(guess.views), len(guess.q)
+        self._motions = ROOT * V + J
+        root = np.array([config.stray_scale, *[config.stray_px] * 2, *[np.deg2rad(config.stray_turn_deg)] * 3])
+        sigma = np.concatenate([np.tile(root, V), np.full(J, np.deg2rad(config.stray_deg)), np.tile([0.1, 0.05], V)])
+        self._stiffness = 1.0 / sigma**2
+
+    def misfit(self, state: State) -> float:
+        """Mean robust cost of a state."""
+        return self.misfit_of(state, np.ones(len(self.body.segment_names), dtype=np.bool_))
+
+    def misfit_of(self, state: State, segments: Bool) -> float:
+        """The same on the pixels of some segments (S,)."""
+        posed = state.posed(self.body)
+        pairs = zip(self.views, state.views, self.exposure, strict=True)
+        return sum(e.of(segments).misfit(posed, view, lit) for e, view, lit in pairs)
+
+    def settle(self, state: State) -> State:
+        """Gauss-Newton at one level; support maps are found anew before each step."""
+        for _ in range(self.config.iterations):
+            posed = state.posed(self.body)
+            for e, view, lit in zip(self.views, state.views, self.exposure, strict=True):
+                e.expect(posed, view, lit, self.config)
+            g, self.matrix = self._sum(state)
+            energy = self.energy(state, self.exposure)
+            found = self._lowered(state, -np.linalg.solve(self.matrix, g), energy)
+            if found is None:
+                break
+            state, self.exposure, lower = found
+            if energy - lower < 1e-3 * energy:
+                break
+        return state
+
+    def _lowered(self, state: State, delta: Float, energy: float) -> tuple[State, Float, float] | None:
+        """State, exposure and energy after the step or a part of it that lowers the energy; None if none does."""
+        turn = float(np.abs(delta[ROOT * len(self.views) : self._motions]).max(initial=0.0))
+        delta = delta * min(1.0, _LONGEST / max(turn, 1e-9))
+        for _ in range(4):
+            trial = state.retract(delta[: self._motions])
+            trial = State(trial.views, np.clip(trial.q, *self.body.limits.T))
+            lit = self.exposure + delta[self._motions :].reshape(-1, EXPOSURE)
+            lower = self.energy(trial, lit)
+            if lower < energy:
+                return trial, lit, lower
+            delta = 0.4 * delta
+        return None
+
+    def energy(self, state: State, exposure: Float) -> float:
+        """Of the weighted residuals and the priors, the support maps as they are."""
+        posed = state.posed(self.body)
+        total = sum(e.energy(posed, v, lit) for e, v, lit in zip(self.views, state.views, exposure, strict=True))
+        return total + 0.5 * float(np.sum(self._stiffness * self._off(state, exposure) ** 2))
+
+    def _off(self, state: State, exposure: Float) -> Float:
+        return np.concatenate([state.minus(self.guess), exposure.ravel()])
+
+    def _sum(self, state: State) -> tuple[Float, Float]:
+        """All views' systems in one, and the priors."""
+        V, n, posed = len(self.views), len(self._stiffness), state.posed(self.body)
+        g, H = np.zeros(n), np.zeros((n, n))
+        for v, (e, view, lit) in enumerate(zip(self.views, state.views, self.exposure, strict=True)):
+            own, exposure = ROOT * v, self._motions + EXPOSURE * v
+            rows = np.r_[own : own + ROOT, ROOT * V : self._motions, exposure : exposure + EXPOSURE]
+            more_g, more_H = e.equations(posed, view, lit)
+            g[rows] += more_g
+            H[np.ix_(rows, rows)] += more_H
+        g += self._stiffness * self._off(state, self.exposure)
+        H[range(n), range(n)] += self._stiffness
+        held = self._held(state, g)
+        g[held], H[held], H[:, held] = 0.0, 0.0, 0.0
+        H[held, held] = 1.0
+        return g, H
+
+    def _held(self, state: State, g: Float) -> Bool:
+        """Which unknowns stay: joints pressed against a limit; turns out of the image where those are not wanted."""
+        first = ROOT * len(state.views)
+        held = np.zeros(len(g), dtype=np.bool_)
+        lower, upper = self.body.limits.T
+        push = g[first : self._motions]
+        held[first : self._motions] = ((state.q <= lower) & (push > 0)) | ((state.q >= upper) & (push < 0))
+        if self.config.turns == "planar":
+            held[3:first:ROOT] = held[4:first:ROOT] = True
+        if not self.config.exposure:
+            held[self._motions :] = True
+        return held
 
 
 def _size(image: Float32) -> tuple[int, int]:
-    return image.shape[1], image.shape[0]
-
-
-def _thinned(cells: Float, visible: Bool) -> Int:
-    """The first visible point in each cell of a unit grid."""
-    seen = np.flatnonzero(visible)
-    at = np.rint(cells[seen]).astype(np.int64)
-    _, first = np.unique(at[:, 0] * 100_000 + at[:, 1], return_index=True)
-    return seen[first].astype(np.int32)
-
-
-def _near(at: Float) -> Neighbourhood:
-    at = np.rint(at[:, ::-1]).T.astype(np.int32)
-    low = at.min(axis=1, initial=0 if at.size == 0 else int(at.max()))
-    rows, columns = at - low[:, None]
-    size = (int(rows.max(initial=0)) + 1, int(columns.max(initial=0)) + 1)
-    return Neighbourhood(rows, columns, size)
-
-
-def _shape_prior(inside: Float, reach: float) -> Float:
-    """Share of the pixels so far inside the projected shape (px) that are the body's own."""
-    return 0.95 / (1.0 + np.exp(-(inside - reach) / 0.7))
-
-
-def _part(samples: Samples) -> Int:
-    best = np.argmax(samples.points.weights, axis=1)
-    return np.take_along_axis(samples.points.segments, best[:, None], axis=1)[:, 0].astype(np.int32)
-
-
-def grey(image: AnyArray) -> Float32:
-    """(H, W) float32 in [0, 1] of a grey or RGB image, uint8 or in [0, 1]."""
-    values = image.astype(np.float32) / (255.0 if image.dtype == np.uint8 else 1.0)
-    return np.ascontiguousarray(values @ _GREY.astype(np.float32) if values.ndim == 3 else values, dtype=np.float32)
+    return image.shape[-1], image.shape[-2]
 
 
 def _check(body: Body, state: State, images: Sequence[AnyArray]) -> None:

@@ -17,7 +17,8 @@ from twistcap._typing import Float
 from twistcap.body import Body, Posed
 from twistcap.body.ellipsoids import ellipsoid_body
 from twistcap.body.simplify import NINETEEN, angles_of, side_view, simplified
-from twistcap.differential.tracker import DifferentialConfig, DifferentialTracker
+from twistcap.differential.settings import DifferentialConfig
+from twistcap.differential.tracker import DifferentialTracker
 from twistcap.differential.view import ScaledView, State
 from twistcap.differential.world import state_of, world_pose
 from twistcap.estimate import Estimate
