@@ -54,6 +54,8 @@ def sampled(image: Float32, pixels: Float) -> tuple[Float, Float]:
 
 
 def _sampled(image: Float32, pixels: Float) -> tuple[Float, Float]:
+    if len(pixels) == 0:  # OpenCV will not have it
+        return np.zeros(0), np.zeros((0, 2))
     x, y = pixels.astype(np.float32).T
     height, width = image.shape
     inside = (x >= 1) & (y >= 1) & (x < width - 2) & (y < height - 2)

@@ -71,10 +71,10 @@ class DifferentialTracker:
         looks = [self._look(state, v, self._pyramid(image), none) for v, image in enumerate(images)]
         self._memory = [remember(look, None, None, self._retention) for look in looks]
 
-    def step(self, images: Sequence[AnyArray]) -> DifferentialEstimate:
-        """Follow the body into the next frame."""
+    def step(self, images: Sequence[AnyArray | None]) -> DifferentialEstimate:
+        """Follow the body into the next frame; None stands for the image of a view that dropped it."""
         _check(self.body, self.state, images)
-        pyramids = [self._pyramid(image) for image in images]
+        pyramids = [None if image is None else self._pyramid(image) for image in images]
         before, guess = self.state, self._clipped(self.state.retract(self._expected_motion()))
         moved = [self._behind(memory, levels) for memory, levels in zip(self._memory, pyramids, strict=True)]
         problem = _Frame(self.body, self.config, guess)
@@ -91,7 +91,7 @@ class DifferentialTracker:
         self.velocity, self.state = state.minus(before), state
         D = len(self.velocity)
         return DifferentialEstimate(
-            state, np.array([e.support.mean() for e in views]), np.array([e.sigma for e in views]),
+            state, np.array([e.support.mean() if len(e.support) else 0.0 for e in views]), np.array([e.sigma for e in views]),
             problem.energy(state, problem.exposure), np.asarray(np.linalg.inv(problem.matrix)[:D, :D], np.float64),
             problem.exposure,
         )  # fmt: skip
@@ -108,15 +108,18 @@ class DifferentialTracker:
     def _clipped(self, state: State) -> State:
         return State(state.views, np.clip(state.q, *self.body.limits.T))
 
-    def _behind(self, memory: Memory, levels: Sequence[Float32]) -> Float:
-        if self.config.behind == "still":
+    def _behind(self, memory: Memory, levels: Sequence[Float32] | None) -> Float:
+        if self.config.behind == "still" or levels is None:
             return STILL
         return dominant_motion(memory.pyramid[0][0], levels[0][0], memory.mask)
 
-    def _evidence(self, v: int, level: int, levels: Sequence[Float32], state: State, motion: Float) -> Evidence:
+    def _evidence(self, v: int, level: int, levels: Sequence[Float32] | None, state: State, motion: Float) -> Evidence:
+        memory = self._memory[v]
+        if levels is None:
+            return evidence(memory, level, memory.pyramid, np.zeros(len(memory.trust), np.bool_), motion, self.config)
         seen = render(state.posed(self.body), state.views[v], _size(levels[0]))
-        visible, *_ = seen.visible(self._memory[v].points, 0.03)
-        return evidence(self._memory[v], level, levels, visible, motion, self.config)
+        visible, *_ = seen.visible(memory.points, 0.03)
+        return evidence(memory, level, levels, visible, motion, self.config)
 
     def _sought(self, problem: _Frame, state: State) -> State:
         """The state with limbs where a coarse search puts them."""
@@ -124,14 +127,17 @@ class DifferentialTracker:
         return searched(self.body, state, problem.misfit_of, reach, spread)
 
     def _remember(
-        self, state: State, views: Sequence[Evidence], pyramids: Sequence[Sequence[Float32]], exposure: Float
+        self, state: State, views: Sequence[Evidence], pyramids: Sequence[Sequence[Float32] | None], exposure: Float
     ) -> None:
         memories: list[Memory] = []
         for v, e in enumerate(views):
-            old = self._memory[v]
+            old, levels = self._memory[v], pyramids[v]
+            if levels is None:
+                memories.append(old)
+                continue
             trust = old.trust.copy()
             trust[e.which] = 0.5 * (trust[e.which] + e.support)
-            memories.append(remember(self._look(state, v, pyramids[v], exposure[v]), old, trust, self._retention))
+            memories.append(remember(self._look(state, v, levels, exposure[v]), old, trust, self._retention))
         self._memory = memories
 
     def _look(self, state: State, v: int, levels: Sequence[Float32], exposure: Float) -> Look:
@@ -244,7 +250,7 @@ def _size(image: Float32) -> tuple[int, int]:
     return image.shape[-1], image.shape[-2]
 
 
-def _check(body: Body, state: State, images: Sequence[AnyArray]) -> None:
+def _check(body: Body, state: State, images: Sequence[AnyArray | None]) -> None:
     if len(images) != len(state.views):
         raise InputError(f"differential: {len(images)} images for {len(state.views)} views; give one for each view.")
     if len(state.q) != len(body.coordinate_names):
@@ -252,7 +258,7 @@ def _check(body: Body, state: State, images: Sequence[AnyArray]) -> None:
             f"differential: {len(state.q)} angles for {len(body.coordinate_names)} coordinates of the body."
         )
     for image in images:
-        if image.dtype != np.uint8 and not np.all(np.isfinite(image)):
+        if image is not None and image.dtype != np.uint8 and not np.all(np.isfinite(image)):
             raise InputError("differential: an image holds a value that is not finite; repair or leave out the frame.")
     if not np.all(np.isfinite(state.q)):
         raise InputError("differential: an angle of the first state is not finite.")

@@ -181,8 +181,8 @@ def _sagittal(scene: Capture) -> Body:
 
 
 def _nineteen(scene: Capture) -> Body:
-    """Both sides with 19 joint angles."""
-    return simplified(ellipsoid_body(scene.body), NINETEEN, at=scene.first_pose.q)
+    """Both sides with 19 joint angles, and the surface of the body itself."""
+    return simplified(scene.body, NINETEEN, at=scene.first_pose.q)
 
 
 @dataclass(frozen=True)
@@ -251,7 +251,7 @@ def _reanimation(out: Path, walk: Walk, traces: Sequence[Tracked]) -> None:
 WITH, ROBUST, WITHOUT = "support maps by EM", "robust weights", "the projected shape"
 _SIDE = DifferentialConfig(turns="planar")
 _SIDE_STUDIO = StudioConfig(frames=101)
-_PLATES = DifferentialConfig(search_deg=30.0, carry=0.6, stray_deg=12.0, update=0.1)
+_PLATES = DifferentialConfig(levels=3, search_deg=30.0, carry=0.6, stray_deg=12.0, update=0.1)
 
 T1 = DifferentialTrial(
     "T-1", "one view, walking across it, 100 frames: trunk, head, one arm and one leg of ellipsoids",
