@@ -249,7 +249,7 @@ def _reanimation(out: Path, walk: Walk, traces: Sequence[Tracked]) -> None:
 
 
 WITH, ROBUST, WITHOUT = "support maps by EM", "robust weights", "the projected shape"
-_SIDE = DifferentialConfig(turns="planar")
+_SIDE = DifferentialConfig(turns="planar", stray_scale=0.003)
 _SIDE_STUDIO = StudioConfig(frames=101)
 _PLATES = DifferentialConfig(levels=3, search_deg=30.0, carry=0.6, stray_deg=12.0, update=0.1)
 
@@ -263,7 +263,7 @@ T2 = DifferentialTrial(
 )  # fmt: skip
 T3 = DifferentialTrial(
     "T-3", "plates: three views, a dozen exposures in a cycle, grain, flicker, low contrast, 19 joint angles",
-    Walk((-90.0, -30.0, -150.0), 10.0, StudioConfig(frames=14, colour=False, plates=True, sensor_noise=0.0), per_cycle=12),
+    Walk((-90.0, 25.0, 155.0), 10.0, StudioConfig(frames=14, colour=False, plates=True, sensor_noise=0.0), per_cycle=12),
     _nineteen, (("tracked", _PLATES),), _plate_rows, picture=_reanimation,
 )  # fmt: skip
 T_EM = DifferentialTrial(
