@@ -249,7 +249,7 @@ def _reanimation(out: Path, walk: Walk, traces: Sequence[Tracked]) -> None:
 
 
 WITH, ROBUST, WITHOUT = "support maps by EM", "robust weights", "the projected shape"
-_SIDE = DifferentialConfig(turns="planar", stray_scale=0.003)
+_SIDE = DifferentialConfig(turns="planar", stray_scale=0.003, colour=False)  # grey, as the paper's
 _SIDE_STUDIO = StudioConfig(frames=101)
 _PLATES = DifferentialConfig(levels=3, search_deg=30.0, carry=0.6, stray_deg=12.0, update=0.1)
 
@@ -259,7 +259,7 @@ T1 = DifferentialTrial(
 )  # fmt: skip
 T2 = DifferentialTrial(
     "T-2", "one view, walking obliquely towards it, 100 frames; the scale grows",
-    Walk((-50.0,), 6.0, _SIDE_STUDIO), _sagittal, (("tracked", DifferentialConfig()),), _OneView("T-2", 5.0, 3.0),
+    Walk((-50.0,), 6.0, _SIDE_STUDIO), _sagittal, (("tracked", DifferentialConfig(colour=False)),), _OneView("T-2", 5.0, 3.0),
 )  # fmt: skip
 T3 = DifferentialTrial(
     "T-3", "plates: three views, a dozen exposures in a cycle, grain, flicker, low contrast, 19 joint angles",
@@ -268,7 +268,7 @@ T3 = DifferentialTrial(
 )  # fmt: skip
 T_EM = DifferentialTrial(
     "T-EM", "as T-1, the clothes loose and clutter moving behind: support maps on, against off",
-    Walk((-90.0,), 8.0, replace(_SIDE_STUDIO, cloth=0.012, passers=4)), _planar,
+    Walk((-90.0,), 8.0, replace(_SIDE_STUDIO, frames=61, cloth=0.012, passers=4)), _planar,
     ((WITH, _SIDE), (ROBUST, replace(_SIDE, support="robust")), (WITHOUT, replace(_SIDE, support="shape"))), _support_rows,
 )  # fmt: skip
 TRIALS = (T1, T2, T3, T_EM)
