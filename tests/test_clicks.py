@@ -16,10 +16,8 @@ from twistcap.firstpose.clicks import ClickConfig, ClickEnergy, _gathered, fit_c
 from twistcap.firstpose.skeleton import Skeleton
 
 GENERIC = humanoid()
-JOINTS = tuple(f"{j}_{s}" for s in "rl" for j in ("hip", "knee", "ankle", "toe", "shoulder", "elbow", "wrist")) + (
-    "neck",
-    "head_top",
-)
+SIDED = ("hip", "knee", "ankle", "toe", "shoulder", "elbow", "wrist")
+JOINTS = (*(f"{joint}_{side}" for side in "rl" for joint in SIDED), "neck", "head_top")
 FRONT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
 
 
@@ -57,8 +55,9 @@ def test_three_views_give_angles_and_lengths() -> None:
         {"femur_r": 1.08, "femur_l": 1.08, "tibia_r": 0.94, "tibia_l": 0.94, "humerus_r": 1.1, "humerus_l": 1.1},
     )
     q = np.zeros(19)
-    for name, degrees in {"hip_flexion_r": 25, "knee_angle_r": 15, "hip_flexion_l": -10, "knee_angle_l": 35, "arm_flex_r": -20,
-                          "arm_flex_l": 25, "elbow_flex_r": 20, "elbow_flex_l": 40}.items():  # fmt: skip
+    posture = {"hip_flexion_r": 25, "knee_angle_r": 15, "hip_flexion_l": -10, "knee_angle_l": 35}
+    posture |= {"arm_flex_r": -20, "arm_flex_l": 25, "elbow_flex_r": 20, "elbow_flex_l": 40}
+    for name, degrees in posture.items():
         q[body.coordinate(name)] = np.deg2rad(degrees)
     state = State((view_of(90), view_of(30), view_of(150)), q)
     found = fit_clicks(generic, clicked(body, state, JOINTS, rng, 0.5), facing_deg=(80, 40, 140))

@@ -52,7 +52,10 @@ def errors_deg(model, states, frames) -> np.ndarray:
 def test_two_views_follow_a_walk() -> None:
     model, start = the_model()
     found = track(model, start, images(), FEW)
-    errors, still = errors_deg(model, [e.state for e in found], range(1, 6)), errors_deg(model, [start] * 5, range(1, 6))
+    errors, still = (
+        errors_deg(model, [e.state for e in found], range(1, 6)),
+        errors_deg(model, [start] * 5, range(1, 6)),
+    )
     legs = [model.coordinate(n) for n in model.coordinate_names if "knee" in n or "hip_flexion" in n]
     assert errors[:, legs].mean() < 2.0
     assert errors[-1, legs].mean() < 0.35 * still[-1, legs].mean()
@@ -71,7 +74,9 @@ def test_a_dropped_image_is_passed_over() -> None:
 def test_a_change_of_exposure_is_found() -> None:
     model, start = the_model()
     brighter = tuple(np.clip(1.1 * image.astype(np.float32) / 255 + 0.02, 0, 1) for image in images()[0])
-    found = track(model, start, [tuple(i.astype(np.float32) / 255 for i in images()[0]), brighter], replace(FEW, colour=False))[0]
+    found = track(
+        model, start, [tuple(i.astype(np.float32) / 255 for i in images()[0]), brighter], replace(FEW, colour=False)
+    )[0]
     np.testing.assert_allclose(found.exposure[:, 0], 0.1, atol=0.03)
     assert np.degrees(np.abs(found.state.q - start.q)).max() < 1.0
 

@@ -102,7 +102,7 @@ def ellipsoid_body(body: Body, ellipsoids: Ellipsoids | None = None) -> Body:
 def nearest_depths(forms: Float, centres: Float, pixels: Float) -> tuple[Float, Int]:
     """Depth (N,) of the nearest ellipsoid along each ray of a scaled-orthographic view, and which; inf, -1 if none.
 
-    The ray ``x(z) = (x, y, z)`` meets ``(x − c)ᵀ A (x − c) = 1`` where a quadratic in z vanishes; its lesser root is seen.
+    The ray ``x(z) = (x, y, z)`` meets ``(x − c)ᵀ A (x − c) = 1`` where a quadratic in z vanishes: at its lesser root.
 
     Args:
         forms: (E, 3, 3) A in camera axes, 1/px².

@@ -100,7 +100,9 @@ class Evidence:
         else:
             weight = there * (self.support if len(self.support) else self.prior)
             S = len(posed.body.segment_names)
-            sigma = np.stack([robust_scale(r[:, c], self.part, S, weight)[self.part] for c in range(r.shape[1])], axis=1)
+            sigma = np.stack(
+                [robust_scale(r[:, c], self.part, S, weight)[self.part] for c in range(r.shape[1])], axis=1
+            )
             if config.support == "em":
                 self.support = posterior(r, self.behind, self.prior, sigma, self._sigma_behind(), self.near)
             else:

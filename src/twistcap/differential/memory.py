@@ -38,13 +38,17 @@ def pyramid(image: Float32, levels: int, blur: float = 0.7) -> list[Float32]:
 
 
 def _pyramid(image: Float32, levels: int, blur: float) -> list[Float32]:
-    out = [cv2.GaussianBlur(image, (0, 0), blur)]
+    out: list[Float32] = [_blurred(image, blur)]
     for _ in range(levels - 1):
         height, width = out[-1].shape
         even = out[-1][: height // 2 * 2, : width // 2 * 2]
-        small = cv2.resize(cv2.GaussianBlur(even, (0, 0), 0.8), (width // 2, height // 2), interpolation=cv2.INTER_AREA)
-        out.append(cv2.GaussianBlur(small, (0, 0), blur))
+        small = cv2.resize(_blurred(even, 0.8), (width // 2, height // 2), interpolation=cv2.INTER_AREA)
+        out.append(_blurred(np.asarray(small, np.float32), blur))
     return out
+
+
+def _blurred(image: Float32, sigma: float) -> Float32:
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), np.float32)
 
 
 def sampled(image: Float32, pixels: Float) -> tuple[Float, Float]:
@@ -168,7 +172,16 @@ def remember(look: Look, old: Memory | None, trust: Float | None, how: Retention
     none = np.zeros(len(points), np.int32)
     inside = look.seen.inside[rows, columns].astype(float)
     parts.append(
-        Memory(points, *look.brightness(pixels), none + 0.5, inside, none, pixels, look.pyramid, look.seen.mask)
+        Memory(
+            points,
+            *look.brightness(pixels),
+            np.full(len(points), 0.5),
+            inside,
+            none,
+            pixels,
+            look.pyramid,
+            look.seen.mask,
+        )
     )
     return _joined(parts)
 
@@ -216,7 +229,7 @@ def _joined(parts: Sequence[Memory]) -> Memory:
         np.concatenate([getattr(part, name) for part in parts])
         for name in ("value", "gradient", "trust", "inside", "missed", "pixels")
     )
-    known = np.isfinite(value).all(axis=(1, 2))
+    known = np.asarray(np.isfinite(value).all(axis=(1, 2)), np.bool_)
     last = parts[-1]
     return Memory(
         points[known], value[known], gradient[known], trust[known], inside[known], missed[known].astype(np.int32),

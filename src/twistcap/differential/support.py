@@ -41,7 +41,7 @@ class Neighbourhood:
 
     def _image(self, values: Float) -> Float32:
         flat = np.bincount(self.rows * self.size[1] + self.columns, values, self.size[0] * self.size[1])
-        return cv2.GaussianBlur(flat.reshape(self.size).astype(np.float32), (0, 0), self.width)
+        return np.asarray(cv2.GaussianBlur(flat.reshape(self.size).astype(np.float32), (0, 0), self.width), np.float32)
 
 
 def robust_scale(residual: Float, part: Int, parts: int, weight: Float) -> Float:

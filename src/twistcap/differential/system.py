@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from twistcap import se3
-from twistcap._typing import Bool, Float, Float32
+from twistcap._typing import Bool, Float, Float32, Int
 from twistcap.body import Posed
 from twistcap.differential.view import ROOT, ScaledView
 from twistcap.render import SurfacePoints
@@ -90,7 +90,7 @@ def _camera_twists(posed: Posed, view: ScaledView) -> Float:
 
 @njit(cache=True, nogil=True)
 def _residuals(
-    transforms: Float, segments: Float, weights: Float, local: Float, P: Float, value: Float, image: Float32,
+    transforms: Float, segments: Int, weights: Float, local: Float, P: Float, value: Float, image: Float32,
     exposure: Float,
 ) -> Float:  # fmt: skip
     out = np.full(len(local), np.nan)
@@ -113,7 +113,7 @@ def _residuals(
 
 @njit(cache=True, nogil=True)
 def _normal_equations(
-    transforms: Float, segments: Float, weights: Float, local: Float, chain: Bool, twists: Float, P: Float, M: Float,
+    transforms: Float, segments: Int, weights: Float, local: Float, chain: Bool, twists: Float, P: Float, M: Float,
     value: Float, gradient: Float, image: Float32, exposure: Float, weight: Float,
 ) -> tuple[Float, Float]:  # fmt: skip
     """`twists` (J, 6) in camera axes and px; `M` (3, 3) takes the body frame there."""

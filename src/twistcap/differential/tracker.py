@@ -91,10 +91,13 @@ class DifferentialTracker:
         self.velocity, self.state = state.minus(before), state
         D = len(self.velocity)
         return DifferentialEstimate(
-            state, np.array([e.support.mean() if len(e.support) else 0.0 for e in views]), np.array([e.sigma for e in views]),
-            problem.energy(state, problem.exposure), np.asarray(np.linalg.inv(problem.matrix)[:D, :D], np.float64),
+            state,
+            np.array([e.support.mean() if len(e.support) else 0.0 for e in views]),
+            np.array([e.sigma for e in views]),
+            problem.energy(state, problem.exposure),
+            np.asarray(np.linalg.inv(problem.matrix)[:D, :D], np.float64),
             problem.exposure,
-        )  # fmt: skip
+        )
 
     def _pyramid(self, image: AnyArray) -> list[Float32]:
         return pyramid(channels(image, self.config.colour), self.config.levels)
@@ -184,7 +187,7 @@ class _Frame:
                 e.expect(posed, view, lit, self.config)
             g, self.matrix = self._sum(state)
             energy = self.energy(state, self.exposure)
-            found = self._lowered(state, -np.linalg.solve(self.matrix, g), energy)
+            found = self._lowered(state, np.asarray(-np.linalg.solve(self.matrix, g), np.float64), energy)
             if found is None:
                 break
             state, self.exposure, lower = found

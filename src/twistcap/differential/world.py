@@ -41,4 +41,4 @@ def _nearest(points: Sequence[Float], cameras: Sequence[Camera]) -> Float:
         weight = np.eye(3) - (1.0 - _DEPTH) * np.outer(ray, ray)
         A += weight
         b += weight @ point
-    return np.linalg.solve(A, b)
+    return np.asarray(np.linalg.solve(A, b), np.float64)

@@ -167,7 +167,8 @@ def _minimised(skeleton: Skeleton, clicks: _Clicks, start: State, config: ClickC
             value, gradient = problem(unit * y)
             return value, unit * gradient
 
-        bounds = [tuple(None if b is None else b / u for b in pair) for pair, u in zip(problem.bounds, unit, strict=True)]
+        limits = zip(problem.bounds, unit, strict=True)
+        bounds = [tuple(None if b is None else b / u for b in pair) for pair, u in limits]
         done = minimize(scaled, x0 / unit, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 300})
         energy, (state, factors) = float(done.fun), problem.unpacked(unit * done.x)
     return energy, state, factors

@@ -131,10 +131,19 @@ def _trace(
     ]
     knee = model.coordinate("knee_angle_r")
     return Tracked(
-        arm, scene.config.seed, np.abs(off[:, judged]).mean(axis=1), mm, estimates, _shot(trial, arm, model, scene, images, states),
-        np.degrees(q[:, knee]), np.degrees(true_q[:, knee]), off, model.coordinate_names, np.abs(scale).mean(axis=1),
+        arm,
+        scene.config.seed,
+        np.abs(off[:, judged]).mean(axis=1),
+        mm,
+        estimates,
+        _shot(trial, arm, model, scene, images, states),
+        np.degrees(q[:, knee]),
+        np.degrees(true_q[:, knee]),
+        off,
+        model.coordinate_names,
+        np.abs(scale).mean(axis=1),
         1.0 - float(lost_frames(mm, LOST_FRAME_MM).mean()),
-    )  # fmt: skip
+    )
 
 
 def _image_mm(model: Body, state: State, scene: Capture, frame: int) -> Float:
@@ -213,11 +222,19 @@ def _plate_rows(traces: Sequence[Tracked]) -> list[Row]:
     angles, share = [t.mean_deg() for t in traces], [t.share_tracked for t in traces]
     needed = 7 / 8 * len(traces)
     return [
-        row("T-3", "all exposures tracked", sum(whole), "sequences", at_least=needed, seeds=whole, lost=int(len(whole) - sum(whole))),
+        row(
+            "T-3",
+            "all exposures tracked",
+            sum(whole),
+            "sequences",
+            at_least=needed,
+            seeds=whole,
+            lost=int(len(whole) - sum(whole)),
+        ),
         row("T-3", "exposures tracked", float(np.mean(share)), "share", seeds=share),
         row("T-3", "all 19 angles", float(np.mean(angles)), "deg", at_most=5.0, seeds=angles),
         *(_errors("T-3", joint, traces, None) for joint in ("hip_flexion", "knee_angle", "arm_flex", "elbow_flex")),
-    ]  # fmt: skip
+    ]
 
 
 def _support_rows(traces: Sequence[Tracked]) -> list[Row]:
@@ -254,21 +271,39 @@ _SIDE_STUDIO = StudioConfig(frames=101)
 _PLATES = DifferentialConfig(levels=3, search_deg=30.0, carry=0.6, stray_deg=12.0, update=0.1)
 
 T1 = DifferentialTrial(
-    "T-1", "one view, walking across it, 100 frames: trunk, head, one arm and one leg of ellipsoids",
-    Walk((-90.0,), 8.0, _SIDE_STUDIO), _planar, (("tracked", _SIDE),), _OneView("T-1", 3.0), picture=_norm_picture,
-)  # fmt: skip
+    "T-1",
+    "one view, walking across it, 100 frames: trunk, head, one arm and one leg of ellipsoids",
+    Walk((-90.0,), 8.0, _SIDE_STUDIO),
+    _planar,
+    (("tracked", _SIDE),),
+    _OneView("T-1", 3.0),
+    picture=_norm_picture,
+)
 T2 = DifferentialTrial(
-    "T-2", "one view, walking obliquely towards it, 100 frames; the scale grows",
-    Walk((-50.0,), 6.0, _SIDE_STUDIO), _sagittal, (("tracked", DifferentialConfig(colour=False)),), _OneView("T-2", 5.0, 3.0),
-)  # fmt: skip
+    "T-2",
+    "one view, walking obliquely towards it, 100 frames; the scale grows",
+    Walk((-50.0,), 6.0, _SIDE_STUDIO),
+    _sagittal,
+    (("tracked", DifferentialConfig(colour=False)),),
+    _OneView("T-2", 5.0, 3.0),
+)
 T3 = DifferentialTrial(
-    "T-3", "plates: three views, a dozen exposures in a cycle, grain, flicker, low contrast, 19 joint angles",
-    Walk((-90.0, 25.0, 155.0), 10.0, StudioConfig(frames=14, colour=False, plates=True, sensor_noise=0.0), per_cycle=12),
-    _nineteen, (("tracked", _PLATES),), _plate_rows, picture=_reanimation,
-)  # fmt: skip
+    "T-3",
+    "plates: three views, a dozen exposures in a cycle, grain, flicker, low contrast, 19 joint angles",
+    Walk(
+        (-90.0, 25.0, 155.0), 10.0, StudioConfig(frames=14, colour=False, plates=True, sensor_noise=0.0), per_cycle=12
+    ),
+    _nineteen,
+    (("tracked", _PLATES),),
+    _plate_rows,
+    picture=_reanimation,
+)
 T_EM = DifferentialTrial(
-    "T-EM", "as T-1, the clothes loose and clutter moving behind: support maps on, against off",
-    Walk((-90.0,), 8.0, replace(_SIDE_STUDIO, frames=61, cloth=0.012, passers=4)), _planar,
-    ((WITH, _SIDE), (ROBUST, replace(_SIDE, support="robust")), (WITHOUT, replace(_SIDE, support="shape"))), _support_rows,
-)  # fmt: skip
+    "T-EM",
+    "as T-1, the clothes loose and clutter moving behind: support maps on, against off",
+    Walk((-90.0,), 8.0, replace(_SIDE_STUDIO, frames=61, cloth=0.012, passers=4)),
+    _planar,
+    ((WITH, _SIDE), (ROBUST, replace(_SIDE, support="robust")), (WITHOUT, replace(_SIDE, support="shape"))),
+    _support_rows,
+)
 TRIALS = (T1, T2, T3, T_EM)
