@@ -266,7 +266,7 @@ def _reanimation(out: Path, walk: Walk, traces: Sequence[Tracked]) -> None:
 
 
 WITH, ROBUST, WITHOUT = "support maps by EM", "robust weights", "the projected shape"
-_SIDE = DifferentialConfig(turns="planar", stray_scale=0.003, colour=False)  # grey, as the paper's
+_SIDE = DifferentialConfig(turns="planar", colour=False)  # grey, as the paper's
 _SIDE_STUDIO = StudioConfig(frames=101)
 _PLATES = DifferentialConfig(levels=3, search_deg=30.0, carry=0.6, stray_deg=12.0, update=0.1)
 
