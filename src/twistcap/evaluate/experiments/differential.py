@@ -291,7 +291,7 @@ T3 = DifferentialTrial(
     "T-3",
     "plates: three views, a dozen exposures in a cycle, grain, flicker, low contrast, 19 joint angles",
     Walk(
-        (-90.0, 25.0, 155.0), 10.0, StudioConfig(frames=14, colour=False, plates=True, sensor_noise=0.0), per_cycle=12
+        (-90.0, -30.0, -150.0), 10.0, StudioConfig(frames=14, colour=False, plates=True, sensor_noise=0.0), per_cycle=12
     ),
     _nineteen,
     (("tracked", _PLATES),),
