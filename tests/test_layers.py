@@ -25,6 +25,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("cues",),
     ("predict", "priors"),
     ("motion",),
+    ("differential",),
     ("settings",),
     ("track",),
     ("firstpose",),

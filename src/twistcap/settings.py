@@ -15,6 +15,7 @@ from twistcap.cues.keypoints import KeypointCue
 from twistcap.cues.levelset import LevelSetContour
 from twistcap.cues.rivals import RivalRule
 from twistcap.cues.support import SupportRule
+from twistcap.differential.settings import DifferentialConfig
 from twistcap.errors import InputError
 from twistcap.features import Channels
 from twistcap.motion import MotionKind
@@ -28,7 +29,8 @@ class TrackerConfig:
     """All settings of the tracker.
 
     Attributes:
-        method: "direct" (no level set; the default) or "levelset" (the chapter's coupled method).
+        method: "direct" (no level set; the default), "levelset" (the chapter's coupled method), or
+            "differential": brightness alone, see `twistcap.differential`, which reads only the table of that name.
         channels: what region statistics look at: "grey", "lab", "grey+texture" (5 channels) or "lab+texture" (7).
         despeckle: px across of a median filter of all images, 1, 3 or 5: it takes out single wrong pixels, as noise
             on a video line leaves them. 1 leaves the images as they are.
@@ -57,6 +59,7 @@ class TrackerConfig:
         margin: m about the expected body within which images are looked at.
         inflation: factor on every claimed standard deviation: contour and brightness samples are not independent, and
             no body is exact; set on studio captures with truth (docs/covariance.md).
+        differential: of the method of that name.
         direct, levelset: the contour cue of each method.
         brightness, keypoints, flow: the other cues.
         noise: how far a body strays from the prediction.
@@ -68,7 +71,7 @@ class TrackerConfig:
         first_sigma_deg, first_sigma_m: how far the given first pose may be off (joints and root turn; root place).
     """
 
-    method: Literal["direct", "levelset"] = "direct"
+    method: Literal["direct", "levelset", "differential"] = "direct"
     channels: Channels = "lab"
     despeckle: int = 1
     density: Density = "local"
@@ -92,6 +95,7 @@ class TrackerConfig:
     inflation: float = 5.0
     first_sigma_deg: float = 1.0
     first_sigma_m: float = 0.005
+    differential: DifferentialConfig = field(default_factory=DifferentialConfig)
     direct: DirectContour = field(default_factory=DirectContour)
     levelset: LevelSetContour = field(default_factory=LevelSetContour)
     brightness: Brightness = field(default_factory=Brightness)
