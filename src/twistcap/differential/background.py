@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import cv2
 import numpy as np
 
@@ -20,17 +22,15 @@ def dominant_motion(before: Float32, after: Float32, body: Bool) -> Float:
     """
     off = cv2.erode((~body).astype(np.uint8) * 255, np.ones((9, 9), np.uint8))
     first, second = (np.clip(255 * image, 0, 255).astype(np.uint8) for image in (before, after))
-    corners: AnyArray | None = cv2.goodFeaturesToTrack(first, 300, 0.01, 6, mask=off)
+    corners = cast("AnyArray | None", cv2.goodFeaturesToTrack(first, 300, 0.01, 6, mask=off))  # stubs leave None out
     if corners is None or len(corners) < _FEWEST:
         return STILL
     moved, found, _ = cv2.calcOpticalFlowPyrLK(first, second, corners, np.empty_like(corners))
     kept = found.ravel() == 1
     if np.count_nonzero(kept) < _FEWEST:
         return STILL
-    found_motion: tuple[AnyArray | None, AnyArray] = cv2.estimateAffine2D(
-        corners[kept], moved[kept], ransacReprojThreshold=0.7
-    )
-    motion, inliers = found_motion
+    found_motion = cv2.estimateAffine2D(corners[kept], moved[kept], ransacReprojThreshold=0.7)
+    motion, inliers = cast("tuple[AnyArray | None, AnyArray]", found_motion)
     if motion is None or np.count_nonzero(inliers) < _FEWEST:
         return STILL
     return np.asarray(motion, np.float64)
