@@ -16,7 +16,7 @@ _EIGHT = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]])
 
 @dataclass(frozen=True)
 class ArmCorner:
-    """A bent arm of the joint view, pixels: its skeleton (N, 2) from the fingertip, the corner's index, the elbow (2,)."""
+    """A bent arm of the joint view, pixels: skeleton (N, 2) from the fingertip, index of its corner, elbow (2,)."""
 
     path: Float
     corner: int

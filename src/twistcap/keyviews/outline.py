@@ -59,7 +59,10 @@ def separate(mask: Bool, body_line: float | None = None) -> Separation:
 def outline(mask: Bool) -> Float:
     """(N, 2) the boundary pixels (x, y) of a mask, clockwise in the image."""
     curves, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    return max(curves, key=len)[:, 0].astype(float)
+    curve = max(curves, key=len)[:, 0].astype(float)
+    x, y = curve.T
+    clockwise = x @ np.roll(y, -1) > y @ np.roll(x, -1)  # y runs down
+    return curve if clockwise else curve[::-1]
 
 
 def corners(curve: Float, reach: tuple[int, int], angle: float, closed: bool) -> tuple[Int, Float]:
@@ -79,7 +82,7 @@ def corners(curve: Float, reach: tuple[int, int], angle: float, closed: bool) ->
             found[:k] = found[n - k :] = np.pi
         sharper = found < opening
         opening = np.where(sharper, found, opening)
-        turn = np.where(sharper, b[:, 0] * a[:, 1] - b[:, 1] * a[:, 0], turn)
+        turn = np.where(sharper, a[:, 1] * b[:, 0] - a[:, 0] * b[:, 1], turn)  # > 0: to the right, as convex ones do
     kept: list[int] = []
     for i in np.argsort(opening):
         apart = [min(abs(i - j), n - abs(i - j)) if closed else abs(i - j) for j in kept]

@@ -78,7 +78,7 @@ def _meet(c1: Float, p1: Float, c2: Float, p2: Float, normal: Float) -> Float:
 
 
 def closed_spline(control: Float, count: int) -> Float:
-    """(…, count, 3) points of the closed quadratic B-spline of control points (…, n, 3), from the middle of the first edge.
+    """(…, count, 3) points of the closed quadratic B-spline of control points (…, n, 3).
 
     It touches each edge of the control polygon in its middle: with four points, the four rays of the silhouettes are
     its tangents. (A cubic one would keep away from them.) de Boor's algorithm is scipy's.
