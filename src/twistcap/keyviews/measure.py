@@ -22,13 +22,13 @@ _STEP = 0.012  # m between slices
 # Joint shifts: where anatomy has a joint less where the silhouettes show one (x forward, y outward, z up; shares of
 # stature), in the poses of the key views. Measured on the built-in humanoid; they hold as far as people are alike.
 SHIFT: dict[str, tuple[float, float, float]] = {
-    "shoulder": (0.0, 0.0, 0.0),
-    "elbow": (0.0, 0.0, 0.0),
-    "wrist": (0.0, 0.0, 0.0),
-    "hip": (0.0, 0.0, 0.0),
-    "knee": (0.0, 0.0, 0.0),
-    "ankle": (0.0, 0.0, 0.0),
-    "neck": (0.0, 0.0, 0.0),
+    "shoulder": (-0.0025, 0.006, 0.0),
+    "elbow": (0.0, 0.0025, 0.0),
+    "wrist": (0.0, 0.012, 0.0),
+    "hip": (-0.005, -0.009, 0.052),
+    "knee": (0.005, -0.0045, 0.0),
+    "ankle": (0.0147, 0.0, 0.0),
+    "neck": (-0.0085, 0.0, -0.025),
 }
 
 
@@ -77,14 +77,18 @@ def measure(views: Mapping[str, KeyView], body_line: float | None = None) -> Mea
     for part, control in slices.items():
         if len(control) < 8:
             raise InputError(f"key views: {part} is seen in {len(control)} slices; check silhouettes and calibration.")
-    top, bottom = slices["trunk"].mean(axis=1)[:, 2].max(), slices["leg_r"].mean(axis=1)[:, 2].min()
-    stature = float(top - bottom) + _STEP
+    floor, top = _heights(views["front"], slices)
+    stature = top - floor
     height = float(np.ptp(np.flatnonzero(views["front"].mask.any(axis=1))))
     corners = {s: arm_corner(elbows.arms[k], elbows.pits[k], height) for k, s in enumerate(SIDES)}
     found = _centre_joints(views["front"], slices, front)
     for k, s in enumerate(SIDES):
-        found |= _leg_joints(views["front"], slices[f"leg_{s}"], front, s, stature)
+        found |= _leg_joints(views["front"], slices[f"leg_{s}"], front, s, floor, stature)
         found |= _arm_joints(views, slices[f"arm_{s}"], front.pits[k], elbows.arms[k], corners[s], s)
+    for joint in ("hip", "knee", "ankle"):  # from the side one leg hides behind the other: both stand alike
+        x = (found[f"{joint}_r"][0] + found[f"{joint}_l"][0]) / 2
+        for s in SIDES:
+            found[f"{joint}_{s}"][0] = x
     return Measured(to_world, stature, slices, _shifted(found, stature), front, corners, elbows)
 
 
@@ -189,25 +193,41 @@ def _arm_slices(views: Mapping[str, KeyView], arm: Bool, sign: int) -> Float:
     return sections(*_cuts(views, arm, "above"), middles)
 
 
+def _heights(view: KeyView, slices: Mapping[str, Float]) -> tuple[float, float]:
+    """Floor and top of the head, m: the lowest pixel is a tip of a foot, the highest the middle of the head."""
+    rows = np.flatnonzero(view.mask.any(axis=1))
+    toes = max(float(slices[f"leg_{s}"][-8:, :, 0].max()) for s in SIDES)
+    depths = (float(slices["trunk"][-1, :, 0].mean()), toes)
+    top, floor = (
+        float(_frontal(view, np.array([np.flatnonzero(view.mask[r]).mean(), r]), x)[2])
+        for r, x in zip((rows[0], rows[-1]), depths, strict=True)
+    )
+    return floor, top
+
+
 def _centre_joints(view: KeyView, slices: Mapping[str, Float], front: Separation) -> dict[str, Float]:
     centres = slices["trunk"].mean(axis=1)
     neck = _frontal(view, front.neck)
     return {"neck": np.array([np.interp(neck[2], centres[:, 2], centres[:, 0]), neck[1], neck[2]])}
 
 
-def _leg_joints(view: KeyView, leg: Float, front: Separation, side: str, stature: float) -> dict[str, Float]:
+def _leg_joints(
+    view: KeyView, leg: Float, front: Separation, side: str, floor: float, stature: float
+) -> dict[str, Float]:
     """Hip, knee and ankle of one leg, on the straight line that its slices follow.
 
-    A straight leg shows no knee: it lies between hip and ankle where it does in people, Winter (2009), fig. 4.1.
+    A straight leg shows neither knee nor ankle: they lie at the heights they have in people, Winter (2009), fig. 4.1.
     """
     centres = leg.mean(axis=1)
-    floor = float(centres[-1, 2])
-    ankle_z = narrowest(leg, centres[:, 2] - floor, (0.035 * stature, 0.15 * stature)) + floor
     crotch = float(_frontal(view, front.crotch)[2])
-    straight = (centres[:, 2] > ankle_z) & (centres[:, 2] < crotch - 0.06 * stature)
+    hip_z = crotch + SHIFT["hip"][2] * stature
+    ankle_z = floor + P.RATIOS["ankle_height"] * stature
+    straight = (centres[:, 2] > ankle_z + 0.06 * stature) & (centres[:, 2] < crotch - 0.06 * stature)
+    if straight.sum() < 4:
+        raise InputError("key views: the legs are not seen from thigh to shank; check silhouettes and calibration.")
     fit = np.polynomial.polynomial.polyfit(centres[straight, 2], centres[straight, :2], 1)
     share = P.RATIOS["thigh"] / (P.RATIOS["thigh"] + P.RATIOS["shank"])
-    heights = {"hip": crotch, "knee": crotch + share * (ankle_z - crotch), "ankle": ankle_z}
+    heights = {"hip": crotch, "knee": hip_z + share * (ankle_z - hip_z), "ankle": ankle_z}
     return {f"{n}_{side}": np.array([*(fit[0] + fit[1] * z), z]) for n, z in heights.items()}
 
 
@@ -228,6 +248,7 @@ def _arm_joints(
     def at(distance: float) -> Float:
         return np.array([np.interp(distance, from_tip[::-1], centres[::-1, k]) for k in range(3)])
 
-    shoulder = at(float(from_tip[0]))
-    shoulder[1] = _frontal(views["front"], pit, x)[1]
+    upper = (from_tip > reach) & (from_tip < reach + 0.7 * (from_tip[0] - reach))
+    fit = np.polynomial.polynomial.polyfit(centres[upper, 1], centres[upper], 1)
+    shoulder = fit[0] + fit[1] * _frontal(views["front"], pit, x)[1]
     return {f"shoulder_{side}": shoulder, f"elbow_{side}": at(reach), f"wrist_{side}": at(wrist)}
