@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from twistcap import se3
@@ -20,15 +22,16 @@ from twistcap.keyviews.silhouette import KeyView, check_views, middle_pixel, nea
 SIDES = ("r", "l")
 _STEP = 0.012  # m between slices
 # Joint shifts: where anatomy has a joint less where the silhouettes show one (x forward, y outward, z up; shares of
-# stature), in the poses of the key views. Measured on the built-in humanoid; they hold as far as people are alike.
+# stature), in the poses of the key views. Measured on the built-in humanoid, but for the hip's height above the crotch:
+# 0.530 (Winter 2009, fig. 4.1) less the 0.478 of the crotch in ANSUR. They hold as far as people are alike.
 SHIFT: dict[str, tuple[float, float, float]] = {
-    "shoulder": (-0.0025, 0.006, 0.0),
+    "shoulder": (0.0, 0.006, 0.0),
     "elbow": (0.0, 0.0025, 0.0),
     "wrist": (0.0, 0.012, 0.0),
-    "hip": (-0.005, -0.009, 0.052),
-    "knee": (0.005, -0.0045, 0.0),
-    "ankle": (0.0147, 0.0, 0.0),
-    "neck": (-0.0085, 0.0, -0.025),
+    "hip": (0.0, 0.0, 0.052),
+    "knee": (0.0, 0.0, 0.0),
+    "ankle": (0.0, 0.0, 0.0),
+    "neck": (0.0, 0.0, -0.025),
 }
 
 
@@ -78,17 +81,15 @@ def measure(views: Mapping[str, KeyView], body_line: float | None = None) -> Mea
         if len(control) < 8:
             raise InputError(f"key views: {part} is seen in {len(control)} slices; check silhouettes and calibration.")
     floor, top = _heights(views["front"], slices)
+    slices |= _mended(slices, views["side"], floor)
     stature = top - floor
     height = float(np.ptp(np.flatnonzero(views["front"].mask.any(axis=1))))
     corners = {s: arm_corner(elbows.arms[k], elbows.pits[k], height) for k, s in enumerate(SIDES)}
-    found = _centre_joints(views["front"], slices, front)
+    found = _centre_joints(views["front"], slices, front, stature)
     for k, s in enumerate(SIDES):
         found |= _leg_joints(views["front"], slices[f"leg_{s}"], front, s, floor, stature)
         found |= _arm_joints(views, slices[f"arm_{s}"], front.pits[k], elbows.arms[k], corners[s], s)
-    for joint in ("hip", "knee", "ankle"):  # from the side one leg hides behind the other: both stand alike
-        x = (found[f"{joint}_r"][0] + found[f"{joint}_l"][0]) / 2
-        for s in SIDES:
-            found[f"{joint}_{s}"][0] = x
+        found[f"shoulder_{s}"][0] = _mid_depth(slices["trunk"], found[f"shoulder_{s}"][2])
     return Measured(to_world, stature, slices, _shifted(found, stature), front, corners, elbows)
 
 
@@ -205,16 +206,73 @@ def _heights(view: KeyView, slices: Mapping[str, Float]) -> tuple[float, float]:
     return floor, top
 
 
-def _centre_joints(view: KeyView, slices: Mapping[str, Float], front: Separation) -> dict[str, Float]:
-    centres = slices["trunk"].mean(axis=1)
+def _mended(slices: Mapping[str, Float], side: KeyView, floor: float) -> dict[str, Float]:
+    """Trunk and legs without what other limbs add to them in the side view."""
+    hidden = _arms_seen(side, [slices["arm_r"], slices["arm_l"]])
+    right, left = (control[control[:, :, 2].mean(axis=1) > floor] for control in (slices["leg_r"], slices["leg_l"]))
+    return {
+        "trunk": _beside_arms(slices["trunk"], side, hidden),
+        "leg_r": _as_deep(right, left),
+        "leg_l": _as_deep(left, right),
+    }
+
+
+def _as_deep(leg: Float, other: Float) -> Float:
+    """The slices (n, 4, 3) of a leg no deeper than both views of it allow.
+
+    Seen from the side one leg hides behind the other, and the silhouette is that of both. As they stand side by side,
+    each is as deep as the part of the depth that its own and the other's slices at this height share.
+    """
+    z, other_z = leg.mean(axis=1)[:, 2], other.mean(axis=1)[::-1, 2]
+    out, pairs = leg.copy(), ([0, 1], [2, 3])
+    own = np.array([leg[:, p, 0].mean(axis=1) for p in pairs])
+    there = np.array([np.interp(z, other_z, other[::-1, p, 0].mean(axis=1)) for p in pairs])
+    front, back = np.minimum(own.max(axis=0), there.max(axis=0)), np.maximum(own.min(axis=0), there.min(axis=0))
+    shared = np.where(own == own.max(axis=0), front, back)
+    shared = np.where(front - back > 0.02, shared, own)
+    for k, pair in enumerate(pairs):
+        out[:, pair, 0] += (shared[k] - own[k])[:, None]
+    return out
+
+
+def _arms_seen(side: KeyView, arms: list[Float], margin: int = 3) -> Bool:
+    """(H, W) where forearms and hands are seen in the side view, with a margin (px) around them."""
+    out = np.zeros(side.mask.shape, np.uint8)
+    for arm in arms:
+        pixels = side.camera.project(arm[len(arm) // 2 :])[0]
+        for one, two in itertools.pairwise(pixels):
+            hull = cv2.convexHull(np.concatenate([one, two]).astype(np.float32))
+            cv2.fillConvexPoly(out, np.round(hull).astype(np.int32), 1)
+    return cv2.dilate(out, np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)) > 0
+
+
+def _beside_arms(trunk: Float, side: KeyView, arms: Bool) -> Float:
+    """The slices (n, 4, 3) of the trunk, their front and back taken from their neighbours where an arm hides them."""
+    out, z = trunk.copy(), trunk.mean(axis=1)[:, 2]
+    for pair in ([0, 1], [2, 3]):
+        edge = trunk[:, pair].mean(axis=1)
+        x, y = np.round(side.camera.project(edge)[0]).astype(int).T
+        free = ~arms[y.clip(0, len(arms) - 1), x.clip(0, arms.shape[1] - 1)]
+        if free.sum() >= 2:
+            out[:, pair, 0] += (np.interp(z, z[free], edge[free, 0]) - edge[:, 0])[:, None]
+    return out
+
+
+def _centre_joints(view: KeyView, slices: Mapping[str, Float], front: Separation, stature: float) -> dict[str, Float]:
     neck = _frontal(view, front.neck)
-    return {"neck": np.array([np.interp(neck[2], centres[:, 2], centres[:, 0]), neck[1], neck[2]])}
+    return {"neck": np.array([_mid_depth(slices["trunk"], neck[2] + SHIFT["neck"][2] * stature), neck[1], neck[2]])}
+
+
+def _mid_depth(trunk: Float, z: float) -> float:
+    """Middle of the trunk between front and back at a height, m."""
+    centres = trunk.mean(axis=1)
+    return float(np.interp(z, centres[:, 2], centres[:, 0]))
 
 
 def _leg_joints(
     view: KeyView, leg: Float, front: Separation, side: str, floor: float, stature: float
 ) -> dict[str, Float]:
-    """Hip, knee and ankle of one leg, on the straight line that its slices follow.
+    """Hip, knee and ankle of one leg: from the front on the line that its slices follow, from the side on the plumb line.
 
     A straight leg shows neither knee nor ankle: they lie at the heights they have in people, Winter (2009), fig. 4.1.
     """
@@ -228,7 +286,11 @@ def _leg_joints(
     fit = np.polynomial.polynomial.polyfit(centres[straight, 2], centres[straight, :2], 1)
     share = P.RATIOS["thigh"] / (P.RATIOS["thigh"] + P.RATIOS["shank"])
     heights = {"hip": crotch, "knee": hip_z + share * (ankle_z - hip_z), "ankle": ankle_z}
-    return {f"{n}_{side}": np.array([*(fit[0] + fit[1] * z), z]) for n, z in heights.items()}
+    shank_and_thigh = (centres[:, 2] > ankle_z) & (centres[:, 2] < crotch)
+    x = float(centres[shank_and_thigh, 0].mean())
+    y = {n: float(fit[0, 1] + fit[1, 1] * z) for n, z in heights.items()}
+    y["ankle"] = float(np.interp(ankle_z + 0.02 * stature, centres[::-1, 2], centres[::-1, 1]))
+    return {f"{n}_{side}": np.array([x, y[n], z]) for n, z in heights.items()}
 
 
 def _arm_joints(

@@ -91,8 +91,9 @@ def _rings(axes: Any, m: Measured) -> None:
     """Slices of the trunk seen along the vertical, with their control points."""
     trunk = m.slices["trunk"]
     for k in np.linspace(4, len(trunk) - 5, 6).astype(int):
-        ring, shift = closed_spline(trunk[k], 48), np.array([0.0, 0.0])
-        axes.plot(ring[:, 1] + shift[1], ring[:, 0], label=f"{trunk[k, :, 2].mean():.2f} m")
+        ring = closed_spline(trunk[k], 48)
+        ring = np.vstack([ring, ring[:1]])
+        axes.plot(ring[:, 1], ring[:, 0], label=f"{trunk[k, :, 2].mean():.2f} m")
         axes.plot(trunk[k, :, 1], trunk[k, :, 0], "k.", ms=3)
     axes.set_aspect("equal")
     axes.invert_xaxis()
