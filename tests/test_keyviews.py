@@ -8,11 +8,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 from typer.testing import CliRunner
 
 from twistcap import se3
 from twistcap.body import Body, Pose, Posed
-from twistcap.body.gltf import load_glb
+from twistcap.body.gltf import load_glb, save_glb
 from twistcap.body.humanoid import humanoid
 from twistcap.body.obj_rig import load_makehuman
 from twistcap.camera import Camera, Rig, look_at
@@ -136,8 +137,6 @@ def test_the_acquired_body_is_one_the_tracker_takes(acquired: Acquired, tmp_path
             body.landmarks.points[body.landmarks.index(f"{n}_{side}")] for n in ("hip", "knee", "ankle")
         )
         np.testing.assert_allclose([hip[:2], ankle[:2]], [knee[:2], knee[:2]], atol=1e-9)  # hangs straight down
-    from twistcap.body.gltf import save_glb
-
     save_glb(body, tmp_path / "body.glb")
     again = load_glb(tmp_path / "body.glb")
     np.testing.assert_allclose(again.vertices, body.vertices, atol=1e-5)
@@ -160,8 +159,6 @@ def man(shared_data: Path) -> Body:
 
 def test_a_mesh_no_one_here_made(man: Body) -> None:
     """Joints within 20 mm, surface within 12 mm mean and 30 mm at the 95th percentile, hands and feet included."""
-    from scipy.spatial import cKDTree
-
     scene = key_view_scene(man, seed=2, size=1000)
     acquired = build(measure(views_of(scene)))
     errors = joint_errors(scene, acquired)
