@@ -30,6 +30,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("track",),
     ("firstpose",),
     ("studio",),
+    ("keyviews",),
     ("io",),
     ("evaluate",),
     ("report", "view"),

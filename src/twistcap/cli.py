@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import typer
 
+from twistcap.commands.body import body
 from twistcap.commands.demo import demo
 from twistcap.commands.evaluate import evaluate
 from twistcap.commands.export import export
@@ -27,6 +28,7 @@ app = typer.Typer(
 )
 for command in (demo, track, studio, evaluate, export, reproduce, bench):
     app.command()(command)
+app.add_typer(body)
 app.add_typer(prior)
 app.add_typer(motions)
 
