@@ -15,6 +15,7 @@ from twistcap.commands.prior import prior
 from twistcap.commands.studio import studio
 from twistcap.commands.tables import bench, reproduce
 from twistcap.commands.track import track
+from twistcap.commands.view import view
 from twistcap.errors import InputError
 
 app = typer.Typer(
@@ -25,7 +26,7 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (demo, track, studio, evaluate, export, reproduce, bench):
+for command in (demo, track, view, studio, evaluate, export, reproduce, bench):
     app.command()(command)
 app.add_typer(prior)
 app.add_typer(motions)
