@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -74,7 +75,7 @@ class Browser:
     def _note(self, message: dict[str, Any]) -> None:
         parameters = message.get("params", {})
         if message.get("method") == "Runtime.exceptionThrown":
-            self.problems.append(json.dumps(parameters["exceptionDetails"])[:500])
+            self.problems.append(_told(parameters["exceptionDetails"]))
         if message.get("method") == "Network.requestWillBeSent":
             url = parameters["request"]["url"]
             if not url.startswith(("data:", "blob:", "file:", "http://127.0.0.1")):
@@ -87,7 +88,7 @@ class Browser:
     def run(self, script: str) -> Any:
         """Value of an expression in the page."""
         answer = self.call("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
-        assert "exceptionDetails" not in answer, answer["exceptionDetails"]
+        assert "exceptionDetails" not in answer, _told(answer["exceptionDetails"])
         return answer["result"].get("value")
 
     def wait(self, condition: str, seconds: float = 60.0) -> None:
@@ -127,3 +128,9 @@ class Browser:
         os.close(self._write)
         os.close(self._read)
         shutil.rmtree(self._profile, ignore_errors=True)
+
+
+def _told(details: dict[str, Any]) -> str:
+    """An exception in a few words: the libraries' data URLs are a megabyte long."""
+    text = str(details.get("exception", {}).get("description") or details.get("text"))
+    return re.sub(r"data:[\w/;,+=]*", "data:", text)[:500]

@@ -155,6 +155,11 @@ function buildScene() {
     draw();
   };
   new ResizeObserver(resize).observe(box);
+  const away = new THREE.Vector3().subVectors(eye.position, middle).normalize();
+  const look = (distance) => { eye.position.copy(middle).addScaledVector(away, distance); controls.target.copy(middle); controls.update(); draw(); };
+  const near = eye.position.distanceTo(middle), wide = 2.2 * Math.max(near / 2.2, ...far);
+  let all = false;
+  box.append(make("button", { id: "zoom", click: (e) => { all = !all; look(all ? wide : near); e.target.textContent = all ? "body" : "all cameras"; } }, "all cameras"));
   const side = new THREE.Vector3().subVectors(controls.target, eye.position).cross(eye.up).normalize();
   listeners.push((frame) => {
     runs.forEach((run, k) => {
@@ -173,7 +178,6 @@ function buildScene() {
 
 function showReference(points, sticks, frame, side) {
   const own = data.reference && state.reference ? data.reference.points[frame] : [];
-  points.geometry.setFromPoints([]); sticks.geometry.setFromPoints([]);
   points.geometry.dispose(); sticks.geometry.dispose();
   points.geometry = new THREE.BufferGeometry(); sticks.geometry = new THREE.BufferGeometry();
   points.position.copy(side).multiplyScalar(state.apart ? -1 : 0);
@@ -202,8 +206,9 @@ const pictures = data.cameras.map((camera, c) => {
   return { canvas, images, note };
 });
 if (!pictures.some(Boolean)) document.getElementById("stage").classList.add("bare");
-const columns = data.cameras.length === 1 ? 1 : 2;
+const pictured = pictures.filter(Boolean).length, columns = Math.ceil(Math.sqrt(pictured));
 views.style.gridTemplateColumns = `repeat(${columns}, minmax(0, 1fr))`;
+views.style.gridTemplateRows = `repeat(${Math.ceil(pictured / columns)}, minmax(0, 1fr))`;
 
 /** Which of the pictured frames stands for this one: the last at or before it. */
 function shownAt(frame) {
