@@ -10,7 +10,9 @@ import typer
 from twistcap.commands.demo import demo
 from twistcap.commands.evaluate import evaluate
 from twistcap.commands.export import export
+from twistcap.commands.init import init
 from twistcap.commands.motions import motions
+from twistcap.commands.new import new
 from twistcap.commands.prior import prior
 from twistcap.commands.studio import studio
 from twistcap.commands.tables import bench, reproduce
@@ -26,7 +28,7 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (demo, track, view, studio, evaluate, export, reproduce, bench):
+for command in (demo, new, init, track, view, studio, evaluate, export, reproduce, bench):
     app.command()(command)
 app.add_typer(prior)
 app.add_typer(motions)

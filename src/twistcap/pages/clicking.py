@@ -92,8 +92,7 @@ class Clicking:
             "joints": main,
             "more": [name for name in joints if name not in main],
             "coordinates": [
-                {"name": name, "limits": pair}
-                for name, pair in zip(self.generic.coordinate_names, limits, strict=True)
+                {"name": name, "limits": pair} for name, pair in zip(self.generic.coordinate_names, limits, strict=True)
             ],
             "clicks": self.clicks,
             "sliders": self.target.kind == "file",
@@ -109,6 +108,9 @@ class Clicking:
         """
         self.clicks = self._checked_clicks(question.get("clicks"))
         held = self._checked_angles(question.get("held") or {})
+        if not self.clicks:
+            self.shown = None
+            raise InputError("no joint is clicked; click a handful in two views.")
         found = self._fitted(held, self.shown.pose if self.shown else None)
         return {**self._state(), **_judged(found)}
 
@@ -166,7 +168,9 @@ class Clicking:
         return {
             "outlines": {c.name: flat(body_outlines(c, self.shown)) for c in self.rig},
             "joints": {c.name: _named_pixels(c, self.generic.landmarks.names, marks) for c in self.rig},
-            "q_deg": dict(zip(self.generic.coordinate_names, np.rad2deg(self.shown.pose.q).round(2).tolist(), strict=True)),
+            "q_deg": dict(
+                zip(self.generic.coordinate_names, np.rad2deg(self.shown.pose.q).round(2).tolist(), strict=True)
+            ),
         }
 
     def _checked_clicks(self, given: Any) -> Clicks:

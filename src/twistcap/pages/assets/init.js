@@ -198,8 +198,8 @@ document.getElementById("clear").addEventListener("click", () => {
   for (const camera of Object.keys(clicks)) delete clicks[camera];
   for (const name of Object.keys(held)) delete held[name];
   fitted = null; rejected.clear(); current = data.joints[0];
-  tell("all clicks are gone.");
   draw();
+  fit();
 });
 new ResizeObserver(draw).observe(document.getElementById("views"));
 window.twistcapInit = { clicks, held, state: () => fitted, current: () => current };
