@@ -7,7 +7,6 @@ from typing import Annotated, Any
 
 import typer
 
-from twistcap.commands import terminal
 from twistcap.commands.terminal import words
 from twistcap.commands.view import serve
 from twistcap.errors import InputError

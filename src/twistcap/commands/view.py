@@ -112,9 +112,10 @@ def _reference(path: Path, result: Any) -> Any:
     from twistcap.evaluate.load import load_reference
 
     index, time = np.asarray(result.indices, float), result.times
+    frames: Any = np.arange
     rate = float((time[-1] - time[0]) / (index[-1] - index[0])) if len(time) > 1 else 1 / 60
     start = float(time[0] - rate * index[0]) if len(time) else 0.0
-    return load_reference(path, result.body, lambda rows: start + rate * np.arange(rows))
+    return load_reference(path, result.body, lambda rows: start + rate * frames(rows))
 
 
 def _write(path: Path, page: str) -> None:
