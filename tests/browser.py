@@ -1,4 +1,4 @@
-"""A headless Chromium driven over its debugging pipe (Chrome DevTools Protocol), with nothing but the standard library."""
+"""A headless Chromium driven over its debugging pipe (Chrome DevTools Protocol); standard library alone."""
 
 from __future__ import annotations
 

@@ -25,9 +25,8 @@ from twistcap.pages.assemble import jpeg
 from twistcap.pages.outlines import body_outlines, flat
 from twistcap.pages.server import Answer
 
-MAIN_JOINTS = ("head_top", "neck") + tuple(
-    f"{joint}_{side}" for side in "rl" for joint in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "toe")
-)
+_LIMBS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "toe")
+MAIN_JOINTS = ("head_top", "neck", *(f"{joint}_{side}" for side in "rl" for joint in _LIMBS))
 Clicks = dict[str, dict[str, tuple[float, float]]]
 
 
@@ -164,13 +163,11 @@ class Clicking:
 
     def _state(self) -> dict[str, Any]:
         assert self.shown is not None
-        marks = self.shown.landmarks
+        marks, angles = self.shown.landmarks, np.rad2deg(self.shown.pose.q).round(2).tolist()
         return {
             "outlines": {c.name: flat(body_outlines(c, self.shown)) for c in self.rig},
             "joints": {c.name: _named_pixels(c, self.generic.landmarks.names, marks) for c in self.rig},
-            "q_deg": dict(
-                zip(self.generic.coordinate_names, np.rad2deg(self.shown.pose.q).round(2).tolist(), strict=True)
-            ),
+            "q_deg": dict(zip(self.generic.coordinate_names, angles, strict=True)),
         }
 
     def _checked_clicks(self, given: Any) -> Clicks:

@@ -109,7 +109,8 @@ function release(view, event) {
   const { pan: panned, joint, moved } = drag;
   drag = null;
   if (panned) return;
-  if (joint && !moved && clickOf(view.camera.name, joint)) { current = joint; draw(); return; }
+  const open = !clickOf(view.camera.name, current); // joints may cover one another: the wanted one goes first
+  if (joint && !moved && !open && clickOf(view.camera.name, joint)) { current = joint; draw(); return; }
   const name = joint && moved ? joint : current;
   const [x, y] = pixel(view, event), [w, h] = view.camera.size;
   if (x < -0.5 || y < -0.5 || x > w - 0.5 || y > h - 0.5) return;

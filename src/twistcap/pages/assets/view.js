@@ -281,10 +281,10 @@ let started = 0, from = 0;
 function tick(clock) {
   if (!state.playing) return;
   const t = data.times[from] + (clock - started) / 1000 * +document.getElementById("speed").value;
+  if (state.frame === data.times.length - 1) { from = 0; started = clock; seek(0); requestAnimationFrame(tick); return; }
   let frame = state.frame;
   while (frame + 1 < data.times.length && data.times[frame + 1] <= t) frame++;
   if (frame !== state.frame) seek(frame);
-  if (frame === data.times.length - 1) { from = 0; started = clock; seek(0); }
   requestAnimationFrame(tick);
 }
 function setPlaying(on) {
