@@ -6,6 +6,9 @@ import base64
 import http.client
 import json
 import re
+import signal
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,13 +22,15 @@ import pytest
 from browser import CHROMIUM, Browser
 from test_reference import hinged_box
 from twistcap._typing import AnyArray
-from twistcap.body import Pose, Posed
+from twistcap.body import Pose, Posed, rescaled
 from twistcap.body.humanoid import humanoid
 from twistcap.camera import Camera, look_at
 from twistcap.cli import main
 from twistcap.commands.init import clicking_of
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Keypoints
+from twistcap.firstpose import Proportions
+from twistcap.io.pose_file import body_at, write_pose
 from twistcap.io.recording import open_recording
 from twistcap.io.result import ResultWriter, read_result
 from twistcap.io.session import load_session
@@ -223,6 +228,23 @@ def test_the_viewer_draws_bodies_lost_frames_and_the_reference(saved: Path, tmp_
         assert browser.problems == []
 
 
+def test_a_result_without_videos_is_shown_without_images(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result, bare, empty = read_result(made / "one" / "result.h5"), tmp_path / "bare.h5", tmp_path / "empty.h5"
+    for path, estimates in ((bare, result.estimates), (empty, ())):
+        with ResultWriter(path, result.body, result.rig, {}) as writer:
+            for estimate in estimates:
+                writer.append(estimate)
+    assert run("view", bare, empty, "--save", tmp_path / "bare.html") == 0
+    assert "cam02: its video  is not found" in capsys.readouterr().err
+    found = re.search(r'id="data">(.*?)</script>', (tmp_path / "bare.html").read_text(), re.S)
+    assert found is not None
+    document = json.loads(found[1])
+    assert document["shown"] == [] and document["cameras"][0]["images"] == []
+    assert document["runs"][1]["rows"] == [-1] * FRAMES  # a run that was killed before its first frame
+
+
 def test_a_view_says_what_is_wrong(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     result = made / "one" / "result.h5"
     empty = tmp_path / "empty.h5"
@@ -366,6 +388,45 @@ def test_a_session_that_reads_another_file_is_told_what_to_change(made: Path) ->
         for file in made.glob("first_pose.*"):
             if file.suffix != ".npz":
                 file.unlink()
+
+
+def test_poor_proportions_in_a_pose_file_are_told(tmp_path: Path) -> None:
+    body, path = humanoid(), tmp_path / "pose.json"
+    good = Proportions({"shank_r": 1.1, "shank_l": 1.1}, {"pelvis": 0.9}, 1.02)
+    write_pose(path, body, Pose.rest(body), good)
+    expected = rescaled(body, good.lengths, good.girths, good.stature)
+    np.testing.assert_allclose(body_at(path, body).vertices, expected.vertices)
+    write_pose(path, body, Pose.rest(body))
+    assert body_at(path, body) is body
+    for poor, words in (
+        (Proportions({"tail": 1.0}, {}), "tail"),
+        (Proportions({"shank_r": -1.0}, {}), "positive"),
+        (Proportions({"shank_r": float("nan")}, {}), "finite"),
+    ):
+        write_pose(path, body, Pose.rest(body), poor)
+        with pytest.raises(InputError, match=words):
+            body_at(path, body)
+    path.write_text('{"proportions": {"stature": 1.0}}')
+    with pytest.raises(InputError, match="stature, lengths and girths"):
+        body_at(path, body)
+
+
+@pytest.mark.parametrize("command", ["init", "view"])
+def test_a_page_is_served_until_interrupted(command: str, made: Path, session: Path) -> None:
+    target = session if command == "init" else made / "one" / "result.h5"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "twistcap.cli", command, str(target)], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        assert process.stdout is not None
+        address = process.stdout.readline().strip()
+        assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", address)
+        status, text = asked(int(address.rsplit(":", 1)[1].strip("/")), "/")
+        assert status == 200 and 'id="data"' in text
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=60) == 0
+    finally:
+        process.kill()
 
 
 # ---- detectors ----

@@ -132,7 +132,9 @@ def _run(name: str, result: Result, indices: Int, shown: Int, rig: Rig, width: i
     where = {int(index): row for row, index in enumerate(result.indices)}
     rows = [where.get(int(index), -1) for index in indices]
     posed = [Posed(result.body, pose) for pose in result.poses]
-    transforms = np.array([p.segment_transforms[:, :3] for p in posed]).reshape(len(posed), -1, 12)
+    transforms = np.array([p.segment_transforms[:, :3] for p in posed]).reshape(
+        len(posed), len(result.body.segment_names), 12
+    )
     sigma = np.sqrt(np.maximum(np.diagonal(result.covariances, axis1=1, axis2=2)[:, 6:], 0.0))
     outlines = [
         [flat(body_outlines(camera, posed[rows[k]]), _factor(camera, width)) if rows[k] >= 0 else [] for k in shown]
