@@ -392,7 +392,7 @@ def test_a_session_that_reads_another_file_is_told_what_to_change(made: Path) ->
 
 def test_poor_proportions_in_a_pose_file_are_told(tmp_path: Path) -> None:
     body, path = humanoid(), tmp_path / "pose.json"
-    good = Proportions({"shank_r": 1.1, "shank_l": 1.1}, {"pelvis": 0.9}, 1.02)
+    good = Proportions({"tibia_r": 1.1, "tibia_l": 1.1}, {"pelvis": 0.9}, 1.02)
     write_pose(path, body, Pose.rest(body), good)
     expected = rescaled(body, good.lengths, good.girths, good.stature)
     np.testing.assert_allclose(body_at(path, body).vertices, expected.vertices)
@@ -400,8 +400,8 @@ def test_poor_proportions_in_a_pose_file_are_told(tmp_path: Path) -> None:
     assert body_at(path, body) is body
     for poor, words in (
         (Proportions({"tail": 1.0}, {}), "tail"),
-        (Proportions({"shank_r": -1.0}, {}), "positive"),
-        (Proportions({"shank_r": float("nan")}, {}), "finite"),
+        (Proportions({"tibia_r": -1.0}, {}), "positive"),
+        (Proportions({"tibia_r": float("nan")}, {}), "finite"),
     ):
         write_pose(path, body, Pose.rest(body), poor)
         with pytest.raises(InputError, match=words):
