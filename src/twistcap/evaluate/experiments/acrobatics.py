@@ -85,7 +85,7 @@ class Acrobatics:
         """The capture of a seed: another person and room, begun a little later in the motion."""
         body = default_body(StudioConfig(seed=seed))
         flip = FLIPS[seed % len(FLIPS)]
-        motion = joined(*(clip.clip(body, RATE).mirrored() for clip in (CARTWHEEL, flip)))
+        motion = joined(CARTWHEEL.clip(body, RATE).mirrored(), flip.clip(body, RATE).mirrored())
         poses = motion.poses()[_STEP * (seed // len(FLIPS)) :]
         return capture(StudioConfig(seed=seed, views=self.views, frames=len(poses), fps=RATE), body, poses)
 
