@@ -38,6 +38,7 @@ MIMIC = ("walk", "jump", "kick", "punch")
 ARMS = {
     "undisturbed": TrackerConfig(),
     "followed": TrackerConfig(predictor="motion", motion="followed"),
+    "guarded": TrackerConfig(predictor="motion", motion="guarded"),
     "scaled (paper)": TrackerConfig(predictor="motion", motion="scaled"),
     "autoregressive": TrackerConfig(predictor="motion", motion="autoregressive"),
     "constant velocity": TrackerConfig(),
@@ -88,6 +89,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=43)
     parser.add_argument("--frames", type=int, default=15)
     parser.add_argument("--last", type=int, default=90, help="frame at which tracking ends")
+    parser.add_argument("--arms", nargs="*", default=list(ARMS), choices=list(ARMS))
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args()
     os.environ.setdefault("TWISTCAP_DATA", str(DATA.resolve()))
@@ -95,7 +97,8 @@ def main() -> None:
     body, rig, frames = recording.body, recording.views.image_rig, list(recording.views)
     motions, behind = library(body, recording.views.fps), given.first + given.frames
     rows, undisturbed = list[dict[str, object]](), list[Estimate]()
-    for name, config in ARMS.items():
+    for name in given.arms:
+        config = ARMS[name]
         last = -1 if name == "undisturbed" else behind - 1
         shown = without_images(frames, given.first, last)
         used = motions if config.predictor == "motion" else None
