@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from twistcap.cues.appearance import AppearanceRule
 from twistcap.cues.brightness import Brightness
 from twistcap.cues.direct import DirectContour
+from twistcap.cues.evidence import ContourCue
 from twistcap.cues.flow import FlowCue
 from twistcap.cues.hidden import HiddenRule
 from twistcap.cues.keypoints import KeypointCue
@@ -107,3 +108,9 @@ class TrackerConfig:
     def __post_init__(self) -> None:
         if self.despeckle not in (1, 3, 5):
             raise InputError(f"tracker: despeckle is {self.despeckle}; it must be 1, 3 or 5.")
+
+    @property
+    def contour(self) -> ContourCue:
+        """The cue of the chosen method; what it leaves open is the tracker's."""
+        cue = self.direct if self.method == "direct" else self.levelset
+        return replace(cue, density=cue.density or self.density, statistics=cue.statistics or self.statistics)
