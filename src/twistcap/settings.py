@@ -41,7 +41,8 @@ class TrackerConfig:
         photometric: whether brightness constancy joins the contours.
         predictor: "constant_velocity", "hold", "flow": optic flow, constant velocity where flow cannot be trusted, or
             "motion": training motion, which the tracker must be given.
-        motion: which prediction from training motion: "followed", or the paper's "scaled", "unscaled" or "standard".
+        motion: which prediction from training motion: "followed", the paper's "scaled", "unscaled" or
+            "standard", "autoregressive" or "guarded".
         start_by_flow: whether flow predicts as long as there is no velocity: in the second frame.
         decay: time constant (s) with which predicted joint velocities die away.
         rest_sigma_deg: how far joints are expected from the rest pose; matters only to a limb that nothing shows.
