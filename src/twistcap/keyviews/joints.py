@@ -40,7 +40,7 @@ def arm_corner(arm: Bool, trunk_side: Float, height: float) -> ArmCorner:
     smooth = gaussian_filter1d(path, 0.008 * height, axis=0, mode="nearest")
     reach = max(4, round(0.05 * height)), max(8, round(0.1 * height))
     index, _ = corners(smooth, reach, np.deg2rad(140.0), closed=False)
-    inner = index[(index > 0.15 * len(path)) & (index < 0.9 * len(path))]
+    inner = index[(index > 0.15 * len(path)) & (index < 0.75 * len(path))]  # beyond are hand and trunk
     if len(inner) == 0:
         raise InputError("key view 'elbows': an arm is straight; hold the upper arms out sideways, the forearms up.")
     corner = int(inner[0])
