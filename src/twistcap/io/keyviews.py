@@ -15,6 +15,7 @@ import tomllib
 from pathlib import Path
 
 import cv2
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from twistcap._typing import Bool, UInt8
@@ -100,4 +101,4 @@ def _picture(path: Path, camera: Camera) -> UInt8:
             f"{path} is {image.shape[1]}×{image.shape[0]} pixels, but camera {camera.name!r} has"
             f" {camera.size[0]}×{camera.size[1]}; use pictures of the calibrated size."
         )
-    return image
+    return np.asarray(image, dtype=np.uint8)

@@ -34,10 +34,9 @@ def section(first: Cut, second: Cut, middle: Float, passes: int = 3) -> Float | 
     for _ in range(passes):
         normal = np.cross(first.camera.centre - middle, second.camera.centre - middle)
         normal /= np.linalg.norm(normal)
-        edges = [_edges(cut, middle, normal) for cut in (first, second)]
-        if edges[0] is None or edges[1] is None:
+        one, two = _edges(first, middle, normal), _edges(second, middle, normal)
+        if one is None or two is None:
             return None
-        one, two = edges
         corners = np.array([_meet(first.camera.centre, a, second.camera.centre, b, normal) for a, b in (
             (one[0], two[0]), (one[1], two[0]), (one[1], two[1]), (one[0], two[1]))])  # fmt: skip
         middle = corners.mean(axis=0)

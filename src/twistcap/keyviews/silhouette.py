@@ -112,7 +112,7 @@ def nearest_point(rays: list[tuple[Camera, Float]]) -> Float:
         n = camera.rays(pixel)[0]
         across = np.eye(3) - np.outer(n, n)
         A, b = A + across, b + across @ camera.centre
-    return np.linalg.solve(A, b)
+    return np.asarray(np.linalg.solve(A, b), dtype=np.float64)
 
 
 def _angle(first: Camera, second: Camera, point: Float) -> float:
