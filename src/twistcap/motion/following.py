@@ -228,7 +228,7 @@ def _blended(ways: Sequence[Stretched], shares: Float) -> Stretched:
 
 
 _FORGIVEN = 0.7  # share of a constant offset of the joints that does not count when a match is placed in time
-_GRID, _ROUNDS = 4, 3  # places to either side, and rounds of refinement
+_GRID, _ROUNDS = 4, 4  # places to either side, and rounds of refinement
 _REACH, _PACE = 1.0, 0.06  # poses, and poses per frame, within which the exact place and pace are sought
 _SPACING = 0.05  # half the way from a scale to the next: steps are 1/s, and lie the farther apart the larger they are
 
