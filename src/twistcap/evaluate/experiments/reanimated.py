@@ -21,9 +21,7 @@ _SIZE = (480, 400)
 def reanimated(path: Path, model: Body, poses: Sequence[Pose], between_frames: int = 5, fps: float = 30.0) -> Path:
     """Write a video of the poses, with `between_frames` poses between each two, from a camera that goes round."""
     clothes = look(model, StudioConfig(seed=1))
-    fine = [
-        between(a, b, k / between_frames) for a, b in pairwise(poses) for k in range(between_frames)
-    ]
+    fine = [between(a, b, k / between_frames) for a, b in pairwise(poses) for k in range(between_frames)]
     room = np.full((_SIZE[1], _SIZE[0], 3), 0.82, dtype=np.float32)
     with VideoWriter(path, fps) as video:
         for n, pose in enumerate(fine):
