@@ -281,6 +281,7 @@ def test_clicking_moves_the_body_and_saves_it(made: Path, session: Path, tmp_pat
         for camera, joints in clicks.items():
             for joint, (x, y) in joints.items():
                 browser.run(f"document.querySelector('[data-name={joint}]').click()")
+                browser.wait("document.body.dataset.busy !== 'yes'")  # an answer may shift the page under the mouse
                 browser.click(*on_screen(camera, x, y))
         settled = "document.body.dataset.busy === 'no' && twistcapInit.state()"
         browser.wait(settled)
