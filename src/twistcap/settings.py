@@ -115,6 +115,12 @@ class TrackerConfig:
 
     @property
     def contour(self) -> ContourCue:
-        """The cue of the chosen method; what it leaves open is the tracker's."""
+        """The cue of the chosen method; what it leaves open is the tracker's.
+
+        Raises:
+            InputError: for the method without contours.
+        """
+        if self.method == "differential":
+            raise InputError('tracker: method "differential" has no contours; use DifferentialFollower instead.')
         cue = self.direct if self.method == "direct" else self.levelset
         return replace(cue, density=cue.density or self.density, statistics=cue.statistics or self.statistics)

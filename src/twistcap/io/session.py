@@ -18,6 +18,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, 
 
 from twistcap.errors import InputError
 from twistcap.io.strict import dataclass_from, validated
+from twistcap.motion import MotionKind
 
 if TYPE_CHECKING:
     from twistcap.motion import MotionLibrary
@@ -146,7 +147,7 @@ class MotionsTable(Table):
     """``[motions]``: training motion of `twistcap motions build`, by which tracking goes on without images."""
 
     path: DataPath
-    kind: Literal["followed", "scaled", "unscaled", "standard"] | None = None
+    kind: MotionKind | None = None
 
 
 class FitGirths(Table):
@@ -239,8 +240,8 @@ def load_session(path: str | Path, overrides: Mapping[str, Any] | None = None) -
         overrides: what the command line says, by dotted key (``tracker.method``); None values are passed over.
 
     Raises:
-        InputError: for a file that cannot be read, an unknown key, a wrong value, a missing table, or a predictor that
-            does not fit ``[motions]``.
+        InputError: for a file that cannot be read, an unknown key, a wrong value, a missing table, or a predictor or
+            method that does not fit ``[motions]`` and ``[prior]``.
     """
     path = Path(path)
     data = _expanded(_with_base(_load(path), path), path)
@@ -254,6 +255,7 @@ def load_session(path: str | Path, overrides: Mapping[str, Any] | None = None) -
     session.remember(str(path))
     tracker_config(session.tracker, str(path))
     _check_predictor(session, str(path))
+    _check_method(session, str(path))
     return session
 
 
@@ -279,6 +281,16 @@ def _check_predictor(session: Session, source: str) -> None:
         raise InputError(
             f"{source}: tracker.predictor is 'motion', but no [motions] names a library; give its path there, of"
             " twistcap motions build."
+        )
+
+
+def _check_method(session: Session, source: str) -> None:
+    """The differential method takes neither a pose prior nor training motion."""
+    given = [name for name in ("prior", "motions") if getattr(session, name) is not None]
+    if session.tracker.get("method") == "differential" and given:
+        tables = " and ".join(f"[{name}]" for name in given)
+        raise InputError(
+            f"{source}: tracker.method 'differential' looks at brightness alone; remove {tables}, or choose 'direct'."
         )
 
 

@@ -198,20 +198,15 @@ D1 = _one_gap(
     (2.58, 1.0),
     _WALKING,
 )
-D1_SPEED = _one_gap(
-    "D-1-speed",
-    "walking, 2 views, 25 frames without images, the same person at another speed known",
-    _gap(_08_02, [_08_04], 2, 45, 25, 9),
-    (3.5, 1.0),
-    _WALKING,
-)
-D1_OTHER = _one_gap(
-    "D-1-other",
-    "walking, 2 views, 25 frames without images, another person's walk known",
-    _gap(_08_02, [_07_02], 2, 45, 25, 9),
-    (6.0, 1.0),
-    _WALKING,
-)
+
+
+def _other_walk(id: str, whose: str, known: Recording, khe_deg: float) -> Comparison:
+    says = f"walking, 2 views, 25 frames without images, {whose} known"
+    return _one_gap(id, says, _gap(_08_02, [known], 2, 45, 25, 9), (khe_deg, 1.0), _WALKING)
+
+
+D1_SPEED = _other_walk("D-1-speed", "the same person at another speed", _08_04, 3.5)
+D1_OTHER = _other_walk("D-1-other", "another person's walk", _07_02, 6.0)
 D2 = _experiment(
     "D-2",
     "walking, 2 views, uniform noise from 0 to all pixels and back to 0",
