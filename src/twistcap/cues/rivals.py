@@ -46,7 +46,7 @@ class RivalRule:
 
     least_sd: float = 0.015
     memory: float = 0.9
-    steps: tuple[float, ...] = (-4.0, -2.4, -1.2, 1.2, 2.4, 4.0)
+    steps: tuple[float, ...] = (-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0)
     every: int = 3
     promising: float = -10.0
     margin: float = 40.0
