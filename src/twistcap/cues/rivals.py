@@ -36,7 +36,9 @@ class RivalRule:
         steps: how far rivals lie off, in standard deviations along the least certain direction.
         every: rivals are tried in every so many frames, of one limb after the other.
         promising: nats from which on a rival is fitted to the images, which it may miss by little yet.
-        margin: nats by which a rival, fitted or not, must explain the images better.
+        fitted: how many rivals are fitted at most; which one is the best shows only then.
+        behind: nats by which a rival that is fitted may stand behind the first one, which wavers as much.
+        margin: nats by which a rival, fitted or not, must explain the images better, in this frame and in the next.
         px_per_m: resolution at which images are compared.
         radius: m about a pixel from which its background is gathered.
         berth: m about either pose within which nothing counts as background.
@@ -49,6 +51,8 @@ class RivalRule:
     steps: tuple[float, ...] = (-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0)
     every: int = 3
     promising: float = -10.0
+    fitted: int = 3
+    behind: float = 15.0
     margin: float = 40.0
     px_per_m: float = 60.0
     radius: float = 0.1
@@ -64,6 +68,8 @@ class Rivals:
         self._body, self._rule = body, rule
         self._doubt = np.zeros(len(body.segment_names))
         self._frame = 0
+        self._preferred: Float | None = None  # step to the rival that the last frame preferred
+        self._again = False  # whether this frame is asked about it
 
     def poses(self, posed: Posed, covariance: Float, shown: Float | float = 1.0) -> list[Pose]:
         """Rivals of a pose of this covariance (6 + J, 6 + J); most often there are none. To be asked in every frame.
@@ -72,6 +78,10 @@ class Rivals:
         """
         rule = self._rule
         self._frame += 1
+        preferred, self._preferred = self._preferred, None
+        self._again = preferred is not None
+        if preferred is not None:
+            return [posed.pose.retract(preferred)]
         if self._frame % rule.every:
             return []
         sd, directions = segment_doubts(posed, covariance)
@@ -82,6 +92,21 @@ class Rivals:
         s = limbs[self._frame // rule.every % len(limbs)]
         direction = directions[s] * self._doubt[s] / sd[s]
         return [posed.pose.retract(step * direction) for step in rule.steps]
+
+    def promising(self, evidence: Sequence[float]) -> list[int]:
+        """Which rivals of this evidence are worth a fit to the images, the best first; most often none."""
+        rule = self._rule
+        least = max(rule.promising, max(evidence) - rule.behind)
+        order = sorted(range(len(evidence)), key=lambda k: -evidence[k])
+        return [k for k in order[: rule.fitted] if evidence[k] >= least]
+
+    def takes_over(self, posed: Posed, rival: Pose, evidence: float) -> bool:
+        """Whether a rival of this evidence takes over from a posed body: two frames must prefer it clearly."""
+        if evidence <= self._rule.margin:
+            return False
+        if not self._again:
+            self._preferred = rival.minus(posed.pose)
+        return self._again
 
     def judge(self, views: Sequence[View], colours: Sequence[Float], posed: Posed) -> Judge:
         """The judge of rivals of a posed body in views in which its parts have the given colours."""
