@@ -17,7 +17,7 @@ from twistcap.cues.appearance import Appearance
 from twistcap.cues.brightness import Template
 from twistcap.cues.evidence import ContourCue, ContourEvidence
 from twistcap.cues.flow import Followed
-from twistcap.cues.rivals import Judge, Rivals
+from twistcap.cues.rivals import Rivals
 from twistcap.cues.support import part_tally, summed
 from twistcap.cues.view import View, crop_view, despeckled
 from twistcap.errors import InputError
@@ -214,26 +214,16 @@ class Tracker:
             return None
         judge = self._rivals.judge(list(views.values()), [self._colours[i] for i in views], posed)
         evidence = [judge.evidence(pose) for pose in poses]
-        fits = [
-            self._fitted_rival(Posed(self.body, poses[k]), evidence[k], judge, views, information, found)
-            for k in self._rivals.promising(evidence)
-        ]
-        if not fits:
+        if max(evidence) < config.rivals.promising:
             return None
-        best, nats = max(fits, key=lambda one: one[1])
-        return best if self._rivals.takes_over(posed, best.result.pose, nats) else None
-
-    def _fitted_rival(
-        self, rival: Posed, nats: float, judge: Judge, views: dict[int, View], information: Float, found: Sequence[Term]
-    ) -> tuple[_Fit, float]:
-        """The fit from a rival of this evidence, and the evidence for it."""
-        fixed = (LimitTerm(), self._rest, GaussianTerm(rival.pose, information), *found)
-        fit = self._fit(rival, views, fixed)
-        fitted = judge.evidence(fit.result.pose)
-        if fitted >= nats:
-            return fit, fitted
-        energies = energies_at([*fixed, *fit.terms], rival)  # the fit has lost it again: the images' judgement stands
-        return replace(fit, result=replace(fit.result, posed=rival, energies=energies)), nats
+        best = Posed(self.body, poses[int(np.argmax(evidence))])
+        fixed = (LimitTerm(), self._rest, GaussianTerm(best.pose, information), *found)
+        other = self._fit(best, views, fixed)
+        fitted = judge.evidence(other.result.pose)
+        if fitted < max(evidence):  # the fit has lost it again: the images' judgement stands
+            energies = energies_at([*fixed, *other.terms], best)
+            other = replace(other, result=replace(other.result, posed=best, energies=energies))
+        return other if self._rivals.takes_over(posed, other.result.pose, max(fitted, *evidence)) else None
 
     def _forget_motion(self, jump: Float, pose: Pose) -> None:
         """After a jump to a rival: the last pose was off as well; joints that jumped start again from rest."""

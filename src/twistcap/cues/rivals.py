@@ -27,8 +27,9 @@ class RivalRule:
 
     A jump must be worth its risk. Neighbouring pixels err together, by texture, by shading and where the body is not
     quite the person's: between poses that both cover a limb the evidence wavers by some 13 nats, and dozens of rivals
-    are tried in a second. A clear preference is three of those deviations; one of them is met by chance in most
-    sequences. Rivals reach far in return: a limb goes farther astray than its covariance says.
+    are tried in a second. A clear preference is three of those deviations, and the next frame must share it: where
+    clutter feigns a limb it seldom does so from two poses. Rivals reach far in return: a limb goes farther astray than
+    its covariance says.
 
     Attributes:
         least_sd: m of uncertainty of a segment's middle from which on it is in doubt.
@@ -36,8 +37,6 @@ class RivalRule:
         steps: how far rivals lie off, in standard deviations along the least certain direction.
         every: rivals are tried in every so many frames, of one limb after the other.
         promising: nats from which on a rival is fitted to the images, which it may miss by little yet.
-        fitted: how many rivals are fitted at most; which one is the best shows only then.
-        behind: nats by which a rival that is fitted may stand behind the first one, which wavers as much.
         margin: nats by which a rival, fitted or not, must explain the images better, in this frame and in the next.
         px_per_m: resolution at which images are compared.
         radius: m about a pixel from which its background is gathered.
@@ -50,9 +49,7 @@ class RivalRule:
     memory: float = 0.9
     steps: tuple[float, ...] = (-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0)
     every: int = 3
-    promising: float = -10.0
-    fitted: int = 3
-    behind: float = 15.0
+    promising: float = 0.0
     margin: float = 40.0
     px_per_m: float = 60.0
     radius: float = 0.1
@@ -92,13 +89,6 @@ class Rivals:
         s = limbs[self._frame // rule.every % len(limbs)]
         direction = directions[s] * self._doubt[s] / sd[s]
         return [posed.pose.retract(step * direction) for step in rule.steps]
-
-    def promising(self, evidence: Sequence[float]) -> list[int]:
-        """Which rivals of this evidence are worth a fit to the images, the best first; most often none."""
-        rule = self._rule
-        least = max(rule.promising, max(evidence) - rule.behind)
-        order = sorted(range(len(evidence)), key=lambda k: -evidence[k])
-        return [k for k in order[: rule.fitted] if evidence[k] >= least]
 
     def takes_over(self, posed: Posed, rival: Pose, evidence: float) -> bool:
         """Whether a rival of this evidence takes over from a posed body: two frames must prefer it clearly."""
