@@ -18,7 +18,14 @@ import numpy as np
 
 from twistcap._typing import Float
 from twistcap.body import Body
-from twistcap.motion import FollowedMotion, MotionClip, MotionLibrary, MotionPredictor, PaperMotion
+from twistcap.motion import (
+    AutoregressiveMotion,
+    FollowedMotion,
+    MotionClip,
+    MotionLibrary,
+    MotionPredictor,
+    PaperMotion,
+)
 from twistcap.predict import Moment
 
 FIRST = 30  # frames that are seen before the first gap
@@ -35,10 +42,17 @@ class Case:
     gap: int
 
 
+FINER = tuple(0.5 + 0.02 * k for k in range(76))  # 0.5 … 2.0
+
 METHODS: dict[str, Callable[[MotionLibrary, Body], MotionPredictor]] = {
     "standard": lambda library, body: PaperMotion(library, body, "standard"),
     "unscaled": lambda library, body: PaperMotion(library, body, "unscaled"),
     "scaled (paper)": lambda library, body: PaperMotion(library, body),
+    "scaled, m = 10": lambda library, body: PaperMotion(library, body, poses=10),
+    "scaled, m = 20": lambda library, body: PaperMotion(library, body, poses=20),
+    "scaled, m = 30": lambda library, body: PaperMotion(library, body, poses=30),
+    "scaled, steps of 0.02": lambda library, body: PaperMotion(library, body, scales=FINER),
+    "autoregressive": AutoregressiveMotion,
     "followed": FollowedMotion,
 }
 
@@ -90,9 +104,9 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=3)
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args()
-    from motion_cases import BODY, opensim_cases
+    from motion_cases import BODY, opensim_cases, other_cases
 
-    compare(opensim_cases(), BODY, given.every, given.json)
+    compare([*opensim_cases(), *other_cases()], BODY, given.every, given.json)
 
 
 if __name__ == "__main__":

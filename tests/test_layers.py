@@ -25,13 +25,16 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("cues",),
     ("predict", "priors"),
     ("motion",),
+    ("differential",),
     ("settings",),
     ("track",),
     ("firstpose",),
     ("studio",),
+    ("keyviews",),
     ("io",),
     ("evaluate",),
     ("report", "view"),
+    ("pages",),
     ("commands", "cli"),
 )
 FLOOR_OF = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -258,3 +260,24 @@ def test_a_segmentation_of_the_same_body_is_matched_again() -> None:
     assert first.segmentation is not None and again.segmentation is first.segmentation
     np.testing.assert_array_equal(again.displacement, first.displacement)
     assert wider.segmentation is not None and wider.segmentation.width == pytest.approx(3 * first.segmentation.width)
+
+
+def test_what_the_body_leaves_uncovered_is_no_background() -> None:
+    """A subject 3 cm larger than the body all around: without a gap its rim is hardly held for body."""
+    scene = capture(StudioConfig(seed=1, views=2, frames=1))
+    posed = Posed(scene.true_body, scene.true_poses[0])
+    image = next(iter(scene.frames())).images[0]
+    assert image is not None
+    view = crop_view(image, scene.rig[0], posed, 0.15, "grey")
+    assert view is not None
+    seen = render(posed, view.camera)
+    larger = cv2.distanceTransform((~seen.mask).astype(np.uint8), cv2.DIST_L2, 5) < 0.03 * seen.px_per_m
+    speckle = np.random.default_rng(0).normal(0.0, 20.0, larger.shape)
+    view = replace(view, image=np.clip(np.where(larger, 160, 90) + speckle, 0, 255).astype(np.uint8))
+    colours = np.zeros((len(scene.body.segment_names), 3))
+    right = list[float]()
+    for gap in (0.0, 0.03):
+        found = LevelSetContour(gap=gap).measure(view, seen, visible_contour(seen), 1.0, colours).segmentation
+        assert found is not None
+        right.append(float(np.mean(found.log_ratio[larger & ~seen.mask])))
+    assert right[1] > 2.0 * right[0]  # nats for the body, of 3 at most

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from twistcap.cues.support import SupportRule
 from twistcap.errors import InputError
 from twistcap.motion import MotionClip, MotionLibrary, motion_predictor
 from twistcap.predict import Moment
@@ -38,6 +39,32 @@ def test_without_an_image_the_answer_is_the_prediction() -> None:
     assert np.all(np.diag(found[9].covariance)[6:] > np.diag(found[7].covariance)[6:])
     assert found[10].status != "no_images"
     assert np.degrees(np.abs(found[11].pose.q - scene.true_poses[11].q)).mean() < 3.0
+
+
+def test_images_of_mere_noise_tell_nothing() -> None:
+    """Each pixel is replaced for five frames: the track goes on by its prediction, as it would without images."""
+    scene = capture(StudioConfig(seed=3, views=2, frames=16, variant="legs"))
+    poses = gait(scene.body, fps=FPS, frames=120, speed=1.2)
+    clip = MotionClip("walk", scene.body.coordinate_names, FPS, np.array([p.root for p in poses]),
+                      np.array([p.q for p in poses]))  # fmt: skip
+    rng, noisy = np.random.default_rng(0), range(10, 15)
+    frames = [
+        replace(f, images=tuple(None if i is None else rng.integers(0, 256, i.shape).astype(i.dtype) for i in f.images))
+        if f.index in noisy
+        else f
+        for f in scene.frames()
+    ]
+    library, config = MotionLibrary.of([clip], FPS), TrackerConfig(predictor="motion")
+    found = list(track(frames, scene.body, scene.rig, scene.first_pose, config, motions=library))
+    assert [found[k].status for k in noisy] == ["no_images"] * 5
+    assert "no_images" not in {found[k].status for k in (*range(10), 15)}
+
+
+def test_images_are_believed_as_far_as_more_agree_than_by_chance() -> None:
+    rule, points = SupportRule(chance=0.1, sure=0.5), np.full(4, 25, np.int32)
+    for good, trust in ((5.0, 0.0), (10.0, 0.0), (30.0, 0.5), (50.0, 1.0), (90.0, 1.0)):
+        assert rule.trust([(np.full(4, good / 4), points)]) == pytest.approx(trust)
+    assert rule.trust([]) == 0.0
 
 
 def test_a_library_must_be_given() -> None:

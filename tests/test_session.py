@@ -77,7 +77,7 @@ def test_command_line_over_session_over_defaults(path: Path) -> None:
         ("stature", "statur", r"unknown key 'statur' in \[body\]; did you mean 'stature'\?"),
         ("method", "metod", r"unknown key 'metod' in \[tracker\]; did you mean 'method'\?"),
         ("[videos]", "[vidoes]", r"unknown key 'vidoes' at the top; did you mean 'videos'\?"),
-        ('"direct"', '"dirct"', "'tracker.method' is 'dirct'; input should be 'direct' or 'levelset'"),
+        ('"direct"', '"dirct"', "'tracker.method' is 'dirct'; input should be 'direct', 'levelset' or 'differential'"),
         ("1.8", "'tall'", "'body.stature' is 'tall'"),
         ("1.8", "nan", "'body.stature' is nan"),
         ("[2, 9]", "[2]", "the list 'frames' has too few entries; it needs 2"),

@@ -20,8 +20,8 @@ def test_stages_are_summed_by_frame_and_inner_ones_taken_out() -> None:
         stages.next_frame()
     assert sorted(times) == ["inner", "outer"]
     assert [len(entries) for entries in times.values()] == [4, 4]
-    assert times["inner"][1] == pytest.approx(0.008, abs=0.006) and times["inner"][1] > times["inner"][0] >= 0.004
-    assert max(times["outer"]) < 0.003 and times["inner"][3] == 0.0
+    assert times["inner"][0] >= 0.004 and times["inner"][1] >= 0.008  # a busy machine may sleep longer
+    assert max(times["outer"]) < max(times["inner"]) and times["inner"][3] == 0.0
 
 
 def test_nothing_is_recorded_outside() -> None:

@@ -7,14 +7,18 @@ from collections.abc import Sequence
 
 import typer
 
+from twistcap.commands.body import body
 from twistcap.commands.demo import demo
 from twistcap.commands.evaluate import evaluate
 from twistcap.commands.export import export
+from twistcap.commands.init import init
 from twistcap.commands.motions import motions
+from twistcap.commands.new import new
 from twistcap.commands.prior import prior
 from twistcap.commands.studio import studio
 from twistcap.commands.tables import bench, reproduce
 from twistcap.commands.track import track
+from twistcap.commands.view import view
 from twistcap.errors import InputError
 
 app = typer.Typer(
@@ -25,8 +29,9 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (demo, track, studio, evaluate, export, reproduce, bench):
+for command in (demo, new, init, track, view, studio, evaluate, export, reproduce, bench):
     app.command()(command)
+app.add_typer(body)
 app.add_typer(prior)
 app.add_typer(motions)
 

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from twistcap.cues.appearance import AppearanceRule
 from twistcap.cues.brightness import Brightness
 from twistcap.cues.direct import DirectContour
+from twistcap.cues.evidence import ContourCue
 from twistcap.cues.flow import FlowCue
 from twistcap.cues.hidden import HiddenRule
 from twistcap.cues.keypoints import KeypointCue
 from twistcap.cues.levelset import LevelSetContour
 from twistcap.cues.rivals import RivalRule
 from twistcap.cues.support import SupportRule
+from twistcap.differential.settings import DifferentialConfig
 from twistcap.errors import InputError
 from twistcap.features import Channels
 from twistcap.motion import MotionKind
@@ -27,7 +29,8 @@ class TrackerConfig:
     """All settings of the tracker.
 
     Attributes:
-        method: "direct" (no level set; the default) or "levelset" (the chapter's coupled method).
+        method: "direct" (no level set; the default), "levelset" (the chapter's coupled method), or
+            "differential": brightness alone, see `twistcap.differential`, which reads only the table of that name.
         channels: what region statistics look at: "grey", "lab", "grey+texture" (5 channels) or "lab+texture" (7).
         despeckle: px across of a median filter of all images, 1, 3 or 5: it takes out single wrong pixels, as noise
             on a video line leaves them. 1 leaves the images as they are.
@@ -38,7 +41,8 @@ class TrackerConfig:
         photometric: whether brightness constancy joins the contours.
         predictor: "constant_velocity", "hold", "flow": optic flow, constant velocity where flow cannot be trusted, or
             "motion": training motion, which the tracker must be given.
-        motion: which prediction from training motion: "followed", or the paper's "scaled", "unscaled" or "standard".
+        motion: which prediction from training motion: "followed", the paper's "scaled", "unscaled" or
+            "standard", "autoregressive" or "guarded".
         start_by_flow: whether flow predicts as long as there is no velocity: in the second frame.
         decay: time constant (s) with which predicted joint velocities die away.
         rest_sigma_deg: how far joints are expected from the rest pose; matters only to a limb that nothing shows.
@@ -56,6 +60,7 @@ class TrackerConfig:
         margin: m about the expected body within which images are looked at.
         inflation: factor on every claimed standard deviation: contour and brightness samples are not independent, and
             no body is exact; set on studio captures with truth (docs/covariance.md).
+        differential: of the method of that name.
         direct, levelset: the contour cue of each method.
         brightness, keypoints, flow: the other cues.
         noise: how far a body strays from the prediction.
@@ -67,7 +72,7 @@ class TrackerConfig:
         first_sigma_deg, first_sigma_m: how far the given first pose may be off (joints and root turn; root place).
     """
 
-    method: Literal["direct", "levelset"] = "direct"
+    method: Literal["direct", "levelset", "differential"] = "direct"
     channels: Channels = "lab"
     despeckle: int = 1
     density: Density = "local"
@@ -91,6 +96,7 @@ class TrackerConfig:
     inflation: float = 5.0
     first_sigma_deg: float = 1.0
     first_sigma_m: float = 0.005
+    differential: DifferentialConfig = field(default_factory=DifferentialConfig)
     direct: DirectContour = field(default_factory=DirectContour)
     levelset: LevelSetContour = field(default_factory=LevelSetContour)
     brightness: Brightness = field(default_factory=Brightness)
@@ -106,3 +112,9 @@ class TrackerConfig:
     def __post_init__(self) -> None:
         if self.despeckle not in (1, 3, 5):
             raise InputError(f"tracker: despeckle is {self.despeckle}; it must be 1, 3 or 5.")
+
+    @property
+    def contour(self) -> ContourCue:
+        """The cue of the chosen method; what it leaves open is the tracker's."""
+        cue = self.direct if self.method == "direct" else self.levelset
+        return replace(cue, density=cue.density or self.density, statistics=cue.statistics or self.statistics)

@@ -15,7 +15,7 @@ from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Rig
 from twistcap.cues.appearance import Appearance
 from twistcap.cues.brightness import Template
-from twistcap.cues.evidence import ContourCue, ContourEvidence
+from twistcap.cues.evidence import ContourEvidence
 from twistcap.cues.flow import Followed
 from twistcap.cues.rivals import Rivals
 from twistcap.cues.support import part_tally, summed
@@ -67,7 +67,7 @@ class Tracker:
     ) -> None:  # fmt: skip
         self.body, self.rig, self.config = body, rig.pinhole(), config or TrackerConfig()
         self._given_rig = rig  # keypoints come in its pixels, images rectified
-        self._contour = _contour_cue(self.config)
+        self._contour = self.config.contour
         self._history: list[Moment] = []
         self._templates: list[Template | None] = [None] * len(rig)
         self._rest = RestTerm(float(np.deg2rad(self.config.rest_sigma_deg)))
@@ -119,17 +119,20 @@ class Tracker:
         fixed: Sequence[Term] = (LimitTerm(), self._rest, GaussianTerm(guess, information), *found)
         views = self._views(frame, posed)
         if not views and not found:
-            self._advance(frame.time, guess, seen=False)
-            claimed = self._covariance + strayed
-            return Estimate(frame.index, frame.time, guess, claimed, {}, "no_images", support=0.0, predicted=predicted)
+            return self._unseen(frame, guess, strayed, predicted)
         self._colours = {i: self._appearance.of(i, view.features.shape[2]) for i, view in views.items()}
-        fit = self._fit(posed, views, fixed)
-        told = self._claimed(fit, strayed, information)
+        fit, trust = self._fit(posed, views, fixed), 1.0
+        if predicted == "motion" and not found and (trust := config.support.trust(fit.tallies)) < 1.0:
+            if trust == 0.0:
+                return self._unseen(frame, guess, strayed, predicted)
+            information = information / trust
+            fit = self._fit(posed, views, (*fixed[:2], GaussianTerm(guess, information)))
+        told = self._claimed(fit, strayed, information, trust)
         with stage("rivals"):
             rival = self._rival(fit, self._familiar(told, fit), views, information, found)
         if rival is not None:
             self._forget_motion(rival.result.pose.minus(fit.result.pose), rival.result.pose)
-            fit, told = rival, self._claimed(rival, strayed, information)
+            fit, told = rival, self._claimed(rival, strayed, information, trust)
         self._covariance = told
         with stage("remember"):
             self._remember(fit)
@@ -142,16 +145,21 @@ class Tracker:
             fit.result.status, fit.result.steps, support < config.support.least_share, support, predicted,
         )  # fmt: skip
 
+    def _unseen(self, frame: Frame, guess: Pose, strayed: Float, predicted: PredictorName) -> Estimate:
+        """The estimate of a frame that shows nothing: the prediction."""
+        self._advance(frame.time, guess, seen=False)
+        claimed = self._covariance + strayed
+        return Estimate(frame.index, frame.time, guess, claimed, {}, "no_images", support=0.0, predicted=predicted)
+
     def _predicted(self, frame: Frame) -> tuple[Pose, PredictorName, Float, Float]:
         """The expected pose, what told it, the covariance that is claimed of the step from it, and the solve's inverse.
 
         Training motion or optic flow tell it where they are asked for and can be trusted, else the history does.
         """
         config, history = self.config, self._history
-        seen = [moment for moment in history if moment.seen]
-        if self._motions is not None and self._started and len(seen) > 1:
+        if self._motions is not None and self._started and sum(moment.seen for moment in history) > 1:
             with stage("motion"):
-                told = self._motions.predict(seen, frame.time)
+                told = self._motions.predict(history, frame.time)
             name = "constant_velocity" if told.match is None else "motion"
             return told.pose, name, told.covariance, told.information
         moving = len(history) > 1 and config.predictor != "hold"
@@ -334,12 +342,12 @@ class Tracker:
         self._history = [*self._history, Moment(time, pose, seen)][-_REMEMBERED:]
         self._started = True
 
-    def _claimed(self, fit: _Fit, strayed: Float, information: Float) -> Float:
+    def _claimed(self, fit: _Fit, strayed: Float, information: Float, trust: float) -> Float:
         """Covariance of the answer: what this frame's images add to what was known, as a Kalman filter would have it.
 
         A limb that nothing shows grows less certain from frame to frame. Where the solve failed, only that happens.
         """
-        scale = self.config.inflation**2
+        scale = self.config.inflation**2 / trust
         before = self._covariance + strayed
         if fit.result.status == "failed":
             return before
@@ -355,12 +363,6 @@ class Tracker:
         if self._prior is None or (information := inverse(known)) is None:
             return known
         return covariance(Quadratic(0.0, np.zeros(len(known)), information + self._prior.claimed(fit.result.posed)))
-
-
-def _contour_cue(config: TrackerConfig) -> ContourCue:
-    """The cue of the chosen method; what it leaves open is the tracker's."""
-    cue = config.direct if config.method == "direct" else config.levelset
-    return replace(cue, density=cue.density or config.density, statistics=cue.statistics or config.statistics)
 
 
 def _motions(config: TrackerConfig, library: MotionLibrary | None, body: Body) -> MotionPredictor | None:

@@ -19,7 +19,7 @@ from twistcap.errors import InputError
 def track(
     session: Annotated[Path, typer.Argument(help="Session TOML; docs/session.md tells every key.", metavar="SESSION")],
     out: Annotated[Path | None, typer.Option(help="Folder for everything that is written.")] = None,
-    method: Annotated[str | None, typer.Option(help="direct or levelset.")] = None,
+    method: Annotated[str | None, typer.Option(help="direct, levelset or differential.")] = None,
     frames: Annotated[str | None, typer.Option(help="FIRST:LAST, both included.")] = None,
     scale: Annotated[float | None, typer.Option(help="Resize the images by this factor.")] = None,
     resume: Annotated[
@@ -116,6 +116,10 @@ def _tracker(session: Any, body: Any, views: Any) -> Any:
     """The session's tracker; training motion is brought to the rate of the frames that are read."""
     from twistcap.track import Tracker
 
+    if session.tracker_config.method == "differential":
+        from twistcap.differential.follower import DifferentialFollower
+
+        return DifferentialFollower(body, views.image_rig, session.tracker_config.differential)
     library = session.motion_library
     motions = None if library is None else library.resampled(views.fps / session.step)
     return Tracker(body, views.image_rig, session.tracker_config, session.pose_prior, motions)

@@ -37,6 +37,8 @@ class LevelSetContour:
         rho: window of the local densities, m.
         floor: least variance, brightness².
         prior_mass: share of a window at which global statistics weigh as much as local ones.
+        gap: band about the body that counts as neither body nor background when densities are estimated, m; what the
+            body leaves uncovered (a cap, cloth) is then no background.
         rounds: how often densities are estimated anew from the evolved contour (EM).
         continuation: factor on window and width in the first round, which shrinks to 1 in the last (coarse-to-fine).
         steps, tau: explicit evolution steps and their size.
@@ -62,6 +64,7 @@ class LevelSetContour:
     rho: float = 0.04
     floor: float = 4e-4
     prior_mass: float = 0.02
+    gap: float = 0.0
     rounds: int = 1
     continuation: float = 1.0
     steps: int = 3
@@ -132,9 +135,12 @@ class LevelSetContour:
             self.density or "local", stretch * self.rho, self.floor, self.prior_mass, self.parzen_sigma
         )
         inside, wanted = heaviside(phi, 0.7), np.abs(phi) <= band
+        gap = self.gap * seen.px_per_m
+        outside = np.float32(1.0) - (heaviside(phi + np.float32(gap), 0.7) if gap > 0.0 else inside)
         if self.statistics == "part":
-            return log_ratio_by_part(model, view.features, inside, nearest_part(seen.part), seen.px_per_m, wanted)
-        return model.log_ratio(view.features, inside, np.float32(1.0) - inside, seen.px_per_m, wanted)
+            part = nearest_part(seen.part)
+            return log_ratio_by_part(model, view.features, inside, part, seen.px_per_m, wanted, outside)
+        return model.log_ratio(view.features, inside, outside, seen.px_per_m, wanted)
 
     def _term(
         self, view: View, seen: RenderedView, contour: ContourPoints, partner: Float, coarse: float, ways: int

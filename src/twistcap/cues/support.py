@@ -25,6 +25,8 @@ class SupportRule:
         least_points: contour points over all views below which a part is not judged.
         least_share: share of agreeing points below which a part is lost.
         memory: weight of the past in the running mean of each part's share, per frame.
+        chance: share of a body's points that agree in images of mere noise, or a little more: such images show nothing.
+        sure: share of a body's points from which the images are believed entirely.
     """
 
     contrast: float = 3.0
@@ -32,6 +34,18 @@ class SupportRule:
     least_points: int = 12
     least_share: float = 0.35
     memory: float = 0.8
+    chance: float = 0.12
+    sure: float = 0.5
+
+    def trust(self, tallies: Sequence[tuple[Float, Int]]) -> float:
+        """Share of what the images say that is believed, 0 … 1, by the tallies of all views.
+
+        It falls linearly from `sure` to `chance`: of the points that agree some do so by chance, and what all of them
+        tell is worth as much as the others.
+        """
+        points = sum(int(seen.sum()) for _, seen in tallies)
+        share = sum(float(good.sum()) for good, _ in tallies) / max(points, 1)
+        return float(np.clip((share - self.chance) / (self.sure - self.chance), 0.0, 1.0))
 
 
 def part_tally(evidence: ContourEvidence, focal: float, parts: int, rule: SupportRule) -> tuple[Float, Int]:

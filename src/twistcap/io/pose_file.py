@@ -4,21 +4,56 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from twistcap._typing import Float
-from twistcap.body import Body, Pose
+from twistcap.body import Body, Pose, rescaled
 from twistcap.errors import InputError
+from twistcap.firstpose import Proportions
 from twistcap.io.result import read_result
 
 
-def write_pose(path: str | Path, body: Body, pose: Pose) -> None:
-    """Write JSON ``{"root": 4×4, "q": {coordinate: rad}}``."""
-    q = {name: float(value) for name, value in zip(body.coordinate_names, pose.q, strict=True)}
-    Path(path).write_text(json.dumps({"root": pose.root.tolist(), "q": q}, indent=1) + "\n")
+def write_pose(path: str | Path, body: Body, pose: Pose, proportions: Proportions | None = None) -> None:
+    """Write JSON ``{"root": 4×4, "q": {coordinate: rad}}`` and, where given, the body's ``"proportions"``.
+
+    Args:
+        proportions: the factors that made `body` from the generic one.
+    """
+    content: dict[str, Any] = {"root": pose.root.tolist()}
+    content["q"] = {name: float(value) for name, value in zip(body.coordinate_names, pose.q, strict=True)}
+    if proportions is not None:
+        content["proportions"] = asdict(proportions)
+    Path(path).write_text(json.dumps(content, indent=1) + "\n")
+
+
+def body_at(path: str | Path, body: Body) -> Body:
+    """The generic body at the ``"proportions"`` that a pose file holds; as it is where it holds none.
+
+    Raises:
+        InputError: for proportions that are no positive numbers, or of segments that the body does not have.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".json" or not path.is_file():
+        return body
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError:
+        return body  # `read_pose` tells
+    given = content.get("proportions") if isinstance(content, dict) else None
+    if given is None:
+        return body
+    try:
+        lengths, girths = dict(given["lengths"]), dict(given["girths"])
+        factors = np.array([given["stature"], *lengths.values(), *girths.values()], float)
+    except (TypeError, ValueError, KeyError) as error:
+        raise InputError(f"pose file {path}: 'proportions' needs stature, lengths and girths.") from error
+    if not np.all(np.isfinite(factors)):
+        raise InputError(f"pose file {path}: a factor of 'proportions' is not a finite number.")
+    return rescaled(body, lengths, girths, float(given["stature"]))
 
 
 def read_pose(path: str | Path, body: Body, frame: int | None = None) -> Pose:

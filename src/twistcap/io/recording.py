@@ -21,7 +21,7 @@ from twistcap.io.calibration import read_rig
 from twistcap.io.keypoints import Grid, openpose_files, read_clicks, read_openpose
 from twistcap.io.masks import read_masks
 from twistcap.io.plausible import check_plausible, check_upright
-from twistcap.io.pose_file import read_pose
+from twistcap.io.pose_file import body_at, read_pose
 from twistcap.io.session import FirstPoseTable, GlbBody, HumanoidBody, KeypointSet, Session
 from twistcap.io.video import Views, open_views
 
@@ -146,6 +146,7 @@ class _Start:
     def of(session: Session, rig: Rig, body: Body) -> _Start:
         table, first = session.first_pose, float((session.frames or (0, 0))[0])
         if table.file is not None:
+            body = body_at(table.file, body)
             return _Start(body, (first,), (read_pose(table.file, body, table.frame),))
         if table.clicks is not None:
             found = fit_keypoints(body, rig, read_clicks(table.clicks, rig.names), fit_lengths=table.fit_lengths)

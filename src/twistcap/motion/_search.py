@@ -20,6 +20,7 @@ from numba import njit
 from twistcap._typing import Float, Float32, Int
 
 BLOCK = 8  # poses whose neighbourhood is bounded by one ball
+FEW = 256  # blocks that are all looked into: bounds of so few are not worth their while
 _TILE = 512  # poses whose distances are held at a time
 _SHARE = 128  # blocks of which the most promising one is looked into first
 _GAP = 12  # blocks without promise that are looked into with their neighbours, which is cheaper than to begin anew
@@ -29,10 +30,10 @@ _NEAR = 1e-8  # poses, above the rounding of positions in a clip
 
 
 @njit(cache=True, nogil=True)
-def prepared(query: Float, factors: Float, width: int) -> Float:
+def prepared(query: Float, factors: Float, width: int) -> tuple[Float, bool]:
     """(m, width) the query (m, K) unwrapped as `library.unwrapped` does, weighted, the latest pose first; then zeros.
 
-    What is not finite stays so.
+    And whether all of it is finite.
     """
     m, K = query.shape
     out = np.zeros((m, width))
@@ -46,7 +47,7 @@ def prepared(query: Float, factors: Float, width: int) -> Float:
         whole = 2.0 * np.pi * np.round(total / m / (2.0 * np.pi))
         for i in range(m):
             out[i, k] = (out[i, k] - whole) * factors[k]
-    return out
+    return out, np.isfinite(out.sum())
 
 
 @njit(cache=True, nogil=True)
@@ -119,8 +120,8 @@ def _distances(
     Base is (K, N), jumps (N,) the lengths from pose to pose. Outside the clip, start … end − 1, both are infinite.
     """
     low, high = max(0, start - first), min(width, end - first)
-    squares[:, :] = np.inf
-    bounds[:, :] = np.inf
+    squares[:, :width] = np.inf
+    bounds[:, :width] = np.inf
     jump, root = jumps[first + low : first + high], np.empty(high - low, np.float32)
     for v in range(len(query)):
         row, bound = squares[v, low:high], bounds[v, low:high]
@@ -276,7 +277,8 @@ def search(
     squares = np.empty((m, halo + _TILE + 2), np.float32)
     bounds = np.empty_like(squares)
     best, best_clip, best_scale, best_pose = limit, -1, -1, -1
-    leads = -(-B // _SHARE)  # the most promising block of each share goes first, so that the rest is soon ruled out
+    # The most promising block of each share goes first, so that the rest is soon ruled out.
+    leads = -(-B // _SHARE) if B > FEW else 0
     turn, b = 0, 0
     while b < B:
         if turn < leads:

@@ -13,9 +13,10 @@ import numpy as np
 from numba import njit
 
 from twistcap import se3
-from twistcap._typing import Float
+from twistcap._typing import Float, Int
 from twistcap.body import Body
 from twistcap.errors import InputError
+from twistcap.motion.leverage import leverage
 from twistcap.motion.library import PAPER_SCALES, MotionLibrary
 from twistcap.motion.matching import Match, Matcher, Stretch
 from twistcap.motion.openloop import OpenLoop, Stretched
@@ -38,8 +39,10 @@ class FollowRule:
         sharpness: how fast a match's share falls with its distance, in units of the best one's.
         fading: share of the last pose's offset from the match that is left after each frame.
         stiffness: rad², swing (summed square deviation) below which a joint's range is not adapted.
-        trust: frames of history at which half of what they tell of the person is believed.
+        trust: frames of history at which half of what they tell of an angle of large leverage is believed.
         scales: time scales that are tried before the exact one is sought.
+        lever: m/rad, leverage at which an angle counts 1/√2; one that moves the body less is told worse by images than
+            people differ, and counts less.
     """
 
     poses: tuple[int, ...] = (10, 20, 40)
@@ -52,6 +55,7 @@ class FollowRule:
     stiffness: float = 0.3
     trust: float = 30.0
     scales: tuple[float, ...] = PAPER_SCALES
+    lever: float = 0.1
 
     def __post_init__(self) -> None:
         if len(self.poses) == 0 or min(self.poses) < 2 or self.count < 1 or not 0 <= self.fading < 1:
@@ -74,7 +78,16 @@ class FollowedMotion(OpenLoop):
         super().__init__(library, body)
         self.rule = rule or FollowRule()
         self.history = max(self.rule.look_back, *self.rule.poses)
-        self._matcher = Matcher(library, self.compared, scales=self.rule.scales, ahead=float(min(self.rule.poses)))
+        self._weights = self._by_leverage()
+        ahead = float(min(self.rule.poses))
+        self._matcher = Matcher(library, self.compared, self._weights**2, self.rule.scales, ahead)
+
+    def _by_leverage(self) -> Float:
+        """(K,) what a deviation of each compared coordinate counts, 0 … 1."""
+        q = np.zeros(len(self.body.coordinate_names))
+        q[self._theirs] = self.library.q[:, self._known].mean(axis=0)
+        by_joint = leverage(self.body, q)[self._theirs]
+        return by_joint / np.hypot(by_joint, self.rule.lever)
 
     def unlikeness(self, match: Match | None) -> float:
         """Mean distance of a matched pose, rad."""
@@ -86,7 +99,10 @@ class FollowedMotion(OpenLoop):
         matches = self._matches(past, barred)
         if not matches:
             return standard_step(past.since(max(0, len(past) - 5)))
-        guides = [_Guide.fitted(self.library, past, match, poses, self.rule, self.compared) for match, poses in matches]
+        guides = [
+            _Guide.fitted(self.library, past, match, poses, self.rule, self.compared, self._weights)
+            for match, poses in matches
+        ]
         lasting = [guide.lasting(self.library) for guide in guides]
         best = matches[0][0].distance
         alike = [guide.match.distance <= 1.5 * best + _ALIKE for guide in guides]
@@ -132,17 +148,20 @@ class _Guide:
 
     @staticmethod
     def fitted(
-        library: MotionLibrary, past: Stretched, match: Match, poses: int, rule: FollowRule, columns: np.ndarray
-    ) -> _Guide:
-        """Of a match of the last so many poses."""
+        library: MotionLibrary, past: Stretched, match: Match, poses: int, rule: FollowRule, columns: Int,
+        weights: Float,
+    ) -> _Guide:  # fmt: skip
+        """Of a match of the last so many poses; columns (K,) are compared, each deviation times its weight (K,)."""
         clip = library.q[library.starts[match.clip] : library.starts[match.clip + 1]]
         reached = min(len(past), rule.look_back, int(match.position / match.step + 1e-6) + 1)
-        query = np.ascontiguousarray(past.q[-max(poses, reached) :][:, columns])
-        position, step = placed(np.ascontiguousarray(clip[:, columns]), query, match.position, match.step)
+        query = np.ascontiguousarray(past.q[-max(poses, reached) :][:, columns]) * weights
+        position, step = placed(np.ascontiguousarray(clip[:, columns]) * weights, query, match.position, match.step)
         match = Match(match.clip, position, 1.0 / step, match.distance)
         length = min(len(past), rule.look_back, int(position / step + 1e-6) + 1)
         where = np.array(position - step * np.arange(length)[::-1], dtype=np.float64)
-        believed = length / (length + rule.trust)
+        told = np.zeros(len(library.names))  # frames, by how well they tell each angle
+        told[columns] = length * weights**2
+        believed = told / (told + rule.trust)
         gain, offset = adapted(past.q[-length:], library.angles(match.clip, where), rule.stiffness, believed)
         heading, way, lean = _aligned(past.roots[-length:], library.root_motions(match.clip, where))
         return _Guide(match, gain, offset, heading, way, lean)
@@ -169,13 +188,13 @@ class _Guide:
         return Stretched(q[1:], se3.transform(turned, place)[1:], self.match.after(count))
 
 
-def adapted(query: Float, sample: Float, stiffness: float, believed: float) -> tuple[Float, Float]:
+def adapted(query: Float, sample: Float, stiffness: float, believed: float | Float) -> tuple[Float, Float]:
     """Gain and offset (J,) that carry a sample (n, J) to a query (n, J), by ridge regression towards 1 and 0.
 
     Args:
         query, sample: rad.
         stiffness: rad², of the ridge.
-        believed: share of the difference from 1 and 0 that is kept.
+        believed: share of the difference from 1 and 0 that is kept, of all or of each joint.
     """
     of_query, of_sample = query.mean(axis=0), sample.mean(axis=0)
     a, b = sample - of_sample, query - of_query
@@ -209,8 +228,9 @@ def _blended(ways: Sequence[Stretched], shares: Float) -> Stretched:
 
 
 _FORGIVEN = 0.7  # share of a constant offset of the joints that does not count when a match is placed in time
-_GRID, _ROUNDS = 4, 3  # places to either side, and rounds of refinement
+_GRID, _ROUNDS = 4, 4  # places to either side, and rounds of refinement
 _REACH, _PACE = 1.0, 0.06  # poses, and poses per frame, within which the exact place and pace are sought
+_SPACING = 0.05  # half the way from a scale to the next: steps are 1/s, and lie the farther apart the larger they are
 
 
 @njit(cache=True, nogil=True)
@@ -235,7 +255,7 @@ def misplaced(clip: np.ndarray, query: Float, position: float, step: float) -> f
 @njit(cache=True, nogil=True)
 def placed(clip: np.ndarray, query: Float, position: float, step: float) -> tuple[float, float]:
     """Position and step near the given ones that fit a query (m, K) best, by ever finer grids."""
-    reach, pace = _REACH, _PACE
+    reach, pace = _REACH, max(_PACE, _SPACING * step * step)
     best = misplaced(clip, query, position, step)
     for _ in range(_ROUNDS):
         middle, middle_step = position, step

@@ -18,7 +18,6 @@ from twistcap.motion import _search as kernels
 from twistcap.motion.library import PAPER_SCALES, MotionLibrary
 
 _BOUNDING_LAGS = 6  # of the query, whose distances to the balls are taken
-_FEW = 256  # blocks that are all looked into
 
 
 Stretch = tuple[int, float, float]
@@ -134,9 +133,10 @@ class Matcher:
     def _ready(self, query: Float) -> _Query:
         query = np.ascontiguousarray(query, dtype=float)
         K = len(self.columns)
-        _expect(query.ndim == 2 and len(query) > 0 and query.shape[1] == K, f"a query must be (m, {K}), K coordinates")
-        poses = kernels.prepared(query, self._factors, len(self.base))
-        _expect(bool(np.isfinite(poses).all()), "a pose of the query is not finite")
+        if query.ndim != 2 or len(query) == 0 or query.shape[1] != K:
+            raise InputError(f"motion matching: a query must be (m, {K}), K coordinates.")
+        poses, finite = kernels.prepared(query, self._factors, len(self.base))
+        _expect(finite, "a pose of the query is not finite")
         return _Query(self, poses)
 
 
@@ -150,8 +150,8 @@ class _Query:
     def _bounds(self) -> Float32:
         """(B,) by block; zeros where the library is too small for the bounds to be worth their while."""
         balls, steps = self._matcher.balls, self._matcher.steps
-        if len(balls.radii) <= _FEW:
-            return np.zeros(len(balls.radii), np.float32)
+        if len(balls.radii) <= kernels.FEW:
+            return balls.nothing
         m = len(self._poses)
         lags = np.unique(np.linspace(0, m - 1, min(m, _BOUNDING_LAGS)).astype(np.int32))
         slow, fast = float(steps.min()), float(steps.max())
@@ -161,8 +161,7 @@ class _Query:
     def best(self, barred: Sequence[Stretch] = (), limit: float = 1e300) -> Match | None:
         """The best match below a limit that does not end where it is barred."""
         matcher, balls = self._matcher, self._matcher.balls
-        clips = np.array([clip for clip, _, _ in barred], np.int32)
-        windows = np.array([[low, high] for _, low, high in barred]).reshape(-1, 2)
+        clips, windows = _as_arrays(barred) if barred else _NOTHING
         distance, clip, scale, pose = kernels.search(
             matcher.base, matcher.jumps, self._poses, matcher.steps, self._bounds, balls.first_block,
             balls.clip_of, matcher.library.starts, matcher.ahead, clips, windows, limit,
@@ -198,6 +197,11 @@ class _Balls:
     clip_of: Int
     first_block: Int
 
+    @cached_property
+    def nothing(self) -> Float32:
+        """(B,) bounds that rule nothing out."""
+        return np.zeros(len(self.radii), np.float32)
+
     @staticmethod
     def of(base: Float32, starts: Int) -> _Balls:
         counts = -(-np.diff(starts) // kernels.BLOCK)
@@ -207,6 +211,15 @@ class _Balls:
         end = np.minimum(begin + kernels.BLOCK + 1, starts[clip_of + 1])
         centres, radii = kernels.balls(base, begin.astype(np.int32), end.astype(np.int32))
         return _Balls(centres, radii, clip_of, first)
+
+
+def _as_arrays(barred: Sequence[Stretch]) -> tuple[Int, Float]:
+    """(E,) clips and (E, 2) positions in them."""
+    clips = np.array([clip for clip, _, _ in barred], np.int32)
+    return clips, np.array([[low, high] for _, low, high in barred]).reshape(-1, 2)
+
+
+_NOTHING = _as_arrays(())
 
 
 def _transposed(q: Float32, columns: Int, factors: Float) -> Float32:

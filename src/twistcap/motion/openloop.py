@@ -17,6 +17,7 @@ import numpy as np
 from twistcap._typing import Float, Int
 from twistcap.body import Body, Pose
 from twistcap.errors import InputError
+from twistcap.motion.bridging import bridged
 from twistcap.motion.clip import interpolated_angles, interpolated_roots
 from twistcap.motion.library import MotionLibrary, unwrapped
 from twistcap.motion.matching import Match, Stretch
@@ -44,10 +45,10 @@ class Expected:
 
 
 class MotionPredictor(Protocol):
-    """Tells where the body is at a time, from the moments at which it was seen."""
+    """Tells where the body is at a time, from the moments before."""
 
     def predict(self, history: Sequence[Moment], time: float) -> Expected:
-        """The pose expected at `time`, s; history holds at least one earlier moment, the latest last."""
+        """The pose expected at `time`, s; history holds at least one earlier moment that was seen, the latest last."""
         ...
 
 
@@ -135,14 +136,17 @@ class OpenLoop(ABC):
     def predict(self, history: Sequence[Moment], time: float) -> Expected:
         """The pose at `time`, with its covariance; see `MotionPredictor`.
 
+        Moments that were not seen hold predictions: those after the last seen one tell nothing, those before it fill
+        the gap (`bridged`).
+
         Raises:
-            InputError: for a history without moments.
+            InputError: for a history without a seen moment.
         """
-        if not history:
+        last = next((moment for moment in reversed(history) if moment.seen), None)
+        if last is None:
             raise InputError("motion: a prediction needs at least one moment that was seen.")
-        last = history[-1]
         if self._last is not last:
-            self._last, self._seen = last, self._uniform(history)
+            self._last, self._seen = last, self._uniform(bridged(history))
             self._run = self._seen.since(len(self._seen) - 1)
         frames = max(0.0, (time - last.time) * self.library.rate)
         while len(self._run) - 1 < frames - 1e-6:

@@ -123,8 +123,9 @@ def region_model(density: Density, rho: float, floor: float, prior_mass: float, 
 
 
 def log_ratio_by_part(
-    model: RegionModel, features: Float32, inside: Float32, part: Int, px_per_m: float, wanted: Bool
-) -> Float32:
+    model: RegionModel, features: Float32, inside: Float32, part: Int, px_per_m: float, wanted: Bool,
+    outside: Float32 | None = None,
+) -> Float32:  # fmt: skip
     """(H, W) log p₁/p₂ where p₁ is the density of each pixel's own part of the body only.
 
     Args:
@@ -134,8 +135,10 @@ def log_ratio_by_part(
         part: (H, W) the part that each pixel belongs to, or would if the body were a little larger; -1 for none.
         px_per_m: scale of the image; a model of finite window is asked about the part's surroundings only.
         wanted: (H, W) where the ratio is needed; elsewhere it is 0.
+        outside: (H, W) membership of the background, where it is not all that is left.
     """
-    out, outside = np.zeros(inside.shape, dtype=np.float32), np.float32(1.0) - inside
+    out = np.zeros(inside.shape, dtype=np.float32)
+    outside = np.float32(1.0) - inside if outside is None else outside
     for s in np.unique(part[wanted]):
         own = part == s
         asked = own & wanted

@@ -59,6 +59,9 @@ class StudioConfig:
         rectangles: rectangles of random place, size and colour painted over each image anew.
         occluders: things that stand before the person in each view, the same in all frames.
         boards: things that hide chosen parts of the person for a while.
+        cloth: m that the texture of shirt and trousers slides over the surface, as loose cloth does: 0 is tight.
+        passers: textured things that move behind the person.
+        plates: old photographs: low contrast, exposures that differ from one to the next, grain.
         motion_blur: sub-frames averaged over the time the shutter is open; 1 is a sharp image.
         shutter: open time as a share of the frame interval, centred on the frame's time.
         sensor_noise: standard deviation of Gaussian noise, in intensities of [0, 1].
@@ -81,6 +84,9 @@ class StudioConfig:
     rectangles: int = 0
     occluders: int = 0
     boards: tuple[Board, ...] = ()
+    cloth: float = 0.0
+    passers: int = 0
+    plates: bool = False
     motion_blur: int = 1
     shutter: float = 0.5
     sensor_noise: float = 0.012
@@ -95,6 +101,7 @@ class StudioConfig:
         _expect(self.speed_factor > 0, "speed_factor", self.speed_factor, "positive")
         _expect(self.condition in ("exact", "mismatch"), "condition", self.condition, "'exact' or 'mismatch'")
         _expect(self.rectangles >= 0 and self.occluders >= 0, "rectangles and occluders", "negative", "0 or more")
+        _expect(self.cloth >= 0 and self.passers >= 0, "cloth and passers", "negative", "0 or more")
         spans = all(0 <= board.first <= board.last < self.frames for board in self.boards)
         _expect(spans, "boards", self.boards, "boards whose first and last frame lie in the sequence")
         _expect(self.motion_blur >= 1, "motion_blur", self.motion_blur, "1 or more")

@@ -34,10 +34,11 @@ class Layer:
         part += self.pixels[..., :3]
 
 
-def render_body(posed: Posed, camera: Camera, look: Look) -> Layer:
+def render_body(posed: Posed, camera: Camera, look: Look, slide: Float | None = None) -> Layer:
     """A body as a camera without distortion sees it, in the window that it covers.
 
     Sample ``SAMPLES * i + (SAMPLES - 1) / 2`` is the centre of pixel i: `Camera.scaled` keeps that exactly.
+    The texture is looked up `slide` (V, 3) m from the vertices of the rest pose.
     """
     faces, n = posed.body.faces, SAMPLES
     pixels, inverse_depth = project_pinhole(camera.scaled(n).P, posed.vertices)
@@ -46,7 +47,8 @@ def render_body(posed: Posed, camera: Camera, look: Look) -> Layer:
     origin = (int(low[0]) * n, int(low[1]) * n)
     index, _ = rasterise(pixels, inverse_depth, faces, origin, size)
     normals = unit_vertex_normals(posed.vertices, faces)
-    surface = (faces, pixels, inverse_depth, posed.body.vertices, normals)
+    rest = posed.body.vertices if slide is None else posed.body.vertices + slide
+    surface = (faces, pixels, inverse_depth, rest, normals)
     dress = (look.cover, look.albedo, look.contrast, look.lattice, OCTAVES, look.lights)
     return Layer(int(low[0]), int(low[1]), shade(index, origin, n, *surface, *dress).astype(np.float32))
 
@@ -60,11 +62,13 @@ def _window(samples: Float, size: tuple[int, int]) -> tuple[Float, Float]:
     return np.clip(low, 0, size), np.clip(high, 0, size)
 
 
-def picture_of(moments: Sequence[Posed], camera: Camera, look: Look, room: Float32) -> Float32:
+def picture_of(
+    moments: Sequence[Posed], camera: Camera, look: Look, room: Float32, slide: Float | None = None
+) -> Float32:
     """(H, W, 3) the room with the body in it, averaged over the moments in which the shutter is open."""
     pictures = [room.copy() for _ in moments]
     for posed, picture in zip(moments, pictures, strict=True):
-        render_body(posed, camera, look).over(picture)
+        render_body(posed, camera, look, slide).over(picture)
     return pictures[0] if len(pictures) == 1 else np.mean(np.stack(pictures), axis=0).astype(np.float32)
 
 

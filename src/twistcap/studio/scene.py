@@ -18,6 +18,7 @@ from twistcap.estimate import Frame
 from twistcap.studio.background import background, board_layer, occluder_layer
 from twistcap.studio.config import StudioConfig, stream
 from twistcap.studio.look import GREY, Look, look
+from twistcap.studio.loose import flutter, passer
 from twistcap.studio.marring import marred
 from twistcap.studio.mismatch import wrong_body, wrong_pose, wrong_rig
 from twistcap.studio.motion import gait
@@ -83,7 +84,8 @@ class Capture:
         if self.config.is_dropped(index, camera):
             return None
         moments = moments or self._moments(index)
-        picture = picture_of(moments, self.true_rig[camera], self.look, self.rooms[camera])
+        room, slide = self._what_lies_behind(index, camera), flutter(self.true_body, self.config, index)
+        picture = picture_of(moments, self.true_rig[camera], self.look, room, slide)
         for number, board in enumerate(self.config.boards):
             if board.stands(index, camera):
                 picture = self._behind_board(picture, moments, number, camera)
@@ -92,6 +94,15 @@ class Capture:
         if not self.config.colour:
             picture = picture @ GREY.astype(np.float32)
         return marred(picture, self.config, index, camera)
+
+    def _what_lies_behind(self, index: int, camera: int) -> Float32:
+        """The room and what moves in it."""
+        if not self.config.passers:
+            return self.rooms[camera]
+        room = self.rooms[camera].copy()
+        for number in range(self.config.passers):
+            passer(room, self.config, number, camera, index)
+        return room
 
     def _behind_board(self, picture: Float32, moments: Sequence[Posed], number: int, camera: int) -> Float32:
         """The picture with a board over it, and over that what of the body it does not hide."""

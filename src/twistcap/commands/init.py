@@ -1,0 +1,120 @@
+"""``twistcap init``: the first pose by clicking joints in the browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from twistcap.commands.terminal import words
+from twistcap.commands.view import serve
+from twistcap.errors import InputError
+
+
+def init(
+    session: Annotated[Path, typer.Argument(help="Session TOML.", metavar="SESSION")],
+    out: Annotated[Path | None, typer.Option(help="Pose file (.json) to write instead of the session's own.")] = None,
+    detector: Annotated[
+        str | None, typer.Option(help="Keypoint detector to begin with, of those installed (docs/init.md).")
+    ] = None,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port on 127.0.0.1; 0 takes a free one.")] = 0,
+) -> None:
+    """Click joints of the first frame in two or more views; the body follows, and is saved where SESSION reads it.
+
+    Examples:
+
+      twistcap init walk/session.toml
+
+      twistcap init walk/session.toml --port 8765    # from afar: ssh -L 8765:127.0.0.1:8765 HOST
+    """
+    from twistcap.io.session import load_session
+    from twistcap.pages.assemble import page
+
+    with words.status("reading the first frame of every view"):
+        clicking = clicking_of(load_session(session), session, out, detector)
+        html = page("init", f"First pose of {session.parent.resolve().name}", clicking.document())
+    words.print(f"saves to {clicking.target.path}")
+    serve(html, clicking.answers, port, "the page")
+
+
+def clicking_of(session: Any, path: Path, out: Path | None = None, detector: str | None = None) -> Any:
+    """Everything that `init` serves, with the clicks or keypoints that there are.
+
+    Raises:
+        InputError: whatever is wrong with the session, its videos, the detector or `out`.
+    """
+    from twistcap.io.recording import body_of, rig_of, views_of
+    from twistcap.pages.clicking import Clicking, clicks_of
+    from twistcap.pages.detectors import detected
+
+    rig, body = rig_of(session), body_of(session)
+    views = views_of(session, rig)
+    images = tuple(next(iter(source.read([views.indices[0]]))) for source in views.sources)
+    target = target_of(session, path, out)
+    clicking = Clicking(session, rig, images, body, target)
+    if detector is not None:
+        if any(image is None for image in images):
+            raise InputError("a camera dropped the first frame, so no detector can see it; begin [frames] later.")
+        found = detected(detector, [image for image in images if image is not None], rig)
+    else:
+        found = _known(session, clicking)
+    if found is not None:
+        clicking.clicks = clicks_of(found, rig, body.landmarks.names)
+    _with_saved_pose(clicking)
+    return clicking
+
+
+def target_of(session: Any, path: Path, out: Path | None) -> Any:
+    """Where to write, and what the user must still change in the session."""
+    from twistcap.pages.clicking import Target
+
+    table = session.first_pose
+    if out is not None and out.suffix.lower() != ".json":
+        raise InputError(f"--out is {out}; a pose is written as JSON, so give a file that ends in .json.")
+    if out is None and table.file is not None and Path(table.file).suffix.lower() == ".json":
+        return Target(Path(table.file), "file")
+    if out is None and table.clicks is not None:
+        return Target(Path(table.clicks), "clicks")
+    chosen = out or path.parent / "first_pose.json"
+    if out is None and chosen.exists():
+        raise InputError(f"{chosen} exists, and {path} does not read it; name another file with --out.")
+    note = f'The session reads something else: put [first_pose] file = "{chosen.name}" into {path.name}.'
+    same = table.file is not None and Path(table.file).resolve() == chosen.resolve()
+    return Target(chosen, "file", "" if same else note)
+
+
+def _known(session: Any, clicking: Any) -> Any:
+    """Clicks of an earlier time, or the keypoints that the session names."""
+    from twistcap.io.keypoints import read_clicks
+    from twistcap.io.recording import keypoints_of
+    from twistcap.pages.clicking import clicks_beside
+
+    path = clicking.target.path
+    earlier = path if clicking.target.kind == "clicks" else clicks_beside(path)
+    if earlier.is_file():
+        return read_clicks(earlier, clicking.rig.names, clicking.generic.landmarks.names)
+    table = session.first_pose.keypoints
+    if table is None:
+        return None
+    first = (session.frames or (0, 0))[0]
+    nearest = min(range(len(table.frames)), key=lambda k: abs(table.frames[k] + table.offset - first))
+    return keypoints_of(table, clicking.rig)[nearest]
+
+
+def _with_saved_pose(clicking: Any) -> None:
+    """Begin with the pose that was saved before, sliders and all."""
+    import json
+
+    from twistcap.body import Posed
+    from twistcap.firstpose import Proportions
+    from twistcap.io.pose_file import body_at, read_pose
+
+    path = clicking.target.path
+    if clicking.target.kind != "file" or not path.is_file():
+        return
+    body = body_at(path, clicking.generic)
+    clicking.shown = Posed(body, read_pose(path, body))
+    saved = json.loads(path.read_text(encoding="utf-8")).get("proportions")
+    if saved is not None:
+        clicking.proportions = Proportions(**saved)

@@ -1,0 +1,125 @@
+"""``twistcap view``: results in the browser, or as one file that opens without us."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+
+from twistcap.commands import terminal
+from twistcap.commands.terminal import words
+from twistcap.errors import InputError
+
+
+def view(
+    results: Annotated[list[Path], typer.Argument(help="One or more result.h5.", metavar="RESULT...")],
+    save: Annotated[Path | None, typer.Option(help="Write one HTML file instead of serving a page.")] = None,
+    reference: Annotated[
+        Path | None, typer.Option(help="Truth to show beside: .npz, .trc, .mot or .sto.", metavar="REF")
+    ] = None,
+    session: Annotated[
+        Path | None, typer.Option(help="Session that names the videos, where the result's own are elsewhere.")
+    ] = None,
+    width: Annotated[int, typer.Option(min=32, help="Width of the images at most, px.")] = 360,
+    images: Annotated[int, typer.Option(min=0, help="Frames that get images at most; 0 for none.")] = 120,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port on 127.0.0.1; 0 takes a free one.")] = 0,
+    json: terminal.Json = False,
+) -> None:
+    """Look at results: body in 3D, cameras with their images and outlines, joint angles with ± 2σ, lost frames.
+
+    Examples:
+
+      twistcap view out/walk/result.h5
+
+      twistcap view out/direct/result.h5 out/levelset/result.h5 --reference truth.npz
+
+      twistcap view out/walk/result.h5 --save walk.html
+    """
+    page = _page(results, reference, session, width, images)
+    if save is not None:
+        _write(save, page)
+        if json:
+            terminal.emit({"id": "view", "file": save, "bytes": save.stat().st_size})
+        else:
+            typer.echo(save)
+        return
+    serve(page, {}, port, "the page")
+
+
+def serve(page: str, answers: Any, port: int, what: str) -> None:
+    """Serve until Ctrl-C; the address goes to stdout."""
+    from twistcap.pages.server import page_server
+
+    with page_server(page, answers, port) as server:
+        typer.echo(f"http://127.0.0.1:{server.server_address[1]}/")
+        words.print(f"open {what} at this address; Ctrl-C ends (from afar: ssh -L PORT:127.0.0.1:PORT HOST)")
+        try:
+            server.serve_forever()
+        except KeyboardInterrupt:
+            words.print("closed")
+
+
+def _page(paths: list[Path], reference: Path | None, session: Path | None, width: int, images: int) -> str:
+    from twistcap.io.result import read_result
+    from twistcap.pages.viewer import Options, view_page
+
+    results = dict(zip(_names(paths), map(read_result, paths), strict=True))
+    first = next(iter(results.values()))
+    with words.status("reading images, drawing outlines"):
+        sources = _sources(first, session) if images else {}
+        truth = None if reference is None else _reference(reference, first)
+        title = next(iter(results)) if len(results) == 1 else "twistcap: " + ", ".join(results)
+        return view_page(results, sources, truth, title, Options(width, images))
+
+
+def _names(paths: list[Path]) -> list[str]:
+    """Names that tell the results apart: the folder's, or the whole path where two would be alike."""
+    short = [path.resolve().parent.name if path.stem == "result" else path.stem for path in paths]
+    names = [name if short.count(name) == 1 else str(path) for name, path in zip(short, paths, strict=True)]
+    if len(set(names)) < len(names):
+        raise InputError("the same result is given twice; give each once.")
+    return names
+
+
+def _sources(result: Any, session: Path | None) -> dict[str, Any]:
+    """The recording's images by camera, as the session or the result itself names them; those that exist."""
+    from twistcap.io.session import load_session
+    from twistcap.io.video import open_source
+
+    videos = load_session(session).videos if session is not None else result.config.get("videos", {})
+    sources: dict[str, Any] = {}
+    for camera in result.rig:
+        path = videos.get(camera.name)
+        try:
+            found = None if path is None else open_source(path)
+        except InputError:
+            if session is not None:
+                raise
+            found = None
+        if found is None:
+            words.print(f"camera {camera.name}: its video {path or ''} is not found, so no image; give --session.")
+        elif found.size != camera.size:
+            raise InputError(f"video {path} is {found.size} px, but camera {camera.name!r} was {camera.size}.")
+        else:
+            sources[camera.name] = found
+    return sources
+
+
+def _reference(path: Path, result: Any) -> Any:
+    """The reference on the recording's clock, which the result's own frames tell."""
+    from twistcap.evaluate.load import load_reference
+
+    index, time = np.asarray(result.indices, float), result.times
+    frames: Any = np.arange
+    rate = float((time[-1] - time[0]) / (index[-1] - index[0])) if len(time) > 1 else 1 / 60
+    start = float(time[0] - rate * index[0]) if len(time) else 0.0
+    return load_reference(path, result.body, lambda rows: start + rate * frames(rows))
+
+
+def _write(path: Path, page: str) -> None:
+    try:
+        path.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{path} cannot be written: {error.strerror}; choose another with --save.") from error

@@ -1,0 +1,92 @@
+"""Support maps: which pixels of the projected body move as the body does (EM, Bregler and Malik 1998, section 2.4).
+
+Each pixel belongs to the body, moving as its segment does, to the layer behind, which stands still or moves as a whole,
+or to neither. The maps are the posterior of the first: prior from the projected shape, likelihoods from the residuals.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from twistcap._typing import Float, Float32, Int
+
+_FLOOR = 0.008  # brightness; least robust scale: sensor noise and sampling
+_CEILING = 0.15
+_NEITHER = 0.10  # prior of pixels that move neither way; their residuals are spread evenly over [-1, 1]
+
+
+@dataclass(frozen=True)
+class Neighbourhood:
+    """Where the points of a view lie on its pixels, so that evidence can be shared by neighbours.
+
+    Attributes:
+        rows, columns: (N,) pixels.
+        size: (height, width).
+        width: px, standard deviation of the sharing.
+    """
+
+    rows: Int
+    columns: Int
+    size: tuple[int, int]
+    width: float = 1.5
+
+    def mean(self, values: Float) -> Float:
+        """(N,) weighted mean about each point of values (N,) at all points; NaN takes no part."""
+        known = np.isfinite(values)
+        total, count = self._image(np.where(known, values, 0.0)), self._image(known.astype(float))
+        return (total / np.maximum(count, 1e-6))[self.rows, self.columns].astype(np.float64)
+
+    def _image(self, values: Float) -> Float32:
+        flat = np.bincount(self.rows * self.size[1] + self.columns, values, self.size[0] * self.size[1])
+        return np.asarray(cv2.GaussianBlur(flat.reshape(self.size).astype(np.float32), (0, 0), self.width), np.float32)
+
+
+def robust_scale(residual: Float, part: Int, parts: int, weight: Float) -> Float:
+    """(S,) scale of the residuals of each part: 1.48 times the weighted median of their size, within sane bounds."""
+    overall = _scale_of(np.abs(residual), weight)
+    out = np.full(parts, overall)
+    for s in np.unique(part):
+        own = part == s
+        if np.count_nonzero(own) >= 20:
+            out[s] = _scale_of(np.abs(residual[own]), weight[own])
+    return out
+
+
+def _scale_of(size: Float, weight: Float) -> float:
+    known = np.isfinite(size) & (weight > 0)
+    if not known.any():
+        return _CEILING
+    order = np.argsort(size[known])
+    heaped = np.cumsum(weight[known][order])
+    median = size[known][order][np.searchsorted(heaped, 0.5 * heaped[-1])]
+    return float(np.clip(1.48 * median, _FLOOR, _CEILING))
+
+
+def posterior(
+    residual: Float, behind: Float, prior: Float, sigma: Float, sigma_behind: Float, near: Neighbourhood
+) -> Float:
+    """(N,) probability that each pixel moves as the body does.
+
+    Channels see much the same, so that their mean evidence counts as that of one.
+
+    Args:
+        residual: (N, C) differences under the body's motion, NaN for unknown (probability 0).
+        behind: (N, C) the same under the motion of the layer behind; NaN where that is unknown.
+        prior: (N,) from the projected shape.
+        sigma: (N, C) robust scale of each pixel's segment.
+        sigma_behind: (C,) that of the layer behind.
+        near: neighbours share their evidence: squares are averaged.
+    """
+    known = np.isfinite(behind).all(axis=1)
+    body = prior * _density(residual, sigma, near)
+    back = (1.0 - prior) * np.where(known, _density(behind, np.broadcast_to(sigma_behind, behind.shape), near), 0.0)
+    return np.where(np.isfinite(residual).all(axis=1), body / (body + back + 0.5 * _NEITHER), 0.0)
+
+
+def _density(residual: Float, sigma: Float, near: Neighbourhood) -> Float:
+    """(N,) normal density of the channels' mean square, shared by neighbours, at the mean scale."""
+    square = near.mean(np.mean((residual / sigma) ** 2, axis=1))
+    return np.exp(-0.5 * square - np.mean(np.log(sigma), axis=1)) / np.sqrt(2 * np.pi)

@@ -1,0 +1,117 @@
+"""Scaled orthography: a view of a body is a turn, a scale and a shift in the image.
+
+``(x, y) = shift + s (R X)_xy`` (Bregler and Malik, "Tracking People with Twists and Exponential Maps", CVPR 1998,
+DOI 10.1109/CVPR.1998.698581). X is in the body's own frame, so that several views share the joint angles only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from twistcap import se3
+from twistcap._typing import Float
+from twistcap.body import Body, Pose, Posed
+from twistcap.camera import Camera
+
+ROOT = 6
+"""Numbers of a view's own motion: relative scale, shift in x and y (px), turn about x, y and z of the camera (rad)."""
+
+
+@dataclass(frozen=True)
+class ScaledView:
+    """What one camera has of the body's place.
+
+    Attributes:
+        rotation: (3, 3) body frame to camera (x right, y down, z forward).
+        scale: px/m.
+        shift: (2,) image of the body frame's origin, px.
+    """
+
+    rotation: Float
+    scale: float
+    shift: Float
+
+    def camera_points(self, points: Float) -> Float:
+        """Points (..., 3) m of the body frame in camera axes, px, relative to the body's origin."""
+        return self.scale * (points @ self.rotation.T)
+
+    def pixels(self, points: Float) -> Float:
+        """(..., 2) px."""
+        return self.camera_points(points)[..., :2] + self.shift
+
+    @property
+    def P(self) -> Float:
+        """(3, 4) affine projection: a point of the body frame to its pixel and a third number 1."""
+        out = np.zeros((3, 4))
+        out[:2, :3], out[:2, 3], out[2, 3] = self.scale * self.rotation[:2], self.shift, 1.0
+        return out
+
+    def moved(self, phi: Float) -> ScaledView:
+        """After the motion φ = (s', v₁, v₂, ω_x, ω_y, ω_z); it grows and turns about the image of the origin."""
+        turned = se3.orthonormalised(se3.transform(se3.exp_rotation(phi[3:]) @ self.rotation, np.zeros(3)))[:3, :3]
+        return ScaledView(turned, self.scale * float(np.exp(phi[0])), self.shift + phi[1:3])
+
+    def minus(self, other: ScaledView) -> Float:
+        """The motion (6,) that `moved` needs to come from `other` to this view."""
+        turn = se3.log_rotation(self.rotation @ other.rotation.T)
+        return np.concatenate([[np.log(self.scale / other.scale)], self.shift - other.shift, turn])
+
+    def resized(self, factor: float) -> ScaledView:
+        """The view in the image resized by `factor`; pixel centres stay at integers."""
+        return replace(self, scale=factor * self.scale, shift=factor * self.shift + 0.5 * (factor - 1.0))
+
+    @staticmethod
+    def of(camera: Camera, root: Float) -> ScaledView:
+        """The view nearest to a pinhole camera's of a body at `root` (4, 4): exact at the body's origin."""
+        at = se3.apply(camera.T_cam_world, root[None, :3, 3])[0]
+        towards = _towards(at)
+        scale = 0.5 * float(camera.K[0, 0] + camera.K[1, 1]) / float(np.linalg.norm(at))
+        stretch = float(np.linalg.norm(at) / at[2])  # off the axis a pinhole images things larger
+        pixel = camera.K[:2, :2] @ (at[:2] / at[2]) + camera.K[:2, 2]
+        return ScaledView(towards @ camera.T_cam_world[:3, :3] @ root[:3, :3], scale * stretch, pixel)
+
+    def root(self, camera: Camera) -> Float:
+        """(4, 4) where the body stands, rest to world, for a pinhole camera of known focal length: undoes `of`."""
+        xy = np.linalg.solve(camera.K[:2, :2], self.shift - camera.K[:2, 2])
+        depth = 0.5 * float(camera.K[0, 0] + camera.K[1, 1]) / self.scale
+        at = depth * np.array([xy[0], xy[1], 1.0])
+        R, t = camera.T_cam_world[:3, :3], camera.T_cam_world[:3, 3]
+        return se3.transform(R.T @ _towards(at).T @ self.rotation, R.T @ (at - t))
+
+
+def _towards(at: Float) -> Float:
+    """(3, 3) the least turn that takes the direction of a camera point (3,) to the optical axis."""
+    n = at / np.linalg.norm(at)
+    axis = np.cross(n, [0.0, 0.0, 1.0])
+    sine = float(np.linalg.norm(axis))
+    return np.eye(3) if sine < 1e-12 else se3.exp_rotation(axis / sine * np.arctan2(sine, n[2]))
+
+
+@dataclass(frozen=True)
+class State:
+    """A body in all views: what the differential tracker follows.
+
+    Attributes:
+        views: one per camera.
+        q: (J,) joint coordinates, rad, shared by all views.
+    """
+
+    views: tuple[ScaledView, ...]
+    q: Float
+
+    def retract(self, delta: Float) -> State:
+        """After a step (6 V + J,): the views' own motions one after the other, then the joints'."""
+        joints = ROOT * len(self.views)
+        views = tuple(view.moved(delta[ROOT * v : ROOT * v + ROOT]) for v, view in enumerate(self.views))
+        return State(views, self.q + delta[joints:])
+
+    def minus(self, other: State) -> Float:
+        """The step (6 V + J,) that `retract` needs to come from `other` to this state."""
+        views = [view.minus(before) for view, before in zip(self.views, other.views, strict=True)]
+        return np.concatenate([*views, self.q - other.q])
+
+    def posed(self, body: Body) -> Posed:
+        """The body in its own frame."""
+        return Posed(body, Pose(np.eye(4), self.q))

@@ -1,0 +1,222 @@
+"""A session written from videos and a calibration, and what is still missing in it, in plain sentences."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from glob import glob
+from pathlib import Path
+
+from twistcap.camera import Rig
+from twistcap.errors import InputError
+from twistcap.io.calibration import Unit, read_rig
+from twistcap.io.video import Source, open_source
+
+_VIDEOS = {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".mts"}
+_IMAGES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A session to be written.
+
+    Attributes:
+        rig: cameras in use, as calibrated.
+        paths: video or images by camera, in the rig's order.
+        sources: the same, opened.
+        unit: of the calibration; None where the file itself tells it or it is metres.
+        calibration: its file.
+        unused: calibrated cameras without a video.
+    """
+
+    rig: Rig
+    paths: Mapping[str, str]
+    sources: Mapping[str, Source]
+    unit: Unit | None
+    calibration: Path
+    unused: tuple[str, ...]
+
+    @property
+    def frames(self) -> tuple[int, int]:
+        """(fewest, most) frames of a camera."""
+        counts = [len(source) for source in self.sources.values()]
+        return min(counts), max(counts)
+
+    @property
+    def rates(self) -> dict[str, float]:
+        """Frames per second by camera, of those that tell it."""
+        return {name: source.fps for name, source in self.sources.items() if source.fps}
+
+
+def draft_session(videos: Sequence[str], calibration: Path, unit: Unit | None = None) -> Draft:
+    """Open everything and check that it belongs together.
+
+    Args:
+        videos: files, folders, globs or printf patterns, each alone (the camera is then told by its name) or as
+            ``CAMERA=PATH``.
+        calibration: ``Calib.toml``.
+        unit: of its translations.
+
+    Raises:
+        InputError: for a video that does not open, matches no camera or has another size than its calibration, cameras
+            that two videos claim, or frame rates that differ.
+    """
+    rig = read_rig(calibration, unit)
+    paths = matched([found for text in videos for found in _expanded(text)], rig.names)
+    used = Rig(tuple(camera for camera in rig if camera.name in paths))
+    sources = {camera.name: open_source(paths[camera.name]) for camera in used}
+    ordered = {name: paths[name] for name in used.names}
+    unused = tuple(name for name in rig.names if name not in paths)
+    draft = Draft(used, ordered, sources, unit, calibration, unused)
+    _check_sizes(draft)
+    _check_rates(draft)
+    return draft
+
+
+def matched(videos: Sequence[tuple[str | None, str]], cameras: Sequence[str]) -> dict[str, str]:
+    """Path by camera: as said, else the camera whose name the file's or folder's name is or holds.
+
+    Raises:
+        InputError: for a path that no camera or more than one fits, an unknown camera, or a camera taken twice.
+    """
+    paths: dict[str, str] = {}
+    for said, path in videos:
+        name = said if said is not None else _camera_of(path, cameras)
+        if name not in cameras:
+            raise InputError(f"camera {name!r} has no calibration; the calibration holds {', '.join(cameras)}.")
+        if name in paths:
+            raise InputError(f"camera {name!r} is given two videos, {paths[name]} and {path}; write CAMERA=PATH.")
+        paths[name] = path
+    if not paths:
+        raise InputError("no video is given; name them with --videos.")
+    return paths
+
+
+def _camera_of(path: str, cameras: Sequence[str]) -> str:
+    stem = Path(path.split("%")[0].rstrip("/") if "%" in path else path)
+    title = (stem.stem if stem.suffix.lower() in _VIDEOS else stem.name).lower()
+    exact = [name for name in cameras if name.lower() == title]
+    held = [name for name in cameras if name.lower() in title]
+    longest = [name for name in held if len(name) == max(map(len, held))]
+    found = exact or longest
+    if len(found) != 1:
+        many = "no camera" if not found else "more than one camera"
+        raise InputError(f"the name of {path} fits {many} of {', '.join(cameras)}; write it as CAMERA={path}.")
+    return found[0]
+
+
+def _expanded(text: str) -> list[tuple[str | None, str]]:
+    """What one argument stands for: a folder of videos stands for each of them, a folder of images for itself."""
+    name, equals, path = text.partition("=")
+    if equals and not Path(text).exists():
+        return [(name, path)]
+    if "%" in text:
+        return [(None, text)]
+    files = sorted(glob(text)) if any(c in text for c in "*?[") else [text]
+    if not files:
+        raise InputError(f"no file matches {text}; check --videos.")
+    return [(None, found) for file in files for found in _in_folder(Path(file))]
+
+
+def _in_folder(path: Path) -> list[str]:
+    if not path.is_dir():
+        return [str(path)]
+    inside = sorted(path.iterdir())
+    if any(p.suffix.lower() in _IMAGES for p in inside):
+        return [str(path)]
+    folders = [p for p in inside if p.is_dir() and any(q.suffix.lower() in _IMAGES for q in p.iterdir())]
+    found = [str(p) for p in inside if p.suffix.lower() in _VIDEOS] or [str(p) for p in folders]
+    if not found:
+        raise InputError(f"folder {path} holds neither videos nor images; check --videos.")
+    return found
+
+
+def _check_sizes(draft: Draft) -> None:
+    for camera in draft.rig:
+        size = draft.sources[camera.name].size
+        if size != camera.size:
+            raise InputError(
+                f"video {draft.paths[camera.name]} is {size[0]}×{size[1]} pixels, but the calibration of camera"
+                f" {camera.name!r} is for {camera.size[0]}×{camera.size[1]}; use the video that was calibrated."
+            )
+
+
+def _check_rates(draft: Draft) -> None:
+    rates = draft.rates
+    if rates and max(rates.values()) - min(rates.values()) > 0.01 * max(rates.values()):
+        told = ", ".join(f"{name} {rate:g}" for name, rate in rates.items())
+        raise InputError(f"the videos differ in frames per second ({told}); convert them to one rate.")
+
+
+def session_lines(draft: Draft, folder: Path, stature: float | None) -> str:
+    """The session file: what is known filled in, the rest told in comments."""
+    fewest, most = draft.frames
+    rate = next(iter(draft.rates.values()), None)
+    lines = [
+        "# A twistcap session; docs/session.md tells every key. Paths are relative to this file.",
+        f"{'' if fewest < most else '# '}frames = [0, {fewest - 1}]  # first and last frame, counted from 0",
+        "# fps of the images; set it to what was recorded" if rate is None else f"# The videos tell {rate:g} fps.",
+        *(["fps = 60"] if rate is None else []),
+        "# scale = 0.5   # smaller images track faster; a person 250 px high is plenty",
+        "\n[cameras]",
+        f"calibration = {_path(draft.calibration, folder)}",
+        *([f'unit = "{draft.unit}"'] if draft.unit else []),
+        *([f"use = {json.dumps(list(draft.rig.names))}"] if draft.unused else []),
+        "# floor = 0.0   # height of the floor, m; false where the world's z is not upward",
+        "\n[videos]",
+        *(
+            f"{json.dumps(name, ensure_ascii=False)} = {_path(Path(path), folder)}"
+            for name, path in draft.paths.items()
+        ),
+        "\n[body]",
+        'kind = "humanoid"',
+        f"stature = {stature:g}  # m" if stature else "# stature = 1.75   # m; measure the person",
+        "\n[first_pose]",
+        '# "twistcap init" writes this file from a handful of clicked joints.',
+        'file = "first_pose.json"',
+        "# Or, instead of file, 2D keypoints of a detector near the first frame:",
+        "# [first_pose.keypoints]",
+        '# format = "body_25b"   # or "body_25", "coco_17"',
+        f'# folders = {{ {draft.rig.names[0]} = "pose/{draft.rig.names[0]}_json" }}   # one per camera',
+        "\n# [tracker]",
+        '# method = "direct"   # or "levelset"',
+        "\n[output]",
+        '# folder = "out/session"   # seen from where twistcap is started',
+        'exports = ["trc", "csv"]   # also mot, bvh, glb',
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _path(path: Path, folder: Path) -> str:
+    return json.dumps(os.path.relpath(path.resolve(), folder.resolve()), ensure_ascii=False)
+
+
+def findings(draft: Draft) -> list[str]:
+    """What was found, in sentences."""
+    fewest, most = draft.frames
+    rates = draft.rates
+    rate = f"{next(iter(rates.values())):g} frames per second" if rates else "images, whose frame rate nobody tells"
+    out = [f"{len(draft.rig)} cameras ({', '.join(draft.rig.names)}), {fewest} frames, {rate}; all sizes agree."]
+    if fewest < most:
+        out.append(f"The videos differ in length ({fewest} to {most} frames): frames = [0, {fewest - 1}] is set.")
+    if draft.unused:
+        out.append(f"Calibrated, but without a video: {', '.join(draft.unused)}; [cameras] use leaves them out.")
+    return out
+
+
+def missing(draft: Draft, session: Path, stature: float | None) -> list[str]:
+    """What a track still lacks, in sentences that say how to mend it."""
+    out: list[str] = []
+    if len(draft.rig) < 2:
+        out.append("A second view: one camera alone leaves depth open, and a first pose cannot be clicked.")
+    if stature is None:
+        out.append("The body: it is the built-in person of 1.75 m; put the true height into [body] stature.")
+    if not draft.rates:
+        out.append("The frame rate: 60 is set; put the true one into fps.")
+    pose = session.parent / "first_pose.json"
+    if not pose.is_file():
+        out.append(f"The first pose: {pose.name} does not exist yet; make it with  twistcap init {session}")
+        out.append("Keypoints: none are named; they can stand in for clicks ([first_pose.keypoints] in the file).")
+    return out

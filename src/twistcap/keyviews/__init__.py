@@ -1,0 +1,1 @@
+"""A body from four key views of a person: silhouettes to slices, joints and a rigged surface."""

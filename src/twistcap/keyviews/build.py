@@ -1,0 +1,231 @@
+"""A rigged body from slices and joint centres: lofts through closed B-splines on the built-in humanoid's skeleton."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from twistcap import se3
+from twistcap._typing import Float, Int
+from twistcap.body import Body, Landmarks
+from twistcap.body.humanoid import humanoid
+from twistcap.body.shape import joint_origin
+from twistcap.keyviews.measure import SIDES, Measured
+from twistcap.keyviews.sections import closed_spline
+
+_RING = 24  # vertices of a slice
+_DOWN = np.array([0.0, 0.0, -1.0])
+
+
+@dataclass(frozen=True)
+class Acquired:
+    """A body from key views.
+
+    Attributes:
+        body: rest pose and skeleton of the built-in humanoid, the person's own surface and joint centres.
+        measured: what it was made from.
+        surface: (V, 3) the body's vertices as the person stood in the front view, in the body's axes, m.
+    """
+
+    body: Body
+    measured: Measured
+    surface: Float
+
+
+def build(measured: Measured) -> Acquired:
+    """The body that the tracker takes. Arms and legs run on into the trunk and are closed there (appendix: "the arm
+    patches are connected to the mid plane of the torso"), so that no gap opens when they move."""
+    skeleton = humanoid(stature=measured.stature)
+    motions, centres = _motions(skeleton, measured)
+    points, faces, parts = _surface(measured)
+    weights = _binding(skeleton, measured, points, parts)
+    segments, shares = _strongest(weights)
+    rest = _unposed(motions[segments], shares, points)
+    body = replace(
+        _rejointed(skeleton, centres),
+        name="keyviews",
+        vertices=rest,
+        faces=faces,
+        skin_segments=segments,
+        skin_weights=shares,
+    )
+    return Acquired(_with_feet(body), measured, points)
+
+
+def _motions(skeleton: Body, measured: Measured) -> tuple[Float, Float]:
+    """Motions (S, 4, 4) from the rest pose to the front view's, and joint centres (S, 3) in the rest pose."""
+    J = measured.joints
+    mid_hip = (J["hip_r"] + J["hip_l"]) / 2
+    scale = (J["neck"] - mid_hip)[2] / joint_origin(skeleton, skeleton.segment("head"))[2]
+    S = len(skeleton.segment_names)
+    motions, centres = np.tile(se3.transform(np.eye(3), mid_hip), (S, 1, 1)), np.zeros((S, 3))
+    centres[skeleton.segment("torso")] = joint_origin(skeleton, skeleton.segment("torso")) * scale
+    centres[skeleton.segment("head")] = J["neck"] - mid_hip
+    for side in SIDES:
+        for names, marks in (
+            (("humerus", "ulna", "radius"), ("shoulder", "elbow", "wrist")),
+            (("femur", "tibia", "foot"), ("hip", "knee", "ankle")),
+        ):
+            at = [J[f"{m}_{side}"] for m in marks]
+            own = [skeleton.segment(f"{n}_{side}") for n in names]
+            motions[own], centres[own] = _straightened(at, mid_hip, flat_end=names[2] == "foot")
+    return motions, centres
+
+
+def _straightened(at: list[Float], mid_hip: Float, flat_end: bool) -> tuple[Float, Float]:
+    """Motions (3, 4, 4) of a limb from hanging straight down to its joints (3,) each, and its joints then (3, 3)."""
+    rest = [at[0] - mid_hip]
+    turns = [_turn(_DOWN, at[1] - at[0])]
+    turns.append(_turn(at[1] - at[0], at[2] - at[1]) @ turns[0])
+    turns.append(np.eye(3) if flat_end else turns[1])
+    for above, below in ((at[0], at[1]), (at[1], at[2])):
+        rest.append(rest[-1] + float(np.linalg.norm(below - above)) * _DOWN)
+    motions = [se3.transform(R, p - R @ r) for R, p, r in zip(turns, at, rest, strict=True)]
+    return np.array(motions), np.array(rest)
+
+
+def _turn(a: Float, b: Float) -> Float:
+    """(3, 3) the least rotation that takes the direction of a to that of b."""
+    a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
+    axis, sine = np.cross(a, b), float(np.linalg.norm(np.cross(a, b)))
+    angle = float(np.arctan2(sine, a @ b))
+    return se3.exp_rotation(axis * (angle / sine if sine > 1e-12 else 0.0))
+
+
+def _surface(measured: Measured) -> tuple[Float, Int, list[str]]:
+    """Vertices (V, 3) in the front view's pose, outward faces (F, 3), and the part of each vertex."""
+    vertices: list[Float] = []
+    faces: list[Int] = []
+    parts: list[str] = []
+    for part, control in _joined(measured).items():
+        points, triangles = _loft(closed_spline(control, _RING))
+        faces.append(triangles + len(parts))
+        vertices.append(points)
+        parts += [part] * len(points)
+    return np.concatenate(vertices), np.concatenate(faces), parts
+
+
+def _joined(measured: Measured) -> dict[str, Float]:
+    """The slices of all parts, those of arms and legs carried on into the trunk."""
+    out = dict(measured.slices)
+    for side in SIDES:
+        for part, joint, deep in (("arm", "shoulder", 0.05), ("leg", "hip", 0.06)):
+            control = out[f"{part}_{side}"]
+            inward = measured.joints[f"{joint}_{side}"] - control[0].mean(axis=0)
+            inward = inward * ([0.0, 1.0, 0.0] if part == "arm" else [0.0, 0.0, 1.0])
+            inward *= 1.0 + deep / max(float(np.linalg.norm(inward)), 1e-6)
+            centre = control[0].mean(axis=0)
+            more = [centre + t * inward + (1 - 0.35 * t) * (control[0] - centre) for t in (1.0, 0.75, 0.5, 0.25)]
+            out[f"{part}_{side}"] = np.concatenate([more, control])
+    return out
+
+
+def _loft(rings: Float) -> tuple[Float, Int]:
+    """Closed surface through rings (n, m, 3): vertices (n m + 2, 3) and outward triangles."""
+    n, m = rings.shape[:2]
+    k, i = np.meshgrid(np.arange(n - 1), np.arange(m), indexing="ij")
+    a, b = k * m + i, k * m + (i + 1) % m
+    sides = np.concatenate([np.stack([a, b, b + m], axis=-1), np.stack([a, b + m, a + m], axis=-1)]).reshape(-1, 3)
+    ring, after = np.arange(m), (np.arange(m) + 1) % m
+    first = np.stack([np.full(m, n * m), after, ring], axis=1)
+    last = np.stack([np.full(m, n * m + 1), (n - 1) * m + ring, (n - 1) * m + after], axis=1)
+    points = np.concatenate([rings.reshape(-1, 3), rings[0].mean(axis=0)[None], rings[-1].mean(axis=0)[None]])
+    faces = np.concatenate([sides, first, last]).astype(np.int32)
+    corner = points[faces]
+    volume = float(np.einsum("fi,fi->", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])))
+    return points, faces if volume > 0 else np.ascontiguousarray(faces[:, ::-1])
+
+
+def _binding(skeleton: Body, measured: Measured, points: Float, parts: list[str]) -> Float:
+    """(V, S) shares of the segments: every joint hands its share on, smoothly, as the humanoid's do."""
+    J, size = measured.joints, measured.stature / 1.75
+    weights = np.zeros((len(points), len(skeleton.segment_names)))
+    weights[:, skeleton.segment("pelvis")] = 1.0
+    part = np.array(parts)
+
+    def hand(above: str, below: str, share: Float) -> None:
+        moved = weights[:, skeleton.segment(above)] * share
+        weights[:, skeleton.segment(above)] -= moved
+        weights[:, skeleton.segment(below)] += moved
+
+    hips = (J["hip_r"] + J["hip_l"]) / 2
+    trunk = ~np.char.startswith(part, "leg")
+    hand("pelvis", "torso", trunk * _ramp(points[:, 2], hips[2] + 0.14 * size, 0.08))
+    tilted = points[:, 2] + 0.3 * (points[:, 0] - J["neck"][0])
+    hand("torso", "head", (part == "trunk") * _ramp(tilted, J["neck"][2] + 0.02 * size, 0.045))
+    for side in SIDES:
+        shares = _limb_shares(J, points, part, side, size)
+        for above, below in (("torso", "humerus"), ("humerus", "ulna"), ("ulna", "radius")):
+            hand(above if above == "torso" else f"{above}_{side}", f"{below}_{side}", shares[below])
+        for above, below in (("pelvis", "femur"), ("femur", "tibia"), ("tibia", "foot")):
+            hand(above if above == "pelvis" else f"{above}_{side}", f"{below}_{side}", shares[below])
+    return weights
+
+
+def _limb_shares(J: Mapping[str, Float], points: Float, part: Int, side: str, size: float) -> dict[str, Float]:
+    """(V,) by segment: what it takes over from the one above it."""
+
+    def along(joint: str, to: str) -> Float:
+        way = J[f"{to}_{side}"] - J[f"{joint}_{side}"]
+        return (points - J[f"{joint}_{side}"]) @ way / np.linalg.norm(way)
+
+    sign = -1.0 if side == "r" else 1.0
+    own_half = _ramp(sign * points[:, 1], 0.015, 0.015)
+    above_pit = np.where(part == "trunk", _ramp(points[:, 2], J[f"shoulder_{side}"][2] - 0.08 * size, 0.05), 1.0)
+    forearm, length = along("elbow", "wrist"), np.linalg.norm(J[f"wrist_{side}"] - J[f"elbow_{side}"])
+    return {
+        "humerus": np.isin(part, ["trunk", f"arm_{side}"]) * above_pit * _ramp(along("shoulder", "elbow"), 0.0, 0.05),
+        "ulna": _ramp(forearm, 0.0, 0.04),
+        "radius": np.clip((forearm - 0.05) / (length - 0.06), 0.0, 1.0),
+        "femur": np.isin(part, ["trunk", f"leg_{side}"]) * own_half * _ramp(along("hip", "knee"), 0.02, 0.06),
+        "tibia": _ramp(along("knee", "ankle"), 0.0, 0.05),
+        "foot": _ramp(-along("ankle", "knee"), 0.0, 0.03),
+    }
+
+
+def _ramp(x: Float, centre: float, half_width: float) -> Float:
+    """Smooth step from 0 to 1 around a centre."""
+    t = np.clip((x - centre) / (2 * half_width) + 0.5, 0.0, 1.0)
+    return t * t * (3 - 2 * t)
+
+
+def _strongest(weights: Float) -> tuple[Int, Float]:
+    """The 4 strongest segments (V, 4) of each vertex and their weights, which sum to 1."""
+    segments = np.argsort(-weights, axis=1, kind="stable")[:, :4]
+    kept = np.take_along_axis(weights, segments, axis=1)
+    return segments.astype(np.int32), kept / kept.sum(axis=1, keepdims=True)
+
+
+def _unposed(motions: Float, weights: Float, points: Float) -> Float:
+    """Rest positions (V, 3) that linear-blend skinning by motions (V, 4, 4, 4) carries to the given points (V, 3)."""
+    blended = np.einsum("vk,vkij->vij", weights, motions)
+    return np.linalg.solve(blended[:, :3, :3], (points - blended[:, :3, 3])[..., None])[..., 0]
+
+
+def _rejointed(skeleton: Body, centres: Float) -> Body:
+    """The skeleton with its joints at new centres (S, 3); landmarks move along with their segment's joint."""
+    twists, marks = skeleton.twists.copy(), skeleton.landmarks
+    old = np.array([joint_origin(skeleton, s) for s in range(len(centres))])
+    old[skeleton.segment_joint < 0] = 0.0
+    for s in np.flatnonzero(skeleton.segment_joint >= 0):
+        above = int(skeleton.segment_parent[s])
+        k, top = int(skeleton.segment_joint[s]), int(skeleton.segment_joint[above])
+        while k >= 0 and k != top:
+            twists[k, 3:] = -np.cross(twists[k, :3], centres[s])
+            k = int(skeleton.parent[k])
+    points = marks.points + (centres - old)[marks.segments]
+    return replace(skeleton, twists=twists, landmarks=Landmarks(marks.names, marks.segments, points))
+
+
+def _with_feet(body: Body) -> Body:
+    """Toes, heels and the top of the head marked where the surface has them."""
+    marks, points = body.landmarks, body.landmarks.points.copy()
+    part = body.vertex_part
+    for side in SIDES:
+        foot = body.vertices[part == body.segment(f"foot_{side}")]
+        points[marks.index(f"heel_{side}")][0] = foot[:, 0].min()
+        points[marks.index(f"toe_{side}")][0] = foot[:, 0].max()
+    points[marks.index("head_top")][2] = body.vertices[:, 2].max()
+    return replace(body, landmarks=Landmarks(marks.names, marks.segments, points))

@@ -1,0 +1,103 @@
+"""Where the joints are: skeleton corners and narrowest slices, shifted to where anatomy has the joints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import convolve, gaussian_filter1d
+
+from twistcap._typing import Bool, Float, Int
+from twistcap.errors import InputError
+from twistcap.keyviews.outline import corners, skeleton
+
+_EIGHT = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]])
+
+
+@dataclass(frozen=True)
+class ArmCorner:
+    """A bent arm of the joint view, pixels: skeleton (N, 2) from the fingertip, index of its corner, elbow (2,)."""
+
+    path: Float
+    corner: int
+    elbow: Float
+
+
+def arm_corner(arm: Bool, trunk_side: Float, height: float) -> ArmCorner:
+    """The elbow of a bent arm (H, W): the corner of its skeleton, moved to where the lines of both limbs meet.
+
+    A skeleton cuts its corners inside a bend; the lines that it follows farther away do not.
+
+    Args:
+        arm: mask of one arm.
+        trunk_side: (2,) a pixel (x, y) beside which the arm leaves the trunk.
+        height: of the person, px.
+
+    Raises:
+        InputError: if the arm is not bent enough for a corner.
+    """
+    path = _longest_path(skeleton(arm), trunk_side)
+    smooth = gaussian_filter1d(path, 0.008 * height, axis=0, mode="nearest")
+    reach = max(4, round(0.05 * height)), max(8, round(0.1 * height))
+    index, _ = corners(smooth, reach, np.deg2rad(140.0), closed=False)
+    inner = index[(index > 0.15 * len(path)) & (index < 0.75 * len(path))]  # beyond are hand and trunk
+    if len(inner) == 0:
+        raise InputError("key view 'elbows': an arm is straight; hold the upper arms out sideways, the forearms up.")
+    corner = int(inner[0])
+    near, far = round(0.035 * height), round(0.11 * height)
+    lines = [_line(smooth[max(0, corner - far) : max(2, corner - near)]), _line(smooth[corner + near : corner + far])]
+    return ArmCorner(smooth, corner, _crossing(*lines))
+
+
+def _longest_path(pixels: Bool, start_near: Float) -> Float:
+    """(N, 2) the longest way through a skeleton from the pixel nearest to a point, returned from its far end."""
+    points = np.argwhere(pixels)[:, ::-1]
+    number = {tuple(p): i for i, p in enumerate(points.tolist())}
+    start = int(np.argmin(((points - start_near) ** 2).sum(axis=1)))
+    before, queue = {start: -1}, [start]
+    for i in queue:
+        x, y = points[i]
+        for dx, dy in ((1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)):
+            j = number.get((int(x + dx), int(y + dy)))
+            if j is not None and j not in before:
+                before[j] = i
+                queue.append(j)
+    way, i = [], queue[-1]
+    while i >= 0:
+        way.append(i)
+        i = before[i]
+    return points[way].astype(float)
+
+
+def skeleton_ends(pixels: Bool) -> Int:
+    """(N, 2) end points (x, y) of a skeleton: pixels with one neighbour."""
+    neighbours = convolve(pixels.astype(int), _EIGHT, mode="constant")
+    return np.argwhere(pixels & (neighbours == 1))[:, ::-1].astype(np.int32)
+
+
+def _line(points: Float) -> tuple[Float, Float]:
+    middle = points.mean(axis=0)
+    return middle, np.linalg.svd(points - middle)[2][0]
+
+
+def _crossing(first: tuple[Float, Float], second: tuple[Float, Float]) -> Float:
+    (p, d), (q, e) = first, second
+    t = np.linalg.solve(np.stack([d, -e], axis=1), q - p)
+    return p + t[0] * d
+
+
+def girths(control: Float) -> tuple[Float, Float]:
+    """Both widths (n,), (n,) of slices (n, 4, 3), m."""
+    a = np.linalg.norm(control[:, 1] - control[:, 0] + control[:, 2] - control[:, 3], axis=1) / 2
+    b = np.linalg.norm(control[:, 3] - control[:, 0] + control[:, 2] - control[:, 1], axis=1) / 2
+    return a, b
+
+
+def narrowest(control: Float, along: Float, between: tuple[float, float]) -> float:
+    """Where along a limb, m, the girth of its slices (n, 4, 3) is least, within a range of `along` (n,)."""
+    a, b = girths(control)
+    area = gaussian_filter1d(a * b, 1.0, mode="nearest")
+    inside = np.flatnonzero((along >= between[0]) & (along <= between[1]))
+    if len(inside) == 0:
+        raise InputError("key views: a limb is too short to find its narrowest place; check the silhouettes.")
+    return float(along[inside[np.argmin(area[inside])]])

@@ -1,0 +1,327 @@
+"""From four checked silhouettes to what a body is made of: slices of every part, and joint centres."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from twistcap import se3
+from twistcap._typing import Bool, Float
+from twistcap.body import _humanoid_profiles as P
+from twistcap.camera import Camera
+from twistcap.errors import InputError
+from twistcap.keyviews.joints import ArmCorner, arm_corner, narrowest
+from twistcap.keyviews.outline import Separation, separate
+from twistcap.keyviews.sections import Cut, sections
+from twistcap.keyviews.silhouette import KeyView, check_views, middle_pixel, nearest_point
+
+SIDES = ("r", "l")
+_STEP = 0.012  # m between slices
+# Joint shifts: where anatomy has a joint less where the silhouettes show one (x forward, y outward, z up; shares of
+# stature), in the poses of the key views. Measured on the built-in humanoid, but for the hip's height above the crotch:
+# 0.530 (Winter 2009, fig. 4.1) less the 0.478 of the crotch in ANSUR. They hold as far as people are alike.
+SHIFT: dict[str, tuple[float, float, float]] = {
+    "shoulder": (0.0, 0.006, 0.0),
+    "elbow": (0.0, 0.0025, 0.0),
+    "wrist": (0.0, 0.012, 0.0),
+    "hip": (0.0, 0.0, 0.052),
+    "knee": (0.0, 0.0, 0.0),
+    "ankle": (0.0, 0.0, 0.0),
+    "neck": (0.0, 0.0, -0.025),
+}
+
+
+@dataclass(frozen=True)
+class Measured:
+    """All that the views tell, in the body's axes: x forward, y left, z up, m; the origin is on the floor.
+
+    Attributes:
+        to_world: (4, 4) from these axes to the world.
+        stature: height, m.
+        slices: control points (n, 4, 3) by part: trunk, arm_r, arm_l, leg_r, leg_l.
+        joints: centres (3,) by landmark name, in the pose of the front view.
+        separation, corners: what was seen in the front view and in the joint view, px.
+        parts: separation of the joint view.
+    """
+
+    to_world: Float
+    stature: float
+    slices: dict[str, Float]
+    joints: dict[str, Float]
+    separation: Separation
+    corners: dict[str, ArmCorner]
+    parts: Separation
+
+
+def measure(views: Mapping[str, KeyView], body_line: float | None = None) -> Measured:
+    """Slices and joints from the key views front, side, above and elbows.
+
+    Args:
+        views: by role.
+        body_line: height above the floor, m, above which the arm pits are looked for.
+
+    Raises:
+        InputError: for views that no body can be built from, naming view and reason.
+    """
+    check_views(dict(views))
+    to_world = _axes(views["front"], views["side"], views["above"])
+    views = {role: _seen_from(view, to_world) for role, view in views.items()}
+    line = None if body_line is None else float(_pixel(views["front"], np.array([0.0, 0.0, body_line]))[1])
+    front = separate(views["front"].mask, line)
+    elbows = _joint_view(views["elbows"], line)
+    slices = {"trunk": _trunk_slices(views, front)}
+    for k, s in enumerate(SIDES):
+        slices[f"leg_{s}"] = _leg_slices(views, front.legs[k])
+        slices[f"arm_{s}"] = _arm_slices(views, front.arms[k], 2 * k - 1)
+    for part, control in slices.items():
+        if len(control) < 8:
+            raise InputError(f"key views: {part} is seen in {len(control)} slices; check silhouettes and calibration.")
+    floor, top = _heights(views["front"], slices)
+    slices |= _mended(slices, views["side"], floor)
+    stature = top - floor
+    height = float(np.ptp(np.flatnonzero(views["front"].mask.any(axis=1))))
+    corners = {s: arm_corner(elbows.arms[k], elbows.pits[k], height) for k, s in enumerate(SIDES)}
+    found = _centre_joints(views["front"], slices, front, stature)
+    for k, s in enumerate(SIDES):
+        found |= _leg_joints(views["front"], slices[f"leg_{s}"], front, s, floor, stature)
+        found |= _arm_joints(views, slices[f"arm_{s}"], front.pits[k], elbows.arms[k], corners[s], s)
+        found[f"shoulder_{s}"][0] = _mid_depth(slices["trunk"], found[f"shoulder_{s}"][2])
+    return Measured(to_world, stature, slices, _straight(_shifted(found, stature)), front, corners, elbows)
+
+
+def _straight(joints: dict[str, Float]) -> dict[str, Float]:
+    """Elbows and knees on the line of the joints beside them: arms and legs are held straight, that is the zero of
+    their angles, and 10 mm beside the line would be an error of 5° in every frame tracked later."""
+    out = dict(joints)
+    for side in SIDES:
+        for above, joint, below in (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle")):
+            a, b, c = (joints[f"{n}_{side}"] for n in (above, joint, below))
+            out[f"{joint}_{side}"] = a + (c - a) * ((b - a) @ (c - a)) / ((c - a) @ (c - a))
+    return out
+
+
+def _shifted(found: dict[str, Float], stature: float) -> dict[str, Float]:
+    """Joints moved from where silhouettes show them to where anatomy has them."""
+    out: dict[str, Float] = {}
+    for name, point in found.items():
+        joint, _, side = name.partition("_")
+        out[name] = point + stature * np.array(SHIFT[joint]) * [1.0, -1.0 if side == "r" else 1.0, 1.0]
+    return out
+
+
+def _axes(front: KeyView, side: KeyView, above: KeyView) -> Float:
+    """(4, 4) body axes in the world: z up, x away from the back, y from the right to the left fingertip.
+
+    The origin is on the vertical through the middle of the silhouettes, at the height of the lowest pixel.
+    """
+    middle = nearest_point([(v.camera, middle_pixel(v.mask)) for v in (front, side)])
+    forward = (front.camera.centre - middle) * [1.0, 1.0, 0.0]
+    up = np.array([0.0, 0.0, 1.0])
+    tips = [_fingertip(front, above, middle, sign * np.cross(up, forward)) for sign in (-1.0, 1.0)]
+    left = (tips[1] - tips[0]) * [1.0, 1.0, 0.0]
+    left /= np.linalg.norm(left)
+    R = np.stack([np.cross(left, up), left, up], axis=1)
+    low = np.array([middle_pixel(front.mask)[0], np.flatnonzero(front.mask.any(axis=1))[-1]])
+    ray, centre = front.camera.rays(low)[0], front.camera.centre
+    depth = ((middle - centre) @ R[:, 0]) / (ray @ R[:, 0])
+    middle[2] = (centre + depth * ray)[2]
+    return se3.transform(R, middle)
+
+
+def _fingertip(front: KeyView, above: KeyView, middle: Float, way: Float) -> Float:
+    """(3,) the point of the body farthest in a direction (3,), world, m."""
+    return nearest_point([(v.camera, _farthest(v.camera, v.mask, middle, way)) for v in (front, above)])
+
+
+def _farthest(camera: Camera, mask: Bool, middle: Float, way: Float) -> Float:
+    """(2,) the pixel of a mask farthest in a world direction (3,) at a point (3,)."""
+    ends, _ = camera.project(np.array([middle, middle + 0.1 * way / np.linalg.norm(way)]))
+    pixels = np.argwhere(mask)[:, ::-1]
+    reach = pixels @ (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+    return pixels[reach > reach.max() - 2.0].mean(axis=0)
+
+
+def _seen_from(view: KeyView, to_world: Float) -> KeyView:
+    """The view with its camera in the body's axes."""
+    camera = replace(view.camera, T_cam_world=view.camera.T_cam_world @ to_world)
+    return replace(view, camera=camera)
+
+
+def _joint_view(view: KeyView, line: float | None) -> Separation:
+    try:
+        return separate(view.mask, line)
+    except InputError as error:
+        raise InputError(str(error).replace("'front'", "'elbows'")) from error
+
+
+def _frontal(view: KeyView, pixel: Float, x: float = 0.0) -> Float:
+    """(3,) where the ray of a pixel (2,) meets the plane at depth x of the body, m."""
+    ray, centre = view.camera.rays(pixel)[0], view.camera.centre
+    return centre + ray * (x - centre[0]) / ray[0]
+
+
+def _pixel(view: KeyView, point: Float) -> Float:
+    return view.camera.project(point)[0]
+
+
+def _cuts(views: Mapping[str, KeyView], part: Bool, second: str) -> tuple[Cut, Cut]:
+    front, other = views["front"], views[second]
+    return Cut(front.camera, front.soft(part)), Cut(other.camera, other.soft())
+
+
+def _trunk_slices(views: Mapping[str, KeyView], front: Separation) -> Float:
+    """(n, 4, 3) from the crotch to the top of the head."""
+    rows = np.flatnonzero(front.trunk.any(axis=1))
+    top = _frontal(views["front"], np.array([front.neck[0], rows[0]]))[2]
+    bottom = _frontal(views["front"], front.crotch)[2]
+    middles = [np.array([0.0, 0.0, z]) for z in np.arange(bottom + 0.005, top, _STEP)]
+    return sections(*_cuts(views, front.trunk, "side"), middles)
+
+
+def _leg_slices(views: Mapping[str, KeyView], leg: Bool) -> Float:
+    """(n, 4, 3) from the crotch to the sole."""
+    rows = np.flatnonzero(leg.any(axis=1))
+    at = {int(r): float(np.flatnonzero(leg[r]).mean()) for r in rows}
+    ends = [_frontal(views["front"], np.array([at[int(r)], r]))[2] for r in (rows[0], rows[-1])]
+    middles: list[Float] = []
+    for z in np.arange(ends[0] - 0.005, ends[1], -_STEP):
+        row = int(np.clip(round(float(_pixel(views["front"], np.array([0.0, 0.0, z]))[1])), rows[0], rows[-1]))
+        middles.append(_frontal(views["front"], np.array([at[row], row])))
+    return sections(*_cuts(views, leg, "side"), middles)
+
+
+def _arm_slices(views: Mapping[str, KeyView], arm: Bool, sign: int) -> Float:
+    """(n, 4, 3) from the arm pit to the fingertip; `sign` is -1 for the right arm."""
+    cols = np.flatnonzero(arm.any(axis=0))
+    cols = cols if sign > 0 else cols[::-1]
+    at = {int(c): float(np.flatnonzero(arm[:, c]).mean()) for c in cols}
+    points = np.array([_frontal(views["front"], np.array([c, at[int(c)]])) for c in cols])
+    wanted = np.arange(abs(points[0, 1]) + 0.003, abs(points[-1, 1]), _STEP)
+    middles = points[np.searchsorted(np.abs(points[:, 1]), wanted).clip(0, len(points) - 1)]
+    return sections(*_cuts(views, arm, "above"), middles)
+
+
+def _heights(view: KeyView, slices: Mapping[str, Float]) -> tuple[float, float]:
+    """Floor and top of the head, m: the lowest pixel is a tip of a foot, the highest the middle of the head."""
+    rows = np.flatnonzero(view.mask.any(axis=1))
+    toes = max(float(slices[f"leg_{s}"][-8:, :, 0].max()) for s in SIDES)
+    depths = (float(slices["trunk"][-1, :, 0].mean()), toes)
+    top, floor = (
+        float(_frontal(view, np.array([np.flatnonzero(view.mask[r]).mean(), r]), x)[2])
+        for r, x in zip((rows[0], rows[-1]), depths, strict=True)
+    )
+    return floor, top
+
+
+def _mended(slices: Mapping[str, Float], side: KeyView, floor: float) -> dict[str, Float]:
+    """Trunk and legs without what other limbs add to them in the side view."""
+    hidden = _arms_seen(side, [slices["arm_r"], slices["arm_l"]])
+    right, left = (control[control[:, :, 2].mean(axis=1) > floor] for control in (slices["leg_r"], slices["leg_l"]))
+    return {
+        "trunk": _beside_arms(slices["trunk"], side, hidden),
+        "leg_r": _as_deep(right, left),
+        "leg_l": _as_deep(left, right),
+    }
+
+
+def _as_deep(leg: Float, other: Float) -> Float:
+    """The slices (n, 4, 3) of a leg no deeper than both views of it allow.
+
+    Seen from the side one leg hides behind the other, and the silhouette is that of both. As they stand side by side,
+    each is as deep as the part of the depth that its own and the other's slices at this height share.
+    """
+    z, other_z = leg.mean(axis=1)[:, 2], other.mean(axis=1)[::-1, 2]
+    out, pairs = leg.copy(), ([0, 1], [2, 3])
+    own = np.array([leg[:, p, 0].mean(axis=1) for p in pairs])
+    there = np.array([np.interp(z, other_z, other[::-1, p, 0].mean(axis=1)) for p in pairs])
+    front, back = np.minimum(own.max(axis=0), there.max(axis=0)), np.maximum(own.min(axis=0), there.min(axis=0))
+    shared = np.where(own == own.max(axis=0), front, back)
+    shared = np.where(front - back > 0.02, shared, own)
+    for k, pair in enumerate(pairs):
+        out[:, pair, 0] += (shared[k] - own[k])[:, None]
+    return out
+
+
+def _arms_seen(side: KeyView, arms: list[Float], margin: int = 3) -> Bool:
+    """(H, W) where forearms and hands are seen in the side view, with a margin (px) around them."""
+    out = np.zeros(side.mask.shape, np.uint8)
+    for arm in arms:
+        pixels = side.camera.project(arm[len(arm) // 2 :])[0]
+        for one, two in itertools.pairwise(pixels):
+            hull = cv2.convexHull(np.concatenate([one, two]).astype(np.float32))
+            cv2.fillConvexPoly(out, np.round(hull).astype(np.int32), 1)
+    return cv2.dilate(out, np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)) > 0
+
+
+def _beside_arms(trunk: Float, side: KeyView, arms: Bool) -> Float:
+    """The slices (n, 4, 3) of the trunk, their front and back taken from their neighbours where an arm hides them."""
+    out, z = trunk.copy(), trunk.mean(axis=1)[:, 2]
+    for pair in ([0, 1], [2, 3]):
+        edge = trunk[:, pair].mean(axis=1)
+        x, y = np.round(side.camera.project(edge)[0]).astype(int).T
+        free = ~arms[y.clip(0, len(arms) - 1), x.clip(0, arms.shape[1] - 1)]
+        if free.sum() >= 2:
+            out[:, pair, 0] += (np.interp(z, z[free], edge[free, 0]) - edge[:, 0])[:, None]
+    return out
+
+
+def _centre_joints(view: KeyView, slices: Mapping[str, Float], front: Separation, stature: float) -> dict[str, Float]:
+    neck = _frontal(view, front.neck)
+    return {"neck": np.array([_mid_depth(slices["trunk"], neck[2] + SHIFT["neck"][2] * stature), neck[1], neck[2]])}
+
+
+def _mid_depth(trunk: Float, z: float) -> float:
+    """Middle of the trunk between front and back at a height, m."""
+    centres = trunk.mean(axis=1)
+    return float(np.interp(z, centres[:, 2], centres[:, 0]))
+
+
+def _leg_joints(
+    view: KeyView, leg: Float, front: Separation, side: str, floor: float, stature: float
+) -> dict[str, Float]:
+    """Hip, knee and ankle of a leg: from the front on the line its slices follow, from the side on the plumb line.
+
+    A straight leg shows neither knee nor ankle: they lie at the heights they have in people, Winter (2009), fig. 4.1.
+    """
+    centres = leg.mean(axis=1)
+    crotch = float(_frontal(view, front.crotch)[2])
+    hip_z = crotch + SHIFT["hip"][2] * stature
+    ankle_z = floor + P.RATIOS["ankle_height"] * stature
+    straight = (centres[:, 2] > ankle_z + 0.06 * stature) & (centres[:, 2] < crotch - 0.06 * stature)
+    if straight.sum() < 4:
+        raise InputError("key views: the legs are not seen from thigh to shank; check silhouettes and calibration.")
+    fit = np.polynomial.polynomial.polyfit(centres[straight, 2], centres[straight, :2], 1)
+    share = P.RATIOS["thigh"] / (P.RATIOS["thigh"] + P.RATIOS["shank"])
+    heights = {"hip": crotch, "knee": hip_z + share * (ankle_z - hip_z), "ankle": ankle_z}
+    shank_and_thigh = (centres[:, 2] > ankle_z) & (centres[:, 2] < crotch)
+    x = float(centres[shank_and_thigh, 0].mean())
+    y = {n: float(fit[0, 1] + fit[1, 1] * z) for n, z in heights.items()}
+    y["ankle"] = float(np.interp(ankle_z + 0.02 * stature, centres[::-1, 2], centres[::-1, 1]))
+    return {f"{n}_{side}": np.array([x, y[n], z]) for n, z in heights.items()}
+
+
+def _arm_joints(
+    views: Mapping[str, KeyView], arm: Float, pit: Float, bent: Bool, corner: ArmCorner, side: str
+) -> dict[str, Float]:
+    """Shoulder at the arm pit, elbow as far from the fingertip as the joint view shows it, wrist at the narrowest."""
+    centres = arm.mean(axis=1)
+    x = float(np.median(centres[:, 0]))
+    tip = centres[-1] + (centres[-1] - centres[-6]) / 5.0 * 0.5
+    forearm = corner.path[: max(2, corner.corner // 2)].mean(axis=0) - corner.elbow
+    pixels = np.argwhere(bent)[:, ::-1]
+    end = pixels[np.argmax((pixels - corner.elbow) @ forearm)]
+    reach = float(np.linalg.norm(np.subtract(*(_frontal(views["elbows"], p, x) for p in (end, corner.elbow)))))
+    from_tip = np.linalg.norm(centres - tip, axis=1)
+    wrist = narrowest(arm, from_tip, (0.3 * reach, 0.65 * reach))
+
+    def at(distance: float) -> Float:
+        return np.array([np.interp(distance, from_tip[::-1], centres[::-1, k]) for k in range(3)])
+
+    upper = (from_tip > reach) & (from_tip < reach + 0.7 * (from_tip[0] - reach))
+    fit = np.polynomial.polynomial.polyfit(centres[upper, 1], centres[upper], 1)
+    shoulder = fit[0] + fit[1] * _frontal(views["front"], pit, x)[1]
+    return {f"shoulder_{side}": shoulder, f"elbow_{side}": at(reach), f"wrist_{side}": at(wrist)}

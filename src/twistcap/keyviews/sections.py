@@ -1,0 +1,95 @@
+"""Slices of a body: epipolar planes of two views, four control points in each, closed B-splines through them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import BSpline
+from scipy.ndimage import map_coordinates
+
+from twistcap._typing import Float, Float32
+from twistcap.camera import Camera
+
+_REACH, _STEP = 0.6, 0.001  # m on either side of the middle that is searched for the silhouette; sampling
+
+
+@dataclass(frozen=True)
+class Cut:
+    """One view's part of a slice: its camera and the silhouette (H, W) of the part in question, soft at its edge."""
+
+    camera: Camera
+    soft: Float32
+
+
+def section(first: Cut, second: Cut, middle: Float, passes: int = 3) -> Float | None:
+    """Four control points (4, 3) of the slice through a middle (3,), in turn about it; None where a view shows nothing.
+
+    The slicing plane holds both optical centres: it is seen as one epipolar line in either image, so that the two edges
+    of each silhouette on it are four rays in one plane, which meet in four points. The middle is then taken anew.
+    Source: Brox, Rosenhahn and Cremers, "Contours, Optic Flow, and Prior Knowledge", appendix.
+    """
+    corners = None
+    for _ in range(passes):
+        normal = np.cross(first.camera.centre - middle, second.camera.centre - middle)
+        normal /= np.linalg.norm(normal)
+        one, two = _edges(first, middle, normal), _edges(second, middle, normal)
+        if one is None or two is None:
+            return None
+        corners = np.array([_meet(first.camera.centre, a, second.camera.centre, b, normal) for a, b in (
+            (one[0], two[0]), (one[1], two[0]), (one[1], two[1]), (one[0], two[1]))])  # fmt: skip
+        middle = corners.mean(axis=0)
+    return corners
+
+
+def _edges(cut: Cut, middle: Float, normal: Float) -> Float | None:
+    """(2, 3) points on the rays of the silhouette's two edges, beside the middle and across the line of sight."""
+    sight = middle - cut.camera.centre
+    across = np.cross(normal, sight)
+    across /= np.linalg.norm(across)
+    s = np.arange(-_REACH, _REACH + _STEP, _STEP)
+    pixels, _ = cut.camera.project(middle + s[:, None] * across)
+    values = map_coordinates(cut.soft, pixels[:, ::-1].T, order=1, mode="constant")
+    inside = np.flatnonzero(values > 0.5)
+    if len(inside) == 0:
+        return None
+    runs = np.split(inside, np.flatnonzero(np.diff(inside) > 1) + 1)
+    run = min(runs, key=lambda r: float(np.abs(s[r]).min()) - 0.2 * len(r) * _STEP)
+    ends = [_crossing(s, values, int(run[0]), -1), _crossing(s, values, int(run[-1]), 1)]
+    return middle + np.array(ends)[:, None] * across
+
+
+def _crossing(s: Float, values: Float, at: int, side: int) -> float:
+    """Where the values fall through 0.5 beside a sample, linearly between it and the next."""
+    beyond = at + side
+    if not 0 <= beyond < len(s):
+        return float(s[at])
+    share = (values[at] - 0.5) / max(values[at] - values[beyond], 1e-9)
+    return float(s[at] + share * (s[beyond] - s[at]))
+
+
+def _meet(c1: Float, p1: Float, c2: Float, p2: Float, normal: Float) -> Float:
+    """(3,) where the lines c1 p1 and c2 p2 of one plane meet."""
+    d1, d2 = p1 - c1, p2 - c2
+    along = np.cross(normal, d2)
+    return c1 + d1 * ((c2 - c1) @ along) / (d1 @ along)
+
+
+def closed_spline(control: Float, count: int) -> Float:
+    """(…, count, 3) points of the closed quadratic B-spline of control points (…, n, 3).
+
+    It touches each edge of the control polygon in its middle: with four points, the four rays of the silhouettes are
+    its tangents. (A cubic one would keep away from them.) de Boor's algorithm is scipy's.
+    """
+    n = control.shape[-2]
+    points = np.moveaxis(control, -2, 0)
+    wrapped = np.concatenate([points, points[:2]])
+    spline = BSpline(np.arange(-2.0, n + 3.0), wrapped, 2)
+    return np.moveaxis(spline(np.arange(count) * n / count), 0, -2)
+
+
+def sections(first: Cut, second: Cut, middles: Iterable[Float]) -> Float:
+    """(n, 4, 3) control points of the slices through middles (3,), without those that a view does not show."""
+    found = [section(first, second, middle) for middle in middles]
+    return np.array([c for c in found if c is not None]).reshape(-1, 4, 3)

@@ -1,0 +1,70 @@
+"""One self-contained HTML file out of a template, our script, vendored libraries and data."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from collections.abc import Mapping
+from html import escape
+from importlib.resources import files
+from typing import Any
+
+import cv2
+import numpy as np
+
+from twistcap._typing import AnyArray
+
+_MODULES: Mapping[str, str] = {"three": "three.module.min.js", "orbit": "OrbitControls.js"}
+_TYPES: Mapping[str, str] = {"float32": "f4", "uint8": "u1", "uint16": "u2", "uint32": "u4"}
+
+
+def asset(name: str) -> str:
+    """Text of a file of ``pages/assets``."""
+    return (files("twistcap.pages") / "assets" / name).read_text(encoding="utf-8")
+
+
+def packed(array: AnyArray) -> dict[str, Any]:
+    """An array as the scripts' ``unpack`` reads it: type, shape and little-endian bytes in base64.
+
+    Args:
+        array: float32, uint8, uint16 or uint32; anything else is taken to float32.
+    """
+    kept = array if array.dtype.name in _TYPES else array.astype(np.float32)
+    code = _TYPES[kept.dtype.name]
+    content = np.ascontiguousarray(kept, dtype="<" + code).tobytes()
+    return {"type": code, "shape": list(array.shape), "data": base64.b64encode(content).decode()}
+
+
+def jpeg(image: AnyArray, width: int, quality: int = 80) -> str:
+    """An RGB or grey uint8 image as a JPEG data URL, made smaller where it is wider than `width` px."""
+    factor = min(1.0, width / image.shape[1])
+    size = (max(1, round(image.shape[1] * factor)), max(1, round(image.shape[0] * factor)))
+    small = image if factor == 1.0 else cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    bgr = small if small.ndim == 2 else cv2.cvtColor(small, cv2.COLOR_RGB2BGR)
+    content = cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+    return "data:image/jpeg;base64," + base64.b64encode(content).decode()
+
+
+def page(name: str, title: str, data: Mapping[str, Any]) -> str:
+    """The HTML of ``assets/NAME.html`` with ``common.css``, ``NAME.js``, the libraries and `data` inside.
+
+    Args:
+        name: "view" or "init".
+        title: heading; escaped here.
+        data: what JSON can hold, finite numbers only; the script finds it in the element ``#data``.
+    """
+    parts = {
+        "title": escape(title),
+        "style": asset("common.css"),
+        "script": asset("common.js") + asset(f"{name}.js"),
+        "data": json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
+        "plot_style": asset("vendor/uPlot.min.css"),
+        "plot_script": asset("vendor/uPlot.iife.min.js"),
+        "modules": json.dumps({"imports": {key: _module(file) for key, file in _MODULES.items()}}),
+    }
+    return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], asset(f"{name}.html"))
+
+
+def _module(file: str) -> str:
+    return "data:text/javascript;base64," + base64.b64encode(asset(f"vendor/{file}").encode()).decode()

@@ -1,0 +1,271 @@
+"""The first pose by clicking: what the page sends, the fit, and what is written where the session reads it."""
+
+from __future__ import annotations
+
+import csv
+import json
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twistcap._typing import UInt8
+from twistcap.body import Body, Pose, Posed, rescaled
+from twistcap.camera import Camera, Rig
+from twistcap.errors import InputError
+from twistcap.estimate import Keypoints
+from twistcap.firstpose import FirstPose, Proportions, fit_keypoints
+from twistcap.io.pose_file import write_pose
+from twistcap.io.recording import check_first_pose
+from twistcap.io.session import Session
+from twistcap.pages.assemble import jpeg
+from twistcap.pages.outlines import body_outlines, flat
+from twistcap.pages.server import Answer
+
+_LIMBS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "toe")
+MAIN_JOINTS = ("head_top", "neck", *(f"{joint}_{side}" for side in "rl" for joint in _LIMBS))
+Clicks = dict[str, dict[str, tuple[float, float]]]
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where the pose is written.
+
+    Attributes:
+        path: a pose file (JSON), or a file of clicks.
+        kind: "file" or "clicks", as in ``[first_pose]``; a file of clicks keeps no slider.
+        note: what the user still has to do so that the session reads it; empty where it does.
+    """
+
+    path: Path
+    kind: str
+    note: str = ""
+
+
+@dataclass
+class Clicking:
+    """One person's clicks and the body that follows them.
+
+    Attributes:
+        session, rig: of the recording; `rig` as calibrated, full size.
+        images: of the first frame, one per camera, RGB as recorded; None where it was dropped.
+        generic: body before any fit.
+        target: where to write.
+        clicks: pixels by camera and joint.
+        shown: body and pose at present; None before the first fit.
+    """
+
+    session: Session
+    rig: Rig
+    images: tuple[UInt8 | None, ...]
+    generic: Body
+    target: Target
+    clicks: Clicks = field(default_factory=lambda: dict[str, dict[str, tuple[float, float]]]())
+    shown: Posed | None = None
+    proportions: Proportions = field(default_factory=lambda: Proportions({}, {}))
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    @property
+    def answers(self) -> Mapping[str, Answer]:
+        """What the page may ask, by path; one question at a time."""
+
+        def alone(answer: Answer) -> Answer:
+            def locked(question: Mapping[str, Any]) -> Mapping[str, Any]:
+                with self._lock:
+                    return answer(question)
+
+            return locked
+
+        return {"/fit": alone(self.fit), "/pose": alone(self.slide), "/save": alone(self.save)}
+
+    def document(self) -> dict[str, Any]:
+        """What the page starts with, as JSON data."""
+        joints = self.generic.landmarks.names
+        main = [name for name in MAIN_JOINTS if name in joints]
+        limits = np.rad2deg(self.generic.limits).round(1).tolist()
+        return {
+            "cameras": [_camera(c, image) for c, image in zip(self.rig, self.images, strict=True)],
+            "joints": main,
+            "more": [name for name in joints if name not in main],
+            "coordinates": [
+                {"name": name, "limits": pair} for name, pair in zip(self.generic.coordinate_names, limits, strict=True)
+            ],
+            "clicks": self.clicks,
+            "sliders": self.target.kind == "file",
+            "target": str(self.target.path),
+            "state": None if self.shown is None else self._state(),
+        }
+
+    def fit(self, question: Mapping[str, Any]) -> dict[str, Any]:
+        """Fit the body to ``{"clicks": {camera: {joint: [x, y]}}, "held": {coordinate: degrees}}``.
+
+        Raises:
+            InputError: for an unknown camera, joint or coordinate, a number that is not finite, or too few clicks.
+        """
+        self.clicks = self._checked_clicks(question.get("clicks"))
+        held = self._checked_angles(question.get("held") or {})
+        if not self.clicks:
+            self.shown = None
+            raise InputError("no joint is clicked; click a handful in two views.")
+        found = self._fitted(held, self.shown.pose if self.shown else None)
+        return {**self._state(), **_judged(found)}
+
+    def slide(self, question: Mapping[str, Any]) -> dict[str, Any]:
+        """Set joint angles as they are, without a fit: ``{"held": {coordinate: degrees}}``.
+
+        Raises:
+            InputError: as `fit`; before a first fit.
+        """
+        if self.shown is None:
+            raise InputError("there is no pose to change yet; click a handful of joints in two views first.")
+        q = self.shown.pose.q.copy()
+        for name, angle in self._checked_angles(question.get("held") or {}).items():
+            q[self.generic.coordinate(name)] = angle
+        self.shown = Posed(self.shown.body, Pose(self.shown.pose.root, q))
+        return self._state()
+
+    def save(self, question: Mapping[str, Any]) -> dict[str, Any]:
+        """Write pose or clicks, after the checks that the tracker would make.
+
+        Raises:
+            InputError: before a first fit, for a pose that cannot be true, or a file that cannot be written.
+        """
+        if self.shown is None:
+            raise InputError("there is nothing to save yet; click a handful of joints in two views first.")
+        if self.target.kind == "clicks":
+            self._fitted({}, None)  # as the tracker will see it
+        check_first_pose(self.session, self.rig, self.shown.body, self.shown.pose)
+        try:
+            self.target.path.parent.mkdir(parents=True, exist_ok=True)
+            if self.target.kind == "file":
+                write_pose(self.target.path, self.shown.body, self.shown.pose, self.proportions)
+                write_clicks(clicks_beside(self.target.path), self.clicks)
+            else:
+                write_clicks(self.target.path, self.clicks)
+        except OSError as error:
+            raise InputError(f"{self.target.path} cannot be written: {error.strerror}.") from error
+        return {**self._state(), "saved": str(self.target.path), "note": self.target.note}
+
+    def _fitted(self, held: Mapping[str, float], start: Pose | None) -> FirstPose:
+        limits = self.generic.limits.copy()
+        for name, angle in held.items():
+            limits[self.generic.coordinate(name)] = angle
+        keypoints = _keypoints(self.clicks, self.rig)
+        body = replace(self.generic, limits=limits)
+        lengths = self.session.first_pose.fit_lengths
+        found = fit_keypoints(body, self.rig, keypoints, fit_lengths=lengths, start=start)
+        self.proportions = found.proportions
+        self.shown = Posed(sized(self.generic, found.proportions), found.pose)
+        return found
+
+    def _state(self) -> dict[str, Any]:
+        assert self.shown is not None
+        marks, angles = self.shown.landmarks, np.rad2deg(self.shown.pose.q).round(2).tolist()
+        return {
+            "outlines": {c.name: flat(body_outlines(c, self.shown)) for c in self.rig},
+            "joints": {c.name: _named_pixels(c, self.generic.landmarks.names, marks) for c in self.rig},
+            "q_deg": dict(zip(self.generic.coordinate_names, angles, strict=True)),
+        }
+
+    def _checked_clicks(self, given: Any) -> Clicks:
+        clicks: Clicks = {}
+        for camera, joints in _mapping(given, "clicks").items():
+            if camera not in self.rig.names:
+                raise InputError(f"clicks: camera {camera!r} is unknown; the rig has {', '.join(self.rig.names)}.")
+            for joint, pixel in _mapping(joints, f"clicks of {camera}").items():
+                if joint not in self.generic.landmarks.names:
+                    raise InputError(f"clicks: joint {joint!r} is unknown to body {self.generic.name!r}.")
+                x, y = _numbers(pixel, 2, f"{joint} in {camera}")
+                clicks.setdefault(camera, {})[joint] = (x, y)
+        return clicks
+
+    def _checked_angles(self, given: Any) -> dict[str, float]:
+        """Angles in rad, within the limits."""
+        angles: dict[str, float] = {}
+        for name, value in _mapping(given, "held").items():
+            if name not in self.generic.coordinate_names:
+                raise InputError(f"the body {self.generic.name!r} has no coordinate {name!r}.")
+            lower, upper = self.generic.limits[self.generic.coordinate(name)]
+            angles[name] = float(np.clip(np.deg2rad(_numbers([value], 1, name)[0]), lower, upper))
+        return angles
+
+
+def sized(body: Body, proportions: Proportions) -> Body:
+    """The generic body at fitted proportions."""
+    return rescaled(body, proportions.lengths, proportions.girths, proportions.stature)
+
+
+def clicks_beside(pose_file: Path) -> Path:
+    """The file of clicks that is kept beside a pose, for the next time the page is opened."""
+    return pose_file.with_suffix(".clicks.csv")
+
+
+def write_clicks(path: Path, clicks: Clicks) -> None:
+    """Write clicks as `twistcap.io.keypoints.read_clicks` reads them: JSON by that ending, else CSV."""
+    if path.suffix.lower() == ".json":
+        path.write_text(json.dumps(clicks, indent=1) + "\n", encoding="utf-8")
+        return
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(("camera", "joint", "x", "y"))
+        for camera, joints in clicks.items():
+            writer.writerows((camera, joint, round(x, 2), round(y, 2)) for joint, (x, y) in joints.items())
+
+
+def clicks_of(keypoints: Keypoints, rig: Rig, joints: tuple[str, ...]) -> Clicks:
+    """Keypoints as clicks, those that the body does not know left out."""
+    clicks: Clicks = {}
+    for c, name in enumerate(rig.names):
+        for k, joint in enumerate(keypoints.names):
+            if keypoints.confidence[c, k] > 0 and joint in joints:
+                x, y = keypoints.pixels[c, k].tolist()
+                clicks.setdefault(name, {})[joint] = (x, y)
+    return clicks
+
+
+def _keypoints(clicks: Clicks, rig: Rig) -> Keypoints:
+    names = tuple(dict.fromkeys(joint for joints in clicks.values() for joint in joints))
+    pixels, confidence = np.full((len(rig), len(names), 2), np.nan), np.zeros((len(rig), len(names)))
+    for camera, joints in clicks.items():
+        for joint, pixel in joints.items():
+            at = rig.names.index(camera), names.index(joint)
+            pixels[at], confidence[at] = pixel, 1.0
+    return Keypoints(names, pixels, confidence)
+
+
+def _judged(found: FirstPose) -> dict[str, Any]:
+    given = np.isfinite(found.residual_px)
+    return {
+        "residual_px": round(float(np.median(found.residual_px[given])), 2),
+        "rejected": [list(pair) for pair in found.rejected],
+    }
+
+
+def _camera(camera: Camera, image: UInt8 | None) -> dict[str, Any]:
+    picture = None if image is None else jpeg(image, 1920, 88)
+    return {"name": camera.name, "size": list(camera.size), "image": picture}
+
+
+def _named_pixels(camera: Camera, names: tuple[str, ...], points: Any) -> dict[str, list[float]]:
+    pixels, depth = camera.project(points)
+    return {
+        name: pixel.round(1).tolist()
+        for name, pixel, z in zip(names, pixels, depth, strict=True)
+        if z > 0 and np.isfinite(pixel).all()
+    }
+
+
+def _mapping(given: Any, what: str) -> Mapping[str, Any]:
+    if not isinstance(given, dict):
+        raise InputError(f"{what} must be an object, not {given!r}.")
+    return given
+
+
+def _numbers(given: Any, count: int, what: str) -> list[float]:
+    good = isinstance(given, list) and len(given) == count
+    if not good or not all(isinstance(v, (int, float)) and np.isfinite(v) for v in given):
+        raise InputError(f"{what}: {given!r} must be {count} finite number{'s' if count > 1 else ''}.")
+    return [float(v) for v in given]

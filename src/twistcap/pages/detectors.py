@@ -1,0 +1,59 @@
+"""Keypoint detectors of the user's own, found by entry point; none is bundled.
+
+A package offers one in its ``pyproject.toml``::
+
+    [project.entry-points."twistcap.detectors"]
+    mine = "my_package:detect"
+
+where ``detect(images, rig)`` takes one RGB uint8 image (H, W, 3) per camera, as recorded (with the lens's distortion),
+and the `Rig`, and returns `Keypoints` in those very pixels, in landmark names of the body (``knee_r``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from importlib.metadata import entry_points
+
+import numpy as np
+
+from twistcap._typing import UInt8
+from twistcap.camera import Rig
+from twistcap.errors import InputError
+from twistcap.estimate import Keypoints
+
+GROUP = "twistcap.detectors"
+Detector = Callable[[Sequence[UInt8], Rig], Keypoints]
+
+
+def detector(name: str) -> Detector:
+    """The detector of a name.
+
+    Raises:
+        InputError: where nothing of that name is installed, or it cannot be imported.
+    """
+    found = entry_points(group=GROUP)
+    if name not in found.names:
+        installed = ", ".join(sorted(found.names)) or "none"
+        raise InputError(f"detector {name!r} is not installed (there is {installed}); see docs/init.md.")
+    try:
+        return next(iter(found.select(name=name))).load()
+    except (ImportError, AttributeError) as error:
+        raise InputError(f"detector {name!r} cannot be loaded: {error}.") from error
+
+
+def detected(name: str, images: Sequence[UInt8], rig: Rig) -> Keypoints:
+    """What a detector finds, its shapes and numbers checked.
+
+    Raises:
+        InputError: as `detector`; for an answer that is no `Keypoints` of this rig.
+    """
+    found = detector(name)(images, rig)
+    if not isinstance(found, Keypoints):
+        raise InputError(f"detector {name!r} returned {type(found).__name__}; it must return Keypoints.")
+    pixels, weights = np.asarray(found.pixels, float), np.asarray(found.confidence, float)
+    C, L = len(rig), len(found.names)
+    if pixels.shape != (C, L, 2) or weights.shape != (C, L):
+        raise InputError(f"detector {name!r} returned pixels {pixels.shape}; {C} cameras, {L} names need {(C, L, 2)}.")
+    if not np.all(np.isfinite(weights)) or not np.all(np.isfinite(pixels[weights > 0])):
+        raise InputError(f"detector {name!r} returned a number that is not finite; give it confidence 0.")
+    return Keypoints(found.names, pixels, weights)

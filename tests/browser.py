@@ -1,0 +1,136 @@
+"""A headless Chromium driven over its debugging pipe (Chrome DevTools Protocol); standard library alone."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+_FLAGS = (
+    "--headless=new --no-sandbox --disable-quic --no-first-run --disable-background-networking"
+    " --disable-component-update --disable-sync --hide-scrollbars --use-angle=swiftshader"
+    " --enable-unsafe-swiftshader --remote-debugging-pipe"
+)
+
+
+class Browser:
+    """One page in a browser of its own. Use as a context manager."""
+
+    def __init__(self, size: tuple[int, int] = (1300, 900)) -> None:
+        self._profile = tempfile.mkdtemp(prefix="twistcap-browser-")
+        ours, theirs = os.pipe(), os.pipe()  # what we write and it reads; what it writes and we read
+        self._write, self._read, self._buffer, self._count = ours[1], theirs[0], b"", 0
+        command = [str(CHROMIUM), *_FLAGS.split(), f"--window-size={size[0]},{size[1]}"]
+        command += [f"--user-data-dir={self._profile}", "about:blank"]
+        # Chromium reads from descriptor 3 and writes to 4.
+        moved = f'exec 3<&{ours[0]} 4>&{theirs[1]}; exec "$@"'
+        self._process = subprocess.Popen(
+            ["bash", "-c", moved, "bash", *command], pass_fds=(ours[0], theirs[1]), start_new_session=True,
+            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        )  # fmt: skip
+        os.close(ours[0])
+        os.close(theirs[1])
+        self.problems: list[str] = []
+        self._session: str | None = None
+        pages = self.call("Target.getTargets")["targetInfos"]
+        page = next(target["targetId"] for target in pages if target["type"] == "page")
+        self._session = self.call("Target.attachToTarget", targetId=page, flatten=True)["sessionId"]
+        for domain in ("Page", "Runtime", "Log", "Network"):
+            self.call(f"{domain}.enable")
+        width, height = size
+        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
+
+    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """One command and its answer; what the page complains of meanwhile goes to `problems`."""
+        self._count += 1
+        question: dict[str, Any] = {"id": self._count, "method": method, "params": parameters}
+        if self._session is not None:
+            question["sessionId"] = self._session
+        os.write(self._write, json.dumps(question).encode() + b"\0")
+        while True:
+            message = self._message()
+            if message.get("id") == self._count:
+                assert "error" not in message, message["error"]
+                return message["result"]
+            self._note(message)
+
+    def _message(self) -> dict[str, Any]:
+        while b"\0" not in self._buffer:
+            chunk = os.read(self._read, 1 << 20)
+            assert chunk, "the browser has gone"
+            self._buffer += chunk
+        line, _, self._buffer = self._buffer.partition(b"\0")
+        return json.loads(line)
+
+    def _note(self, message: dict[str, Any]) -> None:
+        parameters = message.get("params", {})
+        if message.get("method") == "Runtime.exceptionThrown":
+            self.problems.append(_told(parameters["exceptionDetails"]))
+        if message.get("method") == "Network.requestWillBeSent":
+            url = parameters["request"]["url"]
+            if not url.startswith(("data:", "blob:", "file:", "http://127.0.0.1")):
+                self.problems.append(f"asked the network for {url}")
+
+    def open(self, url: str, ready: str = "document.body.dataset.ready === 'yes'") -> None:
+        self.call("Page.navigate", url=url)
+        self.wait(ready)
+
+    def run(self, script: str) -> Any:
+        """Value of an expression in the page."""
+        answer = self.call("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
+        assert "exceptionDetails" not in answer, _told(answer["exceptionDetails"])
+        return answer["result"].get("value")
+
+    def wait(self, condition: str, seconds: float = 60.0) -> None:
+        """Until an expression is true."""
+        end = time.monotonic() + seconds
+        while not self.run(f"Boolean(document.body && ({condition}))"):
+            assert time.monotonic() < end, f"never came true: {condition}; {self.problems}"
+            time.sleep(0.05)
+
+    def mouse(self, kind: str, x: float, y: float, button: str = "left") -> None:
+        held = 1 if kind != "mouseReleased" and button == "left" else 0
+        self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button=button, buttons=held, clickCount=1)
+
+    def click(self, x: float, y: float) -> None:
+        self.mouse("mousePressed", x, y)
+        self.mouse("mouseReleased", x, y)
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+        self.mouse("mousePressed", *start)
+        for share in (0.25, 0.5, 0.75, 1.0):
+            self.mouse("mouseMoved", *(a + share * (b - a) for a, b in zip(start, end, strict=True)))
+        self.mouse("mouseReleased", *end)
+
+    def screenshot(self, path: Path) -> Path:
+        content = self.call("Page.captureScreenshot", format="png")["data"]
+        path.write_bytes(base64.b64decode(content))
+        return path
+
+    def __enter__(self) -> Browser:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        os.killpg(self._process.pid, signal.SIGTERM)
+        self._process.wait(timeout=20)
+        os.close(self._write)
+        os.close(self._read)
+        shutil.rmtree(self._profile, ignore_errors=True)
+
+
+def _told(details: dict[str, Any]) -> str:
+    """An exception in a few words: the libraries' data URLs are a megabyte long."""
+    text = str(details.get("exception", {}).get("description") or details.get("text"))
+    return re.sub(r"data:[\w/;,+=]*", "data:", text)[:500]

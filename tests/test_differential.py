@@ -1,0 +1,124 @@
+"""The differential tracker's geometry and equations."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+
+from finite_differences import check_jacobian, numeric_jacobian
+from twistcap import se3
+from twistcap.body.humanoid import humanoid
+from twistcap.camera import Camera, look_at
+from twistcap.differential.render import render
+from twistcap.differential.system import (
+    Samples,
+    image_motion,
+    normal_equations,
+    normal_equations_reference,
+    residuals,
+)
+from twistcap.differential.view import ROOT, ScaledView, State
+
+BODY = humanoid()
+SIZE = (200, 260)
+
+
+def a_state(views: int = 1) -> State:
+    rng = np.random.default_rng(3)
+    facing = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])  # z up, seen from the front
+    made = tuple(
+        ScaledView(se3.exp_rotation(rng.normal(0, 0.4, 3)) @ facing, 110.0, np.array([100.3, 120.8]))
+        for _ in range(views)
+    )
+    return State(made, np.clip(rng.normal(0, 0.4, len(BODY.coordinate_names)), *BODY.limits.T))
+
+
+def some_points(state: State):
+    seen = render(state.posed(BODY), state.views[0], SIZE)
+    rows, columns = np.nonzero(seen.inside > 2)
+    pick = np.random.default_rng(0).permutation(len(rows))[:300]
+    return seen.surface_points(rows[pick].astype(np.int32), columns[pick].astype(np.int32)), rows[pick], columns[pick]
+
+
+def test_surface_points_lie_at_their_pixels_and_are_visible() -> None:
+    state = a_state()
+    points, rows, columns = some_points(state)
+    np.testing.assert_allclose(
+        state.views[0].pixels(points.at(state.posed(BODY))), np.stack([columns, rows], 1), atol=0.3
+    )
+    visible, r, c = render(state.posed(BODY), state.views[0], SIZE).visible(points)
+    assert visible.all()
+    assert np.array_equal(r, rows)
+    assert np.array_equal(c, columns)
+
+
+def test_what_lies_behind_is_not_visible() -> None:
+    state = a_state()
+    points, *_ = some_points(state)
+    front = state.views[0]
+    back = replace(front, rotation=se3.exp_rotation([0, np.pi, 0]) @ front.rotation)
+    assert render(state.posed(BODY), back, SIZE).visible(points)[0].mean() < 0.02
+
+
+def test_image_motion_is_the_derivative_of_the_rendered_motion_field() -> None:
+    """Every pixel of the body moves with the view's twist and the joints as H and J say."""
+    state = a_state()
+    points, *_ = some_points(state)
+    J = image_motion(state.posed(BODY), state.views[0], points)
+
+    def pixels(delta):
+        moved = state.retract(delta)
+        return moved.views[0].pixels(points.at(moved.posed(BODY)))
+
+    check_jacobian(pixels, J, np.zeros(BODY.dof), rtol=1e-6, atol=1e-5)
+
+
+def test_retract_and_minus_are_inverse() -> None:
+    state = a_state(3)
+    delta = np.random.default_rng(5).normal(0, 0.2, 3 * ROOT + len(BODY.coordinate_names))
+    np.testing.assert_allclose(state.retract(delta).minus(state), delta, atol=1e-9)
+
+
+def test_a_far_pinhole_is_a_scaled_view_and_back() -> None:
+    camera = Camera(
+        "far", np.array([[8e4, 0, 500], [0, 8e4, 400], [0, 0, 1.0]]), look_at([400, 30, 1], [0, 0, 1]), (1000, 800)
+    )
+    root = se3.transform(se3.exp_rotation([0.2, -0.1, 0.7]), [0.4, -0.3, 1.1])
+    view = ScaledView.of(camera, root)
+    points = BODY.vertices[::50]
+    there = camera.project(se3.apply(root, points))[0]
+    assert np.abs(view.pixels(points) - there).max() < 0.5  # of 350 px
+    np.testing.assert_allclose(view.root(camera), root, atol=1e-6)
+
+
+def textured(rng) -> np.ndarray:
+    return cv2.GaussianBlur(rng.random((SIZE[1], SIZE[0])).astype(np.float32), (0, 0), 2.0)
+
+
+def test_normal_equations_equal_their_twin() -> None:
+    rng, state = np.random.default_rng(1), a_state()
+    points, *_ = some_points(state)
+    samples = Samples(points, rng.random(len(points)), rng.normal(size=(len(points), 2)))
+    args = (state.posed(BODY), state.views[0], samples, textured(rng), np.array([0.1, -0.05]), rng.random(len(points)))
+    for fast, slow in zip(normal_equations(*args), normal_equations_reference(*args), strict=True):
+        np.testing.assert_allclose(fast, slow, rtol=1e-9, atol=1e-9 * np.abs(slow).max())
+
+
+def test_gradient_is_that_of_the_energy() -> None:
+    """On a picture that is a plane, where sampled values have exact gradients."""
+    rng, state = np.random.default_rng(1), a_state()
+    points, *_ = some_points(state)
+    y, x = np.mgrid[: SIZE[1], : SIZE[0]]
+    image = (0.002 * x + 0.003 * y).astype(np.float32)
+    samples = Samples(points, rng.random(len(points)), np.tile([0.002, 0.003], (len(points), 1)))
+    weight, exposure = rng.random(len(points)), np.array([0.1, -0.05])
+
+    def energy(delta):
+        moved = state.retract(delta[:-2])
+        r = residuals(moved.posed(BODY), moved.views[0], samples, image, exposure + delta[-2:])
+        return 0.5 * np.sum(weight * r**2)
+
+    g, _ = normal_equations(state.posed(BODY), state.views[0], samples, image, exposure, weight)
+    np.testing.assert_allclose(g, numeric_jacobian(energy, np.zeros(BODY.dof + 2), 1e-4), rtol=2e-3, atol=2e-3)

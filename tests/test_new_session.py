@@ -1,0 +1,142 @@
+"""``twistcap new``: a session that loads, and sentences for what does not fit or is still missing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from twistcap.camera import Camera, Rig, look_at
+from twistcap.cli import main
+from twistcap.errors import InputError
+from twistcap.io.calibration import write_rig
+from twistcap.io.new_session import matched
+from twistcap.io.recording import rig_of, views_of
+from twistcap.io.session import load_session
+from twistcap.io.videowriter import VideoWriter
+
+SIZE = (96, 64)
+
+
+def run(*arguments: object) -> int:
+    with pytest.raises(SystemExit) as done:
+        main([str(a) for a in arguments])
+    return int(done.value.code or 0)
+
+
+def video(path: Path, frames: int = 5, fps: float = 30, size: tuple[int, int] = SIZE) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with VideoWriter(path, fps) as writer:
+        for k in range(frames):
+            writer.write(np.full((size[1], size[0], 3), 20 * k, np.uint8))
+    return path
+
+
+@pytest.fixture
+def recorded(tmp_path: Path) -> Path:
+    """Two cameras' videos and the calibration of three."""
+    K = np.array([[90.0, 0, 47.5], [0, 90.0, 31.5], [0, 0, 1]])
+    eyes = {"cam1": (3, 0, 1.2), "cam2": (0, 3, 1.2), "cam10": (-3, 0, 1.2)}
+    rig = Rig(tuple(Camera(name, K, look_at(eye, (0, 0, 1)), SIZE) for name, eye in eyes.items()))
+    write_rig(rig, tmp_path / "Calib.toml")
+    video(tmp_path / "videos" / "cam1.mp4")
+    video(tmp_path / "videos" / "trial_cam10.mp4")
+    return tmp_path
+
+
+def new(folder: Path, *videos: object, extra: tuple[object, ...] = ()) -> int:
+    said = [part for path in videos for part in ("--videos", path)]
+    return run("new", folder / "mine", "--calibration", folder / "Calib.toml", *said, *extra)
+
+
+def test_the_session_loads_and_says_what_is_missing(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert new(recorded, recorded / "videos", extra=("--json",)) == 0
+    told: dict[str, Any] = json.loads(capsys.readouterr().out)
+    session = load_session(told["session"])
+    views = views_of(session, rig_of(session))
+    assert (views.rig.names, len(views), views.fps) == (("cam1", "cam10"), 5, 30.0)
+    found, missing = " ".join(told["found"]), " ".join(told["missing"])
+    assert "2 cameras" in found and "5 frames" in found and "without a video: cam2" in found
+    assert "stature" in missing and "twistcap init" in missing and "Keypoints" in missing
+    text = (recorded / "mine" / "session.toml").read_text()
+    assert text.count("#") > 8  # comments that tell what else could be set
+    assert str(recorded) not in text  # paths are relative: the folder may move
+
+
+def test_what_is_there_is_not_missing(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (recorded / "mine").mkdir()
+    (recorded / "mine" / "first_pose.json").write_text("{}")
+    assert new(recorded, recorded / "videos", extra=("--stature", "1.82")) == 0
+    assert "Nothing is missing." in capsys.readouterr().err
+    assert load_session(recorded / "mine" / "session.toml").body.stature == 1.82
+
+
+def test_a_shell_may_spell_out_the_videos(recorded: Path) -> None:
+    files = sorted((recorded / "videos").iterdir())
+    assert run("new", recorded / "mine", "--calibration", recorded / "Calib.toml", "--videos", *files) == 0
+    assert set(load_session(recorded / "mine" / "session.toml").videos) == {"cam1", "cam10"}
+
+
+def test_images_leave_the_frame_rate_open(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    import cv2
+
+    for name in ("cam1", "cam2"):
+        (recorded / "stills" / name).mkdir(parents=True)
+        for k in range(3):
+            cv2.imwrite(str(recorded / "stills" / name / f"{k:03d}.png"), np.zeros((SIZE[1], SIZE[0], 3), np.uint8))
+    assert new(recorded, recorded / "stills") == 0
+    assert "fps" in capsys.readouterr().err
+    session = load_session(recorded / "mine" / "session.toml")
+    assert len(views_of(session, rig_of(session))) == 3
+
+
+def test_unequal_lengths_set_the_frames(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    video(recorded / "videos" / "cam2.mp4", frames=8)
+    assert new(recorded, recorded / "videos") == 0
+    assert "differ in length (5 to 8 frames)" in capsys.readouterr().err
+    assert load_session(recorded / "mine" / "session.toml").frames == (0, 4)
+
+
+def test_names_are_matched_as_whole_as_can_be() -> None:
+    cameras = ("cam1", "cam10", "left")
+    found = matched([(None, "a/CAM1.mp4"), (None, "b/trial_cam10.mov"), ("left", "c/x.avi")], cameras)
+    assert found == {"cam1": "a/CAM1.mp4", "cam10": "b/trial_cam10.mov", "left": "c/x.avi"}
+    assert matched([(None, "cam10/%04d.png")], cameras) == {"cam10": "cam10/%04d.png"}
+    for videos, words in (
+        ([(None, "x.mp4")], "no camera"),
+        ([(None, "left_and_cam1.mp4")], "more than one"),
+        ([("right", "x.mp4")], "no calibration"),
+        ([("left", "x.mp4"), ("left", "y.mp4")], "two videos"),
+        ([], "no video"),
+    ):
+        with pytest.raises(InputError, match=words):
+            matched(videos, cameras)
+
+
+def test_what_does_not_fit_is_one_sentence(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    slow = video(recorded / "slow" / "cam2.mp4", fps=25)
+    small = video(recorded / "small" / "cam2.mp4", size=(80, 64))
+    good = recorded / "videos" / "cam1.mp4"
+    (recorded / "empty").mkdir()
+    for videos, extra, words in (
+        ((good, slow), (), "frames per second"),
+        ((good, small), (), "80×64"),
+        ((recorded / "none.mp4",), (), "no camera"),
+        ((f"cam2={recorded / 'none.mp4'}",), (), "does not exist"),
+        ((recorded / "empty",), (), "neither videos nor images"),
+        ((recorded / "*.avi",), (), "no file matches"),
+        ((good,), ("--unit", "km"), "--unit"),
+        ((good,), ("--stature", "182"), "--stature"),
+    ):
+        assert new(recorded, *videos, extra=extra) == 2
+        told = capsys.readouterr().err.strip()
+        assert words in told and told.startswith("twistcap:") and "\n" not in told
+        assert not (recorded / "mine" / "session.toml").exists()
+    assert new(recorded, good) == 0
+    capsys.readouterr()
+    assert new(recorded, good) == 2
+    assert "--force" in capsys.readouterr().err
+    assert new(recorded, good, extra=("--force",)) == 0
