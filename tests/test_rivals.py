@@ -58,6 +58,31 @@ def test_doubt_outlives_a_sudden_certainty() -> None:
     assert reach > 0.03  # as far as the doubt that is remembered, not as what is claimed now
 
 
+def test_a_rival_takes_over_when_two_frames_in_turn_prefer_it() -> None:
+    rule = RivalRule(every=100)
+    covariance, posed = np.eye(BODY.dof) * 0.2**2, bent(4)
+    later, other = bent(5), Pose(np.eye(4), bent(4).pose.q + 0.1)
+    rivals = Rivals(BODY, rule)
+    assert not rivals.takes_over(posed, other, rule.margin)
+    assert not rivals.poses(later, covariance)  # no clear preference, so nothing is asked again
+    assert not rivals.takes_over(posed, other, rule.margin + 1.0)
+    (again,) = rivals.poses(later, covariance)  # out of turn, and as far off the later pose as it was off the first
+    np.testing.assert_allclose(again.q - later.pose.q, 0.1, atol=1e-12)
+    assert rivals.takes_over(later, again, rule.margin + 1.0)
+    assert not rivals.poses(later, covariance)
+
+
+def test_a_second_frame_may_refuse_a_rival() -> None:
+    rule = RivalRule(every=100)
+    covariance, posed = np.eye(BODY.dof) * 0.2**2, bent(4)
+    rivals = Rivals(BODY, rule)
+    assert not rivals.takes_over(posed, bent(6).pose, rule.margin + 1.0)
+    (again,) = rivals.poses(posed, covariance)
+    assert not rivals.takes_over(posed, again, 0.0)
+    assert not rivals.poses(posed, covariance)
+    assert not rivals.takes_over(posed, again, rule.margin + 1.0)  # it must win twice anew
+
+
 def labels(seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     part = np.full((22, 30), -1, dtype=np.int32)

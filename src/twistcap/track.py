@@ -215,14 +215,14 @@ class Tracker:
         self, fit: _Fit, claimed: Float, views: dict[int, View], information: Float, found: Sequence[Term]
     ) -> _Fit | None:
         """A fit elsewhere that explains the images clearly better than `fit` does, where a limb is in doubt."""
-        config, rule, posed = self.config, self.config.rivals, fit.result.posed
+        config, posed = self.config, fit.result.posed
         shown = config.hidden.trust(fit.found, self._gone) if self._yields else 1.0
         poses = self._rivals.poses(posed, claimed, shown) if self._started and views else []
         if not poses:
             return None
         judge = self._rivals.judge(list(views.values()), [self._colours[i] for i in views], posed)
         evidence = [judge.evidence(pose) for pose in poses]
-        if max(evidence) < rule.promising:
+        if max(evidence) < config.rivals.promising:
             return None
         best = Posed(self.body, poses[int(np.argmax(evidence))])
         fixed = (LimitTerm(), self._rest, GaussianTerm(best.pose, information), *found)
@@ -231,7 +231,7 @@ class Tracker:
         if fitted < max(evidence):  # the fit has lost it again: the images' judgement stands
             energies = energies_at([*fixed, *other.terms], best)
             other = replace(other, result=replace(other.result, posed=best, energies=energies))
-        return other if max(fitted, *evidence) > rule.margin else None
+        return other if self._rivals.takes_over(posed, other.result.pose, max(fitted, *evidence)) else None
 
     def _forget_motion(self, jump: Float, pose: Pose) -> None:
         """After a jump to a rival: the last pose was off as well; joints that jumped start again from rest."""

@@ -25,13 +25,19 @@ from twistcap.render import render
 class RivalRule:
     """When and how rival poses are tried.
 
+    A jump must be worth its risk. Neighbouring pixels err together, by texture, by shading and where the body is not
+    quite the person's: between poses that both cover a limb the evidence wavers by some 13 nats, and dozens of rivals
+    are tried in a second. A clear preference is three of those deviations, and the next frame must share it: where
+    clutter feigns a limb it seldom does so from two poses. Rivals reach far in return: a limb goes farther astray than
+    its covariance says.
+
     Attributes:
         least_sd: m of uncertainty of a segment's middle from which on it is in doubt.
         memory: share of its doubt that a segment keeps from frame to frame when it suddenly seems certain.
         steps: how far rivals lie off, in standard deviations along the least certain direction.
         every: rivals are tried in every so many frames, of one limb after the other.
         promising: nats from which on a rival is fitted to the images, which it may miss by little yet.
-        margin: nats by which a rival, fitted or not, must explain the images better.
+        margin: nats by which a rival, fitted or not, must explain the images better, in this frame and in the next.
         px_per_m: resolution at which images are compared.
         radius: m about a pixel from which its background is gathered.
         berth: m about either pose within which nothing counts as background.
@@ -39,12 +45,12 @@ class RivalRule:
         clip: most that one pixel can say, nats.
     """
 
-    least_sd: float = 0.03
+    least_sd: float = 0.015
     memory: float = 0.9
-    steps: tuple[float, ...] = (-2.4, -1.2, 1.2, 2.4)
+    steps: tuple[float, ...] = (-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0)
     every: int = 3
-    promising: float = -10.0
-    margin: float = 15.0
+    promising: float = 0.0
+    margin: float = 40.0
     px_per_m: float = 60.0
     radius: float = 0.1
     berth: float = 0.05
@@ -59,6 +65,8 @@ class Rivals:
         self._body, self._rule = body, rule
         self._doubt = np.zeros(len(body.segment_names))
         self._frame = 0
+        self._preferred: Float | None = None  # step to the rival that the last frame preferred
+        self._again = False  # whether this frame is asked about it
 
     def poses(self, posed: Posed, covariance: Float, shown: Float | float = 1.0) -> list[Pose]:
         """Rivals of a pose of this covariance (6 + J, 6 + J); most often there are none. To be asked in every frame.
@@ -67,6 +75,10 @@ class Rivals:
         """
         rule = self._rule
         self._frame += 1
+        preferred, self._preferred = self._preferred, None
+        self._again = preferred is not None
+        if preferred is not None:
+            return [posed.pose.retract(preferred)]
         if self._frame % rule.every:
             return []
         sd, directions = segment_doubts(posed, covariance)
@@ -77,6 +89,14 @@ class Rivals:
         s = limbs[self._frame // rule.every % len(limbs)]
         direction = directions[s] * self._doubt[s] / sd[s]
         return [posed.pose.retract(step * direction) for step in rule.steps]
+
+    def takes_over(self, posed: Posed, rival: Pose, evidence: float) -> bool:
+        """Whether a rival of this evidence takes over from a posed body: two frames must prefer it clearly."""
+        if evidence <= self._rule.margin:
+            return False
+        if not self._again:
+            self._preferred = rival.minus(posed.pose)
+        return self._again
 
     def judge(self, views: Sequence[View], colours: Sequence[Float], posed: Posed) -> Judge:
         """The judge of rivals of a posed body in views in which its parts have the given colours."""
