@@ -32,6 +32,9 @@ class MotionNoise:
         joint, turn, shift: standard deviation of acceleration of joints (rad/s²), root rotation (rad/s²) and root
             translation (m/s²), for all predictors but hold.
         joint_speed, turn_speed, shift_speed: of velocity (rad/s, rad/s, m/s), for the hold predictor.
+        allowance: how many times the deviation seen of late is allowed for, where that is more than the usual one: a
+            somersault accelerates more than a walk. 0 stays with the usual one.
+        memory: share that what was seen of late keeps from frame to frame.
     """
 
     joint: float = 100.0
@@ -40,16 +43,49 @@ class MotionNoise:
     joint_speed: float = 4.0
     turn_speed: float = 2.0
     shift_speed: float = 1.5
+    allowance: float = 3.0
+    memory: float = 0.85
 
     def covariance(self, dof: int, dt: float, predictor: PredictorName, centre: Float) -> tuple[Float, Float]:
         """(dof, dof) covariance of a prediction over dt seconds, and its inverse; the root turns about `centre`."""
+        return covariance_about(self.variance(dof, dt, predictor), centre)
+
+    def variance(self, dof: int, dt: float, predictor: PredictorName) -> Float:
+        """(dof,) of a prediction over dt seconds: turn (rad²) and shift (m²) of the root, joints (rad²)."""
         if predictor != "hold":
             joint, turn, shift = (a * dt * dt for a in (self.joint, self.turn, self.shift))
         else:
             joint, turn, shift = (v * dt for v in (self.joint_speed, self.turn_speed, self.shift_speed))
         variance = np.full(dof, joint**2)
         variance[:3], variance[3:6] = turn**2, shift**2
-        return covariance_about(variance, centre)
+        return variance
+
+
+class Spread:
+    """How far one body may be from where it is predicted: as far as usual, farther while it strays more than that.
+
+    Turn, shift and joints each have one measure: a limb that goes astray alone is not given more room for it.
+    """
+
+    def __init__(self, noise: MotionNoise, dof: int) -> None:
+        self._noise, self._dof = noise, dof
+        self._strayed = np.zeros(3)  # of late: mean squares of turn, shift and joints, of the usual variance
+
+    def covariance(self, dt: float, predictor: PredictorName, centre: Float) -> tuple[Float, Float]:
+        """(dof, dof) covariance of a prediction over dt seconds, and its inverse; the root turns about `centre`."""
+        more = np.maximum(1.0, self._noise.allowance**2 * self._strayed)
+        usual = self._noise.variance(self._dof, dt, predictor)
+        return covariance_about(usual * np.repeat(more, (3, 3, self._dof - 6)), centre)
+
+    def learn(self, expected: Pose, found: Pose, dt: float, predictor: PredictorName) -> None:
+        """Take note of a pose that was found where another was expected, dt seconds after the one before."""
+        if dt <= 0.0:
+            return
+        step = found.minus(expected)
+        step[3:6] += np.cross(step[:3], expected.root[:3, 3])
+        ratios = step**2 / self._noise.variance(self._dof, dt, predictor)
+        means = np.array([part.mean() if len(part) else 0.0 for part in np.split(ratios, (3, 6))])
+        self._strayed += (1.0 - self._noise.memory) * (means - self._strayed)
 
 
 def covariance_about(variance: Float, centre: Float) -> tuple[Float, Float]:

@@ -23,7 +23,7 @@ from twistcap.cues.view import View, crop_view, despeckled
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
 from twistcap.motion import MotionLibrary, MotionPredictor, motion_predictor
-from twistcap.predict import Moment, MotionNoise, PredictorName, predict
+from twistcap.predict import Moment, MotionNoise, PredictorName, Spread, predict
 from twistcap.priors import ParzenPrior, PriorTerm, matched
 from twistcap.render import ContourPoints, RenderedView, render, reprojected, visible_contour
 from twistcap.settings import TrackerConfig
@@ -68,36 +68,33 @@ class Tracker:
         self.body, self.rig, self.config = body, rig.pinhole(), config or TrackerConfig()
         self._given_rig = rig  # keypoints come in its pixels, images rectified
         self._contour = self.config.contour
-        self._history: list[Moment] = []
-        self._templates: list[Template | None] = [None] * len(rig)
         self._rest = RestTerm(float(np.deg2rad(self.config.rest_sigma_deg)))
-        self._support = np.ones(len(body.segment_names))
         self._motions = _motions(self.config, motions, body)
-        self._gone = np.zeros(len(body.segment_names), dtype=np.bool_)  # parts that no view shows
-        self._back = np.zeros_like(self._gone)  # those of which a view shows something again, in this frame
         self._prior = None if prior is None else matched(prior, body)
         self._yields = prior is not None or self.config.hidden.alone
-        self._covariance = np.zeros((body.dof, body.dof))  # of what the images and the motion tell; no prior in it
+        self._reset()
+
+    def _reset(self) -> None:
+        parts, views, config = len(self.body.segment_names), len(self.rig), self.config
+        self._history: list[Moment] = []
         self._seen_time = 0.0
-        self._last: Followed | None = None
         self._started = False
         self._frames = 0  # remembered since the start
-        self._appearance = Appearance(len(rig), len(body.segment_names), self.config.appearance)
+        self._covariance = np.zeros((self.body.dof, self.body.dof))  # of what images and motion tell; no prior in it
+        self._spread = Spread(config.noise, self.body.dof)
+        self._templates: list[Template | None] = [None] * views
+        self._appearance = Appearance(views, parts, config.appearance)
         self._colours: dict[int, Float] = {}  # of this frame's views
-        self._rivals = Rivals(body, self.config.rivals)
+        self._last: Followed | None = None
+        self._support = np.ones(parts)
+        self._gone = np.zeros(parts, dtype=np.bool_)  # parts that no view shows
+        self._back = np.zeros_like(self._gone)  # those of which a view shows something again, in this frame
+        self._rivals = Rivals(self.body, config.rivals)
 
     def start(self, pose: Pose, time: float = 0.0) -> None:
         """Take the pose from which the first frame is tracked."""
-        self._history = [Moment(time, pose)]
-        self._appearance = Appearance(len(self.rig), len(self.body.segment_names), self.config.appearance)
-        self._templates = [None] * len(self.rig)
-        self._support[:] = 1.0
-        self._gone[:] = False
-        self._rivals = Rivals(self.body, self.config.rivals)
-        self._seen_time = time
-        self._started = False
-        self._frames = 0
-        self._last = None
+        self._reset()
+        self._history, self._seen_time = [Moment(time, pose)], time
 
     def restore(self, estimates: Sequence[Estimate]) -> None:
         """Go on after a track's last estimate, as `--resume` does; brightness and colours are learnt anew."""
@@ -133,6 +130,8 @@ class Tracker:
         if rival is not None:
             self._forget_motion(rival.result.pose.minus(fit.result.pose), rival.result.pose)
             fit, told = rival, self._claimed(rival, strayed, information, trust)
+        elif self._started and predicted != "motion":
+            self._spread.learn(guess, fit.result.pose, *self._since(frame.time))
         self._covariance = told
         with stage("remember"):
             self._remember(fit)
@@ -299,9 +298,11 @@ class Tracker:
             turn = float(np.deg2rad(config.first_sigma_deg))
             given = MotionNoise(joint_speed=turn, turn_speed=turn, shift_speed=config.first_sigma_m)
             return given.covariance(self.body.dof, 1.0, "hold", centre)
-        dt = time - self._seen_time  # through dropped frames the prediction runs open-loop
-        predictor = config.predictor if len(self._history) > 1 else "hold"  # one moment has no velocity
-        return config.noise.covariance(self.body.dof, dt, predictor, centre)
+        return self._spread.covariance(*self._since(time), centre)  # open-loop through dropped frames
+
+    def _since(self, time: float) -> tuple[float, PredictorName]:
+        """Seconds over which the next prediction runs, and by what; one pose alone has no velocity."""
+        return time - self._seen_time, self.config.predictor if len(self._history) > 1 else "hold"
 
     def _views(self, frame: Frame, guess: Posed) -> dict[int, View]:
         views: dict[int, View] = {}
