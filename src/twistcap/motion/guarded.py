@@ -45,10 +45,11 @@ class GuardedMotion:
         Raises:
             InputError: for a history without moments.
         """
-        if history and history[-1] is not self._last:
-            self._last = history[-1]
-            self._judge(history)
-        return self.inner.predict(history, time) if self.trusted or len(history) < 2 else self._inert(history, time)
+        seen = [moment for moment in history if moment.seen]
+        if seen and seen[-1] is not self._last:
+            self._last = seen[-1]
+            self._judge(seen)
+        return self.inner.predict(history, time) if self.trusted or len(seen) < 2 else self._inert(seen, time)
 
     def _judge(self, history: Sequence[Moment]) -> None:
         """Compare both forecasts of the last moment."""
