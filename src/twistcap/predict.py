@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -11,6 +11,8 @@ import numpy as np
 from twistcap import se3
 from twistcap._typing import Float
 from twistcap.body import Pose
+
+_JUMP = np.deg2rad(2.0)  # of a joint: more than a fit wavers
 
 PredictorName = Literal["constant_velocity", "hold", "flow", "motion"]
 
@@ -121,3 +123,9 @@ def constant_velocity(history: Sequence[Moment], time: float, decay: float = np.
 def predict(history: Sequence[Moment], time: float, predictor: PredictorName, decay: float = np.inf) -> Pose:
     """The expected pose at `time`, but for what images say; see `constant_velocity` for `decay`."""
     return history[-1].pose if predictor == "hold" else constant_velocity(history, time, decay)
+
+
+def jumped(last: Moment, jump: Float, pose: Pose) -> Moment:
+    """The last moment where the present pose jumps (6 + J,) to another: it was off as well; joints that jumped rest."""
+    q = np.where(np.abs(jump[6:]) > _JUMP, pose.q, last.pose.q)
+    return replace(last, pose=Pose(last.pose.retract(jump).root, q))

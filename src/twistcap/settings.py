@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+from twistcap.body import Body
 from twistcap.cues.appearance import AppearanceRule
 from twistcap.cues.brightness import Brightness
 from twistcap.cues.direct import DirectContour
@@ -13,12 +14,13 @@ from twistcap.cues.flow import FlowCue
 from twistcap.cues.hidden import HiddenRule
 from twistcap.cues.keypoints import KeypointCue
 from twistcap.cues.levelset import LevelSetContour
+from twistcap.cues.reacquire import ReacquireRule
 from twistcap.cues.rivals import RivalRule
 from twistcap.cues.support import SupportRule
 from twistcap.differential.settings import DifferentialConfig
 from twistcap.errors import InputError
 from twistcap.features import Channels
-from twistcap.motion import MotionKind
+from twistcap.motion import MotionKind, MotionLibrary, MotionPredictor, motion_predictor
 from twistcap.predict import MotionNoise, PredictorName
 from twistcap.priors import PriorRule
 from twistcap.region.models import Density, Statistics
@@ -65,6 +67,7 @@ class TrackerConfig:
         brightness, keypoints, flow: the other cues.
         noise: how far a body strays from the prediction.
         rivals: which doubtful limbs are tried elsewhere, and how.
+        reacquire: how the body is sought when images return after a gap; None: it is fitted where it was predicted.
         appearance: how the parts' colours are remembered.
         support: when a part counts as lost.
         prior, hidden: how a prior of poses counts, and what a part that no view shows may do; without effect unless the
@@ -104,6 +107,7 @@ class TrackerConfig:
     flow: FlowCue = field(default_factory=FlowCue)
     noise: MotionNoise = field(default_factory=MotionNoise)
     rivals: RivalRule = field(default_factory=RivalRule)
+    reacquire: ReacquireRule | None = None
     appearance: AppearanceRule = field(default_factory=AppearanceRule)
     support: SupportRule = field(default_factory=SupportRule)
     prior: PriorRule = field(default_factory=PriorRule)
@@ -124,3 +128,17 @@ class TrackerConfig:
             raise InputError('tracker: method "differential" has no contours; use DifferentialFollower instead.')
         cue = self.direct if self.method == "direct" else self.levelset
         return replace(cue, density=cue.density or self.density, statistics=cue.statistics or self.statistics)
+
+    def seeking(self, unseen: float) -> ReacquireRule | None:
+        """The rule of the search where the body must be sought, after `unseen` seconds without images."""
+        return self.reacquire if self.reacquire is not None and unseen > self.reacquire.after else None
+
+    def motion_from(self, library: MotionLibrary | None, body: Body) -> MotionPredictor | None:
+        """The predictor from a library of training motion, where one is asked for.
+
+        Raises:
+            InputError: for a library that is not asked for, or none where one is.
+        """
+        if (self.predictor == "motion") != (library is not None):
+            raise InputError('tracker: predictor "motion" and a library of motions go together; give both or none.')
+        return None if library is None else motion_predictor(self.motion, library, body)

@@ -17,13 +17,13 @@ from twistcap.cues.appearance import Appearance
 from twistcap.cues.brightness import Template
 from twistcap.cues.evidence import ContourEvidence
 from twistcap.cues.flow import Followed
+from twistcap.cues.reacquire import ReacquireRule
 from twistcap.cues.rivals import Rivals
 from twistcap.cues.support import part_tally, summed
 from twistcap.cues.view import View, crop_view, despeckled
-from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
-from twistcap.motion import MotionLibrary, MotionPredictor, motion_predictor
-from twistcap.predict import Moment, MotionNoise, PredictorName, Spread, predict
+from twistcap.motion import MotionLibrary
+from twistcap.predict import Moment, MotionNoise, PredictorName, Spread, jumped, predict
 from twistcap.priors import ParzenPrior, PriorTerm, matched
 from twistcap.render import ContourPoints, RenderedView, render, reprojected, visible_contour
 from twistcap.settings import TrackerConfig
@@ -32,7 +32,6 @@ from twistcap.stages import next_frame, stage
 from twistcap.terms import GaussianTerm, LimitTerm, Quadratic, RestTerm, Term
 
 _REMEMBERED = 128  # moments of the history
-_JUMP = np.deg2rad(2.0)  # of a joint: more than a fit wavers
 
 
 @dataclass(frozen=True)
@@ -69,7 +68,7 @@ class Tracker:
         self._given_rig = rig  # keypoints come in its pixels, images rectified
         self._contour = self.config.contour
         self._rest = RestTerm(float(np.deg2rad(self.config.rest_sigma_deg)))
-        self._motions = _motions(self.config, motions, body)
+        self._motions = self.config.motion_from(motions, body)
         self._prior = None if prior is None else matched(prior, body)
         self._yields = prior is not None or self.config.hidden.alone
         self._reset()
@@ -113,22 +112,26 @@ class Tracker:
         guess, predicted, strayed, information = self._predicted(frame)
         posed = Posed(self.body, guess)
         found = self._keypoints(frame, posed)
-        fixed: Sequence[Term] = (LimitTerm(), self._rest, GaussianTerm(guess, information), *found)
-        views = self._views(frame, posed)
+        rule = config.seeking(frame.time - self._seen_time) if self._started else None
+        views = self._views(frame, posed, rule.margin if rule else config.margin)
         if not views and not found:
             return self._unseen(frame, guess, strayed, predicted)
         self._colours = {i: self._appearance.of(i, view.features.shape[2]) for i, view in views.items()}
+        if rule is not None and views:
+            posed = self._sought(rule, posed, views, self._covariance + strayed)
+        fixed = (LimitTerm(), self._rest, GaussianTerm(posed.pose, information), *found)
         fit, trust = self._fit(posed, views, fixed), 1.0
         if predicted == "motion" and not found and (trust := config.support.trust(fit.tallies)) < 1.0:
             if trust == 0.0:
                 return self._unseen(frame, guess, strayed, predicted)
             information = information / trust
-            fit = self._fit(posed, views, (*fixed[:2], GaussianTerm(guess, information)))
+            fit = self._fit(posed, views, (*fixed[:2], GaussianTerm(posed.pose, information)))
         told = self._claimed(fit, strayed, information, trust)
         with stage("rivals"):
             rival = self._rival(fit, self._familiar(told, fit), views, information, found)
         if rival is not None:
-            self._forget_motion(rival.result.pose.minus(fit.result.pose), rival.result.pose)
+            jump = rival.result.pose.minus(fit.result.pose)
+            self._history[-1] = jumped(self._history[-1], jump, rival.result.pose)
             fit, told = rival, self._claimed(rival, strayed, information, trust)
         elif self._started and predicted != "motion":
             self._spread.learn(guess, fit.result.pose, *self._since(frame.time))
@@ -232,12 +235,6 @@ class Tracker:
             other = replace(other, result=replace(other.result, posed=best, energies=energies))
         return other if self._rivals.takes_over(posed, other.result.pose, max(fitted, *evidence)) else None
 
-    def _forget_motion(self, jump: Float, pose: Pose) -> None:
-        """After a jump to a rival: the last pose was off as well; joints that jumped start again from rest."""
-        last = self._history[-1]
-        q = np.where(np.abs(jump[6:]) > _JUMP, pose.q, last.pose.q)
-        self._history[-1] = Moment(last.time, Pose(last.pose.retract(jump).root, q))
-
     def _alternate(self, fit: _Fit, views: dict[int, View], fixed: Sequence[Term], coarse: bool) -> _Fit:
         """One alternation; the body is rendered anew where it has moved, else its contour is carried along."""
         config, posed = self.config, fit.result.posed
@@ -304,12 +301,19 @@ class Tracker:
         """Seconds over which the next prediction runs, and by what; one pose alone has no velocity."""
         return time - self._seen_time, self.config.predictor if len(self._history) > 1 else "hold"
 
-    def _views(self, frame: Frame, guess: Posed) -> dict[int, View]:
+    def _sought(self, rule: ReacquireRule, guess: Posed, views: dict[int, View], strayed: Float) -> Posed:
+        """Where the images show the body after a gap."""
+        judge = self._rivals.judge(list(views.values()), [self._colours[i] for i in views], guess)
+        last = [moment.pose for moment in self._history if moment.seen][-1:]
+        with stage("reacquire"):
+            return Posed(self.body, rule.sought(judge, guess.pose, strayed, last))
+
+    def _views(self, frame: Frame, guess: Posed, margin: float) -> dict[int, View]:
         views: dict[int, View] = {}
         for i, image in enumerate(frame.images):
             if image is None:
                 continue
-            view = crop_view(image, self.rig[i], guess, self.config.margin, self.config.channels)
+            view = crop_view(image, self.rig[i], guess, margin, self.config.channels)
             if view is not None:
                 views[i] = view
         return views
@@ -364,12 +368,6 @@ class Tracker:
         if self._prior is None or (information := inverse(known)) is None:
             return known
         return covariance(Quadratic(0.0, np.zeros(len(known)), information + self._prior.claimed(fit.result.posed)))
-
-
-def _motions(config: TrackerConfig, library: MotionLibrary | None, body: Body) -> MotionPredictor | None:
-    if (config.predictor == "motion") != (library is not None):
-        raise InputError('tracker: predictor "motion" and a library of motions go together; give both or none.')
-    return None if library is None else motion_predictor(config.motion, library, body)
 
 
 def _status(result: SolveResult, moved: float, settled: float) -> Status:

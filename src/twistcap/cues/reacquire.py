@@ -1,0 +1,103 @@
+"""Finding the body again after a gap: limb by limb, from the trunk outward, the images judge where it might be.
+
+A contour pulls a limb from a hand's breadth away. Without images a limb strays farther, by as much as the prediction's
+covariance says: poses are drawn from that covariance, one branch of the body after the other, and then more narrowly
+about the best (partitioned sampling, MacCormick and Isard, ECCV 2000; annealing, Deutscher and Reid, IJCV 2005,
+doi:10.1023/B:VISI.0000043757.18370.9c).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twistcap._typing import Bool, Float
+from twistcap.body import Body, Pose
+from twistcap.cues.rivals import Judge
+
+
+@dataclass(frozen=True)
+class ReacquireRule:
+    """When and how the body is sought.
+
+    Attributes:
+        after: s without images from which on it is.
+        layers: shares of the standard deviation with which poses are drawn, one round after the other.
+        draws: poses in each round of each branch.
+        margin: m about the expected body within which it is sought.
+        widest: rad, most by which one coordinate is thought to have strayed (standard deviation).
+        seed: of the draws, which are the same in every run.
+    """
+
+    after: float = 0.1
+    layers: tuple[float, ...] = (1.0, 0.5, 0.25)
+    draws: int = 40
+    margin: float = 0.5
+    widest: float = 0.6
+    seed: int = 0
+
+    def sought(self, judge: Judge, start: Pose, covariance: Float, others: Sequence[Pose] = ()) -> Pose:
+        """The pose that the images favour.
+
+        Args:
+            judge: of the images, relative to one pose.
+            start: from which the search begins.
+            covariance: (6 + J, 6 + J) of the step from it to the true pose.
+            others: more poses of which each branch may be taken over.
+        """
+        rng, limits = np.random.default_rng(self.seed), judge.body.limits
+        covariance = _narrowed(covariance, self.widest)
+        best, most = start, judge.evidence(start)
+        for branch in branches(judge.body):
+            steps = [np.where(branch, other.minus(best), 0.0) for other in others]
+            for layer in self.layers:
+                steps.extend(layer * self._drawn(rng, covariance, branch))
+                poses = [_within(best.retract(step), limits) for step in steps]
+                evidence = [judge.evidence(pose) for pose in poses]
+                if max(evidence) > most:
+                    best, most = poses[int(np.argmax(evidence))], max(evidence)
+                steps = []
+        return best
+
+    def _drawn(self, rng: np.random.Generator, covariance: Float, branch: Bool) -> Float:
+        """(draws, 6 + J) steps of one branch alone."""
+        values, vectors = np.linalg.eigh(covariance[np.ix_(branch, branch)])
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        steps = np.zeros((self.draws, len(branch)))
+        steps[:, branch] = rng.standard_normal((self.draws, len(root))) @ root.T
+        return steps
+
+
+def branches(body: Body) -> list[Bool]:
+    """Masks (6 + J,) of coordinates that carry the same ends of the body: the root's, then those of most ends first."""
+    carries = body.chain
+    ends = [s for s in range(len(carries)) if not any(_beyond(carries[t], carries[s]) for t in range(len(carries)))]
+    groups: dict[bytes, list[int]] = {}
+    for j, carried in enumerate(carries[ends].T):
+        groups.setdefault(carried.tobytes(), []).append(j)
+    ordered = sorted(groups, key=lambda key: -sum(key))
+    masks = [np.zeros(body.dof, dtype=np.bool_) for _ in range(1 + len(ordered))]
+    masks[0][:6] = True
+    for mask, key in zip(masks[1:], ordered, strict=True):
+        mask[6 + np.array(groups[key])] = True
+    return masks
+
+
+def _narrowed(covariance: Float, widest: float) -> Float:
+    """The covariance (6 + J, 6 + J) with joints that stray less than `widest`, rad."""
+    shares = np.ones(len(covariance))
+    sd = np.sqrt(np.diag(covariance)[6:])
+    shares[6:] = np.minimum(1.0, widest / np.maximum(sd, 1e-12))
+    return covariance * np.outer(shares, shares)
+
+
+def _within(pose: Pose, limits: Float) -> Pose:
+    """The pose with its joints inside their limits (J, 2)."""
+    return Pose(pose.root, np.clip(pose.q, limits[:, 0], limits[:, 1]))
+
+
+def _beyond(one: Bool, other: Bool) -> bool:
+    """Whether a segment hangs on another: all that moves the other moves it, and more."""
+    return bool(np.all(other <= one) and np.any(one & ~other))

@@ -1,0 +1,58 @@
+"""Finding the body again after frames without images."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from twistcap.body import Pose, Posed
+from twistcap.cues.reacquire import ReacquireRule, branches
+from twistcap.cues.rivals import Judge, RivalRule
+from twistcap.studio import StudioConfig
+from twistcap.studio.scene import default_body
+
+BODY = default_body(StudioConfig(seed=0))
+
+
+@dataclass(frozen=True)
+class Oracle(Judge):
+    """A judge that knows the truth."""
+
+    truth: Pose
+
+    def evidence(self, pose: Pose) -> float:
+        return -float(
+            np.sum((Posed(self.body, pose).segment_middles - Posed(self.body, self.truth).segment_middles) ** 2)
+        )
+
+
+def _raised(pose: Pose) -> Pose:
+    """The pose with its right arm elsewhere."""
+    q = pose.q.copy()
+    q[BODY.coordinate("arm_flex_r")] += 0.9
+    q[BODY.coordinate("elbow_flex_r")] += 0.6
+    return Pose(pose.root, q)
+
+
+def test_branches_part_the_coordinates_from_the_trunk_outward() -> None:
+    found = branches(BODY)
+    np.testing.assert_array_equal(np.sum(found, axis=0), np.ones(BODY.dof))
+    np.testing.assert_array_equal(np.flatnonzero(found[0]), np.arange(6))
+    arm = next(branch for branch in found if branch[6 + BODY.coordinate("elbow_flex_r")])
+    assert arm[6 + BODY.coordinate("arm_flex_r")]
+    assert not arm[6 + BODY.coordinate("elbow_flex_l")]
+    order = [next(i for i, b in enumerate(found) if b[6 + BODY.coordinate(n)]) for n in ("lumbar_bending", "arm_rot_l")]
+    assert order[0] < order[1]
+
+
+def test_the_search_comes_near_what_the_judge_favours_and_keeps_limits() -> None:
+    start = Pose(np.eye(4), np.clip(np.zeros(BODY.dof - 6), *BODY.limits.T))
+    truth = _raised(start)
+    covariance = np.diag(np.concatenate([np.full(6, 1e-6), np.full(BODY.dof - 6, 4.0)]))  # wider than anything
+    judge = Oracle(RivalRule(), BODY, (), truth)
+    found = ReacquireRule(draws=60).sought(judge, start, covariance)
+    assert judge.evidence(found) > 0.1 * judge.evidence(start)  # both are negative
+    assert np.all((found.q >= BODY.limits[:, 0]) & (found.q <= BODY.limits[:, 1]))
+    taken = ReacquireRule(draws=1, layers=(0.0,)).sought(judge, start, covariance, [truth])
+    np.testing.assert_allclose(taken.q, truth.q, atol=1e-9)
