@@ -52,7 +52,7 @@ def test_a_walk_is_predicted_by_walking() -> None:
     predictor = guarded()
     history = seen(predictor, walking(2.0, 1.4), 60)
     told = predictor.predict(history[:60], 75 / FPS)
-    assert predictor.trusted and told.match is not None
+    assert predictor.trusts(15) and told.match is not None
     plain = FollowedMotion(predictor.inner.library, BODY).predict(history[:60], 75 / FPS)
     np.testing.assert_allclose(told.pose.q, plain.pose.q, atol=1e-9)
 
@@ -61,7 +61,7 @@ def test_one_who_stands_is_not_led_into_a_walk() -> None:
     predictor = guarded()
     history = seen(predictor, standing(90), 40)
     told = predictor.predict(history[:40], 55 / FPS)
-    assert not predictor.trusted and told.match is None
+    assert not predictor.trusts(15) and told.match is None
     assert np.abs(told.pose.q - history[55].pose.q).max() < 0.02
     near = predictor.predict(history[:40], 41 / FPS)
     assert np.trace(near.covariance) < np.trace(told.covariance)
@@ -73,9 +73,9 @@ def test_one_who_stands_is_not_led_into_a_walk() -> None:
 def test_it_comes_back_when_the_person_walks_again() -> None:
     predictor = guarded()
     seen(predictor, standing(60), 40)
-    assert not predictor.trusted
+    assert not predictor.trusts(8)
     seen(predictor, walking(2.0, 1.2), 90)
-    assert predictor.trusted
+    assert predictor.trusts(8)
 
 
 def test_a_history_is_needed() -> None:

@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 
 from twistcap import se3
 from twistcap.body import Pose
-from twistcap.predict import Moment, MotionNoise, Spread, constant_velocity, predict
+from twistcap.predict import Leeway, Moment, MotionNoise, constant_velocity, predict
 
 J = 4
 XI = np.array([0.9, -1.4, 2.0, 0.8, 0.3, -0.5])
@@ -100,17 +100,17 @@ def test_the_root_turns_about_the_bodys_centre(predictor: str) -> None:
 
 def test_a_body_that_strays_is_given_room() -> None:
     noise, dt, centre = MotionNoise(allowance=3.0, memory=0.5), 0.02, on_screw(0.0).root[:3, 3]
-    spread, usual = Spread(noise, 6 + J), noise.covariance(6 + J, dt, "constant_velocity", centre)[0]
+    leeway, usual = Leeway(noise, 6 + J), noise.covariance(6 + J, dt, "constant_velocity", centre)[0]
     still, sigma = on_screw(0.0), noise.joint * dt * dt
     for _ in range(20):  # joints stray as far as usual, the root not at all
-        spread.learn(still, still.retract(np.r_[np.zeros(6), np.full(J, sigma)]), dt, "constant_velocity")
-    covariance, information = spread.covariance(dt, "constant_velocity", centre)
+        leeway.learn(still, still.retract(np.r_[np.zeros(6), np.full(J, sigma)]), dt, "constant_velocity")
+    covariance, information = leeway.covariance(dt, "constant_velocity", centre)
     np.testing.assert_allclose(covariance[6:, 6:], 9.0 * usual[6:, 6:], rtol=1e-4)
     np.testing.assert_allclose(covariance[:6, :6], usual[:6, :6])
     np.testing.assert_allclose(covariance @ information, np.eye(6 + J), atol=1e-9)
     for _ in range(20):
-        spread.learn(still, still, dt, "constant_velocity")
-    np.testing.assert_allclose(spread.covariance(dt, "constant_velocity", centre)[0], usual)
+        leeway.learn(still, still, dt, "constant_velocity")
+    np.testing.assert_allclose(leeway.covariance(dt, "constant_velocity", centre)[0], usual)
 
 
 def test_straying_does_not_depend_on_where_the_world_begins() -> None:
@@ -119,10 +119,10 @@ def test_straying_does_not_depend_on_where_the_world_begins() -> None:
     centre = still.root[:3, 3]
     turn = np.array([0.1, -0.2, 0.3])
     turned = still.retract(np.r_[turn, -np.cross(turn, centre), np.zeros(J)])
-    spread = Spread(noise, 6 + J)
-    spread.learn(still, turned, dt, "constant_velocity")
+    leeway = Leeway(noise, 6 + J)
+    leeway.learn(still, turned, dt, "constant_velocity")
     np.testing.assert_allclose(turned.root[:3, 3], centre, atol=1e-12)
     here = np.zeros(3)
-    found, usual = (s.covariance(dt, "constant_velocity", here)[0] for s in (spread, Spread(noise, 6 + J)))
+    found, usual = (s.covariance(dt, "constant_velocity", here)[0] for s in (leeway, Leeway(noise, 6 + J)))
     np.testing.assert_allclose(found[3:, 3:], usual[3:, 3:], rtol=1e-6)
     assert np.all(np.diag(found[:3, :3]) > 2.0 * np.diag(usual[:3, :3]))

@@ -17,14 +17,17 @@ BODY = default_body(StudioConfig(seed=0))
 
 @dataclass(frozen=True)
 class Oracle(Judge):
-    """A judge that knows the truth."""
+    """A judge that knows the truth, and holds a pose against the start: nats by the square centimetre."""
 
+    start: Pose
     truth: Pose
 
     def evidence(self, pose: Pose) -> float:
-        return -float(
-            np.sum((Posed(self.body, pose).segment_middles - Posed(self.body, self.truth).segment_middles) ** 2)
-        )
+        return self._off(self.start) - self._off(pose)
+
+    def _off(self, pose: Pose) -> float:
+        there = Posed(self.body, self.truth).segment_middles
+        return 1e4 * float(np.sum((Posed(self.body, pose).segment_middles - there) ** 2))
 
 
 def _raised(pose: Pose) -> Pose:
@@ -50,9 +53,16 @@ def test_the_search_comes_near_what_the_judge_favours_and_keeps_limits() -> None
     start = Pose(np.eye(4), np.clip(np.zeros(BODY.dof - 6), *BODY.limits.T))
     truth = _raised(start)
     covariance = np.diag(np.concatenate([np.full(6, 1e-6), np.full(BODY.dof - 6, 4.0)]))  # wider than anything
-    judge = Oracle(RivalRule(), BODY, (), truth)
+    judge = Oracle(RivalRule(), BODY, (), start, truth)
     found = ReacquireRule(draws=60).sought(judge, start, covariance)
-    assert judge.evidence(found) > 0.1 * judge.evidence(start)  # both are negative
+    assert judge.evidence(found) > 0.9 * judge.evidence(truth)
     assert np.all((found.q >= BODY.limits[:, 0]) & (found.q <= BODY.limits[:, 1]))
-    taken = ReacquireRule(draws=1, layers=(0.0,)).sought(judge, start, covariance, [truth])
+    taken = ReacquireRule(draws=1, passes=((0.0,),)).sought(judge, start, covariance, [truth])
     np.testing.assert_allclose(taken.q, truth.q, atol=1e-9)
+
+
+def test_little_gain_moves_nothing() -> None:
+    start = Pose(np.eye(4), np.clip(np.zeros(BODY.dof - 6), *BODY.limits.T))
+    judge = Oracle(RivalRule(), BODY, (), start, _raised(start))
+    rule = ReacquireRule(gain=2.0 * judge.evidence(judge.truth))
+    assert rule.sought(judge, start, np.eye(BODY.dof), [judge.truth]) is start

@@ -63,7 +63,7 @@ class MotionNoise:
         return variance
 
 
-class Spread:
+class Leeway:
     """How far one body may be from where it is predicted: as far as usual, farther while it strays more than that.
 
     Turn, shift and joints each have one measure: a limb that goes astray alone is not given more room for it.

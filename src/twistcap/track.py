@@ -23,7 +23,7 @@ from twistcap.cues.support import part_tally, summed
 from twistcap.cues.view import View, crop_view, despeckled
 from twistcap.estimate import Estimate, Frame
 from twistcap.motion import MotionLibrary
-from twistcap.predict import Moment, MotionNoise, PredictorName, Spread, jumped, predict
+from twistcap.predict import Leeway, Moment, MotionNoise, PredictorName, jumped, predict
 from twistcap.priors import ParzenPrior, PriorTerm, matched
 from twistcap.render import ContourPoints, RenderedView, render, reprojected, visible_contour
 from twistcap.settings import TrackerConfig
@@ -80,7 +80,7 @@ class Tracker:
         self._started = False
         self._frames = 0  # remembered since the start
         self._covariance = np.zeros((self.body.dof, self.body.dof))  # of what images and motion tell; no prior in it
-        self._spread = Spread(config.noise, self.body.dof)
+        self._leeway = Leeway(config.noise, self.body.dof)
         self._templates: list[Template | None] = [None] * views
         self._appearance = Appearance(views, parts, config.appearance)
         self._colours: dict[int, Float] = {}  # of this frame's views
@@ -134,7 +134,7 @@ class Tracker:
             self._history[-1] = jumped(self._history[-1], jump, rival.result.pose)
             fit, told = rival, self._claimed(rival, strayed, information, trust)
         elif self._started and predicted != "motion":
-            self._spread.learn(guess, fit.result.pose, *self._since(frame.time))
+            self._leeway.learn(guess, fit.result.pose, *self._since(frame.time))
         self._covariance = told
         with stage("remember"):
             self._remember(fit)
@@ -295,7 +295,7 @@ class Tracker:
             turn = float(np.deg2rad(config.first_sigma_deg))
             given = MotionNoise(joint_speed=turn, turn_speed=turn, shift_speed=config.first_sigma_m)
             return given.covariance(self.body.dof, 1.0, "hold", centre)
-        return self._spread.covariance(*self._since(time), centre)  # open-loop through dropped frames
+        return self._leeway.covariance(*self._since(time), centre)  # open-loop through dropped frames
 
     def _since(self, time: float) -> tuple[float, PredictorName]:
         """Seconds over which the next prediction runs, and by what; one pose alone has no velocity."""

@@ -24,16 +24,19 @@ class ReacquireRule:
 
     Attributes:
         after: s without images from which on it is.
-        layers: shares of the standard deviation with which poses are drawn, one round after the other.
+        passes: over all branches; of each, the shares of the standard deviation with which poses are drawn, one round
+            after the other.
         draws: poses in each round of each branch.
+        gain: nats by which the images must favour what is found; else the body is where it was expected.
         margin: m about the expected body within which it is sought.
         widest: rad, most by which one coordinate is thought to have strayed (standard deviation).
         seed: of the draws, which are the same in every run.
     """
 
     after: float = 0.1
-    layers: tuple[float, ...] = (1.0, 0.5, 0.25)
+    passes: tuple[tuple[float, ...], ...] = ((1.0, 0.5, 0.25), (0.5, 0.25))
     draws: int = 40
+    gain: float = 40.0
     margin: float = 0.5
     widest: float = 0.6
     seed: int = 0
@@ -47,19 +50,16 @@ class ReacquireRule:
             covariance: (6 + J, 6 + J) of the step from it to the true pose.
             others: more poses of which each branch may be taken over.
         """
-        rng, limits = np.random.default_rng(self.seed), judge.body.limits
-        covariance = _narrowed(covariance, self.widest)
-        best, most = start, judge.evidence(start)
-        for branch in branches(judge.body):
-            steps = [np.where(branch, other.minus(best), 0.0) for other in others]
-            for layer in self.layers:
-                steps.extend(layer * self._drawn(rng, covariance, branch))
-                poses = [_within(best.retract(step), limits) for step in steps]
-                evidence = [judge.evidence(pose) for pose in poses]
-                if max(evidence) > most:
-                    best, most = poses[int(np.argmax(evidence))], max(evidence)
-                steps = []
-        return best
+        rng, covariance = np.random.default_rng(self.seed), _narrowed(covariance, self.widest)
+        best, most = start, 0.0
+        for layers in self.passes:
+            for branch in branches(judge.body):
+                steps = [np.where(branch, other.minus(best), 0.0) for other in others]
+                for layer in layers:
+                    steps.extend(layer * self._drawn(rng, covariance, branch))
+                    best, most = _better(judge, best, most, steps)
+                    steps = []
+        return best if most > self.gain else start
 
     def _drawn(self, rng: np.random.Generator, covariance: Float, branch: Bool) -> Float:
         """(draws, 6 + J) steps of one branch alone."""
@@ -68,6 +68,14 @@ class ReacquireRule:
         steps = np.zeros((self.draws, len(branch)))
         steps[:, branch] = rng.standard_normal((self.draws, len(root))) @ root.T
         return steps
+
+
+def _better(judge: Judge, best: Pose, most: float, steps: Sequence[Float]) -> tuple[Pose, float]:
+    """The best of a pose of evidence `most` and of those that steps (6 + J,) lead to from it, and its evidence."""
+    poses = [_within(best.retract(step), judge.body.limits) for step in steps]
+    evidence = [judge.evidence(pose) for pose in poses]
+    k = int(np.argmax(evidence))
+    return (poses[k], evidence[k]) if evidence[k] > most else (best, most)
 
 
 def branches(body: Body) -> list[Bool]:

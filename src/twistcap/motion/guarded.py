@@ -1,8 +1,9 @@
 """Prediction from training motion for as long as it proves itself; otherwise the person's own motion goes on.
 
 A person who does what the library does not know is matched all the same, and led astray. So in each frame that was seen
-two forecasts for it are judged that were made some frames before: the library's, and one of inertia, in which the last
-velocity dies away. Whichever was nearer lately predicts.
+forecasts for it are judged that were made before: the library's, and those of inertia, in which the last velocity dies
+away. Whichever was nearer lately predicts. One frame ahead inertia is hard to beat; it is over a gap that the library
+is needed, and there it is judged by forecasts from farther back.
 """
 
 from __future__ import annotations
@@ -14,9 +15,10 @@ import numpy as np
 from twistcap import se3
 from twistcap.body import Pose
 from twistcap.motion.openloop import Expected, OpenLoop
-from twistcap.predict import Moment, MotionNoise, constant_velocity, covariance_about
+from twistcap.predict import Leeway, Moment, MotionNoise, constant_velocity
 
-_AHEAD = 8  # frames by which the judged forecasts are made ahead
+_AHEAD = (1, 8)  # frames by which the judged forecasts are made ahead
+_FAR = 3  # frames from which on the farther ones tell
 _MEMORY = 0.85  # share of past errors that counts in the next frame
 _DECAY = 0.15  # s in which a velocity dies away
 
@@ -30,14 +32,15 @@ class GuardedMotion:
     """
 
     def __init__(self, inner: OpenLoop, noise: MotionNoise | None = None) -> None:
-        self.inner, self.noise = inner, noise or MotionNoise()
+        self.inner, self._noise = inner, noise or MotionNoise()
         self._last: Moment | None = None
-        self._errors = np.zeros(2)  # squared, of the library and of inertia, fading
+        self._leeway: Leeway | None = None
+        self._errors = np.zeros((len(_AHEAD), 2))  # squared, of the library and of inertia, fading
 
-    @property
-    def trusted(self) -> bool:
-        """Whether the library predicts."""
-        return bool(self._errors[0] <= self._errors[1])
+    def trusts(self, frames: float) -> bool:
+        """Whether the library predicts so many frames ahead."""
+        ours, inert = self._errors[int(frames >= _FAR)]
+        return bool(ours <= inert)
 
     def predict(self, history: Sequence[Moment], time: float) -> Expected:
         """The pose at `time`; see `MotionPredictor`.
@@ -46,28 +49,37 @@ class GuardedMotion:
             InputError: for a history without moments.
         """
         seen = [moment for moment in history if moment.seen]
-        if seen and seen[-1] is not self._last:
+        if len(seen) < 2:
+            return self.inner.predict(history, time)
+        if seen[-1] is not self._last:
             self._last = seen[-1]
             self._judge(seen)
-        return self.inner.predict(history, time) if self.trusted or len(seen) < 2 else self._inert(seen, time)
+        ahead = (time - seen[-1].time) * self.inner.library.rate
+        return self.inner.predict(history, time) if self.trusts(ahead) else self._inert(seen, time)
 
     def _judge(self, history: Sequence[Moment]) -> None:
-        """Compare both forecasts of the last moment."""
-        now = history[-1]
-        made = now.time - (_AHEAD - 0.5) / self.inner.library.rate
-        before = [moment for moment in history if moment.time <= made]
-        if len(before) < 2:
-            return
-        forecasts = self.inner.predict(before, now.time).pose, constant_velocity(before, now.time, _DECAY)
-        self._errors = _MEMORY * self._errors + [_apart(pose, now.pose) for pose in forecasts]
+        """Compare the forecasts of the last moment."""
+        now, frame = history[-1], 1.0 / self.inner.library.rate
+        for errors, ahead in zip(self._errors, _AHEAD, strict=True):
+            before = [moment for moment in history if moment.time <= now.time - (ahead - 0.5) * frame]
+            if len(before) < 2:
+                continue
+            inert = constant_velocity(before, now.time, _DECAY)
+            forecasts = self.inner.predict(before, now.time).pose, inert
+            errors[:] = _MEMORY * errors + [_apart(pose, now.pose) for pose in forecasts]
+            if ahead == _AHEAD[0]:
+                self._given(now.pose).learn(inert, now.pose, now.time - before[-1].time, "constant_velocity")
 
     def _inert(self, history: Sequence[Moment], time: float) -> Expected:
         pose, passed = constant_velocity(history, time, _DECAY), time - history[-1].time
         # Accelerations do not last: an unknown step grows with the square of the first moments only.
-        lasting = min(passed, _DECAY) * passed
-        variance = np.full(6 + len(pose.q), (self.noise.joint * lasting) ** 2)
-        variance[:3], variance[3:6] = (self.noise.turn * lasting) ** 2, (self.noise.shift * lasting) ** 2
-        return Expected(pose, *covariance_about(variance, pose.root[:3, 3]), None)
+        lasting = np.sqrt(min(passed, _DECAY) * passed)
+        found = self._given(pose).covariance(lasting, "constant_velocity", pose.root[:3, 3])
+        return Expected(pose, *found, None)
+
+    def _given(self, pose: Pose) -> Leeway:
+        self._leeway = self._leeway or Leeway(self._noise, 6 + len(pose.q))
+        return self._leeway
 
 
 def _apart(pose: Pose, truth: Pose) -> float:
