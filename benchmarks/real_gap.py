@@ -1,10 +1,10 @@
 """The real recording with images missing in its middle: does the track go on, and as well as undisturbed?
 
-    python benchmarks/real_gap.py [--first 43] [--frames 15] [--json]
+    python benchmarks/real_gap.py [--first 43] [--frames 15] [--seed 0] [--json]
 
 `balance_4view` of shared data at half size, generic body. The library holds other people's standing, stepping, walking
 and jumping (CMU, DeepMimic), never this recording. IoU is that with the hand-mended masks of the frames after the gap,
-and with the undisturbed run's own silhouettes in every frame after it.
+and with the undisturbed run's own silhouettes in every frame after it. The search draws at random: --seed.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import numpy as np
 
 from twistcap.body import Body, Posed
 from twistcap.camera import Rig
+from twistcap.cues.reacquire import ReacquireRule
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate.metrics import iou
 from twistcap.evaluate.recorded import Recording, data_file
@@ -39,6 +40,7 @@ ARMS = {
     "undisturbed": TrackerConfig(),
     "followed": TrackerConfig(predictor="motion", motion="followed"),
     "guarded": TrackerConfig(predictor="motion", motion="guarded"),
+    "guarded, sought": TrackerConfig(predictor="motion", motion="guarded", reacquire=ReacquireRule()),
     "scaled (paper)": TrackerConfig(predictor="motion", motion="scaled"),
     "autoregressive": TrackerConfig(predictor="motion", motion="autoregressive"),
     "constant velocity": TrackerConfig(),
@@ -90,6 +92,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=15)
     parser.add_argument("--last", type=int, default=90, help="frame at which tracking ends")
     parser.add_argument("--arms", nargs="*", default=list(ARMS), choices=list(ARMS))
+    parser.add_argument("--seed", type=int, default=0, help="of the search's draws")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args()
     os.environ.setdefault("TWISTCAP_DATA", str(DATA.resolve()))
@@ -99,6 +102,8 @@ def main() -> None:
     rows, undisturbed = list[dict[str, object]](), list[Estimate]()
     for name in given.arms:
         config = ARMS[name]
+        if config.reacquire is not None:
+            config = replace(config, reacquire=replace(config.reacquire, seed=given.seed))
         last = -1 if name == "undisturbed" else behind - 1
         shown = without_images(frames, given.first, last)
         used = motions if config.predictor == "motion" else None

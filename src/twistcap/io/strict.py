@@ -61,9 +61,9 @@ def _check_keys(kind: type[Any], table: Mapping[str, Any], source: str, where: s
     for key, value in table.items():
         if key not in names:
             raise unknown_key(source, key, where, names)
-        if is_dataclass(hints[key]) and isinstance(value, Mapping):
-            below = cast("type[Any]", hints[key])
-            _check_keys(below, cast("Mapping[str, Any]", value), source, f"{where}.{key}")
+        for below in (hints[key], *get_args(hints[key])):  # itself, or what an optional one may be
+            if is_dataclass(below) and isinstance(value, Mapping):
+                _check_keys(cast("type[Any]", below), cast("Mapping[str, Any]", value), source, f"{where}.{key}")
 
 
 def _told(error: ValidationError, model: type[BaseModel], source: str) -> InputError:
