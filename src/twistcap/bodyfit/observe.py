@@ -1,0 +1,80 @@
+"""Where the images put the body's visible contour: what the shape is fitted to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twistcap._typing import AnyArray, Bool, Float, Int
+from twistcap.body import Posed
+from twistcap.camera import Camera, Rig
+from twistcap.cues.direct import DirectContour
+from twistcap.cues.view import View, crop_view
+from twistcap.firstpose.outline import Outline, match
+from twistcap.render import ContourPoints, contour_on_edges, render
+
+_MARGIN = 0.15  # m about the body that is looked at
+
+
+@dataclass(frozen=True)
+class Observed:
+    """N contour points of one view of one frame, and how far off the image has them.
+
+    Attributes:
+        camera: the pinhole camera.
+        contour: points of the body as it was looked at.
+        ends, shares: (N, 2) vertices of the edge each lies on, and their shares.
+        distance: (N,) px outward along the image normal.
+        weight: (N,) information, 1/px².
+        px_per_m: scale of the image at the body.
+        mask: whether the distances are those to a given mask.
+    """
+
+    camera: Camera
+    contour: ContourPoints
+    ends: Int
+    shares: Float
+    distance: Float
+    weight: Float
+    px_per_m: float
+    mask: bool = False
+
+
+@dataclass(frozen=True)
+class Contours:
+    """How contours are observed.
+
+    Attributes:
+        direct: the tracker's cue by which the edge is found along the normals.
+        spacing: m on the body between points.
+        channels: of the images, as the tracker's.
+    """
+
+    direct: DirectContour
+    spacing: float = 0.025
+    channels: str = "lab"
+
+
+def observe(images: Sequence[AnyArray | None], rig: Rig, posed: Posed, rule: Contours) -> list[Observed]:
+    """The contour in all views of one frame; views without image or body are left out.
+
+    Args:
+        images: rectified, of the (pinhole) rig.
+        posed: the body where it is thought to be.
+    """
+    out: list[Observed] = []
+    for image, camera in zip(images, rig, strict=True):
+        view = None if image is None else crop_view(image, camera, posed, _MARGIN, rule.channels)  # type: ignore[arg-type]
+        if view is not None:
+            out.append(_observed(view, posed, rule))
+    return out
+
+
+def _observed(view: View, posed: Posed, rule: Contours) -> Observed:
+    seen = render(posed, view.camera)
+    contour, ends, shares = contour_on_edges(seen, max(1.0, rule.spacing * seen.px_per_m))
+    nothing = np.zeros((len(posed.body.segment_names), 1 + 2 * view.features.shape[2]))  # remembered colours
+    found = rule.direct.measure(view, seen, contour, 1.0, nothing)
+    return Observed(view.camera, contour, ends, shares, found.displacement, found.term.weight, seen.px_per_m)  # type: ignore[attr-defined]
