@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -39,6 +40,11 @@ class Fields:
     joints: Float
     landmarks: Float
     precision: Float
+
+    @cached_property
+    def by_vertex(self) -> Float:
+        """(V, M, 3) `vertices`, those of one vertex together."""
+        return np.ascontiguousarray(self.vertices.transpose(1, 0, 2))
 
     def __add__(self, other: Fields) -> Fields:
         precision = np.zeros((len(self.names) + len(other.names),) * 2)

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from twistcap._typing import AnyArray, Bool, Float, Int
 from twistcap.body import Posed
 from twistcap.camera import Camera, Rig
+from twistcap.bodyfit.subpixel import refined
 from twistcap.cues.direct import DirectContour
 from twistcap.cues.view import View, crop_view
+from twistcap.features import Channels
 from twistcap.firstpose.outline import Outline, match
 from twistcap.render import ContourPoints, contour_on_edges, render
 
@@ -52,9 +54,9 @@ class Contours:
         channels: of the images, as the tracker's.
     """
 
-    direct: DirectContour
+    direct: DirectContour = field(default_factory=DirectContour)
     spacing: float = 0.025
-    channels: str = "lab"
+    channels: Channels = "lab"
 
 
 def observe(images: Sequence[AnyArray | None], rig: Rig, posed: Posed, rule: Contours) -> list[Observed]:
@@ -66,7 +68,7 @@ def observe(images: Sequence[AnyArray | None], rig: Rig, posed: Posed, rule: Con
     """
     out: list[Observed] = []
     for image, camera in zip(images, rig, strict=True):
-        view = None if image is None else crop_view(image, camera, posed, _MARGIN, rule.channels)  # type: ignore[arg-type]
+        view = None if image is None else crop_view(image, camera, posed, _MARGIN, rule.channels)
         if view is not None:
             out.append(_observed(view, posed, rule))
     return out
@@ -77,4 +79,6 @@ def _observed(view: View, posed: Posed, rule: Contours) -> Observed:
     contour, ends, shares = contour_on_edges(seen, max(1.0, rule.spacing * seen.px_per_m))
     nothing = np.zeros((len(posed.body.segment_names), 1 + 2 * view.features.shape[2]))  # remembered colours
     found = rule.direct.measure(view, seen, contour, 1.0, nothing)
-    return Observed(view.camera, contour, ends, shares, found.displacement, found.term.weight, seen.px_per_m)  # type: ignore[attr-defined]
+    distance, contrast = refined(view.image, contour.pixels, contour.normals, found.displacement)
+    weight = np.where(contour.outer, found.term.weight, 0.0) / (1.0 + (1.5 / np.maximum(contrast, 1e-6)) ** 2)
+    return Observed(view.camera, contour, ends, shares, distance, weight, seen.px_per_m)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import sparse
 
 from twistcap._typing import Float
 from twistcap.body import Body, Posed
@@ -48,20 +49,56 @@ class Step:
     error_px: float
 
 
-def rows(posed: Posed, shape: Shape, seen: Observed) -> tuple[Float, Float]:
-    """Derivative of the distance along the normals by pose step (N, 6 + J) and shape (N, M + V)."""
+@dataclass(frozen=True)
+class Rows:
+    """Derivatives of the N distances along the normals.
+
+    Attributes:
+        pose: (N, 6 + J) by the pose step.
+        field: (N, M) by the amounts of the fields.
+        vertex: (N, V) by the offsets of the vertices, two to a row; None without offsets.
+    """
+
+    pose: Float
+    field: Float
+    vertex: sparse.csr_array | None
+
+    def times_shape(self, weighted: Float) -> Float:
+        """(K, M + V) product of (K, N) weighted rows with those of the shape."""
+        by_field = weighted @ self.field
+        if self.vertex is None:
+            return by_field
+        return np.hstack([by_field, np.asarray((self.vertex.T @ weighted.T).T)])
+
+    def add_to(self, H: Float, weight: Float) -> None:
+        """Add the weighted square of the shape's rows to H (M + V, M + V)."""
+        M = self.field.shape[1]
+        weighted = self.field.T * weight
+        H[:M, :M] += weighted @ self.field
+        if self.vertex is None:
+            return
+        mixed = np.asarray((self.vertex.T @ weighted.T))
+        H[M:, :M] += mixed
+        H[:M, M:] += mixed.T
+        squares = (self.vertex.T @ (self.vertex * weight[:, None])).tocoo()
+        np.add.at(H, (M + squares.row, M + squares.col), squares.data)
+
+
+def rows(posed: Posed, shape: Shape, seen: Observed) -> Rows:
+    """Derivatives of the distances of one view."""
     points = seen.contour.points
     by_point = _image_rows(seen.camera, points.at(posed), seen.contour.normals)
     by_pose = np.einsum("ni,nid->nd", by_point, posed.point_jacobian(points.segments, points.weights, points.local))
     turned = _rest_rows(posed, by_point, points.segments, points.weights)
     fields = shape.fields
-    moved = np.einsum("ne,mnei->nmi", seen.shares, fields.vertices[:, seen.ends])
+    moved = np.einsum("ne,nemi->nmi", seen.shares, fields.by_vertex[seen.ends])
     by_field = np.einsum("ni,nmi->nm", turned, moved) + _joint_rows(posed, by_point, seen, fields.joints)
-    by_vertex = np.zeros((len(by_point), len(shape.directions)))
-    if len(shape.directions):
-        along = np.einsum("ni,nei->ne", turned, shape.directions[seen.ends]) * seen.shares
-        np.put_along_axis(by_vertex, seen.ends.astype(np.int64), along, axis=1)
-    return by_pose, np.concatenate([by_field, by_vertex], axis=1)
+    if not len(shape.directions):
+        return Rows(by_pose, by_field, None)
+    along = np.einsum("ni,nei->ne", turned, shape.directions[seen.ends]) * seen.shares
+    where = np.repeat(np.arange(len(along)), 2), seen.ends.ravel()
+    size = len(along), len(shape.directions)
+    return Rows(by_pose, by_field, sparse.csr_array((along.ravel(), where), shape=size))
 
 
 def _image_rows(camera: Camera, world: Float, normals: Float) -> Float:
@@ -111,15 +148,15 @@ def step(
     for at, views, (pull, hold) in zip(posed, seen, pulls, strict=True):
         A, b, cross = hold.copy(), pull.copy(), np.zeros((len(hold), shape.size))
         for view in views:
-            by_pose, by_shape = rows(at, shape, view)
+            by = rows(at, shape, view)
             scale = robust * view.px_per_m
             weight = share * view.weight / (1.0 + (view.distance / scale) ** 2)
-            pose_weighted = by_pose.T * weight
-            A += pose_weighted @ by_pose
-            cross += pose_weighted @ by_shape
-            H += (by_shape.T * weight) @ by_shape
+            pose_weighted = by.pose.T * weight
+            A += pose_weighted @ by.pose
+            cross += by.times_shape(pose_weighted)
+            by.add_to(H, weight)
             b -= pose_weighted @ view.distance
-            g -= (by_shape.T * weight) @ view.distance
+            g -= by.times_shape((weight * view.distance)[None])[0]
             squares += float(weight @ view.distance**2)
             total += float(weight.sum())
         known = np.linalg.solve(A, np.column_stack([cross, b]))

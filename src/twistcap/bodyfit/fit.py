@@ -1,0 +1,208 @@
+"""Fitting a body to recordings: track with the body there is, then solve for poses and shape together, and again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from twistcap._typing import Float
+from twistcap.body import Body, Pose, Posed
+from twistcap.bodyfit import fields as f
+from twistcap.bodyfit.observe import Contours, Observed, observe
+from twistcap.bodyfit.solve import Shape, reshaped, step
+from twistcap.camera import Rig
+from twistcap.errors import InputError
+from twistcap.estimate import Frame
+from twistcap.settings import TrackerConfig
+from twistcap.track import track
+
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class FitRule:
+    """How a body is fitted. Factors are natural logarithms, lengths m.
+
+    Attributes:
+        rounds: how often the recording is tracked anew with the body so far.
+        steps: Gauss-Newton steps in each round.
+        frames: of each recording that the shape is fitted to, at most, evenly spread over those that are tracked.
+        stature, length, girth: standard deviations of the log-factors of the whole body and of each kind of segment.
+        section, knots: standard deviation of the factors of cross-sections, and how many there are along a segment.
+        joint, joint_side: standard deviations of shifts of the joint centres, of both sides alike and of each alone.
+        offset, reach: standard deviation of the offsets of the surface along its normals, and over what distance on
+            the body they are alike.
+        offset_bound: no vertex moves farther along its normal than this.
+        pose_deg, pose_m: how far a pose may stray from the tracked one.
+        robust: distance at which a contour point begins to lose its say.
+        share: of the contour points' information that counts: neighbours and successive frames err alike.
+    """
+
+    rounds: int = 3
+    steps: int = 4
+    frames: int = 20
+    stature: float = 0.04
+    length: float = 0.04
+    girth: float = 0.12
+    section: float = 0.06
+    knots: int = 5
+    joint: float = 0.006
+    joint_side: float = 0.005
+    offset: float = 0.006
+    reach: float = 0.10
+    offset_bound: float = 0.03
+    pose_deg: float = 3.0
+    pose_m: float = 0.02
+    robust: float = 0.012
+    share: float = 0.05
+    contours: Contours = field(default_factory=Contours)
+
+
+@dataclass(frozen=True)
+class Take:
+    """One recording that the fit looks at.
+
+    Attributes:
+        rig: cameras of the images.
+        frames: in order.
+        first_pose: of the first frame.
+        config: of the tracker.
+    """
+
+    rig: Rig
+    frames: Sequence[Frame]
+    first_pose: Pose
+    config: TrackerConfig = field(default_factory=TrackerConfig)
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What a fit gives.
+
+    Attributes:
+        body: the fitted one.
+        first_poses: of each take, for its first frame.
+        poses: of each take, frame number to pose, of the frames that the shape was fitted to.
+        factors: stature, lengths and girths against the body given.
+        errors_px: root mean square distance to the edges found, before every step.
+    """
+
+    body: Body
+    first_poses: tuple[Pose, ...]
+    poses: tuple[dict[int, Pose], ...]
+    factors: dict[str, float]
+    errors_px: tuple[float, ...]
+
+
+def fit_body(body: Body, takes: Sequence[Take], rule: FitRule | None = None, tell: Tell = lambda note: None) -> Fitted:
+    """The body that the contours in all views and frames of all takes ask for.
+
+    Args:
+        body: to begin with; its tree and binding stay.
+        tell: is given a few words after each piece of work.
+
+    Raises:
+        InputError: where there is no frame, or nothing of the body is seen.
+    """
+    rule = rule or FitRule()
+    if not takes or any(not take.frames for take in takes):
+        raise InputError("body fit: there is no frame to fit the body to; give at least one recording with frames.")
+    state = _State(body, tuple(take.first_pose for take in takes), (), {}, ())
+    for n in range(rule.rounds):
+        moments = _tracked(state, takes, rule, tell)
+        state, moments = _shaped(state, body, takes, moments, rule, n > 0, tell)
+    named = f.factors(list(state.amounts), np.array(list(state.amounts.values())))
+    poses = [{m.frame.index: m.pose for m in moments if m.take == t} for t in range(len(takes))]
+    return Fitted(state.body, state.first_poses, tuple(poses), dict(named), state.errors)
+
+
+@dataclass(frozen=True)
+class _State:
+    """Body and first poses so far, the amounts by name, and errors. `offsets` (V,) are empty until there are any."""
+
+    body: Body
+    first_poses: tuple[Pose, ...]
+    offsets: tuple[float, ...]
+    amounts: dict[str, float]
+    errors: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class _Moment:
+    """A frame, and where the body is in it; `tracked` is where the tracker had it."""
+
+    take: int
+    frame: Frame
+    pose: Pose
+    tracked: Pose
+
+
+def _tracked(state: _State, takes: Sequence[Take], rule: FitRule, tell: Tell) -> list[_Moment]:
+    """Track every take with the body so far, and choose the frames for the shape."""
+    out: list[_Moment] = []
+    for t, take in enumerate(takes):
+        poses: list[Pose] = []
+        for estimate in track(take.frames, state.body, take.rig, state.first_poses[t], take.config):
+            poses.append(estimate.pose)
+            tell(f"tracking frame {estimate.index}")
+        chosen = np.unique(np.linspace(0, len(poses) - 1, min(rule.frames, len(poses))).astype(int))
+        out += [_Moment(t, take.frames[k], poses[k], poses[k]) for k in chosen]
+    return out
+
+
+def _shaped(
+    state: _State, given: Body, takes: Sequence[Take], moments: list[_Moment], rule: FitRule, offsets: bool, tell: Tell
+) -> tuple[_State, list[_Moment]]:
+    """Gauss-Newton steps on the poses of the chosen frames and the shape."""
+    lower, upper = given.limits.T
+    for _ in range(rule.steps):
+        shape = _shape(state.body, given, rule, offsets)
+        names, M = shape.fields.names, len(shape.fields.names)
+        amounts = np.array([state.amounts.get(name, 0.0) for name in names])
+        if offsets:
+            amounts = np.concatenate([amounts, state.offsets or np.zeros(len(given.vertices))])
+        posed = [Posed(state.body, m.pose) for m in moments]
+        seen = [observe(m.frame.images, takes[m.take].rig, p, rule.contours) for m, p in zip(moments, posed, strict=True)]
+        if not any(len(view.distance) for views in seen for view in views):
+            raise InputError("body fit: nothing of the body is seen in any view; check the first pose.")
+        found = step(posed, shape, amounts, seen, [_pull(m, rule) for m in moments], rule.robust, rule.share)
+        change = found.shape.copy()
+        if offsets:
+            bounded = np.clip(amounts[M:] + change[M:], -rule.offset_bound, rule.offset_bound)
+            change[M:] = bounded - amounts[M:]
+        body = f.deformed(state.body, *reshaped(state.body, shape, change))
+        total = amounts + change
+        state = replace(
+            state, body=body, amounts=dict(zip(names, total[:M].tolist(), strict=True)),
+            offsets=tuple(total[M:].tolist()), errors=(*state.errors, found.error_px),
+        )  # fmt: skip
+        moved = [m.pose.retract(d) for m, d in zip(moments, found.poses, strict=True)]
+        moments = [
+            replace(m, pose=Pose(p.root, np.clip(p.q, lower, upper))) for m, p in zip(moments, moved, strict=True)
+        ]
+        tell(f"{found.error_px:.2f} px to the edges")
+    firsts = [next(m.pose for m in moments if m.take == t) for t in range(len(takes))]
+    return replace(state, first_poses=tuple(firsts)), moments
+
+
+def _shape(body: Body, given: Body, rule: FitRule, offsets: bool) -> Shape:
+    fields = f.stretch_fields(body, rule.stature, rule.length, rule.girth)
+    fields += f.profile_fields(body, rule.section, rule.knots)
+    fields += f.joint_fields(body, rule.joint, rule.joint_side)
+    if not offsets:
+        return Shape(fields, np.zeros((0, 3)), fields.precision)
+    M, V = len(fields.names), len(body.vertices)
+    precision = np.zeros((M + V, M + V))
+    precision[:M, :M] = fields.precision
+    precision[M:, M:] = f.offset_precision(given, rule.offset, rule.reach)
+    return Shape(fields, f.offset_directions(body), precision)
+
+
+def _pull(moment: _Moment, rule: FitRule) -> tuple[Float, Float]:
+    """Gradient and precision of the pose about the tracked one."""
+    sigma = np.full(len(moment.pose.q) + 6, np.deg2rad(rule.pose_deg))
+    sigma[3:6] = rule.pose_m
+    precision = sigma**-2.0
+    return precision * moment.pose.minus(moment.tracked), np.diag(precision)
