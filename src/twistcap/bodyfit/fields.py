@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
+from twistcap import se3
 from twistcap._typing import Float, Int
 from twistcap.body import Body
 from twistcap.body.kinematics import unit_vertex_normals
@@ -206,6 +207,22 @@ def offset_precision(body: Body, sigma: float, reach: float) -> Float:
     L = np.diag(kappa**2 * area) + stiffness
     scale = 1.0 / (4.0 * np.pi * kappa**2 * sigma**2)
     return scale * L @ (L / area[:, None])
+
+
+def turns(body: Body) -> Float:
+    """(3 S, V, 3) rotation (rad) of each segment's surface as a whole, per motion of each vertex (least squares).
+
+    A surface that turns against the axes of its joint cannot be told from a joint that turns: no image decides it, so a
+    prior must.
+    """
+    out = np.zeros((len(body.segment_names), 3, *body.vertices.shape))
+    for s in range(len(body.segment_names)):
+        own = body.vertex_part == s
+        if own.any():
+            arm = body.vertices[own] - body.vertices[own].mean(axis=0)
+            inertia = np.sum(arm**2) * np.eye(3) - arm.T @ arm
+            out[s][:, own] = (np.linalg.inv(inertia + 1e-9 * np.eye(3)) @ se3.hat(arm)).transpose(1, 0, 2)
+    return out.reshape(-1, *body.vertices.shape)
 
 
 def _finite_elements(vertices: Float, faces: Int) -> tuple[Float, Float]:

@@ -12,6 +12,7 @@ from twistcap.body import Body, Pose, Posed
 from twistcap.bodyfit import fields as f
 from twistcap.bodyfit.observe import Contours, Observed, observe
 from twistcap.bodyfit.solve import Shape, reshaped, step
+from twistcap.bodyfit.symmetry import symmetric
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
@@ -26,6 +27,7 @@ class FitRule:
     """How a body is fitted. Factors are natural logarithms, lengths m.
 
     Attributes:
+        mirrored: whether the fit begins with the mean of the body and its mirror image.
         rounds: how often the recording is tracked anew with the body so far.
         steps: Gauss-Newton steps in each round.
         frames: of each recording that the shape is fitted to, at most, evenly spread over those that are tracked.
@@ -34,29 +36,32 @@ class FitRule:
         joint, joint_side: standard deviations of shifts of the joint centres, of both sides alike and of each alone.
         offset, reach: standard deviation of the offsets of the surface along its normals, and over what distance on
             the body they are alike.
+        turn_deg: how far the surface of a segment may turn against its joint's axes, which no image tells.
         offset_bound: no vertex moves farther along its normal than this.
         pose_deg, pose_m: how far a pose may stray from the tracked one.
         robust: distance at which a contour point begins to lose its say.
         share: of the contour points' information that counts: neighbours and successive frames err alike.
     """
 
+    mirrored: bool = True
     rounds: int = 3
     steps: int = 4
     frames: int = 20
     stature: float = 0.04
-    length: float = 0.04
+    length: float = 0.02
     girth: float = 0.12
     section: float = 0.06
     knots: int = 5
-    joint: float = 0.006
-    joint_side: float = 0.005
+    joint: float = 0.003
+    joint_side: float = 0.002
     offset: float = 0.006
     reach: float = 0.10
+    turn_deg: float = 0.1
     offset_bound: float = 0.03
     pose_deg: float = 3.0
     pose_m: float = 0.02
     robust: float = 0.012
-    share: float = 0.05
+    share: float = 0.02
     contours: Contours = field(default_factory=Contours)
 
 
@@ -109,6 +114,7 @@ def fit_body(body: Body, takes: Sequence[Take], rule: FitRule | None = None, tel
     rule = rule or FitRule()
     if not takes or any(not take.frames for take in takes):
         raise InputError("body fit: there is no frame to fit the body to; give at least one recording with frames.")
+    body = symmetric(body) if rule.mirrored else body
     state = _State(body, tuple(take.first_pose for take in takes), (), {}, ())
     for n in range(rule.rounds):
         moments = _tracked(state, takes, rule, tell)
@@ -191,13 +197,16 @@ def _shape(body: Body, given: Body, rule: FitRule, offsets: bool) -> Shape:
     fields = f.stretch_fields(body, rule.stature, rule.length, rule.girth)
     fields += f.profile_fields(body, rule.section, rule.knots)
     fields += f.joint_fields(body, rule.joint, rule.joint_side)
-    if not offsets:
-        return Shape(fields, np.zeros((0, 3)), fields.precision)
-    M, V = len(fields.names), len(body.vertices)
+    M, V = len(fields.names), len(body.vertices) if offsets else 0
+    directions = f.offset_directions(body)[:V]
     precision = np.zeros((M + V, M + V))
     precision[:M, :M] = fields.precision
-    precision[M:, M:] = f.offset_precision(given, rule.offset, rule.reach)
-    return Shape(fields, f.offset_directions(body), precision)
+    rotation = f.turns(given)
+    turned = np.tensordot(rotation, fields.vertices, ([1, 2], [1, 2]))
+    if offsets:
+        precision[M:, M:] = f.offset_precision(given, rule.offset, rule.reach)
+        turned = np.hstack([turned, np.einsum("tvi,vi->tv", rotation, directions)])
+    return Shape(fields, directions, precision + turned.T @ turned / np.deg2rad(rule.turn_deg) ** 2)
 
 
 def _pull(moment: _Moment, rule: FitRule) -> tuple[Float, Float]:
