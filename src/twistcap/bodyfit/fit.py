@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 
-from twistcap._typing import Float
+from twistcap._typing import Bool, Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.bodyfit import fields as f
-from twistcap.bodyfit.observe import Contours, Observed, observe
+from twistcap.bodyfit.observe import Contours, Observed, observe, observe_masks
 from twistcap.bodyfit.solve import Shape, reshaped, step
 from twistcap.bodyfit.symmetry import symmetric
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
 from twistcap.settings import TrackerConfig
-from twistcap.track import track
+from twistcap.track import Tracker
 
 Tell = Callable[[str], None]
 
@@ -47,13 +48,13 @@ class FitRule:
     rounds: int = 3
     steps: int = 4
     frames: int = 20
-    stature: float = 0.04
-    length: float = 0.02
+    stature: float = 0.02
+    length: float = 0.01
     girth: float = 0.12
     section: float = 0.06
     knots: int = 5
-    joint: float = 0.003
-    joint_side: float = 0.002
+    joint: float = 0.002
+    joint_side: float = 0.001
     offset: float = 0.006
     reach: float = 0.10
     turn_deg: float = 0.1
@@ -61,8 +62,16 @@ class FitRule:
     pose_deg: float = 3.0
     pose_m: float = 0.02
     robust: float = 0.012
-    share: float = 0.02
+    share: float = 0.015
     contours: Contours = field(default_factory=Contours)
+
+
+class Frames(Protocol):
+    """Frames that can be read from the start as often as one likes."""
+
+    def __len__(self) -> int: ...
+
+    def __iter__(self) -> Iterator[Frame]: ...
 
 
 @dataclass(frozen=True)
@@ -71,15 +80,18 @@ class Take:
 
     Attributes:
         rig: cameras of the images.
-        frames: in order.
+        frames: in order; they are read anew in every round.
         first_pose: of the first frame.
         config: of the tracker.
+        masks: silhouettes (H, W) of some frames by number, one per camera or None, in the images' pixels; those frames
+            are fitted to them, all others to the images.
     """
 
     rig: Rig
-    frames: Sequence[Frame]
+    frames: Frames
     first_pose: Pose
     config: TrackerConfig = field(default_factory=TrackerConfig)
+    masks: Mapping[int, Sequence[Bool | None]] = field(default_factory=dict[int, Sequence[Bool | None]])
 
 
 @dataclass(frozen=True)
@@ -112,7 +124,7 @@ def fit_body(body: Body, takes: Sequence[Take], rule: FitRule | None = None, tel
         InputError: where there is no frame, or nothing of the body is seen.
     """
     rule = rule or FitRule()
-    if not takes or any(not take.frames for take in takes):
+    if not takes or any(not len(take.frames) for take in takes):
         raise InputError("body fit: there is no frame to fit the body to; give at least one recording with frames.")
     body = symmetric(body) if rule.mirrored else body
     state = _State(body, tuple(take.first_pose for take in takes), (), {}, ())
@@ -149,12 +161,30 @@ def _tracked(state: _State, takes: Sequence[Take], rule: FitRule, tell: Tell) ->
     """Track every take with the body so far, and choose the frames for the shape."""
     out: list[_Moment] = []
     for t, take in enumerate(takes):
-        poses: list[Pose] = []
-        for estimate in track(take.frames, state.body, take.rig, state.first_poses[t], take.config):
-            poses.append(estimate.pose)
-            tell(f"tracking frame {estimate.index}")
-        chosen = np.unique(np.linspace(0, len(poses) - 1, min(rule.frames, len(poses))).astype(int))
-        out += [_Moment(t, take.frames[k], poses[k], poses[k]) for k in chosen]
+        total = len(take.frames)
+        chosen = set(np.linspace(0, total - 1, min(rule.frames, total)).astype(int).tolist())
+        tracker = Tracker(state.body, take.rig, take.config)
+        tracker.start(state.first_poses[t])
+        for k, frame in enumerate(take.frames):
+            pose = tracker.step(frame).pose
+            if k in chosen or frame.index in take.masks:
+                out.append(_Moment(t, frame, pose, pose))
+            tell(f"frame {frame.index}")
+    return out
+
+
+def _observed(moments: Sequence[_Moment], posed: Sequence[Posed], takes: Sequence[Take], rule: FitRule) -> list[list[Observed]]:
+    """What each chosen frame shows: given silhouettes where there are some, else the edges in the images."""
+    out: list[list[Observed]] = []
+    for moment, at in zip(moments, posed, strict=True):
+        take = takes[moment.take]
+        masks = take.masks.get(moment.frame.index)
+        if masks is None:
+            out.append(observe(moment.frame.images, take.rig, at, rule.contours))
+        else:
+            out.append(observe_masks(masks, take.rig, at, rule.contours))
+    if not any(len(view.distance) for views in out for view in views):
+        raise InputError("body fit: nothing of the body is seen in any view; check the first pose.")
     return out
 
 
@@ -170,9 +200,7 @@ def _shaped(
         if offsets:
             amounts = np.concatenate([amounts, state.offsets or np.zeros(len(given.vertices))])
         posed = [Posed(state.body, m.pose) for m in moments]
-        seen = [observe(m.frame.images, takes[m.take].rig, p, rule.contours) for m, p in zip(moments, posed, strict=True)]
-        if not any(len(view.distance) for views in seen for view in views):
-            raise InputError("body fit: nothing of the body is seen in any view; check the first pose.")
+        seen = _observed(moments, posed, takes, rule)
         found = step(posed, shape, amounts, seen, [_pull(m, rule) for m in moments], rule.robust, rule.share)
         change = found.shape.copy()
         if offsets:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from twistcap.bodyfit.subpixel import refined
 from twistcap.cues.direct import DirectContour
 from twistcap.cues.view import View, crop_view
 from twistcap.features import Channels
-from twistcap.firstpose.outline import Outline, match
+from twistcap.firstpose.outline import match, outline_of
 from twistcap.render import ContourPoints, contour_on_edges, render
 
 _MARGIN = 0.15  # m about the body that is looked at
@@ -31,7 +31,6 @@ class Observed:
         distance: (N,) px outward along the image normal.
         weight: (N,) information, 1/px².
         px_per_m: scale of the image at the body.
-        mask: whether the distances are those to a given mask.
     """
 
     camera: Camera
@@ -41,7 +40,6 @@ class Observed:
     distance: Float
     weight: Float
     px_per_m: float
-    mask: bool = False
 
 
 @dataclass(frozen=True)
@@ -52,11 +50,15 @@ class Contours:
         direct: the tracker's cue by which the edge is found along the normals.
         spacing: m on the body between points.
         channels: of the images, as the tracker's.
+        reach: m within which a given mask's outline is looked for.
+        mask_sigma: standard deviation of a given mask's outline, px.
     """
 
     direct: DirectContour = field(default_factory=DirectContour)
     spacing: float = 0.025
     channels: Channels = "lab"
+    reach: float = 0.06
+    mask_sigma: float = 0.7
 
 
 def observe(images: Sequence[AnyArray | None], rig: Rig, posed: Posed, rule: Contours) -> list[Observed]:
@@ -71,6 +73,21 @@ def observe(images: Sequence[AnyArray | None], rig: Rig, posed: Posed, rule: Con
         view = None if image is None else crop_view(image, camera, posed, _MARGIN, rule.channels)
         if view is not None:
             out.append(_observed(view, posed, rule))
+    return out
+
+
+def observe_masks(masks: Sequence[Bool | None], rig: Rig, posed: Posed, rule: Contours) -> list[Observed]:
+    """The contour against the outlines of given silhouettes (H, W), in the pixels of the (pinhole) rig."""
+    out: list[Observed] = []
+    for mask, camera in zip(masks, rig, strict=True):
+        if mask is None or not mask.any():
+            continue
+        seen = render(posed, camera)
+        contour, ends, shares = contour_on_edges(seen, max(1.0, rule.spacing * seen.px_per_m))
+        found = match(contour, outline_of(mask, rule.spacing * seen.px_per_m), rule.reach * seen.px_per_m)
+        on = replace(contour[found.index], normals=found.normals)
+        weight = found.weight / rule.mask_sigma**2
+        out.append(Observed(camera, on, ends[found.index], shares[found.index], found.distance, weight, seen.px_per_m))
     return out
 
 

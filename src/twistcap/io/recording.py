@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from twistcap.body import Body, Pose, Posed, rescaled
-from twistcap.camera import Rig
+from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
 from twistcap.firstpose import (
@@ -22,7 +24,7 @@ from twistcap.io.keypoints import Grid, openpose_files, read_clicks, read_openpo
 from twistcap.io.masks import read_masks
 from twistcap.io.plausible import check_plausible, check_upright
 from twistcap.io.pose_file import body_at, read_pose
-from twistcap.io.session import FirstPoseTable, GlbBody, HumanoidBody, KeypointSet, Session
+from twistcap.io.session import CameraGrid, FirstPoseTable, GlbBody, HumanoidBody, KeypointSet, Session
 from twistcap.io.video import Views, open_views
 
 
@@ -71,9 +73,21 @@ def rig_of(session: Session) -> Rig:
                 f"[cameras] use names {name!r}, which {session.cameras.calibration} does not hold;"
                 f" it has {', '.join(rig.names)}."
             )
-    rig = Rig(tuple(rig[rig.names.index(name)] for name in use))
+    for name in session.cameras.grid:
+        if name not in use:
+            raise InputError(f"[cameras.grid] names {name!r}, which is not in use; remove it.")
+    rig = Rig(tuple(_on_grid(rig[rig.names.index(name)], session.cameras.grid.get(name)) for name in use))
     check_plausible(rig, floor=floor_of(session), source=f"calibration {session.cameras.calibration}")
     return rig
+
+
+def _on_grid(camera: Camera, grid: CameraGrid | None) -> Camera:
+    """The camera for a video whose pixels are not those of the calibration."""
+    if grid is None:
+        return camera
+    A = np.diag([*grid.scale, 1.0])
+    A[:2, 2] = grid.offset
+    return replace(camera, K=A @ camera.K, size=grid.size or camera.size)
 
 
 def floor_of(session: Session) -> float | None:

@@ -42,13 +42,25 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
+class CameraGrid(Table):
+    """How a video's pixels relate to its calibration's: ``video = scale · calibration + offset``, per axis (x, y)."""
+
+    scale: tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]] = (1.0, 1.0)
+    offset: tuple[float, float] = (0.0, 0.0)
+    size: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]] | None = None
+
+
 class Cameras(Table):
-    """``[cameras]``: calibration file, its unit, the cameras to use (all) and the height of the floor (m, or false)."""
+    """``[cameras]``: calibration file, its unit, the cameras to use (all) and the height of the floor (m, or false).
+
+    `grid` is for videos that were resized or shifted after the cameras were calibrated.
+    """
 
     calibration: DataPath
     unit: Literal["m", "mm"] | None = None
     use: tuple[str, ...] | None = None
     floor: float | Literal[False] = 0.0
+    grid: dict[str, CameraGrid] = {}
 
 
 class HumanoidBody(Table):
