@@ -12,7 +12,6 @@ from twistcap.body.humanoid import humanoid
 from twistcap.bodyfit import fields as f
 from twistcap.bodyfit.observe import Observed
 from twistcap.bodyfit.solve import Shape, reshaped, rows
-from twistcap.camera import Camera
 from twistcap.render import contour_on_edges, render
 from twistcap.render.view import surface_points
 from twistcap.studio.ring import ring

@@ -80,6 +80,7 @@ class Take:
 
     Attributes:
         rig: cameras of the images.
+        name: for messages.
         frames: in order; they are read anew in every round.
         first_pose: of the first frame.
         config: of the tracker.
@@ -91,6 +92,7 @@ class Take:
     frames: Frames
     first_pose: Pose
     config: TrackerConfig = field(default_factory=TrackerConfig)
+    name: str = "the recording"
     masks: Mapping[int, Sequence[Bool | None]] = field(default_factory=dict[int, Sequence[Bool | None]])
 
 
@@ -102,6 +104,8 @@ class Fitted:
         body: the fitted one.
         first_poses: of each take, for its first frame.
         poses: of each take, frame number to pose, of the frames that the shape was fitted to.
+        begun: the body from which the fit began.
+        begun_poses: as it was tracked in those frames.
         factors: stature, lengths and girths against the body given.
         errors_px: root mean square distance to the edges found, before every step.
     """
@@ -109,6 +113,8 @@ class Fitted:
     body: Body
     first_poses: tuple[Pose, ...]
     poses: tuple[dict[int, Pose], ...]
+    begun: Body
+    begun_poses: tuple[dict[int, Pose], ...]
     factors: dict[str, float]
     errors_px: tuple[float, ...]
 
@@ -128,12 +134,13 @@ def fit_body(body: Body, takes: Sequence[Take], rule: FitRule | None = None, tel
         raise InputError("body fit: there is no frame to fit the body to; give at least one recording with frames.")
     body = symmetric(body) if rule.mirrored else body
     state = _State(body, tuple(take.first_pose for take in takes), (), {}, ())
+    first = moments = _tracked(state, takes, rule, tell)
     for n in range(rule.rounds):
-        moments = _tracked(state, takes, rule, tell)
+        moments = moments if n == 0 else _tracked(state, takes, rule, tell)
         state, moments = _shaped(state, body, takes, moments, rule, n > 0, tell)
     named = f.factors(list(state.amounts), np.array(list(state.amounts.values())))
-    poses = [{m.frame.index: m.pose for m in moments if m.take == t} for t in range(len(takes))]
-    return Fitted(state.body, state.first_poses, tuple(poses), dict(named), state.errors)
+    poses, begun = (tuple(_by_take(m, len(takes))) for m in (moments, first))
+    return Fitted(state.body, state.first_poses, poses, body, begun, dict(named), state.errors)
 
 
 @dataclass(frozen=True)
@@ -157,6 +164,10 @@ class _Moment:
     tracked: Pose
 
 
+def _by_take(moments: Sequence[_Moment], takes: int) -> list[dict[int, Pose]]:
+    return [{m.frame.index: m.pose for m in moments if m.take == t} for t in range(takes)]
+
+
 def _tracked(state: _State, takes: Sequence[Take], rule: FitRule, tell: Tell) -> list[_Moment]:
     """Track every take with the body so far, and choose the frames for the shape."""
     out: list[_Moment] = []
@@ -165,15 +176,24 @@ def _tracked(state: _State, takes: Sequence[Take], rule: FitRule, tell: Tell) ->
         chosen = set(np.linspace(0, total - 1, min(rule.frames, total)).astype(int).tolist())
         tracker = Tracker(state.body, take.rig, take.config)
         tracker.start(state.first_poses[t])
+        lost = 0
         for k, frame in enumerate(take.frames):
-            pose = tracker.step(frame).pose
-            if k in chosen or frame.index in take.masks:
-                out.append(_Moment(t, frame, pose, pose))
-            tell(f"frame {frame.index}")
+            found = tracker.step(frame)
+            lost += found.lost
+            if (k in chosen or frame.index in take.masks) and not found.lost and found.status != "no_images":
+                out.append(_Moment(t, frame, found.pose, found.pose))
+            tell(f"{take.name}, frame {frame.index}")
+        if 2 * lost > total or all(m.take != t for m in out):
+            raise InputError(
+                f"body fit: {take.name} is lost in {lost} of {total} frames, and a body cannot be fitted to it;"
+                " check its first pose and its cameras."
+            )
     return out
 
 
-def _observed(moments: Sequence[_Moment], posed: Sequence[Posed], takes: Sequence[Take], rule: FitRule) -> list[list[Observed]]:
+def _observed(
+    moments: Sequence[_Moment], posed: Sequence[Posed], takes: Sequence[Take], rule: FitRule
+) -> list[list[Observed]]:
     """What each chosen frame shows: given silhouettes where there are some, else the edges in the images."""
     out: list[list[Observed]] = []
     for moment, at in zip(moments, posed, strict=True):
@@ -217,8 +237,14 @@ def _shaped(
             replace(m, pose=Pose(p.root, np.clip(p.q, lower, upper))) for m, p in zip(moments, moved, strict=True)
         ]
         tell(f"{found.error_px:.2f} px to the edges")
-    firsts = [next(m.pose for m in moments if m.take == t) for t in range(len(takes))]
-    return replace(state, first_poses=tuple(firsts)), moments
+    return replace(state, first_poses=_first_poses(state, takes, moments)), moments
+
+
+def _first_poses(state: _State, takes: Sequence[Take], moments: Sequence[_Moment]) -> tuple[Pose, ...]:
+    """The first frames' poses as they are now; where the first frame does not count, the pose that it had."""
+    found = {(m.take, m.frame.index): m.pose for m in moments}
+    numbers = [next(iter(take.frames)).index for take in takes]
+    return tuple(found.get((t, k), pose) for t, (k, pose) in enumerate(zip(numbers, state.first_poses, strict=True)))
 
 
 def _shape(body: Body, given: Body, rule: FitRule, offsets: bool) -> Shape:

@@ -9,8 +9,8 @@ import numpy as np
 
 from twistcap._typing import AnyArray, Bool, Float, Int
 from twistcap.body import Posed
-from twistcap.camera import Camera, Rig
 from twistcap.bodyfit.subpixel import refined
+from twistcap.camera import Camera, Rig
 from twistcap.cues.direct import DirectContour
 from twistcap.cues.view import View, crop_view
 from twistcap.features import Channels

@@ -77,7 +77,7 @@ class Rows:
         H[:M, :M] += weighted @ self.field
         if self.vertex is None:
             return
-        mixed = np.asarray((self.vertex.T @ weighted.T))
+        mixed = np.asarray(self.vertex.T @ weighted.T)
         H[M:, :M] += mixed
         H[:M, M:] += mixed.T
         squares = (self.vertex.T @ (self.vertex * weight[:, None])).tocoo()

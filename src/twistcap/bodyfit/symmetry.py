@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from scipy.spatial import KDTree
 
-from twistcap._typing import Float, Int
+from twistcap._typing import Int
 from twistcap.body import Body
 from twistcap.bodyfit.fields import deformed, joint_centres
 from twistcap.firstpose import girth_groups

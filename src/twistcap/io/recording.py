@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from twistcap._typing import Bool
 from twistcap.body import Body, Pose, Posed, rescaled
 from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError
@@ -21,7 +22,7 @@ from twistcap.firstpose import (
 )
 from twistcap.io.calibration import read_rig
 from twistcap.io.keypoints import Grid, openpose_files, read_clicks, read_openpose
-from twistcap.io.masks import read_masks
+from twistcap.io.masks import read_masks, rectified_masks
 from twistcap.io.plausible import check_plausible, check_upright
 from twistcap.io.pose_file import body_at, read_pose
 from twistcap.io.session import CameraGrid, FirstPoseTable, GlbBody, HumanoidBody, KeypointSet, Session
@@ -61,6 +62,31 @@ def open_recording(session: Session) -> Recording:
     views = views_of(session, rig)
     body, pose = first_pose_of(session, rig, body_of(session), views)
     return Recording(session, rig, views, body, pose)
+
+
+def open_together(sessions: Sequence[Session]) -> list[Recording]:
+    """Recordings of one person: the first says what the body is, whose lengths hold in all others.
+
+    Raises:
+        InputError: as `open_recording`, or where a later session has another kind of body.
+    """
+    first = open_recording(sessions[0])
+    out = [first]
+    for session in sessions[1:]:
+        if body_of(session).coordinate_names != first.body.coordinate_names:
+            raise InputError(f"session {session.title}: its body has other joints than that of {sessions[0].title}.")
+        pose = session.first_pose.model_copy(update={"fit_lengths": False})
+        session = session.model_copy(update={"first_pose": pose, "fit_girths": None})
+        rig = rig_of(session)
+        views = views_of(session, rig)
+        out.append(Recording(session, rig, views, *first_pose_of(session, rig, first.body, views)))
+    return out
+
+
+def image_masks(session: Session, rig: Rig) -> dict[int, tuple[Bool | None, ...]]:
+    """The silhouettes of ``[fit_girths]`` by frame, as the tracker's images are: resized and rectified."""
+    table = session.fit_girths
+    return {} if table is None else {k: rectified_masks(table.masks, rig, k, session.scale) for k in table.frames}
 
 
 def rig_of(session: Session) -> Rig:

@@ -125,6 +125,9 @@ class KeypointSet(Table):
     unit: Literal["m", "mm"] | None = None
 
 
+_SOURCES = ("file", "clicks", "keypoints")
+
+
 class FirstPoseTable(Table):
     """``[first_pose]``: exactly one of file, clicks and keypoints."""
 
@@ -140,7 +143,7 @@ class FirstPoseTable(Table):
 
     @model_validator(mode="after")
     def _one_source(self) -> FirstPoseTable:
-        given = [name for name in ("file", "clicks", "keypoints") if getattr(self, name) is not None]
+        given = [name for name in _SOURCES if getattr(self, name) is not None]
         if len(given) != 1:
             raise ValueError(f"give one of file, clicks and keypoints, not {' and '.join(given) or 'none'}")
         return self
@@ -325,7 +328,19 @@ def _with_base(data: dict[str, Any], path: Path) -> dict[str, Any]:
     if "base" in below:
         raise InputError(f"session {path}: its base {base} has a base itself; name the last one.")
     below["data"] = os.path.relpath(base.parent / str(_expanded(below.get("data", "."), base)), path.parent)
-    return _merged(below, data)
+    return _merged(_without_replaced(below, data), data)
+
+
+def _without_replaced(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+    """Less what the session above puts in its place: a body of another kind, another source of the first pose."""
+    out = dict(below)
+    body, pose = above.get("body"), above.get("first_pose")
+    if isinstance(body, dict) and isinstance(out.get("body"), dict):
+        if body.get("kind", "humanoid") != out["body"].get("kind", "humanoid"):
+            del out["body"]
+    if isinstance(pose, dict) and isinstance(out.get("first_pose"), dict) and any(name in pose for name in _SOURCES):
+        out["first_pose"] = {k: v for k, v in out["first_pose"].items() if k not in (*_SOURCES, "lengths_from")}
+    return out
 
 
 def _merged(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
