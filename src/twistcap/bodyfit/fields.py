@@ -66,7 +66,7 @@ def joint_centres(body: Body) -> Float:
 
 
 def deformed(body: Body, vertices: Float, joints: Float, landmarks: Float) -> Body:
-    """The body with its vertices (V, 3), joint centres (S, 3) and landmarks (L, 3) moved, m; axes keep their directions."""
+    """The body with its vertices (V, 3), joint centres (S, 3) and landmarks (L, 3) moved, m; axes stay parallel."""
     twists = body.twists.copy()
     for s in np.flatnonzero(body.segment_joint >= 0):
         for k in joint_coordinates(body, int(s)):
@@ -199,8 +199,8 @@ def offset_directions(body: Body) -> Float:
 def offset_precision(body: Body, sigma: float, reach: float) -> Float:
     """(V, V) precision of smooth per-vertex offsets of a standard deviation (m), alike over `reach` (m).
 
-    The field of Whittle and Matérn with smoothness 1 on the mesh, ``c (κ² M + K) M⁻¹ (κ² M + K)``, cotangent stiffness K
-    and lumped areas M (Lindgren, Rue and Lindström, DOI 10.1111/j.1467-9868.2011.00777.x).
+    The field of Whittle and Matérn with smoothness 1 on the mesh, ``c (κ² M + K) M⁻¹ (κ² M + K)``, of cotangent
+    stiffness K and lumped areas M (Lindgren, Rue and Lindström, DOI 10.1111/j.1467-9868.2011.00777.x).
     """
     area, stiffness = _finite_elements(body.vertices, body.faces)
     kappa = np.sqrt(8.0) / reach

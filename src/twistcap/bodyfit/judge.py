@@ -1,4 +1,4 @@
-"""How well a body agrees with a recording: distances to its edges, overlap with a segmentation, and the visual hulls."""
+"""How well a body agrees with a recording: distances to its edges, overlap with a segmentation, visual hulls."""
 
 from __future__ import annotations
 

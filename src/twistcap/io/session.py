@@ -335,12 +335,15 @@ def _without_replaced(below: dict[str, Any], above: dict[str, Any]) -> dict[str,
     """Less what the session above puts in its place: a body of another kind, another source of the first pose."""
     out = dict(below)
     body, pose = above.get("body"), above.get("first_pose")
-    if isinstance(body, dict) and isinstance(out.get("body"), dict):
-        if body.get("kind", "humanoid") != out["body"].get("kind", "humanoid"):
-            del out["body"]
+    if isinstance(body, dict) and isinstance(out.get("body"), dict) and _kind(body) != _kind(out["body"]):
+        del out["body"]
     if isinstance(pose, dict) and isinstance(out.get("first_pose"), dict) and any(name in pose for name in _SOURCES):
         out["first_pose"] = {k: v for k, v in out["first_pose"].items() if k not in (*_SOURCES, "lengths_from")}
     return out
+
+
+def _kind(body: dict[str, Any]) -> Any:
+    return body.get("kind", "humanoid")
 
 
 def _merged(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
