@@ -88,7 +88,7 @@ def marks_of(body: Body, segment: int, centre: Float, within: float = 0.01) -> I
     """Landmarks (indices) that mark a joint: on one of its two segments and at its centre."""
     marks = body.landmarks
     beside = (marks.segments == segment) | (marks.segments == body.segment_parent[segment])
-    return np.flatnonzero(beside & (np.linalg.norm(marks.points - centre, axis=1) < within))
+    return np.flatnonzero(beside & (np.linalg.norm(marks.points - centre, axis=1) < within)).astype(np.int32)
 
 
 def _centroid(body: Body, segment: int) -> Float:

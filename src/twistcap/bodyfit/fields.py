@@ -51,8 +51,13 @@ class Fields:
         precision = np.zeros((len(self.names) + len(other.names),) * 2)
         precision[: len(self.names), : len(self.names)] = self.precision
         precision[len(self.names) :, len(self.names) :] = other.precision
-        stacked = [np.concatenate([getattr(self, a), getattr(other, a)]) for a in ("vertices", "joints", "landmarks")]
-        return Fields((*self.names, *other.names), *stacked, precision)
+        return Fields(
+            (*self.names, *other.names),
+            np.concatenate([self.vertices, other.vertices]),
+            np.concatenate([self.joints, other.joints]),
+            np.concatenate([self.landmarks, other.landmarks]),
+            precision,
+        )
 
     def __matmul__(self, amounts: Float) -> tuple[Float, Float, Float]:
         """Motions of vertices (V, 3), joints (S, 3) and landmarks (L, 3) for amounts (M,)."""
@@ -117,7 +122,7 @@ def profile_fields(body: Body, sigma: float, knots: int, alike: float = 1.5) -> 
             for side in range(len(_SIDES)):
                 names.append(f"section {kind} {k} {side}")
                 moved.append(np.sum([section[k, side] for section in sections], axis=0))
-        precision.append(np.linalg.inv(sigma**2 * covariance))
+        precision.append(np.asarray(np.linalg.inv(sigma**2 * covariance), np.float64))
     still = np.zeros((len(names), len(body.segment_names), 3)), np.zeros((len(names), *body.landmarks.points.shape))
     return Fields(tuple(names), np.array(moved), *still, _blocks(precision))
 

@@ -16,6 +16,7 @@ from twistcap.cues.view import View, crop_view
 from twistcap.features import Channels
 from twistcap.firstpose.outline import match, outline_of
 from twistcap.render import ContourPoints, contour_on_edges, render
+from twistcap.terms import PointNormalTerm
 
 _MARGIN = 0.15  # m about the body that is looked at
 
@@ -96,6 +97,7 @@ def _observed(view: View, posed: Posed, rule: Contours) -> Observed:
     contour, ends, shares = contour_on_edges(seen, max(1.0, rule.spacing * seen.px_per_m))
     nothing = np.zeros((len(posed.body.segment_names), 1 + 2 * view.features.shape[2]))  # remembered colours
     found = rule.direct.measure(view, seen, contour, 1.0, nothing)
+    assert isinstance(found.term, PointNormalTerm)
     distance, contrast = refined(view.image, contour.pixels, contour.normals, found.displacement)
     weight = np.where(contour.outer, found.term.weight, 0.0) / (1.0 + (1.5 / np.maximum(contrast, 1e-6)) ** 2)
     return Observed(view.camera, contour, ends, shares, distance, weight, seen.px_per_m)

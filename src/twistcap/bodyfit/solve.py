@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from twistcap._typing import Float
+from twistcap._typing import Float, Int
 from twistcap.body import Body, Posed
 from twistcap.bodyfit.fields import Fields
 from twistcap.bodyfit.observe import Observed
@@ -110,7 +110,7 @@ def _image_rows(camera: Camera, world: Float, normals: Float) -> Float:
     return np.einsum("ni,nij->nj", normals, by_point)
 
 
-def _rest_rows(posed: Posed, by_point: Float, segments: Float, weights: Float) -> Float:
+def _rest_rows(posed: Posed, by_point: Float, segments: Int, weights: Float) -> Float:
     """The rows by motions in the rest pose, which skinning turns into the world."""
     R = np.einsum("nk,nkij->nij", weights, posed.segment_transforms[segments][..., :3, :3])
     return np.einsum("ni,nij->nj", by_point, R)
@@ -159,11 +159,11 @@ def step(
             g -= by.times_shape((weight * view.distance)[None])[0]
             squares += float(weight @ view.distance**2)
             total += float(weight.sum())
-        known = np.linalg.solve(A, np.column_stack([cross, b]))
+        known = np.asarray(np.linalg.solve(A, np.column_stack([cross, b])), np.float64)
         H -= cross.T @ known[:, :-1]
         g -= cross.T @ known[:, -1]
         solved.append((known[:, :-1], known[:, -1]))
-    shape_step = -np.linalg.solve(H, g)
+    shape_step = -np.asarray(np.linalg.solve(H, g), np.float64)
     poses = np.array([-b - K @ shape_step for K, b in solved])
     return Step(poses, shape_step, float(np.sqrt(squares / max(total, 1e-12))))
 
