@@ -150,6 +150,8 @@ def _sections(body: Body, segment: int, knots: int) -> Float:
     at = np.clip((height - low) / max(high - low, 1e-6), 0.0, 1.0) * (knots - 1)
     along = np.maximum(0.0, 1.0 - np.abs(at - np.arange(knots)[:, None]))
     turn = np.arctan2(*(across @ _cross_axes(body, segment, axis).T).T[::-1]) / np.pi % 2.0
+    if not body.segment_names[segment].endswith(("_r", "_l")):
+        turn = np.minimum(turn, 2.0 - turn)  # trunk and head: both sides alike, the fourth direction stays empty
     apart = np.abs(turn - np.array(_SIDES)[:, None])
     around = np.maximum(0.0, 1.0 - 2.0 * np.minimum(apart, 2.0 - apart))
     return np.einsum("kv,dv,v,vi->kdvi", along, around, share, across)
