@@ -179,7 +179,7 @@ def test_a_bumpy_body_becomes_its_mirrored_mean(body) -> None:
 
 
 @pytest.mark.parametrize("blur", [0.0, 0.8])
-def test_an_edge_is_found_to_a_twentieth_of_a_pixel(blur: float) -> None:
+def test_an_edge_is_found_to_a_tenth_of_a_pixel_without_bias(blur: float) -> None:
     """A disc of known radius, exact coverage, seen from wherever the first guess is."""
     radius, centre, fine = 20.3, np.array([40.2, 39.7]), 16
     grid = (np.arange(80 * fine) + 0.5) / fine - 0.5
@@ -192,7 +192,8 @@ def test_an_edge_is_found_to_a_twentieth_of_a_pixel(blur: float) -> None:
     off = np.random.default_rng(0).uniform(-1.0, 1.0, 50)
     guess = np.random.default_rng(1).uniform(-0.7, 0.7, 50)
     found, contrast = refined(image, centre + (radius + off)[:, None] * normals, normals, guess - off)
-    assert np.abs(found + off).max() < 0.05
+    assert np.abs(found + off).max() < 0.1
+    assert abs(np.mean(found + off)) < 0.02
     assert contrast.min() > 50
 
 
@@ -232,7 +233,7 @@ def test_bad_input_is_told() -> None:
         fit_body(scene.body, [])
     away = Pose(scene.first_pose.root.copy(), scene.first_pose.q)
     away.root[:3, 3] += 50.0
-    with pytest.raises(InputError, match="lost in|nothing of the body"):
+    with pytest.raises(InputError, match=r"lost in|nothing of the body"):
         fit_body(scene.body, [Take(scene.rig, list(scene.frames()), away)])
 
 
