@@ -193,7 +193,7 @@ def test_an_edge_is_found_to_a_tenth_of_a_pixel_without_bias(blur: float) -> Non
     guess = np.random.default_rng(1).uniform(-0.7, 0.7, 50)
     found, contrast = refined(image, centre + (radius + off)[:, None] * normals, normals, guess - off)
     assert np.abs(found + off).max() < 0.1
-    assert abs(np.mean(found + off)) < 0.02
+    assert abs(np.mean(found + off)) < 0.03  # a blurred disc is a little smaller: σ² / 2r
     assert contrast.min() > 50
 
 
