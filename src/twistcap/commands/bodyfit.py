@@ -30,11 +30,11 @@ def fit_sessions(sessions: Sequence[Session], source: Path, folder: Path, count:
     with telling("fitting the body") as told:
         notes = iter(range(1, total + 1))
         fitted = fit_body(recordings[0].body, takes, rule, lambda note: told(note, next(notes, total), total))
+    files = _written(fitted, recordings[0], source, folder)
     with words.status("judging and drawing"):
         before = [agreement(fitted.begun, t, p) for t, p in zip(takes, fitted.begun_poses, strict=True)]
         after = [agreement(fitted.body, t, p) for t, p in zip(takes, fitted.poses, strict=True)]
         rows = [line for t, a, b in zip(takes, before, after, strict=True) for line in _rows(t.name, a, b)]
-        files = _written(fitted, recordings[0], source, folder)
         pictures = draw_fit(fitted, takes, folder)
         page = write_page(folder, sessions[0].title, rows, fitted.factors, pictures, files)
     return {"id": "body fit", "rows": rows, "factors": fitted.factors, "files": [*files, *pictures, page]}

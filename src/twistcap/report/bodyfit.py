@@ -26,10 +26,15 @@ class _Shown:
 
 def draw_fit(fitted: Fitted, takes: Sequence[Take], folder: Path) -> list[Path]:
     """Write before.png and after.png: of every take the middle one of its fitted frames, in all views."""
+    both = [sorted(a.keys() & b.keys()) or sorted(b) for a, b in zip(fitted.begun_poses, fitted.poses, strict=True)]
+    shown = [frames[len(frames) // 2] for frames in both]
     arms = (("before", fitted.begun, fitted.begun_poses), ("after", fitted.body, fitted.poses))
     out: list[Path] = []
     for name, body, poses in arms:
-        pictures = [_picture(take, body, p, f"{take.name}, {name}") for take, p in zip(takes, poses, strict=True)]
+        pictures = [
+            _picture(take, body, k, p.get(k), f"{take.name}, {name}")
+            for take, k, p in zip(takes, shown, poses, strict=True)
+        ]
         width = max(p.shape[1] for p in pictures)
         padded = [cv2.copyMakeBorder(p, 0, 0, 0, width - p.shape[1], cv2.BORDER_CONSTANT) for p in pictures]
         path = folder / f"{name}.png"
@@ -38,10 +43,10 @@ def draw_fit(fitted: Fitted, takes: Sequence[Take], folder: Path) -> list[Path]:
     return out
 
 
-def _picture(take: Take, body: Body, poses: Mapping[int, Pose], title: str) -> AnyArray:
-    index = sorted(poses)[len(poses) // 2]
+def _picture(take: Take, body: Body, index: int, pose: Pose | None, title: str) -> AnyArray:
+    """One frame of a take in all views; without the body where it was lost."""
     frame = next(frame for frame in take.frames if frame.index == index)
-    return draw_mosaic(frame, take.rig, body, _Shown(index, poses[index]), mosaic_for(take.rig), title)
+    return draw_mosaic(frame, take.rig, body, _Shown(index, pose) if pose else None, mosaic_for(take.rig), title)
 
 
 def write_page(
