@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from test_cli import document, run, told
 from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.body.shape import segment_axes
@@ -269,3 +270,22 @@ def test_a_resized_video_has_its_camera_resized(tmp_path) -> None:
     (tmp_path / "t.toml").write_text(text.replace(f"{names[0]} = {{ scale", "nobody = { scale"))
     with pytest.raises(InputError, match="nobody"):
         rig_of(load_session(tmp_path / "t.toml"))
+
+
+def test_the_command_writes_a_session_that_tracks(tmp_path, capsys) -> None:
+    walk, out = tmp_path / "walk", tmp_path / "body"
+    assert run("studio", walk, "--size", "192x140", "--views", "4", "--frames", "3") == 0
+    found = document(capsys, "body", "fit", walk / "session.toml", "--frames", "0:1", "--out", out)
+    assert {path.name for path in out.iterdir()} >= {
+        "body.glb", "first_pose.json", "session.toml", "before.png", "after.png", "report.html",
+    }  # fmt: skip
+    by_case = {(row["case"].split(", ")[-1], row["metric"], row["unit"]): row["value"] for row in found["rows"]}
+    assert 0 < by_case["after", "surface to silhouette, mean", "mm"] < 15
+    assert by_case["after", "IoU with the segmentation", ""] > 0.7
+    assert 0.8 < found["factors"]["stature"] < 1.2
+    assert run("track", out / "session.toml", "--frames", "0:1", "--out", tmp_path / "track") == 0
+
+
+def test_the_command_refuses_in_one_sentence(tmp_path, capsys) -> None:
+    assert "cannot be read" in told(capsys, "body", "fit", tmp_path / "none.toml", "--out", tmp_path / "body")
+    assert "FIRST:LAST" in told(capsys, "body", "fit", tmp_path / "none.toml", "--frames", "3")
