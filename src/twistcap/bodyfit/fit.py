@@ -41,7 +41,8 @@ class FitRule:
         offset_bound: no vertex moves farther along its normal than this.
         pose_deg, pose_m: how far a pose may stray from the tracked one.
         robust: distance at which a contour point begins to lose its say.
-        share: of the contour points' information that counts: neighbours and successive frames err alike.
+        worth: all frames together count as so many frames of independent contour points: neighbours and frames of
+            one person before one background err alike.
     """
 
     mirrored: bool = True
@@ -62,7 +63,7 @@ class FitRule:
     pose_deg: float = 3.0
     pose_m: float = 0.02
     robust: float = 0.012
-    share: float = 0.015
+    worth: float = 0.3
     contours: Contours = field(default_factory=Contours)
 
 
@@ -221,7 +222,9 @@ def _shaped(
             amounts = np.concatenate([amounts, state.offsets or np.zeros(len(given.vertices))])
         posed = [Posed(state.body, m.pose) for m in moments]
         seen = _observed(moments, posed, takes, rule)
-        found = step(posed, shape, amounts, seen, [_pull(m, rule) for m in moments], rule.robust, rule.share)
+        found = step(
+            posed, shape, amounts, seen, [_pull(m, rule) for m in moments], rule.robust, rule.worth / len(moments)
+        )
         change = found.shape.copy()
         if offsets:
             bounded = np.clip(amounts[M:] + change[M:], -rule.offset_bound, rule.offset_bound)
