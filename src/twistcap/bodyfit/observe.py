@@ -9,13 +9,13 @@ import numpy as np
 
 from twistcap._typing import AnyArray, Bool, Float, Int
 from twistcap.body import Posed
-from twistcap.bodyfit.subpixel import FAR, refined
+from twistcap.bodyfit.subpixel import refined
 from twistcap.camera import Camera, Rig
 from twistcap.cues.direct import DirectContour
 from twistcap.cues.view import View, crop_view
 from twistcap.features import Channels
 from twistcap.firstpose.outline import match, outline_of
-from twistcap.render import ContourPoints, RenderedView, contour_on_edges, render
+from twistcap.render import ContourPoints, contour_on_edges, render
 from twistcap.terms import PointNormalTerm
 
 _MARGIN = 0.15  # m about the body that is looked at
@@ -101,16 +101,5 @@ def _observed(view: View, posed: Posed, rule: Contours) -> Observed:
     assert isinstance(found.term, PointNormalTerm)
     distance, contrast = refined(view.image, contour.pixels, contour.normals, found.displacement)
     doubt = 1.0 + (_CONTRAST / np.maximum(contrast, 1e-6)) ** 2
-    weight = np.where(contour.outer & _alone(seen, contour), found.term.weight / doubt, 0.0)
+    weight = np.where(contour.outer, found.term.weight / doubt, 0.0)
     return Observed(view.camera, contour, ends, shares, distance, weight, seen.px_per_m)
-
-
-def _alone(seen: RenderedView, contour: ContourPoints) -> Bool:
-    """(N,) whether nothing else of the body lies outward within the reach of the colours that are compared."""
-    height, width = seen.face_index.shape
-    out = np.ones(len(contour), dtype=np.bool_)
-    for away in (2.5, FAR, FAR + 1.5):
-        x, y = np.rint(contour.pixels + away * contour.normals).astype(np.int64).T
-        inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-        out &= ~inside | (seen.face_index[np.where(inside, y, 0), np.where(inside, x, 0)] < 0)
-    return out

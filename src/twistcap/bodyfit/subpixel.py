@@ -13,7 +13,7 @@ import numpy as np
 from twistcap._typing import AnyArray, Float
 
 _STEP = 0.25  # px between samples
-_HALF, FAR = 1.75, 4.0  # px: half the window in which the edge lies; where the sides' colours end
+_HALF, _FAR = 1.75, 4.0  # px: half the window in which the edge lies; where the sides' colours end
 
 
 def refined(image: AnyArray, pixels: Float, normals: Float, distance: Float, rounds: int = 2) -> tuple[Float, Float]:
@@ -34,7 +34,7 @@ def refined(image: AnyArray, pixels: Float, normals: Float, distance: Float, rou
 
 
 def _shift(image: AnyArray, pixels: Float, normals: Float) -> tuple[Float, Float]:
-    at = np.arange(-FAR, FAR + _STEP / 2, _STEP)
+    at = np.arange(-_FAR, _FAR + _STEP / 2, _STEP)
     where = (pixels[:, None] + at[:, None] * normals[:, None]).astype(np.float32)
     line = cv2.remap(image, where[..., 0], where[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     line = line.reshape(len(pixels), len(at), -1).astype(np.float64)
