@@ -30,6 +30,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("track",),
     ("firstpose",),
     ("studio",),
+    ("bodyfit",),
     ("keyviews",),
     ("io",),
     ("evaluate",),

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from twistcap import se3
-from twistcap._typing import Float
+from twistcap._typing import Float, Int
 from twistcap.body.kinematics import skin_points
 from twistcap.body.model import Body, Landmarks
 from twistcap.errors import InputError
@@ -71,6 +71,24 @@ def joint_origin(body: Body, segment: int) -> Float:
     guess = prior[0] if len(prior) else _centroid(body, segment)
     # A hinge fixes the joint only up to its axis: of all points on it, take the one nearest the segment's own landmark.
     return guess + np.linalg.lstsq(rows, rhs - rows @ guess, rcond=1e-9)[0]
+
+
+def joint_coordinates(body: Body, segment: int) -> list[int]:
+    """The coordinates of a segment's own joint, from the last to the first."""
+    above = int(body.segment_parent[segment])
+    top = int(body.segment_joint[above]) if above >= 0 else -1
+    k, out = int(body.segment_joint[segment]), []
+    while k >= 0 and k != top:
+        out.append(k)
+        k = int(body.parent[k])
+    return out
+
+
+def marks_of(body: Body, segment: int, centre: Float, within: float = 0.01) -> Int:
+    """Landmarks (indices) that mark a joint: on one of its two segments and at its centre."""
+    marks = body.landmarks
+    beside = (marks.segments == segment) | (marks.segments == body.segment_parent[segment])
+    return np.flatnonzero(beside & (np.linalg.norm(marks.points - centre, axis=1) < within)).astype(np.int32)
 
 
 def _centroid(body: Body, segment: int) -> Float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -44,3 +44,39 @@ def keyviews(
     page = draw_steps(found, acquired, folder / "steps.png")
     save_glb(acquired.body, folder / "body.glb")
     words.print(f"stature {acquired.measured.stature:.3f} m; wrote {folder / 'body.glb'}; look at {page}")
+
+
+@body.command()
+def fit(
+    sessions: Annotated[
+        list[Path],
+        typer.Argument(help="Session TOMLs of one person; the first one's body is fitted.", metavar="SESSION"),
+    ],
+    out: Annotated[Path, typer.Option(help="Folder for everything that is written.")] = Path("body"),
+    frames: Annotated[str | None, typer.Option(help="FIRST:LAST of the first session, both included.")] = None,
+    count: Annotated[int, typer.Option("--fit-frames", min=1, help="Frames of each session to fit to, at most.")] = 20,
+    json: terminal.Json = False,
+) -> None:
+    """Fit a session's body to what all its views show: lengths, girths, cross-sections and a smooth offset.
+
+    Writes body.glb, first_pose.json, session.toml (the session with both), before.png, after.png and report.html.
+    The silhouettes are the tracker's own; where [fit_girths] names masks, its frames are fitted to those.
+
+    Examples:
+
+      twistcap body fit anna.toml --frames 0:59 --out anna
+
+      twistcap body fit walk.toml t_pose.toml --out anna
+    """
+    from twistcap.commands.bodyfit import fit_sessions
+    from twistcap.io.session import load_session
+
+    spans = [terminal.frame_range(frames), *[None] * (len(sessions) - 1)]
+    loaded = [load_session(path, {"frames": span}) for path, span in zip(sessions, spans, strict=True)]
+    document: dict[str, Any] = fit_sessions(loaded, sessions[0], terminal.output_folder(out), count)
+    if json:
+        terminal.emit(document)
+        return
+    terminal.show_rows("body fit", document["rows"])
+    for path in document["files"]:
+        typer.echo(path)

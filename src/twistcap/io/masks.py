@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from twistcap._typing import Bool
-from twistcap.camera import Rig
+from twistcap.camera import Rectifier, Rig
 from twistcap.errors import InputError
 
 
@@ -23,6 +23,18 @@ def read_masks(folder: str | Path, rig: Rig, frame: int) -> tuple[Bool | None, .
     if all(mask is None for mask in masks):
         raise InputError(f"masks: {folder} holds none of frame {frame}; one would be {files[0]}.")
     return masks
+
+
+def rectified_masks(folder: str | Path, rig: Rig, frame: int, scale: float) -> tuple[Bool | None, ...]:
+    """`read_masks` in the pixels of the images that the tracker sees: those of `rig.scaled(scale).pinhole()`."""
+    out: list[Bool | None] = []
+    for camera, mask in zip(rig, read_masks(folder, rig, frame), strict=True):
+        small = camera.scaled(scale)
+        resized = (
+            None if mask is None else cv2.resize(255 * mask.astype(np.uint8), small.size, interpolation=cv2.INTER_AREA)
+        )
+        out.append(None if resized is None else Rectifier(small)(np.asarray(resized)) > 127)
+    return tuple(out)
 
 
 def _read(file: Path, size: tuple[int, int]) -> Bool:

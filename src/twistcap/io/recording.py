@@ -6,8 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
+from twistcap._typing import Bool
 from twistcap.body import Body, Pose, Posed, rescaled
-from twistcap.camera import Rig
+from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
 from twistcap.firstpose import (
@@ -19,10 +22,10 @@ from twistcap.firstpose import (
 )
 from twistcap.io.calibration import read_rig
 from twistcap.io.keypoints import Grid, openpose_files, read_clicks, read_openpose
-from twistcap.io.masks import read_masks
+from twistcap.io.masks import read_masks, rectified_masks
 from twistcap.io.plausible import check_plausible, check_upright
 from twistcap.io.pose_file import body_at, read_pose
-from twistcap.io.session import FirstPoseTable, GlbBody, HumanoidBody, KeypointSet, Session
+from twistcap.io.session import CameraGrid, FirstPoseTable, GlbBody, HumanoidBody, KeypointSet, Session
 from twistcap.io.video import Views, open_views
 
 
@@ -61,6 +64,31 @@ def open_recording(session: Session) -> Recording:
     return Recording(session, rig, views, body, pose)
 
 
+def open_together(sessions: Sequence[Session]) -> list[Recording]:
+    """Recordings of one person: the first says what the body is, whose lengths hold in all others.
+
+    Raises:
+        InputError: as `open_recording`, or where a later session has another kind of body.
+    """
+    first = open_recording(sessions[0])
+    out = [first]
+    for session in sessions[1:]:
+        if body_of(session).coordinate_names != first.body.coordinate_names:
+            raise InputError(f"session {session.title}: its body has other joints than that of {sessions[0].title}.")
+        pose = session.first_pose.model_copy(update={"fit_lengths": False})
+        session = session.model_copy(update={"first_pose": pose, "fit_girths": None})
+        rig = rig_of(session)
+        views = views_of(session, rig)
+        out.append(Recording(session, rig, views, *first_pose_of(session, rig, first.body, views)))
+    return out
+
+
+def image_masks(session: Session, rig: Rig) -> dict[int, tuple[Bool | None, ...]]:
+    """The silhouettes of ``[fit_girths]`` by frame, as the tracker's images are: resized and rectified."""
+    table = session.fit_girths
+    return {} if table is None else {k: rectified_masks(table.masks, rig, k, session.scale) for k in table.frames}
+
+
 def rig_of(session: Session) -> Rig:
     """The cameras in use, in the order of ``[cameras] use`` or of the file."""
     rig = read_rig(session.cameras.calibration, session.cameras.unit)
@@ -71,9 +99,21 @@ def rig_of(session: Session) -> Rig:
                 f"[cameras] use names {name!r}, which {session.cameras.calibration} does not hold;"
                 f" it has {', '.join(rig.names)}."
             )
-    rig = Rig(tuple(rig[rig.names.index(name)] for name in use))
+    for name in session.cameras.grid:
+        if name not in use:
+            raise InputError(f"[cameras.grid] names {name!r}, which is not in use; remove it.")
+    rig = Rig(tuple(_on_grid(rig[rig.names.index(name)], session.cameras.grid.get(name)) for name in use))
     check_plausible(rig, floor=floor_of(session), source=f"calibration {session.cameras.calibration}")
     return rig
+
+
+def _on_grid(camera: Camera, grid: CameraGrid | None) -> Camera:
+    """The camera for a video whose pixels are not those of the calibration."""
+    if grid is None:
+        return camera
+    A = np.diag([*grid.scale, 1.0])
+    A[:2, 2] = grid.offset
+    return replace(camera, K=A @ camera.K, size=grid.size or camera.size)
 
 
 def floor_of(session: Session) -> float | None:

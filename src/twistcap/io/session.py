@@ -42,13 +42,25 @@ class Table(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
+class CameraGrid(Table):
+    """How a video's pixels relate to its calibration's: ``video = scale · calibration + offset``, per axis (x, y)."""
+
+    scale: tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]] = (1.0, 1.0)
+    offset: tuple[float, float] = (0.0, 0.0)
+    size: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]] | None = None
+
+
 class Cameras(Table):
-    """``[cameras]``: calibration file, its unit, the cameras to use (all) and the height of the floor (m, or false)."""
+    """``[cameras]``: calibration file, its unit, the cameras to use (all) and the height of the floor (m, or false).
+
+    `grid` is for videos that were resized or shifted after the cameras were calibrated.
+    """
 
     calibration: DataPath
     unit: Literal["m", "mm"] | None = None
     use: tuple[str, ...] | None = None
     floor: float | Literal[False] = 0.0
+    grid: dict[str, CameraGrid] = {}
 
 
 class HumanoidBody(Table):
@@ -113,6 +125,9 @@ class KeypointSet(Table):
     unit: Literal["m", "mm"] | None = None
 
 
+_SOURCES = ("file", "clicks", "keypoints")
+
+
 class FirstPoseTable(Table):
     """``[first_pose]``: exactly one of file, clicks and keypoints."""
 
@@ -128,7 +143,7 @@ class FirstPoseTable(Table):
 
     @model_validator(mode="after")
     def _one_source(self) -> FirstPoseTable:
-        given = [name for name in ("file", "clicks", "keypoints") if getattr(self, name) is not None]
+        given = [name for name in _SOURCES if getattr(self, name) is not None]
         if len(given) != 1:
             raise ValueError(f"give one of file, clicks and keypoints, not {' and '.join(given) or 'none'}")
         return self
@@ -313,7 +328,22 @@ def _with_base(data: dict[str, Any], path: Path) -> dict[str, Any]:
     if "base" in below:
         raise InputError(f"session {path}: its base {base} has a base itself; name the last one.")
     below["data"] = os.path.relpath(base.parent / str(_expanded(below.get("data", "."), base)), path.parent)
-    return _merged(below, data)
+    return _merged(_without_replaced(below, data), data)
+
+
+def _without_replaced(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+    """Less what the session above puts in its place: a body of another kind, another source of the first pose."""
+    out = dict(below)
+    body, pose = above.get("body"), above.get("first_pose")
+    if isinstance(body, dict) and isinstance(out.get("body"), dict) and _kind(body) != _kind(out["body"]):
+        del out["body"]
+    if isinstance(pose, dict) and isinstance(out.get("first_pose"), dict) and any(name in pose for name in _SOURCES):
+        out["first_pose"] = {k: v for k, v in out["first_pose"].items() if k not in (*_SOURCES, "lengths_from")}
+    return out
+
+
+def _kind(body: dict[str, Any]) -> Any:
+    return body.get("kind", "humanoid")
 
 
 def _merged(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:

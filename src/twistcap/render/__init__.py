@@ -1,6 +1,15 @@
 """What a camera sees of a posed body: visible triangles, depths and the points of its contours."""
 
-from twistcap.render.contour import ContourPoints, reprojected, visible_contour
+from twistcap.render.contour import ContourPoints, contour_on_edges, reprojected, visible_contour
 from twistcap.render.view import RenderedView, SurfacePoints, body_window, render
 
-__all__ = ["ContourPoints", "RenderedView", "SurfacePoints", "body_window", "render", "reprojected", "visible_contour"]
+__all__ = [
+    "ContourPoints",
+    "RenderedView",
+    "SurfacePoints",
+    "body_window",
+    "contour_on_edges",
+    "render",
+    "reprojected",
+    "visible_contour",
+]

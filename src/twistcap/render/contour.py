@@ -77,6 +77,13 @@ def visible_contour(view: RenderedView, spacing: float = 3.0, inner_gap: float =
         spacing: px between samples.
         inner_gap: contours before another part count only where that part lies at least so far behind, m.
     """
+    return contour_on_edges(view, spacing, inner_gap)[0]
+
+
+def contour_on_edges(
+    view: RenderedView, spacing: float = 3.0, inner_gap: float = 0.04
+) -> tuple[ContourPoints, Int, Float]:
+    """`visible_contour`, and of each point the vertices (N, 2) at the ends of its edge and their shares (N, 2)."""
     body = view.posed.body
     edges, edge_faces = body.edges
     ends, shares, part, outer, pixels, image_normals, inverse_depth = _contour_samples(
@@ -84,7 +91,7 @@ def visible_contour(view: RenderedView, spacing: float = 3.0, inner_gap: float =
         view.face_index, view.inverse_depth_image, body.face_part, body.vertex_part, spacing, inner_gap,
     )  # fmt: skip
     points = surface_points(body, ends, shares)
-    return ContourPoints(points, pixels, image_normals, part, outer, inverse_depth)
+    return ContourPoints(points, pixels, image_normals, part, outer, inverse_depth), ends, shares
 
 
 @njit(cache=True, nogil=True)

@@ -1,0 +1,263 @@
+"""What can change about a body's shape: each parameter is a field of motions of its vertices, joints and landmarks.
+
+All of them are taken in the rest pose and are linear, so that one least-squares solve weighs them against one another;
+`deformed` makes the step and the fields are then taken anew on the body that it gives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from twistcap import se3
+from twistcap._typing import Float, Int
+from twistcap.body import Body
+from twistcap.body.kinematics import unit_vertex_normals
+from twistcap.body.model import Landmarks
+from twistcap.body.shape import joint_coordinates, joint_origin, marks_of, rescaled, segment_axes
+from twistcap.firstpose import girth_groups
+
+_STEP = 1e-4  # of the difference quotients by log-factors
+_SIDES = (0.0, 0.5, 1.0, 1.5)  # directions about a segment's axis, in half turns, in which a cross-section is scaled
+
+
+@dataclass(frozen=True)
+class Fields:
+    """M shape parameters and what each moves per unit, m in the rest pose.
+
+    Attributes:
+        names: of the parameters, such as ``length femur``.
+        vertices: (M, V, 3).
+        joints: (M, S, 3) of the centre of each segment's joint; of root segments they count for nothing.
+        landmarks: (M, L, 3).
+        precision: (M, M) inverse covariance of the prior, about the body from which the fit began.
+    """
+
+    names: tuple[str, ...]
+    vertices: Float
+    joints: Float
+    landmarks: Float
+    precision: Float
+
+    @cached_property
+    def by_vertex(self) -> Float:
+        """(V, M, 3) `vertices`, those of one vertex together."""
+        return np.ascontiguousarray(self.vertices.transpose(1, 0, 2))
+
+    def __add__(self, other: Fields) -> Fields:
+        precision = np.zeros((len(self.names) + len(other.names),) * 2)
+        precision[: len(self.names), : len(self.names)] = self.precision
+        precision[len(self.names) :, len(self.names) :] = other.precision
+        return Fields(
+            (*self.names, *other.names),
+            np.concatenate([self.vertices, other.vertices]),
+            np.concatenate([self.joints, other.joints]),
+            np.concatenate([self.landmarks, other.landmarks]),
+            precision,
+        )
+
+    def __matmul__(self, amounts: Float) -> tuple[Float, Float, Float]:
+        """Motions of vertices (V, 3), joints (S, 3) and landmarks (L, 3) for amounts (M,)."""
+        a, b, c = (np.tensordot(amounts, field, 1) for field in (self.vertices, self.joints, self.landmarks))
+        return a, b, c
+
+
+def joint_centres(body: Body) -> Float:
+    """(S, 3) rest-pose centre of each segment's joint, m."""
+    return np.array([joint_origin(body, s) for s in range(len(body.segment_names))])
+
+
+def deformed(body: Body, vertices: Float, joints: Float, landmarks: Float) -> Body:
+    """The body with its vertices (V, 3), joint centres (S, 3) and landmarks (L, 3) moved, m; axes stay parallel."""
+    twists = body.twists.copy()
+    for s in np.flatnonzero(body.segment_joint >= 0):
+        for k in joint_coordinates(body, int(s)):
+            twists[k, 3:] -= np.cross(twists[k, :3], joints[s])
+    marks = Landmarks(body.landmarks.names, body.landmarks.segments, body.landmarks.points + landmarks)
+    return replace(body, vertices=body.vertices + vertices, twists=twists, landmarks=marks)
+
+
+def stretch_fields(body: Body, stature: float, length: float, girth: float) -> Fields:
+    """Log-stature, and log-length and log-girth of each kind of segment, left and right alike.
+
+    The girths take along what hangs on a segment (hips on the pelvis, shoulders on the torso).
+
+    Args:
+        stature, length, girth: standard deviations of the log-factors.
+    """
+    kinds = girth_groups(body)
+    out = [("stature", rescaled(body, stature=float(np.exp(_STEP))), stature)]
+    for kind, segments in kinds.items():
+        factors = dict.fromkeys(segments, float(np.exp(_STEP)))
+        out.append((f"length {kind}", rescaled(body, lengths=factors), length))
+        out.append((f"girth {kind}", rescaled(body, girths=factors), girth))
+    centres = joint_centres(body)
+    return Fields(
+        tuple(name for name, _, _ in out),
+        np.array([(b.vertices - body.vertices) / _STEP for _, b, _ in out]),
+        np.array([(joint_centres(b) - centres) / _STEP for _, b, _ in out]),
+        np.array([(b.landmarks.points - body.landmarks.points) / _STEP for _, b, _ in out]),
+        np.diag([sigma**-2.0 for _, _, sigma in out]),
+    )
+
+
+def profile_fields(body: Body, sigma: float, knots: int, alike: float = 1.5) -> Fields:
+    """Factors of the cross-sections along each kind of segment, in four directions about its axis.
+
+    Between knots and directions the factors go over into one another by hat functions; left is the mirror of right.
+
+    Args:
+        sigma: standard deviation of a factor less 1.
+        knots: along each segment.
+        alike: distance, in knots, at which two factors still have much in common.
+    """
+    names, moved, precision = list[str](), list[Float](), list[Float]()
+    covariance = _alike(knots, alike)
+    for kind, segments in girth_groups(body).items():
+        sections = [_sections(body, body.segment(s), knots) for s in segments]
+        for k in range(knots):
+            for side in range(len(_SIDES)):
+                names.append(f"section {kind} {k} {side}")
+                moved.append(np.sum([section[k, side] for section in sections], axis=0))
+        precision.append(np.asarray(np.linalg.inv(sigma**2 * covariance), np.float64))
+    still = np.zeros((len(names), len(body.segment_names), 3)), np.zeros((len(names), *body.landmarks.points.shape))
+    return Fields(tuple(names), np.array(moved), *still, _blocks(precision))
+
+
+def _alike(knots: int, reach: float) -> Float:
+    """(K 4, K 4) correlation of the factors of one segment's knots and directions."""
+    along = np.exp(-0.5 * ((np.arange(knots)[:, None] - np.arange(knots)) / reach) ** 2)
+    turn = np.abs(np.subtract.outer(_SIDES, _SIDES))
+    around = np.exp(-np.minimum(turn, 2.0 - turn))
+    return np.kron(along, around) + 1e-3 * np.eye(knots * len(_SIDES))
+
+
+def _sections(body: Body, segment: int, knots: int) -> Float:
+    """(K, 4, V, 3) outward motion of the vertices for each knot and direction of one segment, its share of them."""
+    origins, axes = segment_axes(body)
+    axis = axes[segment]
+    share = np.where(body.skin_segments == segment, body.skin_weights, 0.0).sum(axis=1)
+    own = body.vertex_part == segment
+    if not own.any():
+        return np.zeros((knots, len(_SIDES), *body.vertices.shape))
+    centre = body.vertices[own].mean(axis=0)
+    across = body.vertices - centre - np.outer((body.vertices - centre) @ axis, axis)
+    height = (body.vertices - origins[segment]) @ axis
+    low, high = np.percentile(height[own], [2, 98])
+    at = np.clip((height - low) / max(high - low, 1e-6), 0.0, 1.0) * (knots - 1)
+    along = np.maximum(0.0, 1.0 - np.abs(at - np.arange(knots)[:, None]))
+    turn = np.arctan2(*(across @ _cross_axes(body, segment, axis).T).T[::-1]) / np.pi % 2.0
+    if not body.segment_names[segment].endswith(("_r", "_l")):
+        turn = np.minimum(turn, 2.0 - turn)  # trunk and head: both sides alike, the fourth direction stays empty
+    apart = np.abs(turn - np.array(_SIDES)[:, None])
+    around = np.maximum(0.0, 1.0 - 2.0 * np.minimum(apart, 2.0 - apart))
+    return np.einsum("kv,dv,v,vi->kdvi", along, around, share, across)
+
+
+def _cross_axes(body: Body, segment: int, axis: Float) -> Float:
+    """(2, 3) directions across a segment: forward (upward for one that points forward), and sideways, right as left."""
+    ahead = np.array([0.0, 0.0, 1.0] if abs(axis[0]) > 0.7 else [1.0, 0.0, 0.0])
+    ahead = ahead - (ahead @ axis) * axis
+    mirror = -1.0 if body.segment_names[segment].endswith("_r") else 1.0
+    return np.array([ahead / np.linalg.norm(ahead), mirror * np.cross(axis, ahead) / np.linalg.norm(ahead)])
+
+
+def joint_fields(body: Body, sigma: float, side: float) -> Fields:
+    """Shifts of the joint centres with the surface at rest: of left and right together, mirrored, and of each alone.
+
+    Args:
+        sigma: standard deviation of what both sides share, m.
+        side: of what each has to itself, m.
+    """
+    names, joints, sigmas = list[str](), list[Float](), list[float]()
+    for kind, segments in girth_groups(body).items():
+        jointed = [body.segment(s) for s in segments if body.segment_joint[body.segment(s)] >= 0]
+        groups = [(jointed, sigma), *([([s], side) for s in jointed] if len(jointed) > 1 else [])]
+        for group, width in groups:
+            for axis in range(3 if group else 0):
+                shift = np.zeros((len(body.segment_names), 3))
+                for s in group:
+                    flipped = axis == 1 and body.segment_names[s].endswith("_r")
+                    shift[s, axis] = -1.0 if flipped else 1.0
+                names.append(f"joint {kind if len(group) > 1 else body.segment_names[group[0]]} {'xyz'[axis]}")
+                joints.append(shift)
+                sigmas.append(width)
+    moved = np.array(joints)
+    still = np.zeros((len(names), *body.vertices.shape))
+    return Fields(tuple(names), still, moved, _marks_with(body, moved), np.diag(np.power(sigmas, -2.0)))
+
+
+def _marks_with(body: Body, joints: Float) -> Float:
+    """(M, L, 3) motion of the landmarks that mark joints moved by (M, S, 3)."""
+    out = np.zeros((len(joints), *body.landmarks.points.shape))
+    for s in np.flatnonzero(body.segment_joint >= 0):
+        out[:, marks_of(body, int(s), joint_origin(body, int(s)))] += joints[:, s, None]
+    return out
+
+
+def offset_directions(body: Body) -> Float:
+    """(V, 3) outward unit normals of the rest surface: along them the per-vertex offsets go."""
+    return unit_vertex_normals(body.vertices, body.faces)
+
+
+def offset_precision(body: Body, sigma: float, reach: float) -> Float:
+    """(V, V) precision of smooth per-vertex offsets of a standard deviation (m), alike over `reach` (m).
+
+    The field of Whittle and Matérn with smoothness 1 on the mesh, ``c (κ² M + K) M⁻¹ (κ² M + K)``, of cotangent
+    stiffness K and lumped areas M (Lindgren, Rue and Lindström, DOI 10.1111/j.1467-9868.2011.00777.x).
+    """
+    area, stiffness = _finite_elements(body.vertices, body.faces)
+    kappa = np.sqrt(8.0) / reach
+    L = np.diag(kappa**2 * area) + stiffness
+    scale = 1.0 / (4.0 * np.pi * kappa**2 * sigma**2)
+    return scale * L @ (L / area[:, None])
+
+
+def turns(body: Body) -> Float:
+    """(3 S, V, 3) rotation (rad) of each segment's surface as a whole, per motion of each vertex (least squares).
+
+    A surface that turns against the axes of its joint cannot be told from a joint that turns: no image decides it, so a
+    prior must.
+    """
+    out = np.zeros((len(body.segment_names), 3, *body.vertices.shape))
+    for s in range(len(body.segment_names)):
+        own = body.vertex_part == s
+        if own.any():
+            arm = body.vertices[own] - body.vertices[own].mean(axis=0)
+            inertia = np.sum(arm**2) * np.eye(3) - arm.T @ arm
+            out[s][:, own] = (np.linalg.inv(inertia + 1e-9 * np.eye(3)) @ se3.hat(arm)).transpose(1, 0, 2)
+    return out.reshape(-1, *body.vertices.shape)
+
+
+def _finite_elements(vertices: Float, faces: Int) -> tuple[Float, Float]:
+    """Lumped areas (V,) and cotangent stiffness (V, V) of a triangle mesh."""
+    V = len(vertices)
+    area, stiffness = np.zeros(V), np.zeros((V, V))
+    corners = vertices[faces]
+    twice = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    twice = np.maximum(twice, 1e-9)
+    for k in range(3):
+        i, j = faces[:, (k + 1) % 3], faces[:, (k + 2) % 3]
+        np.add.at(area, faces[:, k], twice / 6.0)
+        a, b = corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k]
+        half = np.clip(0.5 * np.sum(a * b, axis=1) / twice, 0.0, 5.0)  # obtuse corners would make it indefinite
+        for m, n, sign in ((i, j, -1.0), (j, i, -1.0), (i, i, 1.0), (j, j, 1.0)):
+            np.add.at(stiffness, (m, n), sign * half)
+    return area, stiffness
+
+
+def _blocks(parts: Sequence[Float]) -> Float:
+    out = np.zeros((sum(len(p) for p in parts),) * 2)
+    at = 0
+    for part in parts:
+        out[at : at + len(part), at : at + len(part)] = part
+        at += len(part)
+    return out
+
+
+def factors(names: Sequence[str], amounts: Float) -> Mapping[str, float]:
+    """Stature, lengths and girths as factors, for a report."""
+    return {n: float(np.exp(a)) for n, a in zip(names, amounts, strict=True) if not n.startswith(("section", "joint"))}

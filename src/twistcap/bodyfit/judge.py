@@ -1,0 +1,103 @@
+"""How well a body agrees with a recording: distances to its edges, overlap with a segmentation, visual hulls."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twistcap._typing import Bool, Float
+from twistcap.body import Body, Pose, Posed
+from twistcap.bodyfit.fit import Take
+from twistcap.bodyfit.observe import Contours, observe
+from twistcap.camera import Camera
+from twistcap.cues.levelset import LevelSetContour
+from twistcap.cues.view import crop_view
+from twistcap.render import render, visible_contour
+
+_CLEAR = 1.0  # 1/px²: information from which an edge counts as seen
+_MARGIN, _VOXEL = 0.15, 0.02  # m
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Of one body with one recording, over the frames that it was fitted to.
+
+    Attributes:
+        px, mm: distances (N,) of the silhouettes' points to the edges in the images, where these are clear.
+        part: (N,) names of the segments they are on.
+        iou: overlap of silhouettes and the tracker's own segmentation, mean over views and frames.
+        hull: overlap of the visual hulls of both, as volumes, mean over the frames.
+    """
+
+    px: Float
+    mm: Float
+    part: Sequence[str]
+    iou: float
+    hull: float
+
+    def by_part(self) -> dict[str, tuple[float, float]]:
+        """Mean and 95th percentile, mm, of each kind of segment that is seen."""
+        kinds = np.array([name.removesuffix("_r").removesuffix("_l") for name in self.part])
+        return {
+            str(kind): (float(self.mm[kinds == kind].mean()), float(np.percentile(self.mm[kinds == kind], 95)))
+            for kind in dict.fromkeys(kinds.tolist())
+        }
+
+
+def agreement(body: Body, take: Take, poses: Mapping[int, Pose], rule: Contours | None = None) -> Agreement:
+    """Look at the frames that have a pose; the images alone are asked, no given silhouettes."""
+    rule = rule or Contours()
+    px, mm, part, ious, hulls = list[Float](), list[Float](), list[str](), list[float](), list[float]()
+    for frame in take.frames:
+        if frame.index not in poses:
+            continue
+        posed = Posed(body, poses[frame.index])
+        for seen in observe(frame.images, take.rig, posed, rule):
+            clear = seen.contour.outer & (seen.weight > _CLEAR)
+            px.append(np.abs(seen.distance[clear]))
+            mm.append(1000.0 * px[-1] / max(seen.px_per_m, 1e-9))
+            part += [body.segment_names[s] for s in seen.contour.part[clear]]
+        pairs = _segmented(frame.images, take, posed, rule)
+        ious += [overlap(ours, theirs) for _, ours, theirs in pairs]
+        hulls.append(hull_overlap(posed, pairs))
+    return Agreement(np.concatenate(px), np.concatenate(mm), part, float(np.mean(ious)), float(np.mean(hulls)))
+
+
+def overlap(a: Bool, b: Bool) -> float:
+    """Intersection over union; 1 of two empty ones."""
+    union = np.count_nonzero(a | b)
+    return float(np.count_nonzero(a & b) / union) if union else 1.0
+
+
+def _segmented(images: Sequence[object], take: Take, posed: Posed, rule: Contours) -> list[tuple[Camera, Bool, Bool]]:
+    """Of each view its camera (of the crop), the body's silhouette and the level set's."""
+    out: list[tuple[Camera, Bool, Bool]] = []
+    for image, camera in zip(images, take.rig, strict=True):
+        view = None if image is None else crop_view(image, camera, posed, _MARGIN, rule.channels)  # type: ignore[arg-type]
+        if view is None:
+            continue
+        seen = render(posed, view.camera)
+        nothing = np.zeros((len(posed.body.segment_names), 1 + 2 * view.features.shape[2]))
+        found = LevelSetContour().measure(view, seen, visible_contour(seen), 1.0, nothing).segmentation
+        assert found is not None
+        out.append((view.camera, seen.mask, found.phi > 0))
+    return out
+
+
+def hull_overlap(posed: Posed, views: Sequence[tuple[Camera, Bool, Bool]]) -> float:
+    """Intersection over union of the visual hulls of two sets of silhouettes, voxels of 2 cm about the body."""
+    low, high = posed.vertices.min(axis=0) - _MARGIN, posed.vertices.max(axis=0) + _MARGIN
+    axes = [np.arange(a, b, _VOXEL) for a, b in zip(low, high, strict=True)]
+    centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    ours, theirs = np.ones(len(centres), bool), np.ones(len(centres), bool)
+    for camera, a, b in views:
+        h = centres @ camera.P[:, :3].T + camera.P[:, 3]
+        pixel = np.rint(h[:, :2] / np.maximum(h[:, 2:], 1e-9)).astype(np.int64)
+        height, width = a.shape
+        inside = (h[:, 2] > 0) & np.all((pixel >= 0) & (pixel < (width, height)), axis=1)
+        x, y = np.where(inside[:, None], pixel, 0).T
+        ours &= inside & a[y, x]
+        theirs &= inside & b[y, x]
+    return overlap(ours, theirs)

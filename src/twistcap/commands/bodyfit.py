@@ -1,0 +1,86 @@
+"""What ``twistcap body fit`` does: open, fit, judge, write."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from twistcap.body.gltf import save_glb
+from twistcap.bodyfit.fit import FitRule, Fitted, Take, fit_body
+from twistcap.bodyfit.judge import Agreement, agreement
+from twistcap.commands.terminal import telling, words
+from twistcap.evaluate.metrics import Row, percentile_known, row
+from twistcap.io.pose_file import write_pose
+from twistcap.io.recording import Recording, image_masks, open_together
+from twistcap.io.session import Session
+
+
+def fit_sessions(sessions: Sequence[Session], source: Path, folder: Path, count: int) -> dict[str, Any]:
+    """Fit the first session's body to all of them; what ``--json`` prints."""
+    from twistcap.report.bodyfit import draw_fit, write_page
+
+    with words.status("reading the sessions, fitting the first poses"):
+        recordings = open_together(sessions)
+        takes = [_take(recording) for recording in recordings]
+    rule = FitRule(frames=count)
+    total = rule.rounds * (sum(len(take.frames) for take in takes) + rule.steps)
+    with telling("fitting the body") as told:
+        notes = iter(range(1, total + 1))
+        fitted = fit_body(recordings[0].body, takes, rule, lambda note: told(note, next(notes, total), total))
+    files = _written(fitted, recordings[0], source, folder)
+    with words.status("judging and drawing"):
+        before = [agreement(fitted.begun, t, p) for t, p in zip(takes, fitted.begun_poses, strict=True)]
+        after = [agreement(fitted.body, t, p) for t, p in zip(takes, fitted.poses, strict=True)]
+        rows = [line for t, a, b in zip(takes, before, after, strict=True) for line in _rows(t.name, a, b)]
+        pictures = draw_fit(fitted, takes, folder)
+        page = write_page(folder, sessions[0].title, rows, fitted.factors, pictures, files)
+    return {"id": "body fit", "rows": rows, "factors": fitted.factors, "files": [*files, *pictures, page]}
+
+
+def _take(recording: Recording) -> Take:
+    session = recording.session
+    config = session.tracker_config
+    if config.method == "differential" or config.predictor == "motion":  # the fit looks at contours, and at this person
+        config = replace(config, method="direct", predictor="constant_velocity")
+    masks = image_masks(session, recording.rig)
+    return Take(recording.views.image_rig, recording.views, recording.first_pose, config, session.title, masks)
+
+
+def _rows(name: str, before: Agreement, after: Agreement) -> list[Row]:
+    out: list[Row] = []
+    for when, found in (("before", before), ("after", after)):
+        case = f"{name}, {when}"
+        for unit, values in (("px", found.px), ("mm", found.mm)):
+            out.append(row(case, "surface to silhouette, mean", float(values.mean()), unit))
+            out.append(row(case, "surface to silhouette, p95", percentile_known(values, 95), unit))
+        out.append(row(case, "IoU with the segmentation", found.iou, ""))
+        out.append(row(case, "IoU of the visual hulls", found.hull, ""))
+    for part, (mean, p95) in after.by_part().items():
+        out.append(row(f"{name}, after", f"{part}, mean", mean, "mm"))
+        out.append(row(f"{name}, after", f"{part}, p95", p95, "mm"))
+    return out
+
+
+def _written(fitted: Fitted, recording: Recording, source: Path, folder: Path) -> list[Path]:
+    """The body, the first pose, and a session that takes both (unless the first session has a base itself)."""
+    body, pose, session = folder / "body.glb", folder / "first_pose.json", folder / "session.toml"
+    save_glb(fitted.body, body)
+    write_pose(pose, fitted.body, fitted.first_poses[0])
+    if "base" in tomllib.loads(source.read_text(encoding="utf-8")):
+        return [body, pose]
+    first = recording.views.indices[0]
+    session.write_text(
+        f"# {source.name} with the body fitted by twistcap body fit; its pose is that of frame {first}.\n"
+        f"base = {_quoted(source)}\n\n"
+        f'[body]\nkind = "glb"\npath = {_quoted(body)}\n\n'
+        f"[first_pose]\nfile = {_quoted(pose)}\n",
+        encoding="utf-8",
+    )
+    return [body, pose, session]
+
+
+def _quoted(path: Path) -> str:
+    return "'" + str(path.resolve()) + "'"

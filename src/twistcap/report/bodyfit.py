@@ -1,0 +1,73 @@
+"""The page of ``twistcap body fit``: the body over the images before and after, and the numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from twistcap._typing import AnyArray
+from twistcap.body import Body, Pose
+from twistcap.bodyfit.fit import Fitted, Take
+from twistcap.evaluate.metrics import Row
+from twistcap.report.overlay import draw_mosaic, mosaic_for
+from twistcap.report.page import Figure, Headline, number, write_report
+
+
+@dataclass(frozen=True)
+class _Shown:
+    index: int
+    pose: Pose
+    lost: bool = False
+
+
+def draw_fit(fitted: Fitted, takes: Sequence[Take], folder: Path) -> list[Path]:
+    """Write before.png and after.png: of every take the middle one of its fitted frames, in all views."""
+    both = [sorted(a.keys() & b.keys()) or sorted(b) for a, b in zip(fitted.begun_poses, fitted.poses, strict=True)]
+    shown = [frames[len(frames) // 2] for frames in both]
+    arms = (("before", fitted.begun, fitted.begun_poses), ("after", fitted.body, fitted.poses))
+    out: list[Path] = []
+    for name, body, poses in arms:
+        pictures = [
+            _picture(take, body, k, p.get(k), f"{take.name}, {name}")
+            for take, k, p in zip(takes, shown, poses, strict=True)
+        ]
+        width = max(p.shape[1] for p in pictures)
+        padded = [cv2.copyMakeBorder(p, 0, 0, 0, width - p.shape[1], cv2.BORDER_CONSTANT) for p in pictures]
+        path = folder / f"{name}.png"
+        cv2.imwrite(str(path), np.concatenate(padded)[..., ::-1])
+        out.append(path)
+    return out
+
+
+def _picture(take: Take, body: Body, index: int, pose: Pose | None, title: str) -> AnyArray:
+    """One frame of a take in all views; without the body where it was lost."""
+    frame = next(frame for frame in take.frames if frame.index == index)
+    return draw_mosaic(frame, take.rig, body, _Shown(index, pose) if pose else None, mosaic_for(take.rig), title)
+
+
+def write_page(
+    folder: Path, title: str, rows: Sequence[Row], factors: Mapping[str, float], pictures: Sequence[Path],
+    files: Sequence[Path],
+) -> Path:  # fmt: skip
+    """Write report.html."""
+    last = {line["metric"] + line["unit"]: line for line in rows if line["case"].endswith("after")}
+    mean, iou = last["surface to silhouette, meanmm"], last["IoU with the segmentation"]
+    changed = ", ".join(f"{name} {factor:.3f}" for name, factor in factors.items())
+    texts = ("the fitted body", "the pose of the first frame", "the session with both")
+    return write_report(
+        folder,
+        f"Body fitted to {title}",
+        rows,
+        lead="Lengths, girths, cross-sections and a smooth offset of the surface, fitted to the edges in all views.",
+        headlines=[
+            Headline("surface to silhouette, mean", number(mean["value"]), "mm"),
+            Headline("IoU with the tracker's segmentation", number(iou["value"])),
+        ],
+        figures=[Figure(path, f"The body {path.stem} the fit.") for path in pictures],
+        files=dict(zip(files, texts, strict=False)),
+        notes=[f"Factors against the body given: {changed}."],
+    )
