@@ -24,7 +24,7 @@ from twistcap.studio import mismatch as M
 from twistcap.studio.config import stream
 from twistcap.studio.look import Look, look
 from twistcap.studio.marring import paint_rectangles, replace_pixels
-from twistcap.studio.mismatch import joint_coordinates
+from twistcap.body.shape import joint_coordinates
 from twistcap.studio.motion import gait
 from twistcap.studio.picture import render_body
 from twistcap.studio.scene import PERSON_SHARE

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from twistcap import se3
-from twistcap._typing import Float
-from twistcap.body.kinematics import skin_points
+from twistcap._typing import Float, Int
+from twistcap.body.kinematics import Posed, skin_points
 from twistcap.body.model import Body, Landmarks
 from twistcap.errors import InputError
 
@@ -57,14 +58,8 @@ def joint_origin(body: Body, segment: int) -> Float:
     if k < 0:
         own = body.vertices[body.vertex_part == segment]
         return own.mean(axis=0) if len(own) else np.zeros(3)
-    above = int(body.segment_parent[segment])
-    top = int(body.segment_joint[above]) if above >= 0 else -1
-    axes: list[Float] = []
-    while k >= 0 and k != top:
-        axes.append(body.twists[k])
-        k = int(body.parent[k])
-    w = np.array([a[:3] for a in axes])
-    v = np.array([a[3:] for a in axes])
+    axes = body.twists[joint_coordinates(body, segment)]
+    w, v = axes[:, :3], axes[:, 3:]
     normal = -se3.hat(w)  # the point p of each axis solves ω × p = −v
     rows, rhs = -normal.reshape(-1, 3), -v.reshape(-1)
     prior = body.landmarks.points[body.landmarks.segments == segment]
@@ -116,10 +111,102 @@ def warped(body: Body, maps: Float) -> Body:
         if body.segment_joint[s] < 0:
             continue
         moved = se3.apply(maps[above], joint_origin(body, s)[None])[0]
-        top = int(body.segment_joint[above])
-        k = int(body.segment_joint[s])
-        while k >= 0 and k != top:  # every axis of the joint moves with the joint's centre, directions stay
+        for k in joint_coordinates(body, s):  # every axis moves with the joint's centre, directions stay
             if np.any(twists[k, :3]):
                 twists[k, 3:] = -np.cross(twists[k, :3], moved)
-            k = int(body.parent[k])
     return replace(body, vertices=vertices, twists=twists, landmarks=Landmarks(marks.names, marks.segments, points))
+
+
+@dataclass(frozen=True)
+class RestMotion:
+    """How a body's rest pose changes with each of K shape parameters, to first order.
+
+    Attributes:
+        maps: (K, S, 4, 4) velocity of each segment's rest points, homogeneous (last row 0), per unit of the parameter.
+        joints: (K, S, 3) velocity of each segment's proximal joint centre, in the rest pose, m per unit.
+    """
+
+    maps: Float
+    joints: Float
+
+    def points(self, posed: Posed, segments: Int, weights: Float, local: Float) -> Float:
+        """(K, N, 3) derivative of skinned world points by the parameters, the pose held.
+
+        A joint centre that moves by d below parent p carries all below it by (R_p - R_s) d: it moves with the parent,
+        and the segment turns about it.
+        """
+        R = posed.segment_transforms[:, :3, :3]
+        carried = np.zeros_like(self.joints)
+        for s, above in enumerate(posed.body.segment_parent):
+            if above >= 0:
+                carried[:, s] = carried[:, above] + self.joints[:, s] @ (R[above] - R[s]).T
+        share = np.zeros((len(local), len(R)))
+        for k in range(segments.shape[1]):
+            share[np.arange(len(local)), segments[:, k]] += weights[:, k]
+        out = share @ carried
+        turn = np.tensordot(share, R, axes=1)
+        for k in np.flatnonzero(self.maps.any(axis=(1, 2, 3))):
+            moved = skin_points(np.ascontiguousarray(self.maps[k]), segments, weights, local)
+            out[k] += (turn @ moved[..., None])[..., 0]
+        return out
+
+
+def rest_motion(body: Body, stretched: Sequence[Mapping[str, float]], widened: Sequence[Mapping[str, float]], moved: Sequence[int]) -> RestMotion:
+    """`RestMotion` by the logarithms of lengths and girths of groups of segments, then by x, y, z of joint centres.
+
+    Args:
+        stretched, widened: of each parameter, the segments and the rate at which each one's log-length or girth grows.
+        moved: segments whose proximal joint moves; three parameters (m) each.
+    """
+    h, S = 1e-6, len(body.segment_names)
+    factors = [({n: float(np.exp(h * r)) for n, r in g.items()}, {}) for g in stretched]
+    factors += [({}, {n: float(np.exp(h * r)) for n, r in g.items()}) for g in widened]
+    K = len(factors) + 3 * len(moved)
+    maps, joints = np.zeros((K, S, 4, 4)), np.zeros((K, S, 3))
+    origins = np.array([joint_origin(body, s) for s in range(S)])
+    parents = np.maximum(body.segment_parent, 0)
+    for k, (lengths, girths) in enumerate(factors):
+        maps[k] = (stretch_maps(body, lengths, girths) - np.eye(4)) / h
+        joints[k] = (maps[k, parents, :3, :3] @ origins[..., None])[..., 0] + maps[k, parents, :3, 3]
+    for i, s in enumerate(moved):
+        for axis in range(3):
+            joints[len(factors) + 3 * i + axis, s, axis] = 1.0
+    return RestMotion(maps, joints)
+
+
+def joints_moved(body: Body, shifts: Mapping[str, Float]) -> Body:
+    """Joint centres moved by (3,) m in the rest pose, by the name of the segment below; landmarks that mark them too.
+
+    The axes keep their directions and the surface its place, so that the angles keep their meaning.
+
+    Raises:
+        InputError: for an unknown segment, or one without a joint.
+    """
+    twists, points = body.twists.copy(), body.landmarks.points.copy()
+    for name, shift in shifts.items():
+        if name not in body.segment_names or body.segment_joint[body.segment(name)] < 0:
+            raise InputError(f"body {body.name!r} has no segment {name!r} with a joint; check the name.")
+        s = body.segment(name)
+        for k in joint_coordinates(body, s):
+            twists[k, 3:] -= np.cross(twists[k, :3], shift)
+        points[_marks_of(body, s)] += shift
+    return replace(body, twists=twists, landmarks=Landmarks(body.landmarks.names, body.landmarks.segments, points))
+
+
+def joint_coordinates(body: Body, segment: int) -> list[int]:
+    """The coordinates of a segment's own joint, from the last to the first."""
+    above = int(body.segment_parent[segment])
+    top = int(body.segment_joint[above]) if above >= 0 else -1
+    k, out = int(body.segment_joint[segment]), list[int]()
+    while k >= 0 and k != top:
+        out.append(k)
+        k = int(body.parent[k])
+    return out
+
+
+def _marks_of(body: Body, segment: int, within: float = 0.01) -> NDArray[np.intp]:
+    """Landmarks (indices) that mark a joint: on one of its two segments and at its centre."""
+    marks = body.landmarks
+    beside = (marks.segments == segment) | (marks.segments == body.segment_parent[segment])
+    off = np.linalg.norm(marks.points - joint_origin(body, segment), axis=1)
+    return np.flatnonzero(beside & (off < within))
