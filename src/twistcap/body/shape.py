@@ -151,7 +151,9 @@ class RestMotion:
         return out
 
 
-def rest_motion(body: Body, stretched: Sequence[Mapping[str, float]], widened: Sequence[Mapping[str, float]], moved: Sequence[int]) -> RestMotion:
+def rest_motion(
+    body: Body, stretched: Sequence[Mapping[str, float]], widened: Sequence[Mapping[str, float]], moved: Sequence[int]
+) -> RestMotion:
     """`RestMotion` by the logarithms of lengths and girths of groups of segments, then by x, y, z of joint centres.
 
     Args:
@@ -210,3 +212,42 @@ def _marks_of(body: Body, segment: int, within: float = 0.01) -> NDArray[np.intp
     beside = (marks.segments == segment) | (marks.segments == body.segment_parent[segment])
     off = np.linalg.norm(marks.points - joint_origin(body, segment), axis=1)
     return np.flatnonzero(beside & (off < within))
+
+
+def hinge_middles(body: Body, crosswise: float = 0.7) -> dict[str, tuple[Float, float]]:
+    """Where along its axis each hinge that lies across its limb has the middle of the limb, by the segment below.
+
+    A hinge does not know where on its axis its centre is; by custom (ISB; Wu et al. 2002, 2005) it is the middle.
+
+    Args:
+        crosswise: greatest cosine between axis and segment of a hinge that counts as lying across.
+
+    Returns:
+        of each such hinge its unit axis (3,) in the rest pose, and how far (m) along it the middle is from the centre.
+    """
+    origins, along = segment_axes(body)
+    out: dict[str, tuple[Float, float]] = {}
+    for s, name in enumerate(body.segment_names):
+        joint, above = joint_coordinates(body, s), int(body.segment_parent[s])
+        axis = body.twists[joint[0], :3] if len(joint) == 1 else np.zeros(3)
+        if not axis.any() or abs(axis @ along[s]) > crosswise:
+            continue
+        own = body.faces[np.isin(body.vertex_part[body.faces], (s, above)).all(axis=1)]
+        crossed = _line_crossings(body.vertices[own], origins[s], axis)
+        if crossed.min(initial=0.0) < 0.0 < crossed.max(initial=0.0):
+            inner, outer = crossed[crossed < 0.0].max(), crossed[crossed > 0.0].min()
+            out[name] = (axis, 0.5 * float(inner + outer))
+    return out
+
+
+def _line_crossings(triangles: Float, origin: Float, direction: Float) -> Float:
+    """Where (m along the unit direction) a line meets triangles (F, 3, 3); Möller and Trumbore 1997."""
+    a, e, f = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    across = np.cross(direction, f)
+    volume = np.sum(e * across, axis=1)
+    scale = 1.0 / np.where(np.abs(volume) > 1e-12, volume, np.inf)
+    start = origin - a
+    u, turned = scale * np.sum(start * across, axis=1), np.cross(start, e)
+    v = scale * (turned @ direction)
+    inside = (scale != 0.0) & (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0)
+    return (scale * np.sum(f * turned, axis=1))[inside]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,7 +54,9 @@ def row_jacobian(posed: Posed, motion: RestMotion, points: SurfacePoints, gradie
     N, S = len(points), len(posed.body.segment_names)
     T, every = posed.segment_transforms[points.segments], np.arange(N)
     carried = (T[..., :3, :3] @ points.local[:, None, :, None])[..., 0] + T[..., :3, 3]
-    twist = np.concatenate([np.cross(carried, gradient[:, None, :]), np.broadcast_to(gradient[:, None, :], carried.shape)], axis=2)
+    twist = np.concatenate(
+        [np.cross(carried, gradient[:, None, :]), np.broadcast_to(gradient[:, None, :], carried.shape)], axis=2
+    )
     by_segment = np.zeros((N, S, 6))
     for k in range(points.segments.shape[1]):
         by_segment[every, points.segments[:, k]] += points.weights[:, k, None] * twist[:, k]
@@ -63,7 +64,7 @@ def row_jacobian(posed: Posed, motion: RestMotion, points: SurfacePoints, gradie
     return by_segment.reshape(N, 6 * S) @ posed.projector, np.einsum("kni,ni->nk", by_shape, gradient)
 
 
-def add_contour(system: Arrow, instant: Instant, motion: RestMotion, found: ContourEvidence) -> float:
+def add_contour(system: Arrow, instant: Instant, motion: RestMotion, found: ContourEvidence, share: float) -> float:
     """Add a view's contour to the equations; its energy."""
     assert isinstance(found.term, PointTerm)
     energy, points, rows = found.term.rows(instant.posed)
@@ -71,7 +72,7 @@ def add_contour(system: Arrow, instant: Instant, motion: RestMotion, found: Cont
     for start in range(0, len(rows.residual), len(points)):
         which = start + used
         J, S = row_jacobian(instant.posed, motion, points[used], rows.gradient[which])
-        system.add_rows((instant.number,), (J,), S, rows.weight[which], rows.residual[which])
+        system.add_rows((instant.number,), (J,), S, share * rows.weight[which], rows.residual[which])
     return energy
 
 
@@ -108,14 +109,3 @@ def _sampled(sight: Sight, posed: Posed, points: SurfacePoints, blur: float) -> 
     P, world = sight.view.camera.P, points.at(posed)
     value, half = brightness_rows(P, world, image, np.zeros(N), np.zeros((N, 2)), np.ones(N))
     return value, 2.0 * half  # it takes the mean of two images' gradients, of which one is 0 here
-
-
-def blur_of(cue: Brightness, coarse: bool) -> float:
-    """Under which images are compared, m on the body."""
-    return cue.blurs[0] if coarse else cue.blurs[-1]
-
-
-def mean_joint_shift(before: Sequence[Posed], after: Sequence[Posed]) -> float:
-    """Mean distance (m) by which landmarks moved."""
-    steps = [np.linalg.norm(a.landmarks - b.landmarks, axis=1).mean() for a, b in zip(before, after, strict=True)]
-    return float(np.mean(steps)) if steps else 0.0

@@ -48,7 +48,9 @@ class Arrow:
         self.border, self.corner = np.zeros((frames, dof, shared)), np.zeros((shared, shared))
         self.pull, self.shared_pull = np.zeros((frames, dof)), np.zeros(shared)
 
-    def add_rows(self, frames: tuple[int, ...], J: tuple[Float, ...], S: Float | None, weight: Float, residual: Float) -> None:
+    def add_rows(
+        self, frames: tuple[int, ...], J: tuple[Float, ...], S: Float | None, weight: Float, residual: Float
+    ) -> None:
         """Add ½ Σ weight (residual + Σ_i J_i δ_i + S s)²; frames in ascending order, J_i (N, D), S (N, K) or None."""
         Wr = weight * residual
         for i, (t, first) in enumerate(zip(frames, J, strict=True)):
@@ -88,7 +90,9 @@ class Arrow:
             across, free = solved[:, :K], solved[:, K]
             complement = cho_factor(corner - right[:, :K].T @ across)
         except LinAlgError as error:
-            raise InputError("refine: the equations leave a pose or a length open; give more frames or views.") from error
+            raise InputError(
+                "refine: the equations leave a pose or a length open; give more frames or views."
+            ) from error
         shared = cho_solve(complement, -self.shared_pull - right[:, :K].T @ free)
         shared_covariance = cho_solve(complement, np.eye(K))
         poses = (free - across @ shared).reshape(F, D)
