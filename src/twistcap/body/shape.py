@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from twistcap import se3
@@ -129,26 +130,43 @@ class RestMotion:
     maps: Float
     joints: Float
 
-    def points(self, posed: Posed, segments: Int, weights: Float, local: Float) -> Float:
-        """(K, N, 3) derivative of skinned world points by the parameters, the pose held.
+    def rates(self, posed: Posed, segments: Int, weights: Float, local: Float, gradient: Float) -> Float:
+        """(N, K) derivative by the parameters of residuals whose gradients by their skinned world points are (N, 3).
 
         A joint centre that moves by d below parent p carries all below it by (R_p - R_s) d: it moves with the parent,
-        and the segment turns about it.
+        and the segment turns about it. The surface itself moves in the rest pose and is skinned after.
         """
-        R = posed.segment_transforms[:, :3, :3]
-        carried = np.zeros_like(self.joints)
+        by_segment = _rest_rows(posed.segment_transforms, segments, weights, local, gradient)
+        moved = np.concatenate([self._carried(posed), self.maps[:, :, :3].reshape(*self.maps.shape[:2], 12)], axis=2)
+        return by_segment @ moved.reshape(len(moved), -1).T
+
+    def _carried(self, posed: Posed) -> Float:
+        """(K, S, 3) world velocity of each segment because of the joint centres above it."""
+        R, out = posed.segment_transforms[:, :3, :3], np.zeros_like(self.joints)
         for s, above in enumerate(posed.body.segment_parent):
             if above >= 0:
-                carried[:, s] = carried[:, above] + self.joints[:, s] @ (R[above] - R[s]).T
-        share = np.zeros((len(local), len(R)))
-        for k in range(segments.shape[1]):
-            share[np.arange(len(local)), segments[:, k]] += weights[:, k]
-        out = share @ carried
-        turn = np.tensordot(share, R, axes=1)
-        for k in np.flatnonzero(self.maps.any(axis=(1, 2, 3))):
-            moved = skin_points(np.ascontiguousarray(self.maps[k]), segments, weights, local)
-            out[k] += (turn @ moved[..., None])[..., 0]
+                out[:, s] = out[:, above] + self.joints[:, s] @ (R[above] - R[s]).T
         return out
+
+
+@njit(cache=True, nogil=True)
+def _rest_rows(transforms: Float, segments: Int, weights: Float, local: Float, gradient: Float) -> Float:
+    """(N, 15 S) derivative of residuals by each segment's shift (3) and by the map (3 x 4) of its rest points."""
+    out, turned = np.zeros((len(local), 15 * len(transforms))), np.zeros(3)
+    for n in range(len(local)):
+        turned[:] = 0.0  # the gradient in the rest pose
+        for k in range(segments.shape[1]):
+            for i in range(3):
+                for j in range(3):
+                    turned[i] += weights[n, k] * transforms[segments[n, k], j, i] * gradient[n, j]
+        for k in range(segments.shape[1]):
+            w, at = weights[n, k], 15 * segments[n, k]
+            for i in range(3):
+                out[n, at + i] += w * gradient[n, i]
+                for j in range(3):
+                    out[n, at + 3 + 4 * i + j] += w * turned[i] * local[n, j]
+                out[n, at + 6 + 4 * i] += w * turned[i]
+    return out
 
 
 def rest_motion(

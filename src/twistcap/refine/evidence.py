@@ -6,8 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
-from twistcap._typing import Float
+from twistcap._typing import Float, Int
 from twistcap.body import Posed
 from twistcap.body.shape import RestMotion
 from twistcap.cues.brightness import Brightness, strongest_in_cells, visible_points
@@ -51,17 +52,31 @@ def row_jacobian(posed: Posed, motion: RestMotion, points: SurfacePoints, gradie
     Args:
         gradient: (N, 3) of each residual by its world point.
     """
-    N, S = len(points), len(posed.body.segment_names)
-    T, every = posed.segment_transforms[points.segments], np.arange(N)
-    carried = (T[..., :3, :3] @ points.local[:, None, :, None])[..., 0] + T[..., :3, 3]
-    twist = np.concatenate(
-        [np.cross(carried, gradient[:, None, :]), np.broadcast_to(gradient[:, None, :], carried.shape)], axis=2
-    )
-    by_segment = np.zeros((N, S, 6))
-    for k in range(points.segments.shape[1]):
-        by_segment[every, points.segments[:, k]] += points.weights[:, k, None] * twist[:, k]
-    by_shape = motion.points(posed, points.segments, points.weights, points.local)
-    return by_segment.reshape(N, 6 * S) @ posed.projector, np.einsum("kni,ni->nk", by_shape, gradient)
+    by_segment = segment_rows(posed.segment_transforms, points.segments, points.weights, points.local, gradient)
+    by_shape = motion.rates(posed, points.segments, points.weights, points.local, gradient)
+    return by_segment @ posed.projector, by_shape
+
+
+@njit(cache=True, nogil=True)
+def segment_rows(transforms: Float, segments: Int, weights: Float, local: Float, gradient: Float) -> Float:
+    """(N, 6 S) derivative of residuals by the twist of every segment: ``w [x × g, g]``, x as the segment carries it."""
+    out = np.zeros((len(local), 6 * len(transforms)))
+    for n in range(len(local)):
+        g0, g1, g2 = gradient[n, 0], gradient[n, 1], gradient[n, 2]
+        for k in range(segments.shape[1]):
+            w, T, at = weights[n, k], transforms[segments[n, k]], 6 * segments[n, k]
+            if w == 0.0:
+                continue
+            x = T[0, 0] * local[n, 0] + T[0, 1] * local[n, 1] + T[0, 2] * local[n, 2] + T[0, 3]
+            y = T[1, 0] * local[n, 0] + T[1, 1] * local[n, 1] + T[1, 2] * local[n, 2] + T[1, 3]
+            z = T[2, 0] * local[n, 0] + T[2, 1] * local[n, 1] + T[2, 2] * local[n, 2] + T[2, 3]
+            out[n, at] += w * (y * g2 - z * g1)
+            out[n, at + 1] += w * (z * g0 - x * g2)
+            out[n, at + 2] += w * (x * g1 - y * g0)
+            out[n, at + 3] += w * g0
+            out[n, at + 4] += w * g1
+            out[n, at + 5] += w * g2
+    return out
 
 
 def add_contour(system: Arrow, instant: Instant, motion: RestMotion, found: ContourEvidence, share: float) -> float:

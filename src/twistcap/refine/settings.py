@@ -28,10 +28,10 @@ class RefineConfig:
         noise: accelerations of the motion: the same as in tracking.
     """
 
-    rounds: int = 8
+    rounds: int = 10
     coarse_rounds: int = 2
     coarse: float = 2.0
-    settled: float = 2e-4
+    settled: float = 3e-4
     strides: tuple[int, ...] = (1, 3, 6)
     points: int = 400
     length: float = 0.05
