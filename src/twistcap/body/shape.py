@@ -269,3 +269,13 @@ def _line_crossings(triangles: Float, origin: Float, direction: Float) -> Float:
     v = scale * (turned @ direction)
     inside = (scale != 0.0) & (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0)
     return (scale * np.sum(f * turned, axis=1))[inside]
+
+
+def joint_distances(body: Body) -> dict[str, float]:
+    """Distance (m) from a segment's joint to that of the segment that hangs on it, of those on which one hangs."""
+    out: dict[str, float] = {}
+    for s, name in enumerate(body.segment_names):
+        children = np.flatnonzero(body.segment_parent == s)
+        if body.segment_joint[s] >= 0 and len(children) == 1:
+            out[name] = float(np.linalg.norm(joint_origin(body, int(children[0])) - joint_origin(body, s)))
+    return out

@@ -1,4 +1,4 @@
-"""Refining a whole track: poses of all frames, lengths and joint centres in one sparse least squares (docs/refine.md)."""
+"""A whole track refined: all poses, lengths and joint centres in one sparse least squares (docs/refine.md)."""
 
 from twistcap.refine.refine import Refined, refine
 from twistcap.refine.settings import RefineConfig

@@ -133,12 +133,13 @@ def _stepped(
     estimates: Sequence[Estimate], solution: Solution, look: Look, tracker: TrackerConfig
 ) -> tuple[Estimate, ...]:
     """The estimates after a step, which for a pose is no longer than half a radian in any joint."""
-    lengths = np.maximum(1.0, 2.0 * np.abs(solution.poses[:, 6:]).max(axis=1, initial=0.0))
+    shorter = np.maximum(1.0, 2.0 * np.abs(solution.poses[:, 6:]).max(axis=1, initial=0.0))
+    steps, covariances = solution.poses / shorter[:, None], tracker.inflation**2 * solution.covariances
     support = look.support()
     return tuple(
         replace(
-            e, pose=e.pose.retract(solution.poses[t] / lengths[t]), covariance=tracker.inflation**2 * solution.covariances[t],
-            energies=look.energies[t], support=float(support[t]), lost=bool(support[t] < tracker.support.least_share),
+            e, pose=e.pose.retract(steps[t]), covariance=covariances[t], energies=look.energies[t],
+            support=float(support[t]), lost=bool(support[t] < tracker.support.least_share),
         )
         for t, e in enumerate(estimates)
     )  # fmt: skip

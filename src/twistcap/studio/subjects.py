@@ -53,7 +53,8 @@ def squats(body: Body, frames: int = 120, times: int = 2) -> Float:
 _LIMBERING: dict[str, tuple[float, float, float]] = {
     "lumbar_extension": (-12, 14, 2), "lumbar_bending": (0, 14, 3), "lumbar_rotation": (0, 20, 2),
     "neck_extension": (0, 18, 3), "neck_bending": (0, 15, 2), "neck_rotation": (0, 25, 3),
-    "arm_add": (-50, 28, 2), "arm_flex": (30, 40, 3), "arm_rot": (0, 35, 2), "elbow_flex": (60, 45, 3), "pro_sup": (10, 50, 2),
+    "arm_add": (-50, 28, 2), "arm_flex": (30, 40, 3), "arm_rot": (0, 35, 2),
+    "elbow_flex": (60, 45, 3), "pro_sup": (10, 50, 2),
     "hip_flexion": (35, 35, 2), "hip_adduction": (-14, 14, 3), "hip_rotation": (0, 18, 2),
     "knee_angle": (50, 42, 3), "ankle_angle": (0, 17, 2), "subtalar_angle": (3, 13, 3),
 }  # fmt: skip

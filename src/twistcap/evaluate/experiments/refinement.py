@@ -161,10 +161,12 @@ def _traced(arm: str, scene: Capture, frames: Sequence[Frame], body: Body, estim
     frame, last = frames[-1], estimates[-1]
     image = frame.images[0]
     assert image is not None
-    shot = Shot(f"{arm}, frame {frame.index}", image, scene.rig[0], Posed(body, last.pose), scene.masks(frame.index)[0])
+    slim = [replace(e, covariance=np.empty((0, 0))) for e in estimates]  # processes need not carry them
+    posed, outline = Posed(body, last.pose), scene.masks(frame.index)[0]
+    shot = Shot(f"{arm}, frame {frame.index}", image, scene.rig[0], posed, outline)
     return Shaped(
-        arm, scene.config.seed, joints.mean(axis=1), joints, [replace(e, covariance=np.empty((0, 0))) for e in estimates],
-        shot, lengths=length_errors(body, scene.true_body), khe_deg=float(np.abs(errors).mean()),
+        arm, scene.config.seed, joints.mean(axis=1), joints, slim, shot,
+        lengths=length_errors(body, scene.true_body), khe_deg=float(np.abs(errors).mean()),
         within=float(np.mean(np.radians(np.abs(errors)) < 2.0 * np.sqrt(variance))),
     )  # fmt: skip
 
