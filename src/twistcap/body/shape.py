@@ -138,7 +138,7 @@ class RestMotion:
         """
         by_segment = _rest_rows(posed.segment_transforms, segments, weights, local, gradient)
         moved = np.concatenate([self._carried(posed), self.maps[:, :, :3].reshape(*self.maps.shape[:2], 12)], axis=2)
-        return by_segment @ moved.reshape(len(moved), -1).T
+        return by_segment @ moved.reshape(len(moved), by_segment.shape[1]).T
 
     def _carried(self, posed: Posed) -> Float:
         """(K, S, 3) world velocity of each segment because of the joint centres above it."""
