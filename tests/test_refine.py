@@ -219,7 +219,7 @@ def _two_instants():
 def scene() -> Capture:
     config = StudioConfig(seed=0, views=3, frames=12, fps=15.0, size=(288, 210))
     body = humanoid("full")
-    return capture(config, body, limbering(body, 45)[::2])
+    return capture(config, body, limbering(body, 90)[::2])
 
 
 @pytest.fixture(scope="module")

@@ -98,18 +98,17 @@ def add_brightness(
 
     Bregler and Malik (DOI 10.1109/CVPR.1998.698581), eq. 17 ff., refine a sequence so; here in perspective.
     """
-    energy = 0.0
+    energy, information = 0.0, share * cue.share / cue.sigma**2
     for camera in earlier.sights.keys() & later.sights.keys():
         a, b = earlier.sights[camera], later.sights[camera]
-        P, points = b.view.camera.P, a.points
-        tolerance = cue.depth_tolerance
-        seen = visible_points(P, *points.bound_to(later.posed), b.seen.inverse_depth_image, tolerance)
-        points = points[seen > 0.0]
-        sides = [_sampled(side, instant.posed, points, blur) for side, instant in ((a, earlier), (b, later))]
-        (value_a, gradient_a), (value_b, gradient_b) = sides
-        residual = value_b - value_a
+        depths = b.seen.inverse_depth_image
+        seen = visible_points(b.view.camera.P, *a.points.bound_to(later.posed), depths, cue.depth_tolerance)
+        points = a.points[seen > 0.0]
+        value_a, gradient_a = _sampled(a, earlier.posed, points, blur)
+        value_b, gradient_b = _sampled(b, later.posed, points, blur)
         both = gradient_a.any(axis=1) & gradient_b.any(axis=1)
-        cost, weight = weighted_cauchy(residual, both * (share * cue.share / cue.sigma**2), cue.scale)
+        residual = value_b - value_a
+        cost, weight = weighted_cauchy(residual, np.where(both, information, 0.0), cue.scale)
         Ja, Sa = row_jacobian(earlier.posed, motion, points, -gradient_a)
         Jb, Sb = row_jacobian(later.posed, motion, points, gradient_b)
         system.add_rows((earlier.number, later.number), (Ja, Jb), Sa + Sb, weight, residual)

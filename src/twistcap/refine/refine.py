@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from twistcap._typing import Float
+from twistcap._typing import Bool, Float
 from twistcap.body import Body, Posed
 from twistcap.camera import Rig
 from twistcap.errors import InputError
@@ -111,11 +111,12 @@ def _looked(
     """The equations of one round: images, motion, and what is known of the shape beforehand."""
     config, rounds = eyes.config, eyes.config.rounds
     look = eyes.look(shape, [e.pose for e in estimates], coarse)
+    bridged = _bridged(estimates, config.bridge) if done == 0 else np.zeros(len(estimates), dtype=np.bool_)
     count = 0
     for count, frame in enumerate(frames, 1):
         if count > len(estimates):
             break
-        look.add(frame, trusted=done > 0 or not estimates[count - 1].lost)
+        look.add(frame, trusted=not bridged[count - 1])
         if tell is not None:
             tell(f"round {done + 1} of at most {rounds}", done * len(estimates) + count, rounds * len(estimates))
     if count != len(estimates):
@@ -127,6 +128,16 @@ def _looked(
     look.system.shared_pull += eyes.tracker.inflation**2 * gradient
     look.system.corner += eyes.tracker.inflation**2 * information
     return look
+
+
+def _bridged(estimates: Sequence[Estimate], longest: float) -> Bool:
+    """(F,) which frames are lost in spans shorter than so many seconds, with others at both ends."""
+    out = np.zeros(len(estimates), dtype=np.bool_)
+    kept = [t for t, e in enumerate(estimates) if not e.lost]
+    for before, after in zip(kept, kept[1:], strict=False):
+        if estimates[after].time - estimates[before].time <= longest:
+            out[before + 1 : after] = True
+    return out
 
 
 def _stepped(

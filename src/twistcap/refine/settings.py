@@ -19,6 +19,7 @@ class RefineConfig:
         coarse: factor on the contour's reach in these.
         settled: m; the rounds end where one has moved the landmarks no farther than this, in the mean over all frames.
         strides: frames between the two whose brightness is compared; each step takes all of them.
+        bridge: s; lost spans that are shorter are bridged by motion alone in the first round.
         points: surface points whose brightness is compared, in each view.
         length, girth: how far a log-length and a log-girth may be off (standard deviation); 0 holds them.
         joint: m by which each joint centre may be off in each direction; 0 holds them.
@@ -33,6 +34,7 @@ class RefineConfig:
     coarse: float = 2.0
     settled: float = 3e-4
     strides: tuple[int, ...] = (1, 3, 6)
+    bridge: float = 0.2
     points: int = 400
     length: float = 0.05
     girth: float = 0.04
