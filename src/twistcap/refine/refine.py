@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -134,7 +135,7 @@ def _bridged(estimates: Sequence[Estimate], longest: float) -> Bool:
     """(F,) which frames are lost in spans shorter than so many seconds, with others at both ends."""
     out = np.zeros(len(estimates), dtype=np.bool_)
     kept = [t for t, e in enumerate(estimates) if not e.lost]
-    for before, after in zip(kept, kept[1:], strict=False):
+    for before, after in pairwise(kept):
         if estimates[after].time - estimates[before].time <= longest:
             out[before + 1 : after] = True
     return out

@@ -29,10 +29,10 @@ class RefineConfig:
         noise: accelerations of the motion: the same as in tracking.
     """
 
-    rounds: int = 10
+    rounds: int = 14
     coarse_rounds: int = 2
     coarse: float = 2.0
-    settled: float = 3e-4
+    settled: float = 2.5e-4
     strides: tuple[int, ...] = (1, 3, 6)
     bridge: float = 0.2
     points: int = 400
@@ -42,7 +42,7 @@ class RefineConfig:
     hinge: float = 0.004
     damping: float = 1e-3
     contour: float = 1.0
-    brightness: float = 1.0
+    brightness: float = 0.4
     noise: MotionNoise = field(default_factory=MotionNoise)
 
     def __post_init__(self) -> None:
