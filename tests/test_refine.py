@@ -270,10 +270,12 @@ def test_bad_input(scene: Capture, wrong: tuple[list[Frame], Body, list[Estimate
     frames, body, estimates = wrong
     with pytest.raises(InputError, match="takes at least 3"):
         refine(frames[:2], body, scene.rig, estimates[:2])
-    with pytest.raises(InputError, match="another number of frames"):
+    with pytest.raises(InputError, match="not those of the estimates"):
         refine(frames[:4], body, scene.rig, estimates[:5])
-    with pytest.raises(InputError, match="another number of frames"):
+    with pytest.raises(InputError, match="not those of the estimates"):
         refine(frames[:5], body, scene.rig, estimates[:4])
+    with pytest.raises(InputError, match="not those of the estimates"):
+        refine(frames[1:5], body, scene.rig, estimates[:4])
     bad = replace(estimates[1], pose=Pose(estimates[1].pose.root, np.full_like(estimates[1].pose.q, np.nan)))
     with pytest.raises(InputError, match="pose of frame 1 is not finite"):
         refine(frames[:3], body, scene.rig, [estimates[0], bad, estimates[2]])

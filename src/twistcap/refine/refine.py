@@ -75,7 +75,7 @@ def refine(
         tell: is told how far it is.
 
     Raises:
-        InputError: for fewer than three frames, numbers of frames and estimates that differ, poses that are not
+        InputError: for fewer than three frames, frames that are not those of the estimates, poses that are not
             finite, or images that leave a number open.
     """
     config, tracker = config or RefineConfig(), tracker or TrackerConfig()
@@ -84,13 +84,12 @@ def refine(
     shape, now = Shape.of(body, girth_groups(body), config), tuple(estimates)
     moved: list[float] = []
     while True:
-        coarse = len(moved) < config.coarse_rounds
-        look = _looked(eyes, frames, shape, now, coarse, len(moved), tell)
+        look = _looked(eyes, frames, shape, now, len(moved), tell)
         solution = look.system.solve(config.damping)
         before, shape = shape, shape.stepped(np.clip(solution.shared, -_MOST, _MOST))
         earlier, now = now, _stepped(now, solution, look, tracker)
         moved.append(_mean_move(before.body, earlier, shape.body, now))
-        settled = not coarse and moved[-1] < config.settled
+        settled = not look.coarse and moved[-1] < config.settled
         if settled or len(moved) >= config.rounds:
             return _answer(shape, now, solution, tracker, moved, settled)
 
@@ -106,22 +105,22 @@ def _check(body: Body, estimates: Sequence[Estimate]) -> None:
 
 
 def _looked(
-    eyes: Eyes, frames: Iterable[Frame], shape: Shape, estimates: Sequence[Estimate], coarse: bool, done: int,
-    tell: Tell | None,
-) -> Look:  # fmt: skip
-    """The equations of one round: images, motion, and what is known of the shape beforehand."""
+    eyes: Eyes, frames: Iterable[Frame], shape: Shape, estimates: Sequence[Estimate], done: int, tell: Tell | None
+) -> Look:
+    """The equations of the round after `done` others: images, motion, and what is known of the shape beforehand."""
     config, rounds = eyes.config, eyes.config.rounds
-    look = eyes.look(shape, [e.pose for e in estimates], coarse)
+    look = eyes.look(shape, [e.pose for e in estimates], coarse=done < config.coarse_rounds)
     bridged = _bridged(estimates, config.bridge) if done == 0 else np.zeros(len(estimates), dtype=np.bool_)
     count = 0
     for count, frame in enumerate(frames, 1):
-        if count > len(estimates):
+        if count > len(estimates) or frame.index != estimates[count - 1].index:
+            count = 0
             break
         look.add(frame, trusted=not bridged[count - 1])
         if tell is not None:
             tell(f"round {done + 1} of at most {rounds}", done * len(estimates) + count, rounds * len(estimates))
     if count != len(estimates):
-        raise InputError(f"refine: {len(estimates)} poses, but another number of frames; give those that were tracked.")
+        raise InputError("refine: the frames are not those of the estimates; give the frames that were tracked.")
     eyes.learn(look)
     add_accelerations(look.system, [e.pose for e in estimates], [e.time for e in estimates], config.noise)
     # Images are counted at their own noise, of which the claimed one is a multiple; so must the prior be.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -46,39 +46,44 @@ class Shape:
         sigma = np.repeat([config.length, config.girth, config.joint], sizes)
         return Shape(body, stretched, widened, moved, sigma, np.zeros(len(sigma)))
 
+    @property
+    def _bounds(self) -> tuple[int, int]:
+        """Where among the parameters the girths begin, and the joint centres."""
+        return len(self.stretched), len(self.stretched) + len(self.widened)
+
     def motion(self) -> RestMotion:
         """How the rest pose moves with the parameters."""
-        ones = [[dict.fromkeys(group, 1.0) for group in kind.values()] for kind in (self.stretched, self.widened)]
-        return rest_motion(self.body, *ones, [self.body.segment(name) for name in self.moved])
+        stretched, widened = (
+            [dict.fromkeys(group, 1.0) for group in kind.values()] for kind in (self.stretched, self.widened)
+        )
+        return rest_motion(self.body, stretched, widened, [self.body.segment(name) for name in self.moved])
 
     def prior(self, hinge: float) -> tuple[Float, Float]:
         """Gradient (K,) and information (K, K) of what is known beforehand, at the present shape."""
         information, gradient = np.diag(self.sigma**-2.0), self.total / self.sigma**2
         middles = hinge_middles(self.body) if hinge > 0 else {}
-        for name in middles.keys() & set(self.moved):
-            axis, off = middles[name]
-            start = len(self.stretched) + len(self.widened) + 3 * self.moved.index(name)
-            gradient[start : start + 3] -= axis * (off / hinge**2)
-            information[start : start + 3, start : start + 3] += np.outer(axis, axis) / hinge**2
+        for k, name in enumerate(self.moved):
+            if name in middles:
+                axis, off = middles[name]
+                own = slice(self._bounds[1] + 3 * k, self._bounds[1] + 3 * k + 3)
+                gradient[own] -= axis * (off / hinge**2)
+                information[own, own] += np.outer(axis, axis) / hinge**2
         return gradient, information
 
     def stepped(self, step: Float) -> Shape:
         """The shape after a step (K,)."""
-        a, b = len(self.stretched), len(self.stretched) + len(self.widened)
-        body = rescaled(self.body, _factors(self.stretched, step[:a]), _factors(self.widened, step[a:b]))
-        body = joints_moved(body, dict(zip(self.moved, step[b:].reshape(-1, 3), strict=True)))
-        return Shape(body, self.stretched, self.widened, self.moved, self.sigma, self.total + step)
+        lengths, girths, joints = self.parts(step)
+        body = rescaled(self.body, _factors(self.stretched, lengths), _factors(self.widened, girths))
+        return replace(self, body=joints_moved(body, joints), total=self.total + step)
 
     def parts(self, values: Float) -> tuple[dict[str, float], dict[str, float], dict[str, Float]]:
         """Values (K,) by group of lengths, group of girths, and segment of joints (3,)."""
-        a, b = len(self.stretched), len(self.stretched) + len(self.widened)
-        joints = dict(zip(self.moved, values[b:].reshape(-1, 3), strict=True))
-        along, across = (
-            dict(zip(g, map(float, v), strict=True))
-            for g, v in ((self.stretched, values[:a]), (self.widened, values[a:b]))
-        )
-        return along, across, joints
+        a, b = self._bounds
+        lengths = {name: float(v) for name, v in zip(self.stretched, values[:a], strict=True)}
+        girths = {name: float(v) for name, v in zip(self.widened, values[a:b], strict=True)}
+        return lengths, girths, dict(zip(self.moved, values[b:].reshape(-1, 3), strict=True))
 
 
-def _factors(groups: Groups, logs: Float) -> dict[str, float]:
-    return {name: float(np.exp(value)) for group, value in zip(groups.values(), logs, strict=True) for name in group}
+def _factors(groups: Groups, logs: Mapping[str, float]) -> dict[str, float]:
+    """Factor of every segment of the groups."""
+    return {name: float(np.exp(logs[key])) for key, group in groups.items() for name in group}

@@ -73,10 +73,10 @@ class Arrow:
         """Minimiser and exact covariances (of unit weight).
 
         Args:
-            damping: share by which the diagonals are raised for the step; the covariances are of the same matrix.
+            damping: share by which the diagonals are raised, for the step and the covariances.
 
         Raises:
-            InputError: where the equations leave an unknown open.
+            InputError: where the equations leave an unknown open, or a number is not finite.
         """
         F, D, K = self.border.shape
         diagonal = np.arange(D)
@@ -89,7 +89,7 @@ class Arrow:
             solved = cho_solve_banded((factor, True), right)
             across, free = solved[:, :K], solved[:, K]
             complement = cho_factor(corner - right[:, :K].T @ across)
-        except LinAlgError as error:
+        except (LinAlgError, ValueError) as error:
             raise InputError(
                 "refine: the equations leave a pose or a length open; give more frames or views."
             ) from error
