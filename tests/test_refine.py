@@ -35,6 +35,7 @@ from twistcap.refine.evidence import Instant, Sight, add_brightness, followed_po
 from twistcap.refine.motion import add_accelerations
 from twistcap.refine.system import Arrow
 from twistcap.render import SurfacePoints, render
+from twistcap.settings import TrackerConfig
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.subjects import limbering
 from twistcap.track import track
@@ -266,6 +267,20 @@ def test_what_is_held_stays(scene: Capture, wrong: tuple[list[Frame], Body, list
     assert found.lengths == {} and found.joint_shifts == {} and found.moved[0] > 0.0
 
 
+def test_a_track_by_brightness_is_refined_by_brightness(
+    scene: Capture, wrong: tuple[list[Frame], Body, list[Estimate]]
+) -> None:
+    """From true poses that are each disturbed by themselves: what binds the frames together takes that out."""
+    frames, _, estimates = wrong
+    rng, body = np.random.default_rng(0), scene.true_body
+    noise = np.deg2rad(1.5) * (np.arange(body.dof) >= 6)
+    shaken = [replace(e, pose=scene.true_poses[e.index].retract(noise * rng.normal(size=body.dof))) for e in estimates]
+    config = RefineConfig(rounds=4, coarse_rounds=1, length=0.0, girth=0.0, joint=0.0)
+    found = refine(frames, body, scene.rig, shaken, config, TrackerConfig(method="differential"))
+    assert joint_error(scene, body, found.estimates) < 0.8 * joint_error(scene, body, shaken)
+    assert "photometric" in found.estimates[-1].energies and "contour" not in found.estimates[-1].energies
+
+
 def test_bad_input(scene: Capture, wrong: tuple[list[Frame], Body, list[Estimate]]) -> None:
     frames, body, estimates = wrong
     with pytest.raises(InputError, match="takes at least 3"):
@@ -302,6 +317,8 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert list(refined.indices) == [1, 2, 3, 4, 5] and "refined" in refined.config
     assert Path(told["result"]) == out / "refined" / "refined.h5" and (out / "refined" / "angles.png").is_file()
     assert run("refine", told["result"], "--out", tmp_path / "again", *few) == 0
+    assert run("view", told["result"], "--images", 0, "--save", tmp_path / "page.html") == 0
+    assert run("export", told["result"], "--to", "mot") == 0
     assert run("evaluate", told["result"], "--reference", walk / "truth.npz", "--json") == 0
 
 

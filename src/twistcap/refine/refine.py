@@ -146,14 +146,17 @@ def _stepped(
     """The estimates after a step, which for a pose is no longer than half a radian in any joint."""
     shorter = np.maximum(1.0, 2.0 * np.abs(solution.poses[:, 6:]).max(axis=1, initial=0.0))
     steps, covariances = solution.poses / shorter[:, None], tracker.inflation**2 * solution.covariances
-    support = look.support()
-    return tuple(
-        replace(
-            e, pose=e.pose.retract(steps[t]), covariance=covariances[t], energies=look.energies[t],
-            support=float(support[t]), lost=bool(support[t] < tracker.support.least_share),
-        )
+    moved = [
+        replace(e, pose=e.pose.retract(steps[t]), covariance=covariances[t], energies=look.energies[t])
         for t, e in enumerate(estimates)
-    )  # fmt: skip
+    ]
+    if look.eyes.contour is None:
+        return tuple(moved)  # without contours the tracker's own judgement stands
+    least = tracker.support.least_share
+    judged = zip(moved, look.support(), strict=True)
+    return tuple(
+        e if e.status == "no_images" else replace(e, support=float(s), lost=bool(s < least)) for e, s in judged
+    )
 
 
 def _mean_move(before: Body, earlier: Sequence[Estimate], after: Body, later: Sequence[Estimate]) -> float:
