@@ -19,7 +19,6 @@ from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
 from twistcap.firstpose import girth_groups
-from twistcap.refine.again import tracked_again
 from twistcap.refine.look import Eyes, Look
 from twistcap.refine.motion import add_accelerations
 from twistcap.refine.settings import RefineConfig
@@ -90,11 +89,9 @@ def refine(
         before, shape = shape, shape.stepped(np.clip(solution.shared, -_MOST, _MOST))
         earlier, now = now, _stepped(now, solution, look, tracker)
         moved.append(_mean_move(before.body, earlier, shape.body, now))
-        settled = len(moved) > config.again and not look.coarse and moved[-1] < config.settled
+        settled = not look.coarse and moved[-1] < config.settled
         if settled or len(moved) >= config.rounds:
             return _answer(shape, now, solution, tracker, moved, settled)
-        if len(moved) == config.again:
-            now = tracked_again(frames, shape.body, eyes.rig, now, tracker, config.lead)
 
 
 def _check(body: Body, estimates: Sequence[Estimate]) -> None:

@@ -20,8 +20,6 @@ class RefineConfig:
         settled: m; the rounds end where one has moved the landmarks no farther than this, in the mean over all frames.
         strides: frames between the two whose brightness is compared; each step takes all of them.
         bridge: s; lost spans that are shorter are bridged by motion alone in the first round.
-        again: rounds after which lost spans are tracked again, with the body as it is then; 0 for never.
-        lead: s before such a span from which it is tracked.
         points: surface points whose brightness is compared, in each view.
         length, girth: how far a log-length and a log-girth may be off (standard deviation); 0 holds them.
         joint: m by which each joint centre may be off in each direction; 0 holds them.
@@ -37,8 +35,6 @@ class RefineConfig:
     settled: float = 2.5e-4
     strides: tuple[int, ...] = (1, 3, 6)
     bridge: float = 0.2
-    again: int = 3
-    lead: float = 0.5
     points: int = 400
     length: float = 0.05
     girth: float = 0.04
