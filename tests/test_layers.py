@@ -29,6 +29,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("settings",),
     ("track",),
     ("firstpose",),
+    ("refine",),
     ("studio",),
     ("bodyfit",),
     ("keyviews",),

@@ -14,6 +14,7 @@ from twistcap import se3
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.body.kinematics import unit_vertex_normals
+from twistcap.body.shape import joint_coordinates
 from twistcap.camera import Camera, look_at
 from twistcap.errors import InputError
 from twistcap.io.calibration import read_rig
@@ -24,7 +25,6 @@ from twistcap.studio import mismatch as M
 from twistcap.studio.config import stream
 from twistcap.studio.look import Look, look
 from twistcap.studio.marring import paint_rectangles, replace_pixels
-from twistcap.studio.mismatch import joint_coordinates
 from twistcap.studio.motion import gait
 from twistcap.studio.picture import render_body
 from twistcap.studio.scene import PERSON_SHARE

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 
 from twistcap import se3
 from twistcap._typing import Float, Int
-from twistcap.body.kinematics import skin_points
+from twistcap.body.kinematics import Posed, skin_points
 from twistcap.body.model import Body, Landmarks
 from twistcap.errors import InputError
 
@@ -57,14 +58,8 @@ def joint_origin(body: Body, segment: int) -> Float:
     if k < 0:
         own = body.vertices[body.vertex_part == segment]
         return own.mean(axis=0) if len(own) else np.zeros(3)
-    above = int(body.segment_parent[segment])
-    top = int(body.segment_joint[above]) if above >= 0 else -1
-    axes: list[Float] = []
-    while k >= 0 and k != top:
-        axes.append(body.twists[k])
-        k = int(body.parent[k])
-    w = np.array([a[:3] for a in axes])
-    v = np.array([a[3:] for a in axes])
+    axes = body.twists[joint_coordinates(body, segment)]
+    w, v = axes[:, :3], axes[:, 3:]
     normal = -se3.hat(w)  # the point p of each axis solves ω × p = −v
     rows, rhs = -normal.reshape(-1, 3), -v.reshape(-1)
     prior = body.landmarks.points[body.landmarks.segments == segment]
@@ -84,11 +79,12 @@ def joint_coordinates(body: Body, segment: int) -> list[int]:
     return out
 
 
-def marks_of(body: Body, segment: int, centre: Float, within: float = 0.01) -> Int:
-    """Landmarks (indices) that mark a joint: on one of its two segments and at its centre."""
+def marks_of(body: Body, segment: int, within: float = 0.01) -> Int:
+    """Landmarks (indices) that mark a segment's joint: on one of its two segments and at its centre."""
     marks = body.landmarks
     beside = (marks.segments == segment) | (marks.segments == body.segment_parent[segment])
-    return np.flatnonzero(beside & (np.linalg.norm(marks.points - centre, axis=1) < within)).astype(np.int32)
+    off = np.linalg.norm(marks.points - joint_origin(body, segment), axis=1)
+    return np.flatnonzero(beside & (off < within)).astype(np.int32)
 
 
 def _centroid(body: Body, segment: int) -> Float:
@@ -134,10 +130,151 @@ def warped(body: Body, maps: Float) -> Body:
         if body.segment_joint[s] < 0:
             continue
         moved = se3.apply(maps[above], joint_origin(body, s)[None])[0]
-        top = int(body.segment_joint[above])
-        k = int(body.segment_joint[s])
-        while k >= 0 and k != top:  # every axis of the joint moves with the joint's centre, directions stay
+        for k in joint_coordinates(body, s):  # every axis moves with the joint's centre, directions stay
             if np.any(twists[k, :3]):
                 twists[k, 3:] = -np.cross(twists[k, :3], moved)
-            k = int(body.parent[k])
     return replace(body, vertices=vertices, twists=twists, landmarks=Landmarks(marks.names, marks.segments, points))
+
+
+@dataclass(frozen=True)
+class RestMotion:
+    """How a body's rest pose changes with each of K shape parameters, to first order.
+
+    Attributes:
+        maps: (K, S, 4, 4) velocity of each segment's rest points, homogeneous (last row 0), per unit of the parameter.
+        joints: (K, S, 3) velocity of each segment's proximal joint centre, in the rest pose, m per unit.
+    """
+
+    maps: Float
+    joints: Float
+
+    def rates(self, posed: Posed, segments: Int, weights: Float, local: Float, gradient: Float) -> Float:
+        """(N, K) derivative by the parameters of residuals whose gradients by their skinned world points are (N, 3).
+
+        A joint centre that moves by d below parent p carries all below it by (R_p - R_s) d: it moves with the parent,
+        and the segment turns about it. The surface itself moves in the rest pose and is skinned after.
+        """
+        by_segment = _rest_rows(posed.segment_transforms, segments, weights, local, gradient)
+        moved = np.concatenate([self._carried(posed), self.maps[:, :, :3].reshape(*self.maps.shape[:2], 12)], axis=2)
+        return by_segment @ moved.reshape(len(moved), by_segment.shape[1]).T
+
+    def _carried(self, posed: Posed) -> Float:
+        """(K, S, 3) world velocity of each segment because of the joint centres above it."""
+        R, out = posed.segment_transforms[:, :3, :3], np.zeros_like(self.joints)
+        for s, above in enumerate(posed.body.segment_parent):
+            if above >= 0:
+                out[:, s] = out[:, above] + self.joints[:, s] @ (R[above] - R[s]).T
+        return out
+
+
+@njit(cache=True, nogil=True)
+def _rest_rows(transforms: Float, segments: Int, weights: Float, local: Float, gradient: Float) -> Float:
+    """(N, 15 S) derivative of residuals by each segment's shift (3) and by the map (3 x 4) of its rest points."""
+    out, turned = np.zeros((len(local), 15 * len(transforms))), np.zeros(3)
+    for n in range(len(local)):
+        turned[:] = 0.0  # the gradient in the rest pose
+        for k in range(segments.shape[1]):
+            for i in range(3):
+                for j in range(3):
+                    turned[i] += weights[n, k] * transforms[segments[n, k], j, i] * gradient[n, j]
+        for k in range(segments.shape[1]):
+            w, at = weights[n, k], 15 * segments[n, k]
+            for i in range(3):
+                out[n, at + i] += w * gradient[n, i]
+                for j in range(3):
+                    out[n, at + 3 + 4 * i + j] += w * turned[i] * local[n, j]
+                out[n, at + 6 + 4 * i] += w * turned[i]
+    return out
+
+
+def rest_motion(
+    body: Body, stretched: Sequence[Mapping[str, float]], widened: Sequence[Mapping[str, float]], moved: Sequence[int]
+) -> RestMotion:
+    """`RestMotion` by the logarithms of lengths and girths of groups of segments, then by x, y, z of joint centres.
+
+    Args:
+        stretched, widened: of each parameter, the segments and the rate at which each one's log-length or girth grows.
+        moved: segments whose proximal joint moves; three parameters (m) each.
+    """
+    h, S = 1e-6, len(body.segment_names)
+    factors = [({n: float(np.exp(h * r)) for n, r in g.items()}, {}) for g in stretched]
+    factors += [({}, {n: float(np.exp(h * r)) for n, r in g.items()}) for g in widened]
+    K = len(factors) + 3 * len(moved)
+    maps, joints = np.zeros((K, S, 4, 4)), np.zeros((K, S, 3))
+    origins = np.array([joint_origin(body, s) for s in range(S)])
+    parents = np.maximum(body.segment_parent, 0)
+    for k, (lengths, girths) in enumerate(factors):
+        maps[k] = (stretch_maps(body, lengths, girths) - np.eye(4)) / h
+        joints[k] = (maps[k, parents, :3, :3] @ origins[..., None])[..., 0] + maps[k, parents, :3, 3]
+    for i, s in enumerate(moved):
+        for axis in range(3):
+            joints[len(factors) + 3 * i + axis, s, axis] = 1.0
+    return RestMotion(maps, joints)
+
+
+def joints_moved(body: Body, shifts: Mapping[str, Float]) -> Body:
+    """Joint centres moved by (3,) m in the rest pose, by the name of the segment below; landmarks that mark them too.
+
+    The axes keep their directions and the surface its place, so that the angles keep their meaning.
+
+    Raises:
+        InputError: for an unknown segment, or one without a joint.
+    """
+    twists, points = body.twists.copy(), body.landmarks.points.copy()
+    for name, shift in shifts.items():
+        if name not in body.segment_names or body.segment_joint[body.segment(name)] < 0:
+            raise InputError(f"body {body.name!r} has no segment {name!r} with a joint; check the name.")
+        s = body.segment(name)
+        for k in joint_coordinates(body, s):
+            twists[k, 3:] -= np.cross(twists[k, :3], shift)
+        points[marks_of(body, s)] += shift
+    return replace(body, twists=twists, landmarks=Landmarks(body.landmarks.names, body.landmarks.segments, points))
+
+
+def hinge_middles(body: Body, crosswise: float = 0.7) -> dict[str, tuple[Float, float]]:
+    """Where along its axis each hinge that lies across its limb has the middle of the limb, by the segment below.
+
+    A hinge does not know where on its axis its centre is; by custom (ISB; Wu et al. 2002, 2005) it is the middle.
+
+    Args:
+        crosswise: greatest cosine between axis and segment of a hinge that counts as lying across.
+
+    Returns:
+        of each such hinge its unit axis (3,) in the rest pose, and how far (m) along it the middle is from the centre.
+    """
+    origins, along = segment_axes(body)
+    out: dict[str, tuple[Float, float]] = {}
+    for s, name in enumerate(body.segment_names):
+        joint, above = joint_coordinates(body, s), int(body.segment_parent[s])
+        axis = body.twists[joint[0], :3] if len(joint) == 1 else np.zeros(3)
+        if not axis.any() or abs(axis @ along[s]) > crosswise:
+            continue
+        own = body.faces[np.isin(body.vertex_part[body.faces], (s, above)).all(axis=1)]
+        crossed = _line_crossings(body.vertices[own], origins[s], axis)
+        if crossed.min(initial=0.0) < 0.0 < crossed.max(initial=0.0):
+            inner, outer = crossed[crossed < 0.0].max(), crossed[crossed > 0.0].min()
+            out[name] = (axis, 0.5 * float(inner + outer))
+    return out
+
+
+def _line_crossings(triangles: Float, origin: Float, direction: Float) -> Float:
+    """Where (m along the unit direction) a line meets triangles (F, 3, 3); Möller and Trumbore 1997."""
+    a, e, f = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
+    across = np.cross(direction, f)
+    volume = np.sum(e * across, axis=1)
+    scale = 1.0 / np.where(np.abs(volume) > 1e-12, volume, np.inf)
+    start = origin - a
+    u, turned = scale * np.sum(start * across, axis=1), np.cross(start, e)
+    v = scale * (turned @ direction)
+    inside = (scale != 0.0) & (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0)
+    return (scale * np.sum(f * turned, axis=1))[inside]
+
+
+def joint_distances(body: Body) -> dict[str, float]:
+    """Distance (m) from a segment's joint to that of the segment that hangs on it, of those on which one hangs."""
+    out: dict[str, float] = {}
+    for s, name in enumerate(body.segment_names):
+        children = np.flatnonzero(body.segment_parent == s)
+        if body.segment_joint[s] >= 0 and len(children) == 1:
+            out[name] = float(np.linalg.norm(joint_origin(body, int(children[0])) - joint_origin(body, s)))
+    return out

@@ -194,7 +194,7 @@ def _marks_with(body: Body, joints: Float) -> Float:
     """(M, L, 3) motion of the landmarks that mark joints moved by (M, S, 3)."""
     out = np.zeros((len(joints), *body.landmarks.points.shape))
     for s in np.flatnonzero(body.segment_joint >= 0):
-        out[:, marks_of(body, int(s), joint_origin(body, int(s)))] += joints[:, s, None]
+        out[:, marks_of(body, int(s))] += joints[:, s, None]
     return out
 
 

@@ -10,8 +10,7 @@ from twistcap import se3
 from twistcap._typing import Float
 from twistcap.body import Body, Pose
 from twistcap.body.kinematics import Posed, skin_points, unit_vertex_normals
-from twistcap.body.model import Landmarks
-from twistcap.body.shape import joint_coordinates, joint_origin, marks_of, segment_axes
+from twistcap.body.shape import joints_moved, segment_axes
 from twistcap.camera import Camera, Rig
 
 GIRTH = 1.04  # factor of the surface's distance from each segment's axis
@@ -54,13 +53,8 @@ def with_joint_noise(body: Body, distance: float, rng: np.random.Generator) -> B
 
     The axes keep their directions and the surface its place, so that the pose of the truth still means the same.
     """
-    twists, points = body.twists.copy(), body.landmarks.points.copy()
-    for s in np.flatnonzero(body.segment_joint >= 0):
-        centre, shift = joint_origin(body, int(s)), distance * _directions(rng, 1)[0]
-        for k in joint_coordinates(body, int(s)):
-            twists[k, 3:] -= np.cross(twists[k, :3], shift)
-        points[marks_of(body, int(s), centre)] += shift
-    return replace(body, twists=twists, landmarks=Landmarks(body.landmarks.names, body.landmarks.segments, points))
+    jointed = [name for name, joint in zip(body.segment_names, body.segment_joint, strict=True) if joint >= 0]
+    return joints_moved(body, {name: distance * _directions(rng, 1)[0] for name in jointed})
 
 
 def wrong_rig(rig: Rig, rng: np.random.Generator) -> Rig:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from twistcap._typing import Float
-from twistcap.body import Body
+from twistcap.body import Body, Pose
 from twistcap.studio.config import stream
 from twistcap.studio.motion import gait
 
@@ -47,3 +47,33 @@ def squats(body: Body, frames: int = 120, times: int = 2) -> Float:
             if f"{joint}_{side}" in body.coordinate_names:
                 q[:, body.coordinate(f"{joint}_{side}")] = np.deg2rad(degrees) * deep
     return np.clip(q, body.limits[:, 0], body.limits[:, 1])
+
+
+# Degrees: middle, excursion, and cycles in the whole exercise; the left side half a cycle later.
+_LIMBERING: dict[str, tuple[float, float, float]] = {
+    "lumbar_extension": (-12, 14, 2), "lumbar_bending": (0, 14, 3), "lumbar_rotation": (0, 20, 2),
+    "neck_extension": (0, 18, 3), "neck_bending": (0, 15, 2), "neck_rotation": (0, 25, 3),
+    "arm_add": (-50, 28, 2), "arm_flex": (30, 40, 3), "arm_rot": (0, 35, 2),
+    "elbow_flex": (60, 45, 3), "pro_sup": (10, 50, 2),
+    "hip_flexion": (35, 35, 2), "hip_adduction": (-14, 14, 3), "hip_rotation": (0, 18, 2),
+    "knee_angle": (50, 42, 3), "ankle_angle": (0, 17, 2), "subtalar_angle": (3, 13, 3),
+}  # fmt: skip
+
+
+def limbering(body: Body, frames: int = 90) -> list[Pose]:
+    """Every joint swung through much of its range, standing on the spot: what joint centres are told by.
+
+    Functional calibration of joints asks for such motion (Ehrig et al. 2006, DOI 10.1016/j.jbiomech.2005.10.002).
+
+    Args:
+        body: with OpenSim's coordinate names; coordinates that it lacks are left out.
+        frames: of the whole exercise, 2 to 3 cycles of each joint.
+    """
+    at = np.arange(frames) / frames
+    q = np.zeros((frames, len(body.coordinate_names)))
+    for n, (joint, (middle, excursion, cycles)) in enumerate(_LIMBERING.items()):
+        for name, shift in ((joint, 0.0), (f"{joint}_r", 0.0), (f"{joint}_l", 0.5)):
+            if name in body.coordinate_names:
+                swing = np.sin(2 * np.pi * (cycles * at + shift + 0.381966 * n))
+                q[:, body.coordinate(name)] = np.deg2rad(middle + excursion * swing)
+    return [Pose(np.eye(4), angles) for angles in np.clip(q, body.limits[:, 0], body.limits[:, 1])]

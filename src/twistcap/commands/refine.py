@@ -1,0 +1,168 @@
+"""``twistcap refine``: a whole track put right, with the lengths and joint centres of its body."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from twistcap.commands import terminal
+from twistcap.commands.terminal import words
+from twistcap.errors import InputError
+
+
+def refine(
+    result: Annotated[Path, typer.Argument(help="result.h5 of a track.", metavar="RESULT")],
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for what is written; RESULT's folder/refined by default.")
+    ] = None,
+    frames: Annotated[str | None, typer.Option(help="FIRST:LAST, both included.")] = None,
+    session: Annotated[
+        Path | None, typer.Option(help="Session that names the videos, where the result's own are elsewhere.")
+    ] = None,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A setting of docs/refine.md.")
+    ] = None,
+    json: terminal.Json = False,
+) -> None:
+    """Refine a track over all its frames together: poses, segment lengths, girths and joint centres.
+
+    Writes refined.h5 (for view, export and evaluate), angles.png, the session's exports and overlay.mp4.
+
+    Examples:
+
+      twistcap refine out/walk/result.h5
+
+      twistcap refine out/walk/result.h5 --frames 0:59 --set joint=0 --out out/walk-refined
+    """
+    document = _run(result, out or result.parent / "refined", terminal.frame_range(frames), session, set_ or [])
+    if json:
+        terminal.emit(document)
+    else:
+        tell(document)
+
+
+def _run(
+    path: Path, out: Path, span: tuple[int, int] | None, session_path: Path | None, settings: list[str]
+) -> dict[str, Any]:
+    from twistcap.commands.track import parsed_settings
+    from twistcap.io.result import read_result
+    from twistcap.io.session import load_session
+    from twistcap.io.strict import dataclass_from
+    from twistcap.refine import RefineConfig
+    from twistcap.refine import refine as refined
+
+    result = read_result(path)
+    config = dataclass_from(RefineConfig, parsed_settings(settings), "--set", "refine")
+    session = _session(result, path) if session_path is None else load_session(session_path)
+    chosen = [e for e in result.estimates if span is None or span[0] <= e.index <= span[1]]
+    views = _views(session, result.rig, [e.index for e in chosen], path)
+    folder = terminal.output_folder(out)
+    with terminal.telling("refining") as told:
+        found = refined(views, result.body, views.image_rig, chosen, config, session.tracker_config, told)
+    return {
+        "id": "refine",
+        "result": folder / "refined.h5",
+        "frames": len(chosen),
+        "moved_mm": [1000.0 * step for step in found.moved],
+        **_shape(result.body, found),
+        "files": _written(result, found, session, views, folder),
+    }
+
+
+def _session(result: Any, path: Path) -> Any:
+    """The session that the result was tracked with, as the file keeps it."""
+    from twistcap.io.session import Session
+    from twistcap.io.strict import validated
+
+    data = {key: value for key, value in result.config.items() if key != "refined"}
+    if "videos" not in data:
+        raise InputError(f"{path} was not made from a session and names no videos; give one with --session.")
+    return validated(Session, data, str(path), {"folder": Path()})
+
+
+def _views(session: Any, rig: Any, indices: list[int], path: Path) -> Any:
+    """The frames of the estimates.
+
+    Raises:
+        InputError: where there are none, some are missing between them, or the videos do not hold them.
+    """
+    from twistcap.io.recording import views_of
+
+    if len(indices) < 3:
+        raise InputError(f"{path}: {len(indices)} frames are chosen of it; refining takes at least 3 (see --frames).")
+    steps = set(np.diff(indices).tolist())
+    if len(steps) > 1:
+        raise InputError(f"{path}: its frames are not evenly spaced; choose some that are with --frames.")
+    views = views_of(session.model_copy(update={"frames": (indices[0], indices[-1])}), rig)
+    return replace(views, indices=range(indices[0], indices[-1] + 1, steps.pop()))
+
+
+def _shape(before: Any, found: Any) -> dict[str, Any]:
+    """What became of the body's shape: factors with their standard deviations, joint centres in mm."""
+    from twistcap.body.shape import joint_distances
+
+    old, new = joint_distances(before), joint_distances(found.body)
+    return {
+        "lengths": [
+            {"group": name, "factor": factor, "sigma": found.length_sigmas[name]}
+            for name, factor in found.lengths.items()
+        ],
+        "girths": [
+            {"group": name, "factor": factor, "sigma": found.girth_sigmas[name]}
+            for name, factor in found.girths.items()
+        ],
+        "bones": [{"segment": n, "before_mm": 1000 * mm, "after_mm": 1000 * new[n]} for n, mm in old.items()],
+        "joints": [
+            {"segment": name, "shift_mm": 1000 * shift, "sigma_mm": 1000 * found.joint_sigmas[name]}
+            for name, shift in found.joint_shifts.items()
+        ],
+    }
+
+
+def _written(result: Any, found: Any, session: Any, views: Any, folder: Path) -> list[Path]:
+    from twistcap.commands import outputs
+    from twistcap.io.result import ResultWriter, read_result
+
+    path = folder / "refined.h5"
+    kept = {**result.config, "refined": {"moved_m": list(found.moved), "lengths": dict(found.lengths)}}
+    with ResultWriter(path, found.body, result.rig, kept) as writer:
+        for estimate in found.estimates:
+            writer.append(estimate)
+    with words.status("writing plots, exports and the overlay"):
+        refined = read_result(path)
+        files = [path, *outputs.write_exports(refined, session.output.exports, folder)]
+        files.append(outputs.write_angle_plot(refined, folder))
+        if session.output.overlay:
+            fps = min(views.fps / session.step, 60.0)
+            files.append(
+                outputs.write_overlay(refined, views, views.image_rig, folder, fps, f"{session.title} refined")
+            )
+    return files
+
+
+def tell(document: dict[str, Any]) -> None:
+    """The end of a run, for a person."""
+    table = Table(title="shape", title_justify="left")
+    for name in ("segments", "length", "± (1σ)", "girth", "± (1σ)"):
+        table.add_column(name, justify="left" if name == "segments" else "right")
+    girths = {item["group"]: item for item in document["girths"]}
+    for item in document["lengths"]:
+        girth = girths.get(item["group"])
+        table.add_row(item["group"], *_per_cent(item), *(("", "") if girth is None else _per_cent(girth)))
+    Console(highlight=False).print(table)
+    for bone in document["bones"]:
+        words.print(f"{bone['segment']}: {bone['before_mm']:.0f} mm before, {bone['after_mm']:.0f} mm now")
+    moved = ", ".join(f"{step:.1f}" for step in document["moved_mm"])
+    words.print(f"{document['frames']} frames; the landmarks moved {moved} mm from round to round")
+    for path in document["files"]:
+        typer.echo(path)
+
+
+def _per_cent(item: dict[str, Any]) -> tuple[str, str]:
+    return f"{100 * (item['factor'] - 1):+.1f} %", f"{100 * item['sigma']:.1f} %"

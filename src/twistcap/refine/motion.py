@@ -1,0 +1,53 @@
+"""Smooth motion over a sequence: Gaussian accelerations between neighbouring frames, two-sided in time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from twistcap import se3
+from twistcap._typing import Float
+from twistcap.body import Pose
+from twistcap.predict import MotionNoise, covariance_about
+from twistcap.refine.system import Arrow
+
+
+def add_accelerations(system: Arrow, poses: Sequence[Pose], times: Sequence[float], noise: MotionNoise) -> float:
+    """Add the change of velocity at every inner frame to the equations; its energy.
+
+    Velocity from one frame to the next is ``log(M' M⁻¹) / Δt`` and ``Δq / Δt``; its change over the mean Δt is an
+    acceleration of the standard deviations of `noise`, the root's about the body.
+    """
+    energy = 0.0
+    for t in range(1, len(poses) - 1):
+        before, after = times[t] - times[t - 1], times[t + 1] - times[t]
+        energy += _add_one(system, t, poses[t - 1 : t + 2], (before, after), noise)
+    return energy
+
+
+def _add_one(system: Arrow, t: int, poses: Sequence[Pose], dt: tuple[float, float], noise: MotionNoise) -> float:
+    first, second = poses[1].minus(poses[0]), poses[2].minus(poses[1])
+    residual = second / dt[1] - first / dt[0]
+    (from_a, to_b), (from_b, to_c) = _derivatives(first), _derivatives(second)
+    J = (-from_a / dt[0], from_b / dt[1] - to_b / dt[0], to_c / dt[1])
+    D, mean = len(residual), 0.5 * (dt[0] + dt[1])
+    variance = np.full(D, (noise.joint * mean) ** 2)
+    variance[:3], variance[3:6] = (noise.turn * mean) ** 2, (noise.shift * mean) ** 2
+    _, information = covariance_about(variance, poses[1].root[:3, 3])
+    root = np.linalg.cholesky(information).T  # rows that the unit weight fits
+    white = root @ residual
+    system.add_rows((t - 1, t, t + 1), tuple(root @ j for j in J), None, np.ones(D), white)
+    return 0.5 * float(white @ white)
+
+
+def _derivatives(step: Float) -> tuple[Float, Float]:
+    """(D, D) derivatives of the step between two poses by the steps of the one it starts from and of the other.
+
+    ``log(exp(δ') D exp(−δ))``: by δ' the inverse left Jacobian at the step, by δ minus the inverse right one.
+    """
+    D = len(step)
+    start, end = -np.eye(D), np.eye(D)
+    end[:6, :6] = se3.inverse_left_jacobian_one(step[:6])
+    start[:6, :6] = -se3.inverse_left_jacobian_one(-step[:6])
+    return start, end

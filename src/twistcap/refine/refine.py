@@ -1,0 +1,183 @@
+"""Refinement of a whole track: look, sum, solve for all frames and the body's shape, and look again.
+
+What Bregler and Malik do to a tracked sequence (CVPR 1998, section 2.5, DOI 10.1109/CVPR.1998.698581), with contours,
+perspective and joint centres beside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Protocol
+
+import numpy as np
+
+from twistcap._typing import Bool, Float
+from twistcap.body import Body, Posed
+from twistcap.camera import Rig
+from twistcap.errors import InputError
+from twistcap.estimate import Estimate, Frame
+from twistcap.firstpose import girth_groups
+from twistcap.refine.look import Eyes, Look
+from twistcap.refine.motion import add_accelerations
+from twistcap.refine.settings import RefineConfig
+from twistcap.refine.shape import Shape
+from twistcap.refine.system import Solution
+from twistcap.settings import TrackerConfig
+
+_LEAST_FRAMES = 3
+_MOST = 0.1  # of a log-length, or m of a joint centre, in one step: beyond it no linearisation holds
+
+
+class Tell(Protocol):
+    """Is told how far the work is."""
+
+    def __call__(self, note: str, done: int = 0, total: int | None = None) -> None: ...
+
+
+@dataclass(frozen=True)
+class Refined:
+    """A refined track.
+
+    Attributes:
+        body: with the refined lengths, girths and joint centres.
+        estimates: one for each given; their covariances count what is not known of the shape.
+        lengths, girths: factor of each group of segments against the body given.
+        length_sigmas, girth_sigmas: standard deviations of the factors' logarithms.
+        joint_shifts, joint_sigmas: (3,) m in the rest pose and standard deviations, by the segment below the joint.
+        moved: m that the landmarks moved in each round, mean over all frames.
+    """
+
+    body: Body
+    estimates: tuple[Estimate, ...]
+    lengths: Mapping[str, float]
+    length_sigmas: Mapping[str, float]
+    girths: Mapping[str, float]
+    girth_sigmas: Mapping[str, float]
+    joint_shifts: Mapping[str, Float]
+    joint_sigmas: Mapping[str, Float]
+    moved: tuple[float, ...]
+
+
+def refine(
+    frames: Iterable[Frame], body: Body, rig: Rig, estimates: Sequence[Estimate], config: RefineConfig | None = None,
+    tracker: TrackerConfig | None = None, tell: Tell | None = None,
+) -> Refined:  # fmt: skip
+    """Refine the poses of all frames, segment lengths, girths and joint centres together.
+
+    Args:
+        frames: those of the estimates, in order; they are gone through once in every round, and never kept.
+        body, rig: that were tracked with.
+        estimates: of the track, one per frame.
+        config: settings of the refinement.
+        tracker: settings of the cues and of the claimed covariance.
+        tell: is told how far it is.
+
+    Raises:
+        InputError: for fewer than three frames, frames that are not those of the estimates, poses that are not
+            finite, or images that leave a number open.
+    """
+    config, tracker = config or RefineConfig(), tracker or TrackerConfig()
+    _check(body, estimates)
+    eyes = Eyes(rig.pinhole(), config, tracker, len(body.segment_names))
+    shape, now = Shape.of(body, girth_groups(body), config), tuple(estimates)
+    moved: list[float] = []
+    while True:
+        look = _looked(eyes, frames, shape, now, len(moved), tell)
+        solution = look.system.solve(config.damping)
+        before, shape = shape, shape.stepped(np.clip(solution.shared, -_MOST, _MOST))
+        earlier, now = now, _stepped(now, solution, look, tracker)
+        moved.append(_mean_move(before.body, earlier, shape.body, now))
+        settled = not look.coarse and moved[-1] < config.settled
+        if settled or len(moved) >= config.rounds:
+            return _answer(shape, now, solution, tracker, moved, settled)
+
+
+def _check(body: Body, estimates: Sequence[Estimate]) -> None:
+    if len(estimates) < _LEAST_FRAMES:
+        raise InputError(f"refine: {len(estimates)} frames are given; it takes at least {_LEAST_FRAMES}.")
+    for e in estimates:
+        if len(e.pose.q) != len(body.coordinate_names):
+            raise InputError(f"refine: frame {e.index} has {len(e.pose.q)} joint coordinates; give the body tracked.")
+        if not (np.all(np.isfinite(e.pose.root)) and np.all(np.isfinite(e.pose.q))):
+            raise InputError(f"refine: the pose of frame {e.index} is not finite; leave the frame out with --frames.")
+
+
+def _looked(
+    eyes: Eyes, frames: Iterable[Frame], shape: Shape, estimates: Sequence[Estimate], done: int, tell: Tell | None
+) -> Look:
+    """The equations of the round after `done` others: images, motion, and what is known of the shape beforehand."""
+    config, rounds = eyes.config, eyes.config.rounds
+    look = eyes.look(shape, [e.pose for e in estimates], coarse=done < config.coarse_rounds)
+    bridged = _bridged(estimates, config.bridge) if done == 0 else np.zeros(len(estimates), dtype=np.bool_)
+    count = 0
+    for count, frame in enumerate(frames, 1):
+        if count > len(estimates) or frame.index != estimates[count - 1].index:
+            count = 0
+            break
+        look.add(frame, trusted=not bridged[count - 1])
+        if tell is not None:
+            tell(f"round {done + 1} of at most {rounds}", done * len(estimates) + count, rounds * len(estimates))
+    if count != len(estimates):
+        raise InputError("refine: the frames are not those of the estimates; give the frames that were tracked.")
+    eyes.learn(look)
+    add_accelerations(look.system, [e.pose for e in estimates], [e.time for e in estimates], config.noise)
+    # Images are counted at their own noise, of which the claimed one is a multiple; so must the prior be.
+    gradient, information = shape.prior(config.hinge)
+    look.system.shared_pull += eyes.tracker.inflation**2 * gradient
+    look.system.corner += eyes.tracker.inflation**2 * information
+    return look
+
+
+def _bridged(estimates: Sequence[Estimate], longest: float) -> Bool:
+    """(F,) which frames are lost in spans shorter than so many seconds, with others at both ends."""
+    out = np.zeros(len(estimates), dtype=np.bool_)
+    kept = [t for t, e in enumerate(estimates) if not e.lost]
+    for before, after in pairwise(kept):
+        if estimates[after].time - estimates[before].time <= longest:
+            out[before + 1 : after] = True
+    return out
+
+
+def _stepped(
+    estimates: Sequence[Estimate], solution: Solution, look: Look, tracker: TrackerConfig
+) -> tuple[Estimate, ...]:
+    """The estimates after a step, which for a pose is no longer than half a radian in any joint."""
+    shorter = np.maximum(1.0, 2.0 * np.abs(solution.poses[:, 6:]).max(axis=1, initial=0.0))
+    steps, covariances = solution.poses / shorter[:, None], tracker.inflation**2 * solution.covariances
+    moved = [
+        replace(e, pose=e.pose.retract(steps[t]), covariance=covariances[t], energies=look.energies[t])
+        for t, e in enumerate(estimates)
+    ]
+    if look.eyes.contour is None:
+        return tuple(moved)  # without contours the tracker's own judgement stands
+    least = tracker.support.least_share
+    judged = zip(moved, look.support(), strict=True)
+    return tuple(
+        e if e.status == "no_images" else replace(e, support=float(s), lost=bool(s < least)) for e, s in judged
+    )
+
+
+def _mean_move(before: Body, earlier: Sequence[Estimate], after: Body, later: Sequence[Estimate]) -> float:
+    """Mean distance (m) by which the landmarks, or where there are none the segments, moved."""
+    places = [[Posed(body, e.pose) for e in es] for body, es in ((before, earlier), (after, later))]
+    old, new = (np.stack([p.landmarks if len(p.landmarks) else p.segment_middles for p in ps]) for ps in places)
+    return float(np.linalg.norm(new - old, axis=2).mean())
+
+
+def _answer(
+    shape: Shape, estimates: Sequence[Estimate], solution: Solution, tracker: TrackerConfig, moved: Sequence[float],
+    settled: bool,
+) -> Refined:  # fmt: skip
+    lengths, girths, joints = shape.parts(shape.total)
+    sigmas = shape.parts(tracker.inflation * np.sqrt(np.diagonal(solution.shared_covariance)))
+    status = "converged" if settled else "max_iterations"
+    out = tuple(
+        replace(e, iterations=len(moved), status=status if e.status != "no_images" else e.status) for e in estimates
+    )
+    return Refined(shape.body, out, _exp(lengths), sigmas[0], _exp(girths), sigmas[1], joints, sigmas[2], tuple(moved))
+
+
+def _exp(logs: Mapping[str, float]) -> dict[str, float]:
+    return {name: float(np.exp(value)) for name, value in logs.items()}
