@@ -9,7 +9,7 @@ import pytest
 
 from twistcap.errors import InputError
 from twistcap.evaluate import reproduce
-from twistcap.evaluate.cases import PRIOR, STUDIO, UNITS, Bar, Case, Suite
+from twistcap.evaluate.cases import STUDIO, SUITES, UNITS, Bar, Case, Suite
 from twistcap.evaluate.experiments import EXPERIMENTS
 from twistcap.evaluate.sequence import Outcome, Pictures, noisy_keypoints, run_case
 from twistcap.predict import MotionNoise
@@ -49,12 +49,12 @@ def test_names_choose_lines_of_the_table() -> None:
     assert [case.id for case in reproduce.selected("stereo-exact").cases] == ["stereo-exact"]
     both = reproduce.selected("direct-levelset-exact")
     assert {case.id for case in both.cases} == {"4-views-exact-direct", "4-views-exact-levelset"}
-    with pytest.raises(InputError, match="no case 'walk'; choose one of studio, prior, 4-views-exact-direct"):
+    with pytest.raises(InputError, match="no case 'walk'; choose one of studio, prior, harder, 4-views-exact-direct"):
         reproduce.selected("walk")
     with pytest.raises(InputError, match="--seeds"):
         reproduce.run("studio", (), True, silent)
     assert len({item["id"] for item in reproduce.listed()}) == (
-        len(STUDIO.cases) + len(STUDIO.agreements) + len(PRIOR.cases) + len(EXPERIMENTS)
+        sum(len(suite.cases) + len(suite.agreements) for suite in SUITES) + len(EXPERIMENTS)
     )
 
 

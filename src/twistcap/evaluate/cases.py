@@ -94,7 +94,7 @@ class Suite:
     agreements: tuple[Agreement, ...] = field(default=())
 
 
-def followed(khe_deg: float, joints_mm: float | None = None) -> tuple[Bar, ...]:
+def followed(khe_deg: float | None, joints_mm: float | None = None) -> tuple[Bar, ...]:
     """What is asked of a tracked sequence: angles, joints, none lost; coverage and time are told beside."""
     return (
         Bar("KHE", khe_deg),
@@ -181,4 +181,18 @@ _UNFITTING = Case(
 )
 PRIOR = Suite("prior", (_STEREO, _UNFITTING))
 
-SUITES = (STUDIO, PRIOR)
+_HARDER = (
+    ("twice-as-fast", "a walk at twice its speed", StudioConfig(views=4, speed_factor=2.0), 1, followed(None, 8.0)),
+    ("one-colour", "the whole body in one colour without texture", StudioConfig(views=4, one_colour=True), 1,
+     followed(None, 8.0)),
+    ("15fps", "every fourth frame only", StudioConfig(views=4, frames=120), 4, followed(1.2)),
+)  # fmt: skip
+HARDER = Suite(
+    "harder",
+    tuple(
+        Case(f"4-views-{name}", f"{says}, 4 views, exact body and cameras", scene, TrackerConfig(), bars, every)
+        for name, says, scene, every, bars in _HARDER
+    ),
+)
+
+SUITES = (STUDIO, PRIOR, HARDER)
