@@ -54,8 +54,8 @@ def write_page(
     files: Sequence[Path],
 ) -> Path:  # fmt: skip
     """Write report.html."""
-    last = {line["metric"] + line["unit"]: line for line in rows if line["case"].endswith("after")}
-    mean, iou = last["surface to silhouette, meanmm"], last["IoU with the segmentation"]
+    after = {line["metric"] + line["unit"]: line for line in rows if line["case"] == f"{title}, after"}
+    mean, iou = after["surface to silhouette, meanmm"], after["IoU with the segmentation"]
     changed = ", ".join(f"{name} {factor:.3f}" for name, factor in factors.items())
     texts = ("the fitted body", "the pose of the first frame", "the session with both")
     return write_report(
