@@ -202,11 +202,19 @@ def test_poor_proportions_in_a_pose_file_are_told(tmp_path: Path) -> None:
         body_at(path, body)
 
 
+def heeds_interrupts() -> None:
+    """What a shell starts in the background ignores them, and so would all that it starts."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 @pytest.mark.parametrize("command", ["init", "view"])
 def test_a_page_is_served_until_interrupted(command: str, made: Path, session: Path) -> None:
     target = session if command == "init" else made / "one" / "result.h5"
     process = subprocess.Popen(
-        [sys.executable, "-m", "twistcap.cli", command, str(target)], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-m", "twistcap.cli", command, str(target)],
+        stdout=subprocess.PIPE,
+        text=True,
+        preexec_fn=heeds_interrupts,
     )
     try:
         assert process.stdout is not None
