@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import pytest
 
 from twistcap.body import Pose, Posed
 from twistcap.cues.reacquire import ReacquireRule, branches
 from twistcap.cues.rivals import Judge, RivalRule
-from twistcap.studio import StudioConfig
+from twistcap.errors import InputError
+from twistcap.settings import TrackerConfig
+from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.scene import default_body
+from twistcap.track import track
 
 BODY = default_body(StudioConfig(seed=0))
+GAP = range(6, 21)
 
 
 @dataclass(frozen=True)
@@ -36,6 +41,29 @@ def _raised(pose: Pose) -> Pose:
     q[BODY.coordinate("arm_flex_r")] += 0.9
     q[BODY.coordinate("elbow_flex_r")] += 0.6
     return Pose(pose.root, q)
+
+
+def test_a_rule_that_draws_nothing_is_told() -> None:
+    for draws, passes in ((0, ((1.0,),)), (9, ()), (9, ((),))):
+        with pytest.raises(InputError, match="reacquire: draws must be 1 or more"):
+            ReacquireRule(draws=draws, passes=passes)
+
+
+def _arm_off(scene: Capture, config: TrackerConfig) -> float:
+    """m by which the right hand is off, two frames after a gap in which the arm was raised."""
+    blind = [replace(f, images=tuple(None for _ in f.images)) if f.index in GAP else f for f in scene.frames()]
+    last = list(track(blind, scene.body, scene.rig, scene.first_pose, config))[-1]
+    off = Posed(BODY, last.pose).segment_middles - Posed(BODY, scene.true_poses[last.index]).segment_middles
+    return float(np.linalg.norm(off[BODY.chain[:, BODY.coordinate("elbow_flex_r")]][-1]))
+
+
+def test_an_arm_that_moved_unseen_is_found_again() -> None:
+    still = capture(StudioConfig(seed=0, views=3, frames=1), BODY).first_pose
+    poses = [_raised(still) if k > GAP[0] else still for k in range(GAP[-1] + 3)]
+    scene = capture(StudioConfig(seed=0, views=3, frames=len(poses)), BODY, poses)
+    fitted, sought = (_arm_off(scene, TrackerConfig(reacquire=rule)) for rule in (None, ReacquireRule()))
+    assert fitted > 0.08
+    assert sought < 0.03
 
 
 def test_branches_part_the_coordinates_from_the_trunk_outward() -> None:

@@ -244,7 +244,7 @@ def test_lengths_and_poses_are_put_right(scene: Capture, wrong: tuple[list[Frame
     for bone in ("femur_r", "femur_l", "humerus_r", "humerus_l"):
         assert abs(now[bone] / true[bone] - 1) < 0.5 * abs(given[bone] / true[bone] - 1)
     before, after = joint_error(scene, body, estimates), joint_error(scene, found.body, found.estimates)
-    assert after < 0.6 * before
+    assert after < 0.4 * before
     assert found.lengths["femur"] < 0.97 and 0.0 < found.length_sigmas["femur"] < 0.04
     assert not any(e.lost for e in found.estimates) and found.moved[-1] < found.moved[0]
     assert all(np.linalg.eigvalsh(e.covariance)[0] > 0 for e in found.estimates)

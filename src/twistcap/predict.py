@@ -11,6 +11,7 @@ import numpy as np
 from twistcap import se3
 from twistcap._typing import Float
 from twistcap.body import Pose
+from twistcap.errors import InputError
 
 _JUMP = np.deg2rad(2.0)  # of a joint: more than a fit wavers
 
@@ -47,6 +48,10 @@ class MotionNoise:
     shift_speed: float = 1.5
     allowance: float = 3.0
     memory: float = 0.85
+
+    def __post_init__(self) -> None:
+        if not (self.allowance >= 0.0 and 0.0 <= self.memory <= 1.0):
+            raise InputError("noise: allowance must be 0 or more, and memory from 0 to 1.")
 
     def covariance(self, dof: int, dt: float, predictor: PredictorName, centre: Float) -> tuple[Float, Float]:
         """(dof, dof) covariance of a prediction over dt seconds, and its inverse; the root turns about `centre`."""

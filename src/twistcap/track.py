@@ -119,6 +119,8 @@ class Tracker:
         self._colours = {i: self._appearance.of(i, view.features.shape[2]) for i, view in views.items()}
         if rule is not None and views:
             posed = self._sought(rule, posed, views, self._covariance + strayed)
+            if self._motions is None:  # which bridges the gap itself; a jump is no velocity
+                self._history[-1] = jumped(self._history[-1], posed.pose.minus(guess), posed.pose)
         fixed = (LimitTerm(), self._rest, GaussianTerm(posed.pose, information), *found)
         fit, trust = self._fit(posed, views, fixed), 1.0
         if predicted == "motion" and not found and (trust := config.support.trust(fit.tallies)) < 1.0:

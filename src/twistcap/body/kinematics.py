@@ -36,6 +36,10 @@ class Pose:
         """The step (6 + J,) that `retract` needs to come from `other` to this pose."""
         return np.concatenate([se3.difference_one(self.root, other.root), self.q - other.q])
 
+    def within(self, limits: Float) -> Pose:
+        """The pose with its joints inside their limits (J, 2), rad."""
+        return Pose(self.root, np.clip(self.q, limits[:, 0], limits[:, 1]))
+
 
 @dataclass(frozen=True)
 class Posed:

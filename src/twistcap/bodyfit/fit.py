@@ -213,7 +213,6 @@ def _shaped(
     state: _State, given: Body, takes: Sequence[Take], moments: list[_Moment], rule: FitRule, offsets: bool, tell: Tell
 ) -> tuple[_State, list[_Moment]]:
     """Gauss-Newton steps on the poses of the chosen frames and the shape."""
-    lower, upper = given.limits.T
     for _ in range(rule.steps):
         shape = _shape(state.body, given, rule, offsets)
         names, M = shape.fields.names, len(shape.fields.names)
@@ -236,9 +235,7 @@ def _shaped(
             offsets=tuple(total[M:].tolist()), errors=(*state.errors, found.error_px),
         )  # fmt: skip
         moved = [m.pose.retract(d) for m, d in zip(moments, found.poses, strict=True)]
-        moments = [
-            replace(m, pose=Pose(p.root, np.clip(p.q, lower, upper))) for m, p in zip(moments, moved, strict=True)
-        ]
+        moments = [replace(m, pose=p.within(given.limits)) for m, p in zip(moments, moved, strict=True)]
         tell(f"{found.error_px:.2f} px to the edges")
     return replace(state, first_poses=_first_poses(state, takes, moments)), moments
 

@@ -14,6 +14,7 @@ from twistcap.bodyfit.observe import Contours, observe
 from twistcap.camera import Camera
 from twistcap.cues.levelset import LevelSetContour
 from twistcap.cues.view import crop_view
+from twistcap.region.compare import iou
 from twistcap.render import render, visible_contour
 
 _CLEAR = 1.0  # 1/px²: information from which an edge counts as seen
@@ -60,15 +61,9 @@ def agreement(body: Body, take: Take, poses: Mapping[int, Pose], rule: Contours 
             mm.append(1000.0 * px[-1] / max(seen.px_per_m, 1e-9))
             part += [body.segment_names[s] for s in seen.contour.part[clear]]
         pairs = _segmented(frame.images, take, posed, rule)
-        ious += [overlap(ours, theirs) for _, ours, theirs in pairs]
+        ious += [iou(ours, theirs) for _, ours, theirs in pairs]
         hulls.append(hull_overlap(posed, pairs))
     return Agreement(np.concatenate(px), np.concatenate(mm), part, float(np.mean(ious)), float(np.mean(hulls)))
-
-
-def overlap(a: Bool, b: Bool) -> float:
-    """Intersection over union; 1 of two empty ones."""
-    union = np.count_nonzero(a | b)
-    return float(np.count_nonzero(a & b) / union) if union else 1.0
 
 
 def _segmented(images: Sequence[object], take: Take, posed: Posed, rule: Contours) -> list[tuple[Camera, Bool, Bool]]:
@@ -100,4 +95,4 @@ def hull_overlap(posed: Posed, views: Sequence[tuple[Camera, Bool, Bool]]) -> fl
         x, y = np.where(inside[:, None], pixel, 0).T
         ours &= inside & a[y, x]
         theirs &= inside & b[y, x]
-    return overlap(ours, theirs)
+    return iou(ours, theirs)

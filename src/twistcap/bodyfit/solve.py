@@ -12,7 +12,7 @@ from twistcap._typing import Float, Int
 from twistcap.body import Body, Posed
 from twistcap.bodyfit.fields import Fields
 from twistcap.bodyfit.observe import Observed
-from twistcap.camera import Camera
+from twistcap.firstpose.silhouette import projection_jacobian
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,8 @@ class Rows:
 def rows(posed: Posed, shape: Shape, seen: Observed) -> Rows:
     """Derivatives of the distances of one view."""
     points = seen.contour.points
-    by_point = _image_rows(seen.camera, points.at(posed), seen.contour.normals)
+    projected = projection_jacobian(seen.camera, points.at(posed))
+    by_point = np.einsum("ni,nij->nj", seen.contour.normals, projected)
     by_pose = np.einsum("ni,nid->nd", by_point, posed.point_jacobian(points.segments, points.weights, points.local))
     turned = _rest_rows(posed, by_point, points.segments, points.weights)
     fields = shape.fields
@@ -99,15 +100,6 @@ def rows(posed: Posed, shape: Shape, seen: Observed) -> Rows:
     where = np.repeat(np.arange(len(along)), 2), seen.ends.ravel()
     size = len(along), len(shape.directions)
     return Rows(by_pose, by_field, sparse.csr_array((along.ravel(), where), shape=size))
-
-
-def _image_rows(camera: Camera, world: Float, normals: Float) -> Float:
-    """(N, 3) motion along the image normals, px, per motion in the world, m."""
-    P = camera.P
-    h = world @ P[:, :3].T + P[:, 3]
-    uv = h[:, :2] / h[:, 2:]
-    by_point = (P[None, :2, :3] - uv[:, :, None] * P[None, 2:, :3]) / h[:, 2, None, None]
-    return np.einsum("ni,nij->nj", normals, by_point)
 
 
 def _rest_rows(posed: Posed, by_point: Float, segments: Int, weights: Float) -> Float:

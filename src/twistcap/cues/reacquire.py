@@ -16,6 +16,7 @@ import numpy as np
 from twistcap._typing import Bool, Float
 from twistcap.body import Body, Pose
 from twistcap.cues.rivals import Judge
+from twistcap.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,10 @@ class ReacquireRule:
     margin: float = 0.5
     widest: float = 0.6
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.draws < 1 or not self.passes or not all(self.passes):
+            raise InputError("reacquire: draws must be 1 or more, and passes must name at least one layer each.")
 
     def sought(self, judge: Judge, start: Pose, covariance: Float, others: Sequence[Pose] = ()) -> Pose:
         """The pose that the images favour.
@@ -72,7 +77,7 @@ class ReacquireRule:
 
 def _better(judge: Judge, best: Pose, most: float, steps: Sequence[Float]) -> tuple[Pose, float]:
     """The best of a pose of evidence `most` and of those that steps (6 + J,) lead to from it, and its evidence."""
-    poses = [_within(best.retract(step), judge.body.limits) for step in steps]
+    poses = [best.retract(step).within(judge.body.limits) for step in steps]
     evidence = [judge.evidence(pose) for pose in poses]
     k = int(np.argmax(evidence))
     return (poses[k], evidence[k]) if evidence[k] > most else (best, most)
@@ -99,11 +104,6 @@ def _narrowed(covariance: Float, widest: float) -> Float:
     sd = np.sqrt(np.diag(covariance)[6:])
     shares[6:] = np.minimum(1.0, widest / np.maximum(sd, 1e-12))
     return covariance * np.outer(shares, shares)
-
-
-def _within(pose: Pose, limits: Float) -> Pose:
-    """The pose with its joints inside their limits (J, 2)."""
-    return Pose(pose.root, np.clip(pose.q, limits[:, 0], limits[:, 1]))
 
 
 def _beyond(one: Bool, other: Bool) -> bool:

@@ -13,6 +13,7 @@ from typing import TypedDict
 import numpy as np
 
 from twistcap._typing import AnyArray, Bool, Float, Int
+from twistcap.region.compare import iou as iou
 from twistcap.render.raster import project_pinhole, rasterise
 
 SIDES = ("r", "l")
@@ -143,13 +144,6 @@ def silhouette(P: Float, vertices: Float, faces: Int, size: tuple[int, int]) -> 
     pixels, inverse_depth = project_pinhole(np.ascontiguousarray(P), vertices)
     face_index, _ = rasterise(pixels, inverse_depth, faces, (0, 0), size)
     return face_index >= 0
-
-
-def iou(mask: AnyArray, reference: AnyArray) -> float:
-    """Intersection over union of two masks (H, W); two empty masks agree fully."""
-    a, b = np.asarray(mask, bool), np.asarray(reference, bool)
-    union = int(np.count_nonzero(a | b))
-    return float(np.count_nonzero(a & b)) / union if union else 1.0
 
 
 def z_scores(error: Float, covariance: Float) -> Float:

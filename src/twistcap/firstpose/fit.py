@@ -129,8 +129,7 @@ def fit_keypoints_sequence(
     state = State(tuple(s.poses[0] for s in singles), factors)
     problem = Problem(skeleton, frames, _neutral(body), priors, _REACH, fit_lengths)
     state = minimise(problem, minimise(replace(problem, reach=2 * _REACH), state))
-    lower, upper = body.limits.T
-    state = replace(state, poses=tuple(replace(p, q=np.clip(p.q, lower, upper)) for p in state.poses))
+    state = replace(state, poses=tuple(p.within(body.limits) for p in state.poses))
     return _answers(problem, state, rigs, keypoints)
 
 

@@ -202,11 +202,10 @@ def _step(
     g[F * D :] += state.log_girths / options.girth**2
     H[range(F * D, n), range(F * D, n)] += options.girth**-2.0
     step = np.asarray(np.clip(np.linalg.solve(H + 1e-9 * np.eye(n), -g), -0.2, 0.2), np.float64)
-    lower, upper = generic.limits.T
     moved = [pose.retract(step[f * D : (f + 1) * D]) for f, pose in enumerate(state.poses)]
     log_girths = state.log_girths + step[F * D :]
     body = rescaled(generic, girths=_factors(groups, log_girths)) if groups else generic
-    return _State(body, tuple(Pose(p.root, np.clip(p.q, lower, upper)) for p in moved), log_girths, H)
+    return _State(body, tuple(p.within(generic.limits) for p in moved), log_girths, H)
 
 
 _WIDER = 1e-3  # step of the difference quotient by a log-girth
@@ -248,7 +247,7 @@ def _evidence(
         by_pose = posed.point_jacobian(points.segments, points.weights, points.local)
         by_girth = [w.derivative(posed, points)[:, :, None] for w in wider]
         J = np.concatenate([by_pose, *by_girth], axis=2)
-        row = np.einsum("ni,nij,njd->nd", found.normals, _projection_jacobian(camera, points.at(posed)), J)
+        row = np.einsum("ni,nij,njd->nd", found.normals, projection_jacobian(camera, points.at(posed)), J)
         sigma = options.sigma * height
         size = np.abs(found.distance) / sigma
         # Neighbouring samples err alike: together they may count no more than one per correlation length, both ways.
@@ -259,7 +258,7 @@ def _evidence(
     return g, H
 
 
-def _projection_jacobian(camera: Camera, points: Float) -> Float:
+def projection_jacobian(camera: Camera, points: Float) -> Float:
     """(N, 2, 3) derivative of the pinhole pixels by the world points."""
     h = points @ camera.P[:, :3].T + camera.P[:, 3]
     uv = h[:, :2] / h[:, 2:]

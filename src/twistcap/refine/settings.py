@@ -23,7 +23,8 @@ class RefineConfig:
         points: surface points whose brightness is compared, in each view.
         length, girth: how far a log-length and a log-girth may be off (standard deviation); 0 holds them.
         joint: m by which each joint centre may be off in each direction; 0 holds them.
-    hinge: m by which the centre of a hinge may be off the middle of its limb, along its axis, which no motion tells.
+        hinge: m by which the centre of a hinge may be off the middle of its limb, along its axis, which no motion
+            tells.
         contour, brightness: factors on the information of the two cues.
         damping: share by which the diagonal of the equations is raised in each step.
         noise: accelerations of the motion: the same as in tracking.

@@ -1,11 +1,11 @@
-"""Which of two labellings explains an image better: only the pixels that change hands between them are asked."""
+"""Two labellings held against each other: their overlap, and which explains an image better."""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Bool, Float, Float32, Int
+from twistcap._typing import AnyArray, Bool, Float, Float32, Int
 
 BLOCK = 4  # px: the background's statistics are gathered in blocks of this size
 _FALLBACK = 0.02  # share of a window at which the whole background weighs as much as the window's own
@@ -87,3 +87,10 @@ def _log_density(values: Float32, moments: Float, floor: float) -> float:
         variance = max(moments[C + k] - moments[k] ** 2, 0.0) + floor
         out -= 0.5 * ((values[k] - moments[k]) ** 2 / variance + np.log(variance))
     return out
+
+
+def iou(mask: AnyArray, reference: AnyArray) -> float:
+    """Intersection over union of two masks (H, W); two empty masks agree fully."""
+    a, b = np.asarray(mask, bool), np.asarray(reference, bool)
+    union = int(np.count_nonzero(a | b))
+    return float(np.count_nonzero(a & b)) / union if union else 1.0

@@ -76,7 +76,7 @@ def wrong_pose(body: Body, pose: Pose, rng: np.random.Generator) -> Pose:
     shift = ROOT_SHIFT * _directions(rng, 1)[0]
     motion = se3.transform(turn, middle - turn @ middle + shift)
     q = pose.q + np.deg2rad(rng.uniform(-POSE_DEG, POSE_DEG, size=len(pose.q)))
-    return Pose(motion @ pose.root, np.clip(q, body.limits[:, 0], body.limits[:, 1]))
+    return Pose(motion @ pose.root, q).within(body.limits)
 
 
 def _directions(rng: np.random.Generator, count: int) -> Float:
