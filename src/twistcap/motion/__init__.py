@@ -8,6 +8,7 @@ from twistcap.motion.library import PAPER_SCALES, MotionLibrary
 from twistcap.motion.matching import Match, Matcher
 from twistcap.motion.openloop import Expected, MotionPredictor
 from twistcap.motion.paper import PaperMotion
+from twistcap.motion.recurrence import RecurrenceRule
 from twistcap.motion.retargeting import grounded, retarget
 from twistcap.motion.skeleton import SkeletonMotion, skeleton_of
 from twistcap.motion.table import SkeletonTable, body_table, read_table, table_for
@@ -25,6 +26,7 @@ __all__ = [
     "MotionLibrary",
     "MotionPredictor",
     "PaperMotion",
+    "RecurrenceRule",
     "SkeletonMotion",
     "SkeletonTable",
     "body_table",

@@ -1,13 +1,14 @@
 """Prediction by following a match: what was measured better than the paper's, and so the default.
 
 The k best matches of a long history are placed exactly in time and pace, adapted to the person (offset and range of
-each joint), followed to their ends, and blended. How this and the paper's compare: docs/motion.md.
+each joint), followed to their ends, and blended. Where the person's own past recurs as well as the library matches, it
+is followed instead. How this and the paper's compare: docs/motion.md.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numba import njit
@@ -21,6 +22,7 @@ from twistcap.motion.library import PAPER_SCALES, MotionLibrary
 from twistcap.motion.matching import Match, Matcher, Stretch
 from twistcap.motion.openloop import OpenLoop, Stretched
 from twistcap.motion.paper import standard_step
+from twistcap.motion.recurrence import OWN, RecurrenceRule, recurrences
 
 _ALIKE = 0.05  # rad per pose, of all joints together: differences below this tell nothing
 
@@ -43,6 +45,7 @@ class FollowRule:
         scales: time scales that are tried before the exact one is sought.
         lever: m/rad, leverage at which an angle counts 1/√2; one that moves the body less is told worse by images than
             people differ, and counts less.
+        recurrence: when the person's own past is followed.
     """
 
     poses: tuple[int, ...] = (10, 20, 40)
@@ -56,6 +59,7 @@ class FollowRule:
     trust: float = 30.0
     scales: tuple[float, ...] = PAPER_SCALES
     lever: float = 0.1
+    recurrence: RecurrenceRule = field(default_factory=RecurrenceRule)
 
     def __post_init__(self) -> None:
         if len(self.poses) == 0 or min(self.poses) < 2 or self.count < 1 or not 0 <= self.fading < 1:
@@ -77,7 +81,7 @@ class FollowedMotion(OpenLoop):
     def __init__(self, library: MotionLibrary, body: Body, rule: FollowRule | None = None) -> None:
         super().__init__(library, body)
         self.rule = rule or FollowRule()
-        self.history = max(self.rule.look_back, *self.rule.poses)
+        self.history = max(self.rule.look_back, self.rule.recurrence.look_back, *self.rule.poses)
         self._weights = self._by_leverage()
         ahead = float(min(self.rule.poses))
         self._matcher = Matcher(library, self.compared, self._weights**2, self.rule.scales, ahead)
@@ -96,21 +100,31 @@ class FollowedMotion(OpenLoop):
     def go_on(self, past: Stretched, count: int, barred: Sequence[Stretch] = ()) -> Stretched:
         """Poses up to where the best match ends; see `OpenLoop.go_on`."""
         past = past.since(max(0, len(past) - self.history))
-        matches = self._matches(past, barred)
+        library, matches = self._sources(past, barred)
         if not matches:
             return standard_step(past.since(max(0, len(past) - 5)))
+        own = library is not self.library
         guides = [
-            _Guide.fitted(self.library, past, match, poses, self.rule, self.compared, self._weights)
+            _Guide.fitted(library, past, match, poses, self.rule, self.compared, self._weights, not own)
             for match, poses in matches
         ]
-        lasting = [guide.lasting(self.library) for guide in guides]
+        lasting = [guide.lasting(library) for guide in guides]
         best = matches[0][0].distance
         alike = [guide.match.distance <= 1.5 * best + _ALIKE for guide in guides]
         # Of matches that are about as good, one that goes on for long enough leads.
         count = max(1, min(count, max(n for n, good in zip(lasting, alike, strict=True) if good)))
         used = [guide for guide, n in zip(guides, lasting, strict=True) if n >= count] or guides[:1]
         likeness = [np.exp(-self.rule.sharpness * (g.match.distance - best) / (best + _ALIKE)) for g in used]
-        return _blended([g.followed(self.library, past, count, self.rule.fading) for g in used], np.array(likeness))
+        found = _blended([g.followed(library, past, count, self.rule.fading) for g in used], np.array(likeness))
+        return replace(found, match=replace(matches[0][0], clip=OWN)) if own else found
+
+    def _sources(self, past: Stretched, barred: Sequence[Stretch]) -> tuple[MotionLibrary, list[tuple[Match, int]]]:
+        """Motion to follow, the library or the person's own, and its matches as of `_matches`."""
+        rule, matches = self.rule.recurrence, self._matches(past, barred)
+        own = recurrences(past.q[:, self.compared] * self._weights, rule)
+        if not own or (matches and own[0].distance > rule.lead * matches[0][0].distance):
+            return self.library, matches
+        return _as_library(past, self.library), [(match, rule.poses) for match in own]
 
     def _matches(self, past: Stretched, barred: Sequence[Stretch]) -> list[tuple[Match, int]]:
         """The best matches, their distances by pose (rad), and the number of poses that were matched."""
@@ -125,6 +139,11 @@ class FollowedMotion(OpenLoop):
                 out = [(replace(match, distance=match.distance / poses), poses) for match in found]
             bar = min(bar, self.rule.as_like * out[0][0].distance + _ALIKE) if out else bar
         return out
+
+
+def _as_library(past: Stretched, like: MotionLibrary) -> MotionLibrary:
+    ends = np.array([0, len(past)], np.int32)
+    return MotionLibrary(like.names, like.rate, ("own",), ends, past.q.astype(np.float32), past.roots)
 
 
 @dataclass(frozen=True)
@@ -149,13 +168,18 @@ class _Guide:
     @staticmethod
     def fitted(
         library: MotionLibrary, past: Stretched, match: Match, poses: int, rule: FollowRule, columns: Int,
-        weights: Float,
+        weights: Float, any_pace: bool = True,
     ) -> _Guide:  # fmt: skip
-        """Of a match of the last so many poses; columns (K,) are compared, each deviation times its weight (K,)."""
+        """Of a match of the last so many poses; columns (K,) are compared, each deviation times its weight (K,).
+
+        The person's own past goes at the person's own pace, not at any.
+        """
         clip = library.q[library.starts[match.clip] : library.starts[match.clip + 1]]
         reached = min(len(past), rule.look_back, int(match.position / match.step + 1e-6) + 1)
         query = np.ascontiguousarray(past.q[-max(poses, reached) :][:, columns]) * weights
-        position, step = placed(np.ascontiguousarray(clip[:, columns]) * weights, query, match.position, match.step)
+        position, step = placed(
+            np.ascontiguousarray(clip[:, columns]) * weights, query, match.position, match.step, any_pace
+        )
         match = Match(match.clip, position, 1.0 / step, match.distance)
         length = min(len(past), rule.look_back, int(position / step + 1e-6) + 1)
         where = np.array(position - step * np.arange(length)[::-1], dtype=np.float64)
@@ -253,9 +277,11 @@ def misplaced(clip: np.ndarray, query: Float, position: float, step: float) -> f
 
 
 @njit(cache=True, nogil=True)
-def placed(clip: np.ndarray, query: Float, position: float, step: float) -> tuple[float, float]:
-    """Position and step near the given ones that fit a query (m, K) best, by ever finer grids."""
-    reach, pace = _REACH, max(_PACE, _SPACING * step * step)
+def placed(
+    clip: np.ndarray, query: Float, position: float, step: float, any_pace: bool = True
+) -> tuple[float, float]:  # fmt: skip
+    """Position and, where it is free, step near the given ones that fit a query (m, K) best, by ever finer grids."""
+    reach, pace = _REACH, max(_PACE, _SPACING * step * step) if any_pace else 0.0
     best = misplaced(clip, query, position, step)
     for _ in range(_ROUNDS):
         middle, middle_step = position, step

@@ -29,7 +29,7 @@ class Match:
     """A place in the training motion.
 
     Attributes:
-        clip: index of the clip.
+        clip: index of the clip; −1 is the person's own past.
         position: of the last pose, in poses of the clip from its start, between two of them as a rule.
         scale: s of the resampled motion; one frame of the query is 1/s poses of the clip.
         distance: the sum of norms, rad.

@@ -13,12 +13,13 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from twistcap.body import Body
 from twistcap.evaluate.experiments.arms import Findings
 from twistcap.evaluate.experiments.gaps import MIMIC, RATE, RUN
 from twistcap.evaluate.metrics import row
 from twistcap.evaluate.parallel import Tell
 from twistcap.evaluate.recorded import Recording
-from twistcap.motion import FollowedMotion, Match, MotionClip, MotionLibrary, PaperMotion
+from twistcap.motion import FollowedMotion, FollowRule, Match, MotionClip, MotionLibrary, PaperMotion, RecurrenceRule
 from twistcap.motion.openloop import OpenLoop, Stretched
 from twistcap.studio import StudioConfig
 from twistcap.studio.config import stream
@@ -54,7 +55,7 @@ class Matched:
         alone = MotionLibrary.of([run], RATE)
         mixed = MotionLibrary.of([run, *_first(acrobatics + [clip.mirrored() for clip in acrobatics], SAMPLES)], RATE)
         tracked = noisy(TRACKED.clip(body, RATE), seed)
-        kinds = {"paper's, m = 5": PaperMotion, "followed": FollowedMotion}
+        kinds = {"paper's, m = 5": PaperMotion, "followed": _by_the_library}
         return Matched(
             mixed,
             {
@@ -102,6 +103,11 @@ def noisy(clip: MotionClip, seed: int) -> MotionClip:
     for step in fresh[1:]:
         noise.append(_LASTS * noise[-1] + np.sqrt(1.0 - _LASTS**2) * step)
     return replace(clip, q=clip.q + np.array(noise))
+
+
+def _by_the_library(library: MotionLibrary, body: Body) -> FollowedMotion:
+    """Never by the person's own past."""
+    return FollowedMotion(library, body, FollowRule(recurrence=RecurrenceRule(lead=0.0)))
 
 
 def _matches(predictor: OpenLoop, tracked: MotionClip) -> list[Match]:
