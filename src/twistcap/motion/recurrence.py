@@ -31,7 +31,7 @@ class RecurrenceRule:
 
     lead: float = 1.5
     poses: int = 15
-    look_back: int = 240
+    look_back: int = 120
     shortest: int = 12
     away: float = 3.0
     stir: float = 0.1
