@@ -14,7 +14,7 @@ from twistcap.cues.view import View
 from twistcap.render import RenderedView, SurfacePoints
 from twistcap.terms import PhotometricTerm
 from twistcap.terms.accumulate import projected_point
-from twistcap.terms.photometric import sample
+from twistcap.terms.photometric import Samples, sample
 
 
 @dataclass(frozen=True)
@@ -97,8 +97,9 @@ class Brightness:
         finest = level in (-1, len(self.blurs) - 1)
         value, gradient = (template.value, template.gradient) if finest else template.blurred(sigma)
         return PhotometricTerm(
-            P, template.points, view.blurred(sigma), value, gradient, visible * (self.share / self.sigma**2), self.scale
-        )
+            P, Samples(template.points, value, gradient), view.blurred(sigma), visible * (self.share / self.sigma**2),
+            np.full(len(value), self.scale),
+        )  # fmt: skip
 
 
 @njit(cache=True, nogil=True)

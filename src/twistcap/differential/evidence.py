@@ -13,8 +13,9 @@ from twistcap.differential.background import under_motion
 from twistcap.differential.memory import Memory, sampled
 from twistcap.differential.settings import DifferentialConfig
 from twistcap.differential.support import Neighbourhood, posterior, robust_scale
-from twistcap.differential.system import EXPOSURE, Samples, normal_equations, residuals
+from twistcap.differential.system import normal_equations
 from twistcap.differential.view import ScaledView
+from twistcap.terms.photometric import EXPOSURE, Samples
 
 _PLAIN_SIGMA = 0.02  # brightness; scale of the residuals where none is estimated
 _OFF = 0.2  # residual of a point that has left the image
@@ -60,8 +61,8 @@ class Evidence:
     def residuals(self, posed: Posed, view: ScaledView, exposure: Float) -> Float:
         """(N, C) at a pose; NaN off the image. Exposure changes grey alone."""
         lit = (exposure, *[np.zeros(EXPOSURE)] * (len(self.samples) - 1))
-        own = view.resized(self.factor)
-        found = [residuals(posed, own, s, im, x) for s, im, x in zip(self.samples, self.image, lit, strict=True)]
+        P = view.resized(self.factor).P
+        found = [s.residuals(posed, P, im, x) for s, im, x in zip(self.samples, self.image, lit, strict=True)]
         return np.stack(found, axis=1)
 
     def misfit(self, posed: Posed, view: ScaledView, exposure: Float) -> float:

@@ -17,7 +17,7 @@ from twistcap.cues.view import View
 from twistcap.refine.system import Arrow
 from twistcap.render import RenderedView, SurfacePoints
 from twistcap.terms import PointTerm
-from twistcap.terms.photometric import brightness_rows
+from twistcap.terms.photometric import EXPOSURE, Samples
 from twistcap.terms.robust import weighted_cauchy
 
 
@@ -120,6 +120,6 @@ def _sampled(sight: Sight, posed: Posed, points: SurfacePoints, blur: float) -> 
     """Brightness (N,) where points are seen and its gradient (N, 3) by the world point; 0 off the image."""
     N = len(points)
     image = sight.view.blurred(blur * sight.seen.px_per_m)
-    P, world = sight.view.camera.P, points.at(posed)
-    value, half = brightness_rows(P, world, image, np.zeros(N), np.zeros((N, 2)), np.ones(N))
-    return value, 2.0 * half  # it takes the mean of two images' gradients, of which one is 0 here
+    plain = Samples(points, np.zeros(N), np.zeros((N, 2)))
+    rows = plain.rows(posed, sight.view.camera.P, image, np.zeros(EXPOSURE), np.ones(N))
+    return rows.residual, 2.0 * rows.gradient  # it takes the mean of two images' gradients, of which one is 0 here
