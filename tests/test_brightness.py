@@ -150,6 +150,6 @@ def test_templates_follow_the_image_slowly_and_fill_up_again() -> None:
     kept = len(unfilled.points)
     assert 0 < kept <= len(first.points)
     np.testing.assert_array_equal(unfilled.points.local, second.points.local[:kept])
-    np.testing.assert_allclose(second.value[:kept], first.value[:kept] + 0.2 * 0.02, atol=1e-3)
-    coarse, _ = second.blurred(3.0)  # of the last image as it is
-    np.testing.assert_allclose(coarse, first.blurred(3.0)[0][: len(coarse)] + 0.02, atol=1e-3)
+    np.testing.assert_allclose(second.samples.value[:kept], first.samples.value[:kept] + 0.2 * 0.02, atol=1e-3)
+    coarse = second.blurred(3.0).value  # of the last image as it is
+    np.testing.assert_allclose(coarse, first.blurred(3.0).value[: len(coarse)] + 0.02, atol=1e-3)

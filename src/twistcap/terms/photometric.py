@@ -74,6 +74,10 @@ class Samples:
     def __len__(self) -> int:
         return len(self.value)
 
+    def __add__(self, other: Samples) -> Samples:
+        both = (np.concatenate(pair) for pair in ((self.value, other.value), (self.gradient, other.gradient)))
+        return Samples(self.points + other.points, *both)
+
     def residuals(self, posed: Posed, P: Float, image: Float32, exposure: Float) -> Float:
         """(N,) ``I(π(x)) − (1 + a) value − b`` at a pose; NaN off the image.
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numba import njit
 
 from twistcap._typing import Float, Float32, Int
 
@@ -33,6 +34,13 @@ class Neighbourhood:
     size: tuple[int, int]
     width: float = 1.5
 
+    @staticmethod
+    def about(places: Float, width: float = 1.5) -> Neighbourhood:
+        """That of places (N, 2), (x, y); those off the image may be anywhere near the others."""
+        pixels = np.rint(places[:, ::-1]).T.astype(np.int32)
+        rows, columns = pixels - (pixels.min(axis=1, keepdims=True) if pixels.size else 0)
+        return Neighbourhood(rows, columns, (int(rows.max(initial=0)) + 1, int(columns.max(initial=0)) + 1), width)
+
     def mean(self, values: Float) -> Float:
         """(N,) weighted mean about each point of values (N,) at all points; NaN takes no part."""
         known = np.isfinite(values)
@@ -44,25 +52,39 @@ class Neighbourhood:
         return np.asarray(cv2.GaussianBlur(flat.reshape(self.size).astype(np.float32), (0, 0), self.width), np.float32)
 
 
-def robust_scale(residual: Float, part: Int, parts: int, weight: Float) -> Float:
-    """(S,) scale of the residuals of each part: 1.48 times the weighted median of their size, within sane bounds."""
-    overall = _scale_of(np.abs(residual), weight)
-    out = np.full(parts, overall)
-    for s in np.unique(part):
-        own = part == s
-        if np.count_nonzero(own) >= 20:
-            out[s] = _scale_of(np.abs(residual[own]), weight[own])
+@njit(cache=True, nogil=True)
+def robust_scale(
+    residual: Float, part: Int, parts: int, weight: Float, floor: float = _FLOOR, fewest: int = 20
+) -> Float:
+    """(S,) scale of the residuals of each part: 1.48 times the weighted median of their size, within sane bounds.
+
+    Args:
+        residual: (N,) brightness, NaN for unknown.
+        part: (N,) part of each.
+        parts: S.
+        weight: (N,).
+        floor: least scale, brightness.
+        fewest: residuals that a part must have; one with fewer has the scale of all together.
+    """
+    size, count = np.abs(residual), np.bincount(part, minlength=parts)
+    out = np.full(parts, _scale_of(size, weight, floor))
+    for s in range(parts):
+        if count[s] >= fewest:
+            own = part == s
+            out[s] = _scale_of(size[own], weight[own], floor)
     return out
 
 
-def _scale_of(size: Float, weight: Float) -> float:
+@njit(cache=True, nogil=True)
+def _scale_of(size: Float, weight: Float, floor: float) -> float:
     known = np.isfinite(size) & (weight > 0)
     if not known.any():
         return _CEILING
-    order = np.argsort(size[known])
-    heaped = np.cumsum(weight[known][order])
-    median = size[known][order][np.searchsorted(heaped, 0.5 * heaped[-1])]
-    return float(np.clip(1.48 * median, _FLOOR, _CEILING))
+    size, weight = size[known], weight[known]
+    order = np.argsort(size)
+    heaped = np.cumsum(weight[order])
+    median = size[order][np.searchsorted(heaped, 0.5 * heaped[-1])]
+    return min(max(1.48 * median, floor), _CEILING)
 
 
 def posterior(
