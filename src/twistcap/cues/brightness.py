@@ -21,7 +21,8 @@ from twistcap.terms.photometric import EXPOSURE, Samples, brightness_at, sample
 Support = Literal["none", "robust", "em"]
 
 _NEW = 0.5  # trust in a point that was not followed before
-_PARTS_MEMORY = 0.8  # weight of the past in the running scale of each part, per frame
+_PAST = 0.8  # its weight in the running excess of each part, per frame
+_MOST = 10.0  # excess
 _LEAST = 0.02  # no point is known to move as the body does, nor not to, beyond this probability
 
 
@@ -32,14 +33,14 @@ class Template:
     Attributes:
         samples: N places on the surface, and their brightness under the finest blur.
         trust: (N,) running probability that the image moves with the body there.
-        sigma: (S,) running robust scale of each part's differences.
+        excess: (S,) running robust scale of each part's differences, in units of the noise that was expected.
         image: (H, W) the last frame's under the finest blur.
         view, posed: that frame's, where coarser blurs are read when they are wanted.
     """
 
     samples: Samples
     trust: Float
-    sigma: Float
+    excess: Float
     image: Float32
     view: View
     posed: Posed
@@ -62,12 +63,15 @@ class Brightness:
     Attributes:
         points: how many surface points are followed in each view.
         blurs: Gaussians under which images are compared, coarse to fine, m on the body.
-        sigma: least noise of the brightness (sensor, sampling); with no `support` that of every point.
-        scale: difference at which a point begins to lose its say, where the noise is `sigma`; it grows as that does.
+        sigma: noise of the brightness (sensor, sampling).
+        slide: m by which the picture on the surface strays from its place (cloth, a wrong shape): more noise where
+            brightness is steep.
+        scale: difference, in standard deviations of the noise, at which a point begins to lose its say.
+        jump: difference beyond which a point is given up for another.
         share: share of the points' information that counts (neighbouring points see the same pixels).
         update: share of the new brightness that a template point takes over in each frame.
         depth_tolerance: m that a point may lie behind the rendered surface and still count as seen.
-        support: "robust": noise is each part's own, by its differences in the frames before; "em": beside that each
+        support: "robust": each part's noise grows by its differences in the frames before; "em": beside that each
             point counts as far as it was seen to move with the body, and not to stand still as what lies behind;
             "none": neither.
     """
@@ -75,7 +79,9 @@ class Brightness:
     points: int = 500
     blurs: tuple[float, ...] = (0.020, 0.005)
     sigma: float = 0.015
-    scale: float = 0.03
+    slide: float = 0.0
+    scale: float = 2.0
+    jump: float = 0.06
     share: float = 0.8
     update: float = 0.2
     depth_tolerance: float = 0.012
@@ -98,7 +104,7 @@ class Brightness:
         fresh = Samples(points, *template_values(view.camera.P, *points.bound_to(posed), image))
         trust, S = np.full(len(points), _NEW if self.support == "em" else 1.0), len(posed.body.segment_names)
         if kept is None:
-            return Template(fresh, trust, np.full(S, self.sigma), image, view, posed)
+            return Template(fresh, trust, np.ones(S), image, view, posed)
         return replace(kept, samples=kept.samples + fresh, trust=np.concatenate([kept.trust, trust]))
 
     def _kept(
@@ -106,46 +112,47 @@ class Brightness:
     ) -> Template:
         """The old template's points that are still seen, and what the frame says of them."""
         P, depths, tolerance = view.camera.P, seen.inverse_depth_image, self.depth_tolerance
-        judged = old if self.support == "none" else self._judged(old, view, image, posed, depths, cell)
+        judged = old if self.support == "none" else self._judged(old, view, image, seen, posed, cell)
         value, gradient, which = refreshed(
             P, *old.points.bound_to(posed), old.samples.value, old.samples.gradient, image, depths, tolerance,
-            self.update, 2.0 * self.scale, cell, occupied,
+            self.update, self.jump, cell, occupied,
         )  # fmt: skip
         samples = Samples(old.points[which], value, gradient)
-        return Template(samples, judged.trust[which], judged.sigma, image, view, posed)
+        return Template(samples, judged.trust[which], judged.excess, image, view, posed)
 
     def _judged(
-        self, old: Template, view: View, image: Float32, posed: Posed, inverse_depth: Float32, cell: int
+        self, old: Template, view: View, image: Float32, seen: RenderedView, posed: Posed, cell: int
     ) -> Template:
-        """The template with scales and trust as a settled frame makes them."""
+        """The template with excess and trust as a settled frame makes them."""
         P, points = view.camera.P, old.points
-        r = old.samples.residuals(posed, P, image, np.zeros(EXPOSURE))
-        visible = visible_points(P, *points.bound_to(posed), inverse_depth, self.depth_tolerance)
-        now = robust_scale(r, points.part, len(old.sigma), visible * old.trust, self.sigma)
-        sigma = _PARTS_MEMORY * old.sigma + (1.0 - _PARTS_MEMORY) * now
+        visible = visible_points(P, *points.bound_to(posed), seen.inverse_depth_image, self.depth_tolerance)
+        noise = self._noise(old.samples, seen.px_per_m)
+        r = old.samples.residuals(posed, P, image, np.zeros(EXPOSURE)) / noise
+        now = robust_scale(r, points.part, len(old.excess), visible * old.trust, 1.0, _MOST)
+        excess = _PAST * old.excess + (1.0 - _PAST) * now
         if self.support == "robust":
-            return replace(old, sigma=sigma)
-        behind, pixels = unmoved(
-            old.view.camera.P,
-            *points.bound_to(old.posed),
-            old.image,
-            image,
-            view.camera.K[:2, 2] - old.view.camera.K[:2, 2],
-        )
-        prior = np.clip(old.trust, _LEAST, 1.0 - _LEAST)
-        noise, still = old.sigma[points.part][:, None], np.array([self.sigma])
-        support = posterior(r[:, None], behind[:, None], prior, noise, still, Neighbourhood.about(pixels / cell, 1.0))
-        return replace(old, sigma=sigma, trust=np.where(visible > 0.0, 0.5 * (old.trust + support), old.trust))
+            return replace(old, excess=excess)
+        last = old.view.camera
+        shift = view.camera.K[:2, 2] - last.K[:2, 2]  # of the crops
+        behind, pixels = unmoved(last.P, *points.bound_to(old.posed), old.image, image, shift)
+        support = posterior(
+            r[:, None], (behind / noise)[:, None], np.clip(old.trust, _LEAST, 1.0 - _LEAST),
+            old.excess[points.part][:, None], np.ones(1), Neighbourhood.about(pixels / cell, 1.0),
+        )  # fmt: skip
+        return replace(old, excess=excess, trust=np.where(visible > 0.0, 0.5 * (old.trust + support), old.trust))
+
+    def _noise(self, samples: Samples, px_per_m: float) -> Float:
+        """(N,) expected standard deviation of the points' differences."""
+        return np.sqrt(self.sigma**2 + (self.slide * px_per_m) ** 2 * np.sum(samples.gradient**2, axis=1))
 
     def term(self, view: View, seen: RenderedView, template: Template, level: int) -> PhotometricTerm:
         """Brightness constancy of the template's points that the rendered view says are visible."""
-        P, sigma = view.camera.P, self.blurs[level] * seen.px_per_m
-        points = template.points
+        P, blur, points = view.camera.P, self.blurs[level] * seen.px_per_m, template.points
         visible = visible_points(P, *points.bound_to(seen.posed), seen.inverse_depth_image, self.depth_tolerance)
-        samples = template.samples if level in (-1, len(self.blurs) - 1) else template.blurred(sigma)
-        noise = template.sigma[points.part]
-        weight = visible * template.trust * self.share / noise**2
-        return PhotometricTerm(P, samples, view.blurred(sigma), weight, noise * (self.scale / self.sigma))
+        samples = template.samples if level in (-1, len(self.blurs) - 1) else template.blurred(blur)
+        noise = template.excess[points.part] * self._noise(samples, seen.px_per_m)
+        weight = visible * template.trust * (self.share / noise**2)
+        return PhotometricTerm(P, samples, view.blurred(blur), weight, self.scale * noise)
 
 
 @njit(cache=True, nogil=True)

@@ -54,8 +54,9 @@ class Neighbourhood:
 
 @njit(cache=True, nogil=True)
 def robust_scale(
-    residual: Float, part: Int, parts: int, weight: Float, floor: float = _FLOOR, fewest: int = 20
-) -> Float:
+    residual: Float, part: Int, parts: int, weight: Float, floor: float = _FLOOR, ceiling: float = _CEILING,
+    fewest: int = 20,
+) -> Float:  # fmt: skip
     """(S,) scale of the residuals of each part: 1.48 times the weighted median of their size, within sane bounds.
 
     Args:
@@ -63,28 +64,28 @@ def robust_scale(
         part: (N,) part of each.
         parts: S.
         weight: (N,).
-        floor: least scale, brightness.
+        floor, ceiling: least and largest scale.
         fewest: residuals that a part must have; one with fewer has the scale of all together.
     """
     size, count = np.abs(residual), np.bincount(part, minlength=parts)
-    out = np.full(parts, _scale_of(size, weight, floor))
+    out = np.full(parts, _scale_of(size, weight, floor, ceiling))
     for s in range(parts):
         if count[s] >= fewest:
             own = part == s
-            out[s] = _scale_of(size[own], weight[own], floor)
+            out[s] = _scale_of(size[own], weight[own], floor, ceiling)
     return out
 
 
 @njit(cache=True, nogil=True)
-def _scale_of(size: Float, weight: Float, floor: float) -> float:
+def _scale_of(size: Float, weight: Float, floor: float, ceiling: float) -> float:
     known = np.isfinite(size) & (weight > 0)
     if not known.any():
-        return _CEILING
+        return ceiling
     size, weight = size[known], weight[known]
     order = np.argsort(size)
     heaped = np.cumsum(weight[order])
     median = size[order][np.searchsorted(heaped, 0.5 * heaped[-1])]
-    return min(max(1.48 * median, floor), _CEILING)
+    return min(max(1.48 * median, floor), ceiling)
 
 
 def posterior(

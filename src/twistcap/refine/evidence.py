@@ -108,7 +108,7 @@ def add_brightness(
         value_b, gradient_b = _sampled(b, later.posed, points, blur)
         both = gradient_a.any(axis=1) & gradient_b.any(axis=1)
         residual = value_b - value_a
-        cost, weight = weighted_cauchy(residual, np.where(both, information, 0.0), cue.scale)
+        cost, weight = weighted_cauchy(residual, np.where(both, information, 0.0), cue.scale * cue.sigma)
         Ja, Sa = row_jacobian(earlier.posed, motion, points, -gradient_a)
         Jb, Sb = row_jacobian(later.posed, motion, points, gradient_b)
         system.add_rows((earlier.number, later.number), (Ja, Jb), Sa + Sb, weight, residual)
