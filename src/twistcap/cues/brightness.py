@@ -20,9 +20,10 @@ from twistcap.terms.photometric import EXPOSURE, Samples, brightness_at, sample
 
 Support = Literal["none", "robust", "em"]
 
-_NEW = 0.5  # trust in a point that was not followed before
+_NEW = 0.9  # trust in a point that was not followed before
 _PAST = 0.8  # its weight in the running excess of each part, per frame
 _MOST = 10.0  # excess
+_NEITHER = 0.05  # density of differences that neither motion explains, per standard deviation of the noise
 _LEAST = 0.02  # no point is known to move as the body does, nor not to, beyond this probability
 
 
@@ -78,14 +79,14 @@ class Brightness:
 
     points: int = 500
     blurs: tuple[float, ...] = (0.020, 0.005)
-    sigma: float = 0.015
-    slide: float = 0.0
+    sigma: float = 0.006
+    slide: float = 0.001
     scale: float = 2.0
     jump: float = 0.06
-    share: float = 0.8
-    update: float = 0.2
+    share: float = 0.5
+    update: float = 0.1
     depth_tolerance: float = 0.012
-    support: Support = "none"
+    support: Support = "em"
 
     def remember(self, view: View, seen: RenderedView, posed: Posed, old: Template | None, fill: bool) -> Template:
         """Template for the next frame; `seen` chooses the points now visible, `posed` (the settled pose) places them.
@@ -137,7 +138,7 @@ class Brightness:
         behind, pixels = unmoved(last.P, *points.bound_to(old.posed), old.image, image, shift)
         support = posterior(
             r[:, None], (behind / noise)[:, None], np.clip(old.trust, _LEAST, 1.0 - _LEAST),
-            old.excess[points.part][:, None], np.ones(1), Neighbourhood.about(pixels / cell, 1.0),
+            old.excess[points.part][:, None], np.ones(1), Neighbourhood.about(pixels / cell, 1.0), _NEITHER,
         )  # fmt: skip
         return replace(old, excess=excess, trust=np.where(visible > 0.0, 0.5 * (old.trust + support), old.trust))
 

@@ -16,7 +16,7 @@ from twistcap._typing import Float, Float32, Int
 
 _FLOOR = 0.008  # brightness; least robust scale: sensor noise and sampling
 _CEILING = 0.15
-_NEITHER = 0.10  # prior of pixels that move neither way; their residuals are spread evenly over [-1, 1]
+_NEITHER = 0.05  # prior of pixels that move neither way times their density; residuals spread over [-1, 1]
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,13 @@ def _scale_of(size: Float, weight: Float, floor: float, ceiling: float) -> float
 
 
 def posterior(
-    residual: Float, behind: Float, prior: Float, sigma: Float, sigma_behind: Float, near: Neighbourhood
+    residual: Float,
+    behind: Float,
+    prior: Float,
+    sigma: Float,
+    sigma_behind: Float,
+    near: Neighbourhood,
+    neither: float = _NEITHER,
 ) -> Float:
     """(N,) probability that each pixel moves as the body does.
 
@@ -102,11 +108,12 @@ def posterior(
         sigma: (N, C) robust scale of each pixel's segment.
         sigma_behind: (C,) that of the layer behind.
         near: neighbours share their evidence: squares are averaged.
+        neither: density of the residuals of what moves neither way, times its prior.
     """
     known = np.isfinite(behind).all(axis=1)
     body = prior * _density(residual, sigma, near)
     back = (1.0 - prior) * np.where(known, _density(behind, np.broadcast_to(sigma_behind, behind.shape), near), 0.0)
-    return np.where(np.isfinite(residual).all(axis=1), body / (body + back + 0.5 * _NEITHER), 0.0)
+    return np.where(np.isfinite(residual).all(axis=1), body / (body + back + neither), 0.0)
 
 
 def _density(residual: Float, sigma: Float, near: Neighbourhood) -> Float:

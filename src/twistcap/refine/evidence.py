@@ -92,13 +92,14 @@ def add_contour(system: Arrow, instant: Instant, motion: RestMotion, found: Cont
 
 
 def add_brightness(
-    system: Arrow, earlier: Instant, later: Instant, motion: RestMotion, cue: Brightness, blur: float, share: float
-) -> float:
+    system: Arrow, earlier: Instant, later: Instant, motion: RestMotion, cue: Brightness, blur: float, share: float,
+    sigma: float = 0.015,
+) -> float:  # fmt: skip
     """Add brightness constancy between two frames, ``I_b(π(x_b)) − I_a(π(x_a))``, both poses free; its energy.
 
     Bregler and Malik (DOI 10.1109/CVPR.1998.698581), eq. 17 ff., refine a sequence so; here in perspective.
     """
-    energy, information = 0.0, share * cue.share / cue.sigma**2
+    energy, information = 0.0, share / sigma**2
     for camera in earlier.sights.keys() & later.sights.keys():
         a, b = earlier.sights[camera], later.sights[camera]
         depths = b.seen.inverse_depth_image
@@ -108,7 +109,7 @@ def add_brightness(
         value_b, gradient_b = _sampled(b, later.posed, points, blur)
         both = gradient_a.any(axis=1) & gradient_b.any(axis=1)
         residual = value_b - value_a
-        cost, weight = weighted_cauchy(residual, np.where(both, information, 0.0), cue.scale * cue.sigma)
+        cost, weight = weighted_cauchy(residual, np.where(both, information, 0.0), cue.scale * sigma)
         Ja, Sa = row_jacobian(earlier.posed, motion, points, -gradient_a)
         Jb, Sb = row_jacobian(later.posed, motion, points, gradient_b)
         system.add_rows((earlier.number, later.number), (Ja, Jb), Sa + Sb, weight, residual)
