@@ -40,7 +40,7 @@ def followed(path: Path, arm: str, settings: dict[str, Any]) -> None:
     views = views_of(session, rig)
     tracker = Tracker(recording.body, views.image_rig, session.tracker_config)
     tracker.start(recording.first_pose, recording.first_time)
-    with ResultWriter(path, recording.body, rig, session.model_dump(mode="json")) as writer:
+    with ResultWriter(path, recording.body, recording.rig, session.model_dump(mode="json")) as writer:
         for frame in views:
             writer.append(tracker.step(frame))
 
