@@ -176,7 +176,7 @@ def carried_image(posed: Posed, before: Array) -> Array:
 def after_a_step(cue: Brightness, image: Array, posed: Posed) -> tuple[Template, Template, Array]:
     """The template of a first frame, that of a second one, and where the first one's points are in that (N, 2)."""
     first = cue.remember(View(CAMERA, noise_image(8, 3.0)), SEEN, POSED, None, True)
-    second = cue.remember(View(CAMERA, image), render(posed, CAMERA), posed, first, False)
+    second = cue.remember(View(CAMERA, image), render(posed, CAMERA), posed, first, True)
     return first, second, CAMERA.project(second.points.at(posed))[0]
 
 

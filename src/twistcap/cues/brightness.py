@@ -21,7 +21,7 @@ from twistcap.terms.photometric import EXPOSURE, Samples, brightness_at, sample
 Support = Literal["none", "robust", "em"]
 
 _NEW = 0.9  # trust in a point that was not followed before
-_PAST = 0.8  # its weight in the running excess of each part, per frame
+_PAST = 0.6  # its weight in the running excess of each part, per lesson
 _MOST = 10.0  # excess
 _NEITHER = 0.05  # density of differences that neither motion explains, per standard deviation of the noise
 _LEAST = 0.02  # no point is known to move as the body does, nor not to, beyond this probability
@@ -88,18 +88,21 @@ class Brightness:
     depth_tolerance: float = 0.012
     support: Support = "em"
 
-    def remember(self, view: View, seen: RenderedView, posed: Posed, old: Template | None, fill: bool) -> Template:
+    def remember(self, view: View, seen: RenderedView, posed: Posed, old: Template | None, lesson: bool) -> Template:
         """Template for the next frame; `seen` chooses the points now visible, `posed` (the settled pose) places them.
 
         Points of the old template that are still seen stay, one in each cell of a grid, and their brightness follows
-        the image slowly, which keeps the track from creeping along the surface. New points `fill` the empty cells.
+        the image slowly, which keeps the track from creeping along the surface. In a `lesson` they are judged by how
+        they agreed, and new points fill the empty cells.
         """
         cell = max(1, round(math.sqrt(max(np.count_nonzero(seen.mask), 1) / max(self.points, 1))))
         occupied = np.zeros((view.grey.shape[0] // cell + 1, view.grey.shape[1] // cell + 1), dtype=np.bool_)
         image, kept = view.blurred(self.blurs[-1] * seen.px_per_m), None
         if old is not None:
+            if lesson and self.support != "none":
+                old = self._judged(old, view, image, seen, posed, cell)
             kept = self._kept(view, image, seen, posed, old, cell, occupied)
-            if not fill:
+            if not lesson:
                 return kept
         points = seen.surface_points(*strongest_in_cells(view.grey, seen.inverse_depth_image, cell, occupied))
         fresh = Samples(points, *template_values(view.camera.P, *points.bound_to(posed), image))
@@ -111,15 +114,14 @@ class Brightness:
     def _kept(
         self, view: View, image: Float32, seen: RenderedView, posed: Posed, old: Template, cell: int, occupied: Bool
     ) -> Template:
-        """The old template's points that are still seen, and what the frame says of them."""
+        """The old template's points that are still seen, their brightness brought up to date."""
         P, depths, tolerance = view.camera.P, seen.inverse_depth_image, self.depth_tolerance
-        judged = old if self.support == "none" else self._judged(old, view, image, seen, posed, cell)
         value, gradient, which = refreshed(
             P, *old.points.bound_to(posed), old.samples.value, old.samples.gradient, image, depths, tolerance,
             self.update, self.jump, cell, occupied,
         )  # fmt: skip
         samples = Samples(old.points[which], value, gradient)
-        return Template(samples, judged.trust[which], judged.excess, image, view, posed)
+        return Template(samples, old.trust[which], old.excess, image, view, posed)
 
     def _judged(
         self, old: Template, view: View, image: Float32, seen: RenderedView, posed: Posed, cell: int

@@ -118,5 +118,5 @@ def posterior(
 
 def _density(residual: Float, sigma: Float, near: Neighbourhood) -> Float:
     """(N,) normal density of the channels' mean square, shared by neighbours, at the mean scale."""
-    square = near.mean(np.mean((residual / sigma) ** 2, axis=1))
+    square = np.minimum(near.mean(np.mean((residual / sigma) ** 2, axis=1)), 200.0)  # numbers below 1e-300 are slow
     return np.exp(-0.5 * square - np.mean(np.log(sigma), axis=1)) / np.sqrt(2 * np.pi)
