@@ -22,7 +22,6 @@ Support = Literal["none", "robust", "em"]
 
 _NEW = 0.9  # trust in a point that was not followed before
 _PAST = 0.6  # its weight in the running excess of each part, per lesson
-_MOST = 10.0  # excess
 _NEITHER = 0.05  # density of differences that neither motion explains, per standard deviation of the noise
 _LEAST = 0.02  # no point is known to move as the body does, nor not to, beyond this probability
 
@@ -75,6 +74,8 @@ class Brightness:
         support: "robust": each part's noise grows by its differences in the frames before; "em": beside that each
             point counts as far as it was seen to move with the body, and not to stand still as what lies behind;
             "none": neither.
+        most: factor by which a part's noise grows at most: where contours of a wrong body disagree with its brightness,
+            that is not to lose all say.
     """
 
     points: int = 500
@@ -87,6 +88,7 @@ class Brightness:
     update: float = 0.1
     depth_tolerance: float = 0.012
     support: Support = "em"
+    most: float = 2.0
 
     def remember(self, view: View, seen: RenderedView, posed: Posed, old: Template | None, lesson: bool) -> Template:
         """Template for the next frame; `seen` chooses the points now visible, `posed` (the settled pose) places them.
@@ -131,7 +133,7 @@ class Brightness:
         visible = visible_points(P, *points.bound_to(posed), seen.inverse_depth_image, self.depth_tolerance)
         noise = self._noise(old.samples, seen.px_per_m)
         r = old.samples.residuals(posed, P, image, np.zeros(EXPOSURE)) / noise
-        now = robust_scale(r, points.part, len(old.excess), visible * old.trust, 1.0, _MOST)
+        now = robust_scale(r, points.part, len(old.excess), visible * old.trust, 1.0, self.most)
         excess = _PAST * old.excess + (1.0 - _PAST) * now
         if self.support == "robust":
             return replace(old, excess=excess)
