@@ -13,13 +13,12 @@ from twistcap.body.humanoid import humanoid
 from twistcap.camera import Camera, look_at
 from twistcap.differential.render import render
 from twistcap.differential.system import (
-    Samples,
     image_motion,
     normal_equations,
     normal_equations_reference,
-    residuals,
 )
 from twistcap.differential.view import ROOT, ScaledView, State
+from twistcap.terms.photometric import Samples
 
 BODY = humanoid()
 SIZE = (200, 260)
@@ -117,7 +116,7 @@ def test_gradient_is_that_of_the_energy() -> None:
 
     def energy(delta):
         moved = state.retract(delta[:-2])
-        r = residuals(moved.posed(BODY), moved.views[0], samples, image, exposure + delta[-2:])
+        r = samples.residuals(moved.posed(BODY), moved.views[0].P, image, exposure + delta[-2:])
         return 0.5 * np.sum(weight * r**2)
 
     g, _ = normal_equations(state.posed(BODY), state.views[0], samples, image, exposure, weight)

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from twistcap.body.simplify import NINETEEN, angles_of, simplified
+from twistcap.cues.support_maps import Neighbourhood, posterior, robust_scale
 from twistcap.differential.background import STILL, dominant_motion, under_motion
 from twistcap.differential.follower import DifferentialFollower
 from twistcap.differential.search import limbs_of, searched
 from twistcap.differential.settings import DifferentialConfig
-from twistcap.differential.support import Neighbourhood, posterior, robust_scale
 from twistcap.differential.tracker import DifferentialTracker, track
 from twistcap.differential.view import ScaledView, State
 from twistcap.differential.world import state_of, world_pose

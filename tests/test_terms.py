@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -26,7 +27,7 @@ from twistcap.terms import (
     Term,
 )
 from twistcap.terms.accumulate import PointTerm, Rows, normal_equations, normal_equations_reference
-from twistcap.terms.photometric import brightness_rows, sample
+from twistcap.terms.photometric import EXPOSURE, Samples, sample
 from twistcap.terms.points import projected_rows, projected_rows_reference
 from twistcap.terms.robust import cauchy, huber
 
@@ -97,7 +98,8 @@ def photometric_term(offset: float = 0.02) -> PhotometricTerm:
     value, gx, gy, _ = sampled(image, u, v)
     template = value - offset * np.random.default_rng(7).normal(size=N)
     information = np.random.default_rng(3).uniform(0.2, 3.0, N) * 1e4
-    return PhotometricTerm(CAMERA.P, places(), image, template, np.stack([gx, gy], axis=1), information, 0.05)
+    samples = Samples(places(), template, np.stack([gx, gy], axis=1))
+    return PhotometricTerm(CAMERA.P, samples, image, information, np.linspace(0.03, 0.07, N), np.array([0.1, -0.03]))
 
 
 def limit_term() -> LimitTerm:
@@ -201,9 +203,9 @@ def test_hessian_of_brightness_is_that_of_its_residuals() -> None:
 
     def residual(posed: Posed) -> Array:
         u, v = CAMERA.project(term.points.at(posed))[0].T
-        return sampled(term.image, u, v)[0] - term.template
+        return sampled(term.image, u, v)[0] - (1.0 + term.exposure[0]) * term.samples.value - term.exposure[1]
 
-    check_hessian(term, residual, term.weight * cauchy(residual(POSED), 0.05)[1], rtol=5e-3)
+    check_hessian(term, residual, term.weight * cauchy(residual(POSED), term.scale)[1], rtol=5e-3)
 
 
 def test_gaussian_at_its_mean_is_its_information() -> None:
@@ -220,10 +222,10 @@ def test_gaussian_at_its_mean_is_its_information() -> None:
 def test_normal_equations_agree_with_their_twin() -> None:
     rng = np.random.default_rng(10)
     rows = Rows(rng.normal(size=(N, 3)), rng.normal(size=N), weights())
-    gradient, hessian = normal_equations(POSED, places(), rows)
-    expected_gradient, expected_hessian = normal_equations_reference(POSED, places(), rows)
-    np.testing.assert_allclose(gradient, expected_gradient, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(hessian, expected_hessian, rtol=1e-9, atol=1e-9)
+    for beside in (None, np.random.default_rng(12).normal(size=(len(rows.residual), 3))):
+        found = normal_equations(POSED, places(), rows, beside)
+        for fast, slow in zip(found, normal_equations_reference(POSED, places(), rows, beside), strict=True):
+            np.testing.assert_allclose(fast, slow, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("make", [normal_term, ray_term, photometric_term], ids=lambda f: f.__name__)
@@ -327,19 +329,19 @@ def test_mean_of_both_gradients_is_right_to_second_order() -> None:
     u, v = CAMERA.project(X)[0].T
     template, gx, gy, _ = sampled(wave(), u, v)
     step = np.array([0.02, -0.03, 0.025])
-    one = np.ones(len(X))
-    residual, gradient = brightness_rows(CAMERA.P, X + step, wave(), template, np.stack([gx, gy], axis=1), one)
-    _, own = brightness_rows(
-        CAMERA.P, X + step, wave(), template,
-        np.stack(sampled(wave(), *CAMERA.project(X + step)[0].T)[1:3], axis=1), one,
-    )  # fmt: skip
-    assert np.abs(residual).mean() > 0.02
-    error_of_mean, error_of_one = np.abs(gradient @ step - residual), np.abs(own @ step - residual)
+    there = moved(POSED, np.concatenate([np.zeros(3), step, np.zeros(BODY.dof - 6)]))
+    here = np.stack(sampled(wave(), *CAMERA.project(X + step)[0].T)[1:3], axis=1)
+    same, one = np.zeros(EXPOSURE), np.ones(N)
+    first = np.stack([gx, gy], axis=1)
+    mean = Samples(places(), template, first).rows(there, CAMERA.P, wave(), same, one)
+    own = Samples(places(), template, here).rows(there, CAMERA.P, wave(), same, one)
+    assert np.abs(mean.residual).mean() > 0.02
+    error_of_mean, error_of_one = (np.abs(rows.gradient @ step - rows.residual) for rows in (mean, own))
     assert error_of_mean.mean() < 0.35 * error_of_one.mean()
 
 
 def test_photometric_energy_is_zero_where_the_template_was_taken() -> None:
-    term = photometric_term(offset=0.0)
+    term = replace(photometric_term(offset=0.0), exposure=np.zeros(EXPOSURE))
     assert term.energy(POSED) == pytest.approx(0, abs=1e-12)
     np.testing.assert_allclose(term.linearize(POSED).gradient, 0, atol=1e-6)
 

@@ -57,8 +57,8 @@ class TrackerConfig:
         render_after: m that the contour may have moved, all in all, before the body is rendered anew.
         contour_spacing: m on the body between contour samples.
         solver_steps: Gauss-Newton steps in each alternation.
-        learn_every: frames from one to the next in which the parts' colours are learnt, and new points whose brightness
-            is to be followed are sought.
+        learn_every: frames from one to the next in which the parts' colours are learnt, the points whose brightness is
+            followed are judged, and new ones are sought.
         margin: m about the expected body within which images are looked at.
         inflation: factor on every claimed standard deviation: contour and brightness samples are not independent, and
             no body is exact; set on studio captures with truth (docs/covariance.md).

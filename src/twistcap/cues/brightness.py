@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numba import njit
 
 from twistcap._typing import Bool, Float, Float32, Int
 from twistcap.body import Posed
+from twistcap.cues.support_maps import Neighbourhood, posterior, robust_scale
 from twistcap.cues.view import View
 from twistcap.render import RenderedView, SurfacePoints
 from twistcap.terms import PhotometricTerm
 from twistcap.terms.accumulate import projected_point
-from twistcap.terms.photometric import sample
+from twistcap.terms.photometric import EXPOSURE, Samples, brightness_at, sample
+
+Support = Literal["none", "robust", "em"]
+
+_NEW = 0.9  # trust in a point that was not followed before
+_PAST = 0.6  # its weight in the running excess of each part, per lesson
+_NEITHER = 0.05  # density of differences that neither motion explains, per standard deviation of the noise
+_LEAST = 0.02  # no point is known to move as the body does, nor not to, beyond this probability
 
 
 @dataclass(frozen=True)
@@ -22,21 +31,29 @@ class Template:
     """Brightness of surface points in one view, as past frames showed it.
 
     Attributes:
-        points: N places on the surface.
-        value: (N,) brightness under the finest blur.
-        gradient: (N, 2) image gradient there, 1/px.
-        view, posed: the last frame's, where coarser blurs are read when they are wanted.
+        samples: N places on the surface, and their brightness under the finest blur.
+        trust: (N,) running probability that the image moves with the body there.
+        excess: (S,) running robust scale of each part's differences, in units of the noise that was expected.
+        image: (H, W) the last frame's under the finest blur.
+        view, posed: that frame's, where coarser blurs are read when they are wanted.
     """
 
-    points: SurfacePoints
-    value: Float
-    gradient: Float
+    samples: Samples
+    trust: Float
+    excess: Float
+    image: Float32
     view: View
     posed: Posed
 
-    def blurred(self, sigma: float) -> tuple[Float, Float]:
-        """Value (N,) and gradient (N, 2) in the last frame's image under a Gaussian of `sigma` px."""
-        return template_values(self.view.camera.P, *self.points.bound_to(self.posed), self.view.blurred(sigma))
+    @property
+    def points(self) -> SurfacePoints:
+        """The N places."""
+        return self.samples.points
+
+    def blurred(self, sigma: float) -> Samples:
+        """The points as the last frame's image has them under a Gaussian of `sigma` px."""
+        image = self.view.blurred(sigma)
+        return Samples(self.points, *template_values(self.view.camera.P, *self.points.bound_to(self.posed), image))
 
 
 @dataclass(frozen=True)
@@ -46,59 +63,101 @@ class Brightness:
     Attributes:
         points: how many surface points are followed in each view.
         blurs: Gaussians under which images are compared, coarse to fine, m on the body.
-        sigma: brightness noise (sensor, shading, template).
-        scale: difference at which a point begins to lose its say.
+        sigma: noise of the brightness (sensor, sampling).
+        slide: m by which the picture on the surface strays from its place (cloth, a wrong shape): more noise where
+            brightness is steep.
+        scale: difference, in standard deviations of the noise, at which a point begins to lose its say.
+        jump: difference beyond which a point is given up for another.
         share: share of the points' information that counts (neighbouring points see the same pixels).
         update: share of the new brightness that a template point takes over in each frame.
         depth_tolerance: m that a point may lie behind the rendered surface and still count as seen.
+        support: "robust": each part's noise grows by its differences in the frames before; "em": beside that each
+            point counts as far as it was seen to move with the body, and not to stand still as what lies behind;
+            "none": neither.
+        most: factor by which a part's noise grows at most: where contours of a wrong body disagree with its brightness,
+            that is not to lose all say.
     """
 
     points: int = 500
     blurs: tuple[float, ...] = (0.020, 0.005)
-    sigma: float = 0.015
-    scale: float = 0.03
-    share: float = 0.8
-    update: float = 0.2
+    sigma: float = 0.006
+    slide: float = 0.001
+    scale: float = 2.0
+    jump: float = 0.06
+    share: float = 0.5
+    update: float = 0.1
     depth_tolerance: float = 0.012
+    support: Support = "em"
+    most: float = 2.0
 
-    def remember(self, view: View, seen: RenderedView, posed: Posed, old: Template | None, fill: bool) -> Template:
+    def remember(self, view: View, seen: RenderedView, posed: Posed, old: Template | None, lesson: bool) -> Template:
         """Template for the next frame; `seen` chooses the points now visible, `posed` (the settled pose) places them.
 
         Points of the old template that are still seen stay, one in each cell of a grid, and their brightness follows
-        the image slowly, which keeps the track from creeping along the surface. New points `fill` the empty cells.
+        the image slowly, which keeps the track from creeping along the surface. In a `lesson` they are judged by how
+        they agreed, and new points fill the empty cells.
         """
         cell = max(1, round(math.sqrt(max(np.count_nonzero(seen.mask), 1) / max(self.points, 1))))
         occupied = np.zeros((view.grey.shape[0] // cell + 1, view.grey.shape[1] // cell + 1), dtype=np.bool_)
-        P, image, depths = view.camera.P, view.blurred(self.blurs[-1] * seen.px_per_m), seen.inverse_depth_image
-        kept: Template | None = None
+        image, kept = view.blurred(self.blurs[-1] * seen.px_per_m), None
         if old is not None:
-            value, gradient, which = refreshed(
-                P, *old.points.bound_to(posed), old.value, old.gradient, image, depths, self.depth_tolerance,
-                self.update, 2.0 * self.scale, cell, occupied,
-            )  # fmt: skip
-            kept = Template(old.points[which], value, gradient, view, posed)
-        if kept is not None and not fill:
-            return kept
-        points = seen.surface_points(*strongest_in_cells(view.grey, depths, cell, occupied))
-        value, gradient = template_values(P, *points.bound_to(posed), image)
+            if lesson and self.support != "none":
+                old = self._judged(old, view, image, seen, posed, cell)
+            kept = self._kept(view, image, seen, posed, old, cell, occupied)
+            if not lesson:
+                return kept
+        points = seen.surface_points(*strongest_in_cells(view.grey, seen.inverse_depth_image, cell, occupied))
+        fresh = Samples(points, *template_values(view.camera.P, *points.bound_to(posed), image))
+        trust, S = np.full(len(points), _NEW if self.support == "em" else 1.0), len(posed.body.segment_names)
         if kept is None:
-            return Template(points, value, gradient, view, posed)
-        return Template(
-            kept.points + points, np.concatenate([kept.value, value]), np.concatenate([kept.gradient, gradient]), view,
-            posed,
+            return Template(fresh, trust, np.ones(S), image, view, posed)
+        return replace(kept, samples=kept.samples + fresh, trust=np.concatenate([kept.trust, trust]))
+
+    def _kept(
+        self, view: View, image: Float32, seen: RenderedView, posed: Posed, old: Template, cell: int, occupied: Bool
+    ) -> Template:
+        """The old template's points that are still seen, their brightness brought up to date."""
+        P, depths, tolerance = view.camera.P, seen.inverse_depth_image, self.depth_tolerance
+        value, gradient, which = refreshed(
+            P, *old.points.bound_to(posed), old.samples.value, old.samples.gradient, image, depths, tolerance,
+            self.update, self.jump, cell, occupied,
         )  # fmt: skip
+        samples = Samples(old.points[which], value, gradient)
+        return Template(samples, old.trust[which], old.excess, image, view, posed)
+
+    def _judged(
+        self, old: Template, view: View, image: Float32, seen: RenderedView, posed: Posed, cell: int
+    ) -> Template:
+        """The template with excess and trust as a settled frame makes them."""
+        P, points = view.camera.P, old.points
+        visible = visible_points(P, *points.bound_to(posed), seen.inverse_depth_image, self.depth_tolerance)
+        noise = self._noise(old.samples, seen.px_per_m)
+        r = old.samples.residuals(posed, P, image, np.zeros(EXPOSURE)) / noise
+        now = robust_scale(r, points.part, len(old.excess), visible * old.trust, 1.0, self.most)
+        excess = _PAST * old.excess + (1.0 - _PAST) * now
+        if self.support == "robust":
+            return replace(old, excess=excess)
+        last = old.view.camera
+        shift = view.camera.K[:2, 2] - last.K[:2, 2]  # of the crops
+        behind, pixels = unmoved(last.P, *points.bound_to(old.posed), old.image, image, shift)
+        support = posterior(
+            r[:, None], (behind / noise)[:, None], np.clip(old.trust, _LEAST, 1.0 - _LEAST),
+            old.excess[points.part][:, None], np.ones(1), Neighbourhood.about(pixels / cell, 1.0), _NEITHER,
+        )  # fmt: skip
+        return replace(old, excess=excess, trust=np.where(visible > 0.0, 0.5 * (old.trust + support), old.trust))
+
+    def _noise(self, samples: Samples, px_per_m: float) -> Float:
+        """(N,) expected standard deviation of the points' differences."""
+        return np.sqrt(self.sigma**2 + (self.slide * px_per_m) ** 2 * np.sum(samples.gradient**2, axis=1))
 
     def term(self, view: View, seen: RenderedView, template: Template, level: int) -> PhotometricTerm:
         """Brightness constancy of the template's points that the rendered view says are visible."""
-        P, sigma = view.camera.P, self.blurs[level] * seen.px_per_m
-        visible = visible_points(
-            P, *template.points.bound_to(seen.posed), seen.inverse_depth_image, self.depth_tolerance
-        )
-        finest = level in (-1, len(self.blurs) - 1)
-        value, gradient = (template.value, template.gradient) if finest else template.blurred(sigma)
-        return PhotometricTerm(
-            P, template.points, view.blurred(sigma), value, gradient, visible * (self.share / self.sigma**2), self.scale
-        )
+        P, blur, points = view.camera.P, self.blurs[level] * seen.px_per_m, template.points
+        visible = visible_points(P, *points.bound_to(seen.posed), seen.inverse_depth_image, self.depth_tolerance)
+        samples = template.samples if level in (-1, len(self.blurs) - 1) else template.blurred(blur)
+        noise = template.excess[points.part] * self._noise(samples, seen.px_per_m)
+        weight = visible * template.trust * (self.share / noise**2)
+        return PhotometricTerm(P, samples, view.blurred(blur), weight, self.scale * noise)
 
 
 @njit(cache=True, nogil=True)
@@ -114,6 +173,36 @@ def template_values(
         if w > 0.0 and inside:
             value[n], gradient[n, 0], gradient[n, 1] = here, gx, gy
     return value, gradient
+
+
+@njit(cache=True, nogil=True)
+def unmoved(
+    P: Float,
+    transforms: Float,
+    segments: Int,
+    weights: Float,
+    local: Float,
+    before: Float32,
+    now: Float32,
+    shift: Float,
+) -> tuple[Float, Float]:
+    """How much brightness has changed where surface points were in the frame before, and those pixels.
+
+    Args:
+        P, transforms: of that frame; segments, weights, local: the points.
+        before, now: its image, and the present one.
+        shift: (2,) px from the pixels of the one to those of the other.
+
+    Returns:
+        (N,) differences, NaN off the images, and (N, 2) pixels in the image before.
+    """
+    change, pixels = np.full(len(local), np.nan), np.zeros((len(local), 2))
+    for n in range(len(local)):
+        x, y, w = projected_point(P, transforms, segments, weights, local, n)
+        if w > 0.0:
+            pixels[n, 0], pixels[n, 1] = x, y
+            change[n] = brightness_at(now, x + shift[0], y + shift[1]) - brightness_at(before, x, y)
+    return change, pixels
 
 
 @njit(cache=True, nogil=True)

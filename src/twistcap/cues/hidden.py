@@ -99,6 +99,4 @@ def above(body: Body) -> Bool:
 def _trusted(term: Term, trust: Float) -> Term:
     if not isinstance(term, (PhotometricTerm, PointNormalTerm, PointRayTerm)):
         return term
-    segments, weights = term.points.segments, term.points.weights
-    main = np.take_along_axis(segments, np.argmax(weights, axis=1)[:, None], axis=1)[:, 0]
-    return replace(term, weight=term.weight * trust[main])
+    return replace(term, weight=term.weight * trust[term.points.part])

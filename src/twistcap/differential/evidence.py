@@ -9,12 +9,13 @@ import numpy as np
 
 from twistcap._typing import Bool, Float, Float32, Int
 from twistcap.body import Posed
+from twistcap.cues.support_maps import Neighbourhood, posterior, robust_scale
 from twistcap.differential.background import under_motion
 from twistcap.differential.memory import Memory, sampled
 from twistcap.differential.settings import DifferentialConfig
-from twistcap.differential.support import Neighbourhood, posterior, robust_scale
-from twistcap.differential.system import EXPOSURE, Samples, normal_equations, residuals
+from twistcap.differential.system import normal_equations
 from twistcap.differential.view import ScaledView
+from twistcap.terms.photometric import EXPOSURE, Samples
 
 _PLAIN_SIGMA = 0.02  # brightness; scale of the residuals where none is estimated
 _OFF = 0.2  # residual of a point that has left the image
@@ -60,8 +61,8 @@ class Evidence:
     def residuals(self, posed: Posed, view: ScaledView, exposure: Float) -> Float:
         """(N, C) at a pose; NaN off the image. Exposure changes grey alone."""
         lit = (exposure, *[np.zeros(EXPOSURE)] * (len(self.samples) - 1))
-        own = view.resized(self.factor)
-        found = [residuals(posed, own, s, im, x) for s, im, x in zip(self.samples, self.image, lit, strict=True)]
+        P = view.resized(self.factor).P
+        found = [s.residuals(posed, P, im, x) for s, im, x in zip(self.samples, self.image, lit, strict=True)]
         return np.stack(found, axis=1)
 
     def misfit(self, posed: Posed, view: ScaledView, exposure: Float) -> float:
@@ -145,7 +146,9 @@ def evidence(
         shape = _shape_prior(factor * memory.inside[which], config.reach_px)
         prior = np.clip(0.5 * (shape + memory.trust[which]), 0.02, 0.98)
     samples = memory.at_level(level, which)
-    return Evidence(samples, which, levels[level], factor, prior, behind, _part(samples[0]), _near(at))
+    return Evidence(
+        samples, which, levels[level], factor, prior, behind, samples[0].points.part, Neighbourhood.about(at)
+    )
 
 
 def _thinned(cells: Float, visible: Bool) -> Int:
@@ -156,17 +159,6 @@ def _thinned(cells: Float, visible: Bool) -> Int:
     return seen[first].astype(np.int32)
 
 
-def _near(at: Float) -> Neighbourhood:
-    pixels = np.rint(at[:, ::-1]).T.astype(np.int32)
-    rows, columns = pixels - (pixels.min(axis=1, keepdims=True) if pixels.size else 0)
-    return Neighbourhood(rows, columns, (int(rows.max(initial=0)) + 1, int(columns.max(initial=0)) + 1))
-
-
 def _shape_prior(inside: Float, reach: float) -> Float:
     """Share of the pixels so far inside the projected shape (px) that are the body's own."""
     return 0.95 / (1.0 + np.exp(-(inside - reach) / 0.7))
-
-
-def _part(samples: Samples) -> Int:
-    best = np.argmax(samples.points.weights, axis=1)
-    return np.take_along_axis(samples.points.segments, best[:, None], axis=1)[:, 0].astype(np.int32)

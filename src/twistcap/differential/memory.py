@@ -11,8 +11,8 @@ import numpy as np
 from twistcap._typing import AnyArray, Bool, Float, Float32, Int
 from twistcap.body import Posed
 from twistcap.differential.render import OrthographicView
-from twistcap.differential.system import Samples
 from twistcap.render import SurfacePoints
+from twistcap.terms.photometric import Samples
 
 _OPPONENT = np.array([[0.299, 0.587, 0.114], [0.707, -0.707, 0.0], [0.408, 0.408, -0.816]], dtype=np.float32)
 

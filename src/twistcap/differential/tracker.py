@@ -20,9 +20,9 @@ from twistcap.differential.memory import Look, Memory, Retention, channels, pyra
 from twistcap.differential.render import render
 from twistcap.differential.search import searched
 from twistcap.differential.settings import DifferentialConfig
-from twistcap.differential.system import EXPOSURE
 from twistcap.differential.view import ROOT, State
 from twistcap.errors import InputError
+from twistcap.terms.photometric import EXPOSURE
 
 _LONGEST = 0.35  # rad; no joint turns farther in one step of the descent
 

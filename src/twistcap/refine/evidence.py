@@ -17,7 +17,7 @@ from twistcap.cues.view import View
 from twistcap.refine.system import Arrow
 from twistcap.render import RenderedView, SurfacePoints
 from twistcap.terms import PointTerm
-from twistcap.terms.photometric import brightness_rows
+from twistcap.terms.photometric import EXPOSURE, Samples
 from twistcap.terms.robust import weighted_cauchy
 
 
@@ -92,13 +92,14 @@ def add_contour(system: Arrow, instant: Instant, motion: RestMotion, found: Cont
 
 
 def add_brightness(
-    system: Arrow, earlier: Instant, later: Instant, motion: RestMotion, cue: Brightness, blur: float, share: float
-) -> float:
+    system: Arrow, earlier: Instant, later: Instant, motion: RestMotion, cue: Brightness, blur: float, share: float,
+    sigma: float = 0.015,
+) -> float:  # fmt: skip
     """Add brightness constancy between two frames, ``I_b(π(x_b)) − I_a(π(x_a))``, both poses free; its energy.
 
     Bregler and Malik (DOI 10.1109/CVPR.1998.698581), eq. 17 ff., refine a sequence so; here in perspective.
     """
-    energy, information = 0.0, share * cue.share / cue.sigma**2
+    energy, information = 0.0, share / sigma**2
     for camera in earlier.sights.keys() & later.sights.keys():
         a, b = earlier.sights[camera], later.sights[camera]
         depths = b.seen.inverse_depth_image
@@ -108,7 +109,7 @@ def add_brightness(
         value_b, gradient_b = _sampled(b, later.posed, points, blur)
         both = gradient_a.any(axis=1) & gradient_b.any(axis=1)
         residual = value_b - value_a
-        cost, weight = weighted_cauchy(residual, np.where(both, information, 0.0), cue.scale)
+        cost, weight = weighted_cauchy(residual, np.where(both, information, 0.0), cue.scale * sigma)
         Ja, Sa = row_jacobian(earlier.posed, motion, points, -gradient_a)
         Jb, Sb = row_jacobian(later.posed, motion, points, gradient_b)
         system.add_rows((earlier.number, later.number), (Ja, Jb), Sa + Sb, weight, residual)
@@ -120,6 +121,6 @@ def _sampled(sight: Sight, posed: Posed, points: SurfacePoints, blur: float) -> 
     """Brightness (N,) where points are seen and its gradient (N, 3) by the world point; 0 off the image."""
     N = len(points)
     image = sight.view.blurred(blur * sight.seen.px_per_m)
-    P, world = sight.view.camera.P, points.at(posed)
-    value, half = brightness_rows(P, world, image, np.zeros(N), np.zeros((N, 2)), np.ones(N))
-    return value, 2.0 * half  # it takes the mean of two images' gradients, of which one is 0 here
+    plain = Samples(points, np.zeros(N), np.zeros((N, 2)))
+    rows = plain.rows(posed, sight.view.camera.P, image, np.zeros(EXPOSURE), np.ones(N))
+    return rows.residual, 2.0 * rows.gradient  # it takes the mean of two images' gradients, of which one is 0 here

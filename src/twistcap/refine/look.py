@@ -129,7 +129,7 @@ class Look:
         for earlier in self._recent:
             if instant.number - earlier.number in config.strides:
                 share = config.brightness / len(config.strides)
-                energy = add_brightness(self.system, earlier, instant, self.motion, cue, blur, share)
+                energy = add_brightness(self.system, earlier, instant, self.motion, cue, blur, share, config.sigma)
                 self._count("photometric", energy)
 
     def _count(self, term: str, energy: float) -> None:

@@ -25,7 +25,9 @@ class RefineConfig:
         joint: m by which each joint centre may be off in each direction; 0 holds them.
         hinge: m by which the centre of a hinge may be off the middle of its limb, along its axis, which no motion
             tells.
-        contour, brightness: factors on the information of the two cues.
+        contour: factor on the information of the contours.
+        brightness: share of the information of the points whose brightness is compared that counts.
+        sigma: noise of those differences of brightness.
         damping: share by which the diagonal of the equations is raised in each step.
         noise: accelerations of the motion: the same as in tracking.
     """
@@ -43,7 +45,8 @@ class RefineConfig:
     hinge: float = 0.004
     damping: float = 1e-3
     contour: float = 1.0
-    brightness: float = 0.4
+    brightness: float = 0.32
+    sigma: float = 0.015
     noise: MotionNoise = field(default_factory=MotionNoise)
 
     def __post_init__(self) -> None:

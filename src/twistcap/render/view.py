@@ -31,6 +31,12 @@ class SurfacePoints:
     def __len__(self) -> int:
         return len(self.local)
 
+    @cached_property
+    def part(self) -> Int:
+        """(N,) the segment that each point is bound to most."""
+        best = np.argmax(self.weights, axis=1)
+        return np.take_along_axis(self.segments, best[:, None], axis=1)[:, 0].astype(np.int32)
+
     def __getitem__(self, which: Bool | Int) -> SurfacePoints:
         if which.dtype == np.bool_:
             which = np.flatnonzero(which).astype(np.int32)

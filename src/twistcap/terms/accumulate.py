@@ -81,12 +81,26 @@ class PointTerm:
         return sums.quadratic()
 
 
-def normal_equations(posed: Posed, points: SurfacePoints, rows: Rows) -> tuple[Float, Float]:
-    """Gradient (6 + J,) and Gauss-Newton Hessian (6 + J, 6 + J) of ½ Σ weight · residual²."""
+def normal_equations(
+    posed: Posed, points: SurfacePoints, rows: Rows, beside: Float | None = None
+) -> tuple[Float, Float]:
+    """Gradient (6 + J + C,) and Gauss-Newton Hessian of ½ Σ weight · residual², C = 0 by default.
+
+    Args:
+        posed, points, rows: of the pose's step.
+        beside: (R N, C) derivatives of the residuals by C more unknowns.
+    """
     sums = SegmentSums(posed)
     sums.add_rows(0.0, points, rows)
     quadratic = sums.quadratic()
-    return quadratic.gradient, quadratic.hessian
+    if beside is None:
+        return quadratic.gradient, quadratic.hessian
+    cross = np.zeros((len(sums.vector), 6, beside.shape[1]))
+    accumulate_beside(*points.bound_to(posed), rows.gradient, rows.weight, beside, cross)
+    weighted = beside.T * rows.weight
+    corner = posed.projector.T @ cross.reshape(-1, beside.shape[1])
+    gradient = np.concatenate([quadratic.gradient, weighted @ rows.residual])
+    return gradient, np.block([[quadratic.hessian, corner], [corner.T, weighted @ beside]])
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"}, inline="always")
@@ -175,8 +189,45 @@ def accumulate(
                     out[o + 5] += Wj * j5
 
 
-def normal_equations_reference(posed: Posed, points: SurfacePoints, rows: Rows) -> tuple[Float, Float]:
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"}, error_model="numpy")
+def accumulate_beside(
+    transforms: Float, segments: Int, weights: Float, local: Float, gradient: Float, row_weight: Float, beside: Float,
+    cross: Float,
+) -> None:  # fmt: skip
+    """Add W j cᵀ to cross (S, 6, C), j as in `accumulate` and c the row's derivatives (R N, C) by other unknowns."""
+    N, K = segments.shape
+    for row in range(len(row_weight)):
+        n, W = row % N, row_weight[row]
+        if W == 0.0:
+            continue
+        x, y, z = local[n, 0], local[n, 1], local[n, 2]
+        for k in range(K):
+            w = weights[n, k] * W
+            if w == 0.0:
+                continue
+            s = segments[n, k]
+            T = transforms[s]
+            X = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
+            Y = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
+            Z = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+            f0, f1, f2 = w * gradient[row, 0], w * gradient[row, 1], w * gradient[row, 2]
+            a0, a1, a2 = Y * f2 - Z * f1, Z * f0 - X * f2, X * f1 - Y * f0
+            for c in range(beside.shape[1]):
+                by = beside[row, c]
+                cross[s, 0, c] += a0 * by
+                cross[s, 1, c] += a1 * by
+                cross[s, 2, c] += a2 * by
+                cross[s, 3, c] += f0 * by
+                cross[s, 4, c] += f1 * by
+                cross[s, 5, c] += f2 * by
+
+
+def normal_equations_reference(
+    posed: Posed, points: SurfacePoints, rows: Rows, beside: Float | None = None
+) -> tuple[Float, Float]:
     """Readable twin of `normal_equations`: stacked rows."""
     jacobian = posed.point_jacobian(points.segments, points.weights, points.local)
     J = np.einsum("ni,nid->nd", rows.gradient, jacobian)
+    if beside is not None:
+        J = np.concatenate([J, beside], axis=1)
     return J.T @ (rows.weight * rows.residual), J.T @ (rows.weight[:, None] * J)

@@ -1,12 +1,14 @@
-"""Brightness constancy of surface points, in full perspective.
+"""Brightness constancy of surface points: the one row of both trackers.
 
-The image brightness at a surface point's projection stays what it was in the frame that the template was taken from
-(Bregler and Malik, DOI 10.1109/CVPR.1998.698581, with perspective instead of scaled orthography).
+The image brightness at a surface point's projection stays what it was in the frames that the template was taken from,
+up to a change of the exposure: ``r = I(π(x)) − (1 + a) template − b`` (Bregler and Malik,
+DOI 10.1109/CVPR.1998.698581). π is any 3×4 projection: a pinhole's, or with a third row (0, 0, 0, 1) the paper's scaled
+orthography.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numba import njit
@@ -14,15 +16,12 @@ from numba import njit
 from twistcap._typing import Float, Float32, Int
 from twistcap.body import Posed
 from twistcap.render import SurfacePoints
-from twistcap.terms.accumulate import (
-    NEAR,
-    PointTerm,
-    Rows,
-    projected_point,
-)
+from twistcap.terms.accumulate import PointTerm, Rows, projected_point
 from twistcap.terms.robust import weighted_cauchy
 
 _FAST = {"contract", "reassoc", "arcp"}
+EXPOSURE = 2
+"""Numbers of a view's change of exposure: relative gain a and offset b."""
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -45,32 +44,96 @@ def sample(image: Float32, x: float, y: float) -> tuple[float, float, float, boo
     return float((1.0 - fy) * upper + fy * lower), float(gx), float(gy), True
 
 
-@njit(cache=True, nogil=True)
-def brightness_rows(
-    P: Float, world: Float, image: Float32, template: Float, template_gradient: Float, weight: Float
-) -> tuple[Float, Float]:
-    """Residual ``I(π(x)) − template`` (N,) and its gradient by x (N, 3); 0 off the image and where the weight is 0.
+@njit(cache=True, nogil=True, inline="always")
+def brightness_at(image: Float32, x: float, y: float) -> float:
+    """`sample` for its value alone; NaN where a pixel that its gradient needs is not there."""
+    height, width = image.shape
+    if not (1.0 <= x < width - 2 and 1.0 <= y < height - 2):
+        return np.nan
+    x0, y0 = int(x), int(y)
+    fx, fy = x - x0, y - y0
+    top = image[y0, x0] + fx * (image[y0, x0 + 1] - image[y0, x0])
+    bottom = image[y0 + 1, x0] + fx * (image[y0 + 1, x0 + 1] - image[y0 + 1, x0])
+    return float(top + fy * (bottom - top))
 
-    The image gradient is averaged with the template's (second-order minimisation: the mean of the two gradients is
-    right to second order in the displacement).
+
+@dataclass(frozen=True)
+class Samples:
+    """Surface points of one view and how bright they should be.
+
+    Attributes:
+        points: N places on the surface.
+        value: (N,) brightness in the frames before.
+        gradient: (N, 2) image gradient there, 1/px.
     """
-    N = len(world)
-    residual, gradient = np.zeros(N), np.zeros((N, 3))
+
+    points: SurfacePoints
+    value: Float
+    gradient: Float
+
+    def __len__(self) -> int:
+        return len(self.value)
+
+    def __add__(self, other: Samples) -> Samples:
+        both = (np.concatenate(pair) for pair in ((self.value, other.value), (self.gradient, other.gradient)))
+        return Samples(self.points + other.points, *both)
+
+    def residuals(self, posed: Posed, P: Float, image: Float32, exposure: Float) -> Float:
+        """(N,) ``I(π(x)) − (1 + a) value − b`` at a pose; NaN off the image.
+
+        Args:
+            posed: the body.
+            P: (3, 4) projection.
+            image: (H, W).
+            exposure: (2,) a and b.
+        """
+        return _residuals(*self.points.bound_to(posed), P, image, self.value, exposure)
+
+    def rows(self, posed: Posed, P: Float, image: Float32, exposure: Float, weight: Float) -> Rows:
+        """The residuals and their gradients by the point, with weights (N,); all 0 off the image.
+
+        The image gradient is averaged with the template's (second-order minimisation: the mean of the two gradients is
+        right to second order in the displacement).
+        """
+        residual, gradient, seen = _rows(
+            *self.points.bound_to(posed), P, image, self.value, self.gradient, exposure, weight
+        )
+        return Rows(gradient, residual, seen)
+
+
+@njit(cache=True, nogil=True)
+def _residuals(
+    transforms: Float, segments: Int, weights: Float, local: Float, P: Float, image: Float32, value: Float,
+    exposure: Float,
+) -> Float:  # fmt: skip
+    out = np.full(len(value), np.nan)
+    for n in range(len(value)):
+        x, y, w = projected_point(P, transforms, segments, weights, local, n)
+        if w > 0.0:
+            out[n] = brightness_at(image, x, y) - (1.0 + exposure[0]) * value[n] - exposure[1]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _rows(
+    transforms: Float, segments: Int, weights: Float, local: Float, P: Float, image: Float32, value: Float,
+    gradient: Float, exposure: Float, weight: Float,
+) -> tuple[Float, Float, Float]:  # fmt: skip
+    N = len(value)
+    residual, slope, seen = np.zeros(N), np.zeros((N, 3)), np.zeros(N)
     for n in range(N):
-        X, Y, Z = world[n, 0], world[n, 1], world[n, 2]
-        depth = P[2, 0] * X + P[2, 1] * Y + P[2, 2] * Z + P[2, 3]
-        if weight[n] == 0.0 or depth < NEAR:
+        if weight[n] == 0.0:
             continue
-        x = (P[0, 0] * X + P[0, 1] * Y + P[0, 2] * Z + P[0, 3]) / depth
-        y = (P[1, 0] * X + P[1, 1] * Y + P[1, 2] * Z + P[1, 3]) / depth
-        value, gx, gy, inside = sample(image, x, y)
-        if not inside:
+        x, y, w = projected_point(P, transforms, segments, weights, local, n)
+        here, gx, gy, inside = sample(image, x, y)
+        if w == 0.0 or not inside:
             continue
-        residual[n] = value - template[n]
-        a, b = 0.5 * (gx + template_gradient[n, 0]) / depth, 0.5 * (gy + template_gradient[n, 1]) / depth
+        seen[n] = weight[n]
+        residual[n] = here - (1.0 + exposure[0]) * value[n] - exposure[1]
+        a, b = 0.5 * (gx + gradient[n, 0]) * w, 0.5 * (gy + gradient[n, 1]) * w
         for i in range(3):
-            gradient[n, i] = a * (P[0, i] - x * P[2, i]) + b * (P[1, i] - y * P[2, i])
-    return residual, gradient
+            slope[n, i] = a * (P[0, i] - x * P[2, i]) + b * (P[1, i] - y * P[2, i])
+    return residual, slope, seen
 
 
 @dataclass(frozen=True)
@@ -79,56 +142,53 @@ class PhotometricTerm(PointTerm):
 
     Attributes:
         P: (3, 4) projection.
-        points: N places on the surface.
+        samples: N points and their template brightness.
         image: (H, W) float32, the current view (blurred as the template's was).
-        template: (N,) brightness in the template frame.
-        template_gradient: (N, 2) its image gradient there, 1/px.
         weight: (N,) information, 1/brightness².
-        scale: brightness difference at which a point begins to lose its say.
+        scale: (N,) brightness difference at which a point begins to lose its say.
+        exposure: (2,) relative gain and offset of the present image against the template's.
     """
 
     P: Float
-    points: SurfacePoints
+    samples: Samples
     image: Float32
-    template: Float
-    template_gradient: Float
     weight: Float
-    scale: float = 0.05
+    scale: Float
+    exposure: Float = field(default_factory=lambda: np.zeros(EXPOSURE))
     name: str = "photometric"
 
+    @property
+    def points(self) -> SurfacePoints:
+        """The N places on the surface."""
+        return self.samples.points
+
     def rows(self, posed: Posed) -> tuple[float, SurfacePoints, Rows]:
-        residual, gradient = brightness_rows(
-            self.P, self.points.at(posed), self.image, self.template, self.template_gradient, self.weight
-        )
-        energy, weight = weighted_cauchy(residual, self.weight, self.scale)
-        return energy, self.points, Rows(gradient, residual, weight)
+        rows = self.samples.rows(posed, self.P, self.image, self.exposure, self.weight)
+        square = self.scale**2
+        energy, weight = weighted_cauchy(rows.residual / self.scale, rows.weight * square, 1.0)
+        return energy, self.points, replace(rows, weight=weight / square)
 
     def energy(self, posed: Posed) -> float:
-        return _brightness_energy(
-            *self.points.bound_to(posed), self.P, self.image, self.template, self.weight, self.scale
+        return _energy(
+            *self.points.bound_to(posed), self.P, self.image, self.samples.value, self.exposure, self.weight, self.scale
         )
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
-def _brightness_energy(
-    transforms: Float, segments: Int, weights: Float, local: Float, P: Float, image: Float32, template: Float,
-    weight: Float, scale: float,
+def _energy(
+    transforms: Float, segments: Int, weights: Float, local: Float, P: Float, image: Float32, value: Float,
+    exposure: Float, weight: Float, scale: Float,
 ) -> float:  # fmt: skip
     """`PhotometricTerm.rows` for its energy alone."""
-    energy, per = 0.0, 1.0 / scale
-    height, width = image.shape
+    energy, gain = 0.0, 1.0 + exposure[0]
     for n in range(len(weight)):
         if weight[n] == 0.0:
             continue
         x, y, w = projected_point(P, transforms, segments, weights, local, n)
-        if w == 0.0:
+        here = brightness_at(image, x, y)
+        if w == 0.0 or np.isnan(here):
             continue
-        if not (1.0 <= x < width - 2 and 1.0 <= y < height - 2):
-            continue
-        x0, y0 = int(x), int(y)
-        fx, fy = x - x0, y - y0
-        top = image[y0, x0] + fx * (image[y0, x0 + 1] - image[y0, x0])
-        bottom = image[y0 + 1, x0] + fx * (image[y0 + 1, x0 + 1] - image[y0 + 1, x0])
-        r = (top + fy * (bottom - top) - template[n]) * per
-        energy += weight[n] * np.log1p(r * r)
-    return 0.5 * scale * scale * energy
+        square = scale[n] * scale[n]
+        r = here - gain * value[n] - exposure[1]
+        energy += weight[n] * square * np.log1p(r * r / square)
+    return 0.5 * energy

@@ -10,12 +10,13 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numba import njit
 
 from twistcap._typing import Float, Float32, Int
 
 _FLOOR = 0.008  # brightness; least robust scale: sensor noise and sampling
 _CEILING = 0.15
-_NEITHER = 0.10  # prior of pixels that move neither way; their residuals are spread evenly over [-1, 1]
+_NEITHER = 0.05  # prior of pixels that move neither way times their density; residuals spread over [-1, 1]
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,13 @@ class Neighbourhood:
     size: tuple[int, int]
     width: float = 1.5
 
+    @staticmethod
+    def about(places: Float, width: float = 1.5) -> Neighbourhood:
+        """That of places (N, 2), (x, y); those off the image may be anywhere near the others."""
+        pixels = np.rint(places[:, ::-1]).T.astype(np.int32)
+        rows, columns = pixels - (pixels.min(axis=1, keepdims=True) if pixels.size else 0)
+        return Neighbourhood(rows, columns, (int(rows.max(initial=0)) + 1, int(columns.max(initial=0)) + 1), width)
+
     def mean(self, values: Float) -> Float:
         """(N,) weighted mean about each point of values (N,) at all points; NaN takes no part."""
         known = np.isfinite(values)
@@ -44,29 +52,50 @@ class Neighbourhood:
         return np.asarray(cv2.GaussianBlur(flat.reshape(self.size).astype(np.float32), (0, 0), self.width), np.float32)
 
 
-def robust_scale(residual: Float, part: Int, parts: int, weight: Float) -> Float:
-    """(S,) scale of the residuals of each part: 1.48 times the weighted median of their size, within sane bounds."""
-    overall = _scale_of(np.abs(residual), weight)
-    out = np.full(parts, overall)
-    for s in np.unique(part):
-        own = part == s
-        if np.count_nonzero(own) >= 20:
-            out[s] = _scale_of(np.abs(residual[own]), weight[own])
+@njit(cache=True, nogil=True)
+def robust_scale(
+    residual: Float, part: Int, parts: int, weight: Float, floor: float = _FLOOR, ceiling: float = _CEILING,
+    fewest: int = 20,
+) -> Float:  # fmt: skip
+    """(S,) scale of the residuals of each part: 1.48 times the weighted median of their size, within sane bounds.
+
+    Args:
+        residual: (N,) brightness, NaN for unknown.
+        part: (N,) part of each.
+        parts: S.
+        weight: (N,).
+        floor, ceiling: least and largest scale.
+        fewest: residuals that a part must have; one with fewer has the scale of all together.
+    """
+    size, count = np.abs(residual), np.bincount(part, minlength=parts)
+    out = np.full(parts, _scale_of(size, weight, floor, ceiling))
+    for s in range(parts):
+        if count[s] >= fewest:
+            own = part == s
+            out[s] = _scale_of(size[own], weight[own], floor, ceiling)
     return out
 
 
-def _scale_of(size: Float, weight: Float) -> float:
+@njit(cache=True, nogil=True)
+def _scale_of(size: Float, weight: Float, floor: float, ceiling: float) -> float:
     known = np.isfinite(size) & (weight > 0)
     if not known.any():
-        return _CEILING
-    order = np.argsort(size[known])
-    heaped = np.cumsum(weight[known][order])
-    median = size[known][order][np.searchsorted(heaped, 0.5 * heaped[-1])]
-    return float(np.clip(1.48 * median, _FLOOR, _CEILING))
+        return ceiling
+    size, weight = size[known], weight[known]
+    order = np.argsort(size)
+    heaped = np.cumsum(weight[order])
+    median = size[order][np.searchsorted(heaped, 0.5 * heaped[-1])]
+    return min(max(1.48 * median, floor), ceiling)
 
 
 def posterior(
-    residual: Float, behind: Float, prior: Float, sigma: Float, sigma_behind: Float, near: Neighbourhood
+    residual: Float,
+    behind: Float,
+    prior: Float,
+    sigma: Float,
+    sigma_behind: Float,
+    near: Neighbourhood,
+    neither: float = _NEITHER,
 ) -> Float:
     """(N,) probability that each pixel moves as the body does.
 
@@ -79,14 +108,15 @@ def posterior(
         sigma: (N, C) robust scale of each pixel's segment.
         sigma_behind: (C,) that of the layer behind.
         near: neighbours share their evidence: squares are averaged.
+        neither: density of the residuals of what moves neither way, times its prior.
     """
     known = np.isfinite(behind).all(axis=1)
     body = prior * _density(residual, sigma, near)
     back = (1.0 - prior) * np.where(known, _density(behind, np.broadcast_to(sigma_behind, behind.shape), near), 0.0)
-    return np.where(np.isfinite(residual).all(axis=1), body / (body + back + 0.5 * _NEITHER), 0.0)
+    return np.where(np.isfinite(residual).all(axis=1), body / (body + back + neither), 0.0)
 
 
 def _density(residual: Float, sigma: Float, near: Neighbourhood) -> Float:
     """(N,) normal density of the channels' mean square, shared by neighbours, at the mean scale."""
-    square = near.mean(np.mean((residual / sigma) ** 2, axis=1))
+    square = np.minimum(near.mean(np.mean((residual / sigma) ** 2, axis=1)), 200.0)  # numbers below 1e-300 are slow
     return np.exp(-0.5 * square - np.mean(np.log(sigma), axis=1)) / np.sqrt(2 * np.pi)
