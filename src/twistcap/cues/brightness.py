@@ -73,22 +73,22 @@ class Brightness:
         depth_tolerance: m that a point may lie behind the rendered surface and still count as seen.
         support: "robust": each part's noise grows by its differences in the frames before; "em": beside that each
             point counts as far as it was seen to move with the body, and not to stand still as what lies behind;
-            "none": neither.
-        most: factor by which a part's noise grows at most: where contours of a wrong body disagree with its brightness,
-            that is not to lose all say.
+            "none": neither, which a body that does not fit needs: its contours and its brightness disagree steadily,
+            and the brightness is not to lose its say.
+        most: factor by which a part's noise grows at most.
     """
 
     points: int = 500
     blurs: tuple[float, ...] = (0.020, 0.005)
-    sigma: float = 0.006
-    slide: float = 0.001
+    sigma: float = 0.015
+    slide: float = 0.0
     scale: float = 2.0
     jump: float = 0.06
-    share: float = 0.5
-    update: float = 0.1
+    share: float = 0.8
+    update: float = 0.2
     depth_tolerance: float = 0.012
-    support: Support = "em"
-    most: float = 2.0
+    support: Support = "none"
+    most: float = 10.0
 
     def remember(self, view: View, seen: RenderedView, posed: Posed, old: Template | None, lesson: bool) -> Template:
         """Template for the next frame; `seen` chooses the points now visible, `posed` (the settled pose) places them.
@@ -160,6 +160,10 @@ class Brightness:
         return PhotometricTerm(P, samples, view.blurred(blur), weight, self.scale * noise)
 
 
+LOOSE_CLOTHES = Brightness(sigma=0.006, slide=0.001, share=0.5, update=0.1, support="em")
+"""For a body that fits under clothes that do not."""
+
+
 @njit(cache=True, nogil=True)
 def template_values(
     P: Float, transforms: Float, segments: Int, weights: Float, local: Float, image: Float32
@@ -177,15 +181,9 @@ def template_values(
 
 @njit(cache=True, nogil=True)
 def unmoved(
-    P: Float,
-    transforms: Float,
-    segments: Int,
-    weights: Float,
-    local: Float,
-    before: Float32,
-    now: Float32,
+    P: Float, transforms: Float, segments: Int, weights: Float, local: Float, before: Float32, now: Float32,
     shift: Float,
-) -> tuple[Float, Float]:
+) -> tuple[Float, Float]:  # fmt: skip
     """How much brightness has changed where surface points were in the frame before, and those pixels.
 
     Args:

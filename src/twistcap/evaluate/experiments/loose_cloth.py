@@ -7,10 +7,11 @@ body and cameras exact, and a picture that slides over the body by up to 3 cm wh
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from twistcap.cues.brightness import Brightness
+from twistcap.cues.brightness import LOOSE_CLOTHES
 from twistcap.estimate import Estimate
 from twistcap.evaluate.experiments.arms import Arm, Comparison, Trace, by_arm
 from twistcap.evaluate.metrics import Row, row
@@ -18,11 +19,12 @@ from twistcap.evaluate.sequence import joint_errors_mm
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import TrackerConfig
 
-ON, OFF = "support maps", "no support"
+ON, OFF = "support maps", "the default"
 ARMS = (
-    Arm(ON, TrackerConfig(brightness=Brightness(support="em"))),
-    Arm("robust scales", TrackerConfig(brightness=Brightness(support="robust"))),
-    Arm(OFF, TrackerConfig(brightness=Brightness(support="none"))),
+    Arm(ON, TrackerConfig(brightness=LOOSE_CLOTHES)),
+    Arm("robust scales", TrackerConfig(brightness=replace(LOOSE_CLOTHES, support="robust"))),
+    Arm("the same noise without maps", TrackerConfig(brightness=replace(LOOSE_CLOTHES, support="none"))),
+    Arm(OFF, TrackerConfig()),
     Arm("no brightness", TrackerConfig(photometric=False)),
 )
 
