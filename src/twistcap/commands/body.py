@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -55,6 +55,9 @@ def fit(
     out: Annotated[Path, typer.Option(help="Folder for everything that is written.")] = Path("body"),
     frames: Annotated[str | None, typer.Option(help="FIRST:LAST of the first session, both included.")] = None,
     count: Annotated[int, typer.Option("--fit-frames", min=1, help="Frames of each session to fit to, at most.")] = 20,
+    model: Annotated[
+        Literal["session", "anny"], typer.Option(help="The session's body, or the Anny body (extra twistcap[anny]).")
+    ] = "session",
     json: terminal.Json = False,
 ) -> None:
     """Fit a session's body to what all its views show: lengths, girths, cross-sections and a smooth offset.
@@ -67,13 +70,15 @@ def fit(
       twistcap body fit anna.toml --frames 0:59 --out anna
 
       twistcap body fit walk.toml t_pose.toml --out anna
+
+      twistcap body fit anna.toml --model anny --out anna
     """
     from twistcap.commands.bodyfit import fit_sessions
     from twistcap.io.session import load_session
 
     spans = [terminal.frame_range(frames), *[None] * (len(sessions) - 1)]
     loaded = [load_session(path, {"frames": span}) for path, span in zip(sessions, spans, strict=True)]
-    document: dict[str, Any] = fit_sessions(loaded, sessions[0], terminal.output_folder(out), count)
+    document: dict[str, Any] = fit_sessions(loaded, sessions[0], terminal.output_folder(out), count, model)
     if json:
         terminal.emit(document)
         return
