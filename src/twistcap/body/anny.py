@@ -66,9 +66,10 @@ class AnnyModel:
 
     def __init__(self) -> None:
         try:
-            anny, torch = (import_module(name) for name in ("anny", "torch"))
+            warp, anny, torch = (import_module(name) for name in ("warp", "anny", "torch"))
         except ImportError as error:
             raise InputError(MISSING) from error
+        warp.config.quiet = True  # it would write to our standard output
         model: Any = anny.Anny(rig="cmu_mb", topology=_TOPOLOGY, phenotypes="default", local_changes="default")
         self._model, self._torch = model.to(torch.float64), torch
         self._changes = _groups([name for name in model.local_change_labels if _CHANGES.match(name)])
