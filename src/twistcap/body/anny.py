@@ -73,12 +73,14 @@ class AnnyModel:
         model: Any = anny.Anny(rig="cmu_mb", topology=_TOPOLOGY, phenotypes="default", local_changes="default")
         self._model, self._torch = model.to(torch.float64), torch
         self._changes = _groups([name for name in model.local_change_labels if _CHANGES.match(name)])
+        whole = [Parameter(name, usual, 0.06 if name == "age" else 0.2, 0.0, 1.0) for name, usual in _BUILD.items()]
+        parts = [Parameter(name, 0.0, 0.3, -1.0, 1.0) for name in self._changes]
+        self._parameters = (*whole, *parts)
 
-    @cached_property
+    @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Six of the whole body (gender from male 0 to female 1, age, …), then changes of single parts."""
-        whole = [Parameter(name, usual, 0.06 if name == "age" else 0.2, 0.0, 1.0) for name, usual in _BUILD.items()]
-        return *whole, *(Parameter(name, 0.0, 0.3, -1.0, 1.0) for name in self._changes)
+        return self._parameters
 
     def bodies(self, values: Float) -> list[Body]:
         """Bodies of the joints, signs and zero pose of the built-in humanoid.
