@@ -47,6 +47,45 @@ def keyviews(
 
 
 @body.command()
+def silhouettes(
+    views: Annotated[Path, typer.Argument(help="The key views.", metavar="KEYVIEWS.toml")],
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port on 127.0.0.1; 0 takes a free one.")] = 0,
+) -> None:
+    """Cut the person out of the key views in the browser: a rectangle, then strokes on person and background.
+
+    Writes the mask that each view names, or KEYVIEWS_ROLE_mask.png beside the file; what background plates or earlier
+    masks give is there to be mended.
+
+    Examples:
+
+      twistcap body silhouettes anna.toml
+
+      twistcap body silhouettes anna.toml --port 8765    # from afar: ssh -L 8765:127.0.0.1:8765 HOST
+    """
+    from twistcap.commands.view import serve
+    from twistcap.pages.assemble import page
+
+    with words.status("reading the pictures"):
+        cutting = cutting_of(views)
+        html = page("cut", f"Silhouettes of {views.stem}", cutting.document())
+    serve(html, cutting.answers, port, "the page")
+
+
+def cutting_of(path: Path) -> Any:
+    """Everything that `silhouettes` serves.
+
+    Raises:
+        InputError: whatever is wrong with the file or its pictures.
+    """
+    from twistcap.io.keyviews import read_uncut
+    from twistcap.pages.cutting import Cutting, CutView
+
+    found = read_uncut(path)
+    notes = {r: "" if u.named else f'Put mask = "{u.target.name}" into [views.{r}].' for r, u in found.items()}
+    return Cutting({role: CutView(u.image, u.target, u.known) for role, u in found.items()}, notes)
+
+
+@body.command()
 def fit(
     sessions: Annotated[
         list[Path],
