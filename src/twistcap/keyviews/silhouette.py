@@ -18,6 +18,7 @@ _NEEDS = {
     "above": "the arm view: the arms held out, seen from above",
     "elbows": "the joint view: upper arms out sideways, forearms straight up",
 }
+_KEPT = 0.35  # px of a person's rim that are rather kept: toes and fingers are thin
 _TILT = np.deg2rad(30.0)  # two views farther than this from a right angle give no control points worth having
 
 
@@ -62,7 +63,7 @@ def _at_half_contrast(change: Float, mask: AnyArray, rim: int = 4) -> Bool:
     half = ((core > 0) | ((mask > 0) & (change > 0.5 * inner))).astype(np.uint8)
     depth = cv2.distanceTransform(mask, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     edge = (half > 0) & (cv2.erode(half, np.ones((3, 3), np.uint8)) == 0)
-    return depth > (float(np.median(depth[edge])) - 1.0 if edge.any() else 0.0)
+    return depth > (float(np.median(depth[edge])) - 1.0 - _KEPT if edge.any() else 0.0)
 
 
 def one_person(mask: Bool) -> Bool:
