@@ -201,7 +201,7 @@ def test_annys_parameters_do_what_they_say(anny) -> None:
     assert volume(heavy) > 1.05 * volume(plain)
     assert np.ptp(high.vertices[:, 2]) > 1.05 * np.ptp(plain.vertices[:, 2])
     for body in (heavy, high):
-        assert np.abs(np.mean(body.vertices[:, 1])) < 1e-6  # both sides change alike
+        assert np.abs(np.mean(body.vertices[:, 1])) < 1e-4  # both sides change alike, as far as the binding does
 
 
 @needs_anny
