@@ -75,9 +75,9 @@ def test_rows_are_the_derivatives_of_the_projected_points(body) -> None:
     for k in chosen:
         amounts = np.zeros(shape.size)
         amounts[k] = size
-        there = along(f.deformed(body, *reshaped(body, shape, amounts)), pose)
+        there = along(f.deformed(body, *reshaped(shape, amounts)), pose)
         amounts[k] = -size
-        back = along(f.deformed(body, *reshaped(body, shape, amounts)), pose)
+        back = along(f.deformed(body, *reshaped(shape, amounts)), pose)
         unit = np.eye(shape.size)[:, k : k + 1]
         ours = found.field @ unit[: len(names), 0] + found.vertex @ unit[len(names) :, 0]
         worst[names[k] if k < len(names) else k] = np.abs(ours - (there - back) / (2 * size)).max()

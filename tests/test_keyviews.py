@@ -219,3 +219,16 @@ def test_files_that_do_not_fit(scene: KeyViewScene, tmp_path: Path) -> None:
         path.write_text(good.replace(old, new))
         with pytest.raises(InputError, match=message):
             read_key_views(path)
+
+
+def test_a_silhouette_from_a_plate_ends_where_the_person_does() -> None:
+    """A disc of even brightness in an uneven, noisy room, its edge blurred by the lens."""
+    rng = np.random.default_rng(0)
+    room = 60.0 + cv2.GaussianBlur(rng.uniform(0, 60, (300, 300, 3)).astype(np.float32), (0, 0), 8)
+    y, x = np.mgrid[:300, :300]
+    cover = (np.hypot(x - 150, y - 150) <= 80).astype(np.float32)
+    cover = cv2.GaussianBlur(cover, (0, 0), 0.8)[..., None]
+    image = room * (1 - cover) + 160.0 * cover
+    image, plate = (np.clip(a + rng.normal(0, 3, a.shape), 0, 255).astype(np.uint8) for a in (image, room))
+    found = one_person(difference_mask(image, plate))
+    assert abs(np.sqrt(found.sum() / np.pi) - 80.0) < 0.8

@@ -6,7 +6,7 @@ All of them are taken in the rest pose and are linear, so that one least-squares
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -256,8 +256,3 @@ def _blocks(parts: Sequence[Float]) -> Float:
         out[at : at + len(part), at : at + len(part)] = part
         at += len(part)
     return out
-
-
-def factors(names: Sequence[str], amounts: Float) -> Mapping[str, float]:
-    """Stature, lengths and girths as factors, for a report."""
-    return {n: float(np.exp(a)) for n, a in zip(names, amounts, strict=True) if not n.startswith(("section", "joint"))}

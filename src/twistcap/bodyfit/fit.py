@@ -11,6 +11,7 @@ import numpy as np
 from twistcap._typing import Bool, Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.bodyfit import fields as f
+from twistcap.bodyfit.build import Build, Stretches
 from twistcap.bodyfit.observe import Contours, Observed, observe, observe_masks
 from twistcap.bodyfit.solve import Shape, reshaped, step
 from twistcap.bodyfit.symmetry import symmetric
@@ -107,7 +108,7 @@ class Fitted:
         poses: of each take, frame number to pose, of the frames that the shape was fitted to.
         begun: the body from which the fit began.
         begun_poses: as it was tracked in those frames.
-        factors: stature, lengths and girths against the body given.
+        factors: what the build tells: stature, lengths and girths against the body given, or a model's parameters.
         errors_px: root mean square distance to the edges found, before every step.
     """
 
@@ -120,12 +121,19 @@ class Fitted:
     errors_px: tuple[float, ...]
 
 
-def fit_body(body: Body, takes: Sequence[Take], rule: FitRule | None = None, tell: Tell = lambda note: None) -> Fitted:
+def fit_body(
+    body: Body,
+    takes: Sequence[Take],
+    rule: FitRule | None = None,
+    tell: Tell = lambda note: None,
+    build: Build | None = None,
+) -> Fitted:
     """The body that the contours in all views and frames of all takes ask for.
 
     Args:
         body: to begin with; its tree and binding stay.
         tell: is given a few words after each piece of work.
+        build: what the body may become; by default its lengths, girths and cross-sections change.
 
     Raises:
         InputError: where there is no frame, or nothing of the body is seen.
@@ -134,14 +142,15 @@ def fit_body(body: Body, takes: Sequence[Take], rule: FitRule | None = None, tel
     if not takes or any(not len(take.frames) for take in takes):
         raise InputError("body fit: there is no frame to fit the body to; give at least one recording with frames.")
     body = symmetric(body) if rule.mirrored else body
+    build = build or Stretches(rule.stature, rule.length, rule.girth, rule.section, rule.knots)
     state = _State(body, tuple(take.first_pose for take in takes), (), {}, ())
     first = moments = _tracked(state, takes, rule, tell)
     for n in range(rule.rounds):
         moments = moments if n == 0 else _tracked(state, takes, rule, tell)
-        state, moments = _shaped(state, body, takes, moments, rule, n > 0, tell)
-    named = f.factors(list(state.amounts), np.array(list(state.amounts.values())))
+        state, moments = _shaped(state, body, build, takes, moments, rule, n > 0, tell)
+    told = build.told({name: amount for name, amount in state.amounts.items() if not name.startswith("joint ")})
     poses, begun = (tuple(_by_take(m, len(takes))) for m in (moments, first))
-    return Fitted(state.body, state.first_poses, poses, body, begun, dict(named), state.errors)
+    return Fitted(state.body, state.first_poses, poses, body, begun, told, state.errors)
 
 
 @dataclass(frozen=True)
@@ -210,12 +219,14 @@ def _observed(
 
 
 def _shaped(
-    state: _State, given: Body, takes: Sequence[Take], moments: list[_Moment], rule: FitRule, offsets: bool, tell: Tell
-) -> tuple[_State, list[_Moment]]:
+    state: _State, given: Body, build: Build, takes: Sequence[Take], moments: list[_Moment], rule: FitRule,
+    offsets: bool, tell: Tell,
+) -> tuple[_State, list[_Moment]]:  # fmt: skip
     """Gauss-Newton steps on the poses of the chosen frames and the shape."""
     for _ in range(rule.steps):
-        shape = _shape(state.body, given, rule, offsets)
-        names, M = shape.fields.names, len(shape.fields.names)
+        own = build.fields(state.body, state.amounts)
+        shape = _shape(state.body, given, own, build.rigid, rule, offsets)
+        names, K, M = shape.fields.names, len(own.names), len(shape.fields.names)
         amounts = np.array([state.amounts.get(name, 0.0) for name in names])
         if offsets:
             amounts = np.concatenate([amounts, state.offsets or np.zeros(len(given.vertices))])
@@ -228,14 +239,16 @@ def _shaped(
         if offsets:
             bounded = np.clip(amounts[M:] + change[M:], -rule.offset_bound, rule.offset_bound)
             change[M:] = bounded - amounts[M:]
-        body = f.deformed(state.body, *reshaped(state.body, shape, change))
+        change[:K], built = build.moved(own, amounts[:K], change[:K])
+        moved = reshaped(shape, np.concatenate([np.zeros(K), change[K:]]))
+        body = f.deformed(state.body, *(a + b for a, b in zip(built, moved, strict=True)))
         total = amounts + change
         state = replace(
             state, body=body, amounts=dict(zip(names, total[:M].tolist(), strict=True)),
             offsets=tuple(total[M:].tolist()), errors=(*state.errors, found.error_px),
         )  # fmt: skip
-        moved = [m.pose.retract(d) for m, d in zip(moments, found.poses, strict=True)]
-        moments = [replace(m, pose=p.within(given.limits)) for m, p in zip(moments, moved, strict=True)]
+        poses = [m.pose.retract(d).within(given.limits) for m, d in zip(moments, found.poses, strict=True)]
+        moments = [replace(m, pose=p) for m, p in zip(moments, poses, strict=True)]
         tell(f"{found.error_px:.2f} px to the edges")
     return replace(state, first_poses=_first_poses(state, takes, moments)), moments
 
@@ -247,16 +260,16 @@ def _first_poses(state: _State, takes: Sequence[Take], moments: Sequence[_Moment
     return tuple(found.get((t, k), pose) for t, (k, pose) in enumerate(zip(numbers, state.first_poses, strict=True)))
 
 
-def _shape(body: Body, given: Body, rule: FitRule, offsets: bool) -> Shape:
-    fields = f.stretch_fields(body, rule.stature, rule.length, rule.girth)
-    fields += f.profile_fields(body, rule.section, rule.knots)
-    fields += f.joint_fields(body, rule.joint, rule.joint_side)
+def _shape(body: Body, given: Body, own: f.Fields, rigid: bool, rule: FitRule, offsets: bool) -> Shape:
+    """The build's own fields, shifts of the joint centres, and offsets if asked for."""
+    fields = own + f.joint_fields(body, rule.joint, rule.joint_side)
     M, V = len(fields.names), len(body.vertices) if offsets else 0
     directions = f.offset_directions(body)[:V]
     precision = np.zeros((M + V, M + V))
     precision[:M, :M] = fields.precision
     rotation = f.turns(given)
     turned = np.tensordot(rotation, fields.vertices, ([1, 2], [1, 2]))
+    turned[:, : len(own.names)] *= rigid
     if offsets:
         precision[M:, M:] = f.offset_precision(given, rule.offset, rule.reach)
         turned = np.hstack([turned, np.einsum("tvi,vi->tv", rotation, directions)])

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 
 from twistcap._typing import Float, Int
-from twistcap.body import Body, Posed
+from twistcap.body import Posed
 from twistcap.bodyfit.fields import Fields
 from twistcap.bodyfit.observe import Observed
 from twistcap.firstpose.silhouette import projection_jacobian
@@ -160,7 +160,7 @@ def step(
     return Step(poses, shape_step, float(np.sqrt(squares / max(total, 1e-12))))
 
 
-def reshaped(body: Body, shape: Shape, amounts: Float) -> tuple[Float, Float, Float]:
+def reshaped(shape: Shape, amounts: Float) -> tuple[Float, Float, Float]:
     """Motions of vertices, joints and landmarks for a step of the amounts (M + V,)."""
     M = len(shape.fields.names)
     vertices, joints, marks = shape.fields @ amounts[:M]

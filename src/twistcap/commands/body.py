@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -47,6 +47,45 @@ def keyviews(
 
 
 @body.command()
+def silhouettes(
+    views: Annotated[Path, typer.Argument(help="The key views.", metavar="KEYVIEWS.toml")],
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port on 127.0.0.1; 0 takes a free one.")] = 0,
+) -> None:
+    """Cut the person out of the key views in the browser: a rectangle, then strokes on person and background.
+
+    Writes the mask that each view names, or KEYVIEWS_ROLE_mask.png beside the file; what background plates or earlier
+    masks give is there to be mended.
+
+    Examples:
+
+      twistcap body silhouettes anna.toml
+
+      twistcap body silhouettes anna.toml --port 8765    # from afar: ssh -L 8765:127.0.0.1:8765 HOST
+    """
+    from twistcap.commands.view import serve
+    from twistcap.pages.assemble import page
+
+    with words.status("reading the pictures"):
+        cutting = cutting_of(views)
+        html = page("cut", f"Silhouettes of {views.stem}", cutting.document())
+    serve(html, cutting.answers, port, "the page")
+
+
+def cutting_of(path: Path) -> Any:
+    """Everything that `silhouettes` serves.
+
+    Raises:
+        InputError: whatever is wrong with the file or its pictures.
+    """
+    from twistcap.io.keyviews import read_uncut
+    from twistcap.pages.cutting import Cutting, CutView
+
+    found = read_uncut(path)
+    notes = {r: "" if u.named else f'Put mask = "{u.target.name}" into [views.{r}].' for r, u in found.items()}
+    return Cutting({role: CutView(u.image, u.target, u.known) for role, u in found.items()}, notes)
+
+
+@body.command()
 def fit(
     sessions: Annotated[
         list[Path],
@@ -55,6 +94,9 @@ def fit(
     out: Annotated[Path, typer.Option(help="Folder for everything that is written.")] = Path("body"),
     frames: Annotated[str | None, typer.Option(help="FIRST:LAST of the first session, both included.")] = None,
     count: Annotated[int, typer.Option("--fit-frames", min=1, help="Frames of each session to fit to, at most.")] = 20,
+    model: Annotated[
+        Literal["session", "anny"], typer.Option(help="The session's body, or the Anny body (extra twistcap[anny]).")
+    ] = "session",
     json: terminal.Json = False,
 ) -> None:
     """Fit a session's body to what all its views show: lengths, girths, cross-sections and a smooth offset.
@@ -67,13 +109,15 @@ def fit(
       twistcap body fit anna.toml --frames 0:59 --out anna
 
       twistcap body fit walk.toml t_pose.toml --out anna
+
+      twistcap body fit anna.toml --model anny --out anna
     """
     from twistcap.commands.bodyfit import fit_sessions
     from twistcap.io.session import load_session
 
     spans = [terminal.frame_range(frames), *[None] * (len(sessions) - 1)]
     loaded = [load_session(path, {"frames": span}) for path, span in zip(sessions, spans, strict=True)]
-    document: dict[str, Any] = fit_sessions(loaded, sessions[0], terminal.output_folder(out), count)
+    document: dict[str, Any] = fit_sessions(loaded, sessions[0], terminal.output_folder(out), count, model)
     if json:
         terminal.emit(document)
         return

