@@ -85,7 +85,7 @@ def _scale_of(size: Float, weight: Float, floor: float, ceiling: float) -> float
     order = np.argsort(size)
     heaped = np.cumsum(weight[order])
     median = size[order][np.searchsorted(heaped, 0.5 * heaped[-1])]
-    return min(max(1.48 * median, floor), ceiling)
+    return float(min(max(1.48 * median, floor), ceiling))
 
 
 def posterior(

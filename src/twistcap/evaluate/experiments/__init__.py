@@ -18,8 +18,8 @@ from twistcap.evaluate.experiments.refinement import REFINE, REFINE_WALK
 from twistcap.evaluate.experiments.running_time import C6
 
 EXPERIMENTS: tuple[Experiment, ...] = (
-    B1, B2, C1, C2, C3, C4, C5, C6, D1, D1_SPEED, D1_OTHER, D2, D3, D3_OTHERS, D4, D5, D6, D7, T1, T2, T3, T_EM, T_CLOTH,
-    REFINE, REFINE_WALK, CLICKS, KEYVIEWS,
+    B1, B2, C1, C2, C3, C4, C5, C6, D1, D1_SPEED, D1_OTHER, D2, D3, D3_OTHERS, D4, D5, D6, D7, T1, T2, T3, T_EM,
+    T_CLOTH, REFINE, REFINE_WALK, CLICKS, KEYVIEWS,
 )  # fmt: skip
 
 __all__ = ["EXPERIMENTS", "Arm", "Comparison", "Experiment", "Findings", "Shot", "Trace"]
