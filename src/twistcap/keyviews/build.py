@@ -18,7 +18,8 @@ from twistcap.keyviews.sections import closed_spline
 _RING = 24  # vertices of a slice
 _DOWN = np.array([0.0, 0.0, -1.0])
 # The joint of L5 and S1 from the middle of the hips, shares of stature: Reed, Manary and Schneider 1999 (SAE
-# 1999-01-0959) put it 0.404 of the pelvis' breadth (224 mm at 1.75 m) above the hips and 0.056 behind them.
+# 1999-01-0959) put it 0.404 of the pelvis' breadth (224 mm at 1.75 m) above the hips and 0.056 behind them. The
+# numbers were not checked against the printed paper; on two of Anny's meshes they lie at the mesh's own joint.
 _LUMBAR = np.array([-0.007, 0.0, 0.052])
 _FOLD, _GROIN = 0.085, 0.015  # m below the hip, at 1.75 m: the fold of the buttock 0.1 m behind it, the groin before it
 
