@@ -3,7 +3,7 @@
     TWISTCAP_DATA=... python benchmarks/balance.py [--arms 60 30 20 cam01+cam02 ...] [--set KEY=VALUE]
 
 Body and first pose are those that four cameras give, in every arm; what differs is what the tracker sees afterwards.
-An arm whose table line stands in --out already is not run again.
+An arm whose table line of the same settings stands in --out already is not run again.
 """
 
 from __future__ import annotations
@@ -67,10 +67,11 @@ def main() -> None:
     for arm in options.arms:
         folder = options.out / arm
         folder.mkdir(parents=True, exist_ok=True)
-        if not (folder / "line.json").exists():
+        kept = folder / "line.json"
+        if not kept.exists() or json.loads(kept.read_text())["set"] != options.set:
             followed(folder / "result.h5", arm, parsed_settings(options.set))
-            (folder / "line.json").write_text(json.dumps(line(folder / "result.h5")))
-        found = json.loads((folder / "line.json").read_text())
+            kept.write_text(json.dumps({"set": options.set, **line(folder / "result.h5")}))
+        found = json.loads(kept.read_text())
         print(f"{arm:14}" + "".join(f"{found[name]:16.3f}" for name in COLUMNS), flush=True)
 
 

@@ -105,6 +105,19 @@ def test_normal_equations_equal_their_twin() -> None:
         np.testing.assert_allclose(fast, slow, rtol=1e-9, atol=1e-9 * np.abs(slow).max())
 
 
+def test_points_without_weight_may_be_of_unknown_brightness() -> None:
+    """As those are that a level of the pyramid does not show."""
+    rng, state = np.random.default_rng(1), a_state()
+    points, *_ = some_points(state)
+    samples = Samples(points, rng.random(len(points)), rng.normal(size=(len(points), 2)))
+    weight = np.where(np.arange(len(points)) % 3 == 0, 0.0, 1.0)
+    unknown = Samples(points, np.where(weight > 0, samples.value, np.nan), samples.gradient)
+    posed, view, image, lit = state.posed(BODY), state.views[0], textured(rng), np.zeros(2)
+    found = normal_equations(posed, view, unknown, image, lit, weight)
+    for a, b in zip(found, normal_equations(posed, view, samples, image, lit, weight), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
 def test_gradient_is_that_of_the_energy() -> None:
     """On a picture that is a plane, where sampled values have exact gradients."""
     rng, state = np.random.default_rng(1), a_state()

@@ -13,6 +13,7 @@ from twistcap._typing import Bool, Float, Float32, Int
 from twistcap.body import Posed
 from twistcap.cues.support_maps import Neighbourhood, posterior, robust_scale
 from twistcap.cues.view import View
+from twistcap.errors import InputError
 from twistcap.render import RenderedView, SurfacePoints
 from twistcap.terms import PhotometricTerm
 from twistcap.terms.accumulate import projected_point
@@ -90,6 +91,13 @@ class Brightness:
     support: Support = "none"
     most: float = 10.0
 
+    def __post_init__(self) -> None:
+        positive = all(value > 0.0 for value in (self.sigma, self.scale, self.jump, self.share))
+        if not (positive and self.slide >= 0.0 and self.most >= 1.0):
+            raise InputError(
+                "brightness: sigma, scale, jump and share must be positive, slide not negative and most 1 or more."
+            )
+
     def remember(self, view: View, seen: RenderedView, posed: Posed, old: Template | None, lesson: bool) -> Template:
         """Template for the next frame; `seen` chooses the points now visible, `posed` (the settled pose) places them.
 
@@ -134,7 +142,9 @@ class Brightness:
         noise = self._noise(old.samples, seen.px_per_m)
         r = old.samples.residuals(posed, P, image, np.zeros(EXPOSURE)) / noise
         now = robust_scale(r, points.part, len(old.excess), visible * old.trust, 1.0, self.most)
-        excess = _PAST * old.excess + (1.0 - _PAST) * now
+        known = (visible * old.trust > 0.0) & np.isfinite(r)
+        shown = np.bincount(points.part, known, len(old.excess)) > 0  # of what is hidden nothing is learnt
+        excess = np.where(shown, _PAST * old.excess + (1.0 - _PAST) * now, old.excess)
         if self.support == "robust":
             return replace(old, excess=excess)
         last = old.view.camera

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -64,8 +64,14 @@ class Stretched:
         return len(self.q)
 
     def then(self, more: Stretched) -> Stretched:
-        """This one and what follows; the place is the later one's."""
-        return Stretched(np.concatenate([self.q, more.q]), np.concatenate([self.roots, more.roots]), more.match)
+        """This one and what follows; the place is the later one's, the distance the larger.
+
+        What follows a prediction matches where that was copied from, ever so well.
+        """
+        match = more.match
+        if match is not None and self.match is not None:
+            match = replace(match, distance=max(match.distance, self.match.distance))
+        return Stretched(np.concatenate([self.q, more.q]), np.concatenate([self.roots, more.roots]), match)
 
     def since(self, start: int) -> Stretched:
         """From pose `start` on."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twistcap._typing import Float
+from twistcap.errors import InputError
 from twistcap.motion.matching import Match
 
 OWN = -1
@@ -36,6 +37,14 @@ class RecurrenceRule:
     away: float = 3.0
     stir: float = 0.1
     count: int = 3
+
+    def __post_init__(self) -> None:
+        whole = min(self.poses, self.shortest, self.count) >= 1 and self.look_back > self.poses
+        if not (whole and self.lead >= 0.0 and self.away >= 1.0 and self.stir >= 0.0):
+            raise InputError(
+                "recurrence: poses, shortest and count must be 1 or more, look_back more than poses, "
+                "lead and stir not negative, away 1 or more."
+            )
 
 
 def recurrences(q: Float, rule: RecurrenceRule) -> list[Match]:

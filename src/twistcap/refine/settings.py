@@ -52,3 +52,5 @@ class RefineConfig:
     def __post_init__(self) -> None:
         if min(self.length, self.girth, self.joint) < 0 or self.rounds < 1 or min(self.strides, default=1) < 1:
             raise InputError("refine: length, girth and joint must be 0 or more, rounds and strides 1 or more.")
+        if not self.sigma > 0:
+            raise InputError(f"refine: sigma is {self.sigma}; the noise of brightness must be positive.")

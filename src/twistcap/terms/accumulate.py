@@ -88,18 +88,20 @@ def normal_equations(
 
     Args:
         posed, points, rows: of the pose's step.
-        beside: (R N, C) derivatives of the residuals by C more unknowns.
+        beside: (R N, C) derivatives of the residuals by C more unknowns; of rows without weight anything, even NaN.
     """
     sums = SegmentSums(posed)
     sums.add_rows(0.0, points, rows)
     quadratic = sums.quadratic()
     if beside is None:
         return quadratic.gradient, quadratic.hessian
+    used = rows.weight != 0.0
+    beside, residual = np.where(used[:, None], beside, 0.0), np.where(used, rows.residual, 0.0)
     cross = np.zeros((len(sums.vector), 6, beside.shape[1]))
     accumulate_beside(*points.bound_to(posed), rows.gradient, rows.weight, beside, cross)
     weighted = beside.T * rows.weight
     corner = posed.projector.T @ cross.reshape(-1, beside.shape[1])
-    gradient = np.concatenate([quadratic.gradient, weighted @ rows.residual])
+    gradient = np.concatenate([quadratic.gradient, weighted @ residual])
     return gradient, np.block([[quadratic.hessian, corner], [corner.T, weighted @ beside]])
 
 
