@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -16,6 +18,7 @@ from twistcap.errors import InputError
 from twistcap.io.calibration import write_rig
 from twistcap.keyviews.cutout import Hints, Stroke, cut_out
 from twistcap.pages.assemble import page
+from twistcap.pages.cutting import outline
 from twistcap.region.compare import iou
 
 SIZE = (200, 260)  # width, height
@@ -105,10 +108,13 @@ def test_a_large_image_is_cut_small_and_enlarged() -> None:
     ("question", "words"),
     [
         ({"view": "behind"}, "front, side"),
-        ({"view": "front"}, "rectangle around"),
+        ({"view": []}, "front, side"),
+        ({"view": "front", "strokes": [{"inside": True, "points": [9, 9]}]}, "rectangle around"),
         ({"view": "front", "rectangle": [1, 2, 3]}, "two corners"),
         ({"view": "front", "rectangle": [5, 5, 5, 90]}, "larger than two"),
         ({"view": "front", "rectangle": [1, 2, float("nan"), 9]}, "finite"),
+        ({"view": "front", "rectangle": [1, 2, 10**20, 9]}, "finite"),
+        ({"view": "front", "rectangle": [1, 2, 10**400, 9]}, "finite"),
         ({"view": "front", "rectangle": [9, 9, 99, 99], "strokes": [3]}, "object"),
         ({"view": "front", "rectangle": [9, 9, 99, 99], "strokes": [{"points": [1]}]}, "x, y, x, y"),
     ],
@@ -135,10 +141,69 @@ def test_masks_are_written_where_the_file_reads_them(keyviews: Path) -> None:
     assert again.cut({"view": "side"})["outline"]
 
 
+def test_what_is_cleared_is_not_saved(keyviews: Path) -> None:
+    cutting, rectangle = cutting_of(keyviews), [50, 20, 150, 245]
+    assert cutting.cut({"view": "front", "rectangle": rectangle})["cut"]
+    cleared = cutting.cut({"view": "front", "rectangle": None, "strokes": []})
+    assert cleared == {"view": "front", "outline": [], "share": 0.0, "cut": False}
+    with pytest.raises(InputError, match="nothing to save"):
+        cutting.save({})
+    cutting.cut({"view": "side", "rectangle": rectangle})
+    cutting.save({})
+    again = cutting_of(keyviews)  # what there was before is shown again, and not written
+    before = again.document()["views"][1]["outline"]
+    stroke = {"inside": False, "points": [62, 30, 62, 200], "width": 6}
+    assert again.cut({"view": "side", "strokes": [stroke]})["cut"]
+    assert again.cut({"view": "side"})["outline"] == before
+    with pytest.raises(InputError, match="nothing to save"):
+        again.save({})
+
+
+def test_what_is_shown_is_saved_and_never_nothing(keyviews: Path) -> None:
+    big = cv2.resize(scene()[..., ::-1], None, fx=4, fy=4)
+    cv2.imwrite(str(keyviews.parent / "front.png"), big)
+    K = np.array([[1200.0, 0, 399.5], [0, 1200.0, 519.5], [0, 0, 1]])
+    views = [Camera(n, K, look_at(eye, [0, 0, 1.0], (0, 0, 1)), (800, 1040)) for n, eye in (("a", [4, 0, 1]),)]
+    write_rig(Rig(tuple(views)), keyviews.parent / "c.toml")
+    keyviews.write_text('calibration = "c.toml"\n[views.front]\ncamera = "a"\nimage = "front.png"\n')
+    cutting = cutting_of(keyviews)
+    shown = cutting.cut({"view": "front", "rectangle": [200, 80, 600, 980]})
+    (path,) = cutting.save({})["saved"]
+    mask = cv2.imread(path, cv2.IMREAD_GRAYSCALE) > 127
+    assert outline(mask) == shown["outline"]
+    assert iou(mask, cv2.resize(person().astype(np.uint8), (800, 1040)) > 0) > 0.9
+    over = {"inside": False, "points": [400, 80, 400, 980], "width": 500}
+    with pytest.raises(InputError, match="nothing is left"):
+        cutting.cut({"view": "front", "rectangle": [200, 80, 600, 980], "strokes": [over]})
+    with pytest.raises(InputError, match="nothing to save"):
+        cutting.save({})
+
+
+def test_a_mask_that_cannot_be_written_is_told_plainly(keyviews: Path) -> None:
+    cutting = cutting_of(keyviews)
+    cutting.cut({"view": "side", "rectangle": [50, 20, 150, 245]})
+    (keyviews.parent / "side_mask.png").mkdir()
+    with pytest.raises(InputError, match=r"side_mask.png cannot be written: [^\[\]]+\.$"):
+        cutting.save({})
+
+
+@pytest.mark.parametrize("mask", ["front.png", "./side.png", "anna_front_mask.png"])
+def test_a_mask_must_not_lie_where_another_picture_does(keyviews: Path, mask: str) -> None:
+    keyviews.write_text(keyviews.read_text().replace("side_mask.png", mask))
+    with pytest.raises(InputError, match=r"^\[views\.\w+\]: `mask` .* is another picture too"):
+        cutting_of(keyviews)
+
+
 def test_a_file_without_pictures_is_told(keyviews: Path, capsys: pytest.CaptureFixture[str]) -> None:
     keyviews.write_text('calibration = "c.toml"\n[views.front]\ncamera = "a"\nmask = "m.png"\n')
     assert run("body", "silhouettes", keyviews) == 2
     assert "no view names an `image`" in capsys.readouterr().err
+
+
+def on_screen(browser: Browser, x: float, y: float) -> tuple[float, float]:
+    matrix = "document.querySelector('#stage svg').getScreenCTM()"
+    at = browser.run(f"(p => [p.x, p.y])(new DOMPoint({x} + 0.5, {y} + 0.5).matrixTransform({matrix}))")
+    return at[0], at[1]
 
 
 @needs_browser
@@ -146,14 +211,9 @@ def test_drawing_cuts_and_saves(keyviews: Path, tmp_path: Path) -> None:
     cutting = cutting_of(keyviews)
     with served(page("cut", "test", cutting.document()), cutting.answers) as port, Browser() as browser:
 
-        def on_screen(x: float, y: float) -> tuple[float, float]:
-            matrix = "document.querySelector('#stage svg').getScreenCTM()"
-            at = browser.run(f"(p => [p.x, p.y])(new DOMPoint({x} + 0.5, {y} + 0.5).matrixTransform({matrix}))")
-            return at[0], at[1]
-
         def drawn(start: tuple[float, float], end: tuple[float, float]) -> list[float]:
             before = int(browser.run("document.body.dataset.cuts ?? 0"))
-            browser.drag(on_screen(*start), on_screen(*end))
+            browser.drag(on_screen(browser, *start), on_screen(browser, *end))
             browser.wait(f"+document.body.dataset.cuts > {before} && document.body.dataset.busy === 'no'")
             return browser.run("twistcapCut.view('front').outline[0]")
 
@@ -170,7 +230,7 @@ def test_drawing_cuts_and_saves(keyviews: Path, tmp_path: Path) -> None:
         browser.wait("twistcapCut.view('front').strokes.length === 0 && document.body.dataset.busy === 'no'")
         np.testing.assert_allclose(browser.run("twistcapCut.view('front').outline[0]"), first)
         browser.run("document.querySelector('[data-view=side]').click()")
-        browser.drag(on_screen(50, 20), on_screen(150, 245))
+        browser.drag(on_screen(browser, 50, 20), on_screen(browser, 150, 245))
         browser.wait("twistcapCut.view('side').cut && document.body.dataset.busy === 'no'")
         browser.run("document.getElementById('save').click()")
         browser.wait("document.body.dataset.saved")
@@ -179,3 +239,41 @@ def test_drawing_cuts_and_saves(keyviews: Path, tmp_path: Path) -> None:
     for name in ("anna_front_mask.png", "side_mask.png"):
         mask = cv2.imread(str(keyviews.parent / name), cv2.IMREAD_GRAYSCALE) > 127
         assert iou(mask, person()) > 0.9
+
+
+@needs_browser
+def test_questions_wait_for_their_turn(keyviews: Path) -> None:
+    cutting, gate = cutting_of(keyviews), threading.Event()
+    asked: list[tuple[str, int]] = []  # view and number of strokes; of a save "", 0
+
+    def cut(question: Any) -> Any:
+        gate.wait(20)
+        asked.append((question["view"], len(question["strokes"])))
+        return cutting.cut(question)
+
+    def save(question: Any) -> Any:
+        asked.append(("", 0))
+        return cutting.save(question)
+
+    with served(page("cut", "test", cutting.document()), {"/cut": cut, "/save": save}) as port, Browser() as browser:
+
+        def drag(*ends: float) -> None:
+            browser.drag(on_screen(browser, *ends[:2]), on_screen(browser, *ends[2:]))
+
+        browser.open(f"http://127.0.0.1:{port}/")
+        drag(50, 20, 150, 245)  # asked at once, and answered when the gate opens
+        drag(100, 50, 100, 150)
+        drag(100, 60, 100, 160)  # in place of the stroke before
+        browser.run("document.querySelector('[data-view=side]').click()")
+        drag(50, 20, 150, 245)
+        for _ in range(2):
+            browser.run("document.getElementById('save').click()")
+        drag(100, 50, 100, 150)  # after the save, not in place of what it waits for
+        gate.set()
+        browser.wait("document.body.dataset.busy === 'no'")
+        assert asked == [("front", 0), ("front", 2), ("side", 0), ("", 0), ("side", 1)]
+        browser.run("document.getElementById('clear').click()")
+        browser.wait("document.body.dataset.busy === 'no'")
+        assert browser.run("twistcapCut.view('side').cut === false && twistcapCut.view('side').outline.length === 0")
+        assert list(cutting.masks) == ["front"]
+        assert browser.problems == []

@@ -140,6 +140,7 @@ def test_clicks_say_what_is_wrong(made: Path, session: Path) -> None:
         ({"clicks": {"cam09": {"hip_r": [1, 2]}}}, "cam09"),
         ({"clicks": {"cam01": {"tail": [1, 2]}}}, "tail"),
         ({"clicks": {"cam01": {"hip_r": [1, float("nan")]}}}, "finite"),
+        ({"clicks": {"cam01": {"hip_r": [1, 10**400]}}}, "finite"),
         ({"clicks": {"cam01": {"hip_r": "1, 2"}}}, "finite"),
         ({"clicks": None}, "object"),
         ({"clicks": {}}, "no joint"),

@@ -11,18 +11,21 @@ import pytest
 
 from test_cli import run, told
 from twistcap.body import Pose, Posed, rescaled
+from twistcap.body.anny import _check_surface
 from twistcap.body.gltf import load_glb, save_glb
 from twistcap.body.humanoid import humanoid
 from twistcap.bodyfit.fields import deformed, joint_centres
 from twistcap.bodyfit.fit import FitRule, Take, fit_body
 from twistcap.bodyfit.parametric import Parametric, carried_pose, matched, rates_at
 from twistcap.bodyfit.symmetry import mirrored_vertices
+from twistcap.camera import Camera, Rig, look_at
+from twistcap.errors import InputError
 from twistcap.evaluate.surface import surface_distances, surface_samples
 from twistcap.studio import StudioConfig, capture
 from twistcap.studio.ring import ring
 
 needs_anny = pytest.mark.skipif(
-    any(importlib.util.find_spec(name) is None for name in ("anny", "torch")),
+    any(importlib.util.find_spec(name) is None for name in ("anny", "torch", "warp")),
     reason="the extra twistcap[anny] is not installed",
 )
 
@@ -94,6 +97,17 @@ def test_a_model_takes_another_bodys_lengths() -> None:
     assert np.abs(lengths(body) / lengths(wanted) - 1).max() < 0.004
 
 
+def test_a_body_without_landmarks_is_told() -> None:
+    with pytest.raises(InputError, match=r"humanoid-legs.* has no landmarks .*shoulder_r.*elbow_l"):
+        matched(Stout(), humanoid("legs"))
+
+
+def test_a_surface_of_another_release_is_told() -> None:
+    _check_surface(1229)
+    with pytest.raises(InputError, match="another surface, of 1230"):
+        _check_surface(1230)
+
+
 def test_a_pose_is_carried_over_to_a_body_of_another_size() -> None:
     given, rig = humanoid(stature=1.7), ring(3, 4.0, 1.0, np.array([0.0, 0.0, 0.9]), (400, 300), 350.0)
     pose = Pose.rest(given)
@@ -107,6 +121,11 @@ def test_a_pose_is_carried_over_to_a_body_of_another_size() -> None:
     found = carried_pose(given, pose, body, rig)
     off = np.linalg.norm(Posed(body, found).landmarks - Posed(given, pose).landmarks, axis=1)
     assert off.max() < 0.03 and off.mean() < 0.012
+    behind = Camera("behind", rig[0].K, look_at([0.1, 0, 3.0], [0.1, 0, 4.0], (1, 0, 0)), rig[0].size)  # sees nothing
+    again = carried_pose(given, pose, body, Rig((*rig, behind)))
+    assert np.allclose(again.q, found.q, atol=1e-6)
+    with pytest.raises(InputError, match="two cameras"):
+        carried_pose(given, pose, body, Rig((rig[0], behind)))
 
 
 def test_the_parameters_of_a_person_are_found_in_a_few_frames() -> None:
@@ -126,7 +145,7 @@ def test_the_parameters_of_a_person_are_found_in_a_few_frames() -> None:
     assert left < 0.4 * gone
 
 
-def test_surfaces_are_as_far_apart_as_two_spheres_are() -> None:
+def test_a_lifted_surface_is_as_far_off_as_its_normals_say() -> None:
     body = humanoid()
     out = replace(body, vertices=body.vertices + np.array([0.0, 0.0, 0.004]))
     points, face = surface_samples(body.vertices, body.faces, 2000)

@@ -24,7 +24,8 @@ from twistcap.body.rig_spec import LandmarkSpec, RigSpec, read_rig
 from twistcap.errors import InputError
 
 MISSING = "the Anny body needs the packages anny and torch; install them with: pip install 'twistcap[anny]'."
-_TOPOLOGY = "notoes_collapse10pc"  # one closed piece of 1229 vertices, mirrored in pairs
+_TOPOLOGY = "notoes_collapse10pc"  # one closed piece, mirrored in pairs
+_VERTICES = 1229  # of it, in the order in which _MARKS counts them
 _BUILD = {"gender": 0.5, "age": 0.7, "muscle": 0.5, "weight": 0.5, "height": 0.5, "proportions": 0.5}  # an adult's
 _CHANGES = re.compile(  # those of Anny's local changes that a silhouette shows; not the face, not one side alone
     r"measure-|[lr]-(lower|upper)(arm|leg)-(fat|muscle|scale-(horiz|depth))|[lr]-(hand|foot)-scale|buttocks-volume"
@@ -61,7 +62,7 @@ class AnnyModel:
     """Anny, loaded. The first time in an environment it computes for some minutes; later it reads a cache.
 
     Raises:
-        InputError: where the extra is not installed.
+        InputError: where the extra is not installed, or its surface is another than the landmarks are known on.
     """
 
     def __init__(self) -> None:
@@ -71,6 +72,7 @@ class AnnyModel:
             raise InputError(MISSING) from error
         warp.config.quiet = True  # it would write to our standard output
         model: Any = anny.Anny(rig="cmu_mb", topology=_TOPOLOGY, phenotypes="default", local_changes="default")
+        _check_surface(len(model.vertex_bone_indices))
         self._model, self._torch = model.to(torch.float64), torch
         self._changes = _groups([name for name in model.local_change_labels if _CHANGES.match(name)])
         whole = [Parameter(name, usual, 0.06 if name == "age" else 0.2, 0.0, 1.0) for name, usual in _BUILD.items()]
@@ -133,6 +135,14 @@ class AnnyModel:
         out = np.zeros((len(bones), len(self._model.bone_labels)))
         np.add.at(out, (np.arange(len(bones))[:, None], bones.astype(int)), shares)
         return out
+
+
+def _check_surface(count: int) -> None:
+    if count != _VERTICES:
+        raise InputError(
+            f"this release of anny has another surface, of {count} vertices instead of {_VERTICES}; install the one"
+            " that twistcap knows with: pip install 'twistcap[anny]'."
+        )
 
 
 def _groups(names: Sequence[str]) -> dict[str, list[str]]:

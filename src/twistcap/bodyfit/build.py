@@ -45,6 +45,7 @@ class Stretches:
     Attributes:
         stature, length, girth, section: standard deviations of the log-factors.
         knots: of the sections along a segment.
+        rigid: whether a segment's surface must not turn against the axes of its joint.
     """
 
     stature: float

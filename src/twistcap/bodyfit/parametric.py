@@ -13,6 +13,7 @@ from twistcap.body import Body, Pose, Posed
 from twistcap.bodyfit.build import Motions
 from twistcap.bodyfit.fields import Fields, joint_centres
 from twistcap.camera import Rig
+from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
 from twistcap.firstpose import fit_keypoints
 
@@ -27,6 +28,7 @@ _LENGTHS = tuple(
 )
 _TRUNK = (("mid_hip", "neck"), ("mid_hip", "head_top"))
 _BREADTHS = (("hip_r", "hip_l"), ("shoulder_r", "shoulder_l"))
+_MEASURED = tuple(dict.fromkeys(name for pair in (*_LENGTHS, *_TRUNK, *_BREADTHS) for name in pair))
 
 
 class Parameter(Protocol):
@@ -64,12 +66,14 @@ class Parametric:
         start: (M,) parameters of the body with which the fit begins.
         length: standard deviation of the logarithms of limb lengths and stature about those of the start: contours
             hardly tell them.
+        rigid: whether a segment's surface must not turn against the axes of its joint; as a rule it may, for a model
+            knows which way its surface turns.
     """
 
     model: Model
     start: Float
     length: float = 0.01
-    rigid: bool = False  # a model knows which way its surface turns
+    rigid: bool = False
 
     def fields(self, body: Body, amounts: Mapping[str, float]) -> Fields:
         parameters = self.model.parameters
@@ -111,7 +115,17 @@ def rates_at(model: Model, values: Float) -> Motions:
 
 
 def matched(model: Model, body: Body, length: float = 0.01) -> Parametric:
-    """The usual person with the limb lengths, trunk and stature of another body, as a build to begin a fit with."""
+    """The usual person with the limb lengths, trunk and stature of another body, as a build to begin a fit with.
+
+    Raises:
+        InputError: where the body has not all landmarks by which it is measured; ``humanoid("legs")`` has not.
+    """
+    missing = [name for name in _MEASURED if name not in body.landmarks.names]
+    if missing:
+        raise InputError(
+            f"body {body.name!r} has no landmarks {', '.join(missing)}, by which a model takes its lengths;"
+            " begin with a whole body."
+        )
     parameters = model.parameters
     usual, spread = np.array([p.usual for p in parameters]), np.array([p.spread for p in parameters])
     values, wanted, sigma = usual, _log_lengths(body), _sigmas(length)
@@ -126,11 +140,15 @@ def matched(model: Model, body: Body, length: float = 0.01) -> Parametric:
 
 
 def carried_pose(given: Body, pose: Pose, body: Body, rig: Rig) -> Pose:
-    """The pose of another body whose landmarks are seen where those of the given one are."""
+    """The pose of another body whose landmarks are seen where those of the given one are.
+
+    Raises:
+        InputError: for fewer than two cameras, or too few landmarks before two of them.
+    """
     names = tuple(name for name in body.landmarks.names if name in given.landmarks.names)
     points = Posed(given, pose).landmarks[[given.landmarks.index(name) for name in names]]
     pixels = np.stack([camera.project(points)[0] for camera in rig])
-    confidence = np.full(pixels.shape[:2], 1.0)
+    confidence = np.isfinite(pixels).all(axis=2).astype(float)  # what lies behind a camera is not seen by it
     q = [pose.q[given.coordinate(n)] if n in given.coordinate_names else 0.0 for n in body.coordinate_names]
     start = Pose(pose.root, np.array(q)).within(body.limits)
     return fit_keypoints(body, rig, Keypoints(names, pixels, confidence), fit_lengths=False, start=start).pose

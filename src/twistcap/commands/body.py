@@ -10,6 +10,9 @@ import typer
 from twistcap.commands import terminal
 from twistcap.commands.terminal import words
 
+BodyModel = Literal["session", "anny"]
+"""Whose build is fitted."""
+
 body = typer.Typer(name="body", help="Make a body of the person who is tracked.", no_args_is_help=True)
 
 
@@ -95,7 +98,7 @@ def fit(
     frames: Annotated[str | None, typer.Option(help="FIRST:LAST of the first session, both included.")] = None,
     count: Annotated[int, typer.Option("--fit-frames", min=1, help="Frames of each session to fit to, at most.")] = 20,
     model: Annotated[
-        Literal["session", "anny"], typer.Option(help="The session's body, or the Anny body (extra twistcap[anny]).")
+        BodyModel, typer.Option(help="The session's body, or the Anny body (extra twistcap[anny]).")
     ] = "session",
     json: terminal.Json = False,
 ) -> None:

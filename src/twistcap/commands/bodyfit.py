@@ -6,20 +6,19 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from twistcap.body.gltf import save_glb
 from twistcap.bodyfit.build import Build
 from twistcap.bodyfit.fit import FitRule, Fitted, Take, fit_body
 from twistcap.bodyfit.judge import Agreement, agreement
 from twistcap.bodyfit.parametric import Model, carried_pose, matched
+from twistcap.commands.body import BodyModel
 from twistcap.commands.terminal import telling, words
 from twistcap.evaluate.metrics import Row, percentile_known, row
 from twistcap.io.pose_file import write_pose
 from twistcap.io.recording import Recording, image_masks, open_together
 from twistcap.io.session import Session
-
-BodyModel = Literal["session", "anny"]
 
 
 def fit_sessions(

@@ -12,6 +12,7 @@ background = "empty.png"             # the same camera without the person, or
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -111,7 +112,8 @@ def read_uncut(path: Path | str) -> dict[str, Uncut]:
     """The pictures of the key views by role; of what is missing only pictures and cameras matter yet.
 
     Raises:
-        InputError: for a file, a picture or a camera that is missing or does not fit, or no picture at all.
+        InputError: for a file, a picture or a camera that is missing or does not fit, no picture at all, or a mask
+            that would be written over another picture.
     """
     path = Path(path)
     file = read_key_views_file(path)
@@ -119,14 +121,29 @@ def read_uncut(path: Path | str) -> dict[str, Uncut]:
     found = {role: _uncut(role, e, rig, path) for role, e in file.entries.items() if e.image is not None}
     if not found:
         raise InputError(f'{path}: no view names an `image`; give [views.front] image = "front.png" and so on.')
+    _refuse_shared(found, file.entries, path)
     return found
+
+
+def _refuse_shared(found: Mapping[str, Uncut], entries: Mapping[str, ViewEntry], path: Path) -> None:
+    """A mask that is written must not lie where any other picture does."""
+    targets = {role: _target(role, e, path).resolve() for role, e in entries.items() if e.mask or role in found}
+    pictures = {(path.parent / p).resolve() for e in entries.values() for p in (e.image, e.background) if p}
+    for role, uncut in found.items():
+        others = {target for other, target in targets.items() if other != role}
+        if targets[role] in pictures | others:
+            raise InputError(f"[views.{role}]: `mask` {uncut.target} is another picture too; name a file of its own.")
+
+
+def _target(role: str, entry: ViewEntry, path: Path) -> Path:
+    return path.parent / (entry.mask or f"{path.stem}_{role}_mask.png")
 
 
 def _uncut(role: str, entry: ViewEntry, rig: Rig, path: Path) -> Uncut:
     camera, folder = _camera(role, entry, rig), path.parent
     assert entry.image is not None
     image = _picture(folder / entry.image, camera)
-    target = folder / (entry.mask or f"{path.stem}_{role}_mask.png")
+    target = _target(role, entry, path)
     known: Bool | None = None
     if target.is_file():
         known = _picture(target, camera).max(axis=2) > 127

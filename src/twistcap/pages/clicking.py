@@ -266,6 +266,6 @@ def _mapping(given: Any, what: str) -> Mapping[str, Any]:
 
 def _numbers(given: Any, count: int, what: str) -> list[float]:
     good = isinstance(given, list) and len(given) == count
-    if not good or not all(isinstance(v, (int, float)) and np.isfinite(v) for v in given):
+    if not good or not all(isinstance(v, (int, float)) and abs(v) < 1e6 for v in given):
         raise InputError(f"{what}: {given!r} must be {count} finite number{'s' if count > 1 else ''}.")
     return [float(v) for v in given]

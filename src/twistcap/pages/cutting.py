@@ -18,7 +18,6 @@ from twistcap.pages.assemble import jpeg
 from twistcap.pages.outlines import flat
 from twistcap.pages.server import Answer
 
-_SAVED = 1600  # px to which the saved silhouette is cut, at most
 _MOST = 20000  # numbers in one stroke
 
 
@@ -44,12 +43,12 @@ class Cutting:
     Attributes:
         views: by role.
         note: what the user still has to do so that the masks are read; by role, "" for nothing.
-        hints: what was drawn, by role.
+        masks: (H, W) the last cut by role, where something is drawn; exactly these are saved.
     """
 
     views: Mapping[str, CutView]
     note: Mapping[str, str]
-    hints: dict[str, Hints] = field(default_factory=dict[str, Hints])
+    masks: dict[str, Bool] = field(default_factory=dict[str, Bool])
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     @property
@@ -75,17 +74,23 @@ class Cutting:
     def cut(self, question: Mapping[str, Any]) -> dict[str, Any]:
         """Cut ``{"view": role, "rectangle": [x, y, x, y] | null, "strokes": [{"inside", "points", "width"}]}``.
 
+        Where nothing is drawn the view is as it was at the beginning. Of a cut that fails nothing is left to save.
+
         Raises:
-            InputError: for an unknown view, a number that is not finite, or nothing that says where the person is.
+            InputError: for an unknown view, a number that is not finite, nothing that says where the person is, or
+                nothing left of it.
         """
         role = self._role(question)
-        hints = _hints(question)
+        view = self.views[role]
         with self._lock:
-            mask = cut_out(self.views[role].image, hints, self.views[role].known)
-            if mask is None:
-                raise InputError("draw a rectangle around the person first.")
-            self.hints[role] = hints
-        return {"view": role, "outline": outline(mask), "share": round(float(mask.mean()), 4)}
+            self.masks.pop(role, None)
+            hints = _hints(question)
+            if hints.rectangle is None and not hints.strokes:
+                mask = np.zeros(view.image.shape[:2], np.bool_) if view.known is None else view.known
+            else:
+                mask = self.masks[role] = _person(view, hints)
+        share = round(float(mask.mean()), 4)
+        return {"view": role, "outline": outline(mask), "share": share, "cut": role in self.masks}
 
     def save(self, question: Mapping[str, Any]) -> dict[str, Any]:
         """Write the masks of all views that were drawn on.
@@ -94,22 +99,20 @@ class Cutting:
             InputError: where none was, or a file cannot be written.
         """
         del question
-        if not self.hints:
-            raise InputError("there is nothing to save yet; draw a rectangle around the person in a view.")
         with self._lock:
-            for role, hints in self.hints.items():
-                view = self.views[role]
-                mask = cut_out(view.image, hints, view.known, _SAVED)
-                assert mask is not None
-                _write(view.target, mask)
-        notes = " ".join(self.note[role] for role in self.hints if self.note[role])
-        return {"saved": [str(self.views[role].target) for role in self.hints], "note": notes}
+            masks = dict(self.masks)
+            if not masks:
+                raise InputError("there is nothing to save yet; draw a rectangle around the person in a view.")
+            for role, mask in masks.items():
+                _write(self.views[role].target, mask)
+        notes = " ".join(self.note[role] for role in masks if self.note[role])
+        return {"saved": [str(self.views[role].target) for role in masks], "note": notes}
 
     def _role(self, question: Mapping[str, Any]) -> str:
         role = question.get("view")
-        if role not in self.views:
+        if not isinstance(role, str) or role not in self.views:
             raise InputError(f"view {role!r} is unknown; there are {', '.join(self.views)}.")
-        return str(role)
+        return role
 
 
 def outline(mask: Bool) -> list[list[float]]:
@@ -118,13 +121,24 @@ def outline(mask: Bool) -> list[list[float]]:
     return flat([cv2.approxPolyDP(curve, 0.5, True)[:, 0].astype(np.float64) for curve in curves])
 
 
+def _person(view: CutView, hints: Hints) -> Bool:
+    mask = cut_out(view.image, hints, view.known)
+    if mask is None:
+        raise InputError("draw a rectangle around the person first.")
+    if not mask.any():
+        raise InputError("nothing is left of the person; paint some of it with Person.")
+    return mask
+
+
 def _write(path: Path, mask: Bool) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if not cv2.imwrite(str(path), mask.astype(np.uint8) * 255):
-            raise OSError(0, "the picture could not be encoded")
-    except (OSError, cv2.error) as error:
-        raise InputError(f"{path} cannot be written: {error}; name a .png file.") from error
+            raise OSError(0, "folder and file must allow it")
+    except OSError as error:
+        raise InputError(f"{path} cannot be written: {error.strerror}.") from error
+    except cv2.error as error:
+        raise InputError(f"{path} cannot be written: the ending is of no known picture; name a .png file.") from error
 
 
 def _hints(question: Mapping[str, Any]) -> Hints:
@@ -152,6 +166,6 @@ def _stroke(given: Any) -> Stroke:
 
 def _numbers(given: Any, what: str) -> list[float]:
     good = isinstance(given, list) and len(given) <= _MOST
-    if not good or not all(isinstance(v, (int, float)) and np.isfinite(v) and abs(v) < 1e6 for v in given):
+    if not good or not all(isinstance(v, (int, float)) and abs(v) < 1e6 for v in given):
         raise InputError(f"{what} must be finite numbers.")
     return [float(v) for v in given]

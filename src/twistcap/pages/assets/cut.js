@@ -1,8 +1,10 @@
 /* Cutting silhouettes: a rectangle and strokes go to the server, which sends back the outline of the cut. */
-const views = data.views.map((view) => ({ ...view, rectangle: null, strokes: [], asked: 0 }));
+const views = data.views.map((view) => ({ ...view, rectangle: null, strokes: [], cut: false }));
 const message = document.getElementById("message"), stage = document.getElementById("stage"), tools = document.getElementById("tools");
 const TOOLS = { rectangle: "Rectangle", inside: "Person", outside: "Background" };
-let shown = views[0], tool = "rectangle", drag = null, busy = false, waiting = null, svg = null, layer = null;
+let shown = views[0], tool = "rectangle", drag = null, busy = false, svg = null, layer = null;
+
+const waiting = [];  // questions, in the order in which they are asked
 
 function tell(text, kind = "soft") { message.textContent = text; message.className = kind; }
 
@@ -11,31 +13,49 @@ async function post(path, question) {
   return reply.json();
 }
 
-/** One question at a time; of those that come meanwhile the last one is asked next. */
-async function ask(path, question) {
-  if (busy) { waiting = [path, question]; return; }
-  busy = true;
-  document.body.dataset.busy = "yes";
-  try {
-    take(await post(path, question));
-  } catch {
-    tell("the server does not answer; is twistcap still running?", "bad");
-  }
-  busy = false;
-  if (waiting) { const next = waiting; waiting = null; ask(...next); } else document.body.dataset.busy = "no";
+/** A cut takes the place of one of its view that waits, but not of one that a save waits for. */
+function ask(path, question) {
+  const next = { path, question: structuredClone(question) };  // as it is drawn now, not when its turn comes
+  const saved = waiting.findLastIndex((one) => one.path === "/save");
+  const same = waiting.findIndex((one, k) => k > saved && path === "/cut" && one.question.view === question.view);
+  if (same >= 0) waiting[same] = next;
+  else if (path !== "/save" || saved < 0 || saved < waiting.length - 1) waiting.push(next);
+  if (!busy) work();
 }
 
-function take(reply) {
-  if (reply.error) { tell(reply.error, "bad"); return; }
+/** One question at a time. */
+async function work() {
+  busy = true;
+  document.body.dataset.busy = "yes";
+  while (waiting.length) {
+    const { path, question } = waiting.shift();
+    try {
+      take(await post(path, question), question);
+    } catch {
+      tell("the server does not answer; is twistcap still running?", "bad");
+    }
+  }
+  busy = false;
+  document.body.dataset.busy = "no";
+}
+
+function take(reply, question) {
+  if (reply.error) {
+    const failed = views.find((one) => one.name === question.view);
+    if (failed) { Object.assign(failed, { outline: [], cut: false }); draw(); }  // nor has the server a cut of it now
+    tell(reply.error, "bad");
+    return;
+  }
   if (reply.saved) {
     tell(`saved ${reply.saved.join(", ")}. ${reply.note}`, "good");
     document.body.dataset.saved = reply.saved.join(" ");
     return;
   }
   const view = views.find((one) => one.name === reply.view);
-  Object.assign(view, { outline: reply.outline, share: reply.share, cut: true });
+  Object.assign(view, { outline: reply.outline, share: reply.share, cut: reply.cut });
   document.body.dataset.cuts = +(document.body.dataset.cuts ?? 0) + 1;
-  tell("Paint with Person or Background where the outline is wrong.");
+  if (reply.cut) tell("Paint with Person or Background where the outline is wrong.");
+  else invite(shown);
   draw();
 }
 
@@ -77,9 +97,9 @@ function undo() {
 }
 
 function clear() {
-  Object.assign(shown, { rectangle: null, strokes: [], outline: data.views.find((one) => one.name === shown.name).outline });
+  Object.assign(shown, { rectangle: null, strokes: [], cut: false, outline: data.views.find((one) => one.name === shown.name).outline });
   tool = shown.outline.length ? "inside" : "rectangle";
-  draw();
+  draw(); cut();
 }
 
 /* ---- the image ---- */
@@ -94,8 +114,12 @@ function show(view) {
   svg.addEventListener("wheel", zoom, { passive: false });
   svg.addEventListener("contextmenu", (event) => event.preventDefault());
   stage.replaceChildren(svg, make("b", {}, view.name));
-  tell(view.outline.length ? "Paint with Person or Background where the outline is wrong, or draw a rectangle to begin anew." : "Draw a rectangle around the whole person.");
+  invite(view);
   draw();
+}
+
+function invite(view) {
+  tell(view.outline.length ? "Paint with Person or Background where the outline is wrong, or draw a rectangle to begin anew." : "Draw a rectangle around the whole person.");
 }
 
 /** Pixel of the image under the pointer, within the image; pixel centres are at integers. */
