@@ -10,17 +10,16 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import cv2
+from balance_rows import against_reference
 
 from twistcap.commands.track import parsed_settings
-from twistcap.evaluate.reference import evaluate
 from twistcap.io.recording import open_recording, rig_of, views_of
-from twistcap.io.result import ResultWriter, read_result
+from twistcap.io.result import ResultWriter
 from twistcap.io.session import load_session
 from twistcap.track import Tracker
 
@@ -28,7 +27,6 @@ SESSION = Path(__file__).parents[1] / "examples" / "balance_4view.toml"
 CAMERAS = ("cam01", "cam02", "cam03", "cam04")
 STEPS = {"60": 1, "30": 2, "20": 3}
 ARMS = [*STEPS, *("+".join(pair) for pair in combinations(CAMERAS, 2))]
-FLAWED = ("wrist_r:75-79", "wrist_r:86-92")  # of the reference
 COLUMNS = ("frames", "lost", "by itself", "IoU", "joints", "offset removed")
 
 
@@ -45,17 +43,6 @@ def followed(path: Path, arm: str, settings: dict[str, Any]) -> None:
             writer.append(tracker.step(frame))
 
 
-def line(path: Path) -> dict[str, float]:
-    """What the table says of a result file: frames, those lost, overlap, joints in mm."""
-    data = Path(os.environ["TWISTCAP_DATA"]) / "balance_4view"
-    result = read_result(path)
-    points = evaluate(result, data / "reference" / "keypoints3d_world.npz", 0.02167, exclude=FLAWED)
-    rows = {r["metric"]: r["value"] for r in (*points.rows, *evaluate(result, data / "masks").rows)}
-    names = ("lost frames, by the reference", "lost frames, by the tracker itself", "IoU, mean", "joints, median")
-    values = [float(rows[name]) for name in (*names, "joints, median, offset removed")]
-    return dict(zip(COLUMNS, (float(len(result.indices)), *values), strict=True))
-
-
 def main() -> None:
     cv2.setNumThreads(1)
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -70,7 +57,7 @@ def main() -> None:
         kept = folder / "line.json"
         if not kept.exists() or json.loads(kept.read_text())["set"] != options.set:
             followed(folder / "result.h5", arm, parsed_settings(options.set))
-            kept.write_text(json.dumps({"set": options.set, **line(folder / "result.h5")}))
+            kept.write_text(json.dumps({"set": options.set, **against_reference(folder / "result.h5")}))
         found = json.loads(kept.read_text())
         print(f"{arm:14}" + "".join(f"{found[name]:16.3f}" for name in COLUMNS), flush=True)
 

@@ -10,24 +10,22 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import cv2
 import numpy as np
+from balance_rows import against_reference
 
 from twistcap.commands.track import parsed_settings
-from twistcap.evaluate.reference import evaluate
 from twistcap.io.recording import open_recording
-from twistcap.io.result import ResultWriter, read_result
+from twistcap.io.result import ResultWriter
 from twistcap.io.session import load_session
 from twistcap.track import Tracker
 
 SESSION = Path(__file__).parents[1] / "examples" / "balance_4view_chapter.toml"
 ARMS = [f"{c}/{s}" for s in ("part", "whole") for c in ("grey", "lab", "grey+texture", "lab+texture")]
-FLAWED = ("wrist_r:75-79", "wrist_r:86-92")  # of the reference
 COLUMNS = ("IoU", "joints", "offset removed", "lost", "by itself", "ms")
 
 
@@ -46,17 +44,6 @@ def followed(path: Path, settings: dict[str, Any]) -> float:
     return float(np.median(times[1:]))
 
 
-def line(path: Path, ms: float) -> dict[str, float]:
-    """What the table says of a result file: overlap, joints in mm, lost frames."""
-    data = Path(os.environ["TWISTCAP_DATA"]) / "balance_4view"
-    result = read_result(path)
-    points = evaluate(result, data / "reference" / "keypoints3d_world.npz", 0.02167, exclude=FLAWED)
-    rows = {r["metric"]: r["value"] for r in (*points.rows, *evaluate(result, data / "masks").rows)}
-    names = ("IoU, mean", "joints, median", "joints, median, offset removed", "lost frames, by the reference")
-    values = [float(rows[name]) for name in (*names, "lost frames, by the tracker itself")]
-    return dict(zip(COLUMNS, (*values, ms), strict=True))
-
-
 def main() -> None:
     cv2.setNumThreads(1)
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -72,7 +59,7 @@ def main() -> None:
         if not (folder / "line.json").exists():
             settings = {"tracker.channels": channels, "tracker.statistics": statistics, **parsed_settings(options.set)}
             ms = followed(folder / "result.h5", settings)
-            (folder / "line.json").write_text(json.dumps(line(folder / "result.h5", ms)))
+            (folder / "line.json").write_text(json.dumps({**against_reference(folder / "result.h5"), "ms": ms}))
         found = json.loads((folder / "line.json").read_text())
         print(f"{arm:24}" + "".join(f"{found[name]:16.3f}" for name in COLUMNS), flush=True)
 

@@ -211,7 +211,8 @@ def test_a_wrong_body_is_fitted_to_a_few_frames() -> None:
     assert before > 6.0
     assert after < 0.6 * before
     agreements = [
-        agreement(b, take, p[0]) for b, p in ((fitted.begun, fitted.begun_poses), (fitted.body, fitted.poses))
+        agreement(b, take.rig, fitted.frames[0], p[0])
+        for b, p in ((fitted.begun, fitted.begun_poses), (fitted.body, fitted.poses))
     ]
     assert agreements[1].mm.mean() < agreements[0].mm.mean()
     assert agreements[1].iou > agreements[0].iou > 0.7

@@ -184,7 +184,7 @@ def test_brightness_is_the_slope_of_its_energy() -> None:
     """By both frames' poses and by the shape, with smooth images."""
     earlier, later, motion, energy = _two_instants()
     system = Arrow(2, BODY.dof, motion.joints.shape[0], 2)
-    add_brightness(system, earlier, later, motion, Brightness(), 0.01, 1.0)
+    add_brightness(system, earlier, later, motion, Brightness(), 0.01, 1.0, 0.015)
     for t in (0, 1):
         for k in (1, 4, 6 + BODY.coordinate("knee_angle_r"), 6 + BODY.coordinate("lumbar_rotation")):
             x = np.zeros((2, BODY.dof))
@@ -211,7 +211,7 @@ def _two_instants():
 
     def energy(x: Array, body: Body) -> float:
         moved = [replace(i, posed=Posed(body, p.retract(s))) for i, p, s in zip(instants, poses, x, strict=True)]
-        return add_brightness(Arrow(2, body.dof, 4, 2), moved[0], moved[1], motion, Brightness(), 0.01, 1.0)
+        return add_brightness(Arrow(2, body.dof, 4, 2), moved[0], moved[1], motion, Brightness(), 0.01, 1.0, 0.015)
 
     return instants[0], instants[1], motion, energy
 

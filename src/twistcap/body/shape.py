@@ -155,16 +155,20 @@ class RestMotion:
         and the segment turns about it. The surface itself moves in the rest pose and is skinned after.
         """
         by_segment = _rest_rows(posed.segment_transforms, segments, weights, local, gradient)
-        moved = np.concatenate([self._carried(posed), self.maps[:, :, :3].reshape(*self.maps.shape[:2], 12)], axis=2)
+        moved = np.concatenate(
+            [carried(posed, self.joints), self.maps[:, :, :3].reshape(*self.maps.shape[:2], 12)], axis=2
+        )
         return by_segment @ moved.reshape(len(moved), by_segment.shape[1]).T
 
-    def _carried(self, posed: Posed) -> Float:
-        """(K, S, 3) world velocity of each segment because of the joint centres above it."""
-        R, out = posed.segment_transforms[:, :3, :3], np.zeros_like(self.joints)
-        for s, above in enumerate(posed.body.segment_parent):
-            if above >= 0:
-                out[:, s] = out[:, above] + self.joints[:, s] @ (R[above] - R[s]).T
-        return out
+
+def carried(posed: Posed, joints: Float) -> Float:
+    """(K, S, 3) world velocity of each segment where the joint centres above it move in the rest pose, (K, S, 3)."""
+    body, R, out = posed.body, posed.segment_transforms[:, :3, :3], np.zeros_like(joints)
+    for s in np.argsort(body.chain.sum(axis=1), kind="stable"):  # from the root outward
+        above = int(body.segment_parent[s])
+        if above >= 0:
+            out[:, s] = out[:, above] + joints[:, s] @ (R[above] - R[s]).T
+    return out
 
 
 @njit(cache=True, nogil=True)

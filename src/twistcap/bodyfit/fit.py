@@ -106,6 +106,7 @@ class Fitted:
         body: the fitted one.
         first_poses: of each take, for its first frame.
         poses: of each take, frame number to pose, of the frames that the shape was fitted to.
+        frames: of each take, by number, those that have a pose before or after.
         begun: the body from which the fit began.
         begun_poses: as it was tracked in those frames.
         factors: what the build tells: stature, lengths and girths against the body given, or a model's parameters.
@@ -115,6 +116,7 @@ class Fitted:
     body: Body
     first_poses: tuple[Pose, ...]
     poses: tuple[dict[int, Pose], ...]
+    frames: tuple[dict[int, Frame], ...]
     begun: Body
     begun_poses: tuple[dict[int, Pose], ...]
     factors: dict[str, float]
@@ -149,8 +151,10 @@ def fit_body(
         moments = moments if n == 0 else _tracked(state, takes, rule, tell)
         state, moments = _shaped(state, body, build, takes, moments, rule, n > 0, tell)
     told = build.told({name: amount for name, amount in state.amounts.items() if not name.startswith("joint ")})
-    poses, begun = (tuple(_by_take(m, len(takes))) for m in (moments, first))
-    return Fitted(state.body, state.first_poses, poses, body, begun, told, state.errors)
+    poses, begun = (tuple({m.frame.index: m.pose for m in of} for of in _by_take(some, len(takes)))
+                    for some in (moments, first))  # fmt: skip
+    frames = tuple({m.frame.index: m.frame for m in of} for of in _by_take([*first, *moments], len(takes)))
+    return Fitted(state.body, state.first_poses, poses, frames, body, begun, told, state.errors)
 
 
 @dataclass(frozen=True)
@@ -166,16 +170,17 @@ class _State:
 
 @dataclass(frozen=True)
 class _Moment:
-    """A frame, and where the body is in it; `tracked` is where the tracker had it."""
+    """A frame, and where the body is in it; `tracked` is where the tracker had it, `first` says if it is its take's."""
 
     take: int
     frame: Frame
     pose: Pose
     tracked: Pose
+    first: bool
 
 
-def _by_take(moments: Sequence[_Moment], takes: int) -> list[dict[int, Pose]]:
-    return [{m.frame.index: m.pose for m in moments if m.take == t} for t in range(takes)]
+def _by_take(moments: Sequence[_Moment], takes: int) -> list[list[_Moment]]:
+    return [[m for m in moments if m.take == t] for t in range(takes)]
 
 
 def _tracked(state: _State, takes: Sequence[Take], rule: FitRule, tell: Tell) -> list[_Moment]:
@@ -191,7 +196,7 @@ def _tracked(state: _State, takes: Sequence[Take], rule: FitRule, tell: Tell) ->
             found = tracker.step(frame)
             lost += found.lost
             if (k in chosen or frame.index in take.masks) and not found.lost and found.status != "no_images":
-                out.append(_Moment(t, frame, found.pose, found.pose))
+                out.append(_Moment(t, frame, found.pose, found.pose, k == 0))
             tell(f"{take.name}, frame {frame.index}")
         if 2 * lost > total or all(m.take != t for m in out):
             raise InputError(
@@ -250,14 +255,13 @@ def _shaped(
         poses = [m.pose.retract(d).within(given.limits) for m, d in zip(moments, found.poses, strict=True)]
         moments = [replace(m, pose=p) for m, p in zip(moments, poses, strict=True)]
         tell(f"{found.error_px:.2f} px to the edges")
-    return replace(state, first_poses=_first_poses(state, takes, moments)), moments
+    return replace(state, first_poses=_first_poses(state, moments)), moments
 
 
-def _first_poses(state: _State, takes: Sequence[Take], moments: Sequence[_Moment]) -> tuple[Pose, ...]:
+def _first_poses(state: _State, moments: Sequence[_Moment]) -> tuple[Pose, ...]:
     """The first frames' poses as they are now; where the first frame does not count, the pose that it had."""
-    found = {(m.take, m.frame.index): m.pose for m in moments}
-    numbers = [next(iter(take.frames)).index for take in takes]
-    return tuple(found.get((t, k), pose) for t, (k, pose) in enumerate(zip(numbers, state.first_poses, strict=True)))
+    found = {m.take: m.pose for m in moments if m.first}
+    return tuple(found.get(t, pose) for t, pose in enumerate(state.first_poses))
 
 
 def _shape(body: Body, given: Body, own: f.Fields, rigid: bool, rule: FitRule, offsets: bool) -> Shape:

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twistcap._typing import Bool, Float
+from twistcap._typing import AnyArray, Bool, Float
 from twistcap.body import Body, Pose, Posed
-from twistcap.bodyfit.fit import Take
 from twistcap.bodyfit.observe import Contours, observe
-from twistcap.camera import Camera
+from twistcap.camera import Camera, Rig
 from twistcap.cues.levelset import LevelSetContour
 from twistcap.cues.view import crop_view
+from twistcap.estimate import Frame
 from twistcap.region.compare import iou
 from twistcap.render import render, visible_contour
 
@@ -47,30 +47,32 @@ class Agreement:
         }
 
 
-def agreement(body: Body, take: Take, poses: Mapping[int, Pose], rule: Contours | None = None) -> Agreement:
-    """Look at the frames that have a pose; the images alone are asked, no given silhouettes."""
+def agreement(
+    body: Body, rig: Rig, frames: Mapping[int, Frame], poses: Mapping[int, Pose], rule: Contours | None = None
+) -> Agreement:
+    """Look at the frames, by number, that have a pose; the images alone are asked, no given silhouettes."""
     rule = rule or Contours()
     px, mm, part, ious, hulls = list[Float](), list[Float](), list[str](), list[float](), list[float]()
-    for frame in take.frames:
-        if frame.index not in poses:
-            continue
-        posed = Posed(body, poses[frame.index])
-        for seen in observe(frame.images, take.rig, posed, rule):
+    for index, pose in poses.items():
+        images, posed = frames[index].images, Posed(body, pose)
+        for seen in observe(images, rig, posed, rule):
             clear = seen.contour.outer & (seen.weight > _CLEAR)
             px.append(np.abs(seen.distance[clear]))
             mm.append(1000.0 * px[-1] / max(seen.px_per_m, 1e-9))
             part += [body.segment_names[s] for s in seen.contour.part[clear]]
-        pairs = _segmented(frame.images, take, posed, rule)
+        pairs = _segmented(images, rig, posed, rule)
         ious += [iou(ours, theirs) for _, ours, theirs in pairs]
         hulls.append(hull_overlap(posed, pairs))
     return Agreement(np.concatenate(px), np.concatenate(mm), part, float(np.mean(ious)), float(np.mean(hulls)))
 
 
-def _segmented(images: Sequence[object], take: Take, posed: Posed, rule: Contours) -> list[tuple[Camera, Bool, Bool]]:
+def _segmented(
+    images: Sequence[AnyArray | None], rig: Rig, posed: Posed, rule: Contours
+) -> list[tuple[Camera, Bool, Bool]]:
     """Of each view its camera (of the crop), the body's silhouette and the level set's."""
     out: list[tuple[Camera, Bool, Bool]] = []
-    for image, camera in zip(images, take.rig, strict=True):
-        view = None if image is None else crop_view(image, camera, posed, _MARGIN, rule.channels)  # type: ignore[arg-type]
+    for image, camera in zip(images, rig, strict=True):
+        view = None if image is None else crop_view(image, camera, posed, _MARGIN, rule.channels)
         if view is None:
             continue
         seen = render(posed, view.camera)

@@ -10,6 +10,7 @@ from scipy import sparse
 
 from twistcap._typing import Float, Int
 from twistcap.body import Posed
+from twistcap.body.shape import carried
 from twistcap.bodyfit.fields import Fields
 from twistcap.bodyfit.observe import Observed
 from twistcap.firstpose.silhouette import projection_jacobian
@@ -109,14 +110,8 @@ def _rest_rows(posed: Posed, by_point: Float, segments: Int, weights: Float) -> 
 
 
 def _joint_rows(posed: Posed, by_point: Float, seen: Observed, joints: Float) -> Float:
-    """(N, M) rows by shifts of the joint centres: everything below a joint moves by ``(R_above − R) δ``."""
-    body, R = posed.body, posed.segment_transforms[:, :3, :3]
-    moved = np.zeros((len(R), *joints.shape[::2]))  # of each segment, (S, M, 3)
-    for s in np.argsort([row.sum() for row in body.chain], kind="stable"):
-        above = int(body.segment_parent[s])
-        if above >= 0:
-            moved[s] = moved[above] + joints[:, s] @ (R[above] - R[s]).T
-    points = seen.contour.points
+    """(N, M) rows by shifts of the joint centres."""
+    points, moved = seen.contour.points, carried(posed, joints).transpose(1, 0, 2)
     return np.einsum("nk,ni,nkmi->nm", points.weights, by_point, moved[points.segments])
 
 

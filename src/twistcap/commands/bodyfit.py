@@ -41,8 +41,9 @@ def fit_sessions(
         fitted = fit_body(recordings[0].body, takes, rule, lambda note: told(note, next(notes, total), total), build)
     files = _written(fitted, recordings[0], source, folder)
     with words.status("judging and drawing"):
-        before = [agreement(fitted.begun, t, p) for t, p in zip(takes, fitted.begun_poses, strict=True)]
-        after = [agreement(fitted.body, t, p) for t, p in zip(takes, fitted.poses, strict=True)]
+        seen = [(take.rig, frames) for take, frames in zip(takes, fitted.frames, strict=True)]
+        before = [agreement(fitted.begun, *s, p) for s, p in zip(seen, fitted.begun_poses, strict=True)]
+        after = [agreement(fitted.body, *s, p) for s, p in zip(seen, fitted.poses, strict=True)]
         rows = [line for t, a, b in zip(takes, before, after, strict=True) for line in _rows(t.name, a, b)]
         pictures = draw_fit(fitted, takes, folder)
         page = write_page(folder, sessions[0].title, rows, fitted.factors, pictures, files)

@@ -105,8 +105,7 @@ class Brightness:
         the image slowly, which keeps the track from creeping along the surface. In a `lesson` they are judged by how
         they agreed, and new points fill the empty cells.
         """
-        cell = max(1, round(math.sqrt(max(np.count_nonzero(seen.mask), 1) / max(self.points, 1))))
-        occupied = np.zeros((view.grey.shape[0] // cell + 1, view.grey.shape[1] // cell + 1), dtype=np.bool_)
+        cell, occupied = empty_grid(view, seen, self.points)
         image, kept = view.blurred(self.blurs[-1] * seen.px_per_m), None
         if old is not None:
             if lesson and self.support != "none":
@@ -172,6 +171,12 @@ class Brightness:
 
 LOOSE_CLOTHES = Brightness(sigma=0.006, slide=0.001, share=0.5, update=0.1, support="em")
 """For a body that fits under clothes that do not."""
+
+
+def empty_grid(view: View, seen: RenderedView, count: int) -> tuple[int, Bool]:
+    """Side of a cell, px, and the cells of a grid of which about `count` lie on the body; none is occupied."""
+    cell = max(1, round(math.sqrt(max(np.count_nonzero(seen.mask), 1) / max(count, 1))))
+    return cell, np.zeros((view.grey.shape[0] // cell + 1, view.grey.shape[1] // cell + 1), dtype=np.bool_)
 
 
 @njit(cache=True, nogil=True)

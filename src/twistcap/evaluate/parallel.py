@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-from collections.abc import Generator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
-from typing import Protocol, TypedDict
+from typing import Protocol, TypedDict, TypeVar
 
 from twistcap.evaluate.metrics import Row
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+_T = TypeVar("_T")
 
 
 class Table(TypedDict):
@@ -38,6 +40,17 @@ def one_thread_processes(workers: int) -> Generator[ProcessPoolExecutor]:
             except BaseException:
                 pool.shutdown(wait=False, cancel_futures=True)
                 raise
+
+
+def over_seeds(work: Callable[[int], _T], seeds: Sequence[int], tell: Tell, id: str) -> list[_T]:
+    """What `work`, which other processes can import, finds on each seed, in their order; two at a time."""
+    found: dict[int, _T] = {}
+    with one_thread_processes(min(2, len(seeds))) as pool:
+        waiting = {pool.submit(work, seed): seed for seed in seeds}
+        for done, future in enumerate(as_completed(waiting), 1):
+            found[waiting[future]] = future.result()
+            tell(f"{id}, seed {waiting[future]}", done, len(seeds))
+    return [found[seed] for seed in seeds]
 
 
 def _one_thread_for_images() -> None:

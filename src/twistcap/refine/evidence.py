@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +10,7 @@ from numba import njit
 from twistcap._typing import Float, Int
 from twistcap.body import Posed
 from twistcap.body.shape import RestMotion
-from twistcap.cues.brightness import Brightness, strongest_in_cells, visible_points
+from twistcap.cues.brightness import Brightness, empty_grid, strongest_in_cells, visible_points
 from twistcap.cues.evidence import ContourEvidence
 from twistcap.cues.view import View
 from twistcap.refine.system import Arrow
@@ -41,9 +40,7 @@ class Instant:
 
 def followed_points(view: View, seen: RenderedView, count: int) -> SurfacePoints:
     """About so many points of the visible surface, the most textured of each cell of a grid, none at a rim."""
-    cell = max(1, round(math.sqrt(max(np.count_nonzero(seen.mask), 1) / max(count, 1))))
-    free = np.zeros((view.grey.shape[0] // cell + 1, view.grey.shape[1] // cell + 1), dtype=np.bool_)
-    return seen.surface_points(*strongest_in_cells(view.grey, seen.inverse_depth_image, cell, free))
+    return seen.surface_points(*strongest_in_cells(view.grey, seen.inverse_depth_image, *empty_grid(view, seen, count)))
 
 
 def row_jacobian(posed: Posed, motion: RestMotion, points: SurfacePoints, gradient: Float) -> tuple[Float, Float]:
@@ -93,7 +90,7 @@ def add_contour(system: Arrow, instant: Instant, motion: RestMotion, found: Cont
 
 def add_brightness(
     system: Arrow, earlier: Instant, later: Instant, motion: RestMotion, cue: Brightness, blur: float, share: float,
-    sigma: float = 0.015,
+    sigma: float,
 ) -> float:  # fmt: skip
     """Add brightness constancy between two frames, ``I_b(π(x_b)) − I_a(π(x_a))``, both poses free; its energy.
 

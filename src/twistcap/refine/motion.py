@@ -32,8 +32,7 @@ def _add_one(system: Arrow, t: int, poses: Sequence[Pose], dt: tuple[float, floa
     (from_a, to_b), (from_b, to_c) = _derivatives(first), _derivatives(second)
     J = (-from_a / dt[0], from_b / dt[1] - to_b / dt[0], to_c / dt[1])
     D, mean = len(residual), 0.5 * (dt[0] + dt[1])
-    variance = np.full(D, (noise.joint * mean) ** 2)
-    variance[:3], variance[3:6] = (noise.turn * mean) ** 2, (noise.shift * mean) ** 2
+    variance = mean**2 * noise.variance(D, 1.0, "constant_velocity")
     _, information = covariance_about(variance, poses[1].root[:3, 3])
     root = np.linalg.cholesky(information).T  # rows that the unit weight fits
     white = root @ residual

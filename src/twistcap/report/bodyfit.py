@@ -12,6 +12,7 @@ import numpy as np
 from twistcap._typing import AnyArray
 from twistcap.body import Body, Pose
 from twistcap.bodyfit.fit import Fitted, Take
+from twistcap.estimate import Frame
 from twistcap.evaluate.metrics import Row
 from twistcap.report.overlay import draw_mosaic, mosaic_for
 from twistcap.report.page import Figure, Headline, number, write_report
@@ -32,8 +33,8 @@ def draw_fit(fitted: Fitted, takes: Sequence[Take], folder: Path) -> list[Path]:
     out: list[Path] = []
     for name, body, poses in arms:
         pictures = [
-            _picture(take, body, k, p.get(k), f"{take.name}, {name}")
-            for take, k, p in zip(takes, shown, poses, strict=True)
+            _picture(take, frames[k], body, p.get(k), f"{take.name}, {name}")
+            for take, frames, k, p in zip(takes, fitted.frames, shown, poses, strict=True)
         ]
         width = max(p.shape[1] for p in pictures)
         padded = [cv2.copyMakeBorder(p, 0, 0, 0, width - p.shape[1], cv2.BORDER_CONSTANT) for p in pictures]
@@ -43,10 +44,10 @@ def draw_fit(fitted: Fitted, takes: Sequence[Take], folder: Path) -> list[Path]:
     return out
 
 
-def _picture(take: Take, body: Body, index: int, pose: Pose | None, title: str) -> AnyArray:
+def _picture(take: Take, frame: Frame, body: Body, pose: Pose | None, title: str) -> AnyArray:
     """One frame of a take in all views; without the body where it was lost."""
-    frame = next(frame for frame in take.frames if frame.index == index)
-    return draw_mosaic(frame, take.rig, body, _Shown(index, pose) if pose else None, mosaic_for(take.rig), title)
+    shown = _Shown(frame.index, pose) if pose else None
+    return draw_mosaic(frame, take.rig, body, shown, mosaic_for(take.rig), title)
 
 
 def write_page(

@@ -7,7 +7,6 @@ even seeds, a woman on odd ones.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import as_completed
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,7 +19,7 @@ from twistcap.body.obj_rig import load_makehuman
 from twistcap.estimate import Frame
 from twistcap.evaluate.experiments.arms import Findings, Shot, Trace
 from twistcap.evaluate.metrics import KHE_COORDINATES, Row, angle_differences_deg, khe_deg, row
-from twistcap.evaluate.parallel import Tell, one_thread_processes
+from twistcap.evaluate.parallel import Tell, over_seeds
 from twistcap.evaluate.recorded import data_file
 from twistcap.evaluate.sequence import joint_errors_mm
 from twistcap.keyviews.build import Acquired, build
@@ -67,13 +66,8 @@ class KeyViews:
         """
         del out
         person(0)
-        found: dict[int, list[Tracked]] = {}
-        with one_thread_processes(min(2, len(seeds))) as pool:
-            waiting = {pool.submit(acquired_seed, seed): seed for seed in seeds}
-            for done, future in enumerate(as_completed(waiting), 1):
-                found[waiting[future]] = future.result()
-                progress(f"{self.id}, seed {waiting[future]}", done, len(seeds))
-        traces = [trace for seed in seeds for trace in found[seed]]
+        found = over_seeds(acquired_seed, seeds, progress, self.id)
+        traces = [trace for arms in found for trace in arms]
         return Findings(self.rows(traces), "mean error of the joints, mm", traces)
 
     def rows(self, traces: Sequence[Tracked]) -> list[Row]:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import as_completed
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -16,7 +16,7 @@ from twistcap.camera import Camera
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate.cases import Training
 from twistcap.evaluate.metrics import Row, lost_sequence
-from twistcap.evaluate.parallel import Tell, one_thread_processes
+from twistcap.evaluate.parallel import Tell, over_seeds
 from twistcap.evaluate.sequence import joint_errors_mm, prior_of
 from twistcap.motion import MotionLibrary
 from twistcap.studio import Capture
@@ -146,13 +146,8 @@ class Comparison:
 
     def run(self, seeds: Sequence[int], progress: Tell, out: Path | None = None) -> Findings:
         """All arms on all seeds, two scenes at a time."""
-        found: dict[int, list[Trace]] = {}
-        with one_thread_processes(min(2, len(seeds))) as pool:
-            waiting = {pool.submit(run_seed, self, seed): seed for seed in seeds}
-            for done, future in enumerate(as_completed(waiting), 1):
-                found[waiting[future]] = future.result()
-                progress(f"{self.id}, seed {waiting[future]}", done, len(seeds))
-        traces = [trace for seed in seeds for trace in found[seed]]
+        found = over_seeds(partial(run_seed, self), seeds, progress, self.id)
+        traces = [trace for arms in found for trace in arms]
         return Findings(self.rows(traces), self.quantity, traces, self.watched, self.span)
 
 

@@ -6,7 +6,6 @@ The studio's `mismatch` subjects: girths 4 % too large, a bumpy surface, joint c
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import as_completed
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,7 +26,7 @@ from twistcap.evaluate.metrics import (
     mean_known,
     row,
 )
-from twistcap.evaluate.parallel import Tell, one_thread_processes
+from twistcap.evaluate.parallel import Tell, over_seeds
 from twistcap.evaluate.sequence import joint_errors_mm
 from twistcap.firstpose import girth_groups
 from twistcap.studio import Capture, StudioConfig, capture
@@ -49,13 +48,8 @@ class BodyFit:
     def run(self, seeds: Sequence[int], progress: Tell, out: Path | None = None) -> Findings:
         """Rows alone."""
         del out
-        found: dict[int, dict[str, float]] = {}
-        with one_thread_processes(min(2, len(seeds))) as pool:
-            waiting = {pool.submit(fitted_seed, seed): seed for seed in seeds}
-            for done, future in enumerate(as_completed(waiting), 1):
-                found[waiting[future]] = future.result()
-                progress(f"{self.id}, seed {waiting[future]}", done, len(seeds))
-        return Findings(self.rows([found[seed] for seed in seeds]), "error of the body, per cent", ())
+        found = over_seeds(fitted_seed, seeds, progress, self.id)
+        return Findings(self.rows(found), "error of the body, per cent", ())
 
     def rows(self, found: Sequence[Mapping[str, float]]) -> list[Row]:
         """Means over the seeds."""

@@ -7,7 +7,6 @@ wrong, as in B-1. It needs the extra ``twistcap[anny]``.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import as_completed
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,7 +22,7 @@ from twistcap.bodyfit.parametric import carried_pose, matched
 from twistcap.errors import InputError
 from twistcap.evaluate.experiments.arms import Findings
 from twistcap.evaluate.metrics import Row, row
-from twistcap.evaluate.parallel import Tell, one_thread_processes
+from twistcap.evaluate.parallel import Tell, over_seeds
 from twistcap.evaluate.sequence import joint_errors_mm, noisy_keypoints
 from twistcap.evaluate.surface import surface_distances
 from twistcap.firstpose import fit_keypoints
@@ -53,13 +52,8 @@ class BodyModels:
         """
         del out
         AnnyModel()  # here, so that what is missing is told before any work
-        found: dict[int, dict[str, float]] = {}
-        with one_thread_processes(min(2, len(seeds))) as pool:
-            waiting = {pool.submit(models_seed, seed): seed for seed in seeds}
-            for done, future in enumerate(as_completed(waiting), 1):
-                found[waiting[future]] = future.result()
-                progress(f"{self.id}, seed {waiting[future]}", done, len(seeds))
-        return Findings(self.rows([found[seed] for seed in seeds]), "distance between surfaces, mm", ())
+        found = over_seeds(models_seed, seeds, progress, self.id)
+        return Findings(self.rows(found), "distance between surfaces, mm", ())
 
     def rows(self, found: Sequence[dict[str, float]]) -> list[Row]:
         """Means over the seeds."""

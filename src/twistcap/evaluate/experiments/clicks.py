@@ -6,7 +6,6 @@ Nothing of the person is known but the clicks: not the stature, not the lengths.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import as_completed
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from twistcap.body.humanoid import humanoid
 from twistcap.estimate import Keypoints
 from twistcap.evaluate.experiments.arms import Findings, Shot, Trace
 from twistcap.evaluate.metrics import Row, row
-from twistcap.evaluate.parallel import Tell, one_thread_processes
+from twistcap.evaluate.parallel import Tell, over_seeds
 from twistcap.evaluate.sequence import joint_errors_mm
 from twistcap.firstpose import fit_keypoints
 from twistcap.studio import Capture, StudioConfig, capture
@@ -53,14 +52,8 @@ class Clicks:
     def run(self, seeds: Sequence[int], progress: Tell, out: Path | None = None) -> Findings:
         """Rows and the error over time."""
         del out
-        found: dict[int, Clicked] = {}
-        with one_thread_processes(min(2, len(seeds))) as pool:
-            waiting = {pool.submit(clicked_seed, seed): seed for seed in seeds}
-            for done, future in enumerate(as_completed(waiting), 1):
-                found[waiting[future]] = future.result()
-                progress(f"{self.id}, seed {waiting[future]}", done, len(seeds))
-        traces = [found[seed] for seed in seeds]
-        return Findings(self.rows(traces), "mean error of the joints, mm", traces)
+        found = over_seeds(clicked_seed, seeds, progress, self.id)
+        return Findings(self.rows(found), "mean error of the joints, mm", found)
 
     def rows(self, traces: Sequence[Clicked]) -> list[Row]:
         """Of clicks, of the last frame, and how many seeds the tracker took up."""

@@ -7,8 +7,8 @@ obliquely to one camera, and photographic plates in three views, about a dozen e
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import as_completed
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +25,7 @@ from twistcap.estimate import Estimate
 from twistcap.evaluate.experiments.arms import Findings, Shot, Trace
 from twistcap.evaluate.experiments.walks import Walk
 from twistcap.evaluate.metrics import JOINT_CENTRES, LOST_FRAME_MM, Row, lost_frames, row
-from twistcap.evaluate.parallel import Tell, one_thread_processes
+from twistcap.evaluate.parallel import Tell, over_seeds
 from twistcap.studio import Capture, StudioConfig
 
 Model = Callable[[Capture], Body]
@@ -87,13 +87,8 @@ class DifferentialTrial:
 
     def run(self, seeds: Sequence[int], progress: Tell, out: Path | None = None) -> Findings:
         """All arms on all seeds, two scenes at a time."""
-        found: dict[int, list[Tracked]] = {}
-        with one_thread_processes(min(2, len(seeds))) as pool:
-            waiting = {pool.submit(run_seed, self.id, seed): seed for seed in seeds}
-            for done, future in enumerate(as_completed(waiting), 1):
-                found[waiting[future]] = future.result()
-                progress(f"{self.id}, seed {waiting[future]}", done, len(seeds))
-        traces = [trace for seed in seeds for trace in found[seed]]
+        found = over_seeds(partial(run_seed, self.id), seeds, progress, self.id)
+        traces = [trace for arms in found for trace in arms]
         if out is not None and self.picture is not None:
             self.picture(out, self.walk, [t for t in traces if t.arm == self.arms[0][0]])
         return Findings(self.rows(traces), "error of hips and knees, deg", traces, "right knee, deg")

@@ -7,8 +7,8 @@ lengths together.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import as_completed
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,7 @@ from twistcap.body import Body, Posed, rescaled
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate.experiments.arms import Findings, Shot, Trace
 from twistcap.evaluate.metrics import KHE_COORDINATES, Row, angle_differences_deg, row
-from twistcap.evaluate.parallel import Tell, one_thread_processes
+from twistcap.evaluate.parallel import Tell, over_seeds
 from twistcap.evaluate.sequence import joint_errors_mm
 from twistcap.firstpose import girth_groups
 from twistcap.refine import Refined, refine
@@ -106,20 +106,15 @@ class Refinement:
 
     def run(self, seeds: Sequence[int], progress: Tell, out: Path | None = None) -> Findings:
         """All seeds, two at a time."""
-        found: dict[int, list[Shaped]] = {}
-        with one_thread_processes(min(2, len(seeds))) as pool:
-            waiting = {pool.submit(run_seed, self.id, seed): seed for seed in seeds}
-            for done, future in enumerate(as_completed(waiting), 1):
-                found[waiting[future]] = future.result()
-                progress(f"{self.id}, seed {waiting[future]}", done, len(seeds))
-        return Findings(self.rows(found, seeds), "mean error of the joints, mm", [t for s in seeds for t in found[s]])
+        found = over_seeds(partial(run_seed, self.id), seeds, progress, self.id)
+        traces = [trace for arms in found for trace in arms]
+        return Findings(self.rows(traces), "mean error of the joints, mm", traces)
 
-    def rows(self, found: dict[int, list[Shaped]], seeds: Sequence[int]) -> list[Row]:
+    def rows(self, traces: Sequence[Shaped]) -> list[Row]:
         """The table's lines, of both arms."""
         out: list[Row] = []
         for arm, bars in (("tracked", (None, None)), ("refined", (self.length, self.joints))):
-            traces = [t for seed in seeds for t in found[seed] if t.arm == arm]
-            out += _rows(f"{self.id}, {arm}", traces, *bars)
+            out += _rows(f"{self.id}, {arm}", [t for t in traces if t.arm == arm], *bars)
         return out
 
 
