@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scipy.interpolate import BSpline
 from scipy.spatial import cKDTree
 from typer.testing import CliRunner
 
@@ -44,6 +45,15 @@ def test_closed_spline_touches_the_middles_of_the_edges() -> None:
     dense = closed_spline(square, 4000)[:, :2]
     area = 0.5 * abs(np.sum(dense[:, 0] * np.roll(dense[:, 1], -1) - dense[:, 1] * np.roll(dense[:, 0], -1)))
     assert area == pytest.approx(4 * 5 / 6, rel=1e-5)  # four parabolas: 5/6 of the square
+    wrapped = np.vstack([square, square[:2]])
+    spline = BSpline(np.arange(-2.0, 7.0), wrapped, 2)(np.arange(16) * 4 / 16)
+    np.testing.assert_allclose(closed_spline(square, 16), spline, atol=1e-12)
+
+
+def test_round_slices_are_ellipses() -> None:
+    box = np.array([[3.0, 1], [-3, 1], [-3, -1], [3, -1]])
+    points = closed_spline(box, 40, 0.5**0.5)
+    np.testing.assert_allclose((points[:, 0] / 3) ** 2 + points[:, 1] ** 2, 1, atol=1e-12)
 
 
 def test_section_of_a_cylinder_is_its_bounding_square() -> None:

@@ -13,7 +13,7 @@ from twistcap.body import Body, Landmarks
 from twistcap.body.humanoid import humanoid
 from twistcap.body.shape import joint_origin
 from twistcap.keyviews.measure import SIDES, Measured
-from twistcap.keyviews.sections import closed_spline
+from twistcap.keyviews.sections import closed_spline, fullness
 
 _RING = 24  # vertices of a slice
 _DOWN = np.array([0.0, 0.0, -1.0])
@@ -104,7 +104,7 @@ def _surface(measured: Measured) -> tuple[Float, Int, list[str]]:
     faces: list[Int] = []
     parts: list[str] = []
     for part, control in _joined(measured).items():
-        points, triangles = _loft(closed_spline(control, _RING))
+        points, triangles = _loft(closed_spline(control, _RING, fullness(part)))
         faces.append(triangles + len(parts))
         vertices.append(points)
         parts += [part] * len(points)

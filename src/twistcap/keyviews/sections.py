@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import BSpline
 from scipy.ndimage import map_coordinates
 
 from twistcap._typing import Float, Float32
@@ -76,17 +75,30 @@ def _meet(c1: Float, p1: Float, c2: Float, p2: Float, normal: Float) -> Float:
     return c1 + d1 * ((c2 - c1) @ along) / (d1 @ along)
 
 
-def closed_spline(control: Float, count: int) -> Float:
-    """(…, count, 3) points of the closed quadratic B-spline of control points (…, n, 3).
+def fullness(part: str) -> float:
+    """How much of its corners a slice of a part fills, for `closed_spline`: trunks are fuller than limbs.
+
+    Of the rectangle about a slice of Anny's people (14 builds of both sexes) trunks fill 0.83 in the median, as the
+    chapter's B-spline does; thighs 0.78 and shanks 0.76, as an ellipse.
+    """
+    return 1.0 if part == "trunk" else 0.5**0.5
+
+
+def closed_spline(control: Float, count: int, fullness: float = 1.0) -> Float:
+    """(…, count, 3) points of the closed quadratic B-spline of control points (…, n, 3); n divides `count`.
 
     It touches each edge of the control polygon in its middle: with four points, the four rays of the silhouettes are
-    its tangents. (A cubic one would keep away from them.) de Boor's algorithm is scipy's.
+    its tangents. (A cubic one would keep away from them.) `fullness` is the weight that the control points have
+    against these middles, as in NURBS: with 1 it is the B-spline, 5/6 of the polygon's area where that is a
+    parallelogram; with 1/√2 an ellipse, π/4 of it.
     """
     n = control.shape[-2]
-    points = np.moveaxis(control, -2, 0)
-    wrapped = np.concatenate([points, points[:2]])
-    spline = BSpline(np.arange(-2.0, n + 3.0), wrapped, 2)
-    return np.moveaxis(spline(np.arange(count) * n / count), 0, -2)
+    t = np.arange(count // n)[:, None] * n / count
+    before, corner = (1 - t) ** 2, 2 * fullness * t * (1 - t)
+    middles = 0.5 * (control + np.roll(control, -1, axis=-2))[..., None, :]
+    corners, after = np.roll(control, -1, axis=-2)[..., None, :], np.roll(middles, -1, axis=-3)
+    points = (before * middles + corner * corners + t**2 * after) / (before + corner + t**2)
+    return points.reshape(*control.shape[:-2], count, control.shape[-1])
 
 
 def sections(first: Cut, second: Cut, middles: Iterable[Float]) -> Float:

@@ -14,7 +14,7 @@ from twistcap.body import Posed
 from twistcap.body.kinematics import Pose
 from twistcap.keyviews.build import Acquired
 from twistcap.keyviews.measure import Measured
-from twistcap.keyviews.sections import closed_spline
+from twistcap.keyviews.sections import closed_spline, fullness
 from twistcap.keyviews.silhouette import KeyView
 
 _PARTS = {"trunk": "0.4", "arm_r": "tab:red", "arm_l": "tab:blue", "leg_r": "tab:orange", "leg_l": "tab:cyan"}
@@ -79,7 +79,7 @@ def _slices(axes: Any, view: KeyView, m: Measured, role: str) -> None:
     for part, control in m.slices.items():
         if role == "above" and not part.startswith("arm"):
             continue
-        for ring in seen(closed_spline(control[::3], 24)):
+        for ring in seen(closed_spline(control[::3], 24, fullness(part))):
             axes.plot(*np.vstack([ring, ring[:1]]).T, color=_PARTS[part], lw=0.6)
     joints = seen(np.array(list(m.joints.values())))
     axes.plot(*joints.T, "ko", ms=4, mfc="y")
@@ -91,7 +91,7 @@ def _rings(axes: Any, m: Measured) -> None:
     """Slices of the trunk seen along the vertical, with their control points."""
     trunk = m.slices["trunk"]
     for k in np.linspace(4, len(trunk) - 5, 6).astype(int):
-        ring = closed_spline(trunk[k], 48)
+        ring = closed_spline(trunk[k], 48, fullness("trunk"))
         ring = np.vstack([ring, ring[:1]])
         axes.plot(ring[:, 1], ring[:, 0], label=f"{trunk[k, :, 2].mean():.2f} m")
         axes.plot(trunk[k, :, 1], trunk[k, :, 0], "k.", ms=3)
