@@ -90,7 +90,19 @@ def measure(views: Mapping[str, KeyView], body_line: float | None = None) -> Mea
         found |= _leg_joints(views["front"], slices[f"leg_{s}"], front, s, floor, stature)
         found |= _arm_joints(views, slices[f"arm_{s}"], front.pits[k], elbows.arms[k], corners[s], s)
         found[f"shoulder_{s}"][0] = _mid_depth(slices["trunk"], found[f"shoulder_{s}"][2])
-    return Measured(to_world, stature, slices, _straight(_shifted(found, stature)), front, corners, elbows)
+    joints = _straight(_shifted(_even_shoulders(found), stature))
+    return Measured(to_world, stature, slices, joints, front, corners, elbows)
+
+
+def _even_shoulders(found: dict[str, Float]) -> dict[str, Float]:
+    """Both shoulders equally far from the neck: an arm pit is a blunt corner, found 20 mm off at times, and hardly on
+    both sides at once."""
+    half = 0.5 * (found["shoulder_l"][1] - found["shoulder_r"][1])
+    out = dict(found)
+    for side, sign in (("r", -1.0), ("l", 1.0)):
+        x, _, z = found[f"shoulder_{side}"]
+        out[f"shoulder_{side}"] = np.array([x, found["neck"][1] + sign * half, z])
+    return out
 
 
 def _straight(joints: dict[str, Float]) -> dict[str, Float]:
