@@ -250,6 +250,20 @@ def test_lengths_and_poses_are_put_right(scene: Capture, wrong: tuple[list[Frame
     assert all(np.linalg.eigvalsh(e.covariance)[0] > 0 for e in found.estimates)
 
 
+def test_another_track_goes_on_from_the_shape_found(
+    scene: Capture, wrong: tuple[list[Frame], Body, list[Estimate]]
+) -> None:
+    frames, body, estimates = wrong
+    few = RefineConfig(rounds=2, coarse_rounds=1, joint=0.0)
+    first = refine(frames, body, scene.rig, estimates, few)
+    anew = list(track(frames, first.body, scene.rig, first.estimates[0].pose))
+    assert joint_error(scene, first.body, anew) < joint_error(scene, body, estimates)
+    second = refine(frames, first.body, scene.rig, anew, few, shape=first.shape)
+    given, now = joint_distances(body), joint_distances(second.body)
+    assert now["femur_r"] / given["femur_r"] == pytest.approx(second.lengths["femur"])  # told against the first body
+    assert abs(second.lengths["femur"] / first.lengths["femur"] - 1) < 0.02
+
+
 def test_a_lost_frame_is_found_between_its_neighbours(
     scene: Capture, wrong: tuple[list[Frame], Body, list[Estimate]]
 ) -> None:
@@ -317,7 +331,12 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     refined = read_result(told["result"])
     assert list(refined.indices) == [1, 2, 3, 4, 5] and "refined" in refined.config
     assert Path(told["result"]) == out / "refined" / "refined.h5" and (out / "refined" / "angles.png").is_file()
-    assert run("refine", told["result"], "--out", tmp_path / "again", *few) == 0
+    assert run("refine", told["result"], "--out", tmp_path / "once more", *few) == 0
+    capsys.readouterr()
+    again = ("--again", "--out", tmp_path / "again", "--json")
+    assert run("refine", out / "result.h5", "--frames", "1:5", *again, *few) == 0
+    twice = json.loads(capsys.readouterr().out)
+    assert twice["frames"] == 5 and twice["lengths"] != told["lengths"]  # against the same body, after more rounds
     assert run("view", told["result"], "--images", 0, "--save", tmp_path / "page.html") == 0
     assert run("export", told["result"], "--to", "mot") == 0
     assert run("evaluate", told["result"], "--reference", walk / "truth.npz", "--json") == 0

@@ -28,6 +28,9 @@ def refine(
     set_: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A setting of docs/refine.md.")
     ] = None,
+    again: Annotated[
+        bool, typer.Option("--again", help="Track once more with the refined body, and refine that.")
+    ] = False,
     json: terminal.Json = False,
 ) -> None:
     """Refine a track over all its frames together: poses, segment lengths, girths and joint centres.
@@ -38,9 +41,11 @@ def refine(
 
       twistcap refine out/walk/result.h5
 
+      twistcap refine out/walk/result.h5 --again
+
       twistcap refine out/walk/result.h5 --frames 0:59 --set joint=0 --out out/walk-refined
     """
-    document = _run(result, out or result.parent / "refined", terminal.frame_range(frames), session, set_ or [])
+    document = _run(result, out or result.parent / "refined", terminal.frame_range(frames), session, set_ or [], again)
     if json:
         terminal.emit(document)
     else:
@@ -48,7 +53,7 @@ def refine(
 
 
 def _run(
-    path: Path, out: Path, span: tuple[int, int] | None, session_path: Path | None, settings: list[str]
+    path: Path, out: Path, span: tuple[int, int] | None, session_path: Path | None, settings: list[str], again: bool
 ) -> dict[str, Any]:
     from twistcap.commands.track import parsed_settings
     from twistcap.io.result import read_result
@@ -65,6 +70,11 @@ def _run(
     folder = terminal.output_folder(out)
     with terminal.telling("refining") as told:
         found = refined(views, result.body, views.image_rig, chosen, config, session.tracker_config, told)
+    if again:
+        anew = _tracked_again(session, found, views)
+        with terminal.telling("refining again") as told:
+            rig = views.image_rig
+            found = refined(views, found.body, rig, anew, config, session.tracker_config, told, found.shape)
     return {
         "id": "refine",
         "result": folder / "refined.h5",
@@ -101,6 +111,20 @@ def _views(session: Any, rig: Any, indices: list[int], path: Path) -> Any:
         raise InputError(f"{path}: its frames are not evenly spaced; choose some that are with --frames.")
     views = views_of(session.model_copy(update={"frames": (indices[0], indices[-1])}), rig)
     return replace(views, indices=range(indices[0], indices[-1] + 1, steps.pop()))
+
+
+def _tracked_again(session: Any, found: Any, views: Any) -> list[Any]:
+    """Estimates of the same frames, tracked with the refined body from its first pose."""
+    from twistcap.commands.track import session_tracker
+
+    tracker = session_tracker(session, found.body, views)
+    tracker.start(found.estimates[0].pose, found.estimates[0].time)
+    anew: list[Any] = []
+    with terminal.telling("tracking again") as told:
+        for frame in views:
+            anew.append(tracker.step(frame))
+            told(f"frame {frame.index}", len(anew), len(views))
+    return anew
 
 
 def _shape(before: Any, found: Any) -> dict[str, Any]:

@@ -88,7 +88,7 @@ def _tracked(session: Any, path: Path, resume: bool) -> tuple[Any, Timing]:
         return _resumed(session, path, done)
     with words.status("reading the session, fitting the first pose"):
         recording = open_recording(session)
-    tracker = _tracker(session, recording.body, recording.views)
+    tracker = session_tracker(session, recording.body, recording.views)
     tracker.start(recording.first_pose, recording.first_time)
     with ResultWriter(path, recording.body, recording.rig, session.model_dump(mode="json")) as writer:
         return recording.views, _kept(recording.views, tracker, writer, path)
@@ -104,7 +104,7 @@ def _resumed(session: Any, path: Path, done: Any) -> tuple[Any, Timing]:
         had, has = ", ".join(done.rig.names), ", ".join(rig.names)
         raise InputError(f"{path} was tracked with cameras {had}, the session has {has}; track anew without --resume.")
     views = views_of(session, rig)
-    tracker = _tracker(session, done.body, views)
+    tracker = session_tracker(session, done.body, views)
     tracker.restore(done.estimates)
     rest = views.starting_at(int(done.indices[-1]) + 1)
     words.print(f"going on after frame {done.indices[-1]}: {len(rest)} frames to go")
@@ -112,7 +112,7 @@ def _resumed(session: Any, path: Path, done: Any) -> tuple[Any, Timing]:
         return views, _kept(rest, tracker, writer, path)
 
 
-def _tracker(session: Any, body: Any, views: Any) -> Any:
+def session_tracker(session: Any, body: Any, views: Any) -> Any:
     """The session's tracker; training motion is brought to the rate of the frames that are read."""
     from twistcap.track import Tracker
 

@@ -47,6 +47,7 @@ class Refined:
         length_sigmas, girth_sigmas: standard deviations of the factors' logarithms.
         joint_shifts, joint_sigmas: (3,) m in the rest pose and standard deviations, by the segment below the joint.
         moved: m that the landmarks moved in each round, mean over all frames.
+        shape: what a refinement of another track with this body goes on from.
     """
 
     body: Body
@@ -58,21 +59,26 @@ class Refined:
     joint_shifts: Mapping[str, Float]
     joint_sigmas: Mapping[str, Float]
     moved: tuple[float, ...]
+    shape: Shape
 
 
 def refine(
     frames: Iterable[Frame], body: Body, rig: Rig, estimates: Sequence[Estimate], config: RefineConfig | None = None,
-    tracker: TrackerConfig | None = None, tell: Tell | None = None,
+    tracker: TrackerConfig | None = None, tell: Tell | None = None, shape: Shape | None = None,
 ) -> Refined:  # fmt: skip
     """Refine the poses of all frames, segment lengths, girths and joint centres together.
 
+    A limb that the wrong body has lost is not found again by refining. Track once more with the refined body, and give
+    those estimates here with the `shape` found: what is known of the shape beforehand stays that about the first body.
+
     Args:
         frames: those of the estimates, in order; they are gone through once in every round, and never kept.
-        body, rig: that were tracked with.
+        body, rig: that were tracked with; of the body, where a `shape` is given, its coordinates alone are looked at.
         estimates: of the track, one per frame.
         config: settings of the refinement.
         tracker: settings of the cues and of the claimed covariance.
         tell: is told how far it is.
+        shape: to begin with, that of an earlier refinement; that of `body` by default.
 
     Raises:
         InputError: for fewer than three frames, frames that are not those of the estimates, poses that are not
@@ -81,7 +87,7 @@ def refine(
     config, tracker = config or RefineConfig(), tracker or TrackerConfig()
     _check(body, estimates)
     eyes = Eyes(rig.pinhole(), config, tracker, len(body.segment_names))
-    shape, now = Shape.of(body, girth_groups(body), config), tuple(estimates)
+    shape, now = shape or Shape.of(body, girth_groups(body), config), tuple(estimates)
     moved: list[float] = []
     while True:
         look = _looked(eyes, frames, shape, now, len(moved), tell)
@@ -176,7 +182,8 @@ def _answer(
     out = tuple(
         replace(e, iterations=len(moved), status=status if e.status != "no_images" else e.status) for e in estimates
     )
-    return Refined(shape.body, out, _exp(lengths), sigmas[0], _exp(girths), sigmas[1], joints, sigmas[2], tuple(moved))
+    girth, joint = (_exp(girths), sigmas[1]), (joints, sigmas[2])
+    return Refined(shape.body, out, _exp(lengths), sigmas[0], *girth, *joint, tuple(moved), shape)
 
 
 def _exp(logs: Mapping[str, float]) -> dict[str, float]:

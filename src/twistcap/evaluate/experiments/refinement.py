@@ -29,10 +29,9 @@ from twistcap.studio.scene import default_body
 from twistcap.studio.subjects import limbering
 from twistcap.track import track
 
-LENGTH, JOINT = (
-    0.05,
-    0.015,
-)  # the wrong body: each kind of segment longer or shorter by this, each joint off by this (m)
+# The wrong body: each kind of segment is longer or shorter by this share, each joint off by so many metres.
+LENGTH, JOINT = 0.05, 0.015
+AGAIN = "refined, tracked and refined again"
 BONES = tuple(
     (f"{a}_{side}", f"{b}_{side}")
     for a, b in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
@@ -113,7 +112,7 @@ class Refinement:
     def rows(self, traces: Sequence[Shaped]) -> list[Row]:
         """The table's lines, of both arms."""
         out: list[Row] = []
-        for arm, bars in (("tracked", (None, None)), ("refined", (self.length, self.joints))):
+        for arm, bars in (("tracked", (None, None)), ("refined", (None, None)), (AGAIN, (self.length, self.joints))):
             out += _rows(f"{self.id}, {arm}", [t for t in traces if t.arm == arm], *bars)
         return out
 
@@ -135,15 +134,18 @@ def _rows(case: str, traces: Sequence[Shaped], length: float | None, joints: flo
 
 
 def run_seed(id: str, seed: int) -> list[Shaped]:
-    """Track and refine one scene."""
+    """Track and refine one scene, then track it with the refined body and refine again."""
     experiment = next(e for e in REFINEMENTS if e.id == id)
     scene = experiment.scene(seed)
     frames, body = list(scene.frames()), wrong_shape(scene.true_body, seed)
     estimates = list(track(frames, body, scene.rig, scene.first_pose))
-    refined: Refined = refine(frames, body, scene.rig, estimates)
+    first: Refined = refine(frames, body, scene.rig, estimates)
+    anew = list(track(frames, first.body, scene.rig, first.estimates[0].pose))
+    second = refine(frames, first.body, scene.rig, anew, shape=first.shape)
     return [
         _traced("tracked", scene, frames, body, estimates),
-        _traced("refined", scene, frames, refined.body, refined.estimates),
+        _traced("refined", scene, frames, first.body, first.estimates),
+        _traced(AGAIN, scene, frames, second.body, second.estimates),
     ]
 
 
