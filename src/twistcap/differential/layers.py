@@ -12,11 +12,13 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numba import njit
 
-from twistcap._typing import Bool, Float, Float32
+from twistcap._typing import AnyArray, Bool, Float, Float32, Int
 from twistcap.body import Body, Posed
 from twistcap.differential.render import OrthographicView, render
 from twistcap.differential.view import ScaledView
+from twistcap.render.raster import rasterise
 
 _FEWEST = 50
 _CLEAR = 4  # px about the silhouette that are not taken for what is behind
@@ -42,10 +44,91 @@ class Layers:
 
     def cost(self, frame: int, seen: OrthographicView) -> float:
         """Negative log likelihood of a picture under both layers, less that of nothing but the layer behind."""
-        mask = seen.mask
-        face = seen.face_index[mask]
-        residual = self.images[frame][mask] - self.surface[face]
-        return float(np.sum(cauchy(residual, self.spread[face]) - self.behind[frame][mask]))
+        rows, columns = np.nonzero(seen.mask)
+        return float(np.sum(self.less_behind(frame, seen.face_index[rows, columns], rows, columns)))
+
+    def less_behind(self, frame: int, faces: AnyArray, rows: AnyArray, columns: AnyArray) -> Float:
+        """(P,) cost of pixels as ones of the body's faces, less that as ones of the layer behind."""
+        residual = self.images[frame, rows, columns] - self.surface[faces]
+        return cauchy(residual, self.spread[faces]) - self.behind[frame, rows, columns]
+
+
+@dataclass(frozen=True)
+class LimbCost:
+    """How the cost of a picture changes with one limb, all else of the body being where it is.
+
+    Attributes:
+        layers: of the view.
+        frame: the picture.
+        view: of the body.
+        vertices: (V',) of the faces that move with the limb.
+        corners: (F', 3) of those faces, numbered within `vertices`.
+        surface: their brightness (F',) and the scale of the residuals under it (F',).
+        before: (H, W) cost of what is seen without the limb, less that of the layer behind.
+        nearness: (H, W) of it, as `_nearness`; 0 where there is nothing of the body.
+    """
+
+    layers: Layers
+    frame: int
+    view: ScaledView
+    vertices: Int
+    corners: Int
+    surface: tuple[Float, Float]
+    before: Float
+    nearness: Float32
+
+    @staticmethod
+    def of(layers: Layers, frame: int, posed: Posed, view: ScaledView, segments: Bool) -> LimbCost:
+        """For the limb of some segments (S,)."""
+        body = posed.body
+        carried = (body.skin_weights * segments[body.skin_segments]).sum(axis=1) > 0
+        moved = carried[body.faces].any(axis=1)
+        height, width = layers.images.shape[1:]
+        at, rest = view.camera_points(posed.vertices), np.flatnonzero(~moved)
+        pixels = np.ascontiguousarray(at[:, :2] + view.shift)
+        face, near = rasterise(pixels, _nearness(view, at), body.faces[rest], (0, 0), (width, height))
+        rows, columns = np.nonzero(face >= 0)
+        before = np.zeros((height, width))
+        before[rows, columns] = layers.less_behind(frame, rest[face[rows, columns]], rows, columns)
+        vertices, corners = np.unique(body.faces[moved], return_inverse=True)
+        corners = corners.reshape(-1, 3).astype(np.int32)
+        own = layers.surface[moved], layers.spread[moved]
+        return LimbCost(layers, frame, view, vertices.astype(np.int32), corners, own, before, near)
+
+    def __call__(self, posed: Posed) -> float:
+        """With the limb as it is posed: that of the whole body less that of the body without the limb."""
+        at = self.view.camera_points(np.take(posed.vertices, self.vertices, axis=0))
+        pixels = at[:, :2] + self.view.shift
+        height, width = self.before.shape
+        x0, x1 = max(0, int(pixels[:, 0].min())), min(width - 1, int(pixels[:, 0].max()) + 1)
+        y0, y1 = max(0, int(pixels[:, 1].min())), min(height - 1, int(pixels[:, 1].max()) + 1)
+        if x0 > x1 or y0 > y1:
+            return 0.0
+        size = (x1 - x0 + 1, y1 - y0 + 1)
+        face, near = rasterise(pixels, _nearness(self.view, at), self.corners, (x0, y0), size)
+        image, behind = self.layers.images[self.frame], self.layers.behind[self.frame]
+        return _gained(face, near, (x0, y0), self.nearness, image, behind, self.before, *self.surface)
+
+
+def _nearness(view: ScaledView, at: Float) -> Float:
+    """(V,) of camera points (V, 3), px: positive, falls by 1 per px of depth, from 4 m behind the body's origin."""
+    return 4.0 * view.scale - at[:, 2]
+
+
+@njit(cache=True, nogil=True)
+def _gained(
+    face: Int, near: Float32, origin: tuple[int, int], there: Float32, image: Float, behind: Float, before: Float,
+    surface: Float, spread: Float,
+) -> float:  # fmt: skip
+    """Sum of what changes where a limb's faces in a window lie before what is there: their cost less that before."""
+    total = 0.0
+    for r in range(face.shape[0]):
+        for c in range(face.shape[1]):
+            f, y, x = face[r, c], r + origin[1], c + origin[0]
+            if f >= 0 and near[r, c] > there[y, x]:
+                z = (image[y, x] - surface[f]) / spread[f]
+                total += np.log(spread[f] * (1.0 + z * z)) - behind[y, x] - before[y, x]
+    return total
 
 
 def cauchy(residual: Float, sigma: Float | float) -> Float:
