@@ -15,7 +15,7 @@ from itertools import product
 
 import numpy as np
 
-from twistcap._typing import AnyArray, Bool, Float, Float32, Int
+from twistcap._typing import AnyArray, Float, Float32, Int
 from twistcap.body import Body
 from twistcap.differential.layers import Layers, LimbCost, learnt
 from twistcap.differential.memory import channels, pyramid
@@ -146,18 +146,16 @@ def chosen(
         config: settings.
         closer: by how much the values tried lie nearer together.
     """
-    layers = [
-        learnt(body, [frame[v] for frame in grey], [s.posed(body) for s in states], [
-            s.views[v].resized(factor) for s in states])
-        for v in range(len(grey[0]))
-    ]  # fmt: skip
+    posed, V = [s.posed(body) for s in states], len(grey[0])
+    seen = [[s.views[v].resized(factor) for s in states] for v in range(V)]
+    layers = [learnt(body, [frame[v] for frame in grey], posed, seen[v]) for v in range(V)]
     out = list(states)
     for limb in config.limbs:
         stray = np.deg2rad(np.array(limb.stray_deg))
         for which in limb.of(body):
             tried = [_tried(body, s, which, closer * limb.offsets() if n else None) for n, s in enumerate(out)]
-            costs = [config.share * _costs(layers, n, s, which, t, factor, body) for n, (s, t) in
-                     enumerate(zip(out, tried, strict=True))]  # fmt: skip
+            pairs = zip(out, tried, strict=True)
+            costs = [config.share * _costs(body, layers, n, which, *pair, factor) for n, pair in enumerate(pairs)]
             path = cheapest_path(costs, [t / stray for t in tried])
             out = [_with(s, which, t[k]) for s, t, k in zip(out, tried, path, strict=True)]
     return out
@@ -176,17 +174,16 @@ def _with(state: State, which: Int, values: Float) -> State:
 
 
 def _costs(
-    layers: Sequence[Layers], n: int, state: State, which: Int, tried: Float, factor: float, body: Body
+    body: Body, layers: Sequence[Layers], n: int, which: Int, state: State, tried: Float, factor: float
 ) -> Float:
     """(K,) of frame n with a limb at each of the values tried (K, C), all views together."""
     if len(tried) == 1:
         return np.zeros(1)
-    views = [view.resized(factor) for view in state.views]
-    posed = state.posed(body)
-    moved: Bool = body.chain[:, which].any(axis=1)
-    limbs = [LimbCost.of(layer, n, posed, view, moved) for layer, view in zip(layers, views, strict=True)]
-    posed_each = [_with(state, which, values).posed(body) for values in tried]
-    return np.array([sum(limb(p) for limb in limbs) for p in posed_each])
+    posed, moved = state.posed(body), np.asarray(body.chain[:, which].any(axis=1), np.bool_)
+    pairs = zip(layers, state.views, strict=True)
+    limbs = [LimbCost.of(layer, n, posed, view.resized(factor), moved) for layer, view in pairs]
+    each = [_with(state, which, values).posed(body) for values in tried]
+    return np.array([sum(limb(p) for limb in limbs) for p in each])
 
 
 def cheapest_path(costs: Sequence[Float], places: Sequence[Float]) -> list[int]:
