@@ -17,7 +17,7 @@ from twistcap._typing import Float
 from twistcap.body import Body, Posed
 from twistcap.body.ellipsoids import ellipsoid_body
 from twistcap.body.simplify import NINETEEN, angles_of, side_view, simplified
-from twistcap.differential.sequence import SequenceConfig, track_sequence
+from twistcap.differential.sequence import Limb, SequenceConfig, track_sequence
 from twistcap.differential.settings import DifferentialConfig
 from twistcap.differential.tracker import track
 from twistcap.differential.view import ScaledView, State
@@ -268,6 +268,7 @@ def _reanimation(out: Path, walk: Walk, traces: Sequence[Tracked]) -> None:
 
 WITH, ROBUST, WITHOUT = "support maps by EM", "robust weights", "the projected shape"
 _SIDE = DifferentialConfig(turns="planar", colour=False)  # grey, as the paper's
+_ARM = Limb(("arm_flex", "elbow_flex"), steps_deg=(8.0, 10.0), counts=(5, 7), stray_deg=(4.0, 6.0))  # at 60 fps
 _SIDE_STUDIO = StudioConfig(frames=101)
 _PLATES = DifferentialConfig(levels=3, search_deg=30.0, carry=0.6, stray_deg=12.0, update=0.1)
 
@@ -279,6 +280,7 @@ T1 = DifferentialTrial(
     (("tracked", _SIDE),),
     _OneView("T-1", 3.0),
     picture=_norm_picture,
+    sequence=SequenceConfig(limbs=(_ARM,)),
 )
 T2 = DifferentialTrial(
     "T-2",
