@@ -268,7 +268,7 @@ def _reanimation(out: Path, walk: Walk, traces: Sequence[Tracked]) -> None:
 
 WITH, ROBUST, WITHOUT = "support maps by EM", "robust weights", "the projected shape"
 _SIDE = DifferentialConfig(turns="planar", colour=False)  # grey, as the paper's
-_ARM = Limb(("arm_flex", "elbow_flex"), steps_deg=(8.0, 10.0), counts=(5, 7), stray_deg=(4.0, 6.0))  # at 60 fps
+_ARM = Limb(("arm_flex", "elbow_flex"), steps_deg=(8.0, 10.0), counts=(5, 7), stray_deg=(1.5, 2.5))  # at 60 fps
 _SIDE_STUDIO = StudioConfig(frames=101)
 _PLATES = DifferentialConfig(levels=3, search_deg=30.0, carry=0.6, stray_deg=12.0, update=0.1)
 
@@ -280,7 +280,7 @@ T1 = DifferentialTrial(
     (("tracked", _SIDE),),
     _OneView("T-1", 3.0),
     picture=_norm_picture,
-    sequence=SequenceConfig(limbs=(_ARM,)),
+    sequence=SequenceConfig(passes=1, limbs=(_ARM,)),
 )
 T2 = DifferentialTrial(
     "T-2",
