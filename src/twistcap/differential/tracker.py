@@ -71,20 +71,26 @@ class DifferentialTracker:
         looks = [self._look(state, v, self._pyramid(image), none) for v, image in enumerate(images)]
         self._memory = [remember(look, None, None, self._retention) for look in looks]
 
-    def step(self, images: Sequence[AnyArray | None]) -> DifferentialEstimate:
-        """Follow the body into the next frame; None stands for the image of a view that dropped it."""
+    def step(self, images: Sequence[AnyArray | None], expected: State | None = None) -> DifferentialEstimate:
+        """Follow the body into the next frame.
+
+        Args:
+            images: one per view; None stands for that of a view that dropped it.
+            expected: the state that is looked for about, such as an earlier pass over the sequence found; by default
+                the last motion goes on, and limbs are sought where the settings ask for it.
+        """
         _check(self.body, self.state, images)
         pyramids = [None if image is None else self._pyramid(image) for image in images]
-        before, guess = self.state, self._clipped(self.state.retract(self._expected_motion()))
+        before, guess = self.state, expected or self._clipped(self.state.retract(self._expected_motion()))
         moved = [self._behind(memory, levels) for memory, levels in zip(self._memory, pyramids, strict=True)]
         problem = _Frame(self.body, self.config, guess)
         state, views = guess, list[Evidence]()
         for level in reversed(range(self.config.levels)):
             views = [self._evidence(v, level, levels, state, moved[v]) for v, levels in enumerate(pyramids)]
             problem.views = views
-            if level == self.config.levels - 1 and self.config.carry > 0:
+            if expected is None and level == self.config.levels - 1 and self.config.carry > 0:
                 state = min((guess, before), key=problem.misfit)
-            if level == min(1, self.config.levels - 1) and self.config.search_deg > 0:
+            if expected is None and level == min(1, self.config.levels - 1) and self.config.search_deg > 0:
                 state = self._sought(problem, state)
             state = problem.settle(state)
         self._remember(state, views, pyramids, problem.exposure)

@@ -17,8 +17,9 @@ from twistcap._typing import Float
 from twistcap.body import Body, Posed
 from twistcap.body.ellipsoids import ellipsoid_body
 from twistcap.body.simplify import NINETEEN, angles_of, side_view, simplified
+from twistcap.differential.sequence import Limb, SequenceConfig, track_sequence
 from twistcap.differential.settings import DifferentialConfig
-from twistcap.differential.tracker import DifferentialTracker
+from twistcap.differential.tracker import track
 from twistcap.differential.view import ScaledView, State
 from twistcap.differential.world import state_of, world_pose
 from twistcap.estimate import Estimate
@@ -73,6 +74,7 @@ class DifferentialTrial:
         judged: joints whose mean error is drawn over the frames.
         picture: draws more pictures into a folder, from the walk and the first arm's traces.
         shown: frame (counted from the second) and camera of the picture.
+        sequence: the passes over all frames after the first; None makes none.
     """
 
     id: str
@@ -84,6 +86,7 @@ class DifferentialTrial:
     judged: tuple[str, ...] = ("hip_flexion", "knee_angle")
     picture: Callable[[Path, Walk, Sequence[Tracked]], None] | None = None
     shown: tuple[int, int] = (-1, 0)
+    sequence: SequenceConfig | None = None
 
     def run(self, seeds: Sequence[int], progress: Tell, out: Path | None = None) -> Findings:
         """All arms on all seeds, two scenes at a time."""
@@ -107,8 +110,11 @@ def _trace(
 ) -> Tracked:
     model = trial.model(scene)
     start = state_of(scene.true_poses[0], scene.rig)
-    tracker = DifferentialTracker(model, State(start.views, angles_of(model, scene.body, start.q)), images[0], config)
-    states = [tracker.step(frame).state for frame in images[1:]]
+    first = State(start.views, angles_of(model, scene.body, start.q))
+    if trial.sequence is None:
+        states = [estimate.state for estimate in track(model, first, images, config)]
+    else:
+        states = track_sequence(model, first, images, config, trial.sequence)[1:]
     truth = [state_of(pose, scene.true_rig) for pose in scene.true_poses[1:]]
     q = np.array([state.q for state in states])
     true_q = angles_of(model, scene.true_body, np.array([pose.q for pose in scene.true_poses[1:]]))
@@ -262,6 +268,7 @@ def _reanimation(out: Path, walk: Walk, traces: Sequence[Tracked]) -> None:
 
 WITH, ROBUST, WITHOUT = "support maps by EM", "robust weights", "the projected shape"
 _SIDE = DifferentialConfig(turns="planar", colour=False)  # grey, as the paper's
+_ARM = Limb(("arm_flex", "elbow_flex"), steps_deg=(8.0, 10.0), counts=(5, 7), stray_deg=(1.5, 2.5))  # at 60 fps
 _SIDE_STUDIO = StudioConfig(frames=101)
 _PLATES = DifferentialConfig(levels=3, search_deg=30.0, carry=0.6, stray_deg=12.0, update=0.1)
 
@@ -273,6 +280,7 @@ T1 = DifferentialTrial(
     (("tracked", _SIDE),),
     _OneView("T-1", 3.0),
     picture=_norm_picture,
+    sequence=SequenceConfig(passes=1, limbs=(_ARM,)),
 )
 T2 = DifferentialTrial(
     "T-2",
@@ -292,6 +300,7 @@ T3 = DifferentialTrial(
     (("tracked", _PLATES),),
     _plate_rows,
     picture=_reanimation,
+    sequence=SequenceConfig(),
 )
 T_EM = DifferentialTrial(
     "T-EM",
