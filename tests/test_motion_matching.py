@@ -10,7 +10,7 @@ import pytest
 from twistcap import se3
 from twistcap._typing import Float
 from twistcap.errors import InputError
-from twistcap.motion import Match, Matcher, MotionClip, MotionLibrary
+from twistcap.motion import Match, Matcher, MotionClip, MotionLibrary, _search
 
 
 def clip(q: Float, rate: float = 60.0, name: str = "clip") -> MotionClip:
@@ -79,7 +79,28 @@ def test_the_same_answer_in_a_library_where_whole_blocks_are_ruled_out(m: int) -
         truth, found = brute(motions, query, scales)[0], matcher.best(query)
         assert found is not None
         assert (found.clip, found.position, found.scale) == pytest.approx((truth.clip, truth.position, truth.scale))
-    assert len(matcher.balls.radii) > 200
+    assert len(matcher.tubes.radii) > 200
+
+
+@pytest.mark.parametrize("make", [smooth, rough, lambda rng, n, joints: np.full((n, joints), 0.3)])
+def test_blocks_are_bounded_from_below_and_the_tubes_are_tight(make) -> None:
+    """No pose between stored ones is nearer than the tube of its block says; a smooth motion's tubes are narrow."""
+    rng = np.random.default_rng(4)
+    motions = library(*(make(rng, int(n), 6) for n in (100, 9, 61)))
+    matcher, query = Matcher(motions), np.zeros((3, 8), np.float32)
+    query[:, :6] = 3.0 * smooth(rng, 3, 6)
+    tubes, base = matcher.tubes, matcher.base.astype(float)
+    lags = np.arange(3, dtype=np.int32)
+    away = _search.tube_distances(tubes.middles, tubes.lines, tubes.halves, tubes.radii, query, lags)
+    for c, (start, end) in enumerate(zip(motions.starts[:-1], motions.starts[1:], strict=True)):
+        for p in np.arange(0, end - start - 1, 0.25):
+            i, f = start + int(p), p % 1
+            pose = (1 - f) * base[:, i] + f * base[:, i + 1]
+            block = np.flatnonzero(tubes.clip_of == c)[int(p) // _search.BLOCK]
+            assert np.all(away[:, block] <= np.linalg.norm(query - pose, axis=1))
+    if make is smooth:
+        centred = np.linalg.norm(query[:, :, None] - tubes.middles, axis=1) - tubes.radii - tubes.halves
+        assert np.all(away >= centred - 1e-3) and np.mean(tubes.radii) < 0.2 * np.mean(tubes.halves)
 
 
 def test_the_next_best_ones_are_apart() -> None:

@@ -4,7 +4,8 @@ Three bounds from below spare most of the work, and all are rounded down so that
 
 Coordinates stand in rows, padded with rows of zeros to a multiple of four.
 
-1. Poses lie in blocks of neighbours, each inside a ball: how far the query is from the balls rules out whole blocks.
+1. Poses lie in blocks of neighbours, each inside a tube around a straight line, for motion goes nearly straight for a
+   few poses: how far the query is from the tubes rules out whole blocks.
 2. Between stored poses a and b, ``|Θ − P| ≥ (|Θ−a| + |Θ−b| − |b−a|)/2``. Distances to stored poses are shared by all
    scales, so that a bound for one pose and scale costs m comparisons.
 3. At a share f from a to b, ``|Θ − P|² = (1−f)|Θ−a|² + f|Θ−b|² − f(1−f)|b−a|²``: the distance itself, in float32.
@@ -19,11 +20,11 @@ from numba import njit
 
 from twistcap._typing import Float, Float32, Int
 
-BLOCK = 8  # poses whose neighbourhood is bounded by one ball
+BLOCK = 8  # poses whose neighbourhood is bounded by one tube
 FEW = 256  # blocks that are all looked into: bounds of so few are not worth their while
 _TILE = 512  # poses whose distances are held at a time
-_SHARE = 128  # blocks of which the most promising one is looked into first
-_GAP = 12  # blocks without promise that are looked into with their neighbours, which is cheaper than to begin anew
+_SHARE = 512  # blocks of which the most promising one is looked into first
+_GAP = 4  # blocks without promise that are looked into with their neighbours, which is cheaper than to begin anew
 _LOSS = np.float32(4e-6)  # relative, above the rounding of sums in float32
 _SLACK = 1e-6  # rad, above the rounding of the bounds
 _NEAR = 1e-8  # poses, above the rounding of positions in a clip
@@ -51,22 +52,31 @@ def prepared(query: Float, factors: Float, width: int) -> tuple[Float, bool]:
 
 
 @njit(cache=True, nogil=True)
-def balls(base: Float32, begin: Int, end: Int) -> tuple[Float32, Float32]:
-    """Middles (K, B) of stretches of poses begin … end − 1 of base (K, N), and radii (B,) that reach all of them."""
+def tubes(base: Float32, begin: Int, end: Int) -> tuple[Float32, Float32, Float32, Float32]:
+    """Tubes around stretches of poses begin … end − 1 of base (K, N).
+
+    Returns:
+        Of straight lines along the motion the middles and unit directions (K, B), and half the lengths (B,); the radii
+        (B,) that reach from there to all poses, and so to all that lies between poses.
+    """
     K, B = len(base), len(begin)
-    centres, radii = np.empty((K, B), np.float32), np.empty(B, np.float32)
+    middles, lines = np.empty((K, B), np.float32), np.zeros((K, B), np.float32)
+    halves, radii = np.empty(B, np.float32), np.empty(B, np.float32)
     for b in range(B):
+        poses = base[:, begin[b] : end[b]]
+        length = np.sqrt(np.sum((poses[:, -1] - poses[:, 0]).astype(np.float64) ** 2))
         for k in range(K):
-            poses = base[k, begin[b] : end[b]]
-            centres[k, b] = 0.5 * (poses.min() + poses.max())
-        largest = 0.0
-        for i in range(begin[b], end[b]):
-            squared = 0.0
-            for k in range(K):
-                squared += (np.float64(base[k, i]) - centres[k, b]) ** 2
-            largest = max(largest, squared)
-        radii[b] = np.sqrt(largest) * (1.0 + _LOSS)
-    return centres, radii
+            middles[k, b] = 0.5 * (poses[k].min() + poses[k].max())
+            if length > 0.0:
+                lines[k, b] = (poses[k, -1] - poses[k, 0]) / length
+        half, radius = 0.0, 0.0
+        for i in range(poses.shape[1]):
+            away = poses[:, i].astype(np.float64) - middles[:, b]
+            along = np.sum(away * lines[:, b])
+            half = max(half, np.abs(along))
+            radius = max(radius, np.sum((away - along * lines[:, b]) ** 2))
+        halves[b], radii[b] = half * (1.0 + _LOSS), np.sqrt(radius) * (1.0 + _LOSS)
+    return middles, lines, halves, radii
 
 
 @njit(cache=True, nogil=True)
@@ -80,32 +90,65 @@ def _add_squares(base: Float32, begin: int, end: int, pose: Float32, k: int, out
 
 
 @njit(cache=True, nogil=True)
-def block_bounds(
-    centres: Float32, radii: Float32, query: Float32, lags: Int, slow: float, fast: float, first_block: Int
-) -> Float32:
+def _add_products(middles: Float32, lines: Float32, begin: int, end: int, pose: Float32, k: int, out: Float32) -> None:
+    """Add coordinates k … k + 3 of the products of directions with the ways from the pose to the middles."""
+    a, b, c, d = middles[k, begin:end], middles[k + 1, begin:end], middles[k + 2, begin:end], middles[k + 3, begin:end]
+    p, q, r, s = lines[k, begin:end], lines[k + 1, begin:end], lines[k + 2, begin:end], lines[k + 3, begin:end]
+    x, y, z, w = pose[k], pose[k + 1], pose[k + 2], pose[k + 3]
+    for i in range(len(out)):
+        first = (a[i] - x) * p[i] + (b[i] - y) * q[i]
+        out[i] += first + ((c[i] - z) * r[i] + (d[i] - w) * s[i])
+
+
+@njit(cache=True, nogil=True)
+def _to_tubes(squares: Float32, along: Float32, halves: Float32, radii: Float32) -> None:
+    """From squared distances to the middles of tubes, and ways along them, distances to the tubes, into squares."""
+    for i in range(len(squares)):
+        beyond = max(np.float32(0.0), np.abs(along[i]) - halves[i])
+        lost = np.float32(4.0) * _LOSS * squares[i]
+        squared = max(np.float32(0.0), squares[i] - along[i] * along[i] + beyond * beyond - lost)
+        squares[i] = max(np.float32(0.0), np.sqrt(squared) - radii[i])
+
+
+@njit(cache=True, nogil=True)
+def tube_distances(
+    middles: Float32, lines: Float32, halves: Float32, radii: Float32, query: Float32, lags: Int
+) -> Float32:  # fmt: skip
+    """(L, B) distances, rounded down, of the query poses (m, K), the latest first, at L lags from tubes of `tubes`."""
+    B = len(radii)
+    out, along = np.zeros((len(lags), B), np.float32), np.empty(_TILE, np.float32)
+    for begin in range(0, B, _TILE):
+        end = min(begin + _TILE, B)
+        for lag in range(len(lags)):
+            row, on = out[lag, begin:end], along[: end - begin]
+            on[:] = 0.0
+            for k in range(0, len(middles), 4):
+                _add_squares(middles, begin, end, query[lags[lag]], k, row)
+                _add_products(middles, lines, begin, end, query[lags[lag]], k, on)
+            _to_tubes(row, on, halves[begin:end], radii[begin:end])
+    return out
+
+
+@njit(cache=True, nogil=True)
+def block_bounds(away: Float32, lags: Int, slow: float, fast: float, first_block: Int) -> Float32:
     """(B,) a sum of norms that no match ending in a block undercuts (bound 1).
 
     Args:
-        centres, radii: (K, B) and (B,), of `balls`.
-        query: (m, K), the latest pose first.
+        away: (L, B), of `tube_distances`.
         lags: (L,) of the query poses that are looked at; fewer make a lower bound.
         slow, fast: least and greatest step of the scales, poses per frame.
         first_block: (B,) first block of each block's clip.
     """
-    B = centres.shape[1]
-    out, away = np.zeros(B, np.float32), np.empty(B, np.float32)
-    for v in lags:
-        away[:] = 0.0
-        for k in range(0, len(centres), 4):
-            _add_squares(centres, 0, B, query[v], k, away)
-        for b in range(B):
-            away[b] = max(np.float32(0.0), np.sqrt(away[b]) * (np.float32(1.0) - _LOSS) - radii[b])
+    B = away.shape[1]
+    out = np.zeros(B, np.float32)
+    for lag in range(len(lags)):
+        v = lags[lag]
         # The pose at this lag stands `slow·v` to `fast·v` poses before one in the block.
         nearest, farthest = int(np.floor(slow * v / BLOCK)), int(np.ceil(fast * v / BLOCK))
         for b in range(B):
-            low = away[max(first_block[b], b - nearest)]
+            low = away[lag, max(first_block[b], b - nearest)]
             for c in range(max(first_block[b], b - farthest), b - nearest):
-                low = min(low, away[c])
+                low = min(low, away[lag, c])
             out[b] += low
     return out
 

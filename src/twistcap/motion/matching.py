@@ -17,7 +17,7 @@ from twistcap.errors import InputError
 from twistcap.motion import _search as kernels
 from twistcap.motion.library import PAPER_SCALES, MotionLibrary
 
-_BOUNDING_LAGS = 6  # of the query, whose distances to the balls are taken
+_BOUNDING_LAGS = 6  # of the query, whose distances to the tubes are taken
 
 
 Stretch = tuple[int, float, float]
@@ -86,7 +86,7 @@ class Matcher:
         self._factors, self.steps = np.sqrt(given), 1.0 / self.scales
         self.base = _transposed(library.q, self.columns, self._factors)
         self.jumps = _jumps(self.base, library.starts)
-        self.balls = _Balls.of(self.base, library.starts)
+        self.tubes = _Tubes.of(self.base, library.starts)
 
     def best(self, query: Float, last: Match | None = None, barred: Sequence[Stretch] = ()) -> Match | None:
         """The best match of the last m poses.
@@ -149,22 +149,23 @@ class _Query:
     @cached_property
     def _bounds(self) -> Float32:
         """(B,) by block; zeros where the library is too small for the bounds to be worth their while."""
-        balls, steps = self._matcher.balls, self._matcher.steps
-        if len(balls.radii) <= kernels.FEW:
-            return balls.nothing
+        tubes, steps = self._matcher.tubes, self._matcher.steps
+        if len(tubes.radii) <= kernels.FEW:
+            return tubes.nothing
         m = len(self._poses)
         lags = np.unique(np.linspace(0, m - 1, min(m, _BOUNDING_LAGS)).astype(np.int32))
         slow, fast = float(steps.min()), float(steps.max())
         rounded = self._poses.astype(np.float32)
-        return kernels.block_bounds(balls.centres, balls.radii, rounded, lags, slow, fast, balls.first_block)
+        away = kernels.tube_distances(tubes.middles, tubes.lines, tubes.halves, tubes.radii, rounded, lags)
+        return kernels.block_bounds(away, lags, slow, fast, tubes.first_block)
 
     def best(self, barred: Sequence[Stretch] = (), limit: float = 1e300) -> Match | None:
         """The best match below a limit that does not end where it is barred."""
-        matcher, balls = self._matcher, self._matcher.balls
+        matcher, tubes = self._matcher, self._matcher.tubes
         clips, windows = _as_arrays(barred) if barred else _NOTHING
         distance, clip, scale, pose = kernels.search(
-            matcher.base, matcher.jumps, self._poses, matcher.steps, self._bounds, balls.first_block,
-            balls.clip_of, matcher.library.starts, matcher.ahead, clips, windows, limit,
+            matcher.base, matcher.jumps, self._poses, matcher.steps, self._bounds, tubes.first_block,
+            tubes.clip_of, matcher.library.starts, matcher.ahead, clips, windows, limit,
         )  # fmt: skip
         return self._match(clip, scale, pose, distance)
 
@@ -186,13 +187,15 @@ class _Query:
 
 
 @dataclass(frozen=True)
-class _Balls:
-    """Balls around blocks of poses: centres (K, B), radii (B,), clip and first block of the clip (B,).
+class _Tubes:
+    """Tubes around blocks of poses, of `_search.tubes`, and the clip and first block of the clip (B,).
 
-    Each ball holds the first pose of the next block as well, and so all that lies between poses.
+    Each tube holds the first pose of the next block as well, and so all that lies between poses.
     """
 
-    centres: Float32
+    middles: Float32
+    lines: Float32
+    halves: Float32
     radii: Float32
     clip_of: Int
     first_block: Int
@@ -203,14 +206,13 @@ class _Balls:
         return np.zeros(len(self.radii), np.float32)
 
     @staticmethod
-    def of(base: Float32, starts: Int) -> _Balls:
+    def of(base: Float32, starts: Int) -> _Tubes:
         counts = -(-np.diff(starts) // kernels.BLOCK)
         clip_of = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
         first = np.repeat(np.cumsum(counts) - counts, counts).astype(np.int32)
         begin = starts[clip_of] + (np.arange(len(first)) - first) * kernels.BLOCK
         end = np.minimum(begin + kernels.BLOCK + 1, starts[clip_of + 1])
-        centres, radii = kernels.balls(base, begin.astype(np.int32), end.astype(np.int32))
-        return _Balls(centres, radii, clip_of, first)
+        return _Tubes(*kernels.tubes(base, begin.astype(np.int32), end.astype(np.int32)), clip_of, first)
 
 
 def _as_arrays(barred: Sequence[Stretch]) -> tuple[Int, Float]:
