@@ -138,6 +138,12 @@ def test_an_expected_state_is_looked_for_about() -> None:
     assert off[1] < 0.5 * off[0]
 
 
+def test_a_missing_image_is_told() -> None:
+    model, states, images = plates()
+    with pytest.raises(InputError, match="frame 1 lacks an image"):
+        track_sequence(model, states[0], [images[0], [None, *images[1][1:]]])
+
+
 def test_bad_settings_are_told() -> None:
     with pytest.raises(InputError, match="passes"):
         SequenceConfig(passes=-1)

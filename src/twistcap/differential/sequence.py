@@ -89,7 +89,7 @@ class SequenceConfig:
 def track_sequence(
     body: Body,
     start: State,
-    frames: Sequence[Sequence[AnyArray]],
+    frames: Sequence[Sequence[AnyArray | None]],
     config: DifferentialConfig | None = None,
     sequence: SequenceConfig | None = None,
 ) -> list[State]:
@@ -103,17 +103,26 @@ def track_sequence(
         sequence: of the passes after its first.
 
     Raises:
-        InputError: as `DifferentialTracker` does.
+        InputError: where a frame lacks an image, and as `DifferentialTracker` does.
     """
     config, sequence = config or DifferentialConfig(), sequence or SequenceConfig()
-    states = _tracked(body, start, frames, config)
+    whole = [_whole(n, frame) for n, frame in enumerate(frames)]
+    states = _tracked(body, start, whole, config)
     level = min(_LEVEL, config.levels - 1)
-    grey = [[pyramid(channels(image, colour=False), level + 1)[level][0] for image in frame] for frame in frames]
+    grey = [[pyramid(channels(image, colour=False), level + 1)[level][0] for image in frame] for frame in whole]
     near = replace(config, levels=min(2, config.levels), stray_deg=sequence.stray_deg)
     for n in range(sequence.passes):
         states = chosen(body, states, grey, 0.5**level, sequence, closer=1.0 / (n + 1))
-        states = _tracked(body, start, frames, near, states)
+        states = _tracked(body, start, whole, near, states)
     return states
+
+
+def _whole(n: int, frame: Sequence[AnyArray | None]) -> list[AnyArray]:
+    """The images of a frame that has them all."""
+    images = [image for image in frame if image is not None]
+    if len(images) < len(frame):
+        raise InputError(f"differential: frame {n} lacks an image; passes over a sequence take those of every view.")
+    return images
 
 
 def _tracked(
