@@ -14,6 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from twistcap.body import Body
 from twistcap.body.ellipsoids import ellipsoid_body
 from twistcap.body.humanoid import humanoid
 from twistcap.body.simplify import SIDE_VIEW, simplified
@@ -48,7 +49,7 @@ def frames(path: Path) -> list[np.ndarray]:
     return out
 
 
-def start():
+def start() -> tuple[Body, State]:
     """The planar model of both sides, at the clicked state."""
     body = humanoid(stature=1.65)
     kept = [n for n in body.coordinate_names if n.removesuffix("_r").removesuffix("_l") in SIDE_VIEW]

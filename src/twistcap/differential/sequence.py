@@ -20,7 +20,7 @@ from twistcap.body import Body
 from twistcap.differential.layers import Layers, LimbCost, learnt
 from twistcap.differential.memory import channels, pyramid
 from twistcap.differential.settings import DifferentialConfig
-from twistcap.differential.tracker import DifferentialTracker
+from twistcap.differential.tracker import track
 from twistcap.differential.view import State
 from twistcap.errors import InputError
 
@@ -107,13 +107,13 @@ def track_sequence(
     """
     config, sequence = config or DifferentialConfig(), sequence or SequenceConfig()
     whole = [_whole(n, frame) for n, frame in enumerate(frames)]
-    states = _tracked(body, start, whole, config)
+    states = [start, *(e.state for e in track(body, start, whole, config))]
     level = min(_LEVEL, config.levels - 1)
     grey = [[pyramid(channels(image, colour=False), level + 1)[level][0] for image in frame] for frame in whole]
     near = replace(config, levels=min(2, config.levels), stray_deg=sequence.stray_deg)
     for n in range(sequence.passes):
         states = chosen(body, states, grey, 0.5**level, sequence, closer=1.0 / (n + 1))
-        states = _tracked(body, start, whole, near, states)
+        states = [start, *(e.state for e in track(body, start, whole, near, states))]
     return states
 
 
@@ -123,18 +123,6 @@ def _whole(n: int, frame: Sequence[AnyArray | None]) -> list[AnyArray]:
     if len(images) < len(frame):
         raise InputError(f"differential: frame {n} lacks an image; passes over a sequence take those of every view.")
     return images
-
-
-def _tracked(
-    body: Body,
-    start: State,
-    frames: Sequence[Sequence[AnyArray]],
-    config: DifferentialConfig,
-    expected: Sequence[State] | None = None,
-) -> list[State]:
-    tracker = DifferentialTracker(body, start, frames[0], config)
-    wanted = [None] * len(frames) if expected is None else expected
-    return [start, *(tracker.step(f, e).state for f, e in zip(frames[1:], wanted[1:], strict=True))]
 
 
 def chosen(

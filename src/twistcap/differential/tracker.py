@@ -274,8 +274,13 @@ def _check(body: Body, state: State, images: Sequence[AnyArray | None]) -> None:
 
 
 def track(
-    body: Body, state: State, frames: Sequence[Sequence[AnyArray]], config: DifferentialConfig | None = None
-) -> list[DifferentialEstimate]:
-    """Follow a body through frames of one image per view; `state` is that of the first, whose estimate is left out."""
+    body: Body, state: State, frames: Sequence[Sequence[AnyArray]], config: DifferentialConfig | None = None,
+    expected: Sequence[State] | None = None,
+) -> list[DifferentialEstimate]:  # fmt: skip
+    """Follow a body through frames of one image per view; `state` is that of the first, whose estimate is left out.
+
+    Where states are `expected`, one per frame, each frame is looked at about its own; see `DifferentialTracker.step`.
+    """
     tracker = DifferentialTracker(body, state, frames[0], config)
-    return [tracker.step(images) for images in frames[1:]]
+    about = [None] * len(frames) if expected is None else expected
+    return [tracker.step(images, e) for images, e in zip(frames[1:], about[1:], strict=True)]

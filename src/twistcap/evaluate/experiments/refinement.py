@@ -110,7 +110,7 @@ class Refinement:
         return Findings(self.rows(traces), "mean error of the joints, mm", traces)
 
     def rows(self, traces: Sequence[Shaped]) -> list[Row]:
-        """The table's lines, of both arms."""
+        """The table's lines, of all arms."""
         out: list[Row] = []
         for arm, bars in (("tracked", (None, None)), ("refined", (None, None)), (AGAIN, (self.length, self.joints))):
             out += _rows(f"{self.id}, {arm}", [t for t in traces if t.arm == arm], *bars)
