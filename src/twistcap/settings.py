@@ -14,6 +14,7 @@ from twistcap.cues.flow import FlowCue
 from twistcap.cues.hidden import HiddenRule
 from twistcap.cues.keypoints import KeypointCue
 from twistcap.cues.levelset import LevelSetContour
+from twistcap.cues.limbs import LimbRule
 from twistcap.cues.reacquire import ReacquireRule
 from twistcap.cues.rivals import RivalRule
 from twistcap.cues.support import SupportRule
@@ -68,6 +69,7 @@ class TrackerConfig:
         noise: how far a body strays from the prediction.
         rivals: which doubtful limbs are tried elsewhere, and how.
         reacquire: how the body is sought when images return after a gap; None: it is fitted where it was predicted.
+        limbs: how a limb is sought at once that the images no longer bear out; None: it is left to contours and rivals.
         appearance: how the parts' colours are remembered.
         support: when a part counts as lost.
         prior, hidden: how a prior of poses counts, and what a part that no view shows may do; without effect unless the
@@ -108,6 +110,7 @@ class TrackerConfig:
     noise: MotionNoise = field(default_factory=MotionNoise)
     rivals: RivalRule = field(default_factory=RivalRule)
     reacquire: ReacquireRule | None = None
+    limbs: LimbRule | None = None
     appearance: AppearanceRule = field(default_factory=AppearanceRule)
     support: SupportRule = field(default_factory=SupportRule)
     prior: PriorRule = field(default_factory=PriorRule)

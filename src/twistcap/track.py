@@ -6,55 +6,34 @@ ARCHITECTURE.md walks through one frame; the settings of each cue stand with the
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from twistcap._typing import Float, Int
+from twistcap._typing import Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Rig
 from twistcap.cues.appearance import Appearance
 from twistcap.cues.brightness import Template
 from twistcap.cues.evidence import ContourEvidence
 from twistcap.cues.flow import Followed
+from twistcap.cues.limbs import LimbSearch
 from twistcap.cues.reacquire import ReacquireRule
-from twistcap.cues.rivals import Rivals
+from twistcap.cues.rivals import Judge, Rivals
+from twistcap.cues.sight import Fit, Sight, contour_moved
 from twistcap.cues.support import part_tally, summed
 from twistcap.cues.view import View, crop_view, despeckled
 from twistcap.estimate import Estimate, Frame
 from twistcap.motion import MotionLibrary
 from twistcap.predict import Leeway, Moment, MotionNoise, PredictorName, jumped, predict
 from twistcap.priors import ParzenPrior, PriorTerm, matched
-from twistcap.render import ContourPoints, RenderedView, render, reprojected, visible_contour
+from twistcap.render import render, reprojected, visible_contour
 from twistcap.settings import TrackerConfig
 from twistcap.solve import SolveResult, Status, covariance, energies_at, inverse, least_squares
 from twistcap.stages import next_frame, stage
 from twistcap.terms import GaussianTerm, LimitTerm, Quadratic, RestTerm, Term
 
 _REMEMBERED = 128  # moments of the history
-
-
-@dataclass(frozen=True)
-class _Sight:
-    """What one camera contributes to one alternation."""
-
-    camera_index: int
-    view: View
-    seen: RenderedView
-    contour: ContourPoints
-
-
-@dataclass(frozen=True)
-class _Fit:
-    """State of a frame between alternations: the answer so far, and what it was made from."""
-
-    result: SolveResult
-    sights: Sequence[_Sight] = ()
-    terms: Sequence[Term] = ()
-    found: Sequence[ContourEvidence] = ()
-    tallies: Sequence[tuple[Float, Int]] = ()  # per view: contour points of each part that agree, and how many it has
-    moved: float = 0.0  # m by which the last update moved the contour
-    strayed: float = 0.0  # m since the body was rendered
 
 
 class Tracker:
@@ -89,6 +68,7 @@ class Tracker:
         self._gone = np.zeros(parts, dtype=np.bool_)  # parts that no view shows
         self._back = np.zeros_like(self._gone)  # those of which a view shows something again, in this frame
         self._rivals = Rivals(self.body, config.rivals)
+        self._limbs = None if config.limbs is None else LimbSearch(self.body, config.limbs)
 
     def start(self, pose: Pose, time: float = 0.0) -> None:
         """Take the pose from which the first frame is tracked."""
@@ -121,13 +101,14 @@ class Tracker:
             posed = self._sought(rule, posed, views, self._covariance + strayed)
             if self._motions is None:  # which bridges the gap itself; a jump is no velocity
                 self._history[-1] = jumped(self._history[-1], posed.pose.minus(guess), posed.pose)
-        fixed = (LimitTerm(), self._rest, GaussianTerm(posed.pose, information), *found)
-        fit, trust = self._fit(posed, views, fixed), 1.0
+        fit, trust = self._fit(posed, views, self._fixed(posed.pose, information, found)), 1.0
         if predicted == "motion" and not found and (trust := config.support.trust(fit.tallies)) < 1.0:
             if trust == 0.0:
                 return self._unseen(frame, guess, strayed, predicted)
             information = information / trust
-            fit = self._fit(posed, views, (*fixed[:2], GaussianTerm(posed.pose, information)))
+            fit = self._fit(posed, views, self._fixed(posed.pose, information))
+        if self._limbs is not None and self._started and views:
+            fit = self._limbs_sought(self._limbs, fit, frame, guess, information, found)
         told = self._claimed(fit, strayed, information, trust)
         with stage("rivals"):
             rival = self._rival(fit, self._familiar(told, fit), views, information, found)
@@ -181,10 +162,10 @@ class Tracker:
         expected, information = self._expected(pose, frame.time)
         return pose, base if flowed is None else "flow", config.inflation**2 * expected, information
 
-    def _fit(self, guess: Posed, views: dict[int, View], fixed: Sequence[Term]) -> _Fit:
+    def _fit(self, guess: Posed, views: dict[int, View], fixed: Sequence[Term]) -> Fit:
         """Alternate correspond and update: fine where the prediction was good, else coarse until it settles."""
         config = self.config
-        fit = _Fit(SolveResult(guess, "max_iterations", 0, {}, Quadratic.zero(self.body.dof)))
+        fit = Fit(SolveResult(guess, "max_iterations", 0, {}, Quadratic.zero(self.body.dof)))
         fine = config.first_iterations
         if self._started:
             fit, fine = self._alternate(fit, views, fixed, coarse=False), self._contour.alternations - 1
@@ -199,7 +180,7 @@ class Tracker:
             fit = self._alternate(fit, views, fixed, coarse=False)
         return replace(fit, result=replace(fit.result, status=_status(fit.result, fit.moved, config.settled)))
 
-    def _slipping(self, fit: _Fit) -> bool:
+    def _slipping(self, fit: Fit) -> bool:
         """Whether a part's contour agrees with the images much less than it used to."""
         slip = self._contour.slip
         if slip == 0.0:
@@ -207,7 +188,7 @@ class Tracker:
         good, seen = summed(fit.tallies, len(self._support))
         return bool(np.any((seen >= self.config.support.least_points) & (good < slip * self._support * seen)))
 
-    def _returning(self, fit: _Fit) -> bool:
+    def _returning(self, fit: Fit) -> bool:
         """Whether parts that were gone are seen again; they may have been carried off their place meanwhile."""
         if not self._gone.any():
             return False
@@ -216,20 +197,20 @@ class Tracker:
         return bool(self._back.any())
 
     def _rival(
-        self, fit: _Fit, claimed: Float, views: dict[int, View], information: Float, found: Sequence[Term]
-    ) -> _Fit | None:
+        self, fit: Fit, claimed: Float, views: dict[int, View], information: Float, found: Sequence[Term]
+    ) -> Fit | None:
         """A fit elsewhere that explains the images clearly better than `fit` does, where a limb is in doubt."""
         config, posed = self.config, fit.result.posed
         shown = config.hidden.trust(fit.found, self._gone) if self._yields else 1.0
         poses = self._rivals.poses(posed, claimed, shown) if self._started and views else []
         if not poses:
             return None
-        judge = self._rivals.judge(list(views.values()), [self._colours[i] for i in views], posed)
+        judge = self._judge(views, posed)
         evidence = [judge.evidence(pose) for pose in poses]
         if max(evidence) < config.rivals.promising:
             return None
         best = Posed(self.body, poses[int(np.argmax(evidence))])
-        fixed = (LimitTerm(), self._rest, GaussianTerm(best.pose, information), *found)
+        fixed = self._fixed(best.pose, information, found)
         other = self._fit(best, views, fixed)
         fitted = judge.evidence(other.result.pose)
         if fitted < max(evidence):  # the fit has lost it again: the images' judgement stands
@@ -237,7 +218,7 @@ class Tracker:
             other = replace(other, result=replace(other.result, posed=best, energies=energies))
         return other if self._rivals.takes_over(posed, other.result.pose, max(fitted, *evidence)) else None
 
-    def _alternate(self, fit: _Fit, views: dict[int, View], fixed: Sequence[Term], coarse: bool) -> _Fit:
+    def _alternate(self, fit: Fit, views: dict[int, View], fixed: Sequence[Term], coarse: bool) -> Fit:
         """One alternation; the body is rendered anew where it has moved, else its contour is carried along."""
         config, posed = self.config, fit.result.posed
         again = not fit.sights or fit.strayed > config.render_after
@@ -252,13 +233,13 @@ class Tracker:
             terms.append(self._familiarity(self._prior, posed, [found for _, found in evidence]))
         with stage("solve"):
             result = least_squares(posed, [*fixed, *terms], steps=config.solver_steps)
-        moved = _moved(sights, result.posed)
+        moved = contour_moved(sights, result.posed)
         result = replace(result, steps=fit.result.steps + result.steps)
         strayed = moved if again else fit.strayed + moved
         parts, rule = len(self._support), config.support
         found = [found for _, found in evidence]
         tallies = [part_tally(e, s.view.camera.K[0, 0], parts, rule) for s, e in zip(sights, found, strict=True)]
-        return _Fit(result, sights, terms, found, tallies, moved, strayed)
+        return Fit(result, sights, terms, found, tallies, moved, strayed)
 
     def _familiarity(self, prior: PriorTerm, posed: Posed, found: Sequence[ContourEvidence]) -> PriorTerm:
         """The pose prior beside what the images show: how much it counts, and by which joints it knows the pose."""
@@ -267,15 +248,15 @@ class Tracker:
         term = prior.weighted(rule, points, hidden.concealed(found, self._gone))
         return term.told_by(hidden.known(found, self._gone, self.body), rule, posed)
 
-    def _look(self, posed: Posed, camera_index: int, view: View) -> _Sight:
+    def _look(self, posed: Posed, camera_index: int, view: View) -> Sight:
         with stage("render"):
             seen = render(posed, view.camera)
         with stage("contour"):
             spacing = max(1.0, self.config.contour_spacing * seen.px_per_m)
-            return _Sight(camera_index, view, seen, visible_contour(seen, spacing))
+            return Sight(camera_index, view, seen, visible_contour(seen, spacing))
 
     def _evidence(
-        self, sight: _Sight, coarse: bool, earlier: ContourEvidence | None
+        self, sight: Sight, coarse: bool, earlier: ContourEvidence | None
     ) -> tuple[list[Term], ContourEvidence]:
         """Terms of one camera: its contour, and the brightness of what it saw in the frame before."""
         config = self.config
@@ -305,10 +286,38 @@ class Tracker:
 
     def _sought(self, rule: ReacquireRule, guess: Posed, views: dict[int, View], strayed: Float) -> Posed:
         """Where the images show the body after a gap."""
-        judge = self._rivals.judge(list(views.values()), [self._colours[i] for i in views], guess)
+        judge = self._judge(views, guess)
         last = [moment.pose for moment in self._history if moment.seen][-1:]
         with stage("reacquire"):
             return Posed(self.body, rule.sought(judge, guess.pose, strayed, last))
+
+    def _limbs_sought(
+        self, search: LimbSearch, fit: Fit, frame: Frame, guess: Pose, information: Float, found: Sequence[Term]
+    ) -> Fit:
+        """The fit, or one with limbs elsewhere where those that slipped off the images are found there."""
+        if not (slipped := search.slipped(fit.tallies, self._support)):
+            return fit
+        with stage("limbs"):
+            judge = self._judge(self._known(frame, fit.result.posed, search.margin), fit.result.posed)
+            pose = search.sought(judge, fit.result.pose, (guess, self._history[-1].pose), slipped)
+            if pose is None:
+                return fit
+            posed = Posed(self.body, pose)
+            other = self._fit(
+                posed, self._known(frame, posed, self.config.margin), self._fixed(pose, information, found)
+            )
+            return other if search.borne_out(judge, slipped, fit, other) else fit
+
+    def _known(self, frame: Frame, posed: Posed, margin: float) -> dict[int, View]:
+        """The views whose colours were asked for in this frame, about another body."""
+        return {i: view for i, view in self._views(frame, posed, margin).items() if i in self._colours}
+
+    def _judge(self, views: dict[int, View], posed: Posed) -> Judge:
+        return self._rivals.judge(list(views.values()), [self._colours[i] for i in views], posed)
+
+    def _fixed(self, expected: Pose, information: Float, found: Sequence[Term] = ()) -> tuple[Term, ...]:
+        """What is known without contours: limits, the rest pose, the prediction, keypoints."""
+        return LimitTerm(), self._rest, GaussianTerm(expected, information), *found
 
     def _views(self, frame: Frame, guess: Posed, margin: float) -> dict[int, View]:
         views: dict[int, View] = {}
@@ -325,7 +334,7 @@ class Tracker:
             return ()
         return self.config.keypoints.terms(frame.keypoints, self._given_rig, guess)
 
-    def _remember(self, fit: _Fit) -> None:
+    def _remember(self, fit: Fit) -> None:
         """Learn from the settled frame: brightness of the surface, colours of the parts, and how well they agree."""
         rule, cue = self.config.support, self.config.brightness
         every = self.config.learn_every
@@ -349,7 +358,7 @@ class Tracker:
         self._history = [*self._history, Moment(time, pose, seen)][-_REMEMBERED:]
         self._started = True
 
-    def _claimed(self, fit: _Fit, strayed: Float, information: Float, trust: float) -> Float:
+    def _claimed(self, fit: Fit, strayed: Float, information: Float, trust: float) -> Float:
         """Covariance of the answer: what this frame's images add to what was known, as a Kalman filter would have it.
 
         A limb that nothing shows grows less certain from frame to frame. Where the solve failed, only that happens.
@@ -365,7 +374,7 @@ class Tracker:
         known, zero = inverse(before), np.zeros(self.body.dof)
         return before if known is None else covariance(Quadratic(0.0, zero, of_images / scale + known))
 
-    def _familiar(self, known: Float, fit: _Fit) -> Float:
+    def _familiar(self, known: Float, fit: Fit) -> Float:
         """A covariance with what the pose prior knows added, once; it does not go on to the next frame."""
         if self._prior is None or (information := inverse(known)) is None:
             return known
@@ -377,15 +386,6 @@ def _status(result: SolveResult, moved: float, settled: float) -> Status:
     if result.status == "failed":
         return "failed"
     return "converged" if moved < settled else "max_iterations"
-
-
-def _moved(sights: Sequence[_Sight], posed: Posed) -> float:
-    """How far the contour has moved on the body since it was measured, m: of all but the farthest fiftieth."""
-    if not sights:
-        return 0.0
-    steps = np.concatenate([s.contour.moved_by(posed, s.view.camera.P) / s.seen.px_per_m for s in sights])
-    k = int(0.98 * len(steps))
-    return float(np.partition(steps, k)[k]) if len(steps) else 0.0
 
 
 def track(

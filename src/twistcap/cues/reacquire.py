@@ -62,7 +62,7 @@ class ReacquireRule:
                 steps = [np.where(branch, other.minus(best), 0.0) for other in others]
                 for layer in layers:
                     steps.extend(layer * self._drawn(rng, covariance, branch))
-                    best, most = _better(judge, best, most, steps)
+                    best, most = judged_best(judge, best, most, steps)
                     steps = []
         return best if most > self.gain else start
 
@@ -75,7 +75,7 @@ class ReacquireRule:
         return steps
 
 
-def _better(judge: Judge, best: Pose, most: float, steps: Sequence[Float]) -> tuple[Pose, float]:
+def judged_best(judge: Judge, best: Pose, most: float, steps: Sequence[Float]) -> tuple[Pose, float]:
     """The best of a pose of evidence `most` and of those that steps (6 + J,) lead to from it, and its evidence."""
     poses = [best.retract(step).within(judge.body.limits) for step in steps]
     evidence = [judge.evidence(pose) for pose in poses]
@@ -85,17 +85,23 @@ def _better(judge: Judge, best: Pose, most: float, steps: Sequence[Float]) -> tu
 
 def branches(body: Body) -> list[Bool]:
     """Masks (6 + J,) of coordinates that carry the same ends of the body: the root's, then those of most ends first."""
+    root = np.arange(body.dof) < 6
+    return [root, *(mask for _, mask in _by_ends(body))]
+
+
+def limbs(body: Body) -> list[Bool]:
+    """Masks (6 + J,) of the coordinates of each limb: those that carry one and the same end of the body alone."""
+    return [mask for ends, mask in _by_ends(body) if ends == 1]
+
+
+def _by_ends(body: Body) -> list[tuple[int, Bool]]:
+    """How many ends of the body each of its branches carries, and its mask (6 + J,); those of most ends first."""
     carries = body.chain
     ends = [s for s in range(len(carries)) if not any(_beyond(carries[t], carries[s]) for t in range(len(carries)))]
     groups: dict[bytes, list[int]] = {}
     for j, carried in enumerate(carries[ends].T):
         groups.setdefault(carried.tobytes(), []).append(j)
-    ordered = sorted(groups, key=lambda key: -sum(key))
-    masks = [np.zeros(body.dof, dtype=np.bool_) for _ in range(1 + len(ordered))]
-    masks[0][:6] = True
-    for mask, key in zip(masks[1:], ordered, strict=True):
-        mask[6 + np.array(groups[key])] = True
-    return masks
+    return [(sum(key), np.isin(np.arange(body.dof) - 6, groups[key])) for key in sorted(groups, key=lambda k: -sum(k))]
 
 
 def _narrowed(covariance: Float, widest: float) -> Float:
