@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_reacquire import BODY, Oracle
 
-from twistcap._typing import Float
+from test_reacquire import BODY, Oracle
+from twistcap._typing import Bool
 from twistcap.body import Pose, Posed
 from twistcap.cues.limbs import LimbRule, LimbSearch
 from twistcap.cues.reacquire import limbs
@@ -20,7 +20,7 @@ PARTS = len(BODY.segment_names)
 ARM = ("arm_flex_r", "elbow_flex_r")
 
 
-def _arm(limb: Float) -> bool:
+def _arm(limb: Bool) -> bool:
     return bool(limb[6 + BODY.coordinate(ARM[0])])
 
 
@@ -71,9 +71,10 @@ def test_little_gain_finds_nothing() -> None:
 
 
 def test_a_rule_that_draws_nothing_is_told() -> None:
-    for wrong in ({"draws": 0}, {"memory": 1.5}):
-        with pytest.raises(InputError, match="limbs: draws must be 1 or more"):
-            LimbRule(**wrong)
+    with pytest.raises(InputError, match="limbs: draws must be 1 or more"):
+        LimbRule(draws=0)
+    with pytest.raises(InputError, match="memory from 0 to 1"):
+        LimbRule(memory=1.5)
 
 
 def _swung() -> Capture:

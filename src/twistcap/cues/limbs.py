@@ -34,6 +34,7 @@ class LimbRule:
         near: rad, standard deviations of the draws about the best, one round after the other.
         draws: poses of each limb in each round, and as many anywhere within its limits.
         gain: nats by which the images must favour what is found.
+        better: share of a limb's contour points that must come to agree beside.
         margin: m about the body within which it is sought.
         seed: of the draws, which are the same in every run.
     """
@@ -44,6 +45,7 @@ class LimbRule:
     near: tuple[float, ...] = (0.5, 0.25, 0.125)
     draws: int = 64
     gain: float = 40.0
+    better: float = 0.1
     margin: float = 0.6
     seed: int = 0
 
@@ -106,7 +108,8 @@ class LimbSearch:
         """Whether images favour a fit clearly, and the contours of limbs that slipped agree better than before it."""
         if judge.evidence(after.result.pose) <= self._rule.gain:
             return False
-        return self._shares(slipped, after.tallies) > self._shares(slipped, before.tallies)
+        better = self._shares(slipped, after.tallies) - self._shares(slipped, before.tallies)
+        return better > self._rule.better * len(slipped)
 
     def _shares(self, slipped: Sequence[int], tallies: Sequence[tuple[Float, Int]]) -> float:
         """Sum over limbs of their shares of agreeing points."""
