@@ -41,7 +41,7 @@ class TrackerConfig:
         statistics: whether inside densities are each "part"'s own or of the "whole" body; None is part for local
             densities in the direct method, else whole, as in the chapter.
         surface_sigma: how far the body's surface may lie off the person's, m, standard deviation; reaches both methods.
-            0 trusts contours as if the body were exact; 0.008 suits one from key views, see docs/keyviews.md.
+            0 trusts contours as if the body were exact; 0.006 suits one from key views, see docs/keyviews.md.
         photometric: whether brightness constancy joins the contours.
         predictor: "constant_velocity", "hold", "flow": optic flow, constant velocity where flow cannot be trusted, or
             "motion": training motion, which the tracker must be given.
