@@ -167,6 +167,22 @@ def test_a_mesh_no_one_here_made(man: Body) -> None:
     distance = cKDTree(dense).query(true[beside_the_head])[0]
     assert distance.mean() < 0.012
     assert np.percentile(distance, 95) < 0.030
+    for side in "rl":
+        assert shoulder_bulge(man, acquired.body, side) < 0.04
+        arm = acquired.measured.slices[f"arm_{side}"]
+        front, y = arm[:8, :, 0].max(axis=1), np.abs(arm[:8, :, 1].mean(axis=1))
+        assert np.all(-np.diff(front) < 0.6 * np.diff(y) + 1e-9)  # the breast beside it is no arm
+
+
+def shoulder_bulge(true: Body, body: Body, side: str) -> float:
+    """How far the surface about a shoulder sticks out of the true one where the arms hang, m."""
+    points = []
+    for one in (true, body):
+        posed = Posed(one, Pose.rest(one))
+        points.append(posed.vertices - posed.landmarks[one.landmarks.index(f"shoulder_{side}")])
+    near = points[1][np.linalg.norm(points[1], axis=1) < 0.15]
+    outside = near[np.abs(near[:, 0]) > 0.05]
+    return float(cKDTree(points[0]).query(outside)[0].max())
 
 
 def test_what_is_wrong_is_said(views: dict[str, KeyView]) -> None:

@@ -31,6 +31,7 @@ from twistcap.region.models import (
 from twistcap.region.parzen import parzen_densities, parzen_log_ratio
 from twistcap.render import RenderedView, render, visible_contour
 from twistcap.studio import Capture, StudioConfig, capture
+from twistcap.terms import PointNormalTerm, PointRayTerm
 from twistcap.track import Tracker, TrackerConfig
 
 MODELS: tuple[RegionModel, ...] = (LocalGaussian(rho=8.0), GlobalGaussian(), GlobalParzen())
@@ -163,7 +164,7 @@ def test_lines_of_known_ratios_end_where_the_ratio_turns() -> None:
     pixels[:, 0] = 37.0
     displacement, weight, evidence, target = ratio_lines(
         ratio, face_index, np.zeros(1, np.int32), pixels, normals, one, np.ones(20, bool), np.ones(20), 8.0, 16, 3.0,
-        1.0, 1.0, 0.25,
+        1.0, 1.0, 0.25, 0.0,
     )  # fmt: skip
     assert displacement == pytest.approx(41.3 - 37.0, abs=0.3)
     assert target[:, 0] == pytest.approx(pixels[:, 0] + displacement)
@@ -208,6 +209,21 @@ def test_statistics_of_the_whole_body_on_lines_are_not_those_of_its_parts() -> N
     assert np.all(whole.contour.outer) and np.abs(part.displacement - whole.displacement).max() > 0.5
     plain = DirectContour().measure(view, seen, outer, 1.0, colours)
     np.testing.assert_array_equal(plain.displacement, part.displacement)
+
+
+@pytest.mark.parametrize("cue", [DirectContour(), LevelSetContour()], ids=["direct", "levelset"])
+def test_contours_of_a_surface_that_may_be_off_weigh_by_its_spread(cue: DirectContour | LevelSetContour) -> None:
+    """The variance of the surface, in pixels at each point's depth, joins that of the measurement."""
+    scene, view, seen = seen_from_one_camera()
+    contour, colours = visible_contour(seen, 3.0), np.zeros((len(scene.body.segment_names), 7))
+    contour = contour[contour.outer]
+    exact, off = (c.measure(view, seen, contour, 1.0, colours) for c in (cue, replace(cue, surface_sigma=0.01)))
+    np.testing.assert_array_equal(exact.displacement, off.displacement)
+    assert isinstance(exact.term, PointNormalTerm | PointRayTerm) and isinstance(
+        off.term, PointNormalTerm | PointRayTerm
+    )
+    spread = 1.0 / off.term.weight - 1.0 / exact.term.weight
+    np.testing.assert_allclose(spread, (0.01 * view.camera.K[0, 0] * off.contour.inverse_depth) ** 2, rtol=1e-9)
 
 
 def test_rounds_from_coarse_to_fine_reach_farther() -> None:

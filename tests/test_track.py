@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from twistcap.body import Pose, Posed
+from twistcap.cues.direct import DirectContour
 from twistcap.cues.keypoints import KeypointCue
+from twistcap.cues.levelset import LevelSetContour
 from twistcap.cues.rivals import RivalRule
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame, Keypoints
@@ -138,3 +140,30 @@ def test_equal_runs_give_equal_numbers() -> None:
     scene, frames = walk()
     first, second = (list(track(frames[:3], scene.body, scene.rig, scene.first_pose)) for _ in range(2))
     assert np.array_equal(first[-1].pose.q, second[-1].pose.q)
+
+
+def test_the_trackers_spread_of_the_surface_reaches_both_methods_and_yields_to_the_cues_own() -> None:
+    for method in ("direct", "levelset"):
+        cue = TrackerConfig(method=method, surface_sigma=0.008).contour
+        assert isinstance(cue, DirectContour | LevelSetContour) and cue.surface_sigma == 0.008
+    own = TrackerConfig(direct=DirectContour(surface_sigma=0.0), surface_sigma=0.008).contour
+    assert isinstance(own, DirectContour) and own.surface_sigma == 0.0
+    with pytest.raises(InputError, match=r"surface_sigma is -0\.1"):
+        TrackerConfig(surface_sigma=-0.1)
+
+
+def test_a_body_with_wrong_thighs_bends_its_hips_less_where_the_tracker_knows_of_it() -> None:
+    """Thighs bulge 20 mm to the front only, so that contours alone tilt them."""
+    scene = capture(StudioConfig(seed=3, views=4, frames=12))
+    body = scene.true_body
+    x = body.vertices[:, 0]
+    front = np.isin(body.vertex_part, [body.segment(f"femur_{s}") for s in "rl"]) & (x > 0.02)
+    wrong = replace(body, vertices=body.vertices + 0.02 * front[:, None] * [1.0, 0.0, 0.0])
+    hips = [body.coordinate(f"hip_flexion_{s}") for s in "rl"]
+    errors = []
+    for sigma in (0.0, 0.01):
+        config = TrackerConfig(surface_sigma=sigma)
+        found = list(track(scene.frames(), wrong, scene.rig, scene.first_pose, config))
+        assert not any(e.lost for e in found)
+        errors.append(np.mean([np.abs(e.pose.q - scene.true_poses[e.index].q)[hips] for e in found]))
+    assert np.rad2deg(errors[1]) < 0.7 * np.rad2deg(errors[0]) and np.rad2deg(errors[0]) > 0.8, np.rad2deg(errors)

@@ -41,6 +41,8 @@ class TrackerConfig:
             smoothed histogram per region. Reaches both methods.
         statistics: whether inside densities are each "part"'s own or of the "whole" body; None is part for local
             densities in the direct method, else whole, as in the chapter.
+        surface_sigma: how far the body's surface may lie off the person's, m, standard deviation; reaches both methods.
+            0 trusts contours as if the body were exact; 0.006 suits one from key views, see docs/keyviews.md.
         photometric: whether brightness constancy joins the contours.
         predictor: "constant_velocity", "hold", "flow": optic flow, constant velocity where flow cannot be trusted, or
             "motion": training motion, which the tracker must be given.
@@ -82,6 +84,7 @@ class TrackerConfig:
     despeckle: int = 1
     density: Density = "local"
     statistics: Statistics | None = None
+    surface_sigma: float = 0.0
     photometric: bool = True
     predictor: PredictorName = "constant_velocity"
     motion: MotionKind = "followed"
@@ -119,6 +122,8 @@ class TrackerConfig:
     def __post_init__(self) -> None:
         if self.despeckle not in (1, 3, 5):
             raise InputError(f"tracker: despeckle is {self.despeckle}; it must be 1, 3 or 5.")
+        if self.surface_sigma < 0.0:
+            raise InputError(f"tracker: surface_sigma is {self.surface_sigma} m; it must not be negative.")
 
     @property
     def contour(self) -> ContourCue:
@@ -130,7 +135,9 @@ class TrackerConfig:
         if self.method == "differential":
             raise InputError('tracker: method "differential" has no contours; use DifferentialFollower instead.')
         cue = self.direct if self.method == "direct" else self.levelset
-        return replace(cue, density=cue.density or self.density, statistics=cue.statistics or self.statistics)
+        off = self.surface_sigma if cue.surface_sigma is None else cue.surface_sigma
+        density, statistics = cue.density or self.density, cue.statistics or self.statistics
+        return replace(cue, density=density, statistics=statistics, surface_sigma=off)
 
     def seeking(self, unseen: float) -> ReacquireRule | None:
         """The rule of the search where the body must be sought, after `unseen` seconds without images."""

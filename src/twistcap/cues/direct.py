@@ -37,6 +37,8 @@ class DirectContour:
         floor: least variance of a density, brightness².
         clip: largest log density ratio per pixel, nats.
         least_sigma: measurement noise that no posterior goes below, px.
+        surface_sigma: how far the body's surface may lie off the person's, m, standard deviation; None: as the tracker
+            has it, or 0.
         share: share of the contour samples' information that counts: neighbours see the same pixels and statistics,
             so that they are not independent.
         robust: displacement at which a point begins to lose its say, m.
@@ -56,6 +58,7 @@ class DirectContour:
     floor: float = 4e-4
     clip: float = 3.0
     least_sigma: float = 0.25
+    surface_sigma: float | None = None
     share: float = 1.0
     robust: float = 0.01
     inner: float = 0.3
@@ -92,8 +95,8 @@ class DirectContour:
         return measured_lines(
             view.features, seen.face_index, seen.posed.body.face_part, contour.pixels, contour.normals, contour.part,
             contour.outer, contour.inverse_depth, reach, self.samples, self.rho * seen.px_per_m,
-            self.prior_mass, self.floor, self.clip, self.share, self.inner, self.least_sigma, colours,
-            self.colour_mass, group,
+            self.prior_mass, self.floor, self.clip, self.share, self.inner, self.least_sigma,
+            self._off(view), colours, self.colour_mass, group,
         )  # fmt: skip
 
     def _on_image(
@@ -111,5 +114,9 @@ class DirectContour:
         return ratio_lines(
             ratio, seen.face_index, seen.posed.body.face_part, contour.pixels, contour.normals, contour.part,
             contour.outer, contour.inverse_depth, reach, self.samples, self.clip, self.share, self.inner,
-            self.least_sigma,
+            self.least_sigma, self._off(view),
         )  # fmt: skip
+
+    def _off(self, view: View) -> float:
+        """The spread of the surface, px at 1 m from the camera."""
+        return (self.surface_sigma or 0.0) * float(view.camera.K[0, 0])

@@ -51,6 +51,8 @@ class LevelSetContour:
         variational: how that field is found.
         least_cosine: partners whose normals differ by more are no match.
         sigma: measurement noise of a contour point, px.
+        surface_sigma: how far the body's surface may lie off the person's, m, standard deviation; None: as the tracker
+            has it, or 0.
         share: share of the points' information that counts (they are correlated).
         robust: distance at which a match begins to lose its say, m.
         alternations: fine alternations of correspond and update in each frame.
@@ -77,6 +79,7 @@ class LevelSetContour:
     variational: VariationalRule = field(default_factory=VariationalRule)
     least_cosine: float = 0.5
     sigma: float = 0.5
+    surface_sigma: float | None = None
     share: float = 1.0
     robust: float = 0.01
     alternations: int = 3
@@ -146,8 +149,8 @@ class LevelSetContour:
         self, view: View, seen: RenderedView, contour: ContourPoints, partner: Float, coarse: float, ways: int
     ) -> PointRayTerm:
         direction, moment = view.camera.rays(partner)
-        weight = np.full(len(contour), self.share / (ways * self.sigma**2))
         px_per_m = view.camera.K[0, 0] * contour.inverse_depth
+        weight = self.share / (ways * (self.sigma**2 + ((self.surface_sigma or 0.0) * px_per_m) ** 2))
         robust = coarse * self.robust * seen.px_per_m
         return PointRayTerm(contour.points, direction, moment, px_per_m, weight, robust)
 

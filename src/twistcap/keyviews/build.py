@@ -115,12 +115,11 @@ def _joined(measured: Measured) -> dict[str, Float]:
     """The slices of all parts, those of arms and legs carried on into the trunk."""
     out = dict(measured.slices)
     for side in SIDES:
-        for part, joint, deep in (("arm", "shoulder", 0.05), ("leg", "hip", 0.06)):
+        medial = np.array([0.0, 1.0 if side == "r" else -1.0, 0.0])
+        for part, joint, way in (("arm", "shoulder", 0.05 * medial), ("leg", "hip", -0.06 * _DOWN)):
             control = out[f"{part}_{side}"]
-            inward = measured.joints[f"{joint}_{side}"] - control[0].mean(axis=0)
-            inward = inward * ([0.0, 1.0, 0.0] if part == "arm" else [0.0, 0.0, 1.0])
-            inward *= 1.0 + deep / max(float(np.linalg.norm(inward)), 1e-6)
             centre = control[0].mean(axis=0)
+            inward = (measured.joints[f"{joint}_{side}"] + way - centre) * (way != 0.0)
             more = [centre + t * inward + (1 - 0.35 * t) * (control[0] - centre) for t in (1.0, 0.75, 0.5, 0.25)]
             out[f"{part}_{side}"] = np.concatenate([more, control])
     return out

@@ -21,6 +21,7 @@ from twistcap.keyviews.silhouette import KeyView, check_views, middle_pixel, nea
 
 SIDES = ("r", "l")
 _STEP = 0.012  # m between slices
+_NEAR_PIT, _FLARE = 0.08, 0.6  # m from the arm pit where arms widen to shoulders; by how much, front and back, per m
 # Joint shifts: where anatomy has a joint less where the silhouettes show one (x forward, y outward, z up; shares of
 # stature), in the poses of the key views. Measured on the built-in humanoid, but for the hip's height above the crotch:
 # 0.530 (Winter 2009, fig. 4.1) less the 0.478 of the crotch in ANSUR. They hold as far as people are alike.
@@ -214,7 +215,22 @@ def _arm_slices(views: Mapping[str, KeyView], arm: Bool, sign: int) -> Float:
     points = np.array([_frontal(views["front"], np.array([c, at[int(c)]])) for c in cols])
     wanted = np.arange(abs(points[0, 1]) + 0.003, abs(points[-1, 1]), _STEP)
     middles = points[np.searchsorted(np.abs(points[:, 1]), wanted).clip(0, len(points) - 1)]
-    return sections(*_cuts(views, arm, "above"), middles)
+    return _beside_trunk(sections(*_cuts(views, arm, "above"), middles))
+
+
+def _beside_trunk(arm: Float) -> Float:
+    """The slices (n, 4, 3) of an arm, from its pit outward, without what the trunk adds to the first in the view from
+    above: breast and shoulder blade, 30 to 70 mm before or behind an arm that itself widens smoothly."""
+    out, y = arm.copy(), np.abs(arm.mean(axis=1)[:, 1])
+    near = np.flatnonzero(y < y.min(initial=np.inf) + _NEAR_PIT)
+    edges = arm[:, :, 0].reshape(-1, 2, 2).mean(axis=2)
+    for k, pair in enumerate(([0, 1], [2, 3])):
+        way = np.sign(edges[:, k] - edges[:, 1 - k])
+        reach = way * edges[:, k]
+        for n in near[-2::-1]:
+            reach[n] = min(reach[n], reach[n + 1] + _FLARE * (y[n + 1] - y[n]))
+        out[:, pair, 0] += (way * reach - edges[:, k])[:, None]
+    return out
 
 
 def _heights(view: KeyView, slices: Mapping[str, Float]) -> tuple[float, float]:

@@ -20,7 +20,7 @@ _FAST = {"contract", "reassoc", "arcp", "nnan", "ninf", "nsz"}  # lines are of f
 def measured_lines(
     image: Float32, face_index: Int, face_part: Int, pixels: Float, normals: Float, part: Int, outer: Bool,
     inverse_depth: Float, reach: float, half: int, rho: float, prior_mass: float, floor: float, clip: float,
-    share: float, inner: float, least_sigma: float, colours: Float, colour_mass: float,
+    share: float, inner: float, least_sigma: float, surface_sigma: float, colours: Float, colour_mass: float,
     group: Int,
 ) -> tuple[Float, Float, Float, Float]:  # fmt: skip
     """All of a view's lines by the four steps below, whose arguments these are, and what they weigh.
@@ -29,6 +29,7 @@ def measured_lines(
         reach: half length of the lines, px at 1 m from the camera; `inverse_depth` (N,) 1/m scales it.
         share, inner: share of the information of all points, and of inner contours beside.
         least_sigma: measurement noise that is added, px.
+        surface_sigma: how far the body's surface may lie off the person's, px at 1 m from the camera; added likewise.
         colours, colour_mass: what is remembered of each group, and the samples it counts for.
         group: (N,) lines of one number share their statistics: the part, or 0 for the whole body.
 
@@ -40,7 +41,9 @@ def measured_lines(
     moments = line_moments(values, first, last, step)
     mean, variance = pooled_gaussians(moments, pixels, group, rho, prior_mass, floor, colours, colour_mass)
     displacement, spread, evidence = boundary_posterior(values, first, last, step, mean, variance, clip)
-    weight, target = _weighed(pixels, normals, outer, displacement, spread, share, inner, least_sigma)
+    weight, target = _weighed(
+        pixels, normals, outer, inverse_depth, displacement, spread, share, inner, least_sigma, surface_sigma
+    )
     return displacement, weight, evidence, target
 
 
@@ -48,6 +51,7 @@ def measured_lines(
 def ratio_lines(
     ratio: Float32, face_index: Int, face_part: Int, pixels: Float, normals: Float, part: Int, outer: Bool,
     inverse_depth: Float, reach: float, half: int, clip: float, share: float, inner: float, least_sigma: float,
+    surface_sigma: float,
 ) -> tuple[Float, Float, Float, Float]:  # fmt: skip
     """As `measured_lines`, where log density ratios (H, W) of any region model are known already."""
     step = np.maximum(reach / half * inverse_depth, 0.25)
@@ -56,19 +60,22 @@ def ratio_lines(
     mean = np.full((len(pixels), 2, 1), 0.5)  # of Gaussians of unit variance at ±½ a value is its own log ratio
     mean[:, 1] = -0.5
     displacement, spread, evidence = boundary_posterior(values, first, last, step, mean, np.ones_like(mean), clip)
-    weight, target = _weighed(pixels, normals, outer, displacement, spread, share, inner, least_sigma)
+    weight, target = _weighed(
+        pixels, normals, outer, inverse_depth, displacement, spread, share, inner, least_sigma, surface_sigma
+    )
     return displacement, weight, evidence, target
 
 
 @njit(cache=True, nogil=True)
 def _weighed(
-    pixels: Float, normals: Float, outer: Bool, displacement: Float, spread: Float, share: float, inner: float,
-    least_sigma: float,
+    pixels: Float, normals: Float, outer: Bool, inverse_depth: Float, displacement: Float, spread: Float, share: float,
+    inner: float, least_sigma: float, surface_sigma: float,
 ) -> tuple[Float, Float]:  # fmt: skip
     """Information (N,) and target (N, 2) of lines with these posteriors."""
     weight, target = np.empty_like(spread), np.empty_like(pixels)
     for n in range(len(pixels)):
-        weight[n] = share * (1.0 if outer[n] else inner) / (spread[n] + least_sigma**2)
+        off = surface_sigma * inverse_depth[n]
+        weight[n] = share * (1.0 if outer[n] else inner) / (spread[n] + least_sigma**2 + off * off)
         target[n, 0] = pixels[n, 0] + displacement[n] * normals[n, 0]
         target[n, 1] = pixels[n, 1] + displacement[n] * normals[n, 1]
     return weight, target
