@@ -92,6 +92,53 @@ def test_a_far_pinhole_is_a_scaled_view_and_back() -> None:
     np.testing.assert_allclose(view.root(camera), root, atol=1e-6)
 
 
+def near_view() -> tuple[Camera, np.ndarray, ScaledView]:
+    """A pinhole 3 m off, beside its axis, a pose before it, and its own view."""
+    K = np.array([[300.0, 0, 100], [0, 300.0, 130], [0, 0, 1.0]])
+    camera, root = (
+        Camera("near", K, look_at([3, 0.5, 1], [0, 0, 0.2]), SIZE),
+        se3.transform(se3.exp_rotation([0, 0.1, 0.7]), [0.2, -0.3, 0.1]),
+    )
+    return camera, root, ScaledView.of(camera, root, perspective=True)
+
+
+def test_a_perspective_view_is_the_pinholes_own() -> None:
+    camera, root, view = near_view()
+    points = BODY.vertices[::50]
+    there = camera.project(se3.apply(root, points))[0]
+    np.testing.assert_allclose(view.pixels(points), there, atol=1e-9)
+    homogeneous = points @ view.P[:, :3].T + view.P[:, 3]
+    np.testing.assert_allclose(homogeneous[:, :2] / homogeneous[:, 2:], there, atol=1e-9)
+    np.testing.assert_allclose(view.resized(0.5).pixels(points), 0.5 * there - 0.25, atol=1e-9)
+    np.testing.assert_allclose(view.root(camera), root, atol=1e-12)
+    assert np.abs(replace(view, K=None).pixels(points) - there).max() > 3.0
+
+
+def test_surface_points_of_a_perspective_view_lie_at_their_pixels() -> None:
+    state = State((near_view()[2],), np.zeros(len(BODY.coordinate_names)))
+    points, rows, columns = some_points(state)
+    pixels = state.views[0].pixels(points.at(state.posed(BODY)))
+    np.testing.assert_allclose(pixels, np.stack([columns, rows], 1), atol=1e-6)
+
+
+def test_the_step_of_a_perspective_view_is_the_derivative_of_its_pixels() -> None:
+    state = State((near_view()[2],), a_state().q)
+    points, *_ = some_points(state)
+    posed = state.posed(BODY)
+
+    def pixels(delta):
+        moved = state.retract(delta)
+        return moved.views[0].pixels(points.at(moved.posed(BODY)))
+
+    J = image_motion(posed, state.views[0], points)
+    check_jacobian(pixels, J, np.zeros(BODY.dof), rtol=1e-6, atol=1e-5)
+    rng = np.random.default_rng(1)
+    samples = Samples(points, rng.random(len(points)), rng.normal(size=(len(points), 2)))
+    args = (posed, state.views[0], samples, textured(rng), np.array([0.1, -0.05]), rng.random(len(points)))
+    for fast, slow in zip(normal_equations(*args), normal_equations_reference(*args), strict=True):
+        np.testing.assert_allclose(fast, slow, rtol=1e-9, atol=1e-9 * np.abs(slow).max())
+
+
 def textured(rng) -> np.ndarray:
     return cv2.GaussianBlur(rng.random((SIZE[1], SIZE[0])).astype(np.float32), (0, 0), 2.0)
 

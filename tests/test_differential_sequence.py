@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from itertools import product
 
@@ -18,6 +19,7 @@ from twistcap.differential.tracker import DifferentialTracker
 from twistcap.differential.view import State
 from twistcap.differential.world import state_of
 from twistcap.errors import InputError
+from twistcap.evaluate.experiments.differential import T2
 from twistcap.evaluate.experiments.walks import Walk
 from twistcap.studio import StudioConfig
 
@@ -136,6 +138,25 @@ def test_an_expected_state_is_looked_for_about() -> None:
         for s in (at_rest.step(images[2]).state, told.step(images[2], states[2]).state)
     ]
     assert off[1] < 0.5 * off[0]
+
+
+def test_an_oblique_walk_is_followed_with_both_legs_before_the_pinhole() -> None:
+    """A short walk obliquely towards a near camera, as T-2's: its model, its view and its passes."""
+    found = replace(T2.walk, studio=StudioConfig(size=(192, 140), frames=6)).scene(1)
+    model, (_, config) = T2.model(found), T2.arms[0]
+    assert {"ankle_r", "ankle_l", "wrist_r"} < set(model.landmarks.names)
+    assert "wrist_l" not in model.landmarks.names
+    truth = [state_of(pose, found.rig, config.perspective) for pose in found.true_poses]
+    first = State(truth[0].views, angles_of(model, found.body, truth[0].q))
+    images = [list(frame.images) for frame in found.frames()]
+    states = track_sequence(model, first, images, replace(config, levels=3), T2.sequence)
+    assert states[-1].views[0].K is not None
+    off = np.degrees([s.q - angles_of(model, found.body, t.q) for s, t in zip(states, truth, strict=True)])
+    legs = [k for k, name in enumerate(model.coordinate_names) if name[:4] in ("hip_", "knee")]
+    assert len(legs) == 4
+    assert np.abs(off[:, legs]).mean() < 3.0
+    growth = states[-1].views[0].scale / truth[-1].views[0].scale
+    assert abs(growth - 1) < 0.02
 
 
 def test_a_missing_image_is_told() -> None:

@@ -81,9 +81,10 @@ def test_a_change_of_exposure_is_found() -> None:
     assert np.degrees(np.abs(found.state.q - start.q)).max() < 1.0
 
 
-def test_the_follower_gives_poses_in_the_world() -> None:
+@pytest.mark.parametrize("perspective", [False, True])
+def test_the_follower_gives_poses_in_the_world(perspective) -> None:
     found = scene()
-    follower = DifferentialFollower(found.body, found.rig, FEW)
+    follower = DifferentialFollower(found.body, found.rig, replace(FEW, perspective=perspective))
     with pytest.raises(InputError, match="first pose"):
         follower.step(Frame(0, 0.0, images()[0]))
     follower.start(found.true_poses[0])
@@ -97,8 +98,10 @@ def test_the_follower_gives_poses_in_the_world() -> None:
 
 def test_the_world_pose_of_a_state_is_the_pose() -> None:
     pose = scene().true_poses[0]
-    back = world_pose(state_of(pose, scene().rig), list(scene().rig))
-    np.testing.assert_allclose(back.root, pose.root, atol=1e-9)
+    for perspective in (False, True):
+        state = state_of(pose, scene().rig, perspective)
+        assert all((view.K is not None) == perspective for view in state.views)
+        np.testing.assert_allclose(world_pose(state, list(scene().rig)).root, pose.root, atol=1e-9)
 
 
 def test_bad_input_is_told() -> None:

@@ -61,7 +61,8 @@ class DifferentialFollower:
         images: list[AnyArray] = [image for image in frame.images if image is not None]
         if len(images) < len(self.rig):
             raise InputError("differential: the first frame lacks an image; begin at a frame that all cameras have.")
-        self._tracker = DifferentialTracker(self.body, state_of(pose, self.rig), images, self.config)
+        state = state_of(pose, self.rig, self.config.perspective)
+        self._tracker = DifferentialTracker(self.body, state, images, self.config)
         return Estimate(frame.index, frame.time, pose, 1e-6 * np.eye(self.body.dof))
 
     def _estimate(self, frame: Frame, found: DifferentialEstimate) -> Estimate:

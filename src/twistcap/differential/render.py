@@ -66,7 +66,7 @@ class OrthographicView:
     def surface_points(self, rows: Int, columns: Int) -> SurfacePoints:
         """The surface seen at pixels (N,), all of which must lie on the body."""
         body, face = self.posed.body, self.face_index[rows, columns]
-        level = np.ones(len(self.pixels))  # in scaled orthography barycentric coordinates are linear in the image
+        level = self.view.nearness(self.posed.vertices)
         weights = barycentric(face, body.faces, self.pixels, level, np.stack([columns, rows], axis=1).astype(float))
         return surface_points(body, body.faces[face], weights)
 

@@ -27,6 +27,8 @@ class DifferentialConfig:
         turns: "planar" holds the view's turns out of the image.
         stray_deg, stray_turn_deg, stray_scale, stray_px: how far joints, and the views' turns, scales and places stray
             from the guess in a frame.
+        perspective: whether views that begin from calibrated cameras are those pinholes' own; otherwise they are the
+            scaled orthography nearest to them (`world.state_of`).
         search_deg: how far about the guess limbs are sought before the gradients have their say; 0 seeks none.
         reach_px: distance from a rim at which half of the pixels are the body's own, prior of the support maps.
     """
@@ -47,6 +49,7 @@ class DifferentialConfig:
     stray_turn_deg: float = 3.0
     stray_scale: float = 0.01
     stray_px: float = 8.0
+    perspective: bool = False
     search_deg: float = 0.0
     reach_px: float = 1.0
 

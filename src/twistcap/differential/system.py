@@ -26,6 +26,8 @@ def image_motion(posed: Posed, view: ScaledView, points: SurfacePoints) -> Float
     """(N, 2, 6 + J) derivative of the pixels of surface points by the view's motion and the joints."""
     q = view.camera_points(points.at(posed))
     out = np.zeros((len(q), 2, posed.body.dof))
+    if view.K is not None:
+        return _pinhole_motion(posed, view, points)
     out[:, :, 0] = q[:, :2]
     out[:, 0, 1] = out[:, 1, 2] = 1.0
     out[:, :, 3:ROOT] = -se3.hat(q)[:, :2]
@@ -34,12 +36,21 @@ def image_motion(posed: Posed, view: ScaledView, points: SurfacePoints) -> Float
     return out
 
 
+def _pinhole_motion(posed: Posed, view: ScaledView, points: SurfacePoints) -> Float:
+    homogeneous = points.at(posed) @ view.P[:, :3].T + view.P[:, 3]
+    pixels, depth = homogeneous[:, :2] / homogeneous[:, 2:], homogeneous[:, 2, None, None]
+    by_point = (view.P[None, :2, :3] - pixels[:, :, None] * view.P[None, 2:, :3]) / depth
+    out = by_point @ posed.point_jacobian(points.segments, points.weights, points.local)
+    out[:, :, :ROOT] = out[:, :, :ROOT] @ view.root_step()
+    return out
+
+
 def normal_equations(
     posed: Posed, view: ScaledView, samples: Samples, image: Float32, exposure: Float, weight: Float
 ) -> tuple[Float, Float]:
     """Gradient (D,) and Gauss-Newton matrix (D, D) of ``½ Σ w r²`` by (φ, θ̇, a, b), D = 6 + J + 2."""
     rows = samples.rows(posed, view.P, image, exposure, weight)
-    growth = np.einsum("ni,ni->n", rows.gradient, samples.points.at(posed))
+    growth = np.einsum("ni,ni->n", rows.gradient, samples.points.at(posed))  # of scaled orthography
     beside = np.stack([growth, -samples.value, np.full(len(samples), -1.0)], axis=1)
     g, H = accumulate.normal_equations(posed, samples.points, rows, beside)
     step = _pose_step(view, posed.body.dof - ROOT)
@@ -49,9 +60,8 @@ def normal_equations(
 def _pose_step(view: ScaledView, joints: int) -> Float:
     """(6 + J + 3, 6 + J + 2) step of root, joints, growth and exposure that (φ, θ̇, a, b) makes."""
     out = np.zeros((ROOT + joints + 1 + EXPOSURE, ROOT + joints + EXPOSURE))
-    out[:3, 3:ROOT] = view.rotation.T
-    out[3:ROOT, 1:3] = view.rotation[:2].T / view.scale
-    out[ROOT + joints, 0] = 1.0
+    out[:ROOT, :ROOT] = view.root_step()
+    out[ROOT + joints, 0] = 1.0 if view.K is None else 0.0
     own = np.r_[ROOT : ROOT + joints]
     out[own, own] = 1.0
     out[own[-1] + 2 :, own[-1] + 1 :] = np.eye(EXPOSURE)

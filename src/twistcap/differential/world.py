@@ -16,9 +16,12 @@ _DEPTH = 1e-3
 """Information of a view along its ray against across it: scale tells depth badly, so that other views decide it."""
 
 
-def state_of(pose: Pose, cameras: Iterable[Camera]) -> State:
-    """The state of a body at a pose before calibrated cameras, distortion left out."""
-    return State(tuple(ScaledView.of(camera, pose.root) for camera in cameras), pose.q)
+def state_of(pose: Pose, cameras: Iterable[Camera], perspective: bool = False) -> State:
+    """The state of a body at a pose before calibrated cameras, distortion left out.
+
+    With `perspective` the views are those of the pinholes, else scaled orthography.
+    """
+    return State(tuple(ScaledView.of(camera, pose.root, perspective) for camera in cameras), pose.q)
 
 
 def world_pose(state: State, cameras: Sequence[Camera]) -> Pose:

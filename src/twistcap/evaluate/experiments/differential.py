@@ -16,7 +16,7 @@ import numpy as np
 from twistcap._typing import Float
 from twistcap.body import Body, Posed
 from twistcap.body.ellipsoids import ellipsoid_body
-from twistcap.body.simplify import NINETEEN, angles_of, side_view, simplified
+from twistcap.body.simplify import NINETEEN, SIDE_VIEW, angles_of, side_view, simplified
 from twistcap.differential.sequence import Limb, SequenceConfig, track_sequence
 from twistcap.differential.settings import DifferentialConfig
 from twistcap.differential.tracker import track
@@ -109,7 +109,7 @@ def _trace(
     trial: DifferentialTrial, arm: str, config: DifferentialConfig, scene: Capture, images: Sequence[Sequence[Float]]
 ) -> Tracked:
     model = trial.model(scene)
-    start = state_of(scene.true_poses[0], scene.rig)
+    start = state_of(scene.true_poses[0], scene.rig, config.perspective)
     first = State(start.views, angles_of(model, scene.body, start.q))
     if trial.sequence is None:
         states = [estimate.state for estimate in track(model, first, images, config)]
@@ -185,9 +185,12 @@ def _planar(scene: Capture) -> Body:
     return ellipsoid_body(side_view(scene.body, "r", at=at, axis=axis))
 
 
-def _sagittal(scene: Capture) -> Body:
-    """The same whose joints turn about the person's own lateral axis."""
-    return ellipsoid_body(side_view(scene.body, "r", at=scene.first_pose.q))
+def _both_legs(scene: Capture) -> Body:
+    """Trunk, head, the near arm and both legs, since either leg hides the other; the surface of the body itself."""
+    kept = [n for n in scene.body.coordinate_names if n.removesuffix("_r").removesuffix("_l") in SIDE_VIEW]
+    far_arm = ("humerus_l", "ulna_l", "radius_l")
+    kept = [n for n in kept if n not in ("arm_flex_l", "elbow_flex_l")]
+    return simplified(scene.body, kept, at=scene.first_pose.q, without=far_arm)
 
 
 def _nineteen(scene: Capture) -> Body:
@@ -269,6 +272,7 @@ def _reanimation(out: Path, walk: Walk, traces: Sequence[Tracked]) -> None:
 WITH, ROBUST, WITHOUT = "support maps by EM", "robust weights", "the projected shape"
 _SIDE = DifferentialConfig(turns="planar", colour=False)  # grey, as the paper's
 _ARM = Limb(("arm_flex", "elbow_flex"), steps_deg=(8.0, 10.0), counts=(5, 7), stray_deg=(1.5, 2.5))  # at 60 fps
+_LEG = Limb(("hip_flexion", "knee_angle"), steps_deg=(10.0, 18.0), counts=(5, 9), stray_deg=(4.0, 7.0))
 _SIDE_STUDIO = StudioConfig(frames=101)
 _PLATES = DifferentialConfig(levels=3, search_deg=30.0, carry=0.6, stray_deg=12.0, update=0.1)
 
@@ -284,11 +288,12 @@ T1 = DifferentialTrial(
 )
 T2 = DifferentialTrial(
     "T-2",
-    "one view, walking obliquely towards it, 100 frames; the scale grows",
+    "one view, walking obliquely towards it, 100 frames; the scale grows: trunk, head, one arm and both legs",
     Walk((-50.0,), 6.0, _SIDE_STUDIO),
-    _sagittal,
-    (("tracked", DifferentialConfig(colour=False)),),
+    _both_legs,
+    (("tracked", DifferentialConfig(colour=False, perspective=True)),),
     _OneView("T-2", 5.0, 3.0),
+    sequence=SequenceConfig(passes=2, limbs=(_LEG, _ARM)),
 )
 T3 = DifferentialTrial(
     "T-3",
