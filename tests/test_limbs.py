@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from test_reacquire import BODY, Oracle
-from twistcap._typing import Bool
+from twistcap._typing import Bool, Float, Int
 from twistcap.body import Pose, Posed
 from twistcap.cues.limbs import LimbRule, LimbSearch
 from twistcap.cues.reacquire import limbs
 from twistcap.cues.rivals import RivalRule
 from twistcap.errors import InputError
+from twistcap.predict import Moment, rested
 from twistcap.settings import TrackerConfig
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import track
@@ -31,21 +35,34 @@ def test_limbs_are_branches_that_end_in_one_place() -> None:
     assert [limb[6 + BODY.coordinate("elbow_flex_r")] for limb in found if _arm(limb)] == [True]
 
 
+def _tallies(share: float, arm: float, points: int = 20) -> list[tuple[Float, Int]]:
+    """One view in which these shares of the points of the right arm and of all else agree."""
+    seen = np.full(PARTS, points)
+    moved = BODY.chain[:, BODY.coordinate("arm_flex_r")]
+    return [(np.where(moved, arm, share) * seen, seen)]
+
+
 def test_a_limb_slips_when_it_agrees_much_less_than_usual() -> None:
-    search, support, seen = LimbSearch(BODY, LimbRule()), np.full(PARTS, 0.9), np.full(PARTS, 20)
-    good = 0.9 * seen
-    arm = BODY.chain[:, BODY.coordinate("arm_flex_r")]
-    assert search.slipped([(good, seen)], support) == []
-    slipped = np.where(arm, 0.5, 0.9) * seen
-    (i,) = search.slipped([(slipped, seen)], support)
-    assert _arm(limbs(BODY)[i])
-    support[arm] = 0.5  # the running share has come down meanwhile: the usual one has not
-    assert search.slipped([(slipped, seen)], support) == [i]
+    search = LimbSearch(BODY, LimbRule())
+    for _ in range(30):  # one that never agreed better than by six tenths has not slipped
+        assert search.slipped(_tallies(0.9, 0.6)) == []
+    for _ in range(10):  # what is not found is sought again
+        (i,) = search.slipped(_tallies(0.9, 0.3))
+        assert _arm(limbs(BODY)[i])
     for _ in range(100):
-        search.slipped([(slipped, seen)], support)
-    assert search.slipped([(slipped, seen)], support) == []
-    few = np.where(arm, 1, 20)
-    assert search.slipped([(0.0 * few, few)], support) == [k for k in range(5) if k != i]
+        search.slipped(_tallies(0.9, 0.3))
+    assert search.slipped(_tallies(0.9, 0.3)) == []
+    assert len(search.slipped(_tallies(0.0, 0.3))) == 4
+    assert search.slipped(_tallies(0.0, 0.0, points=1)) == []
+
+
+def _slipped(rule: LimbRule) -> LimbSearch:
+    """A search whose right arm has just slipped."""
+    search = LimbSearch(BODY, rule)
+    search.slipped(_tallies(0.9, 0.9))
+    search.slipped(_tallies(0.9, 0.9))
+    search.slipped(_tallies(0.9, 0.1))
+    return search
 
 
 def test_a_forearm_that_folded_over_is_found_with_any_draws() -> None:
@@ -53,11 +70,9 @@ def test_a_forearm_that_folded_over_is_found_with_any_draws() -> None:
     q = truth.q.copy()
     q[BODY.coordinate("elbow_flex_r")] = np.deg2rad(145.0)
     folded = Pose(truth.root, q)
-    arm = next(i for i, limb in enumerate(limbs(BODY)) if _arm(limb))
     for seed in range(8):
         judge = Oracle(RivalRule(), BODY, (), folded, truth)
-        found = LimbSearch(BODY, LimbRule(seed=seed)).sought(judge, folded, [folded], [arm])
-        assert found is not None
+        found, (arm,) = _slipped(LimbRule(seed=seed)).sought(judge, folded, [folded])
         assert judge.evidence(found) > 0.9 * judge.evidence(truth)
         others = ~limbs(BODY)[arm][6:]
         np.testing.assert_array_equal(found.q[others], folded.q[others])
@@ -67,14 +82,42 @@ def test_a_forearm_that_folded_over_is_found_with_any_draws() -> None:
 def test_little_gain_finds_nothing() -> None:
     truth = Pose(np.eye(4), np.clip(np.zeros(BODY.dof - 6), *BODY.limits.T))
     judge = Oracle(RivalRule(), BODY, (), truth, truth)
-    assert LimbSearch(BODY, LimbRule(draws=8)).sought(judge, truth, [truth], [0, 1]) is None
+    assert _slipped(LimbRule(draws=8)).sought(judge, truth, [truth]) == (truth, [])
 
 
-def test_a_rule_that_draws_nothing_is_told() -> None:
-    with pytest.raises(InputError, match="limbs: draws must be 1 or more"):
-        LimbRule(draws=0)
-    with pytest.raises(InputError, match="memory from 0 to 1"):
-        LimbRule(memory=1.5)
+def test_a_limb_that_was_lost_before_comes_back_without_a_velocity() -> None:
+    search = _slipped(LimbRule())
+    (arm,) = search.slipped(_tallies(0.9, 0.1))
+    np.testing.assert_array_equal(search.regained([arm]), limbs(BODY)[arm][6:])
+    assert not _slipped(LimbRule()).regained([arm]).any()  # one that has just slipped has moved
+    pose = Pose.rest(BODY)
+    turned = Pose(pose.root, pose.q + 1.0)
+    q = rested(Moment(0.0, pose), turned, search.regained([arm])).pose.q
+    np.testing.assert_array_equal(q, np.where(limbs(BODY)[arm][6:], 1.0, 0.0))
+
+
+def test_joints_without_limits_are_drawn_within_half_a_turn() -> None:
+    free = replace(BODY, limits=np.full_like(BODY.limits, np.inf) * [-1.0, 1.0])
+    start = Pose(np.eye(4), np.full(BODY.dof - 6, 10.0))
+    judge = Oracle(RivalRule(), free, (), start, Pose(start.root, start.q + 0.8))
+    search = LimbSearch(free, LimbRule(near=(0.1,)))
+    for share in (0.9, 0.9, 0.1):
+        search.slipped(_tallies(0.9, share))
+    assert np.all(np.abs(search.sought(judge, start, [start])[0].q - start.q) < np.pi + 1.0)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        (lambda: LimbRule(draws=0), "draws and least_points must be 1 or more"),
+        (lambda: LimbRule(near=()), "near name a deviation"),
+        (lambda: LimbRule(memory=1.5), "memory, recent and better must be from 0 to 1"),
+        (lambda: LimbRule(gain=float("nan")), "near, gain and margin must be 0 or more, and finite"),
+    ],
+)
+def test_rules_that_cannot_be_are_told(wrong: Callable[[], LimbRule], told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        wrong()
 
 
 def _swung() -> Capture:

@@ -94,6 +94,7 @@ def test_command_line_over_session_over_defaults(path: Path) -> None:
         ),
         ('"direct"', '"direct"\npredictor = "motion"', r"is 'motion', but no \[motions\] names a library"),
         ('"direct"', '"direct"\nreacquire = {drws = 9}', r"unknown key 'drws' in \[tracker.reacquire\]"),
+        ('"direct"', '"direct"\nlimbs = {near = []}', "near name a deviation"),
         ('"direct"', '"direct"\n[motions]\npath = "m.npz"\nkind = "folowed"', "'motions.kind' is 'folowed'"),
         (
             '"direct"',

@@ -148,8 +148,11 @@ def test_the_trackers_spread_of_the_surface_reaches_both_methods_and_yields_to_t
         assert isinstance(cue, DirectContour | LevelSetContour) and cue.surface_sigma == 0.008
     own = TrackerConfig(direct=DirectContour(surface_sigma=0.0), surface_sigma=0.008).contour
     assert isinstance(own, DirectContour) and own.surface_sigma == 0.0
-    with pytest.raises(InputError, match=r"surface_sigma is -0\.1"):
-        TrackerConfig(surface_sigma=-0.1)
+    for wrong in (-0.1, float("nan"), float("inf")):
+        with pytest.raises(InputError, match="surface_sigma must be a finite number"):
+            TrackerConfig(surface_sigma=wrong)
+        with pytest.raises(InputError, match="surface_sigma must be a finite number"):
+            TrackerConfig(direct=DirectContour(surface_sigma=wrong))
 
 
 def test_a_body_with_wrong_thighs_bends_its_hips_less_where_the_tracker_knows_of_it() -> None:

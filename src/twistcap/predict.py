@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from twistcap import se3
-from twistcap._typing import Float
+from twistcap._typing import Bool, Float
 from twistcap.body import Pose
 from twistcap.errors import InputError
 
@@ -134,3 +134,8 @@ def jumped(last: Moment, jump: Float, pose: Pose) -> Moment:
     """The last moment where the present pose jumps (6 + J,) to another: it was off as well; joints that jumped rest."""
     q = np.where(np.abs(jump[6:]) > _JUMP, pose.q, last.pose.q)
     return replace(last, pose=Pose(last.pose.retract(jump).root, q))
+
+
+def rested(last: Moment, pose: Pose, which: Bool) -> Moment:
+    """The last moment with some joints (J,) as in the present pose: how they came there is not known."""
+    return replace(last, pose=Pose(last.pose.root, np.where(which, pose.q, last.pose.q)))

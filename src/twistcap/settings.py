@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from math import inf
 from typing import Literal
 
 from twistcap.body import Body
@@ -122,8 +123,11 @@ class TrackerConfig:
     def __post_init__(self) -> None:
         if self.despeckle not in (1, 3, 5):
             raise InputError(f"tracker: despeckle is {self.despeckle}; it must be 1, 3 or 5.")
-        if self.surface_sigma < 0.0:
-            raise InputError(f"tracker: surface_sigma is {self.surface_sigma} m; it must not be negative.")
+        if not all(
+            0.0 <= (s or 0.0) < inf
+            for s in (self.surface_sigma, self.direct.surface_sigma, self.levelset.surface_sigma)
+        ):
+            raise InputError("tracker: surface_sigma must be a finite number of metres, 0 or more.")
 
     @property
     def contour(self) -> ContourCue:

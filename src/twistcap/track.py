@@ -25,7 +25,7 @@ from twistcap.cues.support import part_tally, summed
 from twistcap.cues.view import View, crop_view, despeckled
 from twistcap.estimate import Estimate, Frame
 from twistcap.motion import MotionLibrary
-from twistcap.predict import Leeway, Moment, MotionNoise, PredictorName, jumped, predict
+from twistcap.predict import Leeway, Moment, MotionNoise, PredictorName, jumped, predict, rested
 from twistcap.priors import ParzenPrior, PriorTerm, matched
 from twistcap.render import render, reprojected, visible_contour
 from twistcap.settings import TrackerConfig
@@ -107,11 +107,11 @@ class Tracker:
                 return self._unseen(frame, guess, strayed, predicted)
             information = information / trust
             fit = self._fit(posed, views, self._fixed(posed.pose, information))
-        if self._limbs is not None and self._started and views:
+        if self._limbs is not None and self._started and views and trust == 1.0:  # noise shows limbs anywhere
             fit = self._limbs_sought(self._limbs, fit, frame, guess, information, found)
         told = self._claimed(fit, strayed, information, trust)
         with stage("rivals"):
-            rival = self._rival(fit, self._familiar(told, fit), views, information, found)
+            rival = self._rival(fit, self._familiar(told, fit), information, found)
         if rival is not None:
             jump = rival.result.pose.minus(fit.result.pose)
             self._history[-1] = jumped(self._history[-1], jump, rival.result.pose)
@@ -196,11 +196,9 @@ class Tracker:
         self._back, self._gone = self._gone & ~gone, gone
         return bool(self._back.any())
 
-    def _rival(
-        self, fit: Fit, claimed: Float, views: dict[int, View], information: Float, found: Sequence[Term]
-    ) -> Fit | None:
+    def _rival(self, fit: Fit, claimed: Float, information: Float, found: Sequence[Term]) -> Fit | None:
         """A fit elsewhere that explains the images clearly better than `fit` does, where a limb is in doubt."""
-        config, posed = self.config, fit.result.posed
+        config, posed, views = self.config, fit.result.posed, {s.camera_index: s.view for s in fit.sights}
         shown = config.hidden.trust(fit.found, self._gone) if self._yields else 1.0
         poses = self._rivals.poses(posed, claimed, shown) if self._started and views else []
         if not poses:
@@ -295,18 +293,21 @@ class Tracker:
         self, search: LimbSearch, fit: Fit, frame: Frame, guess: Pose, information: Float, found: Sequence[Term]
     ) -> Fit:
         """The fit, or one with limbs elsewhere where those that slipped off the images are found there."""
-        if not (slipped := search.slipped(fit.tallies, self._support)):
+        if not search.slipped(fit.tallies):
             return fit
+        gone, back = self._gone, self._back.copy()
         with stage("limbs"):
-            judge = self._judge(self._known(frame, fit.result.posed, search.margin), fit.result.posed)
-            pose = search.sought(judge, fit.result.pose, (guess, self._history[-1].pose), slipped)
-            if pose is None:
+            judge = self._judge(self._known(frame, fit.result.posed, search.rule.margin), fit.result.posed)
+            pose, limbs = search.sought(judge, fit.result.pose, (guess, self._history[-1].pose))
+            if not limbs:
                 return fit
-            posed = Posed(self.body, pose)
-            other = self._fit(
-                posed, self._known(frame, posed, self.config.margin), self._fixed(pose, information, found)
-            )
-            return other if search.borne_out(judge, slipped, fit, other) else fit
+            views = self._known(frame, posed := Posed(self.body, pose), self.config.margin)
+            other = self._fit(posed, views, self._fixed(pose, information, found))
+        if search.borne_out(judge, limbs, fit, other):
+            self._history[-1] = rested(self._history[-1], other.result.pose, search.regained(limbs))
+            return other
+        self._gone, self._back = gone, back
+        return fit
 
     def _known(self, frame: Frame, posed: Posed, margin: float) -> dict[int, View]:
         """The views whose colours were asked for in this frame, about another body."""

@@ -90,7 +90,10 @@ def branches(body: Body) -> list[Bool]:
 
 
 def limbs(body: Body) -> list[Bool]:
-    """Masks (6 + J,) of the coordinates of each limb: those that carry one and the same end of the body alone."""
+    """Masks (6 + J,) of the coordinates of each limb: those that carry one and the same end of the body alone.
+
+    A hand whose fingers are jointed has many ends: then the fingers are the limbs, and the arm is none.
+    """
     return [mask for ends, mask in _by_ends(body) if ends == 1]
 
 

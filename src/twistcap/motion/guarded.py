@@ -20,7 +20,7 @@ from twistcap.predict import Leeway, Moment, MotionNoise, constant_velocity
 _AHEAD = (1, 8)  # frames by which the judged forecasts are made ahead
 _FAR = 3  # frames from which on the farther ones tell
 _MEMORY = 0.85  # share of past errors that counts in the next frame
-_MOST = 0.3  # rad or m that one coordinate counts at most: a limb that was lost must not decide for the whole body
+_MOST = 0.3  # rad that one joint counts at most: a limb that was lost must not decide for the whole body
 _DECAY = 0.15  # s in which a velocity dies away
 
 
@@ -84,7 +84,8 @@ class GuardedMotion:
 
 
 def _apart(pose: Pose, truth: Pose) -> float:
-    """Sum of squares of turn (rad), shift (m) and angles (rad) between two poses, none of which counts beyond _MOST."""
+    """Sum of squares of turn (rad), shift (m) and angles (rad) between two poses; each angle counts up to _MOST."""
     turn = se3.log_rotation(pose.root[:3, :3].T @ truth.root[:3, :3])
     shift = pose.root[:3, 3] - truth.root[:3, 3]
-    return float(np.sum(np.minimum(np.abs(np.concatenate([turn, shift, pose.q - truth.q])), _MOST) ** 2))
+    joints = np.minimum(np.abs(pose.q - truth.q), _MOST)
+    return float(turn @ turn + shift @ shift + joints @ joints)
