@@ -29,7 +29,7 @@ from twistcap.predict import Leeway, Moment, MotionNoise, PredictorName, jumped,
 from twistcap.priors import ParzenPrior, PriorTerm, matched
 from twistcap.render import render, reprojected, visible_contour
 from twistcap.settings import TrackerConfig
-from twistcap.solve import SolveResult, Status, covariance, energies_at, inverse, least_squares
+from twistcap.solve import SolveResult, covariance, energies_at, inverse, least_squares
 from twistcap.stages import next_frame, stage
 from twistcap.terms import GaussianTerm, LimitTerm, Quadratic, RestTerm, Term
 
@@ -178,7 +178,7 @@ class Tracker:
             fine = self._contour.alternations if self._started else config.first_iterations
         for _ in range(fine):
             fit = self._alternate(fit, views, fixed, coarse=False)
-        return replace(fit, result=replace(fit.result, status=_status(fit.result, fit.moved, config.settled)))
+        return fit.judged(config.settled)
 
     def _slipping(self, fit: Fit) -> bool:
         """Whether a part's contour agrees with the images much less than it used to."""
@@ -380,13 +380,6 @@ class Tracker:
         if self._prior is None or (information := inverse(known)) is None:
             return known
         return covariance(Quadratic(0.0, np.zeros(len(known)), information + self._prior.claimed(fit.result.posed)))
-
-
-def _status(result: SolveResult, moved: float, settled: float) -> Status:
-    """Of a whole frame: a step that hardly moved the body has converged."""
-    if result.status == "failed":
-        return "failed"
-    return "converged" if moved < settled else "max_iterations"
 
 
 def track(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from twistcap.body import Posed
 from twistcap.cues.evidence import ContourEvidence
 from twistcap.cues.view import View
 from twistcap.render import ContourPoints, RenderedView
-from twistcap.solve import SolveResult
+from twistcap.solve import SolveResult, Status
 from twistcap.terms import Term
 
 
@@ -32,7 +32,9 @@ class Fit:
 
     Attributes:
         result: the answer.
-        sights, terms, found: of each view; the terms of all.
+        sights: of each view.
+        terms: of all views.
+        found: the contour of each view.
         tallies: per view, how many contour points of each part agree (S,), and how many it has (S,).
         moved: m by which the last update moved the contour.
         strayed: m since the body was rendered.
@@ -45,6 +47,13 @@ class Fit:
     tallies: Sequence[tuple[Float, Int]] = ()
     moved: float = 0.0
     strayed: float = 0.0
+
+    def judged(self, settled: float) -> Fit:
+        """The fit with the status of the whole frame: it has converged if its last step moved less than `settled` m."""
+        if self.result.status == "failed":
+            return self
+        status: Status = "converged" if self.moved < settled else "max_iterations"
+        return replace(self, result=replace(self.result, status=status))
 
 
 def contour_moved(sights: Sequence[Sight], posed: Posed) -> float:

@@ -43,7 +43,7 @@ TARGETS = (
 MARKS = tuple(f"{joint}_{side}" for joint in ("shoulder", "elbow", "wrist", "hip", "knee") for side in "rl")
 TRUE, FOUND, TRUSTED, OWN = "true mesh", "acquired", "acquired, taken as exact", "acquired, its own first pose"
 FRAMES, JOINTS_MM, KHE = 40, 20.0, 0.5  # bars: every joint centre, and what tracking may lose, degrees
-SURFACE_SIGMA = 0.006  # m: docs/keyviews.md measured 4.6 to 8.3 mm between surfaces of these bodies and the true ones
+SURFACE_SIGMA = 0.006  # m; chosen among 3, 6 and 8 mm on seeds 0 to 7, see docs/keyviews.md
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ def settled(body: Body, scene: Capture, frame: Frame, start: Pose, config: Track
     """
     tracker = Tracker(body, scene.rig, replace(config, predictor="hold", photometric=False))
     tracker.start(start)
-    return [tracker.step(replace(frame, time=k / 60.0)).pose for k in range(steps)][-1]
+    return [tracker.step(replace(frame, time=k / scene.config.fps)).pose for k in range(steps)][-1]
 
 
 def carried(pose: Pose, true: Body, body: Body) -> Pose:
