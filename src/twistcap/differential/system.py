@@ -24,10 +24,10 @@ from twistcap.terms.photometric import EXPOSURE, Samples, sample
 
 def image_motion(posed: Posed, view: ScaledView, points: SurfacePoints) -> Float:
     """(N, 2, 6 + J) derivative of the pixels of surface points by the view's motion and the joints."""
-    q = view.camera_points(points.at(posed))
-    out = np.zeros((len(q), 2, posed.body.dof))
     if view.K is not None:
         return _pinhole_motion(posed, view, points)
+    q = view.camera_points(points.at(posed))
+    out = np.zeros((len(q), 2, posed.body.dof))
     out[:, :, 0] = q[:, :2]
     out[:, 0, 1] = out[:, 1, 2] = 1.0
     out[:, :, 3:ROOT] = -se3.hat(q)[:, :2]
