@@ -34,7 +34,7 @@ CLICKS = {
 }  # fmt: skip
 TRACKER = DifferentialConfig(turns="planar", stray_scale=1e-4, stray_px=2.0, stray_turn_deg=0.5)
 LIMBS = tuple(
-    Limb(names, (10, 12), (5, 7), (6, 10)) for names in (("hip_flexion", "knee_angle"), ("arm_flex", "elbow_flex"))
+    Limb(names, (10, 12), (5, 7), (3, 6)) for names in (("hip_flexion", "knee_angle"), ("arm_flex", "elbow_flex"))
 )
 
 

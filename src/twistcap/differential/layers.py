@@ -78,13 +78,15 @@ class LimbCost:
     nearness: Float32
 
     @staticmethod
-    def of(layers: Layers, frame: int, posed: Posed, view: ScaledView, segments: Bool) -> LimbCost:
-        """For the limb of some segments (S,)."""
+    def of(
+        layers: Layers, frame: int, posed: Posed, view: ScaledView, segments: Bool, absent: Bool | None = None
+    ) -> LimbCost:
+        """For the limb of some segments (S,); as if others that are `absent` (S,) were not there."""
         body = posed.body
-        carried = (body.skin_weights * segments[body.skin_segments]).sum(axis=1) > 0
-        moved = carried[body.faces].any(axis=1)
+        moved = _carried_faces(body, segments)
+        gone = moved if absent is None else moved | _carried_faces(body, absent)
         height, width = layers.images.shape[1:]
-        at, rest = view.camera_points(posed.vertices), np.flatnonzero(~moved)
+        at, rest = view.camera_points(posed.vertices), np.flatnonzero(~gone)
         pixels = np.ascontiguousarray(at[:, :2] + view.shift)
         face, near = rasterise(pixels, _nearness(view, at), body.faces[rest], (0, 0), (width, height))
         rows, columns = np.nonzero(face >= 0)
@@ -108,6 +110,12 @@ class LimbCost:
         face, near = rasterise(pixels, _nearness(self.view, at), self.corners, (x0, y0), size)
         image, behind = self.layers.images[self.frame], self.layers.behind[self.frame]
         return _gained(face, near, (x0, y0), self.nearness, image, behind, self.before, *self.surface)
+
+
+def _carried_faces(body: Body, segments: Bool) -> Bool:
+    """(F,) faces of which some vertex moves with one of these segments (S,)."""
+    carried = (body.skin_weights * segments[body.skin_segments]).sum(axis=1) > 0
+    return carried[body.faces].any(axis=1)
 
 
 def _nearness(view: ScaledView, at: Float) -> Float:

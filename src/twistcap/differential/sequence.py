@@ -149,13 +149,28 @@ def chosen(
     out = list(states)
     for limb in config.limbs:
         stray = np.deg2rad(np.array(limb.stray_deg))
-        for which in limb.of(body):
+        sides = _nearest_first(body, out, limb.of(body))
+        for place, which in enumerate(sides):
+            later = np.concatenate([np.zeros(0, np.int32), *sides[place + 1 :]])
             tried = [_tried(body, s, which, closer * limb.offsets() if n else None) for n, s in enumerate(out)]
             pairs = zip(out, tried, strict=True)
-            costs = [config.share * _costs(body, layers, n, which, *pair, factor) for n, pair in enumerate(pairs)]
+            costs = [
+                config.share * _costs(body, layers, n, which, later, *pair, factor) for n, pair in enumerate(pairs)
+            ]
             path = cheapest_path(costs, [t / stray for t in tried])
             out = [_with(s, which, t[k]) for s, t, k in zip(out, tried, path, strict=True)]
     return out
+
+
+def _nearest_first(body: Body, states: Sequence[State], sides: Sequence[Int]) -> list[Int]:
+    """The coordinates of the limbs of both sides, the limb first that is nearer to the cameras in the mean."""
+
+    def depth(which: Int) -> float:
+        moved = body.chain[:, which].any(axis=1)
+        posed = [(s, s.posed(body).segment_middles[moved]) for s in states]
+        return float(np.mean([view.camera_points(at)[:, 2].mean() / view.scale for s, at in posed for view in s.views]))
+
+    return sorted(sides, key=depth)
 
 
 def _tried(body: Body, state: State, which: Int, offsets: Float | None) -> Float:
@@ -171,14 +186,25 @@ def _with(state: State, which: Int, values: Float) -> State:
 
 
 def _costs(
-    body: Body, layers: Sequence[Layers], n: int, which: Int, state: State, tried: Float, factor: float
+    body: Body,
+    layers: Sequence[Layers],
+    n: int,
+    which: Int,
+    later: Int,
+    state: State,
+    tried: Float,
+    factor: float,
 ) -> Float:
-    """(K,) of frame n with a limb at each of the values tried (K, C), all views together."""
+    """(K,) of frame n with a limb at each of the values tried (K, C), all views together.
+
+    A limb that is still to be chosen, of coordinates `later`, is left out: it may stand where this one belongs.
+    """
     if len(tried) == 1:
         return np.zeros(1)
-    posed, moved = state.posed(body), np.asarray(body.chain[:, which].any(axis=1), np.bool_)
+    posed = state.posed(body)
+    moved, absent = (np.asarray(body.chain[:, c].any(axis=1), np.bool_) for c in (which, later))
     pairs = zip(layers, state.views, strict=True)
-    limbs = [LimbCost.of(layer, n, posed, view.resized(factor), moved) for layer, view in pairs]
+    limbs = [LimbCost.of(layer, n, posed, view.resized(factor), moved, absent) for layer, view in pairs]
     each = [_with(state, which, values).posed(body) for values in tried]
     return np.array([sum(limb(p) for limb in limbs) for p in each])
 
