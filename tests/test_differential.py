@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
+import pytest
 
 from finite_differences import check_jacobian, numeric_jacobian
 from twistcap import se3
@@ -18,6 +19,7 @@ from twistcap.differential.system import (
     normal_equations_reference,
 )
 from twistcap.differential.view import ROOT, ScaledView, State
+from twistcap.errors import InputError
 from twistcap.terms.photometric import Samples
 
 BODY = humanoid()
@@ -112,6 +114,13 @@ def test_a_perspective_view_is_the_pinholes_own() -> None:
     np.testing.assert_allclose(view.resized(0.5).pixels(points), 0.5 * there - 0.25, atol=1e-9)
     np.testing.assert_allclose(view.root(camera), root, atol=1e-12)
     assert np.abs(replace(view, K=None).pixels(points) - there).max() > 3.0
+
+
+def test_a_body_behind_the_camera_is_told() -> None:
+    camera, root, _ = near_view()
+    behind = se3.transform(root[:3, :3], camera.centre + 0.1 * camera.T_cam_world[2, :3])
+    with pytest.raises(InputError, match="reaches behind a camera"):
+        ScaledView.of(camera, behind, perspective=True).pixels(BODY.vertices)
 
 
 def test_surface_points_of_a_perspective_view_lie_at_their_pixels() -> None:

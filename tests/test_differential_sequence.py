@@ -13,7 +13,7 @@ from twistcap.body.simplify import NINETEEN, angles_of, simplified
 from twistcap.differential.layers import LimbCost, learnt
 from twistcap.differential.memory import channels, pyramid
 from twistcap.differential.render import render
-from twistcap.differential.sequence import LIMBS, SequenceConfig, cheapest_path, chosen, track_sequence
+from twistcap.differential.sequence import LIMBS, SequenceConfig, cheapest_path, chosen, nearest_first, track_sequence
 from twistcap.differential.settings import DifferentialConfig
 from twistcap.differential.tracker import DifferentialTracker
 from twistcap.differential.view import State
@@ -117,6 +117,26 @@ def test_a_leg_that_was_lost_in_some_exposures_is_found_again() -> None:
     assert before.max() > 45
     assert after.max() < 22  # a step between the values tried
     assert found[0] is wrong[0] or np.array_equal(found[0].q, wrong[0].q)
+
+
+def test_a_leg_that_stands_in_the_place_of_another_counts_only_where_it_is_not_left_out() -> None:
+    model, states, _ = plates()
+    states = [State(s.views[:1], s.q) for s in states]
+    near, far = nearest_first(model, states, LIMBS[0].of(model))
+    depths = [s.views[0].camera_points(s.posed(model).segment_middles)[:, 2] for s in states]
+    moved = [np.asarray(model.chain[:, leg].any(axis=1)) for leg in (near, far)]
+    assert np.mean([d[moved[0]].mean() for d in depths]) < np.mean([d[moved[1]].mean() for d in depths])
+    layers = learnt(
+        model, [frame[0] for frame in grey()], [s.posed(model) for s in states], [s.views[0] for s in states]
+    )
+    q = states[3].q.copy()
+    q[near], q[far] = q[far], q[near]
+    swapped, right = State(states[3].views, q).posed(model), states[3].posed(model)
+    gains = []
+    for absent in (None, moved[1]):
+        cost = LimbCost.of(layers, 3, swapped, states[3].views[0], moved[0], absent)
+        gains.append(cost(swapped) - cost(right))
+    assert gains[1] > gains[0] + 50
 
 
 def test_a_sequence_without_further_passes_is_the_trackers() -> None:

@@ -16,7 +16,7 @@ from numba import njit
 
 from twistcap._typing import AnyArray, Bool, Float, Float32, Int
 from twistcap.body import Body, Posed
-from twistcap.differential.render import OrthographicView, render
+from twistcap.differential.render import SeenBody, render
 from twistcap.differential.view import ScaledView
 from twistcap.render.raster import rasterise
 
@@ -42,7 +42,7 @@ class Layers:
     surface: Float
     spread: Float
 
-    def cost(self, frame: int, seen: OrthographicView) -> float:
+    def cost(self, frame: int, seen: SeenBody) -> float:
         """Negative log likelihood of a picture under both layers, less that of nothing but the layer behind."""
         rows, columns = np.nonzero(seen.mask)
         return float(np.sum(self.less_behind(frame, seen.face_index[rows, columns], rows, columns)))
@@ -195,7 +195,7 @@ def _exposure(value: Float, wanted: Float) -> tuple[float, float]:
     return gain, offset
 
 
-def _surface(body: Body, lit: Float, seen: Sequence[OrthographicView]) -> tuple[Float, Float]:
+def _surface(body: Body, lit: Float, seen: Sequence[SeenBody]) -> tuple[Float, Float]:
     """Brightness and scale of the residuals of every face; a face never seen is taken to be like its segment."""
     F, part = len(body.faces), body.face_part
     values = np.full((len(seen), F), np.nan)

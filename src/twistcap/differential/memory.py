@@ -10,7 +10,7 @@ import numpy as np
 
 from twistcap._typing import AnyArray, Bool, Float, Float32, Int
 from twistcap.body import Posed
-from twistcap.differential.render import OrthographicView
+from twistcap.differential.render import SeenBody
 from twistcap.render import SurfacePoints
 from twistcap.terms.photometric import Samples
 
@@ -122,7 +122,7 @@ class Look:
     """
 
     posed: Posed
-    seen: OrthographicView
+    seen: SeenBody
     pyramid: Sequence[Float32]
     exposure: Float
 

@@ -1,4 +1,4 @@
-"""What a scaled-orthographic view sees of a body: segment and depth at each pixel, and surface points."""
+"""What a view sees of a body: segment and depth at each pixel, and surface points."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _JUMP = 0.04  # m; a step of depth between neighbouring pixels above this is the
 
 
 @dataclass(frozen=True)
-class OrthographicView:
-    """A body at a pose in a scaled-orthographic view.
+class SeenBody:
+    """A body at a pose in a view, scaled orthographic or a pinhole's.
 
     Attributes:
         posed: the body, in its own frame.
         view: the view.
         pixels: (V, 2) projected vertices.
-        nearness: (V,) positive, falls linearly with depth by 1 per px of depth.
+        nearness: (V,) positive, falls by 1 per px of depth as `ScaledView.camera_points` has it.
         face_index: (H, W) visible triangle, -1 for none.
         buffer: (H, W) nearness of what is seen, 0 for none.
     """
@@ -86,10 +86,10 @@ class OrthographicView:
         return float(self.view.camera_points(self.posed.vertices[:1])[0, 2])
 
 
-def render(posed: Posed, view: ScaledView, size: tuple[int, int]) -> OrthographicView:
+def render(posed: Posed, view: ScaledView, size: tuple[int, int]) -> SeenBody:
     """Rasterise a body (posed in its own frame) in an image of (width, height)."""
     at = view.camera_points(posed.vertices)
     pixels = np.ascontiguousarray(at[:, :2] + view.shift)
     nearness = float(at[:, 2].max()) + 1.0 - at[:, 2]
     face_index, buffer = rasterise(pixels, nearness, posed.body.faces, (0, 0), size)
-    return OrthographicView(posed, view, pixels, nearness, face_index, buffer)
+    return SeenBody(posed, view, pixels, nearness, face_index, buffer)

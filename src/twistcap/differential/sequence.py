@@ -149,7 +149,7 @@ def chosen(
     out = list(states)
     for limb in config.limbs:
         stray = np.deg2rad(np.array(limb.stray_deg))
-        sides = _nearest_first(body, out, limb.of(body))
+        sides = nearest_first(body, out, limb.of(body))
         for place, which in enumerate(sides):
             later = np.concatenate([np.zeros(0, np.int32), *sides[place + 1 :]])
             tried = [_tried(body, s, which, closer * limb.offsets() if n else None) for n, s in enumerate(out)]
@@ -162,7 +162,7 @@ def chosen(
     return out
 
 
-def _nearest_first(body: Body, states: Sequence[State], sides: Sequence[Int]) -> list[Int]:
+def nearest_first(body: Body, states: Sequence[State], sides: Sequence[Int]) -> list[Int]:
     """The coordinates of the limbs of both sides, the limb first that is nearer to the cameras in the mean."""
 
     def depth(which: Int) -> float:

@@ -17,6 +17,7 @@ from twistcap import se3
 from twistcap._typing import Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Camera
+from twistcap.errors import InputError
 
 ROOT = 6
 """Numbers of a view's own motion: relative scale, shift in x and y (px), turn about x, y and z of the camera (rad)."""
@@ -42,11 +43,16 @@ class ScaledView:
         """Points (..., 3) m of the body frame in camera axes, px, relative to the body's origin.
 
         Those of a pinhole's view have their images' x and y, and a depth that is linear in the image.
+
+        Raises:
+            InputError: where points lie behind a pinhole.
         """
         if self.K is None:
             return self.scale * (points @ self.rotation.T)
         T = self._T_cam_body(self.K)
         seen = points @ T[:3, :3].T + T[:3, 3]
+        if not np.all(seen[..., 2] > 0.0):
+            raise InputError("differential: the body reaches behind a camera, before which perspective needs it.")
         pixels = (seen @ self.K.T)[..., :2] / seen[..., 2:] - self.shift
         depth = self.scale * T[2, 3] * (1.0 - T[2, 3] / seen[..., 2:])
         return np.concatenate([pixels, depth], axis=-1)
