@@ -72,12 +72,15 @@ class SequenceConfig:
         limbs: what is chosen together.
         share: of the pixels' information that counts, since neighbours see the same.
         stray_deg: how far the tracker's joints stray from what was chosen.
+        apart: whether of a limb's two sides the one nearer to the cameras is chosen first, as if the other were not
+            there: that one may stand in its place. Its steps must cost enough then, lest it take the other's.
     """
 
     passes: int = 2
     limbs: tuple[Limb, ...] = LIMBS
     share: float = 0.1
     stray_deg: float = 6.0
+    apart: bool = False
 
     def __post_init__(self) -> None:
         if self.passes < 0 or not 0.0 < self.share <= 1.0 or self.stray_deg <= 0.0:
@@ -149,9 +152,9 @@ def chosen(
     out = list(states)
     for limb in config.limbs:
         stray = np.deg2rad(np.array(limb.stray_deg))
-        sides = nearest_first(body, out, limb.of(body))
+        sides = nearest_first(body, out, limb.of(body)) if config.apart else limb.of(body)
         for place, which in enumerate(sides):
-            later = np.concatenate([np.zeros(0, np.int32), *sides[place + 1 :]])
+            later = np.concatenate([np.zeros(0, np.int32), *(sides[place + 1 :] if config.apart else [])])
             tried = [_tried(body, s, which, closer * limb.offsets() if n else None) for n, s in enumerate(out)]
             pairs = zip(out, tried, strict=True)
             costs = [

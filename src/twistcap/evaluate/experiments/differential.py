@@ -272,7 +272,7 @@ def _reanimation(out: Path, walk: Walk, traces: Sequence[Tracked]) -> None:
 WITH, ROBUST, WITHOUT = "support maps by EM", "robust weights", "the projected shape"
 _SIDE = DifferentialConfig(turns="planar", colour=False)  # grey, as the paper's
 _ARM = Limb(("arm_flex", "elbow_flex"), steps_deg=(8.0, 10.0), counts=(5, 7), stray_deg=(1.5, 2.5))  # at 60 fps
-_LEG = Limb(("hip_flexion", "knee_angle"), steps_deg=(10.0, 18.0), counts=(5, 9), stray_deg=(2.0, 4.0))
+_LEG = Limb(("hip_flexion", "knee_angle"), steps_deg=(10.0, 18.0), counts=(5, 9), stray_deg=(4.0, 7.0))
 _SIDE_STUDIO = StudioConfig(frames=101)
 _PLATES = DifferentialConfig(levels=3, search_deg=30.0, carry=0.6, stray_deg=12.0, update=0.1)
 
