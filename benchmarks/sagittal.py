@@ -74,7 +74,9 @@ def overlay(model, states, images, wanted: range) -> np.ndarray:
 def main() -> None:
     data = Path(os.environ["TWISTCAP_DATA"])
     images, (model, first) = frames(data / "sagittal_walk/demo.mp4"), start()
-    states = track_sequence(model, first, [[i] for i in images], TRACKER, SequenceConfig(passes=1, limbs=LIMBS, apart=True))
+    states = track_sequence(
+        model, first, [[i] for i in images], TRACKER, SequenceConfig(passes=1, limbs=LIMBS, apart=True)
+    )
     marks = np.array([s.views[0].pixels(s.posed(model).landmarks) for s in states])
     names = model.landmarks.names
     strikes = heel_strikes(marks[:, names.index("hip_l"), 0] - marks[:, names.index("ankle_l"), 0], 20)
