@@ -20,6 +20,7 @@ import numpy as np
 
 from twistcap.body import Body, Posed
 from twistcap.camera import Rig
+from twistcap.cues.limbs import LimbRule
 from twistcap.cues.reacquire import ReacquireRule
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate.metrics import iou
@@ -41,6 +42,9 @@ ARMS = {
     "followed": TrackerConfig(predictor="motion", motion="followed"),
     "guarded": TrackerConfig(predictor="motion", motion="guarded"),
     "guarded, sought": TrackerConfig(predictor="motion", motion="guarded", reacquire=ReacquireRule()),
+    "guarded, sought, limbs too": TrackerConfig(
+        predictor="motion", motion="guarded", reacquire=ReacquireRule(), limbs=LimbRule()
+    ),
     "scaled (paper)": TrackerConfig(predictor="motion", motion="scaled"),
     "autoregressive": TrackerConfig(predictor="motion", motion="autoregressive"),
     "constant velocity": TrackerConfig(),
@@ -104,6 +108,8 @@ def main() -> None:
         config = ARMS[name]
         if config.reacquire is not None:
             config = replace(config, reacquire=replace(config.reacquire, seed=given.seed))
+        if config.limbs is not None:
+            config = replace(config, limbs=replace(config.limbs, seed=given.seed))
         last = -1 if name == "undisturbed" else behind - 1
         shown = without_images(frames, given.first, last)
         used = motions if config.predictor == "motion" else None
