@@ -25,6 +25,7 @@ from twistcap.motion import (
     MotionLibrary,
     MotionPredictor,
     PaperMotion,
+    motion_predictor,
 )
 from twistcap.predict import Moment
 
@@ -54,6 +55,7 @@ METHODS: dict[str, Callable[[MotionLibrary, Body], MotionPredictor]] = {
     "scaled, steps of 0.02": lambda library, body: PaperMotion(library, body, scales=FINER),
     "autoregressive": AutoregressiveMotion,
     "followed": FollowedMotion,
+    "guarded": lambda library, body: motion_predictor("guarded", library, body),
 }
 
 
@@ -83,13 +85,15 @@ def errors(predictor: MotionPredictor, case: Case, body: Body, every: int) -> di
     }  # fmt: skip
 
 
-def compare(cases: Iterable[Case], body: Body, every: int, as_json: bool = False) -> None:
+def compare(
+    cases: Iterable[Case], body: Body, every: int, as_json: bool = False, methods: Iterable[str] = METHODS
+) -> None:
     """Print one row per case and method."""
     rows: list[dict[str, object]] = []
     for case in cases:
         library = MotionLibrary.of(case.training, case.tracked.rate, body.coordinate_names)
-        for name, method in METHODS.items():
-            found = errors(method(library, body), case, body, every)
+        for name in methods:
+            found = errors(METHODS[name](library, body), case, body, every)
             rows.append({"case": case.name, "method": name, **found})
             if not as_json:
                 cells = "  ".join(f"{key} {value:.2f}" for key, value in found.items())
@@ -103,10 +107,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--every", type=int, default=3)
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--methods", nargs="*", default=list(METHODS), choices=list(METHODS))
     given = parser.parse_args()
     from motion_cases import BODY, opensim_cases, other_cases
 
-    compare([*opensim_cases(), *other_cases()], BODY, given.every, given.json)
+    compare([*opensim_cases(), *other_cases()], BODY, given.every, given.json, given.methods)
 
 
 if __name__ == "__main__":

@@ -137,7 +137,7 @@ D7 = Comparison(
     ARMS,
     _joints_mm,
     _rows,
-    shown=(80, 0),
+    shown=(185, 0),
     watched="uprightness of the pelvis",
     course=_upright,
     motions=Acrobatics().library,
