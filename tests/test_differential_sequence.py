@@ -101,7 +101,8 @@ def test_the_layers_bring_all_exposures_to_one_and_tell_the_body_from_what_is_be
     assert costs[0] < costs[1] - 100
 
 
-def test_a_leg_that_was_lost_in_some_exposures_is_found_again() -> None:
+@pytest.mark.parametrize("apart", [False, True])
+def test_a_leg_that_was_lost_in_some_exposures_is_found_again(apart: bool) -> None:
     model, states, _ = plates()
     knee, hip = model.coordinate("knee_angle_r"), model.coordinate("hip_flexion_r")
     wrong = list(states)
@@ -109,7 +110,7 @@ def test_a_leg_that_was_lost_in_some_exposures_is_found_again() -> None:
         q = states[n].q.copy()
         q[knee], q[hip] = q[knee] + np.deg2rad(50), q[hip] - np.deg2rad(25)
         wrong[n] = State(states[n].views, np.clip(q, *model.limits.T))
-    found = chosen(model, wrong, grey(), 1.0, SequenceConfig(limbs=LIMBS[:1]))
+    found = chosen(model, wrong, grey(), 1.0, SequenceConfig(limbs=LIMBS[:1], apart=apart))
     before, after = (
         np.degrees([np.abs(s.q - t.q)[[knee, hip]].max() for s, t in zip(some, states, strict=True)])
         for some in (wrong, found)

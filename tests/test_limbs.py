@@ -103,7 +103,9 @@ def test_joints_without_limits_are_drawn_within_half_a_turn() -> None:
     search = LimbSearch(free, LimbRule(near=(0.1,)))
     for share in (0.9, 0.9, 0.1):
         search.slipped(_tallies(0.9, share))
-    assert np.all(np.abs(search.sought(judge, start, [start])[0].q - start.q) < np.pi + 1.0)
+    pose, found = search.sought(judge, start, [start])
+    assert len(found) == 1
+    assert np.all(np.abs(pose.q - start.q) < np.pi + 1.0)
 
 
 @pytest.mark.parametrize(

@@ -132,8 +132,8 @@ def predict(history: Sequence[Moment], time: float, predictor: PredictorName, de
 
 def jumped(last: Moment, jump: Float, pose: Pose) -> Moment:
     """The last moment where the present pose jumps (6 + J,) to another: it was off as well; joints that jumped rest."""
-    q = np.where(np.abs(jump[6:]) > _JUMP, pose.q, last.pose.q)
-    return replace(last, pose=Pose(last.pose.retract(jump).root, q))
+    joints = rested(last, pose, np.abs(jump[6:]) > _JUMP).pose.q
+    return replace(last, pose=Pose(last.pose.retract(jump).root, joints))
 
 
 def rested(last: Moment, pose: Pose, which: Bool) -> Moment:

@@ -295,7 +295,7 @@ class Tracker:
         """The fit, or one with limbs elsewhere where those that slipped off the images are found there."""
         if not search.slipped(fit.tallies):
             return fit
-        gone, back = self._gone, self._back.copy()
+        gone, back = self._gone, self._back
         with stage("limbs"):
             judge = self._judge(self._known(frame, fit.result.posed, search.rule.margin), fit.result.posed)
             pose, limbs = search.sought(judge, fit.result.pose, (guess, self._history[-1].pose))
