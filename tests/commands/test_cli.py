@@ -1,0 +1,272 @@
+"""The command line from end to end on a small studio session, and one clear sentence for every bad input."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from support.commands import document, run, told
+from support.videos import corrupted, write
+from twistcap.body.humanoid import humanoid
+from twistcap.errors import InputError
+from twistcap.io.motion_files import write_mot
+from twistcap.io.result import read_result
+from twistcap.io.video import VideoSource
+from twistcap.studio.motion import gait
+
+SMALL = ["--size", "192x140", "--views", "2", "--frames", "8"]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A studio session, rendered once."""
+    folder = tmp_path_factory.mktemp("studio") / "walk"
+    assert run("studio", folder, *SMALL) == 0
+    return folder
+
+
+@pytest.fixture
+def session(made: Path, tmp_path: Path) -> Path:
+    """A copy of the session that a test may spoil."""
+    return Path(shutil.copytree(made, tmp_path / "walk")) / "session.toml"
+
+
+@pytest.fixture(scope="module")
+def tracked(made: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The output folder of a whole track."""
+    out = tmp_path_factory.mktemp("out")
+    assert run("track", made / "session.toml", "--out", out) == 0
+    return out
+
+
+def replace(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text, text
+    path.write_text(text.replace(old, new, 1))
+
+
+def test_track_writes_everything(tracked: Path, made: Path) -> None:
+    names = {path.name for path in tracked.iterdir()}
+    assert {"result.h5", "overlay.mp4", "angles.png", "joints.trc", "angles.csv", "report.html"} <= names
+    result = read_result(tracked / "result.h5")
+    assert len(result) == 8 and list(result.indices) == list(range(8))
+    assert result.config["tracker"] == {} and "numpy" in result.versions
+    truth = np.load(made / "truth.npz")
+    assert np.linalg.norm(result.roots[-1, :3, 3] - truth["root"][-1, :3, 3]) < 0.1
+    assert len(VideoSource(tracked / "overlay.mp4")) == 8
+
+
+def test_evaluate(tracked: Path, made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    result = tracked / "result.h5"
+    found = document(capsys, "evaluate", result, "--reference", made / "truth.npz")
+    assert {"case", "metric", "value", "unit", "target", "holds", "seeds", "lost"} == set(found["rows"][0])
+    by_metric = {row["metric"]: row["value"] for row in found["rows"]}
+    assert 0.0 < by_metric["joints, mean"] < 100.0
+    masks = document(capsys, "evaluate", result, "--reference", made / "masks")
+    assert len(masks["masks"]) == 16 and all(mask["iou"] > 0.5 for mask in masks["masks"])
+    assert "does not exist" in told(capsys, "evaluate", result, "--reference", made / "none.npz")
+
+
+@pytest.mark.parametrize("kind", ["trc", "mot", "bvh", "csv", "glb"])
+def test_export(kind: str, tracked: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    written = document(capsys, "export", tracked / "result.h5", "--to", kind, "--out", tmp_path / f"walk.{kind}")
+    assert Path(written["file"]).stat().st_size > 200
+
+
+def test_export_refuses(tracked: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "must be one of trc, mot, bvh" in told(capsys, "export", tracked / "result.h5", "--to", "fbx")
+    assert "does not exist" in told(capsys, "export", tmp_path / "none.h5", "--to", "trc")
+    assert "no HDF5 file" in told(capsys, "export", tracked / "angles.csv", "--to", "trc")
+
+
+def test_resume_goes_on(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    session = made / "session.toml"
+    assert run("track", session, "--out", tmp_path, "--frames", "0:3", "--set", "output.overlay=false") == 0
+    before = read_result(tmp_path / "result.h5")
+    found = document(capsys, "track", session, "--out", tmp_path, "--resume", "--set", "output.overlay=false")
+    after = read_result(tmp_path / "result.h5")
+    assert found["frames"] == 8 and list(after.indices) == list(range(8))
+    np.testing.assert_array_equal(after.roots[:4], before.roots)
+
+
+def test_motions_carry_the_track_over_missing_images(
+    session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The library has another rate than the recording; --resume goes on with it."""
+    body = humanoid()
+    write_mot(tmp_path / "walk.mot", body, np.arange(120) / 60.0, gait(body, fps=60.0, frames=120, speed=1.2))
+    made = document(capsys, "motions", "build", tmp_path / "walk.npz", tmp_path / "walk.mot", "--fps", "30")
+    assert document(capsys, "motions", "show", tmp_path / "walk.npz") == made
+    assert made["rate"] == 30.0 and made["clips"][0]["poses"] == 60
+    replace(session, "[first_pose]", f'[motions]\npath = "{tmp_path / "walk.npz"}"\nkind = "scaled"\n[first_pose]')
+    for camera in ("cam01", "cam02"):
+        folder = session.parent / camera
+        folder.mkdir()
+        video = cv2.VideoCapture(str(session.parent / "videos" / f"{camera}.mp4"))
+        for k in range(8):
+            if (image := video.read()[1]) is not None and k != 6:
+                cv2.imwrite(str(folder / f"{k:04d}.png"), image)
+        replace(session, f"videos/{camera}.mp4", f"{camera}/%04d.png")
+    quick = ("--set", "output.overlay=false", "--set", "output.report=false")
+    assert run("track", session, "--out", tmp_path / "out", "--frames", "0:6", *quick) == 0
+    assert run("track", session, "--out", tmp_path / "out", "--resume", *quick) == 0
+    result = read_result(tmp_path / "out" / "result.h5")
+    told_by = [estimate.predicted for estimate in result.estimates]
+    assert len(result) == 8 and told_by[6:] == ["motion"] * 2
+    assert [estimate.status == "no_images" for estimate in result.estimates] == [k == 6 for k in range(8)]
+    assert "but tracker.predictor is 'hold'" in told(capsys, "track", session, "--set", "tracker.predictor=hold")
+
+
+def test_an_amc_is_built_on_the_skeleton_that_is_named(
+    shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cmu = shared_data / "motions" / "cmu"
+    build = ("motions", "build", tmp_path / "walk.npz", cmu / "08_04.amc")
+    assert "there are several (01.asf, 11.asf); name it (--skeleton" in told(capsys, *build)
+    assert document(capsys, *build, "--skeleton", cmu / "01.asf", "--fps", "30")["clips"][0]["name"] == "08_04"
+    assert "'leg' is unknown" in told(capsys, *build, "--variant", "leg")
+
+
+def test_resume_refuses_other_cameras(session: Path, tracked: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    replace(session, 'unit = "m"', 'unit = "m"\nuse = ["cam02"]')
+    assert "was tracked with cameras cam01, cam02" in told(capsys, "track", session, "--out", tracked, "--resume")
+
+
+def test_killed_run_keeps_its_frames_and_goes_on(made: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "twistcap.cli", "track", str(made / "session.toml"), "--out", str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as child:
+        while child.poll() is None and not frames_in(tmp_path / "result.h5"):
+            time.sleep(0.02)
+        child.send_signal(signal.SIGKILL)
+    kept = frames_in(tmp_path / "result.h5")
+    assert kept >= 1
+    assert run("track", made / "session.toml", "--out", tmp_path, "--resume", "--set", "output.overlay=false") == 0
+    assert list(read_result(tmp_path / "result.h5").indices) == list(range(8))
+
+
+def frames_in(path: Path) -> int:
+    """Frames that another process has written so far; 0 while it is just writing."""
+    try:
+        return len(read_result(path))
+    except (InputError, OSError, RuntimeError, KeyError):
+        return 0
+
+
+def test_corrupt_frame_loses_nothing(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    good = session.parent / "videos" / "cam02.mp4"
+    corrupted(good, session.parent / "videos" / "bad.mp4", 0.9)
+    replace(session, "cam02.mp4", "bad.mp4")
+    sentence = told(capsys, "track", session, "--out", tmp_path / "out")
+    assert "bad.mp4: frame " in sentence and "is corrupt" in sentence and "--resume" in sentence
+    kept = len(read_result(tmp_path / "out" / "result.h5"))
+    assert kept >= 1 and f"the {kept} frames before it are kept" in sentence
+    replace(session, "bad.mp4", "cam02.mp4")
+    assert run("track", session, "--out", tmp_path / "out", "--resume", "--set", "output.overlay=false") == 0
+    assert len(read_result(tmp_path / "out" / "result.h5")) == 8
+
+
+def test_interrupt_keeps_the_result(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from twistcap.track import Tracker
+
+    step = Tracker.step
+
+    def impatient(self: Tracker, frame: Any) -> Any:
+        if frame.index == 3:
+            raise KeyboardInterrupt
+        return step(self, frame)
+
+    monkeypatch.setattr(Tracker, "step", impatient)
+    assert run("track", made / "session.toml", "--out", tmp_path) == 130
+    assert "the first 3 frames are kept" in " ".join(capsys.readouterr().err.split())
+    assert len(read_result(tmp_path / "result.h5")) == 3
+
+
+def test_bad_sessions(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Every line of the issue's list of bad input that shows before the first frame."""
+    whole = {path: path.read_text() for path in (session, session.parent / "Calib.toml")}
+    calib = session.parent / "Calib.toml"
+    short = write(session.parent / "videos" / "short.mp4", 5, (192, 140)).name
+    translations = [line for line in whole[calib].splitlines() if line.startswith("translation")]
+    rotations = [line for line in whole[calib].splitlines() if line.startswith("rotation")]
+    cases = [
+        (session, "cam02.mp4", "none.mp4", "none.mp4 does not exist"),
+        (session, "cam02 =", "cam09 =", "'cam09', which has no calibration"),
+        (session, "cam02.mp4", short, f"unequal length: {session.parent / 'videos' / short} has 5 frames"),
+        (session, "fps =", "fsp =", "unknown key 'fsp' at the top; did you mean 'fps'?"),
+        (session, "frame = 0", "frame = 3", "has no frame 3"),
+        (calib, translations[0], "translation = [nan, 0.0, 1.0]", "'cam01': the field 'translation' holds NaN"),
+        (calib, rotations[0], "rotation = [[1, 0, 0], [0, 1, 0], [0, 0, -1]]", "mirrored"),
+        (calib, f"{rotations[1]}\n{translations[1]}", f"{rotations[0]}\n{translations[0]}", "stand inside each other"),
+    ]
+    for file, old, new, sentence in cases:
+        replace(file, old, new)
+        assert sentence in told(capsys, "track", session, "--out", tmp_path / "out"), sentence
+        for path, text in whole.items():
+            path.write_text(text)
+    assert "unknown key 'metod' in [tracker]" in told(capsys, "track", session, "--set", "tracker.metod=direct")
+    assert "write FIRST:LAST" in told(capsys, "track", session, "--frames", "3")
+    assert "cannot be read" in told(capsys, "track", tmp_path / "none.toml")
+    assert not (tmp_path / "out" / "result.h5").exists()
+
+
+def test_person_underground(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The calibration's floor lies 0.8 m above the world's: heels underground."""
+    replace(session, 'unit = "m"', 'unit = "m"\nfloor = 0.8')
+    assert "underground" in told(capsys, "track", session, "--out", tmp_path / "out")
+
+
+def test_bad_input_keeps_an_older_result(session: Path, tracked: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = (tracked / "result.h5").read_bytes()
+    replace(session, "cam02.mp4", "none.mp4")
+    told(capsys, "track", session, "--out", tracked)
+    assert (tracked / "result.h5").read_bytes() == before
+
+
+def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = document(capsys, "demo", "--out", tmp_path, "--frames", "6", "--views", "2")
+    assert found["id"] == "demo" and found["ms_per_frame"] > 0 and found["rows"]
+    assert all(Path(path).is_file() for path in found["files"])
+    assert "src=" in (tmp_path / "report.html").read_text()
+
+
+@pytest.mark.parametrize("command", ["demo", "track", "studio", "evaluate", "export", "reproduce", "bench"])
+def test_help_shows_examples(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(command, "--help") == 0
+    text = capsys.readouterr().out
+    assert "Examples:" in text and f"twistcap {command}" in text and "--json" in text
+
+
+def test_tables_print_one_document(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    import types
+
+    import twistcap.evaluate
+
+    row = {"case": "c", "metric": "m", "value": float("nan"), "unit": "deg", "target": None, "holds": None}
+    for name in ("reproduce", "bench"):
+        seen: list[Any] = []
+
+        def fake(case: str | None, seeds: Any, quick: bool, progress: Any, seen: list[Any] = seen) -> dict[str, Any]:
+            seen.append((case, tuple(seeds), quick))
+            progress("half way")
+            return {"id": "table", "rows": [{**row, "seeds": list(seeds), "lost": 0}]}
+
+        module = types.ModuleType(f"twistcap.evaluate.{name}")
+        module.__dict__["run"] = fake
+        monkeypatch.setitem(sys.modules, f"twistcap.evaluate.{name}", module)
+        monkeypatch.setattr(twistcap.evaluate, name, module, raising=False)
+        found = document(capsys, name, "studio", "--seeds", "1-3", "--quick")
+        assert seen == [("studio", (1, 2, 3), True)]
+        assert found["rows"][0]["value"] is None and found["rows"][0]["seeds"] == [1, 2, 3]
+        assert run(name) == 0
+    assert "write FIRST-LAST" in told(capsys, "bench", "--seeds", "x")

@@ -1,0 +1,237 @@
+"""`evaluate` on a body of one hinge, where every error can be worked out by hand."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from support.box import hinged_box
+from twistcap import se3
+from twistcap._typing import AnyArray
+from twistcap.body import Body, Pose, Posed
+from twistcap.body.humanoid import humanoid
+from twistcap.camera import Camera, Rig, look_at
+from twistcap.errors import InputError
+from twistcap.evaluate import evaluate
+from twistcap.evaluate.load import interpolated, landmark_name, parsed_exclusion
+from twistcap.evaluate.metrics import silhouette
+from twistcap.io.keypoints import LAYOUTS
+from twistcap.io.markers import write_trc
+from twistcap.io.motion_files import write_mot
+
+
+@dataclass
+class Tracked:
+    body: Body
+    rig: Rig
+    times: AnyArray
+    indices: AnyArray
+    poses: list[Pose]
+    lost: AnyArray
+    covariances: AnyArray = field(default_factory=lambda: np.zeros(0))
+
+
+def camera(dist: tuple[float, ...] = (0.0,) * 5) -> Camera:
+    K = np.array([[200.0, 0, 80], [0, 200.0, 100], [0, 0, 1]])
+    return Camera("cam01", K, look_at((1.8, 0.4, 0.3), (0, 0, 0)), (161, 201), np.array(dist))
+
+
+@pytest.fixture
+def tracked() -> Tracked:
+    """Ten frames from frame 20 on, 60 a second; the knee bends by 1° a frame; σ of the angle claimed as 1°."""
+    poses = [Pose(se3.transform(np.eye(3), (0.01 * k, 0, 0)), np.radians([float(k)])) for k in range(10)]
+    indices = np.arange(20, 30)
+    covariances = np.tile(np.diag([1e-6] * 6 + [np.radians(1.0) ** 2]), (10, 1, 1))
+    return Tracked(hinged_box(), Rig((camera(),)), indices / 60, indices, poses, np.zeros(10, bool), covariances)
+
+
+def rows_of(evaluation: object) -> dict[str, float]:
+    return {line["metric"]: line["value"] for line in evaluation.rows}  # type: ignore[attr-defined]
+
+
+def write_truth(path: Path, tracked: Tracked, angle_error_deg: float = 0.0, shift: float = 0.0) -> None:
+    """Studio truth from frame 0 on that the tracked poses overestimate by the given errors; 20 frames come before."""
+    q = np.concatenate([np.zeros((20, 1)), [p.q - np.radians(angle_error_deg) for p in tracked.poses]])
+    marks = np.stack([Posed(tracked.body, p).landmarks - [shift, 0, 0] for p in tracked.poses])
+    marks = np.concatenate([np.zeros((20, *marks.shape[1:])), marks])
+    roots = np.tile(np.eye(4), (30, 1, 1))
+    names = {"names": tracked.body.landmarks.names, "coordinate_names": tracked.body.coordinate_names}
+    np.savez(path, root=roots, q=q, landmarks=marks, fps=60.0, **names)
+
+
+def test_studio_truth_with_constant_errors(tracked: Tracked, tmp_path: Path) -> None:
+    write_truth(tmp_path / "truth.npz", tracked, angle_error_deg=2.0, shift=0.012)
+    evaluation = evaluate(tracked, tmp_path)
+    rows = rows_of(evaluation)
+    assert rows["KHE"] == pytest.approx(2.0)
+    assert rows["KHE, offset removed"] == pytest.approx(0.0, abs=1e-9)
+    assert rows["joints, mean"] == pytest.approx(12.0)
+    assert rows["joints, p95, offset removed"] == pytest.approx(0.0, abs=1e-9)
+    assert rows["lost frames, by the reference"] == 0
+    assert rows["lost sequence"] == 0
+    assert rows["angle errors over claimed σ, rms (1 is honest)"] == pytest.approx(2.0)
+    assert evaluation.joints is not None
+    assert evaluation.joints.names == ("hip_r", "ankle_r")  # a toe is no joint
+    json.dumps(evaluation.as_dict(), allow_nan=False)
+
+
+def test_lost_frames_carry_the_recordings_numbers(tracked: Tracked, tmp_path: Path) -> None:
+    write_truth(tmp_path / "truth.npz", tracked)
+    tracked.poses[3] = tracked.poses[3].retract(np.array([0, 0, 0, 0, 0.16, 0, 0.0]))
+    evaluation = evaluate(tracked, tmp_path / "truth.npz")
+    assert evaluation.lost_frames == [23]
+    assert rows_of(evaluation)["joints, mean"] == pytest.approx(16.0)
+
+
+def test_keypoints_with_time_offset_are_interpolated(tracked: Tracked, tmp_path: Path) -> None:
+    """Keypoint row j belongs to video frame j + 1.5, and hip and ankle move evenly: interpolation is exact."""
+    X = np.full((40, 25, 3), np.nan)
+    frame = np.arange(40) + 1.5
+    X[:, 12] = np.stack([0.01 * (frame - 20), 0 * frame, 0 * frame], axis=1)  # RHip of BODY_25B
+    np.savez(tmp_path / "keypoints.npz", X=X)
+    at_offset = rows_of(evaluate(tracked, tmp_path / "keypoints.npz", time_offset=1.5 / 60))
+    without = rows_of(evaluate(tracked, tmp_path / "keypoints.npz"))
+    assert at_offset["joints, mean"] == pytest.approx(0.0, abs=1e-6)
+    assert without["joints, mean"] == pytest.approx(15.0)
+    assert without["joints, mean, offset removed"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_excluded_rows_do_not_count(tracked: Tracked, tmp_path: Path) -> None:
+    write_truth(tmp_path / "truth.npz", tracked)
+    with np.load(tmp_path / "truth.npz") as archive:
+        data = dict(archive)
+    data["landmarks"][25:27, 1] += 1.0
+    np.savez(tmp_path / "flawed.npz", **data)
+    assert evaluate(tracked, tmp_path / "flawed.npz").lost_frames == [25, 26]
+    assert evaluate(tracked, tmp_path / "flawed.npz", exclude=["ankle_r:25-26"]).lost_frames == []
+    with pytest.raises(InputError, match="no point or coordinate 'ankel_r'"):
+        evaluate(tracked, tmp_path / "flawed.npz", exclude=["ankel_r:25-26"])
+
+
+@pytest.mark.parametrize("dist", [(0.0,) * 5, (-0.4, 0.05, 0.002, -0.001, 0.0)])
+def test_masks_of_distorting_cameras_are_rectified(tracked: Tracked, tmp_path: Path, dist: tuple[float, ...]) -> None:
+    """A mask drawn with distortion, densely sampled, overlaps the rectified silhouette but for its rim."""
+    cam = camera(dist)
+    tracked.rig = Rig((cam,))
+    folder = tmp_path / "masks" / "cam01"
+    folder.mkdir(parents=True)
+    for k in (0, 5):
+        vertices = Posed(tracked.body, tracked.poses[k]).vertices
+        fine = cam.pinhole()
+        mask = silhouette(fine.P, vertices, tracked.body.faces, fine.size)
+        y, x = np.mgrid[: cam.size[1], : cam.size[0]]
+        xy = cam.normalised(np.stack([x, y], axis=-1)) @ cam.K[:2, :2].T + cam.K[:2, 2]
+        inside = cv2.remap(mask.astype(np.uint8) * 255, *np.moveaxis(xy.astype(np.float32), -1, 0), cv2.INTER_NEAREST)
+        cv2.imwrite(str(folder / f"frame_{20 + k:04d}.png"), inside)
+    cv2.imwrite(str(folder / "frame_0099.png"), inside)  # not tracked: left out
+    evaluation = evaluate(tracked, tmp_path / "masks")
+    assert [overlap.frame for overlap in evaluation.overlaps] == [20, 25]
+    assert rows_of(evaluation)["IoU, mean"] > 0.985
+    if any(dist):
+        tracked.rig = Rig((camera(),))  # distortion forgotten: clearly worse
+        assert rows_of(evaluate(tracked, tmp_path / "masks"))["IoU, mean"] < 0.96
+
+
+def test_masks_in_another_shape_or_folder_are_refused(tracked: Tracked, tmp_path: Path) -> None:
+    folder = tmp_path / "cam01"
+    folder.mkdir()
+    cv2.imwrite(str(folder / "frame_0020.png"), np.zeros((100, 100), np.uint8))
+    with pytest.raises(InputError, match="161×201"):
+        evaluate(tracked, tmp_path)
+    folder.rename(tmp_path / "cam07")
+    with pytest.raises(InputError, match="cam07"):
+        evaluate(tracked, tmp_path)
+
+
+def test_references_with_nothing_in_common_are_refused(tracked: Tracked, tmp_path: Path) -> None:
+    write_truth(tmp_path / "truth.npz", tracked)
+    with pytest.raises(InputError, match="no frame in common"):
+        evaluate(tracked, tmp_path / "truth.npz", time_offset=10.0)
+    np.savez(tmp_path / "other.npz", X=np.zeros((40, 1, 3)), names=["tail"])
+    with pytest.raises(InputError, match="shares no point"):
+        evaluate(tracked, tmp_path / "other.npz")
+    with pytest.raises(InputError, match="does not exist"):
+        evaluate(tracked, tmp_path / "absent.npz")
+    (tmp_path / "notes.txt").write_text("x")
+    with pytest.raises(InputError, match="unknown ending"):
+        evaluate(tracked, tmp_path / "notes.txt")
+    (tmp_path / "bad.npz").write_text("x")
+    with pytest.raises(InputError, match="cannot be read"):
+        evaluate(tracked, tmp_path / "bad.npz")
+
+
+def test_interpolation_spreads_the_unknown_no_farther_than_needed() -> None:
+    times, values = np.array([0.0, 1.0, 2.0, 3.0]), np.array([0.0, 10.0, np.nan, 30.0])
+    np.testing.assert_array_equal(
+        interpolated(times, values, np.array([-0.1, 0.0, 0.25, 1.0, 1.5, 2.0, 3.0, 3.1])),
+        [np.nan, 0.0, 2.5, 10.0, np.nan, np.nan, 30.0, np.nan],
+    )
+
+
+def test_marker_files(tracked: Tracked, tmp_path: Path) -> None:
+    hips_and_ankles = np.stack([Posed(tracked.body, pose).landmarks[:2] for pose in tracked.poses])
+    points = hips_and_ankles + np.array([0.0, 0.0, 0.003])
+    write_trc(tmp_path / "walk.trc", tracked.times, ("RHip", "RAnkle"), points, axes="opensim")
+    rows = rows_of(evaluate(tracked, tmp_path / "walk.trc", axes="opensim"))
+    assert rows["joints, mean"] == pytest.approx(3.0, abs=0.01)
+    assert rows["joints, mean, offset removed"] == pytest.approx(0.0, abs=0.01)
+    turned = rows_of(evaluate(tracked, tmp_path / "walk.trc"))  # the world turned by 90°: feet stay, the walk does not
+    assert turned["joints, mean, offset removed"] > 10
+
+
+def test_motion_files_whatever_their_knee_sign(tracked: Tracked, tmp_path: Path) -> None:
+    tracked.poses = [Pose(pose.root, pose.q + np.radians(30.0)) for pose in tracked.poses]
+    write_mot(tmp_path / "walk.mot", tracked.body, tracked.times, [Pose(p.root, p.q + 0.01) for p in tracked.poses])
+    assert rows_of(evaluate(tracked, tmp_path / "walk.mot"))["KHE"] == pytest.approx(np.degrees(0.01), abs=1e-4)
+    write_mot(tmp_path / "old.mot", tracked.body, tracked.times, [Pose(p.root, -p.q) for p in tracked.poses])
+    evaluation = evaluate(tracked, tmp_path / "old.mot")
+    assert rows_of(evaluation)["KHE"] == pytest.approx(0.0, abs=1e-4)
+    assert "turned round" in evaluation.notes[0]
+
+
+def test_shoulders_are_compared_in_our_order(tmp_path: Path) -> None:
+    """What OpenSim's order of shoulder angles hides must come back as our own angles."""
+    body = humanoid("full")
+    names = [f"arm_{part}_l" for part in ("add", "flex", "rot")]
+    q = np.zeros(len(body.coordinate_names))
+    q[[body.coordinate(name) for name in names]] = np.radians([-40.0, 50.0, 20.0])
+    times, poses = np.arange(3) / 60, [Pose(np.eye(4), q)] * 3
+    write_mot(tmp_path / "arm.mot", body, times, poses)
+    covariances = np.zeros((3, body.dof, body.dof))
+    result = Tracked(body, Rig((camera(),)), times, np.arange(3), poses, np.zeros(3, bool), covariances)
+    evaluation = evaluate(result, tmp_path / "arm.mot")
+    assert evaluation.angles is not None
+    assert set(names) <= set(evaluation.angles.names)
+    np.testing.assert_allclose(evaluation.angles.raw, 0.0, atol=1e-4)
+
+
+def test_the_real_keypoints_agree_with_themselves(shared_data: Path, tracked: Tracked) -> None:
+    """A hip that rides on the real reference is exact at the 1.3-frame offset and off without it."""
+    path = shared_data / "balance_4view" / "reference" / "keypoints3d_world.npz"
+    with np.load(path) as archive:
+        hip = archive["X"][:, LAYOUTS["body_25b"].index("hip_r")]
+    video = np.stack([np.interp(tracked.indices, np.arange(100) + 1.3, hip[:, k]) for k in range(3)], axis=1)
+    tracked.poses = [Pose(se3.transform(np.eye(3), place), np.zeros(1)) for place in video]
+    at_offset = evaluate(tracked, path, time_offset=1.3 / 60)
+    assert at_offset.joints is not None
+    k = at_offset.joints.names.index("hip_r")
+    np.testing.assert_allclose(at_offset.joints.raw[:, k], 0.0, atol=1e-6)
+    without = evaluate(tracked, path)
+    assert without.joints is not None
+    assert without.joints.raw[:, k].max() > 1.0
+
+
+def test_names_of_markers_and_exclusions() -> None:
+    assert [landmark_name(n) for n in ("RHip", "LBigToe", "Neck", "R.Shoulder", "knee_l")] == [
+        "hip_r", "toe_l", "neck", "R.Shoulder", "knee_l",
+    ]  # fmt: skip
+    assert parsed_exclusion("wrist_r:76-79", 100) == ("wrist_r", slice(76, 80))
+    assert parsed_exclusion("wrist_r:76", 100) == ("wrist_r", slice(76, 77))
+    assert parsed_exclusion("wrist_r", 100) == ("wrist_r", slice(0, 100))
+    with pytest.raises(InputError, match="NAME:FIRST-LAST"):
+        parsed_exclusion("wrist_r:a-b", 100)

@@ -1,0 +1,237 @@
+"""Session files: strictness, precedence, paths, and what they become."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from support.cameras import ring
+from twistcap.body import Pose, Posed
+from twistcap.body.humanoid import humanoid
+from twistcap.errors import InputError
+from twistcap.io.calibration import write_rig
+from twistcap.io.motion_library import write_library
+from twistcap.io.pose_file import read_pose, write_pose
+from twistcap.io.recording import body_of, check_first_pose, first_pose_of, keypoints_of, rig_of
+from twistcap.io.session import Session, load_session
+from twistcap.motion import MotionClip, MotionLibrary
+
+SESSION = """
+frames = [2, 9]
+fps = 50.0
+[cameras]
+calibration = "Calib.toml"
+[videos]
+cam0 = "${VIDEOS:-videos}/cam0.mp4"
+[body]
+variant = "legs"
+stature = 1.8
+[first_pose]
+file = "pose.json"
+[tracker]
+method = "direct"
+"""
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    (tmp_path / "s.toml").write_text(SESSION)
+    write_rig(ring(), tmp_path / "Calib.toml")
+    return tmp_path / "s.toml"
+
+
+def changed(path: Path, old: str, new: str) -> Path:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    return path
+
+
+def test_values_defaults_and_paths(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    session = load_session(path)
+    assert (session.frames, session.fps, session.step, session.scale) == ((2, 9), 50.0, 1, 1.0)
+    assert session.cameras.calibration == str(path.parent / "Calib.toml")
+    assert session.videos == {"cam0": str(path.parent / "videos" / "cam0.mp4")}
+    monkeypatch.setenv("VIDEOS", "/elsewhere")
+    assert load_session(path).videos == {"cam0": "/elsewhere/cam0.mp4"}
+    changed(path, "fps", 'data = "sub"\nfps')
+    assert load_session(path).cameras.calibration == str(path.parent / "sub" / "Calib.toml")
+
+
+def test_command_line_over_session_over_defaults(path: Path) -> None:
+    from twistcap.track import TrackerConfig
+
+    assert load_session(path).tracker_config == TrackerConfig()
+    session = load_session(path, {"tracker.method": "levelset", "scale": 0.5, "frames": (0, 3), "fps": None})
+    assert session.tracker_config.method == "levelset" and session.scale == 0.5
+    assert (session.frames, session.fps) == ((0, 3), 50.0)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("fps = 50.0", "fpz = 50.0", r"unknown key 'fpz' at the top; did you mean 'fps'\?"),
+        ("stature", "statur", r"unknown key 'statur' in \[body\]; did you mean 'stature'\?"),
+        ("method", "metod", r"unknown key 'metod' in \[tracker\]; did you mean 'method'\?"),
+        ("[videos]", "[vidoes]", r"unknown key 'vidoes' at the top; did you mean 'videos'\?"),
+        ('"direct"', '"dirct"', "'tracker.method' is 'dirct'; input should be 'direct', 'levelset' or 'differential'"),
+        ("1.8", "'tall'", "'body.stature' is 'tall'"),
+        ("1.8", "nan", "'body.stature' is nan"),
+        ("[2, 9]", "[2]", "the list 'frames' has too few entries; it needs 2"),
+        ("[2, 9]", "[-2, 9]", "'frames.0' is -2"),
+        ('file = "pose.json"', "", "first_pose: give one of file, clicks and keypoints, not none"),
+        ('variant = "legs"', 'kind = "glb"', "the key 'body.path' is missing"),
+        ('variant = "legs"', 'kind = "smpl"', "smpl"),
+        ("${VIDEOS:-videos}", "${VIDEOS}", "environment variable VIDEOS is not set"),
+        ("[cameras]", "[cameras", "not valid TOML"),
+        (
+            '"direct"',
+            '"direct"\npredictor = "flow"\n[motions]\npath = "m.npz"',
+            "tracker.predictor is 'flow'; remove one",
+        ),
+        ('"direct"', '"direct"\npredictor = "motion"', r"is 'motion', but no \[motions\] names a library"),
+        ('"direct"', '"direct"\nreacquire = {drws = 9}', r"unknown key 'drws' in \[tracker.reacquire\]"),
+        ('"direct"', '"direct"\nlimbs = {near = []}', "near name a deviation"),
+        ('"direct"', '"direct"\n[motions]\npath = "m.npz"\nkind = "folowed"', "'motions.kind' is 'folowed'"),
+        (
+            '"direct"',
+            '"differential"\n[prior]\npath = "p.npz"\n[motions]\npath = "m.npz"',
+            r"looks at brightness alone; remove \[prior\] and \[motions\]",
+        ),
+    ],
+)
+def test_what_is_wrong_is_told_in_one_sentence(path: Path, old: str, new: str, told: str) -> None:
+    with pytest.raises(InputError, match=told) as caught:
+        load_session(changed(path, old, new))
+    assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_motions_make_motion_the_predictor(path: Path) -> None:
+    assert load_session(path).motion_library is None
+    changed(path, "[tracker]", '[motions]\npath = "walk.npz"\n[tracker]')
+    session = load_session(path, {"tracker.motion": "unscaled"})
+    assert (session.tracker_config.predictor, session.tracker_config.motion) == ("motion", "unscaled")
+    session = load_session(path, {"tracker.predictor": "motion"})
+    assert (session.tracker_config.predictor, session.tracker_config.motion) == ("motion", "followed")
+    for kind in ("scaled", "guarded"):
+        assert load_session(path, {"motions.kind": kind}).tracker_config.motion == kind
+    with pytest.raises(InputError, match=r"walk\.npz does not exist"):
+        _ = session.motion_library
+    t = np.arange(90)[:, None] / 30.0
+    clip = MotionClip("walk", ("knee_angle_r",), 30.0, np.tile(np.eye(4), (90, 1, 1)), np.sin(t))
+    write_library(path.parent / "walk.npz", MotionLibrary.of([clip], 30.0))
+    library = session.motion_library
+    assert library is not None and (library.rate, library.names, len(library)) == (30.0, ("knee_angle_r",), 90)
+
+
+def test_missing_session(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"none.toml cannot be read: No such file"):
+        load_session(tmp_path / "none.toml")
+
+
+def test_body_and_first_pose(path: Path) -> None:
+    session = load_session(path)
+    body = body_of(session)
+    assert "knee_angle_r" in body.coordinate_names and "elbow_flex_r" not in body.coordinate_names
+    q = np.linspace(-0.1, 0.1, len(body.coordinate_names))
+    root = np.eye(4)
+    root[2, 3] = 0.95
+    write_pose(path.parent / "pose.json", body, Pose(root, q))
+    read = read_pose(path.parent / "pose.json", body)
+    np.testing.assert_allclose(read.q, q)
+    np.testing.assert_allclose(read.root, root)
+
+
+def test_first_pose_must_be_possible(path: Path) -> None:
+    session = load_session(changed(path, 'variant = "legs"', 'variant = "full"'))
+    rig, body = rig_of(session), body_of(session)
+    standing, buried, head_down = np.eye(4), np.eye(4), np.diag([1.0, -1, -1, 1])
+    standing[2, 3], head_down[2, 3] = 0.95, 1.0
+    q = np.zeros(len(body.coordinate_names))
+    check_first_pose(session, rig, body, Pose(standing, q))
+    with pytest.raises(InputError, match="underground"):
+        check_first_pose(session, rig, body, Pose(buried, q))
+    with pytest.raises(InputError, match="stands on the head"):
+        check_first_pose(session, rig, body, Pose(head_down, q))
+    allowed = load_session(changed(path, 'file = "pose.json"', 'file = "pose.json"\nupright = false'))
+    check_first_pose(allowed, rig, body, Pose(head_down, q))
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        ("{}", "must be JSON"),
+        ('{"root": [[1, 0], [0, 1]], "q": {}}', "4×4 rigid motion"),
+        ('{"root": [[2,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]], "q": {}}', "4×4 rigid motion"),
+        ('{"root": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]], "q": {"tail": 0}}', "no coordinate 'tail'"),
+        ('{"root": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]], "q": {"knee_angle_r": NaN}}', "must be a finite number"),
+    ],
+)
+def test_bad_pose_files(tmp_path: Path, content: str, told: str) -> None:
+    (tmp_path / "p.json").write_text(content)
+    with pytest.raises(InputError, match=told):
+        read_pose(tmp_path / "p.json", humanoid("legs"))
+
+
+def test_cameras_in_use(path: Path) -> None:
+    changed(path, 'calibration = "Calib.toml"', 'calibration = "Calib.toml"\nuse = ["cam2", "cam0"]')
+    assert rig_of(load_session(path)).names == ("cam2", "cam0")
+    with pytest.raises(InputError, match=r"\[cameras\] use names 'cam9'.*it has cam0, cam1"):
+        rig_of(load_session(changed(path, "cam2", "cam9")))
+
+
+def example(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> Session:
+    monkeypatch.setenv("TWISTCAP_DATA", str(shared_data))
+    fewer = {"first_pose.keypoints.frames": [0, 1], "first_pose.lengths_from": []}  # of the same, to be quick
+    return load_session(Path(__file__).parents[2] / "examples" / "balance_4view.toml", fewer)
+
+
+def test_real_first_pose_lies_on_the_reference(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keypoints 1.3 frames ahead of the video, some in another pixel grid."""
+    session = example(shared_data, monkeypatch)
+    rig = rig_of(session)
+    assert session.first_pose.keypoints is not None
+    found = keypoints_of(session.first_pose.keypoints, rig)
+    X = np.load(shared_data / "balance_4view" / "reference" / "keypoints3d_world.npz")["X"]
+    knee = found[0].names.index("knee_l")
+    for camera, pixels in zip(rig, found[0].pixels[:, knee], strict=True):
+        assert np.linalg.norm(camera.project(X[0, knee])[0] - pixels) < 15.0  # with the grid left out: 7 px more
+
+    class OnlyIndices:
+        indices = range(100)
+
+    body, pose = first_pose_of(session, rig, body_of(session), OnlyIndices())  # type: ignore[arg-type]
+    marks = dict(zip(body.landmarks.names, Posed(body, pose).landmarks, strict=True))
+    distances = [np.linalg.norm(marks[name] - X[0, i]) for i, name in enumerate(found[0].names) if name in marks]
+    assert np.median(distances) < 0.04 and max(distances) < 0.12
+
+
+def test_every_key_is_documented() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "session.md").read_text()
+    from twistcap.io import session as module
+
+    tables = [v for v in vars(module).values() if isinstance(v, type) and issubclass(v, module.Table)]
+    for table in tables:
+        for key in table.model_fields:
+            assert re.search(rf"`{key}\b", page), f"docs/session.md lacks {table.__name__}.{key}"
+
+
+def test_a_session_over_another_one(path: Path) -> None:
+    other = path.parent / "sub" / "other.toml"
+    other.parent.mkdir()
+    other.write_text('base = "../s.toml"\nfps = 30.0\n[tracker]\nchannels = "grey"\n')
+    session = load_session(other, {"tracker.predictor": "flow"})
+    assert (session.fps, session.frames) == (30.0, (2, 9))
+    config = session.tracker_config
+    assert (config.method, config.channels, config.predictor) == ("direct", "grey", "flow")
+    assert session.cameras.calibration == str(path.parent / "Calib.toml")  # as in the base, not beside the other one
+
+    changed(path, "fps", 'base = "other.toml"\nfps')
+    with pytest.raises(InputError, match="has a base itself"):
+        load_session(other)
+    changed(other, "../s.toml", "none.toml")
+    with pytest.raises(InputError, match=r"none\.toml cannot be read"):
+        load_session(other)

@@ -1,0 +1,289 @@
+"""The page on which joints are clicked: from the first click to the saved pose; detectors."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from support.browser import Browser
+from support.pages_shared import asked, has_colour, needs_browser, picture, run, served, studio_walk
+from twistcap.body import Pose, Posed, rescaled
+from twistcap.body.humanoid import humanoid
+from twistcap.commands.init import clicking_of
+from twistcap.errors import InputError
+from twistcap.estimate import Keypoints
+from twistcap.firstpose import Proportions
+from twistcap.io.pose_file import body_at, write_pose
+from twistcap.io.recording import open_recording
+from twistcap.io.session import load_session
+from twistcap.pages import detectors
+from twistcap.pages.assemble import page
+
+SIX = ("shoulder_r", "shoulder_l", "hip_r", "hip_l", "knee_r", "ankle_l")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return studio_walk(tmp_path_factory.mktemp("studio") / "walk")
+
+
+@pytest.fixture
+def session(made: Path, tmp_path: Path) -> Path:
+    """A session for the studio's videos as a user would begin it."""
+    code = run("new", tmp_path / "mine", "--calibration", made / "Calib.toml", "--videos", made / "videos")
+    assert code == 0
+    return tmp_path / "mine" / "session.toml"
+
+
+def clicked(made: Path, clicking: Any, joints: tuple[str, ...] = SIX) -> dict[str, dict[str, list[float]]]:
+    """The true joints as clicks in the first and third camera."""
+    with np.load(made / "truth.npz") as truth:
+        names, points = [str(n) for n in truth["names"]], truth["landmarks"][0]
+    return {
+        camera.name: {joint: camera.project(points[names.index(joint)])[0].tolist() for joint in joints}
+        for camera in (clicking.rig[0], clicking.rig[2])
+    }
+
+
+# ---- first pose ----
+
+
+@needs_browser
+def test_clicking_moves_the_body_and_saves_it(made: Path, session: Path, tmp_path: Path) -> None:
+    clicking = clicking_of(load_session(session), session)
+    clicks = clicked(made, clicking)
+    with served(page("init", "test", clicking.document()), clicking.answers) as port, Browser() as browser:
+
+        def on_screen(camera: str, x: float, y: float) -> tuple[float, float]:
+            matrix = f"document.querySelector('[data-camera={camera}]').getScreenCTM()"
+            at = browser.run(f"(p => [p.x, p.y])(new DOMPoint({x} + 0.5, {y} + 0.5).matrixTransform({matrix}))")
+            return at[0], at[1]
+
+        browser.open(f"http://127.0.0.1:{port}/")
+        for camera, joints in clicks.items():
+            for joint, (x, y) in joints.items():
+                browser.run(f"document.querySelector('[data-name={joint}]').click()")
+                browser.wait("document.body.dataset.busy !== 'yes'")  # an answer may shift the page under the mouse
+                browser.click(*on_screen(camera, x, y))
+        settled = "document.body.dataset.busy === 'no' && twistcapInit.state()"
+        browser.wait(settled)
+        seen = browser.run("twistcapInit.clicks")
+        for camera, joints in clicks.items():
+            for joint, pixel in joints.items():  # the mouse has whole screen pixels at best
+                np.testing.assert_allclose(seen[camera][joint], pixel, atol=0.6)
+        first = browser.run("twistcapInit.state()")
+        assert has_colour(picture(browser, tmp_path / "fitted.png"), (41, 211, 255), 30)
+
+        x, y = first["joints"]["cam01"]["wrist_r"]
+        browser.drag(on_screen("cam01", x, y), on_screen("cam01", x - 14, y - 8))
+        browser.wait(settled + " && twistcapInit.clicks.cam01.wrist_r")
+        dragged = browser.run("twistcapInit.state()")
+        moved = np.subtract(dragged["joints"]["cam01"]["wrist_r"], (x, y))
+        np.testing.assert_allclose(moved, (-14, -8), atol=3.0)
+
+        slider = "document.querySelector('[data-coordinate=knee_angle_l]')"
+        browser.run(f"(s => {{ s.value = 60; s.dispatchEvent(new Event('input')); }})({slider})")
+        browser.wait(settled + " && Math.abs(twistcapInit.state().q_deg.knee_angle_l - 60) < 0.1")
+        browser.run("document.getElementById('save').click()")
+        browser.wait("document.body.dataset.saved")
+        assert browser.problems == []
+    recording = open_recording(load_session(session))
+    shown = clicking.shown
+    assert shown is not None
+    np.testing.assert_allclose(recording.first_pose.minus(shown.pose), 0.0, atol=1e-9)
+    np.testing.assert_allclose(recording.body.vertices, shown.body.vertices, atol=1e-9)
+    assert np.rad2deg(recording.first_pose.q[recording.body.coordinate("knee_angle_l")]) == pytest.approx(60.0)
+    again = clicking_of(load_session(session), session)  # opened anew: the same clicks and the same pose
+    assert set(again.clicks["cam01"]) == {*SIX, "wrist_r"}
+    assert again.shown is not None
+    np.testing.assert_allclose(again.shown.vertices, shown.vertices, atol=1e-9)
+
+
+def test_six_joints_in_two_views_find_the_pose(made: Path, session: Path) -> None:
+    clicking = clicking_of(load_session(session), session)
+    answer = clicking.fit({"clicks": clicked(made, clicking)})
+    assert answer["residual_px"] < 1.0
+    with np.load(made / "truth.npz") as truth:
+        names, points = [str(n) for n in truth["names"]], truth["landmarks"][0]
+    body = clicking.generic
+    errors = [
+        np.linalg.norm(clicking.shown.landmarks[body.landmarks.index(joint)] - points[names.index(joint)])
+        for joint in SIX
+    ]
+    assert max(errors) < 0.03
+
+
+def test_a_held_angle_stays_in_further_fits(made: Path, session: Path) -> None:
+    clicking = clicking_of(load_session(session), session)
+    clicks = clicked(made, clicking)
+    clicking.fit({"clicks": clicks})
+    held = {"elbow_flex_r": 70.0, "knee_angle_l": 500.0}
+    assert clicking.slide({"held": held})["q_deg"]["elbow_flex_r"] == pytest.approx(70.0)
+    angles = clicking.fit({"clicks": clicks, "held": held})["q_deg"]
+    assert angles["elbow_flex_r"] == pytest.approx(70.0)
+    upper = clicking.generic.limits[clicking.generic.coordinate("knee_angle_l"), 1]
+    assert angles["knee_angle_l"] == pytest.approx(np.rad2deg(upper), abs=0.01)  # no farther than the joint goes
+
+
+def test_clicks_say_what_is_wrong(made: Path, session: Path) -> None:
+    clicking = clicking_of(load_session(session), session)
+    good = clicked(made, clicking)
+    for question, words in (
+        ({"clicks": {"cam09": {"hip_r": [1, 2]}}}, "cam09"),
+        ({"clicks": {"cam01": {"tail": [1, 2]}}}, "tail"),
+        ({"clicks": {"cam01": {"hip_r": [1, float("nan")]}}}, "finite"),
+        ({"clicks": {"cam01": {"hip_r": [1, 10**400]}}}, "finite"),
+        ({"clicks": {"cam01": {"hip_r": "1, 2"}}}, "finite"),
+        ({"clicks": None}, "object"),
+        ({"clicks": {}}, "no joint"),
+        ({"clicks": {"cam01": good["cam01"]}}, "two cameras"),
+        ({"clicks": good, "held": {"wings": 3}}, "wings"),
+    ):
+        with pytest.raises(InputError, match=words):
+            clicking.fit(question)
+    for answer in (clicking.slide, clicking.save):
+        with pytest.raises(InputError, match="click a handful"):
+            answer({})
+
+
+def test_a_session_that_reads_clicks_gets_clicks(made: Path, session: Path) -> None:
+    session.write_text(session.read_text().replace('file = "first_pose.json"', 'clicks = "clicks.csv"'))
+    clicking = clicking_of(load_session(session), session)
+    assert clicking.document()["sliders"] is False
+    clicking.fit({"clicks": clicked(made, clicking)})
+    clicking.save({})
+    recording = open_recording(load_session(session))
+    assert clicking.shown is not None
+    off = np.linalg.norm(Posed(recording.body, recording.first_pose).landmarks - clicking.shown.landmarks, axis=1)
+    assert off.max() < 0.002  # the file keeps hundredths of a pixel
+
+
+def test_a_session_that_reads_another_file_is_told_what_to_change(made: Path) -> None:
+    path = made / "session.toml"  # its first pose is an NPZ
+    clicking = clicking_of(load_session(path), path)
+    clicking.fit({"clicks": clicked(made, clicking)})
+    saved = clicking.save({})
+    try:
+        assert Path(saved["saved"]).is_file()
+        assert 'file = "first_pose.json"' in saved["note"]
+        with pytest.raises(InputError, match="--out"):
+            clicking_of(load_session(path), path)
+    finally:
+        for file in made.glob("first_pose.*"):
+            if file.suffix != ".npz":
+                file.unlink()
+
+
+def test_poor_proportions_in_a_pose_file_are_told(tmp_path: Path) -> None:
+    body, path = humanoid(), tmp_path / "pose.json"
+    good = Proportions({"tibia_r": 1.1, "tibia_l": 1.1}, {"pelvis": 0.9}, 1.02)
+    write_pose(path, body, Pose.rest(body), good)
+    expected = rescaled(body, good.lengths, good.girths, good.stature)
+    np.testing.assert_allclose(body_at(path, body).vertices, expected.vertices)
+    write_pose(path, body, Pose.rest(body))
+    assert body_at(path, body) is body
+    for poor, words in (
+        (Proportions({"tail": 1.0}, {}), "tail"),
+        (Proportions({"tibia_r": -1.0}, {}), "positive"),
+        (Proportions({"tibia_r": float("nan")}, {}), "finite"),
+    ):
+        write_pose(path, body, Pose.rest(body), poor)
+        with pytest.raises(InputError, match=words):
+            body_at(path, body)
+    path.write_text('{"proportions": {"stature": 1.0}}')
+    with pytest.raises(InputError, match="stature, lengths and girths"):
+        body_at(path, body)
+
+
+def heeds_interrupts() -> None:
+    """What a shell starts in the background ignores them, and so would all that it starts."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+@pytest.mark.parametrize("command", ["init", "view"])
+def test_a_page_is_served_until_interrupted(command: str, made: Path, session: Path) -> None:
+    target = session if command == "init" else made / "one" / "result.h5"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "twistcap.cli", command, str(target)],
+        stdout=subprocess.PIPE,
+        text=True,
+        preexec_fn=heeds_interrupts,
+    )
+    try:
+        assert process.stdout is not None
+        address = process.stdout.readline().strip()
+        assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", address)
+        status, text = asked(int(address.rsplit(":", 1)[1].strip("/")), "/")
+        assert status == 200 and 'id="data"' in text
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=60) == 0
+    finally:
+        process.kill()
+
+
+# ---- detectors ----
+
+
+class FakePoints:
+    """Entry points with one detector, as `importlib.metadata` gives them."""
+
+    names = frozenset({"fake"})
+
+    def __init__(self, detect: Any) -> None:
+        self._detect = detect
+
+    def select(self, name: str) -> list[FakePoints]:
+        assert name == "fake"
+        return [self]
+
+    def load(self) -> Any:
+        return self._detect
+
+
+def test_a_detector_gives_the_first_clicks(made: Path, session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    truth = clicked(made, clicking_of(load_session(session), session))
+
+    def detect(images: Any, rig: Any) -> Keypoints:
+        assert [image.shape for image in images] == [(140, 192, 3)] * 3
+        pixels, confidence = np.full((3, 7, 2), np.nan), np.zeros((3, 7))
+        for c in (0, 2):
+            pixels[c, :6] = list(truth[rig.names[c]].values())
+            confidence[c, :6] = 0.8
+        return Keypoints((*SIX, "not_of_this_body"), pixels, confidence)
+
+    def found(group: str) -> FakePoints:
+        assert group == "twistcap.detectors"
+        return FakePoints(detect)
+
+    monkeypatch.setattr(detectors, "entry_points", found)
+    clicking = clicking_of(load_session(session), session, detector="fake")
+    assert set(clicking.clicks) == {"cam01", "cam03"}
+    np.testing.assert_allclose(clicking.clicks["cam03"]["knee_r"], truth["cam03"]["knee_r"])
+    assert clicking.fit({"clicks": json.loads(json.dumps(clicking.clicks))})["residual_px"] < 1.0
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        (Keypoints(("hip_r",), np.zeros((2, 1, 2)), np.zeros((2, 1))), "3 cameras"),
+        (Keypoints(("hip_r",), np.full((3, 1, 2), np.nan), np.ones((3, 1))), "finite"),
+        ({"hip_r": [1, 2]}, "must return Keypoints"),
+    ],
+)
+def test_a_poor_detector_is_told(answer: Any, words: str, session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(detectors, "entry_points", lambda group: FakePoints(lambda images, rig: answer))
+    with pytest.raises(InputError, match=words):
+        clicking_of(load_session(session), session, detector="fake")
+
+
+def test_a_detector_that_is_not_there_is_told(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("init", session, "--detector", "nobodys") == 2
+    assert "'nobodys' is not installed" in capsys.readouterr().err

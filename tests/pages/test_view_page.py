@@ -1,0 +1,178 @@
+"""The viewer's page, what both pages are made of, and the server that gives them."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from support.box import hinged_box
+from support.browser import Browser
+from support.pages_shared import FRAMES, asked, has_colour, needs_browser, picture, run, served, studio_walk
+from twistcap.body import Pose, Posed
+from twistcap.body.humanoid import humanoid
+from twistcap.camera import Camera, look_at
+from twistcap.errors import InputError
+from twistcap.io.result import ResultWriter, read_result
+from twistcap.pages.assemble import packed, page
+from twistcap.pages.outlines import body_outlines
+from twistcap.pages.server import page_server
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return studio_walk(tmp_path_factory.mktemp("studio") / "walk")
+
+
+# ---- parts ----
+
+
+def test_outlines_enclose_what_the_camera_sees() -> None:
+    K = np.array([[900.0, 0, 500], [0, 900.0, 400], [0, 0, 1]])
+    camera = Camera("a", K, look_at((3.0, 0.6, 0.4), (0, 0, 0)), (1001, 801), np.array([-0.2, 0.05, 0, 0, 0]))
+    body = hinged_box()
+    posed = Posed(body, Pose.rest(body))
+    curves = body_outlines(camera, posed)
+    corners, _ = camera.project(posed.vertices)
+    hull = cv2.convexHull(corners.astype(np.float32))[:, 0]
+    assert len(curves) == 1
+    assert cv2.contourArea(curves[0].astype(np.float32)) == pytest.approx(cv2.contourArea(hull), rel=0.03)
+    np.testing.assert_allclose(curves[0].min(axis=0), hull.min(axis=0), atol=2.0)
+    np.testing.assert_allclose(curves[0].max(axis=0), hull.max(axis=0), atol=2.0)
+
+
+def test_arrays_are_packed_little_endian() -> None:
+    values = np.array([[1.5, -2.0]])
+    document = packed(values)
+    assert (document["type"], document["shape"]) == ("f4", [1, 2])
+    np.testing.assert_array_equal(np.frombuffer(base64.b64decode(document["data"]), "<f4"), values[0])
+
+
+def test_titles_and_data_cannot_break_out_of_the_page() -> None:
+    text = page("view", "<b>title", {"evil": "</script><script>alert(1)</script> {{script}}"})
+    assert "<b>title" not in text
+    assert "alert(1)</script>" not in text
+    assert '{{script}}"' in text  # data are never taken for a template
+
+
+def test_the_server_answers_this_machine_alone() -> None:
+    def answer(question: Any) -> Any:
+        if "bad" in question:
+            raise InputError("one clear sentence.")
+        return {"twice": 2 * question["n"]}
+
+    with served("<p>page", {"/double": answer}) as port:
+        assert asked(port, "/") == (200, "<p>page")
+        assert json.loads(asked(port, "/double", '{"n": 4}')[1]) == {"twice": 8}
+        assert json.loads(asked(port, "/double", '{"bad": 1}')[1]) == {"error": "one clear sentence."}
+        assert "error" in json.loads(asked(port, "/double", "[1")[1])
+        assert asked(port, "/else")[0] == 404
+        assert asked(port, "/double", "n=1", **{"Content-Type": "text/plain"})[0] == 404  # what a foreign form can send
+        assert asked(port, "/", Host="evil.example")[0] == 403
+        with pytest.raises(InputError, match="--port"):
+            page_server("", port=port)
+
+
+# ---- viewer ----
+
+
+@pytest.fixture(scope="module")
+def saved(made: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("view") / "both.html"
+    results = [made / name / "result.h5" for name in ("one", "two")]
+    assert run("view", *results, "--reference", made / "truth.npz", "--save", out) == 0
+    return out
+
+
+def test_a_saved_view_is_one_file(saved: Path) -> None:
+    text = saved.read_text(encoding="utf-8")
+    assert not re.search(r"""(src|href)=["']?(https?:|//)""", text)
+    assert len(text) < 4e6
+
+
+@needs_browser
+def test_the_viewer_shows_a_result_and_plays_it(made: Path, saved: Path, tmp_path: Path) -> None:
+    result = read_result(made / "one" / "result.h5")
+    with Browser() as browser:
+        browser.open(saved.as_uri())
+        assert browser.run("document.body.dataset.webgl") == "yes"
+        assert browser.run("document.querySelectorAll('.plot canvas').length") == len(result.body.coordinate_names)
+        assert browser.run("document.querySelectorAll('#views canvas').length") == 3
+        browser.run("twistcapView.seek(4)")
+        skin = browser.run("Array.from(twistcapView.runs[0].mesh.geometry.attributes.position.array)")
+        expected = Posed(result.body, result.poses[4]).vertices
+        np.testing.assert_allclose(np.array(skin).reshape(-1, 3), expected, atol=1e-5)
+        assert "lost" not in browser.run("document.getElementById('now').textContent")
+        browser.run("twistcapView.seek(2)")
+        assert "lost: one" in browser.run("document.getElementById('now').textContent")
+        browser.run("window.visited = new Set(); document.getElementById('speed').value = '0.25'")
+        watch = "new MutationObserver(() => visited.add(twistcapView.state.frame))"
+        browser.run(f"{watch}.observe(document.body, {{ attributes: true }})")
+        browser.run("document.getElementById('play').click()")
+        browser.wait(f"visited.size >= 4 && visited.has({FRAMES - 1}) && visited.has(0)")  # to the end and round again
+        browser.run("document.getElementById('play').click()")
+        assert browser.run("twistcapView.state.playing") is False
+        assert browser.problems == []  # neither an exception nor a look at the network
+
+
+@needs_browser
+def test_the_viewer_draws_bodies_lost_frames_and_the_reference(saved: Path, tmp_path: Path) -> None:
+    blue, orange, red = (47, 125, 225), (239, 138, 36), (229, 72, 77)
+    with Browser() as browser:
+        browser.open(saved.as_uri())
+        browser.run("twistcapView.seek(0)")
+        start = picture(browser, tmp_path / "start.png")
+        assert has_colour(start, blue) and has_colour(start, orange)  # legend, outlines, curves
+        assert has_colour(start, red)  # marks on the time line
+        box = browser.run("(({x, y, width, height}) => [x, y, width, height])(scene.getBoundingClientRect())")
+        x, y, w, h = (round(v) for v in box)
+        browser.run("document.getElementById('show-apart').click()")
+        apart = picture(browser, tmp_path / "apart.png")
+        together, beside = start[y : y + h, x : x + w], apart[y : y + h, x : x + w]
+        # The same two bodies one in the other, then beside each other: more pixels leave the pale ground.
+        dark = [(view.min(axis=-1) < 150).sum() for view in (together, beside)]
+        assert dark[1] > 1.4 * dark[0]
+        frames = browser.run("twistcapView.runs.map((run) => run.mesh.position.length())")
+        np.testing.assert_allclose(frames, [0.0, 1.0], atol=1e-6)
+        assert browser.problems == []
+
+
+def test_a_result_without_videos_is_shown_without_images(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    result, bare, empty = read_result(made / "one" / "result.h5"), tmp_path / "bare.h5", tmp_path / "empty.h5"
+    for path, estimates in ((bare, result.estimates), (empty, ())):
+        with ResultWriter(path, result.body, result.rig, {}) as writer:
+            for estimate in estimates:
+                writer.append(estimate)
+    assert run("view", bare, empty, "--save", tmp_path / "bare.html") == 0
+    assert "cam02: its video  is not found" in capsys.readouterr().err
+    found = re.search(r'id="data">(.*?)</script>', (tmp_path / "bare.html").read_text(), re.S)
+    assert found is not None
+    document = json.loads(found[1])
+    assert document["shown"] == [] and document["cameras"][0]["images"] == []
+    assert document["runs"][1]["rows"] == [-1] * FRAMES  # a run that was killed before its first frame
+
+
+def test_a_view_says_what_is_wrong(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    result = made / "one" / "result.h5"
+    empty = tmp_path / "empty.h5"
+    with ResultWriter(empty, humanoid(), read_result(result).rig, {}):
+        pass
+    for arguments, words in (
+        ((tmp_path / "none.h5",), "does not exist"),
+        ((result, result), "twice"),
+        ((result, "--reference", tmp_path / "none.trc"), "does not exist"),
+        ((result, "--save", tmp_path / "no" / "folder.html"), "cannot be written"),
+        ((result, "--session", tmp_path / "none.toml"), "cannot be read"),
+        ((empty,), "no result holds a frame"),
+    ):
+        assert run("view", *arguments) == 2
+        told = capsys.readouterr().err.strip().splitlines()[-1]
+        assert words in told and told.startswith("twistcap:")

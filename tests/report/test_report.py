@@ -1,0 +1,204 @@
+"""Overlays, plots and the report page: they show what they are given, where it is."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from support.box import BOX, hinged_box
+from twistcap import se3
+from twistcap._typing import AnyArray
+from twistcap.body import Pose, Posed
+from twistcap.camera import Camera, Rig, look_at
+from twistcap.estimate import Estimate, Frame
+from twistcap.evaluate.metrics import row
+from twistcap.report import Figure, angle_plot, draw_overlay, joint_error_plot, overlay_video, write_report
+from twistcap.report.overlay import LOST, Style, bones_of, mosaic_for, part_colours, visible_projection
+from twistcap.report.page import headline_rows, number
+from twistcap.report.plots import AngleSeries, spans, split_side
+
+CHROMIUM = Path("/usr/bin/chromium")
+
+
+def camera(name: str = "cam01", dist: tuple[float, ...] = (0.0,) * 5, angle: float = 0.2) -> Camera:
+    K = np.array([[150.0, 0, 80], [0, 150.0, 60], [0, 0, 1]])
+    eye = (2.5 * np.cos(angle), 2.5 * np.sin(angle), 0.4)
+    return Camera(name, K, look_at(eye, (0, 0, 0)), (161, 121), np.array(dist))
+
+
+def plain(camera_: Camera, value: int = 128) -> AnyArray:
+    return np.full((camera_.size[1], camera_.size[0], 3), value, np.uint8)
+
+
+@pytest.mark.parametrize("dist", [(0.0,) * 5, (-0.3, 0.0, 0.0, 0.0, 0.0)])
+def test_overlay_lies_where_the_camera_sees_the_body(dist: tuple[float, ...]) -> None:
+    body, cam = hinged_box(), camera(dist=dist)
+    image = plain(cam)
+    out = draw_overlay(image, cam, Posed(body, Pose.rest(body)), style=Style(skeleton=False))
+    changed = np.argwhere((out != image).any(axis=-1))[:, ::-1]
+    corners, _ = cam.project(BOX)
+    reach = 4.0  # the dark rim outside the silhouette
+    np.testing.assert_allclose(changed.min(axis=0), corners.min(axis=0), atol=reach)
+    np.testing.assert_allclose(changed.max(axis=0), corners.max(axis=0), atol=reach)
+    assert (image == 128).all()  # the input is left alone
+
+
+def test_a_lost_body_is_red_and_a_dropped_frame_is_dark() -> None:
+    body, cam = hinged_box(), camera()
+    posed = Posed(body, Pose.rest(body))
+    centre = (round(cam.project([0, 0, 0.2])[0][1]), round(cam.project([0, 0, 0.2])[0][0]))
+    fine = draw_overlay(plain(cam), cam, posed, style=Style(opacity=1, skeleton=False))[centre].astype(int)
+    lost = draw_overlay(plain(cam), cam, posed, True, Style(opacity=1, skeleton=False))[centre].astype(int)
+    assert np.ptp(fine) < 20  # the pelvis is neutral
+    np.testing.assert_allclose(lost / lost[0], np.array(LOST) / LOST[0], atol=0.02)
+    dropped = draw_overlay(None, cam, posed)
+    assert dropped.shape == (121, 161, 3)
+    assert (dropped[0, 0] == 40).all()
+
+
+def test_a_body_behind_the_camera_draws_nothing() -> None:
+    body, cam = hinged_box(), camera()
+    behind = Pose(se3.transform(np.eye(3), (10.0, 2.0, 0.0)), np.zeros(1))
+    np.testing.assert_array_equal(draw_overlay(plain(cam), cam, Posed(body, behind)), plain(cam))
+
+
+def test_points_beyond_the_fold_of_the_distortion_are_unseen() -> None:
+    cam = camera(dist=(-0.4, 0.0, 0.0, 0.0, 0.0))
+    right = cam.T_cam_world[0, :3]
+    points = np.array([[0.0, 0, 0], right * 1.0, right * 5.0])  # the last one is folded back to near the image
+    assert (visible_projection(cam, points)[1] > 0).tolist() == [True, True, False]
+
+
+def test_bones_join_the_joints_and_move_with_the_body() -> None:
+    body = hinged_box()
+    bones = bones_of(body)
+    knee = Posed(body, Pose(np.eye(4), np.array([np.pi / 2])))
+    tips = [end.round(6).tolist() for _, end in bones.at(knee)]
+    assert [-0.6, 0.0, 0.0] in tips  # the toe, 0.6 m below the hinge, swings back
+    assert len(part_colours(body)) == 2
+
+
+def test_mosaics_use_the_page_well() -> None:
+    wide = mosaic_for(Rig(tuple(Camera(f"c{i}", np.eye(3), np.eye(4), (384, 280)) for i in range(4))))
+    tall = mosaic_for(Rig(tuple(Camera(f"c{i}", np.eye(3), np.eye(4), (1080, 1920)) for i in range(4))))
+    assert (wide.columns, wide.rows) == (2, 2)
+    assert (tall.columns, tall.rows) == (4, 1)
+    assert all(length % 2 == 0 for length in (*wide.size, *tall.size))
+
+
+def test_overlay_video_plays_in_browsers(tmp_path: Path) -> None:
+    body, rig = hinged_box(), Rig((camera("a"), camera("b", angle=1.5)))
+    frames = [Frame(k, k / 30, (plain(rig[0]), None if k == 2 else plain(rig[1]))) for k in range(5)]
+    estimates = [Estimate(k, k / 30, Pose.rest(body), np.eye(7), lost=k == 3) for k in range(4)]
+    path = overlay_video(tmp_path / "overlay.mp4", frames, rig, estimates, body, 30, "test")
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        images = [image.to_ndarray(format="rgb24").astype(float) for image in container.decode(stream)]
+        assert (stream.codec_context.name, stream.codec_context.pix_fmt) == ("h264", "yuv420p")
+    assert len(images) == 5
+    redness = [float((image[..., 0] - image[..., 2]).clip(0).mean()) for image in images]
+    assert redness[3] > 3 * redness[0]  # the lost frame
+    assert images[4].std() < images[0].std()  # the frame without a pose is bare
+
+
+def test_spans_reach_half_way_to_the_neighbours() -> None:
+    times = np.arange(6.0)
+    assert spans(times, np.array([1, 0, 0, 1, 1, 0], bool)) == [(0.0, 0.5), (2.5, 4.5)]
+    assert spans(times, np.zeros(6, bool)) == []
+    assert spans(times, np.ones(6, bool)) == [(0.0, 5.0)]
+    assert split_side("knee_angle_r") == ("knee_angle", "r")
+    assert split_side("lumbar_extension") == ("lumbar_extension", "")
+
+
+def _has_colour(image: AnyArray, rgb: tuple[int, int, int], tolerance: int = 40) -> bool:
+    return bool((np.abs(image.astype(int) - rgb).max(axis=-1) < tolerance).sum() > 50)
+
+
+def test_plots_show_both_sides_and_lost_frames(tmp_path: Path) -> None:
+    times = np.arange(30) / 30
+    angles = np.stack([np.sin(6 * times), np.cos(6 * times), 0 * times], axis=1)
+    series = AngleSeries(times, ("knee_angle_r", "knee_angle_l", "lumbar_bending"), angles, np.full_like(angles, 0.1))
+    lost = (times > 0.4) & (times < 0.6)
+    picture = cv2.imread(str(angle_plot(tmp_path / "a.png", series, series, lost)))[..., ::-1]
+    right, left, middle, red = (232, 121, 12), (23, 128, 214), (61, 143, 109), (249, 214, 215)
+    assert all(_has_colour(picture, colour, 12) for colour in (right, left, middle, red))
+    only = cv2.imread(str(angle_plot(tmp_path / "b.png", series, only=["knee_angle_r"])))[..., ::-1]
+    assert _has_colour(only, right, 12)
+    assert not _has_colour(only, left, 12)
+    errors = np.abs(angles) * 10
+    errors[3] = np.nan
+    errors[4] = np.inf
+    picture = cv2.imread(str(joint_error_plot(tmp_path / "c.png", times, ("knee_r", "knee_l", "hip_r"), errors)))
+    assert _has_colour(picture[..., ::-1], right, 12)
+
+
+class Links(HTMLParser):
+    """Every src and href of a page, and its text."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.links: list[str] = []
+        self.tags: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.links += [value or "" for key, value in attrs if key in ("src", "href")]
+
+
+def magenta(path: Path) -> Path:
+    cv2.imwrite(str(path), np.full((300, 400, 3), (200, 0, 200), np.uint8))
+    return path
+
+
+def a_report(folder: Path) -> Path:
+    rows = [row("walk <b>", "KHE", 0.5312, "deg", at_most=0.7), row("walk <b>", "IoU, mean", 0.8, "", at_least=0.83)]
+    (folder / "over lay.mp4").write_bytes(b"x")
+    return write_report(
+        folder,
+        "Walk <script>alert(1)</script>",
+        rows,
+        headlines=headline_rows(rows, {"KHE": "knee & hip", "absent": "nothing"}),
+        figures=[Figure(magenta(folder / "angles.png"), 'a "caption"')],
+        video=folder / "over lay.mp4",
+        files={folder / "result.h5": "the <result>"},
+        notes=["a note & more"],
+    )
+
+
+def test_report_is_escaped_and_stands_alone(tmp_path: Path) -> None:
+    text = a_report(tmp_path).read_text(encoding="utf-8")
+    page = Links()
+    page.feed(text)
+    assert "script" not in page.tags
+    assert page.tags.count("b") == 1  # the one headline; the case's own <b> is text
+    assert not re.search(r"(src|href)=.?https?:", text)
+    assert [link for link in page.links if not link.startswith("data:")] == ["over%20lay.mp4"] * 2 + ["result.h5"]
+    assert sum(link.startswith("data:image/png;base64,") for link in page.links) == 1
+    assert "0.53" in text and "≤ 0.7" in text and "knee &amp; hip" in text
+
+
+def test_numbers_are_short() -> None:
+    assert [number(v) for v in (None, 0.0, 3.0, 0.531, 10.53, 123.4, -2.345)] == [
+        "–", "0", "3", "0.53", "10.5", "123", "-2.35",
+    ]  # fmt: skip
+
+
+@pytest.mark.skipif(not CHROMIUM.exists(), reason="no Chromium at /usr/bin/chromium to look at the page with")
+def test_a_browser_shows_the_page_with_its_pictures(tmp_path: Path) -> None:
+    page, shot, profile = a_report(tmp_path), tmp_path / "shot.png", tmp_path / "profile"
+    flags = "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking"
+    flags += " --disable-component-update --disable-sync --hide-scrollbars --window-size=1200,1600"
+    command = [str(CHROMIUM), *flags.split(), f"--user-data-dir={profile}", f"--screenshot={shot}", page.as_uri()]
+    subprocess.run(command, check=True, capture_output=True, timeout=120)
+    shutil.rmtree(profile, ignore_errors=True)
+    picture = cv2.imread(str(shot))[..., ::-1]
+    assert _has_colour(picture, (200, 0, 200), 4)  # the embedded plot
+    assert _has_colour(picture, (26, 127, 75), 30)  # the headline's green

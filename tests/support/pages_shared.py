@@ -1,0 +1,81 @@
+"""What the tests of the pages share: a studio session on disk, the command line, and looking at a screenshot."""
+
+from __future__ import annotations
+
+import http.client
+import threading
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from support.browser import CHROMIUM, Browser
+from twistcap._typing import AnyArray
+from twistcap.cli import main
+from twistcap.estimate import Estimate
+from twistcap.io.result import ResultWriter
+from twistcap.io.synthetic import write_session
+from twistcap.pages.server import page_server
+from twistcap.studio import StudioConfig, capture
+
+needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here to open the page with")
+FRAMES = 6
+
+
+def studio_walk(folder: Path) -> Path:
+    """A studio session of a few small frames, and its truth as two results, one of which lost two of them."""
+    scene = capture(StudioConfig(seed=1, views=3, size=(192, 140), frames=FRAMES))
+    write_session(scene, folder, masks=False)
+    videos = {name: str(folder / "videos" / f"{name}.mp4") for name in scene.rig.names}
+    dof = scene.true_body.dof
+    for name, lost in (("one", (2, 3)), ("two", ())):
+        (folder / name).mkdir()
+        with ResultWriter(folder / name / "result.h5", scene.true_body, scene.rig, {"videos": videos}) as writer:
+            for k, pose in enumerate(scene.true_poses):
+                writer.append(Estimate(k, k / 60, pose, 1e-4 * np.eye(dof), lost=k in lost))
+    return folder
+
+
+def run(*arguments: object) -> int:
+    """Exit code of a command line."""
+    with pytest.raises(SystemExit) as done:
+        main([str(a) for a in arguments])
+    return int(done.value.code or 0)
+
+
+@contextmanager
+def served(text: str, answers: Any) -> Generator[int]:
+    """The port on which a page is served meanwhile."""
+    server = page_server(text, answers)
+    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread.start()
+    try:
+        yield int(server.server_address[1])
+    finally:
+        server.shutdown()
+        server.server_close()
+        thread.join()
+
+
+def asked(port: int, path: str, body: str | None = None, **headers: str) -> tuple[int, str]:
+    """Status and text of an answer on a port of this machine."""
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
+    sent = {"Content-Type": "application/json", **headers}
+    connection.request("GET" if body is None else "POST", path, body, sent)
+    reply = connection.getresponse()
+    return reply.status, reply.read().decode()
+
+
+def picture(browser: Browser, path: Path) -> AnyArray:
+    """A screenshot, RGB."""
+    image = cv2.imread(str(browser.screenshot(path)))
+    assert image is not None
+    return image[..., ::-1].astype(int)
+
+
+def has_colour(image: AnyArray, rgb: tuple[int, int, int], tolerance: int = 12, pixels: int = 30) -> bool:
+    return bool((np.abs(image - rgb).max(axis=-1) <= tolerance).sum() >= pixels)
