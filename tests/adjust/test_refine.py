@@ -35,7 +35,7 @@ from twistcap.refine.evidence import Instant, Sight, add_brightness, followed_po
 from twistcap.refine.motion import add_accelerations
 from twistcap.refine.system import Arrow
 from twistcap.render import SurfacePoints, render
-from twistcap.settings import TrackerConfig
+from twistcap.track.settings import TrackerConfig
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.subjects import limbering
 from twistcap.track import track

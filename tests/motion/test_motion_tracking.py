@@ -11,7 +11,7 @@ from twistcap.cues.support import SupportRule
 from twistcap.errors import InputError
 from twistcap.motion import MotionClip, MotionLibrary, motion_predictor
 from twistcap.predict import Moment
-from twistcap.settings import TrackerConfig
+from twistcap.track.settings import TrackerConfig
 from twistcap.studio import StudioConfig, capture
 from twistcap.studio.motion import gait
 from twistcap.track import Tracker, track

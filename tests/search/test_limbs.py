@@ -16,7 +16,7 @@ from twistcap.cues.reacquire import limbs
 from twistcap.cues.rivals import RivalRule
 from twistcap.errors import InputError
 from twistcap.predict import Moment, rested
-from twistcap.settings import TrackerConfig
+from twistcap.track.settings import TrackerConfig
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import track
 

@@ -12,7 +12,7 @@ from twistcap.body import Pose, Posed
 from twistcap.cues.reacquire import ReacquireRule, branches
 from twistcap.cues.rivals import RivalRule
 from twistcap.errors import InputError
-from twistcap.settings import TrackerConfig
+from twistcap.track.settings import TrackerConfig
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import track
 

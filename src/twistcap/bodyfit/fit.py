@@ -18,8 +18,8 @@ from twistcap.bodyfit.symmetry import symmetric
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
-from twistcap.settings import TrackerConfig
 from twistcap.track import Tracker
+from twistcap.track.settings import TrackerConfig
 
 Tell = Callable[[str], None]
 

@@ -66,7 +66,7 @@ def _with_model(model: Model, recordings: Sequence[Recording]) -> tuple[Build, l
 
 def _take(recording: Recording) -> Take:
     session = recording.session
-    config = session.tracker_config
+    config = session.tracker_settings
     if config.method == "differential" or config.predictor == "motion":  # the fit looks at contours, and at this person
         config = replace(config, method="direct", predictor="constant_velocity")
     masks = image_masks(session, recording.rig)

@@ -47,18 +47,18 @@ def run_demo(
 ) -> dict[str, Any]:
     """The demo's files in a folder; what ``--json`` prints."""
     from twistcap.io.result import ResultWriter, read_result
-    from twistcap.io.session import tracker_config
+    from twistcap.io.session import tracker_settings
     from twistcap.studio import StudioConfig, capture
-    from twistcap.track import Tracker
+    from twistcap.track import Tracker, build
 
-    config = tracker_config({"method": method}, "the command line")
+    settings = tracker_settings({"method": method}, "the command line")
     scene = capture(StudioConfig(seed, views, frames=frames, condition="mismatch" if mismatch else "exact"))
     pictures = _rendered(scene, frames)
-    tracker = Tracker(scene.body, scene.rig, config)
+    tracker = Tracker(build(scene.body, scene.rig, settings))
     tracker.start(scene.first_pose, pictures[0].time)
     path = folder / "result.h5"
-    settings = {"demo": {"seed": seed, "views": views, "mismatch": mismatch}, "tracker": {"method": method}}
-    with ResultWriter(path, scene.body, scene.rig, settings) as writer:
+    told = {"demo": {"seed": seed, "views": views, "mismatch": mismatch}, "tracker": {"method": method}}
+    with ResultWriter(path, scene.body, scene.rig, told) as writer:
         timing = follow(pictures, frames, tracker, writer)
     return _reported(scene, pictures, read_result(path), folder, timing)
 

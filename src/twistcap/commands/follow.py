@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,8 +14,13 @@ from twistcap._typing import Float
 from twistcap.commands.terminal import progress
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
-from twistcap.io.result import Result, ResultWriter
+from twistcap.io.result import Result, ResultWriter, read_state
 from twistcap.track import Tracker
+from twistcap.track.saving import from_bytes, to_bytes
+
+
+STATE_EVERY = 10
+"""Frames from one saved state to the next; what was tracked after the last one is tracked again, and comes out alike."""
 
 
 @dataclass
@@ -39,6 +46,8 @@ def follow(frames: Iterable[Frame], total: int, tracker: Tracker, writer: Result
     with progress("tracking", total) as advance:
         try:
             for frame in frames:
+                if len(writer) % STATE_EVERY == 0:
+                    save_state(tracker, writer)
                 estimate = _step(tracker, frame, timing)
                 writer.append(estimate)
                 advance(f"{timing.ms[-1]:.0f} ms{'  LOST' if estimate.lost else ''}")
@@ -46,6 +55,25 @@ def follow(frames: Iterable[Frame], total: int, tracker: Tracker, writer: Result
             kept = f"the {len(writer)} frames before it are kept in the result file (go on with --resume)"
             raise InputError(f"{str(error).rstrip('.')}; {kept}.") from error
     return timing
+
+
+def save_state(tracker: Any, writer: ResultWriter) -> None:
+    """Put what the next frame depends on into the file."""
+    if isinstance(tracker, Tracker):
+        writer.save_state(to_bytes(tracker.state))
+
+
+def resumed(tracker: Any, path: Path) -> int:
+    """Bring a tracker to the last saved state of a file; how many frames had been tracked by then.
+
+    Raises:
+        InputError: where there is no state, or it does not fit the tracker's settings.
+    """
+    saved = read_state(path)
+    if saved is None:
+        raise InputError(f"{path} holds no state to go on from; track anew without --resume.")
+    tracker.state = from_bytes(saved[1], tracker.model)
+    return saved[0]
 
 
 def _step(tracker: Tracker, frame: Frame, timing: Timing) -> Estimate:

@@ -69,12 +69,12 @@ def _run(
     views = _views(session, result.rig, [e.index for e in chosen], path)
     folder = terminal.output_folder(out)
     with terminal.telling("refining") as told:
-        found = refined(views, result.body, views.image_rig, chosen, config, session.tracker_config, told)
+        found = refined(views, result.body, views.image_rig, chosen, config, session.tracker_settings, told)
     if again:
         anew = _tracked_again(session, found, views)
         with terminal.telling("refining again") as told:
             rig = views.image_rig
-            found = refined(views, found.body, rig, anew, config, session.tracker_config, told, found.shape)
+            found = refined(views, found.body, rig, anew, config, session.tracker_settings, told, found.shape)
     return {
         "id": "refine",
         "result": folder / "refined.h5",

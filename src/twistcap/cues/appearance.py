@@ -7,6 +7,7 @@ background's colours pass for the limb's, and nothing pulls it back.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -36,39 +37,56 @@ class AppearanceRule:
     trusted: float = 100.0
 
 
+@dataclass(frozen=True)
 class Appearance:
-    """Colours of S parts in each of a rig's cameras, learnt from frame to frame."""
+    """Colours of S parts in each of a rig's cameras, as past frames showed them.
 
-    def __init__(self, cameras: int, parts: int, rule: AppearanceRule) -> None:
-        self._rule, self._cameras, self._parts = rule, cameras, parts
-        self._sums: Float | None = None  # until the first image tells how many channels there are
+    Attributes:
+        rule: how they are remembered.
+        sums: (cameras, S, 1 + 2C) weighted number, sum and sum of squares of pixels; C is 0 before the first image.
+    """
+
+    rule: AppearanceRule
+    sums: Float
+
+    @staticmethod
+    def blank(cameras: int, parts: int, rule: AppearanceRule) -> Appearance:
+        """Nothing learnt yet."""
+        return Appearance(rule, np.zeros((cameras, parts, 1)))
 
     def of(self, camera_index: int, channels: int) -> Float:
         """(S, 1 + 2C) confidence 0 … 1, mean and mean square of each part's colours in a camera."""
-        sums = self._all(channels)
-        borrowed = self._rule.other_cameras * (sums.sum(axis=0) - sums[camera_index])
-        means = borrowed[:, 1 : 1 + channels]
-        borrowed[:, 1 + channels :] += self._rule.shading**2 * means**2 / np.maximum(borrowed[:, :1], 1e-9)
-        pooled = sums[camera_index] + borrowed
-        mass = pooled[:, :1]
-        return np.concatenate([mass / (mass + self._rule.trusted), pooled[:, 1:] / np.maximum(mass, 1e-9)], axis=1)
+        return self._wide(channels)._pooled[camera_index]
 
-    def learn(self, camera_index: int, view: View, seen: RenderedView, share: Float, frames: int) -> None:
-        """Add a view's colours to what is known, of those parts whose contour agrees well enough.
+    def learnt(self, camera_index: int, view: View, seen: RenderedView, agreeing: Float, frames: int) -> Appearance:
+        """With a view's colours, of those parts whose contour agrees well enough.
 
         Args:
-            share: (S,) of each part's contour that agrees with the image.
+            agreeing: (S,) fraction of each part's contour that agrees with the image.
             frames: that have passed since the last time, for all of which this one stands.
         """
-        sums = self._all(view.features.shape[2])[camera_index]
-        now = part_colours(view.features, seen.part, share >= self._rule.least_share)
-        learnt = now[:, 0] > 0.0
-        sums[learnt] = self._rule.memory**frames * sums[learnt] + frames * now[learnt]
+        sums = self._wide(view.features.shape[2]).sums.copy()
+        now = part_colours(view.features, seen.part, agreeing >= self.rule.least_share)
+        new, own = now[:, 0] > 0.0, sums[camera_index]
+        own[new] = self.rule.memory**frames * own[new] + frames * now[new]
+        return Appearance(self.rule, sums)
 
-    def _all(self, channels: int) -> Float:
-        if self._sums is None:
-            self._sums = np.zeros((self._cameras, self._parts, 1 + 2 * channels))
-        return self._sums
+    @cached_property
+    def _pooled(self) -> Float:
+        """(cameras, S, 1 + 2C) as `of` gives it: own colours, and with less weight those of other cameras."""
+        channels = self.sums.shape[2] // 2
+        borrowed = self.rule.other_cameras * (self.sums.sum(axis=0) - self.sums)
+        means = borrowed[..., 1 : 1 + channels]
+        borrowed[..., 1 + channels :] += self.rule.shading**2 * means**2 / np.maximum(borrowed[..., :1], 1e-9)
+        pooled = self.sums + borrowed
+        mass = pooled[..., :1]
+        return np.concatenate([mass / (mass + self.rule.trusted), pooled[..., 1:] / np.maximum(mass, 1e-9)], axis=-1)
+
+    def _wide(self, channels: int) -> Appearance:
+        """The same, ready for images of so many channels."""
+        if self.sums.shape[2] > 1:
+            return self
+        return Appearance(self.rule, np.zeros((*self.sums.shape[:2], 1 + 2 * channels)))
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 from numba import njit
 
 from twistcap._typing import Bool, Float, Float32, Int
-from twistcap.body import Posed
+from twistcap.body import Body, Posed
+from twistcap.camera import Rig
+from twistcap.cues.observation import Evidence, Fit, Level, Sight
 from twistcap.cues.support_maps import Neighbourhood, posterior, robust_scale
 from twistcap.cues.view import View
 from twistcap.errors import InputError
 from twistcap.render import RenderedView, SurfacePoints
+from twistcap.stages import stage
 from twistcap.terms import PhotometricTerm
 from twistcap.terms.accumulate import projected_point
 from twistcap.terms.photometric import EXPOSURE, Samples, brightness_at, sample
@@ -35,16 +38,21 @@ class Template:
         samples: N places on the surface, and their brightness under the finest blur.
         trust: (N,) running probability that the image moves with the body there.
         excess: (S,) running robust scale of each part's differences, in units of the noise that was expected.
-        image: (H, W) the last frame's under the finest blur.
-        view, posed: that frame's, where coarser blurs are read when they are wanted.
+        view, posed: of the last frame, where coarser blurs are read when they are wanted.
+        blur: px, the finest blur in that frame.
     """
 
     samples: Samples
     trust: Float
     excess: Float
-    image: Float32
     view: View
     posed: Posed
+    blur: float
+
+    @property
+    def image(self) -> Float32:
+        """(H, W) the last frame's image under the finest blur."""
+        return self.view.blurred(self.blur)
 
     @property
     def points(self) -> SurfacePoints:
@@ -55,6 +63,10 @@ class Template:
         """The points as the last frame's image has them under a Gaussian of `sigma` px."""
         image = self.view.blurred(sigma)
         return Samples(self.points, *template_values(self.view.camera.P, *self.points.bound_to(self.posed), image))
+
+
+Templates = tuple[Template | None, ...]
+"""Of each camera; None before its first image."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +102,7 @@ class Brightness:
     depth_tolerance: float = 0.012
     support: Support = "none"
     most: float = 10.0
+    name: str = field(default="photometric", init=False)
 
     def __post_init__(self) -> None:
         positive = all(value > 0.0 for value in (self.sigma, self.scale, self.jump, self.share))
@@ -97,6 +110,27 @@ class Brightness:
             raise InputError(
                 "brightness: sigma, scale, jump and share must be positive, slide not negative and most 1 or more."
             )
+
+    def start(self, body: Body, rig: Rig) -> Templates:
+        """No view remembers anything."""
+        return (None,) * len(rig)
+
+    def measure(self, sight: Sight, memory: Templates, level: Level) -> Evidence | None:
+        """Brightness constancy of one view; None before its first frame."""
+        template = memory[sight.camera_index]
+        if template is None:
+            return None
+        with stage("photometric"):
+            which = len(self.blurs) - 1 if level.fine else 0
+            return Evidence(self.term(sight.view, sight.seen, template, which))
+
+    def learn(self, memory: Templates, fit: Fit, lesson: int) -> Templates:
+        """The templates as the settled frame shows them."""
+        out = list(memory)
+        for sight in fit.sights:
+            i = sight.camera_index
+            out[i] = self.remember(sight.view, sight.seen, fit.posed, memory[i], lesson > 0)
+        return tuple(out)
 
     def remember(self, view: View, seen: RenderedView, posed: Posed, old: Template | None, lesson: bool) -> Template:
         """Template for the next frame; `seen` chooses the points now visible, `posed` (the settled pose) places them.
@@ -106,7 +140,8 @@ class Brightness:
         they agreed, and new points fill the empty cells.
         """
         cell, occupied = empty_grid(view, seen, self.points)
-        image, kept = view.blurred(self.blurs[-1] * seen.px_per_m), None
+        blur = self.blurs[-1] * seen.px_per_m
+        image, kept = view.blurred(blur), None
         if old is not None:
             if lesson and self.support != "none":
                 old = self._judged(old, view, image, seen, posed, cell)
@@ -117,7 +152,7 @@ class Brightness:
         fresh = Samples(points, *template_values(view.camera.P, *points.bound_to(posed), image))
         trust, S = np.full(len(points), _NEW if self.support == "em" else 1.0), len(posed.body.segment_names)
         if kept is None:
-            return Template(fresh, trust, np.ones(S), image, view, posed)
+            return Template(fresh, trust, np.ones(S), view, posed, blur)
         return replace(kept, samples=kept.samples + fresh, trust=np.concatenate([kept.trust, trust]))
 
     def _kept(
@@ -130,7 +165,7 @@ class Brightness:
             self.update, self.jump, cell, occupied,
         )  # fmt: skip
         samples = Samples(old.points[which], value, gradient)
-        return Template(samples, old.trust[which], old.excess, image, view, posed)
+        return Template(samples, old.trust[which], old.excess, view, posed, self.blurs[-1] * seen.px_per_m)
 
     def _judged(
         self, old: Template, view: View, image: Float32, seen: RenderedView, posed: Posed, cell: int

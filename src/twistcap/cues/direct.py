@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from twistcap._typing import Float
-from twistcap.cues.evidence import ContourEvidence
+from twistcap.cues.appearance import AppearanceRule
+from twistcap.cues.contour import ContourCue, ContourEvidence, part_agreement
 from twistcap.cues.view import View
 from twistcap.region.levelset import signed_distance
 from twistcap.region.lines import measured_lines, ratio_lines
@@ -20,7 +22,7 @@ Measured = tuple[Float, Float, Float, Float]
 
 
 @dataclass(frozen=True)
-class DirectContour:
+class DirectContour(ContourCue):
     """Settings of the direct contour cue; lengths are on the body, so that they scale with the person's size.
 
     Attributes:
@@ -45,6 +47,7 @@ class DirectContour:
         inner: share of the information of contours before another part of the body.
         colour_mass: samples with which a part's remembered colours enter, where they are sure.
         alternations: fine alternations of correspond and update in each frame.
+        appearance: how the parts' colours are remembered.
         slip: share of its running mean below which a part's agreement calls for coarse alternations.
     """
 
@@ -65,25 +68,31 @@ class DirectContour:
     colour_mass: float = 20.0
     alternations: int = 1
     slip: float = 0.7
+    appearance: AppearanceRule = field(default_factory=AppearanceRule)
+    name: str = field(default="contour", init=False)
 
-    def measure(
-        self, view: View, seen: RenderedView, contour: ContourPoints, coarse: float, colours: Float,
-        earlier: ContourEvidence | None = None,
+    def locate(
+        self, view: View, seen: RenderedView, contour: ContourPoints, reach: float, colours: Float,
+        scratch: dict[str, Any] | None = None,
     ) -> ContourEvidence:  # fmt: skip
         """Measure every contour point along its normal and make a point-to-normal term of it.
 
-        `coarse` ≥ 1 lengthens the search lines and loosens the robust scale in early alternations.
+        `reach` lengthens the search lines and loosens the robust scale.
         """
         size, local = seen.px_per_m, self.density in (None, "local")
         if not local or self.statistics == "whole":
             contour = contour[contour.outer]
-        reach = coarse * self.search * view.camera.K[0, 0]
+        focal = float(view.camera.K[0, 0])
         measured = self._on_lines if local else self._on_image
-        displacement, weight, contrast, target = measured(view, seen, contour, reach, colours)
+        displacement, weight, contrast, target = measured(view, seen, contour, reach * self.search * focal, colours)
         term = PointNormalTerm(
-            view.camera.P, contour.points, target, contour.normals, weight, coarse * self.robust * size
+            view.camera.P, contour.points, target, contour.normals, weight, reach * self.robust * size
         )
-        return ContourEvidence(term, contour, displacement, contrast)
+        parts = len(seen.posed.body.segment_names)
+        agreement = part_agreement(contour, displacement, contrast, focal, parts)
+        return ContourEvidence(
+            term, len(contour), agreement, contour=contour, displacement=displacement, contrast=contrast
+        )
 
     def _on_lines(
         self, view: View, seen: RenderedView, contour: ContourPoints, reach: float, colours: Float

@@ -2,30 +2,46 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from twistcap.body import Body, Posed
 from twistcap.camera import Rig
+from twistcap.cues.observation import Alternation
 from twistcap.estimate import Keypoints
 from twistcap.render import SurfacePoints
 from twistcap.terms import KeypointTerm
 
 
 @dataclass(frozen=True)
-class KeypointCue:
+class Keypoints2D:
     """Settings of the keypoint cue; lengths are on the body.
 
     Attributes:
         sigma: noise of a keypoint of confidence 1, m.
-        robust: distance at which a keypoint begins to lose its say, m.
+        robust: distance at which a keypoint is down-weighted, m.
+        rig: the cameras as calibrated, in whose pixels keypoints come.
     """
 
     sigma: float = 0.03
     robust: float = 0.09
+    rig: Rig | None = None
+    name: str = field(default="keypoints", init=False)
+    news: bool = field(default=True, init=False)
 
-    def terms(self, keypoints: Keypoints, rig: Rig, posed: Posed) -> list[KeypointTerm]:
+    def terms(self, alternation: Alternation) -> Sequence[KeypointTerm]:
+        """Terms of the frame's keypoints; none where it has none."""
+        keypoints = alternation.frame.keypoints
+        if keypoints is None or self.rig is None:
+            return ()
+        return self.terms_of(keypoints, self.rig, Posed(alternation.posed.body, alternation.expected))
+
+    def claimed(self, posed: Posed) -> None:
+        """Nothing beside what the terms say."""
+
+    def terms_of(self, keypoints: Keypoints, rig: Rig, posed: Posed) -> list[KeypointTerm]:
         """One term per camera that has keypoints; landmarks the body does not have are left out.
 
         Args:

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numba import njit
 
 from twistcap._typing import Bool, Float, Float32
-from twistcap.cues.evidence import ContourEvidence, Segmentation
+from twistcap.cues.appearance import AppearanceRule
+from twistcap.cues.contour import ContourCue, ContourEvidence, Segmentation, part_agreement
 from twistcap.cues.view import View
 from twistcap.region.densities import heaviside
 from twistcap.region.levelset import evolve, nearest_with_normal, signed_distance, zero_crossings
@@ -27,7 +28,7 @@ Matching = Literal["icp", "variational", "both"]
 
 
 @dataclass(frozen=True)
-class LevelSetContour:
+class LevelSetContour(ContourCue):
     """Settings of the level-set cue; lengths in metres are on the body.
 
     Attributes:
@@ -56,6 +57,7 @@ class LevelSetContour:
         share: share of the points' information that counts (they are correlated).
         robust: distance at which a match begins to lose its say, m.
         alternations: fine alternations of correspond and update in each frame.
+        appearance: how the parts' colours are remembered.
         slip: share of its running mean below which a part's agreement calls for coarse alternations; a
             limb before the body has no outline here, and often agrees little.
     """
@@ -84,29 +86,36 @@ class LevelSetContour:
     robust: float = 0.01
     alternations: int = 3
     slip: float = 0.0
+    appearance: AppearanceRule = field(default_factory=AppearanceRule)
+    name: str = field(default="contour", init=False)
 
-    def measure(
-        self, view: View, seen: RenderedView, contour: ContourPoints, coarse: float, colours: Float,
-        earlier: ContourEvidence | None = None,
+    def locate(
+        self, view: View, seen: RenderedView, contour: ContourPoints, reach: float, colours: Float,
+        scratch: dict[str, Any] | None = None,
     ) -> ContourEvidence:  # fmt: skip
         """Segment, match the silhouette's points to the evolved contour, and make the term of their rays.
 
-        `coarse` ≥ 1 widens the capture range in early alternations. The segmentation of `earlier` evidence, of the same
-        rendered body, is matched again: its shape prior has hardly moved.
+        `reach` widens the capture range. A segmentation in `scratch`, of the same rendered body, is matched again: its
+        shape prior has hardly moved.
         """
+        scratch = {} if scratch is None else scratch
         contour = contour[contour.outer]
-        width = max(1.0, coarse * self.width * seen.px_per_m)
-        found = earlier.segmentation if earlier is not None else None
+        width = max(1.0, reach * self.width * seen.px_per_m)
+        found: Segmentation | None = scratch.get(self.name)
         if found is None or found.width != width:
-            found = self._segmented(view, seen, width)
+            found = scratch[self.name] = self._segmented(view, seen, width)
         matches = [(p, d < 4.0 * width) for p, d in self._partners(contour, found)]
         where = np.concatenate([np.flatnonzero(matched) for _, matched in matches])
         partner = np.concatenate([p[matched] for p, matched in matches])
-        term = self._term(view, seen, contour[where.astype(np.int32)], partner, coarse, len(matches))
+        term = self._term(view, seen, contour[where.astype(np.int32)], partner, reach, len(matches))
         displacement = _mean_along(contour.pixels, contour.normals, matches)
         contrast = _contrast(found.log_ratio, contour.pixels, contour.normals, seen.px_per_m)
         contrast = np.where(np.any([matched for _, matched in matches], axis=0), contrast, 0.0)
-        return ContourEvidence(term, contour, displacement, contrast, found)
+        focal, parts = float(view.camera.K[0, 0]), len(seen.posed.body.segment_names)
+        agreement = part_agreement(contour, displacement, contrast, focal, parts)
+        return ContourEvidence(
+            term, len(contour), agreement, contour=contour, displacement=displacement, contrast=contrast
+        )
 
     def _partners(self, contour: ContourPoints, found: Segmentation) -> list[tuple[Float, Float]]:
         """Partners (N, 2) px of the points and their distances (N,), of each way of matching."""

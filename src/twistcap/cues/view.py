@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -13,6 +12,7 @@ import numpy as np
 from twistcap._typing import AnyArray, Float32
 from twistcap.body import Posed
 from twistcap.camera import Camera
+from twistcap.errors import InputError
 from twistcap.estimate import Frame
 from twistcap.features import Channels, feature_channels, grey
 from twistcap.render import body_window
@@ -56,23 +56,28 @@ class View:
         return self._blurs[sigma]
 
 
-def crop_view(image: AnyArray, camera: Camera, posed: Posed, margin_m: float, channels: Channels) -> View | None:
-    """The view of a posed body with `margin_m` metres about it; None where the body is not in the image."""
-    views = crop_views((image,), camera, posed, margin_m, channels)
-    return views[0] if views else None
-
-
-def crop_views(
-    images: Sequence[AnyArray], camera: Camera, posed: Posed, margin_m: float, channels: Channels
-) -> list[View]:
-    """One window of several images of a camera, as `crop_view` would cut it; empty where the body is not in it."""
+def view_window(camera: Camera, posed: Posed, margin_m: float) -> tuple[tuple[int, int], tuple[int, int]] | None:
+    """Corner (x, y) and size (w, h), px, of a posed body with `margin_m` metres about it; None off the image."""
     depth = camera.T_cam_world[2, :3] @ posed.pose.root[:3, 3] + camera.T_cam_world[2, 3]
-    window = body_window(posed, camera, margin_m * camera.K[0, 0] / max(depth, 0.1) + 3.0)
+    return body_window(posed, camera, margin_m * camera.K[0, 0] / max(depth, 0.1) + 3.0)
+
+
+def crop_view(image: AnyArray, camera: Camera, posed: Posed, margin_m: float, channels: Channels) -> View | None:
+    """The view of a posed body with `margin_m` metres about it; None where the body is not in the image.
+
+    Raises:
+        InputError: for a value that is not finite.
+    """
+    window = view_window(camera, posed, margin_m)
     if window is None:
-        return []
+        return None
     (x, y), (w, h) = window
-    crop = camera.cropped((x, y), (w, h))
-    return [View(crop, np.ascontiguousarray(image[y : y + h, x : x + w]), channels) for image in images]
+    crop = np.ascontiguousarray(image[y : y + h, x : x + w])
+    if crop.dtype != np.uint8 and not np.all(np.isfinite(crop)):
+        raise InputError(
+            f"camera {camera.name!r}: its image holds a value that is not finite; repair it or give None instead."
+        )
+    return View(camera.cropped((x, y), (w, h)), crop, channels)
 
 
 def despeckled(frame: Frame, size: int) -> Frame:

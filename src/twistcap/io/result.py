@@ -7,6 +7,7 @@ files of ``libver="latest"`` cannot be opened after a kill.
 from __future__ import annotations
 
 import json
+import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,18 +18,19 @@ from typing import Any
 import h5py
 import numpy as np
 
-from twistcap._typing import AnyArray, Bool, Float, Int
+from twistcap._typing import AnyArray, Bool, Float, Int, UInt8
 from twistcap.body import Body, Landmarks, Pose
 from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate
 
 FORMAT = "twistcap-result"
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 _ARRAYS = (
     "parent", "twists", "limits", "segment_joint", "vertices", "faces", "skin_segments", "skin_weights",
 )  # fmt: skip
 _NAMES = ("coordinate_names", "segment_names")
+_SLOTS = ("0", "1")  # of the state
 
 
 @dataclass(frozen=True)
@@ -137,8 +139,10 @@ class ResultWriter:
         self._file.flush()
 
     @classmethod
-    def resume(cls, path: str | Path) -> ResultWriter:
-        """Go on after the last complete frame of a file.
+    def resume(cls, path: str | Path, frames: int | None = None) -> ResultWriter:
+        """Go on after the last complete frame of a file, or after its first `frames`.
+
+        Later frames stay in the file until they are written anew.
 
         Raises:
             InputError: for a file that is missing or no result.
@@ -147,10 +151,29 @@ class ResultWriter:
         writer = cls.__new__(cls)
         writer._file = _opened(path, "r+")
         writer._frames = _group(writer._file, "frames")
-        writer._count = _complete(writer._frames)
+        complete = _complete(writer._frames)
         for dataset in _datasets(writer._frames):
-            dataset.resize(writer._count, axis=0)
+            dataset.resize(complete, axis=0)
+        writer._count = complete if frames is None else min(frames, complete)
         return writer
+
+    def save_state(self, data: UInt8) -> None:
+        """Write what the next frame depends on (N,) bytes, and flush.
+
+        Two slots are used in turn, so that a kill in the middle of a write leaves one whole.
+        """
+        group = self._file.require_group("state")
+        saved = [int(group[slot].attrs.get("frames", -1)) if slot in group else -1 for slot in _SLOTS]
+        slot = _SLOTS[int(np.argmin(saved))]
+        if slot not in group:
+            group.create_dataset(slot, (0,), np.uint8, maxshape=(None,), chunks=(1 << 16,))
+        dataset = _dataset(group, slot)
+        dataset.attrs["frames"] = -1  # not valid until all of it is there
+        dataset.resize(len(data), axis=0)
+        dataset[:] = data
+        dataset.attrs["crc32"] = zlib.crc32(data.tobytes())
+        dataset.attrs["frames"] = self._count
+        self._file.flush()
 
     def __len__(self) -> int:
         return self._count
@@ -213,6 +236,25 @@ def read_result(path: str | Path) -> Result:
             config=json.loads(str(file.attrs["config"])),
             versions={k: str(v) for k, v in _group(file, "versions").attrs.items()} if "versions" in file else {},
         )
+
+
+def read_state(path: str | Path) -> tuple[int, UInt8] | None:
+    """The latest state that is whole: how many frames had been written, and its bytes (N,); None where there is none.
+
+    Raises:
+        InputError: as `read_result`.
+    """
+    with _opened(path, "r") as file:
+        _check_format(path, file)
+        found: list[tuple[int, UInt8]] = []
+        complete = _complete(_group(file, "frames"))
+        for slot in _SLOTS if "state" in file else ():
+            if slot in _group(file, "state"):
+                dataset = _dataset(_group(file, "state"), slot)
+                data, frames = np.asarray(dataset[:], np.uint8), int(dataset.attrs.get("frames", -1))
+                if 0 <= frames <= complete and zlib.crc32(data.tobytes()) == dataset.attrs.get("crc32"):
+                    found.append((frames, data))
+        return max(found, key=lambda one: one[0], default=None)
 
 
 def installed_versions() -> dict[str, str]:

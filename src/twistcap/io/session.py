@@ -23,7 +23,7 @@ from twistcap.motion import MotionKind
 if TYPE_CHECKING:
     from twistcap.motion import MotionLibrary
     from twistcap.priors import ParzenPrior
-    from twistcap.track import TrackerConfig
+    from twistcap.settings import Settings
 
 
 def _from_folder(path: str, info: ValidationInfo) -> str:
@@ -211,14 +211,14 @@ class Session(Table):
         return Path(self._source).stem
 
     @property
-    def tracker_config(self) -> TrackerConfig:
+    def tracker_settings(self) -> Settings:
         """``[tracker]`` as the tracker takes it; what ``[prior]`` and ``[motions]`` say goes over it."""
-        config = tracker_config(self.tracker, self._source)
+        settings = tracker_settings(self.tracker, self._source)
         if self.motions is not None:
-            config = replace(config, predictor="motion", motion=self.motions.kind or config.motion)
+            settings = replace(settings, predictor="motion", motion=self.motions.kind or settings.motion)
         if self.prior is None or self.prior.strength is None:
-            return config
-        return replace(config, prior=replace(config.prior, strength=self.prior.strength))
+            return settings
+        return replace(settings, prior_strength=self.prior.strength)
 
     @property
     def pose_prior(self) -> ParzenPrior | None:
@@ -268,21 +268,21 @@ def load_session(path: str | Path, overrides: Mapping[str, Any] | None = None) -
     folder = path.parent / str(data.get("data", "."))
     session: Session = validated(Session, data, str(path), {"folder": folder})
     session.remember(str(path))
-    tracker_config(session.tracker, str(path))
+    tracker_settings(session.tracker, str(path))
     _check_predictor(session, str(path))
     _check_method(session, str(path))
     return session
 
 
-def tracker_config(table: Mapping[str, Any], source: str) -> TrackerConfig:
-    """A `TrackerConfig` from its table.
+def tracker_settings(table: Mapping[str, Any], source: str) -> Settings:
+    """`Settings` from their table.
 
     Raises:
         InputError: for an unknown key or a wrong value.
     """
-    from twistcap.track import TrackerConfig
+    from twistcap.settings import Settings
 
-    return dataclass_from(TrackerConfig, table, source, "tracker")
+    return dataclass_from(Settings, table, source, "tracker")
 
 
 def _check_predictor(session: Session, source: str) -> None:

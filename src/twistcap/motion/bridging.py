@@ -9,7 +9,7 @@ import numpy as np
 
 from twistcap import se3
 from twistcap.body import Pose
-from twistcap.predict import Moment, constant_velocity
+from twistcap.predict.history import Moment, constant_velocity
 
 
 def bridged(history: Sequence[Moment]) -> list[Moment]:

@@ -9,19 +9,40 @@ is needed, and there it is judged by forecasts from farther back.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from twistcap import se3
+from twistcap._typing import Float
 from twistcap.body import Pose
-from twistcap.motion.openloop import Expected, OpenLoop
-from twistcap.predict import Leeway, Moment, MotionNoise, constant_velocity
+from twistcap.errors import InputError
+from twistcap.motion.openloop import Expected, OpenLoop, Run
+from twistcap.predict.history import Moment, MotionNoise, MotionSpread, constant_velocity
 
 _AHEAD = (1, 8)  # frames by which the judged forecasts are made ahead
 _FAR = 3  # frames from which on the farther ones tell
 _MEMORY = 0.85  # share of past errors that counts in the next frame
 _MOST = 0.3  # rad that one joint counts at most: a limb that was lost must not decide for the whole body
 _DECAY = 0.15  # s in which a velocity dies away
+
+
+@dataclass(frozen=True)
+class Judged:
+    """How both predictors have done.
+
+    Attributes:
+        last: the last moment that was judged.
+        errors: (2, 2) squared, one and several frames ahead, of the library and of inertia; older ones count less.
+        spread: of inertia.
+        run: the library's prediction under way.
+    """
+
+    last: Moment
+    errors: Float
+    spread: MotionSpread
+    run: Run | None = None
 
 
 class GuardedMotion:
@@ -34,53 +55,59 @@ class GuardedMotion:
 
     def __init__(self, inner: OpenLoop, noise: MotionNoise | None = None) -> None:
         self.inner, self._noise = inner, noise or MotionNoise()
-        self._last: Moment | None = None
-        self._leeway: Leeway | None = None
-        self._errors = np.zeros((len(_AHEAD), 2))  # squared, of the library and of inertia, fading
 
-    def trusts(self, frames: float) -> bool:
-        """Whether the library predicts so many frames ahead."""
-        ours, inert = self._errors[int(frames >= _FAR)]
-        return bool(ours <= inert)
+    @property
+    def memory_type(self) -> Any:
+        """How both predictors have done, or nothing yet."""
+        return Judged | None
 
-    def predict(self, history: Sequence[Moment], time: float) -> Expected:
+    def predict(self, history: Sequence[Moment], time: float, memory: Judged | None = None) -> tuple[Expected, Judged]:
         """The pose at `time`; see `MotionPredictor`.
 
         Raises:
             InputError: for a history without moments.
         """
         seen = [moment for moment in history if moment.seen]
-        if len(seen) < 2:
-            return self.inner.predict(history, time)
-        if seen[-1] is not self._last:
-            self._last = seen[-1]
-            self._judge(seen)
+        if memory is None or seen[-1].time != memory.last.time:
+            memory = self._judged(seen, memory or self._fresh(seen))
         ahead = (time - seen[-1].time) * self.inner.library.rate
-        return self.inner.predict(history, time) if self.trusts(ahead) else self._inert(seen, time)
+        if len(seen) > 1 and not trusts(memory.errors, ahead):
+            return self._inert(seen, time, memory.spread), memory
+        expected, run = self.inner.predict(history, time, memory.run)
+        return expected, replace(memory, run=run)
 
-    def _judge(self, history: Sequence[Moment]) -> None:
-        """Compare the forecasts of the last moment."""
-        now, frame = history[-1], 1.0 / self.inner.library.rate
-        for errors, ahead in zip(self._errors, _AHEAD, strict=True):
+    def _fresh(self, seen: Sequence[Moment]) -> Judged:
+        if not seen:
+            raise InputError("motion: a prediction needs at least one moment that was seen.")
+        return Judged(seen[-1], np.zeros((len(_AHEAD), 2)), MotionSpread.usual(self._noise))
+
+    def _judged(self, history: Sequence[Moment], memory: Judged) -> Judged:
+        """With the forecasts of the last moment compared."""
+        now, frame, errors = history[-1], 1.0 / self.inner.library.rate, memory.errors.copy()
+        spread = memory.spread
+        for k, ahead in enumerate(_AHEAD):
             before = [moment for moment in history if moment.time <= now.time - (ahead - 0.5) * frame]
             if len(before) < 2:
                 continue
             inert = constant_velocity(before, now.time, _DECAY)
-            forecasts = self.inner.predict(before, now.time).pose, inert
-            errors[:] = _MEMORY * errors + [_apart(pose, now.pose) for pose in forecasts]
+            forecasts = self.inner.predict(before, now.time)[0].pose, inert
+            errors[k] = _MEMORY * errors[k] + [_apart(pose, now.pose) for pose in forecasts]
             if ahead == _AHEAD[0]:
-                self._given(now.pose).learn(inert, now.pose, now.time - before[-1].time, "constant_velocity")
+                spread = spread.learnt(inert, now.pose, now.time - before[-1].time, "constant_velocity")
+        return Judged(now, errors, spread)
 
-    def _inert(self, history: Sequence[Moment], time: float) -> Expected:
+    def _inert(self, history: Sequence[Moment], time: float, spread: MotionSpread) -> Expected:
         pose, passed = constant_velocity(history, time, _DECAY), time - history[-1].time
         # Accelerations do not last: an unknown step grows with the square of the first moments only.
         lasting = np.sqrt(min(passed, _DECAY) * passed)
-        found = self._given(pose).covariance(lasting, "constant_velocity", pose.root[:3, 3])
+        found = spread.covariance(6 + len(pose.q), lasting, "constant_velocity", pose.root[:3, 3])
         return Expected(pose, *found, None)
 
-    def _given(self, pose: Pose) -> Leeway:
-        self._leeway = self._leeway or Leeway(self._noise, 6 + len(pose.q))
-        return self._leeway
+
+def trusts(errors: Float, frames: float) -> bool:
+    """Whether the library predicts so many frames ahead, by past errors as in `Judged`."""
+    ours, inert = errors[int(frames >= _FAR)]
+    return bool(ours <= inert)
 
 
 def _apart(pose: Pose, truth: Pose) -> float:

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from twistcap.motion.clip import interpolated_angles, interpolated_roots
 from twistcap.motion.library import MotionLibrary, unwrapped
 from twistcap.motion.matching import Match, Stretch
 from twistcap.motion.spread import Spread, learnt
-from twistcap.predict import Moment, covariance_about
+from twistcap.predict.history import Moment, covariance_about
 
 _LONGEST = 10.0  # s of history that are looked at, at most
 
@@ -45,10 +45,21 @@ class Expected:
 
 
 class MotionPredictor(Protocol):
-    """Tells where the body is at a time, from the moments before."""
+    """Says where the body is at a time, from the moments before."""
 
-    def predict(self, history: Sequence[Moment], time: float) -> Expected:
-        """The pose expected at `time`, s; history holds at least one earlier moment that was seen, the latest last."""
+    @property
+    def memory_type(self) -> Any:
+        """Type of the memory that `predict` gives."""
+        ...
+
+    def predict(self, history: Sequence[Moment], time: float, memory: Any = None) -> tuple[Expected, Any]:
+        """The pose expected at `time`, s, and the memory with which a later time costs only its own frames.
+
+        Args:
+            history: at least one earlier moment that was seen, the latest last.
+            time: s.
+            memory: that of the prediction before; None for none.
+        """
         ...
 
 
@@ -83,6 +94,23 @@ class Stretched:
         return interpolated_angles(self.q, where)[0], interpolated_roots(self.roots, where)[0]
 
 
+@dataclass(frozen=True)
+class Run:
+    """A prediction under way.
+
+    Attributes:
+        last: the last moment that was seen, from which it starts.
+        turns: (J,) rad, whole turns between the library's angles and the body's.
+        past: what was seen, one frame apart.
+        ahead: the poses from the last seen one on.
+    """
+
+    last: Moment
+    turns: Float
+    past: Stretched
+    ahead: Stretched
+
+
 class OpenLoop(ABC):
     """A predictor that goes on frame by frame from the last poses.
 
@@ -105,9 +133,11 @@ class OpenLoop(ABC):
             )
         self._known = library.columns(shared)  # in the library, and
         self._theirs = np.array([body.coordinate(name) for name in shared], np.int32)  # in the body
-        self._last: Moment | None = None
-        self._turns = np.zeros(len(library.names))
-        self._seen = self._run = Stretched(np.zeros((0, 0)), np.zeros((0, 4, 4)))
+
+    @property
+    def memory_type(self) -> Any:
+        """A prediction under way, or none."""
+        return Run | None
 
     @abstractmethod
     def go_on(self, past: Stretched, count: int, barred: Sequence[Stretch] = ()) -> Stretched:
@@ -139,10 +169,10 @@ class OpenLoop(ABC):
         """How badly poses match, in rad per pose; NaN where they match nothing that should be matched."""
         return 0.0
 
-    def predict(self, history: Sequence[Moment], time: float) -> Expected:
+    def predict(self, history: Sequence[Moment], time: float, memory: Run | None = None) -> tuple[Expected, Run]:
         """The pose at `time`, with its covariance; see `MotionPredictor`.
 
-        Moments that were not seen hold predictions: those after the last seen one tell nothing, those before it fill
+        Moments that were not seen hold predictions: those after the last seen one say nothing, those before it fill
         the gap (`bridged`).
 
         Raises:
@@ -151,27 +181,26 @@ class OpenLoop(ABC):
         last = next((moment for moment in reversed(history) if moment.seen), None)
         if last is None:
             raise InputError("motion: a prediction needs at least one moment that was seen.")
-        if self._last is not last:
-            self._last, self._seen = last, self._uniform(bridged(history))
-            self._run = self._seen.since(len(self._seen) - 1)
-        frames = max(0.0, (time - last.time) * self.library.rate)
-        while len(self._run) - 1 < frames - 1e-6:
-            whole = self._seen.then(self._run.since(1))
-            self._run = self._run.then(self.go_on(whole, max(1, int(np.ceil(frames)) - len(self._run) + 1)))
-        return self._expected(last, frames)
+        run = memory if memory is not None and memory.last.time == last.time else self._begun(last, bridged(history))
+        frames, ahead = max(0.0, (time - last.time) * self.library.rate), run.ahead
+        while len(ahead) - 1 < frames - 1e-6:
+            whole = run.past.then(ahead.since(1))
+            ahead = ahead.then(self.go_on(whole, max(1, int(np.ceil(frames)) - len(ahead) + 1)))
+        run = replace(run, ahead=ahead)
+        return self._expected(run, frames), run
 
-    def _expected(self, last: Moment, frames: float) -> Expected:
-        known, root = self._run.at(min(frames, len(self._run) - 1.0))
-        q = last.pose.q.copy()
-        q[self._theirs] = (known - self._turns)[self._known]
-        match = self._run.match
+    def _expected(self, run: Run, frames: float) -> Expected:
+        known, root = run.ahead.at(min(frames, len(run.ahead) - 1.0))
+        q = run.last.pose.q.copy()
+        q[self._theirs] = (known - run.turns)[self._known]
+        match = run.ahead.match
         turn, shift, joints = self.spread.variances(frames, float(np.nan_to_num(self.unlikeness(match))))
         variance = np.full(self.body.dof, self.spread.unknown(frames))
         variance[:3], variance[3:6], variance[6 + self._theirs] = turn, shift, joints[self._known]
         covariance, information = covariance_about(variance, root[:3, 3])
         return Expected(Pose(root, q), covariance, information, match)
 
-    def _uniform(self, history: Sequence[Moment]) -> Stretched:
+    def _begun(self, last: Moment, history: Sequence[Moment]) -> Run:
         """The last moments, one frame apart; the library's coordinates that the body lacks are 0."""
         times = np.array([moment.time for moment in history])
         rate = self.library.rate
@@ -184,8 +213,8 @@ class OpenLoop(ABC):
         q[:, self._known] = np.array([moment.pose.q for moment in history])[:, self._theirs]
         roots = np.array([moment.pose.root for moment in history])
         smooth = unwrapped(q)  # as the library's clips are
-        self._turns, q = smooth[-1] - q[-1], smooth
-        return Stretched(interpolated_angles(q, positions), interpolated_roots(roots, positions))
+        past = Stretched(interpolated_angles(smooth, positions), interpolated_roots(roots, positions))
+        return Run(last, smooth[-1] - q[-1], past, past.since(len(past) - 1))
 
     @property
     def compared(self) -> Int:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from twistcap._typing import Float, Int
 from twistcap.body import Body, Posed
+from twistcap.cues.observation import Alternation
 from twistcap.errors import InputError
 from twistcap.priors.parzen import ParzenPrior
 from twistcap.terms import Quadratic
@@ -92,7 +94,7 @@ class PriorTerm:
         share = rule.in_sight + (1.0 - rule.in_sight) * hidden**2
         return replace(self, weight=rule.strength * share * points, step=rule.step)
 
-    def told_by(self, known: Float, rule: PriorRule, posed: Posed) -> PriorTerm:
+    def given_joints(self, known: Float, rule: PriorRule, posed: Posed) -> PriorTerm:
         """The term whose samples are weighed by the joints that are known: (J,) in [0, 1], of all the body's."""
         believed = np.maximum(known[self.columns], rule.unseen)
         if np.all(believed == believed[0]):
@@ -107,6 +109,30 @@ class PriorTerm:
         out, at = np.zeros((posed.body.dof, posed.body.dof)), 6 + self.columns
         out[np.ix_(at, at)] = np.linalg.inv(self.prior.spread(posed.pose.q[self.columns]))
         return out
+
+
+@dataclass(frozen=True)
+class PosePrior:
+    """A density of poses beside what the images show.
+
+    Attributes:
+        term: of the body's coordinates.
+        rule: how much it counts.
+    """
+
+    term: PriorTerm
+    rule: PriorRule
+    name: str = field(default="prior", init=False)
+    news: bool = field(default=False, init=False)
+
+    def terms(self, alternation: Alternation) -> Sequence[PriorTerm]:
+        """The term, weighed by what the images show and chosen by the joints that they show."""
+        term = self.term.weighted(self.rule, alternation.samples, alternation.concealed)
+        return (term.given_joints(alternation.known, self.rule, alternation.posed),)
+
+    def claimed(self, posed: Posed) -> Float:
+        """What the density itself knows of a pose."""
+        return self.term.claimed(posed)
 
 
 def matched(prior: ParzenPrior, body: Body) -> PriorTerm:

@@ -11,7 +11,7 @@ from twistcap._typing import Float, Int
 from twistcap.body import Posed
 from twistcap.body.shape import RestMotion
 from twistcap.cues.brightness import Brightness, empty_grid, strongest_in_cells, visible_points
-from twistcap.cues.evidence import ContourEvidence
+from twistcap.cues.contour import ContourEvidence
 from twistcap.cues.view import View
 from twistcap.refine.system import Arrow
 from twistcap.render import RenderedView, SurfacePoints

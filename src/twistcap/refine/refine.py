@@ -24,7 +24,7 @@ from twistcap.refine.motion import add_accelerations
 from twistcap.refine.settings import RefineConfig
 from twistcap.refine.shape import Shape
 from twistcap.refine.system import Solution
-from twistcap.settings import TrackerConfig
+from twistcap.track.settings import TrackerConfig
 
 _LEAST_FRAMES = 3
 _MOST = 0.1  # of a log-length, or m of a joint centre, in one step: beyond it no linearisation holds

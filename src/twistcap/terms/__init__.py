@@ -4,12 +4,13 @@ from twistcap.terms.accumulate import PointTerm, SegmentSums
 from twistcap.terms.coordinates import GaussianTerm, LimitTerm, RestTerm
 from twistcap.terms.photometric import PhotometricTerm
 from twistcap.terms.points import KeypointTerm, PointNormalTerm, PointRayTerm
-from twistcap.terms.quadratic import Quadratic, Term
+from twistcap.terms.quadratic import MaskableTerm, Quadratic, Term
 
 __all__ = [
     "GaussianTerm",
     "KeypointTerm",
     "LimitTerm",
+    "MaskableTerm",
     "PhotometricTerm",
     "PointNormalTerm",
     "PointRayTerm",

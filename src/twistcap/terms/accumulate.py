@@ -7,7 +7,8 @@ skeleton; ``posed.projector`` then takes segment twists to pose coordinates.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 from numba import njit
@@ -73,6 +74,11 @@ class PointTerm:
     def energy(self, posed: Posed) -> float:
         """Energy at a pose."""
         return self.rows(posed)[0]
+
+    def masked(self, by_part: Float) -> Self:
+        """The same term with the information of each point times the factor (S,) of its part."""
+        fields: Any = self  # every point term is a dataclass with points and their weights
+        return replace(fields, weight=fields.weight * by_part[fields.points.part])
 
     def linearize(self, posed: Posed) -> Quadratic:
         """Gauss-Newton quadratic at a pose."""

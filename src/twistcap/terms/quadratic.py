@@ -42,3 +42,11 @@ class Term(Protocol):
     def linearize(self, posed: Posed) -> Quadratic:
         """Gauss-Newton quadratic at a pose; its value is `energy`'s."""
         ...
+
+
+class MaskableTerm(Term, Protocol):
+    """A term of image evidence: what it says of a part that the image does not show can be taken out."""
+
+    def masked(self, by_part: Float) -> MaskableTerm:
+        """The same term with the information about each of S parts times a factor (S,) in [0, 1]."""
+        ...

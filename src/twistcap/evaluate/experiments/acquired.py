@@ -29,12 +29,12 @@ from twistcap.evaluate.sequence import joint_errors_mm
 from twistcap.keyviews.build import Acquired, build
 from twistcap.keyviews.measure import measure
 from twistcap.keyviews.silhouette import KeyView, difference_mask, one_person
-from twistcap.settings import TrackerConfig
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.config import stream
 from twistcap.studio.keyviews import KeyViewScene, key_view_scene
 from twistcap.studio.mismatch import wrong_pose
 from twistcap.track import Tracker, track
+from twistcap.track.settings import TrackerConfig
 
 TARGETS = (
     ("universal-male-young-averagemuscle-averageweight", "caucasian-male-young"),

@@ -9,28 +9,34 @@ doi:10.1023/B:VISI.0000043757.18370.9c).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from twistcap._typing import Bool, Float
-from twistcap.body import Body, Pose
-from twistcap.cues.rivals import Judge
+from twistcap.body import Body, Pose, Posed
+from twistcap.body.limbs import branches
+from twistcap.camera import Rig
+from twistcap.cues.observation import Fit
 from twistcap.errors import InputError
+from twistcap.predict.history import Past
+from twistcap.search import Problem, Revision
+from twistcap.search.judge import Judge, best_of
+from twistcap.stages import stage
 
 
 @dataclass(frozen=True)
-class ReacquireRule:
-    """When and how the body is sought.
+class AfterGap:
+    """When and how the body is searched for after frames without images.
 
     Attributes:
         after: s without images from which on it is.
-        passes: over all branches; of each, the shares of the standard deviation with which poses are drawn, one round
+        passes: over all branches; of each, the factors on the standard deviation with which poses are drawn, one round
             after the other.
         draws: poses in each round of each branch.
         gain: nats by which the images must favour what is found; else the body is where it was expected.
-        margin: m about the expected body within which it is sought.
-        widest: rad, most by which one coordinate is thought to have strayed (standard deviation).
+        reach: m about the expected body within which it is looked for.
+        widest: rad, most by which one coordinate is thought to have moved away (standard deviation).
         seed: of the draws, which are the same in every run.
     """
 
@@ -38,15 +44,41 @@ class ReacquireRule:
     passes: tuple[tuple[float, ...], ...] = ((1.0, 0.5, 0.25), (0.5, 0.25))
     draws: int = 40
     gain: float = 40.0
-    margin: float = 0.5
+    reach: float = 0.5
     widest: float = 0.6
     seed: int = 0
+    name: str = field(default="after a gap", init=False)
 
     def __post_init__(self) -> None:
         if self.draws < 1 or not self.passes or not all(self.passes):
-            raise InputError("reacquire: draws must be 1 or more, and passes must name at least one layer each.")
+            raise InputError("search after a gap: draws must be 1 or more, and passes must name one layer each.")
 
-    def sought(self, judge: Judge, start: Pose, covariance: Float, others: Sequence[Pose] = ()) -> Pose:
+    def start(self, body: Body, rig: Rig) -> None:
+        """It remembers nothing."""
+
+    def wanted_margin(self, past: Past, time: float) -> float | None:
+        """As far as the search reaches, after a gap."""
+        return self.reach if self._due(past, time) else None
+
+    def begin(self, memory: None, problem: Problem) -> Pose | None:
+        """Where the images show the body."""
+        if not self._due(problem.past, problem.frame.time) or not problem.views:
+            return None
+        seen = [moment.pose for moment in problem.past.seen][-1:]
+        with stage("search"):
+            judge = problem.judge(Posed(problem.body, problem.start))
+            return self.found(judge, problem.start, problem.spread, seen)
+
+    def revise(self, memory: None, problem: Problem, fit: Fit) -> tuple[Revision | None, None]:
+        """Nothing after the fit."""
+        return None, None
+
+    def _due(self, past: Past, time: float) -> bool:
+        """Whether images have been missing for longer than they do at the recording's own rate."""
+        usual = past.moments[-1].time - past.moments[-2].time if past.moving else 0.0
+        return past.started and time - past.seen_time > max(self.after, 1.5 * usual)
+
+    def found(self, judge: Judge, start: Pose, covariance: Float, others: Sequence[Pose] = ()) -> Pose:
         """The pose that the images favour.
 
         Args:
@@ -62,7 +94,7 @@ class ReacquireRule:
                 steps = [np.where(branch, other.minus(best), 0.0) for other in others]
                 for layer in layers:
                     steps.extend(layer * self._drawn(rng, covariance, branch))
-                    best, most = judged_best(judge, best, most, steps)
+                    best, most = best_of(judge, best, most, steps)
                     steps = []
         return best if most > self.gain else start
 
@@ -75,46 +107,9 @@ class ReacquireRule:
         return steps
 
 
-def judged_best(judge: Judge, best: Pose, most: float, steps: Sequence[Float]) -> tuple[Pose, float]:
-    """The best of a pose of evidence `most` and of those that steps (6 + J,) lead to from it, and its evidence."""
-    poses = [best.retract(step).within(judge.body.limits) for step in steps]
-    evidence = [judge.evidence(pose) for pose in poses]
-    k = int(np.argmax(evidence))
-    return (poses[k], evidence[k]) if evidence[k] > most else (best, most)
-
-
-def branches(body: Body) -> list[Bool]:
-    """Masks (6 + J,) of coordinates that carry the same ends of the body: the root's, then those of most ends first."""
-    root = np.arange(body.dof) < 6
-    return [root, *(mask for _, mask in _by_ends(body))]
-
-
-def limbs(body: Body) -> list[Bool]:
-    """Masks (6 + J,) of the coordinates of each limb: those that carry one and the same end of the body alone.
-
-    A hand whose fingers are jointed has many ends: then the fingers are the limbs, and the arm is none.
-    """
-    return [mask for ends, mask in _by_ends(body) if ends == 1]
-
-
-def _by_ends(body: Body) -> list[tuple[int, Bool]]:
-    """How many ends of the body each of its branches carries, and its mask (6 + J,); those of most ends first."""
-    carries = body.chain
-    ends = [s for s in range(len(carries)) if not any(_beyond(carries[t], carries[s]) for t in range(len(carries)))]
-    groups: dict[bytes, list[int]] = {}
-    for j, carried in enumerate(carries[ends].T):
-        groups.setdefault(carried.tobytes(), []).append(j)
-    return [(sum(key), np.isin(np.arange(body.dof) - 6, groups[key])) for key in sorted(groups, key=lambda k: -sum(k))]
-
-
 def _narrowed(covariance: Float, widest: float) -> Float:
     """The covariance (6 + J, 6 + J) with joints that stray less than `widest`, rad."""
     shares = np.ones(len(covariance))
     sd = np.sqrt(np.diag(covariance)[6:])
     shares[6:] = np.minimum(1.0, widest / np.maximum(sd, 1e-12))
     return covariance * np.outer(shares, shares)
-
-
-def _beyond(one: Bool, other: Bool) -> bool:
-    """Whether a segment hangs on another: all that moves the other moves it, and more."""
-    return bool(np.all(other <= one) and np.any(one & ~other))

@@ -1,10 +1,9 @@
-"""Predictors: where the body is expected in the next frame, and how sure that is."""
+"""The past poses, and how far motion strays from what they let one expect."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -14,8 +13,8 @@ from twistcap.body import Pose
 from twistcap.errors import InputError
 
 _JUMP = np.deg2rad(2.0)  # of a joint: more than a fit wavers
-
-PredictorName = Literal["constant_velocity", "hold", "flow", "motion"]
+REMEMBERED = 128
+"""Moments of the history."""
 
 
 @dataclass(frozen=True)
@@ -53,11 +52,11 @@ class MotionNoise:
         if not (self.allowance >= 0.0 and 0.0 <= self.memory <= 1.0):
             raise InputError("noise: allowance must be 0 or more, and memory from 0 to 1.")
 
-    def covariance(self, dof: int, dt: float, predictor: PredictorName, centre: Float) -> tuple[Float, Float]:
+    def covariance(self, dof: int, dt: float, predictor: str, centre: Float) -> tuple[Float, Float]:
         """(dof, dof) covariance of a prediction over dt seconds, and its inverse; the root turns about `centre`."""
         return covariance_about(self.variance(dof, dt, predictor), centre)
 
-    def variance(self, dof: int, dt: float, predictor: PredictorName) -> Float:
+    def variance(self, dof: int, dt: float, predictor: str) -> Float:
         """(dof,) of a prediction over dt seconds: turn (rad²) and shift (m²) of the root, joints (rad²)."""
         if predictor != "hold":
             joint, turn, shift = (a * dt * dt for a in (self.joint, self.turn, self.shift))
@@ -68,31 +67,40 @@ class MotionNoise:
         return variance
 
 
-class Leeway:
-    """How far one body may be from where it is predicted: as far as usual, farther while it strays more than that.
+@dataclass(frozen=True)
+class MotionSpread:
+    """How far one body may be from where it is predicted: as far as usual, farther while it moves more than that.
 
     Turn, shift and joints each have one measure: a limb that goes astray alone is not given more room for it.
+
+    Attributes:
+        noise: what is usual.
+        excess: (3,) mean squares of late of turn, shift and joints, in units of the usual variance.
     """
 
-    def __init__(self, noise: MotionNoise, dof: int) -> None:
-        self._noise, self._dof = noise, dof
-        self._strayed = np.zeros(3)  # of late: mean squares of turn, shift and joints, of the usual variance
+    noise: MotionNoise
+    excess: Float
 
-    def covariance(self, dt: float, predictor: PredictorName, centre: Float) -> tuple[Float, Float]:
+    @staticmethod
+    def usual(noise: MotionNoise) -> MotionSpread:
+        """Nothing has been seen yet."""
+        return MotionSpread(noise, np.zeros(3))
+
+    def covariance(self, dof: int, dt: float, predictor: str, centre: Float) -> tuple[Float, Float]:
         """(dof, dof) covariance of a prediction over dt seconds, and its inverse; the root turns about `centre`."""
-        more = np.maximum(1.0, self._noise.allowance**2 * self._strayed)
-        usual = self._noise.variance(self._dof, dt, predictor)
-        return covariance_about(usual * np.repeat(more, (3, 3, self._dof - 6)), centre)
+        more = np.maximum(1.0, self.noise.allowance**2 * self.excess)
+        usual = self.noise.variance(dof, dt, predictor)
+        return covariance_about(usual * np.repeat(more, (3, 3, dof - 6)), centre)
 
-    def learn(self, expected: Pose, found: Pose, dt: float, predictor: PredictorName) -> None:
-        """Take note of a pose that was found where another was expected, dt seconds after the one before."""
+    def learnt(self, expected: Pose, found: Pose, dt: float, predictor: str) -> MotionSpread:
+        """After a pose was found where another was expected, dt seconds after the one before."""
         if dt <= 0.0:
-            return
+            return self
         step = found.minus(expected)
         step[3:6] += np.cross(step[:3], expected.root[:3, 3])
-        ratios = step**2 / self._noise.variance(self._dof, dt, predictor)
+        ratios = step**2 / self.noise.variance(len(step), dt, predictor)
         means = np.array([part.mean() if len(part) else 0.0 for part in np.split(ratios, (3, 6))])
-        self._strayed += (1.0 - self._noise.memory) * (means - self._strayed)
+        return replace(self, excess=self.excess + (1.0 - self.noise.memory) * (means - self.excess))
 
 
 def covariance_about(variance: Float, centre: Float) -> tuple[Float, Float]:
@@ -125,11 +133,6 @@ def constant_velocity(history: Sequence[Moment], time: float, decay: float = np.
     return last.pose.retract(step)
 
 
-def predict(history: Sequence[Moment], time: float, predictor: PredictorName, decay: float = np.inf) -> Pose:
-    """The expected pose at `time`, but for what images say; see `constant_velocity` for `decay`."""
-    return history[-1].pose if predictor == "hold" else constant_velocity(history, time, decay)
-
-
 def jumped(last: Moment, jump: Float, pose: Pose) -> Moment:
     """The last moment where the present pose jumps (6 + J,) to another: it was off as well; joints that jumped rest."""
     joints = rested(last, pose, np.abs(jump[6:]) > _JUMP).pose.q
@@ -139,3 +142,45 @@ def jumped(last: Moment, jump: Float, pose: Pose) -> Moment:
 def rested(last: Moment, pose: Pose, which: Bool) -> Moment:
     """The last moment with some joints (J,) as in the present pose: how they came there is not known."""
     return replace(last, pose=Pose(last.pose.root, np.where(which, pose.q, last.pose.q)))
+
+
+@dataclass(frozen=True)
+class Past:
+    """What is known of the motion before a frame.
+
+    Attributes:
+        moments: poses, the latest last; before the first frame the given pose alone.
+        seen_time: s, when images last showed the body.
+        started: whether a frame has been tracked.
+        spread: how far the body is from where it is predicted.
+    """
+
+    moments: tuple[Moment, ...]
+    seen_time: float
+    started: bool
+    spread: MotionSpread
+
+    @property
+    def last(self) -> Pose:
+        """The latest pose."""
+        return self.moments[-1].pose
+
+    @property
+    def moving(self) -> bool:
+        """Whether there are two poses, which give a velocity."""
+        return len(self.moments) > 1
+
+    @property
+    def seen(self) -> tuple[Moment, ...]:
+        """The moments that images showed."""
+        return tuple(moment for moment in self.moments if moment.seen)
+
+    def advanced(self, moment: Moment) -> Past:
+        """With one more moment; the given first pose makes room for the first frame's."""
+        before = self.moments if self.started else ()
+        seen_time = moment.time if moment.seen else self.seen_time
+        return replace(self, moments=(*before, moment)[-REMEMBERED:], seen_time=seen_time, started=True)
+
+    def with_last(self, moment: Moment) -> Past:
+        """With another latest moment."""
+        return replace(self, moments=(*self.moments[:-1], moment))

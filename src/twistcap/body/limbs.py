@@ -1,0 +1,54 @@
+"""Limbs and branches: which coordinates move what hangs at the end of the body. The one definition of a limb."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twistcap._typing import Bool
+from twistcap.body.model import Body
+
+
+def branches(body: Body) -> list[Bool]:
+    """Masks (6 + J,) of coordinates that carry the same ends of the body: the root's, then those of most ends first."""
+    root = np.arange(body.dof) < 6
+    return [root, *(mask for _, mask in _by_ends(body))]
+
+
+def limbs(body: Body) -> list[Bool]:
+    """Masks (6 + J,) of the coordinates of each limb: those that carry one and the same end of the body alone.
+
+    A hand whose fingers are jointed has many ends: then the fingers are the limbs, and the arm is none.
+    """
+    return [mask for ends, mask in _by_ends(body) if ends == 1]
+
+
+def limb_parts(body: Body, limb: Bool) -> Bool:
+    """(S,) the segments that a limb's coordinates (6 + J,) move."""
+    return body.chain[:, limb[6:]].any(axis=1)
+
+
+def same_limb(body: Body, one: int, other: int) -> bool:
+    """Whether all coordinates that move one segment move the other one too, or the reverse."""
+    a, b = body.chain[one], body.chain[other]
+    return bool(np.all(a <= b) or np.all(b <= a))
+
+
+def segments_above(body: Body) -> Bool:
+    """(S, S) which segments each one hangs from: itself, and those above it up to the root, which is not among them."""
+    chain = body.chain
+    return np.all(chain <= chain[:, None], axis=2) & np.any(chain, axis=1)
+
+
+def _by_ends(body: Body) -> list[tuple[int, Bool]]:
+    """How many ends of the body each of its branches carries, and its mask (6 + J,); those of most ends first."""
+    carries = body.chain
+    ends = [s for s in range(len(carries)) if not any(_beyond(carries[t], carries[s]) for t in range(len(carries)))]
+    groups: dict[bytes, list[int]] = {}
+    for j, carried in enumerate(carries[ends].T):
+        groups.setdefault(carried.tobytes(), []).append(j)
+    return [(sum(key), np.isin(np.arange(body.dof) - 6, groups[key])) for key in sorted(groups, key=lambda k: -sum(k))]
+
+
+def _beyond(one: Bool, other: Bool) -> bool:
+    """Whether a segment hangs on another: all that moves the other moves it, and more."""
+    return bool(np.all(other <= one) and np.any(one & ~other))

@@ -1,0 +1,44 @@
+"""Prediction from training motion, as a predictor of the tracker."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from twistcap.body import Body
+from twistcap.camera import Rig
+from twistcap.cues.observation import Fit
+from twistcap.estimate import Frame
+from twistcap.motion.openloop import MotionPredictor
+from twistcap.predict import Prediction
+from twistcap.predict.history import Past
+from twistcap.stages import stage
+
+
+@dataclass(frozen=True)
+class TrainedMotion:
+    """Answers once two frames have been seen."""
+
+    motion: MotionPredictor
+    name: str = field(default="motion", init=False)
+
+    @property
+    def memory_type(self) -> Any:
+        """What its memory is, for saving."""
+        return self.motion.memory_type
+
+    def start(self, body: Body, rig: Rig) -> Any:
+        """No prediction is under way."""
+
+    def predict(self, memory: Any, past: Past, frame: Frame) -> tuple[Prediction | None, Any]:
+        """Where the training motion leads."""
+        if not past.started or len(past.seen) < 2:
+            return None, memory
+        with stage("motion"):
+            expected, memory = self.motion.predict(past.moments, frame.time, memory)
+        name = "constant_velocity" if expected.match is None else self.name
+        return Prediction(expected.pose, name, expected.covariance, expected.information), memory
+
+    def learn(self, memory: Any, fit: Fit, past: Past, frame: Frame) -> Any:
+        """Nothing: the past poses say it all."""
+        return memory

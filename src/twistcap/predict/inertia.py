@@ -1,0 +1,68 @@
+"""The motion between the last two frames goes on, or the body stays where it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from twistcap._typing import Float
+from twistcap.body import Body, Pose
+from twistcap.camera import Rig
+from twistcap.cues.observation import Fit
+from twistcap.estimate import Frame
+from twistcap.predict import Prediction
+from twistcap.predict.history import MotionNoise, Past, constant_velocity
+
+DECAY = 0.2
+"""s in which joint velocities die away, so that a limb that nothing shows comes to rest."""
+INFLATION = 5.0
+"""Factor on every claimed standard deviation: image samples are not independent, and no body is exact. Set on studio
+captures with truth (docs/concepts/covariance.md)."""
+
+
+@dataclass(frozen=True)
+class Inertia:
+    """Constant velocity; it always answers.
+
+    Attributes:
+        hold: whether the body is expected to stay where it is instead.
+        first_sigma_deg, first_sigma_m: how far the given first pose may be off (joints and root turn; root place).
+    """
+
+    hold: bool = False
+    first_sigma_deg: float = 1.0
+    first_sigma_m: float = 0.005
+    name: str = field(default="inertia", init=False)
+
+    def start(self, body: Body, rig: Rig) -> None:
+        """Nothing is remembered beside the past poses."""
+
+    def predict(self, memory: None, past: Past, frame: Frame) -> tuple[Prediction, None]:
+        """The pose at the frame's time."""
+        return self.prediction(self.pose(past, frame.time), past, frame.time, self.kind(past)), None
+
+    def learn(self, memory: None, fit: Fit, past: Past, frame: Frame) -> None:
+        """Nothing."""
+
+    def pose(self, past: Past, time: float) -> Pose:
+        """Where the body is expected."""
+        return past.last if self.hold else constant_velocity(past.moments, time, DECAY)
+
+    def kind(self, past: Past) -> str:
+        """Which noise the prediction has: one pose alone has no velocity."""
+        return "hold" if self.hold or not past.moving else "constant_velocity"
+
+    def prediction(self, pose: Pose, past: Past, time: float, name: str) -> Prediction:
+        """A prediction at a pose, with the spread of this one."""
+        covariance, information = self._spread(pose, past, time)
+        return Prediction(pose, name, INFLATION**2 * covariance, information)
+
+    def _spread(self, pose: Pose, past: Past, time: float) -> tuple[Float, Float]:
+        """Covariance of the prediction, or of the given first pose, and its inverse."""
+        dof, centre = 6 + len(pose.q), pose.root[:3, 3]
+        if not past.started:
+            turn = float(np.deg2rad(self.first_sigma_deg))
+            given = MotionNoise(joint_speed=turn, turn_speed=turn, shift_speed=self.first_sigma_m)
+            return given.covariance(dof, 1.0, "hold", centre)
+        return past.spread.covariance(dof, time - past.seen_time, self.kind(past), centre)  # open-loop through gaps

@@ -1,0 +1,44 @@
+"""What can be added by name: our own, and what installed packages offer as entry points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import Any
+
+from twistcap.errors import InputError
+
+
+@dataclass(frozen=True)
+class Registry:
+    """Makers of one kind of thing, by name.
+
+    Attributes:
+        kind: what they make, for messages.
+        group: the group of entry points in which installed packages offer more.
+        own: name to ``module:attribute``, imported when it is first asked for.
+    """
+
+    kind: str
+    group: str
+    own: Mapping[str, str]
+
+    def names(self) -> tuple[str, ...]:
+        """All that there are."""
+        return (*self.own, *(point.name for point in entry_points(group=self.group) if point.name not in self.own))
+
+    def get(self, name: str) -> Callable[..., Any]:
+        """The maker of a name.
+
+        Raises:
+            InputError: for a name that nobody has registered.
+        """
+        if name in self.own:
+            module, attribute = self.own[name].split(":")
+            return getattr(import_module(module), attribute)
+        for point in entry_points(group=self.group):
+            if point.name == name:
+                return point.load()
+        raise InputError(f"there is no {self.kind} {name!r}; choose one of {', '.join(self.names()) or 'none'}.")

@@ -1,0 +1,41 @@
+"""The tracker: a pure step from one frame to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from twistcap.body import Pose
+from twistcap.estimate import Estimate, Frame
+from twistcap.settings import Settings
+from twistcap.track.build import build
+from twistcap.track.model import Model
+from twistcap.track.state import State
+from twistcap.track.step import step
+
+__all__ = ["Model", "Settings", "State", "Tracker", "build", "step", "track"]
+
+
+class Tracker:
+    """A model and the state that it has reached, for those who go frame by frame."""
+
+    def __init__(self, model: Model) -> None:
+        self.model = model
+        self.state = model.start(Pose.rest(model.body))
+
+    def start(self, pose: Pose, time: float = 0.0) -> None:
+        """Take the pose from which the first frame is tracked."""
+        self.state = self.model.start(pose, time)
+
+    def step(self, frame: Frame) -> Estimate:
+        """Track one frame."""
+        self.state, estimate = step(self.state, frame, self.model)
+        return estimate
+
+
+def track(frames: Iterable[Frame], model: Model, first_pose: Pose) -> Iterator[Estimate]:
+    """Track a body through frames, one estimate each."""
+    tracker = Tracker(model)
+    for k, frame in enumerate(frames):
+        if k == 0:
+            tracker.start(first_pose, frame.time)
+        yield tracker.step(frame)

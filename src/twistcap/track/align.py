@@ -1,0 +1,216 @@
+"""One frame as a least-squares problem: correspond and update in turn, until the body has settled."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from twistcap._typing import Float
+from twistcap.body import Body, Pose, Posed
+from twistcap.cues.appearance import Appearance
+from twistcap.cues.observation import (
+    Alternation,
+    Fit,
+    Level,
+    Measured,
+    Sight,
+    Visibility,
+    contour_moved,
+    total_agreement,
+)
+from twistcap.cues.view import View
+from twistcap.estimate import Frame
+from twistcap.predict.history import Past
+from twistcap.predict.inertia import INFLATION
+from twistcap.render import render, reprojected, visible_contour
+from twistcap.search.judge import Judge, judge_of
+from twistcap.solve import covariance, inverse, least_squares, linearized
+from twistcap.stages import stage
+from twistcap.terms import Quadratic, Term
+from twistcap.track.model import Model
+from twistcap.track.state import State
+
+
+@dataclass(frozen=True)
+class FrameProblem:
+    """One frame of a track.
+
+    Attributes:
+        model, state, frame: what is tracked, what is known, what is seen.
+        start: where the body is expected, and the fit starts.
+        spread: (6 + J, 6 + J) covariance of the step from there to the truth.
+        information: (6 + J, 6 + J) with which the pose is drawn there.
+        views: the images about it, by camera.
+        trust: how far the images are believed, 0 … 1.
+    """
+
+    model: Model
+    state: State
+    frame: Frame
+    start: Pose
+    spread: Float
+    information: Float
+    views: Mapping[int, View]
+    trust: float = 1.0
+
+    @property
+    def body(self) -> Body:
+        return self.model.body
+
+    @property
+    def past(self) -> Past:
+        return self.state.past
+
+    @property
+    def trusted(self) -> bool:
+        return self.trust == 1.0
+
+    def judge(self, posed: Posed, margin: float | None = None) -> Judge:
+        """See `search.Problem`."""
+        views = self.views if margin is None else self._around(posed.pose, margin)
+        known = self.state.cues["contour"]
+        assert isinstance(known, Appearance)
+        colours = [known.of(i, view.features.shape[2]) for i, view in views.items()]
+        return judge_of(self.model.judge, list(views.values()), colours, posed)
+
+    def align(self, pose: Pose, crop: bool = False) -> Fit:
+        """See `search.Problem`."""
+        views = self._around(pose, self.model.margin) if crop else self.views
+        return align(replace(self, start=pose, views=views))
+
+    def measured(self, pose: Pose) -> Fit:
+        """See `search.Problem`."""
+        return alternated(replace(self, start=pose), self.unfitted(pose), self.model.schedule.fine_level, steps=0)
+
+    def in_sight(self, fit: Fit) -> Float:
+        """See `search.Problem`."""
+        rule = self.model.occlusion
+        if rule is None:
+            return np.ones(len(self.body.segment_names))
+        return rule.in_sight(fit.agreement, fit.visibility.occluded)
+
+    def covariance(self, fit: Fit) -> Float:
+        """What is reported of a fit: with what the priors claim added, once; it does not go on to the next frame."""
+        return with_claims(self.model, fit.posed, self.posterior(fit))
+
+    def posterior(self, fit: Fit) -> Float:
+        """Covariance of a fit: what this frame's images add to what was known, as a Kalman filter would have it.
+
+        A limb that nothing shows grows less certain from frame to frame. Where the solve failed, only that happens.
+        """
+        if fit.status == "failed" or (known := self._known) is None:
+            return self._before
+        # What stands in every frame is no news of this one: taken in anew in every frame it would add up.
+        news = fit.quadratic.hessian - linearized(fit.standing, fit.before).hessian
+        scale = INFLATION**2 / self.trust
+        return covariance(Quadratic(0.0, np.zeros(len(known)), news / scale + known))
+
+    @cached_property
+    def _before(self) -> Float:
+        return self.state.covariance + self.spread
+
+    @cached_property
+    def _known(self) -> Float | None:
+        return inverse(self._before)
+
+    def _around(self, pose: Pose, margin: float) -> Mapping[int, View]:
+        """The same cameras' images about another pose."""
+        return {i: view for i, view in self.model.views(self.frame, pose, margin).items() if i in self.views}
+
+    def unfitted(self, pose: Pose) -> Fit:
+        """A pose of which nothing has been measured yet."""
+        occluded = self.state.occluded
+        return Fit.started(Posed(self.body, pose), Visibility(occluded, np.zeros_like(occluded)))
+
+
+def with_claims(model: Model, posed: Posed, known: Float) -> Float:
+    """A covariance (6 + J, 6 + J) with what the priors claim of a pose."""
+    claims = [claim for prior in model.priors if (claim := prior.claimed(posed)) is not None]
+    if not claims or (information := inverse(known)) is None:
+        return known
+    return covariance(Quadratic(0.0, np.zeros(len(known)), sum(claims, information)))
+
+
+def align(problem: FrameProblem) -> Fit:
+    """Correspond and update in turn: fine where the prediction was good, else coarse until it settles."""
+    model, state, schedule = problem.model, problem.state, problem.model.schedule
+    fit, fine, started = problem.unfitted(problem.start), schedule.first, state.past.started
+    if started:
+        fit, fine = alternated(problem, fit, schedule.fine_level), schedule.fine - 1
+    if model.occlusion is not None:
+        fit = replace(fit, visibility=model.occlusion.after(fit.visibility, fit.measured, model.body))
+    slipped = model.support.slipped(state.support, fit.agreement, schedule.slip)
+    if not started or fit.visibility.reappeared.any() or fit.moved > schedule.surprise or slipped:
+        for _ in range(schedule.coarse_rounds):
+            fit = alternated(problem, fit, schedule.coarse_level)
+            if fit.moved <= schedule.settled:
+                break
+        fine = schedule.fine if started else schedule.first
+    for _ in range(fine):
+        fit = alternated(problem, fit, schedule.fine_level)
+    if fit.status == "failed":
+        return fit
+    return replace(fit, status="converged" if fit.moved < schedule.settled else "max_iterations")
+
+
+def alternated(problem: FrameProblem, fit: Fit, level: Level, steps: int = 1) -> Fit:
+    """One alternation: the body is rendered anew where it has moved, else its contour is carried along; then a step."""
+    model, posed = problem.model, fit.posed
+    again = not fit.sights or fit.drift > model.schedule.render_after
+    carried: Sequence[Sight | None] = [None] * len(problem.views) if again else fit.sights
+    looked = [_looked(problem, posed, i, s, level) for i, s in zip(problem.views, carried, strict=True)]
+    sights, measured = [sight for sight, _ in looked], [found for _, found in looked]
+    standing, news = _prior_terms(problem, fit, measured)
+    masked = _masked(model, measured, fit.visibility)
+    terms = [*standing, *news, *(evidence.term for found in masked for evidence in found.values())]
+    with stage("solve"):
+        result = least_squares(posed, terms, steps=steps)
+    moved = contour_moved(sights, result.posed)
+    return Fit(
+        result.posed, result.status, fit.steps + result.steps, result.energies, result.quadratic, posed,
+        fit.visibility, standing, sights, measured, moved, moved if again else fit.drift + moved,
+    )  # fmt: skip
+
+
+def _masked(model: Model, measured: Sequence[Measured], visibility: Visibility) -> Sequence[Measured]:
+    if model.occlusion is None:
+        return measured
+    parts = len(model.body.segment_names)
+    return [model.occlusion.masked(found, visibility, parts) for found in measured]
+
+
+def _looked(
+    problem: FrameProblem, posed: Posed, camera: int, before: Sight | None, level: Level
+) -> tuple[Sight, Measured]:
+    """One camera's sight of the body, new or carried along, and what the cues measure in it."""
+    if before is None:
+        sight = _sight(posed, camera, problem.views[camera], problem.model.schedule.contour_spacing)
+    else:
+        sight = replace(before, contour=reprojected(before.contour, posed, before.view.camera.P))
+    found = {cue.name: cue.measure(sight, problem.state.cues[cue.name], level) for cue in problem.model.cues}
+    return sight, {name: evidence for name, evidence in found.items() if evidence is not None}
+
+
+def _sight(posed: Posed, camera: int, view: View, spacing_m: float) -> Sight:
+    with stage("render"):
+        seen = render(posed, view.camera)
+    with stage("contour"):
+        return Sight(camera, view, seen, visible_contour(seen, max(1.0, spacing_m * seen.px_per_m)))
+
+
+def _prior_terms(problem: FrameProblem, fit: Fit, measured: Sequence[Measured]) -> tuple[list[Term], list[Term]]:
+    """Terms of the priors: those that stand in every frame, and those that bring news."""
+    known, concealed = np.ones(problem.body.dof - 6), 0.0
+    if (rule := problem.model.occlusion) is not None:
+        agreement = total_agreement(measured, len(problem.body.segment_names))
+        known = rule.known(agreement, fit.visibility.occluded, problem.body)
+        concealed = rule.concealed(agreement, fit.visibility.occluded)
+    samples = sum(evidence.samples for found in measured for evidence in found.values())
+    now = Alternation(fit.posed, problem.start, problem.information, problem.frame, samples, known, concealed)
+    standing, news = list[Term](), list[Term]()
+    for prior in problem.model.priors:
+        (news if prior.news else standing).extend(prior.terms(now))
+    return standing, news

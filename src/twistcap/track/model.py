@@ -1,0 +1,84 @@
+"""What stays the same from frame to frame: the body, the cameras, and the lists of what tracks it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from twistcap._typing import AnyArray
+from twistcap.body import Body, Pose, Posed
+from twistcap.camera import Rig
+from twistcap.cues import Cue
+from twistcap.cues.view import View, crop_view
+from twistcap.estimate import Frame
+from twistcap.features import Channels
+from twistcap.predict import MotionNoise, MotionSpread, Predictor
+from twistcap.predict.history import Moment, Past
+from twistcap.priors import Prior
+from twistcap.search import Search
+from twistcap.search.judge import JudgeRule
+from twistcap.track.schedule import Schedule
+from twistcap.track.state import State
+from twistcap.track.visibility import OcclusionRule, SupportRule
+
+
+@dataclass(frozen=True)
+class Model:
+    """A body before cameras, and how it is tracked. Lists are asked in their order.
+
+    Attributes:
+        body: that is tracked.
+        rig: (pinhole) cameras of the rectified images.
+        cues: evidence in the images.
+        predictors: the first that answers is believed; the last one always answers.
+        priors: what is known beside the images.
+        searches: where else the body may be.
+        schedule: how often the images are looked at, and how coarsely.
+        occlusion: when the information about a part that is not in sight is taken out; None: never.
+        support: when a track counts as lost.
+        judge: how searches compare poses.
+        noise: how far bodies are from where they are predicted.
+        channels: what region statistics look at.
+        despeckle: px across of a median filter of all images.
+        margin: m about the expected body within which images are looked at.
+        learn_every: frames from one lesson of the cues to the next.
+    """
+
+    body: Body
+    rig: Rig
+    cues: tuple[Cue, ...]
+    predictors: tuple[Predictor, ...]
+    priors: tuple[Prior, ...]
+    searches: tuple[Search, ...] = ()
+    schedule: Schedule = field(default_factory=Schedule)
+    occlusion: OcclusionRule | None = None
+    support: SupportRule = field(default_factory=SupportRule)
+    judge: JudgeRule = field(default_factory=JudgeRule)
+    noise: MotionNoise = field(default_factory=MotionNoise)
+    channels: Channels = "lab"
+    despeckle: int = 1
+    margin: float = 0.15
+    learn_every: int = 3
+
+    def start(self, pose: Pose, time: float = 0.0) -> State:
+        """The state before the first frame, which is tracked from a given pose."""
+        body, parts = self.body, len(self.body.segment_names)
+        past = Past((Moment(time, pose),), time, False, MotionSpread.usual(self.noise))
+        lists = self.cues, self.predictors, self.searches
+        cues, predictors, searches = ({one.name: one.start(body, self.rig) for one in ones} for ones in lists)
+        zero = np.zeros((body.dof, body.dof))
+        return State(past, zero, np.ones(parts), np.zeros(parts, np.bool_), 0, cues, predictors, searches)
+
+    def views(self, frame: Frame, pose: Pose, margin: float | None = None) -> Mapping[int, View]:
+        """The images about a pose, by camera; a dropped image is simply not there."""
+        posed, out = Posed(self.body, pose), dict[int, View]()
+        for i, image in enumerate(frame.images):
+            view = None if image is None else self._view(image, i, posed, margin)
+            if view is not None:
+                out[i] = view
+        return out
+
+    def _view(self, image: AnyArray, camera: int, posed: Posed, margin: float | None) -> View | None:
+        return crop_view(image, self.rig[camera], posed, self.margin if margin is None else margin, self.channels)

@@ -1,0 +1,137 @@
+"""A state as bytes, and back: frozen values of arrays, numbers and words, nested as they are.
+
+What a value is made of is told by its own annotations, never by the file: reading builds nothing but the types that
+the model's own `start` and their fields name. Bodies are not written; they are the model's.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import types
+import zipfile
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from twistcap._typing import AnyArray, UInt8
+from twistcap.body import Body, Pose, Posed
+from twistcap.errors import InputError
+from twistcap.track.model import Model
+from twistcap.track.state import State
+
+_DAMAGE = (
+    OSError, EOFError, ValueError, TypeError, KeyError, IndexError, AttributeError, zipfile.BadZipFile,
+)  # fmt: skip
+_MEMORIES = ("cues", "predictors", "searches")
+
+
+def to_bytes(state: State) -> UInt8:
+    """(N,) bytes of a state, with checksums."""
+    arrays: list[AnyArray] = []
+    layout = _packed(state, arrays)
+    buffer = io.BytesIO()
+    text = np.frombuffer(json.dumps(layout, allow_nan=True).encode(), np.uint8)
+    np.savez(buffer, layout=text, **{str(k): array for k, array in enumerate(arrays)})
+    return np.frombuffer(buffer.getvalue(), np.uint8)
+
+
+def from_bytes(data: UInt8, model: Model) -> State:
+    """The state of a model that `to_bytes` wrote.
+
+    Raises:
+        InputError: for bytes that are damaged, or of another model.
+    """
+    try:
+        with np.load(io.BytesIO(data.tobytes()), allow_pickle=False) as file:
+            layout = json.loads(file["layout"].tobytes())
+            arrays = [file[str(k)] for k in range(len(file.files) - 1)]
+        return _Reader(arrays, model.body).state(layout, model)
+    except _DAMAGE as error:
+        raise InputError("the stored state of the track is damaged or of other settings; track anew.") from error
+
+
+def _packed(value: Any, arrays: list[AnyArray]) -> Any:
+    """JSON of a value, its arrays put aside."""
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray):
+        arrays.append(value)
+        return {"array": len(arrays) - 1}
+    if isinstance(value, Posed):
+        return _packed(value.pose, arrays)
+    if isinstance(value, tuple | list):
+        return [_packed(item, arrays) for item in value]
+    if isinstance(value, Mapping):
+        return {"items": [[_packed(k, arrays), _packed(v, arrays)] for k, v in value.items()]}
+    if is_dataclass(value):
+        return {f.name: _packed(getattr(value, f.name), arrays) for f in fields(value) if not f.name.startswith("_")}
+    raise TypeError(f"a {type(value).__name__} cannot be stored; make memories of dataclasses, arrays and numbers.")
+
+
+class _Reader:
+    """Builds values from what `_packed` made, by annotation."""
+
+    def __init__(self, arrays: list[AnyArray], body: Body) -> None:
+        self.arrays, self.body = arrays, body
+
+    def state(self, layout: Mapping[str, Any], model: Model) -> State:
+        """The state; the memories' types are those that their owners annotate."""
+        hints, values = get_type_hints(State), dict[str, Any]()
+        for name, packed in layout.items():
+            if name in _MEMORIES:
+                stored = dict(packed["items"])
+                owners = {owner.name: owner for owner in getattr(model, name)}
+                if stored.keys() != owners.keys():
+                    raise ValueError("the model has other parts")
+                values[name] = {key: self.read(memory_type(owners[key]), stored[key]) for key in owners}
+            else:
+                values[name] = self.read(hints[name], packed)
+        return State(**values)
+
+    def read(self, kind: Any, packed: Any) -> Any:
+        """A value of an annotated type."""
+        origin, arguments = get_origin(kind), get_args(kind)
+        if isinstance(kind, str) or kind is Any:
+            raise TypeError("a memory's fields must say their types")
+        if origin is np.ndarray or kind is np.ndarray:
+            return self.arrays[packed["array"]]
+        if origin in (Union, types.UnionType):
+            return None if packed is None else self._one_of([k for k in arguments if k is not type(None)], packed)
+        if origin is tuple:
+            kinds = [arguments[0]] * len(packed) if arguments[-1] is Ellipsis else arguments
+            return tuple(self.read(k, item) for k, item in zip(kinds, packed, strict=True))
+        if isinstance(origin, type) and issubclass(origin, Mapping):
+            return {self.read(arguments[0], k): self.read(arguments[1], v) for k, v in packed["items"]}
+        return self._plain(kind, origin, packed)
+
+    def _plain(self, kind: Any, origin: Any, packed: Any) -> Any:
+        if kind is type(None) or kind is None:
+            return None
+        if kind is Posed:
+            return Posed(self.body, self.read(Pose, packed))
+        if is_dataclass(kind):
+            hints = get_type_hints(kind)
+            known = {f.name: f.init for f in fields(kind)}
+            return kind(**{k: self.read(hints[k], v) for k, v in packed.items() if known[k]})
+        if kind in (int, float, str, bool):
+            return kind(packed)
+        if origin is Literal:
+            return packed
+        raise TypeError(f"{kind} cannot be read")
+
+    def _one_of(self, kinds: list[Any], packed: Any) -> Any:
+        if len(kinds) != 1:
+            raise TypeError("of a union of several types none can be chosen")
+        return self.read(kinds[0], packed)
+
+
+def memory_type(owner: Any) -> Any:
+    """The type of the memory of a cue, predictor or search: what its `start` is annotated to return, or it says."""
+    if hasattr(owner, "memory_type"):
+        return owner.memory_type
+    return get_type_hints(type(owner).start)["return"]

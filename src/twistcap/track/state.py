@@ -1,0 +1,37 @@
+"""Everything that the next frame depends on, as one frozen value."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from twistcap._typing import Bool, Float
+from twistcap.predict.history import Past
+
+
+@dataclass(frozen=True)
+class State:
+    """A track between two frames. It is written to the result file; `step` makes the next one and changes nothing.
+
+    Attributes:
+        past: poses, and how far the body is from where it is predicted.
+        covariance: (6 + J, 6 + J) of the last pose's step, of what images and motion say; no pose prior is in it.
+        support: (S,) running fraction of each part's contour points that agree with the images.
+        occluded: (S,) parts that no view shows.
+        learned: frames that have been learned from.
+        cues, predictors, searches: their memories, by name.
+    """
+
+    past: Past
+    covariance: Float
+    support: Float
+    occluded: Bool
+    learned: int
+    cues: Mapping[str, Any]
+    predictors: Mapping[str, Any]
+    searches: Mapping[str, Any]
+
+    def with_past(self, past: Past) -> State:
+        """With other poses."""
+        return replace(self, past=past)

@@ -1,0 +1,130 @@
+"""One frame: (state, frame, model) to (state, estimate). Nothing is changed in place."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from twistcap._typing import Bool
+from twistcap.cues.observation import Fit
+from twistcap.cues.view import despeckled
+from twistcap.estimate import Estimate, Frame
+from twistcap.predict import Prediction
+from twistcap.predict.history import Moment, Past, jumped
+from twistcap.stages import next_frame, stage
+from twistcap.track.align import FrameProblem, align, with_claims
+from twistcap.track.model import Model
+from twistcap.track.state import State
+
+
+def step(state: State, frame: Frame, model: Model) -> tuple[State, Estimate]:
+    """Track one frame.
+
+    Raises:
+        InputError: for an image with a value that is not finite.
+    """
+    next_frame()
+    frame = despeckled(frame, model.despeckle)
+    prediction, state = predicted(state, frame, model)
+    problem = posed_problem(state, frame, model, prediction)
+    if not problem.views and frame.keypoints is None:
+        return unseen(problem, prediction)
+    problem = begun(problem)
+    fit = align(problem)
+    if prediction.name == "motion" and frame.keypoints is None:
+        problem = doubted(problem, fit)
+        if problem.trust == 0.0:
+            return unseen(problem, prediction)
+        fit = fit if problem.trusted else align(problem)
+    problem, fit, jump = searched(problem, fit)
+    return learned(problem, fit, prediction, jump)
+
+
+def predicted(state: State, frame: Frame, model: Model) -> tuple[Prediction, State]:
+    """What the first predictor that answers expects."""
+    memories = dict(state.predictors)
+    for predictor in model.predictors:
+        found, memories[predictor.name] = predictor.predict(memories[predictor.name], state.past, frame)
+        if found is not None:
+            return found, replace(state, predictors=memories)
+    raise ValueError("model: the last predictor must always answer.")
+
+
+def posed_problem(state: State, frame: Frame, model: Model, prediction: Prediction) -> FrameProblem:
+    """The frame as a problem, with the images about the expected body, or as far about it as a search wants to look."""
+    wanted = [m for s in model.searches if (m := s.wanted_margin(state.past, frame.time)) is not None]
+    views = model.views(frame, prediction.pose, max(wanted, default=None))
+    return FrameProblem(model, state, frame, prediction.pose, prediction.covariance, prediction.information, views)
+
+
+def begun(problem: FrameProblem) -> FrameProblem:
+    """The problem, starting where a search has found the body."""
+    for search in problem.model.searches:
+        pose = search.begin(problem.state.searches[search.name], problem)
+        if pose is not None:
+            last = jumped(problem.past.moments[-1], pose.minus(problem.start), pose)  # a jump is no velocity
+            return replace(problem, start=pose, state=problem.state.with_past(problem.past.with_last(last)))
+    return problem
+
+
+def doubted(problem: FrameProblem, fit: Fit) -> FrameProblem:
+    """The problem with images believed as far as the body agrees with them; the prediction counts for more instead."""
+    trust = problem.model.support.trust(fit.agreement)
+    if trust == 0.0:
+        return replace(problem, trust=trust)
+    return replace(problem, trust=trust, information=problem.information / trust)
+
+
+def searched(problem: FrameProblem, fit: Fit) -> tuple[FrameProblem, Fit, bool]:
+    """The best of the fit and what the searches find, and whether the body has jumped there."""
+    memories, jump = dict(problem.state.searches), False
+    for search in problem.model.searches:
+        with stage("search"):
+            revision, memories[search.name] = search.revise(memories[search.name], problem, fit)
+        if revision is not None:
+            fit, jump = revision.fit, jump or revision.jumped
+            past = problem.past.with_last(revision.last)
+            problem = replace(problem, state=problem.state.with_past(past))
+    return replace(problem, state=replace(problem.state, searches=memories)), fit, jump
+
+
+def learned(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool) -> tuple[State, Estimate]:
+    """The state after a frame, and its estimate."""
+    model, state, frame = problem.model, problem.state, problem.frame
+    lesson = model.learn_every if state.learned % model.learn_every == 0 else 0
+    with stage("remember"):
+        cues = {cue.name: cue.learn(state.cues[cue.name], fit, lesson) for cue in model.cues}
+    past = _advanced(problem, fit, prediction, jump)
+    predictors = {p.name: p.learn(state.predictors[p.name], fit, past, frame) for p in model.predictors}
+    support = model.support.updated(state.support, fit.agreement)
+    posterior = problem.posterior(fit)
+    after = State(past, posterior, support, _occluded(model, fit), state.learned + 1, cues, predictors, state.searches)
+    least, claimed = float(support.min()), with_claims(model, fit.posed, posterior)
+    return after, Estimate(
+        frame.index, frame.time, fit.pose, claimed, fit.energies, fit.status, fit.steps, least < model.support.least,
+        least, prediction.name,
+    )  # fmt: skip
+
+
+def _advanced(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool) -> Past:
+    """The past with this frame, and with what it says of how far bodies are from where they are predicted."""
+    past, time = problem.past, problem.frame.time
+    if past.started and not jump and prediction.name != "motion":
+        kind = "constant_velocity" if past.moving and prediction.name != "hold" else "hold"
+        past = replace(past, spread=past.spread.learnt(prediction.pose, fit.pose, time - past.seen_time, kind))
+    return past.advanced(Moment(time, fit.pose))
+
+
+def _occluded(model: Model, fit: Fit) -> Bool:
+    """(S,) parts that no view shows now."""
+    before, rule = fit.visibility.occluded, model.occlusion
+    return before if rule is None else before | rule.now_occluded(before, fit.agreement, model.body)
+
+
+def unseen(problem: FrameProblem, prediction: Prediction) -> tuple[State, Estimate]:
+    """A frame that shows nothing: the estimate is the prediction."""
+    frame, pose = problem.frame, prediction.pose
+    after = problem.state.with_past(problem.past.advanced(Moment(frame.time, pose, seen=False)))
+    claimed = problem.state.covariance + problem.spread
+    return after, Estimate(
+        frame.index, frame.time, pose, claimed, {}, "no_images", support=0.0, predicted=prediction.name
+    )

@@ -1,0 +1,147 @@
+"""The state is all that a frame depends on: it is saved and restored, and what was tried in vain leaves no trace."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields, is_dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from twistcap.body import Posed
+from twistcap.errors import InputError
+from twistcap.estimate import Estimate, Frame
+from twistcap.motion import MotionLibrary
+from twistcap.motion.library import unwrapped
+from twistcap.priors import ParzenPrior
+from twistcap.search.uncertain import UncertainLimbs
+from twistcap.studio import Capture, StudioConfig, capture
+from twistcap.studio.subjects import walks_of_another
+from twistcap.track import Model, Settings, State, build, step
+from twistcap.track.saving import from_bytes, to_bytes
+
+
+def same(one: Any, other: Any) -> bool:
+    """Whether two values are equal to the last bit, all that is in them included."""
+    if isinstance(one, np.ndarray):
+        return (
+            isinstance(other, np.ndarray)
+            and one.dtype == other.dtype
+            and np.array_equal(one, other, equal_nan=one.dtype.kind == "f")
+        )
+    if isinstance(one, Posed):
+        return same(one.pose, other.pose)
+    if is_dataclass(one) and not isinstance(one, type):
+        names = [f.name for f in fields(one) if not f.name.startswith("_")]
+        return type(one) is type(other) and all(same(getattr(one, n), getattr(other, n)) for n in names)
+    if isinstance(one, dict):
+        return one.keys() == other.keys() and all(same(one[k], other[k]) for k in one)
+    if isinstance(one, tuple):
+        return len(one) == len(other) and all(map(same, one, other))
+    return bool(one == other) or (one != one and other != other)
+
+
+@cache
+def scene(views: int) -> tuple[Capture, tuple[Frame, ...]]:
+    """A walk with frames that all cameras miss."""
+    made = capture(StudioConfig(seed=6, views=views, frames=18, dropped=((5, 11),), fps=30.0))
+    return made, tuple(made.frames())
+
+
+@cache
+def library() -> MotionLibrary:
+    walk = capture(StudioConfig(seed=9, frames=150, fps=30.0))
+    q = unwrapped(np.array([pose.q for pose in walk.true_poses]))
+    roots = np.array([pose.root for pose in walk.true_poses])
+    ends = np.array([0, len(q)], np.int32)
+    return MotionLibrary(walk.true_body.coordinate_names, 30.0, ("walk",), ends, q.astype(np.float32), roots)
+
+
+def model_of(kind: str, made: Capture) -> Model:
+    """A tracker with every search on, of one kind."""
+    if kind == "prior":
+        samples = walks_of_another(made.body, 7)
+        return build(made.body, made.rig, prior=ParzenPrior.trained(made.body.coordinate_names, samples))
+    if kind in ("followed", "guarded"):
+        return build(made.body, made.rig, Settings(predictor="motion", motion=kind), motions=library())  # type: ignore[arg-type]
+    return build(
+        made.body,
+        made.rig,
+        {"direct": None, "levelset": Settings(method="levelset"), "flow": Settings(predictor="flow")}[kind],
+    )
+
+
+def tracked(state: State, frames: Sequence[Frame], model: Model) -> tuple[State, list[Estimate]]:
+    out: list[Estimate] = []
+    for frame in frames:
+        state, estimate = step(state, frame, model)
+        out.append(estimate)
+    return state, out
+
+
+@pytest.mark.parametrize(
+    ("kind", "views"),
+    [("direct", 4), ("direct", 2), ("levelset", 2), ("prior", 2), ("flow", 2), ("followed", 2), ("guarded", 2)],
+)
+def test_a_track_that_goes_on_from_any_frame_is_the_undisturbed_one(kind: str, views: int) -> None:
+    made, frames = scene(views)
+    model, state = model_of(kind, made), None
+    states = [model.start(made.first_pose)]
+    whole: list[Estimate] = []
+    for frame in frames:
+        state, estimate = step(states[-1], frame, model)
+        states.append(state)
+        whole.append(estimate)
+    again = model_of(kind, made)
+    for k in range(0, len(frames), 1 if kind == "direct" else 4):
+        restored = from_bytes(to_bytes(states[k]), again)
+        assert same(restored, states[k]), k
+        end, rest = tracked(restored, frames[k : k + 3], again)
+        assert same(tuple(rest), tuple(whole[k : k + 3])), k
+        assert same(end, states[min(k + 3, len(frames))]), k
+
+
+def test_a_step_changes_nothing_in_place() -> None:
+    made, frames = scene(2)
+    model = build(made.body, made.rig)
+    state, _ = tracked(model.start(made.first_pose), frames[:4], model)
+    before = to_bytes(state)
+    first, second = step(state, frames[4], model), step(state, frames[4], model)
+    assert np.array_equal(before, to_bytes(state))
+    assert same(first, second)
+
+
+def test_a_rejected_hypothesis_leaves_no_trace() -> None:
+    """The whole state is the same whether hypotheses were tried and rejected, or none was tried."""
+    made, frames = scene(2)
+    samples = walks_of_another(made.body, 7)
+    prior = ParzenPrior.trained(made.body.coordinate_names, samples)
+    plain = build(made.body, made.rig, prior=prior)
+
+    def with_search(eager: bool) -> Model:
+        # Every frame tries all limbs, however sure; nothing can win. The other never tries.
+        search = UncertainLimbs(least_sd=0.0 if eager else np.inf, every=1, promising=-np.inf, margin=np.inf)
+        return replace(plain, searches=(search,))
+
+    ends = [tracked(m.start(made.first_pose), frames, m) for m in (with_search(True), with_search(False))]
+    (tried, tried_estimates), (never, never_estimates) = ends
+    assert same(tuple(tried_estimates), tuple(never_estimates))
+    assert same(replace(tried, searches={}), replace(never, searches={}))
+
+
+@pytest.mark.parametrize("harm", ["cut", "flip", "other model"])
+def test_a_damaged_or_foreign_state_is_refused(harm: str) -> None:
+    made, frames = scene(2)
+    model = build(made.body, made.rig)
+    data = to_bytes(tracked(model.start(made.first_pose), frames[:2], model)[0])
+    if harm == "cut":
+        data = data[: len(data) // 2]
+    elif harm == "flip":
+        data = data.copy()
+        data[len(data) // 3] ^= 255
+    else:
+        model = build(made.body, made.rig, Settings(brightness=False))
+    with pytest.raises(InputError, match="state of the track is damaged or of other settings"):
+        from_bytes(data, model)
