@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from twistcap.track.settings import TrackerConfig
 
 from support.finite_differences import check_jacobian
 from twistcap.body import Body, Pose, Posed, rescaled
@@ -35,7 +36,6 @@ from twistcap.refine.evidence import Instant, Sight, add_brightness, followed_po
 from twistcap.refine.motion import add_accelerations
 from twistcap.refine.system import Arrow
 from twistcap.render import SurfacePoints, render
-from twistcap.track.settings import TrackerConfig
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.subjects import limbering
 from twistcap.track import track

@@ -62,11 +62,11 @@ def test_values_defaults_and_paths(path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_command_line_over_session_over_defaults(path: Path) -> None:
-    from twistcap.track import TrackerConfig
+    from twistcap.settings import Settings
 
-    assert load_session(path).tracker_config == TrackerConfig()
+    assert load_session(path).tracker_settings == Settings()
     session = load_session(path, {"tracker.method": "levelset", "scale": 0.5, "frames": (0, 3), "fps": None})
-    assert session.tracker_config.method == "levelset" and session.scale == 0.5
+    assert session.tracker_settings.method == "levelset" and session.scale == 0.5
     assert (session.frames, session.fps) == ((0, 3), 50.0)
 
 
@@ -93,7 +93,7 @@ def test_command_line_over_session_over_defaults(path: Path) -> None:
             "tracker.predictor is 'flow'; remove one",
         ),
         ('"direct"', '"direct"\npredictor = "motion"', r"is 'motion', but no \[motions\] names a library"),
-        ('"direct"', '"direct"\nreacquire = {drws = 9}', r"unknown key 'drws' in \[tracker.reacquire\]"),
+        ('"direct"', '"direct"\ndifferential = {levls = 9}', r"unknown key 'levls' in \[tracker.differential\]"),
         ('"direct"', '"direct"\nlimbs = {near = []}', "near name a deviation"),
         ('"direct"', '"direct"\n[motions]\npath = "m.npz"\nkind = "folowed"', "'motions.kind' is 'folowed'"),
         (
@@ -113,11 +113,11 @@ def test_motions_make_motion_the_predictor(path: Path) -> None:
     assert load_session(path).motion_library is None
     changed(path, "[tracker]", '[motions]\npath = "walk.npz"\n[tracker]')
     session = load_session(path, {"tracker.motion": "unscaled"})
-    assert (session.tracker_config.predictor, session.tracker_config.motion) == ("motion", "unscaled")
+    assert (session.tracker_settings.predictor, session.tracker_settings.motion) == ("motion", "unscaled")
     session = load_session(path, {"tracker.predictor": "motion"})
-    assert (session.tracker_config.predictor, session.tracker_config.motion) == ("motion", "followed")
+    assert (session.tracker_settings.predictor, session.tracker_settings.motion) == ("motion", "followed")
     for kind in ("scaled", "guarded"):
-        assert load_session(path, {"motions.kind": kind}).tracker_config.motion == kind
+        assert load_session(path, {"motions.kind": kind}).tracker_settings.motion == kind
     with pytest.raises(InputError, match=r"walk\.npz does not exist"):
         _ = session.motion_library
     t = np.arange(90)[:, None] / 30.0
@@ -225,7 +225,7 @@ def test_a_session_over_another_one(path: Path) -> None:
     other.write_text('base = "../s.toml"\nfps = 30.0\n[tracker]\nchannels = "grey"\n')
     session = load_session(other, {"tracker.predictor": "flow"})
     assert (session.fps, session.frames) == (30.0, (2, 9))
-    config = session.tracker_config
+    config = session.tracker_settings
     assert (config.method, config.channels, config.predictor) == ("direct", "grey", "flow")
     assert session.cameras.calibration == str(path.parent / "Calib.toml")  # as in the base, not beside the other one
 

@@ -9,7 +9,7 @@ from twistcap._typing import Float
 from twistcap.body.humanoid import humanoid
 from twistcap.errors import InputError
 from twistcap.motion import FollowedMotion, MotionClip, MotionLibrary, motion_predictor
-from twistcap.motion.guarded import GuardedMotion
+from twistcap.motion.guarded import GuardedMotion, Judged, trusts
 from twistcap.predict import Moment
 from twistcap.studio.motion import gait
 
@@ -41,41 +41,42 @@ def guarded() -> GuardedMotion:
     return found
 
 
-def seen(predictor: GuardedMotion, clip: MotionClip, frames: int) -> list[Moment]:
+def seen(predictor: GuardedMotion, clip: MotionClip, frames: int, memory: Judged | None = None) -> Judged:
+    """What the predictor remembers once a clip has been seen."""
     history = moments(clip)
     for n in range(2, frames):
-        predictor.predict(history[:n], n / FPS)
-    return history
+        _, memory = predictor.predict(history[:n], n / FPS, memory)
+    assert memory is not None
+    return memory
 
 
 def test_a_walk_is_predicted_by_walking() -> None:
-    predictor = guarded()
-    history = seen(predictor, walking(2.0, 1.4), 60)
-    told = predictor.predict(history[:60], 75 / FPS)
-    assert predictor.trusts(15) and told.match is not None
-    plain = FollowedMotion(predictor.inner.library, BODY).predict(history[:60], 75 / FPS)
-    np.testing.assert_allclose(told.pose.q, plain.pose.q, atol=1e-9)
+    predictor, clip = guarded(), walking(2.0, 1.4)
+    history = moments(clip)[:60]
+    found, memory = predictor.predict(history, 75 / FPS, seen(predictor, clip, 60))
+    assert trusts(memory.errors, 15) and found.match is not None
+    plain, _ = FollowedMotion(predictor.inner.library, BODY).predict(history, 75 / FPS)
+    np.testing.assert_allclose(found.pose.q, plain.pose.q, atol=1e-9)
 
 
 def test_one_who_stands_is_not_led_into_a_walk() -> None:
-    predictor = guarded()
-    history = seen(predictor, standing(90), 40)
-    told = predictor.predict(history[:40], 55 / FPS)
-    assert not predictor.trusts(15) and told.match is None
-    assert np.abs(told.pose.q - history[55].pose.q).max() < 0.02
-    near = predictor.predict(history[:40], 41 / FPS)
-    assert np.trace(near.covariance) < np.trace(told.covariance)
-    np.testing.assert_allclose(told.covariance @ told.information, np.eye(BODY.dof), atol=1e-6)
-    walked = predictor.inner.predict(history[:40], 55 / FPS)
+    predictor, clip = guarded(), standing(90)
+    history, memory = moments(clip), seen(predictor, clip, 40)
+    found, memory = predictor.predict(history[:40], 55 / FPS, memory)
+    assert not trusts(memory.errors, 15) and found.match is None
+    assert np.abs(found.pose.q - history[55].pose.q).max() < 0.02
+    near, _ = predictor.predict(history[:40], 41 / FPS, memory)
+    assert np.trace(near.covariance) < np.trace(found.covariance)
+    np.testing.assert_allclose(found.covariance @ found.information, np.eye(BODY.dof), atol=1e-6)
+    walked, _ = predictor.inner.predict(history[:40], 55 / FPS)
     assert np.abs(walked.pose.q - history[55].pose.q).max() > 0.05
 
 
 def test_it_comes_back_when_the_person_walks_again() -> None:
     predictor = guarded()
-    seen(predictor, standing(60), 40)
-    assert not predictor.trusts(8)
-    seen(predictor, walking(2.0, 1.2), 90)
-    assert predictor.trusts(8)
+    memory = seen(predictor, standing(60), 40)
+    assert not trusts(memory.errors, 8)
+    assert trusts(seen(predictor, walking(2.0, 1.2), 90, memory).errors, 8)
 
 
 def test_a_history_is_needed() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from support.motion import ahead
 from twistcap import se3
 from twistcap._typing import Float
 from twistcap.body import Pose, Posed
@@ -68,7 +69,7 @@ def test_scaled_prediction_is_eq_18_and_the_increment() -> None:
     clip = walking(3.0, 1.0)
     predictor = PaperMotion(library(clip), BODY)
     seen = moments(walking(1.0, 1.7, heading=0.7))[:40]
-    expected = predictor.predict(seen, seen[-1].time + 1 / FPS)
+    expected, _ = predictor.predict(seen, seen[-1].time + 1 / FPS)
     match = expected.match
     assert match is not None and match.scale < 1.0  # the library walks slower: it is passed faster
     samples = predictor.library.angles(match.clip, np.array([match.position, match.position + 1 / match.scale]))
@@ -81,7 +82,7 @@ def test_standard_prediction_goes_on_as_before() -> None:
     twist, rate = np.array([0.0, 0.0, 0.02, 0.01, 0.0, 0.005]), np.linspace(-0.02, 0.02, len(BODY.coordinate_names))
     seen = [Moment(k / FPS, Pose(se3.exp(k * twist), k * rate)) for k in range(8)]
     predictor = PaperMotion(library(walking(2.0, 1.2)), BODY, "standard")
-    expected = predictor.predict(seen, 17 / FPS)
+    expected, _ = predictor.predict(seen, 17 / FPS)
     np.testing.assert_allclose(expected.pose.q, 17 * rate, atol=1e-9)
     np.testing.assert_allclose(expected.pose.root, se3.exp(17 * twist), atol=1e-9)
 
@@ -92,25 +93,25 @@ def test_followed_motion_carries_on_at_another_speed_and_heading(speed: float) -
     training, clip = library(walking(4.0, 1.25)), walking(2.5, speed, heading=2.0)
     seen, last = moments(clip), 70
     truth = seen[last + 30]
-    found = FollowedMotion(training, BODY).predict(seen[: last + 1], truth.time)
+    found, _ = FollowedMotion(training, BODY).predict(seen[: last + 1], truth.time)
     knees = [BODY.coordinate(f"knee_angle_{side}") for side in "rl"]
     assert np.degrees(np.abs(found.pose.q - truth.pose.q)[knees]).max() < 3.0
     assert np.linalg.norm(found.pose.root[:3, 3] - truth.pose.root[:3, 3]) < 0.05
     assert np.degrees(np.linalg.norm(se3.log_rotation(found.pose.root[:3, :3] @ truth.pose.root[:3, :3].T))) < 3.0
-    paper = PaperMotion(training, BODY).predict(seen[: last + 1], truth.time)
+    paper, _ = PaperMotion(training, BODY).predict(seen[: last + 1], truth.time)
     assert np.abs(found.pose.q - truth.pose.q)[knees].mean() < np.abs(paper.pose.q - truth.pose.q)[knees].mean()
 
 
 def test_a_gap_may_be_crossed_in_steps_or_at_once() -> None:
     training, seen = library(walking(1.2, 1.25)), moments(walking(1.2, 1.2))[:60]
     for make in (FollowedMotion, PaperMotion):
-        steps, once = make(training, BODY), make(training, BODY)
-        ahead = [steps.predict(seen, seen[-1].time + k / FPS) for k in range(1, 91)]  # farther than any clip goes on
-        whole = once.predict(seen, seen[-1].time + 90 / FPS)
-        assert all(np.isfinite(e.pose.q).all() and np.isfinite(e.pose.root).all() for e in ahead)
+        predictor = make(training, BODY)
+        steps = ahead(predictor, seen, [seen[-1].time + k / FPS for k in range(1, 91)])  # farther than any clip goes on
+        whole, _ = predictor.predict(seen, seen[-1].time + 90 / FPS)
+        assert all(np.isfinite(e.pose.q).all() and np.isfinite(e.pose.root).all() for e in steps)
         if make is PaperMotion:
-            np.testing.assert_allclose(ahead[-1].pose.q, whole.pose.q, atol=1e-9)
-        spread = np.array([np.diag(e.covariance) for e in ahead])
+            np.testing.assert_allclose(steps[-1].pose.q, whole.pose.q, atol=1e-9)
+        spread = np.array([np.diag(e.covariance) for e in steps])
         assert np.all(np.diff(spread[:, 6:], axis=0) >= -1e-15) and np.all(spread[60, 6:] > spread[0, 6:])
         np.testing.assert_allclose(whole.covariance @ whole.information, np.eye(BODY.dof), atol=1e-6)
 
@@ -132,16 +133,16 @@ def test_coordinates_that_the_library_lacks_are_held() -> None:
     names = [n for n in BODY.coordinate_names if not n.startswith("subtalar")]
     predictor = FollowedMotion(MotionLibrary.of([walking(3.0, 1.25)], FPS, names), BODY)
     seen = moments(walking(1.5, 1.2))[:60]
-    expected, column = predictor.predict(seen, seen[-1].time + 0.2), BODY.coordinate("subtalar_angle_r")
+    (expected, _), column = predictor.predict(seen, seen[-1].time + 0.2), BODY.coordinate("subtalar_angle_r")
     assert expected.pose.q[column] == seen[-1].pose.q[column]
     assert expected.covariance[6 + column, 6 + column] > 0.1
 
 
 def test_whole_turns_of_the_tracked_joints_stay() -> None:
     predictor, seen = FollowedMotion(library(walking(3.0, 1.25)), BODY), moments(walking(1.5, 1.2))[:60]
-    plain = predictor.predict(seen, seen[-1].time + 0.2).pose.q
+    plain = predictor.predict(seen, seen[-1].time + 0.2)[0].pose.q
     turned = [Moment(m.time, Pose(m.pose.root, m.pose.q + 2 * np.pi)) for m in seen]
-    np.testing.assert_allclose(predictor.predict(turned, seen[-1].time + 0.2).pose.q, plain + 2 * np.pi, atol=1e-6)
+    np.testing.assert_allclose(predictor.predict(turned, seen[-1].time + 0.2)[0].pose.q, plain + 2 * np.pi, atol=1e-6)
 
 
 def test_a_match_is_placed_between_poses_and_scales() -> None:
@@ -200,7 +201,7 @@ def test_angles_that_images_hardly_tell_do_not_mislead_a_match() -> None:
 
     def error(lever: float) -> float:
         predictor = FollowedMotion(training, BODY, FollowRule(lever=lever))
-        found = [predictor.predict(seen[: last + 1], (last + k) / FPS).pose.q[knees] for k in range(1, 26)]
+        found = [e.pose.q[knees] for e in ahead(predictor, seen[: last + 1], [(last + k) / FPS for k in range(1, 26)])]
         return float(np.degrees(np.abs(found - clip.q[last + 1 : last + 26][:, knees])).mean())
 
     assert error(0.1) < 2.0
@@ -229,12 +230,12 @@ def test_a_prediction_that_drifted_is_drawn_to_what_is_seen_afterwards() -> None
 def test_a_match_after_a_gap_sees_through_it() -> None:
     """Soon after a gap the motion goes on as if there had been none; a straight line across it would match nothing."""
     training, clip = library(walking(4.0, 1.25)), walking(3.0, 1.4)
-    predictor, history = FollowedMotion(training, BODY), moments(clip)[:60]
+    predictor, history, memory = FollowedMotion(training, BODY), moments(clip)[:60], None
     for k in range(60, 90):
-        expected = predictor.predict(history, 5.0 + k / FPS)
+        expected, memory = predictor.predict(history, 5.0 + k / FPS, memory)
         history.append(Moment(5.0 + k / FPS, expected.pose, seen=False))
     history += moments(clip)[90:100]
     truth = moments(clip)[119]
-    found = predictor.predict(history, truth.time)
+    found, _ = predictor.predict(history, truth.time)
     knees = [BODY.coordinate(f"knee_angle_{side}") for side in "rl"]
     assert np.degrees(np.abs(found.pose.q - truth.pose.q)[knees]).max() < 3.0

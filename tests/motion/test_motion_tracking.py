@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from twistcap.cues.support import SupportRule
+from twistcap.cues.observation import Agreement
 from twistcap.errors import InputError
 from twistcap.motion import MotionClip, MotionLibrary, motion_predictor
 from twistcap.predict import Moment
-from twistcap.track.settings import TrackerConfig
 from twistcap.studio import StudioConfig, capture
 from twistcap.studio.motion import gait
-from twistcap.track import Tracker, track
+from twistcap.track import Settings, build, track
+from twistcap.track.visibility import SupportRule
 
 FPS = 60.0
 
@@ -27,15 +27,15 @@ def test_without_an_image_the_answer_is_the_prediction() -> None:
     library = MotionLibrary.of([clip], FPS)
     blind = {8, 9}
     frames = [replace(f, images=tuple(None for _ in f.images)) if f.index in blind else f for f in scene.frames()]
-    config = TrackerConfig(predictor="motion", motion="scaled")
-    found = list(track(frames, scene.body, scene.rig, scene.first_pose, config, motions=library))
+    model = build(scene.body, scene.rig, Settings(predictor="motion", motion="scaled"), motions=library)
+    found = list(track(frames, model, scene.first_pose))
     seen = [Moment(e.time, e.pose) for e in found[:8]]
     for k in sorted(blind):
-        told = motion_predictor("scaled", library, scene.body).predict(seen, frames[k].time)
+        expected, _ = motion_predictor("scaled", library, scene.body).predict(seen, frames[k].time)
         assert (found[k].status, found[k].predicted) == ("no_images", "motion")
-        np.testing.assert_allclose(found[k].pose.q, told.pose.q, atol=1e-9)
-        np.testing.assert_allclose(found[k].pose.root, told.pose.root, atol=1e-9)
-        assert np.all(np.diag(found[k].covariance) >= np.diag(told.covariance))
+        np.testing.assert_allclose(found[k].pose.q, expected.pose.q, atol=1e-9)
+        np.testing.assert_allclose(found[k].pose.root, expected.pose.root, atol=1e-9)
+        assert np.all(np.diag(found[k].covariance) >= np.diag(expected.covariance))
     assert np.all(np.diag(found[9].covariance)[6:] > np.diag(found[7].covariance)[6:])
     assert found[10].status != "no_images"
     assert np.degrees(np.abs(found[11].pose.q - scene.true_poses[11].q)).mean() < 3.0
@@ -54,8 +54,9 @@ def test_images_of_mere_noise_tell_nothing() -> None:
         else f
         for f in scene.frames()
     ]
-    library, config = MotionLibrary.of([clip], FPS), TrackerConfig(predictor="motion")
-    found = list(track(frames, scene.body, scene.rig, scene.first_pose, config, motions=library))
+    library = MotionLibrary.of([clip], FPS)
+    model = build(scene.body, scene.rig, Settings(predictor="motion"), motions=library)
+    found = list(track(frames, model, scene.first_pose))
     assert [found[k].status for k in noisy] == ["no_images"] * 5
     assert "no_images" not in {found[k].status for k in (*range(10), 15)}
 
@@ -63,11 +64,13 @@ def test_images_of_mere_noise_tell_nothing() -> None:
 def test_images_are_believed_as_far_as_more_agree_than_by_chance() -> None:
     rule, points = SupportRule(chance=0.1, sure=0.5), np.full(4, 25, np.int32)
     for good, trust in ((5.0, 0.0), (10.0, 0.0), (30.0, 0.5), (50.0, 1.0), (90.0, 1.0)):
-        assert rule.trust([(np.full(4, good / 4), points)]) == pytest.approx(trust)
-    assert rule.trust([]) == 0.0
+        agreeing = np.full(4, good / 4)
+        assert rule.trust(Agreement(points, agreeing, agreeing)) == pytest.approx(trust)
+    none = np.zeros(4)
+    assert rule.trust(Agreement(np.zeros(4, np.int32), none, none)) == 0.0
 
 
 def test_a_library_must_be_given() -> None:
     scene = capture(StudioConfig(seed=3, views=2, frames=1, variant="legs"))
     with pytest.raises(InputError, match="go together"):
-        Tracker(scene.body, scene.rig, TrackerConfig(predictor="motion"))
+        build(scene.body, scene.rig, Settings(predictor="motion"))

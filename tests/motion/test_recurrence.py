@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from support.motion import ahead
 from twistcap.body.humanoid import humanoid
 from twistcap.errors import InputError
 from twistcap.motion import FollowedMotion, FollowRule, MotionClip, MotionLibrary, RecurrenceRule
@@ -56,7 +57,7 @@ def test_the_own_cycle_leads_where_the_library_knows_others_only() -> None:
 
     def knees(lead: float) -> tuple[float, int]:
         predictor = FollowedMotion(library, BODY, FollowRule(recurrence=RecurrenceRule(lead=lead)))
-        found = [predictor.predict(seen[:120], moment.time) for moment in seen[120:160]]
+        found = ahead(predictor, seen[:120], [moment.time for moment in seen[120:160]])
         wrong = [e.pose.q[KNEES] - m.pose.q[KNEES] for e, m in zip(found, seen[120:160], strict=True)]
         match = found[-1].match
         assert match is not None

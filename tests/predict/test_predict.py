@@ -10,7 +10,8 @@ from hypothesis.extra.numpy import arrays
 
 from twistcap import se3
 from twistcap.body import Pose
-from twistcap.predict import Leeway, Moment, MotionNoise, constant_velocity, predict
+from twistcap.predict.history import Moment, MotionNoise, MotionSpread, Past, constant_velocity
+from twistcap.predict.inertia import Inertia
 
 J = 4
 XI = np.array([0.9, -1.4, 2.0, 0.8, 0.3, -0.5])
@@ -56,8 +57,9 @@ def test_only_the_last_two_moments_count() -> None:
 
 def test_hold_holds() -> None:
     moments = history(0.0, 0.02)
-    assert predict(moments, 0.5, "hold") is moments[-1].pose
-    assert_same(predict(moments, 0.04, "constant_velocity"), on_screw(0.04))
+    past = Past(tuple(moments), 0.02, True, MotionSpread.usual(MotionNoise()))
+    assert Inertia(hold=True).pose(past, 0.5) is moments[-1].pose
+    assert np.abs(Inertia().pose(past, 0.04).root - on_screw(0.04).root).max() < 1e-10
 
 
 def test_one_moment_or_no_time_holds() -> None:
@@ -83,7 +85,7 @@ def test_noise_grows_with_time_as_its_predictor_says() -> None:
 def test_the_root_turns_about_the_bodys_centre(predictor: str) -> None:
     """At the centre only the shift is felt; elsewhere the turn adds its lever."""
     noise, centre, dt = MotionNoise(), np.array([2.0, -1.0, 0.9]), 0.02
-    C, information = noise.covariance(6 + J, dt, predictor, centre)  # type: ignore[arg-type]
+    C, information = noise.covariance(6 + J, dt, predictor, centre)
     np.testing.assert_allclose(information @ C, np.eye(6 + J), atol=1e-9)
     np.testing.assert_allclose(C, C.T)
     assert np.linalg.eigvalsh(C).min() > 0
@@ -92,37 +94,37 @@ def test_the_root_turns_about_the_bodys_centre(predictor: str) -> None:
         A = np.concatenate([-se3.hat(x), np.eye(3)], axis=1)
         return A @ C[:6, :6] @ A.T
 
-    plain, _ = noise.covariance(6 + J, dt, predictor, np.zeros(3))  # type: ignore[arg-type]
+    plain, _ = noise.covariance(6 + J, dt, predictor, np.zeros(3))
     np.testing.assert_allclose(at(centre), plain[3:6, 3:6], atol=1e-12 * plain.max())
     lever = at(centre + np.array([0, 0, 0.5])) - at(centre)
     np.testing.assert_allclose(np.diag(lever), [0.25 * plain[0, 0], 0.25 * plain[0, 0], 0], atol=1e-9 * plain[0, 0])
 
 
-def test_a_body_that_strays_is_given_room() -> None:
+def test_a_body_that_moves_more_than_usual_is_given_room() -> None:
     noise, dt, centre = MotionNoise(allowance=3.0, memory=0.5), 0.02, on_screw(0.0).root[:3, 3]
-    leeway, usual = Leeway(noise, 6 + J), noise.covariance(6 + J, dt, "constant_velocity", centre)[0]
+    spread, usual = MotionSpread.usual(noise), noise.covariance(6 + J, dt, "constant_velocity", centre)[0]
     still, sigma = on_screw(0.0), noise.joint * dt * dt
     for _ in range(20):  # joints stray as far as usual, the root not at all
-        leeway.learn(still, still.retract(np.r_[np.zeros(6), np.full(J, sigma)]), dt, "constant_velocity")
-    covariance, information = leeway.covariance(dt, "constant_velocity", centre)
+        spread = spread.learnt(still, still.retract(np.r_[np.zeros(6), np.full(J, sigma)]), dt, "constant_velocity")
+    covariance, information = spread.covariance(6 + J, dt, "constant_velocity", centre)
     np.testing.assert_allclose(covariance[6:, 6:], 9.0 * usual[6:, 6:], rtol=1e-4)
     np.testing.assert_allclose(covariance[:6, :6], usual[:6, :6])
     np.testing.assert_allclose(covariance @ information, np.eye(6 + J), atol=1e-9)
     for _ in range(20):
-        leeway.learn(still, still, dt, "constant_velocity")
-    np.testing.assert_allclose(leeway.covariance(dt, "constant_velocity", centre)[0], usual)
+        spread = spread.learnt(still, still, dt, "constant_velocity")
+    np.testing.assert_allclose(spread.covariance(6 + J, dt, "constant_velocity", centre)[0], usual)
 
 
-def test_straying_does_not_depend_on_where_the_world_begins() -> None:
+def test_the_spread_does_not_depend_on_where_the_world_begins() -> None:
     """A root that turns about the body's own centre has not shifted, wherever it stands."""
     noise, dt, still = MotionNoise(), 0.02, on_screw(0.0)
     centre = still.root[:3, 3]
     turn = np.array([0.1, -0.2, 0.3])
     turned = still.retract(np.r_[turn, -np.cross(turn, centre), np.zeros(J)])
-    leeway = Leeway(noise, 6 + J)
-    leeway.learn(still, turned, dt, "constant_velocity")
+    before = MotionSpread.usual(noise)
+    after = before.learnt(still, turned, dt, "constant_velocity")
     np.testing.assert_allclose(turned.root[:3, 3], centre, atol=1e-12)
     here = np.zeros(3)
-    found, usual = (s.covariance(dt, "constant_velocity", here)[0] for s in (leeway, Leeway(noise, 6 + J)))
+    found, usual = (s.covariance(6 + J, dt, "constant_velocity", here)[0] for s in (after, before))
     np.testing.assert_allclose(found[3:, 3:], usual[3:, 3:], rtol=1e-6)
     assert np.all(np.diag(found[:3, :3]) > 2.0 * np.diag(usual[:3, :3]))

@@ -23,7 +23,7 @@ from twistcap.solve import least_squares
 from twistcap.studio import Board, StudioConfig, capture
 from twistcap.studio.motion import gait
 from twistcap.studio.subjects import squats, walks_of_another
-from twistcap.track import Tracker, TrackerConfig
+from twistcap.track import build, track
 
 BODY = humanoid()
 NAMES = ("hip_flexion_r", "knee_angle_r", "elbow_flex_l")
@@ -263,9 +263,8 @@ def test_a_hidden_leg_follows_the_rest_of_the_body() -> None:
     frames, knee = list(scene.frames()), scene.body.coordinate("knee_angle_r")
     errors, claims = dict[bool, float](), dict[bool, float]()
     for helped in (False, True):
-        tracker = Tracker(scene.body, scene.rig, TrackerConfig(), prior if helped else None)
-        tracker.start(scene.first_pose)
-        last = [tracker.step(frame) for frame in frames][-1]
+        model = build(scene.body, scene.rig, prior=prior if helped else None)
+        last = list(track(frames, model, scene.first_pose))[-1]
         errors[helped] = float(np.degrees(np.abs(last.pose.q[knee] - scene.true_poses[-1].q[knee])))
         claims[helped] = float(np.degrees(np.sqrt(last.covariance[6 + knee, 6 + knee])))
         assert ("prior" in last.energies) == helped and np.linalg.eigvalsh(last.covariance).min() > 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -256,16 +257,17 @@ def studio_view() -> tuple[View, RenderedView]:
 
 
 def test_a_segmentation_of_the_same_body_is_matched_again() -> None:
-    """`earlier` evidence spares the evolution; another capture range asks for a new one."""
+    """What is kept of the same rendered body spares the evolution; another capture range asks for a new one."""
     view, seen = studio_view()
     contour, colours = visible_contour(seen), np.zeros((len(seen.posed.body.segment_names), 3))
-    cue = LevelSetContour()
-    first = cue.measure(view, seen, contour, 1.0, colours)
-    again = cue.measure(view, seen, contour, 1.0, colours, first)
-    wider = cue.measure(view, seen, contour, 3.0, colours, first)
-    assert first.segmentation is not None and again.segmentation is first.segmentation
+    cue, scratch = LevelSetContour(), dict[str, Any]()
+    first = cue.locate(view, seen, contour, 1.0, colours, scratch)
+    kept = scratch["contour"]
+    again = cue.locate(view, seen, contour, 1.0, colours, scratch)
+    assert scratch["contour"] is kept
     np.testing.assert_array_equal(again.displacement, first.displacement)
-    assert wider.segmentation is not None and wider.segmentation.width == pytest.approx(3 * first.segmentation.width)
+    cue.locate(view, seen, contour, 3.0, colours, scratch)
+    assert scratch["contour"].width == pytest.approx(3 * kept.width)
 
 
 def test_what_the_body_leaves_uncovered_is_no_background() -> None:
@@ -277,7 +279,8 @@ def test_what_the_body_leaves_uncovered_is_no_background() -> None:
     colours = np.zeros((len(seen.posed.body.segment_names), 3))
     right = list[float]()
     for gap in (0.0, 0.03):
-        found = LevelSetContour(gap=gap).measure(view, seen, visible_contour(seen), 1.0, colours).segmentation
-        assert found is not None
+        scratch = dict[str, Any]()
+        LevelSetContour(gap=gap).locate(view, seen, visible_contour(seen), 1.0, colours, scratch)
+        found = scratch["contour"]
         right.append(float(np.mean(found.log_ratio[larger & ~seen.mask])))
     assert right[1] > 2.0 * right[0]  # nats for the body, of 3 at most

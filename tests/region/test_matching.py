@@ -136,7 +136,7 @@ def test_matching_pulls_a_body_back(matching: Matching) -> None:
     assert view is not None
     seen = render(posed, view.camera)
     cue = replace(LevelSetContour(), matching=matching)
-    found = cue.measure(view, seen, visible_contour(seen, 3.0), 1.0, np.zeros((len(scene.body.segment_names), 7)))
+    found = cue.locate(view, seen, visible_contour(seen, 3.0), 1.0, np.zeros((len(scene.body.segment_names), 7)))
     sideways = np.abs(found.contour.normals[:, 0]) > 0.8
     back = -np.sign(found.contour.normals[sideways, 0]) * found.displacement[sideways]
     assert np.mean(back > 0) > 0.75 and np.median(back) > 0.3 * 0.015 * seen.px_per_m

@@ -15,7 +15,7 @@ from twistcap.cues.levelset import LevelSetContour
 from twistcap.cues.view import View, crop_view
 from twistcap.errors import InputError
 from twistcap.features.channels import Channels
-from twistcap.io.session import tracker_config
+from twistcap.io.session import tracker_settings
 from twistcap.region.densities import heaviside, local_log_ratio
 from twistcap.region.lines import ratio_lines
 from twistcap.region.models import (
@@ -32,7 +32,7 @@ from twistcap.region.parzen import parzen_densities, parzen_log_ratio
 from twistcap.render import RenderedView, render, visible_contour
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.terms import PointNormalTerm, PointRayTerm
-from twistcap.track import Tracker, TrackerConfig
+from twistcap.track import Settings, build, track
 
 MODELS: tuple[RegionModel, ...] = (LocalGaussian(rho=8.0), GlobalGaussian(), GlobalParzen())
 DENSITIES: tuple[Density, ...] = ("local", "global", "parzen")
@@ -190,12 +190,12 @@ def test_every_model_measures_in_both_methods(density: Density, statistics: str,
     cue = {"direct": DirectContour(), "levelset": LevelSetContour()}[method]
     colours = np.zeros((len(scene.body.segment_names), 7))
     contour = visible_contour(seen, 3.0)
-    found = replace(cue, density=density, statistics=statistics).measure(view, seen, contour, 1.0, colours)  # type: ignore[arg-type]
+    found = replace(cue, density=density, statistics=statistics).locate(view, seen, contour, 1.0, colours)  # type: ignore[arg-type]
     assert np.all(np.isfinite(found.displacement)) and np.all(np.isfinite(found.contrast))
     assert np.median(np.abs(found.displacement)) < 2.0 and np.mean(found.contrast > 0) > 0.3
     assert len(found.displacement) == len(found.contour) == len(found.contrast)
     other: Density = "global" if density != "global" else "parzen"
-    differs = replace(cue, density=other, statistics=statistics).measure(view, seen, contour, 1.0, colours)  # type: ignore[arg-type]
+    differs = replace(cue, density=other, statistics=statistics).locate(view, seen, contour, 1.0, colours)  # type: ignore[arg-type]
     n = min(len(found.displacement), len(differs.displacement))
     assert np.abs(found.displacement[:n] - differs.displacement[:n]).max() > 0.1
 
@@ -204,10 +204,10 @@ def test_statistics_of_the_whole_body_on_lines_are_not_those_of_its_parts() -> N
     scene, view, seen = seen_from_one_camera()
     contour, colours = visible_contour(seen, 3.0), np.zeros((len(scene.body.segment_names), 7))
     outer = contour[contour.outer]
-    part = DirectContour(statistics="part").measure(view, seen, outer, 1.0, colours)
-    whole = DirectContour(statistics="whole").measure(view, seen, contour, 1.0, colours)
+    part = DirectContour(statistics="part").locate(view, seen, outer, 1.0, colours)
+    whole = DirectContour(statistics="whole").locate(view, seen, contour, 1.0, colours)
     assert np.all(whole.contour.outer) and np.abs(part.displacement - whole.displacement).max() > 0.5
-    plain = DirectContour().measure(view, seen, outer, 1.0, colours)
+    plain = DirectContour().locate(view, seen, outer, 1.0, colours)
     np.testing.assert_array_equal(plain.displacement, part.displacement)
 
 
@@ -217,7 +217,7 @@ def test_contours_of_a_surface_that_may_be_off_weigh_by_its_spread(cue: DirectCo
     scene, view, seen = seen_from_one_camera()
     contour, colours = visible_contour(seen, 3.0), np.zeros((len(scene.body.segment_names), 7))
     contour = contour[contour.outer]
-    exact, off = (c.measure(view, seen, contour, 1.0, colours) for c in (cue, replace(cue, surface_sigma=0.01)))
+    exact, off = (c.locate(view, seen, contour, 1.0, colours) for c in (cue, replace(cue, surface_sigma=0.01)))
     np.testing.assert_array_equal(exact.displacement, off.displacement)
     assert isinstance(exact.term, PointNormalTerm | PointRayTerm) and isinstance(
         off.term, PointNormalTerm | PointRayTerm
@@ -230,27 +230,26 @@ def test_rounds_from_coarse_to_fine_reach_farther() -> None:
     """EM with a wide first round still ends in a finite contour, other than the narrow one's."""
     scene, view, seen = seen_from_one_camera("grey")
     contour, colours = visible_contour(seen, 3.0), np.zeros((len(scene.body.segment_names), 3))
-    narrow = LevelSetContour(rounds=2).measure(view, seen, contour, 1.0, colours)
-    wide = LevelSetContour(rounds=2, continuation=3.0).measure(view, seen, contour, 1.0, colours)
+    narrow = LevelSetContour(rounds=2).locate(view, seen, contour, 1.0, colours)
+    wide = LevelSetContour(rounds=2, continuation=3.0).locate(view, seen, contour, 1.0, colours)
     assert np.median(np.abs(wide.displacement)) < 2.0
     assert np.abs(wide.displacement - narrow.displacement).max() > 0.2
 
 
 @pytest.mark.parametrize("method", ["direct", "levelset"])
 def test_one_line_of_a_session_chooses_the_model(method: str) -> None:
-    config = tracker_config({"method": method, "density": "parzen"}, "s.toml")
+    config = tracker_settings({"method": method, "density": "parzen"}, "s.toml")
     scene = capture(StudioConfig(views=2, frames=2))
     angles = []
     for settings in (config, replace(config, density="local")):
-        tracker = Tracker(scene.body, scene.rig, settings)
-        tracker.start(scene.first_pose)
-        angles.append([tracker.step(frame).pose.q for frame in scene.frames()][-1])
+        model = build(scene.body, scene.rig, settings)
+        angles.append(list(track(scene.frames(), model, scene.first_pose))[-1].pose.q)
     assert np.abs(angles[0] - angles[1]).max() > 1e-4
 
 
 def test_an_unknown_model_is_an_error_that_names_those_there_are() -> None:
     with pytest.raises(InputError, match=r"'tracker.density' is 'histogram'.*'local', 'global' or 'parzen'"):
-        tracker_config({"density": "histogram"}, "s.toml")
+        tracker_settings({"density": "histogram"}, "s.toml")
     with pytest.raises(InputError, match="choose one of local, global, parzen"):
         region_model("histogram", 1.0, 1.0, 1.0, 1.0)  # type: ignore[arg-type]
-    assert TrackerConfig().density == "local"
+    assert Settings().density == "local"

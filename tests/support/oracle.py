@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twistcap.body import Pose, Posed
-from twistcap.cues.rivals import Judge
+from twistcap.search.judge import Judge
 from twistcap.studio import StudioConfig
 from twistcap.studio.scene import default_body
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import cache
 
@@ -10,13 +11,11 @@ import pytest
 
 from twistcap.body import Pose, Posed
 from twistcap.cues.direct import DirectContour
-from twistcap.cues.keypoints import KeypointCue
 from twistcap.cues.levelset import LevelSetContour
-from twistcap.cues.rivals import RivalRule
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame, Keypoints
 from twistcap.studio import Capture, StudioConfig, capture
-from twistcap.track import Tracker, TrackerConfig, track
+from twistcap.track import Model, Settings, build, track
 
 JOINTS = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
 
@@ -25,6 +24,10 @@ JOINTS = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
 def walk(views: int = 3, frames: int = 8, fps: float = 60.0) -> tuple[Capture, tuple[Frame, ...]]:
     scene = capture(StudioConfig(seed=2, views=views, frames=frames, fps=fps))
     return scene, tuple(scene.frames())
+
+
+def tracked(scene: Capture, frames: Iterable[Frame], settings: Settings | None = None) -> list[Estimate]:
+    return list(track(frames, build(scene.body, scene.rig, settings), scene.first_pose))
 
 
 def joint_errors_mm(scene: Capture, estimate: Estimate) -> np.ndarray:
@@ -36,8 +39,7 @@ def joint_errors_mm(scene: Capture, estimate: Estimate) -> np.ndarray:
 @pytest.mark.parametrize("method", ["direct", "levelset"])
 def test_a_walk_is_tracked_to_millimetres(method: str) -> None:
     scene, frames = walk()
-    config = TrackerConfig(method=method)  # type: ignore[arg-type]
-    estimates = list(track(frames, scene.body, scene.rig, scene.first_pose, config))
+    estimates = tracked(scene, frames, Settings(method=method))  # type: ignore[arg-type]
     assert np.mean([joint_errors_mm(scene, e).mean() for e in estimates]) < 8.0
     assert not any(e.lost for e in estimates)
     assert all(np.isfinite(e.covariance).all() and e.energies["contour"] > 0 for e in estimates)
@@ -45,15 +47,14 @@ def test_a_walk_is_tracked_to_millimetres(method: str) -> None:
 
 def test_hold_needs_no_velocity() -> None:
     scene, frames = walk()
-    config = TrackerConfig(predictor="hold")
-    last = list(track(frames, scene.body, scene.rig, scene.first_pose, config))[-1]
+    last = tracked(scene, frames, Settings(predictor="hold"))[-1]
     assert joint_errors_mm(scene, last).mean() < 8.0
 
 
 def test_dropped_frames_are_predicted_and_grow_uncertain() -> None:
     scene, frames = walk()
-    gone = tuple(replace(f, images=(None,) * len(scene.rig)) if 3 <= f.index <= 4 else f for f in frames)
-    estimates = list(track(gone, scene.body, scene.rig, scene.first_pose))
+    dropped = tuple(replace(f, images=(None,) * len(scene.rig)) if 3 <= f.index <= 4 else f for f in frames)
+    estimates = tracked(scene, dropped)
     assert [e.status for e in estimates[3:5]] == ["no_images", "no_images"]
     spread = [float(np.trace(e.covariance[6:, 6:])) for e in estimates]
     assert spread[2] < spread[3] < spread[4] and spread[6] < spread[4]
@@ -62,8 +63,8 @@ def test_dropped_frames_are_predicted_and_grow_uncertain() -> None:
 
 def test_one_camera_may_drop_a_frame() -> None:
     scene, frames = walk()
-    gone = tuple(replace(f, images=(None, *f.images[1:])) if f.index == 4 else f for f in frames)
-    estimates = list(track(gone, scene.body, scene.rig, scene.first_pose))
+    dropped = tuple(replace(f, images=(None, *f.images[1:])) if f.index == 4 else f for f in frames)
+    estimates = tracked(scene, dropped)
     assert joint_errors_mm(scene, estimates[4]).mean() < 15.0
 
 
@@ -76,8 +77,7 @@ def keypoints_of(scene: Capture, index: int) -> Keypoints:
 def test_keypoints_alone_carry_the_pose() -> None:
     scene, frames = walk()
     blind = [replace(f, images=(None,) * 3, keypoints=keypoints_of(scene, f.index)) for f in frames]
-    config = TrackerConfig(keypoints=KeypointCue(sigma=0.01))  # they are exact here
-    last = list(track(blind, scene.body, scene.rig, scene.first_pose, config))[-1]
+    last = tracked(scene, blind, Settings(keypoint_sigma=0.01))[-1]  # they are exact here
     assert last.status != "no_images"
     assert joint_errors_mm(scene, last).mean() < 15.0
 
@@ -86,8 +86,8 @@ def test_a_pose_far_off_the_person_is_flagged_lost() -> None:
     scene, frames = walk()
     away = scene.first_pose.root.copy()
     away[:3, 3] += [0.0, 0.9, 0.0]
-    config = TrackerConfig(first_sigma_m=0.001)
-    estimates = list(track(frames, scene.body, scene.rig, Pose(away, scene.first_pose.q), config))
+    model = build(scene.body, scene.rig, Settings(first_sigma_m=0.001))
+    estimates = list(track(frames, model, Pose(away, scene.first_pose.q)))
     assert estimates[-1].lost and estimates[-1].support < 0.35
 
 
@@ -96,14 +96,13 @@ def test_an_arm_that_one_camera_saw_is_found_again_when_the_other_sees_it() -> N
     scene = capture(StudioConfig(seed=4, views=2, frames=34))
     frames = list(scene.frames())
 
-    def arm_mm(rivals: RivalRule) -> float:
-        config = TrackerConfig(rivals=rivals)
-        last = list(track(frames, scene.body, scene.rig, scene.first_pose, config))[-1]
-        return float(joint_errors_mm(scene, last).max())
+    def arm_mm(model: Model) -> float:
+        return float(joint_errors_mm(scene, list(track(frames, model, scene.first_pose))[-1]).max())
 
-    with_rivals, without = arm_mm(RivalRule()), arm_mm(RivalRule(least_sd=np.inf))
-    print(with_rivals, without)
-    assert with_rivals < 100.0 < 0.5 * without  # lost it is off by the length of the arm
+    model = build(scene.body, scene.rig)
+    searched, without = arm_mm(model), arm_mm(replace(model, searches=()))
+    print(searched, without)
+    assert searched < 100.0 < 0.5 * without  # lost it is off by the length of the arm
 
 
 def test_a_limb_on_other_ground_keeps_its_colours() -> None:
@@ -112,11 +111,12 @@ def test_a_limb_on_other_ground_keeps_its_colours() -> None:
     frames = list(fast.frames())
 
     def worst_mm(colour_mass: float) -> float:
-        config = TrackerConfig(direct=replace(TrackerConfig().direct, colour_mass=colour_mass), start_by_flow=False)
-        last = list(track(frames, fast.body, fast.rig, fast.first_pose, config))[-1]
-        return float(joint_errors_mm(fast, last).max())
+        model = build(fast.body, fast.rig)
+        cues = (DirectContour(colour_mass=colour_mass), *model.cues[1:])
+        plain = replace(model, cues=cues, predictors=model.predictors[-1:], searches=())
+        return float(joint_errors_mm(fast, list(track(frames, plain, fast.first_pose))[-1]).max())
 
-    remembered, forgotten = worst_mm(TrackerConfig().direct.colour_mass), worst_mm(0.0)
+    remembered, forgotten = worst_mm(DirectContour().colour_mass), worst_mm(0.0)
     print(remembered, forgotten)
     assert remembered < 40.0 < forgotten
 
@@ -124,35 +124,47 @@ def test_a_limb_on_other_ground_keeps_its_colours() -> None:
 def test_the_method_without_contours_is_refused() -> None:
     scene = capture(StudioConfig(frames=1))
     with pytest.raises(InputError, match="DifferentialFollower"):
-        Tracker(scene.body, scene.rig, TrackerConfig(method="differential"))
-
-
-def test_a_restored_track_goes_on() -> None:
-    scene, frames = walk()
-    done = list(track(frames[:4], scene.body, scene.rig, scene.first_pose))
-    again = Tracker(scene.body, scene.rig)
-    again.restore(done)
-    last = [again.step(frame) for frame in frames[4:]][-1]
-    assert joint_errors_mm(scene, last).mean() < 10.0
+        build(scene.body, scene.rig, Settings(method="differential"))
 
 
 def test_equal_runs_give_equal_numbers() -> None:
     scene, frames = walk()
-    first, second = (list(track(frames[:3], scene.body, scene.rig, scene.first_pose)) for _ in range(2))
+    first, second = (tracked(scene, frames[:3]) for _ in range(2))
     assert np.array_equal(first[-1].pose.q, second[-1].pose.q)
 
 
-def test_the_trackers_spread_of_the_surface_reaches_both_methods_and_yields_to_the_cues_own() -> None:
+def test_the_spread_of_the_surface_reaches_both_methods() -> None:
+    scene, _ = walk()
     for method in ("direct", "levelset"):
-        cue = TrackerConfig(method=method, surface_sigma=0.008).contour
+        cue = build(scene.body, scene.rig, Settings(method=method, surface_sigma=0.008)).cues[0]
         assert isinstance(cue, DirectContour | LevelSetContour) and cue.surface_sigma == 0.008
-    own = TrackerConfig(direct=DirectContour(surface_sigma=0.0), surface_sigma=0.008).contour
-    assert isinstance(own, DirectContour) and own.surface_sigma == 0.0
-    for wrong in (-0.1, float("nan"), float("inf")):
-        with pytest.raises(InputError, match="surface_sigma must be a finite number"):
-            TrackerConfig(surface_sigma=wrong)
-        with pytest.raises(InputError, match="surface_sigma must be a finite number"):
-            TrackerConfig(direct=DirectContour(surface_sigma=wrong))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("surface_sigma", -0.1), ("surface_sigma", np.nan), ("first_sigma_m", 0.0), ("keypoint_sigma", np.inf),
+     ("prior_strength", np.nan), ("first_sigma_deg", -1.0), ("despeckle", 2)],
+)  # fmt: skip
+def test_a_setting_that_cannot_be_meant_is_refused(name: str, value: float) -> None:
+    with pytest.raises(InputError, match=f"tracker: {name} is"):
+        Settings(**{name: value})  # type: ignore[arg-type]
+
+
+def test_an_unknown_plugin_is_refused() -> None:
+    scene, _ = walk()
+    with pytest.raises(InputError, match="there is no plug-in 'no_such'"):
+        build(scene.body, scene.rig, Settings(plugins=("no_such",)))
+
+
+def test_a_value_that_is_not_finite_is_reported() -> None:
+    scene, frames = walk()
+    image = frames[0].images[1]
+    assert image is not None
+    spoilt = np.asarray(image / np.float32(255.0), np.float32)
+    spoilt[spoilt.shape[0] // 2, spoilt.shape[1] // 2] = np.nan
+    bad = replace(frames[0], images=(frames[0].images[0], spoilt, frames[0].images[2]))
+    with pytest.raises(InputError, match="holds a value that is not finite"):
+        tracked(scene, [bad])
 
 
 def test_a_body_with_wrong_thighs_bends_its_hips_less_where_the_tracker_knows_of_it() -> None:
@@ -165,8 +177,8 @@ def test_a_body_with_wrong_thighs_bends_its_hips_less_where_the_tracker_knows_of
     hips = [body.coordinate(f"hip_flexion_{s}") for s in "rl"]
     errors = []
     for sigma in (0.0, 0.01):
-        config = TrackerConfig(surface_sigma=sigma)
-        found = list(track(scene.frames(), wrong, scene.rig, scene.first_pose, config))
+        model = build(wrong, scene.rig, Settings(surface_sigma=sigma))
+        found = list(track(scene.frames(), model, scene.first_pose))
         assert not any(e.lost for e in found)
         errors.append(np.mean([np.abs(e.pose.q - scene.true_poses[e.index].q)[hips] for e in found]))
     assert np.rad2deg(errors[1]) < 0.7 * np.rad2deg(errors[0]) and np.rad2deg(errors[0]) > 0.8, np.rad2deg(errors)

@@ -57,8 +57,8 @@ def run_demo(
     tracker = Tracker(build(scene.body, scene.rig, settings))
     tracker.start(scene.first_pose, pictures[0].time)
     path = folder / "result.h5"
-    told = {"demo": {"seed": seed, "views": views, "mismatch": mismatch}, "tracker": {"method": method}}
-    with ResultWriter(path, scene.body, scene.rig, told) as writer:
+    recorded = {"demo": {"seed": seed, "views": views, "mismatch": mismatch}, "tracker": {"method": method}}
+    with ResultWriter(path, scene.body, scene.rig, recorded) as writer:
         timing = follow(pictures, frames, tracker, writer)
     return _reported(scene, pictures, read_result(path), folder, timing)
 

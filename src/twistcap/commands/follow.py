@@ -18,9 +18,8 @@ from twistcap.io.result import Result, ResultWriter, read_state
 from twistcap.track import Tracker
 from twistcap.track.saving import from_bytes, to_bytes
 
-
 STATE_EVERY = 10
-"""Frames from one saved state to the next; what was tracked after the last one is tracked again, and comes out alike."""
+"""Frames from one saved state to the next; what follows the last one is tracked again, and comes out alike."""
 
 
 @dataclass

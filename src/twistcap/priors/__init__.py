@@ -8,11 +8,11 @@ from typing import Protocol
 from twistcap._typing import Float
 from twistcap.body import Posed
 from twistcap.cues.observation import Alternation
-from twistcap.priors.parzen import ParzenPrior
+from twistcap.priors.parzen import ParzenPrior, kernel_width
 from twistcap.priors.term import PosePrior, PriorRule, PriorTerm, matched
 from twistcap.terms import Term
 
-__all__ = ["ParzenPrior", "PosePrior", "Prior", "PriorRule", "PriorTerm", "matched"]
+__all__ = ["ParzenPrior", "PosePrior", "Prior", "PriorRule", "PriorTerm", "kernel_width", "matched"]
 
 
 class Prior(Protocol):

@@ -84,10 +84,11 @@ def build(
     )  # fmt: skip
     if prior is not None:
         priors = (*priors, PosePrior(matched(prior, body), PriorRule(settings.prior_strength)))
+    searches = AfterGap(), SlippedLimbs(), UncertainLimbs()
     return Model(
         body, rig.pinhole(), (contour, *brightness, *more.cues),
         (*more.predictors, *predictors_of(settings, body, rig, motions)), (*priors, *more.priors),
-        (AfterGap(), SlippedLimbs(), UncertainLimbs(), *more.searches), Schedule(looks, contour.alternations, contour.slip),
+        (*searches, *more.searches), Schedule(looks, contour.alternations, contour.slip),
         None if prior is None else OcclusionRule(), channels=settings.channels, despeckle=settings.despeckle,
     )  # fmt: skip
 

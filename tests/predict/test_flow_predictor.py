@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
 from twistcap.body import Pose, Posed
-from twistcap.cues.flow import FlowCue, Followed
 from twistcap.evaluate.experiments import EXPERIMENTS
 from twistcap.evaluate.experiments.fast_motion import FASTEST, fastest, waving
-from twistcap.predict import MotionNoise
+from twistcap.predict.flow import FlowPredictor
+from twistcap.predict.history import MotionNoise
+from twistcap.settings import PredictorName
 from twistcap.studio import Capture, StudioConfig, capture
-from twistcap.track import Tracker, TrackerConfig
+from twistcap.track import Settings, Tracker, build
 
 DT = 0.04
 
@@ -24,13 +26,14 @@ def walk() -> Capture:
     return capture(StudioConfig(seed=2, views=2, frames=4, fps=1 / DT))
 
 
-def predicted(scene: Capture, cue: FlowCue, shown: int) -> Pose | None:
+def predicted(scene: Capture, shown: int) -> Pose | None:
     """Where flow leads from frame 0 to what frame `shown` shows; without it the body is expected to stand still."""
     first, then = scene.frame(0), scene.frame(shown)
     pose = scene.true_poses[0]
     _, information = MotionNoise().covariance(scene.body.dof, DT, "hold", pose.root[:3, 3])
-    last = Followed(Posed(scene.body, pose), 0.0, first.images)
-    return cue.predict(last, then.images, scene.rig, pose, information)
+    flow = FlowPredictor(scene.rig)
+    last = flow.last_frame(Posed(scene.body, pose), first, range(len(scene.rig)))
+    return flow.followed(last, then, pose, information)
 
 
 def landmarks_off(scene: Capture, pose: Pose, frame: int) -> float:
@@ -40,7 +43,7 @@ def landmarks_off(scene: Capture, pose: Pose, frame: int) -> float:
 
 def test_flow_takes_the_body_along() -> None:
     scene = walk()
-    pose = predicted(scene, FlowCue(), 1)
+    pose = predicted(scene, 1)
     assert pose is not None
     standing = landmarks_off(scene, scene.true_poses[0], 1)
     assert standing > 0.03 and landmarks_off(scene, pose, 1) < 0.25 * standing
@@ -52,23 +55,23 @@ def test_what_the_way_back_does_not_confirm_is_not_believed() -> None:
     rng = np.random.default_rng(0)
     pose = scene.true_poses[0]
     images = tuple(rng.integers(0, 256, np.shape(image), dtype=np.uint8) for image in scene.frame(0).images)
-    last = Followed(Posed(scene.body, pose), 0.0, scene.frame(0).images)
-    assert FlowCue().predict(last, images, scene.rig, pose, np.eye(scene.body.dof)) is None
-    assert FlowCue().predict(last, (None, None), scene.rig, pose, np.eye(scene.body.dof)) is None
+    flow, first = FlowPredictor(scene.rig), scene.frame(0)
+    last = flow.last_frame(Posed(scene.body, pose), first, range(len(scene.rig)))
+    for shown in (images, (None, None)):
+        assert flow.followed(last, replace(first, images=shown), pose, np.eye(scene.body.dof)) is None
 
 
 @pytest.mark.parametrize(
-    ("config", "words"),
+    ("predictor", "words"),
     [
-        (TrackerConfig(), ["hold", "flow", "constant_velocity", "constant_velocity"]),
-        (TrackerConfig(start_by_flow=False), ["hold", "hold", "constant_velocity", "constant_velocity"]),
-        (TrackerConfig(predictor="flow"), ["hold", "flow", "flow", "flow"]),
-        (TrackerConfig(predictor="hold"), ["hold", "hold", "hold", "hold"]),
+        ("constant_velocity", ["hold", "flow", "constant_velocity", "constant_velocity"]),
+        ("flow", ["hold", "flow", "flow", "flow"]),
+        ("hold", ["hold", "hold", "hold", "hold"]),
     ],
 )
-def test_the_estimate_says_what_predicted_it(config: TrackerConfig, words: list[str]) -> None:
+def test_the_estimate_says_what_predicted_it(predictor: PredictorName, words: list[str]) -> None:
     scene = walk()
-    tracker = Tracker(scene.body, scene.rig, config)
+    tracker = Tracker(build(scene.body, scene.rig, Settings(predictor=predictor)))
     tracker.start(scene.first_pose)
     assert [tracker.step(scene.frame(k)).predicted for k in range(4)] == words
 
