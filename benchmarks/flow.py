@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 from flow_scenes import FlowPair, flow_pair
 
-from twistcap._typing import Bool, Float32, UInt8
+from reproduce.arrays import Bool, Float32, UInt8
 from twistcap.flow import BROX_2004, optical_flow
 
 DATA = Path(os.environ.get("TWISTCAP_DATA", Path(__file__).parents[1] / ".." / "shared" / "data")) / "flow_middlebury"

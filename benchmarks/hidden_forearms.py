@@ -12,11 +12,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from twistcap._typing import Bool, Float
+from reproduce.cases import PRIOR
+from reproduce.sequence import Pictures, joint_errors_mm, prior_of, tracked
+from reproduce.arrays import Bool, Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.evaluate import metrics
-from twistcap.evaluate.cases import PRIOR
-from twistcap.evaluate.sequence import Pictures, joint_errors_mm, prior_of, tracked
 from twistcap.priors import ParzenPrior
 from twistcap.render import render
 from twistcap.studio import Capture, capture

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from motion_prediction import Case
 
+from reproduce.recorded import Recording
 from twistcap.body.humanoid import humanoid
-from twistcap.evaluate.recorded import Recording
 from twistcap.io.motion_files import poses_from_mot, read_mot
 from twistcap.motion import MotionClip
 

@@ -19,7 +19,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from twistcap._typing import Float
+from reproduce.arrays import Float
 from twistcap.motion import PAPER_SCALES, Matcher, MotionLibrary
 
 JOINTS, POSES = 20, 5

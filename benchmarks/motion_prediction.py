@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twistcap._typing import Float
+from reproduce.arrays import Float
 from twistcap.body import Body
 from twistcap.motion import (
     AutoregressiveMotion,

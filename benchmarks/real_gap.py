@@ -18,13 +18,13 @@ from pathlib import Path
 
 import numpy as np
 
+from reproduce.recorded import Recording, data_file
 from twistcap.body import Body, Posed
 from twistcap.camera import Rig
 from twistcap.cues.limbs import LimbRule
 from twistcap.cues.reacquire import ReacquireRule
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate.metrics import iou
-from twistcap.evaluate.recorded import Recording, data_file
 from twistcap.io.masks import read_masks
 from twistcap.io.recording import open_recording
 from twistcap.io.session import load_session

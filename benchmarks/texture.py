@@ -15,11 +15,11 @@ import cv2
 import matplotlib
 import numpy as np
 
+from reproduce.scenes.textures import DIFFERENCES, texture_scene
+from reproduce.segment import segment
 from twistcap.features import Texture, feature_channels
 from twistcap.features.channels import Channels
 from twistcap.region.models import GlobalGaussian
-from twistcap.region.segment import segment
-from twistcap.studio.textures import DIFFERENCES, texture_scene
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from reproduce.scenes.subjects import limbering
 from support.finite_differences import check_jacobian
 from twistcap.body import Body, Pose, Posed, rescaled
 from twistcap.body.humanoid import humanoid
@@ -37,7 +38,6 @@ from twistcap.refine.system import Arrow
 from twistcap.render import SurfacePoints, render
 from twistcap.settings import TrackerConfig
 from twistcap.studio import Capture, StudioConfig, capture
-from twistcap.studio.subjects import limbering
 from twistcap.track import track
 
 Array = NDArray[np.float64]

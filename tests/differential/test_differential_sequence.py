@@ -9,6 +9,8 @@ from itertools import product
 import numpy as np
 import pytest
 
+from reproduce.experiments.differential import T2
+from reproduce.scenes.walks import Walk
 from twistcap.body.simplify import NINETEEN, angles_of, simplified
 from twistcap.differential.layers import LimbCost, learnt
 from twistcap.differential.memory import channels, pyramid
@@ -19,8 +21,6 @@ from twistcap.differential.tracker import DifferentialTracker
 from twistcap.differential.view import State
 from twistcap.differential.world import state_of
 from twistcap.errors import InputError
-from twistcap.evaluate.experiments.differential import T2
-from twistcap.evaluate.experiments.walks import Walk
 from twistcap.studio import StudioConfig
 
 WALK = Walk(

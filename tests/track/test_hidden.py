@@ -1,9 +1,8 @@
-"""Parts that no view shows: which count as gone, which joints that leaves known, and the experiments that need it."""
+"""Parts that no view shows: which count as gone, and which joints that leaves known."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -18,18 +17,15 @@ from twistcap.cues.evidence import ContourEvidence
 from twistcap.cues.hidden import HiddenRule, above
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
-from twistcap.evaluate.experiments.arms import Comparison, Findings, Trace, run_seed
-from twistcap.evaluate.experiments.clutter import C5
-from twistcap.evaluate.experiments.hidden_leg import C4, LEG
 from twistcap.priors import ParzenPrior, PriorRule, matched
-from twistcap.report.experiment import seed_picture
-from twistcap.studio import Board, StudioConfig, capture
+from twistcap.studio import StudioConfig, capture
 from twistcap.track import TrackerConfig, track
 
 BODY = humanoid()
 PARTS = len(BODY.segment_names)
 NONE = np.zeros(PARTS, dtype=np.bool_)
 RULE = HiddenRule()
+LEG = ("femur_r", "tibia_r", "foot_r")
 SMALL = StudioConfig(seed=3, views=2, size=(192, 140), frames=4)
 
 
@@ -107,15 +103,6 @@ def test_the_prior_knows_a_hidden_joint_by_the_others() -> None:
     np.testing.assert_array_equal(told.hessian(BODY.dof), term.hessian(BODY.dof))
 
 
-def test_a_hidden_leg_comes_back_to_what_is_seen_of_it() -> None:
-    """Behind boards in frames 2 to 4 the leg is carried by the prior alone; the frame after, the images have it."""
-    scene = capture(StudioConfig(seed=7, views=3, frames=8, boards=(Board(LEG, 2, 4),)))
-    assert C4.arms[-1].prior == "another's walk"
-    trace = run_seed(replace(C4, scene=lambda _: scene, arms=C4.arms[-1:], shown=(4, 0), span=(2, 4)), 7)[0]
-    assert trace.errors[2:5].max() < 10.0 and trace.errors[-1] < 1.0
-    assert not trace.lost
-
-
 def test_despeckled_images_are_tracked_as_if_they_had_been_filtered_before() -> None:
     scene = capture(replace(SMALL, uniform_noise=0.1))
     frames = list(scene.frames())
@@ -129,32 +116,3 @@ def test_despeckled_images_are_tracked_as_if_they_had_been_filtered_before() -> 
     assert np.abs(own[-1].pose.q - plain[-1].pose.q).max() > 1e-6
     with pytest.raises(InputError, match="despeckle is 2"):
         TrackerConfig(despeckle=2)
-
-
-@pytest.mark.parametrize("experiment", [C4, C5])
-def test_a_picture_per_seed(experiment: Comparison, tmp_path: Path) -> None:
-    boards = (Board(LEG, 1, 2),) if experiment is C4 else ()
-    scene = capture(replace(SMALL, boards=boards, rectangles=5))
-    short = replace(experiment, scene=lambda _: scene, shown=(2, 1), span=(1, 2))
-    traces = run_seed(short, 3)
-    assert [t.arm for t in traces] == [arm.name for arm in experiment.arms]
-    for trace in traces:
-        assert trace.joints_mm.shape[0] == 4 and np.array_equal(trace.shot.truth, scene.masks(2)[1])
-    findings = Findings([], short.quantity, traces, short.watched, short.span)
-    picture = cv2.imread(str(seed_picture(tmp_path / "a.png", short, findings, 3)))
-    bare = cv2.imread(str(seed_picture(tmp_path / "b.png", short, replace(findings, span=None), 3)))
-    assert picture.shape == bare.shape and np.any(picture != bare)
-    if experiment is C4:
-        true = [np.degrees(p.q[scene.true_body.coordinate("knee_angle_r")]) for p in scene.true_poses]
-        np.testing.assert_allclose(traces[0].true_course, true)
-
-
-def test_the_bars_of_both_claims() -> None:
-    """One line says whether a sequence was lost; what is asked of it depends on the arm."""
-    for experiment, arm, holds in ((C4, 0, False), (C4, 2, True), (C5, 0, None), (C5, 1, True)):
-        name = experiment.arms[arm].name
-        kept = Trace(name, 0, np.ones(60), np.ones((60, 2)), [], None)  # type: ignore[arg-type]
-        lost = replace(kept, joints_mm=np.full((60, 2), 30.0), errors=np.full(60, 9.0))
-        good, bad = experiment.rows([kept])[0], experiment.rows([lost])[0]
-        assert (good["value"], bad["value"]) == (0.0, 1.0)
-        assert good["holds"] is holds and bad["holds"] is (None if holds is None else not holds)
