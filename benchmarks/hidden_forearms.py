@@ -12,9 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from reproduce.arrays import Bool, Float
 from reproduce.cases import PRIOR
 from reproduce.sequence import Pictures, joint_errors_mm, prior_of, tracked
-from reproduce.arrays import Bool, Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.evaluate import metrics
 from twistcap.priors import ParzenPrior

@@ -50,7 +50,7 @@ def reproduce(
     if name is None:
         raise InputError("name what to run, such as studio or C-3; --list says what there is.")
     catalogue.check(name, pictures=out is not None)
-    chosen = parsed_seeds(seeds or catalogue.default_seeds(name))
+    chosen = parsed_seeds(catalogue.default_seeds(name) if seeds is None else seeds)
     folder = None if out is None else terminal.output_folder(out)
     with terminal.telling("reproduce") as told:
         table = catalogue.run(name, chosen, quick, told, folder)

@@ -28,7 +28,8 @@ from twistcap.studio.scene import default_body
 from twistcap.track import TrackerConfig
 
 BLEND = 10  # frames over which one motion passes into the next
-_STEP = 4  # frames by which each seed begins later
+_STEP = 4  # frames by which each pair of seeds begins later
+_BEGINNINGS = 12  # of the pairs: the person runs up for 48 frames before the cartwheel
 
 
 def _mimic(name: str) -> Recording:
@@ -83,11 +84,11 @@ class Acrobatics:
     views: int = 4
 
     def scene(self, seed: int) -> Capture:
-        """The capture of a seed: another person and room, begun a little later in the motion."""
+        """The capture of a seed: another person and room, begun a little later in the run-up."""
         body = default_body(StudioConfig(seed=seed))
         flip = FLIPS[seed % len(FLIPS)]
         motion = joined(CARTWHEEL.clip(body, RATE).mirrored(), flip.clip(body, RATE).mirrored())
-        poses = motion.poses()[_STEP * (seed // len(FLIPS)) :]
+        poses = motion.poses()[_STEP * (seed // len(FLIPS) % _BEGINNINGS) :]
         return capture(StudioConfig(seed=seed, views=self.views, frames=len(poses), fps=RATE), body, poses)
 
     def library(self, scene: Capture) -> MotionLibrary:

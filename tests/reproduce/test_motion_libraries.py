@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from reproduce.experiments.acrobatics import LIBRARY, Acrobatics, joined
+from reproduce.experiments.acrobatics import D7, LIBRARY, Acrobatics, joined
 from reproduce.experiments.mixed import RUNNING, SAMPLES, Matched, noisy, same
 from twistcap import se3
 from twistcap.errors import InputError
@@ -89,3 +89,13 @@ def _body():
     from twistcap.studio.scene import default_body
 
     return default_body(StudioConfig(seed=0))
+
+
+@pytest.mark.usefixtures("recorded")
+@pytest.mark.parametrize("seed", [0, 7, 40, 43, 47, 173])
+def test_every_seed_films_the_whole_cartwheel_and_the_flip(seed: int) -> None:
+    """Seeds begin at different frames of the run-up; a late beginning once cut the cartwheel, and the shown frame."""
+    upright = np.array([pose.root[2, 2] for pose in Acrobatics().scene(seed).true_poses])
+    assert upright[0] > 0.7
+    assert len(upright) > D7.shown[0]
+    assert np.count_nonzero(np.diff((upright < 0.0).astype(int)) == 1) == 2  # head down twice
