@@ -1,33 +1,29 @@
-"""Motions of shared data, as cases for `motion_prediction`."""
+"""Motions of shared data, as cases for predictions without any image."""
 
 from __future__ import annotations
 
-import os
-from dataclasses import replace
-from pathlib import Path
-
-import numpy as np
-from motion_prediction import Case
+from dataclasses import dataclass, replace
 
 from reproduce.recorded import Recording
 from twistcap.body.humanoid import humanoid
-from twistcap.io.motion_files import poses_from_mot, read_mot
 from twistcap.motion import MotionClip
 
-DATA = Path(os.environ.get("TWISTCAP_DATA", Path(__file__).parents[1] / ".." / "shared" / "data"))
 BODY = humanoid("legs")
-WALK = "opensim_gait/Pipelines/Gait10dof18musc/OutputReference/IK/subject01_walk_IK.mot"
+RATE = 60.0
+_OPENSIM = "opensim_gait/Pipelines"
+WALK = f"{_OPENSIM}/Gait10dof18musc/OutputReference/IK/subject01_walk_IK.mot"
+RUN = f"{_OPENSIM}/Hamner/outputReference/ResultsIK/subject02_running_ik.mot"
 MIMIC = "motions/deepmimic/humanoid3d"
-RUN = "opensim_gait/Pipelines/Hamner/outputReference/ResultsIK/subject02_running_ik.mot"
 
 
-def clip_of(path: str, rate: float = 60.0) -> MotionClip:
-    """A MOT of shared data in our coordinates."""
-    table = read_mot(DATA / path)
-    poses, _ = poses_from_mot(table, BODY)
-    fps = (len(table.times) - 1) / float(table.times[-1] - table.times[0])
-    roots, q = np.array([pose.root for pose in poses]), np.array([pose.q for pose in poses])
-    return MotionClip(Path(path).stem, BODY.coordinate_names, fps, roots, q).resampled(rate)
+@dataclass(frozen=True)
+class Case:
+    """A clip that is tracked, what is learnt from, and how long the gaps are (frames)."""
+
+    name: str
+    tracked: MotionClip
+    training: tuple[MotionClip, ...]
+    gap: int
 
 
 def part(clip: MotionClip, start: int, end: int) -> MotionClip:
@@ -37,7 +33,7 @@ def part(clip: MotionClip, start: int, end: int) -> MotionClip:
 
 def opensim_cases() -> list[Case]:
     """Walking and running, each from another stretch of its own recording."""
-    walk, run = clip_of(WALK), clip_of(RUN)
+    walk, run = Recording(WALK).clip(BODY, RATE), Recording(RUN).clip(BODY, RATE)
     return [
         Case("walk, second half", part(walk, 75, len(walk)), (part(walk, 0, 76),), 25),
         Case("walk, first half", part(walk, 0, 76), (part(walk, 75, len(walk)),), 25),
@@ -48,9 +44,9 @@ def opensim_cases() -> list[Case]:
 
 def other_cases() -> list[Case]:
     """CMU and DeepMimic, retargeted: from another speed, another person, and with one clip left out."""
-    walk = {k: Recording(f"motions/cmu/{k}").clip(BODY, 60.0) for k in ("07_02.amc", "08_02.amc", "08_04.amc")}
-    mimic = {k: Recording(f"{MIMIC}_{k}.txt", cycles=4).clip(BODY, 60.0) for k in ("walk", "run", "jog")}
-    ran = part(clip_of(RUN), 0, 260)
+    walk = {k: Recording(f"motions/cmu/{k}").clip(BODY, RATE) for k in ("07_02.amc", "08_02.amc", "08_04.amc")}
+    mimic = {k: Recording(f"{MIMIC}_{k}.txt", cycles=4).clip(BODY, RATE) for k in ("walk", "run", "jog")}
+    ran = part(Recording(RUN).clip(BODY, RATE), 0, 260)
     a, b, c = walk.values()
     return [
         Case("08_02 from 08_04", b, (c,), 25),

@@ -1,40 +1,75 @@
-"""Where the error of `stereo-mismatch-prior` comes from: `python benchmarks/hidden_forearms.py [--seeds 8]`.
+"""hidden-forearms: where the error of the line `stereo-mismatch-prior` comes from.
 
 Elbows and wrists whose forearm one of the two cameras does not show (under a quarter of its vertices), and all other
-joints; beside the first, the same arms as the prior alone would have them, told by every other joint. Truth says
-which forearms are hidden, and scores.
+joints; beside the first, the same arms as the prior alone predicts them from every other joint. Truth says which
+forearms are hidden, and scores.
+
+    python -m reproduce hidden-forearms --seeds 0-7
 """
 
 from __future__ import annotations
 
-import argparse
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
+from reproduce.arms import Findings
 from reproduce.arrays import Bool, Float
 from reproduce.cases import PRIOR
+from reproduce.running import Tell, over_seeds
 from reproduce.sequence import Pictures, joint_errors_mm, prior_of, tracked
 from twistcap.body import Body, Pose, Posed
-from twistcap.evaluate import metrics
+from twistcap.camera import Camera
+from twistcap.evaluate import Row, metrics, row
 from twistcap.priors import ParzenPrior
 from twistcap.render import render
 from twistcap.studio import Capture, capture
 
 CASE = next(case for case in PRIOR.cases if case.id == "stereo-mismatch-prior")
-SHOWN, TOLERANCE = 0.25, 0.02  # share of a forearm's vertices; m
+SHOWN, TOLERANCE = 0.25, 0.02  # fraction of a forearm's vertices; m
+SEEN, HIDDEN, GUESSED = "joints in sight", "hidden forearms", "hidden forearms, by the prior"
+
+
+@dataclass(frozen=True)
+class HiddenForearms:
+    """The experiment; see `Experiment`."""
+
+    id: str = "hidden-forearms"
+    says: str = "where the joint error of stereo-mismatch-prior comes from: forearms that one camera does not show"
+
+    def run(self, seeds: Sequence[int], progress: Tell, out: Path | None = None) -> Findings:
+        """Rows alone."""
+        del out
+        found = over_seeds(errors, seeds, progress, self.id)
+        return Findings(self.rows(found), "", ())
+
+    def rows(self, found: Sequence[tuple[Float, Float, Float]]) -> list[Row]:
+        """Means over the seeds, elbows and wrists apart."""
+        hidden = [arms.size / (seen.size + arms.size) for seen, arms, _ in found]
+        seen = [float(one.mean()) for one, _, _ in found]
+        out = [
+            row(self.id, "joints of hidden forearms", float(np.mean(hidden)), "share", seeds=hidden),
+            row(self.id, SEEN, float(np.mean(seen)), "mm", seeds=seen),
+        ]
+        for name, which in ((HIDDEN, 1), (GUESSED, 2)):
+            for column, joint in enumerate(("elbow", "wrist")):
+                values = [metrics.mean_known(one[which][:, column]) for one in found]
+                out.append(row(self.id, f"{name}: {joint}", metrics.mean_known(np.array(values)), "mm", seeds=values))
+        return out
 
 
 def hidden(scene: Capture, index: int, side: str) -> bool:
     """Whether some camera shows hardly anything of the true forearm."""
     body, posed = scene.true_body, Posed(scene.true_body, scene.true_poses[index])
     own = np.isin(body.vertex_part, [body.segment(f"{bone}_{side}") for bone in ("ulna", "radius")])
-    return min(float(np.mean(seen(posed, camera)[own])) for camera in scene.true_rig) <= SHOWN
+    return min(float(np.mean(visible(posed, camera)[own])) for camera in scene.true_rig) <= SHOWN
 
 
-def seen(posed: Posed, camera: object) -> Bool:
+def visible(posed: Posed, camera: Camera) -> Bool:
     """(V,) vertices that nothing of the body lies before."""
-    view = render(posed, camera)  # pyright: ignore[reportArgumentType]
+    view = render(posed, camera)
     x, y = np.round(view.pixels).astype(int).T
     height, width = view.inverse_depth_image.shape
     inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
@@ -62,30 +97,15 @@ def errors(seed: int) -> tuple[Float, Float, Float]:
     names = [name for name in metrics.JOINT_CENTRES if name in body.landmarks.names]
     mm = joint_errors_mm(scene, body, [e.pose for e in estimates], [e.index for e in estimates])
     sight, arms, guessed = np.ones(mm.shape, np.bool_), list[Float](), list[Float]()
-    for row, e in enumerate(estimates):
+    for n, e in enumerate(estimates):
         for side in "rl":
             if hidden(scene, e.index, side):
                 joints = [names.index(f"elbow_{side}"), names.index(f"wrist_{side}")]
-                sight[row, joints] = False
-                arms.append(mm[row, joints])
+                sight[n, joints] = False
+                arms.append(mm[n, joints])
                 guess = by_the_prior(prior, body, e.pose, side)
                 guessed.append(joint_errors_mm(scene, body, [guess], [e.index])[0, joints])
     return mm[sight], np.array(arms).reshape(-1, 2), np.array(guessed).reshape(-1, 2)
 
 
-def main() -> None:
-    """Print a line per seed and the means."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=8)
-    print("seed  hidden  in sight   elbow, wrist hidden   by the prior")
-    rows: list[Float] = []
-    for seed in range(parser.parse_args().seeds):
-        sight, arms, guessed = errors(seed)
-        share = arms.size / (sight.size + arms.size)
-        rows.append(np.array([share, sight.mean(), *arms.mean(axis=0), *guessed.mean(axis=0)]))
-        print(seed, np.round(rows[-1], 2), flush=True)
-    print("mean", np.round(np.mean(rows, axis=0), 2))
-
-
-if __name__ == "__main__":
-    main()
+HIDDEN_FOREARMS = HiddenForearms()

@@ -1,20 +1,26 @@
-"""A real walk before one camera, from clicked joints: `python benchmarks/sagittal.py [OVERLAY.png]`.
+"""sagittal: a real walk before one camera, followed by brightness from clicked joints, beside the norms of gait.
 
 The recording is `sagittal_walk` of the shared data. Both sides are followed in the image plane, since the far leg
-crosses the near one; printed is how the near knee and hip compare with the norms of gait, cycle by cycle.
+crosses the near one; measured is how near hip and knee correlate with the norms, cycle by cycle. After Bregler and
+Malik, "Tracking People with Twists and Exponential Maps", CVPR 1998.
+
+    TWISTCAP_DATA=... python -m reproduce sagittal --out out/sagittal
 """
 
 from __future__ import annotations
 
-import os
-import sys
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from reproduce.arms import Findings
+from reproduce.arrays import AnyArray, UInt8
 from reproduce.measures.gait_norms import FILE, by_cycle, correlation, gait_norm, heel_strikes
+from reproduce.recorded import data_file
+from reproduce.running import Tell
 from twistcap.body import Body
 from twistcap.body.ellipsoids import ellipsoid_body
 from twistcap.body.humanoid import humanoid
@@ -23,6 +29,7 @@ from twistcap.differential.render import render
 from twistcap.differential.sequence import Limb, SequenceConfig, track_sequence
 from twistcap.differential.settings import DifferentialConfig
 from twistcap.differential.view import State
+from twistcap.evaluate import Row, row
 from twistcap.firstpose.clicks import fit_clicks
 
 FIRST, COUNT, TOP, BOTTOM = 80, 100, 480, 960  # frames, and rows of the image that hold the walker
@@ -36,9 +43,41 @@ TRACKER = DifferentialConfig(turns="planar", stray_scale=1e-4, stray_px=2.0, str
 LIMBS = tuple(
     Limb(names, (10, 12), (5, 7), (3, 6)) for names in (("hip_flexion", "knee_angle"), ("arm_flex", "elbow_flex"))
 )
+PASSES = SequenceConfig(passes=1, limbs=LIMBS, apart=True)
 
 
-def frames(path: Path) -> list[np.ndarray]:
+@dataclass(frozen=True)
+class SagittalWalk:
+    """The experiment; it draws no numbers at random, so that seeds change nothing. See `Experiment`."""
+
+    id: str = "sagittal"
+    says: str = "a real walk in one view, followed by brightness alone: hip and knee beside the norms of gait"
+
+    def run(self, seeds: Sequence[int], progress: Tell, out: Path | None = None) -> Findings:
+        """The least correlation over the cycles; the picture shows the parts over the frames."""
+        del seeds
+        images, (model, first) = frames(data_file("sagittal_walk/demo.mp4")), start()
+        progress("tracking", 0, 1)
+        states = track_sequence(model, first, [[i] for i in images], TRACKER, PASSES)
+        if out is not None:
+            cv2.imwrite(str(out / f"{self.id}.png"), overlay(model, states, images, range(0, COUNT, 5))[..., ::-1])
+        return Findings(self._rows(model, states), "", ())
+
+    def _rows(self, model: Body, states: Sequence[State]) -> list[Row]:
+        marks = np.array([s.views[0].pixels(s.posed(model).landmarks) for s in states])
+        hip, ankle = (model.landmarks.index(name) for name in ("hip_l", "ankle_l"))
+        strikes = heel_strikes(marks[:, hip, 0] - marks[:, ankle, 0], 20)
+        strikes = np.unique([0, *strikes]).astype(np.int32)  # it begins as the near heel strikes
+        rows: list[Row] = []
+        for joint in ("hip_flexion", "knee_angle"):
+            angle = np.degrees([s.q[model.coordinate(joint + "_l")] for s in states])
+            band = gait_norm(data_file(FILE), joint)
+            each = [correlation(curve, band) for curve in by_cycle(angle, strikes)]
+            rows.append(row(self.id, f"{joint}, worst cycle", min(each), "correlation", at_least=0.9, seeds=each))
+        return rows
+
+
+def frames(path: Path) -> list[UInt8]:
     """The walk, RGB at half size."""
     video, out = cv2.VideoCapture(str(path)), []
     for k in range(FIRST + COUNT):
@@ -59,7 +98,7 @@ def start() -> tuple[Body, State]:
     return ellipsoid_body(found.body), State((replace(view, shift=view.shift - [0, TOP // 2]),), found.state.q)
 
 
-def overlay(model, states, images, wanted: range) -> np.ndarray:
+def overlay(model: Body, states: Sequence[State], images: Sequence[UInt8], wanted: range) -> AnyArray:
     """Some frames, the parts of the model coloured."""
     colours, tiles = (255 * np.random.default_rng(0).random((40, 3))).astype(np.uint8), []
     for k in wanted:
@@ -71,24 +110,4 @@ def overlay(model, states, images, wanted: range) -> np.ndarray:
     return np.vstack([np.hstack(tiles[k : k + 4]) for k in range(0, len(tiles) - 3, 4)])
 
 
-def main() -> None:
-    data = Path(os.environ["TWISTCAP_DATA"])
-    images, (model, first) = frames(data / "sagittal_walk/demo.mp4"), start()
-    states = track_sequence(
-        model, first, [[i] for i in images], TRACKER, SequenceConfig(passes=1, limbs=LIMBS, apart=True)
-    )
-    marks = np.array([s.views[0].pixels(s.posed(model).landmarks) for s in states])
-    names = model.landmarks.names
-    strikes = heel_strikes(marks[:, names.index("hip_l"), 0] - marks[:, names.index("ankle_l"), 0], 20)
-    strikes = np.unique([0, *strikes]).astype(np.int32)  # it begins as the near heel strikes
-    print("heel strikes", strikes)
-    for joint in ("hip_flexion", "knee_angle"):
-        angle = np.degrees([s.q[model.coordinate(joint + "_l")] for s in states])
-        band = gait_norm(data / FILE, joint)
-        print(joint, "correlation with the norms", [round(correlation(c, band), 3) for c in by_cycle(angle, strikes)])
-    if len(sys.argv) > 1:
-        cv2.imwrite(sys.argv[1], overlay(model, states, images, range(0, COUNT, 5))[..., ::-1])
-
-
-if __name__ == "__main__":
-    main()
+SAGITTAL = SagittalWalk()
