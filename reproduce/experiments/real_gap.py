@@ -39,6 +39,9 @@ MASKED = (60, 80)  # frames behind the gap of which there are masks
 CMU = ("01_01.amc", "07_02.amc", "08_02.amc", "08_04.amc", "11_01.amc")
 MIMIC = ("walk", "jump", "kick", "punch")
 
+Track = Sequence[Estimate]
+"""One estimate for each frame."""
+
 UNDISTURBED = "undisturbed"
 _GUARDED = TrackerConfig(predictor="motion", motion="guarded")
 ARMS = {
@@ -89,15 +92,7 @@ class RealGap:
             progress(name, done, len(ARMS))
         return Findings(rows, "", ())
 
-    def _rows(
-        self,
-        arm: str,
-        body: Body,
-        rig: Rig,
-        seen: Rig,
-        runs: Sequence[Sequence[Estimate]],
-        reference: Sequence[Estimate],
-    ) -> list[Row]:
+    def _rows(self, arm: str, body: Body, rig: Rig, seen: Rig, runs: Sequence[Track], reference: Track) -> list[Row]:
         case, behind = f"{self.id} {arm}", GAP[1] + 1
         masks = [overlap_with_masks(body, rig, run) for run in runs]
         gap = [overlap(body, seen, run[GAP[0] : behind], reference[GAP[0] : behind]) for run in runs]
