@@ -4,15 +4,16 @@ from reproduce.arms import Arm, Comparison, Experiment, Findings, Shot, Trace
 from reproduce.experiments.acrobatics import D7
 from reproduce.experiments.body_fit import B1
 from reproduce.experiments.body_models import B2
+from reproduce.experiments.brightness_walks import T1, T2, T3, T_EM
 from reproduce.experiments.clicks import CLICKS
 from reproduce.experiments.clutter import C5
-from reproduce.experiments.contours import C1, C2
-from reproduce.experiments.differential import T1, T2, T3, T_EM
+from reproduce.experiments.coupled_contour import C1
 from reproduce.experiments.fast_motion import C3
 from reproduce.experiments.gaps import D1, D1_OTHER, D1_SPEED, D2, D3, D3_OTHERS, D4, D5
 from reproduce.experiments.hidden_forearms import HIDDEN_FOREARMS
 from reproduce.experiments.hidden_leg import C4
 from reproduce.experiments.key_views import KEYVIEWS
+from reproduce.experiments.local_densities import C2
 from reproduce.experiments.loose_cloth import T_CLOTH
 from reproduce.experiments.mixed import D6
 from reproduce.experiments.motion_prediction import MOTION_PREDICTION

@@ -96,7 +96,8 @@ def _gap_errors(predictor: MotionPredictor, moments: Sequence[Moment], last: int
     shift = np.linalg.norm(end.pose.root[:3, 3] - true_root[:3, 3])
     turn = np.arccos(np.clip((np.trace(end.pose.root[:3, :3].T @ true_root[:3, :3]) - 1) / 2, -1, 1))
     squared = np.mean(wrong[-1] ** 2 / np.diag(end.covariance)[6:])
-    return np.array([np.degrees(np.abs(wrong[:, knees]).mean()), 1e3 * shift, np.degrees(turn), squared])
+    knee = np.degrees(np.abs(wrong[:, knees]).mean())
+    return np.array([knee, 1e3 * shift, np.degrees(turn), squared], dtype=np.float64)
 
 
 MOTION_PREDICTION = MotionPrediction()

@@ -24,6 +24,7 @@ from reproduce.arms import Findings
 from reproduce.arrays import Bool, Float32, UInt8
 from reproduce.running import Tell
 from reproduce.scenes.flow_pairs import FlowPair, flow_pair
+from twistcap.errors import InputError
 from twistcap.evaluate import Row, row
 from twistcap.flow import BROX_2004, optical_flow
 
@@ -62,7 +63,9 @@ class OpticFlow:
 
 def dis(first: UInt8, second: UInt8, mask: Bool | None) -> Float32:
     """OpenCV's dense inverse search; it knows no mask."""
-    return cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM).calc(first, second, None)
+    method = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    flow = np.zeros((*first.shape, 2), np.float32)
+    return np.asarray(method.calc(first, second, flow), np.float32)
 
 
 def ours(first: UInt8, second: UInt8, mask: Bool | None, **kwargs: object) -> Float32:
@@ -80,7 +83,7 @@ def middlebury_rows(folder: Path) -> list[Row]:
     """Endpoint error and milliseconds on each pair."""
     rows: list[Row] = []
     for name, bar in MIDDLEBURY.items():
-        first, second = (cv2.imread(str(folder / name / f"frame1{k}.png"), cv2.IMREAD_GRAYSCALE) for k in (0, 1))
+        first, second = (_grey(folder / name / f"frame1{k}.png") for k in (0, 1))
         width, height = np.fromfile(folder / name / "flow10.flo", np.int32, 3)[1:]
         truth = np.fromfile(folder / name / "flow10.flo", np.float32, offset=12).reshape(height, width, 2)
         known = np.abs(truth).max(axis=-1) < 1e9
@@ -95,6 +98,13 @@ def middlebury_rows(folder: Path) -> list[Row]:
                 row(f"{name} {method}", "time", ms, "ms"),
             ]
     return rows
+
+
+def _grey(path: Path) -> UInt8:
+    image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    if image is None:
+        raise InputError(f"{path} cannot be read as a picture; mend the folder that TWISTCAP_DATA names.")
+    return np.asarray(image, np.uint8)
 
 
 def studio_rows(pairs: Pairs) -> list[Row]:

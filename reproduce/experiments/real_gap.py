@@ -131,6 +131,7 @@ def overlap_with_masks(body: Body, rig: Rig, estimates: Sequence[Estimate]) -> f
                 iou(render(found[k], camera.pinhole()).mask, mask)
                 for k in MASKED
                 for camera, mask in zip(rig, read_masks(folder, rig, k), strict=True)
+                if mask is not None
             ]
         )
     )

@@ -59,7 +59,10 @@ class Textures:
                 values = [_overlap(channels, texture, difference, seed) for seed in seeds]
                 rows.append(_row(name, difference, values))
             progress(name, done, len(ARMS))
-        rows += [row(f"{self.id} {name}", "time of a crop", _ms(*how), "ms") for name, *how in TIMED]
+        rows += [
+            row(f"{self.id} {name}", "time of a crop", _ms(channels, texture), "ms")
+            for name, channels, texture in TIMED
+        ]
         if out is not None:
             _picture(out / f"{self.id}.png", seeds[0])
         return Findings(rows, "", ())

@@ -42,7 +42,7 @@ def flow_pair(seed: int, fast: bool) -> FlowPair:
     poses = default_poses(config, body, heading)
     if not fast:
         return _pair(capture(config, body, poses))
-    low, high = 0.0, 2.0
+    low, high, scene = 0.0, 2.0, capture(config, body, poses)
     for _ in range(12):
         swing = 0.5 * (low + high)
         scene = capture(config, body, [poses[0], _thrown(body, poses[0], swing, seed)])
@@ -74,8 +74,12 @@ def _pair(scene: Capture) -> FlowPair:
     flow = np.full((*seen.mask.shape, 2), np.nan, np.float32)
     flow[rows, columns] = pixels - np.stack([columns, rows], axis=1)
     window = _window(seen.mask, camera.size)
-    first, second = (scene.frame(k).images[0] for k in range(2))
-    return FlowPair(*(np.ascontiguousarray(image[window]) for image in (first, second, seen.mask, flow)))
+    first, second = (scene.image(k, 0) for k in range(2))
+    assert first is not None and second is not None
+    return FlowPair(
+        np.ascontiguousarray(first[window]), np.ascontiguousarray(second[window]),
+        np.ascontiguousarray(seen.mask[window]), np.ascontiguousarray(flow[window]),
+    )  # fmt: skip
 
 
 def _window(mask: Bool, size: tuple[int, int]) -> tuple[slice, slice]:

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from reproduce.experiments.differential import T2
+from reproduce.experiments.brightness_walks import T2
 from reproduce.scenes.walks import Walk
 from twistcap.body.simplify import NINETEEN, angles_of, simplified
 from twistcap.differential.layers import LimbCost, learnt
