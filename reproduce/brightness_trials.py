@@ -11,11 +11,11 @@ import numpy as np
 
 from reproduce.arms import Findings, Shot, Trace
 from reproduce.arrays import Float
+from reproduce.passes import SequenceConfig, track_sequence
 from reproduce.running import Tell, over_seeds
 from reproduce.scenes.walks import Walk
 from twistcap.body import Body, Posed
 from twistcap.body.simplify import angles_of
-from twistcap.differential.sequence import SequenceConfig, track_sequence
 from twistcap.differential.settings import DifferentialConfig
 from twistcap.differential.tracker import track
 from twistcap.differential.view import ScaledView, State

@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 
 from reproduce.brightness_trials import DifferentialTrial, Tracked
+from reproduce.ellipsoids import ellipsoid_body
 from reproduce.norm_picture import norm_picture
+from reproduce.passes import Limb, SequenceConfig
 from reproduce.reanimated import reanimated
 from reproduce.scenes.walks import Walk
 from twistcap.body import Body
-from twistcap.body.ellipsoids import ellipsoid_body
 from twistcap.body.simplify import NINETEEN, SIDE_VIEW, side_view, simplified
-from twistcap.differential.sequence import Limb, SequenceConfig
 from twistcap.differential.settings import DifferentialConfig
 from twistcap.differential.view import ScaledView
 from twistcap.evaluate import Row, row

@@ -18,15 +18,15 @@ import numpy as np
 
 from reproduce.arms import Findings
 from reproduce.arrays import AnyArray, UInt8
+from reproduce.ellipsoids import ellipsoid_body
 from reproduce.measures.gait_norms import FILE, by_cycle, correlation, gait_norm, heel_strikes
+from reproduce.passes import Limb, SequenceConfig, track_sequence
 from reproduce.recorded import data_file
 from reproduce.running import Tell
 from twistcap.body import Body
-from twistcap.body.ellipsoids import ellipsoid_body
 from twistcap.body.humanoid import humanoid
 from twistcap.body.simplify import SIDE_VIEW, simplified
 from twistcap.differential.render import render
-from twistcap.differential.sequence import Limb, SequenceConfig, track_sequence
 from twistcap.differential.settings import DifferentialConfig
 from twistcap.differential.view import State
 from twistcap.evaluate import Row, row

@@ -15,9 +15,9 @@ from itertools import product
 
 import numpy as np
 
-from twistcap._typing import AnyArray, Float, Float32, Int
+from reproduce.arrays import AnyArray, Float, Float32, Int
+from reproduce.layers import Layers, LimbCost, learnt
 from twistcap.body import Body
-from twistcap.differential.layers import Layers, LimbCost, learnt
 from twistcap.differential.memory import channels, pyramid
 from twistcap.differential.settings import DifferentialConfig
 from twistcap.differential.tracker import track

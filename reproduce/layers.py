@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numba import njit
 
-from twistcap._typing import AnyArray, Bool, Float, Float32, Int
+from reproduce.arrays import AnyArray, Bool, Float, Float32, Int
 from twistcap.body import Body, Posed
 from twistcap.differential.render import SeenBody, render
 from twistcap.differential.view import ScaledView

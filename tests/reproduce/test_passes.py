@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from reproduce.experiments.brightness_walks import T2
+from reproduce.layers import LimbCost, learnt
+from reproduce.passes import LIMBS, SequenceConfig, cheapest_path, chosen, nearest_first, track_sequence
 from reproduce.scenes.walks import Walk
 from twistcap.body.simplify import NINETEEN, angles_of, simplified
-from twistcap.differential.layers import LimbCost, learnt
 from twistcap.differential.memory import channels, pyramid
 from twistcap.differential.render import render
-from twistcap.differential.sequence import LIMBS, SequenceConfig, cheapest_path, chosen, nearest_first, track_sequence
 from twistcap.differential.settings import DifferentialConfig
 from twistcap.differential.tracker import DifferentialTracker
 from twistcap.differential.view import State

@@ -1,4 +1,4 @@
-"""Bodies of ellipsoids: one for each segment, fitted to a surface or laid along clicked joints.
+"""Bodies of ellipsoids: one for each segment, fitted to its surface.
 
 Bregler and Malik, "Tracking People with Twists and Exponential Maps", CVPR 1998, approximate the segments of the body
 by ellipsoidal blobs. The body is a `Body` like any other, whose mesh is that of its ellipsoids.
@@ -11,9 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from twistcap._typing import Float, Int
+from reproduce.arrays import Float, Int
 from twistcap.body.model import Body
-from twistcap.body.shape import segment_axes
 from twistcap.body.simplify import with_surface
 from twistcap.errors import InputError
 
@@ -66,58 +65,9 @@ def fitted_ellipsoids(body: Body) -> Ellipsoids:
     return Ellipsoids(np.array(segments, np.int32), np.array(centres), np.array(axes), np.array(radii))
 
 
-def ellipsoids_on_bones(body: Body, slenderness: float = 0.16) -> Ellipsoids:
-    """Ellipsoids along the bones of a body without a surface, from each joint to the landmark or joint farthest along.
-
-    Args:
-        body: with landmarks.
-        slenderness: radius across over length.
-
-    Raises:
-        InputError: where no bone has a length.
-    """
-    origins, axes = segment_axes(body)
-    rows: list[tuple[int, Float, Float, Float]] = []
-    for s in range(len(body.segment_names)):
-        marks = body.landmarks.points[body.landmarks.segments == s]
-        ends = np.concatenate([origins[s][None], marks, origins[body.segment_parent == s]])
-        along = (ends - origins[s]) @ axes[s]
-        length = float(np.ptp(along))
-        if length > 1e-3:
-            centre = origins[s] + 0.5 * float(along.min() + along.max()) * axes[s]
-            off = (ends - centre) - np.outer((ends - centre) @ axes[s], axes[s])
-            across = max(slenderness * length, 0.6 * float(np.linalg.norm(off, axis=1).max()))
-            rows.append((s, centre, _frame(axes[s]), np.array([across, across, 0.55 * length])))
-    if not rows:
-        raise InputError(f"body {body.name!r} has no landmarks to lay ellipsoids along; name its joints.")
-    segments, centres, frames, radii = zip(*rows, strict=True)
-    return Ellipsoids(np.array(segments, np.int32), np.array(centres), np.array(frames), np.array(radii))
-
-
 def ellipsoid_body(body: Body, ellipsoids: Ellipsoids | None = None) -> Body:
     """The body with the mesh of ellipsoids in place of its surface; by default those fitted to it."""
     return with_surface(body, *(ellipsoids or fitted_ellipsoids(body)).mesh())
-
-
-def nearest_depths(forms: Float, centres: Float, pixels: Float) -> tuple[Float, Int]:
-    """Depth (N,) of the nearest ellipsoid along each ray of a scaled-orthographic view, and which; inf, -1 if none.
-
-    The ray ``x(z) = (x, y, z)`` meets ``(x − c)ᵀ A (x − c) = 1`` where a quadratic in z vanishes: at its lesser root.
-
-    Args:
-        forms: (E, 3, 3) A in camera axes, 1/px².
-        centres: (E, 3) c there, px.
-        pixels: (N, 2) x and y.
-    """
-    d = pixels[:, None] - centres[None, :, :2]
-    a = forms[:, 2, 2]
-    b = np.einsum("nei,ei->ne", d, forms[:, :2, 2])
-    c = np.einsum("nei,eij,nej->ne", d, forms[:, :2, :2], d) - 1.0
-    square = b * b - a * c
-    z = np.where(square >= 0, centres[:, 2] + (-b - np.sqrt(np.maximum(square, 0.0))) / a, np.inf)
-    which = np.argmin(z, axis=1)
-    depth = z[np.arange(len(z)), which]
-    return depth, np.where(np.isfinite(depth), which, -1).astype(np.int32)
 
 
 def _same_moments(points: Float) -> tuple[Float, Float, Float]:
@@ -134,14 +84,6 @@ def _same_moments(points: Float) -> tuple[Float, Float, Float]:
     values, axes = np.linalg.eigh(covariance)
     axes[:, 0] *= np.sign(np.linalg.det(axes))
     return apex + mean, axes, np.sqrt(5.0 * values)  # a solid ellipsoid has variance r² / 5 along each axis
-
-
-def _frame(axis: Float) -> Float:
-    """A right-handed frame (3, 3) in columns whose third is the axis."""
-    other = np.eye(3)[int(np.argmin(np.abs(axis)))]
-    first = np.cross(other, axis)
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(axis, first), axis], axis=1)
 
 
 def _unit_sphere() -> tuple[Float, Int]:
