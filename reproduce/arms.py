@@ -171,9 +171,9 @@ def _trace(
     estimates = list(track(frames, scene.body, scene.rig, scene.first_pose, arm.tracker, *given))
     errors = np.array([experiment.error(scene, e) for e in estimates])
     joints = joint_errors_mm(scene, scene.body, [e.pose for e in estimates], [e.index for e in estimates])
-    slim = [replace(e, covariance=np.empty((0, 0))) for e in estimates]  # processes need not carry them
-    shot = _shot(arm.name, scene, frames[experiment.shown[0]], estimates[experiment.shown[0]], experiment.shown[1])
-    trace = Trace(arm.name, scene.config.seed, errors, joints, slim, shot)
+    index, camera = experiment.shown
+    shot = shot_of(arm.name, scene, frames[index], Posed(scene.body, estimates[index].pose), camera)
+    trace = Trace(arm.name, scene.config.seed, errors, joints, slim(estimates), shot)
     if experiment.course is None:
         return trace
     course = np.array([experiment.course(Posed(scene.body, e.pose)) for e in estimates])
@@ -181,11 +181,17 @@ def _trace(
     return replace(trace, course=course, true_course=truth)
 
 
-def _shot(arm: str, scene: Capture, frame: Frame, estimate: Estimate, camera: int) -> Shot:
+def shot_of(arm: str, scene: Capture, frame: Frame, posed: Posed, camera: int = 0) -> Shot:
+    """The picture of an arm's body in a frame."""
     image = frame.images[camera]
     assert image is not None
-    truth, posed = scene.masks(frame.index)[camera], Posed(scene.body, estimate.pose)
+    truth = scene.masks(frame.index)[camera]
     return Shot(f"{arm}, frame {frame.index}", image, scene.rig[camera], posed, truth)
+
+
+def slim(estimates: Sequence[Estimate]) -> list[Estimate]:
+    """The estimates without covariances, which processes need not carry to each other."""
+    return [replace(e, covariance=np.empty((0, 0))) for e in estimates]
 
 
 def landmark_error_mm(scene: Capture, estimate: Estimate, names: Sequence[str]) -> float:

@@ -14,6 +14,11 @@ Measure = Literal["KHE", "joints", "joints at the start", "KHE within 2σ", "los
 Training = Literal["another's walk", "squats"]
 Start = Literal["given", "keypoints", "keypoints, lengths unknown"]
 
+# How the lines are tracked.
+DEFAULT, LEVELSET = TrackerConfig(), TrackerConfig(method="levelset")
+CONSTANT_VELOCITY, BRIGHTNESS = TrackerConfig(predictor="constant_velocity"), TrackerConfig(photometric=True)
+FIRST_POSE = TrackerConfig(first_sigma_deg=10.0, first_sigma_m=0.03, first_iterations=25)
+
 UNITS: dict[Measure, str] = {
     "KHE": "deg",
     "joints": "mm",
@@ -108,7 +113,7 @@ def followed(khe_deg: float | None, joints_mm: float | None = None) -> tuple[Bar
 
 def _four_views(condition: Condition, method: Method, bars: tuple[Bar, ...]) -> Case:
     says = f"a walk in 4 views at 60 fps, {condition} body and cameras, {method} method"
-    scene, tracker = StudioConfig(views=4, condition=condition), TrackerConfig(method=method)
+    scene, tracker = StudioConfig(views=4, condition=condition), LEVELSET if method == "levelset" else DEFAULT
     return Case(f"4-views-{condition}-{method}", says, scene, tracker, bars)
 
 
@@ -117,7 +122,6 @@ def _agreement(condition: Condition) -> Agreement:
     return Agreement(f"direct-levelset-{condition}", f"both methods agree, 4 views, {condition}", *names, 0.3)
 
 
-_KEYPOINTS = TrackerConfig(first_sigma_deg=10.0, first_sigma_m=0.03, first_iterations=25)
 _FIRST = (Bar("joints at the start", over="worst"), Bar("joints", 15.0, "worst"))
 
 STUDIO = Suite(
@@ -132,7 +136,7 @@ STUDIO = Suite(
             "4-views-mismatch-30fps",
             "every second frame only, constant velocity, mismatch body and cameras",
             StudioConfig(views=4, condition="mismatch"),
-            TrackerConfig(predictor="constant_velocity"),
+            CONSTANT_VELOCITY,
             followed(1.2),
             every=2,
         ),
@@ -140,14 +144,14 @@ STUDIO = Suite(
             "stereo-exact",
             "two views, exact body and cameras, contours and brightness constancy",
             StudioConfig(views=2),
-            TrackerConfig(photometric=True),
+            BRIGHTNESS,
             followed(1.2, 6.0),
         ),
         Case(
             "first-pose",
             "first pose from keypoints with 3 px of noise in 4 views, then refined by the tracker; body known",
             StudioConfig(views=4),
-            _KEYPOINTS,
+            FIRST_POSE,
             _FIRST,
             frames=1,
             start="keypoints",
@@ -156,7 +160,7 @@ STUDIO = Suite(
             "first-pose-lengths",
             "the same, stature and lengths unknown and fitted to the same keypoints",
             StudioConfig(views=4),
-            _KEYPOINTS,
+            FIRST_POSE,
             _FIRST,
             frames=1,
             start="keypoints, lengths unknown",
@@ -169,7 +173,7 @@ _STEREO = Case(
     "stereo-mismatch-prior",
     "two views, mismatch body and cameras, prior trained on another subject's gait",
     StudioConfig(views=2, condition="mismatch"),
-    TrackerConfig(),
+    DEFAULT,
     followed(1.2, 10.0),
     prior="another's walk",
 )
@@ -177,7 +181,7 @@ _UNFITTING = Case(
     "4-views-exact-squats",
     "4 views, exact, prior trained on knee bends, which the walk is unlike: it must do no harm",
     StudioConfig(views=4),
-    TrackerConfig(),
+    DEFAULT,
     followed(0.7, 3.0),
     prior="squats",
 )
@@ -193,7 +197,7 @@ HARDER = Suite(
     "harder",
     "faster, in one colour, at 15 frames per second",
     tuple(
-        Case(f"4-views-{name}", f"{says}, 4 views, exact body and cameras", scene, TrackerConfig(), bars, every)
+        Case(f"4-views-{name}", f"{says}, 4 views, exact body and cameras", scene, DEFAULT, bars, every)
         for name, says, scene, every, bars in _HARDER
     ),
 )

@@ -112,7 +112,7 @@ def measured(
     scene: Capture, body: Body, start: Pose, estimates: Sequence[Estimate], times_ms: Sequence[float]
 ) -> Outcome:
     """The measures of one sequence; the first frame, which takes more alternations, does not count in the time."""
-    angles, truth, sigma = _angles(scene, body, estimates)
+    angles, truth, sigma = khe_angles(scene, body, estimates)
     error = metrics.angle_differences_deg(angles, truth)
     joints = joint_errors_mm(scene, body, [e.pose for e in estimates], [e.index for e in estimates])
     values: dict[Measure, float] = {
@@ -126,7 +126,7 @@ def measured(
     return Outcome(values, np.degrees(angles))
 
 
-def _angles(scene: Capture, body: Body, estimates: Sequence[Estimate]) -> tuple[Float, Float, Float]:
+def khe_angles(scene: Capture, body: Body, estimates: Sequence[Estimate]) -> tuple[Float, Float, Float]:
     """Estimated and true angles (N, K) of the KHE, rad, and the estimates' standard deviations."""
     names = [name for name in metrics.KHE_COORDINATES if name in body.coordinate_names]
     ours, theirs = ([b.coordinate(name) for name in names] for b in (body, scene.true_body))
@@ -134,6 +134,12 @@ def _angles(scene: Capture, body: Body, estimates: Sequence[Estimate]) -> tuple[
     true = np.stack([scene.true_poses[e.index].q for e in estimates])[:, theirs]
     variance = np.stack([np.diagonal(e.covariance) for e in estimates])[:, [6 + k for k in ours]]
     return found, true, np.sqrt(variance)
+
+
+def khe_errors_deg(scene: Capture, body: Body, estimates: Sequence[Estimate]) -> Float:
+    """(N, K) signed errors of the angles of the KHE, degrees."""
+    angles, truth, _ = khe_angles(scene, body, estimates)
+    return metrics.angle_differences_deg(angles, truth)
 
 
 def joint_errors_mm(scene: Capture, body: Body, poses: Sequence[Pose], indices: Sequence[int]) -> Float:

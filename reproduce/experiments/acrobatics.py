@@ -2,6 +2,8 @@
 
 There is one recording of a cartwheel. What is tracked is its mirror image, and that of the flip; what is known are the
 recordings as they are, in which the other hand goes first, and other motion beside them.
+
+    TWISTCAP_DATA=... python -m reproduce D-7 --seeds 0-7 --out out/D-7
 """
 
 from __future__ import annotations
@@ -26,6 +28,16 @@ from twistcap.motion import MotionClip, MotionLibrary
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.scene import default_body
 from twistcap.track import TrackerConfig
+
+SEARCHED = "guarded, limbs sought"
+ARMS = (
+    Arm(SEARCHED, TrackerConfig(predictor="motion", motion="guarded", limbs=LimbRule())),
+    Arm("constant velocity, limbs sought", TrackerConfig(limbs=LimbRule())),
+    Arm("followed", TrackerConfig(predictor="motion", motion="followed")),
+    Arm("guarded", TrackerConfig(predictor="motion", motion="guarded")),
+    Arm("scaled", TrackerConfig(predictor="motion", motion="scaled")),
+    Arm("constant velocity", TrackerConfig()),
+)
 
 BLEND = 10  # frames over which one motion passes into the next
 _STEP = 4  # frames by which each pair of seeds begins later
@@ -105,17 +117,6 @@ def _upright(posed: Posed) -> float:
     return float(posed.pose.root[2, 2])
 
 
-SOUGHT = "guarded, limbs sought"
-ARMS = (
-    Arm(SOUGHT, TrackerConfig(predictor="motion", motion="guarded", limbs=LimbRule())),
-    Arm("constant velocity, limbs sought", TrackerConfig(limbs=LimbRule())),
-    Arm("followed", TrackerConfig(predictor="motion", motion="followed")),
-    Arm("guarded", TrackerConfig(predictor="motion", motion="guarded")),
-    Arm("scaled", TrackerConfig(predictor="motion", motion="scaled")),
-    Arm("constant velocity", TrackerConfig()),
-)
-
-
 def _rows(traces: Sequence[Trace]) -> list[Row]:
     """Error and number of lost sequences by arm; none may be lost where limbs are sought."""
     out: list[Row] = []
@@ -124,7 +125,7 @@ def _rows(traces: Sequence[Trace]) -> list[Row]:
         errors = [float(t.joints_mm.mean()) for t in found]
         lost = sum(t.lost for t in found)
         out.append(row(f"D-7 {arm}", "joints", float(np.mean(errors)), "mm", seeds=errors, lost=lost))
-        bar = 0.0 if arm == SOUGHT else None
+        bar = 0.0 if arm == SEARCHED else None
         each = [float(t.lost) for t in found]
         out.append(row(f"D-7 {arm}", "lost sequences", float(lost), "", at_most=bar, seeds=each, lost=lost))
     return out

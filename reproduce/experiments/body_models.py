@@ -2,6 +2,8 @@
 
 Nothing of the person is known but keypoints of the first frame, 2 px off, and the pictures; the cameras are a little
 wrong, as in B-1. It needs the extra ``twistcap[anny]``.
+
+    python -m reproduce B-2 --seeds 0-1
 """
 
 from __future__ import annotations

@@ -1,17 +1,19 @@
 """clicks: the built-in humanoid's first pose from six joints clicked in two views, and whether the tracker takes it up.
 
 Nothing of the person is known but the clicks: not the stature, not the lengths. Four views are then tracked.
+
+    python -m reproduce clicks --seeds 0-7 --out out/clicks
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from reproduce.arms import Findings, Shot, Trace
+from reproduce.arms import Findings, Trace, shot_of, slim
 from reproduce.running import Tell, over_seeds
 from reproduce.sequence import joint_errors_mm
 from twistcap.body import Posed
@@ -85,11 +87,8 @@ def clicked_seed(seed: int) -> Clicked:
     estimates = list(track(frames, start.body, scene.rig, start.pose))
     before = joint_errors_mm(scene, start.body, [start.pose], [0])
     joints = joint_errors_mm(scene, start.body, [e.pose for e in estimates], [e.index for e in estimates])
-    image = frames[0].images[0]
-    assert image is not None
-    shot = Shot("as clicked, frame 0", image, scene.rig[0], Posed(start.body, start.pose), scene.masks(0)[0])
-    slim = [replace(e, covariance=np.empty((0, 0))) for e in estimates]  # processes need not carry them
-    return Clicked("tracked", seed, joints.mean(axis=1), joints, slim, shot, clicked_mm=float(before.mean()))
+    shot = shot_of("as clicked", scene, frames[0], Posed(start.body, start.pose))
+    return Clicked("tracked", seed, joints.mean(axis=1), joints, slim(estimates), shot, clicked_mm=float(before.mean()))
 
 
 CLICKS = Clicks()

@@ -2,6 +2,8 @@
 
 Brox, Rosenhahn and Cremers, "Contours, Optic Flow, and Prior Knowledge", Fig. 11.8: "50 varying rectangles with random
 position, size, and gray value and 25% uncorrelated pixel noise". Here they have random colours.
+
+    python -m reproduce C-5 --seeds 0-7 --out out/C-5
 """
 
 from __future__ import annotations

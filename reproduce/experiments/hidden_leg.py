@@ -2,6 +2,8 @@
 
 Brox, Rosenhahn and Cremers, "Contours, Optic Flow, and Prior Knowledge", Fig. 11.7. A third arm shows what of it is the
 prior's own doing: there too a hidden part has no say, but nothing else has it instead.
+
+    python -m reproduce C-4 --seeds 0-7 --out out/C-4
 """
 
 from __future__ import annotations
@@ -22,6 +24,11 @@ LEG = ("femur_r", "tibia_r", "foot_r")
 HIDDEN = (15, 44)  # frames in which no view shows the leg
 KNEE = "knee_angle_r"
 WITHOUT, RULE, WITH = "without prior", "hidden rule alone", "with prior"
+ARMS = (
+    Arm(WITHOUT, TrackerConfig()),
+    Arm(RULE, TrackerConfig(hidden=HiddenRule(alone=True))),
+    Arm(WITH, TrackerConfig(), "another's walk"),
+)
 
 
 def leg_hidden(seed: int) -> Capture:
@@ -68,11 +75,7 @@ C4 = Comparison(
     "a leg hidden for 30 frames in all of 4 views: lost without the pose prior, kept with it",
     "error of the hidden knee, deg",
     leg_hidden,
-    (
-        Arm(WITHOUT, TrackerConfig()),
-        Arm(RULE, TrackerConfig(hidden=HiddenRule(alone=True))),
-        Arm(WITH, TrackerConfig(), "another's walk"),
-    ),
+    ARMS,
     _error,
     _rows,
     shown=(HIDDEN[1], 0),

@@ -6,6 +6,8 @@ even seeds, a woman on odd ones.
 Arms: the true mesh; the acquired body, whose surface the tracker is told to be `SURFACE_SIGMA` off; the acquired body
 taken as exact; and the first of these from a first pose that the acquired body itself has found, which carries the
 errors of its surface, as a user's first pose does.
+
+    TWISTCAP_DATA=... python -m reproduce keyviews --seeds 0-7
 """
 
 from __future__ import annotations
@@ -16,17 +18,17 @@ from pathlib import Path
 
 import numpy as np
 
-from reproduce.arms import Findings, Shot, Trace
+from reproduce.arms import Findings, Trace, shot_of, slim
 from reproduce.arrays import AnyArray, UInt8
 from reproduce.recorded import data_file
 from reproduce.running import Tell, over_seeds
 from reproduce.scenes.key_views import KeyViewScene, key_view_scene
-from reproduce.sequence import joint_errors_mm
+from reproduce.sequence import joint_errors_mm, khe_errors_deg
 from twistcap import se3
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.obj_rig import load_makehuman
 from twistcap.estimate import Frame
-from twistcap.evaluate.metrics import KHE_COORDINATES, Row, angle_differences_deg, khe_deg, row
+from twistcap.evaluate.metrics import Row, mean_known, row
 from twistcap.keyviews.build import Acquired, build
 from twistcap.keyviews.measure import measure
 from twistcap.keyviews.silhouette import KeyView, difference_mask, one_person
@@ -44,6 +46,8 @@ MARKS = tuple(f"{joint}_{side}" for joint in ("shoulder", "elbow", "wrist", "hip
 TRUE, FOUND, TRUSTED, OWN = "true mesh", "acquired", "acquired, taken as exact", "acquired, its own first pose"
 FRAMES, JOINTS_MM, KHE = 40, 20.0, 0.5  # bars: every joint centre, and what tracking may lose, degrees
 SURFACE_SIGMA = 0.006  # m; chosen among 3, 6 and 8 mm on seeds 0 to 7, see docs/keyviews.md
+EXACT, SURFACE_OFF = TrackerConfig(), TrackerConfig(surface_sigma=SURFACE_SIGMA)
+STILL = TrackerConfig(surface_sigma=SURFACE_SIGMA, predictor="hold", photometric=False)
 
 
 @dataclass(frozen=True)
@@ -128,25 +132,24 @@ def acquired_seed(seed: int) -> list[Tracked]:
     found = acquired(pictures)
     scene = capture(StudioConfig(seed=seed, views=4, frames=FRAMES), true)
     frames = list(scene.frames())
-    exact, off = TrackerConfig(), TrackerConfig(surface_sigma=SURFACE_SIGMA)
     start = carried(scene.first_pose, true, found.body)
-    own = settled(found.body, scene, frames[0], wrong_pose(found.body, start, stream(seed, "first pose")), off)
+    own = settled(found.body, scene, frames[0], wrong_pose(found.body, start, stream(seed, "first pose")))
     out = [
-        _tracked(scene, frames, true, TRUE, scene.first_pose, exact),
-        _tracked(scene, frames, found.body, FOUND, start, off),
-        _tracked(scene, frames, found.body, TRUSTED, start, exact),
-        _tracked(scene, frames, found.body, OWN, own, off),
+        _tracked(scene, frames, true, TRUE, scene.first_pose, EXACT),
+        _tracked(scene, frames, found.body, FOUND, start, SURFACE_OFF),
+        _tracked(scene, frames, found.body, TRUSTED, start, EXACT),
+        _tracked(scene, frames, found.body, OWN, own, SURFACE_OFF),
     ]
     centres = max(centre_errors_mm(pictures, found))
     return [out[0], *(replace(trace, centres_mm=centres) for trace in out[1:])]
 
 
-def settled(body: Body, scene: Capture, frame: Frame, start: Pose, config: TrackerConfig, steps: int = 12) -> Pose:
+def settled(body: Body, scene: Capture, frame: Frame, start: Pose, steps: int = 12) -> Pose:
     """The pose in which a body's contours agree with one frame, tracked from `start` as if it stood still.
 
     Brightness, which would hold it where it started, is left out.
     """
-    tracker = Tracker(body, scene.rig, replace(config, predictor="hold", photometric=False))
+    tracker = Tracker(body, scene.rig, STILL)
     tracker.start(start)
     return [tracker.step(replace(frame, time=k / scene.config.fps)).pose for k in range(steps)][-1]
 
@@ -160,17 +163,10 @@ def _tracked(
     scene: Capture, frames: Sequence[Frame], body: Body, arm: str, start: Pose, config: TrackerConfig
 ) -> Tracked:
     estimates = list(track(frames, body, scene.rig, start, config))
-    poses, indices = [e.pose for e in estimates], [e.index for e in estimates]
-    joints = joint_errors_mm(scene, body, poses, indices)
-    ours, theirs = ([b.coordinate(name) for name in KHE_COORDINATES] for b in (body, scene.true_body))
-    truth = np.stack([scene.true_poses[k].q for k in indices])[:, theirs]
-    error = angle_differences_deg(np.stack([p.q for p in poses])[:, ours], truth)
-    image = frames[-1].images[0]
-    assert image is not None
-    shot = Shot(f"{arm}, frame {indices[-1]}", image, scene.rig[0], Posed(body, poses[-1]), scene.masks(indices[-1])[0])
-    slim = [replace(e, covariance=np.empty((0, 0))) for e in estimates]  # processes need not carry them
-    khe = khe_deg(error, KHE_COORDINATES)
-    return Tracked(arm, scene.config.seed, joints.mean(axis=1), joints, slim, shot, khe_deg=khe)
+    joints = joint_errors_mm(scene, body, [e.pose for e in estimates], [e.index for e in estimates])
+    shot = shot_of(arm, scene, frames[-1], Posed(body, estimates[-1].pose))
+    khe = mean_known(np.abs(khe_errors_deg(scene, body, estimates)))
+    return Tracked(arm, scene.config.seed, joints.mean(axis=1), joints, slim(estimates), shot, khe_deg=khe)
 
 
 def _bytes(image: AnyArray) -> UInt8:

@@ -2,6 +2,8 @@
 
 The counterpart of T-EM (Bregler and Malik, CVPR 1998, section 2.4) for contours and brightness together: two views,
 body and cameras exact, and a picture that slides over the body by up to 3 cm while things pass behind it.
+
+    python -m reproduce T-cloth --seeds 0-7 --out out/T-cloth
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
 """D-6: what a library holds of other motion does no harm.
 
 Each frame of a run is matched twice: in a library of running alone, and in one that holds cartwheels and flips as well.
+
+    TWISTCAP_DATA=... python -m reproduce D-6 --seeds 0-7 --out out/D-6
 """
 
 from __future__ import annotations

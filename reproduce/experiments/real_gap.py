@@ -43,13 +43,14 @@ Track = Sequence[Estimate]
 """One estimate for each frame."""
 
 UNDISTURBED = "undisturbed"
-_GUARDED = TrackerConfig(predictor="motion", motion="guarded")
 ARMS = {
     UNDISTURBED: TrackerConfig(),
     "followed": TrackerConfig(predictor="motion", motion="followed"),
-    "guarded": _GUARDED,
-    "guarded, search after the gap": replace(_GUARDED, reacquire=ReacquireRule()),
-    "guarded, search after the gap and by limb": replace(_GUARDED, reacquire=ReacquireRule(), limbs=LimbRule()),
+    "guarded": TrackerConfig(predictor="motion", motion="guarded"),
+    "guarded, search after the gap": TrackerConfig(predictor="motion", motion="guarded", reacquire=ReacquireRule()),
+    "guarded, search after the gap and by limb": TrackerConfig(
+        predictor="motion", motion="guarded", reacquire=ReacquireRule(), limbs=LimbRule()
+    ),
     "scaled (paper)": TrackerConfig(predictor="motion", motion="scaled"),
     "autoregressive": TrackerConfig(predictor="motion", motion="autoregressive"),
     "constant velocity": TrackerConfig(),

@@ -1,26 +1,28 @@
-"""Refining whole tracks: a body of wrong lengths and joint centres is tracked, and put right by its own sequence.
+"""refine, refine-walk: a body of wrong lengths and joint centres is tracked, and put right by its own sequence.
 
 After Bregler and Malik (CVPR 1998, section 2.5, DOI 10.1109/CVPR.1998.698581), who refine a sequence's angles and
 lengths together.
+
+    python -m reproduce refine --seeds 0-7
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from reproduce.arms import Findings, Shot, Trace
+from reproduce.arms import Findings, Trace, shot_of, slim
 from reproduce.arrays import Float
 from reproduce.running import Tell, over_seeds
 from reproduce.scenes.subjects import limbering
-from reproduce.sequence import joint_errors_mm
+from reproduce.sequence import joint_errors_mm, khe_angles, khe_errors_deg
 from twistcap.body import Body, Posed, rescaled
 from twistcap.estimate import Estimate, Frame
-from twistcap.evaluate.metrics import KHE_COORDINATES, Row, angle_differences_deg, row
+from twistcap.evaluate.metrics import Row, row
 from twistcap.firstpose import girth_groups
 from twistcap.refine import Refined, refine
 from twistcap.studio import Capture, StudioConfig, capture
@@ -151,20 +153,12 @@ def run_seed(id: str, seed: int) -> list[Shaped]:
 
 def _traced(arm: str, scene: Capture, frames: Sequence[Frame], body: Body, estimates: Sequence[Estimate]) -> Shaped:
     joints = joint_errors_mm(scene, body, [e.pose for e in estimates], [e.index for e in estimates])
-    angles = [body.coordinate(name) for name in KHE_COORDINATES]
-    truth = np.stack([scene.true_poses[e.index].q for e in estimates])[:, angles]
-    errors = angle_differences_deg(np.stack([e.pose.q for e in estimates])[:, angles], truth)
-    variance = np.stack([np.diagonal(e.covariance)[6:][angles] for e in estimates])
-    frame, last = frames[-1], estimates[-1]
-    image = frame.images[0]
-    assert image is not None
-    slim = [replace(e, covariance=np.empty((0, 0))) for e in estimates]  # processes need not carry them
-    posed, outline = Posed(body, last.pose), scene.masks(frame.index)[0]
-    shot = Shot(f"{arm}, frame {frame.index}", image, scene.rig[0], posed, outline)
+    errors, sigma = khe_errors_deg(scene, body, estimates), khe_angles(scene, body, estimates)[2]
+    shot = shot_of(arm, scene, frames[-1], Posed(body, estimates[-1].pose))
     return Shaped(
-        arm, scene.config.seed, joints.mean(axis=1), joints, slim, shot,
+        arm, scene.config.seed, joints.mean(axis=1), joints, slim(estimates), shot,
         lengths=length_errors(body, scene.true_body), khe_deg=float(np.abs(errors).mean()),
-        within=float(np.mean(np.radians(np.abs(errors)) < 2.0 * np.sqrt(variance))),
+        within=float(np.mean(np.radians(np.abs(errors)) < 2.0 * sigma)),
     )  # fmt: skip
 
 

@@ -11,8 +11,6 @@ from twistcap._typing import Bool, Float
 from twistcap.errors import InputError
 from twistcap.keyviews.outline import corners, skeleton
 
-_EIGHT = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]])
-
 
 @dataclass(frozen=True)
 class ArmCorner:
