@@ -36,7 +36,7 @@ class Bench:
         id, says: name, and one line for the reader.
         studio: the scene; its seed is replaced.
         tracker: settings.
-        at_most: median ms per frame to reach; None where the number is only told.
+        at_most: median ms per frame to reach; None where there is no bar.
     """
 
     id: str
@@ -61,7 +61,7 @@ def run(case: str | None, seeds: Sequence[int], quick: bool, progress: Tell) -> 
         case: id of one bench; None takes all.
         seeds: of the studio, not empty.
         quick: few frames.
-        progress: is told each time a sequence is done.
+        progress: is called each time a sequence is done.
 
     Returns:
         the table: the median over the frames of each stage, in the quickest of three repeats, as mean over the seeds.

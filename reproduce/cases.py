@@ -35,7 +35,7 @@ class Bar:
 
     Attributes:
         measure: what is measured in each sequence.
-        at_most: what is to be reached; None where the number is only told.
+        at_most: what is to be reached; None where there is no bar.
         over: how sequences come together: their mean, the worst of them, or their sum.
     """
 
@@ -57,7 +57,7 @@ class Case:
         every: only every so many frames are given to the tracker.
         frames: only so many of the scene's frames are used; all by default.
         start: the first pose: the scene's own, or fitted to noisy keypoints, the body's lengths being known or not.
-        keypoint_noise_px: standard deviation of each keypoint coordinate, which the fit is told.
+        keypoint_noise_px: standard deviation of each keypoint coordinate, which the fit knows.
         prior: what the pose prior has learnt from, of the next seed's person; None without a prior.
     """
 
@@ -101,7 +101,7 @@ class Suite:
 
 
 def followed(khe_deg: float | None, joints_mm: float | None = None) -> tuple[Bar, ...]:
-    """What is asked of a tracked sequence: angles, joints, none lost; coverage and time are told beside."""
+    """What is asked of a tracked sequence: angles, joints, none lost; coverage and time are measured beside."""
     return (
         Bar("KHE", khe_deg),
         Bar("joints", joints_mm),

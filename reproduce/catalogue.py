@@ -68,7 +68,7 @@ def run(name: str, seeds: Sequence[int], quick: bool, tell: Tell, out: Path | No
         name: one of `listed`.
         seeds: of the studio, not empty.
         quick: two seeds, and for tables and timings few frames and cases.
-        tell: is told how far it is.
+        tell: is called with how far it is.
         out: folder for the pictures of an experiment.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Hip, knee and ankle of a walk by the share of its cycle, over the band of normal gait."""
+"""Hip, knee and ankle of a walk by the phase of its cycle, over the band of normal gait."""
 
 from __future__ import annotations
 

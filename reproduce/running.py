@@ -24,7 +24,7 @@ class Table(TypedDict):
 
 
 class Tell(Protocol):
-    """Is told how far a table is."""
+    """Is called with how far a table is."""
 
     def __call__(self, note: str, done: int = 0, total: int | None = None) -> None: ...
 

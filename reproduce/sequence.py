@@ -102,7 +102,7 @@ def first_pose(case: Case, scene: Capture) -> tuple[Body, Pose]:
 
 
 def noisy_keypoints(scene: Capture, noise_px: float) -> Keypoints:
-    """What a detector with Gaussian noise would say of the first frame: all landmarks, projected."""
+    """Keypoints of the first frame with Gaussian noise: all landmarks, projected."""
     pixels = np.stack([camera.project(scene.landmarks[0])[0] for camera in scene.true_rig])
     noise = np.random.default_rng((scene.config.seed, 3)).standard_normal(pixels.shape)
     return Keypoints(scene.true_body.landmarks.names, pixels + noise_px * noise, np.ones(pixels.shape[:2]))

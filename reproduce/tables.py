@@ -42,7 +42,7 @@ def run(name: str, seeds: Sequence[int], quick: bool, progress: Tell, workers: i
         name: id of a suite or of one of its lines.
         seeds: of the studio, not empty.
         quick: twelve frames and fewer cases.
-        progress: is told each time a scene is done.
+        progress: is called each time a scene is done.
         workers: processes, each of one thread.
 
     Returns:

@@ -64,11 +64,11 @@ def joined(first: MotionClip, second: MotionClip, blend: int = BLEND) -> MotionC
         raise InputError(f"motions {first.name!r} and {second.name!r} cannot be joined: lengths, coordinates or rates.")
     ends, begins = first.roots[-blend:], second.roots[:blend]
     carried = _onto(ends[blend // 2], begins[blend // 2])
-    share = np.linspace(0.0, 1.0, blend + 2)[1:-1]
-    share = share * share * (3.0 - 2.0 * share)
+    weight = np.linspace(0.0, 1.0, blend + 2)[1:-1]
+    weight = weight * weight * (3.0 - 2.0 * weight)
     begins = carried @ begins
-    roots = ends @ se3.exp(share[:, None] * se3.log(se3.inverse(ends) @ begins))
-    q = first.q[-blend:] + share[:, None] * (second.q[:blend] - first.q[-blend:])
+    roots = ends @ se3.exp(weight[:, None] * se3.log(se3.inverse(ends) @ begins))
+    q = first.q[-blend:] + weight[:, None] * (second.q[:blend] - first.q[-blend:])
     return replace(
         first,
         name=f"{first.name}, {second.name}",
@@ -118,7 +118,7 @@ def _upright(posed: Posed) -> float:
 
 
 def _rows(traces: Sequence[Trace]) -> list[Row]:
-    """Error and number of lost sequences by arm; none may be lost where limbs are sought."""
+    """Error and number of lost sequences by arm; none may be lost with the limb search."""
     out: list[Row] = []
     for arm in (a.name for a in ARMS):
         found = by_arm(traces, arm)

@@ -53,7 +53,7 @@ class BodyModels:
             InputError: without the extra.
         """
         del out
-        AnnyModel()  # here, so that what is missing is told before any work
+        AnnyModel()  # here, so that a missing extra is reported before any work
         found = over_seeds(models_seed, seeds, progress, self.id)
         return Findings(self.rows(found), "distance between surfaces, mm", ())
 

@@ -82,7 +82,7 @@ def _errors(case: str, joint: str, traces: Sequence[Tracked], most: float | None
 
 def _plate_rows(traces: Sequence[Tracked]) -> list[Row]:
     whole = [float(not t.lost) for t in traces]
-    angles, share = [t.mean_deg() for t in traces], [t.share_tracked for t in traces]
+    angles, tracked = [t.mean_deg() for t in traces], [t.share_tracked for t in traces]
     needed = 7 / 8 * len(traces)
     return [
         row(
@@ -94,7 +94,7 @@ def _plate_rows(traces: Sequence[Tracked]) -> list[Row]:
             seeds=whole,
             lost=int(len(whole) - sum(whole)),
         ),
-        row("T-3", "exposures tracked", float(np.mean(share)), "share", seeds=share),
+        row("T-3", "exposures tracked", float(np.mean(tracked)), "share", seeds=tracked),
         row("T-3", "all 19 angles", float(np.mean(angles)), "deg", at_most=5.0, seeds=angles),
         *(_errors("T-3", joint, traces, None) for joint in ("hip_flexion", "knee_angle", "arm_flex", "elbow_flex")),
     ]

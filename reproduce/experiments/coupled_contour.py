@@ -36,13 +36,13 @@ ALONE = TrackerConfig(method="levelset", photometric=False)
 
 
 def two_step(scene: Capture) -> TrackerConfig:
-    """The tracker whose contour the body has no say in."""
+    """The tracker whose contour evolves without the body."""
     return replace(ALONE, levelset=FreeContour(rig=scene.rig))
 
 
 @dataclass(frozen=True)
 class FreeContour(LevelSetContour):
-    """The two-step method: the contour goes on from where it was in the last frame, and the body has no say in it.
+    """The two-step method: the contour goes on from where it was in the last frame, without the body.
 
     Attributes:
         rig: the tracker's cameras, uncropped.
@@ -68,8 +68,8 @@ class FreeContour(LevelSetContour):
         inside = before if before.all() or not before.any() else segment(view.features, before, model, self.evolution)
         whole[y : y + height, x : x + across] = inside
         phi = signed_distance(inside)
-        share = heaviside(phi, 0.7)
-        ratio = model.log_ratio(view.features, share, np.float32(1.0) - share, 1.0)
+        inner = heaviside(phi, 0.7)
+        ratio = model.log_ratio(view.features, inner, np.float32(1.0) - inner, 1.0)
         found = Segmentation(*zero_crossings(phi), np.clip(ratio, -self.clip, self.clip), width, phi)
         self._seen[index] = (view, found)
         return found
@@ -103,7 +103,7 @@ def coupled_against_two_step(seeds: Sequence[int], progress: Tell, out: Path | N
 
     Args:
         seeds: of the studio.
-        progress: is told each time a seed is done.
+        progress: is called each time a seed is done.
         out: folder for a picture per seed: the last frame; the tracker as it is, by contours alone, two-step.
     """
 

@@ -62,8 +62,8 @@ def _rows(traces: Sequence[Trace]) -> list[Row]:
         means = [float(t.errors.mean()) for t in by_arm(traces, arm)]
         kept = sum(mean <= KEPT for mean in means)
         least, most = (7 / 8, None) if arm == "flow" else (None, 0.49)  # "in most" of the seeds hold loses it
-        share, lost = kept / len(means), len(means) - kept
-        rows.append(row("C-3", f"{arm}: arm kept", share, "share", at_least=least, at_most=most, lost=lost))
+        fraction, lost = kept / len(means), len(means) - kept
+        rows.append(row("C-3", f"{arm}: arm kept", fraction, "share", at_least=least, at_most=most, lost=lost))
         rows.append(row("C-3", f"{arm}: arm error", float(np.median(means)), "mm, median", seeds=means))
     return rows
 

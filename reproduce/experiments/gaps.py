@@ -51,7 +51,7 @@ class Gaps:
         spans: first and last frame of each span without images.
         frames: of a scene.
         step: frames by which each seed begins later in the motion.
-        noise: knots over the frames of the share of pixels that noise replaces.
+        noise: knots over the frames of the fraction of pixels that noise replaces.
     """
 
     tracked: Recording
@@ -101,7 +101,7 @@ def resumed(trace: Trace) -> bool:
 
 
 Bars = dict[str, tuple[float | None, float | None]]
-"""By arm: most degrees of knee error, and least share of the seeds that resume; None asks nothing."""
+"""By arm: most degrees of knee error, and least fraction of the seeds that resume; None asks nothing."""
 
 
 @dataclass(frozen=True)

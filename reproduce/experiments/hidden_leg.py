@@ -1,7 +1,7 @@
 """C-4: a leg that no view shows for half a second is lost without a pose prior, and kept with one.
 
 Brox, Rosenhahn and Cremers, "Contours, Optic Flow, and Prior Knowledge", Fig. 11.7. A third arm shows what of it is the
-prior's own doing: there too a hidden part has no say, but nothing else has it instead.
+prior's own doing: there too a hidden part is masked, but nothing replaces it.
 
     python -m reproduce C-4 --seeds 0-7 --out out/C-4
 """

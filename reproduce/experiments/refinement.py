@@ -31,7 +31,7 @@ from twistcap.studio.mismatch import with_joint_noise
 from twistcap.studio.scene import default_body
 from twistcap.track import track
 
-# The wrong body: each kind of segment is longer or shorter by this share, each joint off by so many metres.
+# The wrong body: each kind of segment is longer or shorter by this fraction, each joint offset by so many metres.
 LENGTH, JOINT = 0.05, 0.015
 AGAIN = "refined, tracked and refined again"
 BONES = tuple(
@@ -81,7 +81,7 @@ class Shaped(Trace):
     Attributes:
         lengths: (8,) errors of the bones, per cent.
         khe_deg: mean error of knees, hips and elbows.
-        within: share of these errors within two standard deviations.
+        within: fraction of these errors within two standard deviations.
     """
 
     lengths: Float | None = None
@@ -96,7 +96,7 @@ class Refinement:
     Attributes:
         id, says: as of every experiment.
         scene: the capture of a seed.
-        length, joints: bars: mean error of the bones, per cent, and of the joint centres, mm; None where only told.
+        length, joints: bars: mean error of the bones, per cent, and of joint centres, mm; None where there is none.
     """
 
     id: str

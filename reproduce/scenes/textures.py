@@ -16,7 +16,7 @@ DIFFERENCES: tuple[Difference, ...] = get_args(Difference)
 _DIRECTIONS = {"0 | 90": (0.0, 90.0), "45 | 135": (45.0, 135.0)}
 _WAVELENGTH, _WAVELENGTHS = 6.0, (4.5, 12.0)  # px
 _SPREAD = 0.03  # 1/px, standard deviation of the stripes' frequencies
-_BAND = 0.2  # the same of the isotropic noise, in shares of its frequency
+_BAND = 0.2  # the same of the isotropic noise, as a fraction of its frequency
 _RADIUS = 52.0  # px
 
 
