@@ -3,12 +3,13 @@
 #   make test    all tests
 #   make lint    ruff and pyright
 #   make bench   milliseconds per frame by stage
+#   make reproduce CASE=C-3 [SEEDS=0-7] [OUT=out/C-3]   a claim or table, measured again; without CASE what there is
 
 VENV := .venv
 PY := $(VENV)/bin/python
 JOBS ?= 2
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint bench clean
+.PHONY: help demo test lint bench reproduce clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -40,8 +41,11 @@ lint: $(VENV)/dev.stamp
 	$(PY) -m pyright
 
 bench: $(VENV)/run.stamp
-	$(PY) -m twistcap.cli bench
+	$(PY) -m reproduce bench $(if $(SEEDS),--seeds $(SEEDS))
+
+reproduce: $(VENV)/run.stamp
+	$(PY) -m reproduce $(or $(CASE),--list) $(if $(SEEDS),--seeds $(SEEDS)) $(if $(OUT),--out $(OUT))
 
 clean:
 	rm -rf $(VENV) demo out build dist .pytest_cache .ruff_cache .hypothesis
-	find src tests \( -name '*.nbi' -o -name '*.nbc' \) -delete
+	find src tests reproduce \( -name '*.nbi' -o -name '*.nbc' \) -delete

@@ -6,7 +6,7 @@ Three kinds of libraries. "walks": gait-like motion, 20 phase-locked joints of m
 wander, 60 poses a second; the query is another person's. "wander": 20 joints that wander smoothly and independently,
 where no stretch resembles another. "noise": every pose independent, where no bound can help: no motion, the worst
 case. Times are medians over queries of different places; each must find what trying all places finds (checked on the
-smallest library of each kind here, and over random motion in tests/test_motion_matching.py).
+smallest library of each kind here, and over random motion in tests/motion/test_motion_matching.py).
 """
 
 from __future__ import annotations
@@ -18,10 +18,11 @@ import tracemalloc
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
-from twistcap._typing import Float
 from twistcap.motion import PAPER_SCALES, Matcher, MotionLibrary
 
+Float = NDArray[np.float64]
 JOINTS, POSES = 20, 5
 BARS = {260: (0.1, None), 10_000: (None, None), 100_000: (8.0, None), 1_000_000: (80.0, 500.0)}  # ms, MB
 Make = Callable[[np.random.Generator, int], Float]

@@ -13,14 +13,14 @@ import numpy as np
 
 from twistcap.estimate import Frame
 from twistcap.studio import Capture, StudioConfig, capture
-from twistcap.track import Tracker, TrackerConfig
+from twistcap.track import Settings, Tracker, build
 
 RUNS, SETTLED = 5, 5  # a first run compiles; frames at the start take coarse alternations
 
 
 def median_ms(scene: Capture, frames: Sequence[Frame], photometric: bool) -> float:
     """Of the frames of one run."""
-    tracker, times = Tracker(scene.body, scene.rig, TrackerConfig(photometric=photometric)), list[float]()
+    tracker, times = Tracker(build(scene.body, scene.rig, Settings(brightness=photometric))), list[float]()
     tracker.start(scene.first_pose, frames[0].time)
     for frame in frames:
         begun = perf_counter()

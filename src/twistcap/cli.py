@@ -17,7 +17,6 @@ from twistcap.commands.new import new
 from twistcap.commands.prior import prior
 from twistcap.commands.refine import refine
 from twistcap.commands.studio import studio
-from twistcap.commands.tables import bench, reproduce
 from twistcap.commands.track import track
 from twistcap.commands.view import view
 from twistcap.errors import InputError
@@ -30,7 +29,7 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (demo, new, init, track, refine, view, studio, evaluate, export, reproduce, bench):
+for command in (demo, new, init, track, refine, view, studio, evaluate, export):
     app.command()(command)
 app.add_typer(body)
 app.add_typer(prior)

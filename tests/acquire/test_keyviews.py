@@ -12,6 +12,7 @@ from scipy.interpolate import BSpline
 from scipy.spatial import cKDTree
 from typer.testing import CliRunner
 
+from reproduce.scenes.key_views import KeyViewScene, key_view_scene
 from twistcap import se3
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.gltf import load_glb, save_glb
@@ -26,7 +27,6 @@ from twistcap.keyviews.measure import measure
 from twistcap.keyviews.outline import corners, outline, skeleton
 from twistcap.keyviews.sections import Cut, closed_spline, section
 from twistcap.keyviews.silhouette import KeyView, check_views, difference_mask, one_person
-from twistcap.studio.keyviews import KeyViewScene, key_view_scene
 
 JOINTS = tuple(f"{j}_{s}" for j in ("shoulder", "elbow", "wrist", "hip", "knee") for s in "rl")
 

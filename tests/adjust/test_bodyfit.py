@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from reproduce.experiments.body_fit import girth_errors
 from support.commands import document, run, told
 from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
@@ -20,7 +21,6 @@ from twistcap.bodyfit.solve import Shape, reshaped, rows, step
 from twistcap.bodyfit.subpixel import refined
 from twistcap.bodyfit.symmetry import mirrored_vertices, symmetric
 from twistcap.errors import InputError
-from twistcap.evaluate.experiments.body_fit import girth_errors
 from twistcap.io.calibration import write_rig
 from twistcap.io.recording import rig_of
 from twistcap.io.session import load_session

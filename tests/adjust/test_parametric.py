@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from reproduce.measures.surfaces import surface_distances, surface_samples
 from support.commands import run, told
 from twistcap.body import Pose, Posed, rescaled
 from twistcap.body.anny import _check_surface
@@ -20,7 +21,6 @@ from twistcap.bodyfit.parametric import Parametric, carried_pose, matched, rates
 from twistcap.bodyfit.symmetry import mirrored_vertices
 from twistcap.camera import Camera, Rig, look_at
 from twistcap.errors import InputError
-from twistcap.evaluate.surface import surface_distances, surface_samples
 from twistcap.studio import StudioConfig, capture
 from twistcap.studio.ring import ring
 

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from twistcap.track.settings import TrackerConfig
 
+from reproduce.scenes.subjects import limbering
 from support.finite_differences import check_jacobian
 from twistcap.body import Body, Pose, Posed, rescaled
 from twistcap.body.humanoid import humanoid
@@ -37,7 +38,6 @@ from twistcap.refine.motion import add_accelerations
 from twistcap.refine.system import Arrow
 from twistcap.render import SurfacePoints, render
 from twistcap.studio import Capture, StudioConfig, capture
-from twistcap.studio.subjects import limbering
 from twistcap.track import track
 
 Array = NDArray[np.float64]

@@ -240,33 +240,8 @@ def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "src=" in (tmp_path / "report.html").read_text()
 
 
-@pytest.mark.parametrize("command", ["demo", "track", "studio", "evaluate", "export", "reproduce", "bench"])
+@pytest.mark.parametrize("command", ["demo", "track", "studio", "evaluate", "export"])
 def test_help_shows_examples(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(command, "--help") == 0
     text = capsys.readouterr().out
     assert "Examples:" in text and f"twistcap {command}" in text and "--json" in text
-
-
-def test_tables_print_one_document(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    import types
-
-    import twistcap.evaluate
-
-    row = {"case": "c", "metric": "m", "value": float("nan"), "unit": "deg", "target": None, "holds": None}
-    for name in ("reproduce", "bench"):
-        seen: list[Any] = []
-
-        def fake(case: str | None, seeds: Any, quick: bool, progress: Any, seen: list[Any] = seen) -> dict[str, Any]:
-            seen.append((case, tuple(seeds), quick))
-            progress("half way")
-            return {"id": "table", "rows": [{**row, "seeds": list(seeds), "lost": 0}]}
-
-        module = types.ModuleType(f"twistcap.evaluate.{name}")
-        module.__dict__["run"] = fake
-        monkeypatch.setitem(sys.modules, f"twistcap.evaluate.{name}", module)
-        monkeypatch.setattr(twistcap.evaluate, name, module, raising=False)
-        found = document(capsys, name, "studio", "--seeds", "1-3", "--quick")
-        assert seen == [("studio", (1, 2, 3), True)]
-        assert found["rows"][0]["value"] is None and found["rows"][0]["seeds"] == [1, 2, 3]
-        assert run(name) == 0
-    assert "write FIRST-LAST" in told(capsys, "bench", "--seeds", "x")

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from reproduce.scenes.walks import Walk
 from twistcap.body.simplify import NINETEEN, angles_of, simplified
 from twistcap.cues.support_maps import Neighbourhood, posterior, robust_scale
 from twistcap.differential.background import STILL, dominant_motion, under_motion
@@ -20,7 +21,6 @@ from twistcap.differential.view import ScaledView, State
 from twistcap.differential.world import state_of, world_pose
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
-from twistcap.evaluate.experiments.walks import Walk
 from twistcap.studio import StudioConfig
 
 WALK = Walk((-90.0, -20.0), 10.0, StudioConfig(size=(192, 140), frames=6))

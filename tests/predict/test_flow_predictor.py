@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 
 from twistcap.body import Pose, Posed
-from twistcap.evaluate.experiments import EXPERIMENTS
-from twistcap.evaluate.experiments.fast_motion import FASTEST, fastest, waving
 from twistcap.predict.flow import FlowPredictor
 from twistcap.predict.history import MotionNoise
 from twistcap.settings import PredictorName
@@ -74,13 +72,3 @@ def test_the_estimate_says_what_predicted_it(predictor: PredictorName, words: li
     tracker = Tracker(build(scene.body, scene.rig, Settings(predictor=predictor)))
     tracker.start(scene.first_pose)
     assert [tracker.step(scene.frame(k)).predicted for k in range(4)] == words
-
-
-def test_the_waving_arm_is_as_fast_as_it_is_said_to_be() -> None:
-    scene = waving(1)
-    assert fastest(scene.true_body, scene.true_poses, scene.true_rig, "wrist_r") == pytest.approx(FASTEST, rel=0.03)
-
-
-def test_every_experiment_has_a_name_and_a_line() -> None:
-    names = [experiment.id for experiment in EXPERIMENTS]
-    assert len(set(names)) == len(names) and all(len(e.says) > 20 for e in EXPERIMENTS)

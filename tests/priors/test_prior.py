@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from reproduce.scenes.subjects import squats, walks_of_another
 from support.finite_differences import check_jacobian, numeric_jacobian
 from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
@@ -22,7 +23,6 @@ from twistcap.priors import ParzenPrior, PriorRule, kernel_width, matched
 from twistcap.solve import least_squares
 from twistcap.studio import Board, StudioConfig, capture
 from twistcap.studio.motion import gait
-from twistcap.studio.subjects import squats, walks_of_another
 from twistcap.track import build, track
 
 BODY = humanoid()

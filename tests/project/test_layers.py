@@ -74,11 +74,26 @@ def test_imports_point_downward(path: Path) -> None:
     assert not upward, "; ".join(upward)
 
 
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_the_wheel_knows_nothing_of_what_stands_outside_it(path: Path) -> None:
+    assert not {"reproduce", "benchmarks", "tests", "support"} & {top for _, top in imported_packages(path.read_text())}
+
+
+def imported_packages(source: str) -> Iterator[tuple[int, str]]:
+    """Line and top package of every import."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from ((node.lineno, alias.name.split(".")[0]) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            yield node.lineno, node.module.split(".")[0]
+
+
 def test_the_test_finds_what_it_looks_for() -> None:
     source = (
         "import twistcap.cli\nfrom twistcap import io\ndef f():\n    from twistcap.track import Tracker\nimport numpy\n"
     )
     assert sorted(imported_rooms(source)) == [(1, "cli"), (2, "io"), (4, "track")]
+    assert (1, "reproduce") in imported_packages("from reproduce.cases import STUDIO")
 
 
 def test_files_and_functions_stay_small() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twistcap.evaluate.experiments.elsewhere import HORIZON, elsewhere, tones_of
+from reproduce.scenes.elsewhere import HORIZON, elsewhere, tones_of
 from twistcap.features.colour import grey
 from twistcap.region.models import GlobalParzen, LocalGaussian
 from twistcap.studio import StudioConfig

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from reproduce.arms import run_seed
+from reproduce.experiments import gaps
+from reproduce.recorded import Recording, data_file
 from twistcap.errors import InputError
-from twistcap.evaluate.experiments import gaps
-from twistcap.evaluate.experiments.arms import run_seed
-from twistcap.evaluate.recorded import Recording, data_file
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""A leg that nothing shows, and clutter: the experiments and their pictures."""
+"""C-4 and C-5: a leg that no view shows, clutter over every image; and the pictures of a comparison."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from twistcap.evaluate.experiments.arms import Comparison, Findings, Trace, run_seed
-from twistcap.evaluate.experiments.clutter import C5
-from twistcap.evaluate.experiments.hidden_leg import C4, LEG
-from twistcap.report.experiment import seed_picture
+from reproduce.arms import Comparison, Findings, Trace, run_seed
+from reproduce.experiments.clutter import C5
+from reproduce.experiments.hidden_leg import C4, LEG
+from reproduce.pictures import seed_picture
 from twistcap.studio import Board, StudioConfig, capture
 
 SMALL = StudioConfig(seed=3, views=2, size=(192, 140), frames=4)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from reproduce.scenes.subjects import walks_of_another
 from twistcap.body import Posed
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
@@ -18,7 +19,6 @@ from twistcap.motion.library import unwrapped
 from twistcap.priors import ParzenPrior
 from twistcap.search.uncertain import UncertainLimbs
 from twistcap.studio import Capture, StudioConfig, capture
-from twistcap.studio.subjects import walks_of_another
 from twistcap.track import Model, Settings, State, build, step
 from twistcap.track.saving import from_bytes, to_bytes
 

@@ -129,11 +129,6 @@ class Body:
         return middles
 
     @cached_property
-    def joint_points(self) -> Float:
-        """(J, 3) a point on each rest-pose axis, the one nearest the origin (0 for sliding joints)."""
-        return np.cross(self.twists[:, :3], self.twists[:, 3:])
-
-    @cached_property
     def edges(self) -> tuple[Int, Int]:
         """Edges (E, 2) as vertex pairs and (E, 2) their two faces, for a closed surface."""
         return edges_of(self.faces)

@@ -156,15 +156,6 @@ def z_scores(error: Float, covariance: Float) -> Float:
     return np.where(known, error / np.sqrt(np.where(known, variance, 1.0)), np.nan)
 
 
-def normalised_squared_error(error: Float, covariance: Float) -> Float:
-    """(N,) eᵀ C⁻¹ e / D of errors (N, D): 1 on average when the covariance, correlations included, is honest.
-
-    Source: the NEES of Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation", 5.4.
-    """
-    solved = (np.linalg.pinv(covariance, hermitian=True) @ error[..., None])[..., 0]
-    return np.einsum("nd,nd->n", error, solved) / error.shape[-1]
-
-
 def within_sigmas(z: Float, sigmas: float) -> float:
     """Share of z-scores inside ± `sigmas`: of normal errors 68.3 % lie in 1, 95.4 % in 2."""
     known = z[np.isfinite(z)]

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import convolve, gaussian_filter1d
+from scipy.ndimage import gaussian_filter1d
 
-from twistcap._typing import Bool, Float, Int
+from twistcap._typing import Bool, Float
 from twistcap.errors import InputError
 from twistcap.keyviews.outline import corners, skeleton
-
-_EIGHT = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]])
 
 
 @dataclass(frozen=True)
@@ -67,12 +65,6 @@ def _longest_path(pixels: Bool, start_near: Float) -> Float:
         way.append(i)
         i = before[i]
     return points[way].astype(float)
-
-
-def skeleton_ends(pixels: Bool) -> Int:
-    """(N, 2) end points (x, y) of a skeleton: pixels with one neighbour."""
-    neighbours = convolve(pixels.astype(int), _EIGHT, mode="constant")
-    return np.argwhere(pixels & (neighbours == 1))[:, ::-1].astype(np.int32)
 
 
 def _line(points: Float) -> tuple[Float, Float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -362,13 +362,3 @@ def overlay_video(
         for frame in frames:
             writer.write(draw_mosaic(frame, rig, body, by_index.get(frame.index), mosaic, title, bones))
     return Path(path)
-
-
-def contact_sheet(images: Sequence[AnyArray], columns: int) -> AnyArray:
-    """Images of one size (H, W, 3) side by side, row by row; the rest stays dark."""
-    h, w = images[0].shape[:2]
-    sheet = np.full((math.ceil(len(images) / columns) * h, columns * w, 3), _INK, np.uint8)
-    for k, image in enumerate(images):
-        y, x = k // columns * h, k % columns * w
-        sheet[y : y + h, x : x + w] = image
-    return sheet

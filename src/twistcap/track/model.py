@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -61,6 +61,10 @@ class Model:
     despeckle: int = 1
     margin: float = 0.15
     learn_every: int = 3
+
+    def with_cue(self, cue: Cue) -> Model:
+        """With a cue in the place of the one of its name."""
+        return replace(self, cues=tuple(cue if one.name == cue.name else one for one in self.cues))
 
     def start(self, pose: Pose, time: float = 0.0) -> State:
         """The state before the first frame, which is tracked from a given pose."""

@@ -1,0 +1,1 @@
+"""What is measured beside `twistcap.evaluate`: distances of surfaces, norms of gait."""

@@ -1,0 +1,74 @@
+"""What tables, experiments and timings share: processes of one thread each, and what a table is."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from typing import Protocol, TypedDict, TypeVar
+
+from twistcap.evaluate.metrics import Row
+
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+_T = TypeVar("_T")
+
+
+class Table(TypedDict):
+    """What is printed as JSON; "seeds" of a row holds its value on every seed, in order."""
+
+    id: str
+    rows: list[Row]
+
+
+class Tell(Protocol):
+    """Is called with how far a table is."""
+
+    def __call__(self, note: str, done: int = 0, total: int | None = None) -> None: ...
+
+
+@contextmanager
+def one_thread_processes(workers: int) -> Generator[ProcessPoolExecutor]:
+    """Fresh processes of one thread each: numerical libraries read their thread numbers when they are loaded."""
+    with _environment(dict.fromkeys(_THREADS, "1")):
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(workers, context, initializer=_one_thread_for_images) as pool:
+            try:
+                yield pool
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+
+
+def over_seeds(work: Callable[[int], _T], seeds: Sequence[int], tell: Tell, id: str) -> list[_T]:
+    """What `work`, which other processes can import, finds on each seed, in their order; two at a time."""
+    found: dict[int, _T] = {}
+    with one_thread_processes(min(2, len(seeds))) as pool:
+        waiting = {pool.submit(work, seed): seed for seed in seeds}
+        for done, future in enumerate(as_completed(waiting), 1):
+            found[waiting[future]] = future.result()
+            tell(f"{id}, seed {waiting[future]}", done, len(seeds))
+    return [found[seed] for seed in seeds]
+
+
+def _one_thread_for_images() -> None:
+    import cv2
+
+    cv2.setNumThreads(1)  # it has no environment variable of its own
+
+
+@contextmanager
+def _environment(values: dict[str, str]) -> Generator[None]:
+    """Environment variables for a while: child processes inherit them."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

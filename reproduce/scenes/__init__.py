@@ -1,0 +1,1 @@
+"""What is filmed: the scenes, people and motions of the experiments."""
