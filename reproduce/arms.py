@@ -14,11 +14,12 @@ from reproduce.arrays import AnyArray, Bool, Float
 from reproduce.cases import Training
 from reproduce.running import Tell, over_seeds
 from reproduce.sequence import joint_errors_mm, prior_of
-from twistcap.body import Pose, Posed
-from twistcap.camera import Camera
+from twistcap.body import Body, Pose, Posed
+from twistcap.camera import Camera, Rig
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate.metrics import Row, lost_sequence
 from twistcap.motion import MotionLibrary
+from twistcap.priors import ParzenPrior
 from twistcap.studio import Capture
 from twistcap.track import Model, Settings, build, track
 

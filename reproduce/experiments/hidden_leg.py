@@ -9,6 +9,7 @@ prior's own doing: there too a hidden part is masked, but nothing replaces it.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 

@@ -35,7 +35,8 @@ from twistcap.keyviews.silhouette import KeyView, difference_mask, one_person
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.config import stream
 from twistcap.studio.mismatch import wrong_pose
-from twistcap.track import Settings, Tracker, build, track
+from twistcap.track import Settings, Tracker, track
+from twistcap.track import build as model_of
 
 TARGETS = (
     ("universal-male-young-averagemuscle-averageweight", "caucasian-male-young"),
@@ -148,7 +149,7 @@ def settled(body: Body, scene: Capture, frame: Frame, start: Pose, steps: int = 
 
     Brightness, which would hold it where it started, is left out.
     """
-    tracker = Tracker(build(body, scene.rig, STILL))
+    tracker = Tracker(model_of(body, scene.rig, STILL))
     tracker.start(start)
     return [tracker.step(replace(frame, time=k / scene.config.fps)).pose for k in range(steps)][-1]
 
@@ -159,7 +160,7 @@ def carried(pose: Pose, true: Body, body: Body) -> Pose:
 
 
 def _tracked(scene: Capture, frames: Sequence[Frame], body: Body, arm: str, start: Pose, config: Settings) -> Tracked:
-    estimates = list(track(frames, build(body, scene.rig, config), start))
+    estimates = list(track(frames, model_of(body, scene.rig, config), start))
     joints = joint_errors_mm(scene, body, [e.pose for e in estimates], [e.index for e in estimates])
     shot = shot_of(arm, scene, frames[-1], Posed(body, estimates[-1].pose))
     khe = mean_known(np.abs(khe_errors_deg(scene, body, estimates)))

@@ -22,12 +22,11 @@ from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import Settings
 
 ON, OFF = "support maps", "the default"
+_NO_MAPS, _ROBUST = replace(LOOSE_CLOTHES, support="none"), replace(LOOSE_CLOTHES, support="robust")
 ARMS = (
     Arm(ON, Settings(), changed=lambda m: m.with_cue(LOOSE_CLOTHES)),
-    Arm("robust scales", Settings(), changed=lambda m: m.with_cue(replace(LOOSE_CLOTHES, support="robust"))),
-    Arm(
-        "the same noise without maps", Settings(), changed=lambda m: m.with_cue(replace(LOOSE_CLOTHES, support="none"))
-    ),
+    Arm("robust scales", Settings(), changed=lambda m: m.with_cue(_ROBUST)),
+    Arm("the same noise without maps", Settings(), changed=lambda m: m.with_cue(_NO_MAPS)),
     Arm(OFF, Settings()),
     Arm("no brightness", Settings(brightness=False)),
 )

@@ -23,6 +23,7 @@ from twistcap.body import Body
 from twistcap.evaluate import Row, row
 from twistcap.motion import (
     AutoregressiveMotion,
+    Expected,
     FollowedMotion,
     MotionLibrary,
     MotionPredictor,

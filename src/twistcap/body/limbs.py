@@ -36,7 +36,7 @@ def same_limb(body: Body, one: int, other: int) -> bool:
 def segments_above(body: Body) -> Bool:
     """(S, S) which segments each one hangs from: itself, and those above it up to the root, which is not among them."""
     chain = body.chain
-    return np.all(chain <= chain[:, None], axis=2) & np.any(chain, axis=1)
+    return np.asarray(np.all(chain <= chain[:, None], axis=2) & np.any(chain, axis=1), np.bool_)
 
 
 def _by_ends(body: Body) -> list[tuple[int, Bool]]:

@@ -10,9 +10,9 @@ import io
 import json
 import types
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -34,7 +34,8 @@ def to_bytes(state: State) -> UInt8:
     layout = _packed(state, arrays)
     buffer = io.BytesIO()
     text = np.frombuffer(json.dumps(layout, allow_nan=True).encode(), np.uint8)
-    np.savez(buffer, layout=text, **{str(k): array for k, array in enumerate(arrays)})
+    named: dict[str, Any] = {str(k): array for k, array in enumerate(arrays)}
+    np.savez(buffer, layout=text, **named)
     return np.frombuffer(buffer.getvalue(), np.uint8)
 
 
@@ -114,10 +115,10 @@ class _Reader:
             return None
         if kind is Posed:
             return Posed(self.body, self.read(Pose, packed))
-        if is_dataclass(kind):
-            hints = get_type_hints(kind)
+        if isinstance(kind, type) and is_dataclass(kind):
+            made, hints = cast("Callable[..., Any]", kind), get_type_hints(kind)
             known = {f.name: f.init for f in fields(kind)}
-            return kind(**{k: self.read(hints[k], v) for k, v in packed.items() if known[k]})
+            return made(**{k: self.read(hints[k], v) for k, v in packed.items() if known[k]})
         if kind in (int, float, str, bool):
             return kind(packed)
         if origin is Literal:
