@@ -18,9 +18,9 @@ from twistcap.estimate import Frame
 from twistcap.refine.evidence import Instant, Sight, add_brightness, add_contour, followed_points
 from twistcap.refine.settings import RefineConfig
 from twistcap.refine.shape import Shape
-from twistcap.refine.system import Arrow
 from twistcap.render import render, visible_contour
 from twistcap.settings import TrackerConfig
+from twistcap.solve import Arrow
 from twistcap.terms import LimitTerm, RestTerm
 
 
@@ -64,6 +64,7 @@ class Look:
         self.motion = shape.motion()
         self.reach = max((2, *eyes.config.strides))
         self.system = Arrow(len(poses), shape.body.dof, len(shape.sigma), self.reach)
+        self.system.longest = self.system.shared_longest = np.inf  # `refine` shortens them itself
         self.energies: list[dict[str, float]] = []
         self.learnt = eyes.fresh()
         self._recent: list[Instant] = []
