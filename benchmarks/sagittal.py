@@ -23,7 +23,7 @@ from twistcap.differential.sequence import Limb, SequenceConfig, track_sequence
 from twistcap.differential.settings import DifferentialConfig
 from twistcap.differential.view import State
 from twistcap.evaluate.norms import FILE, by_cycle, correlation, gait_norm, heel_strikes
-from twistcap.firstpose.clicks import fit_clicks
+from twistcap.adjust.first_pose.clicks import fit_clicks
 
 FIRST, COUNT, TOP, BOTTOM = 80, 100, 480, 960  # frames, and rows of the image that hold the walker
 CLICKS = {

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from twistcap import se3
-from twistcap.body import Posed
 from twistcap.camera import Camera
 from twistcap.solve import Arrow, BlockProblem, CameraBlock, PoseTrack, Variables, Vector, minimise
 from twistcap.solve.blocks import FixedShape

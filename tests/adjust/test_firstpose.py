@@ -11,14 +11,7 @@ import numpy as np
 import pytest
 
 from twistcap import se3
-from twistcap.body import Body, Pose
-from twistcap.body.humanoid import humanoid
-from twistcap.body.kinematics import Posed
-from twistcap.body.shape import rescaled
-from twistcap.camera import Camera, Rectifier, Rig, look_at
-from twistcap.errors import InputError
-from twistcap.estimate import Keypoints
-from twistcap.firstpose import (
+from twistcap.adjust.first_pose import (
     FirstPose,
     Skeleton,
     fit_keypoints,
@@ -27,9 +20,16 @@ from twistcap.firstpose import (
     pose_at,
     refine_on_silhouettes,
 )
-from twistcap.firstpose.outline import outline_of
-from twistcap.firstpose.problem import Priors, Problem, State, evidence, retract
-from twistcap.firstpose.triangulate import rigid_fit, triangulate
+from twistcap.adjust.first_pose.keypoints import KeypointProblem, Priors, evidence
+from twistcap.adjust.first_pose.outline import outline_of
+from twistcap.adjust.first_pose.triangulate import rigid_fit, triangulate
+from twistcap.body import Body, Pose
+from twistcap.body.humanoid import humanoid
+from twistcap.body.kinematics import Posed
+from twistcap.body.shape import rescaled
+from twistcap.camera import Camera, Rectifier, Rig, look_at
+from twistcap.errors import InputError
+from twistcap.estimate import Keypoints
 from twistcap.io.keypoints import LAYOUTS, Grid, openpose_files, read_clicks, read_openpose
 from twistcap.render import render
 
@@ -114,11 +114,11 @@ def test_gradient_of_the_problem(body: Body) -> None:
     keypoints = seen(rig, Posed(body, pose).landmarks, body.landmarks.names, 3.0, rng)
     skeleton = Skeleton(body)
     frame = evidence(body, rig, keypoints)
-    problem = Problem(skeleton, (frame,), np.zeros(len(pose.q)), Priors(), 1e6, True)
-    state = State((Pose(pose.root, pose.q + 0.05 * rng.standard_normal(len(pose.q))),), np.full(skeleton.size, 0.02))
-    g, _ = problem.normal_equations(state)
+    problem = KeypointProblem(skeleton, (frame,), Priors(), 1e6, True)
+    x = problem.start([Pose(pose.root, pose.q + 0.05 * rng.standard_normal(len(pose.q)))], np.full(skeleton.size, 0.02))
+    g = problem.problem.dense(x).gradient
     for k, step in enumerate(1e-6 * np.eye(len(g))):
-        slope = (problem.energy(retract(state, step)) - problem.energy(retract(state, -step))) / 2e-6
+        slope = (problem.energy(x.retract(step)) - problem.energy(x.retract(-step))) / 2e-6
         assert slope == pytest.approx(g[k], rel=1e-4, abs=1e-2)
 
 

@@ -9,12 +9,12 @@ from time import perf_counter
 import numpy as np
 
 from twistcap._typing import Float
+from twistcap.adjust.first_pose import fit_keypoints
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.estimate import Estimate, Frame, Keypoints
 from twistcap.evaluate import metrics
 from twistcap.evaluate.cases import Case, Measure, Training
-from twistcap.firstpose import fit_keypoints
 from twistcap.priors import ParzenPrior
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.subjects import squats, walks_of_another

@@ -14,11 +14,11 @@ from typing import Protocol
 import numpy as np
 
 from twistcap._typing import Bool, Float
+from twistcap.adjust.first_pose import girth_groups
 from twistcap.body import Body, Posed
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
-from twistcap.firstpose import girth_groups
 from twistcap.refine.look import Eyes, Look
 from twistcap.refine.motion import add_accelerations
 from twistcap.refine.settings import RefineConfig

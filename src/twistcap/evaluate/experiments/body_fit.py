@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from twistcap._typing import Float
+from twistcap.adjust.first_pose import girth_groups
 from twistcap.body import Body
 from twistcap.body.shape import segment_axes
 from twistcap.bodyfit.fit import Take, fit_body
@@ -28,7 +29,6 @@ from twistcap.evaluate.metrics import (
 )
 from twistcap.evaluate.parallel import Tell, over_seeds
 from twistcap.evaluate.sequence import joint_errors_mm
-from twistcap.firstpose import girth_groups
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import track
 

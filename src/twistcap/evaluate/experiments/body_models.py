@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from twistcap._typing import Float
+from twistcap.adjust.first_pose import fit_keypoints
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.anny import AnnyModel
 from twistcap.body.humanoid import humanoid
@@ -25,7 +26,6 @@ from twistcap.evaluate.metrics import Row, row
 from twistcap.evaluate.parallel import Tell, over_seeds
 from twistcap.evaluate.sequence import joint_errors_mm, noisy_keypoints
 from twistcap.evaluate.surface import surface_distances
-from twistcap.firstpose import fit_keypoints
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.config import stream
 from twistcap.studio.mismatch import bumpy

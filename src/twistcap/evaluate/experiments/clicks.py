@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from twistcap.adjust.first_pose import fit_keypoints
 from twistcap.body import Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.estimate import Keypoints
@@ -18,7 +19,6 @@ from twistcap.evaluate.experiments.arms import Findings, Shot, Trace
 from twistcap.evaluate.metrics import Row, row
 from twistcap.evaluate.parallel import Tell, over_seeds
 from twistcap.evaluate.sequence import joint_errors_mm
-from twistcap.firstpose import fit_keypoints
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.config import stream
 from twistcap.track import track

@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from twistcap._typing import Float
+from twistcap.adjust.first_pose import girth_groups
 from twistcap.body import Body, Posed, rescaled
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate.experiments.arms import Findings, Shot, Trace
 from twistcap.evaluate.metrics import KHE_COORDINATES, Row, angle_differences_deg, row
 from twistcap.evaluate.parallel import Tell, over_seeds
 from twistcap.evaluate.sequence import joint_errors_mm
-from twistcap.firstpose import girth_groups
 from twistcap.refine import Refined, refine
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.config import stream

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from twistcap._typing import AnyArray, Bool, Float
+from twistcap.adjust.first_pose.outline import Outline, match, outline_of
 from twistcap.body import Body, Pose
 from twistcap.body.kinematics import Posed, skin_points
 from twistcap.body.shape import rescaled, stretch_maps
 from twistcap.camera import Camera, Rectifier, Rig, pinhole
 from twistcap.errors import InputError
-from twistcap.firstpose.outline import Outline, match, outline_of
 from twistcap.render import SurfacePoints, render, visible_contour
 
 Groups = Mapping[str, Sequence[str]]
