@@ -47,8 +47,8 @@ class Arrow:
         border: (F, D, K); corner: (K, K).
         pull, shared_pull: (F, D) and (K,) gradients.
         value: energy where it was summed.
-        longest: of a step, the largest entry (rad, m) up to which the linearisation can hold, for the F poses each by
-            itself; `shared_longest`, a number or (K,), that of the shared parameters.
+        longest: of a step, the largest entry (rad, m) up to which the linearisation can hold, a number or (D,), for
+            each of the F poses by itself; `shared_longest`, a number or (K,), that of the shared parameters.
     """
 
     def __init__(self, frames: int, dof: int, shared: int, reach: int) -> None:
@@ -56,7 +56,8 @@ class Arrow:
         self.band = np.zeros((frames, reach + 1, dof, dof))
         self.border, self.corner = np.zeros((frames, dof, shared)), np.zeros((shared, shared))
         self.pull, self.shared_pull = np.zeros((frames, dof)), np.zeros(shared)
-        self.value, self.longest = 0.0, 1.0
+        self.value = 0.0
+        self.longest: Float | float = 1.0
         self.shared_longest: Float | float = 1.0
 
     def add_rows(
@@ -97,7 +98,7 @@ class Arrow:
         free = np.asarray(cho_solve_banded((factor.band, True), -self.pull.ravel()))
         shared = cho_solve(factor.complement, -self.shared_pull - self._border.T @ free)
         poses = (free - factor.across @ shared).reshape(F, D)
-        poses /= np.maximum(1.0, np.abs(poses).max(axis=1, initial=0.0, keepdims=True) / self.longest)
+        poses /= np.maximum(1.0, np.abs(poses / self.longest).max(axis=1, initial=0.0, keepdims=True))
         shared /= max(1.0, float(np.abs(shared / self.shared_longest).max(initial=0.0)))
         return np.concatenate([poses.ravel(), shared])
 

@@ -64,7 +64,10 @@ class ArrowSums:
         poses = x[self.track]
         self.dof = poses.dof
         self.arrow = Arrow(len(poses.poses), self.dof, x.size - poses.size, reach)
-        self.arrow.shared_longest = x.longest_step(x.free[1:])
+        self.arrow.longest, self.arrow.shared_longest = (
+            x.longest_step(x.free[:1])[: self.dof],
+            x.longest_step(x.free[1:]),
+        )
 
     def add_rows(self, energy: float, slopes: Sequence[Slope], weight: Float, residual: Float) -> None:
         """See `terms.rows.Sums`; the rows of frames in ascending order."""

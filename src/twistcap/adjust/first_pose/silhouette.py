@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from twistcap._typing import AnyArray, Bool, Float
 from twistcap.adjust.first_pose.outline import Outline, match, outline_of
+from twistcap.adjust.first_pose.outline_term import Girths, OutlineTerm
 from twistcap.body import Body, Pose
-from twistcap.body.kinematics import Posed, skin_points
-from twistcap.body.shape import rescaled, stretch_maps
-from twistcap.camera import Camera, Rectifier, Rig, pinhole
+from twistcap.body.kinematics import Posed
+from twistcap.camera import Camera, Rectifier, Rig
 from twistcap.errors import InputError
-from twistcap.render import SurfacePoints, render, visible_contour
+from twistcap.render import render, visible_contour
+from twistcap.solve import Arrow, BlockProblem, Dense, PoseTrack, Variables, minimise
+from twistcap.terms import BlockGaussian, BlockTerm, GaussianTerm, OnPose
 
 Groups = Mapping[str, Sequence[str]]
 
@@ -60,6 +62,10 @@ class Refined:
     covariances: tuple[Float, ...]
 
 
+_LONGEST = 0.2  # rad, m, log-girth; the matches hold no farther
+_DAMPING = 1e-6
+
+
 def girth_groups(body: Body) -> dict[str, tuple[str, ...]]:
     """One group for each kind of segment, left and right together."""
     out: dict[str, tuple[str, ...]] = {}
@@ -81,8 +87,8 @@ def refine_on_silhouettes(
 ) -> Refined:
     """Move body and girths so that the model's contour lies on the outlines of the masks.
 
-    Gauss-Newton on distances along normals, matched from model to mask and from mask to model, Huber-weighted, with a
-    reach that shrinks. The poses given pull back with their covariance.
+    One step on distances along normals after each matching, from model to mask and from mask to model, Huber-weighted,
+    with a reach that shrinks. The poses given pull back with their covariance.
 
     Args:
         poses: of one or more instants, which share their girths.
@@ -94,21 +100,40 @@ def refine_on_silhouettes(
         InputError: if the number or size of the masks does not fit the rig, or an instant has no mask.
     """
     single = isinstance(poses, Pose)
-    many_poses: list[Pose] = [poses] if isinstance(poses, Pose) else list(poses)
+    starts: list[Pose] = [poses] if isinstance(poses, Pose) else list(poses)
     many_masks: list[Sequence[AnyArray | None]] = [masks] if single else list(masks)  # type: ignore[list-item]
     options, names = options or SilhouetteOptions(), dict(groups or {})
     instants = [_Instant.of(rig, m, options) for m in many_masks]
-    priors = [_information(body, covariances[f] if covariances else None) for f in range(len(many_poses))]
-    state = _State(body, tuple(many_poses), np.zeros(len(names)), np.zeros((0, 0)))
-    wider: list[_Wider] = []
+    given = covariances or [None] * len(starts)
+    priors: list[BlockTerm] = [
+        OnPose(GaussianTerm(pose, _information(body, c), "start"), body, frame=f)
+        for f, (pose, c) in enumerate(zip(starts, given, strict=True))
+    ]
+    priors.append(BlockGaussian("girths", np.zeros(len(names)), np.full(len(names), options.girth), "girths"))
+    blocks = {
+        "poses": PoseTrack(tuple(starts), np.arange(float(len(starts)))),
+        "girths": Girths(body, names, np.zeros(len(names))),
+    }
+    x, system = Variables(blocks, ("poses", "girths"), dict.fromkeys(blocks, _LONGEST)), None
     for i in range(options.iterations):
         part = i / max(options.iterations - 1, 1)
         reach = options.first_reach * (options.last_reach / options.first_reach) ** part
-        if i % _REFRESH == 0:
-            wider = [_Wider.of(state.body, group) for group in names.values()]
-        state = _step(state, body, instants, priors, many_poses, names, wider, reach, options)
-    iou = np.array([instant.overlaps(Posed(state.body, p)) for instant, p in zip(instants, state.poses, strict=True)])
-    return Refined(state.body, state.poses, _factors(names, state.log_girths), iou, _covariances(state, body.dof))
+        x, system = _step(x, instants, priors, reach, options)
+    assert isinstance(system, Arrow)
+    found, girths = x["poses"].poses, x["girths"]
+    iou = np.array([instant.overlaps(Posed(girths.body, p)) for instant, p in zip(instants, found, strict=True)])
+    return Refined(girths.body, found, girths.factors, iou, tuple(system.marginals().poses))
+
+
+def _step(
+    x: Variables, instants: Sequence[_Instant], priors: Sequence[BlockTerm], reach: float, options: SilhouetteOptions
+) -> tuple[Variables, Dense | Arrow]:
+    """One re-matching and one step of all poses and girths; the system of the step."""
+    terms = [term for f, instant in enumerate(instants) for term in instant.terms(x, f, reach, options)]
+    found = minimise(BlockProblem([*terms, *priors], reach=0), x, damping=_DAMPING)
+    track = found.x["poses"]
+    inside = replace(track, poses=tuple(pose.within(x["girths"].body.limits) for pose in track.poses))
+    return replace(found.x, blocks={**found.x.blocks, "poses": inside}), found.system
 
 
 @dataclass(frozen=True)
@@ -133,6 +158,19 @@ class _Instant:
         )
         return _Instant(tuple(rig.pinhole()), tuple(flat), outlines, heights)
 
+    def terms(self, x: Variables, f: int, reach: float, options: SilhouetteOptions) -> list[OutlineTerm]:
+        """The outlines of this instant, number `f` of the track, matched with the model as it is."""
+        girths: Girths = x["girths"]
+        posed, out = Posed(girths.body, x["poses"].poses[f]), list[OutlineTerm]()
+        # Neighbouring samples err alike: together they may count no more than one per correlation length, both ways.
+        share = 0.5 * options.spacing / options.correlation
+        for camera, outline, height in zip(self.cameras, self.outlines, self.heights, strict=True):
+            if outline is not None:
+                contour = visible_contour(render(posed, camera), options.spacing * height)
+                found = match(contour, outline, reach * height)
+                out.append(OutlineTerm.of(camera.P, contour, found, girths, options.sigma * height, share, f))
+        return out
+
     def overlaps(self, posed: Posed) -> list[float]:
         """Intersection over union in each view, NaN without mask."""
         out: list[float] = []
@@ -140,14 +178,6 @@ class _Instant:
             ours = render(posed, camera).mask
             out.append(np.nan if mask is None else float((ours & mask).sum() / max((ours | mask).sum(), 1)))
         return out
-
-
-@dataclass(frozen=True)
-class _State:
-    body: Body
-    poses: tuple[Pose, ...]
-    log_girths: Float
-    matrix: Float
 
 
 def _rectified(camera: Camera, mask: AnyArray) -> Bool:
@@ -171,94 +201,3 @@ def _information(body: Body, covariance: Float | None) -> Float:
     sigma = np.full(body.dof, np.deg2rad(10.0))
     sigma[3:6] = 0.05
     return np.diag(sigma**-2.0)
-
-
-def _factors(groups: Groups, log_girths: Float) -> dict[str, float]:
-    return {name: float(np.exp(g)) for g, group in zip(log_girths, groups.values(), strict=True) for name in group}
-
-
-def _step(
-    state: _State,
-    generic: Body,
-    instants: Sequence[_Instant],
-    priors: Sequence[Float],
-    starts: Sequence[Pose],
-    groups: Groups,
-    wider: Sequence[_Wider],
-    reach: float,
-    options: SilhouetteOptions,
-) -> _State:
-    """One re-matching and one Gauss-Newton step for all instants and girths."""
-    D, F, n = generic.dof, len(instants), len(instants) * generic.dof + len(groups)
-    g, H = np.zeros(n), np.zeros((n, n))
-    for f, (instant, pose) in enumerate(zip(instants, state.poses, strict=True)):
-        rows = np.r_[f * D : (f + 1) * D, F * D : n]
-        gradient, matrix = _evidence(instant, Posed(state.body, pose), wider, reach, options)
-        g[rows] += gradient
-        H[np.ix_(rows, rows)] += matrix
-        own = slice(f * D, (f + 1) * D)
-        g[own] += priors[f] @ pose.minus(starts[f])
-        H[own, own] += priors[f]
-    g[F * D :] += state.log_girths / options.girth**2
-    H[range(F * D, n), range(F * D, n)] += options.girth**-2.0
-    step = np.asarray(np.clip(np.linalg.solve(H + 1e-9 * np.eye(n), -g), -0.2, 0.2), np.float64)
-    moved = [pose.retract(step[f * D : (f + 1) * D]) for f, pose in enumerate(state.poses)]
-    log_girths = state.log_girths + step[F * D :]
-    body = rescaled(generic, girths=_factors(groups, log_girths)) if groups else generic
-    return _State(body, tuple(p.within(generic.limits) for p in moved), log_girths, H)
-
-
-_WIDER = 1e-3  # step of the difference quotient by a log-girth
-_REFRESH = 5  # iterations after which the difference quotients are taken anew: the joints move little with girths
-
-
-@dataclass(frozen=True)
-class _Wider:
-    """A body with one girth a little larger, the body as it was, and the map of each segment between them."""
-
-    before: Body
-    after: Body
-    maps: Float
-
-    @staticmethod
-    def of(body: Body, group: Sequence[str]) -> _Wider:
-        factors = dict.fromkeys(group, float(np.exp(_WIDER)))
-        return _Wider(body, rescaled(body, girths=factors), np.ascontiguousarray(stretch_maps(body, {}, factors)))
-
-    def derivative(self, posed: Posed, points: SurfacePoints) -> Float:
-        """(N, 3) derivative of surface points by the log-girth."""
-        local = skin_points(self.maps, points.segments, points.weights, points.local)
-        after = Posed(self.after, posed.pose).points(points.segments, points.weights, local)
-        return (after - points.at(Posed(self.before, posed.pose))) / _WIDER
-
-
-def _evidence(
-    instant: _Instant, posed: Posed, wider: Sequence[_Wider], reach: float, options: SilhouetteOptions
-) -> tuple[Float, Float]:
-    """Gradient and Gauss-Newton matrix of the outline distances by (pose step, log-girths)."""
-    n = posed.body.dof + len(wider)
-    g, H = np.zeros(n), np.zeros((n, n))
-    for camera, outline, height in zip(instant.cameras, instant.outlines, instant.heights, strict=True):
-        if outline is None:
-            continue
-        contour = visible_contour(render(posed, camera), options.spacing * height)
-        found = match(contour, outline, reach * height)
-        points = contour.points[found.index]
-        by_pose = posed.point_jacobian(points.segments, points.weights, points.local)
-        by_girth = [w.derivative(posed, points)[:, :, None] for w in wider]
-        J = np.concatenate([by_pose, *by_girth], axis=2)
-        row = np.einsum("ni,nij,njd->nd", found.normals, pinhole(camera.P, points.at(posed))[2], J)
-        sigma = options.sigma * height
-        size = np.abs(found.distance) / sigma
-        # Neighbouring samples err alike: together they may count no more than one per correlation length, both ways.
-        weight = found.weight * np.minimum(1.0, 2.0 / np.maximum(size, 1e-9)) / sigma**2
-        weight *= 0.5 * options.spacing / options.correlation
-        g -= row.T @ (weight * found.distance)
-        H += row.T @ (weight[:, None] * row)
-    return g, H
-
-
-def _covariances(state: _State, dof: int) -> tuple[Float, ...]:
-    whole = np.linalg.inv(state.matrix)
-    own = [slice(f * dof, (f + 1) * dof) for f in range(len(state.poses))]
-    return tuple(np.asarray(whole[s, s], np.float64) for s in own)
