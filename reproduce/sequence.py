@@ -11,11 +11,12 @@ import numpy as np
 from reproduce.arrays import Float
 from reproduce.cases import Case, Measure, Training
 from reproduce.scenes.subjects import squats, walks_of_another
+from twistcap.adjust.first_pose import fit_keypoints
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.estimate import Estimate, Frame, Keypoints
 from twistcap.evaluate import metrics
-from twistcap.firstpose import fit_keypoints
+
 from twistcap.priors import ParzenPrior
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import Tracker, build

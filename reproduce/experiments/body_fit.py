@@ -17,6 +17,7 @@ from reproduce.arms import Findings
 from reproduce.arrays import Float
 from reproduce.running import Tell, over_seeds
 from reproduce.sequence import joint_errors_mm, khe_errors_deg
+from twistcap.adjust.first_pose import girth_groups
 from twistcap.body import Body
 from twistcap.body.shape import segment_axes
 from twistcap.bodyfit.fit import Take, fit_body
@@ -27,7 +28,7 @@ from twistcap.evaluate.metrics import (
     mean_known,
     row,
 )
-from twistcap.firstpose import girth_groups
+
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import build, track
 

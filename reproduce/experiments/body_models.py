@@ -19,6 +19,7 @@ from reproduce.arrays import Float
 from reproduce.measures.surfaces import surface_distances
 from reproduce.running import Tell, over_seeds
 from reproduce.sequence import joint_errors_mm, noisy_keypoints
+from twistcap.adjust.first_pose import fit_keypoints
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.anny import AnnyModel
 from twistcap.body.humanoid import humanoid
@@ -27,7 +28,7 @@ from twistcap.bodyfit.fit import FitRule, Fitted, Take, fit_body
 from twistcap.bodyfit.parametric import carried_pose, matched
 from twistcap.errors import InputError
 from twistcap.evaluate.metrics import Row, row
-from twistcap.firstpose import fit_keypoints
+
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.config import stream
 from twistcap.studio.mismatch import bumpy

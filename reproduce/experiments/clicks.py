@@ -16,11 +16,12 @@ import numpy as np
 from reproduce.arms import Findings, Trace, shot_of, slim
 from reproduce.running import Tell, over_seeds
 from reproduce.sequence import joint_errors_mm
+from twistcap.adjust.first_pose import fit_keypoints
 from twistcap.body import Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.estimate import Keypoints
 from twistcap.evaluate.metrics import Row, row
-from twistcap.firstpose import fit_keypoints
+
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.config import stream
 from twistcap.track import build, track

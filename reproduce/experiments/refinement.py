@@ -23,7 +23,8 @@ from reproduce.sequence import joint_errors_mm, khe_angles, khe_errors_deg
 from twistcap.body import Body, Posed, rescaled
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate.metrics import Row, row
-from twistcap.firstpose import girth_groups
+from twistcap.adjust.first_pose import girth_groups
+from twistcap.evaluate.metrics import KHE_COORDINATES, Row, angle_differences_deg, row
 from twistcap.refine import Refined, refine
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.config import stream

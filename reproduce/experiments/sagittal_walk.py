@@ -30,7 +30,8 @@ from twistcap.differential.render import render
 from twistcap.differential.settings import DifferentialConfig
 from twistcap.differential.view import State
 from twistcap.evaluate import Row, row
-from twistcap.firstpose.clicks import fit_clicks
+from twistcap.evaluate.norms import FILE, by_cycle, correlation, gait_norm, heel_strikes
+from twistcap.adjust.first_pose.clicks import fit_clicks
 
 FIRST, COUNT, TOP, BOTTOM = 80, 100, 480, 960  # frames, and rows of the image that hold the walker
 CLICKS = {

@@ -7,13 +7,13 @@ import pytest
 
 from support.finite_differences import numeric_jacobian
 from twistcap import se3
+from twistcap.adjust.first_pose.clicks import ClickConfig, ClickEnergy, _gathered, fit_clicks
+from twistcap.adjust.first_pose.skeleton import Skeleton
 from twistcap.body import rescaled
 from twistcap.body.humanoid import humanoid
 from twistcap.body.simplify import NINETEEN, side_view, simplified
 from twistcap.differential.view import ROOT, ScaledView, State
 from twistcap.errors import InputError
-from twistcap.firstpose.clicks import ClickConfig, ClickEnergy, _gathered, fit_clicks
-from twistcap.firstpose.skeleton import Skeleton
 
 GENERIC = humanoid()
 SIDED = ("hip", "knee", "ankle", "toe", "shoulder", "elbow", "wrist")

@@ -15,12 +15,12 @@ import pytest
 
 from support.browser import Browser
 from support.pages_shared import asked, has_colour, needs_browser, picture, run, served, studio_walk
+from twistcap.adjust.first_pose import Proportions
 from twistcap.body import Pose, Posed, rescaled
 from twistcap.body.humanoid import humanoid
 from twistcap.commands.init import clicking_of
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
-from twistcap.firstpose import Proportions
 from twistcap.io.pose_file import body_at, write_pose
 from twistcap.io.recording import open_recording
 from twistcap.io.session import load_session

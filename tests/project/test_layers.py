@@ -28,7 +28,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("differential",),
     ("settings",),
     ("track",),
-    ("firstpose",),
+    ("adjust",),
     ("refine",),
     ("studio",),
     ("bodyfit",),

@@ -14,11 +14,11 @@ import numpy as np
 
 from twistcap import se3
 from twistcap._typing import Float, Int
+from twistcap.adjust.first_pose import girth_groups
 from twistcap.body import Body
 from twistcap.body.kinematics import unit_vertex_normals
 from twistcap.body.model import Landmarks
 from twistcap.body.shape import joint_coordinates, joint_origin, marks_of, rescaled, segment_axes
-from twistcap.firstpose import girth_groups
 
 _STEP = 1e-4  # of the difference quotients by log-factors
 _SIDES = (0.0, 0.5, 1.0, 1.5)  # directions about a segment's axis, in half turns, in which a cross-section is scaled

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from twistcap._typing import AnyArray, Bool, Float, Int
+from twistcap.adjust.first_pose.outline import match, outline_of
 from twistcap.body import Posed
 from twistcap.bodyfit.subpixel import refined
 from twistcap.camera import Camera, Rig
 from twistcap.cues.direct import DirectContour
 from twistcap.cues.view import View, crop_view
 from twistcap.features import Channels
-from twistcap.firstpose.outline import match, outline_of
 from twistcap.render import ContourPoints, contour_on_edges, render
 from twistcap.terms import PointNormalTerm
 

@@ -9,13 +9,13 @@ from typing import Protocol
 import numpy as np
 
 from twistcap._typing import Float
+from twistcap.adjust.first_pose import fit_keypoints
 from twistcap.body import Body, Pose, Posed
 from twistcap.bodyfit.build import Motions
 from twistcap.bodyfit.fields import Fields, joint_centres
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
-from twistcap.firstpose import fit_keypoints
 
 _STEP = 0.02  # of the difference quotients
 _ROUNDS = 8  # of Gauss-Newton, to the lengths of another body

@@ -106,8 +106,8 @@ def _with_saved_pose(clicking: Any) -> None:
     """Begin with the pose that was saved before, sliders and all."""
     import json
 
+    from twistcap.adjust.first_pose import Proportions
     from twistcap.body import Posed
-    from twistcap.firstpose import Proportions
     from twistcap.io.pose_file import body_at, read_pose
 
     path = clicking.target.path

@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 
 from twistcap._typing import Bool
-from twistcap.body import Body, Pose, Posed, rescaled
-from twistcap.camera import Camera, Rig
-from twistcap.errors import InputError
-from twistcap.estimate import Keypoints
-from twistcap.firstpose import (
+from twistcap.adjust.first_pose import (
     fit_keypoints,
     fit_keypoints_sequence,
     girth_groups,
     pose_at,
     refine_on_silhouettes,
 )
+from twistcap.body import Body, Pose, Posed, rescaled
+from twistcap.camera import Camera, Rig
+from twistcap.errors import InputError
+from twistcap.estimate import Keypoints
 from twistcap.io.calibration import read_rig
 from twistcap.io.keypoints import Grid, openpose_files, read_clicks, read_openpose
 from twistcap.io.masks import read_masks, rectified_masks

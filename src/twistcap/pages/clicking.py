@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 
 from twistcap._typing import UInt8
+from twistcap.adjust.first_pose import FirstPose, Proportions, fit_keypoints
 from twistcap.body import Body, Pose, Posed, rescaled
 from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
-from twistcap.firstpose import FirstPose, Proportions, fit_keypoints
 from twistcap.io.pose_file import write_pose
 from twistcap.io.recording import check_first_pose
 from twistcap.io.session import Session

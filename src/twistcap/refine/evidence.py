@@ -13,8 +13,8 @@ from twistcap.body.shape import RestMotion
 from twistcap.cues.brightness import Brightness, empty_grid, strongest_in_cells, visible_points
 from twistcap.cues.contour import ContourEvidence
 from twistcap.cues.view import View
-from twistcap.refine.system import Arrow
 from twistcap.render import RenderedView, SurfacePoints
+from twistcap.solve import Arrow
 from twistcap.terms import PointTerm
 from twistcap.terms.photometric import EXPOSURE, Samples
 from twistcap.terms.robust import weighted_cauchy

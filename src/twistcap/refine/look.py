@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from twistcap._typing import Float
 from twistcap.body import Pose, Posed
 from twistcap.camera import Rig
-from twistcap.cues.appearance import Appearance, AppearanceRule
-from twistcap.cues.contour import ContourCue
+from twistcap.cues.appearance import Appearance
+from twistcap.cues.evidence import ContourCue
+from twistcap.cues.support import part_tally
 from twistcap.cues.view import crop_view, despeckled
 from twistcap.estimate import Frame
 from twistcap.refine.evidence import Instant, Sight, add_brightness, add_contour, followed_points
 from twistcap.refine.settings import RefineConfig
 from twistcap.refine.shape import Shape
-from twistcap.refine.system import Arrow
 from twistcap.render import render, visible_contour
+from twistcap.settings import TrackerConfig
+from twistcap.solve import Arrow
 from twistcap.terms import LimitTerm, RestTerm
-from twistcap.track.settings import TrackerConfig
 
 
 class Eyes:
@@ -37,7 +39,7 @@ class Eyes:
 
     def fresh(self) -> Appearance:
         """Nothing learnt yet; of what is learnt nothing fades, since a sequence has no present."""
-        return Appearance.blank(len(self.rig), self.parts, AppearanceRule(memory=1.0))
+        return Appearance(len(self.rig), self.parts, replace(self.tracker.appearance, memory=1.0))
 
     def look(self, shape: Shape, poses: Sequence[Pose], coarse: bool) -> Look:
         """A round that has seen nothing yet."""
@@ -62,6 +64,7 @@ class Look:
         self.motion = shape.motion()
         self.reach = max((2, *eyes.config.strides))
         self.system = Arrow(len(poses), shape.body.dof, len(shape.sigma), self.reach)
+        self.system.longest = self.system.shared_longest = np.inf  # `refine` shortens them itself
         self.energies: list[dict[str, float]] = []
         self.learnt = eyes.fresh()
         self._recent: list[Instant] = []
@@ -113,12 +116,11 @@ class Look:
             contour = visible_contour(sight.seen, max(1.0, tracker.contour_spacing * sight.seen.px_per_m))
             colours = self.eyes.colours.of(i, sight.view.features.shape[2])
             wide = self.eyes.config.coarse if self.coarse else 1.0
-            found = cue.locate(sight.view, sight.seen, contour, wide, colours)
+            found = cue.measure(sight.view, sight.seen, contour, wide, colours)
             self._count("contour", add_contour(self.system, instant, self.motion, found, self.eyes.config.contour))
-            assert found.agreement is not None
-            agreeing, seen = found.agreement.agreeing, found.agreement.points
+            agreeing, seen = part_tally(found, sight.view.camera.K[0, 0], parts, tracker.support)
             good, points = good + agreeing, points + seen
-            self.learnt = self.learnt.learnt(i, sight.view, sight.seen, agreeing / np.maximum(seen, 1), 1)
+            self.learnt.learn(i, sight.view, sight.seen, agreeing / np.maximum(seen, 1), 1)
         self._good.append(good)
         self._points.append(points)
 

@@ -14,17 +14,17 @@ from typing import Protocol
 import numpy as np
 
 from twistcap._typing import Bool, Float
+from twistcap.adjust.first_pose import girth_groups
 from twistcap.body import Body, Posed
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
-from twistcap.firstpose import girth_groups
 from twistcap.refine.look import Eyes, Look
 from twistcap.refine.motion import add_accelerations
 from twistcap.refine.settings import RefineConfig
 from twistcap.refine.shape import Shape
-from twistcap.refine.system import Solution
-from twistcap.track.settings import TrackerConfig
+from twistcap.settings import TrackerConfig
+from twistcap.solve import Marginals
 
 _LEAST_FRAMES = 3
 _MOST = 0.1  # of a log-length, or m of a joint centre, in one step: beyond it no linearisation holds
@@ -91,13 +91,16 @@ def refine(
     moved: list[float] = []
     while True:
         look = _looked(eyes, frames, shape, now, len(moved), tell)
-        solution = look.system.solve(config.damping)
-        before, shape = shape, shape.stepped(np.clip(solution.shared, -_MOST, _MOST))
-        earlier, now = now, _stepped(now, solution, look, tracker)
+        step = look.system.step(config.damping)
+        marginals = look.system.marginals(config.damping)
+        assert step is not None  # the marginals would not be known
+        poses, shared = look.system.unstacked(step)
+        before, shape = shape, shape.stepped(np.clip(shared, -_MOST, _MOST))
+        earlier, now = now, _stepped(now, poses, marginals, look, tracker)
         moved.append(_mean_move(before.body, earlier, shape.body, now))
         settled = not look.coarse and moved[-1] < config.settled
         if settled or len(moved) >= config.rounds:
-            return _answer(shape, now, solution, tracker, moved, settled)
+            return _answer(shape, now, marginals, tracker, moved, settled)
 
 
 def _check(body: Body, estimates: Sequence[Estimate]) -> None:
@@ -147,11 +150,11 @@ def _bridged(estimates: Sequence[Estimate], longest: float) -> Bool:
 
 
 def _stepped(
-    estimates: Sequence[Estimate], solution: Solution, look: Look, tracker: TrackerConfig
+    estimates: Sequence[Estimate], poses: Float, marginals: Marginals, look: Look, tracker: TrackerConfig
 ) -> tuple[Estimate, ...]:
     """The estimates after a step, which for a pose is no longer than half a radian in any joint."""
-    shorter = np.maximum(1.0, 2.0 * np.abs(solution.poses[:, 6:]).max(axis=1, initial=0.0))
-    steps, covariances = solution.poses / shorter[:, None], tracker.inflation**2 * solution.covariances
+    shorter = np.maximum(1.0, 2.0 * np.abs(poses[:, 6:]).max(axis=1, initial=0.0))
+    steps, covariances = poses / shorter[:, None], tracker.inflation**2 * marginals.poses
     moved = [
         replace(e, pose=e.pose.retract(steps[t]), covariance=covariances[t], energies=look.energies[t])
         for t, e in enumerate(estimates)
@@ -173,11 +176,11 @@ def _mean_move(before: Body, earlier: Sequence[Estimate], after: Body, later: Se
 
 
 def _answer(
-    shape: Shape, estimates: Sequence[Estimate], solution: Solution, tracker: TrackerConfig, moved: Sequence[float],
+    shape: Shape, estimates: Sequence[Estimate], marginals: Marginals, tracker: TrackerConfig, moved: Sequence[float],
     settled: bool,
 ) -> Refined:  # fmt: skip
     lengths, girths, joints = shape.parts(shape.total)
-    sigmas = shape.parts(tracker.inflation * np.sqrt(np.diagonal(solution.shared_covariance)))
+    sigmas = shape.parts(tracker.inflation * np.sqrt(np.diagonal(marginals.shared)))
     status = "converged" if settled else "max_iterations"
     out = tuple(
         replace(e, iterations=len(moved), status=status if e.status != "no_images" else e.status) for e in estimates

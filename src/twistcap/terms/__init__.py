@@ -1,22 +1,30 @@
 """Terms of the one least-squares system: each gives its energy and its quadratic at a pose."""
 
 from twistcap.terms.accumulate import PointTerm, SegmentSums
-from twistcap.terms.coordinates import GaussianTerm, LimitTerm, RestTerm
+from twistcap.terms.coordinates import BlockGaussian, GaussianTerm, LimitTerm, OnPose, RestTerm
 from twistcap.terms.photometric import PhotometricTerm
 from twistcap.terms.points import KeypointTerm, PointNormalTerm, PointRayTerm
 from twistcap.terms.quadratic import MaskableTerm, Quadratic, Term
+from twistcap.terms.reprojection import ReprojectionTerm
+from twistcap.terms.rows import BlockTerm, Slope, Sums
 
 __all__ = [
+    "BlockGaussian",
+    "BlockTerm",
     "GaussianTerm",
     "KeypointTerm",
     "LimitTerm",
     "MaskableTerm",
+    "OnPose",
     "PhotometricTerm",
     "PointNormalTerm",
     "PointRayTerm",
     "PointTerm",
     "Quadratic",
+    "ReprojectionTerm",
     "RestTerm",
     "SegmentSums",
+    "Slope",
+    "Sums",
     "Term",
 ]

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from twistcap import se3
 from twistcap._typing import Float
-from twistcap.body import Pose, Posed
-from twistcap.terms.quadratic import Quadratic
+from twistcap.body import Body, Pose, Posed
+from twistcap.terms.quadratic import Quadratic, Term
+from twistcap.terms.rows import Sums
+
+if TYPE_CHECKING:
+    from twistcap.solve.blocks import Variables
 
 
 @dataclass(frozen=True)
@@ -87,3 +92,64 @@ class GaussianTerm:
         H[:, :6] = H[:, :6] @ D
         along[:6] = D.T @ along[:6]
         return Quadratic(value, along, H)
+
+
+@dataclass(frozen=True)
+class OnPose:
+    """A term of one pose (limits, a Gaussian, a prior) at one frame of a track, among other blocks.
+
+    Attributes:
+        term: of the pose.
+        body: whose pose it is; the term does not ask for its shape.
+        poses: name of the track's block.
+        frame: of the track.
+    """
+
+    term: Term
+    body: Body
+    poses: str = "poses"
+    frame: int = 0
+
+    @property
+    def name(self) -> str:
+        return self.term.name
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        return (self.poses,)
+
+    def energy(self, x: Variables) -> float:
+        return self.term.energy(self._posed(x))
+
+    def add_to(self, sums: Sums, x: Variables) -> None:
+        q = self.term.linearize(self._posed(x))
+        sums.add_quadratic(self.poses, self.frame * self.body.dof, q.value, q.gradient, q.hessian)
+
+    def _posed(self, x: Variables) -> Posed:
+        return Posed(self.body, x[self.poses].poses[self.frame])
+
+
+@dataclass(frozen=True)
+class BlockGaussian:
+    """Independent Gaussians about the numbers of a `Vector`.
+
+    Attributes:
+        block: its name.
+        mean, sigma: (n,) in the block's own units.
+    """
+
+    block: str
+    mean: Float
+    sigma: Float
+    name: str = "shape"
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        return (self.block,)
+
+    def energy(self, x: Variables) -> float:
+        return 0.5 * float(np.sum(((x[self.block].values - self.mean) / self.sigma) ** 2))
+
+    def add_to(self, sums: Sums, x: Variables) -> None:
+        gradient = (x[self.block].values - self.mean) / self.sigma**2
+        sums.add_quadratic(self.block, 0, self.energy(x), gradient, np.diag(self.sigma**-2.0))

@@ -27,7 +27,7 @@ from twistcap.predict.history import Past
 from twistcap.predict.inertia import INFLATION
 from twistcap.render import render, reprojected, visible_contour
 from twistcap.search.judge import Judge, judge_of
-from twistcap.solve import covariance, inverse, least_squares, linearized
+from twistcap.solve import PoseProblem, covariance, inverse, minimise
 from twistcap.stages import stage
 from twistcap.terms import Quadratic, Term
 from twistcap.track.model import Model
@@ -104,7 +104,7 @@ class FrameProblem:
         if fit.status == "failed" or (known := self._known) is None:
             return self._before
         # What stands in every frame is no news of this one: taken in anew in every frame it would add up.
-        news = fit.quadratic.hessian - linearized(fit.standing, fit.before).hessian
+        news = fit.quadratic.hessian - PoseProblem(fit.standing).linearised(fit.before).hessian
         scale = INFLATION**2 / self.trust
         return covariance(Quadratic(0.0, np.zeros(len(known)), news / scale + known))
 
@@ -167,10 +167,10 @@ def alternated(problem: FrameProblem, fit: Fit, level: Level, steps: int = 1) ->
     masked = _masked(model, measured, fit.visibility)
     terms = [*standing, *news, *(evidence.term for found in masked for evidence in found.values())]
     with stage("solve"):
-        result = least_squares(posed, terms, steps=steps)
-    moved = contour_moved(sights, result.posed)
+        result = minimise(PoseProblem(terms), posed, steps=steps)
+    moved = contour_moved(sights, result.x)
     return Fit(
-        result.posed, result.status, fit.steps + result.steps, result.energies, result.quadratic, posed,
+        result.x, result.status, fit.steps + result.steps, result.energies, result.system, posed,
         fit.visibility, standing, sights, measured, moved, moved if again else fit.drift + moved,
     )  # fmt: skip
 

@@ -7,6 +7,7 @@ eliminated by its Schur complement (Triggs et al., "Bundle Adjustment", 1999, se
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,20 +18,25 @@ from twistcap.errors import InputError
 
 
 @dataclass(frozen=True)
-class Solution:
-    """Steps and covariances of all unknowns.
+class Marginals:
+    """Covariances of all unknowns, each with all others free.
 
     Attributes:
-        poses: (F, D) pose steps.
-        shared: (K,) steps of the shared parameters.
-        covariances: (F, D, D) of each pose, that of the shared parameters included.
-        shared_covariance: (K, K).
+        poses: (F, D, D) of each pose.
+        shared: (K, K) of the shared parameters.
     """
 
     poses: Float
     shared: Float
-    covariances: Float
-    shared_covariance: Float
+
+
+@dataclass(frozen=True)
+class _Factor:
+    """Cholesky factor of the band, ``A⁻¹ B`` (F D, K), and factor of the Schur complement ``C − Bᵀ A⁻¹ B``."""
+
+    band: Float
+    across: Float
+    complement: tuple[Float, bool]
 
 
 class Arrow:
@@ -40,6 +46,9 @@ class Arrow:
         band: (F, reach + 1, D, D), block (t, j) is that of frames t + j (rows) and t (columns).
         border: (F, D, K); corner: (K, K).
         pull, shared_pull: (F, D) and (K,) gradients.
+        value: energy where it was summed.
+        longest: of a step, the largest entry (rad, m) up to which the linearisation can hold, a number or (D,), for
+            each of the F poses by itself; `shared_longest`, a number or (K,), that of the shared parameters.
     """
 
     def __init__(self, frames: int, dof: int, shared: int, reach: int) -> None:
@@ -47,6 +56,9 @@ class Arrow:
         self.band = np.zeros((frames, reach + 1, dof, dof))
         self.border, self.corner = np.zeros((frames, dof, shared)), np.zeros((shared, shared))
         self.pull, self.shared_pull = np.zeros((frames, dof)), np.zeros(shared)
+        self.value = 0.0
+        self.longest: Float | float = 1.0
+        self.shared_longest: Float | float = 1.0
 
     def add_rows(
         self, frames: tuple[int, ...], J: tuple[Float, ...], S: Float | None, weight: Float, residual: Float
@@ -69,36 +81,61 @@ class Arrow:
         self.pull[frame] += gradient
         self.band[frame, 0] += hessian
 
-    def solve(self, damping: float = 0.0) -> Solution:
-        """Minimiser and exact covariances (of unit weight).
+    def finite(self) -> bool:
+        """Whether every number is finite."""
+        sums = [float(x.sum()) for x in (self.band, self.border, self.corner, self.pull, self.shared_pull)]
+        return math.isfinite(self.value + sum(sums))
 
-        Args:
-            damping: share by which the diagonals are raised, for the step and the covariances.
+    def step(self, damping: float = 0.0) -> Float | None:
+        """(F D + K,) minimiser with the diagonal raised by a fraction, poses first; None where there is none.
+
+        The step of each pose is shortened to `longest`, that of the shared parameters to `shared_longest`.
+        """
+        factor = self._factored(damping)
+        if factor is None:
+            return None
+        F, D, _ = self.border.shape
+        free = np.asarray(cho_solve_banded((factor.band, True), -self.pull.ravel()))
+        shared = cho_solve(factor.complement, -self.shared_pull - self._border.T @ free)
+        poses = (free - factor.across @ shared).reshape(F, D)
+        poses /= np.maximum(1.0, np.abs(poses / self.longest).max(axis=1, initial=0.0, keepdims=True))
+        shared /= max(1.0, float(np.abs(shared / self.shared_longest).max(initial=0.0)))
+        return np.concatenate([poses.ravel(), shared])
+
+    def unstacked(self, step: Float) -> tuple[Float, Float]:
+        """A step (F D + K,) as those of the poses (F, D) and of the shared parameters (K,)."""
+        return step[: self.pull.size].reshape(self.pull.shape), step[self.pull.size :]
+
+    def marginals(self, damping: float = 0.0) -> Marginals:
+        """Exact marginal covariances (of unit weight), the diagonals raised by the fraction `damping`.
 
         Raises:
             InputError: where the equations leave an unknown open, or a number is not finite.
         """
+        factor = self._factored(damping)
+        if factor is None:
+            raise InputError("adjust: the equations leave a pose or a length open; give more frames or views.")
         F, D, K = self.border.shape
+        shared, lean = cho_solve(factor.complement, np.eye(K)), factor.across.reshape(F, D, K)
+        return Marginals(diagonal_blocks(factor.band, F, D) + lean @ shared @ lean.transpose(0, 2, 1), shared)
+
+    @property
+    def _border(self) -> Float:
+        """(F D, K)."""
+        return self.border.reshape(self.pull.size, len(self.corner))
+
+    def _factored(self, damping: float) -> _Factor | None:
+        _, D, K = self.border.shape
         diagonal = np.arange(D)
         band, corner = self.band.copy(), self.corner.copy()
         band[:, 0, diagonal, diagonal] *= 1.0 + damping
         corner[np.arange(K), np.arange(K)] *= 1.0 + damping
         try:
             factor = cholesky_banded(_lower_form(band), lower=True, overwrite_ab=True)
-            right = np.concatenate([self.border.reshape(F * D, K), -self.pull.reshape(F * D, 1)], axis=1)
-            solved = cho_solve_banded((factor, True), right)
-            across, free = solved[:, :K], solved[:, K]
-            complement = cho_factor(corner - right[:, :K].T @ across)
-        except (LinAlgError, ValueError) as error:
-            raise InputError(
-                "refine: the equations leave a pose or a length open; give more frames or views."
-            ) from error
-        shared = cho_solve(complement, -self.shared_pull - right[:, :K].T @ free)
-        shared_covariance = cho_solve(complement, np.eye(K))
-        poses = (free - across @ shared).reshape(F, D)
-        lean = across.reshape(F, D, K)
-        own = diagonal_blocks(factor, F, D) + lean @ shared_covariance @ lean.transpose(0, 2, 1)
-        return Solution(poses, shared, own, shared_covariance)
+            across = np.asarray(cho_solve_banded((factor, True), self._border))
+            return _Factor(factor, across, cho_factor(corner - self._border.T @ across))
+        except (LinAlgError, ValueError):
+            return None
 
     def dense(self) -> Float:
         """((F D + K), (F D + K)) the whole matrix, to check with."""

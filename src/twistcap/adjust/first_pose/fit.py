@@ -8,15 +8,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twistcap._typing import Bool, Float
+from twistcap.adjust.first_pose.keypoints import Evidence, KeypointProblem, Priors, evidence, residuals
+from twistcap.adjust.first_pose.skeleton import Proportions, Skeleton
+from twistcap.adjust.first_pose.triangulate import Triangulated, rigid_fit, triangulate
 from twistcap.body import Body, Pose
 from twistcap.body.kinematics import Posed
 from twistcap.body.shape import rescaled
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
-from twistcap.firstpose.problem import Evidence, Priors, Problem, State, evidence, minimise, residuals
-from twistcap.firstpose.skeleton import Proportions, Skeleton
-from twistcap.firstpose.triangulate import Triangulated, rigid_fit, triangulate
+from twistcap.solve import Variables
+from twistcap.terms.robust import geman_mcclure
 
 _FEWEST = 5  # triangulated joints below which no pose is worth the name
 _REACH = 4.0  # final scale of the robust function, standard deviations
@@ -120,45 +122,39 @@ def fit_keypoints_sequence(
     if not keypoints or len(rigs) != len(keypoints):
         raise InputError(f"keypoints: {len(keypoints)} instants and {len(rigs)} rigs were given; each needs its rig.")
     frames = tuple(evidence(body, rig, k, sigma_px) for rig, k in zip(rigs, keypoints, strict=True))
-    skeleton, priors = Skeleton(body), priors or Priors()
+    problem = KeypointProblem(Skeleton(body), frames, priors or Priors(), _REACH, fit_lengths)
     given = starts or [None] * len(frames)
-    singles: list[State] = []
+    singles: list[Variables] = []
     for frame, extra in zip(frames, given, strict=True):
-        singles.append(_first_state(skeleton, frame, priors, fit_lengths, extra, singles[-1] if singles else None))
-    factors = np.median([s.log_factors for s in singles], axis=0)
-    state = State(tuple(s.poses[0] for s in singles), factors)
-    problem = Problem(skeleton, frames, _neutral(body), priors, _REACH, fit_lengths)
-    state = minimise(problem, minimise(replace(problem, reach=2 * _REACH), state))
-    state = replace(state, poses=tuple(p.within(body.limits) for p in state.poses))
-    return _answers(problem, state, rigs, keypoints)
+        alone = replace(problem, frames=(frame,), reach=2 * _REACH)
+        singles.append(_first_fit(alone, extra, singles[-1] if singles else None))
+    factors = np.median([x["shape"].values for x in singles], axis=0)
+    x = problem.start([x["poses"].poses[0] for x in singles], factors)
+    x = problem.minimised(replace(problem, reach=2 * _REACH).minimised(x).x).x
+    poses = [pose.within(body.limits) for pose in x["poses"].poses]
+    return _answers(problem, problem.start(poses, x["shape"].values), rigs, keypoints)
 
 
-def _neutral(body: Body) -> Float:
-    return np.clip(np.zeros(len(body.coordinate_names)), *body.limits.T)
-
-
-def _first_state(
-    skeleton: Skeleton, frame: Evidence, priors: Priors, fit_lengths: bool, extra: Pose | None, before: State | None
-) -> State:
+def _first_fit(problem: KeypointProblem, extra: Pose | None, before: Variables | None) -> Variables:
     """One instant by itself: carried on from the one before if that explains the keypoints, else from all starts."""
-    problem = Problem(skeleton, (frame,), _neutral(skeleton.body), priors, 2 * _REACH, fit_lengths)
     if before is not None:
-        carried = minimise(problem, before)
-        if problem.energy(carried) < 1.5 * frame.weights.sum():  # noise alone costs about 1 for each keypoint
+        carried = problem.minimised(problem.start(before["poses"].poses, before["shape"].values)).x
+        if problem.energy(carried) < 1.5 * problem.frames[0].weights.sum():  # noise alone costs about 1 for each
             return carried
-    return _best_start(problem, frame, extra)
+    return _best_start(problem, extra)
 
 
-def _best_start(fine: Problem, frame: Evidence, extra: Pose | None) -> State:
+def _best_start(fine: KeypointProblem, extra: Pose | None) -> Variables:
     """The best of all starts: each first on the keypoints the views agree on, the best three then on all."""
+    (frame,) = fine.frames
     seen = triangulate(frame.rig, frame.pixels, frame.weights, frame.sigma)
     trusted = replace(frame, weights=np.where(seen.inliers, 1.0, 0.1) * frame.weights)
     loose = replace(fine.priors, limit=max(fine.priors.limit, 0.2))
     coarse = replace(fine, frames=(trusted,), priors=loose, reach=10 * _REACH)
-    first = State((), np.zeros(fine.skeleton.size))
     poses = [*_start_poses(fine.skeleton.body, frame, seen), *([] if extra is None else [extra])]
-    ends = [minimise(coarse, replace(first, poses=(pose,)), 15) for pose in poses]
-    return min((minimise(fine, end, 10) for end in sorted(ends, key=coarse.energy)[:3]), key=fine.energy)
+    ends = [coarse.minimised(coarse.start([pose], np.zeros(fine.skeleton.size)), 15) for pose in poses]
+    best = sorted(ends, key=lambda end: end.energy)[:3]
+    return min((fine.minimised(end.x, 10) for end in best), key=lambda end: end.energy).x
 
 
 def _start_poses(body: Body, frame: Evidence, seen: Triangulated) -> list[Pose]:
@@ -192,39 +188,44 @@ def _coordinates(body: Body, angles_deg: Mapping[str, float]) -> Float:
 
 
 def _answers(
-    problem: Problem, state: State, rigs: Sequence[Rig], keypoints: Sequence[Keypoints]
+    problem: KeypointProblem, x: Variables, rigs: Sequence[Rig], keypoints: Sequence[Keypoints]
 ) -> tuple[FirstPose, ...]:
-    skeleton = problem.skeleton
-    proportions = skeleton.proportions(state.log_factors)
+    skeleton, poses = problem.skeleton, x["poses"].poses
+    proportions = skeleton.proportions(x["shape"].values)
     body = rescaled(skeleton.body, proportions.lengths, proportions.girths, proportions.stature)
     errors = [
         residuals(frame, Posed(body, pose).landmarks[frame.marks])
-        for frame, pose in zip(problem.frames, state.poses, strict=True)
+        for frame, pose in zip(problem.frames, poses, strict=True)
     ]
-    covariance = _covariance(problem, state, errors)
+    covariance = _covariance(problem, x, errors)
     out: list[FirstPose] = []
-    for f, (frame, pose) in enumerate(zip(problem.frames, state.poses, strict=True)):
+    for f, (frame, pose) in enumerate(zip(problem.frames, poses, strict=True)):
         own = slice(f * body.dof, (f + 1) * body.dof)
         residual = np.full(keypoints[f].confidence.shape, np.nan)
         used = np.zeros(residual.shape, dtype=bool)
         distance = np.linalg.norm(errors[f], axis=-1) * frame.sigma
         residual[:, frame.columns] = np.where(frame.weights > 0, distance, np.nan)
-        used[:, frame.columns] = (frame.weights > 0) & (problem.robust_weight(errors[f]) > _USED)
+        used[:, frame.columns] = (frame.weights > 0) & (_robust(errors[f], problem.reach) > _USED)
         marks = keypoints[f].names, rigs[f].names
         out.append(FirstPose(body, pose, proportions, residual, used, *marks, covariance[own, own]))
     return tuple(out)
 
 
-def _covariance(problem: Problem, state: State, errors: Sequence[Float]) -> Float:
-    """Inverse of the normal matrix, the keypoints' standard deviations scaled to the residuals found."""
-    weights = [frame.weights * problem.robust_weight(r) for frame, r in zip(problem.frames, errors, strict=True)]
+def _robust(errors: Float, reach: float) -> Float:
+    """Robust weights of errors (..., 2)."""
+    return geman_mcclure(np.sum(errors * errors, axis=-1), reach)[1]
+
+
+def _covariance(problem: KeypointProblem, x: Variables, errors: Sequence[Float]) -> Float:
+    """Marginal covariances, the keypoints' standard deviations scaled to the residuals found."""
+    weights = [frame.weights * _robust(r, problem.reach) for frame, r in zip(problem.frames, errors, strict=True)]
     squares = sum(float(np.sum(w[..., None] * r * r)) for w, r in zip(weights, errors, strict=True))
     used = sum(2 * np.count_nonzero(w > _USED) for w in weights)
-    free = max(used - len(state.poses) * problem.skeleton.body.dof, 1)
+    free = max(used - x["poses"].size, 1)
     scale = max(float(np.sqrt(squares / free)), 0.05)
     frames = tuple(replace(frame, sigma=scale * frame.sigma) for frame in problem.frames)
     scaled = replace(problem, frames=frames, reach=problem.reach / scale)  # the same robust weights as before
-    return np.asarray(np.linalg.inv(scaled.normal_equations(state)[1]), np.float64)
+    return scaled.problem.dense(x).covariance()
 
 
 def pose_at(poses: Sequence[Pose], times: Sequence[float], time: float) -> Pose:

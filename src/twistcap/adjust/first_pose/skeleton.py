@@ -173,3 +173,35 @@ class Skeleton:
         link, a = np.array([r[2] for r in rows]).reshape(-1, 3), axes[segment]
         along = a * np.sum(a * link, axis=1, keepdims=True)
         return _Links(landmark, segment, along, link - along)
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """The log-factors of a skeleton as a block of variables; the body is without its skin.
+
+    Attributes:
+        skeleton: that they scale.
+        values: (K,) log-factors.
+    """
+
+    skeleton: Skeleton
+    values: Float
+
+    @property
+    def size(self) -> int:
+        return len(self.values)
+
+    def retract(self, step: Float) -> Scaling:
+        return Scaling(self.skeleton, self.values + step)
+
+    def minus(self, other: Scaling) -> Float:
+        return self.values - other.values
+
+    @cached_property
+    def body(self) -> Body:
+        """Scaled."""
+        return self.skeleton.scaled(self.values)
+
+    def rates(self, posed: Posed) -> Float:
+        """(L, 3, K) derivative of the world's landmarks."""
+        return self.skeleton.jacobian(posed, self.values)

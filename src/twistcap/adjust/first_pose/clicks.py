@@ -14,12 +14,12 @@ from scipy.optimize import minimize
 
 from twistcap import se3
 from twistcap._typing import Bool, Float, Int
+from twistcap.adjust.first_pose.skeleton import Proportions, Skeleton
 from twistcap.body import Body, Posed, rescaled
 from twistcap.body.kinematics import Pose
 from twistcap.differential.system import image_motion
 from twistcap.differential.view import ROOT, ScaledView, State
 from twistcap.errors import InputError
-from twistcap.firstpose.skeleton import Proportions, Skeleton
 from twistcap.render import SurfacePoints
 
 _FEWEST = 4

@@ -1,0 +1,144 @@
+"""Keypoints with poses, shape, cameras and clocks free: derivatives, and a bumped camera and a late clock found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from support.finite_differences import check_jacobian
+from support.shapes import camera_at
+from twistcap import se3
+from twistcap.body import Body, Pose, Posed
+from twistcap.body.humanoid import humanoid
+from twistcap.camera import pinhole
+from twistcap.solve import BlockProblem, CameraBlock, PoseTrack, Variables, Vector
+from twistcap.solve.blocks import FixedShape
+from twistcap.solve.problem import ArrowSums, DenseSums
+from twistcap.terms import BlockGaussian, LimitTerm, OnPose, ReprojectionTerm, Slope
+from twistcap.terms.reprojection import camera_rates
+
+Array = np.ndarray
+BODY = humanoid("legs")
+CAMERA = camera_at((2.8, 0.7, 0.4))
+FREE = ("poses", "camera", "clock", "growth")
+
+
+class Grown(Vector):
+    """A body that grows about its origin by one log-factor: a shape block that can be worked out by hand."""
+
+    @property
+    def body(self) -> Body:
+        marks = BODY.landmarks
+        twists = BODY.twists.copy()
+        twists[:, 3:] *= np.exp(self.values[0])
+        return replace(BODY, twists=twists, landmarks=replace(marks, points=np.exp(self.values[0]) * marks.points))
+
+    def rates(self, posed: Posed) -> Array:
+        return (posed.landmarks - posed.pose.root[:3, 3])[:, :, None]
+
+
+def a_track(frames: int = 3, seed: int = 0) -> PoseTrack:
+    rng = np.random.default_rng(seed)
+    pose = Pose(se3.exp(0.2 * rng.normal(size=6)), 0.2 * rng.normal(size=BODY.dof - 6))
+    poses = [pose]
+    for _ in range(frames - 1):
+        poses.append(poses[-1].retract(0.05 * rng.normal(size=BODY.dof)))
+    return PoseTrack(tuple(poses), 0.04 * np.arange(frames))
+
+
+def a_point() -> Variables:
+    blocks = {"poses": a_track(), "camera": CameraBlock(CAMERA, focal=True), "clock": Vector(np.array([0.013]))}
+    return Variables({**blocks, "growth": Grown(np.array([0.05]))}, FREE)
+
+
+def a_term(x: Variables, clock: str | None = "clock", reach: float = 3.0) -> ReprojectionTerm:
+    marks = np.arange(len(BODY.landmarks.names), dtype=np.int32)
+    rng = np.random.default_rng(5)
+    target = CAMERA.project(Posed(x["growth"].body, x["poses"].poses[1]).landmarks)[0] + 4 * rng.normal(
+        size=(len(marks), 2)
+    )
+    weight, sigma = rng.uniform(0.3, 1.0, len(marks)), rng.uniform(1.0, 3.0, len(marks))
+    return ReprojectionTerm(marks, target, weight, sigma, reach, "camera", shape="growth", frame=1, clock=clock)
+
+
+@pytest.mark.parametrize("clock", ["clock", None])
+def test_rows_are_the_derivatives_of_the_residuals(clock: str | None) -> None:
+    """By two poses, the shape, the camera with its focal length, and its clock, all together."""
+    x = a_point()
+    term = replace(a_term(x, clock), weight=np.ones(len(BODY.landmarks.names)), reach=1e9)
+    J = np.zeros((2 * len(term.marks), x.size))
+
+    class Gathered:
+        def add_rows(self, energy: float, slopes: list[Slope], weight: Array, residual: Array) -> None:
+            np.testing.assert_allclose(weight, 1.0)
+            np.testing.assert_allclose(residual, term.residuals(x).ravel())
+            for slope in slopes:
+                start = x.slices[slope.block].start + slope.first
+                J[:, start : start + slope.by.shape[1]] += slope.by
+
+    term.add_to(Gathered(), x)
+    check_jacobian(lambda d: term.residuals(x.retract(d)).ravel(), J, np.zeros(x.size), rtol=1e-5, atol=1e-5)
+    assert np.abs(J[:, x.slices["camera"]]).max() > 1 and np.abs(J[:, x.slices["poses"]]).max() > 1
+    assert np.any(J[:, x.slices["clock"]]) == (clock is not None)
+
+
+@pytest.mark.parametrize("free", [FREE, ("poses",), ("camera", "clock")])
+def test_the_gradient_is_that_of_the_energy(free: tuple[str, ...]) -> None:
+    x = replace(a_point(), free=free)
+    limits = OnPose(LimitTerm(0.1), BODY, frame=1)
+    problem = BlockProblem([a_term(x), limits, BlockGaussian("growth", np.zeros(1), np.array([0.1]))])
+    system = problem.dense(x)
+    assert system.value == pytest.approx(sum(problem.energies(x).values()))
+
+    def energy(step: Array) -> Array:
+        return np.array(sum(problem.energies(x.retract(step)).values()))
+
+    check_jacobian(energy, system.gradient, np.zeros(x.size), rtol=1e-4, atol=1e-4 * np.abs(system.gradient).max())
+
+
+def test_arrow_and_dense_are_one_system() -> None:
+    x = a_point()
+    terms = [a_term(x), replace(a_term(x, None), frame=2), OnPose(LimitTerm(0.1), BODY, frame=2)]
+    problem = BlockProblem([*terms, BlockGaussian("growth", np.zeros(1), np.array([0.1]))])
+    dense, arrow = problem.dense(x), problem.arrow(x, reach=1)
+    np.testing.assert_allclose(arrow.dense(), dense.hessian, atol=1e-9 * np.abs(dense.hessian).max())
+    np.testing.assert_allclose(np.r_[arrow.pull.ravel(), arrow.shared_pull], dense.gradient, rtol=1e-9, atol=1e-9)
+    assert arrow.value == pytest.approx(dense.value)
+    assert isinstance(ArrowSums(x, 1).arrow.shared_longest, np.ndarray) and DenseSums(x).value == 0.0
+
+
+def test_derivatives_by_the_camera() -> None:
+    block, points = CameraBlock(CAMERA, focal=True), np.random.default_rng(3).normal(0, 0.4, (6, 3))
+
+    def pixels(step: Array) -> Array:
+        return block.retract(step).camera.project(points)[0]
+
+    check_jacobian(pixels, camera_rates(CAMERA, points), np.zeros(7), rtol=1e-6, atol=1e-4)
+
+
+def test_the_one_projection_derivative() -> None:
+    points = np.random.default_rng(3).normal(0, 0.4, (4, 5, 3))
+    P = np.stack([camera_at(eye).P for eye in [(2.8, 0.7, 0.4), (-0.5, 2.9, 0.2), (-2, -2, 0.6), (2, -2, 0)]])
+    pixels, depth, by_point = pinhole(P, points)
+    for c, matrix in enumerate(P):
+        alone = pinhole(matrix, points[c])
+        for one, many in zip(alone, (pixels[c], depth[c], by_point[c]), strict=True):
+            np.testing.assert_allclose(one, many, atol=1e-10)
+    x = points[1, 2]
+    check_jacobian(lambda p: pinhole(P[1], p[None])[0][0], by_point[1, 2], x, rtol=1e-6, atol=1e-4)
+
+
+def test_behind_the_camera_a_keypoint_is_wrong_and_has_no_say() -> None:
+    x = a_point()
+    behind = CameraBlock(replace(CAMERA, T_cam_world=np.diag([1.0, -1.0, -1.0, 1.0]) @ CAMERA.T_cam_world), focal=True)
+    x = replace(x, blocks={**x.blocks, "camera": behind})
+    problem = BlockProblem([a_term(x)])
+    system = problem.dense(x)
+    assert np.isfinite(system.value) and not system.gradient.any()
+    assert system.value == pytest.approx(0.5 * 9.0 * a_term(x).weight.sum(), rel=1e-6)
+
+
+def test_a_fixed_shape_has_no_rates() -> None:
+    assert FixedShape(BODY).rates(Posed(BODY, Pose.rest(BODY))).shape == (len(BODY.landmarks.names), 3, 0)
