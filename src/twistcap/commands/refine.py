@@ -55,12 +55,12 @@ def refine(
 def _run(
     path: Path, out: Path, span: tuple[int, int] | None, session_path: Path | None, settings: list[str], again: bool
 ) -> dict[str, Any]:
+    from twistcap.adjust.refine import RefineConfig
+    from twistcap.adjust.refine import refine as refined
     from twistcap.commands.track import parsed_settings
     from twistcap.io.result import read_result
     from twistcap.io.session import load_session
     from twistcap.io.strict import dataclass_from
-    from twistcap.refine import RefineConfig
-    from twistcap.refine import refine as refined
 
     result = read_result(path)
     config = dataclass_from(RefineConfig, parsed_settings(settings), "--set", "refine")

@@ -65,6 +65,11 @@ class Appearance:
         learnt = now[:, 0] > 0.0
         sums[learnt] = self._rule.memory**frames * sums[learnt] + frames * now[learnt]
 
+    def add(self, other: Appearance) -> None:
+        """Take over all that another has learnt."""
+        if other._sums is not None:
+            self._sums = other._sums.copy() if self._sums is None else self._sums + other._sums
+
     def _all(self, channels: int) -> Float:
         if self._sums is None:
             self._sums = np.zeros((self._cameras, self._parts, 1 + 2 * channels))

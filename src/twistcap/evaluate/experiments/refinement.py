@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from twistcap._typing import Float
+from twistcap.adjust.refine import Refined, refine
 from twistcap.body import Body, Posed, rescaled
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate.experiments.arms import Findings, Shot, Trace
@@ -21,7 +22,6 @@ from twistcap.evaluate.metrics import KHE_COORDINATES, Row, angle_differences_de
 from twistcap.evaluate.parallel import Tell, over_seeds
 from twistcap.evaluate.sequence import joint_errors_mm
 from twistcap.firstpose import girth_groups
-from twistcap.refine import Refined, refine
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.config import stream
 from twistcap.studio.mismatch import with_joint_noise

@@ -6,7 +6,7 @@ perspective and joint centres beside.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Protocol
@@ -14,20 +14,20 @@ from typing import Protocol
 import numpy as np
 
 from twistcap._typing import Bool, Float
-from twistcap.body import Body, Posed
+from twistcap.adjust.refine.look import Eyes, support
+from twistcap.adjust.refine.problem import RefineProblem, Standing, Track
+from twistcap.adjust.refine.settings import RefineConfig
+from twistcap.adjust.refine.shape import Shape
+from twistcap.body import Body
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
 from twistcap.firstpose import girth_groups
-from twistcap.refine.look import Eyes, Look
-from twistcap.refine.motion import add_accelerations
-from twistcap.refine.settings import RefineConfig
-from twistcap.refine.shape import Shape
-from twistcap.refine.system import Solution
 from twistcap.settings import TrackerConfig
+from twistcap.tmpsolve.arrow import Arrow
+from twistcap.tmpsolve.minimise import Solution, minimise
 
 _LEAST_FRAMES = 3
-_MOST = 0.1  # of a log-length, or m of a joint centre, in one step: beyond it no linearisation holds
 
 
 class Tell(Protocol):
@@ -86,18 +86,38 @@ def refine(
     """
     config, tracker = config or RefineConfig(), tracker or TrackerConfig()
     _check(body, estimates)
-    eyes = Eyes(rig.pinhole(), config, tracker, len(body.segment_names))
-    shape, now = shape or Shape.of(body, girth_groups(body), config), tuple(estimates)
-    moved: list[float] = []
+    shape = shape or Shape.of(body, girth_groups(body), config)
+    eyes = Eyes(rig.pinhole(), config, tracker, shape.body)
+    told, frames_of = tell or _untold, len(estimates)
+    for count in eyes.read(frames, estimates):
+        told("reading", count, frames_of * (1 + config.rounds))
+    standing = _standing(estimates, config, tracker)
+    x, moved, settled = Track(tuple(e.pose for e in estimates), shape), list[float](), False
+    trusted = ~_bridged(estimates, config.bridge)
     while True:
-        look = _looked(eyes, frames, shape, now, len(moved), tell)
-        solution = look.system.solve(config.damping)
-        before, shape = shape, shape.stepped(np.clip(solution.shared, -_MOST, _MOST))
-        earlier, now = now, _stepped(now, solution, look, tracker)
-        moved.append(_mean_move(before.body, earlier, shape.body, now))
-        settled = not look.coarse and moved[-1] < config.settled
+        coarse = len(moved) < config.coarse_rounds
+        problem = RefineProblem(x, eyes.look(x.posed, trusted, coarse), standing)
+        found = minimise(problem, x, config.steps, config.damping)
+        moved.append(_mean_move(x, found.x))
+        x, trusted = found.x, np.ones(len(estimates), dtype=np.bool_)
+        done = f"round {len(moved)} of at most {config.rounds}"
+        told(done, frames_of * (1 + len(moved)), frames_of * (1 + config.rounds))
+        settled = not coarse and moved[-1] < config.settled
         if settled or len(moved) >= config.rounds:
-            return _answer(shape, now, solution, tracker, moved, settled)
+            return _answer(x, problem, found, estimates, tracker, moved, settled)
+
+
+def _untold(note: str, done: int = 0, total: int | None = None) -> None:
+    """Nobody is told."""
+
+
+def _standing(estimates: Sequence[Estimate], config: RefineConfig, tracker: TrackerConfig) -> Standing:
+    """What is known without the images.
+
+    Images are counted at their own noise, of which the claimed one is a multiple; so must the shape's prior be.
+    """
+    rest, weight = float(np.deg2rad(tracker.rest_sigma_deg)), tracker.inflation**2 * config.alike
+    return Standing([e.time for e in estimates], config.noise, rest, config.hinge, weight, config.contour)
 
 
 def _check(body: Body, estimates: Sequence[Estimate]) -> None:
@@ -110,32 +130,6 @@ def _check(body: Body, estimates: Sequence[Estimate]) -> None:
             raise InputError(f"refine: the pose of frame {e.index} is not finite; leave the frame out with --frames.")
 
 
-def _looked(
-    eyes: Eyes, frames: Iterable[Frame], shape: Shape, estimates: Sequence[Estimate], done: int, tell: Tell | None
-) -> Look:
-    """The equations of the round after `done` others: images, motion, and what is known of the shape beforehand."""
-    config, rounds = eyes.config, eyes.config.rounds
-    look = eyes.look(shape, [e.pose for e in estimates], coarse=done < config.coarse_rounds)
-    bridged = _bridged(estimates, config.bridge) if done == 0 else np.zeros(len(estimates), dtype=np.bool_)
-    count = 0
-    for count, frame in enumerate(frames, 1):
-        if count > len(estimates) or frame.index != estimates[count - 1].index:
-            count = 0
-            break
-        look.add(frame, trusted=not bridged[count - 1])
-        if tell is not None:
-            tell(f"round {done + 1} of at most {rounds}", done * len(estimates) + count, rounds * len(estimates))
-    if count != len(estimates):
-        raise InputError("refine: the frames are not those of the estimates; give the frames that were tracked.")
-    eyes.learn(look)
-    add_accelerations(look.system, [e.pose for e in estimates], [e.time for e in estimates], config.noise)
-    # Images are counted at their own noise, of which the claimed one is a multiple; so must the prior be.
-    gradient, information = shape.prior(config.hinge)
-    look.system.shared_pull += eyes.tracker.inflation**2 * gradient
-    look.system.corner += eyes.tracker.inflation**2 * information
-    return look
-
-
 def _bridged(estimates: Sequence[Estimate], longest: float) -> Bool:
     """(F,) which frames are lost in spans shorter than so many seconds, with others at both ends."""
     out = np.zeros(len(estimates), dtype=np.bool_)
@@ -146,44 +140,45 @@ def _bridged(estimates: Sequence[Estimate], longest: float) -> Bool:
     return out
 
 
-def _stepped(
-    estimates: Sequence[Estimate], solution: Solution, look: Look, tracker: TrackerConfig
-) -> tuple[Estimate, ...]:
-    """The estimates after a step, which for a pose is no longer than half a radian in any joint."""
-    shorter = np.maximum(1.0, 2.0 * np.abs(solution.poses[:, 6:]).max(axis=1, initial=0.0))
-    steps, covariances = solution.poses / shorter[:, None], tracker.inflation**2 * solution.covariances
-    moved = [
-        replace(e, pose=e.pose.retract(steps[t]), covariance=covariances[t], energies=look.energies[t])
-        for t, e in enumerate(estimates)
-    ]
-    if look.eyes.contour is None:
-        return tuple(moved)  # without contours the tracker's own judgement stands
-    least = tracker.support.least_share
-    judged = zip(moved, look.support(), strict=True)
-    return tuple(
-        e if e.status == "no_images" else replace(e, support=float(s), lost=bool(s < least)) for e, s in judged
-    )
-
-
-def _mean_move(before: Body, earlier: Sequence[Estimate], after: Body, later: Sequence[Estimate]) -> float:
+def _mean_move(before: Track, after: Track) -> float:
     """Mean distance (m) by which the landmarks, or where there are none the segments, moved."""
-    places = [[Posed(body, e.pose) for e in es] for body, es in ((before, earlier), (after, later))]
-    old, new = (np.stack([p.landmarks if len(p.landmarks) else p.segment_middles for p in ps]) for ps in places)
+    old, new = (np.stack([p.landmarks if len(p.landmarks) else p.segment_middles for p in track.posed])
+                for track in (before, after))  # fmt: skip
     return float(np.linalg.norm(new - old, axis=2).mean())
 
 
 def _answer(
-    shape: Shape, estimates: Sequence[Estimate], solution: Solution, tracker: TrackerConfig, moved: Sequence[float],
-    settled: bool,
+    x: Track, problem: RefineProblem, found: Solution[Track, Arrow], estimates: Sequence[Estimate],
+    tracker: TrackerConfig, moved: Sequence[float], settled: bool,
 ) -> Refined:  # fmt: skip
+    shape, marginals = x.shape, found.system.marginals()
     lengths, girths, joints = shape.parts(shape.total)
-    sigmas = shape.parts(tracker.inflation * np.sqrt(np.diagonal(solution.shared_covariance)))
-    status = "converged" if settled else "max_iterations"
-    out = tuple(
-        replace(e, iterations=len(moved), status=status if e.status != "no_images" else e.status) for e in estimates
-    )
+    sigmas = shape.parts(tracker.inflation * np.sqrt(np.diagonal(marginals.shared)))
+    out = _judged(x, problem, marginals.poses, estimates, tracker, settled)
+    out = tuple(replace(e, iterations=len(moved)) for e in out)
     girth, joint = (_exp(girths), sigmas[1]), (joints, sigmas[2])
     return Refined(shape.body, out, _exp(lengths), sigmas[0], *girth, *joint, tuple(moved), shape)
+
+
+def _judged(
+    x: Track, problem: RefineProblem, covariances: Float, estimates: Sequence[Estimate], tracker: TrackerConfig,
+    settled: bool,
+) -> Iterator[Estimate]:  # fmt: skip
+    """The estimates with pose, claimed covariance, energies and support as the last round has them."""
+    energies: list[dict[str, float]] = [{} for _ in estimates]
+    for name, t, value in problem.parts(x):
+        energies[t][name] = energies[t].get(name, 0.0) + value
+    supported = None if tracker.method == "differential" else support(problem.rounds, tracker)
+    status = "converged" if settled else "max_iterations"
+    for t, e in enumerate(estimates):
+        own = replace(
+            e, pose=x.poses[t], covariance=tracker.inflation**2 * covariances[t], energies=energies[t],
+            status=status if e.status != "no_images" else e.status,
+        )  # fmt: skip
+        if supported is None or e.status == "no_images":  # without contours the tracker's own judgement stands
+            yield own
+        else:
+            yield replace(own, support=float(supported[t]), lost=bool(supported[t] < tracker.support.least_share))
 
 
 def _exp(logs: Mapping[str, float]) -> dict[str, float]:

@@ -1,0 +1,1 @@
+"""Adjustment: blocks and terms over many frames, solved by the one minimiser."""

@@ -1,0 +1,152 @@
+"""The one minimiser: Gauss-Newton steps, damped, and accepted only if the energy falls (Levenberg and Marquardt).
+
+Madsen, Nielsen and Tingleff, "Methods for Non-Linear Least Squares Problems", 2004, section 3.2.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Generic, Literal, Protocol, TypeVar
+
+import numpy as np
+
+from twistcap._typing import Float
+
+Status = Literal["converged", "max_iterations", "stalled", "failed"]
+
+X = TypeVar("X")
+S = TypeVar("S", bound="System")
+S_co = TypeVar("S_co", bound="System", covariant=True)
+
+_TRIES = 5  # dampings of one step, each ten times the one before
+_ROUNDING = 1e-12  # of the energy: by so much a step may raise it
+
+
+class System(Protocol):
+    """The quadratic of the energy at a point, over the stacked step of all free blocks."""
+
+    @property
+    def value(self) -> float:
+        """Energy at the point."""
+        ...
+
+    def finite(self) -> bool:
+        """Whether every number of it is finite."""
+        ...
+
+    def step(self, damping: float) -> Float | None:
+        """Its minimiser with the diagonal raised by the fraction `damping`, shortened to where it can hold.
+
+        None where the system cannot be solved.
+        """
+        ...
+
+
+class Problem(Protocol[X, S_co]):
+    """An energy of some X (a pose, named blocks), with its quadratic at every point."""
+
+    def energies(self, x: X) -> Mapping[str, float]:
+        """Energies by name of term."""
+        ...
+
+    def linearised(self, x: X) -> S_co:
+        """Their sum as a quadratic of the step."""
+        ...
+
+    def retract(self, x: X, step: Float) -> X:
+        """The point after a step."""
+        ...
+
+
+@dataclass(frozen=True)
+class Solution(Generic[X, S]):
+    """Outcome of `minimise`.
+
+    Attributes:
+        x: the best point reached; the first one where nothing better was found.
+        status: "converged" (step below tolerance, or gain too small), "max_iterations", "stalled" (no step lowered the
+            energy) or "failed" (a number was not finite).
+        steps: accepted steps.
+        energies: at that point, by name of term.
+        system: of all terms, at the point where the last step was taken from.
+    """
+
+    x: X
+    status: Status
+    steps: int
+    energies: Mapping[str, float]
+    system: S
+
+    @property
+    def energy(self) -> float:
+        """Sum of the energies there."""
+        return sum(self.energies.values())
+
+
+@dataclass(frozen=True)
+class _Step(Generic[X]):
+    """An accepted step: where it leads, its size, its damping, and by what fraction the energy fell."""
+
+    x: X
+    energies: Mapping[str, float]
+    size: float
+    damping: float
+    gain: float
+
+
+def minimise(
+    problem: Problem[X, S], x: X, steps: int = 1, damping: float = 1e-3, tolerance: float = 1e-6, gain: float = 0.0
+) -> Solution[X, S]:
+    """Minimise the energy of a problem from a point on.
+
+    A step that does not lower the energy is damped ten times more and tried again, and what it took is carried over:
+    the next step begins with a tenth of it, but never below `damping`.
+
+    Args:
+        problem: energy, quadratic and retraction.
+        x: where to begin.
+        steps: how many steps to accept at most.
+        damping: least factor on the diagonal.
+        tolerance: largest entry of a step, in the blocks' own units (rad, m), that counts as standing still.
+        gain: fraction by which the energy must fall for another step to be worth while.
+    """
+    system, energies = problem.linearised(x), None
+    status: Status = "max_iterations"
+    taken, least = 0, damping
+    if not system.finite():
+        return Solution(x, "failed", 0, problem.energies(x), system)
+    while taken < steps:
+        if taken:
+            fresh = problem.linearised(x)
+            if not fresh.finite():
+                status = "failed"
+                break
+            system = fresh
+        accepted = _downhill(problem, x, system, damping)
+        if accepted is None:
+            status = "stalled"
+            break
+        x, energies, taken = accepted.x, accepted.energies, taken + 1
+        damping = max(0.1 * accepted.damping, least)
+        if accepted.size < tolerance or accepted.gain < gain:
+            status = "converged"
+            break
+    return Solution(x, status, taken, energies or problem.energies(x), system)
+
+
+def _downhill(problem: Problem[X, S], x: X, system: S, damping: float) -> _Step[X] | None:
+    """The first damped step that lowers the energy."""
+    before = system.value
+    for _ in range(_TRIES):
+        step = system.step(damping)
+        if step is not None and np.all(np.isfinite(step)):
+            candidate = problem.retract(x, step)
+            energies = problem.energies(candidate)
+            energy = sum(energies.values())
+            if math.isfinite(energy) and energy <= before + _ROUNDING * abs(before):
+                gain = (before - energy) / max(abs(before), 1e-300)
+                return _Step(candidate, energies, float(np.abs(step).max(initial=0.0)), damping, gain)
+        damping = max(10.0 * damping, 1e-3)
+    return None
