@@ -8,7 +8,7 @@ import numpy as np
 from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.render import SurfacePoints
-from twistcap.solve import covariance, least_squares
+from twistcap.solve import PoseProblem, minimise
 from twistcap.studio import ring
 from twistcap.terms import GaussianTerm, KeypointTerm, LimitTerm
 
@@ -37,11 +37,11 @@ def main() -> float:
     ]
     standing = GaussianTerm(Pose.rest(body), 0.1 * np.eye(body.dof))  # where nothing is seen, stand
 
-    result = least_squares(Posed(body, Pose.rest(body)), [*keypoints, standing, LimitTerm()], steps=50)
-    sigma = np.rad2deg(np.sqrt(covariance(result.quadratic)[6 + knee, 6 + knee]))
+    result = minimise(PoseProblem([*keypoints, standing, LimitTerm()]), Posed(body, Pose.rest(body)), steps=50)
+    sigma = np.rad2deg(np.sqrt(result.system.covariance()[6 + knee, 6 + knee]))
     print(f"{result.status} after {result.steps} steps, energy {result.energy:.1f}")
-    print(f"right knee {np.rad2deg(result.pose.q[knee]):.1f}° ± {sigma:.1f}° (true 90°)")
-    return float(abs(np.rad2deg(result.pose.q[knee]) - 90.0))
+    print(f"right knee {np.rad2deg(result.x.pose.q[knee]):.1f}° ± {sigma:.1f}° (true 90°)")
+    return float(abs(np.rad2deg(result.x.pose.q[knee]) - 90.0))
 
 
 if __name__ == "__main__":

@@ -94,6 +94,24 @@ class Camera:
         return replace(self, dist=np.zeros(5))
 
 
+def pinhole(P: Float, points: Float) -> tuple[Float, Float, Float]:
+    """Pixels (..., 2), depths (...,) m, and the derivative (..., 2, 3) of the pixels by the points (..., 3), m.
+
+    ``π(X) = (h₁, h₂) / h₃`` with ``h = P (X, 1)``; its derivative is ``(P₁₂ − π P₃) / h₃``. Behind the camera (depth 0
+    or less) pixels mean nothing.
+
+    Args:
+        P: (..., 3, 4) projection matrices, one for all points or one for each set (N, 3) of them.
+        points: (..., N, 3).
+    """
+    h = points @ np.swapaxes(P[..., :3], -1, -2) + P[..., None, :, 3]
+    depth = h[..., 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        pixels = h[..., :2] / depth[..., None]
+        by_point = (P[..., None, :2, :3] - pixels[..., None] * P[..., None, 2:, :3]) / depth[..., None, None]
+    return pixels, depth, by_point
+
+
 def distort(xy: Float, dist: Float) -> Float:
     """OpenCV's Brown-Conrady model on image-plane coordinates (..., 2)."""
     k1, k2, p1, p2, k3 = dist

@@ -29,7 +29,7 @@ from twistcap.predict import Leeway, Moment, MotionNoise, PredictorName, jumped,
 from twistcap.priors import ParzenPrior, PriorTerm, matched
 from twistcap.render import render, reprojected, visible_contour
 from twistcap.settings import TrackerConfig
-from twistcap.solve import SolveResult, covariance, energies_at, inverse, least_squares
+from twistcap.solve import Dense, PoseProblem, Solution, covariance, inverse, minimise
 from twistcap.stages import next_frame, stage
 from twistcap.terms import GaussianTerm, LimitTerm, Quadratic, RestTerm, Term
 
@@ -113,20 +113,20 @@ class Tracker:
         with stage("rivals"):
             rival = self._rival(fit, self._familiar(told, fit), information, found)
         if rival is not None:
-            jump = rival.result.pose.minus(fit.result.pose)
-            self._history[-1] = jumped(self._history[-1], jump, rival.result.pose)
+            jump = rival.result.x.pose.minus(fit.result.x.pose)
+            self._history[-1] = jumped(self._history[-1], jump, rival.result.x.pose)
             fit, told = rival, self._claimed(rival, strayed, information, trust)
         elif self._started and predicted != "motion":
-            self._leeway.learn(guess, fit.result.pose, *self._since(frame.time))
+            self._leeway.learn(guess, fit.result.x.pose, *self._since(frame.time))
         self._covariance = told
         with stage("remember"):
             self._remember(fit)
-        self._advance(frame.time, fit.result.pose)
+        self._advance(frame.time, fit.result.x.pose)
         self._seen_time = frame.time
-        self._last = Followed(fit.result.posed, frame.time, frame.images)
+        self._last = Followed(fit.result.x, frame.time, frame.images)
         support = float(self._support.min())
         return Estimate(
-            frame.index, frame.time, fit.result.pose, self._familiar(told, fit), fit.result.energies,
+            frame.index, frame.time, fit.result.x.pose, self._familiar(told, fit), fit.result.energies,
             fit.result.status, fit.result.steps, support < config.support.least_share, support, predicted,
         )  # fmt: skip
 
@@ -165,7 +165,7 @@ class Tracker:
     def _fit(self, guess: Posed, views: dict[int, View], fixed: Sequence[Term]) -> Fit:
         """Alternate correspond and update: fine where the prediction was good, else coarse until it settles."""
         config = self.config
-        fit = Fit(SolveResult(guess, "max_iterations", 0, {}, Quadratic.zero(self.body.dof)))
+        fit = Fit(Solution(guess, "max_iterations", 0, {}, Dense.of(Quadratic.zero(self.body.dof))))
         fine = config.first_iterations
         if self._started:
             fit, fine = self._alternate(fit, views, fixed, coarse=False), self._contour.alternations - 1
@@ -198,7 +198,7 @@ class Tracker:
 
     def _rival(self, fit: Fit, claimed: Float, information: Float, found: Sequence[Term]) -> Fit | None:
         """A fit elsewhere that explains the images clearly better than `fit` does, where a limb is in doubt."""
-        config, posed, views = self.config, fit.result.posed, {s.camera_index: s.view for s in fit.sights}
+        config, posed, views = self.config, fit.result.x, {s.camera_index: s.view for s in fit.sights}
         shown = config.hidden.trust(fit.found, self._gone) if self._yields else 1.0
         poses = self._rivals.poses(posed, claimed, shown) if self._started and views else []
         if not poses:
@@ -210,15 +210,15 @@ class Tracker:
         best = Posed(self.body, poses[int(np.argmax(evidence))])
         fixed = self._fixed(best.pose, information, found)
         other = self._fit(best, views, fixed)
-        fitted = judge.evidence(other.result.pose)
+        fitted = judge.evidence(other.result.x.pose)
         if fitted < max(evidence):  # the fit has lost it again: the images' judgement stands
-            energies = energies_at([*fixed, *other.terms], best)
-            other = replace(other, result=replace(other.result, posed=best, energies=energies))
-        return other if self._rivals.takes_over(posed, other.result.pose, max(fitted, *evidence)) else None
+            energies = PoseProblem([*fixed, *other.terms]).energies(best)
+            other = replace(other, result=replace(other.result, x=best, energies=energies))
+        return other if self._rivals.takes_over(posed, other.result.x.pose, max(fitted, *evidence)) else None
 
     def _alternate(self, fit: Fit, views: dict[int, View], fixed: Sequence[Term], coarse: bool) -> Fit:
         """One alternation; the body is rendered anew where it has moved, else its contour is carried along."""
-        config, posed = self.config, fit.result.posed
+        config, posed = self.config, fit.result.x
         again = not fit.sights or fit.strayed > config.render_after
         if again:
             sights = [self._look(posed, camera, view) for camera, view in views.items()]
@@ -230,8 +230,8 @@ class Tracker:
         if self._prior is not None:
             terms.append(self._familiarity(self._prior, posed, [found for _, found in evidence]))
         with stage("solve"):
-            result = least_squares(posed, [*fixed, *terms], steps=config.solver_steps)
-        moved = contour_moved(sights, result.posed)
+            result = minimise(PoseProblem([*fixed, *terms]), posed, steps=config.solver_steps)
+        moved = contour_moved(sights, result.x)
         result = replace(result, steps=fit.result.steps + result.steps)
         strayed = moved if again else fit.strayed + moved
         parts, rule = len(self._support), config.support
@@ -297,14 +297,14 @@ class Tracker:
             return fit
         gone, back = self._gone, self._back
         with stage("limbs"):
-            judge = self._judge(self._known(frame, fit.result.posed, search.rule.margin), fit.result.posed)
-            pose, limbs = search.sought(judge, fit.result.pose, (guess, self._history[-1].pose))
+            judge = self._judge(self._known(frame, fit.result.x, search.rule.margin), fit.result.x)
+            pose, limbs = search.sought(judge, fit.result.x.pose, (guess, self._history[-1].pose))
             if not limbs:
                 return fit
             views = self._known(frame, posed := Posed(self.body, pose), self.config.margin)
             other = self._fit(posed, views, self._fixed(pose, information, found))
         if search.borne_out(judge, limbs, fit, other):
-            self._history[-1] = rested(self._history[-1], other.result.pose, search.regained(limbs))
+            self._history[-1] = rested(self._history[-1], other.result.x.pose, search.regained(limbs))
             return other
         self._gone, self._back = gone, back
         return fit
@@ -343,7 +343,7 @@ class Tracker:
         for sight, (good, points) in zip(fit.sights, fit.tallies, strict=True):
             i = sight.camera_index
             if self.config.photometric:
-                self._templates[i] = cue.remember(sight.view, sight.seen, fit.result.posed, self._templates[i], lesson)
+                self._templates[i] = cue.remember(sight.view, sight.seen, fit.result.x, self._templates[i], lesson)
             if lesson:
                 self._appearance.learn(i, sight.view, sight.seen, good / np.maximum(points, 1), every)
         good, seen = summed(fit.tallies, len(self._support))
@@ -370,7 +370,7 @@ class Tracker:
             return before
         # The solve held the prediction against its own spread alone; put the uncertainty of the past in its place.
         # What a pose prior says is no news of this frame: taken in anew in every frame it would add up.
-        of_images = fit.result.quadratic.hessian - information
+        of_images = fit.result.system.hessian - information
         of_images -= sum(term.hessian(self.body.dof) for term in fit.terms if isinstance(term, PriorTerm))
         known, zero = inverse(before), np.zeros(self.body.dof)
         return before if known is None else covariance(Quadratic(0.0, zero, of_images / scale + known))
@@ -379,7 +379,7 @@ class Tracker:
         """A covariance with what the pose prior knows added, once; it does not go on to the next frame."""
         if self._prior is None or (information := inverse(known)) is None:
             return known
-        return covariance(Quadratic(0.0, np.zeros(len(known)), information + self._prior.claimed(fit.result.posed)))
+        return covariance(Quadratic(0.0, np.zeros(len(known)), information + self._prior.claimed(fit.result.x)))
 
 
 def track(

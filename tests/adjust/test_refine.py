@@ -33,9 +33,9 @@ from twistcap.predict import MotionNoise
 from twistcap.refine import RefineConfig, refine
 from twistcap.refine.evidence import Instant, Sight, add_brightness, followed_points, row_jacobian
 from twistcap.refine.motion import add_accelerations
-from twistcap.refine.system import Arrow
 from twistcap.render import SurfacePoints, render
 from twistcap.settings import TrackerConfig
+from twistcap.solve import Arrow
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.subjects import limbering
 from twistcap.track import track
@@ -48,50 +48,6 @@ def a_pose(seed: int) -> Pose:
     rng = np.random.default_rng(seed)
     q = rng.uniform(-0.5, 0.5, len(BODY.coordinate_names))
     return Pose.rest(BODY).retract(np.concatenate([rng.uniform(-0.3, 0.3, 6), q]))
-
-
-@pytest.mark.parametrize(("frames", "reach"), [(7, 2), (9, 4), (3, 5)])
-def test_the_arrow_is_solved_as_the_dense_matrix(frames: int, reach: int) -> None:
-    rng = np.random.default_rng(0)
-    D, K, N = 4, 3, 9
-    arrow = Arrow(frames, D, K, reach)
-    for t in range(frames):
-        met = tuple(range(t, min(t + reach + 1, frames)))[:: max(1, reach // 2)]
-        J = tuple(rng.normal(size=(N, D)) for _ in met)
-        arrow.add_rows(met, J, rng.normal(size=(N, K)), rng.uniform(0.1, 1, N), rng.normal(size=N))
-        arrow.add_pose(t, rng.normal(size=D), np.eye(D))
-    arrow.corner += np.eye(K)
-    solution, inverse = arrow.solve(), np.linalg.inv(arrow.dense())
-    step = -inverse @ np.concatenate([arrow.pull.ravel(), arrow.shared_pull])
-    np.testing.assert_allclose(np.concatenate([solution.poses.ravel(), solution.shared]), step, atol=1e-12)
-    blocks = [inverse[t * D : (t + 1) * D, t * D : (t + 1) * D] for t in range(frames)]
-    np.testing.assert_allclose(solution.covariances, blocks, atol=1e-12)
-    np.testing.assert_allclose(solution.shared_covariance, inverse[frames * D :, frames * D :], atol=1e-12)
-
-
-def test_rows_add_up_to_the_least_squares_of_all() -> None:
-    """Against stacked rows: signs, order and the coupling of frames and border."""
-    rng = np.random.default_rng(1)
-    D, K, N = 3, 2, 8
-    arrow, rows, right, weights = Arrow(3, D, K, 2), list[Array](), list[Array](), list[Array]()
-    for met in ((0,), (0, 1), (0, 2), (0, 1, 2), (1, 2)):
-        J = tuple(rng.normal(size=(N, D)) for _ in met)
-        S, weight, residual = rng.normal(size=(N, K)), rng.uniform(0.5, 2, N), rng.normal(size=N)
-        arrow.add_rows(met, J, S, weight, residual)
-        row = np.zeros((N, 3 * D + K))
-        for t, j in zip(met, J, strict=True):
-            row[:, t * D : (t + 1) * D] = j
-        row[:, 3 * D :] = S
-        rows, right, weights = [*rows, row], [*right, residual], [*weights, weight]
-    A, b, w = np.concatenate(rows), np.concatenate(right), np.sqrt(np.concatenate(weights))
-    solution = arrow.solve()
-    expected = np.linalg.lstsq(w[:, None] * A, -w * b)[0]
-    np.testing.assert_allclose(np.concatenate([solution.poses.ravel(), solution.shared]), expected, atol=1e-9)
-
-
-def test_what_nothing_tells_is_refused() -> None:
-    with pytest.raises(InputError, match="leave a pose or a length open"):
-        Arrow(3, 2, 1, 2).solve()
 
 
 def test_derivatives_by_the_shape() -> None:

@@ -19,7 +19,7 @@ from twistcap.io.motion_files import write_mot
 from twistcap.io.prior_file import adjusted, read_prior, trained_prior, write_prior
 from twistcap.io.session import load_session
 from twistcap.priors import ParzenPrior, PriorRule, kernel_width, matched
-from twistcap.solve import least_squares
+from twistcap.solve import PoseProblem, minimise
 from twistcap.studio import Board, StudioConfig, capture
 from twistcap.studio.motion import gait
 from twistcap.studio.subjects import squats, walks_of_another
@@ -102,7 +102,7 @@ def test_alone_a_step_goes_to_the_weighted_mean_or_the_paper_s_share_of_it() -> 
     here = posed()
     for step in (1.0, 0.125):
         term = replace(matched(PRIOR, BODY), weight=50.0, step=step)
-        moved = least_squares(here, [term], damping=0.0).pose.q - here.pose.q
+        moved = minimise(PoseProblem([term]), here, damping=0.0).x.pose.q - here.pose.q
         q = here.pose.q[term.columns]
         np.testing.assert_allclose(moved[term.columns], step * (PRIOR.mean(q) - q), rtol=1e-4, atol=1e-6)
         others = np.setdiff1d(np.arange(len(moved)), term.columns)

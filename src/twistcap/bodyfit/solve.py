@@ -13,7 +13,7 @@ from twistcap.body import Posed
 from twistcap.body.shape import carried
 from twistcap.bodyfit.fields import Fields
 from twistcap.bodyfit.observe import Observed
-from twistcap.firstpose.silhouette import projection_jacobian
+from twistcap.camera import pinhole
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Rows:
 def rows(posed: Posed, shape: Shape, seen: Observed) -> Rows:
     """Derivatives of the distances of one view."""
     points = seen.contour.points
-    projected = projection_jacobian(seen.camera, points.at(posed))
+    projected = pinhole(seen.camera.P, points.at(posed))[2]
     by_point = np.einsum("ni,nij->nj", seen.contour.normals, projected)
     by_pose = np.einsum("ni,nid->nd", by_point, posed.point_jacobian(points.segments, points.weights, points.local))
     turned = _rest_rows(posed, by_point, points.segments, points.weights)

@@ -20,7 +20,7 @@ from twistcap.cues.view import View, crop_views
 from twistcap.features import Channels
 from twistcap.flow import Preset, flow_confidence, moved_mask, optical_flow
 from twistcap.render import RenderedView, render
-from twistcap.solve import least_squares
+from twistcap.solve import PoseProblem, minimise
 from twistcap.terms import GaussianTerm, KeypointTerm, LimitTerm
 
 
@@ -85,10 +85,10 @@ class FlowCue:
         posed = Posed(last.posed.body, guess)
         for loosened in self.loosened:
             terms = [replace(term, scale_px=loosened * term.scale_px) for term, _ in found]
-            solved = least_squares(posed, [LimitTerm(), GaussianTerm(guess, information), *terms], steps=8)
+            solved = minimise(PoseProblem([LimitTerm(), GaussianTerm(guess, information), *terms]), posed, steps=8)
             if solved.status == "failed":
                 return None
-            posed = solved.posed
+            posed = solved.x
         return posed.pose
 
     def term(self, before: View, after: View, seen: RenderedView) -> tuple[KeypointTerm, float]:

@@ -109,7 +109,7 @@ class LimbSearch:
 
     def borne_out(self, judge: Judge, found: Sequence[int], before: Fit, after: Fit) -> bool:
         """Whether images favour a fit clearly, and the contours of the limbs found agree better than before it."""
-        if judge.evidence(after.result.pose) <= self.rule.gain:
+        if judge.evidence(after.result.x.pose) <= self.rule.gain:
             return False
         better = np.nan_to_num(self._shares(after.tallies)) - np.nan_to_num(self._shares(before.tallies))
         return float(better[list(found)].mean()) > self.rule.better

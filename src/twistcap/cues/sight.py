@@ -12,7 +12,7 @@ from twistcap.body import Posed
 from twistcap.cues.evidence import ContourEvidence
 from twistcap.cues.view import View
 from twistcap.render import ContourPoints, RenderedView
-from twistcap.solve import SolveResult, Status
+from twistcap.solve import Dense, Solution, Status
 from twistcap.terms import Term
 
 
@@ -40,7 +40,7 @@ class Fit:
         strayed: m since the body was rendered.
     """
 
-    result: SolveResult
+    result: Solution[Posed, Dense]
     sights: Sequence[Sight] = ()
     terms: Sequence[Term] = ()
     found: Sequence[ContourEvidence] = ()

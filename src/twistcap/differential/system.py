@@ -16,6 +16,7 @@ import numpy as np
 from twistcap import se3
 from twistcap._typing import Float, Float32
 from twistcap.body import Posed
+from twistcap.camera import pinhole
 from twistcap.differential.view import ROOT, ScaledView
 from twistcap.render import SurfacePoints
 from twistcap.terms import accumulate
@@ -37,9 +38,7 @@ def image_motion(posed: Posed, view: ScaledView, points: SurfacePoints) -> Float
 
 
 def _pinhole_motion(posed: Posed, view: ScaledView, points: SurfacePoints) -> Float:
-    homogeneous = points.at(posed) @ view.P[:, :3].T + view.P[:, 3]
-    pixels, depth = homogeneous[:, :2] / homogeneous[:, 2:], homogeneous[:, 2, None, None]
-    by_point = (view.P[None, :2, :3] - pixels[:, :, None] * view.P[None, 2:, :3]) / depth
+    _, _, by_point = pinhole(view.P, points.at(posed))
     out = by_point @ posed.point_jacobian(points.segments, points.weights, points.local)
     out[:, :, :ROOT] = out[:, :, :ROOT] @ view.root_step()
     return out

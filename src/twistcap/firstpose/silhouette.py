@@ -11,7 +11,7 @@ from twistcap._typing import AnyArray, Bool, Float
 from twistcap.body import Body, Pose
 from twistcap.body.kinematics import Posed, skin_points
 from twistcap.body.shape import rescaled, stretch_maps
-from twistcap.camera import Camera, Rectifier, Rig
+from twistcap.camera import Camera, Rectifier, Rig, pinhole
 from twistcap.errors import InputError
 from twistcap.firstpose.outline import Outline, match, outline_of
 from twistcap.render import SurfacePoints, render, visible_contour
@@ -247,7 +247,7 @@ def _evidence(
         by_pose = posed.point_jacobian(points.segments, points.weights, points.local)
         by_girth = [w.derivative(posed, points)[:, :, None] for w in wider]
         J = np.concatenate([by_pose, *by_girth], axis=2)
-        row = np.einsum("ni,nij,njd->nd", found.normals, projection_jacobian(camera, points.at(posed)), J)
+        row = np.einsum("ni,nij,njd->nd", found.normals, pinhole(camera.P, points.at(posed))[2], J)
         sigma = options.sigma * height
         size = np.abs(found.distance) / sigma
         # Neighbouring samples err alike: together they may count no more than one per correlation length, both ways.
@@ -256,13 +256,6 @@ def _evidence(
         g -= row.T @ (weight * found.distance)
         H += row.T @ (weight[:, None] * row)
     return g, H
-
-
-def projection_jacobian(camera: Camera, points: Float) -> Float:
-    """(N, 2, 3) derivative of the pinhole pixels by the world points."""
-    h = points @ camera.P[:, :3].T + camera.P[:, 3]
-    uv = h[:, :2] / h[:, 2:]
-    return (camera.P[None, :2, :3] - uv[:, :, None] * camera.P[None, 2:, :3]) / h[:, 2, None, None]
 
 
 def _covariances(state: _State, dof: int) -> tuple[Float, ...]:

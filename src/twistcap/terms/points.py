@@ -9,6 +9,7 @@ from numba import njit
 
 from twistcap._typing import Float, Int
 from twistcap.body import Posed
+from twistcap.camera import pinhole
 from twistcap.render import SurfacePoints
 from twistcap.terms.accumulate import (
     NEAR,
@@ -43,10 +44,7 @@ def projected_rows(P: Float, world: Float, direction: Float, target: Float) -> t
 
 def projected_rows_reference(P: Float, world: Float, direction: Float, target: Float) -> tuple[Float, Float]:
     """Readable twin of `projected_rows`."""
-    homogeneous = world @ P[:, :3].T + P[:, 3]
-    depth = homogeneous[:, 2:]
-    pixels = homogeneous[:, :2] / depth
-    by_point = (P[None, :2, :3] - pixels[:, :, None] * P[2, :3]) / depth[:, :, None]
+    pixels, _, by_point = pinhole(P, world)
     return np.sum(direction * (pixels - target), axis=1), np.einsum("ni,nij->nj", direction, by_point)
 
 

@@ -22,6 +22,12 @@ def cauchy(residual: Float, scale: Float | float) -> tuple[Float, Float]:
     return 0.5 * scale**2 * np.log1p(ratio), 1.0 / (1.0 + ratio)
 
 
+def geman_mcclure(squares: Float, reach: float) -> tuple[Float, Float]:
+    """``½ c² r² / (c² + r²)``, whose weight falls to 0 for gross errors: (energy, weight in [0, 1]) of r² and c."""
+    inner = reach**2 / (reach**2 + squares)
+    return 0.5 * squares * inner, inner**2
+
+
 @njit(cache=True, nogil=True)
 def weighted_cauchy(residual: Float, weight: Float, scale: float) -> tuple[float, Float]:
     """Σ weight · energy of `cauchy` over residuals (N,), and the weights (N,) times its own."""

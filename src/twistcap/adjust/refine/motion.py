@@ -10,7 +10,7 @@ from twistcap import se3
 from twistcap._typing import Float
 from twistcap.body import Pose
 from twistcap.predict import MotionNoise, covariance_about
-from twistcap.tmpsolve.arrow import Arrow
+from twistcap.solve import Arrow
 
 
 def accelerations(

@@ -18,7 +18,7 @@ from twistcap.body import Pose, Posed
 from twistcap.body.shape import RestMotion
 from twistcap.predict import MotionNoise
 from twistcap.terms import LimitTerm, PointTerm, RestTerm
-from twistcap.tmpsolve.arrow import Arrow
+from twistcap.solve import Arrow
 
 
 @dataclass(frozen=True)

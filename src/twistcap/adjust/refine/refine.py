@@ -24,8 +24,8 @@ from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
 from twistcap.firstpose import girth_groups
 from twistcap.settings import TrackerConfig
-from twistcap.tmpsolve.arrow import Arrow
-from twistcap.tmpsolve.minimise import Solution, minimise
+from twistcap.solve import Arrow
+from twistcap.solve import Solution, minimise
 
 _LEAST_FRAMES = 3
 

@@ -1,0 +1,39 @@
+"""The problem of one pose: the tracker's terms, each an energy and a quadratic of the posed body."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from twistcap._typing import Float
+from twistcap.body import Posed
+from twistcap.solve.dense import Dense
+from twistcap.terms import PointTerm, Quadratic, SegmentSums, Term
+
+
+@dataclass(frozen=True)
+class PoseProblem:
+    """The sum of terms as a problem of the pose alone."""
+
+    terms: Sequence[Term]
+
+    def energies(self, x: Posed) -> dict[str, float]:
+        """Energies by name of term; terms of the same name are summed."""
+        out: dict[str, float] = {}
+        for term in self.terms:
+            out[term.name] = out.get(term.name, 0.0) + term.energy(x)
+        return out
+
+    def linearised(self, x: Posed) -> Dense:
+        """Sum of the quadratics; point terms are summed by segment first and brought to the pose's step once."""
+        sums, total = SegmentSums(x), Quadratic.zero(x.body.dof)
+        for term in self.terms:
+            if isinstance(term, PointTerm):
+                sums.add_rows(*term.rows(x))
+            else:
+                total = total + term.linearize(x)
+        return Dense.of(total + sums.quadratic())
+
+    def retract(self, x: Posed, step: Float) -> Posed:
+        """The body after a step (6 + J,) of its pose."""
+        return Posed(x.body, x.pose.retract(step))

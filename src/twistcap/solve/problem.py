@@ -1,0 +1,136 @@
+"""The problem of named blocks: which are free, which terms are summed, and in what system."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twistcap._typing import Float
+from twistcap.solve.arrow import Arrow
+from twistcap.solve.blocks import Variables
+from twistcap.solve.dense import Dense
+from twistcap.terms.rows import BlockTerm, Slope
+
+
+class DenseSums:
+    """Normal equations of all free blocks in one dense matrix."""
+
+    def __init__(self, x: Variables) -> None:
+        self.x, self.value = x, 0.0
+        self.gradient, self.hessian = np.zeros(x.size), np.zeros((x.size, x.size))
+
+    def add_rows(self, energy: float, slopes: Sequence[Slope], weight: Float, residual: Float) -> None:
+        """See `terms.rows.Sums`."""
+        self.value += energy
+        placed = [(self._place(s.block, s.first, s.by.shape[1]), s.by) for s in slopes if s.block in self.x.slices]
+        for i, (rows, first) in enumerate(placed):
+            weighted = first.T * weight
+            self.gradient[rows] += weighted @ residual
+            for columns, second in placed[i:]:
+                block = weighted @ second
+                self.hessian[rows, columns] += block
+                if columns != rows:
+                    self.hessian[columns, rows] += block.T
+
+    def add_quadratic(self, block: str, first: int, value: float, gradient: Float, hessian: Float) -> None:
+        """See `terms.rows.Sums`."""
+        self.value += value
+        if block in self.x.slices:
+            rows = self._place(block, first, len(gradient))
+            self.gradient[rows] += gradient
+            self.hessian[rows, rows] += hessian
+
+    def system(self) -> Dense:
+        """What has been summed; numbers that press against their limits are held."""
+        dense = Dense(self.value, self.gradient, self.hessian, self.x.longest_step())
+        pressed = self.x.pressed(self.gradient)
+        return dense.holding(pressed) if pressed.any() else dense
+
+    def _place(self, block: str, first: int, size: int) -> slice:
+        start = self.x.slices[block].start + first
+        return slice(start, start + size)
+
+
+class ArrowSums:
+    """Normal equations of a track of poses, each meeting its next few only, with all other free blocks as the border.
+
+    The track stands first among the free blocks.
+    """
+
+    def __init__(self, x: Variables, reach: int) -> None:
+        self.x, self.track = x, x.free[0]
+        poses = x[self.track]
+        self.dof = poses.dof
+        self.arrow = Arrow(len(poses.poses), self.dof, x.size - poses.size, reach)
+        self.arrow.shared_longest = x.longest_step(x.free[1:])
+
+    def add_rows(self, energy: float, slopes: Sequence[Slope], weight: Float, residual: Float) -> None:
+        """See `terms.rows.Sums`; the rows of frames in ascending order."""
+        self.arrow.value += energy
+        frames = [(s.first // self.dof, s.by) for s in slopes if s.block == self.track]
+        shared = [s for s in slopes if s.block != self.track and s.block in self.x.slices]
+        border = np.zeros((len(residual), len(self.arrow.corner))) if shared else None
+        for slope in shared:
+            assert border is not None
+            border[:, self._place(slope)] += slope.by
+        J = tuple(by for _, by in frames)
+        self.arrow.add_rows(tuple(t for t, _ in frames), J, border, weight, residual)
+
+    def add_quadratic(self, block: str, first: int, value: float, gradient: Float, hessian: Float) -> None:
+        """See `terms.rows.Sums`."""
+        self.arrow.value += value
+        if block == self.track:
+            self.arrow.add_pose(first // self.dof, gradient, hessian)
+        elif block in self.x.slices:
+            at = self._place(Slope(block, gradient[None], first))
+            self.arrow.shared_pull[at] += gradient
+            self.arrow.corner[at, at] += hessian
+
+    def _place(self, slope: Slope) -> slice:
+        start = self.x.slices[slope.block].start - self.x[self.track].size + slope.first
+        return slice(start, start + slope.by.shape[1])
+
+
+@dataclass(frozen=True)
+class BlockProblem:
+    """A sum of terms over named blocks.
+
+    Attributes:
+        terms: summed.
+        reach: None for a dense system; else how many frames apart the rows of a term may be, for an `Arrow` whose
+            track is the first free block.
+    """
+
+    terms: Sequence[BlockTerm]
+    reach: int | None = None
+
+    def energies(self, x: Variables) -> dict[str, float]:
+        """Energies by name of term; terms of the same name are summed."""
+        out: dict[str, float] = {}
+        for term in self.terms:
+            out[term.name] = out.get(term.name, 0.0) + term.energy(x)
+        return out
+
+    def linearised(self, x: Variables) -> Dense | Arrow:
+        """Sum of the quadratics of the step of all free blocks."""
+        return self.dense(x) if self.reach is None else self.arrow(x, self.reach)
+
+    def dense(self, x: Variables) -> Dense:
+        """That in one matrix, whatever the rows' reach."""
+        sums = DenseSums(x)
+        for term in self.terms:
+            term.add_to(sums, x)
+        return sums.system()
+
+    def arrow(self, x: Variables, reach: int) -> Arrow:
+        """That with the track's poses in a band."""
+        sums = ArrowSums(x, reach)
+        for term in self.terms:
+            term.add_to(sums, x)
+        return sums.arrow
+
+    def retract(self, x: Variables, step: Float) -> Variables:
+        """The blocks after a step."""
+        return x.retract(step)

@@ -1,0 +1,55 @@
+"""Rows of a term on named blocks of variables, and what takes them up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+from twistcap._typing import Float
+
+if TYPE_CHECKING:
+    from twistcap.solve.blocks import Variables
+
+
+@dataclass(frozen=True)
+class Slope:
+    """Derivatives (N, n) of residuals by n numbers of a block's step, from the number `first` on."""
+
+    block: str
+    by: Float
+    first: int = 0
+
+
+class Sums(Protocol):
+    """A system while it is being summed; what it is told of blocks that are not free it leaves out."""
+
+    def add_rows(self, energy: float, slopes: list[Slope], weight: Float, residual: Float) -> None:
+        """Add ½ Σ weight (residual + Σ by δ)² of N rows; their true, robust energy is `energy`."""
+        ...
+
+    def add_quadratic(self, block: str, first: int, value: float, gradient: Float, hessian: Float) -> None:
+        """Add a quadratic of n numbers of one block's step, from the number `first` on."""
+        ...
+
+
+class BlockTerm(Protocol):
+    """An energy of named blocks.
+
+    Attributes:
+        name: under which its energy is told; several terms may share one.
+        blocks: on which it has rows.
+    """
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def blocks(self) -> tuple[str, ...]: ...
+
+    def energy(self, x: Variables) -> float:
+        """Energy at these values."""
+        ...
+
+    def add_to(self, sums: Sums, x: Variables) -> None:
+        """Add rows or quadratics at these values."""
+        ...
