@@ -29,7 +29,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("settings",),
     ("track",),
     ("firstpose",),
-    ("refine",),
+    ("adjust",),
     ("studio",),
     ("bodyfit",),
     ("keyviews",),

@@ -17,8 +17,8 @@ from twistcap.adjust.refine.sums import WIDTH, FrameSums, add_products, flat, pr
 from twistcap.body import Pose, Posed
 from twistcap.body.shape import RestMotion
 from twistcap.predict import MotionNoise
-from twistcap.terms import LimitTerm, PointTerm, RestTerm
 from twistcap.solve import Arrow
+from twistcap.terms import LimitTerm, PointTerm, RestTerm
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,7 @@ from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
 from twistcap.firstpose import girth_groups
 from twistcap.settings import TrackerConfig
-from twistcap.solve import Arrow
-from twistcap.solve import Solution, minimise
+from twistcap.solve import Arrow, Solution, minimise
 
 _LEAST_FRAMES = 3
 
