@@ -31,7 +31,6 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("firstpose",),
     ("adjust",),
     ("studio",),
-    ("bodyfit",),
     ("keyviews",),
     ("io",),
     ("evaluate",),

@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from twistcap._typing import Bool, Float
+from twistcap.adjust.refine.common_error import design_effect
 from twistcap.adjust.refine.look import Eyes, support
 from twistcap.adjust.refine.problem import RefineProblem, Standing, Track
 from twistcap.adjust.refine.settings import RefineConfig
@@ -95,7 +96,15 @@ def refine(
     trusted = ~_bridged(estimates, config.bridge)
     while True:
         coarse = len(moved) < config.coarse_rounds
-        problem = RefineProblem(x, eyes.look(x.posed, trusted, coarse), standing)
+        rounds = eyes.look(x.posed, trusted, coarse)
+        effect = design_effect(rounds, x.posed, tracker.inflation**2)
+        import os
+
+        if os.environ.get("ALIKE"):
+            effect = float(os.environ["ALIKE"])
+        if os.environ.get("SHOW"):
+            print("effect", round(effect, 2), flush=True)
+        problem = RefineProblem(x, rounds, replace(standing, shape_weight=effect * tracker.inflation**2))
         found = minimise(problem, x, config.steps, config.damping)
         moved.append(_mean_move(x, found.x))
         x, trusted = found.x, np.ones(len(estimates), dtype=np.bool_)
@@ -115,7 +124,7 @@ def _standing(estimates: Sequence[Estimate], config: RefineConfig, tracker: Trac
 
     Images are counted at their own noise, of which the claimed one is a multiple; so must the shape's prior be.
     """
-    rest, weight = float(np.deg2rad(tracker.rest_sigma_deg)), tracker.inflation**2 * config.alike
+    rest, weight = float(np.deg2rad(tracker.rest_sigma_deg)), tracker.inflation**2
     return Standing([e.time for e in estimates], config.noise, rest, config.hinge, weight, config.contour)
 
 

@@ -45,7 +45,6 @@ class RefineConfig:
     hinge: float = 0.004
     damping: float = 1e-3
     steps: int = 1
-    alike: float = 1.0
     contour: float = 1.0
     brightness: float = 0.32
     sigma: float = 0.015

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from twistcap._typing import Float
+from twistcap.adjust.body_fit.fit import Take, fit_body
 from twistcap.body import Body
 from twistcap.body.shape import segment_axes
-from twistcap.bodyfit.fit import Take, fit_body
 from twistcap.estimate import Frame
 from twistcap.evaluate.experiments.arms import Findings
 from twistcap.evaluate.metrics import (

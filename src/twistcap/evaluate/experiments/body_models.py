@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from twistcap._typing import Float
+from twistcap.adjust.body_fit import FitRule, Fitted, Take, fit_body
+from twistcap.adjust.body_fit.build import Build
+from twistcap.adjust.body_fit.parametric import carried_pose, matched
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.anny import AnnyModel
 from twistcap.body.humanoid import humanoid
-from twistcap.bodyfit.build import Build
-from twistcap.bodyfit.fit import FitRule, Fitted, Take, fit_body
-from twistcap.bodyfit.parametric import carried_pose, matched
 from twistcap.errors import InputError
 from twistcap.evaluate.experiments.arms import Findings
 from twistcap.evaluate.metrics import Row, row

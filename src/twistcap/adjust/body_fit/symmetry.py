@@ -6,8 +6,8 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from twistcap._typing import Int
+from twistcap.adjust.body_fit.fields import deformed, joint_centres
 from twistcap.body import Body
-from twistcap.bodyfit.fields import deformed, joint_centres
 from twistcap.firstpose import girth_groups
 
 _MIRROR = np.array([1.0, -1.0, 1.0])  # in the plane that parts left (+y) from right
