@@ -51,6 +51,7 @@ from twistcap.render import SurfacePoints, render
 from twistcap.settings import TrackerConfig
 from twistcap.solve import Arrow
 from twistcap.studio import Capture, StudioConfig, capture
+from twistcap.studio.mismatch import fattened
 from twistcap.studio.subjects import limbering
 from twistcap.terms import PointNormalTerm
 from twistcap.track import track
@@ -284,6 +285,30 @@ def test_a_lost_frame_is_found_between_its_neighbours(
     spoilt = [*estimates[:5], replace(estimates[5], pose=astray, lost=True), *estimates[6:]]
     found = refine(frames, body, scene.rig, spoilt, RefineConfig(rounds=4, coarse_rounds=1, joint=0.0))
     assert joint_error(scene, found.body, [found.estimates[5]]) < 0.3 * joint_error(scene, body, [spoilt[5]])
+
+
+def test_a_surface_that_is_not_the_persons_has_its_joints_held(
+    scene: Capture, wrong: tuple[list[Frame], Body, list[Estimate]]
+) -> None:
+    """Contours of a fat body err alike in all frames; those of a body of wrong lengths do not once it is refined."""
+    frames, _, estimates = wrong
+    fat, few = fattened(scene.true_body, 1.15), RefineConfig(rounds=3, coarse_rounds=1, girth=0.0, length=0.0)
+    found = refine(frames, fat, scene.rig, estimates, few)
+    assert found.design_effect > few.alike and not found.joint_shifts
+    np.testing.assert_allclose(found.body.twists, fat.twists)
+    found = refine(frames, scene.true_body, scene.rig, estimates, few)
+    assert found.design_effect < few.alike and found.joint_shifts
+
+
+def test_a_track_that_cannot_be_bettered_is_kept(scene: Capture) -> None:
+    frames, body = list(scene.frames()), scene.true_body
+    exact = [Estimate(f.index, f.time, scene.true_poses[f.index], np.eye(body.dof)) for f in frames]
+    shaken = RefineConfig(rounds=1, coarse_rounds=1, contour=0.0, brightness=0.0, noise=MotionNoise(joint=1e-3))
+    found = refine(
+        frames, body, scene.rig, exact, shaken
+    )  # images that count for nothing: motion alone, to a standstill
+    assert not found.helped and found.body is body
+    assert all(a is b for a, b in zip(found.estimates, exact, strict=True))
 
 
 def test_what_is_held_stays(scene: Capture, wrong: tuple[list[Frame], Body, list[Estimate]]) -> None:

@@ -156,6 +156,12 @@ def followed_points(view: View, seen: RenderedView, count: int) -> SurfacePoints
     return seen.surface_points(*strongest_in_cells(view.grey, seen.inverse_depth_image, *empty_grid(view, seen, count)))
 
 
+def agreement(rounds: Sequence[CameraRound]) -> float:
+    """Fraction of all contour points that agree with the images; 0 without contours."""
+    good, points = (sum(float(tally[k].sum()) for r in rounds for tally in r.tallies) for k in (0, 1))
+    return good / max(points, 1.0)
+
+
 def support(rounds: Sequence[CameraRound], tracker: TrackerConfig) -> Float:
     """(F,) how far the contours support each frame's pose, judged as in tracking: its worst part's fraction."""
     rule, frames = tracker.support, len(rounds[0].tallies)

@@ -15,7 +15,7 @@ import numpy as np
 
 from twistcap._typing import Bool, Float
 from twistcap.adjust.refine.common_error import design_effect
-from twistcap.adjust.refine.look import Eyes, support
+from twistcap.adjust.refine.look import Eyes, agreement, support
 from twistcap.adjust.refine.problem import RefineProblem, Standing, Track
 from twistcap.adjust.refine.settings import RefineConfig
 from twistcap.adjust.refine.shape import Shape
@@ -48,6 +48,9 @@ class Refined:
         joint_shifts, joint_sigmas: (3,) m in the rest pose and standard deviations, by the segment below the joint.
         moved: m that the landmarks moved in each round, mean over all frames.
         shape: what a refinement of another track with this body goes on from.
+        design_effect: by how much contours of one part err together, 1 for not at all; see `common_error`. Beyond
+            `RefineConfig.alike` joint centres were held.
+        helped: whether the images agree better than with the track given; where they do not, that is what this is.
     """
 
     body: Body
@@ -60,6 +63,8 @@ class Refined:
     joint_sigmas: Mapping[str, Float]
     moved: tuple[float, ...]
     shape: Shape
+    design_effect: float
+    helped: bool
 
 
 def refine(
@@ -72,7 +77,8 @@ def refine(
     those estimates here with the `shape` found: what is known of the shape beforehand stays that about the first body.
 
     Args:
-        frames: those of the estimates, in order; they are gone through once in every round, and never kept.
+        frames: those of the estimates, in order; they are gone through once. What is about the body is kept, some 0.3
+            MB for each image at half of full HD.
         body, rig: that were tracked with; of the body, where a `shape` is given, its coordinates alone are looked at.
         estimates: of the track, one per frame.
         config: settings of the refinement.
@@ -86,33 +92,58 @@ def refine(
     """
     config, tracker = config or RefineConfig(), tracker or TrackerConfig()
     _check(body, estimates)
-    shape = shape or Shape.of(body, girth_groups(body), config)
-    eyes = Eyes(rig.pinhole(), config, tracker, shape.body)
-    told, frames_of = tell or _untold, len(estimates)
-    for count in eyes.read(frames, estimates):
-        told("reading", count, frames_of * (1 + config.rounds))
-    standing = _standing(estimates, config, tracker)
-    x, moved, settled = Track(tuple(e.pose for e in estimates), shape), list[float](), False
+    given = Track(tuple(e.pose for e in estimates), shape or Shape.of(body, girth_groups(body), config))
+    eyes = Eyes(rig.pinhole(), config, tracker, given.shape.body)
+    tell, count = tell or _untold, len(estimates)
+    for done in eyes.read(frames, estimates):
+        tell("reading", done, count * (1 + config.rounds))
+    adjusted = _adjusted(eyes, given, estimates, tell)
+    if adjusted.design_effect > config.alike and given.shape.moved:
+        given = replace(given, shape=given.shape.without_joints())
+        adjusted = _adjusted(eyes, given, estimates, tell)
+    as_given = eyes.look(given.posed, np.ones(count, dtype=np.bool_), coarse=False)
+    if agreement(adjusted.problem.rounds) < agreement(as_given):
+        return _kept(given, estimates, adjusted)
+    return _answer(adjusted, estimates, tracker)
+
+
+@dataclass(frozen=True)
+class _Adjusted:
+    """How far the rounds have come.
+
+    Attributes:
+        found: of the last round; `problem` is what it solved.
+        moved: m of the landmarks in each round.
+        settled: whether the last moved less than it must.
+        design_effect: by which contours err together; 1 where no round was fine.
+    """
+
+    found: Solution[Track, Arrow]
+    problem: RefineProblem
+    moved: tuple[float, ...]
+    settled: bool
+    design_effect: float
+
+
+def _adjusted(eyes: Eyes, given: Track, estimates: Sequence[Estimate], tell: Tell) -> _Adjusted:
+    """Rounds of looking and solving, until one settles; to the first fine one where contours err together too much."""
+    config, x, moved, total = eyes.config, given, list[float](), len(estimates) * (1 + eyes.config.rounds)
+    inflation, standing = eyes.tracker.inflation**2, _standing(estimates, config, eyes.tracker)
     trusted = ~_bridged(estimates, config.bridge)
     while True:
         coarse = len(moved) < config.coarse_rounds
         rounds = eyes.look(x.posed, trusted, coarse)
-        effect = design_effect(rounds, x.posed, tracker.inflation**2)
-        import os
-
-        if os.environ.get("ALIKE"):
-            effect = float(os.environ["ALIKE"])
-        if os.environ.get("SHOW"):
-            print("effect", round(effect, 2), flush=True)
-        problem = RefineProblem(x, rounds, replace(standing, shape_weight=effect * tracker.inflation**2))
-        found = minimise(problem, x, config.steps, config.damping)
+        effect = design_effect(rounds, x.posed, inflation)
+        # Images are counted at their own noise, of which the claimed one is a multiple; so must the shape's prior be.
+        problem = RefineProblem(x, rounds, replace(standing, shape_weight=effect * inflation))
+        found = minimise(problem, x, 1, config.damping)
         moved.append(_mean_move(x, found.x))
         x, trusted = found.x, np.ones(len(estimates), dtype=np.bool_)
-        done = f"round {len(moved)} of at most {config.rounds}"
-        told(done, frames_of * (1 + len(moved)), frames_of * (1 + config.rounds))
+        tell(f"round {len(moved)} of at most {config.rounds}", len(estimates) * (1 + len(moved)), total)
         settled = not coarse and moved[-1] < config.settled
-        if settled or len(moved) >= config.rounds:
-            return _answer(x, problem, found, estimates, tracker, moved, settled)
+        together = not coarse and effect > config.alike and bool(given.shape.moved)
+        if settled or together or len(moved) >= config.rounds:
+            return _Adjusted(found, problem, tuple(moved), settled, 1.0 if coarse else effect)
 
 
 def _untold(note: str, done: int = 0, total: int | None = None) -> None:
@@ -120,12 +151,9 @@ def _untold(note: str, done: int = 0, total: int | None = None) -> None:
 
 
 def _standing(estimates: Sequence[Estimate], config: RefineConfig, tracker: TrackerConfig) -> Standing:
-    """What is known without the images.
-
-    Images are counted at their own noise, of which the claimed one is a multiple; so must the shape's prior be.
-    """
-    rest, weight = float(np.deg2rad(tracker.rest_sigma_deg)), tracker.inflation**2
-    return Standing([e.time for e in estimates], config.noise, rest, config.hinge, weight, config.contour)
+    """What is known without the images."""
+    rest = float(np.deg2rad(tracker.rest_sigma_deg))
+    return Standing([e.time for e in estimates], config.noise, rest, config.hinge, 1.0, config.contour)
 
 
 def _check(body: Body, estimates: Sequence[Estimate]) -> None:
@@ -155,33 +183,40 @@ def _mean_move(before: Track, after: Track) -> float:
     return float(np.linalg.norm(new - old, axis=2).mean())
 
 
-def _answer(
-    x: Track, problem: RefineProblem, found: Solution[Track, Arrow], estimates: Sequence[Estimate],
-    tracker: TrackerConfig, moved: Sequence[float], settled: bool,
-) -> Refined:  # fmt: skip
-    shape, marginals = x.shape, found.system.marginals()
+def _answer(adjusted: _Adjusted, estimates: Sequence[Estimate], tracker: TrackerConfig) -> Refined:
+    found, effect = adjusted.found, adjusted.design_effect
+    shape, marginals = found.x.shape, found.system.marginals()
     lengths, girths, joints = shape.parts(shape.total)
-    sigmas = shape.parts(tracker.inflation * np.sqrt(np.diagonal(marginals.shared)))
-    out = _judged(x, problem, marginals.poses, estimates, tracker, settled)
-    out = tuple(replace(e, iterations=len(moved)) for e in out)
+    # The shape's information was counted `effect` times; its covariance is that much larger.
+    sigmas = shape.parts(tracker.inflation * np.sqrt(effect * np.diagonal(marginals.shared)))
+    out = tuple(_judged(adjusted, marginals.poses, estimates, tracker))
     girth, joint = (_exp(girths), sigmas[1]), (joints, sigmas[2])
-    return Refined(shape.body, out, _exp(lengths), sigmas[0], *girth, *joint, tuple(moved), shape)
+    return Refined(shape.body, out, _exp(lengths), sigmas[0], *girth, *joint, adjusted.moved, shape, effect, True)
+
+
+def _kept(given: Track, estimates: Sequence[Estimate], adjusted: _Adjusted) -> Refined:
+    """The track as it was."""
+    lengths, girths, joints = given.shape.parts(given.shape.total)
+    sigma = given.shape.parts(given.shape.sigma)
+    girth, joint = (_exp(girths), sigma[1]), (joints, sigma[2])
+    found = (adjusted.moved, given.shape, adjusted.design_effect, False)
+    return Refined(given.shape.body, tuple(estimates), _exp(lengths), sigma[0], *girth, *joint, *found)
 
 
 def _judged(
-    x: Track, problem: RefineProblem, covariances: Float, estimates: Sequence[Estimate], tracker: TrackerConfig,
-    settled: bool,
-) -> Iterator[Estimate]:  # fmt: skip
+    adjusted: _Adjusted, covariances: Float, estimates: Sequence[Estimate], tracker: TrackerConfig
+) -> Iterator[Estimate]:
     """The estimates with pose, claimed covariance, energies and support as the last round has them."""
+    x, problem = adjusted.found.x, adjusted.problem
     energies: list[dict[str, float]] = [{} for _ in estimates]
     for name, t, value in problem.parts(x):
         energies[t][name] = energies[t].get(name, 0.0) + value
     supported = None if tracker.method == "differential" else support(problem.rounds, tracker)
-    status = "converged" if settled else "max_iterations"
+    status = "converged" if adjusted.settled else "max_iterations"
     for t, e in enumerate(estimates):
         own = replace(
             e, pose=x.poses[t], covariance=tracker.inflation**2 * covariances[t], energies=energies[t],
-            status=status if e.status != "no_images" else e.status,
+            iterations=len(adjusted.moved), status=status if e.status != "no_images" else e.status,
         )  # fmt: skip
         if supported is None or e.status == "no_images":  # without contours the tracker's own judgement stands
             yield own

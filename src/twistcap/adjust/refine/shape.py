@@ -46,6 +46,11 @@ class Shape:
         sigma = np.repeat([config.length, config.girth, config.joint], sizes)
         return Shape(body, stretched, widened, moved, sigma, np.zeros(len(sigma)))
 
+    def without_joints(self) -> Shape:
+        """The same with all joint centres held where they are."""
+        free = self._bounds[1]
+        return replace(self, moved=(), sigma=self.sigma[:free], total=self.total[:free])
+
     @property
     def _bounds(self) -> tuple[int, int]:
         """Where among the parameters the girths begin, and the joint centres."""
