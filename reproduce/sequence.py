@@ -16,7 +16,6 @@ from twistcap.body import Body, Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.estimate import Estimate, Frame, Keypoints
 from twistcap.evaluate import metrics
-
 from twistcap.priors import ParzenPrior
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import Tracker, build

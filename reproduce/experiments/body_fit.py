@@ -17,10 +17,10 @@ from reproduce.arms import Findings
 from reproduce.arrays import Float
 from reproduce.running import Tell, over_seeds
 from reproduce.sequence import joint_errors_mm, khe_errors_deg
+from twistcap.adjust.body_fit.fit import Take, fit_body
 from twistcap.adjust.first_pose import girth_groups
 from twistcap.body import Body
 from twistcap.body.shape import segment_axes
-from twistcap.bodyfit.fit import Take, fit_body
 from twistcap.estimate import Frame
 from twistcap.evaluate.metrics import (
     Row,
@@ -28,7 +28,6 @@ from twistcap.evaluate.metrics import (
     mean_known,
     row,
 )
-
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import build, track
 

@@ -19,16 +19,15 @@ from reproduce.arrays import Float
 from reproduce.measures.surfaces import surface_distances
 from reproduce.running import Tell, over_seeds
 from reproduce.sequence import joint_errors_mm, noisy_keypoints
+from twistcap.adjust.body_fit import FitRule, Fitted, Take, fit_body
+from twistcap.adjust.body_fit.build import Build
+from twistcap.adjust.body_fit.parametric import carried_pose, matched
 from twistcap.adjust.first_pose import fit_keypoints
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.anny import AnnyModel
 from twistcap.body.humanoid import humanoid
-from twistcap.bodyfit.build import Build
-from twistcap.bodyfit.fit import FitRule, Fitted, Take, fit_body
-from twistcap.bodyfit.parametric import carried_pose, matched
 from twistcap.errors import InputError
 from twistcap.evaluate.metrics import Row, row
-
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.config import stream
 from twistcap.studio.mismatch import bumpy

@@ -21,7 +21,6 @@ from twistcap.body import Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.estimate import Keypoints
 from twistcap.evaluate.metrics import Row, row
-
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.config import stream
 from twistcap.track import build, track

@@ -20,12 +20,11 @@ from reproduce.arrays import Float
 from reproduce.running import Tell, over_seeds
 from reproduce.scenes.subjects import limbering
 from reproduce.sequence import joint_errors_mm, khe_angles, khe_errors_deg
+from twistcap.adjust.first_pose import girth_groups
+from twistcap.adjust.refine import Refined, refine
 from twistcap.body import Body, Posed, rescaled
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate.metrics import Row, row
-from twistcap.adjust.first_pose import girth_groups
-from twistcap.evaluate.metrics import KHE_COORDINATES, Row, angle_differences_deg, row
-from twistcap.refine import Refined, refine
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.config import stream
 from twistcap.studio.mismatch import with_joint_noise

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from twistcap.evaluate.norms import FILE, by_cycle, correlation, gait_norm, heel_strikes
 
 from reproduce.arms import Findings
 from reproduce.arrays import AnyArray, UInt8
@@ -23,6 +24,7 @@ from reproduce.measures.gait_norms import FILE, by_cycle, correlation, gait_norm
 from reproduce.passes import Limb, SequenceConfig, track_sequence
 from reproduce.recorded import data_file
 from reproduce.running import Tell
+from twistcap.adjust.first_pose.clicks import fit_clicks
 from twistcap.body import Body
 from twistcap.body.humanoid import humanoid
 from twistcap.body.simplify import SIDE_VIEW, simplified
@@ -30,8 +32,6 @@ from twistcap.differential.render import render
 from twistcap.differential.settings import DifferentialConfig
 from twistcap.differential.view import State
 from twistcap.evaluate import Row, row
-from twistcap.evaluate.norms import FILE, by_cycle, correlation, gait_norm, heel_strikes
-from twistcap.adjust.first_pose.clicks import fit_clicks
 
 FIRST, COUNT, TOP, BOTTOM = 80, 100, 480, 960  # frames, and rows of the image that hold the walker
 CLICKS = {

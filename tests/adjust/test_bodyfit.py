@@ -10,21 +10,24 @@ import pytest
 
 from reproduce.experiments.body_fit import girth_errors
 from support.commands import document, run, told
+from twistcap.adjust.body_fit import FitRule, Take, fit_body
+from twistcap.adjust.body_fit import fields as f
+from twistcap.adjust.body_fit.build import Stretches
+from twistcap.adjust.body_fit.judge import agreement
+from twistcap.adjust.body_fit.observe import Contours, Observed, observe_masks
+from twistcap.adjust.body_fit.problem import FitProblem, Freedom, Sculpted
+from twistcap.adjust.body_fit.rows import rows
+from twistcap.adjust.body_fit.subpixel import refined
+from twistcap.adjust.body_fit.symmetry import mirrored_vertices, symmetric
 from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.body.shape import segment_axes
-from twistcap.bodyfit import fields as f
-from twistcap.bodyfit.fit import FitRule, Take, fit_body
-from twistcap.bodyfit.judge import agreement
-from twistcap.bodyfit.observe import Contours, Observed, observe_masks
-from twistcap.bodyfit.solve import Shape, reshaped, rows, step
-from twistcap.bodyfit.subpixel import refined
-from twistcap.bodyfit.symmetry import mirrored_vertices, symmetric
 from twistcap.errors import InputError
 from twistcap.io.calibration import write_rig
 from twistcap.io.recording import rig_of
 from twistcap.io.session import load_session
 from twistcap.render import contour_on_edges, render
+from twistcap.render.contour import reprojected
 from twistcap.render.view import surface_points
 from twistcap.studio import StudioConfig, capture
 from twistcap.studio.mismatch import bumpy, fattened, with_joint_noise
@@ -36,14 +39,13 @@ def body():
     return humanoid()
 
 
-def all_fields(body):
-    return f.stretch_fields(body, 0.1, 0.1, 0.1) + f.profile_fields(body, 0.1, 4) + f.joint_fields(body, 0.01, 0.01)
-
-
-def shape_of(body):
-    fields = all_fields(body)
-    M, V = len(fields.names), len(body.vertices)
-    return Shape(fields, f.offset_directions(body), np.eye(M + V))
+def sculpted(body, poses, offsets=True):
+    """A problem's variables, all fields wide, some amounts and offsets not 0."""
+    rule = FitRule(joint=0.01, joint_side=0.01)
+    build = Stretches(0.1, 0.1, 0.1, 0.1, 4)
+    start = np.random.default_rng(5).normal(0.0, 1e-3, len(body.vertices)) * offsets
+    freedom = Freedom(body, build, rule, offsets)
+    return Sculpted(freedom, body, tuple(poses), {"girth torso": 0.02}, start if offsets else np.zeros(0))
 
 
 def a_pose(body, seed=0):
@@ -53,72 +55,70 @@ def a_pose(body, seed=0):
 
 
 def test_rows_are_the_derivatives_of_the_projected_points(body) -> None:
-    shape, pose = shape_of(body), a_pose(body)
-    posed = Posed(body, pose)
+    pose = a_pose(body)
     camera = ring(3, 4.0, 1.0, np.zeros(3), (400, 300), 500.0, 0.0)[1]
-    contour, ends, shares = contour_on_edges(render(posed, camera), 3.0)
-    seen = Observed(camera, contour, ends, shares, np.zeros(len(contour)), np.ones(len(contour)), 100.0)
-    found = rows(posed, shape, seen)
-    rng = np.random.default_rng(1)
+    seen = looked_at(Posed(body, pose), camera, np.random.default_rng(2), 3.0)
+    x = sculpted(body, [pose])
+    found = rows(x.posed[0], [seen])
+    by_pose = found.twist @ x.posed[0].projector
+    by_value = found.twist @ x.joint_motions(x.posed[0]) + (found.vertex @ x.motions).toarray()
 
-    def along(body, pose):
-        points = replace(contour.points, local=surface_points(body, ends, shares).local)
-        pixels, _ = camera.project(points.at(Posed(body, pose)))
-        return np.sum(contour.normals * pixels, axis=1)
+    def along(x):
+        points = surface_points(x.body, seen.ends, seen.shares)
+        pixels, _ = camera.project(points.at(x.posed[0]))
+        return np.sum(seen.contour.normals * pixels, axis=1)
 
-    size = 1e-6
-    names = shape.fields.names
+    names, size = x.fields.names, 1e-6
     chosen = [0, names.index("length femur"), names.index("girth torso"), names.index("section tibia 2 1")]
     chosen += [k for k, name in enumerate(names) if name.startswith("joint")]
-    chosen += [len(names) + int(v) for v in rng.choice(ends.ravel(), 10)]
-    worst = {}
+    chosen += [len(names) + int(v) for v in np.random.default_rng(1).choice(seen.ends.ravel(), 10)]
     for k in chosen:
-        amounts = np.zeros(shape.size)
-        amounts[k] = size
-        there = along(f.deformed(body, *reshaped(shape, amounts)), pose)
-        amounts[k] = -size
-        back = along(f.deformed(body, *reshaped(shape, amounts)), pose)
-        unit = np.eye(shape.size)[:, k : k + 1]
-        ours = found.field @ unit[: len(names), 0] + found.vertex @ unit[len(names) :, 0]
-        worst[names[k] if k < len(names) else k] = np.abs(ours - (there - back) / (2 * size)).max()
-    assert max(worst.values()) < 1e-3, worst
-    for k in range(6, 6 + len(pose.q)):
-        d = size * np.eye(len(found.pose[0]))[k]
-        slope = (along(body, pose.retract(d)) - along(body, pose.retract(-d))) / (2 * size)
-        assert np.abs(found.pose[:, k] - slope).max() < 1e-3
+        step = size * np.eye(len(x.values))[k]
+        slope = (along(x.reshaped(step)) - along(x.reshaped(-step))) / (2 * size)
+        assert np.abs(by_value[:, k] - slope).max() < 1e-3, k
+    for k in range(body.dof):
+        d = size * np.eye(body.dof)[k]
+        there, back = (replace(x, poses=(pose.retract(sign * d),)) for sign in (1.0, -1.0))
+        assert np.abs(by_pose[:, k] - (along(there) - along(back)) / (2 * size)).max() < 1e-3
 
 
-def test_the_frames_eliminated_one_by_one_give_the_whole_systems_step(body) -> None:
-    fields = f.stretch_fields(body, 0.1, 0.1, 0.1)
-    shape = Shape(fields, np.zeros((0, 3)), fields.precision)
+def test_the_sums_are_those_of_stacked_rows(body) -> None:
     rig = ring(3, 4.0, 1.0, np.zeros(3), (300, 220), 350.0)
-    posed = [Posed(body, a_pose(body, seed)) for seed in (1, 2)]
-    rng, D, M = np.random.default_rng(3), body.dof, shape.size
-    seen = [[looked_at(p, camera, rng) for camera in rig] for p in posed]
-    pulls = [(rng.normal(size=D), np.diag(rng.uniform(10, 50, D))) for _ in posed]
-    amounts = rng.normal(0, 0.02, M)
-    found = step(posed, shape, amounts, seen, pulls, 0.02, 0.1)
+    x = sculpted(body, [a_pose(body, seed) for seed in (1, 2)])
+    rng, D, M = np.random.default_rng(3), body.dof, len(x.values)
+    seen = [[looked_at(p, camera, rng) for camera in rig] for p in x.posed]
+    tracked = [p.retract(rng.normal(0.0, 0.01, D)) for p in x.poses]
+    problem = FitProblem(seen, tracked, x.precision, x.freedom.rule)
+    arrow = problem.linearised(x)
 
     H, g = np.zeros((2 * D + M,) * 2), np.zeros(2 * D + M)
-    H[2 * D :, 2 * D :], g[2 * D :] = shape.precision, shape.precision @ amounts
-    for k, (p, views, (pull, hold)) in enumerate(zip(posed, seen, pulls, strict=True)):
+    H[2 * D :, 2 * D :], g[2 * D :] = x.precision, x.precision @ x.values
+    hold = np.r_[np.full(3, np.deg2rad(3.0)), np.full(3, 0.02), np.full(D - 6, np.deg2rad(3.0))] ** -2.0
+    for k, (p, views) in enumerate(zip(x.posed, seen, strict=True)):
         own = slice(k * D, (k + 1) * D)
-        H[own, own] += hold
-        g[own] += pull
-        for view in views:
-            by = rows(p, shape, view)
-            J = np.zeros((len(by.pose), len(g)))
-            J[:, own], J[:, 2 * D :] = by.pose, by.field
-            weight = 0.1 * view.weight / (1 + (view.distance / (0.02 * view.px_per_m)) ** 2)
-            H += J.T @ (weight[:, None] * J)
-            g -= J.T @ (weight * view.distance)
-    whole = -np.linalg.solve(H, g)
-    assert np.allclose(found.shape, whole[2 * D :], atol=1e-8)
-    assert np.allclose(found.poses.ravel(), whole[: 2 * D], atol=1e-8)
+        H[own, own] += np.diag(hold)
+        g[own] += hold * p.pose.minus(tracked[k])
+        by = rows(p, views)
+        J = np.zeros((by.twist.shape[0], len(g)))
+        J[:, own] = by.twist @ p.projector
+        J[:, 2 * D :] = by.twist @ x.joint_motions(p) + (by.vertex @ x.motions).toarray()
+        distance, scale = (np.concatenate(of) for of in (
+            [v.distance for v in views], [np.full(len(v.distance), 0.012 * v.px_per_m) for v in views]))  # fmt: skip
+        weight = 0.15 * np.concatenate([v.weight for v in views]) / (1 + (distance / scale) ** 2)
+        H += J.T @ (weight[:, None] * J)
+        g -= J.T @ (weight * distance)
+    np.testing.assert_allclose(np.concatenate([arrow.pull.ravel(), arrow.shared_pull]), g, atol=1e-6 * np.abs(g).max())
+    np.testing.assert_allclose(arrow.dense(), H, atol=1e-9 * np.abs(H).max())
+    assert arrow.value == pytest.approx(sum(problem.energies(x).values()))
+    for k in (3, D + 9, 2 * D + 4, 2 * D + 30, 2 * D + M - 200):
+        step = 1e-6 * np.eye(len(g))[k]
+        slope = sum(sum(problem.energies(problem.retract(x, s * step)).values()) * s for s in (1, -1)) / 2e-6
+        assert g[k] == pytest.approx(slope, rel=1e-3, abs=1e-5 * np.abs(g).max()), k
 
 
-def looked_at(posed, camera, rng):
-    contour, ends, shares = contour_on_edges(render(posed, camera), 8.0)
+def looked_at(posed, camera, rng, spacing=8.0):
+    contour, ends, shares = contour_on_edges(render(posed, camera), spacing)
+    contour = reprojected(contour, posed, camera.P)
     n = len(contour)
     return Observed(camera, contour, ends, shares, rng.normal(0, 2, n), rng.uniform(0.5, 2, n), 80.0)
 

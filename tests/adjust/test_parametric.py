@@ -11,14 +11,14 @@ import pytest
 
 from reproduce.measures.surfaces import surface_distances, surface_samples
 from support.commands import run, told
+from twistcap.adjust.body_fit import FitRule, Take, fit_body
+from twistcap.adjust.body_fit.fields import deformed, joint_centres
+from twistcap.adjust.body_fit.parametric import Parametric, carried_pose, matched, rates_at
+from twistcap.adjust.body_fit.symmetry import mirrored_vertices
 from twistcap.body import Pose, Posed, rescaled
 from twistcap.body.anny import _check_surface
 from twistcap.body.gltf import load_glb, save_glb
 from twistcap.body.humanoid import humanoid
-from twistcap.bodyfit.fields import deformed, joint_centres
-from twistcap.bodyfit.fit import FitRule, Take, fit_body
-from twistcap.bodyfit.parametric import Parametric, carried_pose, matched, rates_at
-from twistcap.bodyfit.symmetry import mirrored_vertices
 from twistcap.camera import Camera, Rig, look_at
 from twistcap.errors import InputError
 from twistcap.studio import StudioConfig, capture

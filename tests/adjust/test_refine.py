@@ -6,11 +6,29 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from twistcap.studio.subjects import limbering
 
 from support.finite_differences import check_jacobian
+from twistcap.adjust.refine import RefineConfig, refine
+from twistcap.adjust.refine.evidence import BrightnessPair, reshaped
+from twistcap.adjust.refine.look import CameraRound, followed_points
+from twistcap.adjust.refine.motion import accelerations
+from twistcap.adjust.refine.problem import RefineProblem, Standing, Track
+from twistcap.adjust.refine.shape import Shape
+from twistcap.adjust.refine.sums import (
+    Derivatives,
+    FrameSums,
+    add_products,
+    flat,
+    products_reference,
+    projection,
+    row_reference,
+    stacked,
+)
 from twistcap.body import Body, Pose, Posed, rescaled
 from twistcap.body.humanoid import humanoid
 from twistcap.body.kinematics import skin_points
@@ -24,24 +42,22 @@ from twistcap.body.shape import (
 )
 from twistcap.camera import Camera, Rig, look_at
 from twistcap.cli import main
-from twistcap.cues.brightness import Brightness
+from twistcap.cues.brightness import template_values
 from twistcap.cues.view import View
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
 from twistcap.io.result import ResultWriter, read_result
 from twistcap.predict import MotionNoise
-from twistcap.refine import RefineConfig, refine
-from twistcap.refine.evidence import Instant, Sight, add_brightness, followed_points, row_jacobian
-from twistcap.refine.motion import add_accelerations
 from twistcap.render import SurfacePoints, render
-from twistcap.settings import TrackerConfig
 from twistcap.solve import Arrow
 from twistcap.studio import Capture, StudioConfig, capture
-from twistcap.studio.subjects import limbering
-from twistcap.track import track
+from twistcap.studio.mismatch import fattened
+from twistcap.terms import PointNormalTerm
+from twistcap.track import Settings, track
 
 Array = NDArray[np.float64]
 BODY = humanoid("full")
+CAMERA = Camera("c", np.array([[300.0, 0, 95], [0, 300.0, 140], [0, 0, 1]]), look_at([3, 1, 0], [0, 0, 0]), (190, 280))
 
 
 def a_pose(seed: int) -> Pose:
@@ -50,35 +66,48 @@ def a_pose(seed: int) -> Pose:
     return Pose.rest(BODY).retract(np.concatenate([rng.uniform(-0.3, 0.3, 6), q]))
 
 
-def test_derivatives_by_the_shape() -> None:
+def some_points(count: int, seed: int = 0) -> SurfacePoints:
+    some = np.random.default_rng(seed).integers(0, len(BODY.vertices), count)
+    return SurfacePoints(BODY.skin_segments[some], BODY.skin_weights[some], BODY.vertices[some])
+
+
+def test_derivatives_by_pose_and_shape() -> None:
     """Lengths, girths and joint centres, on blended surface points of a bent body."""
-    rng = np.random.default_rng(0)
-    pose, moved = a_pose(0), ("tibia_r", "torso", "ulna_l")
+    pose, moved, D = a_pose(0), ("tibia_r", "torso", "ulna_l"), BODY.dof
     groups = [{"femur_r": 1.0, "femur_l": 1.0}, {"pelvis": 1.0}], [{"torso": 1.0}]
-    some = rng.integers(0, len(BODY.vertices), 200)
-    segments, weights, local = BODY.skin_segments[some], BODY.skin_weights[some], BODY.vertices[some]
-    gradient = rng.normal(size=(200, 3))
+    points, gradient = some_points(200), np.random.default_rng(1).normal(size=(200, 3))
 
     def residual(x: Array) -> Array:
+        by_pose, x = x[:D], x[D:]
         lengths = {name: float(np.exp(v)) for v, g in zip(x[:2], groups[0], strict=True) for name in g}
         girths = {name: float(np.exp(x[2])) for name in groups[1][0]}
-        there = skin_points(stretch_maps(BODY, lengths, girths), segments, weights, local)
+        there = skin_points(stretch_maps(BODY, lengths, girths), points.segments, points.weights, points.local)
         other = joints_moved(rescaled(BODY, lengths, girths), dict(zip(moved, x[3:].reshape(-1, 3), strict=True)))
-        return np.einsum("ni,ni->n", gradient, Posed(other, pose).points(segments, weights, there))
+        world = Posed(other, pose.retract(by_pose)).points(points.segments, points.weights, there)
+        return np.einsum("ni,ni->n", gradient, world)
 
     motion = rest_motion(BODY, *groups, [BODY.segment(name) for name in moved])
-    rates = motion.rates(Posed(BODY, pose), segments, weights, local, gradient)
-    check_jacobian(residual, rates, np.zeros(12), rtol=1e-5, atol=1e-5)
+    posed = Posed(BODY, pose)
+    rows = Derivatives.of(posed, motion, points, gradient)
+    J = stacked(rows, len(BODY.segment_names)) @ projection(posed, motion)
+    check_jacobian(residual, J, np.zeros(D + 12), rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(J, row_reference(posed, motion, points, gradient), atol=1e-12)
 
 
-def test_derivatives_by_the_pose() -> None:
-    rng = np.random.default_rng(2)
-    some = rng.integers(0, len(BODY.vertices), 100)
-    points = SurfacePoints(BODY.skin_segments[some], BODY.skin_weights[some], BODY.vertices[some])
-    posed, gradient = Posed(BODY, a_pose(3)), rng.normal(size=(100, 3))
-    J, _ = row_jacobian(posed, rest_motion(BODY, [], [], [1]), points, gradient)
-    twin = posed.point_jacobian(points.segments, points.weights, points.local)
-    np.testing.assert_allclose(J, np.einsum("ni,nid->nd", gradient, twin), atol=1e-12)
+def test_sums_by_segment_are_those_of_the_rows() -> None:
+    rng, motion, S = np.random.default_rng(2), rest_motion(BODY, [{"femur_r": 1.0}], [], [1]), len(BODY.segment_names)
+    posed, points, weight = Posed(BODY, a_pose(3)), some_points(100), rng.uniform(0.0, 2.0, 200)
+    weight[::5] = 0.0
+    one, other = (Derivatives.of(posed, motion, points, rng.normal(size=(200, 3))) for _ in range(2))
+    blocks = np.zeros((S, S, 11, 11))
+    add_products(one.segments, one.by_segment, other.segments, other.by_segment, weight, blocks)
+    np.testing.assert_allclose(flat(blocks), products_reference(one, other, weight, S), atol=1e-9)
+    sums, residual = FrameSums(posed, motion), rng.normal(size=200)
+    sums.add(one, weight, residual)
+    gradient, matrix = sums.projected()
+    J = stacked(one, S) @ projection(posed, motion)
+    np.testing.assert_allclose(gradient, J.T @ (weight * residual), atol=1e-9)
+    np.testing.assert_allclose(matrix, J.T @ (weight[:, None] * J), atol=1e-9)
 
 
 def test_joints_move_and_their_marks_with_them() -> None:
@@ -121,10 +150,10 @@ def test_accelerations_are_the_slope_of_their_energy(turning: bool) -> None:
 
     def energy(x: Array) -> Array:
         moved = [p.retract(step) for p, step in zip(poses, x.reshape(4, D), strict=True)]
-        return np.array([add_accelerations(Arrow(4, D, 0, 2), moved, times, noise)])
+        return np.array([accelerations(moved, times, noise)])
 
     system = Arrow(4, D, 0, 2)
-    add_accelerations(system, poses, times, noise)
+    assert accelerations(poses, times, noise, system) == pytest.approx(energy(np.zeros(4 * D))[0])
     check_jacobian(energy, system.pull.reshape(1, -1), np.zeros(4 * D), step=1e-5, rtol=1e-5, atol=1e-4)
 
 
@@ -133,43 +162,70 @@ def test_even_motion_has_no_acceleration() -> None:
     poses = [Pose.rest(BODY)]
     for _ in range(3):
         poses.append(poses[-1].retract(step))
-    assert add_accelerations(Arrow(4, BODY.dof, 0, 2), poses, [0.0, 1.0, 2.0, 3.0], MotionNoise()) < 1e-12
+    assert accelerations(poses, [0.0, 1.0, 2.0, 3.0], MotionNoise()) < 1e-12
 
 
-def test_brightness_is_the_slope_of_its_energy() -> None:
-    """By both frames' poses and by the shape, with smooth images."""
-    earlier, later, motion, energy = _two_instants()
-    system = Arrow(2, BODY.dof, motion.joints.shape[0], 2)
-    add_brightness(system, earlier, later, motion, Brightness(), 0.01, 1.0, 0.015)
-    for t in (0, 1):
+def test_brightness_is_what_the_images_show() -> None:
+    """Value and slope of its energy by both poses against the images themselves, which are smooth."""
+    pair, poses, views = _a_pair()
+
+    def difference(x: Array) -> Array:
+        at = [Posed(BODY, p.retract(s)) for p, s in zip(poses, x, strict=True)]
+        a, b = (
+            template_values(v.camera.P, *pair.points.bound_to(p), v.grey)[0] for v, p in zip(views, at, strict=True)
+        )
+        return b - a
+
+    at = [Posed(BODY, p) for p in poses]
+    _, one, other, _, residual = pair.rows(*at, rest_motion(BODY, [], [], []))
+    np.testing.assert_allclose(residual, difference(np.zeros((2, BODY.dof))), atol=1e-6)
+    for t, rows in enumerate((one, other)):
+        J = stacked(rows, len(BODY.segment_names)) @ projection(at[t], rest_motion(BODY, [], [], []))
         for k in (1, 4, 6 + BODY.coordinate("knee_angle_r"), 6 + BODY.coordinate("lumbar_rotation")):
             x = np.zeros((2, BODY.dof))
             x[t, k] = 1e-3
-            slope = (energy(x, BODY) - energy(-x, BODY)) / 2e-3
-            assert system.pull[t, k] == pytest.approx(slope, rel=0.05, abs=0.02 * float(np.abs(system.pull[t]).max()))
+            slope = (difference(x) - difference(-x)) / 2e-3
+            assert np.median(np.abs(J[:, k] - slope)) < 0.02 * np.abs(slope).max()
 
 
-def _two_instants():
+def _a_pair() -> tuple[BrightnessPair, list[Pose], list[View]]:
     rng = np.random.default_rng(0)
-    camera = Camera(
-        "c", np.array([[300.0, 0, 95], [0, 300.0, 140], [0, 0, 1]]), look_at([3, 1, 0], [0, 0, 0]), (190, 280)
-    )
-    import cv2
-
     images = [cv2.GaussianBlur(rng.random((280, 190)).astype(np.float32), (0, 0), 6.0) * 4 for _ in range(2)]
     poses = [a_pose(5), a_pose(5).retract(0.02 * rng.normal(size=BODY.dof))]
-    instants = list[Instant]()
-    for t, (image, pose) in enumerate(zip(images, poses, strict=True)):
-        view = View(camera, image, "grey")
-        seen = render(Posed(BODY, pose), camera)
-        instants.append(Instant(t, Posed(BODY, pose), {0: Sight(view, seen, followed_points(view, seen, 200))}))
-    motion = rest_motion(BODY, [{"femur_r": 1.0}], [], [BODY.segment("tibia_r")])
+    views = [View(CAMERA, image, "grey") for image in images]
+    earlier, later = ((v, render(Posed(BODY, p), CAMERA)) for v, p in zip(views, poses, strict=True))
+    points = followed_points(*earlier, 200)
+    return BrightnessPair.of((0, 2), points, earlier, later, 0.0, (1.0, 0.03, 0.012)), poses, views
 
-    def energy(x: Array, body: Body) -> float:
-        moved = [replace(i, posed=Posed(body, p.retract(s))) for i, p, s in zip(instants, poses, x, strict=True)]
-        return add_brightness(Arrow(2, body.dof, 4, 2), moved[0], moved[1], motion, Brightness(), 0.01, 1.0, 0.015)
 
-    return instants[0], instants[1], motion, energy
+def test_the_problem_is_the_slope_of_its_energy() -> None:
+    """All terms together, by the poses of three frames and the shape."""
+    pair, poses, _ = _a_pair()
+    config = RefineConfig()
+    shape = Shape.of(BODY, {"femur": ("femur_r", "femur_l"), "torso": ("torso",)}, config)
+    track = Track((poses[0], a_pose(5), poses[1]), shape.stepped(np.full(len(shape.sigma), 0.003)))
+    rng, points = np.random.default_rng(4), some_points(60)
+    term = PointNormalTerm(
+        CAMERA.P, points, CAMERA.project(points.at(Posed(BODY, poses[0])))[0] + rng.normal(size=(60, 2)),
+        np.tile([0.6, 0.8], (60, 1)), rng.uniform(0.5, 1.0, 60),
+    )  # fmt: skip
+    tallies = [(np.zeros(1), np.zeros(1))] * 3
+    look = CameraRound([term, None, term], [pair], tallies, None)  # pyright: ignore[reportArgumentType]
+    standing = Standing([0.0, 0.1, 0.2], MotionNoise(shift=1e6), 0.5, 0.0, 3.0, 0.7)
+    problem = RefineProblem(Track(track.poses, shape), [look], standing)
+    arrow = problem.linearised(track)
+    assert arrow.value == pytest.approx(sum(problem.energies(track).values()))
+    gradient = np.concatenate([arrow.pull.ravel(), arrow.shared_pull])
+
+    def energy(x: Array) -> float:
+        return sum(problem.energies(problem.retract(track, x)).values())
+
+    tried = [4, 6 + 3, BODY.dof + 12, 2 * BODY.dof + 5, *(3 * BODY.dof + np.array([0, 1, 2, 5, 12, 20]))]
+    for k in tried:
+        step = 1e-5 * np.eye(len(gradient))[k]
+        slope = (energy(step) - energy(-step)) / 2e-5
+        assert gradient[k] == pytest.approx(slope, rel=1e-3, abs=1e-6 * np.abs(gradient).max()), k
+    assert reshaped(pair, None) is pair
 
 
 @pytest.fixture(scope="module")
@@ -230,6 +286,30 @@ def test_a_lost_frame_is_found_between_its_neighbours(
     assert joint_error(scene, found.body, [found.estimates[5]]) < 0.3 * joint_error(scene, body, [spoilt[5]])
 
 
+def test_a_surface_that_is_not_the_persons_has_its_joints_held(
+    scene: Capture, wrong: tuple[list[Frame], Body, list[Estimate]]
+) -> None:
+    """Contours of a fat body err alike in all frames; those of a body of wrong lengths do not once it is refined."""
+    frames, _, estimates = wrong
+    fat, few = fattened(scene.true_body, 1.15), RefineConfig(rounds=3, coarse_rounds=1, girth=0.0, length=0.0)
+    found = refine(frames, fat, scene.rig, estimates, few)
+    assert found.design_effect > few.alike and not found.joint_shifts
+    np.testing.assert_allclose(found.body.twists, fat.twists)
+    found = refine(frames, scene.true_body, scene.rig, estimates, few)
+    assert found.design_effect < few.alike and found.joint_shifts
+
+
+def test_a_track_that_cannot_be_bettered_is_kept(scene: Capture) -> None:
+    frames, body = list(scene.frames()), scene.true_body
+    exact = [Estimate(f.index, f.time, scene.true_poses[f.index], np.eye(body.dof)) for f in frames]
+    shaken = RefineConfig(rounds=1, coarse_rounds=1, contour=0.0, brightness=0.0, noise=MotionNoise(joint=1e-3))
+    found = refine(
+        frames, body, scene.rig, exact, shaken
+    )  # images that count for nothing: motion alone, to a standstill
+    assert not found.helped and found.body is body
+    assert all(a is b for a, b in zip(found.estimates, exact, strict=True))
+
+
 def test_what_is_held_stays(scene: Capture, wrong: tuple[list[Frame], Body, list[Estimate]]) -> None:
     frames, body, estimates = wrong
     held = RefineConfig(rounds=1, length=0.0, girth=0.0, joint=0.0)
@@ -247,7 +327,7 @@ def test_a_track_by_brightness_is_refined_by_brightness(
     noise = np.deg2rad(1.5) * (np.arange(body.dof) >= 6)
     shaken = [replace(e, pose=scene.true_poses[e.index].retract(noise * rng.normal(size=body.dof))) for e in estimates]
     config = RefineConfig(rounds=4, coarse_rounds=1, length=0.0, girth=0.0, joint=0.0)
-    found = refine(frames, body, scene.rig, shaken, config, TrackerConfig(method="differential"))
+    found = refine(frames, body, scene.rig, shaken, config, Settings(method="differential"))
     assert joint_error(scene, body, found.estimates) < 0.8 * joint_error(scene, body, shaken)
     assert "photometric" in found.estimates[-1].energies and "contour" not in found.estimates[-1].energies
 

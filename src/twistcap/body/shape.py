@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 
 from twistcap import se3
 from twistcap._typing import Float, Int
@@ -140,25 +139,27 @@ def warped(body: Body, maps: Float) -> Body:
 class RestMotion:
     """How a body's rest pose changes with each of K shape parameters, to first order.
 
+    A point l from a segment's origin moves by the segment's shift and by ``along (a·l) a + across (l − (a·l) a)``.
+
     Attributes:
-        maps: (K, S, 4, 4) velocity of each segment's rest points, homogeneous (last row 0), per unit of the parameter.
-        joints: (K, S, 3) velocity of each segment's proximal joint centre, in the rest pose, m per unit.
+        origins, axes: (S, 3) of the segments, as `segment_axes` gives them.
+        shifts: (K, S, 3) of each segment's surface, m per unit of the parameter.
+        stretches: (K, S, 2) of its surface, along and across its axis, per unit.
+        joints: (K, S, 3) of each segment's proximal joint centre, in the rest pose, m per unit.
     """
 
-    maps: Float
+    origins: Float
+    axes: Float
+    shifts: Float
+    stretches: Float
     joints: Float
 
-    def rates(self, posed: Posed, segments: Int, weights: Float, local: Float, gradient: Float) -> Float:
-        """(N, K) derivative by the parameters of residuals whose gradients by their skinned world points are (N, 3).
-
-        A joint centre that moves by d below parent p carries all below it by (R_p - R_s) d: it moves with the parent,
-        and the segment turns about it. The surface itself moves in the rest pose and is skinned after.
-        """
-        by_segment = _rest_rows(posed.segment_transforms, segments, weights, local, gradient)
-        moved = np.concatenate(
-            [carried(posed, self.joints), self.maps[:, :, :3].reshape(*self.maps.shape[:2], 12)], axis=2
-        )
-        return by_segment @ moved.reshape(len(moved), by_segment.shape[1]).T
+    def velocities(self, local: Float) -> Float:
+        """(N, S, K, 3) of rest points (N, 3) as each segment would move them, m per unit."""
+        arm = local[:, None] - self.origins
+        along = np.sum(arm * self.axes, axis=2, keepdims=True) * self.axes
+        stretched = np.stack([along, arm - along], axis=2)
+        return self.shifts.transpose(1, 0, 2) + np.einsum("ksj,nsji->nski", self.stretches, stretched)
 
 
 def carried(posed: Posed, joints: Float) -> Float:
@@ -171,26 +172,6 @@ def carried(posed: Posed, joints: Float) -> Float:
     return out
 
 
-@njit(cache=True, nogil=True)
-def _rest_rows(transforms: Float, segments: Int, weights: Float, local: Float, gradient: Float) -> Float:
-    """(N, 15 S) derivative of residuals by each segment's shift (3) and by the map (3 x 4) of its rest points."""
-    out, turned = np.zeros((len(local), 15 * len(transforms))), np.zeros(3)
-    for n in range(len(local)):
-        turned[:] = 0.0  # the gradient in the rest pose
-        for k in range(segments.shape[1]):
-            for i in range(3):
-                for j in range(3):
-                    turned[i] += weights[n, k] * transforms[segments[n, k], j, i] * gradient[n, j]
-        for k in range(segments.shape[1]):
-            w, at = weights[n, k], 15 * segments[n, k]
-            for i in range(3):
-                out[n, at + i] += w * gradient[n, i]
-                for j in range(3):
-                    out[n, at + 3 + 4 * i + j] += w * turned[i] * local[n, j]
-                out[n, at + 6 + 4 * i] += w * turned[i]
-    return out
-
-
 def rest_motion(
     body: Body, stretched: Sequence[Mapping[str, float]], widened: Sequence[Mapping[str, float]], moved: Sequence[int]
 ) -> RestMotion:
@@ -200,20 +181,21 @@ def rest_motion(
         stretched, widened: of each parameter, the segments and the rate at which each one's log-length or girth grows.
         moved: segments whose proximal joint moves; three parameters (m) each.
     """
-    h, S = 1e-6, len(body.segment_names)
-    factors = [({n: float(np.exp(h * r)) for n, r in g.items()}, {}) for g in stretched]
-    factors += [({}, {n: float(np.exp(h * r)) for n, r in g.items()}) for g in widened]
-    K = len(factors) + 3 * len(moved)
-    maps, joints = np.zeros((K, S, 4, 4)), np.zeros((K, S, 3))
-    origins = np.array([joint_origin(body, s) for s in range(S)])
-    parents = np.maximum(body.segment_parent, 0)
-    for k, (lengths, girths) in enumerate(factors):
-        maps[k] = (stretch_maps(body, lengths, girths) - np.eye(4)) / h
-        joints[k] = (maps[k, parents, :3, :3] @ origins[..., None])[..., 0] + maps[k, parents, :3, 3]
+    (origins, axes), G = segment_axes(body), len(stretched) + len(widened)
+    K, S = G + 3 * len(moved), len(body.segment_names)
+    shifts, stretches = np.zeros((K, S, 3)), np.zeros((K, S, 2))
+    for k, rates in enumerate((*stretched, *widened)):
+        for name, rate in rates.items():
+            stretches[k, body.segment(name), int(k >= len(stretched))] = rate
+    for s, above in enumerate(body.segment_parent):  # what hangs on a segment goes with it
+        if above >= 0:
+            arm = origins[s] - origins[above]
+            along = (arm @ axes[above]) * axes[above]
+            shifts[:, s] = shifts[:, above] + stretches[:, above] @ np.stack([along, arm - along])
+    joints = shifts.copy()
     for i, s in enumerate(moved):
-        for axis in range(3):
-            joints[len(factors) + 3 * i + axis, s, axis] = 1.0
-    return RestMotion(maps, joints)
+        joints[G + 3 * i : G + 3 * i + 3, s] = np.eye(3)
+    return RestMotion(origins, axes, shifts, stretches, joints)
 
 
 def joints_moved(body: Body, shifts: Mapping[str, Float]) -> Body:

@@ -8,11 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from twistcap.adjust.body_fit import FitRule, Fitted, Take, fit_body
+from twistcap.adjust.body_fit.build import Build
+from twistcap.adjust.body_fit.judge import Agreement, agreement
+from twistcap.adjust.body_fit.parametric import Model, carried_pose, matched
 from twistcap.body.gltf import save_glb
-from twistcap.bodyfit.build import Build
-from twistcap.bodyfit.fit import FitRule, Fitted, Take, fit_body
-from twistcap.bodyfit.judge import Agreement, agreement
-from twistcap.bodyfit.parametric import Model, carried_pose, matched
 from twistcap.commands.body import BodyModel
 from twistcap.commands.terminal import telling, words
 from twistcap.evaluate.metrics import Row, percentile_known, row

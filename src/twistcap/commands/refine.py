@@ -55,12 +55,12 @@ def refine(
 def _run(
     path: Path, out: Path, span: tuple[int, int] | None, session_path: Path | None, settings: list[str], again: bool
 ) -> dict[str, Any]:
+    from twistcap.adjust.refine import RefineConfig
+    from twistcap.adjust.refine import refine as refined
     from twistcap.commands.track import parsed_settings
     from twistcap.io.result import read_result
     from twistcap.io.session import load_session
     from twistcap.io.strict import dataclass_from
-    from twistcap.refine import RefineConfig
-    from twistcap.refine import refine as refined
 
     result = read_result(path)
     config = dataclass_from(RefineConfig, parsed_settings(settings), "--set", "refine")
@@ -80,6 +80,9 @@ def _run(
         "result": folder / "refined.h5",
         "frames": len(chosen),
         "moved_mm": [1000.0 * step for step in found.moved],
+        "helped": found.helped,
+        "design_effect": found.design_effect,
+        "joints_held": not found.joint_shifts,
         **_shape(result.body, found),
         "files": _written(result, found, session, views, folder),
     }
@@ -184,6 +187,13 @@ def tell(document: dict[str, Any]) -> None:
         words.print(f"{bone['segment']}: {bone['before_mm']:.0f} mm before, {bone['after_mm']:.0f} mm now")
     moved = ", ".join(f"{step:.1f}" for step in document["moved_mm"])
     words.print(f"{document['frames']} frames; the landmarks moved {moved} mm from round to round")
+    if document["joints_held"]:
+        words.print(
+            f"Contours err together (design effect {document['design_effect']:.1f}):"
+            " the surface is not quite the person's, so joint centres were held."
+        )
+    if not document["helped"]:
+        words.print("The images agree no better than before: the track is kept as it was.")
     for path in document["files"]:
         typer.echo(path)
 

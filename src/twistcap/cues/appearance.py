@@ -71,6 +71,11 @@ class Appearance:
         own[new] = self.rule.memory**frames * own[new] + frames * now[new]
         return Appearance(self.rule, sums)
 
+    def __add__(self, other: Appearance) -> Appearance:
+        """All that both have learnt."""
+        channels = max(self.sums.shape[2], other.sums.shape[2]) // 2
+        return Appearance(self.rule, self._wide(channels).sums + other._wide(channels).sums)
+
     @cached_property
     def _pooled(self) -> Float:
         """(cameras, S, 1 + 2C) as `of` gives it: own colours, and with less weight those of other cameras."""

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 
 from twistcap._typing import AnyArray
+from twistcap.adjust.body_fit.fit import Fitted, Take
 from twistcap.body import Body, Pose
-from twistcap.bodyfit.fit import Fitted, Take
 from twistcap.estimate import Frame
 from twistcap.evaluate.metrics import Row
 from twistcap.report.overlay import draw_mosaic, mosaic_for

@@ -30,7 +30,7 @@ from twistcap.search.judge import Judge, judge_of
 from twistcap.solve import PoseProblem, covariance, inverse, minimise
 from twistcap.stages import stage
 from twistcap.terms import Quadratic, Term
-from twistcap.track.model import Model
+from twistcap.track.model import MARGIN, Model
 from twistcap.track.state import State
 
 
@@ -78,7 +78,7 @@ class FrameProblem:
 
     def align(self, pose: Pose, crop: bool = False) -> Fit:
         """See `search.Problem`."""
-        views = self._around(pose, self.model.margin) if crop else self.views
+        views = self._around(pose, MARGIN) if crop else self.views
         return align(replace(self, start=pose, views=views))
 
     def measured(self, pose: Pose) -> Fit:

@@ -23,6 +23,9 @@ from twistcap.track.schedule import Schedule
 from twistcap.track.state import State
 from twistcap.track.visibility import OcclusionRule, SupportRule
 
+MARGIN = 0.15
+"""m about the expected body within which images are looked at."""
+
 
 @dataclass(frozen=True)
 class Model:
@@ -42,7 +45,6 @@ class Model:
         noise: how far bodies are from where they are predicted.
         channels: what region statistics look at.
         despeckle: px across of a median filter of all images.
-        margin: m about the expected body within which images are looked at.
         learn_every: frames from one lesson of the cues to the next.
     """
 
@@ -59,7 +61,6 @@ class Model:
     noise: MotionNoise = field(default_factory=MotionNoise)
     channels: Channels = "lab"
     despeckle: int = 1
-    margin: float = 0.15
     learn_every: int = 3
 
     def with_cue(self, cue: Cue) -> Model:
@@ -85,4 +86,4 @@ class Model:
         return out
 
     def _view(self, image: AnyArray, camera: int, posed: Posed, margin: float | None) -> View | None:
-        return crop_view(image, self.rig[camera], posed, self.margin if margin is None else margin, self.channels)
+        return crop_view(image, self.rig[camera], posed, MARGIN if margin is None else margin, self.channels)

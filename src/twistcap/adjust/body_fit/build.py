@@ -9,9 +9,9 @@ from typing import Protocol
 import numpy as np
 
 from twistcap._typing import Float
+from twistcap.adjust.body_fit import fields as f
+from twistcap.adjust.body_fit.fields import Fields
 from twistcap.body import Body
-from twistcap.bodyfit import fields as f
-from twistcap.bodyfit.fields import Fields
 
 Motions = tuple[Float, Float, Float]
 """Of vertices (V, 3), joint centres (S, 3) and landmarks (L, 3) in the rest pose, m."""

@@ -1,6 +1,6 @@
 """A whole track refined: all poses, lengths and joint centres in one sparse least squares (docs/refine.md)."""
 
-from twistcap.refine.refine import Refined, refine
-from twistcap.refine.settings import RefineConfig
+from twistcap.adjust.refine.refine import Refined, refine
+from twistcap.adjust.refine.settings import RefineConfig
 
 __all__ = ["RefineConfig", "Refined", "refine"]

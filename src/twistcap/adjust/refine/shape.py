@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twistcap._typing import Float
+from twistcap.adjust.refine.settings import RefineConfig
 from twistcap.body import Body
-from twistcap.body.shape import RestMotion, hinge_middles, joints_moved, rescaled, rest_motion
-from twistcap.refine.settings import RefineConfig
+from twistcap.body.shape import RestMotion, hinge_middles, joints_moved, rescaled, rest_motion, stretch_maps
 
 Groups = Mapping[str, tuple[str, ...]]
 """Segments that share a parameter, left and right alike, by the group's name."""
@@ -46,6 +46,11 @@ class Shape:
         sigma = np.repeat([config.length, config.girth, config.joint], sizes)
         return Shape(body, stretched, widened, moved, sigma, np.zeros(len(sigma)))
 
+    def without_joints(self) -> Shape:
+        """The same with all joint centres held where they are."""
+        free = self._bounds[1]
+        return replace(self, moved=(), sigma=self.sigma[:free], total=self.total[:free])
+
     @property
     def _bounds(self) -> tuple[int, int]:
         """Where among the parameters the girths begin, and the joint centres."""
@@ -58,9 +63,14 @@ class Shape:
         )
         return rest_motion(self.body, stretched, widened, [self.body.segment(name) for name in self.moved])
 
-    def prior(self, hinge: float) -> tuple[Float, Float]:
-        """Gradient (K,) and information (K, K) of what is known beforehand, at the present shape."""
+    def prior(self, hinge: float) -> tuple[float, Float, Float]:
+        """Energy, gradient (K,) and information (K, K) of what is known beforehand, at the present shape.
+
+        Args:
+            hinge: m by which the centre of a hinge may be off the middle of its limb, along its axis; 0: anything.
+        """
         information, gradient = np.diag(self.sigma**-2.0), self.total / self.sigma**2
+        energy = 0.5 * float(gradient @ self.total)
         middles = hinge_middles(self.body) if hinge > 0 else {}
         for k, name in enumerate(self.moved):
             if name in middles:
@@ -68,13 +78,21 @@ class Shape:
                 own = slice(self._bounds[1] + 3 * k, self._bounds[1] + 3 * k + 3)
                 gradient[own] -= axis * (off / hinge**2)
                 information[own, own] += np.outer(axis, axis) / hinge**2
-        return gradient, information
+                energy += 0.5 * (off / hinge) ** 2
+        return energy, gradient, information
 
     def stepped(self, step: Float) -> Shape:
         """The shape after a step (K,)."""
         lengths, girths, joints = self.parts(step)
         body = rescaled(self.body, _factors(self.stretched, lengths), _factors(self.widened, girths))
         return replace(self, body=joints_moved(body, joints), total=self.total + step)
+
+    def maps_since(self, earlier: Shape) -> Float | None:
+        """(S, 4, 4) of each segment: how rest points of an earlier shape are carried onto this one; None: they stay."""
+        if np.array_equal(self.total, earlier.total):
+            return None
+        lengths, girths, _ = self.parts(self.total - earlier.total)
+        return stretch_maps(earlier.body, _factors(self.stretched, lengths), _factors(self.widened, girths))
 
     def parts(self, values: Float) -> tuple[dict[str, float], dict[str, float], dict[str, Float]]:
         """Values (K,) by group of lengths, group of girths, and segment of joints (3,)."""

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from twistcap._typing import AnyArray, Bool, Float
+from twistcap.adjust.body_fit.observe import Contours, observe
 from twistcap.body import Body, Pose, Posed
-from twistcap.bodyfit.observe import Contours, observe
 from twistcap.camera import Camera, Rig
 from twistcap.cues.levelset import LevelSetContour
 from twistcap.cues.view import crop_view

@@ -8,14 +8,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from twistcap._typing import AnyArray, Bool, Float, Int
+from twistcap.adjust.body_fit.subpixel import refined
 from twistcap.adjust.first_pose.outline import match, outline_of
 from twistcap.body import Posed
-from twistcap.bodyfit.subpixel import refined
 from twistcap.camera import Camera, Rig
 from twistcap.cues.direct import DirectContour
 from twistcap.cues.view import View, crop_view
 from twistcap.features import Channels
 from twistcap.render import ContourPoints, contour_on_edges, render
+from twistcap.render.contour import reprojected
 from twistcap.terms import PointNormalTerm
 
 _MARGIN = 0.15  # m about the body that is looked at
@@ -87,7 +88,7 @@ def observe_masks(masks: Sequence[Bool | None], rig: Rig, posed: Posed, rule: Co
         seen = render(posed, camera)
         contour, ends, shares = contour_on_edges(seen, max(1.0, rule.spacing * seen.px_per_m))
         found = match(contour, outline_of(mask, rule.spacing * seen.px_per_m), rule.reach * seen.px_per_m)
-        on = replace(contour[found.index], normals=found.normals)
+        on = replace(reprojected(contour, posed, camera.P)[found.index], normals=found.normals)
         weight = found.weight / rule.mask_sigma**2
         out.append(Observed(camera, on, ends[found.index], shares[found.index], found.distance, weight, seen.px_per_m))
     return out
@@ -102,4 +103,5 @@ def _observed(view: View, posed: Posed, rule: Contours) -> Observed:
     distance, contrast = refined(view.image, contour.pixels, contour.normals, found.displacement)
     doubt = 1.0 + (_CONTRAST / np.maximum(contrast, 1e-6)) ** 2
     weight = np.where(contour.outer, found.term.weight / doubt, 0.0)
-    return Observed(view.camera, contour, ends, shares, distance, weight, seen.px_per_m)
+    placed = reprojected(contour, posed, view.camera.P)  # where the points are that are bound to the surface
+    return Observed(view.camera, placed, ends, shares, distance, weight, seen.px_per_m)

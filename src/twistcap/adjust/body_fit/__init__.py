@@ -1,0 +1,6 @@
+"""A body fitted to recordings: fields of shape, sub-pixel edges, poses and shape in one solve (docs/bodyfit.md)."""
+
+from twistcap.adjust.body_fit.fit import Fitted, Take, fit_body
+from twistcap.adjust.body_fit.settings import FitRule
+
+__all__ = ["FitRule", "Fitted", "Take", "fit_body"]

@@ -1,0 +1,234 @@
+"""Poses of some frames and the shape of the body in all of them as one problem, around where it was looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy import sparse
+
+from twistcap._typing import Float
+from twistcap.adjust.body_fit import fields as f
+from twistcap.adjust.body_fit.build import Build, Motions
+from twistcap.adjust.body_fit.fields import Fields
+from twistcap.adjust.body_fit.observe import Observed
+from twistcap.adjust.body_fit.rows import Rows, rows
+from twistcap.adjust.body_fit.settings import FitRule
+from twistcap.body import Body, Pose, Posed
+from twistcap.body.shape import carried
+from twistcap.render.view import surface_points
+from twistcap.solve import Arrow
+from twistcap.terms.points import projected_rows
+from twistcap.terms.robust import cauchy
+
+
+@dataclass(frozen=True)
+class Freedom:
+    """What may change of a body: what its build allows, joint centres, and with `offsets` every vertex.
+
+    Attributes:
+        given: the body from which the fit began.
+    """
+
+    given: Body
+    build: Build
+    rule: FitRule
+    offsets: bool
+
+    @cached_property
+    def turns(self) -> Float:
+        """(3 S, V, 3) rotation of each segment's surface per motion of each vertex, of the body given."""
+        return f.turns(self.given)
+
+    @cached_property
+    def offset_precision(self) -> Float:
+        """(V, V) of the offsets, or (0, 0)."""
+        return f.offset_precision(self.given, self.rule.offset, self.rule.reach) if self.offsets else np.zeros((0, 0))
+
+
+@dataclass(frozen=True)
+class Sculpted:
+    """What is moved: the poses of all frames, and the body with what made it.
+
+    Attributes:
+        amounts: (M,) of the fields, by `names`.
+        offsets: (V,) m of the vertices along their normals; empty where they are not free.
+    """
+
+    freedom: Freedom
+    body: Body
+    poses: tuple[Pose, ...]
+    amounts: Mapping[str, float]
+    offsets: Float
+
+    @cached_property
+    def posed(self) -> list[Posed]:
+        """The body in every frame."""
+        return [Posed(self.body, pose) for pose in self.poses]
+
+    @cached_property
+    def own(self) -> Fields:
+        """The build's own fields."""
+        return self.freedom.build.fields(self.body, self.amounts)
+
+    @cached_property
+    def fields(self) -> Fields:
+        """Those, and shifts of the joint centres."""
+        rule = self.freedom.rule
+        return self.own + f.joint_fields(self.body, rule.joint, rule.joint_side)
+
+    @cached_property
+    def directions(self) -> Float:
+        """(V, 3) along which the vertices' offsets go, or (0, 3)."""
+        return f.offset_directions(self.body)[: len(self.offsets)]
+
+    @cached_property
+    def values(self) -> Float:
+        """(M + V,) amounts and offsets."""
+        return np.concatenate([[self.amounts.get(name, 0.0) for name in self.fields.names], self.offsets])
+
+    @cached_property
+    def precision(self) -> Float:
+        """(M + V, M + V) of the prior of all values; a segment's surface keeps its direction about its joint."""
+        free, M, K = self.freedom, len(self.fields.names), len(self.own.names)
+        out = np.zeros((len(self.values), len(self.values)))
+        out[:M, :M], out[M:, M:] = self.fields.precision, free.offset_precision
+        turned = np.tensordot(free.turns, self.fields.vertices, ([1, 2], [1, 2]))
+        turned[:, :K] *= free.build.rigid
+        if free.offsets:
+            turned = np.hstack([turned, np.einsum("tvi,vi->tv", free.turns, self.directions)])
+        return out + turned.T @ turned / np.deg2rad(free.rule.turn_deg) ** 2
+
+    @cached_property
+    def motions(self) -> sparse.csr_array:
+        """(3 V, M + V) of the vertices by all values."""
+        by_field = sparse.csr_array(self.fields.vertices.reshape(len(self.fields.names), -1).T)
+        if not len(self.offsets):
+            return by_field
+        V = len(self.offsets)
+        where = np.arange(3 * V), np.repeat(np.arange(V), 3)
+        along = sparse.coo_array((self.directions.ravel(), where), shape=(3 * V, V))
+        return sparse.hstack([by_field, along]).tocsr()
+
+    def joint_motions(self, posed: Posed) -> Float:
+        """(6 S, M + V) twist of each segment in a frame where joint centres move: a joint carries all below it."""
+        out = np.zeros((len(self.body.segment_names), 6, len(self.values)))
+        out[:, 3:, : len(self.fields.names)] = carried(posed, self.fields.joints).transpose(1, 2, 0)
+        return out.reshape(-1, out.shape[2])
+
+    def reshaped(self, step: Float) -> Sculpted:
+        """The body after a step (M + V,) of its shape, as far as the bounds allow."""
+        names, K, M = self.fields.names, len(self.own.names), len(self.fields.names)
+        bound = self.freedom.rule.offset_bound
+        change, built = self.freedom.build.moved(self.own, self.values[:K], step[:K])
+        offsets = np.clip(self.offsets + step[M:], -bound, bound)
+        moved = _sum(built, self.fields @ np.concatenate([np.zeros(K), step[K:M]]))
+        vertices = moved[0]
+        if len(offsets):
+            vertices = vertices + (offsets - self.offsets)[:, None] * self.directions
+        amounts = self.values[:M] + np.concatenate([change, step[K:M]])
+        body = f.deformed(self.body, vertices, *moved[1:])
+        return replace(self, body=body, amounts=dict(zip(names, amounts.tolist(), strict=True)), offsets=offsets)
+
+
+def _sum(one: Motions, other: Motions) -> Motions:
+    a, b, c = (x + y for x, y in zip(one, other, strict=True))
+    return a, b, c
+
+
+@dataclass(frozen=True)
+class FitProblem:
+    """Distances to the edges that one look at all frames found, the poses' pull to the tracked ones, and the prior.
+
+    Attributes:
+        seen: of each frame, its views.
+        tracked: poses about which those of the frames are expected.
+        precision: (M + V, M + V) of the prior of the shape's values.
+        rule: weights.
+    """
+
+    seen: Sequence[Sequence[Observed]]
+    tracked: Sequence[Pose]
+    precision: Float
+    rule: FitRule
+
+    def energies(self, x: Sculpted) -> dict[str, float]:
+        """Energies by term."""
+        contour = sum(self._energy(at, view) for at, views in zip(x.posed, self.seen, strict=True) for view in views)
+        strayed = [pose.minus(expected) for pose, expected in zip(x.poses, self.tracked, strict=True)]
+        pose = 0.5 * sum(float(step @ (self._hold(len(step)) * step)) for step in strayed)
+        return {"contour": contour, "pose": pose, "shape": 0.5 * float(x.values @ self.precision @ x.values)}
+
+    def linearised(self, x: Sculpted) -> Arrow:
+        """The quadratic of all poses' steps and the shape's."""
+        D, V, hold = x.body.dof, len(x.body.vertices), self._hold(x.body.dof)
+        arrow = Arrow(len(x.poses), D, len(x.values), 0)
+        arrow.value, arrow.shared_longest = sum(self.energies(x).values()), np.inf
+        squares, pull = sparse.csr_array((3 * V, 3 * V)), np.zeros(3 * V)
+        for t, (at, views) in enumerate(zip(x.posed, self.seen, strict=True)):
+            arrow.add_pose(t, hold * at.pose.minus(self.tracked[t]), np.diag(hold))
+            if views:
+                by, weight, distance = self._rows(at, views)
+                self._add_frame(arrow, t, x, by, (weight, distance))
+                squares += by.vertex.T @ (by.vertex * weight[:, None])
+                pull -= by.vertex.T @ (weight * distance)
+        arrow.corner += (x.motions.T @ (squares @ x.motions)).toarray() + self.precision
+        arrow.shared_pull += x.motions.T @ pull + self.precision @ x.values
+        return arrow
+
+    def retract(self, x: Sculpted, step: Float) -> Sculpted:
+        """Poses and body after a step, inside joint limits and bounds."""
+        D, limits = x.body.dof, x.body.limits
+        poses = tuple(p.retract(step[t * D : (t + 1) * D]).within(limits) for t, p in enumerate(x.poses))
+        return replace(x.reshaped(step[len(poses) * D :]), poses=poses)
+
+    def error_px(self) -> float:
+        """Weighted root mean square distance to the edges where they were looked for."""
+        squares = total = 0.0
+        for view in (view for views in self.seen for view in views):
+            weight = self._weight(view, view.distance)
+            squares, total = squares + float(weight @ view.distance**2), total + float(weight.sum())
+        return float(np.sqrt(squares / max(total, 1e-12)))
+
+    def _add_frame(self, arrow: Arrow, t: int, x: Sculpted, by: Rows, weighing: tuple[Float, Float]) -> None:
+        """Add all but what the motions of vertices do by themselves, which is the same in all frames."""
+        (weight, distance), at = weighing, x.posed[t]
+        weighted = by.twist * weight[:, None]
+        twists, pull = (weighted.T @ by.twist).toarray(), -(weighted.T @ distance)
+        P, joints = at.projector, x.joint_motions(at)
+        by_vertex = (weighted.T @ by.vertex @ x.motions).toarray()
+        by_shape = twists @ joints + by_vertex
+        arrow.add_pose(t, P.T @ pull, P.T @ twists @ P)
+        arrow.border[t] += P.T @ by_shape
+        crossed = joints.T @ by_vertex
+        arrow.corner += joints.T @ twists @ joints + crossed + crossed.T
+        arrow.shared_pull += joints.T @ pull
+
+    def _rows(self, at: Posed, views: Sequence[Observed]) -> tuple[Rows, Float, Float]:
+        """Derivatives, weights and distances of all points of a frame."""
+        distances = [self._distance(at, view) for view in views]
+        weights = [self._weight(view, distance) for view, distance in zip(views, distances, strict=True)]
+        return rows(at, views), np.concatenate(weights), np.concatenate(distances)
+
+    def _distance(self, at: Posed, view: Observed) -> Float:
+        """(N,) px by which the edges still lie outward of the points."""
+        points = surface_points(at.body, view.ends, view.shares)
+        moved, _ = projected_rows(view.camera.P, points.at(at), view.contour.normals, view.contour.pixels)
+        return view.distance - moved
+
+    def _weight(self, view: Observed, distance: Float) -> Float:
+        """(N,) information of each point, 1/px²: all frames together are worth so many (`FitRule.worth`)."""
+        _, robust = cauchy(distance, self.rule.robust * view.px_per_m)
+        return self.rule.worth / len(self.seen) * view.weight * robust
+
+    def _energy(self, at: Posed, view: Observed) -> float:
+        energy, _ = cauchy(self._distance(at, view), self.rule.robust * view.px_per_m)
+        return self.rule.worth / len(self.seen) * float(view.weight @ energy)
+
+    def _hold(self, dof: int) -> Float:
+        """(6 + J,) precision of a pose about the tracked one."""
+        sigma = np.full(dof, np.deg2rad(self.rule.pose_deg))
+        sigma[3:6] = self.rule.pose_m
+        return sigma**-2.0

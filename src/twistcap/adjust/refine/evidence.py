@@ -1,0 +1,132 @@
+"""What the images say of poses and shape together: rows by the steps of one frame's pose, another's, and the shape."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+
+from twistcap._typing import Float
+from twistcap.adjust.refine.sums import Derivatives
+from twistcap.body import Posed
+from twistcap.body.kinematics import skin_points
+from twistcap.body.shape import RestMotion
+from twistcap.cues.brightness import template_values, visible_points
+from twistcap.cues.view import View
+from twistcap.render import RenderedView, SurfacePoints
+from twistcap.render.raster import project_pinhole
+from twistcap.terms import PointTerm
+from twistcap.terms.points import projected_rows
+from twistcap.terms.robust import weighted_cauchy
+
+Term = TypeVar("Term", PointTerm, "BrightnessPair")
+
+
+def reshaped(term: Term, maps: Float | None) -> Term:
+    """The term with its rest points carried by maps (S, 4, 4) of the segments, as a change of shape carries them."""
+    if maps is None:
+        return term
+    points: SurfacePoints = term.points  # pyright: ignore[reportAttributeAccessIssue]  (every term of points has them)
+    moved = skin_points(maps, points.segments, points.weights, points.local)
+    return replace(term, points=replace(points, local=moved))  # pyright: ignore[reportArgumentType]
+
+
+def contour_rows(posed: Posed, motion: RestMotion, term: PointTerm) -> tuple[float, Derivatives, Float, Float]:
+    """Energy, derivatives, weights (R N,) and residuals (R N,) of a contour."""
+    energy, points, rows = term.rows(posed)
+    return energy, Derivatives.of(posed, motion, points, rows.gradient), rows.weight, rows.residual
+
+
+@dataclass(frozen=True)
+class End:
+    """One of the two frames between which brightness is compared: how N points' brightness changes as they move.
+
+    Attributes:
+        P: (3, 4) projection.
+        value: (N,) brightness where the points were seen.
+        slope: (N, 2) its gradient there, 1/px.
+        pixels: (N, 2) px, where that was.
+    """
+
+    P: Float
+    value: Float
+    slope: Float
+    pixels: Float
+
+    @staticmethod
+    def of(view: View, seen: RenderedView, points: SurfacePoints, blur: float) -> End:
+        """As an image shows points under a blur (m on the body); of those off the image all is NaN."""
+        P, posed = view.camera.P, seen.posed
+        value, slope = template_values(P, *points.bound_to(posed), view.blurred(blur * seen.px_per_m))
+        return End(P, value, slope, project_pinhole(P, points.at(posed))[0])
+
+    def at(self, posed: Posed, points: SurfacePoints) -> tuple[Float, Float]:
+        """Brightness (N,) at a pose, to first order in the pixel, and its gradient (N, 3) by the world points."""
+        change, gradient = projected_rows(self.P, points.at(posed), self.slope, self.pixels)
+        return self.value + change, gradient
+
+    def of_those(self, which: Float) -> End:
+        """The end of some of its points."""
+        return End(self.P, self.value[which], self.slope[which], self.pixels[which])
+
+
+@dataclass(frozen=True)
+class BrightnessPair:
+    """Brightness constancy of N points between two frames, ``I_b(π(x_b)) − I_a(π(x_a))``, both poses free.
+
+    Bregler and Malik (DOI 10.1109/CVPR.1998.698581), eq. 17 ff., refine a sequence so; here in perspective.
+
+    Attributes:
+        first, second: numbers of the frames.
+        points: N places on the surface.
+        earlier, later: how each of the frames shows them.
+        information: of each difference.
+        scale: difference at which a point is down-weighted by half (Cauchy).
+    """
+
+    first: int
+    second: int
+    points: SurfacePoints
+    earlier: End
+    later: End
+    information: float
+    scale: float
+
+    @staticmethod
+    def of(
+        frames: tuple[int, int], points: SurfacePoints, earlier: tuple[View, RenderedView],
+        later: tuple[View, RenderedView], blur: float, noise: tuple[float, float, float],
+    ) -> BrightnessPair:  # fmt: skip
+        """Of those points that both images show.
+
+        Args:
+            frames: their numbers.
+            points: that the earlier one shows.
+            earlier, later: the views, and the body rendered into them.
+            blur: under which they are compared, m on the body.
+            noise: information of each difference, scale of the loss, and m by which a point may be behind the surface.
+        """
+        view, seen = later
+        visible = visible_points(view.camera.P, *points.bound_to(seen.posed), seen.inverse_depth_image, noise[2])
+        points = points[visible > 0.0]
+        a, b = End.of(*earlier, points, blur), End.of(*later, points, blur)
+        known = np.flatnonzero(np.isfinite(a.value) & np.isfinite(b.value))
+        return BrightnessPair(*frames, points[known.astype(np.int32)], a.of_those(known), b.of_those(known), *noise[:2])
+
+    def energy(self, earlier: Posed, later: Posed) -> float:
+        """At the two poses."""
+        residual = self.later.at(later, self.points)[0] - self.earlier.at(earlier, self.points)[0]
+        return weighted_cauchy(residual, np.full(len(residual), self.information), self.scale)[0]
+
+    def rows(
+        self, earlier: Posed, later: Posed, motion: RestMotion
+    ) -> tuple[float, Derivatives, Derivatives, Float, Float]:
+        """Energy, derivatives by either end, weights (N,) and residuals (N,)."""
+        (a, by_a), (b, by_b) = self.earlier.at(earlier, self.points), self.later.at(later, self.points)
+        energy, weight = weighted_cauchy(b - a, np.full(len(a), self.information), self.scale)
+        one, other = (
+            Derivatives.of(posed, motion, self.points, gradient)
+            for posed, gradient in ((earlier, -by_a), (later, by_b))
+        )
+        return energy, one, other, weight, b - a

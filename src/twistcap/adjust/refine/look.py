@@ -1,0 +1,177 @@
+"""One round's look at all frames: the body is rendered into each, and what the images say of it is kept as terms."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from twistcap._typing import Bool, Float
+from twistcap.adjust.refine.evidence import BrightnessPair
+from twistcap.adjust.refine.settings import RefineConfig
+from twistcap.body import Body, Pose, Posed
+from twistcap.camera import Rig
+from twistcap.cues.appearance import Appearance, AppearanceRule
+from twistcap.cues.brightness import Brightness, empty_grid, strongest_in_cells
+from twistcap.cues.contour import ContourCue
+from twistcap.cues.view import View, crop_view, despeckled
+from twistcap.errors import InputError
+from twistcap.estimate import Estimate, Frame
+from twistcap.render import RenderedView, SurfacePoints, render, visible_contour
+from twistcap.settings import Settings
+from twistcap.terms import PointTerm
+from twistcap.track.build import contour_of
+from twistcap.track.model import MARGIN
+from twistcap.track.schedule import Schedule
+from twistcap.track.visibility import SupportRule
+
+_ROOM = 0.15  # m about the body, beside the tracker's margin, that refining may move it by
+
+Tally = tuple[Float, Float]
+"""Contour points (S,) of each part that agree with the image, and how many there are."""
+
+
+@dataclass(frozen=True)
+class CameraRound:
+    """What one camera shows in one round.
+
+    Attributes:
+        contours: of each frame; None where there is none.
+        pairs: brightness between frames.
+        tallies: of each frame.
+        colours: of the parts, all that this camera has shown.
+    """
+
+    contours: Sequence[PointTerm | None]
+    pairs: Sequence[BrightnessPair]
+    tallies: Sequence[Tally]
+    colours: Appearance
+
+
+class Eyes:
+    """The images of a sequence about the body, and the colours of its S parts as the whole sequence shows them.
+
+    Attributes:
+        views: of each camera and frame, the image about the tracked body; None where there is none.
+        contour: the cue; None for the method that has none.
+        colours: of each part in each camera.
+    """
+
+    def __init__(self, rig: Rig, config: RefineConfig, tracker: Settings, body: Body) -> None:
+        self.config, self.tracker, self.cameras, self.parts = config, tracker, len(rig), len(body.segment_names)
+        self._rig, self._body = rig, body
+        self.views: list[list[View | None]] = [[] for _ in rig]
+        self.contour: ContourCue | None = None if tracker.method == "differential" else contour_of(tracker)
+        self.colours = self._fresh()
+
+    def read(self, frames: Iterable[Frame], estimates: Sequence[Estimate]) -> Iterable[int]:
+        """Keep what is about the body in each frame; yields how many are read.
+
+        Raises:
+            InputError: where the frames are not those of the estimates.
+        """
+        count = 0
+        for frame in frames:
+            if count >= len(estimates) or frame.index != estimates[count].index:
+                count = 0
+                break
+            self._keep(despeckled(frame, self.tracker.despeckle), estimates[count].pose)
+            count += 1
+            yield count
+        if count != len(estimates):
+            raise InputError("refine: the frames are not those of the estimates; give the frames that were tracked.")
+
+    def _keep(self, frame: Frame, pose: Pose) -> None:
+        posed, margin = Posed(self._body, pose), MARGIN + _ROOM
+        for i, image in enumerate(frame.images):
+            seen = None if image is None else crop_view(image, self._rig[i], posed, margin, self.tracker.channels)
+            self.views[i].append(seen)
+
+    def _fresh(self) -> Appearance:
+        """Nothing learnt yet; of what is learnt nothing fades, since a sequence has no present."""
+        return Appearance.blank(self.cameras, self.parts, AppearanceRule(memory=1.0))
+
+    def look(self, posed: Sequence[Posed], trusted: Bool, coarse: bool) -> list[CameraRound]:
+        """A round of all cameras, one thread for each; frames that are not `trusted` (F,) are not looked at."""
+        with ThreadPoolExecutor(min(self.cameras, os.cpu_count() or 1)) as pool:
+            rounds = list(pool.map(lambda i: self._one_camera(i, posed, trusted, coarse), range(self.cameras)))
+        self.colours = self._fresh()
+        for of_camera in rounds:
+            self.colours = self.colours + of_camera.colours
+        return rounds
+
+    def _one_camera(self, i: int, posed: Sequence[Posed], trusted: Bool, coarse: bool) -> CameraRound:
+        learnt, recent = self._fresh(), list[tuple[int, View, RenderedView, SurfacePoints]]()
+        contours, pairs, tallies = list[PointTerm | None](), list[BrightnessPair](), list[Tally]()
+        for t, at in enumerate(posed):
+            view = self._view(i, t, at) if trusted[t] else None
+            if view is None:
+                contours.append(None)
+                tallies.append((np.zeros(self.parts), np.zeros(self.parts)))
+                continue
+            seen = render(at, view.camera)
+            term, tally, learnt = self._contour(i, view, seen, coarse, learnt)
+            contours.append(term)
+            tallies.append(tally)
+            pairs += self._pairs(recent, (t, view, seen), coarse)
+            recent = [r for r in recent if t - r[0] < max(self.config.strides, default=0)]
+            recent.append((t, view, seen, followed_points(view, seen, self.config.points)))
+        return CameraRound(contours, pairs, tallies, learnt)
+
+    def _view(self, i: int, t: int, posed: Posed) -> View | None:
+        kept = self.views[i][t]
+        return None if kept is None else crop_view(kept.image, kept.camera, posed, MARGIN, kept.channels)
+
+    def _contour(
+        self, i: int, view: View, seen: RenderedView, coarse: bool, learnt: Appearance
+    ) -> tuple[PointTerm | None, Tally, Appearance]:
+        if self.contour is None:
+            return None, (np.zeros(self.parts), np.zeros(self.parts)), learnt
+        contour = visible_contour(seen, max(1.0, Schedule().contour_spacing * seen.px_per_m))
+        colours = self.colours.of(i, view.features.shape[2])
+        found = self.contour.locate(view, seen, contour, self.config.coarse if coarse else 1.0, colours)
+        assert isinstance(found.term, PointTerm) and found.agreement is not None
+        agreeing, points = found.agreement.agreeing, found.agreement.points
+        learnt = learnt.learnt(i, view, seen, agreeing / np.maximum(points, 1), 1)
+        return found.term, (agreeing, points.astype(float)), learnt
+
+    def _pairs(
+        self, recent: Sequence[tuple[int, View, RenderedView, SurfacePoints]], now: tuple[int, View, RenderedView],
+        coarse: bool,
+    ) -> list[BrightnessPair]:  # fmt: skip
+        cue, config, (t, view, seen) = Brightness(), self.config, now
+        blur = cue.blurs[0] if coarse else cue.blurs[-1]
+        information = config.brightness / len(config.strides) / config.sigma**2
+        noise = (information, cue.scale * config.sigma, cue.depth_tolerance)
+        return [
+            BrightnessPair.of((before, t), points, (old, rendered), (view, seen), blur, noise)
+            for before, old, rendered, points in recent
+            if t - before in config.strides
+        ]
+
+
+def followed_points(view: View, seen: RenderedView, count: int) -> SurfacePoints:
+    """About so many points of the visible surface, the most textured of each cell of a grid, none at a rim."""
+    return seen.surface_points(*strongest_in_cells(view.grey, seen.inverse_depth_image, *empty_grid(view, seen, count)))
+
+
+def agreement(rounds: Sequence[CameraRound]) -> float:
+    """Fraction of all contour points that agree with the images; 0 without contours."""
+    good, points = (sum(float(tally[k].sum()) for r in rounds for tally in r.tallies) for k in (0, 1))
+    return good / max(points, 1.0)
+
+
+def support(rounds: Sequence[CameraRound]) -> Float:
+    """(F,) how far the contours support each frame's pose, judged as in tracking: its worst part's fraction."""
+    rule, frames = SupportRule(), len(rounds[0].tallies)
+    out, fraction = np.ones(frames), np.ones(len(rounds[0].tallies[0][0]))
+    for t in range(frames):
+        good, points = (np.sum([r.tallies[t][k] for r in rounds], axis=0) for k in (0, 1))
+        judged = points >= rule.least_points
+        fraction[judged] *= rule.memory
+        fraction[judged] += (1.0 - rule.memory) * good[judged] / points[judged]
+        out[t] = fraction.min()
+    return out

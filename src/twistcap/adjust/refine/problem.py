@@ -1,0 +1,160 @@
+"""Poses of all frames and the shape they share as one problem: what one look at the images tells, motion, priors."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from twistcap._typing import Float
+from twistcap.adjust.refine.evidence import contour_rows, reshaped
+from twistcap.adjust.refine.look import CameraRound
+from twistcap.adjust.refine.motion import accelerations
+from twistcap.adjust.refine.shape import Shape
+from twistcap.adjust.refine.sums import WIDTH, FrameSums, add_products, flat, projection
+from twistcap.body import Pose, Posed
+from twistcap.body.shape import RestMotion
+from twistcap.predict import MotionNoise
+from twistcap.solve import Arrow
+from twistcap.terms import LimitTerm, PointTerm, RestTerm
+
+
+@dataclass(frozen=True)
+class Track:
+    """What is moved: a pose for each frame, and the shape of all."""
+
+    poses: tuple[Pose, ...]
+    shape: Shape
+
+    @cached_property
+    def posed(self) -> list[Posed]:
+        """The body in every frame."""
+        return [Posed(self.shape.body, pose) for pose in self.poses]
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What is known without the images.
+
+    Attributes:
+        times: (F,) s.
+        noise: of the motion.
+        rest: rad by which joints are off the rest pose.
+        hinge: m, see `Shape.prior`.
+        shape_weight: factor on what is known of the shape, as images are counted at their own noise.
+        contour: factor on the information of contours.
+    """
+
+    times: Sequence[float]
+    noise: MotionNoise
+    rest: float
+    hinge: float
+    shape_weight: float
+    contour: float
+
+
+class RefineProblem:
+    """The sum of what one look at all frames tells and what is known without, around the track that was looked at."""
+
+    def __init__(self, looked: Track, rounds: Sequence[CameraRound], standing: Standing) -> None:
+        self.looked, self.rounds, self.standing = looked, rounds, standing
+        frames = range(len(looked.poses))
+        self.contours = [[r.contours[t] for r in rounds if r.contours[t] is not None] for t in frames]
+        self.pairs = [pair for r in rounds for pair in r.pairs]
+        self.reach = max([2, *(pair.second - pair.first for pair in self.pairs)])
+
+    def energies(self, x: Track) -> dict[str, float]:
+        """Energies by term, of the whole sequence."""
+        out: dict[str, float] = {}
+        for name, _, value in self.parts(x):
+            out[name] = out.get(name, 0.0) + value
+        return out
+
+    def parts(self, x: Track) -> Iterator[tuple[str, int, float]]:
+        """Name of the term, frame (that of the shape and of motion: the last) and energy of everything summed."""
+        maps, posed = x.shape.maps_since(self.looked.shape), x.posed
+        for t, terms in enumerate(self.contours):
+            for term in terms:
+                yield "contour", t, self.standing.contour * reshaped(term, maps).energy(posed[t])
+            for prior in self._priors():
+                yield prior.name, t, prior.energy(posed[t])
+        for pair in self.pairs:
+            yield "photometric", pair.second, reshaped(pair, maps).energy(posed[pair.first], posed[pair.second])
+        yield "motion", len(posed) - 1, accelerations(x.poses, self.standing.times, self.standing.noise)
+        yield "shape", len(posed) - 1, self.standing.shape_weight * x.shape.prior(self.standing.hinge)[0]
+
+    def linearised(self, x: Track) -> Arrow:
+        """The quadratic of all poses' steps and the shape's."""
+        maps, motion, posed = x.shape.maps_since(self.looked.shape), x.shape.motion(), x.posed
+        arrow = Arrow(len(posed), x.shape.body.dof, len(x.shape.sigma), self.reach)
+        arrow.longest, arrow.shared_longest = 0.5, 0.1  # rad in a joint; log-length or m: beyond no linearisation holds
+        own = [FrameSums(at, motion) for at in posed]
+        self._add_pairs(arrow, own, maps, motion)
+        for t, sums in enumerate(own):
+            for term in self.contours[t]:
+                self._add_contour(arrow, sums, reshaped(term, maps), motion)
+            gradient, matrix = sums.projected()
+            add_whole(arrow, t, gradient, matrix)
+            for prior in self._priors():
+                quadratic = prior.linearize(posed[t])
+                arrow.value += quadratic.value
+                arrow.add_pose(t, quadratic.gradient, quadratic.hessian)
+        arrow.value += accelerations(x.poses, self.standing.times, self.standing.noise, arrow)
+        self._add_shape(arrow, x.shape)
+        return arrow
+
+    def retract(self, x: Track, step: Float) -> Track:
+        """The track after a step (F D + K,)."""
+        D = x.shape.body.dof
+        poses = tuple(p.retract(step[t * D : (t + 1) * D]) for t, p in enumerate(x.poses))
+        return Track(poses, x.shape.stepped(step[len(poses) * D :]))
+
+    def _priors(self) -> tuple[LimitTerm, RestTerm]:
+        return LimitTerm(), RestTerm(self.standing.rest)
+
+    def _add_contour(self, arrow: Arrow, sums: FrameSums, term: PointTerm, motion: RestMotion) -> None:
+        energy, rows, weight, residual = contour_rows(sums.posed, motion, term)
+        arrow.value += self.standing.contour * energy
+        sums.add(rows, self.standing.contour * weight, residual)
+
+    def _add_pairs(self, arrow: Arrow, own: Sequence[FrameSums], maps: Float | None, motion: RestMotion) -> None:
+        """Brightness: each end's own rows to its frame's sums, what couples the two frames to the matrix."""
+        between: dict[tuple[int, int], Float] = {}
+        for pair in (reshaped(p, maps) for p in self.pairs):
+            a, b = pair.first, pair.second
+            energy, one, other, weight, residual = pair.rows(own[a].posed, own[b].posed, motion)
+            arrow.value += energy
+            own[a].add(one, weight, residual)
+            own[b].add(other, weight, residual)
+            S = len(own[a].vector)
+            blocks = between.setdefault((a, b), np.zeros((S, S, WIDTH, WIDTH)))
+            add_products(one.segments, one.by_segment, other.segments, other.by_segment, weight, blocks)
+        ways = [projection(sums.posed, motion) for sums in own] if between else []
+        for (a, b), blocks in between.items():
+            add_coupling(arrow, a, b, ways[a].T @ flat(blocks) @ ways[b])
+
+    def _add_shape(self, arrow: Arrow, shape: Shape) -> None:
+        value, gradient, information = shape.prior(self.standing.hinge)
+        arrow.value += self.standing.shape_weight * value
+        arrow.shared_pull += self.standing.shape_weight * gradient
+        arrow.corner += self.standing.shape_weight * information
+
+
+def add_whole(arrow: Arrow, t: int, gradient: Float, matrix: Float) -> None:
+    """Add a quadratic of one pose's step and the shape's together, (D + K,) and (D + K, D + K)."""
+    D = arrow.pull.shape[1]
+    arrow.add_pose(t, gradient[:D], matrix[:D, :D])
+    arrow.border[t] += matrix[:D, D:]
+    arrow.corner += matrix[D:, D:]
+    arrow.shared_pull += gradient[D:]
+
+
+def add_coupling(arrow: Arrow, a: int, b: int, matrix: Float) -> None:
+    """Add ``xᵀ matrix y``, x the steps of frame a's pose and the shape, y those of a later frame b's and the shape."""
+    D = arrow.pull.shape[1]
+    arrow.band[a, b - a] += matrix[:D, :D].T
+    arrow.border[a] += matrix[:D, D:]
+    arrow.border[b] += matrix[D:, :D].T
+    arrow.corner += matrix[D:, D:] + matrix[D:, D:].T

@@ -1,1 +1,0 @@
-"""A body fitted to a recording: lengths, girths, cross-sections and a smooth offset (docs/bodyfit.md)."""
