@@ -15,7 +15,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from twistcap.evaluate.norms import FILE, by_cycle, correlation, gait_norm, heel_strikes
 
 from reproduce.arms import Findings
 from reproduce.arrays import AnyArray, UInt8
