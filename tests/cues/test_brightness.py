@@ -36,7 +36,7 @@ TOLERANCE = 0.012
 
 
 def noise_image(seed: int, blur: float = 1.5) -> Array:
-    height, width = SEEN.inverse_depth_image.shape
+    height, width = SEEN.nearness_image.shape
     image = np.random.default_rng(seed).uniform(size=(height, width)).astype(np.float32)
     return np.asarray(cv2.GaussianBlur(image, (0, 0), blur), np.float32)
 
@@ -50,9 +50,9 @@ def in_sight(points: SurfacePoints) -> tuple[Array, Array]:
     """Pixels (N, 2) and visibility (N,) from the public projection and the depth image."""
     pixels, depth = CAMERA.project(points.at(POSED))
     column, row = np.rint(pixels).astype(int).T
-    height, width = SEEN.inverse_depth_image.shape
+    height, width = SEEN.nearness_image.shape
     inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-    surface = np.where(inside, SEEN.inverse_depth_image[row.clip(0, height - 1), column.clip(0, width - 1)], 0.0)
+    surface = np.where(inside, SEEN.nearness_image[row.clip(0, height - 1), column.clip(0, width - 1)], 0.0)
     with np.errstate(divide="ignore"):
         return pixels, (surface > 0) & (depth > 0) & (depth < 1.0 / surface + TOLERANCE)
 
@@ -60,14 +60,14 @@ def in_sight(points: SurfacePoints) -> tuple[Array, Array]:
 def test_visible_points_are_those_that_the_depth_image_shows() -> None:
     points = places()
     _, expected = in_sight(points)
-    found = visible_points(CAMERA.P, *points.bound_to(POSED), SEEN.inverse_depth_image, TOLERANCE)
+    found = visible_points(CAMERA.P, *points.bound_to(POSED), SEEN.nearness_image, TOLERANCE)
     np.testing.assert_array_equal(found, expected.astype(float))
     assert 0.2 < expected.mean() < 0.8
 
 
 def test_a_point_behind_the_camera_is_not_visible() -> None:
     points, turned = places(50), -CAMERA.P  # the same pixels, from the other side
-    assert not visible_points(turned, *points.bound_to(POSED), SEEN.inverse_depth_image, TOLERANCE).any()
+    assert not visible_points(turned, *points.bound_to(POSED), SEEN.nearness_image, TOLERANCE).any()
 
 
 def test_a_new_template_holds_the_images_values_and_nan_outside() -> None:
@@ -109,12 +109,12 @@ def test_refreshing_agrees_with_its_twin(cell: int) -> None:
     image = noise_image(3)
     value, gradient = template_values(CAMERA.P, *points.bound_to(POSED), image)
     value += rng.normal(0, 0.05, value.shape)  # some points have changed too much to be kept
-    height, width = SEEN.inverse_depth_image.shape
+    height, width = SEEN.nearness_image.shape
     grid = np.zeros((height // cell + 1, width // cell + 1), dtype=np.bool_)
     grid[::3] = True
     expected_grid = grid.copy()
     found = refreshed(
-        CAMERA.P, *points.bound_to(POSED), value, gradient, image, SEEN.inverse_depth_image, TOLERANCE, 0.2, 0.06,
+        CAMERA.P, *points.bound_to(POSED), value, gradient, image, SEEN.nearness_image, TOLERANCE, 0.2, 0.06,
         cell, grid,
     )  # fmt: skip
     expected = refreshed_reference(points, value, gradient, image, 0.2, 0.06, cell, expected_grid)
@@ -130,7 +130,7 @@ def test_new_points_are_the_most_textured_of_each_free_cell() -> None:
     height, width = image.shape
     occupied = np.zeros((height // cell + 1, width // cell + 1), dtype=np.bool_)
     occupied[::2] = True
-    rows, columns = strongest_in_cells(image, SEEN.inverse_depth_image, cell, occupied)
+    rows, columns = strongest_in_cells(image, SEEN.nearness_image, cell, occupied)
     places = {((r - 2) // cell, (c - 2) // cell) for r, c in zip(rows, columns, strict=True)}
     assert len(places) == len(rows) > 20 and not any(occupied[p] for p in places)
     assert SEEN.mask[rows, columns].all()
@@ -144,7 +144,7 @@ def test_new_points_are_the_most_textured_of_each_free_cell() -> None:
 
 def away_from_rims() -> Array:
     """(H, W) where the body goes on, without a jump in depth of 4 cm, two pixels off in each direction."""
-    w = SEEN.inverse_depth_image.astype(float)
+    w = SEEN.nearness_image.astype(float)
     away = w > 0
     for shift in ((-2, 0), (2, 0), (0, -2), (0, 2)):
         other = np.roll(w, shift, axis=(0, 1))

@@ -14,7 +14,8 @@ from twistcap.body.humanoid import humanoid
 from twistcap.body.kinematics import vertex_normals, vertex_normals_reference
 from twistcap.render import ContourPoints, RenderedView, render, visible_contour
 from twistcap.render.contour import reprojected
-from twistcap.render.raster import barycentric, project_pinhole, rasterise, rasterise_reference
+from twistcap.camera.projection import project
+from twistcap.render.raster import barycentric, rasterise, rasterise_reference
 from twistcap.render.view import blend_binding_reference, body_window, surface_points
 
 ORIGIN = np.zeros(3)
@@ -81,16 +82,16 @@ def test_depth_is_that_of_the_sphere() -> None:
     half = np.sqrt(np.maximum(R_TORSO**2 - (camera.centre @ camera.centre - along**2), 0))
     depth = (along - half) * (n @ camera.T_cam_world[2, :3])
     inner = half > 0.1
-    np.testing.assert_allclose(1 / view.inverse_depth_image[rows, columns][inner], depth[inner], atol=1e-3)
+    np.testing.assert_allclose(1 / view.nearness_image[rows, columns][inner], depth[inner], atol=1e-3)
 
 
 def test_project_pinhole_is_the_cameras() -> None:
     camera, X = camera_at(EYE), np.random.default_rng(0).uniform(-1, 1, (50, 3))
-    pixels, w = project_pinhole(camera.P, X)
+    pixels, w = project(camera.P, X)
     expected, depth = camera.project(X)
     np.testing.assert_allclose(pixels, expected, atol=1e-10)
     np.testing.assert_allclose(w, 1 / depth, rtol=1e-12)
-    assert np.all(project_pinhole(camera.P, camera.centre + X + [5, 0, 0])[1] == 0)
+    assert np.all(project(camera.P, camera.centre + X + [5, 0, 0])[1] == 0)
 
 
 def test_barycentric_returns_the_known_points_in_perspective() -> None:
@@ -99,7 +100,7 @@ def test_barycentric_returns_the_known_points_in_perspective() -> None:
     corners = rng.uniform(-0.8, 0.8, (30, 3, 3))
     weights = rng.dirichlet(np.ones(3), 30)
     at, _ = camera.project(np.einsum("nk,nki->ni", weights, corners))
-    pixels, w = project_pinhole(camera.P, corners.reshape(-1, 3))
+    pixels, w = project(camera.P, corners.reshape(-1, 3))
     faces = np.arange(90, dtype=np.int32).reshape(-1, 3)
     found = barycentric(np.arange(30, dtype=np.int32), faces, pixels, w, at)
     np.testing.assert_allclose(found, weights, atol=1e-8)

@@ -113,7 +113,7 @@ class Brightness:
             kept = self._kept(view, image, seen, posed, old, cell, occupied)
             if not lesson:
                 return kept
-        points = seen.surface_points(*strongest_in_cells(view.grey, seen.inverse_depth_image, cell, occupied))
+        points = seen.surface_points(*strongest_in_cells(view.grey, seen.nearness_image, cell, occupied))
         fresh = Samples(points, *template_values(view.camera.P, *points.bound_to(posed), image))
         trust, S = np.full(len(points), _NEW if self.support == "em" else 1.0), len(posed.body.segment_names)
         if kept is None:
@@ -124,7 +124,7 @@ class Brightness:
         self, view: View, image: Float32, seen: RenderedView, posed: Posed, old: Template, cell: int, occupied: Bool
     ) -> Template:
         """The old template's points that are still seen, their brightness brought up to date."""
-        P, depths, tolerance = view.camera.P, seen.inverse_depth_image, self.depth_tolerance
+        P, depths, tolerance = view.camera.P, seen.nearness_image, self.depth_tolerance
         value, gradient, which = refreshed(
             P, *old.points.bound_to(posed), old.samples.value, old.samples.gradient, image, depths, tolerance,
             self.update, self.jump, cell, occupied,
@@ -137,7 +137,7 @@ class Brightness:
     ) -> Template:
         """The template with excess and trust as a settled frame makes them."""
         P, points = view.camera.P, old.points
-        visible = visible_points(P, *points.bound_to(posed), seen.inverse_depth_image, self.depth_tolerance)
+        visible = visible_points(P, *points.bound_to(posed), seen.nearness_image, self.depth_tolerance)
         noise = self._noise(old.samples, seen.px_per_m)
         r = old.samples.residuals(posed, P, image, np.zeros(EXPOSURE)) / noise
         now = robust_scale(r, points.part, len(old.excess), visible * old.trust, 1.0, self.most)
@@ -162,7 +162,7 @@ class Brightness:
     def term(self, view: View, seen: RenderedView, template: Template, level: int) -> PhotometricTerm:
         """Brightness constancy of the template's points that the rendered view says are visible."""
         P, blur, points = view.camera.P, self.blurs[level] * seen.px_per_m, template.points
-        visible = visible_points(P, *points.bound_to(seen.posed), seen.inverse_depth_image, self.depth_tolerance)
+        visible = visible_points(P, *points.bound_to(seen.posed), seen.nearness_image, self.depth_tolerance)
         samples = template.samples if level in (-1, len(self.blurs) - 1) else template.blurred(blur)
         noise = template.excess[points.part] * self._noise(samples, seen.px_per_m)
         weight = visible * template.trust * (self.share / noise**2)

@@ -14,7 +14,7 @@ from twistcap.differential.background import under_motion
 from twistcap.differential.memory import Memory, sampled
 from twistcap.differential.settings import DifferentialConfig
 from twistcap.differential.system import normal_equations
-from twistcap.differential.view import ScaledView
+from twistcap.camera import ScaledView
 from twistcap.terms.photometric import EXPOSURE, Samples
 
 _PLAIN_SIGMA = 0.02  # brightness; scale of the residuals where none is estimated
@@ -61,7 +61,7 @@ class Evidence:
     def residuals(self, posed: Posed, view: ScaledView, exposure: Float) -> Float:
         """(N, C) at a pose; NaN off the image. Exposure changes grey alone."""
         lit = (exposure, *[np.zeros(EXPOSURE)] * (len(self.samples) - 1))
-        P = view.resized(self.factor).P
+        P = view.scaled(self.factor).P
         found = [s.residuals(posed, P, im, x) for s, im, x in zip(self.samples, self.image, lit, strict=True)]
         return np.stack(found, axis=1)
 
@@ -79,7 +79,7 @@ class Evidence:
     def equations(self, posed: Posed, view: ScaledView, exposure: Float) -> tuple[Float, Float]:
         """Gradient and matrix of the energy by (φ, θ̇, exposure), φ's shifts in px of the finest level."""
         n = posed.body.dof + EXPOSURE
-        g, H, own = np.zeros(n), np.zeros((n, n)), view.resized(self.factor)
+        g, H, own = np.zeros(n), np.zeros((n, n)), view.scaled(self.factor)
         for c, (s, image) in enumerate(zip(self.samples, self.image, strict=True)):
             lit = exposure if c == 0 else np.zeros(EXPOSURE)
             weight = np.ascontiguousarray(self.weight[:, c])

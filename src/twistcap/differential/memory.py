@@ -10,11 +10,13 @@ import numpy as np
 
 from twistcap._typing import AnyArray, Bool, Float, Float32, Int
 from twistcap.body import Posed
-from twistcap.differential.render import SeenBody
-from twistcap.render import SurfacePoints
+from twistcap.camera import ScaledView
+from twistcap.render import RenderedView, SurfacePoints
 from twistcap.terms.photometric import Samples
 
 _OPPONENT = np.array([[0.299, 0.587, 0.114], [0.707, -0.707, 0.0], [0.408, 0.408, -0.816]], dtype=np.float32)
+
+_BEHIND = 0.02  # m that a point may lie behind the rendered surface and still count as seen
 
 
 def channels(image: AnyArray, colour: bool = True) -> Float32:
@@ -117,17 +119,19 @@ class Look:
 
     Attributes:
         posed, seen: the body there.
+        view: the camera.
         pyramid: the images.
         exposure: (2,) how the exposure differs from that of what is remembered.
     """
 
     posed: Posed
-    seen: SeenBody
+    seen: RenderedView
+    view: ScaledView
     pyramid: Sequence[Float32]
     exposure: Float
 
     def pixels(self, points: SurfacePoints) -> Float:
-        return self.seen.view.pixels(points.at(self.posed))
+        return self.view.pixels(points.at(self.posed))
 
     def brightness(self, pixels: Float) -> tuple[Float, Float]:
         """(N, L, C) and (N, L, C, 2) values and gradients at every level."""
@@ -188,7 +192,8 @@ def remember(look: Look, old: Memory | None, trust: Float | None, how: Retention
 
 def _kept(look: Look, old: Memory, trust: Float, how: Retention, taken: Bool) -> list[Memory]:
     """Old points that are seen, the most trusted in each cell of the grid, which is filled in; and those now hidden."""
-    visible, r, c = look.seen.visible(old.points)
+    visible, pixels = look.seen.visible(old.points, _BEHIND)
+    c, r = np.rint(np.where(visible[:, None], pixels, 0.0)).astype(np.int32).T
     seen = np.flatnonzero(visible & (trust > 0.2))
     order = seen[np.argsort(-trust[seen], kind="stable")]
     cell = (r // how.spacing) * taken.shape[1] + c // how.spacing

@@ -17,11 +17,11 @@ from twistcap.body import Body
 from twistcap.differential.background import STILL, dominant_motion
 from twistcap.differential.evidence import Evidence, evidence
 from twistcap.differential.memory import Look, Memory, Retention, channels, pyramid, remember
-from twistcap.differential.render import render
 from twistcap.differential.search import searched
 from twistcap.differential.settings import DifferentialConfig
 from twistcap.differential.view import ROOT, State
 from twistcap.errors import InputError
+from twistcap.render import render
 from twistcap.terms.photometric import EXPOSURE
 
 _LONGEST = 0.35  # rad; no joint turns farther in one step of the descent
@@ -66,6 +66,7 @@ class DifferentialTracker:
     ) -> None:
         self.body, self.config = body, config or DifferentialConfig()
         _check(body, state, images)
+        state = state.sized(images)
         self.state, self.velocity = state, np.zeros(ROOT * len(state.views) + len(state.q))
         none = np.zeros(EXPOSURE)
         looks = [self._look(state, v, self._pyramid(image), none) for v, image in enumerate(images)]
@@ -126,8 +127,7 @@ class DifferentialTracker:
         memory = self._memory[v]
         if levels is None:
             return evidence(memory, level, memory.pyramid, np.zeros(len(memory.trust), np.bool_), motion, self.config)
-        seen = render(state.posed(self.body), state.views[v], _size(levels[0]))
-        visible, *_ = seen.visible(memory.points, 0.03)
+        visible, _ = render(state.posed(self.body), state.views[v]).visible(memory.points, 0.03)
         return evidence(memory, level, levels, visible, motion, self.config)
 
     def _sought(self, problem: _Frame, state: State) -> State:
@@ -151,7 +151,7 @@ class DifferentialTracker:
 
     def _look(self, state: State, v: int, levels: Sequence[Float32], exposure: Float) -> Look:
         posed = state.posed(self.body)
-        return Look(posed, render(posed, state.views[v], _size(levels[0])), levels, exposure)
+        return Look(posed, render(posed, state.views[v]), state.views[v], levels, exposure)
 
     @property
     def _retention(self) -> Retention:
@@ -253,10 +253,6 @@ class _Frame:
         if not self.config.exposure:
             held[self._motions :] = True
         return held
-
-
-def _size(image: Float32) -> tuple[int, int]:
-    return image.shape[-1], image.shape[-2]
 
 
 def _check(body: Body, state: State, images: Sequence[AnyArray | None]) -> None:

@@ -40,7 +40,7 @@ class Instant:
 
 def followed_points(view: View, seen: RenderedView, count: int) -> SurfacePoints:
     """About so many points of the visible surface, the most textured of each cell of a grid, none at a rim."""
-    return seen.surface_points(*strongest_in_cells(view.grey, seen.inverse_depth_image, *empty_grid(view, seen, count)))
+    return seen.surface_points(*strongest_in_cells(view.grey, seen.nearness_image, *empty_grid(view, seen, count)))
 
 
 def row_jacobian(posed: Posed, motion: RestMotion, points: SurfacePoints, gradient: Float) -> tuple[Float, Float]:
@@ -99,7 +99,7 @@ def add_brightness(
     energy, information = 0.0, share / sigma**2
     for camera in earlier.sights.keys() & later.sights.keys():
         a, b = earlier.sights[camera], later.sights[camera]
-        depths = b.seen.inverse_depth_image
+        depths = b.seen.nearness_image
         seen = visible_points(b.view.camera.P, *a.points.bound_to(later.posed), depths, cue.depth_tolerance)
         points = a.points[seen > 0.0]
         value_a, gradient_a = _sampled(a, earlier.posed, points, blur)

@@ -15,6 +15,7 @@ from numba import njit
 
 from twistcap._typing import Float, Float32, Int
 from twistcap.body import Posed
+from twistcap.camera.projection import along
 from twistcap.render import SurfacePoints
 from twistcap.terms.accumulate import PointTerm, Rows, projected_point
 from twistcap.terms.robust import weighted_cauchy
@@ -131,8 +132,7 @@ def _rows(
         seen[n] = weight[n]
         residual[n] = here - (1.0 + exposure[0]) * value[n] - exposure[1]
         a, b = 0.5 * (gx + gradient[n, 0]) * w, 0.5 * (gy + gradient[n, 1]) * w
-        for i in range(3):
-            slope[n, i] = a * (P[0, i] - x * P[2, i]) + b * (P[1, i] - y * P[2, i])
+        slope[n, 0], slope[n, 1], slope[n, 2] = along(P, x, y, a, b)
     return residual, slope, seen
 
 

@@ -9,14 +9,9 @@ from numba import njit
 
 from twistcap._typing import Float, Int
 from twistcap.body import Posed
+from twistcap.camera.projection import NEAR, along, pixel_jacobian_reference
 from twistcap.render import SurfacePoints
-from twistcap.terms.accumulate import (
-    NEAR,
-    PointTerm,
-    Rows,
-    projected_point,
-    skinned_point,
-)
+from twistcap.terms.accumulate import PointTerm, Rows, projected_point, skinned_point
 from twistcap.terms.robust import weighted_cauchy
 
 _FAST = {"contract", "reassoc", "arcp"}
@@ -36,17 +31,16 @@ def projected_rows(P: Float, world: Float, direction: Float, target: Float) -> t
         u = (P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) * w
         v = (P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) * w
         residual[n] = a * (u - target[n, 0]) + b * (v - target[n, 1])
-        for i in range(3):
-            gradient[n, i] = (a * (P[0, i] - u * P[2, i]) + b * (P[1, i] - v * P[2, i])) * w
+        g0, g1, g2 = along(P, u, v, a, b)
+        gradient[n, 0], gradient[n, 1], gradient[n, 2] = g0 * w, g1 * w, g2 * w
     return residual, gradient
 
 
 def projected_rows_reference(P: Float, world: Float, direction: Float, target: Float) -> tuple[Float, Float]:
     """Readable twin of `projected_rows`."""
     homogeneous = world @ P[:, :3].T + P[:, 3]
-    depth = homogeneous[:, 2:]
-    pixels = homogeneous[:, :2] / depth
-    by_point = (P[None, :2, :3] - pixels[:, :, None] * P[2, :3]) / depth[:, :, None]
+    pixels = homogeneous[:, :2] / homogeneous[:, 2:]
+    by_point = pixel_jacobian_reference(P, world)
     return np.sum(direction * (pixels - target), axis=1), np.einsum("ni,nij->nj", direction, by_point)
 
 
