@@ -11,8 +11,8 @@ from twistcap.body.ellipsoids import Ellipsoids, ellipsoid_body, ellipsoids_on_b
 from twistcap.body.humanoid import humanoid
 from twistcap.body.simplify import NINETEEN, angles_of, side_view, simplified, with_surface
 from twistcap.camera import ScaledView
-from twistcap.render import render
 from twistcap.errors import InputError
+from twistcap.render import render
 
 BODY = humanoid()
 

@@ -12,9 +12,9 @@ from twistcap import se3
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.body.kinematics import vertex_normals, vertex_normals_reference
+from twistcap.camera.projection import project
 from twistcap.render import ContourPoints, RenderedView, render, visible_contour
 from twistcap.render.contour import reprojected
-from twistcap.camera.projection import project
 from twistcap.render.raster import barycentric, rasterise, rasterise_reference
 from twistcap.render.view import blend_binding_reference, body_window, surface_points
 

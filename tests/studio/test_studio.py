@@ -16,10 +16,10 @@ from twistcap.body.humanoid import humanoid
 from twistcap.body.kinematics import unit_vertex_normals
 from twistcap.body.shape import joint_coordinates
 from twistcap.camera import Camera, look_at
+from twistcap.camera.projection import project
 from twistcap.errors import InputError
 from twistcap.io.calibration import read_rig
 from twistcap.io.synthetic import write_session
-from twistcap.camera.projection import project
 from twistcap.render.raster import rasterise
 from twistcap.studio import Capture, StudioConfig, capture, ring
 from twistcap.studio import mismatch as M

@@ -1,8 +1,8 @@
 """A projection and its derivative, for any camera: a pinhole's or scaled orthography's 3×4 matrix P.
 
-A world point X has ``(x w⁻¹, y w⁻¹, w⁻¹) = P (X, 1)``: its pixel (x, y) and w, for a pinhole the inverse depth in 1/m,
-for a parallel projection, whose third row is (0, 0, 0, 1), one. `nearness` is what is linear in the image and larger for
-what is nearer: the inverse depth (1/m) of a pinhole, and the depth (m) of a parallel projection turned round.
+A point X has ``(x / w, y / w, 1 / w) = P (X, 1)``: its pixel (x, y), and w, which is a pinhole's inverse depth in 1/m
+and 1 for a parallel projection, whose P ends in (0, 0, 0, 1). Nearness is what is linear in the image and larger for
+what is nearer: an inverse depth (1/m), or for scaled views a depth turned round (m).
 """
 
 from __future__ import annotations
@@ -15,10 +15,8 @@ from numba import njit
 from twistcap._typing import Float
 
 NEAR = 1e-3  # m before the camera; what is nearer has no image
-REACH = 4.0  # m behind the origin of its frame at which a parallel projection's nearness is 0
-
-OF_PINHOLE = np.array([0.0, 0.0, 0.0, 1.0])
-"""`AnyCamera.nearness_row` of every pinhole."""
+OF_W = np.array([0.0, 0.0, 0.0, 1.0])
+"""`AnyCamera.nearness_row` where nearness is w itself."""
 
 
 class AnyCamera(Protocol):
@@ -35,8 +33,8 @@ class AnyCamera(Protocol):
         ...
 
     @property
-    def perspective(self) -> bool:
-        """Whether nearness is an inverse depth; otherwise it is a depth turned round."""
+    def inverse_depth(self) -> bool:
+        """Whether nearness is the inverse depth w, 1/m; otherwise it is a depth turned round, m."""
         ...
 
     @property
@@ -53,7 +51,7 @@ def projected(camera: AnyCamera, points: Float) -> tuple[Float, Float]:
     """Pixels (N, 2) and nearness (N,) of points (N, 3); nearness 0 where a point is not before the camera."""
     pixels, w = project(camera.P, points)
     row = camera.nearness_row
-    return pixels, w if camera.perspective else w * (points @ row[:3] + row[3])
+    return pixels, w if camera.inverse_depth else w * (points @ row[:3] + row[3])
 
 
 @njit(cache=True, nogil=True)
@@ -72,9 +70,9 @@ def project(P: Float, points: Float) -> tuple[Float, Float]:
 
 
 @njit(cache=True, nogil=True, inline="always")
-def depth_at(nearness: float, perspective: bool) -> float:
-    """Depth, m, of what has a nearness other than 0; of a parallel projection up to a constant."""
-    return 1.0 / nearness if perspective else -nearness
+def depth_at(nearness: float, inverse: bool) -> float:
+    """Depth, m, of what has a nearness other than 0; up to a constant where that is no `inverse` depth."""
+    return 1.0 / nearness if inverse else -nearness
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -85,22 +83,3 @@ def along(P: Float, x: float, y: float, a: float, b: float) -> tuple[float, floa
         a * (P[0, 1] - x * P[2, 1]) + b * (P[1, 1] - y * P[2, 1]),
         a * (P[0, 2] - x * P[2, 2]) + b * (P[1, 2] - y * P[2, 2]),
     )
-
-
-@njit(cache=True, nogil=True)
-def pixel_jacobian(P: Float, points: Float) -> Float:
-    """(N, 2, 3) derivative of the pixels of points (N, 3) by the points, px/m; 0 where `project` gives none."""
-    pixels, w = project(P, points)
-    out = np.empty((len(points), 2, 3))
-    for n in range(len(points)):
-        for i in range(2):
-            slope = along(P, pixels[n, 0], pixels[n, 1], 1.0 - i, float(i))
-            out[n, i, 0], out[n, i, 1], out[n, i, 2] = w[n] * slope[0], w[n] * slope[1], w[n] * slope[2]
-    return out
-
-
-def pixel_jacobian_reference(P: Float, points: Float) -> Float:
-    """Readable twin of `pixel_jacobian`, of points before the camera."""
-    homogeneous = points @ P[:, :3].T + P[:, 3]
-    pixels = homogeneous[:, :2] / homogeneous[:, 2:]
-    return (P[None, :2, :3] - pixels[:, :, None] * P[2, :3]) / homogeneous[:, 2, None, None]

@@ -16,10 +16,11 @@ import numpy as np
 
 from twistcap import se3
 from twistcap._typing import Float
-from twistcap.camera.pinhole import Camera
-from twistcap.camera.projection import OF_PINHOLE, REACH
+from twistcap.camera.calibrated import Camera
+from twistcap.camera.projection import OF_W
 from twistcap.errors import InputError
 
+REACH = 4.0  # m; nearness at the origin of the body's frame: all of the body has more than 0
 ROOT = 6
 """Numbers of a view's own motion: relative scale, shift in x and y (px), turn about x, y and z of the camera (rad)."""
 
@@ -69,21 +70,25 @@ class ScaledView:
         return out
 
     @property
-    def perspective(self) -> bool:
-        """Whether it is a pinhole's."""
-        return self.K is not None
+    def inverse_depth(self) -> bool:
+        """False: nearness is a depth turned round; see `AnyCamera`."""
+        return False
 
     @cached_property
     def nearness_row(self) -> Float:
-        """(4,) by which nearness is the inverse depth (1/m); without K the depth (m) before `REACH` behind the origin."""
-        return np.append(-self.rotation[2], REACH) if self.K is None else OF_PINHOLE
+        """(4,) by which nearness falls by 1 per metre of depth, from `REACH` at the origin.
+
+        Before a pinhole at depth z it is linear in 1/z, and falls so at the origin's depth.
+        """
+        if self.K is None:
+            return np.append(-self.rotation[2], REACH)
+        at = self.P[2, 3]
+        return (REACH - at) * self.P[2] + at * at * OF_W
 
     def px_per_m(self, nearness: Float) -> float:
-        """Image scale, px/m; as `Camera.px_per_m` where K is known."""
-        seen = nearness[nearness > 0]
-        if self.K is None or len(seen) == 0:
-            return self.scale
-        return float(self.K[0, 0] * seen.mean())
+        """Image scale at the origin, px/m, whatever the nearness."""
+        del nearness
+        return self.scale
 
     def moved(self, phi: Float) -> ScaledView:
         """After the motion φ = (s', v₁, v₂, ω_x, ω_y, ω_z); it grows and turns about the image of the origin."""
@@ -116,7 +121,7 @@ class ScaledView:
         return np.concatenate([[np.log(self.scale / other.scale)], self.shift - other.shift, turn])
 
     def scaled(self, factor: float) -> ScaledView:
-        """The view in the image resized by `factor`; pixel centres stay at integers."""
+        """The view in the image resized by `factor`, rounded down to whole pixels, whose centres stay at integers."""
         half = 0.5 * (factor - 1.0)
         K = None if self.K is None else np.array([[factor, 0, half], [0, factor, half], [0, 0, 1.0]]) @ self.K
         size = (int(factor * self.size[0]), int(factor * self.size[1]))

@@ -9,12 +9,12 @@ import numpy as np
 
 from twistcap._typing import Bool, Float, Float32, Int
 from twistcap.body import Posed
+from twistcap.camera import ScaledView
 from twistcap.cues.support_maps import Neighbourhood, posterior, robust_scale
 from twistcap.differential.background import under_motion
 from twistcap.differential.memory import Memory, sampled
 from twistcap.differential.settings import DifferentialConfig
 from twistcap.differential.system import normal_equations
-from twistcap.camera import ScaledView
 from twistcap.terms.photometric import EXPOSURE, Samples
 
 _PLAIN_SIGMA = 0.02  # brightness; scale of the residuals where none is estimated

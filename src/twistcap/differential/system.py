@@ -15,7 +15,7 @@ import numpy as np
 
 from twistcap._typing import Float, Float32
 from twistcap.body import Posed
-from twistcap.camera.projection import pixel_jacobian
+from twistcap.camera import pinhole
 from twistcap.camera.scaled import ROOT, ScaledView
 from twistcap.render import SurfacePoints
 from twistcap.terms import accumulate
@@ -24,11 +24,11 @@ from twistcap.terms.photometric import EXPOSURE, Samples, sample
 
 def image_motion(posed: Posed, view: ScaledView, points: SurfacePoints) -> Float:
     """(N, 2, 6 + J) derivative of the pixels of surface points by the view's motion and the joints."""
-    world = points.at(posed)
-    out = pixel_jacobian(view.P, world) @ posed.point_jacobian(points.segments, points.weights, points.local)
+    pixels, _, by_point = pinhole(view.P, points.at(posed))
+    out = by_point @ posed.point_jacobian(points.segments, points.weights, points.local)
     out[:, :, :ROOT] = out[:, :, :ROOT] @ view.root_step()
     if view.K is None:  # growth is no motion of the body's
-        out[:, :, 0] = view.pixels(world) - view.shift
+        out[:, :, 0] = pixels - view.shift
     return out
 
 

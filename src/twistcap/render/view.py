@@ -102,9 +102,8 @@ class RenderedView:
     @cached_property
     def inside(self) -> Float32:
         """(H, W) px from the nearest rim: of the silhouette, or of one part before another."""
-        kept = cv2.copyMakeBorder(  # the image's border is no rim
-            off_rims(self.nearness_image, self.camera.perspective), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=1
-        )  # fmt: skip
+        kept = off_rims(self.nearness_image, self.camera.inverse_depth)
+        kept = cv2.copyMakeBorder(kept, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=1)  # the image's border is no rim
         return np.asarray(cv2.distanceTransform(kept, cv2.DIST_L2, 3)[1:-1, 1:-1], np.float32)
 
     def surface_points(self, rows: Int, columns: Int) -> SurfacePoints:
@@ -112,7 +111,7 @@ class RenderedView:
         body = self.posed.body
         face = self.face_index[rows, columns]
         at = np.stack([columns, rows], axis=1).astype(float)
-        w = self.nearness if self.camera.perspective else np.ones(len(self.nearness))
+        w = self.nearness if self.camera.inverse_depth else project(self.camera.P, self.posed.vertices)[1]
         weights = barycentric(face, body.faces, self.pixels, w, at)
         return surface_points(body, body.faces[face], weights)
 
@@ -122,7 +121,7 @@ class RenderedView:
         With `posed` they are placed by another pose than the rendered one, such as the one settled since.
         """
         pixels, nearness = projected(self.camera, points.at(posed or self.posed))
-        return in_sight(pixels, nearness, self.nearness_image, self.camera.perspective, tolerance), pixels
+        return in_sight(pixels, nearness, self.nearness_image, self.camera.inverse_depth, tolerance), pixels
 
 
 def render(posed: Posed, camera: AnyCamera) -> RenderedView:
@@ -133,7 +132,7 @@ def render(posed: Posed, camera: AnyCamera) -> RenderedView:
 
 
 @njit(cache=True, nogil=True)
-def in_sight(pixels: Float, nearness: Float, image: Float32, perspective: bool, tolerance: float) -> Bool:
+def in_sight(pixels: Float, nearness: Float, image: Float32, inverse: bool, tolerance: float) -> Bool:
     """(N,) whether points at `pixels` lie in the image (H, W) of nearness, no more than `tolerance` m behind it."""
     height, width = image.shape
     out = np.zeros(len(pixels), dtype=np.bool_)
@@ -142,25 +141,24 @@ def in_sight(pixels: Float, nearness: Float, image: Float32, perspective: bool, 
         if nearness[n] == 0.0 or not (-0.5 <= x < width - 0.5 and -0.5 <= y < height - 0.5):
             continue
         surface = image[int(y + 0.5), int(x + 0.5)]
-        out[n] = surface > 0.0 and depth_at(nearness[n], perspective) < depth_at(surface, perspective) + tolerance
+        out[n] = surface > 0.0 and depth_at(nearness[n], inverse) < depth_at(surface, inverse) + tolerance
     return out
 
 
 @njit(cache=True, nogil=True)
-def off_rims(nearness: Float32, perspective: bool) -> Int:
-    """(H, W) uint8: 1 on the body, but 0 at its rims: beside a pixel off the body, or more than 4 cm nearer or farther."""
+def off_rims(nearness: Float32, inverse: bool) -> Int:
+    """(H, W) uint8: 1 on the body, 0 off it and at its rims: beside what is off it, or 4 cm nearer or farther."""
     height, width = nearness.shape
     out = np.zeros((height, width), dtype=np.uint8)
     for r in range(height):
         for c in range(width):
-            w = nearness[r, c]
+            w, rim = nearness[r, c], False
             if w == 0.0:
                 continue
-            here, rim = depth_at(w, perspective), False
             for dr, dc in ((-1, 0), (1, 0), (0, -1), (0, 1)):
                 if 0 <= r + dr < height and 0 <= c + dc < width:
                     other = nearness[r + dr, c + dc]
-                    rim |= other == 0.0 or abs(depth_at(other, perspective) - here) > _JUMP
+                    rim |= other == 0.0 or abs(depth_at(other, inverse) - depth_at(w, inverse)) > _JUMP
             out[r, c] = 0 if rim else 1
     return out
 

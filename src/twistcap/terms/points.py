@@ -9,7 +9,8 @@ from numba import njit
 
 from twistcap._typing import Float, Int
 from twistcap.body import Posed
-from twistcap.camera.projection import NEAR, along, pixel_jacobian_reference
+from twistcap.camera import pinhole
+from twistcap.camera.projection import NEAR, along
 from twistcap.render import SurfacePoints
 from twistcap.terms.accumulate import PointTerm, Rows, projected_point, skinned_point
 from twistcap.terms.robust import weighted_cauchy
@@ -38,9 +39,7 @@ def projected_rows(P: Float, world: Float, direction: Float, target: Float) -> t
 
 def projected_rows_reference(P: Float, world: Float, direction: Float, target: Float) -> tuple[Float, Float]:
     """Readable twin of `projected_rows`."""
-    homogeneous = world @ P[:, :3].T + P[:, 3]
-    pixels = homogeneous[:, :2] / homogeneous[:, 2:]
-    by_point = pixel_jacobian_reference(P, world)
+    pixels, _, by_point = pinhole(P, world)
     return np.sum(direction * (pixels - target), axis=1), np.einsum("ni,nij->nj", direction, by_point)
 
 

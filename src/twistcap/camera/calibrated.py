@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from twistcap import se3
 from twistcap._typing import AnyArray, Float, Float32
-from twistcap.camera.projection import OF_PINHOLE
+from twistcap.camera.projection import OF_W
 
 
 @dataclass(frozen=True)
@@ -48,14 +48,14 @@ class Camera:
         return self.K @ self.T_cam_world[:3]
 
     @property
-    def perspective(self) -> bool:
-        """True; see `AnyCamera`."""
+    def inverse_depth(self) -> bool:
+        """True: nearness is inverse depth; see `AnyCamera`."""
         return True
 
     @property
     def nearness_row(self) -> Float:
         """(4,) by which nearness is the inverse depth, 1/m."""
-        return OF_PINHOLE
+        return OF_W
 
     def px_per_m(self, nearness: Float) -> float:
         """Image scale at mean inverse depth, focal length times it, px/m; 0 where nothing is before the camera."""
@@ -108,6 +108,24 @@ class Camera:
     def pinhole(self) -> Camera:
         """The same camera without distortion: the one that `Rectifier` turns images into."""
         return replace(self, dist=np.zeros(5))
+
+
+def pinhole(P: Float, points: Float) -> tuple[Float, Float, Float]:
+    """Pixels (..., 2), depths (...,) m, and the derivative (..., 2, 3) of the pixels by the points (..., 3), m.
+
+    ``π(X) = (h₁, h₂) / h₃`` with ``h = P (X, 1)``; its derivative is ``(P₁₂ − π P₃) / h₃``. Behind the camera (depth 0
+    or less) pixels mean nothing.
+
+    Args:
+        P: (..., 3, 4) projection matrices, one for all points or one for each set (N, 3) of them.
+        points: (..., N, 3).
+    """
+    h = points @ np.swapaxes(P[..., :3], -1, -2) + P[..., None, :, 3]
+    depth = h[..., 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        pixels = h[..., :2] / depth[..., None]
+        by_point = (P[..., None, :2, :3] - pixels[..., None] * P[..., None, 2:, :3]) / depth[..., None, None]
+    return pixels, depth, by_point
 
 
 def distort(xy: Float, dist: Float) -> Float:
