@@ -12,6 +12,7 @@ from twistcap._typing import AnyArray, Bool, Float, Float32, Int
 from twistcap.body import Posed
 from twistcap.camera import ScaledView
 from twistcap.render import RenderedView, SurfacePoints
+from twistcap.terms import photometric
 from twistcap.terms.photometric import Samples
 
 _OPPONENT = np.array([[0.299, 0.587, 0.114], [0.707, -0.707, 0.0], [0.408, 0.408, -0.816]], dtype=np.float32)
@@ -55,23 +56,8 @@ def _blurred(image: Float32, sigma: float) -> Float32:
 
 def sampled(image: Float32, pixels: Float) -> tuple[Float, Float]:
     """Values (N, C), NaN off the image (C, H, W), and their gradients (N, C, 2) at pixel positions (N, 2)."""
-    found = [_sampled(channel, pixels) for channel in image]
+    found = [photometric.sampled(channel, pixels) for channel in image]
     return np.stack([f[0] for f in found], axis=1), np.stack([f[1] for f in found], axis=1)
-
-
-def _sampled(image: Float32, pixels: Float) -> tuple[Float, Float]:
-    if len(pixels) == 0:  # OpenCV will not have it
-        return np.zeros(0), np.zeros((0, 2))
-    x, y = pixels.astype(np.float32).T
-    height, width = image.shape
-    inside = (x >= 1) & (y >= 1) & (x < width - 2) & (y < height - 2)
-
-    def at(dx: float, dy: float) -> Float:
-        found = cv2.remap(image, (x + dx)[None], (y + dy)[None], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        return found[0].astype(np.float64)
-
-    gradient = 0.5 * np.stack([at(1, 0) - at(-1, 0), at(0, 1) - at(0, -1)], axis=1)
-    return np.where(inside, at(0, 0), np.nan), gradient
 
 
 @dataclass(frozen=True)

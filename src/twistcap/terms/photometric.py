@@ -58,6 +58,17 @@ def brightness_at(image: Float32, x: float, y: float) -> float:
     return float(top + fy * (bottom - top))
 
 
+@njit(cache=True, nogil=True)
+def sampled(image: Float32, pixels: Float) -> tuple[Float, Float]:
+    """`sample` at pixels (N, 2) of an image (H, W): values (N,) and gradients (N, 2), NaN and 0 off the image."""
+    value, gradient = np.full(len(pixels), np.nan), np.zeros((len(pixels), 2))
+    for n in range(len(pixels)):
+        here, gx, gy, inside = sample(image, pixels[n, 0], pixels[n, 1])
+        if inside:
+            value[n], gradient[n, 0], gradient[n, 1] = here, gx, gy
+    return value, gradient
+
+
 @dataclass(frozen=True)
 class Samples:
     """Surface points of one view and how bright they should be.
