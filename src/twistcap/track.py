@@ -14,10 +14,10 @@ from twistcap._typing import Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Rig
 from twistcap.cues.appearance import Appearance
-from twistcap.cues.brightness import Template
 from twistcap.cues.evidence import ContourEvidence
 from twistcap.cues.flow import Followed
 from twistcap.cues.limbs import LimbSearch
+from twistcap.cues.memory import Memory
 from twistcap.cues.reacquire import ReacquireRule
 from twistcap.cues.rivals import Judge, Rivals
 from twistcap.cues.sight import Fit, Sight, contour_moved
@@ -60,7 +60,7 @@ class Tracker:
         self._frames = 0  # remembered since the start
         self._covariance = np.zeros((self.body.dof, self.body.dof))  # of what images and motion tell; no prior in it
         self._leeway = Leeway(config.noise, self.body.dof)
-        self._templates: list[Template | None] = [None] * views
+        self._templates: list[Memory | None] = [None] * views
         self._appearance = Appearance(views, parts, config.appearance)
         self._colours: dict[int, Float] = {}  # of this frame's views
         self._last: Followed | None = None

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from twistcap.body.simplify import NINETEEN, angles_of, simplified
+from twistcap.cues.view import Picture
 from twistcap.differential.layers import LimbCost, learnt
-from twistcap.differential.memory import channels, pyramid
 from twistcap.differential.sequence import LIMBS, SequenceConfig, cheapest_path, chosen, nearest_first, track_sequence
 from twistcap.differential.settings import DifferentialConfig
 from twistcap.differential.tracker import DifferentialTracker

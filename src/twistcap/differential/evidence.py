@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -10,9 +9,10 @@ import numpy as np
 from twistcap._typing import Bool, Float, Float32, Int
 from twistcap.body import Posed
 from twistcap.camera import ScaledView
+from twistcap.cues.memory import Memory, level_pixels, sampled_channels
 from twistcap.cues.support_maps import Neighbourhood, posterior, robust_scale
+from twistcap.cues.view import Picture
 from twistcap.differential.background import under_motion
-from twistcap.differential.memory import Memory, sampled
 from twistcap.differential.settings import DifferentialConfig
 from twistcap.differential.system import normal_equations
 from twistcap.terms.photometric import EXPOSURE, Samples
@@ -124,30 +124,31 @@ def known(residual: Float) -> Float:
 
 
 def evidence(
-    memory: Memory, level: int, levels: Sequence[Float32], visible: Bool, motion: Float, config: DifferentialConfig
+    memory: Memory, level: int, picture: Picture, visible: Bool, motion: Float, config: DifferentialConfig
 ) -> Evidence:
     """The remembered points that are `visible` (N,), thinned at coarse levels.
 
     Args:
         memory: of the frame before.
-        level: of the pyramid `levels` of the present frame.
+        level: of the pyramid.
+        picture: of the present frame.
         visible: whether a point is seen at the present guess.
         motion: (2, 3) of the layer behind, px of the finest level.
         config: settings.
     """
-    factor = 0.5**level
+    factor, (image, before) = 0.5**level, (p.level(level, config.colour) for p in (picture, memory.picture))
     which = _thinned(factor * memory.pixels / config.spacing, visible)
-    at = memory.level_pixels(level, which)
+    at = level_pixels(np.take(memory.pixels, which, axis=0), level)
     shrunk = np.c_[motion[:, :2], factor * motion[:, 2]]
-    behind = sampled(levels[level], under_motion(at, shrunk))[0] - sampled(memory.pyramid[level], at)[0]
+    behind = sampled_channels(image, under_motion(at, shrunk))[0] - sampled_channels(before, at)[0]
     behind[memory.missed[which] > 0] = np.nan  # what was seen at its pixel was not the point's own
     prior = np.ones(len(which))
     if config.support == "em":
         shape = _shape_prior(factor * memory.inside[which], config.reach_px)
         prior = np.clip(0.5 * (shape + memory.trust[which]), 0.02, 0.98)
-    samples = memory.at_level(level, which)
+    samples = memory.samples(level, which)
     return Evidence(
-        samples, which, levels[level], factor, prior, behind, samples[0].points.part, Neighbourhood.about(at)
+        samples, which, image, factor, prior, behind, samples[0].points.part, Neighbourhood.about(at)
     )
 
 

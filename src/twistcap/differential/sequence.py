@@ -17,8 +17,8 @@ import numpy as np
 
 from twistcap._typing import AnyArray, Float, Float32, Int
 from twistcap.body import Body
+from twistcap.cues.view import Picture
 from twistcap.differential.layers import Layers, LimbCost, learnt
-from twistcap.differential.memory import channels, pyramid
 from twistcap.differential.settings import DifferentialConfig
 from twistcap.differential.tracker import track
 from twistcap.differential.view import State
@@ -113,7 +113,7 @@ def track_sequence(
     start = start.sized(whole[0])
     states = [start, *(e.state for e in track(body, start, whole, config))]
     level = min(_LEVEL, config.levels - 1)
-    grey = [[pyramid(channels(image, colour=False), level + 1)[level][0] for image in frame] for frame in whole]
+    grey = [[Picture(image).level(level, colour=False)[0] for image in frame] for frame in whole]
     near = replace(config, levels=min(2, config.levels), stray_deg=sequence.stray_deg)
     for n in range(sequence.passes):
         states = chosen(body, states, grey, 0.5**level, sequence, closer=1.0 / (n + 1))

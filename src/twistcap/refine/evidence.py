@@ -10,8 +10,9 @@ from numba import njit
 from twistcap._typing import Float, Int
 from twistcap.body import Posed
 from twistcap.body.shape import RestMotion
-from twistcap.cues.brightness import Brightness, empty_grid, strongest_in_cells, visible_points
+from twistcap.cues.brightness import Brightness, cell_of
 from twistcap.cues.evidence import ContourEvidence
+from twistcap.cues.memory import empty_grid, strongest_in_cells
 from twistcap.cues.view import View
 from twistcap.refine.system import Arrow
 from twistcap.render import RenderedView, SurfacePoints
@@ -40,7 +41,9 @@ class Instant:
 
 def followed_points(view: View, seen: RenderedView, count: int) -> SurfacePoints:
     """About so many points of the visible surface, the most textured of each cell of a grid, none at a rim."""
-    return seen.surface_points(*strongest_in_cells(view.grey, seen.nearness_image, *empty_grid(view, seen, count)))
+    cell, inverse = cell_of(seen, count), seen.camera.inverse_depth
+    free = empty_grid(seen.mask.shape, cell)
+    return seen.surface_points(*strongest_in_cells(view.grey, seen.nearness_image, inverse, cell, free))
 
 
 def row_jacobian(posed: Posed, motion: RestMotion, points: SurfacePoints, gradient: Float) -> tuple[Float, Float]:
@@ -99,9 +102,8 @@ def add_brightness(
     energy, information = 0.0, share / sigma**2
     for camera in earlier.sights.keys() & later.sights.keys():
         a, b = earlier.sights[camera], later.sights[camera]
-        depths = b.seen.nearness_image
-        seen = visible_points(b.view.camera.P, *a.points.bound_to(later.posed), depths, cue.depth_tolerance)
-        points = a.points[seen > 0.0]
+        visible, _ = b.seen.visible(a.points, cue.depth_tolerance, later.posed)
+        points = a.points[visible]
         value_a, gradient_a = _sampled(a, earlier.posed, points, blur)
         value_b, gradient_b = _sampled(b, later.posed, points, blur)
         both = gradient_a.any(axis=1) & gradient_b.any(axis=1)
