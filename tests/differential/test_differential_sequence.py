@@ -47,7 +47,7 @@ def plates():
 
 
 def grey():
-    return [[pyramid(channels(image), 1)[0][0] for image in frame] for frame in plates()[2]]
+    return [[Picture(image).level(0)[0] for image in frame] for frame in plates()[2]]
 
 
 def layers_of(v: int):

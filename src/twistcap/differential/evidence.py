@@ -147,9 +147,7 @@ def evidence(
         shape = _shape_prior(factor * memory.inside[which], config.reach_px)
         prior = np.clip(0.5 * (shape + memory.trust[which]), 0.02, 0.98)
     samples = memory.samples(level, which)
-    return Evidence(
-        samples, which, image, factor, prior, behind, samples[0].points.part, Neighbourhood.about(at)
-    )
+    return Evidence(samples, which, image, factor, prior, behind, samples[0].points.part, Neighbourhood.about(at))
 
 
 def _thinned(cells: Float, visible: Bool) -> Int:
