@@ -52,7 +52,7 @@ class Camera:
         """True: nearness is inverse depth; see `AnyCamera`."""
         return True
 
-    @property
+    @cached_property
     def nearness_row(self) -> Float:
         """(4,) by which nearness is the inverse depth, 1/m."""
         return OF_W

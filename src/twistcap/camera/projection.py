@@ -7,6 +7,7 @@ what is nearer: an inverse depth (1/m), or for scaled views a depth turned round
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -22,7 +23,7 @@ OF_W = np.array([0.0, 0.0, 0.0, 1.0])
 class AnyCamera(Protocol):
     """What drawing a body and comparing it with an image need of a camera."""
 
-    @property
+    @cached_property
     def P(self) -> Float:
         """(3, 4) projection; the third row of a pinhole's has unit direction, so that it gives metres."""
         ...
@@ -37,7 +38,7 @@ class AnyCamera(Protocol):
         """Whether nearness is the inverse depth w, 1/m; otherwise it is a depth turned round, m."""
         ...
 
-    @property
+    @cached_property
     def nearness_row(self) -> Float:
         """(4,) n: the nearness of a point X is ``n (X, 1)`` times its w."""
         ...

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Bool, Float, Float32, Int
+from twistcap._typing import AnyArray, Bool, Float, Float32, Int
 from twistcap.body import Body, Posed
 from twistcap.camera import AnyCamera
 from twistcap.camera.projection import depth_at, project, projected
@@ -146,7 +146,7 @@ def in_sight(pixels: Float, nearness: Float, image: Float32, inverse: bool, tole
 
 
 @njit(cache=True, nogil=True)
-def off_rims(nearness: Float32, inverse: bool) -> Int:
+def off_rims(nearness: Float32, inverse: bool) -> AnyArray:
     """(H, W) uint8: 1 on the body, 0 off it and at its rims: beside what is off it, or 4 cm nearer or farther."""
     height, width = nearness.shape
     out = np.zeros((height, width), dtype=np.uint8)
