@@ -159,7 +159,7 @@ def remember(look: Look, memory: Memory | None, rule: Retention, fresh: bool = T
         return kept
     new = _fresh(look, rule, occupied)
     found = new if kept is None else kept + new
-    return found.of(np.isfinite(found.value).all(axis=(1, 2)))
+    return found.of(np.asarray(np.isfinite(found.value).all(axis=(1, 2)), np.bool_))
 
 
 def empty_grid(shape: tuple[int, ...], cell: int) -> Bool:
@@ -173,7 +173,7 @@ def _kept(look: Look, memory: Memory, rule: Retention, occupied: Bool) -> Memory
     now, slope = look.brightness(pixels)
     was, trust = look.exposed(memory.value), memory.trust
     alike = (np.abs(now - was) < rule.jump).all(axis=(1, 2))  # and in the image
-    order = np.flatnonzero(visible & alike & (trust > rule.least_trust))
+    order = np.flatnonzero(visible & alike & (trust > rule.least_trust)).astype(np.int32)
     if rule.trusted_first:
         order = order[np.argsort(-trust[order], kind="stable")]
     which = first_in_cells(pixels, order, rule.cell, rule.border, occupied)
@@ -243,7 +243,8 @@ def middles_of_cells(mask: Bool, cell: int, occupied: Bool) -> tuple[Int, Int]:
     """Rows and columns of body pixels in the middles of the cells that are not occupied."""
     rows, columns = np.nonzero(mask[cell // 2 :: cell, cell // 2 :: cell])
     free = ~occupied[rows, columns]
-    return tuple((i[free] * cell + cell // 2).astype(np.int32) for i in (rows, columns))
+    rows, columns = ((i[free] * cell + cell // 2).astype(np.int32) for i in (rows, columns))
+    return rows, columns
 
 
 @njit(cache=True, nogil=True)
