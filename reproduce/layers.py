@@ -16,8 +16,9 @@ from numba import njit
 
 from reproduce.arrays import AnyArray, Bool, Float, Float32, Int
 from twistcap.body import Body, Posed
-from twistcap.differential.render import SeenBody, render
-from twistcap.differential.view import ScaledView
+from twistcap.camera import ScaledView
+from twistcap.camera.projection import projected
+from twistcap.render import RenderedView, render
 from twistcap.render.raster import rasterise
 
 _FEWEST = 50
@@ -42,7 +43,7 @@ class Layers:
     surface: Float
     spread: Float
 
-    def cost(self, frame: int, seen: SeenBody) -> float:
+    def cost(self, frame: int, seen: RenderedView) -> float:
         """Negative log likelihood of a picture under both layers, less that of nothing but the layer behind."""
         rows, columns = np.nonzero(seen.mask)
         return float(np.sum(self.less_behind(frame, seen.face_index[rows, columns], rows, columns)))
@@ -65,7 +66,7 @@ class LimbCost:
         corners: (F', 3) of those faces, numbered within `vertices`.
         surface: their brightness (F',) and the scale of the residuals under it (F',).
         before: (H, W) cost of what is seen without the limb, less that of the layer behind.
-        nearness: (H, W) of it, as `_nearness`; 0 where there is nothing of the body.
+        nearness: (H, W) of it, 0 where there is nothing of the body.
     """
 
     layers: Layers
@@ -86,9 +87,8 @@ class LimbCost:
         moved = _carried_faces(body, segments)
         gone = moved if absent is None else moved | _carried_faces(body, absent)
         height, width = layers.images.shape[1:]
-        at, rest = view.camera_points(posed.vertices), np.flatnonzero(~gone)
-        pixels = np.ascontiguousarray(at[:, :2] + view.shift)
-        face, near = rasterise(pixels, _nearness(view, at), body.faces[rest], (0, 0), (width, height))
+        rest = np.flatnonzero(~gone)
+        face, near = rasterise(*projected(view, posed.vertices), body.faces[rest], (0, 0), (width, height))
         rows, columns = np.nonzero(face >= 0)
         before = np.zeros((height, width))
         before[rows, columns] = layers.less_behind(frame, rest[face[rows, columns]], rows, columns)
@@ -99,15 +99,14 @@ class LimbCost:
 
     def __call__(self, posed: Posed) -> float:
         """With the limb as it is posed: that of the whole body less that of the body without the limb."""
-        at = self.view.camera_points(np.take(posed.vertices, self.vertices, axis=0))
-        pixels = at[:, :2] + self.view.shift
+        pixels, nearness = projected(self.view, np.take(posed.vertices, self.vertices, axis=0))
         height, width = self.before.shape
         x0, x1 = max(0, int(pixels[:, 0].min())), min(width - 1, int(pixels[:, 0].max()) + 1)
         y0, y1 = max(0, int(pixels[:, 1].min())), min(height - 1, int(pixels[:, 1].max()) + 1)
         if x0 > x1 or y0 > y1:
             return 0.0
         size = (x1 - x0 + 1, y1 - y0 + 1)
-        face, near = rasterise(pixels, _nearness(self.view, at), self.corners, (x0, y0), size)
+        face, near = rasterise(pixels, nearness, self.corners, (x0, y0), size)
         image, behind = self.layers.images[self.frame], self.layers.behind[self.frame]
         return _gained(face, near, (x0, y0), self.nearness, image, behind, self.before, *self.surface)
 
@@ -116,11 +115,6 @@ def _carried_faces(body: Body, segments: Bool) -> Bool:
     """(F,) faces of which some vertex moves with one of these segments (S,)."""
     carried = (body.skin_weights * segments[body.skin_segments]).sum(axis=1) > 0
     return carried[body.faces].any(axis=1)
-
-
-def _nearness(view: ScaledView, at: Float) -> Float:
-    """(V,) of camera points (V, 3), px: positive, falls by 1 per px of depth, from 4 m behind the body's origin."""
-    return 4.0 * view.scale - at[:, 2]
 
 
 @njit(cache=True, nogil=True)
@@ -151,10 +145,9 @@ def learnt(body: Body, images: Sequence[Float32], posed: Sequence[Posed], views:
         body: that is seen.
         images: N grey pictures (H, W) by a camera that stands still.
         posed: the body in each, in its own frame.
-        views: of it, in pixels of these pictures.
+        views: of it, in pixels of these pictures and of their size.
     """
-    size = (images[0].shape[1], images[0].shape[0])
-    seen = [render(p, view, size) for p, view in zip(posed, views, strict=True)]
+    seen = [render(p, view) for p, view in zip(posed, views, strict=True)]
     clear = np.stack([_clear(s.mask) for s in seen])
     lit, still = _still(np.stack([np.asarray(image, np.float64) for image in images]), clear)
     known = np.isfinite(still)
@@ -195,7 +188,7 @@ def _exposure(value: Float, wanted: Float) -> tuple[float, float]:
     return gain, offset
 
 
-def _surface(body: Body, lit: Float, seen: Sequence[SeenBody]) -> tuple[Float, Float]:
+def _surface(body: Body, lit: Float, seen: Sequence[RenderedView]) -> tuple[Float, Float]:
     """Brightness and scale of the residuals of every face; a face never seen is taken to be like its segment."""
     F, part = len(body.faces), body.face_part
     values = np.full((len(seen), F), np.nan)

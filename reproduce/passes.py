@@ -18,7 +18,7 @@ import numpy as np
 from reproduce.arrays import AnyArray, Float, Float32, Int
 from reproduce.layers import Layers, LimbCost, learnt
 from twistcap.body import Body
-from twistcap.differential.memory import channels, pyramid
+from twistcap.cues.view import Picture
 from twistcap.differential.settings import DifferentialConfig
 from twistcap.differential.tracker import track
 from twistcap.differential.view import State
@@ -110,9 +110,10 @@ def track_sequence(
     """
     config, sequence = config or DifferentialConfig(), sequence or SequenceConfig()
     whole = [_whole(n, frame) for n, frame in enumerate(frames)]
+    start = start.sized(whole[0])
     states = [start, *(e.state for e in track(body, start, whole, config))]
     level = min(_LEVEL, config.levels - 1)
-    grey = [[pyramid(channels(image, colour=False), level + 1)[level][0] for image in frame] for frame in whole]
+    grey = [[Picture(image).level(level, colour=False)[0] for image in frame] for frame in whole]
     near = replace(config, levels=min(2, config.levels), stray_deg=sequence.stray_deg)
     for n in range(sequence.passes):
         states = chosen(body, states, grey, 0.5**level, sequence, closer=1.0 / (n + 1))
@@ -147,7 +148,7 @@ def chosen(
         closer: by how much the values tried lie nearer together.
     """
     posed, V = [s.posed(body) for s in states], len(grey[0])
-    seen = [[s.views[v].resized(factor) for s in states] for v in range(V)]
+    seen = [[s.views[v].scaled(factor) for s in states] for v in range(V)]
     layers = [learnt(body, [frame[v] for frame in grey], posed, seen[v]) for v in range(V)]
     out = list(states)
     for limb in config.limbs:
@@ -171,7 +172,7 @@ def nearest_first(body: Body, states: Sequence[State], sides: Sequence[Int]) -> 
     def depth(which: Int) -> float:
         moved = body.chain[:, which].any(axis=1)
         posed = [(s, s.posed(body).segment_middles[moved]) for s in states]
-        return float(np.mean([view.camera_points(at)[:, 2].mean() / view.scale for s, at in posed for view in s.views]))
+        return float(np.mean([view.depth(at).mean() for s, at in posed for view in s.views]))
 
     return sorted(sides, key=depth)
 
@@ -207,7 +208,7 @@ def _costs(
     posed = state.posed(body)
     moved, absent = (np.asarray(body.chain[:, c].any(axis=1), np.bool_) for c in (which, later))
     pairs = zip(layers, state.views, strict=True)
-    limbs = [LimbCost.of(layer, n, posed, view.resized(factor), moved, absent) for layer, view in pairs]
+    limbs = [LimbCost.of(layer, n, posed, view.scaled(factor), moved, absent) for layer, view in pairs]
     each = [_with(state, which, values).posed(body) for values in tried]
     return np.array([sum(limb(p) for limb in limbs) for p in each])
 

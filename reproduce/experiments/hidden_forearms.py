@@ -71,10 +71,10 @@ def visible(posed: Posed, camera: Camera) -> Bool:
     """(V,) vertices that nothing of the body lies before."""
     view = render(posed, camera)
     x, y = np.round(view.pixels).astype(int).T
-    height, width = view.inverse_depth_image.shape
+    height, width = view.nearness_image.shape
     inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-    front = view.inverse_depth_image[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)]
-    depth, nearest = 1.0 / np.maximum(view.inverse_depth, 1e-9), 1.0 / np.maximum(front, 1e-6)
+    front = view.nearness_image[np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)]
+    depth, nearest = 1.0 / np.maximum(view.nearness, 1e-9), 1.0 / np.maximum(front, 1e-6)
     return np.asarray(inside & (nearest > depth - TOLERANCE), np.bool_)
 
 

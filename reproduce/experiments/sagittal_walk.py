@@ -27,10 +27,10 @@ from twistcap.adjust.first_pose.clicks import fit_clicks
 from twistcap.body import Body
 from twistcap.body.humanoid import humanoid
 from twistcap.body.simplify import SIDE_VIEW, simplified
-from twistcap.differential.render import render
 from twistcap.differential.settings import DifferentialConfig
 from twistcap.differential.view import State
 from twistcap.evaluate import Row, row
+from twistcap.render import render
 
 FIRST, COUNT, TOP, BOTTOM = 80, 100, 480, 960  # frames, and rows of the image that hold the walker
 CLICKS = {
@@ -94,7 +94,7 @@ def start() -> tuple[Body, State]:
     kept = [n for n in body.coordinate_names if n.removesuffix("_r").removesuffix("_l") in SIDE_VIEW]
     model = simplified(body, kept, axis=np.array([0.0, 1.0, 0.0]))
     found = fit_clicks(model, [CLICKS], facing_deg=[-90])
-    view = found.state.views[0].resized(0.5)
+    view = found.state.views[0].scaled(0.5)
     return ellipsoid_body(found.body), State((replace(view, shift=view.shift - [0, TOP // 2]),), found.state.q)
 
 
@@ -103,7 +103,7 @@ def overlay(model: Body, states: Sequence[State], images: Sequence[UInt8], wante
     colours, tiles = (255 * np.random.default_rng(0).random((40, 3))).astype(np.uint8), []
     for k in wanted:
         image, view = images[k].copy(), states[k].views[0]
-        part = render(states[k].posed(model), view, image.shape[1::-1]).part
+        part = render(states[k].posed(model), view).part
         image[part >= 0] = 0.6 * image[part >= 0] + 0.4 * colours[part[part >= 0]]
         x = int(np.clip(view.shift[0] - 75, 0, image.shape[1] - 150))
         tiles.append(np.hstack([images[k][:, x : x + 150], image[:, x : x + 150]]))

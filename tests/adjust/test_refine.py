@@ -41,8 +41,8 @@ from twistcap.body.shape import (
     stretch_maps,
 )
 from twistcap.camera import Camera, Rig, look_at
+from twistcap.camera.projection import projected
 from twistcap.cli import main
-from twistcap.cues.brightness import template_values
 from twistcap.cues.view import View
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
@@ -53,6 +53,7 @@ from twistcap.solve import Arrow
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.mismatch import fattened
 from twistcap.terms import PointNormalTerm
+from twistcap.terms.photometric import sampled
 from twistcap.track import Settings, track
 
 Array = NDArray[np.float64]
@@ -171,9 +172,7 @@ def test_brightness_is_what_the_images_show() -> None:
 
     def difference(x: Array) -> Array:
         at = [Posed(BODY, p.retract(s)) for p, s in zip(poses, x, strict=True)]
-        a, b = (
-            template_values(v.camera.P, *pair.points.bound_to(p), v.grey)[0] for v, p in zip(views, at, strict=True)
-        )
+        a, b = (sampled(v.grey, projected(v.camera, pair.points.at(p))[0])[0] for v, p in zip(views, at, strict=True))
         return b - a
 
     at = [Posed(BODY, p) for p in poses]

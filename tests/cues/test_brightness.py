@@ -14,18 +14,13 @@ from twistcap.body.humanoid import humanoid
 from twistcap.cues.brightness import (
     LOOSE_CLOTHES,
     Brightness,
-    Template,
-    refreshed,
-    strongest_in_cells,
-    template_values,
     unmoved,
-    visible_points,
 )
-from twistcap.cues.view import View
+from twistcap.cues.memory import Look, Memory, Retention, first_in_cells, remember, strongest_in_cells
+from twistcap.cues.view import Picture, View
 from twistcap.errors import InputError
 from twistcap.render import SurfacePoints, render
-from twistcap.render.view import surface_points
-from twistcap.terms.photometric import sample
+from twistcap.terms.photometric import sample, sampled
 
 Array = np.ndarray
 BODY = humanoid()
@@ -36,93 +31,106 @@ TOLERANCE = 0.012
 
 
 def noise_image(seed: int, blur: float = 1.5) -> Array:
-    height, width = SEEN.inverse_depth_image.shape
+    height, width = SEEN.nearness_image.shape
     image = np.random.default_rng(seed).uniform(size=(height, width)).astype(np.float32)
     return np.asarray(cv2.GaussianBlur(image, (0, 0), blur), np.float32)
-
-
-def places(n: int = 400) -> SurfacePoints:
-    rng = np.random.default_rng(1)
-    return surface_points(BODY, BODY.faces[rng.integers(len(BODY.faces), size=n)], rng.dirichlet(np.ones(3), n))
 
 
 def in_sight(points: SurfacePoints) -> tuple[Array, Array]:
     """Pixels (N, 2) and visibility (N,) from the public projection and the depth image."""
     pixels, depth = CAMERA.project(points.at(POSED))
     column, row = np.rint(pixels).astype(int).T
-    height, width = SEEN.inverse_depth_image.shape
+    height, width = SEEN.nearness_image.shape
     inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
-    surface = np.where(inside, SEEN.inverse_depth_image[row.clip(0, height - 1), column.clip(0, width - 1)], 0.0)
+    surface = np.where(inside, SEEN.nearness_image[row.clip(0, height - 1), column.clip(0, width - 1)], 0.0)
     with np.errstate(divide="ignore"):
         return pixels, (surface > 0) & (depth > 0) & (depth < 1.0 / surface + TOLERANCE)
 
 
-def test_visible_points_are_those_that_the_depth_image_shows() -> None:
-    points = places()
-    _, expected = in_sight(points)
-    found = visible_points(CAMERA.P, *points.bound_to(POSED), SEEN.inverse_depth_image, TOLERANCE)
-    np.testing.assert_array_equal(found, expected.astype(float))
-    assert 0.2 < expected.mean() < 0.8
+def test_first_in_cells_are_those_in_their_order() -> None:
+    rng = np.random.default_rng(4)
+    pixels, cell, border = rng.uniform(0, 60, (300, 2)), 7, 2
+    occupied = np.zeros((10, 10), dtype=np.bool_)
+    occupied[3] = True
+    free, expected = occupied.copy(), dict[tuple[int, int], int]()
+    order = rng.permutation(300)[:200]
+    for n in order:
+        column, row = np.floor(pixels[n] + 0.5).astype(int) - border
+        place = row // cell, column // cell
+        if min(row, column) >= 0 and not free[place] and place not in expected:
+            expected[place] = n
+    found = first_in_cells(pixels, order, cell, border, occupied)
+    assert list(found) == [n for _, n in sorted(expected.items())]
+    assert 20 < len(found) < 81
+    for place in expected:
+        free[place] = True
+    np.testing.assert_array_equal(occupied, free)
 
 
-def test_a_point_behind_the_camera_is_not_visible() -> None:
-    points, turned = places(50), -CAMERA.P  # the same pixels, from the other side
-    assert not visible_points(turned, *points.bound_to(POSED), SEEN.inverse_depth_image, TOLERANCE).any()
+def a_look(image: Array, exposure: Array | None = None) -> Look:
+    picture = Picture(image)
+    return Look(picture, picture.levels(2), SEEN, POSED, np.zeros(2) if exposure is None else exposure)
 
 
-def test_a_new_template_holds_the_images_values_and_nan_outside() -> None:
-    image, points = noise_image(2), places()
-    value, gradient = template_values(CAMERA.P, *points.bound_to(POSED), image)
-    expected = np.array([sample(image, u, v) for u, v in CAMERA.project(points.at(POSED))[0]], dtype=float)
-    inside = expected[:, 3] == 1
-    assert inside.any()
-    np.testing.assert_allclose(value[inside], expected[inside, 0], rtol=1e-6)
-    np.testing.assert_allclose(gradient[inside], expected[inside, 1:3], rtol=1e-5, atol=1e-7)
-    assert np.all(np.isnan(value[~inside]))
-    elsewhere = CAMERA.cropped((200, 0), CAMERA.size)  # the body's right half lies left of this image
-    assert np.isnan(template_values(elsewhere.P, *points.bound_to(POSED), image)[0]).any()
-
-
-def refreshed_reference(
-    points: SurfacePoints, value: Array, gradient: Array, image: Array, update: float, most: float, cell: int,
-    occupied: Array,
-) -> tuple[Array, Array, list[int]]:  # fmt: skip
-    """Readable twin of `refreshed`: one point after another."""
-    pixels, visible = in_sight(points)
-    values, gradients, kept = [], [], []
-    for n in np.flatnonzero(visible):
-        (x, y), (column, row) = pixels[n], np.rint(pixels[n]).astype(int)
-        place = (row - 2) // cell, (column - 2) // cell
-        here, gx, gy, inside = sample(image, x, y)
-        if min(row, column) < 2 or occupied[place] or not inside or abs(here - value[n]) >= most:
-            continue
-        occupied[place] = True
-        kept.append(int(n))
-        values.append((1 - update) * value[n] + update * here)
-        gradients.append((1 - update) * gradient[n] + update * np.array([gx, gy]))
-    return np.array(values), np.array(gradients), kept
-
-
-@pytest.mark.parametrize("cell", [3, 9])
-def test_refreshing_agrees_with_its_twin(cell: int) -> None:
-    points, rng = places(), np.random.default_rng(4)
+def test_kept_points_are_seen_alike_and_follow_slowly() -> None:
     image = noise_image(3)
-    value, gradient = template_values(CAMERA.P, *points.bound_to(POSED), image)
-    value += rng.normal(0, 0.05, value.shape)  # some points have changed too much to be kept
-    height, width = SEEN.inverse_depth_image.shape
-    grid = np.zeros((height // cell + 1, width // cell + 1), dtype=np.bool_)
-    grid[::3] = True
-    expected_grid = grid.copy()
-    found = refreshed(
-        CAMERA.P, *points.bound_to(POSED), value, gradient, image, SEEN.inverse_depth_image, TOLERANCE, 0.2, 0.06,
-        cell, grid,
-    )  # fmt: skip
-    expected = refreshed_reference(points, value, gradient, image, 0.2, 0.06, cell, expected_grid)
-    np.testing.assert_array_equal(found[2], expected[2])
-    np.testing.assert_allclose(found[0], expected[0], rtol=1e-6)
-    np.testing.assert_allclose(found[1], expected[1], rtol=1e-5, atol=1e-7)
-    np.testing.assert_array_equal(grid, expected_grid)
-    assert 10 < len(expected[2]) < in_sight(points)[1].sum()
+    rule = Retention(9, "strongest", update=0.2, jump=0.06)
+    first = remember(a_look(image), None, rule)
+    rough = np.where(np.arange(len(first.trust)) % 3 == 0, 0.1, 0.02)[:, None, None]
+    changed = replace(first, value=first.value + rough)
+    kept = remember(a_look(image), changed, rule, fresh=False)
+    pixels, visible = in_sight(first.points)
+    expected = np.flatnonzero(visible & (rough[:, 0, 0] < rule.jump))
+    np.testing.assert_array_equal(kept.points.local, first.points.local[expected])
+    np.testing.assert_allclose(kept.value, first.value[expected] + 0.8 * 0.02, atol=1e-9)
+    np.testing.assert_allclose(kept.pixels, pixels[expected], atol=1e-9)
+    again = remember(a_look(image), changed, rule)  # other points take the empty cells
+    assert len(kept.trust) < len(again.trust)
+
+
+def test_values_at_all_levels_are_the_pyramids() -> None:
+    image = noise_image(3)
+    memory = remember(a_look(image), None, Retention(9, "middle"))
+    assert memory.value.shape[1:] == (2, 1) and memory.gradient.shape[1:] == (2, 1, 2)
+    for level in (0, 1):
+        picture = Picture(image).level(level)[0]
+        at = 0.5**level * memory.pixels + 0.5 * (0.5**level - 1)
+        expected = [sample(picture, *pixel) for pixel in at]
+        np.testing.assert_allclose(memory.samples(level)[0].value, [e[0] for e in expected], rtol=1e-6)
+        np.testing.assert_allclose(memory.samples(level)[0].gradient, [e[1:3] for e in expected], atol=1e-6)
+    assert np.isfinite(memory.inside).all() and memory.inside.max() > 5
+
+
+def test_what_is_remembered_takes_the_exposure_of_the_frame() -> None:
+    image, exposure = noise_image(3), np.array([0.1, -0.02])
+    first = remember(a_look(image), None, Retention(9, "middle"))
+    after = remember(a_look(1.1 * image - np.float32(0.02), exposure), first, Retention(9, "middle"), fresh=False)
+    assert len(after.trust) > 0.9 * len(first.trust)
+    at = [int(np.flatnonzero((first.points.local == p).all(axis=1))[0]) for p in after.points.local]
+    np.testing.assert_allclose(after.value, 1.1 * first.value[at] - 0.02, atol=1e-3)
+
+
+def test_hidden_points_are_remembered_for_some_frames() -> None:
+    image, rule = noise_image(3), Retention(9, "middle", hidden=2, trust=0.8)
+    memory = remember(a_look(image), None, rule)
+    from_behind = render(POSED, camera_at((-2.8, -0.7, 0.4)))
+    picture = Picture(noise_image(5)[: from_behind.mask.shape[0], : from_behind.mask.shape[1]])
+    behind = Look(picture, picture.levels(2), from_behind, POSED)
+    for missed in (1, 2, 3):
+        memory = remember(behind, memory, rule)
+        assert (memory.missed == missed).any() == (missed <= 2)
+    assert not (memory.missed > 2).any()
+
+
+def test_the_most_trusted_point_of_a_cell_stays() -> None:
+    image, rule = noise_image(3), Retention(40, "middle", trusted_first=True)
+    many = remember(a_look(image), None, Retention(5, "middle"))
+    trust = np.random.default_rng(0).random(len(many.trust))
+    kept = remember(a_look(image), replace(many, trust=trust), rule, fresh=False)
+    row, column = (np.rint(many.pixels).astype(int) // 40).T[::-1]
+    _, visible = in_sight(many.points)
+    best = [trust[(row == r) & (column == c) & visible].max() for r, c in sorted({*zip(row, column, strict=True)})]
+    np.testing.assert_array_equal(kept.trust, best)
 
 
 def test_new_points_are_the_most_textured_of_each_free_cell() -> None:
@@ -130,7 +138,7 @@ def test_new_points_are_the_most_textured_of_each_free_cell() -> None:
     height, width = image.shape
     occupied = np.zeros((height // cell + 1, width // cell + 1), dtype=np.bool_)
     occupied[::2] = True
-    rows, columns = strongest_in_cells(image, SEEN.inverse_depth_image, cell, occupied)
+    rows, columns = strongest_in_cells(image, SEEN.nearness_image, True, cell, occupied)
     places = {((r - 2) // cell, (c - 2) // cell) for r, c in zip(rows, columns, strict=True)}
     assert len(places) == len(rows) > 20 and not any(occupied[p] for p in places)
     assert SEEN.mask[rows, columns].all()
@@ -144,7 +152,7 @@ def test_new_points_are_the_most_textured_of_each_free_cell() -> None:
 
 def away_from_rims() -> Array:
     """(H, W) where the body goes on, without a jump in depth of 4 cm, two pixels off in each direction."""
-    w = SEEN.inverse_depth_image.astype(float)
+    w = SEEN.nearness_image.astype(float)
     away = w > 0
     for shift in ((-2, 0), (2, 0), (0, -2), (0, 2)):
         other = np.roll(w, shift, axis=(0, 1))
@@ -162,7 +170,7 @@ def test_templates_follow_the_image_slowly_and_fill_up_again() -> None:
     kept = len(unfilled.points)
     assert 0 < kept <= len(first.points)
     np.testing.assert_array_equal(unfilled.points.local, second.points.local[:kept])
-    np.testing.assert_allclose(second.samples.value[:kept], first.samples.value[:kept] + 0.2 * 0.02, atol=1e-3)
+    np.testing.assert_allclose(second.value[:kept], first.value[:kept] + 0.2 * 0.02, atol=1e-3)
     coarse = second.blurred(3.0).value  # of the last image as it is
     np.testing.assert_allclose(coarse, first.blurred(3.0).value[: len(coarse)] + 0.02, atol=1e-3)
 
@@ -171,13 +179,13 @@ def carried_image(posed: Posed, before: Array) -> Array:
     """The image after a motion from `POSED`: the body takes its picture along, and what lies behind stays."""
     seen = render(posed, CAMERA)
     rows, columns = (i.astype(np.int32) for i in np.nonzero(seen.mask))
-    values, _ = template_values(CAMERA.P, *seen.surface_points(rows, columns).bound_to(POSED), before)
+    values, _ = sampled(before, CAMERA.project(seen.surface_points(rows, columns).at(POSED))[0])
     image = before.copy()
     image[rows, columns] = np.where(np.isfinite(values), values, 0.5)
     return image
 
 
-def after_a_step(cue: Brightness, image: Array, posed: Posed) -> tuple[Template, Template, Array]:
+def after_a_step(cue: Brightness, image: Array, posed: Posed) -> tuple[Memory, Memory, Array]:
     """The template of a first frame, that of a second one, and where the first one's points are in that (N, 2)."""
     first = cue.remember(View(CAMERA, noise_image(8, 3.0)), SEEN, POSED, None, True)
     second = cue.remember(View(CAMERA, image), render(posed, CAMERA), posed, first, True)
@@ -236,10 +244,9 @@ def test_points_under_something_that_stands_still_lose_trust() -> None:
 
 def test_what_did_not_change_is_told_at_the_pixels_of_the_frame_before() -> None:
     image = noise_image(9)
-    shift = np.array([7.0, -4.0])
     moved = np.roll(image, (-4, 7), axis=(0, 1))
-    change, pixels = unmoved(CAMERA.P, *places().bound_to(POSED), image, moved, shift)
-    np.testing.assert_allclose(pixels, CAMERA.project(places().at(POSED))[0], atol=1e-9)
+    memory = Brightness().remember(View(CAMERA, image), SEEN, POSED, None, True)
+    change = unmoved(memory, Picture(moved, (-7, 4)), 0.0)
     known = np.isfinite(change)
     assert known.mean() > 0.8
     np.testing.assert_allclose(change[known], 0.0, atol=1e-6)
@@ -248,7 +255,7 @@ def test_what_did_not_change_is_told_at_the_pixels_of_the_frame_before() -> None
 def test_steep_places_count_less_where_the_surface_may_slide() -> None:
     view = View(CAMERA, noise_image(10))
     template = Brightness().remember(view, SEEN, POSED, None, True)
-    slope = np.linalg.norm(template.samples.gradient, axis=1)
+    slope = np.linalg.norm(template.gradient[:, 0, 0], axis=1)
     cue = Brightness(sigma=0.01, slide=0.002, share=1.0)
     term = cue.term(view, SEEN, template, -1)
     seen = term.weight > 0

@@ -12,7 +12,6 @@ from support.finite_differences import check_jacobian, numeric_jacobian
 from twistcap import se3
 from twistcap.body.humanoid import humanoid
 from twistcap.camera import Camera, look_at
-from twistcap.differential.render import render
 from twistcap.differential.system import (
     image_motion,
     normal_equations,
@@ -20,6 +19,7 @@ from twistcap.differential.system import (
 )
 from twistcap.differential.view import ROOT, ScaledView, State
 from twistcap.errors import InputError
+from twistcap.render import render
 from twistcap.terms.photometric import Samples
 
 BODY = humanoid()
@@ -30,14 +30,14 @@ def a_state(views: int = 1) -> State:
     rng = np.random.default_rng(3)
     facing = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])  # z up, seen from the front
     made = tuple(
-        ScaledView(se3.exp_rotation(rng.normal(0, 0.4, 3)) @ facing, 110.0, np.array([100.3, 120.8]))
+        ScaledView(se3.exp_rotation(rng.normal(0, 0.4, 3)) @ facing, 110.0, np.array([100.3, 120.8]), size=SIZE)
         for _ in range(views)
     )
     return State(made, np.clip(rng.normal(0, 0.4, len(BODY.coordinate_names)), *BODY.limits.T))
 
 
 def some_points(state: State):
-    seen = render(state.posed(BODY), state.views[0], SIZE)
+    seen = render(state.posed(BODY), state.views[0])
     rows, columns = np.nonzero(seen.inside > 2)
     pick = np.random.default_rng(0).permutation(len(rows))[:300]
     return seen.surface_points(rows[pick].astype(np.int32), columns[pick].astype(np.int32)), rows[pick], columns[pick]
@@ -49,10 +49,9 @@ def test_surface_points_lie_at_their_pixels_and_are_visible() -> None:
     np.testing.assert_allclose(
         state.views[0].pixels(points.at(state.posed(BODY))), np.stack([columns, rows], 1), atol=0.3
     )
-    visible, r, c = render(state.posed(BODY), state.views[0], SIZE).visible(points)
+    visible, pixels = render(state.posed(BODY), state.views[0]).visible(points, 0.02)
     assert visible.all()
-    assert np.array_equal(r, rows)
-    assert np.array_equal(c, columns)
+    np.testing.assert_array_equal(np.rint(pixels), np.stack([columns, rows], 1))
 
 
 def test_what_lies_behind_is_not_visible() -> None:
@@ -60,7 +59,7 @@ def test_what_lies_behind_is_not_visible() -> None:
     points, *_ = some_points(state)
     front = state.views[0]
     back = replace(front, rotation=se3.exp_rotation([0, np.pi, 0]) @ front.rotation)
-    assert render(state.posed(BODY), back, SIZE).visible(points)[0].mean() < 0.02
+    assert render(state.posed(BODY), back).visible(points, 0.02)[0].mean() < 0.02
 
 
 def test_image_motion_is_the_derivative_of_the_rendered_motion_field() -> None:
@@ -111,7 +110,7 @@ def test_a_perspective_view_is_the_pinholes_own() -> None:
     np.testing.assert_allclose(view.pixels(points), there, atol=1e-9)
     homogeneous = points @ view.P[:, :3].T + view.P[:, 3]
     np.testing.assert_allclose(homogeneous[:, :2] / homogeneous[:, 2:], there, atol=1e-9)
-    np.testing.assert_allclose(view.resized(0.5).pixels(points), 0.5 * there - 0.25, atol=1e-9)
+    np.testing.assert_allclose(view.scaled(0.5).pixels(points), 0.5 * there - 0.25, atol=1e-9)
     np.testing.assert_allclose(view.root(camera), root, atol=1e-12)
     assert np.abs(replace(view, K=None).pixels(points) - there).max() > 3.0
 

@@ -12,9 +12,11 @@ from twistcap import se3
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.body.kinematics import vertex_normals, vertex_normals_reference
+from twistcap.camera import AnyCamera, ScaledView
+from twistcap.camera.projection import project, projected
 from twistcap.render import ContourPoints, RenderedView, render, visible_contour
 from twistcap.render.contour import reprojected
-from twistcap.render.raster import barycentric, project_pinhole, rasterise, rasterise_reference
+from twistcap.render.raster import barycentric, rasterise, rasterise_reference
 from twistcap.render.view import blend_binding_reference, body_window, surface_points
 
 ORIGIN = np.zeros(3)
@@ -81,16 +83,16 @@ def test_depth_is_that_of_the_sphere() -> None:
     half = np.sqrt(np.maximum(R_TORSO**2 - (camera.centre @ camera.centre - along**2), 0))
     depth = (along - half) * (n @ camera.T_cam_world[2, :3])
     inner = half > 0.1
-    np.testing.assert_allclose(1 / view.inverse_depth_image[rows, columns][inner], depth[inner], atol=1e-3)
+    np.testing.assert_allclose(1 / view.nearness_image[rows, columns][inner], depth[inner], atol=1e-3)
 
 
 def test_project_pinhole_is_the_cameras() -> None:
     camera, X = camera_at(EYE), np.random.default_rng(0).uniform(-1, 1, (50, 3))
-    pixels, w = project_pinhole(camera.P, X)
+    pixels, w = project(camera.P, X)
     expected, depth = camera.project(X)
     np.testing.assert_allclose(pixels, expected, atol=1e-10)
     np.testing.assert_allclose(w, 1 / depth, rtol=1e-12)
-    assert np.all(project_pinhole(camera.P, camera.centre + X + [5, 0, 0])[1] == 0)
+    assert np.all(project(camera.P, camera.centre + X + [5, 0, 0])[1] == 0)
 
 
 def test_barycentric_returns_the_known_points_in_perspective() -> None:
@@ -99,7 +101,7 @@ def test_barycentric_returns_the_known_points_in_perspective() -> None:
     corners = rng.uniform(-0.8, 0.8, (30, 3, 3))
     weights = rng.dirichlet(np.ones(3), 30)
     at, _ = camera.project(np.einsum("nk,nki->ni", weights, corners))
-    pixels, w = project_pinhole(camera.P, corners.reshape(-1, 3))
+    pixels, w = project(camera.P, corners.reshape(-1, 3))
     faces = np.arange(90, dtype=np.int32).reshape(-1, 3)
     found = barycentric(np.arange(30, dtype=np.int32), faces, pixels, w, at)
     np.testing.assert_allclose(found, weights, atol=1e-8)
@@ -264,3 +266,67 @@ def test_a_view_tells_parts_and_scale() -> None:
     assert [view.part[v, u] for u, v in at] == [1, 0] and view.part[0, 0] == -1
     np.testing.assert_array_equal(view.mask, view.part >= 0)
     assert 80 < view.px_per_m < 150  # 300 px over about 3 m, the arm being nearer
+
+
+SCALED = ScaledView.of(camera_at(EYE), np.eye(4))
+CAMERAS = (camera_at(EYE), SCALED, ScaledView.of(camera_at(EYE), np.eye(4), perspective=True))
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_surface_points_of_any_camera_lie_at_their_pixels_and_are_visible(camera: AnyCamera) -> None:
+    body = arm_before_torso()
+    view = render(rest(body), camera)
+    rows, columns = (i.astype(np.int32) for i in np.nonzero(view.mask))
+    points = view.surface_points(rows, columns)
+    visible, pixels = view.visible(points, 0.02)
+    np.testing.assert_allclose(pixels, np.stack([columns, rows], axis=1), atol=1e-6)
+    assert visible.all()
+    away = Posed(body, Pose(se3.transform(np.eye(3), -0.1 * np.array(EYE) / np.linalg.norm(EYE)), np.zeros(1)))
+    near, far = (view.visible(points, tolerance, away)[0].mean() for tolerance in (0.02, 0.3))
+    assert near < 0.05 and far > 0.9  # of what is farther from the camera by 10 cm
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_what_another_part_hides_is_not_visible(camera: AnyCamera) -> None:
+    body = arm_before_torso()
+    view, torso = (
+        render(rest(body), camera),
+        render(rest(two_part_body(round_mesh(ORIGIN, R_TORSO), far_arm())), camera),
+    )
+    covered = (view.part == 1) & (torso.part == 0)
+    rows, columns = (i.astype(np.int32) for i in np.nonzero(covered))
+    assert len(rows) > 100 and not view.visible(torso.surface_points(rows, columns), 0.05)[0].any()
+
+
+def far_arm() -> tuple[np.ndarray, np.ndarray]:
+    return round_mesh(ORIGIN + 50, R_ARM, rings=8)
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_inside_is_the_distance_from_the_nearest_rim(camera: AnyCamera) -> None:
+    view = render(rest(arm_before_torso()), camera)
+    depth = np.where(view.mask, camera_depth(view), np.inf)
+    rim = ~view.mask
+    for axis, shift in ((0, 1), (0, -1), (1, 1), (1, -1)):
+        with np.errstate(invalid="ignore"):
+            jump = ~(np.abs(depth - np.roll(depth, shift, axis)) <= 0.04)
+        rim |= jump
+    rows, columns = np.nonzero(rim)
+    inner = np.argwhere(view.inside > 0)[::97]
+    nearest = np.sqrt(((inner[:, None] - np.stack([rows, columns], 1)) ** 2).sum(axis=2)).min(axis=1)
+    np.testing.assert_allclose(view.inside[tuple(inner.T)], nearest, rtol=0.06, atol=0.05)
+    assert np.all(view.inside[rim] == 0)
+
+
+def camera_depth(view: RenderedView) -> np.ndarray:
+    """(H, W) depth of what is seen, m, up to a constant."""
+    near = np.where(view.mask, view.nearness_image, 1.0).astype(float)
+    return 1.0 / near if view.camera.inverse_depth else -near
+
+
+def test_a_scaled_view_has_the_depth_of_its_points() -> None:
+    view = render(rest(arm_before_torso()), SCALED)
+    rows, columns = (i.astype(np.int32) for i in np.nonzero(view.mask))
+    points = view.surface_points(rows, columns).at(view.posed)
+    np.testing.assert_allclose(view.nearness_image[rows, columns], projected(SCALED, points)[1], atol=1e-5)
+    np.testing.assert_allclose(np.diff(view.nearness_image[rows, columns]), -np.diff(SCALED.depth(points)), atol=1e-5)

@@ -9,8 +9,8 @@ from twistcap import se3
 from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.body.simplify import simplified, with_surface
-from twistcap.differential.render import render
 from twistcap.differential.view import ScaledView
+from twistcap.render import render
 
 BODY = humanoid()
 
@@ -28,15 +28,15 @@ def test_an_ellipsoid_is_found_again() -> None:
 def test_the_mesh_has_the_depth_of_the_quadratic() -> None:
     body = ellipsoid_body(BODY)
     ellipsoids = fitted_ellipsoids(BODY)
-    view = ScaledView(np.array([[0.0, 1, 0], [0, 0, -1], [-1, 0, 0]]), 110.0, np.array([100.0, 120.0]))
+    view = ScaledView(np.array([[0.0, 1, 0], [0, 0, -1], [-1, 0, 0]]), 110.0, np.array([100.0, 120.0]), size=(200, 260))
     posed = Posed(body, Pose.rest(body))
-    seen = render(posed, view, (200, 260))
+    seen = render(posed, view)
     rows, columns = (i.astype(np.int32) for i in np.nonzero(seen.inside > 3))
-    z = view.camera_points(seen.surface_points(rows, columns).at(posed))[:, 2]
+    z = view.scale * view.depth(seen.surface_points(rows, columns).at(posed))
     T = posed.segment_transforms[ellipsoids.segments]
     turned = view.rotation @ T[:, :3, :3]
     forms = np.einsum("eij,ejk,elk->eil", turned, ellipsoids.forms(), turned) / view.scale**2
-    centres = view.camera_points(se3.apply(T, ellipsoids.centres[:, None])[:, 0])
+    centres = view.scale * se3.apply(T, ellipsoids.centres[:, None])[:, 0] @ view.rotation.T
     depth, which = nearest_depths(forms, centres, np.stack([columns, rows], 1) - view.shift)
     assert (which >= 0).mean() > 0.99
     hit = which >= 0

@@ -14,13 +14,13 @@ from reproduce.layers import LimbCost, learnt
 from reproduce.passes import LIMBS, SequenceConfig, cheapest_path, chosen, nearest_first, track_sequence
 from reproduce.scenes.walks import Walk
 from twistcap.body.simplify import NINETEEN, angles_of, simplified
-from twistcap.differential.memory import channels, pyramid
-from twistcap.differential.render import render
+from twistcap.cues.view import Picture
 from twistcap.differential.settings import DifferentialConfig
 from twistcap.differential.tracker import DifferentialTracker
 from twistcap.differential.view import State
 from twistcap.differential.world import state_of
 from twistcap.errors import InputError
+from twistcap.render import render
 from twistcap.studio import StudioConfig
 
 WALK = Walk(
@@ -47,7 +47,7 @@ def plates():
 
 
 def grey():
-    return [[pyramid(channels(image), 1)[0][0] for image in frame] for frame in plates()[2]]
+    return [[Picture(image).level(0)[0] for image in frame] for frame in plates()[2]]
 
 
 def layers_of(v: int):
@@ -82,7 +82,7 @@ def test_the_cost_of_a_limb_is_the_change_of_the_whole_cost() -> None:
         q[which] += turn
         posed = State(state.views, q).posed(model)
         found.append(limb(posed))
-        wanted.append(layers.cost(2, render(posed, state.views[0], (192, 140))))
+        wanted.append(layers.cost(2, render(posed, state.views[0])))
     np.testing.assert_allclose(np.diff(found), np.diff(wanted), rtol=1e-3, atol=0.5)
     assert np.ptp(wanted) > 20
 
@@ -90,14 +90,14 @@ def test_the_cost_of_a_limb_is_the_change_of_the_whole_cost() -> None:
 def test_the_layers_bring_all_exposures_to_one_and_tell_the_body_from_what_is_behind() -> None:
     model, states, _ = plates()
     layers = layers_of(0)
-    masks = np.array([render(s.posed(model), s.views[0], (192, 140)).mask for s in states])
+    masks = np.array([render(s.posed(model), s.views[0]).mask for s in states])
     off = ~masks.any(axis=0)
     given = np.array([frame[0] for frame in grey()])
     assert np.ptp(given[:, off].mean(axis=1)) > 0.02  # the plates flicker
     assert np.ptp(layers.images[:, off].mean(axis=1)) < 0.004
     assert np.median(layers.behind[:, off]) < np.median(layers.behind[masks]) - 1.0
     right, none = states[3], states[0]
-    costs = [layers.cost(3, render(s.posed(model), s.views[0], (192, 140))) for s in (right, none)]
+    costs = [layers.cost(3, render(s.posed(model), s.views[0])) for s in (right, none)]
     assert costs[0] < costs[1] - 100
 
 
@@ -124,7 +124,7 @@ def test_a_leg_that_stands_in_the_place_of_another_counts_only_where_it_is_not_l
     model, states, _ = plates()
     states = [State(s.views[:1], s.q) for s in states]
     near, far = nearest_first(model, states, LIMBS[0].of(model))
-    depths = [s.views[0].camera_points(s.posed(model).segment_middles)[:, 2] for s in states]
+    depths = [s.views[0].depth(s.posed(model).segment_middles) for s in states]
     moved = [np.asarray(model.chain[:, leg].any(axis=1)) for leg in (near, far)]
     assert np.mean([d[moved[0]].mean() for d in depths]) < np.mean([d[moved[1]].mean() for d in depths])
     layers = learnt(

@@ -16,10 +16,11 @@ from twistcap.body.humanoid import humanoid
 from twistcap.body.kinematics import unit_vertex_normals
 from twistcap.body.shape import joint_coordinates
 from twistcap.camera import Camera, look_at
+from twistcap.camera.projection import project
 from twistcap.errors import InputError
 from twistcap.io.calibration import read_rig
 from twistcap.io.synthetic import write_session
-from twistcap.render.raster import project_pinhole, rasterise
+from twistcap.render.raster import rasterise
 from twistcap.studio import Capture, StudioConfig, capture, ring
 from twistcap.studio import mismatch as M
 from twistcap.studio.config import stream
@@ -129,7 +130,7 @@ def plain(body: Body) -> Look:
 def test_shading_kernel_agrees_with_its_readable_twin():
     take = captured(SMALL)
     posed, camera = Posed(take.true_body, take.true_poses[0]), take.true_rig[0].scaled(3)
-    pixels, inverse_depth = project_pinhole(camera.P, posed.vertices)
+    pixels, inverse_depth = project(camera.P, posed.vertices)
     origin, size = (150, 90), (240, 270)
     index, _ = rasterise(pixels, inverse_depth, posed.body.faces, origin, size)
     assert (index >= 0).sum() > 1000

@@ -25,6 +25,7 @@ from twistcap.terms import (
     Quadratic,
     RestTerm,
     Term,
+    photometric,
 )
 from twistcap.terms.accumulate import PointTerm, Rows, normal_equations, normal_equations_reference
 from twistcap.terms.photometric import EXPOSURE, Samples, sample
@@ -321,6 +322,16 @@ def test_samples_are_those_of_the_analytic_image() -> None:
 def test_samples_off_the_image_are_not_valid() -> None:
     x, y = np.array([-1e6, 0.5, 318.5, 50.0, 50.0, 50.0]), np.array([50.0, 50.0, 50.0, 0.5, 238.5, 50.0])
     assert sampled(wave(), x, y)[3].tolist() == [0, 0, 0, 0, 0, 1]
+
+
+def test_samples_at_many_pixels_are_those_at_each() -> None:
+    rng = np.random.default_rng(13)
+    pixels = np.stack([rng.uniform(-5, 330, 300), rng.uniform(-5, 250, 300)], axis=1)
+    value, gradient = photometric.sampled(wave(), pixels)
+    expected, gx, gy, valid = sampled(wave(), *pixels.T)
+    assert 0.5 < valid.mean() < 1.0
+    np.testing.assert_array_equal(value, np.where(valid, expected, np.nan))
+    np.testing.assert_array_equal(gradient, np.stack([gx, gy], axis=1))
 
 
 def test_mean_of_both_gradients_is_right_to_second_order() -> None:

@@ -7,20 +7,19 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from numba import njit
 
-from twistcap._typing import Bool, Float, Float32, Int
+from twistcap._typing import Float, Float32
 from twistcap.body import Body, Posed
 from twistcap.camera import Rig
+from twistcap.cues.memory import Look, Memory, Retention, remember
 from twistcap.cues.observation import Evidence, Fit, Level, Sight
 from twistcap.cues.support_maps import Neighbourhood, posterior, robust_scale
-from twistcap.cues.view import View
+from twistcap.cues.view import Picture, View
 from twistcap.errors import InputError
-from twistcap.render import RenderedView, SurfacePoints
+from twistcap.render import RenderedView
 from twistcap.stages import stage
 from twistcap.terms import PhotometricTerm
-from twistcap.terms.accumulate import projected_point
-from twistcap.terms.photometric import EXPOSURE, Samples, brightness_at, sample
+from twistcap.terms.photometric import EXPOSURE, Samples, sampled
 
 Support = Literal["none", "robust", "em"]
 
@@ -30,42 +29,7 @@ _NEITHER = 0.05  # density of differences that neither motion explains, per stan
 _LEAST = 0.02  # no point is known to move as the body does, nor not to, beyond this probability
 
 
-@dataclass(frozen=True)
-class Template:
-    """Brightness of surface points in one view, as past frames showed it.
-
-    Attributes:
-        samples: N places on the surface, and their brightness under the finest blur.
-        trust: (N,) running probability that the image moves with the body there.
-        excess: (S,) running robust scale of each part's differences, in units of the noise that was expected.
-        view, posed: of the last frame, where coarser blurs are read when they are wanted.
-        blur: px, the finest blur in that frame.
-    """
-
-    samples: Samples
-    trust: Float
-    excess: Float
-    view: View
-    posed: Posed
-    blur: float
-
-    @property
-    def image(self) -> Float32:
-        """(H, W) the last frame's image under the finest blur."""
-        return self.view.blurred(self.blur)
-
-    @property
-    def points(self) -> SurfacePoints:
-        """The N places."""
-        return self.samples.points
-
-    def blurred(self, sigma: float) -> Samples:
-        """The points as the last frame's image has them under a Gaussian of `sigma` px."""
-        image = self.view.blurred(sigma)
-        return Samples(self.points, *template_values(self.view.camera.P, *self.points.bound_to(self.posed), image))
-
-
-Templates = tuple[Template | None, ...]
+Memories = tuple[Memory | None, ...]
 """Of each camera; None before its first image."""
 
 
@@ -111,244 +75,89 @@ class Brightness:
                 "brightness: sigma, scale, jump and share must be positive, slide not negative and most 1 or more."
             )
 
-    def start(self, body: Body, rig: Rig) -> Templates:
+    def start(self, body: Body, rig: Rig) -> Memories:
         """No view remembers anything."""
         return (None,) * len(rig)
 
-    def measure(self, sight: Sight, memory: Templates, level: Level) -> Evidence | None:
+    def measure(self, sight: Sight, memory: Memories, level: Level) -> Evidence | None:
         """Brightness constancy of one view; None before its first frame."""
-        template = memory[sight.camera_index]
-        if template is None:
+        of_view = memory[sight.camera_index]
+        if of_view is None:
             return None
         with stage("photometric"):
             which = len(self.blurs) - 1 if level.fine else 0
-            return Evidence(self.term(sight.view, sight.seen, template, which))
+            return Evidence(self.term(sight.view, sight.seen, of_view, which))
 
-    def learn(self, memory: Templates, fit: Fit, lesson: int) -> Templates:
-        """The templates as the settled frame shows them."""
+    def learn(self, memory: Memories, fit: Fit, lesson: int) -> Memories:
+        """The memories as the settled frame shows them."""
         out = list(memory)
         for sight in fit.sights:
             i = sight.camera_index
             out[i] = self.remember(sight.view, sight.seen, fit.posed, memory[i], lesson > 0)
         return tuple(out)
 
-    def remember(self, view: View, seen: RenderedView, posed: Posed, old: Template | None, lesson: bool) -> Template:
-        """Template for the next frame; `seen` chooses the points now visible, `posed` (the settled pose) places them.
+    def remember(self, view: View, seen: RenderedView, posed: Posed, old: Memory | None, lesson: bool) -> Memory:
+        """Memory for the next frame; `seen` chooses the points now visible, `posed` (the settled pose) places them.
 
-        Points of the old template that are still seen stay, one in each cell of a grid, and their brightness follows
-        the image slowly, which keeps the track from creeping along the surface. In a `lesson` they are judged by how
-        they agreed, and new points fill the empty cells.
+        In a `lesson` the old points are judged by how they agreed, and new points fill the empty cells.
         """
-        cell, occupied = empty_grid(view, seen, self.points)
-        blur = self.blurs[-1] * seen.px_per_m
-        image, kept = view.blurred(blur), None
-        if old is not None:
-            if lesson and self.support != "none":
-                old = self._judged(old, view, image, seen, posed, cell)
-            kept = self._kept(view, image, seen, posed, old, cell, occupied)
-            if not lesson:
-                return kept
-        points = seen.surface_points(*strongest_in_cells(view.grey, seen.inverse_depth_image, cell, occupied))
-        fresh = Samples(points, *template_values(view.camera.P, *points.bound_to(posed), image))
-        trust, S = np.full(len(points), _NEW if self.support == "em" else 1.0), len(posed.body.segment_names)
-        if kept is None:
-            return Template(fresh, trust, np.ones(S), view, posed, blur)
-        return replace(kept, samples=kept.samples + fresh, trust=np.concatenate([kept.trust, trust]))
+        rule, image = self._retention(seen), view.blurred(self.blurs[-1] * seen.px_per_m)
+        if old is not None and lesson and self.support != "none":
+            old = self._judged(old, view.picture, image, seen, posed, rule.cell)
+        return remember(Look(view.picture, (image[None],), seen, posed), old, rule, fresh=lesson or old is None)
 
-    def _kept(
-        self, view: View, image: Float32, seen: RenderedView, posed: Posed, old: Template, cell: int, occupied: Bool
-    ) -> Template:
-        """The old template's points that are still seen, their brightness brought up to date."""
-        P, depths, tolerance = view.camera.P, seen.inverse_depth_image, self.depth_tolerance
-        value, gradient, which = refreshed(
-            P, *old.points.bound_to(posed), old.samples.value, old.samples.gradient, image, depths, tolerance,
-            self.update, self.jump, cell, occupied,
+    def _retention(self, seen: RenderedView) -> Retention:
+        return Retention(
+            cell_of(seen, self.points), "strongest", self.update, self.depth_tolerance, self.jump,
+            _NEW if self.support == "em" else 1.0,
         )  # fmt: skip
-        samples = Samples(old.points[which], value, gradient)
-        return Template(samples, old.trust[which], old.excess, view, posed, self.blurs[-1] * seen.px_per_m)
 
     def _judged(
-        self, old: Template, view: View, image: Float32, seen: RenderedView, posed: Posed, cell: int
-    ) -> Template:
-        """The template with excess and trust as a settled frame makes them."""
-        P, points = view.camera.P, old.points
-        visible = visible_points(P, *points.bound_to(posed), seen.inverse_depth_image, self.depth_tolerance)
-        noise = self._noise(old.samples, seen.px_per_m)
-        r = old.samples.residuals(posed, P, image, np.zeros(EXPOSURE)) / noise
-        now = robust_scale(r, points.part, len(old.excess), visible * old.trust, 1.0, self.most)
-        known = (visible * old.trust > 0.0) & np.isfinite(r)
-        shown = np.bincount(points.part, known, len(old.excess)) > 0  # of what is hidden nothing is learnt
+        self, old: Memory, picture: Picture, image: Float32, seen: RenderedView, posed: Posed, cell: int
+    ) -> Memory:
+        """The memory with excess and trust as a settled frame makes them."""
+        (samples,), part = old.samples(), old.points.part
+        visible, _ = seen.visible(old.points, self.depth_tolerance, posed)
+        noise = self._noise(samples, seen.px_per_m)
+        r = samples.residuals(posed, seen.camera.P, image, np.zeros(EXPOSURE)) / noise
+        now = robust_scale(r, part, len(old.excess), visible * old.trust, 1.0, self.most)
+        known = visible & (old.trust > 0.0) & np.isfinite(r)
+        shown = np.bincount(part, known, len(old.excess)) > 0  # of what is hidden nothing is learnt
         excess = np.where(shown, _PAST * old.excess + (1.0 - _PAST) * now, old.excess)
         if self.support == "robust":
             return replace(old, excess=excess)
-        last = old.view.camera
-        shift = view.camera.K[:2, 2] - last.K[:2, 2]  # of the crops
-        behind, pixels = unmoved(last.P, *points.bound_to(old.posed), old.image, image, shift)
+        behind = unmoved(old, picture, self.blurs[-1] * seen.px_per_m)
         support = posterior(
-            r[:, None], (behind / noise)[:, None], np.clip(old.trust, _LEAST, 1.0 - _LEAST),
-            old.excess[points.part][:, None], np.ones(1), Neighbourhood.about(pixels / cell, 1.0), _NEITHER,
+            r[:, None], (behind / noise)[:, None], np.clip(old.trust, _LEAST, 1.0 - _LEAST), old.excess[part][:, None],
+            np.ones(1), Neighbourhood.about(old.pixels / cell, 1.0), _NEITHER,
         )  # fmt: skip
-        return replace(old, excess=excess, trust=np.where(visible > 0.0, 0.5 * (old.trust + support), old.trust))
+        return replace(old, excess=excess, trust=np.where(visible, 0.5 * (old.trust + support), old.trust))
 
     def _noise(self, samples: Samples, px_per_m: float) -> Float:
         """(N,) expected standard deviation of the points' differences."""
         return np.sqrt(self.sigma**2 + (self.slide * px_per_m) ** 2 * np.sum(samples.gradient**2, axis=1))
 
-    def term(self, view: View, seen: RenderedView, template: Template, level: int) -> PhotometricTerm:
-        """Brightness constancy of the template's points that the rendered view says are visible."""
-        P, blur, points = view.camera.P, self.blurs[level] * seen.px_per_m, template.points
-        visible = visible_points(P, *points.bound_to(seen.posed), seen.inverse_depth_image, self.depth_tolerance)
-        samples = template.samples if level in (-1, len(self.blurs) - 1) else template.blurred(blur)
-        noise = template.excess[points.part] * self._noise(samples, seen.px_per_m)
-        weight = visible * template.trust * (self.share / noise**2)
-        return PhotometricTerm(P, samples, view.blurred(blur), weight, self.scale * noise)
+    def term(self, view: View, seen: RenderedView, memory: Memory, level: int) -> PhotometricTerm:
+        """Brightness constancy of the remembered points that the rendered view says are visible."""
+        blur, fine = self.blurs[level] * seen.px_per_m, memory.samples()[0]
+        visible, _ = seen.visible(memory.points, self.depth_tolerance)
+        samples = fine if level in (-1, len(self.blurs) - 1) else memory.blurred(blur)
+        noise = memory.excess[memory.points.part] * self._noise(fine, seen.px_per_m)
+        weight = visible * memory.trust * (self.share / noise**2)
+        return PhotometricTerm(view.camera.P, samples, view.blurred(blur), weight, self.scale * noise)
 
 
 LOOSE_CLOTHES = Brightness(sigma=0.006, slide=0.001, share=0.5, update=0.1, support="em")
 """For a body that fits under clothes that do not."""
 
 
-def empty_grid(view: View, seen: RenderedView, count: int) -> tuple[int, Bool]:
-    """Side of a cell, px, and the cells of a grid of which about `count` lie on the body; none is occupied."""
-    cell = max(1, round(math.sqrt(max(np.count_nonzero(seen.mask), 1) / max(count, 1))))
-    return cell, np.zeros((view.grey.shape[0] // cell + 1, view.grey.shape[1] // cell + 1), dtype=np.bool_)
+def cell_of(seen: RenderedView, count: int) -> int:
+    """Side of the cells of a grid, px, of which about `count` lie on the body."""
+    return max(1, round(math.sqrt(max(np.count_nonzero(seen.mask), 1) / max(count, 1))))
 
 
-@njit(cache=True, nogil=True)
-def template_values(
-    P: Float, transforms: Float, segments: Int, weights: Float, local: Float, image: Float32
-) -> tuple[Float, Float]:
-    """Brightness (N,) and image gradient (N, 2) of surface points in an image; NaN and 0 outside it."""
-    N = len(local)
-    value, gradient = np.full(N, np.nan), np.zeros((N, 2))
-    for n in range(N):
-        x, y, w = projected_point(P, transforms, segments, weights, local, n)
-        here, gx, gy, inside = sample(image, x, y)
-        if w > 0.0 and inside:
-            value[n], gradient[n, 0], gradient[n, 1] = here, gx, gy
-    return value, gradient
-
-
-@njit(cache=True, nogil=True)
-def unmoved(
-    P: Float, transforms: Float, segments: Int, weights: Float, local: Float, before: Float32, now: Float32,
-    shift: Float,
-) -> tuple[Float, Float]:  # fmt: skip
-    """How much brightness has changed where surface points were in the frame before, and those pixels.
-
-    Args:
-        P, transforms: of that frame; segments, weights, local: the points.
-        before, now: its image, and the present one.
-        shift: (2,) px from the pixels of the one to those of the other.
-
-    Returns:
-        (N,) differences, NaN off the images, and (N, 2) pixels in the image before.
-    """
-    change, pixels = np.full(len(local), np.nan), np.zeros((len(local), 2))
-    for n in range(len(local)):
-        x, y, w = projected_point(P, transforms, segments, weights, local, n)
-        if w > 0.0:
-            pixels[n, 0], pixels[n, 1] = x, y
-            change[n] = brightness_at(now, x + shift[0], y + shift[1]) - brightness_at(before, x, y)
-    return change, pixels
-
-
-@njit(cache=True, nogil=True)
-def refreshed(
-    P: Float, transforms: Float, segments: Int, weights: Float, local: Float, value: Float, gradient: Float,
-    image: Float32, inverse_depth: Float32, tolerance: float, update: float, most: float, cell: int, occupied: Bool,
-) -> tuple[Float, Float, Int]:  # fmt: skip
-    """Template points that are still seen, the first in each cell of the grid `occupied`, which is filled in.
-
-    Args:
-        value, gradient: (N,) and (N, 2) of the old template.
-        image: the present one, blurred as the template's.
-        inverse_depth: (H, W) of the rendered body; a point is seen no more than `tolerance` m behind it.
-        update: share of the present brightness that is taken over.
-        most: difference of brightness beyond which a point is given up.
-
-    Returns:
-        New values (M,), gradients (M, 2) and indices (M,) of the points kept.
-    """
-    N = len(value)
-    kept, now, slope = np.empty(N, dtype=np.int32), np.empty(N), np.empty((N, 2))
-    count = 0
-    for n in range(N):
-        x, y, w = projected_point(P, transforms, segments, weights, local, n)
-        if not _in_sight(x, y, w, inverse_depth, tolerance):
-            continue
-        row, column = int(y + 0.5), int(x + 0.5)
-        r, c = (row - 2) // cell, (column - 2) // cell
-        if row < 2 or column < 2 or occupied[r, c]:
-            continue
-        here, gx, gy, inside = sample(image, x, y)
-        if not inside or not abs(here - value[n]) < most:
-            continue
-        now[count] = value[n] + update * (here - value[n])
-        slope[count, 0] = gradient[n, 0] + update * (gx - gradient[n, 0])
-        slope[count, 1] = gradient[n, 1] + update * (gy - gradient[n, 1])
-        occupied[r, c] = True
-        kept[count] = n
-        count += 1
-    return now[:count].copy(), slope[:count].copy(), kept[:count].copy()
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _in_sight(x: float, y: float, w: float, inverse_depth: Float32, tolerance: float) -> bool:
-    """Whether a point of inverse depth w, seen at (x, y), lies no more than `tolerance` m behind the surface there."""
-    height, width = inverse_depth.shape
-    if w == 0.0 or not (-0.5 <= x < width - 0.5 and -0.5 <= y < height - 0.5):
-        return False
-    surface = inverse_depth[int(y + 0.5), int(x + 0.5)]
-    return surface > 0.0 and 1.0 / w < 1.0 / surface + tolerance
-
-
-@njit(cache=True, nogil=True)
-def strongest_in_cells(grey: Float32, inverse_depth: Float32, cell: int, occupied: Bool) -> tuple[Int, Int]:
-    """Rows and columns of body pixels, the most textured of each cell that is not occupied, none at a rim."""
-    height, width = grey.shape
-    best = np.zeros(occupied.shape, dtype=np.float32)
-    best_row, best_column = np.empty(best.shape, dtype=np.int32), np.empty(best.shape, dtype=np.int32)
-    cell_of = (np.arange(width) - 2) // cell  # divisions are slow
-    for r in range(2, height - 2):
-        i = (r - 2) // cell
-        for c in range(2, width - 2):
-            if inverse_depth[r, c] == 0.0:
-                continue
-            j = cell_of[c]
-            if occupied[i, j]:
-                continue
-            gx, gy = grey[r, c + 1] - grey[r, c - 1], grey[r + 1, c] - grey[r - 1, c]
-            strength = np.float32(1e-9) + gx * gx + gy * gy
-            if strength > best[i, j] and not _at_rim(inverse_depth, r, c):
-                best[i, j], best_row[i, j], best_column[i, j] = strength, r, c
-    rows, columns = np.empty(best.size, dtype=np.int32), np.empty(best.size, dtype=np.int32)
-    count = 0
-    for i, j in np.ndindex(occupied.shape):
-        if best[i, j] > 0.0:
-            rows[count], columns[count] = best_row[i, j], best_column[i, j]
-            count += 1
-    return rows[:count], columns[:count]
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _at_rim(inverse_depth: Float32, r: int, c: int) -> bool:
-    """Whether the body ends, or its depth jumps by 4 cm, two pixels off."""
-    w = inverse_depth[r, c]
-    for dr, dc in ((-2, 0), (2, 0), (0, -2), (0, 2)):
-        other = inverse_depth[r + dr, c + dc]
-        if other == 0.0 or abs(w - other) > 0.04 * w * other:
-            return True
-    return False
-
-
-@njit(cache=True, nogil=True)
-def visible_points(
-    P: Float, transforms: Float, segments: Int, weights: Float, local: Float, inverse_depth: Float32, tolerance: float
-) -> Float:
-    """(N,) 1.0 where a surface point lies no more than `tolerance` m behind the rendered surface, else 0.0."""
-    out = np.zeros(len(local))
-    for n in range(len(local)):
-        x, y, w = projected_point(P, transforms, segments, weights, local, n)
-        out[n] = 1.0 if _in_sight(x, y, w, inverse_depth, tolerance) else 0.0
-    return out
+def unmoved(memory: Memory, picture: Picture, sigma: float) -> Float:
+    """(N,) how much brightness has changed where points were in the frame before; NaN off the images."""
+    shift = np.subtract(memory.picture.origin, picture.origin)
+    before, _ = sampled(memory.picture.blurred(sigma), memory.pixels)
+    return sampled(picture.blurred(sigma), memory.pixels + shift)[0] - before

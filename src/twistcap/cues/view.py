@@ -14,9 +14,69 @@ from twistcap.body import Posed
 from twistcap.camera import Camera
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
-from twistcap.features import Channels, feature_channels, grey
+from twistcap.features import Channels, feature_channels, grey, opponent
 from twistcap.render import body_window
 from twistcap.stages import stage
+
+_FINEST, _BETWEEN = 0.7, 0.8  # px, Gaussians under which a level of the pyramid is seen, and made smaller
+
+
+@dataclass(frozen=True)
+class Picture:
+    """An image under blurs and in the levels of a pyramid, each of which is computed once.
+
+    Attributes:
+        image: (H, W[, 3]) uint8 or in [0, 1].
+        origin: (x, y) of its first pixel in the whole image of the camera.
+    """
+
+    image: AnyArray
+    origin: tuple[int, int] = (0, 0)
+    _blurs: dict[float, Float32] = field(default_factory=dict, repr=False)
+    _levels: dict[tuple[int, bool], Float32] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def grey(self) -> Float32:
+        """(H, W) float32."""
+        return grey(self.image)
+
+    def blurred(self, sigma: float) -> Float32:
+        """(H, W) grey values under a Gaussian of `sigma` px (to a tenth of a pixel)."""
+        sigma = round(sigma, 1)
+        if sigma not in self._blurs:
+            with stage("features"):
+                size = 2 * math.ceil(2.7 * sigma) + 1
+                blur = self.grey if sigma < 0.3 else cv2.GaussianBlur(self.grey, (size, size), sigma)
+                self._blurs[sigma] = np.asarray(blur, dtype=np.float32)
+        return self._blurs[sigma]
+
+    def level(self, level: int, colour: bool = True) -> Float32:
+        """(C, H, W) opponent colours (or grey alone), smaller by 2 to the power of `level`, each blurred a little.
+
+        Pixel centres stay at integers: pixel x of one level is 2 x + ½ of the one before.
+        """
+        if (level, colour) not in self._levels:
+            if level == 0:
+                each = opponent(self.image, colour)
+            else:
+                each = [_halved(channel) for channel in self.level(level - 1, colour)]
+            self._levels[level, colour] = np.stack([_gaussian(channel, _FINEST) for channel in each])
+        return self._levels[level, colour]
+
+    def levels(self, count: int, colour: bool = True) -> list[Float32]:
+        """So many levels of the pyramid, finest first."""
+        return [self.level(k, colour) for k in range(count)]
+
+
+def _halved(image: Float32) -> Float32:
+    height, width = image.shape
+    even = image[: height // 2 * 2, : width // 2 * 2]
+    small = cv2.resize(_gaussian(even, _BETWEEN), (width // 2, height // 2), interpolation=cv2.INTER_AREA)
+    return np.asarray(small, np.float32)
+
+
+def _gaussian(image: Float32, sigma: float) -> Float32:
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), np.float32)
 
 
 @dataclass(frozen=True)
@@ -27,12 +87,18 @@ class View:
         camera: pinhole, of the crop.
         image: (H, W[, 3]) uint8 or float32.
         channels: what the region statistics look at.
+        origin: (x, y) of the crop's first pixel in the whole image.
     """
 
     camera: Camera
     image: AnyArray
     channels: Channels = "grey"
-    _blurs: dict[float, Float32] = field(default_factory=dict, repr=False)
+    origin: tuple[int, int] = (0, 0)
+
+    @cached_property
+    def picture(self) -> Picture:
+        """The image under blurs and in a pyramid."""
+        return Picture(self.image, self.origin)
 
     @cached_property
     def features(self) -> Float32:
@@ -43,17 +109,11 @@ class View:
     @cached_property
     def grey(self) -> Float32:
         """(H, W) float32."""
-        return grey(self.image)
+        return self.picture.grey
 
     def blurred(self, sigma: float) -> Float32:
-        """(H, W) grey values under a Gaussian of `sigma` px (to a tenth of a pixel); computed once."""
-        sigma = round(sigma, 1)
-        if sigma not in self._blurs:
-            with stage("features"):
-                size = 2 * math.ceil(2.7 * sigma) + 1
-                blur = self.grey if sigma < 0.3 else cv2.GaussianBlur(self.grey, (size, size), sigma)
-                self._blurs[sigma] = np.asarray(blur, dtype=np.float32)
-        return self._blurs[sigma]
+        """(H, W) grey values under a Gaussian of `sigma` px (to a tenth of a pixel)."""
+        return self.picture.blurred(sigma)
 
 
 def view_window(camera: Camera, posed: Posed, margin_m: float) -> tuple[tuple[int, int], tuple[int, int]] | None:
@@ -77,7 +137,7 @@ def crop_view(image: AnyArray, camera: Camera, posed: Posed, margin_m: float, ch
         raise InputError(
             f"camera {camera.name!r}: its image holds a value that is not finite; repair it or give None instead."
         )
-    return View(camera.cropped((x, y), (w, h)), crop, channels)
+    return View(camera.cropped((x, y), (w, h)), crop, channels, (x, y))
 
 
 def despeckled(frame: Frame, size: int) -> Frame:

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from twistcap._typing import Bool, Float, Float32, Int
 from twistcap.body import Posed
+from twistcap.camera import ScaledView
+from twistcap.cues.memory import Memory, level_pixels, sampled_channels
 from twistcap.cues.support_maps import Neighbourhood, posterior, robust_scale
+from twistcap.cues.view import Picture
 from twistcap.differential.background import under_motion
-from twistcap.differential.memory import Memory, sampled
 from twistcap.differential.settings import DifferentialConfig
 from twistcap.differential.system import normal_equations
-from twistcap.differential.view import ScaledView
 from twistcap.terms.photometric import EXPOSURE, Samples
 
 _PLAIN_SIGMA = 0.02  # brightness; scale of the residuals where none is estimated
@@ -61,7 +61,7 @@ class Evidence:
     def residuals(self, posed: Posed, view: ScaledView, exposure: Float) -> Float:
         """(N, C) at a pose; NaN off the image. Exposure changes grey alone."""
         lit = (exposure, *[np.zeros(EXPOSURE)] * (len(self.samples) - 1))
-        P = view.resized(self.factor).P
+        P = view.scaled(self.factor).P
         found = [s.residuals(posed, P, im, x) for s, im, x in zip(self.samples, self.image, lit, strict=True)]
         return np.stack(found, axis=1)
 
@@ -79,7 +79,7 @@ class Evidence:
     def equations(self, posed: Posed, view: ScaledView, exposure: Float) -> tuple[Float, Float]:
         """Gradient and matrix of the energy by (φ, θ̇, exposure), φ's shifts in px of the finest level."""
         n = posed.body.dof + EXPOSURE
-        g, H, own = np.zeros(n), np.zeros((n, n)), view.resized(self.factor)
+        g, H, own = np.zeros(n), np.zeros((n, n)), view.scaled(self.factor)
         for c, (s, image) in enumerate(zip(self.samples, self.image, strict=True)):
             lit = exposure if c == 0 else np.zeros(EXPOSURE)
             weight = np.ascontiguousarray(self.weight[:, c])
@@ -124,31 +124,30 @@ def known(residual: Float) -> Float:
 
 
 def evidence(
-    memory: Memory, level: int, levels: Sequence[Float32], visible: Bool, motion: Float, config: DifferentialConfig
+    memory: Memory, level: int, picture: Picture, visible: Bool, motion: Float, config: DifferentialConfig
 ) -> Evidence:
     """The remembered points that are `visible` (N,), thinned at coarse levels.
 
     Args:
         memory: of the frame before.
-        level: of the pyramid `levels` of the present frame.
+        level: of the pyramid.
+        picture: of the present frame.
         visible: whether a point is seen at the present guess.
         motion: (2, 3) of the layer behind, px of the finest level.
         config: settings.
     """
-    factor = 0.5**level
+    factor, (image, before) = 0.5**level, (p.level(level, config.colour) for p in (picture, memory.picture))
     which = _thinned(factor * memory.pixels / config.spacing, visible)
-    at = memory.level_pixels(level, which)
+    at = level_pixels(np.take(memory.pixels, which, axis=0), level)
     shrunk = np.c_[motion[:, :2], factor * motion[:, 2]]
-    behind = sampled(levels[level], under_motion(at, shrunk))[0] - sampled(memory.pyramid[level], at)[0]
+    behind = sampled_channels(image, under_motion(at, shrunk))[0] - sampled_channels(before, at)[0]
     behind[memory.missed[which] > 0] = np.nan  # what was seen at its pixel was not the point's own
     prior = np.ones(len(which))
     if config.support == "em":
         shape = _shape_prior(factor * memory.inside[which], config.reach_px)
         prior = np.clip(0.5 * (shape + memory.trust[which]), 0.02, 0.98)
-    samples = memory.at_level(level, which)
-    return Evidence(
-        samples, which, levels[level], factor, prior, behind, samples[0].points.part, Neighbourhood.about(at)
-    )
+    samples = memory.samples(level, which)
+    return Evidence(samples, which, image, factor, prior, behind, samples[0].points.part, Neighbourhood.about(at))
 
 
 def _thinned(cells: Float, visible: Bool) -> Int:

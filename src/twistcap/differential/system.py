@@ -13,11 +13,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from twistcap import se3
 from twistcap._typing import Float, Float32
 from twistcap.body import Posed
 from twistcap.camera import pinhole
-from twistcap.differential.view import ROOT, ScaledView
+from twistcap.camera.scaled import ROOT, ScaledView
 from twistcap.render import SurfacePoints
 from twistcap.terms import accumulate
 from twistcap.terms.photometric import EXPOSURE, Samples, sample
@@ -25,22 +24,11 @@ from twistcap.terms.photometric import EXPOSURE, Samples, sample
 
 def image_motion(posed: Posed, view: ScaledView, points: SurfacePoints) -> Float:
     """(N, 2, 6 + J) derivative of the pixels of surface points by the view's motion and the joints."""
-    if view.K is not None:
-        return _pinhole_motion(posed, view, points)
-    q = view.camera_points(points.at(posed))
-    out = np.zeros((len(q), 2, posed.body.dof))
-    out[:, :, 0] = q[:, :2]
-    out[:, 0, 1] = out[:, 1, 2] = 1.0
-    out[:, :, 3:ROOT] = -se3.hat(q)[:, :2]
-    joints = posed.point_jacobian(points.segments, points.weights, points.local)[:, :, 6:]
-    out[:, :, ROOT:] = view.scale * np.einsum("ij,njk->nik", view.rotation[:2], joints)
-    return out
-
-
-def _pinhole_motion(posed: Posed, view: ScaledView, points: SurfacePoints) -> Float:
-    _, _, by_point = pinhole(view.P, points.at(posed))
+    pixels, _, by_point = pinhole(view.P, points.at(posed))
     out = by_point @ posed.point_jacobian(points.segments, points.weights, points.local)
     out[:, :, :ROOT] = out[:, :, :ROOT] @ view.root_step()
+    if view.K is None:  # growth is no motion of the body's
+        out[:, :, 0] = pixels - view.shift
     return out
 
 

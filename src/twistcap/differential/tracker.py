@@ -8,22 +8,24 @@ motion is predicted, and a wide prior on its change keeps what no pixel sees fin
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twistcap._typing import AnyArray, Bool, Float, Float32
+from twistcap._typing import AnyArray, Bool, Float
 from twistcap.body import Body
+from twistcap.cues.memory import Look, Memory, Retention, remember
+from twistcap.cues.view import Picture
 from twistcap.differential.background import STILL, dominant_motion
 from twistcap.differential.evidence import Evidence, evidence
-from twistcap.differential.memory import Look, Memory, Retention, channels, pyramid, remember
-from twistcap.differential.render import render
 from twistcap.differential.search import searched
 from twistcap.differential.settings import DifferentialConfig
 from twistcap.differential.view import ROOT, State
 from twistcap.errors import InputError
+from twistcap.render import render
 from twistcap.terms.photometric import EXPOSURE
 
+_BEHIND = 0.02  # m that a point may lie behind the rendered surface and still be remembered as seen
 _LONGEST = 0.35  # rad; no joint turns farther in one step of the descent
 
 
@@ -66,10 +68,10 @@ class DifferentialTracker:
     ) -> None:
         self.body, self.config = body, config or DifferentialConfig()
         _check(body, state, images)
+        state = state.sized(images)
         self.state, self.velocity = state, np.zeros(ROOT * len(state.views) + len(state.q))
-        none = np.zeros(EXPOSURE)
-        looks = [self._look(state, v, self._pyramid(image), none) for v, image in enumerate(images)]
-        self._memory = [remember(look, None, None, self._retention) for look in looks]
+        looks = [self._look(state, v, Picture(image), np.zeros(EXPOSURE)) for v, image in enumerate(images)]
+        self._memory = [remember(look, None, self._retention) for look in looks]
 
     def step(self, images: Sequence[AnyArray | None], expected: State | None = None) -> DifferentialEstimate:
         """Follow the body into the next frame.
@@ -80,20 +82,20 @@ class DifferentialTracker:
                 the last motion goes on, and limbs are sought where the settings ask for it.
         """
         _check(self.body, self.state, images)
-        pyramids = [None if image is None else self._pyramid(image) for image in images]
+        pictures = [None if image is None else Picture(image) for image in images]
         before, guess = self.state, expected or self._clipped(self.state.retract(self._expected_motion()))
-        moved = [self._behind(memory, levels) for memory, levels in zip(self._memory, pyramids, strict=True)]
+        moved = [self._behind(memory, picture) for memory, picture in zip(self._memory, pictures, strict=True)]
         problem = _Frame(self.body, self.config, guess)
         state, views = guess, list[Evidence]()
         for level in reversed(range(self.config.levels)):
-            views = [self._evidence(v, level, levels, state, moved[v]) for v, levels in enumerate(pyramids)]
+            views = [self._evidence(v, level, picture, state, moved[v]) for v, picture in enumerate(pictures)]
             problem.views = views
             if expected is None and level == self.config.levels - 1 and self.config.carry > 0:
                 state = min((guess, before), key=problem.misfit)
             if expected is None and level == min(1, self.config.levels - 1) and self.config.search_deg > 0:
                 state = self._sought(problem, state)
             state = problem.settle(state)
-        self._remember(state, views, pyramids, problem.exposure)
+        self._remember(state, views, pictures, problem.exposure)
         self.velocity, self.state = state.minus(before), state
         D = len(self.velocity)
         return DifferentialEstimate(
@@ -105,9 +107,6 @@ class DifferentialTracker:
             problem.exposure,
         )
 
-    def _pyramid(self, image: AnyArray) -> list[Float32]:
-        return pyramid(channels(image, self.config.colour), self.config.levels)
-
     def _expected_motion(self) -> Float:
         """(6 V + J,) the last motion, that of the joints as far as it carries."""
         out = self.velocity.copy()
@@ -117,18 +116,18 @@ class DifferentialTracker:
     def _clipped(self, state: State) -> State:
         return State(state.views, np.clip(state.q, *self.body.limits.T))
 
-    def _behind(self, memory: Memory, levels: Sequence[Float32] | None) -> Float:
-        if self.config.behind == "still" or levels is None:
+    def _behind(self, memory: Memory, picture: Picture | None) -> Float:
+        if self.config.behind == "still" or picture is None:
             return STILL
-        return dominant_motion(memory.pyramid[0][0], levels[0][0], memory.mask)
+        before, after = (p.level(0, self.config.colour)[0] for p in (memory.picture, picture))
+        return dominant_motion(before, after, memory.mask)
 
-    def _evidence(self, v: int, level: int, levels: Sequence[Float32] | None, state: State, motion: Float) -> Evidence:
+    def _evidence(self, v: int, level: int, picture: Picture | None, state: State, motion: Float) -> Evidence:
         memory = self._memory[v]
-        if levels is None:
-            return evidence(memory, level, memory.pyramid, np.zeros(len(memory.trust), np.bool_), motion, self.config)
-        seen = render(state.posed(self.body), state.views[v], _size(levels[0]))
-        visible, *_ = seen.visible(memory.points, 0.03)
-        return evidence(memory, level, levels, visible, motion, self.config)
+        if picture is None:
+            return evidence(memory, level, memory.picture, np.zeros(len(memory.trust), np.bool_), motion, self.config)
+        visible, _ = render(state.posed(self.body), state.views[v]).visible(memory.points, 0.03)
+        return evidence(memory, level, picture, visible, motion, self.config)
 
     def _sought(self, problem: _Frame, state: State) -> State:
         """The state with limbs where a coarse search puts them."""
@@ -136,26 +135,30 @@ class DifferentialTracker:
         return searched(self.body, state, problem.misfit_of, reach, spread)
 
     def _remember(
-        self, state: State, views: Sequence[Evidence], pyramids: Sequence[Sequence[Float32] | None], exposure: Float
+        self, state: State, views: Sequence[Evidence], pictures: Sequence[Picture | None], exposure: Float
     ) -> None:
         memories: list[Memory] = []
         for v, e in enumerate(views):
-            old, levels = self._memory[v], pyramids[v]
-            if levels is None:
+            old, picture = self._memory[v], pictures[v]
+            if picture is None:
                 memories.append(old)
                 continue
             trust = old.trust.copy()
             trust[e.which] = 0.5 * (trust[e.which] + e.support)
-            memories.append(remember(self._look(state, v, levels, exposure[v]), old, trust, self._retention))
+            kept = replace(old, trust=trust) if self.config.update < 1.0 else None
+            memories.append(remember(self._look(state, v, picture, exposure[v]), kept, self._retention))
         self._memory = memories
 
-    def _look(self, state: State, v: int, levels: Sequence[Float32], exposure: Float) -> Look:
-        posed = state.posed(self.body)
-        return Look(posed, render(posed, state.views[v], _size(levels[0])), levels, exposure)
+    def _look(self, state: State, v: int, picture: Picture, exposure: Float) -> Look:
+        posed, levels = state.posed(self.body), picture.levels(self.config.levels, self.config.colour)
+        return Look(picture, levels, render(posed, state.views[v]), posed, exposure)
 
     @property
     def _retention(self) -> Retention:
-        return Retention(self.config.spacing, self.config.update, self.config.hidden)
+        return Retention(
+            self.config.spacing, "middle", self.config.update, _BEHIND, trust=0.5, least_trust=0.2, trusted_first=True,
+            hidden=self.config.hidden,
+        )  # fmt: skip
 
 
 class _Frame:
@@ -253,10 +256,6 @@ class _Frame:
         if not self.config.exposure:
             held[self._motions :] = True
         return held
-
-
-def _size(image: Float32) -> tuple[int, int]:
-    return image.shape[-1], image.shape[-2]
 
 
 def _check(body: Body, state: State, images: Sequence[AnyArray | None]) -> None:

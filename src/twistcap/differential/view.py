@@ -1,150 +1,17 @@
-"""Scaled orthography: a view of a body is a turn, a scale and a shift in the image.
-
-``(x, y) = shift + s (R X)_xy`` (Bregler and Malik, "Tracking People with Twists and Exponential Maps", CVPR 1998,
-DOI 10.1109/CVPR.1998.698581). X is in the body's own frame, so that several views share the joint angles only.
-
-Beyond the paper: where a camera's intrinsic matrix is known, the same six numbers say where the body stands before it,
-and the view is that pinhole's. Near by, what scaled orthography cannot show, a turn of the trunk would have to.
-"""
+"""What the differential tracker follows: the views' own motions beside the joints."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twistcap import se3
-from twistcap._typing import Float
+from twistcap._typing import AnyArray, Float
 from twistcap.body import Body, Pose, Posed
-from twistcap.camera import Camera
-from twistcap.errors import InputError
+from twistcap.camera.scaled import ROOT, ScaledView
 
-ROOT = 6
-"""Numbers of a view's own motion: relative scale, shift in x and y (px), turn about x, y and z of the camera (rad)."""
-
-
-@dataclass(frozen=True)
-class ScaledView:
-    """What one camera has of the body's place.
-
-    Attributes:
-        rotation: (3, 3) body frame to camera (x right, y down, z forward).
-        scale: px/m.
-        shift: (2,) image of the body frame's origin, px.
-        K: (3, 3) intrinsic matrix of a pinhole camera, px; None for scaled orthography.
-    """
-
-    rotation: Float
-    scale: float
-    shift: Float
-    K: Float | None = None
-
-    def camera_points(self, points: Float) -> Float:
-        """Points (..., 3) m of the body frame in camera axes, px, relative to the body's origin.
-
-        Those of a pinhole's view have their images' x and y, and a depth that is linear in the image.
-
-        Raises:
-            InputError: where points lie behind a pinhole.
-        """
-        if self.K is None:
-            return self.scale * (points @ self.rotation.T)
-        T = self._T_cam_body(self.K)
-        seen = points @ T[:3, :3].T + T[:3, 3]
-        if not np.all(seen[..., 2] > 0.0):
-            raise InputError("differential: the body reaches behind a camera, before which perspective needs it.")
-        pixels = (seen @ self.K.T)[..., :2] / seen[..., 2:] - self.shift
-        depth = self.scale * T[2, 3] * (1.0 - T[2, 3] / seen[..., 2:])
-        return np.concatenate([pixels, depth], axis=-1)
-
-    def pixels(self, points: Float) -> Float:
-        """(..., 2) px."""
-        return self.camera_points(points)[..., :2] + self.shift
-
-    def nearness(self, points: Float) -> Float:
-        """(...,) inverse depth of points, which is linear in the image, against the origin's; 1 without K."""
-        if self.K is None:
-            return np.ones(points.shape[:-1])
-        T = self._T_cam_body(self.K)
-        return T[2, 3] / (points @ T[2, :3] + T[2, 3])
-
-    @property
-    def P(self) -> Float:
-        """(3, 4) projection of a point of the body frame to its pixel; affine where no K is known."""
-        if self.K is not None:
-            return self.K @ self._T_cam_body(self.K)[:3]
-        out = np.zeros((3, 4))
-        out[:2, :3], out[:2, 3], out[2, 3] = self.scale * self.rotation[:2], self.shift, 1.0
-        return out
-
-    def moved(self, phi: Float) -> ScaledView:
-        """After the motion φ = (s', v₁, v₂, ω_x, ω_y, ω_z); it grows and turns about the image of the origin."""
-        turned = se3.orthonormalised(se3.transform(se3.exp_rotation(phi[3:]) @ self.rotation, np.zeros(3)))[:3, :3]
-        return replace(self, rotation=turned, scale=self.scale * float(np.exp(phi[0])), shift=self.shift + phi[1:3])
-
-    def root_step(self) -> Float:
-        """(6, 6) twist of the body (ω, v; about its origin, in its frame) that the motion φ amounts to.
-
-        Without K the growth s' is no motion of the body's: its column is zero.
-        """
-        out = np.zeros((ROOT, ROOT))
-        out[:3, 3:] = self.rotation.T
-        if self.K is None:
-            out[3:, 1:3] = self.rotation[:2].T / self.scale
-            return out
-        T = self._T_cam_body(self.K)
-        at, far = T[:3, 3], float(np.linalg.norm(T[:3, 3]))
-        moved = np.zeros((3, 3))  # of the origin by s', v₁, v₂
-        moved[:, 0], moved[:2, 1:] = -at, at[2] * np.linalg.inv(self.K[:2, :2])
-        n = at / far
-        bisector = n + np.array([0.0, 0.0, 1.0])  # the least turn from the optical axis to n turns so as n moves
-        out[:3, :3] = T[:3, :3].T @ se3.hat(bisector) @ (moved - np.outer(n, n @ moved)) / (far * bisector[2])
-        out[3:, :3] = T[:3, :3].T @ moved
-        return out
-
-    def minus(self, other: ScaledView) -> Float:
-        """The motion (6,) that `moved` needs to come from `other` to this view."""
-        turn = se3.log_rotation(self.rotation @ other.rotation.T)
-        return np.concatenate([[np.log(self.scale / other.scale)], self.shift - other.shift, turn])
-
-    def resized(self, factor: float) -> ScaledView:
-        """The view in the image resized by `factor`; pixel centres stay at integers."""
-        half = 0.5 * (factor - 1.0)
-        K = None if self.K is None else np.array([[factor, 0, half], [0, factor, half], [0, 0, 1.0]]) @ self.K
-        return replace(self, scale=factor * self.scale, shift=factor * self.shift + half, K=K)
-
-    @staticmethod
-    def of(camera: Camera, root: Float, perspective: bool = False) -> ScaledView:
-        """The view nearest to a pinhole camera's of a body at `root` (4, 4): exact at the body's origin.
-
-        With `perspective` it is the camera's own everywhere, distortion left out.
-        """
-        at = se3.apply(camera.T_cam_world, root[None, :3, 3])[0]
-        towards = _towards(at)
-        scale = 0.5 * float(camera.K[0, 0] + camera.K[1, 1]) / float(np.linalg.norm(at))
-        stretch = float(np.linalg.norm(at) / at[2])  # off the axis a pinhole images things larger
-        K = camera.K if perspective else None
-        pixel = camera.K[:2, :2] @ (at[:2] / at[2]) + camera.K[:2, 2]
-        return ScaledView(towards @ camera.T_cam_world[:3, :3] @ root[:3, :3], scale * stretch, pixel, K)
-
-    def root(self, camera: Camera) -> Float:
-        """(4, 4) where the body stands, rest to world, for a pinhole camera of known focal length: undoes `of`."""
-        T, R, t = self._T_cam_body(camera.K), camera.T_cam_world[:3, :3], camera.T_cam_world[:3, 3]
-        return se3.transform(R.T @ T[:3, :3], R.T @ (T[:3, 3] - t))
-
-    def _T_cam_body(self, K: Float) -> Float:
-        """(4, 4) body frame to a pinhole camera."""
-        xy = np.linalg.solve(K[:2, :2], self.shift - K[:2, 2])
-        at = 0.5 * float(K[0, 0] + K[1, 1]) / self.scale * np.array([xy[0], xy[1], 1.0])
-        return se3.transform(_towards(at).T @ self.rotation, at)
-
-
-def _towards(at: Float) -> Float:
-    """(3, 3) the least turn that takes the direction of a camera point (3,) to the optical axis."""
-    n = at / np.linalg.norm(at)
-    axis = np.cross(n, [0.0, 0.0, 1.0])
-    sine = float(np.linalg.norm(axis))
-    return np.eye(3) if sine < 1e-12 else se3.exp_rotation(axis / sine * np.arctan2(sine, n[2]))
+__all__ = ["ROOT", "ScaledView", "State"]
 
 
 @dataclass(frozen=True)
@@ -164,6 +31,11 @@ class State:
         joints = ROOT * len(self.views)
         views = tuple(view.moved(delta[ROOT * v : ROOT * v + ROOT]) for v, view in enumerate(self.views))
         return State(views, self.q + delta[joints:])
+
+    def sized(self, images: Sequence[AnyArray]) -> State:
+        """The same state before such images (H, W[, 3])."""
+        pairs = zip(self.views, images, strict=True)
+        return State(tuple(replace(view, size=(im.shape[1], im.shape[0])) for view, im in pairs), self.q)
 
     def minus(self, other: State) -> Float:
         """The step (6 V + J,) that `retract` needs to come from `other` to this state."""

@@ -13,8 +13,9 @@ from typing import TypedDict
 import numpy as np
 
 from twistcap._typing import AnyArray, Bool, Float, Int
+from twistcap.camera.projection import project
 from twistcap.region.compare import iou as iou
-from twistcap.render.raster import project_pinhole, rasterise
+from twistcap.render.raster import rasterise
 
 SIDES = ("r", "l")
 JOINT_CENTRES = tuple(f"{joint}_{s}" for s in SIDES for joint in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist"))
@@ -141,7 +142,7 @@ def lost_sequence(errors_mm: Float, limit_mm: float = LOST_SEQUENCE_MM) -> bool:
 
 def silhouette(P: Float, vertices: Float, faces: Int, size: tuple[int, int]) -> Bool:
     """(H, W) mask of a surface (V, 3) m seen by a pinhole camera (3, 4) with an image of (width, height)."""
-    pixels, inverse_depth = project_pinhole(np.ascontiguousarray(P), vertices)
+    pixels, inverse_depth = project(np.ascontiguousarray(P), vertices)
     face_index, _ = rasterise(pixels, inverse_depth, faces, (0, 0), size)
     return face_index >= 0
 

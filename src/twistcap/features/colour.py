@@ -45,6 +45,23 @@ def grey(image: AnyArray) -> Float32:
     return to_float(image)
 
 
+_OPPONENT = np.array([[0.299, 0.587, 0.114], [0.707, -0.707, 0.0], [0.408, 0.408, -0.816]], dtype=np.float32)
+
+
+def opponent(image: AnyArray, colour: bool = True) -> Float32:
+    """(C, H, W) grey in [0, 1], and for RGB images two opponent colours, red to green and yellow to blue.
+
+    Args:
+        image: (H, W) or (H, W, 3), uint8 or in [0, 1].
+        colour: False leaves grey alone.
+    """
+    values = image.astype(np.float32) / np.float32(255.0 if image.dtype == np.uint8 else 1.0)
+    if values.ndim == 2:
+        return values[None]
+    mixed = np.moveaxis(values, -1, 0)
+    return np.einsum("ck,khw->chw", _OPPONENT if colour else _OPPONENT[:1], mixed).astype(np.float32)
+
+
 def lab(image: AnyArray) -> Float32:
     """(H, W, 3) CIELAB of an RGB image (H, W, 3), divided by 100: equal steps look about equally large."""
     if image.dtype == np.uint8:

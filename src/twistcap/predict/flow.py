@@ -172,4 +172,4 @@ class FlowPredictor:
 
 def _cut(image: AnyArray, camera: Camera, corner: tuple[int, int], size: tuple[int, int], channels: Channels) -> View:
     (x, y), (w, h) = corner, size
-    return View(camera.cropped(corner, size), np.ascontiguousarray(image[y : y + h, x : x + w]), channels)
+    return View(camera.cropped(corner, size), np.ascontiguousarray(image[y : y + h, x : x + w]), channels, corner)

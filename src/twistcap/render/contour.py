@@ -13,7 +13,7 @@ from numba import njit
 
 from twistcap._typing import Bool, Float, Float32, Int
 from twistcap.body import Posed
-from twistcap.render.raster import project_pinhole
+from twistcap.camera.projection import along, project
 from twistcap.render.view import RenderedView, SurfacePoints, surface_points
 
 _HIDDEN, _OUTER, _INNER = 0, 1, 2
@@ -55,14 +55,14 @@ class ContourPoints:
 
 def reprojected(contour: ContourPoints, posed: Posed, P: Float) -> ContourPoints:
     """The same contour points after the body moved a little; their normals and order of depth are taken to stay."""
-    pixels, inverse_depth = project_pinhole(P, contour.points.at(posed))
+    pixels, inverse_depth = project(P, contour.points.at(posed))
     return replace(contour, pixels=pixels, inverse_depth=inverse_depth)
 
 
 @njit(cache=True, nogil=True)
 def step_lengths(P: Float, world: Float, pixels: Float) -> Float:
     """(N,) px between the projections of world points (N, 3) and `pixels` (N, 2)."""
-    now, _ = project_pinhole(P, world)
+    now, _ = project(P, world)
     out = np.empty(len(now))
     for n in range(len(now)):
         out[n] = np.hypot(now[n, 0] - pixels[n, 0], now[n, 1] - pixels[n, 1])
@@ -87,8 +87,8 @@ def contour_on_edges(
     body = view.posed.body
     edges, edge_faces = body.edges
     ends, shares, part, outer, pixels, image_normals, inverse_depth = _contour_samples(
-        view.camera.P, view.pixels, view.inverse_depth, body.faces, edges, edge_faces, view.posed.vertex_normals,
-        view.face_index, view.inverse_depth_image, body.face_part, body.vertex_part, spacing, inner_gap,
+        view.camera.P, view.pixels, view.nearness, body.faces, edges, edge_faces, view.posed.vertex_normals,
+        view.face_index, view.nearness_image, body.face_part, body.vertex_part, spacing, inner_gap,
     )  # fmt: skip
     points = surface_points(body, ends, shares)
     return ContourPoints(points, pixels, image_normals, part, outer, inverse_depth), ends, shares
@@ -112,8 +112,9 @@ def _faces_camera(pixels: Float, inverse_depth: Float, faces: Int) -> Int:
 @njit(cache=True, nogil=True)
 def _image_normal(P: Float, u: float, v: float, nx: float, ny: float, nz: float) -> tuple[float, float]:
     """Unit image direction in which a point moving along a surface normal moves."""
-    a = (P[0, 0] - u * P[2, 0]) * nx + (P[0, 1] - u * P[2, 1]) * ny + (P[0, 2] - u * P[2, 2]) * nz
-    b = (P[1, 0] - v * P[2, 0]) * nx + (P[1, 1] - v * P[2, 1]) * ny + (P[1, 2] - v * P[2, 2]) * nz
+    u0, u1, u2 = along(P, u, v, 1.0, 0.0)
+    v0, v1, v2 = along(P, u, v, 0.0, 1.0)
+    a, b = u0 * nx + u1 * ny + u2 * nz, v0 * nx + v1 * ny + v2 * nz
     length = np.sqrt(a * a + b * b)
     if length < 1e-12:
         return 0.0, 0.0

@@ -1,4 +1,4 @@
-"""Z-buffer rasteriser: which triangle is seen at each pixel, and how far."""
+"""Z-buffer rasteriser: which triangle is seen at each pixel, and how near."""
 
 from __future__ import annotations
 
@@ -10,46 +10,28 @@ from twistcap._typing import AnyArray, Float, Float32, Int
 _EDGE = 1e-9  # triangles overlap by this much, so that rounding leaves no crack along a shared edge
 
 
-@njit(cache=True, nogil=True)
-def project_pinhole(P: Float, points: Float) -> tuple[Float, Float]:
-    """Pixels (N, 2) and inverse depths (N,) of world points (N, 3) by a 3×4 matrix; inverse depth 0 behind the camera.
-
-    The third row of P must have unit direction (``K [R | t]`` has), so that it gives metres.
-    """
-    N = len(points)
-    pixels, inverse_depth = np.empty((N, 2)), np.empty(N)
-    for n in range(N):
-        x, y, z = points[n, 0], points[n, 1], points[n, 2]
-        depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
-        w = 1.0 / depth if depth > 1e-3 else 0.0
-        inverse_depth[n] = w
-        pixels[n, 0] = (P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) * w
-        pixels[n, 1] = (P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) * w
-    return pixels, inverse_depth
-
-
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "arcp"}, error_model="numpy")
 def rasterise(
-    pixels: Float, inverse_depth: Float, faces: Int, origin: tuple[int, int], size: tuple[int, int]
+    pixels: Float, nearness: Float, faces: Int, origin: tuple[int, int], size: tuple[int, int]
 ) -> tuple[Int, Float32]:
-    """Visible triangle and inverse depth at each pixel centre of a window of the image.
+    """Visible triangle and nearness at each pixel centre of a window of the image.
 
     Args:
         pixels: (V, 2) projected vertices, pixel centres at integers.
-        inverse_depth: (V,) 1/m, 0 for vertices behind the camera (their triangles are skipped).
+        nearness: (V,) `camera.projection`'s, 0 for vertices behind the camera (their triangles are skipped).
         faces: (F, 3), counter-clockwise seen from outside; back faces are culled.
         origin: (x, y) of the window's first pixel.
         size: (width, height) of the window.
 
     Returns:
-        (H, W) triangle index, -1 where there is none, and (H, W) inverse depth, 0 there.
+        (H, W) triangle index, -1 where there is none, and (H, W) nearness, 0 there.
     """
     width, height = size
     face_index = np.full((height, width), -1, dtype=np.int32)
     buffer = np.zeros((height, width), dtype=np.float32)
     for f in range(len(faces)):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
-        wa, wb, wc = inverse_depth[a], inverse_depth[b], inverse_depth[c]
+        wa, wb, wc = nearness[a], nearness[b], nearness[c]
         if wa == 0.0 or wb == 0.0 or wc == 0.0:
             continue
         xa, ya = pixels[a, 0] - origin[0], pixels[a, 1] - origin[1]
@@ -62,7 +44,7 @@ def rasterise(
         y0, y1 = max(0, int(np.ceil(min(ya, yb, yc)))), min(height - 1, int(np.floor(max(ya, yb, yc))))
         if x0 > x1 or y0 > y1:
             continue
-        # Barycentric coordinates and inverse depth are linear in the image: walk them by increments.
+        # Barycentric coordinates and nearness are linear in the image: walk them by increments.
         scale = 1.0 / area
         ax, ay = (yb - yc) * scale, (xc - xb) * scale
         bx, by = (yc - ya) * scale, (xa - xc) * scale
@@ -82,7 +64,7 @@ def rasterise(
 
 
 def rasterise_reference(
-    pixels: Float, inverse_depth: Float, faces: Int, origin: tuple[int, int], size: tuple[int, int]
+    pixels: Float, nearness: Float, faces: Int, origin: tuple[int, int], size: tuple[int, int]
 ) -> tuple[Int, Float32]:
     """Readable twin of `rasterise`: every triangle tried at every pixel."""
     width, height = size
@@ -90,7 +72,7 @@ def rasterise_reference(
     face_index = np.full((height, width), -1, dtype=np.int32)
     buffer = np.zeros((height, width), dtype=np.float32)
     for f, corners in enumerate(faces):
-        w = inverse_depth[corners]
+        w = nearness[corners]
         (xa, ya), (xb, yb), (xc, yc) = pixels[corners]
         area = (xb - xa) * (yc - ya) - (yb - ya) * (xc - xa)
         if np.any(w == 0) or area >= 0:
@@ -105,7 +87,7 @@ def rasterise_reference(
 
 
 @njit(cache=True, nogil=True)
-def barycentric(face_index: Int, faces: Int, pixels: Float, inverse_depth: Float, at: AnyArray) -> Float:
+def barycentric(face_index: Int, faces: Int, pixels: Float, w_of: Float, at: AnyArray) -> Float:
     """Perspective-correct barycentric coordinates (N, 3) on the given triangles (N,) at pixel positions (N, 2)."""
     out = np.empty((len(face_index), 3))
     for n in range(len(face_index)):
@@ -115,7 +97,7 @@ def barycentric(face_index: Int, faces: Int, pixels: Float, inverse_depth: Float
         x, y = at[n, 0] - pixels[a, 0], at[n, 1] - pixels[a, 1]
         area = x1 * y2 - y1 * x2
         lb, lc = (x * y2 - y * x2) / area, (x1 * y - y1 * x) / area
-        wa, wb, wc = (1.0 - lb - lc) * inverse_depth[a], lb * inverse_depth[b], lc * inverse_depth[c]
+        wa, wb, wc = (1.0 - lb - lc) * w_of[a], lb * w_of[b], lc * w_of[c]
         total = wa + wb + wc
         out[n, 0], out[n, 1], out[n, 2] = wa / total, wb / total, wc / total
     return out

@@ -6,13 +6,17 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 
+import cv2
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Bool, Float, Float32, Int
+from twistcap._typing import AnyArray, Bool, Float, Float32, Int
 from twistcap.body import Body, Posed
-from twistcap.camera import Camera
-from twistcap.render.raster import barycentric, project_pinhole, rasterise
+from twistcap.camera import AnyCamera
+from twistcap.camera.projection import depth_at, project, projected
+from twistcap.render.raster import barycentric, rasterise
+
+_JUMP = 0.04  # m; a step of depth between neighbouring pixels above this is the rim of one part before another
 
 
 @dataclass(frozen=True)
@@ -66,25 +70,24 @@ class RenderedView:
 
     Attributes:
         posed: the body at its pose.
-        camera: the (pinhole) camera.
+        camera: without distortion.
         pixels: (V, 2) projected vertices.
-        inverse_depth: (V,) 1/m, 0 behind the camera.
+        nearness: (V,) of them (`camera.projection`): 1/m for a pinhole; 0 behind the camera.
         face_index: (H, W) visible triangle, -1 for none.
-        inverse_depth_image: (H, W) 1/m, 0 for none.
+        nearness_image: (H, W) of what is seen, 0 for none.
     """
 
     posed: Posed
-    camera: Camera
+    camera: AnyCamera
     pixels: Float
-    inverse_depth: Float
+    nearness: Float
     face_index: Int
-    inverse_depth_image: Float32
+    nearness_image: Float32
 
     @cached_property
     def px_per_m(self) -> float:
-        """Image scale at the body: focal length over its mean depth, px/m (0 where none of it is before the camera)."""
-        seen = self.inverse_depth[self.inverse_depth > 0]
-        return float(self.camera.K[0, 0] * seen.mean()) if len(seen) else 0.0
+        """Image scale at the body, px/m (0 where none of it is before the camera)."""
+        return self.camera.px_per_m(self.nearness)
 
     @cached_property
     def mask(self) -> Bool:
@@ -96,23 +99,71 @@ class RenderedView:
         """(H, W) visible segment, -1 off the body."""
         return _part_image(self.face_index, self.posed.body.face_part)
 
+    @cached_property
+    def inside(self) -> Float32:
+        """(H, W) px from the nearest rim: of the silhouette, or of one part before another."""
+        kept = off_rims(self.nearness_image, self.camera.inverse_depth)
+        kept = cv2.copyMakeBorder(kept, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=1)  # the image's border is no rim
+        return np.asarray(cv2.distanceTransform(kept, cv2.DIST_L2, 3)[1:-1, 1:-1], np.float32)
+
     def surface_points(self, rows: Int, columns: Int) -> SurfacePoints:
         """The surface seen at pixels (N,), all of which must lie on the body."""
         body = self.posed.body
         face = self.face_index[rows, columns]
         at = np.stack([columns, rows], axis=1).astype(float)
-        weights = barycentric(face, body.faces, self.pixels, self.inverse_depth, at)
+        w = self.nearness if self.camera.inverse_depth else project(self.camera.P, self.posed.vertices)[1]
+        weights = barycentric(face, body.faces, self.pixels, w, at)
         return surface_points(body, body.faces[face], weights)
 
+    def visible(self, points: SurfacePoints, tolerance: float, posed: Posed | None = None) -> tuple[Bool, Float]:
+        """Which points (N,) lie in the image no more than `tolerance` m behind what is seen; all pixels (N, 2).
 
-def render(posed: Posed, camera: Camera) -> RenderedView:
-    """Rasterise a posed body in a (pinhole) camera."""
-    pixels, inverse_depth = project_pinhole(camera.P, posed.vertices)
-    face_index, buffer = rasterise(pixels, inverse_depth, posed.body.faces, (0, 0), camera.size)
-    return RenderedView(posed, camera, pixels, inverse_depth, face_index, buffer)
+        With `posed` they are placed by another pose than the rendered one, such as the one settled since.
+        """
+        pixels, nearness = projected(self.camera, points.at(posed or self.posed))
+        return in_sight(pixels, nearness, self.nearness_image, self.camera.inverse_depth, tolerance), pixels
 
 
-def body_window(posed: Posed, camera: Camera, margin: float) -> tuple[tuple[int, int], tuple[int, int]] | None:
+def render(posed: Posed, camera: AnyCamera) -> RenderedView:
+    """Rasterise a posed body in a camera without distortion."""
+    pixels, nearness = projected(camera, posed.vertices)
+    face_index, buffer = rasterise(pixels, nearness, posed.body.faces, (0, 0), camera.size)
+    return RenderedView(posed, camera, pixels, nearness, face_index, buffer)
+
+
+@njit(cache=True, nogil=True)
+def in_sight(pixels: Float, nearness: Float, image: Float32, inverse: bool, tolerance: float) -> Bool:
+    """(N,) whether points at `pixels` lie in the image (H, W) of nearness, no more than `tolerance` m behind it."""
+    height, width = image.shape
+    out = np.zeros(len(pixels), dtype=np.bool_)
+    for n in range(len(pixels)):
+        x, y = pixels[n, 0], pixels[n, 1]
+        if nearness[n] == 0.0 or not (-0.5 <= x < width - 0.5 and -0.5 <= y < height - 0.5):
+            continue
+        surface = image[int(y + 0.5), int(x + 0.5)]
+        out[n] = surface > 0.0 and depth_at(nearness[n], inverse) < depth_at(surface, inverse) + tolerance
+    return out
+
+
+@njit(cache=True, nogil=True)
+def off_rims(nearness: Float32, inverse: bool) -> AnyArray:
+    """(H, W) uint8: 1 on the body, 0 off it and at its rims: beside what is off it, or 4 cm nearer or farther."""
+    height, width = nearness.shape
+    out = np.zeros((height, width), dtype=np.uint8)
+    for r in range(height):
+        for c in range(width):
+            w, rim = nearness[r, c], False
+            if w == 0.0:
+                continue
+            for dr, dc in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+                if 0 <= r + dr < height and 0 <= c + dc < width:
+                    other = nearness[r + dr, c + dc]
+                    rim |= other == 0.0 or abs(depth_at(other, inverse) - depth_at(w, inverse)) > _JUMP
+            out[r, c] = 0 if rim else 1
+    return out
+
+
+def body_window(posed: Posed, camera: AnyCamera, margin: float) -> tuple[tuple[int, int], tuple[int, int]] | None:
     """Origin (x, y) and size (w, h) of the image window that holds the body and `margin` px about it; None off it."""
     left, top, right, bottom = bounds(camera.P, posed.vertices)
     if left > right:
@@ -129,9 +180,9 @@ def body_window(posed: Posed, camera: Camera, margin: float) -> tuple[tuple[int,
 def bounds(P: Float, points: Float) -> tuple[float, float, float, float]:
     """Least x, y and largest x, y (px) of world points' (N, 3) projections; upside down where the camera sees none."""
     left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
-    pixels, inverse_depth = project_pinhole(P, points)
+    pixels, w = project(P, points)
     for n in range(len(points)):
-        if inverse_depth[n] > 0.0:
+        if w[n] > 0.0:
             left, right = min(left, pixels[n, 0]), max(right, pixels[n, 0])
             top, bottom = min(top, pixels[n, 1]), max(bottom, pixels[n, 1])
     return left, top, right, bottom

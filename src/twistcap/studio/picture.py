@@ -11,7 +11,8 @@ from twistcap._typing import Float, Float32
 from twistcap.body import Pose, Posed
 from twistcap.body.kinematics import unit_vertex_normals
 from twistcap.camera import Camera
-from twistcap.render.raster import project_pinhole, rasterise
+from twistcap.camera.projection import project
+from twistcap.render.raster import rasterise
 from twistcap.studio.look import Look
 from twistcap.studio.shade import OCTAVES, shade
 
@@ -41,7 +42,7 @@ def render_body(posed: Posed, camera: Camera, look: Look, slide: Float | None = 
     The texture is looked up `slide` (V, 3) m from the vertices of the rest pose.
     """
     faces, n = posed.body.faces, SAMPLES
-    pixels, inverse_depth = project_pinhole(camera.scaled(n).P, posed.vertices)
+    pixels, inverse_depth = project(camera.scaled(n).P, posed.vertices)
     low, high = _window(pixels[inverse_depth > 0], camera.size)
     size = (int(high[0] - low[0]) * n, int(high[1] - low[1]) * n)
     origin = (int(low[0]) * n, int(low[1]) * n)

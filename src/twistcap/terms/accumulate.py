@@ -15,10 +15,10 @@ from numba import njit
 
 from twistcap._typing import Float, Int
 from twistcap.body import Posed
+from twistcap.camera.projection import NEAR
 from twistcap.render import SurfacePoints
 from twistcap.terms.quadratic import Quadratic
 
-NEAR = 1e-3  # m before the camera; what is nearer has no image
 TWIST_WIDTH = 8  # twists padded from 6, so that the rows of a block lie as vector registers want them
 
 

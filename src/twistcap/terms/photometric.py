@@ -15,6 +15,7 @@ from numba import njit
 
 from twistcap._typing import Float, Float32, Int
 from twistcap.body import Posed
+from twistcap.camera.projection import along
 from twistcap.render import SurfacePoints
 from twistcap.terms.accumulate import PointTerm, Rows, projected_point
 from twistcap.terms.robust import weighted_cauchy
@@ -55,6 +56,17 @@ def brightness_at(image: Float32, x: float, y: float) -> float:
     top = image[y0, x0] + fx * (image[y0, x0 + 1] - image[y0, x0])
     bottom = image[y0 + 1, x0] + fx * (image[y0 + 1, x0 + 1] - image[y0 + 1, x0])
     return float(top + fy * (bottom - top))
+
+
+@njit(cache=True, nogil=True)
+def sampled(image: Float32, pixels: Float) -> tuple[Float, Float]:
+    """`sample` at pixels (N, 2) of an image (H, W): values (N,) and gradients (N, 2), NaN and 0 off the image."""
+    value, gradient = np.full(len(pixels), np.nan), np.zeros((len(pixels), 2))
+    for n in range(len(pixels)):
+        here, gx, gy, inside = sample(image, pixels[n, 0], pixels[n, 1])
+        if inside:
+            value[n], gradient[n, 0], gradient[n, 1] = here, gx, gy
+    return value, gradient
 
 
 @dataclass(frozen=True)
@@ -131,8 +143,7 @@ def _rows(
         seen[n] = weight[n]
         residual[n] = here - (1.0 + exposure[0]) * value[n] - exposure[1]
         a, b = 0.5 * (gx + gradient[n, 0]) * w, 0.5 * (gy + gradient[n, 1]) * w
-        for i in range(3):
-            slope[n, i] = a * (P[0, i] - x * P[2, i]) + b * (P[1, i] - y * P[2, i])
+        slope[n, 0], slope[n, 1], slope[n, 2] = along(P, x, y, a, b)
     return residual, slope, seen
 
 

@@ -10,14 +10,9 @@ from numba import njit
 from twistcap._typing import Float, Int
 from twistcap.body import Posed
 from twistcap.camera import pinhole
+from twistcap.camera.projection import NEAR, along
 from twistcap.render import SurfacePoints
-from twistcap.terms.accumulate import (
-    NEAR,
-    PointTerm,
-    Rows,
-    projected_point,
-    skinned_point,
-)
+from twistcap.terms.accumulate import PointTerm, Rows, projected_point, skinned_point
 from twistcap.terms.robust import weighted_cauchy
 
 _FAST = {"contract", "reassoc", "arcp"}
@@ -37,8 +32,8 @@ def projected_rows(P: Float, world: Float, direction: Float, target: Float) -> t
         u = (P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) * w
         v = (P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) * w
         residual[n] = a * (u - target[n, 0]) + b * (v - target[n, 1])
-        for i in range(3):
-            gradient[n, i] = (a * (P[0, i] - u * P[2, i]) + b * (P[1, i] - v * P[2, i])) * w
+        g0, g1, g2 = along(P, u, v, a, b)
+        gradient[n, 0], gradient[n, 1], gradient[n, 2] = g0 * w, g1 * w, g2 * w
     return residual, gradient
 
 

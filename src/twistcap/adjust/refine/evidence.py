@@ -12,11 +12,11 @@ from twistcap.adjust.refine.sums import Derivatives
 from twistcap.body import Posed
 from twistcap.body.kinematics import skin_points
 from twistcap.body.shape import RestMotion
-from twistcap.cues.brightness import template_values, visible_points
+from twistcap.camera.projection import projected
 from twistcap.cues.view import View
 from twistcap.render import RenderedView, SurfacePoints
-from twistcap.render.raster import project_pinhole
 from twistcap.terms import PointTerm
+from twistcap.terms.photometric import sampled
 from twistcap.terms.points import projected_rows
 from twistcap.terms.robust import weighted_cauchy
 
@@ -57,16 +57,16 @@ class End:
     @staticmethod
     def of(view: View, seen: RenderedView, points: SurfacePoints, blur: float) -> End:
         """As an image shows points under a blur (m on the body); of those off the image all is NaN."""
-        P, posed = view.camera.P, seen.posed
-        value, slope = template_values(P, *points.bound_to(posed), view.blurred(blur * seen.px_per_m))
-        return End(P, value, slope, project_pinhole(P, points.at(posed))[0])
+        pixels, _ = projected(view.camera, points.at(seen.posed))
+        value, slope = sampled(view.blurred(blur * seen.px_per_m), pixels)
+        return End(view.camera.P, value, slope, pixels)
 
     def at(self, posed: Posed, points: SurfacePoints) -> tuple[Float, Float]:
         """Brightness (N,) at a pose, to first order in the pixel, and its gradient (N, 3) by the world points."""
         change, gradient = projected_rows(self.P, points.at(posed), self.slope, self.pixels)
         return self.value + change, gradient
 
-    def of_those(self, which: Float) -> End:
+    def of_those(self, which: Int) -> End:
         """The end of some of its points."""
         return End(self.P, self.value[which], self.slope[which], self.pixels[which])
 
@@ -107,12 +107,10 @@ class BrightnessPair:
             blur: under which they are compared, m on the body.
             noise: information of each difference, scale of the loss, and m by which a point may be behind the surface.
         """
-        view, seen = later
-        visible = visible_points(view.camera.P, *points.bound_to(seen.posed), seen.inverse_depth_image, noise[2])
-        points = points[visible > 0.0]
+        points = points[later[1].visible(points, noise[2])[0]]
         a, b = End.of(*earlier, points, blur), End.of(*later, points, blur)
-        known = np.flatnonzero(np.isfinite(a.value) & np.isfinite(b.value))
-        return BrightnessPair(*frames, points[known.astype(np.int32)], a.of_those(known), b.of_those(known), *noise[:2])
+        known = np.flatnonzero(np.isfinite(a.value) & np.isfinite(b.value)).astype(np.int32)
+        return BrightnessPair(*frames, points[known], a.of_those(known), b.of_those(known), *noise[:2])
 
     def energy(self, earlier: Posed, later: Posed) -> float:
         """At the two poses."""

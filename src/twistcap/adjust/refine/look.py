@@ -15,8 +15,9 @@ from twistcap.adjust.refine.settings import RefineConfig
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Rig
 from twistcap.cues.appearance import Appearance, AppearanceRule
-from twistcap.cues.brightness import Brightness, empty_grid, strongest_in_cells
+from twistcap.cues.brightness import Brightness, cell_of
 from twistcap.cues.contour import ContourCue
+from twistcap.cues.memory import empty_grid, strongest_in_cells
 from twistcap.cues.view import View, crop_view, despeckled
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
@@ -155,7 +156,9 @@ class Eyes:
 
 def followed_points(view: View, seen: RenderedView, count: int) -> SurfacePoints:
     """About so many points of the visible surface, the most textured of each cell of a grid, none at a rim."""
-    return seen.surface_points(*strongest_in_cells(view.grey, seen.inverse_depth_image, *empty_grid(view, seen, count)))
+    cell, inverse = cell_of(seen, count), seen.camera.inverse_depth
+    free = empty_grid(seen.mask.shape, cell)
+    return seen.surface_points(*strongest_in_cells(view.grey, seen.nearness_image, inverse, cell, free))
 
 
 def agreement(rounds: Sequence[CameraRound]) -> float:

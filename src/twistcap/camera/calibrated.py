@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from twistcap import se3
 from twistcap._typing import AnyArray, Float, Float32
+from twistcap.camera.projection import OF_W
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,21 @@ class Camera:
     def P(self) -> Float:
         """(3, 4) pinhole projection matrix ``K [R | t]``; it knows nothing of distortion."""
         return self.K @ self.T_cam_world[:3]
+
+    @property
+    def inverse_depth(self) -> bool:
+        """True: nearness is inverse depth; see `AnyCamera`."""
+        return True
+
+    @cached_property
+    def nearness_row(self) -> Float:
+        """(4,) by which nearness is the inverse depth, 1/m."""
+        return OF_W
+
+    def px_per_m(self, nearness: Float) -> float:
+        """Image scale at mean inverse depth, focal length times it, px/m; 0 where nothing is before the camera."""
+        seen = nearness[nearness > 0]
+        return float(self.K[0, 0] * seen.mean()) if len(seen) else 0.0
 
     def project(self, points: ArrayLike) -> tuple[Float, Float]:
         """World points (..., 3) m to pixels (..., 2) and depths (...,) m; distortion included.
