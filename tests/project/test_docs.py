@@ -1,0 +1,105 @@
+"""The pages that people read: links work, lines and sentences are short, words are plain."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PROSE = [ROOT / name for name in ("README.md", "CONVENTIONS.md", "CONTRIBUTING.md")]
+PROSE += sorted((ROOT / "docs").rglob("*.md"))
+LINKED = [*PROSE, *sorted(ROOT.glob("*/README.md")), ROOT / "ARCHITECTURE.md"]
+
+MOST_WORDS = 25
+MOST_CHARACTERS = 120
+ABBREVIATIONS = r"(?<!\be\.g)(?<!\bi\.e)(?<!\bvs)(?<!\b[A-Z])"
+SENTENCE_END = re.compile(ABBREVIATIONS + r"[.!?][)\"']?\s+(?=[^a-z\s])")
+FORBIDDEN = re.compile(
+    r"\b(seek|sought|told|strayed|leeway|borne|bears? out|lets? alone|wherein|thereof|whereof|therein|lest|anew|rivals?"
+    r"|of late|lies? off|hav(?:e|ing) a say|has a say|los(?:e|es|ing) (?:its|their) say"
+    r"|(?:is|are|was|were|be|been) (?:gone|back)|share of)\b",
+    re.IGNORECASE,
+)
+
+
+def named(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+def without_code(text: str) -> str:
+    """The page without fenced and indented code, and each piece of `code` as one word."""
+    text = re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
+    text = re.sub(r"(?<=\n\n) {4,}\S.*(\n {4,}.*)*", "", text)
+    return re.sub(r"`[^`]+`", "CODE", text)
+
+
+def paragraphs(text: str) -> Iterator[str]:
+    """Running text: each paragraph and each item of a list by itself; no headings, tables, pictures or addresses."""
+    text = re.sub(r"!\[[^\]]*\]\([^)]*\)", "", without_code(text))
+    text = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", text)
+    lines = ["" if line.lstrip().startswith(("|", "#")) else line for line in text.splitlines()]
+    for block in re.split(r"\n\s*\n|\n(?=\s*(?:[-*] |\d+\. ))", "\n".join(lines)):
+        words = " ".join(block.split())
+        if words:
+            yield re.sub(r"^(?:[-*] |\d+\. )", "", words).replace("**", "").replace("*", "")
+
+
+def sentences(text: str) -> Iterator[str]:
+    for paragraph in paragraphs(text):
+        yield from SENTENCE_END.split(paragraph)
+
+
+def anchors(path: Path) -> set[str]:
+    headings = re.findall(r"^#+ (.+)$", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def broken_links(path: Path) -> list[str]:
+    text = re.sub(r"^```.*?^```", "", path.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    broken: list[str] = []
+    for link in re.findall(r"\]\(([^)\s]+)\)", text):
+        target, _, anchor = link.partition("#")
+        file = (path.parent / target).resolve() if target else path
+        if re.match(r"https?:|mailto:", link):
+            continue
+        if not file.exists() or (anchor and anchor not in anchors(file)):
+            broken.append(link)
+    return broken
+
+
+def test_the_splitter_sees_sentences_and_skips_the_rest() -> None:
+    page = "# A heading. Of two\nOne here. Two (`x. Y`) there!\n- three: e.g. A B\n\n| a. B |\n```\nC. D\n```\n[End](f.md). Six"
+    found = list(sentences(page))
+    assert found == ["One here", "Two (CODE) there!", "three: e.g. A B", "End", "Six"]
+
+
+@pytest.mark.parametrize("path", LINKED, ids=named)
+def test_links_lead_to_files_and_headings(path: Path) -> None:
+    assert not broken_links(path)
+
+
+@pytest.mark.parametrize("path", PROSE, ids=named)
+def test_lines_are_short(path: Path) -> None:
+    lines = path.read_text(encoding="utf-8").splitlines()
+    assert not [f"{n}: {len(line)}" for n, line in enumerate(lines, 1) if len(line) > MOST_CHARACTERS]
+
+
+@pytest.mark.parametrize("path", PROSE, ids=named)
+def test_sentences_are_short(path: Path) -> None:
+    found = sentences(path.read_text(encoding="utf-8"))
+    assert not [f"{n}: {s}" for s in found if (n := len(re.findall(r"\w[\w'’.,/×–-]*", s))) > MOST_WORDS]
+
+
+@pytest.mark.parametrize("path", PROSE, ids=named)
+def test_words_are_plain(path: Path) -> None:
+    assert not FORBIDDEN.findall(without_code(path.read_text(encoding="utf-8")))
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "docs").rglob("*.md")), ids=named)
+def test_every_page_is_reached_from_the_index(path: Path) -> None:
+    index = ROOT / "docs" / "README.md"
+    reached = re.findall(r"\]\(([^)#\s]+)", index.read_text(encoding="utf-8"))
+    assert path == index or path in {(index.parent / link).resolve() for link in reached}
