@@ -71,7 +71,8 @@ def broken_links(path: Path) -> list[str]:
 
 
 def test_the_splitter_sees_sentences_and_skips_the_rest() -> None:
-    page = "# A heading. Of two\nOne here. Two (`x. Y`) there!\n- three: e.g. A B\n\n| a. B |\n```\nC. D\n```\n[End](f.md). Six"
+    page = "# A heading. Of two\nOne here. Two (`x. Y`) there!\n- three: e.g. A B\n\n"
+    page += "| a. B |\n```\nC. D\n```\n[End](f.md). Six"
     found = list(sentences(page))
     assert found == ["One here", "Two (CODE) there!", "three: e.g. A B", "End", "Six"]
 
