@@ -43,7 +43,7 @@ class TrackerConfig:
         statistics: whether inside densities are each "part"'s own or of the "whole" body; None is part for local
             densities in the direct method, else whole, as in the chapter.
         surface_sigma: how far the body's surface may lie off the person's, m, standard deviation; reaches both methods.
-            0 trusts contours as if the body were exact; 0.006 suits one from key views, see docs/keyviews.md.
+            0 takes the body as exact; 0.006 suits one from key views (docs/reproduction/key-views.md).
         photometric: whether brightness constancy joins the contours.
         predictor: "constant_velocity", "hold", "flow": optic flow, constant velocity where flow cannot be trusted, or
             "motion": training motion, which the tracker must be given.
@@ -65,7 +65,7 @@ class TrackerConfig:
             followed are judged, and new ones are sought.
         margin: m about the expected body within which images are looked at.
         inflation: factor on every claimed standard deviation: contour and brightness samples are not independent, and
-            no body is exact; set on studio captures with truth (docs/covariance.md).
+            no body is exact; set on studio captures with truth (docs/concepts/covariance.md).
         differential: of the method of that name.
         direct, levelset: the contour cue of each method.
         brightness, keypoints, flow: the other cues.

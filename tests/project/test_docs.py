@@ -104,3 +104,11 @@ def test_every_page_is_reached_from_the_index(path: Path) -> None:
     index = ROOT / "docs" / "README.md"
     reached = re.findall(r"\]\(([^)#\s]+)", index.read_text(encoding="utf-8"))
     assert path == index or path in {(index.parent / link).resolve() for link in reached}
+
+
+def test_pages_that_the_code_names_exist() -> None:
+    endings = {".py", ".toml", ".js", ".html"}
+    files = [path for folder in ("src", "tests", "examples") for path in (ROOT / folder).rglob("*.*")]
+    texts = {path: path.read_text(encoding="utf-8") for path in files if path.suffix in endings}
+    found = {(named(path), page) for path, text in texts.items() for page in re.findall(r"docs/[\w/-]+\.md", text)}
+    assert found and not [pair for pair in found if not (ROOT / pair[1]).exists()]

@@ -43,7 +43,7 @@ TARGETS = (
 MARKS = tuple(f"{joint}_{side}" for joint in ("shoulder", "elbow", "wrist", "hip", "knee") for side in "rl")
 TRUE, FOUND, TRUSTED, OWN = "true mesh", "acquired", "acquired, taken as exact", "acquired, its own first pose"
 FRAMES, JOINTS_MM, KHE = 40, 20.0, 0.5  # bars: every joint centre, and what tracking may lose, degrees
-SURFACE_SIGMA = 0.006  # m; chosen among 3, 6 and 8 mm on seeds 0 to 7, see docs/keyviews.md
+SURFACE_SIGMA = 0.006  # m; chosen among 3, 6 and 8 mm on seeds 0 to 7, see docs/reproduction/key-views.md
 
 
 @dataclass(frozen=True)
