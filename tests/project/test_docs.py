@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import typer
+
+from twistcap.cli import app
 
 ROOT = Path(__file__).parents[2]
 PROSE = [ROOT / name for name in ("README.md", "CONVENTIONS.md", "CONTRIBUTING.md")]
@@ -112,3 +116,28 @@ def test_pages_that_the_code_names_exist() -> None:
     texts = {path: path.read_text(encoding="utf-8") for path in files if path.suffix in endings}
     found = {(named(path), page) for path, text in texts.items() for page in re.findall(r"docs/[\w/-]+\.md", text)}
     assert found and not [pair for pair in found if not (ROOT / pair[1]).exists()]
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "docs").rglob("*.md")), ids=named)
+def test_the_first_sentence_says_for_whom_the_page_is(path: Path) -> None:
+    assert next(sentences(path.read_text(encoding="utf-8"))).startswith("This page is for ")
+
+
+def shown_commands(path: Path) -> Iterator[list[str]]:
+    """The words of each ``twistcap …`` line in the page's shell blocks."""
+    blocks = re.findall(r"^```sh\n(.*?)^```", path.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    for line in "".join(blocks).splitlines():
+        words = shlex.split(line, comments=True)
+        if words[:1] == ["twistcap"]:
+            yield words
+
+
+@pytest.mark.parametrize("path", PROSE, ids=named)
+def test_commands_and_their_options_exist(path: Path) -> None:
+    for words in shown_commands(path):
+        command, rest = typer.main.get_command(app), words[1:]
+        while hasattr(command, "commands") and rest and not rest[0].startswith("-"):
+            assert rest[0] in command.commands, words
+            command, rest = command.commands[rest[0]], rest[1:]
+        known = {name for parameter in command.params for name in parameter.opts} | {"--help"}
+        assert not [word for word in rest if word.startswith("--") and word not in known], words
