@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import shlex
 from collections.abc import Iterator
@@ -141,3 +142,11 @@ def test_commands_and_their_options_exist(path: Path) -> None:
             command, rest = command.commands[rest[0]], rest[1:]
         known = {name for parameter in command.params for name in parameter.opts} | {"--help"}
         assert not [word for word in rest if word.startswith("--") and word not in known], words
+
+
+@pytest.mark.parametrize("path", PROSE, ids=named)
+def test_names_that_examples_import_exist(path: Path) -> None:
+    blocks = re.findall(r"^```python\n(.*?)^```", path.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    for module, names in re.findall(r"^from (twistcap[\w.]*) import (.+)$", "".join(blocks), flags=re.MULTILINE):
+        for name in names.split(","):
+            assert hasattr(importlib.import_module(module), name.strip()), f"{module} lacks {name}"
