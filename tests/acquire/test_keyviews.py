@@ -134,7 +134,7 @@ def joint_errors(scene: KeyViewScene, acquired: Acquired) -> dict[str, float]:
 def test_joints_of_the_humanoid(scene: KeyViewScene, acquired: Acquired) -> None:
     errors = joint_errors(scene, acquired)
     assert max(v for k, v in errors.items() if not k.startswith(("hip", "knee"))) < 0.02, errors
-    assert max(errors.values()) < 0.03, errors  # its crotch is lower than people's: see docs/keyviews.md
+    assert max(errors.values()) < 0.03, errors  # its crotch is lower than people's: see docs/reproduction/key-views.md
 
 
 def test_the_acquired_body_is_one_the_tracker_takes(acquired: Acquired, tmp_path: Path) -> None:

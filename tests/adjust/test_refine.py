@@ -54,7 +54,7 @@ from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.mismatch import fattened
 from twistcap.terms import PointNormalTerm
 from twistcap.terms.photometric import sampled
-from twistcap.track import Settings, track
+from twistcap.track import Settings, build, track
 
 Array = NDArray[np.float64]
 BODY = humanoid("full")

@@ -99,9 +99,9 @@ def test_half_written_frame_is_left_out(tmp_path: Path) -> None:
 
 
 def test_layout_is_as_documented(tmp_path: Path) -> None:
-    """The example of docs/result-file.md, run as it stands, gives our landmarks; every dataset is in its table."""
+    """The example of docs/formats/result-file.md gives our landmarks when run; every dataset is in its table."""
     path = write(tmp_path / "result.h5")
-    page = (Path(__file__).parents[2] / "docs" / "result-file.md").read_text()
+    page = (Path(__file__).parents[2] / "docs" / "formats" / "result-file.md").read_text()
     blocks = re.findall(r"```python\n(.*?)```", page, flags=re.S)
     names: dict[str, object] = {}
     exec(blocks[0].replace('"result.h5"', repr(str(path))), names)

@@ -210,13 +210,13 @@ def test_real_first_pose_lies_on_the_reference(shared_data: Path, monkeypatch: p
 
 
 def test_every_key_is_documented() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "session.md").read_text()
+    page = (Path(__file__).parents[2] / "docs" / "formats" / "session.md").read_text()
     from twistcap.io import session as module
 
     tables = [v for v in vars(module).values() if isinstance(v, type) and issubclass(v, module.Table)]
     for table in tables:
         for key in table.model_fields:
-            assert re.search(rf"`{key}\b", page), f"docs/session.md lacks {table.__name__}.{key}"
+            assert re.search(rf"`{key}\b", page), f"docs/formats/session.md lacks {table.__name__}.{key}"
 
 
 def test_a_session_over_another_one(path: Path) -> None:

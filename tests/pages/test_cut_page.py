@@ -173,7 +173,7 @@ def test_what_is_shown_is_saved_and_never_nothing(keyviews: Path) -> None:
     assert outline(mask) == shown["outline"]
     assert iou(mask, cv2.resize(person().astype(np.uint8), (800, 1040)) > 0) > 0.9
     over = {"inside": False, "points": [400, 80, 400, 980], "width": 500}
-    with pytest.raises(InputError, match="nothing is left"):
+    with pytest.raises(InputError, match="nothing of the person is left"):
         cutting.cut({"view": "front", "rectangle": [200, 80, 600, 980], "strokes": [over]})
     with pytest.raises(InputError, match="nothing to save"):
         cutting.save({})

@@ -24,7 +24,7 @@ def limbs(body: Body) -> list[Bool]:
 
 def limb_parts(body: Body, limb: Bool) -> Bool:
     """(S,) the segments that a limb's coordinates (6 + J,) move."""
-    return body.chain[:, limb[6:]].any(axis=1)
+    return np.asarray(body.chain[:, limb[6:]].any(axis=1), np.bool_)
 
 
 def same_limb(body: Body, one: int, other: int) -> bool:

@@ -1,4 +1,4 @@
-"""``twistcap body``: bodies of one's own."""
+"""``twistcap body``: make a body of the person who is tracked."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def common() -> None:
 
 @body.command()
 def keyviews(
-    views: Annotated[Path, typer.Argument(help="The key views.", metavar="KEYVIEWS.toml")],
-    out: Annotated[Path, typer.Option(help="Folder for everything that is written.")] = Path("body"),
+    views: Annotated[Path, typer.Argument(help="TOML that names the four pictures.", metavar="KEYVIEWS.toml")],
+    out: Annotated[Path, typer.Option(help="Folder for all files.")] = Path("body"),
 ) -> None:
     """Build a rigged body from four calibrated key views: front, side, from above, and elbows bent.
 
-    Writes body.glb, which a session takes ([body] kind = "glb"), and steps.png, which shows every step.
+    Writes body.glb, which a session reads ([body] kind = "glb"), and steps.png, which shows every step.
 
     Examples:
 
@@ -46,24 +46,24 @@ def keyviews(
     acquired = build(measure(found, line))
     page = draw_steps(found, acquired, folder / "steps.png")
     save_glb(acquired.body, folder / "body.glb")
-    words.print(f"stature {acquired.measured.stature:.3f} m; wrote {folder / 'body.glb'}; look at {page}")
+    words.print(f"stature {acquired.measured.stature:.3f} m. Wrote {folder / 'body.glb'}. Look at {page}.")
 
 
 @body.command()
 def silhouettes(
-    views: Annotated[Path, typer.Argument(help="The key views.", metavar="KEYVIEWS.toml")],
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port on 127.0.0.1; 0 takes a free one.")] = 0,
+    views: Annotated[Path, typer.Argument(help="TOML that names the four pictures.", metavar="KEYVIEWS.toml")],
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port on 127.0.0.1; 0 chooses a free one.")] = 0,
 ) -> None:
-    """Cut the person out of the key views in the browser: a rectangle, then strokes on person and background.
+    """Cut the person out of the key views in the browser: draw a rectangle, then paint person and background.
 
-    Writes the mask that each view names, or KEYVIEWS_ROLE_mask.png beside the file; what background plates or earlier
-    masks give is there to be mended.
+    Writes the mask that each view names, or KEYVIEWS_ROLE_mask.png in the folder of the file. It starts from
+    background pictures or earlier masks, if there are any.
 
     Examples:
 
       twistcap body silhouettes anna.toml
 
-      twistcap body silhouettes anna.toml --port 8765    # from afar: ssh -L 8765:127.0.0.1:8765 HOST
+      twistcap body silhouettes anna.toml --port 8765    # on a remote machine: ssh -L 8765:127.0.0.1:8765 HOST
     """
     from twistcap.commands.view import serve
     from twistcap.pages.assemble import page
@@ -75,7 +75,7 @@ def silhouettes(
 
 
 def cutting_of(path: Path) -> Any:
-    """Everything that `silhouettes` serves.
+    """What `silhouettes` serves.
 
     Raises:
         InputError: whatever is wrong with the file or its pictures.
@@ -92,20 +92,20 @@ def cutting_of(path: Path) -> Any:
 def fit(
     sessions: Annotated[
         list[Path],
-        typer.Argument(help="Session TOMLs of one person; the first one's body is fitted.", metavar="SESSION"),
+        typer.Argument(help="Sessions of one person. The body of the first one is fitted.", metavar="SESSION"),
     ],
-    out: Annotated[Path, typer.Option(help="Folder for everything that is written.")] = Path("body"),
+    out: Annotated[Path, typer.Option(help="Folder for all files.")] = Path("body"),
     frames: Annotated[str | None, typer.Option(help="FIRST:LAST of the first session, both included.")] = None,
-    count: Annotated[int, typer.Option("--fit-frames", min=1, help="Frames of each session to fit to, at most.")] = 20,
+    count: Annotated[int, typer.Option("--fit-frames", min=1, help="Most frames of each session to use.")] = 20,
     model: Annotated[
         BodyModel, typer.Option(help="The session's body, or the Anny body (extra twistcap[anny]).")
     ] = "session",
     json: terminal.Json = False,
 ) -> None:
-    """Fit a session's body to what all its views show: lengths, girths, cross-sections and a smooth offset.
+    """Fit a session's body to all its views: lengths, girths, cross-sections and a smooth offset.
 
     Writes body.glb, first_pose.json, session.toml (the session with both), before.png, after.png and report.html.
-    The silhouettes are the tracker's own; where [fit_girths] names masks, its frames are fitted to those.
+    The silhouettes are the tracker's own. If [fit_girths] names masks, its frames are fitted to the masks.
 
     Examples:
 

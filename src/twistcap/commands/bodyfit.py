@@ -40,7 +40,7 @@ def fit_sessions(
         notes = iter(range(1, total + 1))
         fitted = fit_body(recordings[0].body, takes, rule, lambda note: told(note, next(notes, total), total), build)
     files = _written(fitted, recordings[0], source, folder)
-    with words.status("judging and drawing"):
+    with words.status("measuring and drawing"):
         seen = [(take.rig, frames) for take, frames in zip(takes, fitted.frames, strict=True)]
         before = [agreement(fitted.begun, *s, p) for s, p in zip(seen, fitted.begun_poses, strict=True)]
         after = [agreement(fitted.body, *s, p) for s, p in zip(seen, fitted.poses, strict=True)]
@@ -97,7 +97,7 @@ def _written(fitted: Fitted, recording: Recording, source: Path, folder: Path) -
         return [body, pose]
     first = recording.views.indices[0]
     session.write_text(
-        f"# {source.name} with the body fitted by twistcap body fit; its pose is that of frame {first}.\n"
+        f"# {source.name} with the body of twistcap body fit. Its pose is that of frame {first}.\n"
         f"base = {_quoted(source)}\n\n"
         f'[body]\nkind = "glb"\npath = {_quoted(body)}\n\n'
         f"[first_pose]\nfile = {_quoted(pose)}\n",

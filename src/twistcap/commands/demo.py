@@ -1,4 +1,4 @@
-"""``twistcap demo``: the whole thing out of one command, on a synthetic walk whose truth is known."""
+"""``twistcap demo``: render, track and report a synthetic walk whose truth is known."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from twistcap.commands.terminal import words
 
 
 def demo(
-    out: Annotated[Path, typer.Option(help="Folder for everything that is written.")] = Path("demo"),
+    out: Annotated[Path, typer.Option(help="Folder for all files.")] = Path("demo"),
     frames: Annotated[int, typer.Option(min=2, help="Number of frames, at 60 per second.")] = 60,
     views: Annotated[int, typer.Option(min=1, max=8, help="Number of cameras.")] = 4,
-    seed: Annotated[int, typer.Option(min=0, help="Another person, room and walk.")] = 0,
-    mismatch: Annotated[bool, typer.Option("--mismatch", help="Wrong girths, joints and cameras, as in life.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Number that chooses person, room and walk.")] = 0,
+    mismatch: Annotated[bool, typer.Option("--mismatch", help="Girths, joints and cameras a little wrong.")] = False,
     method: Annotated[str, typer.Option(help="direct or levelset.")] = "direct",
     json: terminal.Json = False,
 ) -> None:
-    """Render a walk in several views, track it, and show how near the truth it came.
+    """Render a walk in several views, track it, and compare the result with the truth.
 
     Writes result.h5, overlay.mp4, angles.png, joint_errors.png, joints.trc, angles.csv and report.html.
 
@@ -38,8 +38,8 @@ def demo(
         terminal.emit(document)
         return
     terminal.show_rows("The studio walk against its truth", document["rows"])
-    words.print(f"{document['ms_per_frame']:.1f} ms per frame (median, rendering apart)")
-    words.print(f"look at {document['report']}")
+    words.print(f"{document['ms_per_frame']:.1f} ms per frame (median, without rendering)")
+    words.print(f"Look at {document['report']}.")
 
 
 def run_demo(
@@ -90,9 +90,9 @@ def _reported(scene: Any, pictures: list[Any], result: Any, folder: Path, timing
             errors = found.joints
             plots[outputs.write_error_plot(result.times, errors.names, errors.raw, folder)] = "Joint position errors"
         video = outputs.write_overlay(result, pictures, scene.rig.pinhole(), folder, scene.config.fps, "twistcap demo")
-        speed = Headline("per frame, decoding apart", f"{timing.median:.0f}", "ms")
+        speed = Headline("per frame, without decoding", f"{timing.median:.0f}", "ms")
         headlines = [*headline_rows(found.rows, _headlines(found.rows)), speed]
-        lead = f"A synthetic walk in {len(scene.rig)} views, tracked from its first pose and held against its truth."
+        lead = f"A synthetic walk in {len(scene.rig)} views, tracked from its first pose and compared with its truth."
         page = outputs.write_page(folder, "twistcap demo", lead, headlines, found.rows, plots)
     return {
         "id": "demo",

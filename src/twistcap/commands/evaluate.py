@@ -13,15 +13,15 @@ from twistcap.commands import terminal
 def evaluate(
     result: Annotated[Path, typer.Argument(help="result.h5 of a track.", metavar="RESULT")],
     reference: Annotated[
-        Path, typer.Option(help="Truth or keypoints (.npz), .trc, .mot, or a folder CAM/frame_XXXX.png.")
+        Path, typer.Option(help="Truth or keypoints (.npz), .trc, .mot, .sto, or a folder CAM/frame_XXXX.png.")
     ],
     time_offset: Annotated[float, typer.Option(help="Seconds to add to the reference's clock.")] = 0.0,
-    exclude: Annotated[list[str] | None, typer.Option(help="Flawed part: NAME or NAME:FIRST-LAST (its rows).")] = None,
+    exclude: Annotated[list[str] | None, typer.Option(help="Part to ignore: NAME or NAME:FIRST-LAST (rows).")] = None,
     json: terminal.Json = False,
 ) -> None:
     """Compare a result with a reference: angles (deg), joint positions (mm), silhouettes (IoU), lost frames.
 
-    Angles and positions are told raw and with the constant offset of each joint removed.
+    Angles and positions are given raw, and with the constant offset of each joint removed.
 
     Examples:
 

@@ -14,7 +14,7 @@ from twistcap.errors import InputError
 def export(
     result: Annotated[Path, typer.Argument(help="result.h5 of a track.", metavar="RESULT")],
     to: Annotated[str, typer.Option(help="trc, mot, bvh, csv or glb.")],
-    out: Annotated[Path | None, typer.Option(help="File to write; beside the result by default.")] = None,
+    out: Annotated[Path | None, typer.Option(help="File to write. Default: in the folder of the result.")] = None,
     json: terminal.Json = False,
 ) -> None:
     """Write a result as markers (trc), OpenSim angles (mot), animation (bvh, glb) or a table (csv).

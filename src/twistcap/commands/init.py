@@ -1,4 +1,4 @@
-"""``twistcap init``: the first pose by clicking joints in the browser."""
+"""``twistcap init``: the first pose from joints that are clicked in the browser."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from twistcap.errors import InputError
 
 def init(
     session: Annotated[Path, typer.Argument(help="Session TOML.", metavar="SESSION")],
-    out: Annotated[Path | None, typer.Option(help="Pose file (.json) to write instead of the session's own.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Pose file (.json) to write. Default: the session's own.")] = None,
     detector: Annotated[
-        str | None, typer.Option(help="Keypoint detector to begin with, of those installed (docs/init.md).")
+        str | None, typer.Option(help="Installed keypoint detector to start from (docs/how-to/first-pose.md).")
     ] = None,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port on 127.0.0.1; 0 takes a free one.")] = 0,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port on 127.0.0.1; 0 chooses a free one.")] = 0,
 ) -> None:
-    """Click joints of the first frame in two or more views; the body follows, and is saved where SESSION reads it.
+    """Click joints of the first frame in two or more views. The body follows, and SESSION reads what you save.
 
     Examples:
 
       twistcap init walk/session.toml
 
-      twistcap init walk/session.toml --port 8765    # from afar: ssh -L 8765:127.0.0.1:8765 HOST
+      twistcap init walk/session.toml --port 8765    # on a remote machine: ssh -L 8765:127.0.0.1:8765 HOST
     """
     from twistcap.io.session import load_session
     from twistcap.pages.assemble import page
@@ -34,12 +34,12 @@ def init(
     with words.status("reading the first frame of every view"):
         clicking = clicking_of(load_session(session), session, out, detector)
         html = page("init", f"First pose of {session.parent.resolve().name}", clicking.document())
-    words.print(f"saves to {clicking.target.path}")
+    words.print(f"Save writes {clicking.target.path}.")
     serve(html, clicking.answers, port, "the page")
 
 
 def clicking_of(session: Any, path: Path, out: Path | None = None, detector: str | None = None) -> Any:
-    """Everything that `init` serves, with the clicks or keypoints that there are.
+    """What `init` serves, with the clicks or keypoints that exist.
 
     Raises:
         InputError: whatever is wrong with the session, its videos, the detector or `out`.
@@ -55,7 +55,7 @@ def clicking_of(session: Any, path: Path, out: Path | None = None, detector: str
     clicking = Clicking(session, rig, images, body, target)
     if detector is not None:
         if any(image is None for image in images):
-            raise InputError("a camera dropped the first frame, so no detector can see it; begin [frames] later.")
+            raise InputError("a camera has no image of the first frame for the detector; let `frames` start later.")
         found = detected(detector, [image for image in images if image is not None], rig)
     else:
         found = _known(session, clicking)
@@ -71,7 +71,7 @@ def target_of(session: Any, path: Path, out: Path | None) -> Any:
 
     table = session.first_pose
     if out is not None and out.suffix.lower() != ".json":
-        raise InputError(f"--out is {out}; a pose is written as JSON, so give a file that ends in .json.")
+        raise InputError(f"--out is {out}; a pose is written as JSON, so name a file that ends in .json.")
     if out is None and table.file is not None and Path(table.file).suffix.lower() == ".json":
         return Target(Path(table.file), "file")
     if out is None and table.clicks is not None:
@@ -79,13 +79,13 @@ def target_of(session: Any, path: Path, out: Path | None) -> Any:
     chosen = out or path.parent / "first_pose.json"
     if out is None and chosen.exists():
         raise InputError(f"{chosen} exists, and {path} does not read it; name another file with --out.")
-    note = f'The session reads something else: put [first_pose] file = "{chosen.name}" into {path.name}.'
+    note = f'The session does not read this file: put [first_pose] file = "{chosen.name}" into {path.name}.'
     same = table.file is not None and Path(table.file).resolve() == chosen.resolve()
     return Target(chosen, "file", "" if same else note)
 
 
 def _known(session: Any, clicking: Any) -> Any:
-    """Clicks of an earlier time, or the keypoints that the session names."""
+    """Earlier clicks, or the keypoints that the session names."""
     from twistcap.io.keypoints import read_clicks
     from twistcap.io.recording import keypoints_of
     from twistcap.pages.clicking import clicks_beside
@@ -103,7 +103,7 @@ def _known(session: Any, clicking: Any) -> Any:
 
 
 def _with_saved_pose(clicking: Any) -> None:
-    """Begin with the pose that was saved before, sliders and all."""
+    """Start from the pose that was saved before, with its sliders."""
     import json
 
     from twistcap.adjust.first_pose import Proportions

@@ -9,26 +9,26 @@ import typer
 
 from twistcap.commands import terminal
 
-motions = typer.Typer(name="motions", help="Gather training motion, by which tracking goes on without images.",
+motions = typer.Typer(name="motions", help="Build a library of training motion, for frames without images.",
                       no_args_is_help=True)  # fmt: skip
 
 
 @motions.command()
 def build(
     out: Annotated[Path, typer.Argument(help="Library to write, .npz.", metavar="OUT")],
-    files: Annotated[list[Path], typer.Argument(help="Motion files, of anyone.", metavar="FILE...")],
-    fps: Annotated[float, typer.Option(min=1, help="Frame rate of the recording that is to be tracked.")] = 60.0,
-    variant: Annotated[str, typer.Option(help="Built-in body whose coordinates are meant: full or legs.")] = "full",
+    files: Annotated[list[Path], typer.Argument(help="Motion files of any person.", metavar="FILE...")],
+    fps: Annotated[float, typer.Option(min=1, help="Frame rate of the recording that you will track.")] = 60.0,
+    variant: Annotated[str, typer.Option(help="Built-in body whose coordinates are used: full or legs.")] = "full",
     mirrored: Annotated[bool, typer.Option("--mirrored", help="Add the mirror image of each motion.")] = False,
     coordinates: Annotated[
-        str | None, typer.Option(help="Joint coordinates, with commas; by default all that every file has.")
+        str | None, typer.Option(help="Joint coordinates, separated by commas. Default: all that every file has.")
     ] = None,
     skeleton: Annotated[
-        Path | None, typer.Option(help="ASF of all AMC files; by default the one beside each.", metavar="ASF")
+        Path | None, typer.Option(help="ASF of all AMC files. Default: the one in the folder of each.", metavar="ASF")
     ] = None,
     json: terminal.Json = False,
 ) -> None:
-    """Build a library of training motion, one clip for each file; nothing is ever matched across two clips.
+    """Build a library of training motion, with one clip for each file. No match crosses the end of a clip.
 
     Examples:
 
@@ -52,10 +52,10 @@ def build(
 
 @motions.command()
 def show(
-    path: Annotated[Path, typer.Argument(help="Library of twistcap motions build.", metavar="LIBRARY")],
+    path: Annotated[Path, typer.Argument(help="Library, as twistcap motions build writes it.", metavar="LIBRARY")],
     json: terminal.Json = False,
 ) -> None:
-    """Show what a library holds.
+    """Show what a library contains.
 
     Examples:
 

@@ -12,20 +12,20 @@ from twistcap.errors import InputError
 
 
 def new(
-    folder: Annotated[Path, typer.Argument(help="Folder for session.toml; made if need be.", metavar="DIR")],
-    calibration: Annotated[Path, typer.Option(help="Calib.toml of the aniposelib / Pose2Sim family.")],
+    folder: Annotated[Path, typer.Argument(help="Folder for session.toml; created if missing.", metavar="DIR")],
+    calibration: Annotated[Path, typer.Option(help="Calib.toml in the format of aniposelib or Pose2Sim.")],
     videos: Annotated[
-        list[str], typer.Option(help="A video, a folder, or images; CAMERA=PATH where the name does not tell.")
+        list[str], typer.Option(help="A video, a folder, or images. Write CAMERA=PATH if the name is not enough.")
     ],
     more: Annotated[
         list[str] | None, typer.Argument(help="More videos, as for --videos.", metavar="[VIDEO]...")
     ] = None,
-    unit: Annotated[str | None, typer.Option(help="m or mm: unit of the calibration, where it does not say.")] = None,
+    unit: Annotated[str | None, typer.Option(help="m or mm: unit of the calibration, if it does not say.")] = None,
     stature: Annotated[float | None, typer.Option(help="Height of the person, m.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Write over a session.toml that exists.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite an existing session.toml.")] = False,
     json: terminal.Json = False,
 ) -> None:
-    """Write a commented session.toml, check that videos and calibration fit, and say what is missing.
+    """Write a session.toml with comments, check videos and calibration, and say what is missing.
 
     Examples:
 
@@ -41,7 +41,7 @@ def new(
 
     path = folder / "session.toml"
     if path.exists() and not force:
-        raise InputError(f"{path} exists; choose another folder, or write over it with --force.")
+        raise InputError(f"{path} exists; choose another folder, or overwrite it with --force.")
     if stature is not None and not 0.3 < stature < 3.0:
         raise InputError(f"--stature is {stature}; it is the person's height in metres, such as 1.75.")
     draft = draft_session([*videos, *(more or [])], calibration, _unit(unit))

@@ -31,7 +31,7 @@ FILE_NAMES: Mapping[str, str] = {
     "glb": "motion.glb",
 }
 ABOUT: Mapping[str, str] = {
-    "result.h5": "everything, see docs/result-file.md",
+    "result.h5": "everything, see docs/formats/result-file.md",
     "joints.trc": "joint centres (OpenSim, Mokka)",
     "angles.mot": "joint angles (OpenSim)",
     "motion.bvh": "skeleton and motion (Blender, MotionBuilder)",
@@ -57,7 +57,7 @@ def export(result: Result, kind: str, path: str | Path) -> Path:
     if kind not in writers:
         raise InputError(f"--to is {kind!r}; it must be one of {', '.join(get_args(ExportKind))}.")
     if not len(result):
-        raise InputError("the result holds no frame; there is nothing to export.")
+        raise InputError("the result has no frame; there is nothing to export.")
     try:
         writers[kind](result, Path(path))
     except OSError as error:

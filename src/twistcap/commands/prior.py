@@ -1,4 +1,4 @@
-"""``twistcap prior``: pose priors, learnt from motion."""
+"""``twistcap prior``: pose priors, learned from motion."""
 
 from __future__ import annotations
 
@@ -10,32 +10,32 @@ import typer
 from twistcap.commands import terminal
 from twistcap.errors import InputError
 
-prior = typer.Typer(name="prior", help="Learn which poses are familiar.", no_args_is_help=True)
+prior = typer.Typer(name="prior", help="Learn a pose prior from motion.", no_args_is_help=True)
 
 
 @prior.callback()
 def _group() -> None:  # with one command alone typer would leave out its name
-    """Learn which poses are familiar."""
+    """Learn a pose prior from motion."""
 
 
 @prior.command()
 def train(
     out: Annotated[Path, typer.Argument(help="Prior to write, .npz.", metavar="OUT")],
     files: Annotated[list[Path], typer.Argument(help="Motions: .mot, .sto, result.h5, .npz.", metavar="FILE...")],
-    every: Annotated[int, typer.Option(min=1, help="Only every so many frames.")] = 1,
-    sigma_deg: Annotated[float | None, typer.Option(help="Kernel width; by default the paper's rule.")] = None,
+    every: Annotated[int, typer.Option(min=1, help="Take every n-th frame.")] = 1,
+    sigma_deg: Annotated[float | None, typer.Option(help="Kernel width, degrees. Default: the paper's rule.")] = None,
     coordinates: Annotated[
-        str | None, typer.Option(help="Joint coordinates, with commas; by default all that every file has.")
+        str | None, typer.Option(help="Joint coordinates, separated by commas. Default: all that every file has.")
     ] = None,
     scale: Annotated[
         list[str] | None, typer.Option(metavar="NAME=FACTOR", help="Divide a coordinate's differences by a factor.")
     ] = None,
     json: terminal.Json = False,
 ) -> None:
-    """Train a pose prior on motions of anyone; a session names it in `[prior] path`.
+    """Train a pose prior on motions of any person. A session names it in `[prior] path`.
 
-    The kernel width is the largest distance of a sample from its nearest neighbour; one stray pose makes it wide. If it
-    is far above the median distance, look for that pose, or give --sigma-deg.
+    The kernel width is the largest distance of a sample from its nearest neighbour, so one unusual pose makes it wide.
+    If it is far above the median distance, remove that pose or give --sigma-deg.
 
     Examples:
 

@@ -1,4 +1,4 @@
-"""``twistcap refine``: a whole track put right, with the lengths and joint centres of its body."""
+"""``twistcap refine``: a whole track refined, with the lengths and joint centres of its body."""
 
 from __future__ import annotations
 
@@ -19,17 +19,15 @@ from twistcap.errors import InputError
 def refine(
     result: Annotated[Path, typer.Argument(help="result.h5 of a track.", metavar="RESULT")],
     out: Annotated[
-        Path | None, typer.Option(help="Folder for what is written; RESULT's folder/refined by default.")
+        Path | None, typer.Option(help="Folder for all files. Default: `refined` in the folder of RESULT.")
     ] = None,
     frames: Annotated[str | None, typer.Option(help="FIRST:LAST, both included.")] = None,
-    session: Annotated[
-        Path | None, typer.Option(help="Session that names the videos, where the result's own are elsewhere.")
-    ] = None,
+    session: Annotated[Path | None, typer.Option(help="Session that names the videos, if they have moved.")] = None,
     set_: Annotated[
-        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A setting of docs/refine.md.")
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="A setting of docs/how-to/refine.md.")
     ] = None,
     again: Annotated[
-        bool, typer.Option("--again", help="Track once more with the refined body, and refine that.")
+        bool, typer.Option("--again", help="Track once more with the refined body, and refine that track.")
     ] = False,
     json: terminal.Json = False,
 ) -> None:
@@ -95,7 +93,7 @@ def _session(result: Any, path: Path) -> Any:
 
     data = {key: value for key, value in result.config.items() if key != "refined"}
     if "videos" not in data:
-        raise InputError(f"{path} was not made from a session and names no videos; give one with --session.")
+        raise InputError(f"{path} was not made from a session and names no videos; give a session with --session.")
     return validated(Session, data, str(path), {"folder": Path()})
 
 
@@ -108,10 +106,10 @@ def _views(session: Any, rig: Any, indices: list[int], path: Path) -> Any:
     from twistcap.io.recording import views_of
 
     if len(indices) < 3:
-        raise InputError(f"{path}: {len(indices)} frames are chosen of it; refining takes at least 3 (see --frames).")
+        raise InputError(f"{path}: only {len(indices)} frames are chosen; refining needs at least 3 (see --frames).")
     steps = set(np.diff(indices).tolist())
     if len(steps) > 1:
-        raise InputError(f"{path}: its frames are not evenly spaced; choose some that are with --frames.")
+        raise InputError(f"{path}: its frames are not evenly spaced; choose evenly spaced ones with --frames.")
     views = views_of(session.model_copy(update={"frames": (indices[0], indices[-1])}), rig)
     return replace(views, indices=range(indices[0], indices[-1] + 1, steps.pop()))
 
@@ -131,7 +129,7 @@ def _tracked_again(session: Any, found: Any, views: Any) -> list[Any]:
 
 
 def _shape(before: Any, found: Any) -> dict[str, Any]:
-    """What became of the body's shape: factors with their standard deviations, joint centres in mm."""
+    """How the body's shape changed: factors with their standard deviations, joint centres in mm."""
     from twistcap.body.shape import joint_distances
 
     old, new = joint_distances(before), joint_distances(found.body)
@@ -174,7 +172,7 @@ def _written(result: Any, found: Any, session: Any, views: Any, folder: Path) ->
 
 
 def tell(document: dict[str, Any]) -> None:
-    """The end of a run, for a person."""
+    """Print the end of a run for a person."""
     table = Table(title="shape", title_justify="left")
     for name in ("segments", "length", "± (1σ)", "girth", "± (1σ)"):
         table.add_column(name, justify="left" if name == "segments" else "right")
@@ -184,7 +182,7 @@ def tell(document: dict[str, Any]) -> None:
         table.add_row(item["group"], *_per_cent(item), *(("", "") if girth is None else _per_cent(girth)))
     Console(highlight=False).print(table)
     for bone in document["bones"]:
-        words.print(f"{bone['segment']}: {bone['before_mm']:.0f} mm before, {bone['after_mm']:.0f} mm now")
+        words.print(f"{bone['segment']}: {bone['before_mm']:.0f} mm before, {bone['after_mm']:.0f} mm after")
     moved = ", ".join(f"{step:.1f}" for step in document["moved_mm"])
     words.print(f"{document['frames']} frames; the landmarks moved {moved} mm from round to round")
     if document["joints_held"]:

@@ -1,4 +1,4 @@
-"""``twistcap studio``: a synthetic recording on disk, as a laboratory would have it, with its truth."""
+"""``twistcap studio``: a synthetic recording on disk, as a laboratory would have it, with the true motion."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from twistcap.errors import InputError
 
 def studio(
     out: Annotated[Path, typer.Argument(help="Folder to write.", metavar="OUT")],
-    seed: Annotated[int, typer.Option(min=0, help="Another person, room and walk.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Number that chooses person, room and walk.")] = 0,
     views: Annotated[int, typer.Option(min=1, max=8, help="Cameras on the ring.")] = 4,
     frames: Annotated[int, typer.Option(min=1, help="Number of frames.")] = 60,
     fps: Annotated[float, typer.Option(help="Frames per second.")] = 60.0,
     size: Annotated[str, typer.Option(help="WIDTHxHEIGHT in pixels.")] = "384x280",
-    condition: Annotated[str, typer.Option(help="exact, or mismatch: body, cameras and first pose are off.")] = "exact",
-    hard: Annotated[bool, typer.Option("--hard", help="Person and room in nearly the same greys.")] = False,
+    condition: Annotated[str, typer.Option(help="exact, or mismatch: body, cameras, first pose wrong.")] = "exact",
+    hard: Annotated[bool, typer.Option("--hard", help="Person and room have nearly the same greys.")] = False,
     one_colour: Annotated[bool, typer.Option("--one-colour", help="Clothes, skin and hair in one colour.")] = False,
     grey: Annotated[bool, typer.Option("--grey", help="Grey images.")] = False,
-    speed: Annotated[float, typer.Option(help="How many times faster than real.")] = 1.0,
-    drop: Annotated[list[str] | None, typer.Option(help="FIRST:LAST frames that no camera delivers.")] = None,
-    noise: Annotated[float, typer.Option(help="Share of pixels replaced by uniform noise.")] = 0.0,
-    rectangles: Annotated[int, typer.Option(help="Random rectangles painted over each image.")] = 0,
-    occluders: Annotated[int, typer.Option(help="Things that stand before the person.")] = 0,
-    blur: Annotated[int, typer.Option(help="Sub-frames of motion blur.")] = 1,
+    speed: Annotated[float, typer.Option(help="Factor on the speed of the walk.")] = 1.0,
+    drop: Annotated[list[str] | None, typer.Option(help="FIRST:LAST frames without images.")] = None,
+    noise: Annotated[float, typer.Option(help="Fraction of the pixels that become uniform noise.")] = 0.0,
+    rectangles: Annotated[int, typer.Option(help="Number of random rectangles painted over each image.")] = 0,
+    occluders: Annotated[int, typer.Option(help="Number of things that stand before the person.")] = 0,
+    blur: Annotated[int, typer.Option(help="Number of sub-frames for motion blur.")] = 1,
     json: terminal.Json = False,
 ) -> None:
-    """Render a synthetic session: videos, Calib.toml, body.glb, masks and truth, and a session.toml to track.
+    """Render a synthetic recording: videos, Calib.toml, body.glb, masks, truth, and a session.toml to track.
 
     Examples:
 
@@ -56,7 +56,7 @@ def studio(
             {"id": "studio", "session": session, "folder": out, "frames": frames, "views": views, "seed": seed}
         )
     else:
-        terminal.words.print(f"now run: twistcap track {session}")
+        terminal.words.print(f"Now run: twistcap track {session}")
 
 
 def _size(text: str) -> tuple[int, int]:

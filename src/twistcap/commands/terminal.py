@@ -24,7 +24,7 @@ Advance = Callable[[str], None]
 
 @contextmanager
 def progress(title: str, total: int) -> Generator[Advance]:
-    """A bar on stderr; call what it gives once per step, with a few words on how it goes."""
+    """A bar on stderr; call the function that it gives once per step, with a short note."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, TextColumn("{task.fields[note]}"), console=words) as bar:
         task = bar.add_task(title, total=total, note="")
@@ -33,19 +33,19 @@ def progress(title: str, total: int) -> Generator[Advance]:
 
 @contextmanager
 def telling(title: str) -> Generator[Callable[..., None]]:
-    """A bar on stderr for work whose extent is known later; call what it gives with (words, done, total)."""
+    """A bar on stderr for work of unknown length; call the function that it gives with (note, done, total)."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, TextColumn("{task.fields[note]}"), console=words) as bar:
         task = bar.add_task(title, total=None, note="")
 
-        def told(note: str, done: int = 0, total: int | None = None) -> None:
+        def report(note: str, done: int = 0, total: int | None = None) -> None:
             bar.update(task, completed=done, total=total, note=note)
 
-        yield told
+        yield report
 
 
 def emit(document: Mapping[str, Any]) -> None:
-    """Print one JSON document on stdout; what JSON has no word for (NaN, infinity) becomes null."""
+    """Print one JSON document on stdout; NaN and infinity become null."""
     typer.echo(json.dumps(_plain(document), indent=2, ensure_ascii=False, allow_nan=False))
 
 
@@ -67,7 +67,7 @@ def show_rows(title: str, rows: list[Any]) -> None:
 
 
 def output_folder(path: str | Path) -> Path:
-    """The folder, made if need be.
+    """The folder, created if it does not exist.
 
     Raises:
         InputError: where it cannot be made.

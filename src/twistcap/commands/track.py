@@ -17,7 +17,7 @@ from twistcap.errors import InputError
 
 
 def track(
-    session: Annotated[Path, typer.Argument(help="Session TOML; docs/session.md tells every key.", metavar="SESSION")],
+    session: Annotated[Path, typer.Argument(help="Session TOML, see docs/formats/session.md.", metavar="SESSION")],
     out: Annotated[Path | None, typer.Option(help="Folder for everything that is written.")] = None,
     method: Annotated[str | None, typer.Option(help="direct, levelset or differential.")] = None,
     frames: Annotated[str | None, typer.Option(help="FIRST:LAST, both included.")] = None,

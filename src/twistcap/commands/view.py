@@ -1,4 +1,4 @@
-"""``twistcap view``: results in the browser, or as one file that opens without us."""
+"""``twistcap view``: results in the browser, or as one HTML file."""
 
 from __future__ import annotations
 
@@ -15,16 +15,14 @@ from twistcap.errors import InputError
 
 def view(
     results: Annotated[list[Path], typer.Argument(help="One or more result.h5.", metavar="RESULT...")],
-    save: Annotated[Path | None, typer.Option(help="Write one HTML file instead of serving a page.")] = None,
+    save: Annotated[Path | None, typer.Option(help="Write one HTML file and serve nothing.")] = None,
     reference: Annotated[
-        Path | None, typer.Option(help="Truth to show beside: .npz, .trc, .mot or .sto.", metavar="REF")
+        Path | None, typer.Option(help="Truth to show too: .npz, .trc, .mot or .sto.", metavar="REF")
     ] = None,
-    session: Annotated[
-        Path | None, typer.Option(help="Session that names the videos, where the result's own are elsewhere.")
-    ] = None,
-    width: Annotated[int, typer.Option(min=32, help="Width of the images at most, px.")] = 360,
-    images: Annotated[int, typer.Option(min=0, help="Frames that get images at most; 0 for none.")] = 120,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port on 127.0.0.1; 0 takes a free one.")] = 0,
+    session: Annotated[Path | None, typer.Option(help="Session that names the videos, if they have moved.")] = None,
+    width: Annotated[int, typer.Option(min=32, help="Largest width of the images, px.")] = 360,
+    images: Annotated[int, typer.Option(min=0, help="Most frames with images; 0 for none.")] = 120,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port on 127.0.0.1; 0 chooses a free one.")] = 0,
     json: terminal.Json = False,
 ) -> None:
     """Look at results: body in 3D, cameras with their images and outlines, joint angles with ± 2σ, lost frames.
@@ -54,7 +52,7 @@ def serve(page: str, answers: Any, port: int, what: str) -> None:
 
     with page_server(page, answers, port) as server:
         typer.echo(f"http://127.0.0.1:{server.server_address[1]}/")
-        words.print(f"open {what} at this address; Ctrl-C ends (from afar: ssh -L PORT:127.0.0.1:PORT HOST)")
+        words.print(f"Open {what} at this address. Ctrl-C ends. From another machine: ssh -L PORT:127.0.0.1:PORT HOST")
         try:
             server.serve_forever()
         except KeyboardInterrupt:
@@ -75,7 +73,7 @@ def _page(paths: list[Path], reference: Path | None, session: Path | None, width
 
 
 def _names(paths: list[Path]) -> list[str]:
-    """Names that tell the results apart: the folder's, or the whole path where two would be alike."""
+    """Names that distinguish the results: the folder's, or the whole path where two would be alike."""
     short = [path.resolve().parent.name if path.stem == "result" else path.stem for path in paths]
     names = [name if short.count(name) == 1 else str(path) for name, path in zip(short, paths, strict=True)]
     if len(set(names)) < len(names):
@@ -99,16 +97,17 @@ def _sources(result: Any, session: Path | None) -> dict[str, Any]:
                 raise
             found = None
         if found is None:
-            words.print(f"camera {camera.name}: its video {path or ''} is not found, so no image; give --session.")
+            words.print(f"camera {camera.name}: its video {path or ''} is not found: no images; give --session.")
         elif found.size != camera.size:
-            raise InputError(f"video {path} is {found.size} px, but camera {camera.name!r} was {camera.size}.")
+            had = f"camera {camera.name!r} had {camera.size}"
+            raise InputError(f"video {path} is {found.size} px, but {had}; give the original video.")
         else:
             sources[camera.name] = found
     return sources
 
 
 def _reference(path: Path, result: Any) -> Any:
-    """The reference on the recording's clock, which the result's own frames tell."""
+    """The reference on the recording's clock, which the result's frames define."""
     from twistcap.evaluate.load import load_reference
 
     index, time = np.asarray(result.indices, float), result.times

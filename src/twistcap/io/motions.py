@@ -43,7 +43,7 @@ def read_motion(
         path: .bvh, .amc, .txt or .json (DeepMimic), .mot, .sto, .h5.
         body: the coordinates are of.
         skeleton: the ASF of an AMC or DeepMimic's humanoid3d.txt, where it does not lie beside the motion.
-        table: what the skeleton's joints mean, or its TOML (docs/motions.md); None takes the shipped one that fits.
+        table: what the skeleton's joints mean, or its TOML (docs/formats/motion-files.md); None takes one of ours.
         rate: poses per second of the clip; None keeps the file's.
         scale: of the root's path when retargeted; None takes the ratio of the legs' lengths.
         axes: how the world of a MOT is turned about the vertical, see `io.markers`.

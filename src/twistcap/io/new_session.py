@@ -146,18 +146,18 @@ def _check_sizes(draft: Draft) -> None:
 def _check_rates(draft: Draft) -> None:
     rates = draft.rates
     if rates and max(rates.values()) - min(rates.values()) > 0.01 * max(rates.values()):
-        told = ", ".join(f"{name} {rate:g}" for name, rate in rates.items())
-        raise InputError(f"the videos differ in frames per second ({told}); convert them to one rate.")
+        listed = ", ".join(f"{name} {rate:g}" for name, rate in rates.items())
+        raise InputError(f"the videos differ in frames per second ({listed}); convert them to one rate.")
 
 
 def session_lines(draft: Draft, folder: Path, stature: float | None) -> str:
-    """The session file: what is known filled in, the rest told in comments."""
+    """The session file: what is known is filled in, the rest is in comments."""
     fewest, most = draft.frames
     rate = next(iter(draft.rates.values()), None)
     lines = [
-        "# A twistcap session; docs/session.md tells every key. Paths are relative to this file.",
+        "# A twistcap session; docs/formats/session.md lists every key. Paths are relative to this file.",
         f"{'' if fewest < most else '# '}frames = [0, {fewest - 1}]  # first and last frame, counted from 0",
-        "# fps of the images; set it to what was recorded" if rate is None else f"# The videos tell {rate:g} fps.",
+        "# fps of the images; set it to what was recorded" if rate is None else f"# The videos have {rate:g} fps.",
         *(["fps = 60"] if rate is None else []),
         "# scale = 0.5   # smaller images track faster; a person 250 px high is plenty",
         "\n[cameras]",
@@ -183,7 +183,7 @@ def session_lines(draft: Draft, folder: Path, stature: float | None) -> str:
         "\n# [tracker]",
         '# method = "direct"   # or "levelset"',
         "\n[output]",
-        '# folder = "out/session"   # seen from where twistcap is started',
+        '# folder = "out/session"   # relative to where twistcap is started',
         'exports = ["trc", "csv"]   # also mot, bvh, glb',
     ]
     return "\n".join(lines) + "\n"
@@ -197,26 +197,26 @@ def findings(draft: Draft) -> list[str]:
     """What was found, in sentences."""
     fewest, most = draft.frames
     rates = draft.rates
-    rate = f"{next(iter(rates.values())):g} frames per second" if rates else "images, whose frame rate nobody tells"
+    rate = f"{next(iter(rates.values())):g} frames per second" if rates else "images without a known frame rate"
     out = [f"{len(draft.rig)} cameras ({', '.join(draft.rig.names)}), {fewest} frames, {rate}; all sizes agree."]
     if fewest < most:
         out.append(f"The videos differ in length ({fewest} to {most} frames): frames = [0, {fewest - 1}] is set.")
     if draft.unused:
-        out.append(f"Calibrated, but without a video: {', '.join(draft.unused)}; [cameras] use leaves them out.")
+        out.append(f"Calibrated, but without a video: {', '.join(draft.unused)}; they are left out by [cameras] use.")
     return out
 
 
 def missing(draft: Draft, session: Path, stature: float | None) -> list[str]:
-    """What a track still lacks, in sentences that say how to mend it."""
+    """What a track still lacks, in sentences that say what to do."""
     out: list[str] = []
     if len(draft.rig) < 2:
-        out.append("A second view: one camera alone leaves depth open, and a first pose cannot be clicked.")
+        out.append("A second view: one camera does not show depth, and a first pose cannot be clicked.")
     if stature is None:
-        out.append("The body: it is the built-in person of 1.75 m; put the true height into [body] stature.")
+        out.append("The body: it is the built-in person of 1.75 m. Put the true height into [body] stature.")
     if not draft.rates:
-        out.append("The frame rate: 60 is set; put the true one into fps.")
+        out.append("The frame rate: 60 is set. Put the true one into fps.")
     pose = session.parent / "first_pose.json"
     if not pose.is_file():
-        out.append(f"The first pose: {pose.name} does not exist yet; make it with  twistcap init {session}")
-        out.append("Keypoints: none are named; they can stand in for clicks ([first_pose.keypoints] in the file).")
+        out.append(f"The first pose: {pose.name} does not exist yet. Make it with:  twistcap init {session}")
+        out.append("Keypoints: none are named. They can replace the clicks ([first_pose.keypoints] in the file).")
     return out

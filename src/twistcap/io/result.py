@@ -1,4 +1,4 @@
-"""The result file: one HDF5 with everything a track produced; the layout is told in ``docs/result-file.md``.
+"""The result file: one HDF5 with everything a track produced; its layout is in ``docs/formats/result-file.md``.
 
 Every frame is flushed, so that a killed run keeps what it had. Made with HDF5's oldest format (``libver`` default):
 files of ``libver="latest"`` cannot be opened after a kill.

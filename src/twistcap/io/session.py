@@ -1,4 +1,4 @@
-"""The session file: one TOML that says what was recorded and how to track it; ``docs/session.md`` tells every key.
+"""The session file: one TOML with what was recorded and how to track it; ``docs/formats/session.md`` lists every key.
 
 Precedence: command line over session over defaults. An unknown key is an error. Paths are relative to the file (or to
 its ``data`` folder); ``${NAME}`` and ``${NAME:-default}`` are taken from the environment.

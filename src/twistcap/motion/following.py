@@ -2,7 +2,7 @@
 
 The k best matches of a long history are placed exactly in time and pace, adapted to the person (offset and range of
 each joint), followed to their ends, and blended. Where the person's own past recurs as well as the library matches, it
-is followed instead. How this and the paper's compare: docs/motion.md.
+is followed instead. How this and the paper's compare: docs/reproduction/motion-prediction.md.
 """
 
 from __future__ import annotations

@@ -153,7 +153,7 @@ def table_for(motion: SkeletonMotion) -> SkeletonTable:
         known = ", ".join(table.name for table in shipped_tables())
         raise InputError(
             f"motion {motion.name!r}: its skeleton ({', '.join(motion.joints[:4])}, …) is none of {known}; "
-            "give a table of its joints (docs/motions.md)."
+            "give a table of its joints (docs/formats/motion-files.md)."
         )
     return max(fits, key=lambda fit: fit[0])[1]
 

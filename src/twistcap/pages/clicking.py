@@ -109,12 +109,12 @@ class Clicking:
         held = self._checked_angles(question.get("held") or {})
         if not self.clicks:
             self.shown = None
-            raise InputError("no joint is clicked; click a handful in two views.")
+            raise InputError("no joint is clicked; click a handful of joints in two views.")
         found = self._fitted(held, self.shown.pose if self.shown else None)
         return {**self._state(), **_judged(found)}
 
     def slide(self, question: Mapping[str, Any]) -> dict[str, Any]:
-        """Set joint angles as they are, without a fit: ``{"held": {coordinate: degrees}}``.
+        """Set joint angles without a fit: ``{"held": {coordinate: degrees}}``.
 
         Raises:
             InputError: as `fit`; before a first fit.
@@ -199,7 +199,7 @@ def sized(body: Body, proportions: Proportions) -> Body:
 
 
 def clicks_beside(pose_file: Path) -> Path:
-    """The file of clicks that is kept beside a pose, for the next time the page is opened."""
+    """The file of clicks that belongs to a pose file; the page opens with it next time."""
     return pose_file.with_suffix(".clicks.csv")
 
 
@@ -216,7 +216,7 @@ def write_clicks(path: Path, clicks: Clicks) -> None:
 
 
 def clicks_of(keypoints: Keypoints, rig: Rig, joints: tuple[str, ...]) -> Clicks:
-    """Keypoints as clicks, those that the body does not know left out."""
+    """Keypoints as clicks, without those that the body does not have."""
     clicks: Clicks = {}
     for c, name in enumerate(rig.names):
         for k, joint in enumerate(keypoints.names):

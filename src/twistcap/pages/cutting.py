@@ -126,7 +126,7 @@ def _person(view: CutView, hints: Hints) -> Bool:
     if mask is None:
         raise InputError("draw a rectangle around the person first.")
     if not mask.any():
-        raise InputError("nothing is left of the person; paint some of it with Person.")
+        raise InputError("nothing of the person is left; paint some of it with Person.")
     return mask
 
 
@@ -138,7 +138,7 @@ def _write(path: Path, mask: Bool) -> None:
     except OSError as error:
         raise InputError(f"{path} cannot be written: {error.strerror}.") from error
     except cv2.error as error:
-        raise InputError(f"{path} cannot be written: the ending is of no known picture; name a .png file.") from error
+        raise InputError(f"{path} cannot be written: its ending is not that of a picture; name a .png file.") from error
 
 
 def _hints(question: Mapping[str, Any]) -> Hints:

@@ -1,4 +1,4 @@
-"""Keypoint detectors of the user's own, found by entry point; none is bundled.
+"""Keypoint detectors of the user, found by entry point; twistcap has none.
 
 A package offers one in its ``pyproject.toml``::
 
@@ -34,7 +34,7 @@ def detector(name: str) -> Detector:
     found = entry_points(group=GROUP)
     if name not in found.names:
         installed = ", ".join(sorted(found.names)) or "none"
-        raise InputError(f"detector {name!r} is not installed (there is {installed}); see docs/init.md.")
+        raise InputError(f"detector {name!r} is not installed (installed: {installed}); see docs/how-to/first-pose.md.")
     try:
         return next(iter(found.select(name=name))).load()
     except (ImportError, AttributeError) as error:

@@ -53,7 +53,7 @@ def view_page(
     Args:
         results: one or more, by the name they are shown under; the first one's cameras are drawn.
         sources: the recording's images by camera; cameras without one are drawn without images.
-        reference: shown beside the results, taken at their times.
+        reference: shown with the results, at their times.
         title: heading.
         options: see `Options`.
 
@@ -61,7 +61,7 @@ def view_page(
         InputError: for no result, results without frames, or an image that cannot be read.
     """
     if not results or not any(len(result) for result in results.values()):
-        raise InputError("no result holds a frame; there is nothing to view.")
+        raise InputError("no result has a frame; there is nothing to view.")
     return page("view", title, view_document(results, sources or {}, reference, options or Options()))
 
 

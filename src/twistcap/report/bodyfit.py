@@ -70,5 +70,5 @@ def write_page(
         ],
         figures=[Figure(path, f"The body {path.stem} the fit.") for path in pictures],
         files=dict(zip(files, texts, strict=False)),
-        notes=[f"Factors against the body given: {changed}."],
+        notes=[f"Factors relative to the given body: {changed}."],
     )

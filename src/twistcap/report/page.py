@@ -49,7 +49,7 @@ METHODS = (
     "C. Bregler and J. Malik: Tracking People with Twists and Exponential Maps. CVPR 1998, "
     "doi:10.1109/CVPR.1998.698581.",
 )
-"""What to cite beside twistcap itself: the papers whose methods it follows."""
+"""What to cite with twistcap: the papers whose methods it follows."""
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ def _video(folder: Path, video: Path | str | None) -> str:
     link = _link(folder, Path(video))
     return (
         f'<h2>Overlay</h2>\n<figure><video controls loop muted playsinline preload="auto" src="{link}"></video>'
-        f"<figcaption>The tracked body over every view; orange is its right, blue its left side, red means lost. "
+        f"<figcaption>The tracked body over every view; right is orange, left is blue, and red means lost. "
         f'<a href="{link}">{escape(Path(video).name)}</a></figcaption></figure>'
     )
 
@@ -217,5 +217,5 @@ def _link(folder: Path, path: Path) -> str:
 
 def _footer() -> str:
     papers = "".join(f"<li>{escape(paper)}</li>" for paper in METHODS)
-    text = "Made with twistcap. Please cite it by its repository, and the methods it follows:"
+    text = "Made with twistcap. Please cite its repository and the methods that it follows:"
     return f"<footer>{text}<ul>{papers}</ul></footer>"

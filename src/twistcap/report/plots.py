@@ -83,7 +83,7 @@ def angle_plot(
 
 
 def _widen(axis: Axes, least: float) -> None:
-    """Keep a hair's breadth of motion from filling a panel."""
+    """Keep a very small motion from filling a panel."""
     low, high = axis.get_ylim()
     more = max(0.0, least - (high - low)) / 2
     axis.set_ylim(low - more, high + more)

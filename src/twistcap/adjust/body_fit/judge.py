@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,9 +78,9 @@ def _segmented(
             continue
         seen = render(posed, view.camera)
         nothing = np.zeros((len(posed.body.segment_names), 1 + 2 * view.features.shape[2]))
-        found = LevelSetContour().measure(view, seen, visible_contour(seen), 1.0, nothing).segmentation
-        assert found is not None
-        out.append((view.camera, seen.mask, found.phi > 0))
+        kept, cue = dict[str, Any](), LevelSetContour()
+        cue.locate(view, seen, visible_contour(seen), 1.0, nothing, kept)
+        out.append((view.camera, seen.mask, kept[cue.name].phi > 0))
     return out
 
 

@@ -98,7 +98,7 @@ def _observed(view: View, posed: Posed, rule: Contours) -> Observed:
     seen = render(posed, view.camera)
     contour, ends, shares = contour_on_edges(seen, max(1.0, rule.spacing * seen.px_per_m))
     nothing = np.zeros((len(posed.body.segment_names), 1 + 2 * view.features.shape[2]))  # remembered colours
-    found = rule.direct.measure(view, seen, contour, 1.0, nothing)
+    found = rule.direct.locate(view, seen, contour, 1.0, nothing)
     assert isinstance(found.term, PointNormalTerm)
     distance, contrast = refined(view.image, contour.pixels, contour.normals, found.displacement)
     doubt = 1.0 + (_CONTRAST / np.maximum(contrast, 1e-6)) ** 2

@@ -1,4 +1,4 @@
-"""A whole track refined: all poses, lengths and joint centres in one sparse least squares (docs/refine.md)."""
+"""A whole track refined: poses, lengths and joint centres in one sparse least squares (docs/concepts/refinement.md)."""
 
 from twistcap.adjust.refine.refine import Refined, refine
 from twistcap.adjust.refine.settings import RefineConfig

@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from twistcap._typing import Float
+from twistcap._typing import Float, Int
 from twistcap.adjust.refine.sums import Derivatives
 from twistcap.body import Posed
 from twistcap.body.kinematics import skin_points

@@ -32,7 +32,7 @@ async function work() {
     try {
       take(await post(path, question), question);
     } catch {
-      tell("the server does not answer; is twistcap still running?", "bad");
+      tell("The server does not answer. Is twistcap still running?", "bad");
     }
   }
   busy = false;
@@ -47,7 +47,7 @@ function take(reply, question) {
     return;
   }
   if (reply.saved) {
-    tell(`saved ${reply.saved.join(", ")}. ${reply.note}`, "good");
+    tell(`Saved ${reply.saved.join(", ")}. ${reply.note}`, "good");
     document.body.dataset.saved = reply.saved.join(" ");
     return;
   }
@@ -85,7 +85,7 @@ function drawTools() {
   tools.replaceChildren();
   for (const view of views)
     tools.append(make("button", { "data-view": view.name, class: `${view === shown ? "current" : ""} ${view.cut ? "cut" : ""}`, click: () => show(view) }, view.name));
-  tools.append(make("span", { class: "soft" }, "wheel zooms, shift-drag pans"));
+  tools.append(make("span", { class: "soft" }, "wheel zooms, shift-drag moves"));
   for (const [name, title] of Object.entries(TOOLS))
     tools.append(make("button", { "data-tool": name, class: name === tool ? "current" : "", click: () => { tool = name; drawTools(); } }, title));
   tools.append(make("button", { id: "undo", click: undo }, "Undo"), make("button", { id: "clear", click: clear }, "Clear"));
@@ -119,7 +119,7 @@ function show(view) {
 }
 
 function invite(view) {
-  tell(view.outline.length ? "Paint with Person or Background where the outline is wrong, or draw a rectangle to begin anew." : "Draw a rectangle around the whole person.");
+  tell(view.outline.length ? "Paint with Person or Background where the outline is wrong, or draw a rectangle to start again." : "Draw a rectangle around the whole person.");
 }
 
 /** Pixel of the image under the pointer, within the image; pixel centres are at integers. */

@@ -20,7 +20,7 @@ async function ask(path, question) {
   try {
     take(await post(path, question));
   } catch {
-    tell("the server does not answer; is twistcap init still running?", "bad");
+    tell("The server does not answer. Is twistcap init still running?", "bad");
   }
   busy = false;
   if (waiting) { const next = waiting; waiting = null; ask(...next); } else document.body.dataset.busy = "no";
@@ -31,10 +31,10 @@ function take(reply) {
   fitted = reply;
   document.body.dataset.fits = +(document.body.dataset.fits ?? 0) + 1;
   if (reply.rejected) rejected = new Set(reply.rejected.map(([camera, joint]) => key(camera, joint)));
-  if (reply.saved) { tell(`saved ${reply.saved}. ${reply.note}`, "good"); document.body.dataset.saved = reply.saved; }
+  if (reply.saved) { tell(`Saved ${reply.saved}. ${reply.note}`, "good"); document.body.dataset.saved = reply.saved; }
   else if (reply.residual_px !== undefined) {
-    const poor = rejected.size ? `; ${rejected.size} do not fit (red): look whether left and right are right` : "";
-    tell(`clicks lie ${reply.residual_px} px (median) off the body${poor}. Drag a joint to correct it.`);
+    const poor = rejected.size ? `. ${rejected.size} do not agree (red): check left and right` : "";
+    tell(`Clicks are ${reply.residual_px} px (median) from the body${poor}. Drag a joint to correct it.`);
   }
   draw();
 }
@@ -204,7 +204,7 @@ document.getElementById("clear").addEventListener("click", () => {
 });
 new ResizeObserver(draw).observe(document.getElementById("views"));
 window.twistcapInit = { clicks, held, state: () => fitted, current: () => current };
-tell("Choose a joint, click it in two or more views; five joints seen by two views make the body appear. Wheel zooms, shift-drag pans, right-click removes.");
+tell("Choose a joint and click it in two or more views. The body appears when two views have five joints in common. Wheel zooms, shift-drag moves, right-click removes.");
 draw();
 if (!fitted && Object.keys(clicks).length) fit();
 document.body.dataset.ready = "yes";
