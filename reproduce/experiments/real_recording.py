@@ -70,8 +70,13 @@ class RealRecording:
     arms: Mapping[str, Settings]
 
     def run(self, seeds: Sequence[int], progress: Tell, out: Path | None = None) -> Findings:
-        """Rows of all arms; result files go into the folder `out`."""
+        """Rows of all arms; result files go into the folder `out`.
+
+        Raises:
+            InputError: where TWISTCAP_DATA does not have the recording.
+        """
         del seeds
+        data_file("balance_4view")  # asked for before minutes of tracking
         cv2.setNumThreads(1)
         rows: list[Row] = []
         with TemporaryDirectory() as temporary:
