@@ -77,7 +77,12 @@ class ScaledView:
         out[:2, :3], out[:2, 3], out[2, 3] = self.scale * self.rotation[:2], self.shift, 1.0
         return out
 
-    def moved(self, phi: Float) -> ScaledView:
+    @property
+    def size(self) -> int:
+        """Numbers of its motion."""
+        return ROOT
+
+    def retract(self, phi: Float) -> ScaledView:
         """After the motion φ = (s', v₁, v₂, ω_x, ω_y, ω_z); it grows and turns about the image of the origin."""
         turned = se3.orthonormalised(se3.transform(se3.exp_rotation(phi[3:]) @ self.rotation, np.zeros(3)))[:3, :3]
         return replace(self, rotation=turned, scale=self.scale * float(np.exp(phi[0])), shift=self.shift + phi[1:3])
@@ -103,7 +108,7 @@ class ScaledView:
         return out
 
     def minus(self, other: ScaledView) -> Float:
-        """The motion (6,) that `moved` needs to come from `other` to this view."""
+        """The motion (6,) that `retract` needs to come from `other` to this view."""
         turn = se3.log_rotation(self.rotation @ other.rotation.T)
         return np.concatenate([[np.log(self.scale / other.scale)], self.shift - other.shift, turn])
 
@@ -162,7 +167,7 @@ class State:
     def retract(self, delta: Float) -> State:
         """After a step (6 V + J,): the views' own motions one after the other, then the joints'."""
         joints = ROOT * len(self.views)
-        views = tuple(view.moved(delta[ROOT * v : ROOT * v + ROOT]) for v, view in enumerate(self.views))
+        views = tuple(view.retract(delta[ROOT * v : ROOT * v + ROOT]) for v, view in enumerate(self.views))
         return State(views, self.q + delta[joints:])
 
     def minus(self, other: State) -> Float:

@@ -10,7 +10,8 @@ import numpy as np
 from twistcap._typing import Float
 from twistcap.solve.arrow import Arrow
 from twistcap.solve.blocks import Variables
-from twistcap.solve.dense import Dense
+from twistcap.solve.dense import Dense, covariance
+from twistcap.terms.quadratic import Quadratic
 from twistcap.terms.rows import BlockTerm, Slope
 
 
@@ -122,10 +123,18 @@ class BlockProblem:
 
     def dense(self, x: Variables) -> Dense:
         """That in one matrix, whatever the rows' reach."""
+        return self._dense_sums(x).system()
+
+    def covariance(self, x: Variables) -> Float:
+        """(size, size) marginal covariances of all free blocks, as if there were no limits."""
+        sums = self._dense_sums(x)
+        return covariance(Quadratic(sums.value, sums.gradient, sums.hessian))
+
+    def _dense_sums(self, x: Variables) -> DenseSums:
         sums = DenseSums(x)
         for term in self.terms:
             term.add_to(sums, x)
-        return sums.system()
+        return sums
 
     def arrow(self, x: Variables, reach: int) -> Arrow:
         """That with the track's poses in a band."""

@@ -225,7 +225,7 @@ def _covariance(problem: KeypointProblem, x: Variables, errors: Sequence[Float])
     scale = max(float(np.sqrt(squares / free)), 0.05)
     frames = tuple(replace(frame, sigma=scale * frame.sigma) for frame in problem.frames)
     scaled = replace(problem, frames=frames, reach=problem.reach / scale)  # the same robust weights as before
-    return scaled.problem.dense(x).covariance()
+    return scaled.problem.covariance(x)
 
 
 def pose_at(poses: Sequence[Pose], times: Sequence[float], time: float) -> Pose:
