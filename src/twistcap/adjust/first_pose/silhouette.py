@@ -63,7 +63,7 @@ class Refined:
     covariances: tuple[Float, ...]
 
 
-_LONGEST = 0.2  # rad, m, log-girth; the matches hold no farther
+_LONGEST = 0.5  # rad, m, log-girth; the matches hold no farther
 _DAMPING = 1e-6
 _REFRESH = 5  # iterations after which the motion with girths is worked out anew: the joints move little with them
 
