@@ -27,6 +27,7 @@ from twistcap.terms import BlockGaussian, BlockTerm, Slope, Sums
 
 _FEWEST = 4
 _HEADINGS = 8
+_STEPS, _DAMPING, _GAIN = 100, 1e-6, 1e-6
 _REACH = 0.5  # rad, log-scale, m: beyond it no linearisation holds
 _UPRIGHT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])  # z up, x towards the camera
 
@@ -165,10 +166,9 @@ def _misfit(view: ScaledView, points: Float, clicks: Clicks, v: int) -> float:
 def _minimised(skeleton: Skeleton, clicks: Clicks, start: State, config: ClickConfig) -> tuple[Variables, float]:
     """From one start, its turns taken up afresh once: the blocks and their energy."""
     x = click_variables(skeleton, start, config)
-    for _ in range(2):
-        found = minimise(click_problem(clicks, x, config), x, steps=100, damping=1e-6, gain=1e-6)
-        x = found.x
-    return x, found.energy
+    first = minimise(click_problem(clicks, x, config), x, _STEPS, damping=_DAMPING, gain=_GAIN)
+    again = minimise(click_problem(clicks, first.x, config), first.x, _STEPS, damping=_DAMPING, gain=_GAIN)
+    return again.x, again.energy
 
 
 def click_variables(skeleton: Skeleton, start: State, config: ClickConfig) -> Variables:
