@@ -57,6 +57,13 @@ def test_free_blocks_move_and_others_stay() -> None:
     np.testing.assert_allclose(x.longest_step()[:3], [0.01, 1.0, 1.0])
 
 
+def test_numbers_that_are_fixed_or_pressed_against_a_limit_are_held() -> None:
+    blocks = {"a": Vector(np.zeros(2), np.array([[0.0, 1.0], [-1.0, 1.0]])), "b": Vector(np.zeros(3))}
+    x = Variables(blocks, ("a", "b"), fixed={"b": np.array([False, True, False])})
+    np.testing.assert_array_equal(x.held(np.ones(5)), [True, False, False, True, False])
+    np.testing.assert_array_equal(x.held(-np.ones(5)), [False, False, False, True, False])
+
+
 @pytest.mark.parametrize("time", [-0.03, 0.0, 0.04, 0.1, 0.2, 0.28, 0.35])
 def test_a_pose_between_two_frames_and_its_derivatives(time: float) -> None:
     here = track()

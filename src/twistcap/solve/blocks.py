@@ -180,11 +180,13 @@ class Variables:
         free: names of those that move.
         longest: by name, the largest entry of a block's step up to which a linearisation can hold, a number or one for
             each entry; 1 (rad, m) where nothing is said.
+        fixed: by name, which numbers of a free block stay all the same.
     """
 
     blocks: Mapping[str, Any]
     free: tuple[str, ...]
     longest: Mapping[str, Float | float] = field(default_factory=dict)
+    fixed: Mapping[str, Bool] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> Any:
         return self.blocks[name]
@@ -210,12 +212,15 @@ class Variables:
         moved = {name: self.blocks[name].retract(step[own]) for name, own in self.slices.items()}
         return replace(self, blocks={**self.blocks, **moved})
 
-    def pressed(self, gradient: Float) -> Bool:
-        """(size,) which numbers stand at a limit and are pushed beyond it by an energy of that gradient."""
+    def held(self, gradient: Float) -> Bool:
+        """(size,) which numbers stay: fixed ones, or pressed against a limit by an energy of that gradient."""
         out = np.zeros(self.size, dtype=np.bool_)
         for name, own in self.slices.items():
-            if isinstance(block := self.blocks[name], Vector):
+            block = self.blocks[name]
+            if isinstance(block, Vector):
                 out[own] = block.pressed(gradient[own])
+            if name in self.fixed:
+                out[own] |= self.fixed[name]
         return out
 
     @cached_property

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twistcap._typing import Float
+from twistcap._typing import Float, Int
 from twistcap.solve.arrow import Arrow
 from twistcap.solve.blocks import Variables
 from twistcap.solve.dense import Dense, covariance
 from twistcap.terms.quadratic import Quadratic
-from twistcap.terms.rows import BlockTerm, Slope
+from twistcap.terms.rows import BlockTerm, Place, Slope
 
 
 class DenseSums:
@@ -35,19 +35,18 @@ class DenseSums:
                 if columns != rows:
                     self.hessian[columns, rows] += block.T
 
-    def add_quadratic(self, block: str, first: int, value: float, gradient: Float, hessian: Float) -> None:
+    def add_quadratic(self, places: Sequence[Place], value: float, gradient: Float, hessian: Float) -> None:
         """See `terms.rows.Sums`."""
         self.value += value
-        if block in self.x.slices:
-            rows = self._place(block, first, len(gradient))
-            self.gradient[rows] += gradient
-            self.hessian[rows, rows] += hessian
+        own, there = _free(self.x, places)
+        self.gradient[there] += gradient[own]
+        self.hessian[np.ix_(there, there)] += hessian[np.ix_(own, own)]
 
     def system(self) -> Dense:
-        """What has been summed; numbers that press against their limits are held."""
+        """What has been summed; numbers that are fixed or press against their limits are held."""
         dense = Dense(self.value, self.gradient, self.hessian, self.x.longest_step())
-        pressed = self.x.pressed(self.gradient)
-        return dense.holding(pressed) if pressed.any() else dense
+        held = self.x.held(self.gradient)
+        return dense.holding(held) if held.any() else dense
 
     def _place(self, block: str, first: int, size: int) -> slice:
         start = self.x.slices[block].start + first
@@ -57,7 +56,7 @@ class DenseSums:
 class ArrowSums:
     """Normal equations of a track of poses, each meeting its next few only, with all other free blocks as the border.
 
-    The track stands first among the free blocks.
+    The track stands first among the free blocks. Limits and numbers that are fixed are not heeded here.
     """
 
     def __init__(self, x: Variables, reach: int) -> None:
@@ -82,19 +81,34 @@ class ArrowSums:
         J = tuple(by for _, by in frames)
         self.arrow.add_rows(tuple(t for t, _ in frames), J, border, weight, residual)
 
-    def add_quadratic(self, block: str, first: int, value: float, gradient: Float, hessian: Float) -> None:
-        """See `terms.rows.Sums`."""
+    def add_quadratic(self, places: Sequence[Place], value: float, gradient: Float, hessian: Float) -> None:
+        """See `terms.rows.Sums`; of one whole pose, of shared blocks, or both."""
         self.arrow.value += value
-        if block == self.track:
-            self.arrow.add_pose(first // self.dof, gradient, hessian)
-        elif block in self.x.slices:
-            at = self._place(Slope(block, gradient[None], first))
-            self.arrow.shared_pull[at] += gradient
-            self.arrow.corner[at, at] += hessian
+        own, there = _free(self.x, places)
+        poses = self.arrow.pull.size
+        pose, shared = own[there < poses], own[there >= poses]
+        border = there[there >= poses] - poses
+        if len(pose):
+            frame = int(there[there < poses][0]) // self.dof
+            self.arrow.add_pose(frame, gradient[pose], hessian[np.ix_(pose, pose)])
+            self.arrow.border[frame][:, border] += hessian[np.ix_(pose, shared)]
+        self.arrow.shared_pull[border] += gradient[shared]
+        self.arrow.corner[np.ix_(border, border)] += hessian[np.ix_(shared, shared)]
 
     def _place(self, slope: Slope) -> slice:
         start = self.x.slices[slope.block].start - self.x[self.track].size + slope.first
         return slice(start, start + slope.by.shape[1])
+
+
+def _free(x: Variables, places: Sequence[Place]) -> tuple[Int, Int]:
+    """Which numbers of a quadratic are free, and where they stand in the step of all free blocks."""
+    own, there, start = [np.zeros(0, np.int32)], [np.zeros(0, np.int32)], 0
+    for place in places:
+        if place.block in x.slices:
+            own.append(np.arange(start, start + place.size, dtype=np.int32))
+            there.append(x.slices[place.block].start + place.first + np.arange(place.size, dtype=np.int32))
+        start += place.size
+    return np.concatenate(own), np.concatenate(there)
 
 
 @dataclass(frozen=True)

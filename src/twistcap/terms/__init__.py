@@ -6,7 +6,7 @@ from twistcap.terms.photometric import PhotometricTerm
 from twistcap.terms.points import KeypointTerm, PointNormalTerm, PointRayTerm
 from twistcap.terms.quadratic import Quadratic, Term
 from twistcap.terms.reprojection import ReprojectionTerm
-from twistcap.terms.rows import BlockTerm, Slope, Sums
+from twistcap.terms.rows import BlockTerm, Place, Slope, Sums
 
 __all__ = [
     "BlockGaussian",
@@ -16,6 +16,7 @@ __all__ = [
     "LimitTerm",
     "OnPose",
     "PhotometricTerm",
+    "Place",
     "PointNormalTerm",
     "PointRayTerm",
     "PointTerm",

@@ -23,7 +23,7 @@ from twistcap.differential.view import ROOT, ScaledView, State
 from twistcap.errors import InputError
 from twistcap.render import SurfacePoints
 from twistcap.solve import BlockProblem, Variables, Vector, minimise
-from twistcap.terms import BlockGaussian, BlockTerm, Slope, Sums
+from twistcap.terms import BlockGaussian, BlockTerm, Place, Slope, Sums
 
 _FEWEST = 4
 _HEADINGS = 8
@@ -277,4 +277,4 @@ class LeanTerm:
     def add_to(self, sums: Sums, x: Variables) -> None:
         turn = x[self.view].minus(self.start)[3:]
         D = se3.inverse_left_jacobian(np.concatenate([turn, np.zeros(3)]))[:3, :3] / self.sigma
-        sums.add_quadratic(self.view, 3, self.energy(x), D.T @ turn / self.sigma, D.T @ D)
+        sums.add_quadratic([Place(self.view, 3, 3)], self.energy(x), D.T @ turn / self.sigma, D.T @ D)
