@@ -34,7 +34,7 @@ def test_a_bumped_camera_and_a_late_clock_are_found(focal: bool) -> None:
     blocks = {f"camera {c}": CameraBlock(camera) for c, camera in enumerate(cameras)}
     there = CameraBlock(cameras[BUMPED], focal)
     blocks |= {f"camera {BUMPED}": there.retract(bump), "clock": Vector(np.zeros(1)), "shape": FixedShape(body)}
-    start = truth.retract(0.02 * rng.normal(size=truth.size))
+    start = truth.retract(0.02 * rng.normal(size=truth.dof))
     x = Variables({"poses": start, **blocks}, ("poses", f"camera {BUMPED}", "clock"), longest={"clock": 0.5 / FPS})
     found = minimise(BlockProblem(terms, reach=1), x, steps=30, damping=1e-6, gain=1e-5)
     assert found.status == "converged"

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from support.finite_differences import check_jacobian
 from twistcap import se3
 from twistcap.adjust.first_pose import (
     FirstPose,
@@ -22,6 +23,7 @@ from twistcap.adjust.first_pose import (
 )
 from twistcap.adjust.first_pose.keypoints import KeypointProblem, Priors, evidence, truncated
 from twistcap.adjust.first_pose.outline import outline_of
+from twistcap.adjust.first_pose.outline_term import Girths, OutlineTerm
 from twistcap.adjust.first_pose.triangulate import rigid_fit, triangulate
 from twistcap.body import Body, Pose
 from twistcap.body.humanoid import humanoid
@@ -31,7 +33,8 @@ from twistcap.camera import Camera, Rectifier, Rig, look_at
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
 from twistcap.io.keypoints import LAYOUTS, Grid, openpose_files, read_clicks, read_openpose
-from twistcap.render import render
+from twistcap.render import render, visible_contour
+from twistcap.solve import BlockProblem, PoseTrack, Variables
 
 POSES = {
     "t": {"arm_add": -85},
@@ -226,6 +229,27 @@ def test_outline_runs_between_the_pixels() -> None:
         np.abs(outline.points[:, 0] - [[29.5], [70.5]]).min(0), np.abs(outline.points[:, 1] - [[19.5], [59.5]]).min(0)
     )
     assert away[straight].max() < 0.15
+
+
+def test_rows_of_an_outline_are_the_derivatives_of_its_energy(body: Body) -> None:
+    """By the pose and by the girths, about the shape at which the samples were taken."""
+    rng, camera = np.random.default_rng(13), ring(1)[0]
+    groups = {"thigh": ("femur_r", "femur_l"), "trunk": ("torso", "pelvis")}
+    girths = Girths(body, groups, np.array([0.05, -0.03]))
+    pose = posed_like(body, "balance", rng)
+    contour = visible_contour(render(Posed(girths.body, pose), camera), 3.0)
+    target = contour.pixels + 4.0 * rng.standard_normal((len(contour), 2))
+    term = OutlineTerm(
+        camera.P, contour.points, girths, girths.rest_motion(), contour.normals, target, 1.5, np.ones(len(contour)), 0
+    )
+    x = Variables({"poses": PoseTrack((pose,), np.zeros(1)), "girths": girths}, ("poses", "girths"))
+    problem = BlockProblem([term])
+    g = problem.dense(x).gradient
+    check_jacobian(
+        lambda d: np.array(problem.energies(x.retract(d))["outline"]),
+        g, np.zeros(x.size), step=1e-6, rtol=2e-3, atol=1e-3 * np.abs(g).max(),
+    )  # fmt: skip
+    assert np.abs(g[-2:]).min() > 1e-3 * np.abs(g).max()
 
 
 def test_refinement_on_silhouettes(body: Body) -> None:

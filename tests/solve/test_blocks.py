@@ -37,7 +37,7 @@ BLOCKS: dict[str, Block] = {
 @pytest.mark.parametrize("name", BLOCKS)
 def test_the_difference_is_the_step_that_was_taken(name: str) -> None:
     block = BLOCKS[name]
-    step = 0.3 * np.random.default_rng(1).normal(size=block.size)
+    step = 0.3 * np.random.default_rng(1).normal(size=block.dof)
     np.testing.assert_allclose(block.retract(step).minus(block), step, atol=1e-12)
 
 
@@ -49,12 +49,19 @@ def test_a_vector_stays_inside_its_limits_and_says_where_it_presses() -> None:
 
 def test_free_blocks_move_and_others_stay() -> None:
     x = Variables(BLOCKS, ("clock", "poses"), longest={"clock": 0.01})
-    step = 0.1 * np.random.default_rng(2).normal(size=x.size)
+    step = 0.1 * np.random.default_rng(2).normal(size=x.dof)
     moved = x.retract(step)
-    assert x.size == 1 + BLOCKS["poses"].size
+    assert x.dof == 1 + BLOCKS["poses"].dof
     assert moved["camera"] is x["camera"] and moved["clock"].values[0] == pytest.approx(0.02 + step[0])
     np.testing.assert_allclose(moved.minus(x), step, atol=1e-12)
     np.testing.assert_allclose(x.longest_step()[:3], [0.01, 1.0, 1.0])
+
+
+def test_numbers_that_are_fixed_or_pressed_against_a_limit_are_held() -> None:
+    blocks = {"a": Vector(np.zeros(2), np.array([[0.0, 1.0], [-1.0, 1.0]])), "b": Vector(np.zeros(3))}
+    x = Variables(blocks, ("a", "b"), fixed={"b": np.array([False, True, False])})
+    np.testing.assert_array_equal(x.held(np.ones(5)), [True, False, False, True, False])
+    np.testing.assert_array_equal(x.held(-np.ones(5)), [False, False, False, True, False])
 
 
 @pytest.mark.parametrize("time", [-0.03, 0.0, 0.04, 0.1, 0.2, 0.28, 0.35])
@@ -66,12 +73,12 @@ def test_a_pose_between_two_frames_and_its_derivatives(time: float) -> None:
         return here.retract(step).at(time + late).pose.minus(at.pose)
 
     D = here.dof
-    expected = np.zeros((D, here.size))
+    expected = np.zeros((D, here.dof))
     for k, by in zip(at.frames, at.by_frame, strict=True):
         expected[:, k * D : (k + 1) * D] = by
-    check_jacobian(moved, expected, np.zeros(here.size), atol=1e-7)
+    check_jacobian(moved, expected, np.zeros(here.dof), atol=1e-7)
     if time not in (0.0, 0.1):  # where the velocity jumps
-        check_jacobian(lambda t: moved(np.zeros(here.size), float(t[0])), at.velocity[:, None], np.zeros(1), rtol=1e-5)
+        check_jacobian(lambda t: moved(np.zeros(here.dof), float(t[0])), at.velocity[:, None], np.zeros(1), rtol=1e-5)
 
 
 def test_at_its_frames_a_track_has_its_poses() -> None:

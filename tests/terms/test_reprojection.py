@@ -16,7 +16,7 @@ from twistcap.camera import pinhole
 from twistcap.solve import BlockProblem, CameraBlock, PoseTrack, Variables, Vector
 from twistcap.solve.blocks import FixedShape
 from twistcap.solve.problem import ArrowSums, DenseSums
-from twistcap.terms import BlockGaussian, LimitTerm, OnPose, ReprojectionTerm, Slope
+from twistcap.terms import BlockGaussian, LimitTerm, OnPose, Place, ReprojectionTerm, Slope
 from twistcap.terms.reprojection import camera_rates
 
 Array = np.ndarray
@@ -107,6 +107,29 @@ def test_arrow_and_dense_are_one_system() -> None:
     np.testing.assert_allclose(np.r_[arrow.pull.ravel(), arrow.shared_pull], dense.gradient, rtol=1e-9, atol=1e-9)
     assert arrow.value == pytest.approx(dense.value)
     assert isinstance(ArrowSums(x, 1).arrow.shared_longest, np.ndarray) and DenseSums(x).value == 0.0
+
+
+@pytest.mark.parametrize("free", [FREE, ("poses", "growth"), ("poses",)])
+def test_a_quadratic_of_several_blocks_is_added_in_both_systems(free: tuple[str, ...]) -> None:
+    """To its free numbers only."""
+    x, D = replace(a_point(), free=free), BODY.dof
+    A = np.random.default_rng(4).normal(size=(D + 3, D + 3))
+    places, q, H = (
+        [Place("clock", 1), Place("poses", D, 2 * D), Place("camera", 1, 2), Place("growth", 1)],
+        A[0],
+        A @ A.T,
+    )
+    dense, arrow = DenseSums(x), ArrowSums(x, 1)
+    for sums in (dense, arrow):
+        sums.add_quadratic(places, 0.5, q, H)
+    step = np.random.default_rng(5).normal(size=x.size)
+    full = x.retract(step).minus(x)
+    pick = lambda name, k: full[x.slices[name].start + k] if name in free else 0.0  # noqa: E731
+    d = np.r_[pick("clock", 0), full[2 * D : 3 * D], pick("camera", 2), pick("growth", 0)]
+    assert dense.gradient @ step == pytest.approx(q @ d) and step @ dense.hessian @ step == pytest.approx(d @ H @ d)
+    np.testing.assert_allclose(arrow.arrow.dense(), dense.hessian)
+    np.testing.assert_allclose(np.r_[arrow.arrow.pull.ravel(), arrow.arrow.shared_pull], dense.gradient)
+    assert arrow.arrow.value == dense.value == 0.5
 
 
 def test_derivatives_by_the_camera() -> None:

@@ -90,7 +90,12 @@ class ScaledView:
         del nearness
         return self.scale
 
-    def moved(self, phi: Float) -> ScaledView:
+    @property
+    def dof(self) -> int:
+        """Numbers of its motion."""
+        return ROOT
+
+    def retract(self, phi: Float) -> ScaledView:
         """After the motion φ = (s', v₁, v₂, ω_x, ω_y, ω_z); it grows and turns about the image of the origin."""
         turned = se3.orthonormalised(se3.transform(se3.exp_rotation(phi[3:]) @ self.rotation, np.zeros(3)))[:3, :3]
         return replace(self, rotation=turned, scale=self.scale * float(np.exp(phi[0])), shift=self.shift + phi[1:3])
@@ -116,7 +121,7 @@ class ScaledView:
         return out
 
     def minus(self, other: ScaledView) -> Float:
-        """The motion (6,) that `moved` needs to come from `other` to this view."""
+        """The motion (6,) that `retract` needs to come from `other` to this view."""
         turn = se3.log_rotation(self.rotation @ other.rotation.T)
         return np.concatenate([[np.log(self.scale / other.scale)], self.shift - other.shift, turn])
 

@@ -29,7 +29,7 @@ class State:
     def retract(self, delta: Float) -> State:
         """After a step (6 V + J,): the views' own motions one after the other, then the joints'."""
         joints = ROOT * len(self.views)
-        views = tuple(view.moved(delta[ROOT * v : ROOT * v + ROOT]) for v, view in enumerate(self.views))
+        views = tuple(view.retract(delta[ROOT * v : ROOT * v + ROOT]) for v, view in enumerate(self.views))
         return State(views, self.q + delta[joints:])
 
     def sized(self, images: Sequence[AnyArray]) -> State:

@@ -23,7 +23,7 @@ class Block(Protocol):
     """A value that is moved by a step of so many numbers."""
 
     @property
-    def size(self) -> int:
+    def dof(self) -> int:
         """Numbers of a step."""
         ...
 
@@ -49,7 +49,7 @@ class Vector:
     limits: Float | None = None
 
     @property
-    def size(self) -> int:
+    def dof(self) -> int:
         return len(self.values)
 
     def retract(self, step: Float) -> Vector:
@@ -62,7 +62,7 @@ class Vector:
     def pressed(self, gradient: Float) -> Bool:
         """(n,) which numbers stand at a limit and are pushed beyond it by an energy of that gradient."""
         if self.limits is None:
-            return np.zeros(self.size, dtype=np.bool_)
+            return np.zeros(self.dof, dtype=np.bool_)
         lower, upper = self.limits.T
         return ((self.values <= lower) & (gradient > 0)) | ((self.values >= upper) & (gradient < 0))
 
@@ -102,7 +102,7 @@ class PoseTrack:
         return 6 + len(self.poses[0].q)
 
     @property
-    def size(self) -> int:
+    def dof(self) -> int:
         return len(self.poses) * self.dof
 
     def retract(self, step: Float) -> PoseTrack:
@@ -144,7 +144,7 @@ class CameraBlock:
     focal: bool = False
 
     @property
-    def size(self) -> int:
+    def dof(self) -> int:
         return 7 if self.focal else 6
 
     def retract(self, step: Float) -> CameraBlock:
@@ -157,7 +157,7 @@ class CameraBlock:
     def minus(self, other: CameraBlock) -> Float:
         turn = se3.difference_one(self.camera.T_cam_world, other.camera.T_cam_world)
         growth = np.log(self.camera.K[0, 0] / other.camera.K[0, 0])
-        return np.concatenate([turn, [growth]])[: self.size]
+        return np.concatenate([turn, [growth]])[: self.dof]
 
 
 @dataclass(frozen=True)
@@ -180,11 +180,13 @@ class Variables:
         free: names of those that move.
         longest: by name, the largest entry of a block's step up to which a linearisation can hold, a number or one for
             each entry; 1 (rad, m) where nothing is said.
+        fixed: by name, which numbers of a free block stay all the same.
     """
 
     blocks: Mapping[str, Any]
     free: tuple[str, ...]
     longest: Mapping[str, Float | float] = field(default_factory=dict)
+    fixed: Mapping[str, Bool] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> Any:
         return self.blocks[name]
@@ -192,30 +194,33 @@ class Variables:
     @cached_property
     def slices(self) -> dict[str, slice]:
         """Where in the step each free block's own stands."""
-        ends = np.cumsum([0, *(self.blocks[name].size for name in self.free)])
+        ends = np.cumsum([0, *(self.blocks[name].dof for name in self.free)])
         return {name: slice(int(a), int(b)) for name, a, b in zip(self.free, ends[:-1], ends[1:], strict=True)}
 
     @property
-    def size(self) -> int:
+    def dof(self) -> int:
         """Numbers of the step of all free blocks."""
-        return sum(self.blocks[name].size for name in self.free)
+        return sum(self.blocks[name].dof for name in self.free)
 
     def longest_step(self, names: Sequence[str] | None = None) -> Float:
         """(n,) `longest` of every number of the step of these blocks, of all free ones by default."""
         names = self.free if names is None else names
-        return stacked([np.broadcast_to(self.longest.get(name, 1.0), self.blocks[name].size) for name in names])
+        return stacked([np.broadcast_to(self.longest.get(name, 1.0), self.blocks[name].dof) for name in names])
 
     def retract(self, step: Float) -> Variables:
         """All blocks after a step (size,); those that are not free as they are."""
         moved = {name: self.blocks[name].retract(step[own]) for name, own in self.slices.items()}
         return replace(self, blocks={**self.blocks, **moved})
 
-    def pressed(self, gradient: Float) -> Bool:
-        """(size,) which numbers stand at a limit and are pushed beyond it by an energy of that gradient."""
-        out = np.zeros(self.size, dtype=np.bool_)
+    def held(self, gradient: Float) -> Bool:
+        """(size,) which numbers stay: fixed ones, or pressed against a limit by an energy of that gradient."""
+        out = np.zeros(self.dof, dtype=np.bool_)
         for name, own in self.slices.items():
-            if isinstance(block := self.blocks[name], Vector):
+            block = self.blocks[name]
+            if isinstance(block, Vector):
                 out[own] = block.pressed(gradient[own])
+            if name in self.fixed:
+                out[own] |= self.fixed[name]
         return out
 
     @cached_property

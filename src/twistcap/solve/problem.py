@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twistcap._typing import Float
+from twistcap._typing import Float, Int
 from twistcap.solve.arrow import Arrow
 from twistcap.solve.blocks import Variables
-from twistcap.solve.dense import Dense
-from twistcap.terms.rows import BlockTerm, Slope
+from twistcap.solve.dense import Dense, covariance
+from twistcap.terms.quadratic import Quadratic
+from twistcap.terms.rows import BlockTerm, Place, Slope
 
 
 class DenseSums:
@@ -19,7 +20,7 @@ class DenseSums:
 
     def __init__(self, x: Variables) -> None:
         self.x, self.value = x, 0.0
-        self.gradient, self.hessian = np.zeros(x.size), np.zeros((x.size, x.size))
+        self.gradient, self.hessian = np.zeros(x.dof), np.zeros((x.dof, x.dof))
 
     def add_rows(self, energy: float, slopes: Sequence[Slope], weight: Float, residual: Float) -> None:
         """See `terms.rows.Sums`."""
@@ -34,19 +35,18 @@ class DenseSums:
                 if columns != rows:
                     self.hessian[columns, rows] += block.T
 
-    def add_quadratic(self, block: str, first: int, value: float, gradient: Float, hessian: Float) -> None:
+    def add_quadratic(self, places: Sequence[Place], value: float, gradient: Float, hessian: Float) -> None:
         """See `terms.rows.Sums`."""
         self.value += value
-        if block in self.x.slices:
-            rows = self._place(block, first, len(gradient))
-            self.gradient[rows] += gradient
-            self.hessian[rows, rows] += hessian
+        own, there = _free(self.x, places)
+        self.gradient[there] += gradient[own]
+        self.hessian[np.ix_(there, there)] += hessian[np.ix_(own, own)]
 
     def system(self) -> Dense:
-        """What has been summed; numbers that press against their limits are held."""
+        """What has been summed; numbers that are fixed or press against their limits are held."""
         dense = Dense(self.value, self.gradient, self.hessian, self.x.longest_step())
-        pressed = self.x.pressed(self.gradient)
-        return dense.holding(pressed) if pressed.any() else dense
+        held = self.x.held(self.gradient)
+        return dense.holding(held) if held.any() else dense
 
     def _place(self, block: str, first: int, size: int) -> slice:
         start = self.x.slices[block].start + first
@@ -56,14 +56,14 @@ class DenseSums:
 class ArrowSums:
     """Normal equations of a track of poses, each meeting its next few only, with all other free blocks as the border.
 
-    The track stands first among the free blocks.
+    The track stands first among the free blocks. Limits and numbers that are fixed are not heeded here.
     """
 
     def __init__(self, x: Variables, reach: int) -> None:
         self.x, self.track = x, x.free[0]
         poses = x[self.track]
         self.dof = poses.dof
-        self.arrow = Arrow(len(poses.poses), self.dof, x.size - poses.size, reach)
+        self.arrow = Arrow(len(poses.poses), self.dof, x.dof - poses.dof, reach)
         self.arrow.longest, self.arrow.shared_longest = (
             x.longest_step(x.free[:1])[: self.dof],
             x.longest_step(x.free[1:]),
@@ -81,19 +81,34 @@ class ArrowSums:
         J = tuple(by for _, by in frames)
         self.arrow.add_rows(tuple(t for t, _ in frames), J, border, weight, residual)
 
-    def add_quadratic(self, block: str, first: int, value: float, gradient: Float, hessian: Float) -> None:
-        """See `terms.rows.Sums`."""
+    def add_quadratic(self, places: Sequence[Place], value: float, gradient: Float, hessian: Float) -> None:
+        """See `terms.rows.Sums`; of one whole pose, of shared blocks, or both."""
         self.arrow.value += value
-        if block == self.track:
-            self.arrow.add_pose(first // self.dof, gradient, hessian)
-        elif block in self.x.slices:
-            at = self._place(Slope(block, gradient[None], first))
-            self.arrow.shared_pull[at] += gradient
-            self.arrow.corner[at, at] += hessian
+        own, there = _free(self.x, places)
+        poses = self.arrow.pull.size
+        pose, shared = own[there < poses], own[there >= poses]
+        border = there[there >= poses] - poses
+        if len(pose):
+            frame = int(there[there < poses][0]) // self.dof
+            self.arrow.add_pose(frame, gradient[pose], hessian[np.ix_(pose, pose)])
+            self.arrow.border[frame][:, border] += hessian[np.ix_(pose, shared)]
+        self.arrow.shared_pull[border] += gradient[shared]
+        self.arrow.corner[np.ix_(border, border)] += hessian[np.ix_(shared, shared)]
 
     def _place(self, slope: Slope) -> slice:
-        start = self.x.slices[slope.block].start - self.x[self.track].size + slope.first
+        start = self.x.slices[slope.block].start - self.x[self.track].dof + slope.first
         return slice(start, start + slope.by.shape[1])
+
+
+def _free(x: Variables, places: Sequence[Place]) -> tuple[Int, Int]:
+    """Which numbers of a quadratic are free, and where they stand in the step of all free blocks."""
+    own, there, start = [np.zeros(0, np.int32)], [np.zeros(0, np.int32)], 0
+    for place in places:
+        if place.block in x.slices:
+            own.append(np.arange(start, start + place.size, dtype=np.int32))
+            there.append(x.slices[place.block].start + place.first + np.arange(place.size, dtype=np.int32))
+        start += place.size
+    return np.concatenate(own), np.concatenate(there)
 
 
 @dataclass(frozen=True)
@@ -122,10 +137,18 @@ class BlockProblem:
 
     def dense(self, x: Variables) -> Dense:
         """That in one matrix, whatever the rows' reach."""
+        return self._dense_sums(x).system()
+
+    def covariance(self, x: Variables) -> Float:
+        """(size, size) marginal covariances of all free blocks, as if there were no limits."""
+        sums = self._dense_sums(x)
+        return covariance(Quadratic(sums.value, sums.gradient, sums.hessian))
+
+    def _dense_sums(self, x: Variables) -> DenseSums:
         sums = DenseSums(x)
         for term in self.terms:
             term.add_to(sums, x)
-        return sums.system()
+        return sums
 
     def arrow(self, x: Variables, reach: int) -> Arrow:
         """That with the track's poses in a band."""

@@ -6,7 +6,7 @@ from twistcap.terms.photometric import PhotometricTerm
 from twistcap.terms.points import KeypointTerm, PointNormalTerm, PointRayTerm
 from twistcap.terms.quadratic import MaskableTerm, Quadratic, Term
 from twistcap.terms.reprojection import ReprojectionTerm
-from twistcap.terms.rows import BlockTerm, Slope, Sums
+from twistcap.terms.rows import BlockTerm, Place, Slope, Sums
 
 __all__ = [
     "BlockGaussian",
@@ -17,6 +17,7 @@ __all__ = [
     "MaskableTerm",
     "OnPose",
     "PhotometricTerm",
+    "Place",
     "PointNormalTerm",
     "PointRayTerm",
     "PointTerm",

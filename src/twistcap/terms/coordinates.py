@@ -11,7 +11,7 @@ from twistcap import se3
 from twistcap._typing import Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.terms.quadratic import Quadratic, Term
-from twistcap.terms.rows import Sums
+from twistcap.terms.rows import Place, Sums
 
 if TYPE_CHECKING:
     from twistcap.solve.blocks import Variables
@@ -122,8 +122,8 @@ class OnPose:
         return self.term.energy(self._posed(x))
 
     def add_to(self, sums: Sums, x: Variables) -> None:
-        q = self.term.linearize(self._posed(x))
-        sums.add_quadratic(self.poses, self.frame * self.body.dof, q.value, q.gradient, q.hessian)
+        q, dof = self.term.linearize(self._posed(x)), self.body.dof
+        sums.add_quadratic([Place(self.poses, dof, self.frame * dof)], q.value, q.gradient, q.hessian)
 
     def _posed(self, x: Variables) -> Posed:
         return Posed(self.body, x[self.poses].poses[self.frame])
@@ -152,4 +152,4 @@ class BlockGaussian:
 
     def add_to(self, sums: Sums, x: Variables) -> None:
         gradient = (x[self.block].values - self.mean) / self.sigma**2
-        sums.add_quadratic(self.block, 0, self.energy(x), gradient, np.diag(self.sigma**-2.0))
+        sums.add_quadratic([Place(self.block, len(gradient))], self.energy(x), gradient, np.diag(self.sigma**-2.0))

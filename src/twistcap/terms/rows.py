@@ -20,6 +20,15 @@ class Slope:
     first: int = 0
 
 
+@dataclass(frozen=True)
+class Place:
+    """So many numbers of a block's step, from the number `first` on."""
+
+    block: str
+    size: int
+    first: int = 0
+
+
 class Sums(Protocol):
     """A system while it is being summed; what it is told of blocks that are not free it leaves out."""
 
@@ -27,8 +36,8 @@ class Sums(Protocol):
         """Add ½ Σ weight (residual + Σ by δ)² of N rows; their true, robust energy is `energy`."""
         ...
 
-    def add_quadratic(self, block: str, first: int, value: float, gradient: Float, hessian: Float) -> None:
-        """Add a quadratic of n numbers of one block's step, from the number `first` on."""
+    def add_quadratic(self, places: list[Place], value: float, gradient: Float, hessian: Float) -> None:
+        """Add a quadratic of numbers of one block's step or of several, one place after the other."""
         ...
 
 

@@ -1,29 +1,34 @@
 """The first state of the differential tracker from joints clicked in one or more views, without calibrated cameras.
 
-Turns, scales and places of the views, joint angles and body dimensions together, left and right of equal length, by a
-quasi-Newton method (Bregler and Malik, "Tracking People with Twists and Exponential Maps", CVPR 1998, section 2.6).
+Turns, scales and places of the views, joint angles and body dimensions together, left and right of equal length
+(Bregler and Malik, "Tracking People with Twists and Exponential Maps", CVPR 1998, section 2.6).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize
 
 from twistcap import se3
 from twistcap._typing import Bool, Float, Int
-from twistcap.adjust.first_pose.skeleton import Proportions, Skeleton
+from twistcap.adjust.first_pose.skeleton import Proportions, Scaling, Skeleton
 from twistcap.body import Body, Posed, rescaled
 from twistcap.body.kinematics import Pose
+from twistcap.camera import pinhole
 from twistcap.differential.system import image_motion
 from twistcap.differential.view import ROOT, ScaledView, State
 from twistcap.errors import InputError
 from twistcap.render import SurfacePoints
+from twistcap.solve import BlockProblem, Variables, Vector, minimise
+from twistcap.terms import BlockGaussian, BlockTerm, Place, Slope, Sums
 
 _FEWEST = 4
 _HEADINGS = 8
+_STEPS, _DAMPING, _GAIN = 100, 1e-6, 1e-6
+_REACH = 0.5  # rad, log-scale, m: beyond it no linearisation holds
 _UPRIGHT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])  # z up, x towards the camera
 
 
@@ -57,17 +62,19 @@ class ClickedStart:
         state: of it.
         proportions: that made it.
         residual_px: (V, L) distance of each click from its landmark, NaN where there was none.
+        covariance: (6 V + J, 6 V + J) of the state's step, the body's dimensions free where they are fitted.
     """
 
     body: Body
     state: State
     proportions: Proportions
     residual_px: Float
+    covariance: Float
 
 
 @dataclass(frozen=True)
-class _Clicks:
-    """Landmarks and where they were clicked in each view."""
+class Clicks:
+    """Landmarks (L,), where they were clicked in each view (V, L, 2), and whether they were (V, L)."""
 
     marks: Int
     pixels: Float
@@ -96,18 +103,20 @@ def fit_clicks(
         InputError: for an unknown name, fewer than four clicks in a view, or numbers that are not finite.
     """
     config, skeleton = config or ClickConfig(), Skeleton(body)
-    found = _gathered(body, clicks)
+    found = gathered(body, clicks)
     starts = [start] if start is not None else _starts(body, found, facing_deg)
-    ends = [_minimised(skeleton, found, begin, config) for begin in starts]
-    _, state, factors = min(ends, key=lambda end: end[0])
-    proportions = skeleton.proportions(factors)
+    x, _ = min((_minimised(skeleton, found, begin, config) for begin in starts), key=lambda end: end[1])
+    proportions, state = skeleton.proportions(x["shape"].values), state_of(x)
     fitted = rescaled(body, proportions.lengths, proportions.girths, proportions.stature)
     at = Posed(fitted, Pose(np.eye(4), state.q)).landmarks[found.marks]
     off = np.stack([view.pixels(at) for view in state.views]) - found.pixels
-    return ClickedStart(fitted, state, proportions, np.where(found.known, np.linalg.norm(off, axis=-1), np.nan))
+    residual = np.where(found.known, np.linalg.norm(off, axis=-1), np.nan)
+    size = ROOT * len(state.views) + len(state.q)
+    covariance = click_problem(found, x, config).covariance(x)[:size, :size]
+    return ClickedStart(fitted, state, proportions, residual, covariance)
 
 
-def _gathered(body: Body, clicks: Sequence[Mapping[str, Sequence[float]]]) -> _Clicks:
+def gathered(body: Body, clicks: Sequence[Mapping[str, Sequence[float]]]) -> Clicks:
     names = list(dict.fromkeys(name for view in clicks for name in view))
     for name in names:
         if name not in body.landmarks.names:
@@ -118,10 +127,10 @@ def _gathered(body: Body, clicks: Sequence[Mapping[str, Sequence[float]]]) -> _C
         raise InputError(f"clicks: every view needs {_FEWEST} clicked joints or more.")
     if not np.all(np.isfinite(pixels[given])):
         raise InputError("clicks: a pixel is not a finite number; leave that joint out.")
-    return _Clicks(np.array([body.landmarks.index(name) for name in names], np.int32), np.nan_to_num(pixels), given)
+    return Clicks(np.array([body.landmarks.index(name) for name in names], np.int32), np.nan_to_num(pixels), given)
 
 
-def _starts(body: Body, clicks: _Clicks, facing_deg: Sequence[float] | None) -> list[State]:
+def _starts(body: Body, clicks: Clicks, facing_deg: Sequence[float] | None) -> list[State]:
     """Upright bodies, each view's scale and place laid on its clicks."""
     V = len(clicks.pixels)
     if facing_deg is not None and len(facing_deg) != V:
@@ -139,7 +148,7 @@ def _starts(body: Body, clicks: _Clicks, facing_deg: Sequence[float] | None) -> 
     return states
 
 
-def _laid(points: Float, clicks: _Clicks, v: int, facing: float) -> ScaledView:
+def _laid(points: Float, clicks: Clicks, v: int, facing: float) -> ScaledView:
     """The view of a direction whose scale and shift suit the clicks best, by heights and middles."""
     a = np.deg2rad(facing)
     turn = _UPRIGHT @ se3.exp_rotation(np.array([0.0, 0.0, a]))
@@ -150,89 +159,122 @@ def _laid(points: Float, clicks: _Clicks, v: int, facing: float) -> ScaledView:
     return ScaledView(turn, scale, (there - scale * at).mean(axis=0))
 
 
-def _misfit(view: ScaledView, points: Float, clicks: _Clicks, v: int) -> float:
+def _misfit(view: ScaledView, points: Float, clicks: Clicks, v: int) -> float:
     return float(np.sum((view.pixels(points) - clicks.pixels[v])[clicks.known[v]] ** 2))
 
 
-def _minimised(skeleton: Skeleton, clicks: _Clicks, start: State, config: ClickConfig) -> tuple[float, State, Float]:
-    """L-BFGS-B from one start, its turns taken up afresh once: energy, state and log-factors."""
-    factors, energy = np.zeros(skeleton.size), np.inf
-    state = start
-    for _ in range(2):
-        problem = ClickEnergy(skeleton, clicks, state, config)
-        x0 = np.concatenate([np.zeros(ROOT * len(state.views)), state.q, factors])
-        unit = _units(len(state.views), len(x0))
-
-        def scaled(y: Float, problem: ClickEnergy = problem, unit: Float = unit) -> tuple[float, Float]:
-            value, gradient = problem(unit * y)
-            return value, unit * gradient
-
-        limits = zip(problem.bounds, unit, strict=True)
-        bounds = [tuple(None if b is None else b / u for b in pair) for pair, u in limits]
-        done = minimize(scaled, x0 / unit, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 300})
-        energy, (state, factors) = float(done.fun), problem.unpacked(unit * done.x)
-    return energy, state, factors
+def _minimised(skeleton: Skeleton, clicks: Clicks, start: State, config: ClickConfig) -> tuple[Variables, float]:
+    """From one start, its turns taken up afresh once: the blocks and their energy."""
+    x = click_variables(skeleton, start, config)
+    first = minimise(click_problem(clicks, x, config), x, _STEPS, damping=_DAMPING, gain=_GAIN)
+    again = minimise(click_problem(clicks, first.x, config), first.x, _STEPS, damping=_DAMPING, gain=_GAIN)
+    return again.x, again.energy
 
 
-def _units(views: int, n: int) -> Float:
-    """(n,) steps of the unknowns that move pixels by about as much: a quasi-Newton method wants them alike."""
-    out = np.full(n, 0.1)
-    out[: ROOT * views] = np.tile([0.05, 5.0, 5.0, 0.1, 0.1, 0.1], views)
-    return out
+def click_variables(skeleton: Skeleton, start: State, config: ClickConfig) -> Variables:
+    """The views, the joints inside their limits, and the body's log-factors."""
+    body, V = skeleton.body, len(start.views)
+    blocks: dict[str, Any] = {_view(v): view for v, view in enumerate(start.views)}
+    reach = {_view(v): _REACH * np.array([1, s, s, 1, 1, 1]) for v, s in enumerate(view.scale for view in start.views)}
+    joints = Vector(np.clip(start.q, *body.limits.T), body.limits)
+    free = (*map(_view, range(V)), "joints", *(["shape"] if config.fit_lengths else []))
+    return Variables({**blocks, "joints": joints, "shape": Scaling(skeleton, np.zeros(skeleton.size))}, free, reach)
+
+
+def click_problem(clicks: Clicks, start: Variables, config: ClickConfig) -> BlockProblem:
+    """``½ Σ |x − click|² / σ²`` and weak Gaussians on angles, log-factors and the views' turns out of the start's."""
+    skeleton: Skeleton = start["shape"].skeleton
+    c, J = config, len(start["joints"].values)
+    sizes = [c.stature, *[c.length] * len(skeleton.length_groups), *[c.girth] * len(skeleton.girth_segments)]
+    terms: list[BlockTerm] = [
+        BlockGaussian("joints", np.zeros(J), np.full(J, np.deg2rad(c.angle_deg)), "neutral"),
+        BlockGaussian("shape", np.zeros(len(sizes)), np.array(sizes)),
+    ]
+    for v in range(len(clicks.pixels)):
+        own = np.flatnonzero(clicks.known[v])
+        terms.append(ClickTerm(_view(v), clicks.marks[own], clicks.pixels[v, own], c.sigma_px))
+        terms.append(LeanTerm(_view(v), start[_view(v)], float(np.deg2rad(c.lean_deg))))
+    return BlockProblem(terms)
+
+
+def state_of(x: Variables) -> State:
+    """The blocks as the differential tracker has them."""
+    return State(tuple(block for block in x.blocks.values() if isinstance(block, ScaledView)), x["joints"].values)
+
+
+def _view(v: int) -> str:
+    return f"view {v}"
 
 
 @dataclass(frozen=True)
-class ClickEnergy:
-    """Value and gradient of the fit, by each view's motion from a start, the joint angles and the log-factors.
+class ClickTerm:
+    """N clicked landmarks in one view.
 
-    ``½ Σ |x − click|² / σ²`` and weak Gaussians on angles, turns and log-factors.
+    Attributes:
+        view: its block.
+        marks: (N,) landmarks.
+        pixels: (N, 2) px.
+        sigma: px.
     """
 
-    skeleton: Skeleton
-    clicks: _Clicks
-    start: State
-    config: ClickConfig = field(default_factory=ClickConfig)
+    view: str
+    marks: Int
+    pixels: Float
+    sigma: float
+    name: str = "clicks"
 
     @property
-    def bounds(self) -> list[tuple[float | None, float | None]]:
-        """Of every unknown: joints by their limits, dimensions held where they are not to be fitted."""
-        size = None if self.config.fit_lengths else 0.0
-        lower, upper = self.skeleton.body.limits.T
-        joints = [(float(a), float(b)) for a, b in zip(lower, upper, strict=True)]
-        views: list[tuple[float | None, float | None]] = [(None, None)] * (ROOT * len(self.start.views))
-        sizes: list[tuple[float | None, float | None]] = [(size, size)] * self.skeleton.size
-        return [*views, *joints, *sizes]
+    def blocks(self) -> tuple[str, ...]:
+        return (self.view, "joints", "shape")
 
-    def unpacked(self, x: Float) -> tuple[State, Float]:
-        """State and log-factors of the unknowns."""
-        V, J = len(self.start.views), len(self.start.q)
-        views = tuple(view.moved(x[ROOT * v : ROOT * v + ROOT]) for v, view in enumerate(self.start.views))
-        return State(views, x[ROOT * V : ROOT * V + J].copy()), x[ROOT * V + J :].copy()
+    def energy(self, x: Variables) -> float:
+        return 0.5 * float(np.sum(self._residual(x, self._posed(x)) ** 2))
 
-    def __call__(self, x: Float) -> tuple[float, Float]:
-        (state, factors), V, J = self.unpacked(x), len(self.start.views), len(self.start.q)
-        body = self.skeleton.scaled(factors)
-        posed, marks = state.posed(body), body.landmarks
-        which = self.clicks.marks
-        points = SurfacePoints(marks.segments[which, None], np.ones((len(which), 1)), marks.points[which])
-        by_factor = self.skeleton.jacobian(posed, factors)[which]
-        g, value = np.zeros(len(x)), 0.0
-        for v, view in enumerate(state.views):
-            rows = np.r_[ROOT * v : ROOT * v + ROOT, ROOT * V : len(x)]
-            move = image_motion(posed, view, points)
-            turn = se3.left_jacobian(np.concatenate([x[ROOT * v + 3 : ROOT * v + ROOT], np.zeros(3)]))[:3, :3]
-            move[:, :, 3:ROOT] = move[:, :, 3:ROOT] @ turn
-            size = view.scale * np.einsum("ij,njk->nik", view.rotation[:2], by_factor)
-            r = (view.pixels(posed.landmarks[which]) - self.clicks.pixels[v]) / self.config.sigma_px
-            r = np.where(self.clicks.known[v, :, None], r, 0.0)
-            value += 0.5 * float(np.sum(r * r))
-            g[rows] += np.einsum("ni,nid->d", r / self.config.sigma_px, np.concatenate([move, size], axis=2))
-        pull, weight = x.copy(), self._stiffness(V, J)
-        return value + 0.5 * float(np.sum(weight * pull**2)), g + weight * pull
+    def add_to(self, sums: Sums, x: Variables) -> None:
+        posed, view, marks = self._posed(x), x[self.view], x["shape"].body.landmarks
+        residual = self._residual(x, posed).ravel()
+        points = SurfacePoints(
+            marks.segments[self.marks, None], np.ones((len(self.marks), 1)), marks.points[self.marks]
+        )
+        motion = image_motion(posed, view, points).reshape(len(residual), -1) / self.sigma
+        slopes = [Slope(self.view, motion[:, :ROOT]), Slope("joints", motion[:, ROOT:])]
+        if "shape" in x.free:
+            by_point = pinhole(view.P, posed.landmarks[self.marks])[2] / self.sigma
+            by_shape = by_point @ x["shape"].rates(posed)[self.marks]
+            slopes.append(Slope("shape", by_shape.reshape(len(residual), -1)))
+        sums.add_rows(0.5 * float(residual @ residual), slopes, np.ones(len(residual)), residual)
 
-    def _stiffness(self, V: int, J: int) -> Float:
-        c, k = self.config, self.skeleton
-        sizes = [c.stature, *[c.length] * len(k.length_groups), *[c.girth] * len(k.girth_segments)]
-        lean = np.deg2rad(c.lean_deg)
-        view = [0.0, 0.0, 0.0, lean**-2, lean**-2, lean**-2]
-        return np.concatenate([np.tile(view, V), np.full(J, np.deg2rad(c.angle_deg) ** -2.0), np.array(sizes) ** -2.0])
+    def _residual(self, x: Variables, posed: Posed) -> Float:
+        return (x[self.view].pixels(posed.landmarks[self.marks]) - self.pixels) / self.sigma
+
+    def _posed(self, x: Variables) -> Posed:
+        return Posed(x["shape"].body, Pose(np.eye(4), x["joints"].values))
+
+
+@dataclass(frozen=True)
+class LeanTerm:
+    """A Gaussian about a view's turn at the start, for a camera held upright.
+
+    Attributes:
+        view: its block.
+        start: the view there.
+        sigma: rad.
+    """
+
+    view: str
+    start: ScaledView
+    sigma: float
+    name: str = "lean"
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        return (self.view,)
+
+    def energy(self, x: Variables) -> float:
+        turn = x[self.view].minus(self.start)[3:]
+        return 0.5 * float(turn @ turn) / self.sigma**2
+
+    def add_to(self, sums: Sums, x: Variables) -> None:
+        turn = x[self.view].minus(self.start)[3:]
+        D = se3.inverse_left_jacobian(np.concatenate([turn, np.zeros(3)]))[:3, :3] / self.sigma
+        sums.add_quadratic([Place(self.view, 3, 3)], self.energy(x), D.T @ turn / self.sigma, D.T @ D)

@@ -221,11 +221,11 @@ def _covariance(problem: KeypointProblem, x: Variables, errors: Sequence[Float])
     weights = [frame.weights * _robust(r, problem.reach) for frame, r in zip(problem.frames, errors, strict=True)]
     squares = sum(float(np.sum(w[..., None] * r * r)) for w, r in zip(weights, errors, strict=True))
     used = sum(2 * np.count_nonzero(w > _USED) for w in weights)
-    free = max(used - x["poses"].size, 1)
+    free = max(used - x["poses"].dof, 1)
     scale = max(float(np.sqrt(squares / free)), 0.05)
     frames = tuple(replace(frame, sigma=scale * frame.sigma) for frame in problem.frames)
     scaled = replace(problem, frames=frames, reach=problem.reach / scale)  # the same robust weights as before
-    return scaled.problem.dense(x).covariance()
+    return scaled.problem.covariance(x)
 
 
 def pose_at(poses: Sequence[Pose], times: Sequence[float], time: float) -> Pose:

@@ -36,6 +36,10 @@ class Matches:
     distance: Float
     weight: Float
 
+    def target(self, contour: ContourPoints) -> Float:
+        """(N, 2) px to go to: on the outline, or level with it."""
+        return contour.pixels[self.index] + self.distance[:, None] * self.normals
+
 
 def outline_of(mask: AnyArray, spacing: float) -> Outline:
     """Outline of a mask (H, W) between its pixels, about `spacing` px apart; the edge of the image is no outline."""

@@ -9,11 +9,10 @@ from functools import cached_property
 import numpy as np
 
 from twistcap._typing import Float
-from twistcap.adjust.first_pose.outline import Matches
 from twistcap.body import Body, Posed, rescaled
 from twistcap.body.kinematics import skin_points
 from twistcap.body.shape import RestMotion, rest_motion, stretch_maps
-from twistcap.render import ContourPoints, SurfacePoints
+from twistcap.render import SurfacePoints
 from twistcap.solve import Variables
 from twistcap.terms import Slope, Sums
 from twistcap.terms.points import projected_rows
@@ -37,7 +36,7 @@ class Girths:
     values: Float
 
     @property
-    def size(self) -> int:
+    def dof(self) -> int:
         return len(self.values)
 
     def retract(self, step: Float) -> Girths:
@@ -56,17 +55,15 @@ class Girths:
         """Of these girths."""
         return rescaled(self.generic, girths=self.factors) if self.groups else self.generic
 
-    @cached_property
-    def motion(self) -> RestMotion:
+    def rest_motion(self) -> RestMotion:
         """How the rest pose moves with the log-girths."""
         return rest_motion(self.body, [], [dict.fromkeys(group, 1.0) for group in self.groups.values()], [])
 
-    def carried(self, points: SurfacePoints, origin: Girths) -> SurfacePoints:
-        """Points of the body of `origin` on the body of these girths."""
+    def maps_from(self, origin: Girths) -> Float | None:
+        """(S, 4, 4) from the rest pose of `origin`'s body to that of these girths'; None where nothing moves."""
         if self is origin or not self.groups:
-            return points
-        maps = np.ascontiguousarray(stretch_maps(origin.body, {}, self._factors(self.values - origin.values)))
-        return replace(points, local=skin_points(maps, points.segments, points.weights, points.local))
+            return None
+        return np.ascontiguousarray(stretch_maps(origin.body, {}, self._factors(self.values - origin.values)))
 
     def _factors(self, logs: Float) -> dict[str, float]:
         return {name: float(np.exp(g)) for g, group in zip(logs, self.groups.values(), strict=True) for name in group}
@@ -79,7 +76,8 @@ class OutlineTerm:
     Attributes:
         P: (3, 4) projection.
         points: N samples on the body of `origin`.
-        origin: the girths at which they were taken.
+        origin: the girths at which they were taken, those of all terms of a problem.
+        motion: of the rest pose with the log-girths; None where these are not free.
         normal: (N, 2) directions along which the distances count.
         target: (N, 2) px, on the outline or level with it.
         sigma: px, standard deviation.
@@ -90,6 +88,7 @@ class OutlineTerm:
     P: Float
     points: SurfacePoints
     origin: Girths
+    motion: RestMotion | None
     normal: Float
     target: Float
     sigma: float
@@ -97,16 +96,6 @@ class OutlineTerm:
     frame: int
     name: str = "outline"
     blocks: tuple[str, ...] = ("poses", "girths")
-
-    @staticmethod
-    def of(
-        P: Float, contour: ContourPoints, found: Matches, origin: Girths, sigma: float, share: float, frame: int
-    ) -> OutlineTerm:
-        """Of contour samples and their matches, each of which counts as a fraction `share` of a point."""
-        target = contour.pixels[found.index] + found.distance[:, None] * found.normals
-        return OutlineTerm(
-            P, contour.points[found.index], origin, found.normals, target, sigma, share * found.weight, frame
-        )
 
     def energy(self, x: Variables) -> float:
         posed, points = self._placed(x)
@@ -120,14 +109,19 @@ class OutlineTerm:
         energy, weight = huber(residual, _KNEE)
         jacobian = posed.point_jacobian(points.segments, points.weights, points.local)
         slopes = [Slope("poses", np.einsum("ni,nid->nd", gradient, jacobian), self.frame * posed.body.dof)]
-        if x["girths"].groups:
-            rates = x["girths"].motion.rates(posed, points.segments, points.weights, points.local, gradient)
+        if self.motion is not None:
+            rates = self.motion.rates(posed, points.segments, points.weights, points.local, gradient)
             slopes.append(Slope("girths", rates))
         sums.add_rows(float(self.weight @ energy), slopes, self.weight * weight, residual)
 
     def _placed(self, x: Variables) -> tuple[Posed, SurfacePoints]:
         """The body, and the samples on it."""
-        key = ("posed", self.frame)
+        girths, key = x["girths"], ("posed", self.frame)
         if key not in x.memo:
-            x.memo[key] = Posed(x["girths"].body, x["poses"].poses[self.frame])
-        return x.memo[key], x["girths"].carried(self.points, self.origin)
+            x.memo[key] = Posed(girths.body, x["poses"].poses[self.frame])
+        if "maps" not in x.memo:
+            x.memo["maps"] = girths.maps_from(self.origin)
+        posed, maps, points = x.memo[key], x.memo["maps"], self.points
+        if maps is None:
+            return posed, points
+        return posed, replace(points, local=skin_points(maps, points.segments, points.weights, points.local))

@@ -12,6 +12,7 @@ from twistcap.adjust.first_pose.outline import Outline, match, outline_of
 from twistcap.adjust.first_pose.outline_term import Girths, OutlineTerm
 from twistcap.body import Body, Pose
 from twistcap.body.kinematics import Posed
+from twistcap.body.shape import RestMotion
 from twistcap.camera import Camera, Rectifier, Rig
 from twistcap.errors import InputError
 from twistcap.render import render, visible_contour
@@ -62,8 +63,9 @@ class Refined:
     covariances: tuple[Float, ...]
 
 
-_LONGEST = 0.2  # rad, m, log-girth; the matches hold no farther
+_LONGEST = 0.5  # rad, m, log-girth; the matches hold no farther
 _DAMPING = 1e-6
+_REFRESH = 5  # iterations after which the motion with girths is worked out anew: the joints move little with them
 
 
 def girth_groups(body: Body) -> dict[str, tuple[str, ...]]:
@@ -115,24 +117,25 @@ def refine_on_silhouettes(
         "girths": Girths(body, names, np.zeros(len(names))),
     }
     x, system = Variables(blocks, ("poses", "girths"), dict.fromkeys(blocks, _LONGEST)), None
+    motion: RestMotion | None = None
     for i in range(options.iterations):
         part = i / max(options.iterations - 1, 1)
         reach = options.first_reach * (options.last_reach / options.first_reach) ** part
-        x, system = _step(x, instants, priors, reach, options)
+        if names and i % _REFRESH == 0:
+            motion = x["girths"].rest_motion()
+        terms = [term for f, instant in enumerate(instants) for term in instant.terms(x, motion, f, reach, options)]
+        x, system = _stepped(x, [*terms, *priors])
     assert isinstance(system, Arrow)
     found, girths = x["poses"].poses, x["girths"]
     iou = np.array([instant.overlaps(Posed(girths.body, p)) for instant, p in zip(instants, found, strict=True)])
     return Refined(girths.body, found, girths.factors, iou, tuple(system.marginals().poses))
 
 
-def _step(
-    x: Variables, instants: Sequence[_Instant], priors: Sequence[BlockTerm], reach: float, options: SilhouetteOptions
-) -> tuple[Variables, Dense | Arrow]:
-    """One re-matching and one step of all poses and girths; the system of the step."""
-    terms = [term for f, instant in enumerate(instants) for term in instant.terms(x, f, reach, options)]
-    found = minimise(BlockProblem([*terms, *priors], reach=0), x, damping=_DAMPING)
+def _stepped(x: Variables, terms: Sequence[BlockTerm]) -> tuple[Variables, Dense | Arrow]:
+    """All poses, inside their limits, and girths after one step; the system of the step."""
+    found = minimise(BlockProblem(terms, reach=0), x, damping=_DAMPING)
     track = found.x["poses"]
-    inside = replace(track, poses=tuple(pose.within(x["girths"].body.limits) for pose in track.poses))
+    inside = replace(track, poses=tuple(pose.within(x["girths"].generic.limits) for pose in track.poses))
     return replace(found.x, blocks={**found.x.blocks, "poses": inside}), found.system
 
 
@@ -158,7 +161,9 @@ class _Instant:
         )
         return _Instant(tuple(rig.pinhole()), tuple(flat), outlines, heights)
 
-    def terms(self, x: Variables, f: int, reach: float, options: SilhouetteOptions) -> list[OutlineTerm]:
+    def terms(
+        self, x: Variables, motion: RestMotion | None, f: int, reach: float, options: SilhouetteOptions
+    ) -> list[OutlineTerm]:
         """The outlines of this instant, number `f` of the track, matched with the model as it is."""
         girths: Girths = x["girths"]
         posed, out = Posed(girths.body, x["poses"].poses[f]), list[OutlineTerm]()
@@ -168,7 +173,9 @@ class _Instant:
             if outline is not None:
                 contour = visible_contour(render(posed, camera), options.spacing * height)
                 found = match(contour, outline, reach * height)
-                out.append(OutlineTerm.of(camera.P, contour, found, girths, options.sigma * height, share, f))
+                points, target = contour.points[found.index], found.target(contour)
+                sigma, weight = options.sigma * height, share * found.weight
+                out.append(OutlineTerm(camera.P, points, girths, motion, found.normals, target, sigma, weight, f))
         return out
 
     def overlaps(self, posed: Posed) -> list[float]:

@@ -188,7 +188,7 @@ class Scaling:
     values: Float
 
     @property
-    def size(self) -> int:
+    def dof(self) -> int:
         return len(self.values)
 
     def retract(self, step: Float) -> Scaling:
