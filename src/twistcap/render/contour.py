@@ -92,7 +92,10 @@ def contour_on_edges(
 ) -> tuple[ContourPoints, Int, Float]:
     """`visible_contour`, and of each point the vertices (N, 2) at the ends of its edge and their shares (N, 2)."""
     body = view.posed.body
-    mesh, drawn = (body.faces, *body.edges, body.face_part, body.vertex_part), (view.face_index, view.inverse_depth_image)
+    mesh, drawn = (
+        (body.faces, *body.edges, body.face_part, body.vertex_part),
+        (view.face_index, view.inverse_depth_image),
+    )
     ends, shares, part, outer, pixels, image_normals, inverse_depth = contour_samples(
         view.camera.P, view.pixels, view.inverse_depth, view.posed.vertex_normals, mesh, drawn, spacing, inner_gap
     )

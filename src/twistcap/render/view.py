@@ -14,7 +14,6 @@ from twistcap.body import Body, Posed
 from twistcap.camera import Camera
 from twistcap.render.raster import barycentric, project_pinhole, rasterise
 
-
 SurfaceArrays = tuple[Float, Int, Float, Float]
 """Surface points at a pose, as kernels take them: segment motions (S, 4, 4), segments (N, K), weights (N, K), rest
 places (N, 3), m. A plain tuple: numba dispatches a named one 1 to 2 µs slower, and a frame has some 60 such calls."""
