@@ -33,11 +33,11 @@ def diffusivity(u: Float32, v: Float32, mask: Bool, epsilon: float) -> Float32:
     for r in range(H):
         for c in range(1, W):
             du, dv = u[r, c] - u[r, c - 1], v[r, c] - v[r, c - 1]
-            across[c] = (du * du + dv * dv) * (mask[r, c] & mask[r, c - 1])
+            across[c] = du * du + dv * dv if mask[r, c] & mask[r, c - 1] else np.float32(0.0)
         if r + 1 < H:
             for c in range(W):
                 du, dv = u[r + 1, c] - u[r, c], v[r + 1, c] - v[r, c]
-                below[c] = (du * du + dv * dv) * (mask[r + 1, c] & mask[r, c])
+                below[c] = du * du + dv * dv if mask[r + 1, c] & mask[r, c] else np.float32(0.0)
         else:
             below[:] = 0.0
         for c in range(W):
