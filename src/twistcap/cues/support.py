@@ -56,9 +56,9 @@ def part_tally(evidence: ContourEvidence, focal: float, parts: int, rule: Suppor
         parts: S, number of segments.
     """
     contour = evidence.contour
-    return _tally(
-        contour.part, contour.outer, contour.inverse_depth, evidence.displacement, evidence.contrast, focal, parts,
-        rule.contrast, rule.tolerance,
+    return tally(
+        contour.part, contour.outer, contour.inverse_depth, evidence.displacement, evidence.contrast, parts,
+        rule.contrast, rule.tolerance * focal,
     )  # fmt: skip
 
 
@@ -71,14 +71,24 @@ def summed(tallies: Sequence[tuple[Float, Int]], parts: int) -> tuple[Float, Flo
 
 
 @njit(cache=True, nogil=True)
-def _tally(
-    part: Int, outer: Bool, inverse_depth: Float, displacement: Float, contrast: Float, focal: float, parts: int,
+def tally(
+    part: Int, outer: Bool, inverse_depth: Float, displacement: Float, contrast: Float, parts: int,
     least_contrast: float, tolerance: float,
 ) -> tuple[Float, Int]:  # fmt: skip
+    """`part_tally` of a view's points (N,); the tolerance is in px at 1 m from the camera."""
     good, seen = np.zeros(parts), np.zeros(parts, dtype=np.int32)
     for n in range(len(part)):
         if outer[n]:
             seen[part[n]] += 1
-            if contrast[n] > least_contrast and abs(displacement[n]) < tolerance * focal * inverse_depth[n]:
+            if contrast[n] > least_contrast and abs(displacement[n]) < tolerance * inverse_depth[n]:
                 good[part[n]] += 1.0
     return good, seen
+
+
+def tally_reference(
+    part: Int, outer: Bool, inverse_depth: Float, displacement: Float, contrast: Float, parts: int,
+    least_contrast: float, tolerance: float,
+) -> tuple[Int, Int]:  # fmt: skip
+    """Readable twin of `tally`."""
+    agrees = outer & (contrast > least_contrast) & (np.abs(displacement) < tolerance * inverse_depth)
+    return np.bincount(part[agrees], minlength=parts), np.bincount(part[outer], minlength=parts)
