@@ -76,6 +76,16 @@ def segment_rows(transforms: Float, segments: Int, weights: Float, local: Float,
     return out
 
 
+def segment_rows_reference(transforms: Float, segments: Int, weights: Float, local: Float, gradient: Float) -> Float:
+    """Readable twin of `segment_rows`."""
+    out = np.zeros((len(local), len(transforms), 6))
+    for n in range(len(local)):
+        for s, w in zip(segments[n], weights[n], strict=True):
+            x = transforms[s, :3] @ np.append(local[n], 1.0)
+            out[n, s] += w * np.concatenate([np.cross(x, gradient[n]), gradient[n]])
+    return out.reshape(len(local), -1)
+
+
 def add_contour(system: Arrow, instant: Instant, motion: RestMotion, found: ContourEvidence, share: float) -> float:
     """Add a view's contour to the equations; its energy."""
     assert isinstance(found.term, PointTerm)
