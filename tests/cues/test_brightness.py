@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from support.shapes import camera_at
+from support.twins import check_twin
 from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.cues.brightness import (
@@ -60,19 +61,19 @@ def in_sight(points: SurfacePoints) -> tuple[Array, Array]:
 def test_visible_points_are_those_that_the_depth_image_shows() -> None:
     points = places()
     _, expected = in_sight(points)
-    found = visible_points(CAMERA.P, *points.bound_to(POSED), SEEN.inverse_depth_image, TOLERANCE)
+    found = visible_points(CAMERA.P, points.bound_to(POSED), SEEN.inverse_depth_image, TOLERANCE)
     np.testing.assert_array_equal(found, expected.astype(float))
     assert 0.2 < expected.mean() < 0.8
 
 
 def test_a_point_behind_the_camera_is_not_visible() -> None:
     points, turned = places(50), -CAMERA.P  # the same pixels, from the other side
-    assert not visible_points(turned, *points.bound_to(POSED), SEEN.inverse_depth_image, TOLERANCE).any()
+    assert not visible_points(turned, points.bound_to(POSED), SEEN.inverse_depth_image, TOLERANCE).any()
 
 
 def test_a_new_template_holds_the_images_values_and_nan_outside() -> None:
     image, points = noise_image(2), places()
-    value, gradient = template_values(CAMERA.P, *points.bound_to(POSED), image)
+    value, gradient = template_values(CAMERA.P, points.bound_to(POSED), image)
     expected = np.array([sample(image, u, v) for u, v in CAMERA.project(points.at(POSED))[0]], dtype=float)
     inside = expected[:, 3] == 1
     assert inside.any()
@@ -80,49 +81,40 @@ def test_a_new_template_holds_the_images_values_and_nan_outside() -> None:
     np.testing.assert_allclose(gradient[inside], expected[inside, 1:3], rtol=1e-5, atol=1e-7)
     assert np.all(np.isnan(value[~inside]))
     elsewhere = CAMERA.cropped((200, 0), CAMERA.size)  # the body's right half lies left of this image
-    assert np.isnan(template_values(elsewhere.P, *points.bound_to(POSED), image)[0]).any()
-
-
-def refreshed_reference(
-    points: SurfacePoints, value: Array, gradient: Array, image: Array, update: float, most: float, cell: int,
-    occupied: Array,
-) -> tuple[Array, Array, list[int]]:  # fmt: skip
-    """Readable twin of `refreshed`: one point after another."""
-    pixels, visible = in_sight(points)
-    values, gradients, kept = [], [], []
-    for n in np.flatnonzero(visible):
-        (x, y), (column, row) = pixels[n], np.rint(pixels[n]).astype(int)
-        place = (row - 2) // cell, (column - 2) // cell
-        here, gx, gy, inside = sample(image, x, y)
-        if min(row, column) < 2 or occupied[place] or not inside or abs(here - value[n]) >= most:
-            continue
-        occupied[place] = True
-        kept.append(int(n))
-        values.append((1 - update) * value[n] + update * here)
-        gradients.append((1 - update) * gradient[n] + update * np.array([gx, gy]))
-    return np.array(values), np.array(gradients), kept
+    assert np.isnan(template_values(elsewhere.P, points.bound_to(POSED), image)[0]).any()
 
 
 @pytest.mark.parametrize("cell", [3, 9])
 def test_refreshing_agrees_with_its_twin(cell: int) -> None:
     points, rng = places(), np.random.default_rng(4)
     image = noise_image(3)
-    value, gradient = template_values(CAMERA.P, *points.bound_to(POSED), image)
+    value, gradient = template_values(CAMERA.P, points.bound_to(POSED), image)
     value += rng.normal(0, 0.05, value.shape)  # some points have changed too much to be kept
+    value[7], image[100:104] = np.nan, np.nan
     height, width = SEEN.inverse_depth_image.shape
     grid = np.zeros((height // cell + 1, width // cell + 1), dtype=np.bool_)
     grid[::3] = True
-    expected_grid = grid.copy()
-    found = refreshed(
-        CAMERA.P, *points.bound_to(POSED), value, gradient, image, SEEN.inverse_depth_image, TOLERANCE, 0.2, 0.06,
-        cell, grid,
+    _, _, kept = check_twin(
+        refreshed, CAMERA.P, points.bound_to(POSED), (value, gradient), image, SEEN.inverse_depth_image,
+        (TOLERANCE, 0.2, 0.06), cell, grid, rtol=1e-4, atol=1e-6,
     )  # fmt: skip
-    expected = refreshed_reference(points, value, gradient, image, 0.2, 0.06, cell, expected_grid)
-    np.testing.assert_array_equal(found[2], expected[2])
-    np.testing.assert_allclose(found[0], expected[0], rtol=1e-6)
-    np.testing.assert_allclose(found[1], expected[1], rtol=1e-5, atol=1e-7)
-    np.testing.assert_array_equal(grid, expected_grid)
-    assert 10 < len(expected[2]) < in_sight(points)[1].sum()
+    assert 10 < len(kept) < in_sight(points)[1].sum()
+
+
+def test_reading_and_choosing_points_agree_with_their_twins() -> None:
+    points, image, before = places(), noise_image(3), noise_image(6)
+    before[100:104] = np.nan
+    elsewhere = CAMERA.cropped((200, 0), CAMERA.size).P
+    for P in (CAMERA.P, elsewhere, -CAMERA.P):
+        check_twin(template_values, P, points.bound_to(POSED), before, rtol=1e-4, atol=1e-6)
+        check_twin(unmoved, P, points.bound_to(POSED), before, image, np.array([3.0, -2.5]), rtol=1e-4, atol=1e-6)
+        check_twin(visible_points, P, points.bound_to(POSED), SEEN.inverse_depth_image, TOLERANCE)
+    height, width = image.shape
+    for cell in (1, 8):
+        occupied = np.zeros((height // cell + 1, width // cell + 1), dtype=np.bool_)
+        occupied[::2] = True
+        rows, _ = check_twin(strongest_in_cells, image, SEEN.inverse_depth_image, cell, occupied)
+        assert len(rows) > 20
 
 
 def test_new_points_are_the_most_textured_of_each_free_cell() -> None:
@@ -171,7 +163,7 @@ def carried_image(posed: Posed, before: Array) -> Array:
     """The image after a motion from `POSED`: the body takes its picture along, and what lies behind stays."""
     seen = render(posed, CAMERA)
     rows, columns = (i.astype(np.int32) for i in np.nonzero(seen.mask))
-    values, _ = template_values(CAMERA.P, *seen.surface_points(rows, columns).bound_to(POSED), before)
+    values, _ = template_values(CAMERA.P, seen.surface_points(rows, columns).bound_to(POSED), before)
     image = before.copy()
     image[rows, columns] = np.where(np.isfinite(values), values, 0.5)
     return image
@@ -238,7 +230,7 @@ def test_what_did_not_change_is_told_at_the_pixels_of_the_frame_before() -> None
     image = noise_image(9)
     shift = np.array([7.0, -4.0])
     moved = np.roll(image, (-4, 7), axis=(0, 1))
-    change, pixels = unmoved(CAMERA.P, *places().bound_to(POSED), image, moved, shift)
+    change, pixels = unmoved(CAMERA.P, places().bound_to(POSED), image, moved, shift)
     np.testing.assert_allclose(pixels, CAMERA.project(places().at(POSED))[0], atol=1e-9)
     known = np.isfinite(change)
     assert known.mean() > 0.8

@@ -14,7 +14,7 @@ from twistcap.body import Posed
 from twistcap.cues.support_maps import Neighbourhood, posterior, robust_scale
 from twistcap.cues.view import View
 from twistcap.errors import InputError
-from twistcap.render import RenderedView, SurfacePoints
+from twistcap.render import RenderedView, SurfaceArrays, SurfacePoints
 from twistcap.terms import PhotometricTerm
 from twistcap.terms.accumulate import projected_point
 from twistcap.terms.photometric import EXPOSURE, Samples, brightness_at, sample
@@ -54,7 +54,7 @@ class Template:
     def blurred(self, sigma: float) -> Samples:
         """The points as the last frame's image has them under a Gaussian of `sigma` px."""
         image = self.view.blurred(sigma)
-        return Samples(self.points, *template_values(self.view.camera.P, *self.points.bound_to(self.posed), image))
+        return Samples(self.points, *template_values(self.view.camera.P, self.points.bound_to(self.posed), image))
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class Brightness:
             if not lesson:
                 return kept
         points = seen.surface_points(*strongest_in_cells(view.grey, seen.inverse_depth_image, cell, occupied))
-        fresh = Samples(points, *template_values(view.camera.P, *points.bound_to(posed), image))
+        fresh = Samples(points, *template_values(view.camera.P, points.bound_to(posed), image))
         trust, S = np.full(len(points), _NEW if self.support == "em" else 1.0), len(posed.body.segment_names)
         if kept is None:
             return Template(fresh, trust, np.ones(S), image, view, posed)
@@ -124,11 +124,9 @@ class Brightness:
         self, view: View, image: Float32, seen: RenderedView, posed: Posed, old: Template, cell: int, occupied: Bool
     ) -> Template:
         """The old template's points that are still seen, their brightness brought up to date."""
-        P, depths, tolerance = view.camera.P, seen.inverse_depth_image, self.depth_tolerance
-        value, gradient, which = refreshed(
-            P, *old.points.bound_to(posed), old.samples.value, old.samples.gradient, image, depths, tolerance,
-            self.update, self.jump, cell, occupied,
-        )  # fmt: skip
+        surface, known = old.points.bound_to(posed), (old.samples.value, old.samples.gradient)
+        rule, depths = (self.depth_tolerance, self.update, self.jump), seen.inverse_depth_image
+        value, gradient, which = refreshed(view.camera.P, surface, known, image, depths, rule, cell, occupied)
         samples = Samples(old.points[which], value, gradient)
         return Template(samples, old.trust[which], old.excess, image, view, posed)
 
@@ -137,7 +135,7 @@ class Brightness:
     ) -> Template:
         """The template with excess and trust as a settled frame makes them."""
         P, points = view.camera.P, old.points
-        visible = visible_points(P, *points.bound_to(posed), seen.inverse_depth_image, self.depth_tolerance)
+        visible = visible_points(P, points.bound_to(posed), seen.inverse_depth_image, self.depth_tolerance)
         noise = self._noise(old.samples, seen.px_per_m)
         r = old.samples.residuals(posed, P, image, np.zeros(EXPOSURE)) / noise
         now = robust_scale(r, points.part, len(old.excess), visible * old.trust, 1.0, self.most)
@@ -148,7 +146,7 @@ class Brightness:
             return replace(old, excess=excess)
         last = old.view.camera
         shift = view.camera.K[:2, 2] - last.K[:2, 2]  # of the crops
-        behind, pixels = unmoved(last.P, *points.bound_to(old.posed), old.image, image, shift)
+        behind, pixels = unmoved(last.P, points.bound_to(old.posed), old.image, image, shift)
         support = posterior(
             r[:, None], (behind / noise)[:, None], np.clip(old.trust, _LEAST, 1.0 - _LEAST),
             old.excess[points.part][:, None], np.ones(1), Neighbourhood.about(pixels / cell, 1.0), _NEITHER,
@@ -162,7 +160,7 @@ class Brightness:
     def term(self, view: View, seen: RenderedView, template: Template, level: int) -> PhotometricTerm:
         """Brightness constancy of the template's points that the rendered view says are visible."""
         P, blur, points = view.camera.P, self.blurs[level] * seen.px_per_m, template.points
-        visible = visible_points(P, *points.bound_to(seen.posed), seen.inverse_depth_image, self.depth_tolerance)
+        visible = visible_points(P, points.bound_to(seen.posed), seen.inverse_depth_image, self.depth_tolerance)
         samples = template.samples if level in (-1, len(self.blurs) - 1) else template.blurred(blur)
         noise = template.excess[points.part] * self._noise(samples, seen.px_per_m)
         weight = visible * template.trust * (self.share / noise**2)
@@ -180,10 +178,9 @@ def empty_grid(view: View, seen: RenderedView, count: int) -> tuple[int, Bool]:
 
 
 @njit(cache=True, nogil=True)
-def template_values(
-    P: Float, transforms: Float, segments: Int, weights: Float, local: Float, image: Float32
-) -> tuple[Float, Float]:
+def template_values(P: Float, surface: SurfaceArrays, image: Float32) -> tuple[Float, Float]:
     """Brightness (N,) and image gradient (N, 2) of surface points in an image; NaN and 0 outside it."""
+    transforms, segments, weights, local = surface
     N = len(local)
     value, gradient = np.full(N, np.nan), np.zeros((N, 2))
     for n in range(N):
@@ -195,20 +192,18 @@ def template_values(
 
 
 @njit(cache=True, nogil=True)
-def unmoved(
-    P: Float, transforms: Float, segments: Int, weights: Float, local: Float, before: Float32, now: Float32,
-    shift: Float,
-) -> tuple[Float, Float]:  # fmt: skip
+def unmoved(P: Float, surface: SurfaceArrays, before: Float32, now: Float32, shift: Float) -> tuple[Float, Float]:
     """How much brightness has changed where surface points were in the frame before, and those pixels.
 
     Args:
-        P, transforms: of that frame; segments, weights, local: the points.
+        P, surface: of that frame.
         before, now: its image, and the present one.
         shift: (2,) px from the pixels of the one to those of the other.
 
     Returns:
         (N,) differences, NaN off the images, and (N, 2) pixels in the image before.
     """
+    transforms, segments, weights, local = surface
     change, pixels = np.full(len(local), np.nan), np.zeros((len(local), 2))
     for n in range(len(local)):
         x, y, w = projected_point(P, transforms, segments, weights, local, n)
@@ -220,21 +215,22 @@ def unmoved(
 
 @njit(cache=True, nogil=True)
 def refreshed(
-    P: Float, transforms: Float, segments: Int, weights: Float, local: Float, value: Float, gradient: Float,
-    image: Float32, inverse_depth: Float32, tolerance: float, update: float, most: float, cell: int, occupied: Bool,
+    P: Float, surface: SurfaceArrays, known: tuple[Float, Float], image: Float32, inverse_depth: Float32,
+    rule: tuple[float, float, float], cell: int, occupied: Bool,
 ) -> tuple[Float, Float, Int]:  # fmt: skip
     """Template points that are still seen, the first in each cell of the grid `occupied`, which is filled in.
 
     Args:
-        value, gradient: (N,) and (N, 2) of the old template.
+        known: brightness (N,) and gradient (N, 2) of the old template.
         image: the present one, blurred as the template's.
-        inverse_depth: (H, W) of the rendered body; a point is seen no more than `tolerance` m behind it.
-        update: share of the present brightness that is taken over.
-        most: difference of brightness beyond which a point is given up.
+        inverse_depth: (H, W) of the rendered body.
+        rule: m that a point may lie behind it and still be seen, the fraction of the present brightness that is taken
+            over, and the difference of brightness beyond which a point is given up.
 
     Returns:
         New values (M,), gradients (M, 2) and indices (M,) of the points kept.
     """
+    (transforms, segments, weights, local), (value, gradient), (tolerance, update, most) = surface, known, rule
     N = len(value)
     kept, now, slope = np.empty(N, dtype=np.int32), np.empty(N), np.empty((N, 2))
     count = 0
@@ -308,10 +304,9 @@ def _at_rim(inverse_depth: Float32, r: int, c: int) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def visible_points(
-    P: Float, transforms: Float, segments: Int, weights: Float, local: Float, inverse_depth: Float32, tolerance: float
-) -> Float:
+def visible_points(P: Float, surface: SurfaceArrays, inverse_depth: Float32, tolerance: float) -> Float:
     """(N,) 1.0 where a surface point lies no more than `tolerance` m behind the rendered surface, else 0.0."""
+    transforms, segments, weights, local = surface
     out = np.zeros(len(local))
     for n in range(len(local)):
         x, y, w = projected_point(P, transforms, segments, weights, local, n)

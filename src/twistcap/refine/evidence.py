@@ -110,7 +110,7 @@ def add_brightness(
     for camera in earlier.sights.keys() & later.sights.keys():
         a, b = earlier.sights[camera], later.sights[camera]
         depths = b.seen.inverse_depth_image
-        seen = visible_points(b.view.camera.P, *a.points.bound_to(later.posed), depths, cue.depth_tolerance)
+        seen = visible_points(b.view.camera.P, a.points.bound_to(later.posed), depths, cue.depth_tolerance)
         points = a.points[seen > 0.0]
         value_a, gradient_a = _sampled(a, earlier.posed, points, blur)
         value_b, gradient_b = _sampled(b, later.posed, points, blur)
