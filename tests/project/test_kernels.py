@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import inspect
 import pkgutil
+import re
 from importlib import import_module
+from pathlib import Path
 
 import pytest
 from numba.core.registry import CPUDispatcher
@@ -50,3 +52,11 @@ def test_every_public_kernel_has_a_readable_twin(name: str) -> None:
     twin = reference_of(KERNELS[name])
     assert twin is not None and not isinstance(twin, CPUDispatcher)
     assert len(inspect.signature(twin).parameters) == len(inspect.signature(KERNELS[name].py_func).parameters)
+
+
+@pytest.mark.parametrize("name", [name for name in KERNELS if not name.rpartition(".")[2].startswith("_")])
+def test_every_public_kernel_is_held_against_its_twin(name: str) -> None:
+    kernel = name.rpartition(".")[2]
+    called = re.compile(rf"check_twin\(\s*(\w+\.)?{kernel}\b|\b{kernel}_reference\(")
+    tests = Path(__file__).parents[1].rglob("test_*.py")
+    assert any(called.search(path.read_text(encoding="utf-8")) for path in tests)
