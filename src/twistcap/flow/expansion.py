@@ -37,8 +37,7 @@ def expand(
     Returns:
         How many motions were taken by some nodes.
     """
-    (first, second, mask), (window, news), step, radius = images, offer_rule, rule.step, rule.radius
-    parting, block = (step, rule.apart, rule.most_apart), (rule.half, rule.spacing, rule.ceiling)
+    (window, news), parting = offer_rule, (rule.step, rule.apart, rule.most_apart)
     h, w, _ = labels.shape
     proposal, price = np.zeros((h, w, LABEL), np.float32), np.zeros((h, w), np.float32)
     field, messages = np.zeros((h, w), np.float32), np.zeros((h, w, 4), np.float32)
@@ -49,33 +48,38 @@ def expand(
         offer, present = offered[i, j], labels[i, j]
         if abs(offer[0] - present[0]) + abs(offer[1] - present[1]) < news:
             continue
-        top, bottom, left, right = (
-            max(i - window, 0),
-            min(i + window + 1, h),
-            max(j - window, 0),
-            min(j + window + 1, w),
-        )
-        box = (top, bottom, left, right)
-        for a in range(top, bottom):
-            for b in range(left, right):
-                if nodes[a, b]:
-                    out = proposal[a, b]
-                    carried(offer, np.float32(step * (b - j)), np.float32(step * (a - i)), np.float32(0.0), out)
-                    if out[0] ** 2 + out[1] ** 2 > radius * radius:
-                        price[a, b] = _HUGE
-                    else:
-                        price[a, b] = block_cost(first, second, mask, (step * a, step * b), out, block, 1e9)
+        box = (max(i - window, 0), min(i + window + 1, h), max(j - window, 0), min(j + window + 1, w))
+        _propose(images, nodes, offer, (i, j), rule, box, (proposal, price))
         _edges(labels, proposal, nodes, parting, box, edges)
         _fields(labels, proposal, nodes, (cost, price), parting, box, field)
         _propagate(field, edges, nodes, box, messages)
         if _change(field, edges, messages, nodes, box) < -1e-6:
             taken += 1
-            for a in range(top, bottom):
-                for b in range(left, right):
+            for a in range(box[0], box[1]):
+                for b in range(box[2], box[3]):
                     if nodes[a, b] and _belief(field, messages, a, b) < 0.0:
                         labels[a, b] = proposal[a, b]
                         cost[a, b] = price[a, b]
     return taken
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def _propose(
+    images: Images, nodes: Bool, offer: Float32, at: tuple[int, int], rule: BlockRule, box: Box,
+    out: tuple[Float32, Float32],
+) -> None:  # fmt: skip
+    """out (h, w, 4) and (h, w): what the motion of the node `at` means at each node of the box, and its block cost."""
+    (first, second, mask), (proposal, price), (top, bottom, left, right) = images, out, box
+    step, radius, block = rule.step, rule.radius, (rule.half, rule.spacing, rule.ceiling)
+    for a in range(top, bottom):
+        for b in range(left, right):
+            if nodes[a, b]:
+                label, x, y = proposal[a, b], np.float32(step * (b - at[1])), np.float32(step * (a - at[0]))
+                carried(offer, x, y, np.float32(0.0), label)
+                if label[0] ** 2 + label[1] ** 2 > radius * radius:
+                    price[a, b] = _HUGE
+                else:
+                    price[a, b] = block_cost(first, second, mask, (step * a, step * b), label, block, 1e9)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)

@@ -326,8 +326,7 @@ def search(
     rounded = query.astype(np.float32)
     slack = m * _SLACK * (1.0 + np.abs(query).max()) * np.sqrt(query.shape[1])
     halo = int(np.ceil((m - 1) * steps.max())) + 1
-    size = (m, halo + _TILE + 2)
-    room = (np.empty(size, np.float32), np.empty(size, np.float32))
+    room = (np.empty((m, halo + _TILE + 2), np.float32), np.empty((m, halo + _TILE + 2), np.float32))
     best, best_clip, best_scale, best_pose = limit, -1, -1, -1
     # The most promising block of each share goes first, so that the rest is soon ruled out.
     leads = -(-B // _SHARE) if B > FEW else 0
