@@ -108,7 +108,7 @@ class LimbCost:
         size = (x1 - x0 + 1, y1 - y0 + 1)
         face, near = rasterise(pixels, nearness, self.corners, (x0, y0), size)
         image, behind = self.layers.images[self.frame], self.layers.behind[self.frame]
-        return _gained(face, near, (x0, y0), self.nearness, image, behind, self.before, *self.surface)
+        return _gained((face, near), (x0, y0), self.nearness, image, behind, self.before, *self.surface)
 
 
 def _carried_faces(body: Body, segments: Bool) -> Bool:
@@ -119,11 +119,11 @@ def _carried_faces(body: Body, segments: Bool) -> Bool:
 
 @njit(cache=True, nogil=True)
 def _gained(
-    face: Int, near: Float32, origin: tuple[int, int], there: Float32, image: Float, behind: Float, before: Float,
+    limb: tuple[Int, Float32], origin: tuple[int, int], there: Float32, image: Float, behind: Float, before: Float,
     surface: Float, spread: Float,
 ) -> float:  # fmt: skip
     """Sum of what changes where a limb's faces in a window lie before what is there: their cost less that before."""
-    total = 0.0
+    total, (face, near) = 0.0, limb
     for r in range(face.shape[0]):
         for c in range(face.shape[1]):
             f, y, x = face[r, c], r + origin[1], c + origin[0]

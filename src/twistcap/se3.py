@@ -300,3 +300,20 @@ def inverse_left_jacobian_one(twist: Float) -> Float:
 def difference_one(A: Float, B: Float) -> Float:
     """Twist (6,) with ``A = exp(ξ̂) B``."""
     return log_one(compose_one(A, inverse_one(B)))
+
+
+# The readable twins of the kernels above are the batched functions of this module.
+exp_one_reference = exp
+log_one_reference = log
+inverse_one_reference = inverse
+inverse_left_jacobian_one_reference = inverse_left_jacobian
+
+
+def compose_one_reference(A: Float, B: Float) -> Float:
+    """Readable twin of `compose_one`."""
+    return A @ B
+
+
+def difference_one_reference(A: Float, B: Float) -> Float:
+    """Readable twin of `difference_one`."""
+    return log(A @ inverse(B))

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from support.moving_texture import H, W, X, Y, limb_scene, moved, texture
+from support.twins import check_twin
 from twistcap._typing import Bool, Float, Float32
 from twistcap.flow import FlowSettings
-from twistcap.flow.data import derivative_maps, motion_tensors
+from twistcap.flow.data import derivative_maps, motion_tensors, motion_tensors_reference
 from twistcap.flow.expansion import expand
-from twistcap.flow.matching import block_cost, match_blocks, parting_of
+from twistcap.flow.matching import BlockRule, block_cost, carried, match_blocks, parting_of, spread
 from twistcap.flow.pyramid import filled, level_shapes, pyramid, resized_flow
 from twistcap.flow.search import searched
 from twistcap.flow.settings import SearchSettings
@@ -83,47 +84,25 @@ def test_assembled_system_is_half_the_gradient_of_the_energy(smoothness: str) ->
             assert residual[k] == pytest.approx(0.5 * slope, abs=2e-3)
 
 
-def sor_reference(coefficients: Float32, u: Float32, v: Float32, sweeps: int, omega: float) -> tuple[Float, Float]:
-    """Readable twin of `relax`: whole red and black sweeps, one after the other."""
-    u, v = u.astype(float), v.astype(float)
-    for half in range(2 * sweeps):
-        for r, c in np.ndindex(u.shape):
-            here = coefficients[(r + c) & 1, r, :, c >> 1].astype(float)
-            if (r + c) % 2 != half % 2 or here[2] == 0:
-                continue
-            s = here[:2].copy()
-            for n, (i, j) in enumerate(((r, c - 1), (r, c + 1), (r - 1, c), (r + 1, c))):
-                if here[5 + n] > 0:
-                    s += here[5 + n] * np.array([u[i, j], v[i, j]])
-            u[r, c] += omega * (here[2] * s[0] + here[3] * s[1] - u[r, c])
-            v[r, c] += omega * (here[3] * s[0] + here[4] * s[1] - v[r, c])
-    return u, v
-
-
 @pytest.mark.parametrize("sweeps", [1, 4])
 def test_relaxation_equals_whole_sweeps(sweeps: int) -> None:
     tensors, u, v, mask, _ = random_problem(1)
     data = data_weights(tensors, np.zeros_like(u), np.zeros_like(v), 1.0, 0.01, True)
     coefficients = assemble(data, u, v, diffusivity(u, v, mask, 0.01), 0.5, mask)
-    expected = sor_reference(coefficients, u, v, sweeps, 1.7)
-    relax(coefficients, u, v, sweeps, 1.7)
-    np.testing.assert_allclose(u, expected[0], atol=2e-4)
-    np.testing.assert_allclose(v, expected[1], atol=2e-4)
+    check_twin(relax, coefficients, u, v, sweeps, 1.7, rtol=0, atol=2e-4)
 
 
-def cubic(image: Float, x: Float, y: Float) -> Float:
-    """Readable twin of the look-up: Catmull and Rom in either direction, borders repeated."""
-
-    def weights(t: Float) -> list[Float]:
-        first, last = -0.5 * t + t**2 - 0.5 * t**3, -0.5 * t**2 + 0.5 * t**3
-        return [first, 1 - 2.5 * t**2 + 1.5 * t**3, 0.5 * t + 2 * t**2 - 1.5 * t**3, last]
-
-    i, j = np.floor(y).astype(int), np.floor(x).astype(int)
-    out = np.zeros(x.shape)
-    for a, wy in enumerate(weights(y - i)):
-        for b, wx in enumerate(weights(x - j)):
-            out += wy * wx * image[np.clip(i + a - 1, 0, H - 1), np.clip(j + b - 1, 0, W - 1)]
-    return out
+@pytest.mark.parametrize("shape", [(13, 17), (1, 5), (6, 1)])
+def test_the_system_is_that_of_the_twins(shape: tuple[int, int]) -> None:
+    tensors, u, v, mask, step = random_problem(2)
+    tensors, (u, v, mask, du, dv) = tensors[: shape[0], :, : shape[1]], (
+        np.ascontiguousarray(x[: shape[0], : shape[1]]) for x in (u, v, mask, *step)
+    )  # fmt: skip
+    tensors = np.ascontiguousarray(tensors)
+    g = check_twin(diffusivity, u, v, mask, 0.1, rtol=1e-5)
+    for gamma, robust in ((2.0, True), (2.0, False), (0.0, True)):
+        data = check_twin(data_weights, tensors, du, dv, gamma, 0.1, robust, rtol=1e-4, atol=1e-4)
+    check_twin(assemble, data.astype(np.float32), u, v, g.astype(np.float32), 0.7, mask, rtol=1e-3, atol=1e-3)
 
 
 @pytest.mark.parametrize("zeta", [0.0, 0.01])
@@ -132,22 +111,12 @@ def test_motion_tensors_equal_their_twin(zeta: float) -> None:
     first, second = (derivative_maps(texture(X, Y, k)[..., None]) for k in (0, 1))
     u, v = rng.uniform(-9, 9, size=(2, H, W)).astype(np.float32)
     mask = rng.uniform(size=(H, W)) < 0.9
-    tensors = motion_tensors(first, second, u, v, mask, 0, 0, zeta, 0.5)
-    x, y = (X + u).astype(float), (Y + v).astype(float)
-    seen = mask & (x >= 0) & (y >= 0) & (x <= W - 1) & (y <= H - 1)
-    there = np.stack([cubic(second[0, ..., k].astype(float), x, y) for k in range(6)], axis=-1)
-    here = first[0].astype(float)
-    mean = 0.5 * (here + there)
-    expected = np.zeros((H, 12, W))
-    for term, gx, gy, t in ((0, 1, 2, 0), (6, 3, 4, 1), (6, 4, 5, 2)):
-        row = np.stack([mean[..., gx], mean[..., gy], there[..., t] - here[..., t]], axis=-1)
-        weight = seen / (row[..., 0] ** 2 + row[..., 1] ** 2 + zeta**2) if zeta else seen.astype(float)
-        for n, (i, j) in enumerate([(0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)]):
-            expected[:, term + n] += weight * row[..., i] * row[..., j]
-    np.testing.assert_allclose(tensors, expected, atol=2e-4 * np.abs(expected).max())
+    expected = motion_tensors_reference(first, second, u, v, mask, (0, 0), zeta, 0.5)
+    check_twin(motion_tensors, first, second, u, v, mask, (0, 0), zeta, 0.5, rtol=0, atol=2e-4 * np.abs(expected).max())
+    tensors = motion_tensors(first, second, u, v, mask, (0, 0), zeta, 0.5)
     window = motion_tensors(
         np.ascontiguousarray(first[:, 20:60, 30:90]), second, u[20:60, 30:90].copy(), v[20:60, 30:90].copy(),
-        mask[20:60, 30:90].copy(), 20, 30, zeta, 0.5,
+        mask[20:60, 30:90].copy(), (20, 30), zeta, 0.5,
     )  # fmt: skip
     np.testing.assert_allclose(window, tensors[20:60, :, 30:90], atol=1e-6)
 
@@ -168,24 +137,51 @@ def test_block_cost_equals_its_twin() -> None:
         r, c, angle = int(rng.integers(H)), int(rng.integers(W)), rng.uniform(-0.6, 0.6)
         u, v = rng.uniform(-12, 12, 2)
         label = np.float32([u, v, np.cos(angle) - 1, np.sin(angle)])
-        dy, dx = np.mgrid[-4:5:2, -4:5:2]
-        inside = (r + dy >= 0) & (r + dy < H) & (c + dx >= 0) & (c + dx < W)
-        dy, dx = dy[inside], dx[inside]
-        dy, dx = dy[mask[r + dy, c + dx]], dx[mask[r + dy, c + dx]]
-        x = np.floor(c + dx + u + label[2] * dx - label[3] * dy + 0.5).astype(int)
-        y = np.floor(r + dy + v + label[3] * dx + label[2] * dy + 0.5).astype(int)
-        seen = (x >= 0) & (y >= 0) & (x < W) & (y < H)
-        d = np.clip(second[y[seen], x[seen], 0] - first[(r + dy)[seen], (c + dx)[seen], 0], -0.1, 0.1).astype(float)
-        squares = (d**2).sum() - 0.9 * d.sum() ** 2 / max(len(d), 1e-6) + 0.01 * (~seen).sum()
-        expected = np.sqrt(max(squares, 0.0) / 25)
-        assert block_cost(first, second, mask, r, c, label, 2, 2, 0.1, 1e9) == pytest.approx(expected, abs=1e-4)
+        check_twin(block_cost, first, second, mask, (r, c), label, (2, 2, 0.1), 1e9, atol=1e-4)
+
+
+def test_motions_are_carried_and_compared_as_by_the_twins() -> None:
+    rng = np.random.default_rng(6)
+    for _ in range(20):
+        labels, (x, y), bend = random_labels(rng, (2,)), rng.uniform(-9, 9, 2).astype(np.float32), rng.uniform(-1, 1)
+        check_twin(parting_of, *labels, 1, 0, (4, 0.01, 10.0), atol=1e-6)
+        check_twin(parting_of, *labels, 0, -1, (4, 1.0, 3.0), atol=1e-4)
+        check_twin(carried, labels[0], x, y, np.float32(bend), np.zeros(4, np.float32), atol=1e-2)
+    check_twin(spread, random_labels(rng, (3, 4)), 4, 13, 14, atol=1e-4)
+
+
+def random_labels(rng: np.random.Generator, shape: tuple[int, ...], size: float = 1.0) -> Float32:
+    """Motions up to 12 px and 0.6 rad."""
+    angle = size * rng.uniform(-0.6, 0.6, shape)
+    shift = size * rng.uniform(-12, 12, (2, *shape))
+    return np.stack([*shift, np.cos(angle) - 1.0, np.sin(angle)], axis=-1).astype(np.float32)
+
+
+RULE = BlockRule(step=4, half=2, spacing=2, radius=40.0, turn=0.5, ceiling=0.25, apart=0.01, most_apart=10.0, draws=8)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_blocks_are_matched_and_limbs_expanded_as_by_the_twins(seed: int) -> None:
+    """Small turns: the kernel's sine is a polynomial, and a pixel more or less would change what follows."""
+    rng, rule = np.random.default_rng(seed), RULE._replace(turn=0.05, radius=8.0, draws=3)
+    first, second = (texture(X, Y, k)[:24, :28, None].copy() for k in (0, 1))
+    images = (first, second, rng.uniform(size=first.shape[:2]) < 0.9)
+    nodes = rng.uniform(size=(6, 7)) < 0.8
+    start, table = random_labels(rng, nodes.shape, 0.3), rng.uniform(-0.7, 0.7, (97, 3)).astype(np.float32)
+    labels, _ = check_twin(match_blocks, images, nodes, start, table, rule, 2, rtol=1e-3, atol=1e-3)
+    assert np.abs(labels - start)[nodes].max() > 1.0
+    order, offered = np.argwhere(nodes).astype(np.int32)[rng.permutation(nodes.sum())], random_labels(rng, nodes.shape)
+    offered[::2] = labels[::2]
+    start_cost = match_blocks(images, nodes, start, table, rule, 0)[1]
+    taken = check_twin(expand, images, nodes, start, start_cost, offered, order, rule, (2, 1.0), rtol=1e-3, atol=1e-3)
+    assert 0 < taken < len(order)
 
 
 def total_energy(first: Float32, second: Float32, mask: Bool, nodes: Bool, labels: Float32) -> float:
     """Of all block costs and partings, as the search weighs them (step 4, half 2, spacing 2)."""
     places = [tuple(p) for p in np.argwhere(nodes)]
-    data = sum(block_cost(first, second, mask, 4 * i, 4 * j, labels[i, j], 2, 2, 0.25, 1e9) for i, j in places)
-    apart = sum(parting_of(labels[p], labels[q], q[1] - p[1], q[0] - p[0], 4, 0.01, 10.0) for p, q in pairs_of(nodes))
+    data = sum(block_cost(first, second, mask, (4 * i, 4 * j), labels[i, j], (2, 2, 0.25), 1e9) for i, j in places)
+    apart = sum(parting_of(labels[p], labels[q], q[1] - p[1], q[0] - p[0], (4, 0.01, 10.0)) for p, q in pairs_of(nodes))
     return float(data + apart)
 
 
@@ -195,10 +191,10 @@ def test_expansion_and_matching_only_lower_the_energy() -> None:
     nodes = mask[::4, ::4].copy()
     rng = np.random.default_rng(0)
     table = rng.uniform(-0.7, 0.7, size=(997, 3)).astype(np.float32)
-    blocks = (4, 2, 2, 40.0)
+    images = (a, b, mask)
 
     def matched(start: Float32, apart: float, rounds: int) -> tuple[Float32, Float32]:
-        return match_blocks(a, b, mask, nodes, start, table, *blocks, 0.5, 0.25, apart, 10.0, rounds, 8)
+        return match_blocks(images, nodes, start, table, RULE._replace(apart=apart), rounds)
 
     start = np.zeros((*nodes.shape, 4), np.float32)
     labels, cost = matched(start, 0.01, 0)
@@ -206,7 +202,7 @@ def test_expansion_and_matching_only_lower_the_energy() -> None:
     offered, _ = matched(labels, 0.0007, 3)
     before = total_energy(a, b, mask, nodes, labels)
     order = np.argwhere(nodes).astype(np.int32)
-    assert expand(a, b, mask, nodes, labels, cost, offered, order, *blocks, 0.25, 0.01, 10.0, 10, 1.0) > 0
+    assert expand(images, nodes, labels, cost, offered, order, RULE, (10, 1.0)) > 0
     between = total_energy(a, b, mask, nodes, labels)
     assert between < before - 0.01
     _, again = matched(labels, 0.01, 0)

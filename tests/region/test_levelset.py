@@ -12,7 +12,7 @@ import pytest
 from twistcap.body import Posed
 from twistcap.cues.levelset import LevelSetContour, _contrast
 from twistcap.cues.view import View, crop_view
-from twistcap.region.densities import blockwise_log_ratio, global_log_ratio, heaviside, local_log_ratio
+from twistcap.region.densities import blockwise_log_ratio, blockwise_log_ratio_reference, global_log_ratio, heaviside
 from twistcap.region.levelset import (
     evolve,
     evolve_reference,
@@ -86,7 +86,7 @@ def test_evolution_moves_a_wrong_disc_onto_the_images(density: str) -> None:
     if density == "global":
         ratio = global_log_ratio(channels, inside, FLOOR)
     else:
-        ratio = local_log_ratio(channels, inside, 12.0, FLOOR, 0.02)
+        ratio = blockwise_log_ratio_reference(channels, inside, 12.0, FLOOR, 0.02)
     phi = evolve(phi0, ratio, 60, 1.5 * width, 0.5, 0.05 / width, width, CLIP)
     before = radial_error(phi0)
     after = radial_error(phi)
@@ -177,7 +177,7 @@ def test_local_ratio_agrees_with_its_brute_force_twin() -> None:
     channels, _, phi0 = two_discs()
     inside = heaviside(phi0, 0.7)
     places = [(0, 0), (50, 60), (48, 36), (48, 37), (3, 118), (74, 62), (50, 90), (100, 120)]
-    found = local_log_ratio(channels, inside, 7.0, FLOOR, 0.05)
+    found = blockwise_log_ratio_reference(channels, inside, 7.0, FLOOR, 0.05)
     expected = local_ratio_reference(channels, inside, 7.0, 0.05, places)
     np.testing.assert_allclose([found[p] for p in places], expected, rtol=2e-2, atol=5e-3)
     assert np.ptp(expected) > 1
@@ -187,7 +187,7 @@ def test_blockwise_ratio_is_the_local_one() -> None:
     rng = np.random.default_rng(3)
     channels = cv2.GaussianBlur(rng.uniform(0, 1, (91, 120, 3)).astype(np.float32), (0, 0), 2.0)
     inside = heaviside(disc_distance((60.0, 45.0), 25.0)[:91, :120].astype(np.float32), 0.7)
-    exact = local_log_ratio(channels, inside, 12.0, FLOOR, 0.02)
+    exact = blockwise_log_ratio_reference(channels, inside, 12.0, FLOOR, 0.02)
     blocks = blockwise_log_ratio(channels, inside, 12.0, FLOOR, 0.02)
     assert np.abs(blocks - exact).mean() < 0.1 * exact.std()
     alone = blockwise_log_ratio(channels, inside, 12.0, FLOOR, 0.02, block=1)
@@ -200,7 +200,7 @@ def test_local_ratio_copes_where_the_global_one_cannot() -> None:
     x = np.broadcast_to(np.arange(SIZE[1]), SIZE)
     image = np.where(true > 0, 0.5, np.where(x < 60, 0.3, 0.7)) + 0.03 * np.random.default_rng(0).normal(size=SIZE)
     channels, inside = image.astype(np.float32)[..., None], heaviside(true.astype(np.float32), 0.7)
-    ratio = local_log_ratio(channels, inside, 8.0, FLOOR, 0.02)
+    ratio = blockwise_log_ratio_reference(channels, inside, 8.0, FLOOR, 0.02)
     ring = (np.abs(true) > 1.5) & (np.abs(true) < 8) & (np.abs(x - 60) > 12)
     assert np.mean((ratio[ring] > 0) == (true[ring] > 0)) > 0.97
 

@@ -68,7 +68,7 @@ def test_the_field_slides_along_the_contour_where_the_nearest_point_cannot() -> 
     assert off[0] < 0.6 * off[1]
 
 
-def relax_reference(field, warped, source, weight, alpha):
+def exact_solution(field, warped, source, weight, alpha):
     """The linear system itself, solved exactly."""
     h, w = source.shape
     A, b = np.zeros((2 * h * w, 2 * h * w)), np.zeros(2 * h * w)
@@ -95,7 +95,7 @@ def test_sweeps_converge_to_the_solution_of_the_system() -> None:
     field = rng.normal(size=(h, w, 2)).astype(np.float32)
     warped, source = rng.normal(size=(h, w, 3)).astype(np.float32), rng.normal(size=(h, w)).astype(np.float32)
     weight = (rng.random((h, w)) < 0.7).astype(np.float32)
-    expected = relax_reference(field, warped, source, weight, 1.5)
+    expected = exact_solution(field, warped, source, weight, 1.5)
     relax(field, warped, source, weight, 1.5, 400)
     np.testing.assert_allclose(field, expected, atol=2e-3)
     assert np.ptp(expected) > 0.5

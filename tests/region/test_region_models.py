@@ -16,8 +16,8 @@ from twistcap.cues.view import View, crop_view
 from twistcap.errors import InputError
 from twistcap.features.channels import Channels
 from twistcap.io.session import tracker_settings
-from twistcap.region.densities import heaviside, local_log_ratio
-from twistcap.region.lines import ratio_lines
+from twistcap.region.densities import blockwise_log_ratio_reference, heaviside
+from twistcap.region.lines import LineSettings, ratio_lines
 from twistcap.region.models import (
     Density,
     GlobalGaussian,
@@ -120,7 +120,7 @@ def test_local_model_is_the_pixelwise_one() -> None:
     values = cv2.GaussianBlur(samples(4)[0], (0, 0), 2.0)
     inside = heaviside(np.linspace(-10, 10, 2000, dtype=np.float32).reshape(40, 50), 2.0)
     found = LocalGaussian(rho=0.05).log_ratio(values[..., None], inside, 1 - inside, 100.0)
-    exact = local_log_ratio(values[..., None], inside, 5.0, 4e-4, 0.02)
+    exact = blockwise_log_ratio_reference(values[..., None], inside, 5.0, 4e-4, 0.02)
     assert np.corrcoef(found.ravel(), exact.ravel())[0, 1] > 0.97
 
 
@@ -162,10 +162,9 @@ def test_lines_of_known_ratios_end_where_the_ratio_turns() -> None:
     face_index = np.ascontiguousarray(np.broadcast_to(face[:1], (60, 90)))
     one, normals = np.zeros(20, np.int32), np.tile([1.0, 0.0], (20, 1))
     pixels[:, 0] = 37.0
-    displacement, weight, evidence, target = ratio_lines(
-        ratio, face_index, np.zeros(1, np.int32), pixels, normals, one, np.ones(20, bool), np.ones(20), 8.0, 16, 3.0,
-        1.0, 1.0, 0.25, 0.0,
-    )  # fmt: skip
+    lines = (pixels, normals, one, np.ones(20, bool), np.ones(20))
+    settings = LineSettings(16, 3.0, 1.0, 1.0, 0.25, 0.0, 1.0, 1.0, 1.0, 0.0)
+    displacement, weight, evidence, target = ratio_lines(ratio, (face_index, one[:1]), lines, 8.0, settings)
     assert displacement == pytest.approx(41.3 - 37.0, abs=0.3)
     assert target[:, 0] == pytest.approx(pixels[:, 0] + displacement)
     assert np.all(weight > 1.0) and np.all(evidence > 3.0)

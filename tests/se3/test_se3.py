@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from support.finite_differences import check_jacobian
+from support.twins import check_twin
 from twistcap import se3
 
 settings.register_profile("twistcap", deadline=None, max_examples=60)
@@ -194,11 +195,13 @@ def test_single_versions_agree_with_the_batched_ones(size: float) -> None:
         turn = rng.normal(size=3)
         xi = np.concatenate([size * turn / np.linalg.norm(turn), rng.normal(size=3)])
         other = se3.exp(rng.normal(size=6))
-        np.testing.assert_allclose(se3.exp_one(xi), se3.exp(xi), atol=2e-14)
-        np.testing.assert_allclose(se3.inverse_one(other), se3.inverse(other), atol=1e-14)
-        np.testing.assert_allclose(se3.compose_one(se3.exp(xi), other), se3.exp(xi) @ other, atol=1e-14)
-        np.testing.assert_allclose(se3.difference_one(se3.exp(xi) @ other, other), xi, atol=1e-12)
-        np.testing.assert_allclose(se3.inverse_left_jacobian_one(xi), se3.inverse_left_jacobian(xi), atol=1e-11)
+        motion = check_twin(se3.exp_one, xi, rtol=0, atol=2e-14)
+        check_twin(se3.log_one, motion, rtol=0, atol=1e-12)
+        check_twin(se3.inverse_one, other, rtol=0, atol=1e-14)
+        check_twin(se3.compose_one, motion, other, rtol=0, atol=1e-14)
+        check_twin(se3.difference_one, motion @ other, other, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(se3.difference_one(motion @ other, other), xi, atol=1e-12)
+        check_twin(se3.inverse_left_jacobian_one, xi, rtol=0, atol=1e-11)
 
 
 def test_composition_brings_a_rotation_back_that_rounding_carried_off() -> None:

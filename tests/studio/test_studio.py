@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from support.twins import check_twin
 from twistcap import se3
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.humanoid import humanoid
@@ -29,7 +30,7 @@ from twistcap.studio.marring import paint_rectangles, replace_pixels
 from twistcap.studio.motion import gait
 from twistcap.studio.picture import render_body
 from twistcap.studio.scene import PERSON_SHARE
-from twistcap.studio.shade import OCTAVES, shade, shade_reference
+from twistcap.studio.shade import OCTAVES, shade
 
 SMALL = StudioConfig(seed=3, views=2, frames=3, size=(192, 140))
 
@@ -136,11 +137,9 @@ def test_shading_kernel_agrees_with_its_readable_twin():
     assert (index >= 0).sum() > 1000
     normals = unit_vertex_normals(posed.vertices, posed.body.faces)
     dress = take.look
-    surface = (posed.body.faces, pixels, inverse_depth, posed.body.vertices, normals)
-    light = (dress.cover, dress.albedo, dress.contrast, dress.lattice, OCTAVES, dress.lights)
-    np.testing.assert_allclose(
-        shade(index, origin, 3, *surface, *light), shade_reference(index, origin, 3, *surface, *light), atol=1e-10
-    )
+    drawn = (posed.body.faces, pixels, inverse_depth, posed.body.vertices, normals)
+    worn = (dress.cover, dress.albedo, dress.contrast, dress.lattice, OCTAVES)
+    check_twin(shade, index, origin, 3, drawn, worn, dress.lights, atol=1e-10)
 
 
 def test_the_texture_sticks_to_the_surface():

@@ -70,6 +70,14 @@ def project(P: Float, points: Float) -> tuple[Float, Float]:
     return pixels, inverse_depth
 
 
+def project_reference(P: Float, points: Float) -> tuple[Float, Float]:
+    """Readable twin of `project`."""
+    homogeneous = points @ P[:, :3].T + P[:, 3]
+    depth = homogeneous[:, 2]
+    w = 1.0 / np.where(depth > NEAR, depth, np.inf)
+    return homogeneous[:, :2] * w[:, None], w
+
+
 @njit(cache=True, nogil=True, inline="always")
 def depth_at(nearness: float, inverse: bool) -> float:
     """Depth, m, of what has a nearness other than 0; up to a constant where that is no `inverse` depth."""

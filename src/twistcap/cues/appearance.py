@@ -112,3 +112,15 @@ def part_colours(features: Float32, part: Int, wanted: Bool) -> Float:
                 out[s, 1 + j] += value
                 out[s, 1 + channels + j] += value * value
     return out
+
+
+def part_colours_reference(features: Float32, part: Int, wanted: Bool) -> Float:
+    """Readable twin of `part_colours`."""
+    inner, pixels = part[1:-1, 1:-1], features[1:-1, 1:-1].astype(float)
+    around = (part[:-2, 1:-1], part[2:, 1:-1], part[1:-1, :-2], part[1:-1, 2:])
+    inside = np.all([neighbour == inner for neighbour in around], axis=0)
+    out = np.zeros((len(wanted), 1 + 2 * features.shape[2]))
+    for s in np.flatnonzero(wanted):
+        values = pixels[inside & (inner == s)]
+        out[s] = np.concatenate([[len(values)], values.sum(axis=0), (values**2).sum(axis=0)])
+    return out

@@ -116,13 +116,14 @@ def part_agreement(contour: ContourPoints, displacement: Float, contrast: Float,
         parts: S.
     """
     tolerance = contour.inverse_depth * (TOLERANCE * focal)
-    return Agreement(*_tallied(contour.part, contour.outer, tolerance, displacement, contrast, parts))
+    return Agreement(*tallied(contour.part, contour.outer, tolerance, displacement, contrast, parts))
 
 
 @njit(cache=True, nogil=True)
-def _tallied(
+def tallied(
     part: Int, outer: Bool, tolerance: Float, displacement: Float, contrast: Float, parts: int
 ) -> tuple[Int, Float, Float]:
+    """`part_agreement` of N points, each with its tolerance (N,) px: (S,) points, telling ones, agreeing ones."""
     points, telling, agreeing = np.zeros(parts, dtype=np.int32), np.zeros(parts), np.zeros(parts)
     for n in range(len(part)):
         if outer[n]:
@@ -133,3 +134,13 @@ def _tallied(
                 if abs(displacement[n]) < tolerance[n]:
                     agreeing[s] += 1.0
     return points, telling, agreeing
+
+
+def tallied_reference(
+    part: Int, outer: Bool, tolerance: Float, displacement: Float, contrast: Float, parts: int
+) -> tuple[Int, Int, Int]:
+    """Readable twin of `tallied`."""
+    telling = outer & (contrast > CONTRAST)
+    agreeing = telling & (np.abs(displacement) < tolerance)
+    points, tells, agrees = (np.bincount(part[which], minlength=parts) for which in (outer, telling, agreeing))
+    return points, tells, agrees

@@ -12,13 +12,10 @@ from twistcap.cues.appearance import AppearanceRule
 from twistcap.cues.contour import ContourCue, ContourEvidence, part_agreement
 from twistcap.cues.view import View
 from twistcap.region.levelset import signed_distance
-from twistcap.region.lines import measured_lines, ratio_lines
+from twistcap.region.lines import Lines, LineSettings, Measured, measured_lines, ratio_lines
 from twistcap.region.models import Density, Statistics, log_ratio_by_part, nearest_part, region_model
 from twistcap.render import ContourPoints, RenderedView
 from twistcap.terms import PointNormalTerm
-
-Measured = tuple[Float, Float, Float, Float]
-"""As `measured_lines` gives it."""
 
 
 @dataclass(frozen=True)
@@ -101,12 +98,9 @@ class DirectContour(ContourCue):
         group = contour.part
         if self.statistics == "whole":
             group, colours = np.zeros_like(group), np.zeros_like(colours)
-        return measured_lines(
-            view.features, seen.face_index, seen.posed.body.face_part, contour.pixels, contour.normals, contour.part,
-            contour.outer, contour.inverse_depth, reach, self.samples, self.rho * seen.px_per_m,
-            self.prior_mass, self.floor, self.clip, self.share, self.inner, self.least_sigma,
-            self._off(view), colours, self.colour_mass, group,
-        )  # fmt: skip
+        visible = (seen.face_index, seen.posed.body.face_part)
+        settings = self._settings(view, seen)
+        return measured_lines(view.features, visible, _lines(contour), group, colours, reach, settings)
 
     def _on_image(
         self, view: View, seen: RenderedView, contour: ContourPoints, reach: float, colours: Float
@@ -120,12 +114,16 @@ class DirectContour(ContourCue):
             ratio = log_ratio_by_part(model, view.features, inside, part, seen.px_per_m, wanted)
         else:
             ratio = model.log_ratio(view.features, inside, np.float32(1.0) - inside, seen.px_per_m, wanted)
-        return ratio_lines(
-            ratio, seen.face_index, seen.posed.body.face_part, contour.pixels, contour.normals, contour.part,
-            contour.outer, contour.inverse_depth, reach, self.samples, self.clip, self.share, self.inner,
-            self.least_sigma, self._off(view),
+        visible = (seen.face_index, seen.posed.body.face_part)
+        return ratio_lines(ratio, visible, _lines(contour), reach, self._settings(view, seen))
+
+    def _settings(self, view: View, seen: RenderedView) -> LineSettings:
+        return LineSettings(
+            half=self.samples, clip=self.clip, fraction=self.share, inner=self.inner, least_sigma=self.least_sigma,
+            surface_sigma=(self.surface_sigma or 0.0) * float(view.camera.K[0, 0]), rho=self.rho * seen.px_per_m,
+            prior_mass=self.prior_mass, floor=self.floor, colour_mass=self.colour_mass,
         )  # fmt: skip
 
-    def _off(self, view: View) -> float:
-        """The spread of the surface, px at 1 m from the camera."""
-        return (self.surface_sigma or 0.0) * float(view.camera.K[0, 0])
+
+def _lines(contour: ContourPoints) -> Lines:
+    return contour.pixels, contour.normals, contour.part, contour.outer, contour.inverse_depth

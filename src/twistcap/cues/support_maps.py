@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Float, Float32, Int
+from twistcap._typing import Bool, Float, Float32, Int
 
 _FLOOR = 0.008  # brightness; least robust scale: sensor noise and sampling
 _CEILING = 0.15
@@ -74,6 +74,25 @@ def robust_scale(
             own = part == s
             out[s] = _scale_of(size[own], weight[own], floor, ceiling)
     return out
+
+
+def robust_scale_reference(
+    residual: Float, part: Int, parts: int, weight: Float, floor: float = _FLOOR, ceiling: float = _CEILING,
+    fewest: int = 20,
+) -> Float:  # fmt: skip
+    """Readable twin of `robust_scale`."""
+
+    def scale(which: Bool) -> float:
+        known = which & np.isfinite(residual) & (weight > 0.0)
+        order = np.argsort(np.abs(residual[known]))
+        heaped = np.cumsum(weight[known][order])
+        if not known.any():
+            return ceiling
+        median = np.abs(residual[known])[order][heaped >= 0.5 * heaped[-1]][0]
+        return float(np.clip(1.48 * median, floor, ceiling))
+
+    own = [part == s for s in range(parts)]
+    return np.array([scale(which if np.count_nonzero(which) >= fewest else np.ones_like(which)) for which in own])
 
 
 @njit(cache=True, nogil=True)

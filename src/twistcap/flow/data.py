@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Bool, Float32, Int
+from twistcap._typing import Bool, Float, Float32, Int
 from twistcap.flow.solver import FAST, TENSOR
 
 _CENTRAL = np.array([-1, 9, -45, 0, 45, -9, 1], np.float32) / 60  # first derivative, sixth order
@@ -37,8 +37,9 @@ def _derivative(image: Float32, axis: int) -> Float32:
 
 @njit(cache=True, nogil=True, fastmath=FAST)
 def motion_tensors(
-    first: Float32, second: Float32, u: Float32, v: Float32, mask: Bool, top: int, left: int, zeta: float, blend: float
-) -> Float32:
+    first: Float32, second: Float32, u: Float32, v: Float32, mask: Bool, corner: tuple[int, int], zeta: float,
+    blend: float,
+) -> Float32:  # fmt: skip
     """(H, 12, W) motion tensors of brightness (6 entries) and gradient, summed over the channels.
 
     0 where the mask is, or where the flow leaves the image: nothing is known of what is not seen.
@@ -46,13 +47,13 @@ def motion_tensors(
     Args:
         first: (C, H, W, 6) `derivative_maps` of a window of the first image.
         second: (C, H', W', 6) of the whole second image.
-        top, left: first row and column of the window.
+        corner: first row and column of the window.
         u, v: (H, W) flow, px, at which the second image is looked up by Catmull-Rom interpolation.
         mask: (H, W) where tensors are wanted.
         zeta: noise floor (intensity per px) of the normalisation; 0 leaves the constraints as they are.
         blend: share of the first image's derivatives in the constraint.
     """
-    C, H, W, _ = first.shape
+    (C, H, W, _), (top, left) = first.shape, corner
     rows_there, columns_there = second.shape[1:3]
     out = np.zeros((H, 2 * TENSOR, W), dtype=np.float32)
     warped, mean = np.empty(_MAPS, dtype=np.float32), np.empty(_MAPS, dtype=np.float32)
@@ -64,10 +65,10 @@ def motion_tensors(
             x, y = left + c + u[r, c], top + r + v[r, c]
             if not mask[r, c] or x < 0.0 or y < 0.0 or x > columns_there - 1 or y > rows_there - 1:
                 continue
-            cubic_taps(x, columns_there, columns, at_x)
-            cubic_taps(y, rows_there, rows, at_y)
+            _cubic_taps(x, columns_there, columns, at_x)
+            _cubic_taps(y, rows_there, rows, at_y)
             for channel in range(C):
-                look_up(second[channel], rows, at_y, columns, at_x, warped)
+                _look_up(second[channel], rows, at_y, columns, at_x, warped)
                 here = first[channel, r, c]
                 for k in range(_MAPS):
                     mean[k] = warped[k] + b * (here[k] - warped[k])
@@ -78,7 +79,7 @@ def motion_tensors(
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def cubic_taps(x: np.float32, size: int, places: Int, weights: Float32) -> None:
+def _cubic_taps(x: np.float32, size: int, places: Int, weights: Float32) -> None:
     """The four pixels (clamped) and their weights (Catmull and Rom) with which to interpolate at x."""
     k = int(x)
     t = np.float32(x - k)
@@ -92,7 +93,7 @@ def cubic_taps(x: np.float32, size: int, places: Int, weights: Float32) -> None:
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def look_up(maps: Float32, rows: Int, at_y: Float32, columns: Int, at_x: Float32, out: Float32) -> None:
+def _look_up(maps: Float32, rows: Int, at_y: Float32, columns: Int, at_x: Float32, out: Float32) -> None:
     """Interpolate maps (H, W, 6)."""
     for k in range(_MAPS):
         out[k] = np.float32(0.0)
@@ -115,3 +116,38 @@ def _add_constraint(J: Float32, x: np.float32, y: np.float32, t: np.float32, zet
     J[3] += n * x * t
     J[4] += n * y * t
     J[5] += n * t * t
+
+
+def motion_tensors_reference(
+    first: Float32, second: Float32, u: Float32, v: Float32, mask: Bool, corner: tuple[int, int], zeta: float,
+    blend: float,
+) -> Float:  # fmt: skip
+    """Readable twin of `motion_tensors`: all pixels at once."""
+    (C, H, W, _), (rows, columns) = first.shape, second.shape[1:3]
+    x, y = np.arange(W) + corner[1] + u.astype(float), np.arange(H)[:, None] + corner[0] + v.astype(float)
+    seen, out = mask & (x >= 0) & (y >= 0) & (x <= columns - 1) & (y <= rows - 1), np.zeros((H, 2 * TENSOR, W))
+    for channel in range(C):
+        here, there = first[channel].astype(float), _interpolated(second[channel].astype(float), x, y)
+        mean = there + blend * (here - there)
+        for term, gx, gy, t in ((0, 1, 2, 0), (TENSOR, 3, 4, 1), (TENSOR, 4, 5, 2)):
+            row = np.stack([mean[..., gx], mean[..., gy], there[..., t] - here[..., t]], axis=-1)
+            size = np.sum(row[..., :2] ** 2, axis=-1) + zeta**2 if zeta > 0.0 else np.ones((H, W))
+            for k, (i, j) in enumerate(((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))):
+                out[:, term + k] += seen * row[..., i] * row[..., j] / size
+    return out
+
+
+def _interpolated(maps: Float, x: Float, y: Float) -> Float:
+    """Maps (H', W', 6) at places, by Catmull and Rom in either direction; borders are repeated."""
+    i, j, out = np.floor(y).astype(int), np.floor(x).astype(int), 0.0
+    for a, by_row in enumerate(_catmull_rom(y - i)):
+        for b, by_column in enumerate(_catmull_rom(x - j)):
+            places = np.clip(i + a - 1, 0, len(maps) - 1), np.clip(j + b - 1, 0, maps.shape[1] - 1)
+            out = out + (by_row * by_column)[..., None] * maps[places]
+    return out
+
+
+def _catmull_rom(t: Float) -> tuple[Float, Float, Float, Float]:
+    """Weights of the four places about one at t from the second to the third."""
+    first, last = -0.5 * t + t**2 - 0.5 * t**3, -0.5 * t**2 + 0.5 * t**3
+    return first, 1.0 - 2.5 * t**2 + 1.5 * t**3, 0.5 * t + 2.0 * t**2 - 1.5 * t**3, last

@@ -12,29 +12,32 @@ import numpy as np
 from numba import njit
 
 from twistcap._typing import Bool, Float32, Int
-from twistcap.flow.matching import FAST, LABEL, block_cost, carried, parting_of
+from twistcap.flow.matching import FAST, LABEL, BlockRule, Images, PartingRule, block_cost, carried, parting_of
 
 _SWEEPS = 4
 _HUGE = np.float32(1e3)
 
+Box = tuple[int, int, int, int]
+"""First row of nodes and the one after the last, first column and the one after the last."""
+
 
 @njit(cache=True, nogil=True, fastmath=FAST)
 def expand(
-    first: Float32, second: Float32, mask: Bool, nodes: Bool, labels: Float32, cost: Float32, offered: Float32,
-    order: Int, step: int, half: int, spacing: int, radius: float, ceiling: float, apart: float, most_apart: float,
-    window: int, news: float,
+    images: Images, nodes: Bool, labels: Float32, cost: Float32, offered: Float32, order: Int, rule: BlockRule,
+    offer_rule: tuple[int, float],
 ) -> int:  # fmt: skip
     """Offer the motions `offered` (h, w, 4) of the nodes in `order` (N, 2), one after the other; labels in place.
 
     Args:
-        first, second, mask, nodes, step, half, spacing, radius, ceiling, apart, most_apart: as for `match_blocks`.
+        images, nodes, rule: as for `match_blocks`.
         labels, cost: (h, w, 4) present motions and (h, w) their block costs; both change.
-        window: nodes each way to which a motion is offered.
-        news: px by which a motion must differ from the present one of its node to be offered at all.
+        offer_rule: nodes each way to which a motion is offered, and px by which it must differ from the present one of
+            its node to be offered at all.
 
     Returns:
         How many motions were taken by some nodes.
     """
+    (window, news), parting = offer_rule, (rule.step, rule.apart, rule.most_apart)
     h, w, _ = labels.shape
     proposal, price = np.zeros((h, w, LABEL), np.float32), np.zeros((h, w), np.float32)
     field, messages = np.zeros((h, w), np.float32), np.zeros((h, w, 4), np.float32)
@@ -45,30 +48,15 @@ def expand(
         offer, present = offered[i, j], labels[i, j]
         if abs(offer[0] - present[0]) + abs(offer[1] - present[1]) < news:
             continue
-        top, bottom, left, right = (
-            max(i - window, 0),
-            min(i + window + 1, h),
-            max(j - window, 0),
-            min(j + window + 1, w),
-        )
-        for a in range(top, bottom):
-            for b in range(left, right):
-                if nodes[a, b]:
-                    out = proposal[a, b]
-                    carried(offer, np.float32(step * (b - j)), np.float32(step * (a - i)), np.float32(0.0), out)
-                    if out[0] ** 2 + out[1] ** 2 > radius * radius:
-                        price[a, b] = _HUGE
-                    else:
-                        price[a, b] = block_cost(
-                            first, second, mask, step * a, step * b, out, half, spacing, ceiling, 1e9
-                        )
-        _edges(labels, proposal, nodes, step, apart, most_apart, top, bottom, left, right, edges)
-        _fields(labels, proposal, nodes, cost, price, step, apart, most_apart, top, bottom, left, right, field)
-        _propagate(field, edges, nodes, top, bottom, left, right, messages)
-        if _change(field, edges, messages, nodes, top, bottom, left, right) < -1e-6:
+        box = (max(i - window, 0), min(i + window + 1, h), max(j - window, 0), min(j + window + 1, w))
+        _propose(images, nodes, offer, (i, j), rule, box, (proposal, price))
+        _edges(labels, proposal, nodes, parting, box, edges)
+        _fields(labels, proposal, nodes, (cost, price), parting, box, field)
+        _propagate(field, edges, nodes, box, messages)
+        if _change(field, edges, messages, nodes, box) < -1e-6:
             taken += 1
-            for a in range(top, bottom):
-                for b in range(left, right):
+            for a in range(box[0], box[1]):
+                for b in range(box[2], box[3]):
                     if nodes[a, b] and _belief(field, messages, a, b) < 0.0:
                         labels[a, b] = proposal[a, b]
                         cost[a, b] = price[a, b]
@@ -76,11 +64,28 @@ def expand(
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
-def _edges(
-    labels: Float32, proposal: Float32, nodes: Bool, step: int, apart: float, most_apart: float,
-    top: int, bottom: int, left: int, right: int, out: Float32,
+def _propose(
+    images: Images, nodes: Bool, offer: Float32, at: tuple[int, int], rule: BlockRule, box: Box,
+    out: tuple[Float32, Float32],
 ) -> None:  # fmt: skip
+    """out (h, w, 4) and (h, w): what the motion of the node `at` means at each node of the box, and its block cost."""
+    (first, second, mask), (proposal, price), (top, bottom, left, right) = images, out, box
+    step, radius, block = rule.step, rule.radius, (rule.half, rule.spacing, rule.ceiling)
+    for a in range(top, bottom):
+        for b in range(left, right):
+            if nodes[a, b]:
+                label, x, y = proposal[a, b], np.float32(step * (b - at[1])), np.float32(step * (a - at[0]))
+                carried(offer, x, y, np.float32(0.0), label)
+                if label[0] ** 2 + label[1] ** 2 > radius * radius:
+                    price[a, b] = _HUGE
+                else:
+                    price[a, b] = block_cost(first, second, mask, (step * a, step * b), label, block, 1e9)
+
+
+@njit(cache=True, nogil=True, fastmath=FAST)
+def _edges(labels: Float32, proposal: Float32, nodes: Bool, rule: PartingRule, box: Box, out: Float32) -> None:
     """out (h, w, 2, 3): cost of the edge to the right and to the one below if neither, the other, this one changes."""
+    top, bottom, left, right = box
     for a in range(top, bottom):
         for b in range(left, right):
             for k in range(2):
@@ -88,18 +93,18 @@ def _edges(
                 if m >= bottom or n >= right or not nodes[a, b] or not nodes[m, n]:
                     out[a, b, k, :] = 0.0
                     continue
-                out[a, b, k, 0] = parting_of(labels[a, b], labels[m, n], 1 - k, k, step, apart, most_apart)
-                out[a, b, k, 1] = parting_of(labels[a, b], proposal[m, n], 1 - k, k, step, apart, most_apart)
-                out[a, b, k, 2] = parting_of(proposal[a, b], labels[m, n], 1 - k, k, step, apart, most_apart)
+                out[a, b, k, 0] = parting_of(labels[a, b], labels[m, n], 1 - k, k, rule)
+                out[a, b, k, 1] = parting_of(labels[a, b], proposal[m, n], 1 - k, k, rule)
+                out[a, b, k, 2] = parting_of(proposal[a, b], labels[m, n], 1 - k, k, rule)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
 def _fields(
-    labels: Float32, proposal: Float32, nodes: Bool, cost: Float32, price: Float32, step: int, apart: float,
-    most_apart: float, top: int, bottom: int, left: int, right: int, out: Float32,
+    labels: Float32, proposal: Float32, nodes: Bool, costs: tuple[Float32, Float32], rule: PartingRule, box: Box,
+    out: Float32,
 ) -> None:  # fmt: skip
     """out (h, w): what a change costs a node itself, and towards neighbours outside the window."""
-    h, w, _ = labels.shape
+    (h, w, _), (cost, price), (top, bottom, left, right) = labels.shape, costs, box
     for a in range(top, bottom):
         for b in range(left, right):
             if not nodes[a, b]:
@@ -111,8 +116,8 @@ def _fields(
                 if top <= m < bottom and left <= n < right:
                     continue
                 if 0 <= m < h and 0 <= n < w and nodes[m, n]:
-                    out[a, b] += parting_of(proposal[a, b], labels[m, n], db, da, step, apart, most_apart)
-                    out[a, b] -= parting_of(labels[a, b], labels[m, n], db, da, step, apart, most_apart)
+                    out[a, b] += parting_of(proposal[a, b], labels[m, n], db, da, rule)
+                    out[a, b] -= parting_of(labels[a, b], labels[m, n], db, da, rule)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
@@ -121,10 +126,9 @@ def _belief(field: Float32, messages: Float32, a: int, b: int) -> np.float32:
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
-def _propagate(
-    field: Float32, edges: Float32, nodes: Bool, top: int, bottom: int, left: int, right: int, messages: Float32
-) -> None:
+def _propagate(field: Float32, edges: Float32, nodes: Bool, box: Box, messages: Float32) -> None:
     """Sequential min-sum belief propagation; a message (from left, above, right, below) favours the present label."""
+    top, bottom, left, right = box
     messages[top:bottom, left:right] = 0.0
     for sweep in range(_SWEEPS):
         for s in range(bottom - top):
@@ -154,10 +158,9 @@ def _message(h: np.float32, edge: Float32, back: bool) -> np.float32:
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
-def _change(
-    field: Float32, edges: Float32, messages: Float32, nodes: Bool, top: int, bottom: int, left: int, right: int
-) -> np.float32:
+def _change(field: Float32, edges: Float32, messages: Float32, nodes: Bool, box: Box) -> np.float32:
     """Energy after the change less that before."""
+    top, bottom, left, right = box
     total = np.float32(0.0)
     for a in range(top, bottom):
         for b in range(left, right):

@@ -9,6 +9,8 @@ the neighbour's turn carries them there, or bent at a hinge between the two; and
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
@@ -19,32 +21,49 @@ LABEL = 4  # of a node: u, v (px), cos θ - 1, sin θ
 _FORGIVEN = 0.9  # share of a block's mean square that a change of light explains
 NEIGHBOURS = ((-1, 0), (0, -1), (1, 0), (0, 1))
 
+Images = tuple[Float32, Float32, Bool]
+"""Two images (H, W, C) and the mask (H, W) of the pixels that are compared."""
+PartingRule = tuple[int, float, float]
+"""Px from node to node, cost of each px between where two neighbours put each other, px beyond which it stays."""
+
+
+class BlockRule(NamedTuple):
+    """See `SearchSettings`; `turn` in rad."""
+
+    step: int
+    half: int
+    spacing: int
+    radius: float
+    turn: float
+    ceiling: float
+    apart: float
+    most_apart: float
+    draws: int
+
 
 @njit(cache=True, nogil=True, fastmath=FAST)
 def match_blocks(
-    first: Float32, second: Float32, mask: Bool, nodes: Bool, start: Float32, table: Float32, step: int, half: int,
-    spacing: int, radius: float, turn: float, ceiling: float, apart: float, most_apart: float, rounds: int, draws: int,
-) -> tuple[Float32, Float32]:  # fmt: skip
+    images: Images, nodes: Bool, start: Float32, table: Float32, rule: BlockRule, rounds: int
+) -> tuple[Float32, Float32]:
     """Rigid motion (h, w, 4) of the block at each node (step i, step j): u, v (px), cos θ - 1, sin θ; and its cost.
 
     Args:
-        first, second: (H, W, C).
-        mask: (H, W) pixels that are compared.
+        images: two, and the mask of the pixels that are compared.
         nodes: (h, w) nodes that are asked; the others keep their start.
         start: (h, w, 4).
         table: (N, 3) random numbers: places in the unit disc, turns in [-1, 1].
-        step, half, spacing, radius, ceiling, apart, most_apart, rounds, draws: see `SearchSettings`.
-        turn: rad.
+        rule: how blocks are compared and varied.
+        rounds: times through all nodes.
     """
+    (first, second, mask), step, radius, turn = images, rule.step, rule.radius, rule.turn
+    parting_rule, block = (step, rule.apart, rule.most_apart), (rule.half, rule.spacing, rule.ceiling)
     h, w, _ = start.shape
     labels, cost = start.copy(), np.zeros((h, w), dtype=np.float32)
     candidate, count = np.empty(LABEL, dtype=np.float32), 0
     for i in range(h):
         for j in range(w):
             if nodes[i, j]:
-                cost[i, j] = block_cost(
-                    first, second, mask, step * i, step * j, labels[i, j], half, spacing, ceiling, 1e9
-                )
+                cost[i, j] = block_cost(first, second, mask, (step * i, step * j), labels[i, j], block, 1e9)
     for turn_of in range(rounds):
         ahead = turn_of % 2 == 0
         for a in range(h):
@@ -55,8 +74,8 @@ def match_blocks(
                     continue
                 mine = labels[i, j]
                 data = cost[i, j]
-                total = data + _parting(labels, nodes, step, i, j, mine, apart, most_apart)
-                for k in range(8 + draws):
+                total = data + _parting(labels, nodes, i, j, mine, parting_rule)
+                for k in range(8 + rule.draws):
                     draw = table[count % len(table)]
                     count += 1
                     if k < 8:
@@ -70,11 +89,11 @@ def match_blocks(
                         _disturbed(mine, draw, radius * 0.5 ** (k - 8), turn * 0.5 ** (k - 8), candidate)
                     if candidate[0] ** 2 + candidate[1] ** 2 > radius * radius:
                         continue
-                    parting = _parting(labels, nodes, step, i, j, candidate, apart, most_apart)
+                    parting = _parting(labels, nodes, i, j, candidate, parting_rule)
                     if parting >= total:
                         continue
                     left = float(total - parting)
-                    here = block_cost(first, second, mask, step * i, step * j, candidate, half, spacing, ceiling, left)
+                    here = block_cost(first, second, mask, (step * i, step * j), candidate, block, left)
                     if here + parting < total:
                         data, total = here, here + parting
                         mine[:] = candidate
@@ -84,21 +103,19 @@ def match_blocks(
 
 @njit(cache=True, nogil=True, fastmath=FAST)
 def block_cost(
-    first: Float32,
-    second: Float32,
-    mask: Bool,
-    r: int,
-    c: int,
-    label: Float32,
-    half: int,
-    spacing: int,
-    ceiling: float,
+    first: Float32, second: Float32, mask: Bool, at: tuple[int, int], label: Float32, block: tuple[int, int, float],
     limit: float,
-) -> np.float32:
+) -> np.float32:  # fmt: skip
     """Root mean square difference over a block, most of its mean forgiven: light changes as limbs turn.
 
     Masked pixels count as equal, pixels outside the image as different by the ceiling; given up beyond the limit.
+
+    Args:
+        first, second: (H, W, C); mask: (H, W).
+        at: row and column of its middle; label: (4,) its motion.
+        block: samples each way from the middle, their spacing, and the most that a difference counts.
     """
+    (r, c), (half, spacing, ceiling) = at, block
     H, W, C = first.shape
     top, size = np.float32(ceiling), np.float32((2 * half + 1) ** 2 * C)
     most = np.float32(limit) ** 2 * size
@@ -126,9 +143,7 @@ def block_cost(
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
-def _parting(
-    labels: Float32, nodes: Bool, step: int, i: int, j: int, mine: Float32, apart: float, most_apart: float
-) -> np.float32:
+def _parting(labels: Float32, nodes: Bool, i: int, j: int, mine: Float32, rule: PartingRule) -> np.float32:
     """Cost of how far four neighbours and a label at node (i, j) disagree, each half turned by either's turn."""
     h, w, _ = labels.shape
     total = np.float32(0.0)
@@ -136,15 +151,14 @@ def _parting(
         di, dj = NEIGHBOURS[k]
         m, n = i + di, j + dj
         if 0 <= m < h and 0 <= n < w and nodes[m, n]:
-            total += parting_of(mine, labels[m, n], dj, di, step, apart, most_apart)
+            total += parting_of(mine, labels[m, n], dj, di, rule)
     return total
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def parting_of(
-    mine: Float32, other: Float32, dj: int, di: int, step: int, apart: float, most_apart: float
-) -> np.float32:
+def parting_of(mine: Float32, other: Float32, dj: int, di: int, rule: PartingRule) -> np.float32:
     """Cost of how far two neighbours disagree, the other one (dj, di) nodes away: half turned by either's turn."""
+    step, apart, most_apart = rule
     x, y = np.float32(-0.5 * step * dj), np.float32(-0.5 * step * di)
     cosine, sine = mine[2] + other[2], mine[3] + other[3]
     du = mine[0] - other[0] - cosine * x + sine * y

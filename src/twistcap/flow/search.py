@@ -9,7 +9,7 @@ import numpy as np
 
 from twistcap._typing import Bool, Float32, Int
 from twistcap.flow.expansion import expand
-from twistcap.flow.matching import LABEL, match_blocks, spread
+from twistcap.flow.matching import LABEL, BlockRule, match_blocks, spread
 from twistcap.flow.pyramid import resized_flow, smoothed
 from twistcap.flow.settings import SearchSettings
 
@@ -28,21 +28,19 @@ def searched(first: Float32, second: Float32, mask: Bool, flow: Float32, setting
     s = settings
     a, b = (smoothed(image, s.presmooth) for image in (first, second))
     nodes = np.ascontiguousarray(cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8))[:: s.step, :: s.step] > 0)
-    blocks = (s.step, s.half, s.spacing, s.radius)
-    turn, window = np.deg2rad(s.turn_deg), round(s.window / s.step)
+    window, images = round(s.window / s.step), (a, b, mask)
+    rule = BlockRule(
+        s.step, s.half, s.spacing, s.radius, float(np.deg2rad(s.turn_deg)), s.ceiling, s.apart, s.most_apart, s.draws
+    )
 
     def matched(labels: Float32, apart: float, rounds: int, loop: int) -> tuple[Float32, Float32]:
-        return match_blocks(
-            a, b, mask, nodes, labels, _table(loop), *blocks, turn, s.ceiling, apart, s.most_apart, rounds, s.draws
-        )
+        return match_blocks(images, nodes, labels, _table(loop), rule._replace(apart=apart), rounds)
 
     labels, cost = matched(_labels(flow, mask.shape, s.step), s.apart, 0, 0)
     for loop in range(s.loops):
         offered, _ = matched(labels, s.loose, s.rounds, loop)
         order = _order(nodes, s.every, loop)
-        expand(
-            a, b, mask, nodes, labels, cost, offered, order, *blocks, s.ceiling, s.apart, s.most_apart, window, _NEWS
-        )
+        expand(images, nodes, labels, cost, offered, order, rule, (window, _NEWS))
         labels, cost = matched(labels, s.apart, s.polish, loop)
     return spread(labels, s.step, *mask.shape)
 

@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Bool, Float32
+from twistcap._typing import Bool, Float, Float32
 
-FAST = {"contract", "reassoc", "arcp", "nnan", "ninf", "nsz"}  # non-finite images were turned away at the door
+FAST = {"contract", "reassoc", "arcp", "nsz"}  # never `nnan` or `ninf`: what is not finite is to be seen
 TENSOR = 6  # entries of a symmetric 3 by 3 motion tensor: 11, 12, 22, 13, 23, 33
 _COEFFICIENTS = 9  # of a pixel's two equations: right sides, inverse block (11, 12, 22), weights left, right, up, down
 
@@ -33,11 +33,11 @@ def diffusivity(u: Float32, v: Float32, mask: Bool, epsilon: float) -> Float32:
     for r in range(H):
         for c in range(1, W):
             du, dv = u[r, c] - u[r, c - 1], v[r, c] - v[r, c - 1]
-            across[c] = (du * du + dv * dv) * (mask[r, c] & mask[r, c - 1])
+            across[c] = du * du + dv * dv if mask[r, c] & mask[r, c - 1] else np.float32(0.0)
         if r + 1 < H:
             for c in range(W):
                 du, dv = u[r + 1, c] - u[r, c], v[r + 1, c] - v[r, c]
-                below[c] = (du * du + dv * dv) * (mask[r + 1, c] & mask[r, c])
+                below[c] = du * du + dv * dv if mask[r + 1, c] & mask[r, c] else np.float32(0.0)
         else:
             below[:] = 0.0
         for c in range(W):
@@ -183,3 +183,60 @@ def _mix(x: Float32, a: Float32, s: Float32, b: Float32, t: Float32, omega: np.f
     """Over-relaxation of x (K,) towards a·s + b·t."""
     for k in range(len(x)):
         x[k] += omega * (a[k] * s[k] + b[k] * t[k] - x[k])
+
+
+def diffusivity_reference(u: Float32, v: Float32, mask: Bool, epsilon: float) -> Float:
+    """Readable twin of `diffusivity`."""
+    s2 = np.zeros(mask.shape)
+    for axis in (0, 1):
+        both = np.moveaxis(mask, axis, 0)
+        square = sum(np.diff(np.moveaxis(x.astype(float), axis, 0), axis=0) ** 2 for x in (u, v))
+        square = square * (both[1:] & both[:-1])
+        sums = np.moveaxis(s2, axis, 0)
+        sums[1:] += 0.5 * square
+        sums[:-1] += 0.5 * square
+    return 0.5 / np.sqrt(s2 + epsilon**2)
+
+
+def data_weights_reference(
+    tensors: Float32, du: Float32, dv: Float32, gamma: float, epsilon: float, robust: bool
+) -> Float:
+    """Readable twin of `data_weights`."""
+    w, out = np.stack([du, dv, np.ones_like(du)], axis=-1).astype(float), np.zeros((len(du), TENSOR - 1, du.shape[1]))
+    for term, factor in enumerate((1.0, gamma)):
+        J = tensors[:, TENSOR * term : TENSOR * (term + 1)].astype(float)
+        full = np.moveaxis(J, 1, 2)[..., [0, 1, 3, 1, 2, 4, 3, 4, 5]].reshape(*du.shape, 3, 3)
+        square = np.maximum(np.einsum("hwi,hwij,hwj->hw", w, full, w), 0.0)
+        out += (factor * (0.5 / np.sqrt(square + epsilon**2) if robust else np.ones_like(square)))[:, None] * J[:, :5]
+    return out
+
+
+def assemble_reference(data: Float32, u0: Float32, v0: Float32, g: Float32, alpha: float, mask: Bool) -> Float:
+    """Readable twin of `assemble`: pixel by pixel."""
+    H, W = mask.shape
+    out = np.zeros((2, H, _COEFFICIENTS, (W + 1) // 2))
+    for r, c in np.argwhere(mask):
+        sides, weights = ((r, c - 1), (r, c + 1), (r - 1, c), (r + 1, c)), np.zeros(4)
+        for k, (i, j) in enumerate(sides):
+            if 0 <= i < H and 0 <= j < W and mask[i, j]:
+                weights[k] = 0.5 * alpha * (g[r, c] + g[i, j])
+        a, b, d, e, f = data[r, :, c].astype(float)
+        inverse = np.linalg.inv(np.array([[a, b], [b, d]]) + (weights.sum() + 1e-9) * np.eye(2))
+        right = (a * u0[r, c] + b * v0[r, c] - e, b * u0[r, c] + d * v0[r, c] - f)
+        out[(r + c) & 1, r, :, c >> 1] = *right, inverse[0, 0], inverse[0, 1], inverse[1, 1], *weights
+    return out
+
+
+def relax_reference(coefficients: Float32, u: Float32, v: Float32, sweeps: int, omega: float) -> None:
+    """Readable twin of `relax`: whole half sweeps one after the other."""
+    H, W = u.shape
+    for half in range(2 * sweeps):
+        for r, c in np.ndindex(H, W):
+            here = coefficients[(r + c) & 1, r, :, c >> 1]
+            if (r + c) % 2 == half % 2 and here[2] > 0.0:
+                s, x = here[:2].astype(float), np.array([u[r, c], v[r, c]])
+                for weight, (i, j) in zip(here[5:], ((r, c - 1), (r, c + 1), (r - 1, c), (r + 1, c)), strict=True):
+                    if weight > 0.0:
+                        s += weight * np.array([u[i, j], v[i, j]])
+                solved = np.array([[here[2], here[3]], [here[3], here[4]]]) @ s
+                u[r, c], v[r, c] = x + omega * (solved - x)

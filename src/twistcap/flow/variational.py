@@ -87,7 +87,7 @@ def refined(
     even = np.ones_like(u)
     for _ in range(s.warps):
         u0, v0 = u.copy(), v.copy()
-        tensors = motion_tensors(first, second, u, v, mask, *corner, s.zeta, s.blend)
+        tensors = motion_tensors(first, second, u, v, mask, corner, s.zeta, s.blend)
         for _ in range(s.inner):
             data = data_weights(tensors, u - u0, v - v0, s.gamma, s.epsilon_data, s.robust_data)
             g = diffusivity(u, v, mask, s.epsilon_smooth) if s.smoothness == "robust" else even

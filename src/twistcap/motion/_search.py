@@ -29,6 +29,10 @@ _LOSS = np.float32(4e-6)  # relative, above the rounding of sums in float32
 _SLACK = 1e-6  # rad, above the rounding of the bounds
 _NEAR = 1e-8  # poses, above the rounding of positions in a clip
 
+ClipArrays = tuple[Float32, Float32, Int]
+"""Weighted coordinates (K, N) of all clips, the distance (N,) of each pose from the next one of its clip, rounded up,
+0 at its end, and where clips start (C + 1,)."""
+
 
 @njit(cache=True, nogil=True)
 def prepared(query: Float, factors: Float, width: int) -> tuple[Float, bool]:
@@ -155,13 +159,14 @@ def block_bounds(away: Float32, lags: Int, slow: float, fast: float, first_block
 
 @njit(cache=True, nogil=True)
 def _distances(
-    base: Float32, query: Float32, jumps: Float32, start: int, end: int, first: int, width: int,
-    squares: Float32, bounds: Float32,
+    base: Float32, query: Float32, jumps: Float32, clip: tuple[int, int], first: int, width: int, squares: Float32,
+    bounds: Float32,
 ) -> None:  # fmt: skip
     """Squared distances (m, W) of the query poses to `width` poses from `first` on, and bound 2 of each.
 
     Base is (K, N), jumps (N,) the lengths from pose to pose. Outside the clip, start … end − 1, both are infinite.
     """
+    start, end = clip
     low, high = max(0, start - first), min(width, end - first)
     squares[:, :width] = np.inf
     bounds[:, :width] = np.inf
@@ -245,18 +250,25 @@ def _barred(clip: int, p: float, barred: Int, windows: Float) -> bool:
 
 @njit(cache=True, nogil=True)
 def _stretch(
-    base: Float32, jumps: Float32, query: Float, rounded: Float32, steps: Float, start: int, end: int,
-    low: int, high: int, ahead: float, clip: int, barred: Int, windows: Float,
-    squares: Float32, bounds: Float32, best: float, slack: float,
+    poses: tuple[Float32, Float32], asked: tuple[Float, Float32], steps: Float, span: tuple[int, int, int, int],
+    ahead: float, barred: tuple[int, Int, Float], room: tuple[Float32, Float32], limit: tuple[float, float],
 ) -> tuple[float, int, int]:  # fmt: skip
     """The best match that ends at poses low … high of one clip, if it is better than `best`: score, scale and pose j.
 
-    The clip's poses are start … end − 1; low and high count from its start. Squares and bounds are room for
-    (m, halo + _TILE + 2) values.
+    Args:
+        poses: base (K, N) and jumps (N,); asked: the query in float64 and in float32.
+        steps: (S,).
+        span: start and end of the clip (its poses are start … end − 1), and low and high, counted from its start.
+        ahead: frames by which a match must be followed inside its clip.
+        barred: the clip's number, and what is barred, as for `search`.
+        room: for squares and bounds of (m, halo + _TILE + 2) values.
+        limit: the best so far, and the slack of the bounds.
     """
+    (base, jumps), (query, rounded), (squares, bounds) = poses, asked, room
+    (start, end, low, high), (clip, clips, windows), (best, slack) = span, barred, limit
     m, N, n = len(query), end - start, high - low
     halo = squares.shape[1] - _TILE - 2
-    _distances(base, rounded, jumps, start, end, start + low - halo, halo + n + 2, squares, bounds)
+    _distances(base, rounded, jumps, (start, end), start + low - halo, halo + n + 2, squares, bounds)
     best_scale, best_pose, least = -1, -1, np.empty(n, np.float32)
     for s in range(len(steps)):
         step = steps[s]
@@ -272,7 +284,7 @@ def _stretch(
             j = max(int(np.ceil((low + i - _NEAR) / step)), m - 1)
             while j * step < low + i + 1 - _NEAR and (j + ahead) * step <= N - 1 + _NEAR:
                 if _below(squares, jumps, start, low - halo, j, step, best + slack) and not _barred(
-                    clip, j * step, barred, windows
+                    clip, j * step, clips, windows
                 ):
                     value = score(base, query, start, j, step, best)
                     if value < best:
@@ -295,30 +307,26 @@ def _run(least: Float32, clip_of: Int, b: int, limit: float) -> int:
 
 @njit(cache=True, nogil=True)
 def search(
-    base: Float32, jumps: Float32, query: Float, steps: Float, least: Float32,
-    first_block: Int, clip_of: Int, starts: Int, ahead: float, barred: Int, windows: Float, limit: float,
+    clips: ClipArrays, query: Float, steps: Float, blocks: tuple[Float32, Int, Int], ahead: float,
+    barred: tuple[Int, Float], limit: float,
 ) -> tuple[float, int, int, int]:  # fmt: skip
     """The least sum of norms below a limit, its clip, scale and pose j of the scaled clip; clip −1 where there is none.
 
     Args:
-        base: (K, N) weighted coordinates of all clips.
-        jumps: (N,) distance of each pose from the next one of its clip, rounded up; 0 at its end.
+        clips: the library.
         query: (m, K) weighted, the latest first.
         steps: (S,) poses per frame of the query, 1/s.
-        least: (B,) bound of each block, of `block_bounds`.
-        first_block, clip_of: (B,) first block of each block's clip, and the clip.
-        starts: (C + 1,) where clips start.
+        blocks: (B,) bound of each block, of `block_bounds`, the first block of its clip, and the clip.
         ahead: frames by which a match must be followed inside its clip.
-        barred: (E,) clips, and
-        windows: (E, 2) positions in them between which no match may end.
+        barred: (E,) clips, and (E, 2) positions in them between which no match may end.
         limit: worse matches are not looked for.
     """
+    (base, jumps, starts), (least, first_block, clip_of) = clips, blocks
     m, B = len(query), len(least)
     rounded = query.astype(np.float32)
     slack = m * _SLACK * (1.0 + np.abs(query).max()) * np.sqrt(query.shape[1])
     halo = int(np.ceil((m - 1) * steps.max())) + 1
-    squares = np.empty((m, halo + _TILE + 2), np.float32)
-    bounds = np.empty_like(squares)
+    room = (np.empty((m, halo + _TILE + 2), np.float32), np.empty((m, halo + _TILE + 2), np.float32))
     best, best_clip, best_scale, best_pose = limit, -1, -1, -1
     # The most promising block of each share goes first, so that the rest is soon ruled out.
     leads = -(-B // _SHARE) if B > FEW else 0
@@ -334,10 +342,10 @@ def search(
             start, end = int(starts[clip_of[b]]), int(starts[clip_of[b] + 1])
             low = (b - first_block[b]) * BLOCK
             high = min(low + (last - b) * BLOCK, end - start)
+            span, not_there = (start, end, low, high), (clip_of[b], barred[0], barred[1])
             value, scale, pose = _stretch(
-                base, jumps, query, rounded, steps, start, end, low, high, ahead, clip_of[b], barred, windows,
-                squares, bounds, best, slack,
-            )  # fmt: skip
+                (base, jumps), (query, rounded), steps, span, ahead, not_there, room, (best, slack)
+            )
             if scale >= 0:
                 best, best_clip, best_scale, best_pose = value, clip_of[b], scale, pose
         turn += 1

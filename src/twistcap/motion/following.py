@@ -293,3 +293,25 @@ def placed(
                     best, position, step = value, p, d
         reach, pace = reach / 3.0, pace / 3.0
     return position, step
+
+
+def misplaced_reference(clip: np.ndarray, query: Float, position: float, step: float) -> float:
+    """Readable twin of `misplaced`."""
+    places = position + np.arange(1 - len(query), 1) * step
+    if places[0] < 0.0 or places[-1] > len(clip) - 1:
+        return np.inf
+    there = [np.interp(places, np.arange(len(clip)), column) for column in clip.T]
+    apart = np.array(there).T - query
+    return float(np.linalg.norm(apart - _FORGIVEN * apart.mean(axis=0), axis=1).sum())
+
+
+def placed_reference(
+    clip: np.ndarray, query: Float, position: float, step: float, any_pace: bool = True
+) -> tuple[float, float]:
+    """Readable twin of `placed`: the best of ever finer grids, the given place where none is better."""
+    pace = max(_PACE, _SPACING * step * step) if any_pace else 0.0
+    grid = np.linspace(-1.0, 1.0, 2 * _GRID + 1)
+    for finer in 3.0 ** -np.arange(_ROUNDS):
+        tried = [(position + _REACH * finer * a, step + pace * finer * b) for a in grid for b in grid]
+        position, step = min([(position, step), *tried], key=lambda at: misplaced_reference(clip, query, *at))
+    return position, step

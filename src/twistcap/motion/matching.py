@@ -162,11 +162,11 @@ class _Query:
     def best(self, barred: Sequence[Stretch] = (), limit: float = 1e300) -> Match | None:
         """The best match below a limit that does not end where it is barred."""
         matcher, tubes = self._matcher, self._matcher.tubes
-        clips, windows = _as_arrays(barred) if barred else _NOTHING
+        clips = (matcher.base, matcher.jumps, matcher.library.starts)
+        blocks = (self._bounds, tubes.first_block, tubes.clip_of)
         distance, clip, scale, pose = kernels.search(
-            matcher.base, matcher.jumps, self._poses, matcher.steps, self._bounds, tubes.first_block,
-            tubes.clip_of, matcher.library.starts, matcher.ahead, clips, windows, limit,
-        )  # fmt: skip
+            clips, self._poses, matcher.steps, blocks, matcher.ahead, _as_arrays(barred) if barred else _NOTHING, limit
+        )
         return self._match(clip, scale, pose, distance)
 
     def near(self, place: Match) -> Match | None:

@@ -89,6 +89,38 @@ def _log_density(values: Float32, moments: Float, floor: float) -> float:
     return out
 
 
+def background_moments_reference(features: Float32, off: Bool, reach: int) -> Float:
+    """Readable twin of `background_moments`: window by window."""
+    values = np.concatenate([np.ones((*off.shape, 1)), features, features.astype(float) ** 2], axis=2)
+    values = np.where(off[..., None], values, 0.0)
+    whole, fallback = values.sum(axis=(0, 1)), _FALLBACK * ((2 * reach + 1) * BLOCK) ** 2
+    rows, columns = (-(-size // BLOCK) for size in off.shape)
+    out = np.empty((rows, columns, 2 * features.shape[2]))
+    for r, c in np.ndindex(rows, columns):
+        top, left = max(r - reach, 0) * BLOCK, max(c - reach, 0) * BLOCK
+        window = values[top : (r + reach + 1) * BLOCK, left : (c + reach + 1) * BLOCK].sum(axis=(0, 1))
+        window = window + fallback * whole / max(whole[0], 1.0)
+        out[r, c] = window[1:] / max(window[0], 1e-9)
+    return out
+
+
+def label_evidence_reference(
+    features: Float32, background: Float, colours: Float, part: Int, other: Int, floor: float, clip: float
+) -> float:
+    """Readable twin of `label_evidence`."""
+    C = features.shape[2]
+    off = np.repeat(np.repeat(background, BLOCK, axis=0), BLOCK, axis=1)[: part.shape[0], : part.shape[1]]
+
+    def log_density(labels: Int) -> Float:
+        moments = np.where(labels[..., None] >= 0, colours[labels, 1:], off)
+        variance = np.maximum(moments[..., C:] - moments[..., :C] ** 2, 0.0) + floor
+        return -0.5 * np.sum((features - moments[..., :C]) ** 2 / variance + np.log(variance), axis=2)
+
+    known = [(labels < 0) | (colours[labels, 0] > 0.0) for labels in (part, other)]
+    asked = (part != other) & known[0] & known[1]
+    return float(np.clip(log_density(other) - log_density(part), -clip, clip)[asked].sum())
+
+
 def iou(mask: AnyArray, reference: AnyArray) -> float:
     """Intersection over union of two masks (H, W); two empty masks agree fully."""
     a, b = np.asarray(mask, bool), np.asarray(reference, bool)

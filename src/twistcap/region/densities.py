@@ -26,6 +26,11 @@ def heaviside(phi: Float32, width: float) -> Float32:
     return out.reshape(phi.shape)
 
 
+def heaviside_reference(phi: Float32, width: float) -> Float:
+    """Readable twin of `heaviside`."""
+    return 0.5 * (1.0 + np.vectorize(math.erf, otypes=[float])(phi / (math.sqrt(2.0) * width)))
+
+
 def global_log_ratio(channels: Float32, inside: Float32, floor: float, outside: Float32 | None = None) -> Float32:
     """(H, W) Σ_j log p₁/p₂ under one Gaussian per region and channel.
 
@@ -41,53 +46,17 @@ def global_log_ratio(channels: Float32, inside: Float32, floor: float, outside: 
     return out
 
 
-@njit(cache=True, nogil=True)
-def local_log_ratio(channels: Float32, inside: Float32, rho: float, floor: float, prior_mass: float) -> Float32:
-    """(H, W) Σ_j log p₁/p₂ under Gaussians estimated in a window of standard deviation `rho` px about each pixel.
-
-    The window is a box of that deviation, which costs the same at any size: sums of its columns, and of their rows,
-    are carried along; at the border the image is mirrored. Where a region hardly reaches into the window, its global
-    statistics take over smoothly, with the weight of `prior_mass` (share of the window).
-    """
-    height, width, C = channels.shape
-    reach = max(3, 2 * round(rho * math.sqrt(3.0)) + 1) // 2
-    whole = np.zeros((2, 1 + 2 * C))
-    for r in range(height):
-        for c in range(width):
-            _add_pixel(whole, channels, inside, r, c, 1.0)
-    prior = prior_mass * (2 * reach + 1) ** 2
-    for side in range(2):
-        whole[side] *= prior / max(whole[side, 0], 1e-6)
-    columns, window = np.zeros((width, 2, 1 + 2 * C)), np.zeros((2, 1 + 2 * C))
-    for c in range(width):
-        for r in range(-reach, reach + 1):
-            _add_pixel(columns[c], channels, inside, _mirrored(r, height), c, 1.0)
-    out = np.empty((height, width), dtype=np.float32)
-    for r in range(height):
-        window[:] = whole
-        for c in range(-reach, reach + 1):
-            window += columns[_mirrored(c, width)]
-        for c in range(width):
-            out[r, c] = _ratio_of_sums(channels[r, c], window, floor)
-            enters, leaves = columns[_mirrored(c + reach + 1, width)], columns[_mirrored(c - reach, width)]
-            for side in range(2):
-                for i in range(1 + 2 * C):
-                    window[side, i] += enters[side, i] - leaves[side, i]
-        enter, leave = _mirrored(r + reach + 1, height), _mirrored(r - reach, height)
-        for c in range(width):
-            _add_pixel(columns[c], channels, inside, enter, c, 1.0)
-            _add_pixel(columns[c], channels, inside, leave, c, -1.0)
-    return out
-
-
 def blockwise_log_ratio(
     channels: Float32, inside: Float32, rho: float, floor: float, prior_mass: float, wanted: Bool | None = None,
     block: int = 2, outside: Float32 | None = None,
 ) -> Float32:  # fmt: skip
-    """(H, W) like `local_log_ratio`, which it is tested against, with statistics of blocks of `block`² pixels.
+    """(H, W) Σ_j log p₁/p₂ under Gaussians estimated in a window of standard deviation `rho` px about each pixel.
 
-    The densities vary slowly, so that it costs no accuracy; every pixel's own value is looked at. Where nobody wants
-    it (H, W) the ratio is 0. `outside` (H, W) is the other region where it is not all that is left.
+    The window is a box of that deviation, which costs the same at any size; at the border the image is mirrored. Where
+    a region hardly reaches into the window, its global statistics take over smoothly, with the weight of `prior_mass`
+    (fraction of the window). Statistics are those of blocks of `block`² pixels: the densities vary slowly, so that it
+    costs no accuracy; every pixel's own value is looked at. Where nobody wants it (H, W) the ratio is 0. `outside`
+    (H, W) is the other region where it is not all that is left.
     """
     outside = np.float32(1.0) - inside if outside is None else outside
     if wanted is None:
@@ -106,7 +75,7 @@ def blockwise_log_ratio(
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})
 def _block_sums(channels: Float32, inside: Float32, outside: Float32, block: int) -> Float32:
-    """(h, w, 2, 1 + 2 C) sums of `_add_pixel` over each block."""
+    """(h, w, 2, 1 + 2 C) mass, values and squares of both regions, inside first, over each block."""
     height, width, C = channels.shape
     out = np.empty(((height + block - 1) // block, (width + block - 1) // block, 2, 1 + 2 * C), dtype=np.float32)
     without, within = np.zeros(1 + 2 * C, dtype=np.float32), np.zeros(1 + 2 * C, dtype=np.float32)
@@ -166,41 +135,21 @@ def _ratios_of_blocks(
     return out
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _mirrored(i: int, size: int) -> int:
-    """Index of a place beyond the border: 2 1 | 0 1 2 …"""
-    period = max(2 * (size - 1), 1)
-    i = abs(i) % period
-    return period - i if i >= size else i
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _add_pixel(sums: Float, channels: Float32, inside: Float32, r: int, c: int, sign: float) -> None:
-    """Add a pixel to mass, values and squares (2, 1 + 2 C) of the two regions, inside first."""
-    C = channels.shape[2]
-    share = float(inside[r, c])
-    for side in range(2):
-        weight = sign * (share if side == 0 else 1.0 - share)
-        sums[side, 0] += weight
-        for j in range(C):
-            value = float(channels[r, c, j])
-            sums[side, 1 + j] += weight * value
-            sums[side, 1 + C + j] += weight * value * value
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _ratio_of_sums(values: Float32, sums: Float, floor: float) -> float:
-    """Σ_j log p₁/p₂ of one pixel under the Gaussians of the two regions' sums."""
-    C = len(values)
-    mass_in, mass_out = 1.0 / sums[0, 0], 1.0 / sums[1, 0]
-    ratio, spread = 0.0, 1.0
-    for j in range(C):
-        mu_in, mu_out = sums[0, 1 + j] * mass_in, sums[1, 1 + j] * mass_out
-        var_in = max(sums[0, 1 + C + j] * mass_in - mu_in * mu_in, 0.0) + floor
-        var_out = max(sums[1, 1 + C + j] * mass_out - mu_out * mu_out, 0.0) + floor
-        ratio += (values[j] - mu_out) ** 2 / var_out - (values[j] - mu_in) ** 2 / var_in
-        spread *= var_out / var_in
-    return 0.5 * (ratio + math.log(spread))
+def blockwise_log_ratio_reference(
+    channels: Float32, inside: Float32, rho: float, floor: float, prior_mass: float
+) -> Float32:
+    """Readable twin of `blockwise_log_ratio` and its kernels, with statistics of pixels in place of blocks."""
+    size = max(3, 2 * round(rho * math.sqrt(3.0)) + 1)
+    values, gaussians = channels.astype(float), list[tuple[Float, Float]]()
+    for weight in (inside.astype(float), 1.0 - inside):
+        sums = weight[..., None] * np.concatenate([np.ones((*weight.shape, 1)), values, values**2], axis=2)
+        prior = prior_mass * sums.mean(axis=(0, 1)) / max(float(weight.mean()), 1e-6)
+        window = cv2.boxFilter(sums, -1, (size, size), borderType=cv2.BORDER_REFLECT_101) + prior
+        mean, second = np.split(window[..., 1:] / np.maximum(window[..., :1], 1e-6), 2, axis=2)
+        gaussians.append((mean, np.maximum(second - mean**2, 0.0) + floor))
+    (mu_in, var_in), (mu_out, var_out) = gaussians
+    ratio = (values - mu_out) ** 2 / var_out - (values - mu_in) ** 2 / var_in + np.log(var_out / var_in)
+    return (0.5 * ratio.sum(axis=2)).astype(np.float32)
 
 
 def _weighted_gaussian(values: Float32, weight: Float32, floor: float) -> tuple[float, float]:

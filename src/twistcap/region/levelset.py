@@ -110,6 +110,23 @@ def zero_crossings(phi: Float32) -> tuple[Float, Float]:
     return points[:count].copy(), normals[:count].copy()
 
 
+def zero_crossings_reference(phi: Float32) -> tuple[Float, Float]:
+    """Readable twin of `zero_crossings`: grid edge by grid edge, to the right and down."""
+    slope = np.zeros((*phi.shape, 2))
+    slope[:, 1:-1, 0], slope[1:-1, :, 1] = phi[:, 2:] - phi[:, :-2], phi[2:] - phi[:-2]
+    points, normals = list[Float](), list[Float]()
+    for r, c in np.ndindex(phi.shape[0] - 3, phi.shape[1] - 3):
+        here = (r + 1, c + 1)
+        for there in ((r + 1, c + 2), (r + 2, c + 1)):
+            if (phi[here] > 0.0) != (phi[there] > 0.0):
+                t = float(phi[here]) / float(phi[here] - phi[there])
+                inward = (1.0 - t) * slope[here] + t * slope[there]
+                if (length := np.hypot(*inward)) >= 1e-9:
+                    points.append(((1.0 - t) * np.array(here) + t * np.array(there))[::-1])
+                    normals.append(-inward / length)
+    return np.reshape(points, (-1, 2)), np.reshape(normals, (-1, 2))
+
+
 @njit(cache=True, nogil=True)
 def nearest_with_normal(
     points: Float, normals: Float, candidates: Float, candidate_normals: Float, least_cosine: float
@@ -138,3 +155,17 @@ def nearest_with_normal(
                 partner[n, 0], partner[n, 1] = candidates[m, 0], candidates[m, 1]
         distance[n] = np.sqrt(best)
     return partner, distance
+
+
+def nearest_with_normal_reference(
+    points: Float, normals: Float, candidates: Float, candidate_normals: Float, least_cosine: float
+) -> tuple[Float, Float]:
+    """Readable twin of `nearest_with_normal`: every pair."""
+    apart = np.linalg.norm(points[:, None] - candidates, axis=2)
+    apart = np.where(normals @ candidate_normals.T < least_cosine, np.inf, apart)
+    apart = np.concatenate([apart, np.full((len(points), 1), np.inf)], axis=1)  # there may be no candidates
+    best = np.argmin(apart, axis=1)
+    found = np.isfinite(apart[np.arange(len(points)), best])
+    partner = np.zeros((len(points), 2))
+    partner[found] = candidates[best[found]]
+    return partner, apart.min(axis=1)

@@ -8,74 +8,99 @@ density ratios on the inner side of it. The posterior's mean is the displacement
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
 from twistcap._typing import Bool, Float, Float32, Int
 
-_FAST = {"contract", "reassoc", "arcp", "nnan", "ninf", "nsz"}  # lines are of finite numbers only
+_FAST = {"contract", "reassoc", "arcp", "nsz"}  # never `nnan` or `ninf`: images may hold anything
+
+VisibleParts = tuple[Int, Int]
+"""Of a rendered body the visible triangle (H, W) at each pixel, -1 off it, and the part (F,) of each triangle."""
+Lines = tuple[Float, Float, Int, Bool, Float]
+"""Pixels (N, 2), unit normals (N, 2), part (N,), whether on the silhouette (N,) and inverse depth (N,), 1/m."""
+Measured = tuple[Float, Float, Float, Float]
+"""(N,) displacement (px, outward), (N,) information (1/px²), (N,) evidence (nats) and (N, 2) target (px)."""
+
+
+class LineSettings(NamedTuple):
+    """How lines are measured and weighed.
+
+    Attributes:
+        half: samples on each side of the contour.
+        clip: largest log density ratio, nats per px.
+        fraction: of each line's information, how much counts: neighbours see the same pixels.
+        inner: the same for contours before another part of the body, beside.
+        least_sigma: measurement noise that is added, px.
+        surface_sigma: how far the body's surface may lie from the person's, px at 1 m from the camera; added likewise.
+        rho: width of the window in which lines share their statistics, px.
+        prior_mass: samples with which a group's whole statistics enter.
+        floor: least variance.
+        colour_mass: samples for which the remembered colours of a group count.
+    """
+
+    half: int
+    clip: float
+    fraction: float
+    inner: float
+    least_sigma: float
+    surface_sigma: float
+    rho: float
+    prior_mass: float
+    floor: float
+    colour_mass: float
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def measured_lines(
-    image: Float32, face_index: Int, face_part: Int, pixels: Float, normals: Float, part: Int, outer: Bool,
-    inverse_depth: Float, reach: float, half: int, rho: float, prior_mass: float, floor: float, clip: float,
-    share: float, inner: float, least_sigma: float, surface_sigma: float, colours: Float, colour_mass: float,
-    group: Int,
-) -> tuple[Float, Float, Float, Float]:  # fmt: skip
-    """All of a view's lines by the four steps below, whose arguments these are, and what they weigh.
+    image: Float32, visible: VisibleParts, lines: Lines, group: Int, colours: Float, reach: float,
+    settings: LineSettings,
+) -> Measured:  # fmt: skip
+    """All of a view's lines by the four steps below, and what they weigh.
 
     Args:
-        reach: half length of the lines, px at 1 m from the camera; `inverse_depth` (N,) 1/m scales it.
-        share, inner: share of the information of all points, and of inner contours beside.
-        least_sigma: measurement noise that is added, px.
-        surface_sigma: how far the body's surface may lie off the person's, px at 1 m from the camera; added likewise.
-        colours, colour_mass: what is remembered of each group, and the samples it counts for.
+        image: (H, W, C).
         group: (N,) lines of one number share their statistics: the part, or 0 for the whole body.
-
-    Returns:
-        (N,) displacement (px, outward), (N,) information (1/px²), (N,) evidence (nats) and (N, 2) target (px).
+        colours: (G, 1 + 2C) what is remembered of each group: confidence, mean, mean square.
+        reach: half length of the lines, px at 1 m from the camera.
     """
-    step = np.maximum(reach / half * inverse_depth, 0.25)
-    values, first, last = sample_lines(image, face_index, face_part, pixels, normals, part, outer, step, half)
+    pixels = lines[0]
+    step = np.maximum(reach / settings.half * lines[4], 0.25)
+    values, first, last = sample_lines(image, visible, lines, step, settings.half)
     moments = line_moments(values, first, last, step)
-    mean, variance = pooled_gaussians(moments, pixels, group, rho, prior_mass, floor, colours, colour_mass)
-    displacement, spread, evidence = boundary_posterior(values, first, last, step, mean, variance, clip)
-    weight, target = _weighed(
-        pixels, normals, outer, inverse_depth, displacement, spread, share, inner, least_sigma, surface_sigma
+    mean, variance = pooled_gaussians(
+        moments, pixels, group, settings.rho, settings.prior_mass, settings.floor, colours, settings.colour_mass
     )
+    displacement, spread, evidence = boundary_posterior(values, first, last, step, mean, variance, settings.clip)
+    weight, target = _weighed(lines, displacement, spread, settings)
     return displacement, weight, evidence, target
 
 
 @njit(cache=True, nogil=True)
-def ratio_lines(
-    ratio: Float32, face_index: Int, face_part: Int, pixels: Float, normals: Float, part: Int, outer: Bool,
-    inverse_depth: Float, reach: float, half: int, clip: float, share: float, inner: float, least_sigma: float,
-    surface_sigma: float,
-) -> tuple[Float, Float, Float, Float]:  # fmt: skip
+def ratio_lines(ratio: Float32, visible: VisibleParts, lines: Lines, reach: float, settings: LineSettings) -> Measured:
     """As `measured_lines`, where log density ratios (H, W) of any region model are known already."""
-    step = np.maximum(reach / half * inverse_depth, 0.25)
+    step = np.maximum(reach / settings.half * lines[4], 0.25)
     image = ratio.reshape((*ratio.shape, 1))
-    values, first, last = sample_lines(image, face_index, face_part, pixels, normals, part, outer, step, half)
-    mean = np.full((len(pixels), 2, 1), 0.5)  # of Gaussians of unit variance at ±½ a value is its own log ratio
+    values, first, last = sample_lines(image, visible, lines, step, settings.half)
+    mean = np.full((len(step), 2, 1), 0.5)  # of Gaussians of unit variance at ±½ a value is its own log ratio
     mean[:, 1] = -0.5
-    displacement, spread, evidence = boundary_posterior(values, first, last, step, mean, np.ones_like(mean), clip)
-    weight, target = _weighed(
-        pixels, normals, outer, inverse_depth, displacement, spread, share, inner, least_sigma, surface_sigma
-    )
+    variance = np.ones_like(mean)
+    displacement, spread, evidence = boundary_posterior(values, first, last, step, mean, variance, settings.clip)
+    weight, target = _weighed(lines, displacement, spread, settings)
     return displacement, weight, evidence, target
 
 
 @njit(cache=True, nogil=True)
-def _weighed(
-    pixels: Float, normals: Float, outer: Bool, inverse_depth: Float, displacement: Float, spread: Float, share: float,
-    inner: float, least_sigma: float, surface_sigma: float,
-) -> tuple[Float, Float]:  # fmt: skip
+def _weighed(lines: Lines, displacement: Float, spread: Float, settings: LineSettings) -> tuple[Float, Float]:
     """Information (N,) and target (N, 2) of lines with these posteriors."""
+    pixels, normals, _, outer, inverse_depth = lines
     weight, target = np.empty_like(spread), np.empty_like(pixels)
     for n in range(len(pixels)):
-        off = surface_sigma * inverse_depth[n]
-        weight[n] = share * (1.0 if outer[n] else inner) / (spread[n] + least_sigma**2 + off * off)
+        off = settings.surface_sigma * inverse_depth[n]
+        counts = settings.fraction * (1.0 if outer[n] else settings.inner)
+        weight[n] = counts / (spread[n] + settings.least_sigma**2 + off * off)
         target[n, 0] = pixels[n, 0] + displacement[n] * normals[n, 0]
         target[n, 1] = pixels[n, 1] + displacement[n] * normals[n, 1]
     return weight, target
@@ -94,15 +119,16 @@ def _bilinear(
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def sample_lines(
-    image: Float32, face_index: Int, face_part: Int, pixels: Float, normals: Float, part: Int, outer: Bool,
-    step: Float, half: int,
-) -> tuple[Float32, Int, Int]:  # fmt: skip
+    image: Float32, visible: VisibleParts, lines: Lines, step: Float, half: int
+) -> tuple[Float32, Int, Int]:
     """Bilinear values (N, 2 half + 1, C) along the lines, and the first and last usable sample of each (N,).
 
     Sample k of a line lies ``(k − half) · step`` px outward. Inward a line is usable while it stays on its own part,
-    outward while it stays off it: off the body for outer contours, off the part for inner ones. `face_index` (H, W)
-    holds the visible triangle, -1 off the body, `face_part` (F,) each one's part. Values beyond the usable ones are 0.
+    outward while it stays off it: off the body for outer contours, off the part for inner ones. Values beyond the
+    usable ones are 0.
     """
+    face_index, face_part = visible
+    pixels, normals, part, outer, _ = lines
     N, channels = len(pixels), image.shape[2]
     height, width = image.shape[:2]
     flat, row = image.reshape(-1), width * channels
@@ -310,22 +336,3 @@ def boundary_posterior(
         spread[n] = step[n] ** 2 * max(sum_d2 / sum_p - middle * middle, 0.0)
         evidence[n] = best - max(np.float32(0.0), total)
     return displacement, spread, evidence
-
-
-def boundary_posterior_reference(
-    values: Float32, first: Int, last: Int, step: Float, mean: Float, variance: Float, clip: float
-) -> tuple[Float, Float]:
-    """Readable twin of `boundary_posterior`: mean and variance."""
-    half = values.shape[1] // 2
-    displacement, spread = np.zeros(len(values)), np.zeros(len(values))
-    for n, (lo, hi) in enumerate(zip(first, last, strict=True)):
-        I = values[n, lo : hi + 1].astype(float)
-        log_p = -0.5 * ((I[:, None] - mean[n]) ** 2 / variance[n] + np.log(variance[n]))  # (samples, side, channel)
-        ratio = np.clip((log_p[:, 0] - log_p[:, 1]).sum(axis=-1), -clip, clip)
-        score = np.concatenate([[0.0], np.cumsum(step[n] * ratio)])
-        p = np.exp(score - score.max())
-        p /= p.sum()
-        d = (np.arange(lo, hi + 2) - half - 0.5) * step[n]
-        displacement[n] = p @ d
-        spread[n] = p @ d**2 - displacement[n] ** 2
-    return displacement, spread

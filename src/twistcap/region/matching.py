@@ -134,6 +134,22 @@ def relax(field: Float32, warped: Float32, source: Float32, weight: Float32, alp
                 field[r, c, 0], field[r, c, 1] = u, keep * v + system[r, c, 4] * (around - y - xy * u)
 
 
+def relax_reference(
+    field: Float32, warped: Float32, source: Float32, weight: Float32, alpha: float, iterations: int
+) -> None:
+    """Readable twin of `relax`: place by place, each unknown moved a little beyond what solves its own equation."""
+    height, width = source.shape
+    rest = warped[..., 0] - source - np.sum(warped[..., 1:] * field, axis=2)
+    for _ in range(iterations):
+        for r, c in np.ndindex(height, width):
+            around = [(max(r - 1, 0), c), (min(r + 1, height - 1), c), (r, max(c - 1, 0)), (r, min(c + 1, width - 1))]
+            for k in range(2):
+                slope, other, m = warped[r, c, 1 + k], warped[r, c, 2 - k], weight[r, c] / alpha
+                pull = sum(field[i, j, k] for i, j in around) - m * slope * (rest[r, c] + other * field[r, c, 1 - k])
+                solved = pull / (4.0 + m * slope**2)
+                field[r, c, k] += _RELAXATION * (solved - field[r, c, k])
+
+
 def displaced_partners(
     points: Float, normals: Float, flow: Displacement, phi: Float32, least_cosine: float
 ) -> tuple[Float, Float]:

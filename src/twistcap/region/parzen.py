@@ -37,7 +37,7 @@ def parzen_log_ratio(channels: Float32, inside: Float32, outside: Float32, sigma
         values = np.ascontiguousarray(channels[..., j])
         start, width, density = parzen_densities(values, inside, outside, sigma)
         table = np.log((density[0] + floor) / (density[1] + floor)).astype(np.float32)
-        _add_interpolated(values, start, width, table, out)
+        add_interpolated(values, start, width, table, out)
     return out
 
 
@@ -46,7 +46,7 @@ def parzen_densities(values: Float32, inside: Float32, outside: Float32, sigma: 
     low, high = float(values.min()) - 4.0 * sigma, float(values.max()) + 4.0 * sigma
     bins = min(math.ceil((high - low) / sigma * _BINS_PER_SIGMA) + 1, _MOST_BINS)
     width = (high - low) / (bins - 1)
-    histogram = _histograms(values, inside, outside, low, width, bins)
+    histogram = histograms(values, inside, outside, low, width, bins)
     reach = min(math.ceil(4.0 * sigma / width), (bins - 1) // 2)
     at = np.arange(-reach, reach + 1) * width
     kernel = np.exp(-0.5 * (at / sigma) ** 2)
@@ -57,7 +57,7 @@ def parzen_densities(values: Float32, inside: Float32, outside: Float32, sigma: 
 
 
 @njit(cache=True, nogil=True)
-def _histograms(values: Float32, inside: Float32, outside: Float32, low: float, width: float, bins: int) -> Float:
+def histograms(values: Float32, inside: Float32, outside: Float32, low: float, width: float, bins: int) -> Float:
     """(2, bins) weights of both regions, each pixel's shared between the two places nearest to its value."""
     out = np.zeros((2, bins))
     flat, one, other = values.ravel(), inside.ravel(), outside.ravel()
@@ -72,8 +72,21 @@ def _histograms(values: Float32, inside: Float32, outside: Float32, low: float, 
     return out
 
 
+def histograms_reference(
+    values: Float32, inside: Float32, outside: Float32, low: float, width: float, bins: int
+) -> Float:
+    """Readable twin of `histograms`."""
+    at = (values.ravel().astype(float) - low) / width
+    first = np.minimum(at.astype(int), bins - 2)
+    out, far = np.zeros((2, bins)), at - first
+    for row, weight in zip(out, (inside.ravel(), outside.ravel()), strict=True):
+        np.add.at(row, first, (1.0 - far) * weight)
+        np.add.at(row, first + 1, far * weight)
+    return out
+
+
 @njit(cache=True, nogil=True)
-def _add_interpolated(values: Float32, low: float, width: float, table: Float32, out: Float32) -> None:
+def add_interpolated(values: Float32, low: float, width: float, table: Float32, out: Float32) -> None:
     """Add to each pixel of `out` (H, W) what the table has at its value."""
     flat, sums = values.ravel(), out.ravel()
     for n in range(len(flat)):
@@ -81,3 +94,8 @@ def _add_interpolated(values: Float32, low: float, width: float, table: Float32,
         i = min(int(at), len(table) - 2)
         t = at - i
         sums[n] += (1.0 - t) * table[i] + t * table[i + 1]
+
+
+def add_interpolated_reference(values: Float32, low: float, width: float, table: Float32, out: Float32) -> None:
+    """Readable twin of `add_interpolated`."""
+    out += np.interp(values, low + width * np.arange(len(table)), table).astype(np.float32)

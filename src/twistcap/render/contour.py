@@ -7,6 +7,7 @@ edges that nothing hides are exactly the outline of the mesh, so no half pixel i
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -17,6 +18,12 @@ from twistcap.camera.projection import along, project
 from twistcap.render.view import RenderedView, SurfacePoints, surface_points
 
 _HIDDEN, _OUTER, _INNER = 0, 1, 2
+
+MeshArrays = tuple[Int, Int, Int, Int, Int]
+"""Faces (F, 3), edges (E, 2), the faces of each edge (E, 2), -1 for none, and the part of each face and vertex."""
+Samples = tuple[Int, Float, Int, Bool, Float, Float, Float]
+"""Of N samples the vertices (N, 2) at the ends of their edges and their weights (N, 2), part (N,), whether on the
+silhouette (N,), pixels (N, 2), image normals (N, 2) and inverse depth (N,)."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +57,7 @@ class ContourPoints:
 
     def moved_by(self, posed: Posed, P: Float) -> Float:
         """(N,) px by which the points lie elsewhere with the body so posed."""
-        return step_lengths(P, self.points.at(posed), self.pixels)
+        return _step_lengths(P, self.points.at(posed), self.pixels)
 
 
 def reprojected(contour: ContourPoints, posed: Posed, P: Float) -> ContourPoints:
@@ -60,7 +67,7 @@ def reprojected(contour: ContourPoints, posed: Posed, P: Float) -> ContourPoints
 
 
 @njit(cache=True, nogil=True)
-def step_lengths(P: Float, world: Float, pixels: Float) -> Float:
+def _step_lengths(P: Float, world: Float, pixels: Float) -> Float:
     """(N,) px between the projections of world points (N, 3) and `pixels` (N, 2)."""
     now, _ = project(P, world)
     out = np.empty(len(now))
@@ -85,11 +92,11 @@ def contour_on_edges(
 ) -> tuple[ContourPoints, Int, Float]:
     """`visible_contour`, and of each point the vertices (N, 2) at the ends of its edge and their shares (N, 2)."""
     body = view.posed.body
-    edges, edge_faces = body.edges
-    ends, shares, part, outer, pixels, image_normals, inverse_depth = _contour_samples(
-        view.camera.P, view.pixels, view.nearness, body.faces, edges, edge_faces, view.posed.vertex_normals,
-        view.face_index, view.nearness_image, body.face_part, body.vertex_part, spacing, inner_gap,
-    )  # fmt: skip
+    mesh = body.faces, *body.edges, body.face_part, body.vertex_part
+    drawn = view.face_index, view.nearness_image
+    ends, shares, part, outer, pixels, image_normals, inverse_depth = contour_samples(
+        view.camera.P, view.pixels, view.nearness, view.posed.vertex_normals, mesh, drawn, spacing, inner_gap
+    )
     points = surface_points(body, ends, shares)
     return ContourPoints(points, pixels, image_normals, part, outer, inverse_depth), ends, shares
 
@@ -123,11 +130,12 @@ def _image_normal(P: Float, u: float, v: float, nx: float, ny: float, nz: float)
 
 @njit(cache=True, nogil=True)
 def _visibility(
-    x: float, y: float, nx: float, ny: float, w: float, part: int, face_index: Int, buffer: Float32,
+    at: tuple[float, float], normal: tuple[float, float], w: float, part: int, face_index: Int, buffer: Float32,
     face_part: Int, inner_gap: float,
 ) -> int:  # fmt: skip
     """Whether a contour point is hidden, on the silhouette, or before another part: looks a pixel in and out."""
     height, width = face_index.shape
+    (x, y), (nx, ny) = at, normal
     column, row = int(np.round(x - nx)), int(np.round(y - ny))
     if not (0 <= column < width and 0 <= row < height):
         return _HIDDEN
@@ -145,16 +153,21 @@ def _visibility(
 
 
 @njit(cache=True, nogil=True)
-def _contour_samples(
-    P: Float, pixels: Float, inverse_depth: Float, faces: Int, edges: Int, edge_faces: Int, normals: Float,
-    face_index: Int, buffer: Float32, face_part: Int, vertex_part: Int, spacing: float, inner_gap: float,
-) -> tuple[Int, Float, Int, Bool, Float, Float, Float]:  # fmt: skip
+def contour_samples(
+    P: Float, pixels: Float, inverse_depth: Float, normals: Float, mesh: MeshArrays, drawn: tuple[Int, Float32],
+    spacing: float, inner_gap: float,
+) -> Samples:  # fmt: skip
     """Walk all contour edges and drop a sample each time `spacing` pixels of edge have gone by.
 
-    Returns:
-        Of N samples the vertices (N, 2) at the ends of their edges and their shares (N, 2), part (N,), whether on the
-        silhouette (N,), pixels (N, 2), image normals (N, 2) and inverse depth (N,).
+    Args:
+        P: (3, 4) projection.
+        pixels, inverse_depth, normals: (V, 2), (V,) and (V, 3) of the vertices.
+        mesh: its faces, edges and parts.
+        drawn: (H, W) visible triangle and inverse depth of the rendered body.
+        spacing, inner_gap: as for `visible_contour`.
     """
+    faces, edges, edge_faces, face_part, vertex_part = mesh
+    face_index, buffer = drawn
     front = _faces_camera(pixels, inverse_depth, faces)
     capacity = 4096
     ends, shares = np.empty((capacity, 2), dtype=np.int32), np.empty((capacity, 2))
@@ -186,7 +199,7 @@ def _contour_samples(
             a, b = _image_normal(P, u, v, n0, n1, n2)
             if a == 0.0 and b == 0.0:
                 continue
-            kind = _visibility(u, v, a, b, w, part, face_index, buffer, face_part, inner_gap)
+            kind = _visibility((u, v), (a, b), w, part, face_index, buffer, face_part, inner_gap)
             if kind == _HIDDEN:
                 continue
             ends[count, 0], ends[count, 1], shares[count, 0], shares[count, 1] = i, j, 1.0 - t, t
@@ -196,3 +209,57 @@ def _contour_samples(
             w_out[count] = w
             count += 1
     return ends[:count], shares[:count], part_out[:count], outer[:count], at[:count], normal_out[:count], w_out[:count]
+
+
+def contour_samples_reference(
+    P: Float, pixels: Float, inverse_depth: Float, normals: Float, mesh: MeshArrays, drawn: tuple[Int, Float32],
+    spacing: float, inner_gap: float,
+) -> Samples:  # fmt: skip
+    """Readable twin of `contour_samples`: edge by edge."""
+    faces, edges, edge_faces, face_part, vertex_part = mesh
+    a, b, c = (pixels[faces[:, k]] for k in range(3))
+    front = np.where((inverse_depth[faces] == 0.0).any(axis=1), 0, -np.sign(_cross(b - a, c - a)))
+    found, walked = list[tuple[Any, ...]](), 0.5 * spacing
+    for (i, j), (f, g) in zip(edges, edge_faces, strict=True):
+        way = pixels[j] - pixels[i]
+        length = float(np.hypot(*way))
+        if g < 0 or front[f] * front[g] != -1 or length == 0.0:
+            continue
+        part = face_part[f if front[f] == 1 else g]
+        positions = np.arange(spacing - walked, length, spacing)
+        walked += length - spacing * len(positions)
+        for s in positions / length:
+            w = (1.0 - s) * inverse_depth[i] + s * inverse_depth[j]
+            t, at = s * inverse_depth[j] / w, pixels[i] + s * way
+            normal = (P[:2, :3] - np.outer(at, P[2, :3])) @ ((1.0 - t) * normals[i] + t * normals[j])
+            normal = normal / max(float(np.hypot(*normal)), 1e-12)
+            kind = _visibility_reference(at, normal, w, part, drawn, face_part, inner_gap)
+            if normal.any() and kind != _HIDDEN:
+                found.append(((i, j), (1.0 - t, t), vertex_part[i if t < 0.5 else j], kind == _OUTER, at, normal, w))
+    ends, shares, parts, outer, places, directions, nearness = zip(*found, strict=True)
+    return (
+        np.array(ends, np.int32), np.array(shares), np.array(parts, np.int32), np.array(outer), np.array(places),
+        np.array(directions), np.array(nearness),
+    )  # fmt: skip
+
+
+def _visibility_reference(
+    at: Float, normal: Float, w: float, part: int, drawn: tuple[Int, Float32], face_part: Int, inner_gap: float
+) -> int:
+    """Readable twin of `_visibility`."""
+    face_index, buffer = drawn
+    (c0, r0), (c1, r1) = np.rint(at - normal).astype(int), np.rint(at + 1.5 * normal).astype(int)
+    height, width = face_index.shape
+    if min(c0, r0, c1, r1) < 0 or max(c0, c1) >= width or max(r0, r1) >= height:
+        return _HIDDEN
+    inside, outside, depth = face_index[r0, c0], face_index[r1, c1], 1.0 / w
+    if inside >= 0 and face_part[inside] != part and 1.0 / buffer[r0, c0] < depth - 0.03:
+        return _HIDDEN
+    if outside < 0:
+        return _OUTER
+    return _INNER if 1.0 / buffer[r1, c1] > depth + inner_gap else _HIDDEN
+
+
+def _cross(a: Float, b: Float) -> Float:
+    """(N,) z of the cross products of plane vectors (N, 2)."""
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]

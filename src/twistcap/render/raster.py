@@ -101,3 +101,13 @@ def barycentric(face_index: Int, faces: Int, pixels: Float, w_of: Float, at: Any
         total = wa + wb + wc
         out[n, 0], out[n, 1], out[n, 2] = wa / total, wb / total, wc / total
     return out
+
+
+def barycentric_reference(face_index: Int, faces: Int, pixels: Float, inverse_depth: Float, at: AnyArray) -> Float:
+    """Readable twin of `barycentric`: areas of the image, weighted by nearness."""
+    corners = faces[face_index]
+    ones = np.ones((len(at), 1))
+    triangles = np.concatenate([pixels[corners], np.ones((*corners.shape, 1))], axis=2)  # (N, 3 corners, 3)
+    in_image = np.linalg.solve(np.swapaxes(triangles, 1, 2), np.concatenate([at, ones], axis=1)[..., None])[..., 0]
+    nearness = in_image * inverse_depth[corners]
+    return nearness / nearness.sum(axis=1, keepdims=True)

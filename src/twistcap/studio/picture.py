@@ -49,9 +49,9 @@ def render_body(posed: Posed, camera: Camera, look: Look, slide: Float | None = 
     index, _ = rasterise(pixels, inverse_depth, faces, origin, size)
     normals = unit_vertex_normals(posed.vertices, faces)
     rest = posed.body.vertices if slide is None else posed.body.vertices + slide
-    surface = (faces, pixels, inverse_depth, rest, normals)
-    dress = (look.cover, look.albedo, look.contrast, look.lattice, OCTAVES, look.lights)
-    return Layer(int(low[0]), int(low[1]), shade(index, origin, n, *surface, *dress).astype(np.float32))
+    drawn = (faces, pixels, inverse_depth, rest, normals)
+    dress = (look.cover, look.albedo, look.contrast, look.lattice, OCTAVES)
+    return Layer(int(low[0]), int(low[1]), shade(index, origin, n, drawn, dress, look.lights).astype(np.float32))
 
 
 def _window(samples: Float, size: tuple[int, int]) -> tuple[Float, Float]:

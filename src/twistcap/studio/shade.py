@@ -11,9 +11,16 @@ from twistcap.render.raster import barycentric
 LATTICE_BITS = 5  # the texture repeats after 2⁵ lattice steps
 OCTAVES = np.array([[0.018, 0.7], [0.034, 0.9], [0.070, 1.0]])  # lattice spacing (half a wave), m; amplitude
 
+DrawnMesh = tuple[Int, Float, Float, Float, Float]
+"""Faces, pixels and inverse depths as the rasteriser has them, rest-pose vertices (V, 3), m, where the texture lives,
+and world normals (V, 3) of the posed surface."""
+Dress = tuple[Float, Float, Float, Float32, Float]
+"""Cover (V, G), how much of each garment each vertex has (a sample takes the garment with most), the garments' colours
+(G, 3) and contrast (G,) of the texture on them, and the texture: lattice (n³, 3) and octaves."""
+
 
 @njit(cache=True, nogil=True)
-def solid_noise(lattice: Float32, octaves: Float, x: float, y: float, z: float) -> tuple[float, float, float]:
+def _solid_noise(lattice: Float32, octaves: Float, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Three channels of value noise at a rest-pose point (m); `lattice` is (n³, 3)."""
     n = 1 << LATTICE_BITS
     mask = n - 1
@@ -37,8 +44,8 @@ def solid_noise(lattice: Float32, octaves: Float, x: float, y: float, z: float) 
     return red, green, blue
 
 
-def solid_noise_reference(lattice: Float32, octaves: Float, points: Float) -> Float:
-    """Readable twin of `solid_noise` for points (N, 3) -> (N, 3)."""
+def _solid_noise_reference(lattice: Float32, octaves: Float, points: Float) -> Float:
+    """Readable twin of `_solid_noise` for points (N, 3) -> (N, 3)."""
     n = 1 << LATTICE_BITS
     out = np.zeros((len(points), 3))
     for o, (spacing, gain) in enumerate(octaves):
@@ -112,20 +119,7 @@ def _illuminate(normals: Float, corners: Int, weights: tuple[float, float, float
 
 @njit(cache=True, nogil=True)
 def shade(
-    face_index: Int,
-    origin: tuple[int, int],
-    factor: int,
-    faces: Int,
-    pixels: Float,
-    inverse_depth: Float,
-    rest: Float,
-    normals: Float,
-    cover: Float,
-    albedo: Float,
-    contrast: Float,
-    lattice: Float32,
-    octaves: Float,
-    lights: Float,
+    face_index: Int, origin: tuple[int, int], factor: int, drawn: DrawnMesh, dress: Dress, lights: Float
 ) -> Float:
     """Lit and textured samples averaged over blocks of factor × factor.
 
@@ -133,18 +127,15 @@ def shade(
         face_index: (factor H, factor W) visible triangle of each sample, -1 for none.
         origin: (x, y) of the first sample.
         factor: samples per pixel and axis.
-        faces, pixels, inverse_depth: as given to the rasteriser.
-        rest: (V, 3) rest-pose vertices, m, where the texture lives.
-        normals: (V, 3) world normals of the posed surface.
-        cover: (V, G) share of each garment in each vertex; a sample takes the one with the largest share.
-        albedo: (G, 3) colour, contrast: (G,) of the texture on it.
-        lattice, octaves: the texture, see `solid_noise`.
+        drawn, dress: the posed body and its clothes.
         lights: (L + 1, 6) unit direction towards each light and its colour; the last row is the ambient light, the
             same from everywhere but for 15 % more from above and less from below.
 
     Returns:
         (H, W, 4) colour times coverage, and coverage in [0, 1].
     """
+    faces, pixels, inverse_depth, rest, normals = drawn
+    cover, albedo, contrast, lattice, octaves = dress
     height, width = face_index.shape[0] // factor, face_index.shape[1] // factor
     out = np.zeros((height, width, 4))
     share = 1.0 / (factor * factor)
@@ -159,7 +150,7 @@ def shade(
             if contrast[g] > 0.0:
                 x, y = _blend(rest, corners, weights, 0), _blend(rest, corners, weights, 1)
                 z = _blend(rest, corners, weights, 2)
-                texture[0], texture[1], texture[2] = solid_noise(lattice, octaves, x, y, z)
+                texture[0], texture[1], texture[2] = _solid_noise(lattice, octaves, x, y, z)
             _illuminate(normals, corners, weights, lights, light)
             i, j = row // factor, col // factor
             for ch in range(3):
@@ -170,22 +161,11 @@ def shade(
 
 
 def shade_reference(
-    face_index: Int,
-    origin: tuple[int, int],
-    factor: int,
-    faces: Int,
-    pixels: Float,
-    inverse_depth: Float,
-    rest: Float,
-    normals: Float,
-    cover: Float,
-    albedo: Float,
-    contrast: Float,
-    lattice: Float32,
-    octaves: Float,
-    lights: Float,
+    face_index: Int, origin: tuple[int, int], factor: int, drawn: DrawnMesh, dress: Dress, lights: Float
 ) -> Float:
     """Readable twin of `shade`."""
+    faces, pixels, inverse_depth, rest, normals = drawn
+    cover, albedo, contrast, lattice, octaves = dress
     rows, cols = np.nonzero(face_index >= 0)
     f = face_index[rows, cols]
     weights = barycentric(f, faces, pixels, inverse_depth, np.stack([cols, rows], axis=1) + np.array(origin))
@@ -198,7 +178,7 @@ def shade_reference(
     n /= np.linalg.norm(n, axis=1, keepdims=True)
     light = lights[-1, 3:] * (0.85 + 0.15 * n[:, 2:])
     light = light + np.maximum(n @ lights[:-1, :3].T, 0.0) @ lights[:-1, 3:]
-    texture = 1.0 + contrast[g, None] * solid_noise_reference(lattice, octaves, blend(rest))
+    texture = 1.0 + contrast[g, None] * _solid_noise_reference(lattice, octaves, blend(rest))
     samples = np.zeros((*face_index.shape, 4))
     samples[rows, cols, :3] = np.clip(albedo[g] * texture * light, 0.0, 1.0)
     samples[rows, cols, 3] = 1.0

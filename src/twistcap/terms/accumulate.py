@@ -16,7 +16,7 @@ from numba import njit
 from twistcap._typing import Float, Int
 from twistcap.body import Posed
 from twistcap.camera.projection import NEAR
-from twistcap.render import SurfacePoints
+from twistcap.render import SurfaceArrays, SurfacePoints
 from twistcap.terms.quadratic import Quadratic
 
 TWIST_WIDTH = 8  # twists padded from 6, so that the rows of a block lie as vector registers want them
@@ -48,10 +48,8 @@ class SegmentSums:
     def add_rows(self, energy: float, points: SurfacePoints, rows: Rows) -> None:
         """Add a term's rows."""
         self.value += energy
-        accumulate(
-            self.posed.segment_transforms, points.segments, points.weights, points.local, rows.gradient, rows.residual,
-            rows.weight, self.blocks, self.vector,
-        )  # fmt: skip
+        surface = points.bound_to(self.posed)
+        accumulate(surface, rows.gradient, rows.residual, rows.weight, self.blocks, self.vector)
 
     def quadratic(self) -> Quadratic:
         """The sums as a quadratic of the pose step."""
@@ -104,7 +102,7 @@ def normal_equations(
     used = rows.weight != 0.0
     beside, residual = np.where(used[:, None], beside, 0.0), np.where(used, rows.residual, 0.0)
     cross = np.zeros((len(sums.vector), 6, beside.shape[1]))
-    accumulate_beside(*points.bound_to(posed), rows.gradient, rows.weight, beside, cross)
+    accumulate_beside(points.bound_to(posed), rows.gradient, rows.weight, beside, cross)
     weighted = beside.T * rows.weight
     corner = posed.projector.T @ cross.reshape(-1, beside.shape[1])
     gradient = np.concatenate([quadratic.gradient, weighted @ residual])
@@ -143,14 +141,14 @@ def projected_point(
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"}, error_model="numpy")
 def accumulate(
-    transforms: Float, segments: Int, weights: Float, local: Float, gradient: Float, residual: Float,
-    row_weight: Float, blocks: Float, vector: Float,
-) -> None:  # fmt: skip
+    surface: SurfaceArrays, gradient: Float, residual: Float, row_weight: Float, blocks: Float, vector: Float
+) -> None:
     """Add W j jᵀ to blocks (S, S, 6, 8) and W r j to vector (S, 6), j a row's derivative by its segments' twists.
 
     Row n of (R N,) is of point n mod N. Of two segments only the block above the diagonal is kept, and of a segment's
     own block half: with its transpose the sum is whole. Flat indices spare a search for every number.
     """
+    transforms, segments, weights, local = surface
     N, K = segments.shape
     S = len(transforms)
     j, own = np.zeros((K, 6)), np.zeros(K, dtype=np.int64)
@@ -198,11 +196,9 @@ def accumulate(
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"}, error_model="numpy")
-def accumulate_beside(
-    transforms: Float, segments: Int, weights: Float, local: Float, gradient: Float, row_weight: Float, beside: Float,
-    cross: Float,
-) -> None:  # fmt: skip
+def accumulate_beside(surface: SurfaceArrays, gradient: Float, row_weight: Float, beside: Float, cross: Float) -> None:
     """Add W j cᵀ to cross (S, 6, C), j as in `accumulate` and c the row's derivatives (R N, C) by other unknowns."""
+    transforms, segments, weights, local = surface
     N, K = segments.shape
     for row in range(len(row_weight)):
         n, W = row % N, row_weight[row]
@@ -228,6 +224,54 @@ def accumulate_beside(
                 cross[s, 3, c] += f0 * by
                 cross[s, 4, c] += f1 * by
                 cross[s, 5, c] += f2 * by
+
+
+def _dense_rows(surface: SurfaceArrays, gradient: Float, used: Int) -> Float:
+    """(U, S, 6) derivative by every segment's twist of the rows (U,) that are used."""
+    transforms, segments, weights, local = surface
+    n = used % len(local)
+    out = np.zeros((len(used), len(transforms), 6))
+    for k in range(segments.shape[1]):
+        T = transforms[segments[n, k]]
+        x, g = (T[:, :3, :3] @ local[n, :, None])[..., 0] + T[:, :3, 3], gradient[used]
+        by_twist = weights[n, k, None] * np.concatenate([np.cross(x, g), g], axis=1)
+        np.add.at(out, (np.arange(len(used)), segments[n, k]), by_twist)
+    return out
+
+
+def accumulate_reference(
+    surface: SurfaceArrays, gradient: Float, residual: Float, row_weight: Float, blocks: Float, vector: Float
+) -> None:
+    """Readable twin of `accumulate`: dense rows."""
+    used = np.flatnonzero(row_weight)
+    j, W, S = _dense_rows(surface, gradient, used), row_weight[used], len(vector)
+    vector += np.einsum("r,rsi->si", W * residual[used], j)
+    kept = np.triu(np.ones((S, S))) - 0.5 * np.eye(S)
+    blocks[..., :6] += kept[:, :, None, None] * np.einsum("r,rai,rbj->abij", W, j, j)
+
+
+def accumulate_beside_reference(
+    surface: SurfaceArrays, gradient: Float, row_weight: Float, beside: Float, cross: Float
+) -> None:
+    """Readable twin of `accumulate_beside`."""
+    used = np.flatnonzero(row_weight)
+    cross += np.einsum("r,rsi,rc->sic", row_weight[used], _dense_rows(surface, gradient, used), beside[used])
+
+
+def skinned_point_reference(
+    transforms: Float, segments: Int, weights: Float, local: Float, n: int
+) -> tuple[float, float, float]:
+    """Readable twin of `skinned_point`."""
+    x, y, z, _ = np.sum(weights[n, :, None] * (transforms[segments[n]] @ np.append(local[n], 1.0)), axis=0)
+    return x, y, z
+
+
+def projected_point_reference(
+    P: Float, transforms: Float, segments: Int, weights: Float, local: Float, n: int
+) -> tuple[float, float, float]:
+    """Readable twin of `projected_point`."""
+    x, y, depth = P @ np.array([*skinned_point_reference(transforms, segments, weights, local, n), 1.0])
+    return (x / depth, y / depth, 1.0 / depth) if depth >= NEAR else (0.0, 0.0, 0.0)
 
 
 def normal_equations_reference(

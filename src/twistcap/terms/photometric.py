@@ -13,12 +13,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Float, Float32, Int
+from twistcap._typing import Float, Float32
 from twistcap.body import Posed
 from twistcap.camera.projection import along
-from twistcap.render import SurfacePoints
-from twistcap.terms.accumulate import PointTerm, Rows, projected_point
-from twistcap.terms.robust import weighted_cauchy
+from twistcap.render import SurfaceArrays, SurfacePoints
+from twistcap.terms.accumulate import PointTerm, Rows, projected_point, projected_point_reference
+from twistcap.terms.robust import weighted_cauchy, weighted_cauchy_reference
 
 _FAST = {"contract", "reassoc", "arcp"}
 EXPOSURE = 2
@@ -99,7 +99,7 @@ class Samples:
             image: (H, W).
             exposure: (2,) a and b.
         """
-        return _residuals(*self.points.bound_to(posed), P, image, self.value, exposure)
+        return photometric_residuals(self.points.bound_to(posed), P, image, self.value, exposure)
 
     def rows(self, posed: Posed, P: Float, image: Float32, exposure: Float, weight: Float) -> Rows:
         """The residuals and their gradients by the point, with weights (N,); all 0 off the image.
@@ -107,17 +107,15 @@ class Samples:
         The image gradient is averaged with the template's (second-order minimisation: the mean of the two gradients is
         right to second order in the displacement).
         """
-        residual, gradient, seen = _rows(
-            *self.points.bound_to(posed), P, image, self.value, self.gradient, exposure, weight
-        )
+        surface = self.points.bound_to(posed)
+        residual, gradient, seen = photometric_rows(surface, P, image, self.value, self.gradient, exposure, weight)
         return Rows(gradient, residual, seen)
 
 
 @njit(cache=True, nogil=True)
-def _residuals(
-    transforms: Float, segments: Int, weights: Float, local: Float, P: Float, image: Float32, value: Float,
-    exposure: Float,
-) -> Float:  # fmt: skip
+def photometric_residuals(surface: SurfaceArrays, P: Float, image: Float32, value: Float, exposure: Float) -> Float:
+    """As `Samples.residuals` says."""
+    transforms, segments, weights, local = surface
     out = np.full(len(value), np.nan)
     for n in range(len(value)):
         x, y, w = projected_point(P, transforms, segments, weights, local, n)
@@ -127,10 +125,11 @@ def _residuals(
 
 
 @njit(cache=True, nogil=True)
-def _rows(
-    transforms: Float, segments: Int, weights: Float, local: Float, P: Float, image: Float32, value: Float,
-    gradient: Float, exposure: Float, weight: Float,
-) -> tuple[Float, Float, Float]:  # fmt: skip
+def photometric_rows(
+    surface: SurfaceArrays, P: Float, image: Float32, value: Float, gradient: Float, exposure: Float, weight: Float
+) -> tuple[Float, Float, Float]:
+    """Residuals (N,), their gradients (N, 3) by the point and the weights (N,); all 0 off the image."""
+    transforms, segments, weights, local = surface
     N = len(value)
     residual, slope, seen = np.zeros(N), np.zeros((N, 3)), np.zeros(N)
     for n in range(N):
@@ -180,17 +179,16 @@ class PhotometricTerm(PointTerm):
         return energy, self.points, replace(rows, weight=weight / square)
 
     def energy(self, posed: Posed) -> float:
-        return _energy(
-            *self.points.bound_to(posed), self.P, self.image, self.samples.value, self.exposure, self.weight, self.scale
-        )
+        surface, value = self.points.bound_to(posed), self.samples.value
+        return photometric_energy(surface, self.P, self.image, value, self.exposure, self.weight, self.scale)
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
-def _energy(
-    transforms: Float, segments: Int, weights: Float, local: Float, P: Float, image: Float32, value: Float,
-    exposure: Float, weight: Float, scale: Float,
-) -> float:  # fmt: skip
+def photometric_energy(
+    surface: SurfaceArrays, P: Float, image: Float32, value: Float, exposure: Float, weight: Float, scale: Float
+) -> float:
     """`PhotometricTerm.rows` for its energy alone."""
+    transforms, segments, weights, local = surface
     energy, gain = 0.0, 1.0 + exposure[0]
     for n in range(len(weight)):
         if weight[n] == 0.0:
@@ -203,3 +201,56 @@ def _energy(
         r = here - gain * value[n] - exposure[1]
         energy += weight[n] * square * np.log1p(r * r / square)
     return 0.5 * energy
+
+
+def sample_reference(image: Float32, x: float, y: float) -> tuple[float, float, float, bool]:
+    """Readable twin of `sample`: bilinear values at the place and a pixel to each side."""
+    height, width = image.shape
+    if not (1.0 <= x < width - 2 and 1.0 <= y < height - 2):
+        return 0.0, 0.0, 0.0, False
+
+    def value(x: float, y: float) -> float:
+        c, r = int(x), int(y)
+        return float(np.array([1 - y + r, y - r]) @ image[r : r + 2, c : c + 2] @ np.array([1 - x + c, x - c]))
+
+    return value(x, y), (value(x + 1, y) - value(x - 1, y)) / 2, (value(x, y + 1) - value(x, y - 1)) / 2, True
+
+
+def brightness_at_reference(image: Float32, x: float, y: float) -> float:
+    """Readable twin of `brightness_at`."""
+    value, _, _, inside = sample_reference(image, x, y)
+    return value if inside else np.nan
+
+
+def photometric_residuals_reference(
+    surface: SurfaceArrays, P: Float, image: Float32, value: Float, exposure: Float
+) -> Float:
+    """Readable twin of `photometric_residuals`."""
+    places = [projected_point_reference(P, *surface, n) for n in range(len(value))]
+    here = [brightness_at_reference(image, x, y) if w > 0.0 else np.nan for x, y, w in places]
+    return np.array(here) - (1.0 + exposure[0]) * value - exposure[1]
+
+
+def photometric_rows_reference(
+    surface: SurfaceArrays, P: Float, image: Float32, value: Float, gradient: Float, exposure: Float, weight: Float
+) -> tuple[Float, Float, Float]:
+    """Readable twin of `photometric_rows`."""
+    residual, slope, seen = np.zeros(len(value)), np.zeros((len(value), 3)), np.zeros(len(value))
+    for n in np.flatnonzero(weight):
+        x, y, w = projected_point_reference(P, *surface, n)
+        here, gx, gy, inside = sample_reference(image, x, y)
+        if w > 0.0 and inside:
+            by_pixel = (np.array([gx, gy]) + gradient[n]) / 2
+            slope[n] = by_pixel @ (P[:2, :3] - np.outer([x, y], P[2, :3])) * w
+            residual[n], seen[n] = here - (1.0 + exposure[0]) * value[n] - exposure[1], weight[n]
+    return residual, slope, seen
+
+
+def photometric_energy_reference(
+    surface: SurfaceArrays, P: Float, image: Float32, value: Float, exposure: Float, weight: Float, scale: Float
+) -> float:
+    """Readable twin of `photometric_energy`."""
+    residual = photometric_residuals_reference(surface, P, image, value, exposure)
+    known = np.isfinite(residual)
+    ratio, square = residual[known] / scale[known], scale[known] ** 2
+    return weighted_cauchy_reference(ratio, weight[known] * square, 1.0)[0]

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Float, Int
+from twistcap._typing import Float
 from twistcap.body import Posed
-from twistcap.camera import pinhole
+from twistcap.body.kinematics import skin_points_reference
 from twistcap.camera.projection import NEAR, along
-from twistcap.render import SurfacePoints
+from twistcap.render import SurfaceArrays, SurfacePoints
 from twistcap.terms.accumulate import PointTerm, Rows, projected_point, skinned_point
-from twistcap.terms.robust import weighted_cauchy
+from twistcap.terms.robust import huber, weighted_cauchy, weighted_cauchy_reference
 
 _FAST = {"contract", "reassoc", "arcp"}
 
@@ -39,8 +39,12 @@ def projected_rows(P: Float, world: Float, direction: Float, target: Float) -> t
 
 def projected_rows_reference(P: Float, world: Float, direction: Float, target: Float) -> tuple[Float, Float]:
     """Readable twin of `projected_rows`."""
-    pixels, _, by_point = pinhole(P, world)
-    return np.sum(direction * (pixels - target), axis=1), np.einsum("ni,nij->nj", direction, by_point)
+    homogeneous = world @ P[:, :3].T + P[:, 3]
+    before = homogeneous[:, 2:] >= NEAR
+    depth = np.where(before, homogeneous[:, 2:], 1.0)
+    pixels, facing = homogeneous[:, :2] / depth, np.where(before, direction, 0.0)
+    by_point = (P[None, :2, :3] - pixels[:, :, None] * P[2, :3]) / depth[:, :, None]
+    return np.sum(facing * (pixels - target), axis=1), np.einsum("ni,nij->nj", facing, by_point)
 
 
 @dataclass(frozen=True)
@@ -70,17 +74,16 @@ class PointNormalTerm(PointTerm):
         return energy, self.points, Rows(gradient, residual, weight)
 
     def energy(self, posed: Posed) -> float:
-        return _normal_energy(
-            *self.points.bound_to(posed), self.P, self.normal, self.target, self.weight, self.scale_px
-        )
+        surface = self.points.bound_to(posed)
+        return normal_energy(surface, self.P, self.normal, self.target, self.weight, self.scale_px)
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
-def _normal_energy(
-    transforms: Float, segments: Int, weights: Float, local: Float, P: Float, direction: Float, target: Float,
-    weight: Float, scale: float,
-) -> float:  # fmt: skip
+def normal_energy(
+    surface: SurfaceArrays, P: Float, direction: Float, target: Float, weight: Float, scale: float
+) -> float:
     """`PointNormalTerm.rows` for its energy alone."""
+    transforms, segments, weights, local = surface
     energy, per = 0.0, 1.0 / scale
     for n in range(len(weight)):
         if weight[n] == 0.0:
@@ -91,6 +94,14 @@ def _normal_energy(
         r = (direction[n, 0] * (u - target[n, 0]) + direction[n, 1] * (v - target[n, 1])) * per
         energy += weight[n] * np.log1p(r * r)
     return 0.5 * scale * scale * energy
+
+
+def normal_energy_reference(
+    surface: SurfaceArrays, P: Float, direction: Float, target: Float, weight: Float, scale: float
+) -> float:
+    """Readable twin of `normal_energy`."""
+    residual, _ = projected_rows_reference(P, skin_points_reference(*surface), direction, target)
+    return weighted_cauchy_reference(residual, weight, scale)[0]
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST, inline="always")
@@ -135,6 +146,21 @@ def ray_rows(
     return energy, residual, gradient, robust
 
 
+def ray_rows_reference(
+    world: Float, direction: Float, moment: Float, scale: Float, weight: Float, knee: float
+) -> tuple[float, Float, Float, Float]:
+    """Readable twin of `ray_rows`."""
+    apart = scale[:, None] * (np.cross(world, direction) - moment)
+    axis = np.where(np.abs(direction[:, :1]) < 0.7, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+    e = np.cross(direction, axis)
+    e /= np.linalg.norm(e, axis=1, keepdims=True)
+    across = np.stack([e, np.cross(direction, e)])  # (2, N, 3)
+    energy, robust = huber(np.linalg.norm(apart, axis=1), knee)
+    gradient = scale[:, None] * np.cross(direction, across)
+    residual = np.sum(across * apart, axis=2)
+    return float(weight @ energy), residual.ravel(), gradient.reshape(-1, 3), np.tile(weight * robust, 2)
+
+
 @dataclass(frozen=True)
 class PointRayTerm(PointTerm):
     """Contour points drawn to the Plücker rays of their partners in the image.
@@ -166,23 +192,29 @@ class PointRayTerm(PointTerm):
         return energy, self.points, Rows(gradient, residual, weight)
 
     def energy(self, posed: Posed) -> float:
-        return _ray_energy(
-            *self.points.bound_to(posed), self.direction, self.moment, self.scale, self.weight, self.huber_px
-        )
+        surface = self.points.bound_to(posed)
+        return ray_energy(surface, self.direction, self.moment, self.scale, self.weight, self.huber_px)
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
-def _ray_energy(
-    transforms: Float, segments: Int, weights: Float, local: Float, direction: Float, moment: Float, scale: Float,
-    weight: Float, knee: float,
-) -> float:  # fmt: skip
+def ray_energy(
+    surface: SurfaceArrays, direction: Float, moment: Float, scale: Float, weight: Float, knee: float
+) -> float:
     """`PointRayTerm.rows` for its energy alone."""
+    transforms, segments, weights, local = surface
     energy = 0.0
     for n in range(len(weight)):
         x, y, z = skinned_point(transforms, segments, weights, local, n)
         _, _, _, size = _off_ray(x, y, z, direction[n], moment[n], scale[n])
         energy += weight[n] * (0.5 * size * size if size <= knee else knee * (size - 0.5 * knee))
     return energy
+
+
+def ray_energy_reference(
+    surface: SurfaceArrays, direction: Float, moment: Float, scale: Float, weight: Float, knee: float
+) -> float:
+    """Readable twin of `ray_energy`."""
+    return ray_rows_reference(skin_points_reference(*surface), direction, moment, scale, weight, knee)[0]
 
 
 @dataclass(frozen=True)

@@ -39,3 +39,9 @@ def weighted_cauchy(residual: Float, weight: Float, scale: float) -> tuple[float
         energy += weight[n] * np.log1p(ratio)
         out[n] = weight[n] / (1.0 + ratio)
     return 0.5 * scale * scale * energy, out
+
+
+def weighted_cauchy_reference(residual: Float, weight: Float, scale: float) -> tuple[float, Float]:
+    """Readable twin of `weighted_cauchy`; residuals without weight may be anything."""
+    energy, robust = cauchy(np.where(weight == 0.0, 0.0, residual), scale)
+    return float(weight @ energy), weight * robust

@@ -1,0 +1,46 @@
+"""Kernels of the cues against their readable twins."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from support.twins import check_twin
+from twistcap.cues.appearance import part_colours
+from twistcap.cues.contour import tallied
+from twistcap.cues.support_maps import robust_scale
+
+N, S = 200, 5
+
+
+def test_colours_of_parts_are_those_of_the_twin() -> None:
+    rng = np.random.default_rng(0)
+    part = np.kron(rng.integers(-1, S, (6, 7)), np.ones((5, 5))).astype(np.int32)
+    features, wanted = rng.uniform(size=(*part.shape, 3)).astype(np.float32), np.arange(S) != 2
+    found = check_twin(part_colours, features, part, wanted, rtol=1e-5)
+    assert found[0, 0] > 0.0 and not found[2].any()
+    assert not check_twin(part_colours, features[:2], part[:2], wanted).any()
+
+
+def test_scales_are_those_of_the_twin() -> None:
+    rng = np.random.default_rng(1)
+    residual, part, weight = rng.normal(0, 0.05, N), rng.integers(0, S - 1, N).astype(np.int32), rng.uniform(size=N)
+    residual[::7], weight[::5] = np.nan, 0.0
+    part[part == 1] = 0
+    part[:19] = 1  # too few for a scale of its own, and the last part has none at all
+    residual[part == 2] *= 100.0
+    scales = check_twin(robust_scale, residual, part, S, weight, 0.008, 0.15, 20)
+    assert scales[2] == 0.15 and scales[1] == scales[S - 1] != scales[0]
+    check_twin(robust_scale, np.full(N, np.nan), part, S, weight, 0.008, 0.15, 20)
+    check_twin(robust_scale, 1e-6 * residual, part, S, weight, 0.008, 0.15, 20)
+
+
+@pytest.mark.parametrize("count", [0, N])
+def test_tallies_are_those_of_the_twin(count: int) -> None:
+    rng = np.random.default_rng(2)
+    part, outer = rng.integers(0, S - 1, count).astype(np.int32), rng.uniform(size=count) < 0.7
+    displacement, contrast = rng.normal(0, 2.0, count), rng.uniform(0, 6, count)
+    contrast[::9], displacement[::8] = np.nan, np.nan  # what is not known does not agree
+    tolerance = 6.0 * rng.uniform(0.2, 0.5, count)
+    points, telling, agreeing = check_twin(tallied, part, outer, tolerance, displacement, contrast, S)
+    assert agreeing.sum() < telling.sum() < points.sum() or count == 0
