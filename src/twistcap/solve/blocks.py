@@ -97,13 +97,13 @@ class PoseTrack:
     times: Float
 
     @property
-    def dof(self) -> int:
+    def pose_dof(self) -> int:
         """Numbers of one pose's step."""
         return 6 + len(self.poses[0].q)
 
     @property
     def dof(self) -> int:
-        return len(self.poses) * self.dof
+        return len(self.poses) * self.pose_dof
 
     def retract(self, step: Float) -> PoseTrack:
         steps = step.reshape(len(self.poses), -1)
@@ -121,7 +121,7 @@ class PoseTrack:
         k = int(np.clip(np.searchsorted(self.times, time, side="right") - 1, 0, len(self.poses) - 2))
         first, second, gap = self.poses[k], self.poses[k + 1], float(self.times[k + 1] - self.times[k])
         a, step = (time - float(self.times[k])) / gap, second.minus(first)
-        along, D = step[:6], self.dof
+        along, D = step[:6], self.pose_dof
         bent = a * se3.left_jacobian(a * along)
         by_first, by_second = (1.0 - a) * np.eye(D), a * np.eye(D)
         by_first[:6, :6] = se3.adjoint(se3.exp(a * along)) - bent @ se3.inverse_left_jacobian(-along)

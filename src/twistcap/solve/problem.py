@@ -62,17 +62,17 @@ class ArrowSums:
     def __init__(self, x: Variables, reach: int) -> None:
         self.x, self.track = x, x.free[0]
         poses = x[self.track]
-        self.dof = poses.dof
-        self.arrow = Arrow(len(poses.poses), self.dof, x.dof - poses.dof, reach)
+        self.pose_dof = poses.pose_dof
+        self.arrow = Arrow(len(poses.poses), self.pose_dof, x.dof - poses.dof, reach)
         self.arrow.longest, self.arrow.shared_longest = (
-            x.longest_step(x.free[:1])[: self.dof],
+            x.longest_step(x.free[:1])[: self.pose_dof],
             x.longest_step(x.free[1:]),
         )
 
     def add_rows(self, energy: float, slopes: Sequence[Slope], weight: Float, residual: Float) -> None:
         """See `terms.rows.Sums`; the rows of frames in ascending order."""
         self.arrow.value += energy
-        frames = [(s.first // self.dof, s.by) for s in slopes if s.block == self.track]
+        frames = [(s.first // self.pose_dof, s.by) for s in slopes if s.block == self.track]
         shared = [s for s in slopes if s.block != self.track and s.block in self.x.slices]
         border = np.zeros((len(residual), len(self.arrow.corner))) if shared else None
         for slope in shared:
@@ -89,7 +89,7 @@ class ArrowSums:
         pose, shared = own[there < poses], own[there >= poses]
         border = there[there >= poses] - poses
         if len(pose):
-            frame = int(there[there < poses][0]) // self.dof
+            frame = int(there[there < poses][0]) // self.pose_dof
             self.arrow.add_pose(frame, gradient[pose], hessian[np.ix_(pose, pose)])
             self.arrow.border[frame][:, border] += hessian[np.ix_(pose, shared)]
         self.arrow.shared_pull[border] += gradient[shared]
