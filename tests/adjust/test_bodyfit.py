@@ -12,7 +12,7 @@ from support.commands import document, run, told
 from twistcap.adjust.body_fit import FitRule, Take, fit_body
 from twistcap.adjust.body_fit import fields as f
 from twistcap.adjust.body_fit.build import Stretches
-from twistcap.adjust.body_fit.judge import agreement
+from twistcap.adjust.body_fit.judge import agreement, inside_silhouette, inside_silhouette_reference
 from twistcap.adjust.body_fit.observe import Contours, Observed, observe_masks
 from twistcap.adjust.body_fit.problem import FitProblem, Freedom, Sculpted
 from twistcap.adjust.body_fit.rows import rows
@@ -227,6 +227,13 @@ def test_given_silhouettes_are_fitted_to() -> None:
     distance = np.concatenate([seen.distance / seen.px_per_m for seen in found])
     assert len(found) == 4
     assert -0.012 < np.median(distance) < -0.003  # the body is 10 % too wide: 4 to 10 mm at limbs and trunk
+
+
+def test_points_inside_a_silhouette() -> None:
+    rng, camera = np.random.default_rng(0), ring(2, 3.0, 1.0, np.zeros(3), (60, 50), 60.0)[0]
+    points, mask = rng.uniform(-5.0, 5.0, (2000, 3)), rng.random((50, 60)) > 0.5
+    ours = inside_silhouette(camera.P, points, mask)
+    assert np.array_equal(ours, inside_silhouette_reference(camera.P, points, mask)) and 20 < ours.sum() < 1980
 
 
 def test_bad_input_is_told() -> None:
