@@ -13,7 +13,7 @@ from support.commands import document, run, told
 from twistcap.adjust.body_fit import FitRule, Take, fit_body
 from twistcap.adjust.body_fit import fields as f
 from twistcap.adjust.body_fit.build import Stretches
-from twistcap.adjust.body_fit.judge import agreement
+from twistcap.adjust.body_fit.judge import agreement, inside_silhouette, inside_silhouette_reference
 from twistcap.adjust.body_fit.observe import Contours, Observed, observe_masks
 from twistcap.adjust.body_fit.problem import FitProblem, Freedom, Sculpted
 from twistcap.adjust.body_fit.rows import rows
@@ -48,6 +48,13 @@ def sculpted(body, poses, offsets=True):
     return Sculpted(freedom, body, tuple(poses), {"girth torso": 0.02}, start if offsets else np.zeros(0))
 
 
+def by_values(x, posed, found):
+    """(N, M + V) rows by all values of the shape."""
+    out = (found.vertex @ x.motions).toarray()
+    out[:, : len(x.fields.names)] += found.twist @ x.joint_motions(posed)
+    return out
+
+
 def a_pose(body, seed=0):
     rng = np.random.default_rng(seed)
     q = np.clip(rng.uniform(-0.5, 0.7, len(body.coordinate_names)), *body.limits.T)
@@ -61,7 +68,7 @@ def test_rows_are_the_derivatives_of_the_projected_points(body) -> None:
     x = sculpted(body, [pose])
     found = rows(x.posed[0], [seen])
     by_pose = found.twist @ x.posed[0].projector
-    by_value = found.twist @ x.joint_motions(x.posed[0]) + (found.vertex @ x.motions).toarray()
+    by_value = by_values(x, x.posed[0], found)
 
     def along(x):
         points = surface_points(x.body, seen.ends, seen.shares)
@@ -101,7 +108,7 @@ def test_the_sums_are_those_of_stacked_rows(body) -> None:
         by = rows(p, views)
         J = np.zeros((by.twist.shape[0], len(g)))
         J[:, own] = by.twist @ p.projector
-        J[:, 2 * D :] = by.twist @ x.joint_motions(p) + (by.vertex @ x.motions).toarray()
+        J[:, 2 * D :] = by_values(x, p, by)
         distance, scale = (np.concatenate(of) for of in (
             [v.distance for v in views], [np.full(len(v.distance), 0.012 * v.px_per_m) for v in views]))  # fmt: skip
         weight = 0.15 * np.concatenate([v.weight for v in views]) / (1 + (distance / scale) ** 2)
@@ -227,6 +234,13 @@ def test_given_silhouettes_are_fitted_to() -> None:
     distance = np.concatenate([seen.distance / seen.px_per_m for seen in found])
     assert len(found) == 4
     assert -0.012 < np.median(distance) < -0.003  # the body is 10 % too wide: 4 to 10 mm at limbs and trunk
+
+
+def test_points_inside_a_silhouette() -> None:
+    rng, camera = np.random.default_rng(0), ring(2, 3.0, 1.0, np.zeros(3), (60, 50), 60.0)[0]
+    points, mask = rng.uniform(-5.0, 5.0, (2000, 3)), rng.random((50, 60)) > 0.5
+    ours = inside_silhouette(camera.P, points, mask)
+    assert np.array_equal(ours, inside_silhouette_reference(camera.P, points, mask)) and 20 < ours.sum() < 1980
 
 
 def test_bad_input_is_told() -> None:

@@ -72,7 +72,7 @@ def test_a_pose_between_two_frames_and_its_derivatives(time: float) -> None:
     def moved(step: Array, late: float = 0.0) -> Array:
         return here.retract(step).at(time + late).pose.minus(at.pose)
 
-    D = here.dof
+    D = here.pose_dof
     expected = np.zeros((D, here.dof))
     for k, by in zip(at.frames, at.by_frame, strict=True):
         expected[:, k * D : (k + 1) * D] = by

@@ -161,6 +161,18 @@ class RestMotion:
         stretched = np.stack([along, arm - along], axis=2)
         return self.shifts.transpose(1, 0, 2) + np.einsum("ksj,nsji->nski", self.stretches, stretched)
 
+    def rates(self, posed: Posed, segments: Int, weights: Float, local: Float, gradient: Float) -> Float:
+        """(N, K) derivative by the parameters of residuals whose gradients by their skinned world points are (N, 3).
+
+        The surface moves in the rest pose and is skinned after; joint centres carry what hangs below them.
+        """
+        rotations = posed.segment_transforms[segments][..., :3, :3]
+        turned = np.einsum("nb,nbji,nj->ni", weights, rotations, gradient)
+        moved = np.take_along_axis(self.velocities(local), segments[..., None, None].astype(np.int64), axis=1)
+        joints = carried(posed, self.joints).transpose(1, 0, 2)[segments]
+        by_surface = np.einsum("ni,nb,nbki->nk", turned, weights, moved)
+        return by_surface + np.einsum("ni,nb,nbki->nk", gradient, weights, joints)
+
 
 def carried(posed: Posed, joints: Float) -> Float:
     """(K, S, 3) world velocity of each segment where the joint centres above it move in the rest pose, (K, S, 3)."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numba import njit
 
 from twistcap._typing import AnyArray, Bool, Float
 from twistcap.adjust.body_fit.observe import Contours, observe
@@ -91,11 +92,32 @@ def hull_overlap(posed: Posed, views: Sequence[tuple[Camera, Bool, Bool]]) -> fl
     centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     ours, theirs = np.ones(len(centres), bool), np.ones(len(centres), bool)
     for camera, a, b in views:
-        h = centres @ camera.P[:, :3].T + camera.P[:, 3]
-        pixel = np.rint(h[:, :2] / np.maximum(h[:, 2:], 1e-9)).astype(np.int64)
-        height, width = a.shape
-        inside = (h[:, 2] > 0) & np.all((pixel >= 0) & (pixel < (width, height)), axis=1)
-        x, y = np.where(inside[:, None], pixel, 0).T
-        ours &= inside & a[y, x]
-        theirs &= inside & b[y, x]
+        ours &= inside_silhouette(camera.P, centres, a)
+        theirs &= inside_silhouette(camera.P, centres, b)
     return iou(ours, theirs)
+
+
+@njit(cache=True, nogil=True)
+def inside_silhouette(P: Float, points: Float, mask: Bool) -> Bool:
+    """(N,) whether points (N, 3) are seen inside a silhouette (H, W)."""
+    height, width = mask.shape
+    out = np.zeros(len(points), dtype=np.bool_)
+    for n in range(len(points)):
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
+        if depth <= 0.0:
+            continue
+        u = np.rint((P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) / depth)
+        v = np.rint((P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) / depth)
+        out[n] = 0.0 <= u < width and 0.0 <= v < height and mask[int(v), int(u)]
+    return out
+
+
+def inside_silhouette_reference(P: Float, points: Float, mask: Bool) -> Bool:
+    """Readable twin of `inside_silhouette`."""
+    h = points @ P[:, :3].T + P[:, 3]
+    pixel = np.rint(h[:, :2] / np.maximum(h[:, 2:], 1e-9)).astype(np.int64)
+    height, width = mask.shape
+    inside = (h[:, 2] > 0) & np.all((pixel >= 0) & (pixel < (width, height)), axis=1)
+    x, y = np.where(inside[:, None], pixel, 0).T
+    return inside & mask[y, x]

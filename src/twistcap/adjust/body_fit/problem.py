@@ -113,9 +113,9 @@ class Sculpted:
         return sparse.hstack([by_field, along]).tocsr()
 
     def joint_motions(self, posed: Posed) -> Float:
-        """(6 S, M + V) twist of each segment in a frame where joint centres move: a joint carries all below it."""
-        out = np.zeros((len(self.body.segment_names), 6, len(self.values)))
-        out[:, 3:, : len(self.fields.names)] = carried(posed, self.fields.joints).transpose(1, 2, 0)
+        """(6 S, M) twist of each segment in a frame where joint centres move: a joint carries all below it."""
+        out = np.zeros((len(self.body.segment_names), 6, len(self.fields.names)))
+        out[:, 3:] = carried(posed, self.fields.joints).transpose(1, 2, 0)
         return out.reshape(-1, out.shape[2])
 
     def reshaped(self, step: Float) -> Sculpted:
@@ -197,14 +197,16 @@ class FitProblem:
         (weight, distance), at = weighing, x.posed[t]
         weighted = by.twist * weight[:, None]
         twists, pull = (weighted.T @ by.twist).toarray(), -(weighted.T @ distance)
-        P, joints = at.projector, x.joint_motions(at)
+        P, joints, M = at.projector, x.joint_motions(at), len(x.fields.names)
         by_vertex = (weighted.T @ by.vertex @ x.motions).toarray()
-        by_shape = twists @ joints + by_vertex
         arrow.add_pose(t, P.T @ pull, P.T @ twists @ P)
-        arrow.border[t] += P.T @ by_shape
+        arrow.border[t] += P.T @ by_vertex
+        arrow.border[t, :, :M] += P.T @ (twists @ joints)
         crossed = joints.T @ by_vertex
-        arrow.corner += joints.T @ twists @ joints + crossed + crossed.T
-        arrow.shared_pull += joints.T @ pull
+        arrow.corner[:M, :M] += joints.T @ twists @ joints
+        arrow.corner[:M] += crossed
+        arrow.corner[:, :M] += crossed.T
+        arrow.shared_pull[:M] += joints.T @ pull
 
     def _rows(self, at: Posed, views: Sequence[Observed]) -> tuple[Rows, Float, Float]:
         """Derivatives, weights and distances of all points of a frame."""

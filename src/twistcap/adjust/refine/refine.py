@@ -31,6 +31,7 @@ from twistcap.solve import Arrow, Solution, minimise
 from twistcap.track.visibility import SupportRule
 
 _LEAST_FRAMES = 3
+_HELD_ROUNDS = 8  # at most where joint centres are held: poses and lengths settle sooner (balance_4view: 8 as 14)
 
 
 class Tell(Protocol):
@@ -131,6 +132,7 @@ class _Adjusted:
 def _adjusted(eyes: Eyes, given: Track, estimates: Sequence[Estimate], tell: Tell) -> _Adjusted:
     """Rounds of looking and solving, until one settles; to the first fine one where contours err together too much."""
     config, x, moved, total = eyes.config, given, list[float](), len(estimates) * (1 + eyes.config.rounds)
+    most = config.rounds if given.shape.moved else min(config.rounds, _HELD_ROUNDS)
     inflation, standing = INFLATION**2, _standing(estimates, config)
     trusted = ~_bridged(estimates, config.bridge)
     while True:
@@ -142,10 +144,10 @@ def _adjusted(eyes: Eyes, given: Track, estimates: Sequence[Estimate], tell: Tel
         found = minimise(problem, x, 1, config.damping)
         moved.append(_mean_move(x, found.x))
         x, trusted = found.x, np.ones(len(estimates), dtype=np.bool_)
-        tell(f"round {len(moved)} of at most {config.rounds}", len(estimates) * (1 + len(moved)), total)
+        tell(f"round {len(moved)} of at most {most}", len(estimates) * (1 + len(moved)), total)
         settled = not coarse and moved[-1] < config.settled
         together = not coarse and effect > config.alike and bool(given.shape.moved)
-        if settled or together or len(moved) >= config.rounds:
+        if settled or together or len(moved) >= most:
             return _Adjusted(found, problem, tuple(moved), settled, 1.0 if coarse else effect)
 
 
