@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Bool, Float, Int
+from twistcap._typing import AnyArray, Bool, Float, Int
 from twistcap.cues.evidence import ContourEvidence
 
 
@@ -88,7 +88,7 @@ def tally(
 def tally_reference(
     part: Int, outer: Bool, inverse_depth: Float, displacement: Float, contrast: Float, parts: int,
     least_contrast: float, tolerance: float,
-) -> tuple[Int, Int]:  # fmt: skip
+) -> tuple[AnyArray, AnyArray]:  # fmt: skip
     """Readable twin of `tally`."""
     agrees = outer & (contrast > least_contrast) & (np.abs(displacement) < tolerance * inverse_depth)
     return np.bincount(part[agrees], minlength=parts), np.bincount(part[outer], minlength=parts)
