@@ -139,7 +139,7 @@ def motion_tensors_reference(
 
 def _interpolated(maps: Float, x: Float, y: Float) -> Float:
     """Maps (H', W', 6) at places, by Catmull and Rom in either direction; borders are repeated."""
-    i, j, out = np.floor(y).astype(int), np.floor(x).astype(int), 0.0
+    i, j, out = np.floor(y).astype(int), np.floor(x).astype(int), np.zeros((*x.shape, _MAPS))
     for a, by_row in enumerate(_catmull_rom(y - i)):
         for b, by_column in enumerate(_catmull_rom(x - j)):
             places = np.clip(i + a - 1, 0, len(maps) - 1), np.clip(j + b - 1, 0, maps.shape[1] - 1)

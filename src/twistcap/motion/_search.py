@@ -273,9 +273,9 @@ def _stretch(
     for s in range(len(steps)):
         step = steps[s]
         _summed(bounds, halo, step, least)
-        promising, limit = 0, np.float32(best + slack)
+        promising, bound = 0, np.float32(best + slack)
         for i in range(n):
-            promising += least[i] <= limit
+            promising += least[i] <= bound
         if promising == 0:
             continue
         for i in range(n):

@@ -66,7 +66,7 @@ def sample_lines_reference(
     return values, ends[:, 0], ends[:, 1]
 
 
-def line_moments_reference(values: Float32, first: Int, last: Int, step: Float) -> Float:
+def line_moments_reference(values: Float | Float32, first: Int, last: Int, step: Float) -> Float:
     """Readable twin of `line_moments`."""
     half, out = values.shape[1] // 2, []
     for line, lo, hi, skip in zip(values.astype(float), first, last, np.ceil(1.0 / step).astype(int), strict=True):
@@ -95,7 +95,7 @@ def pooled_gaussians_reference(
 
 
 def boundary_posterior_reference(
-    values: Float32, first: Int, last: Int, step: Float, mean: Float, variance: Float, clip: float
+    values: Float | Float32, first: Int, last: Int, step: Float, mean: Float, variance: Float, clip: float
 ) -> tuple[Float, Float, Float]:
     """Readable twin of `boundary_posterior`."""
     half = values.shape[1] // 2

@@ -225,7 +225,7 @@ def contour_samples_reference(
         length = float(np.hypot(*way))
         if g < 0 or front[f] * front[g] != -1 or length == 0.0:
             continue
-        part = face_part[f if front[f] == 1 else g]
+        part = int(face_part[f if front[f] == 1 else g])
         positions = np.arange(spacing - walked, length, spacing)
         walked += length - spacing * len(positions)
         for s in positions / length:

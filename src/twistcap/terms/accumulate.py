@@ -243,7 +243,7 @@ def accumulate_reference(
     surface: SurfaceArrays, gradient: Float, residual: Float, row_weight: Float, blocks: Float, vector: Float
 ) -> None:
     """Readable twin of `accumulate`: dense rows."""
-    used = np.flatnonzero(row_weight)
+    used = np.flatnonzero(row_weight).astype(np.int32)
     j, W, S = _dense_rows(surface, gradient, used), row_weight[used], len(vector)
     vector += np.einsum("r,rsi->si", W * residual[used], j)
     kept = np.triu(np.ones((S, S))) - 0.5 * np.eye(S)
@@ -254,7 +254,7 @@ def accumulate_beside_reference(
     surface: SurfaceArrays, gradient: Float, row_weight: Float, beside: Float, cross: Float
 ) -> None:
     """Readable twin of `accumulate_beside`."""
-    used = np.flatnonzero(row_weight)
+    used = np.flatnonzero(row_weight).astype(np.int32)
     cross += np.einsum("r,rsi,rc->sic", row_weight[used], _dense_rows(surface, gradient, used), beside[used])
 
 

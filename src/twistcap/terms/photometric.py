@@ -236,7 +236,7 @@ def photometric_rows_reference(
 ) -> tuple[Float, Float, Float]:
     """Readable twin of `photometric_rows`."""
     residual, slope, seen = np.zeros(len(value)), np.zeros((len(value), 3)), np.zeros(len(value))
-    for n in np.flatnonzero(weight):
+    for n in np.flatnonzero(weight).tolist():
         x, y, w = projected_point_reference(P, *surface, n)
         here, gx, gy, inside = sample_reference(image, x, y)
         if w > 0.0 and inside:

@@ -156,7 +156,7 @@ def ray_rows_reference(
     e /= np.linalg.norm(e, axis=1, keepdims=True)
     across = np.stack([e, np.cross(direction, e)])  # (2, N, 3)
     energy, robust = huber(np.linalg.norm(apart, axis=1), knee)
-    gradient = scale[:, None] * np.cross(direction, across)
+    gradient = scale[:, None] * np.asarray(np.cross(direction, across), np.float64)
     residual = np.sum(across * apart, axis=2)
     return float(weight @ energy), residual.ravel(), gradient.reshape(-1, 3), np.tile(weight * robust, 2)
 
