@@ -14,6 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from twistcap.adjust.first_pose.clicks import fit_clicks
 from twistcap.body import Body
 from twistcap.body.ellipsoids import ellipsoid_body
 from twistcap.body.humanoid import humanoid
@@ -23,7 +24,6 @@ from twistcap.differential.sequence import Limb, SequenceConfig, track_sequence
 from twistcap.differential.settings import DifferentialConfig
 from twistcap.differential.view import State
 from twistcap.evaluate.norms import FILE, by_cycle, correlation, gait_norm, heel_strikes
-from twistcap.adjust.first_pose.clicks import fit_clicks
 
 FIRST, COUNT, TOP, BOTTOM = 80, 100, 480, 960  # frames, and rows of the image that hold the walker
 CLICKS = {
