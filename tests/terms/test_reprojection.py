@@ -153,7 +153,7 @@ def test_the_one_projection_derivative() -> None:
     check_jacobian(lambda p: pinhole(P[1], p[None])[0][0], by_point[1, 2], x, rtol=1e-6, atol=1e-4)
 
 
-def test_behind_the_camera_a_keypoint_is_wrong_and_has_no_say() -> None:
+def test_behind_the_camera_a_keypoint_is_wrong_and_counts_for_nothing() -> None:
     x = a_point()
     behind = CameraBlock(replace(CAMERA, T_cam_world=np.diag([1.0, -1.0, -1.0, 1.0]) @ CAMERA.T_cam_world), focal=True)
     x = replace(x, blocks={**x.blocks, "camera": behind})

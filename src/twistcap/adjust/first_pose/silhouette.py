@@ -168,13 +168,13 @@ class _Instant:
         girths: Girths = x["girths"]
         posed, out = Posed(girths.body, x["poses"].poses[f]), list[OutlineTerm]()
         # Neighbouring samples err alike: together they may count no more than one per correlation length, both ways.
-        share = 0.5 * options.spacing / options.correlation
+        fraction = 0.5 * options.spacing / options.correlation
         for camera, outline, height in zip(self.cameras, self.outlines, self.heights, strict=True):
             if outline is not None:
                 contour = visible_contour(render(posed, camera), options.spacing * height)
                 found = match(contour, outline, reach * height)
                 points, target = contour.points[found.index], found.target(contour)
-                sigma, weight = options.sigma * height, share * found.weight
+                sigma, weight = options.sigma * height, fraction * found.weight
                 out.append(OutlineTerm(camera.P, points, girths, motion, found.normals, target, sigma, weight, f))
         return out
 
