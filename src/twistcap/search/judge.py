@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from twistcap._typing import Float, Float32, Int
+from twistcap._typing import Bool, Float, Float32, Int
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Camera
 from twistcap.cues.view import View
@@ -71,10 +71,17 @@ class Judge:
     body: Body
     scenes: Sequence[_Scene]
 
-    def evidence(self, pose: Pose) -> float:
-        """Nats by which the views favour a pose over the present one."""
-        other = Posed(self.body, pose)
-        return sum(self._compared(scene, render(other, scene.camera).part) for scene in self.scenes)
+    def evidence(self, pose: Pose, arriving: Bool | None = None) -> float:
+        """Nats by which the views favour a pose over the present one.
+
+        With `arriving` (S,) only the pixels count that those parts newly cover: what moves out of the way of something
+        that hides it is favoured as well, but it arrives nowhere.
+        """
+        other, total = Posed(self.body, pose), 0.0
+        for scene in self.scenes:
+            part = render(other, scene.camera).part
+            total += self._compared(scene, part if arriving is None else _arrived(scene.part, part, arriving))
+        return total
 
     def _compared(self, scene: _Scene, other: Int) -> float:
         rule = self.rule
@@ -84,6 +91,12 @@ class Judge:
         near = cv2.dilate(body, np.ones((size, size), np.uint8))
         background = background_moments(scene.features, near == 0, reach)
         return label_evidence(scene.features, background, scene.colours, scene.part, other, rule.floor, rule.clip)
+
+
+def _arrived(part: Int, other: Int, arriving: Bool) -> Int:
+    """The labels `other` (H, W) where those parts newly cover a pixel, else `part`."""
+    of = np.append(arriving, False)  # the last is the background, -1
+    return np.where(of[other] & ~of[part], other, part).astype(np.int32)
 
 
 def best_of(judge: Judge, best: Pose, most: float, steps: Sequence[Float]) -> tuple[Pose, float]:

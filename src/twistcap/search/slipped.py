@@ -142,8 +142,12 @@ class SlippedLimbs:
         return pose, found
 
     def improves(self, memory: LimbAgreement, judge: Judge, found: Sequence[int], before: Fit, after: Fit) -> bool:
-        """Whether images favour a fit clearly, and the contours of the limbs found agree better than before it."""
-        if judge.evidence(after.pose) <= self.gain:
+        """Whether images favour a fit clearly, and the contours of the limbs found agree better than before it.
+
+        They must favour where the limbs are now by itself: one that something hides would be favoured anywhere else.
+        """
+        parts = memory.parts[list(found)].any(axis=0)
+        if judge.evidence(after.pose) <= self.gain or judge.evidence(after.pose, parts) <= self.gain:
             return False
         now, was = (np.nan_to_num(self._fractions(memory.parts, fit.agreement)) for fit in (after, before))
         return float((now - was)[list(found)].mean()) > self.better

@@ -41,7 +41,7 @@ class FrameProblem:
     Attributes:
         model, state, frame: what is tracked, what is known, what is seen.
         start: where the body is expected, and the fit starts.
-        spread: (6 + J, 6 + J) covariance of the step from there to the truth.
+        process_noise: (6 + J, 6 + J) what the time since the last frame adds to the covariance.
         information: (6 + J, 6 + J) with which the pose is drawn there.
         views: the images about it, by camera.
         trust: how far the images are believed, 0 … 1.
@@ -51,7 +51,7 @@ class FrameProblem:
     state: State
     frame: Frame
     start: Pose
-    spread: Float
+    process_noise: Float
     information: Float
     views: Mapping[int, View]
     trust: float = 1.0
@@ -102,19 +102,20 @@ class FrameProblem:
         A limb that nothing shows grows less certain from frame to frame. Where the solve failed, only that happens.
         """
         if fit.status == "failed" or (known := self._known) is None:
-            return self._before
+            return self.spread
         # What stands in every frame is no news of this one: taken in anew in every frame it would add up.
         news = fit.quadratic.hessian - PoseProblem(fit.standing).linearised(fit.before).hessian
         scale = INFLATION**2 / self.trust
         return covariance(Quadratic(0.0, np.zeros(len(known)), news / scale + known))
 
     @cached_property
-    def _before(self) -> Float:
-        return self.state.covariance + self.spread
+    def spread(self) -> Float:
+        """(6 + J, 6 + J) covariance of the step from the expected pose to the truth."""
+        return self.state.covariance + self.process_noise
 
     @cached_property
     def _known(self) -> Float | None:
-        return inverse(self._before)
+        return inverse(self.spread)
 
     def _around(self, pose: Pose, margin: float) -> Mapping[int, View]:
         """The same cameras' images about another pose."""

@@ -28,7 +28,7 @@ def step(state: State, frame: Frame, model: Model) -> tuple[State, Estimate]:
     problem = posed_problem(state, frame, model, prediction)
     if not problem.views and frame.keypoints is None:
         return unseen(problem, prediction)
-    problem = begun(problem)
+    problem = begun(problem, prediction)
     fit = align(problem)
     if prediction.name == "motion" and frame.keypoints is None:
         problem = doubted(problem, fit)
@@ -56,13 +56,16 @@ def posed_problem(state: State, frame: Frame, model: Model, prediction: Predicti
     return FrameProblem(model, state, frame, prediction.pose, prediction.covariance, prediction.information, views)
 
 
-def begun(problem: FrameProblem) -> FrameProblem:
+def begun(problem: FrameProblem, prediction: Prediction) -> FrameProblem:
     """The problem, starting where a search has found the body."""
     for search in problem.model.searches:
         pose = search.begin(problem.state.searches[search.name], problem)
         if pose is not None:
+            found = replace(problem, start=pose)
+            if prediction.name == "motion":  # which bridges the gap itself
+                return found
             last = jumped(problem.past.moments[-1], pose.minus(problem.start), pose)  # a jump is no velocity
-            return replace(problem, start=pose, state=problem.state.with_past(problem.past.with_last(last)))
+            return replace(found, state=problem.state.with_past(problem.past.with_last(last)))
     return problem
 
 
@@ -124,7 +127,6 @@ def unseen(problem: FrameProblem, prediction: Prediction) -> tuple[State, Estima
     """A frame that shows nothing: the estimate is the prediction."""
     frame, pose = problem.frame, prediction.pose
     after = problem.state.with_past(problem.past.advanced(Moment(frame.time, pose, seen=False)))
-    claimed = problem.state.covariance + problem.spread
     return after, Estimate(
-        frame.index, frame.time, pose, claimed, {}, "no_images", support=0.0, predicted=prediction.name
+        frame.index, frame.time, pose, problem.spread, {}, "no_images", support=0.0, predicted=prediction.name
     )
