@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from twistcap._typing import Float
+from twistcap._typing import Float, Int
 from twistcap.adjust.refine.sums import Derivatives
 from twistcap.body import Posed
 from twistcap.body.kinematics import skin_points
@@ -66,7 +66,7 @@ class End:
         change, gradient = projected_rows(self.P, points.at(posed), self.slope, self.pixels)
         return self.value + change, gradient
 
-    def of_those(self, which: Float) -> End:
+    def of_those(self, which: Int) -> End:
         """The end of some of its points."""
         return End(self.P, self.value[which], self.slope[which], self.pixels[which])
 
@@ -111,8 +111,8 @@ class BrightnessPair:
         visible = visible_points(view.camera.P, *points.bound_to(seen.posed), seen.inverse_depth_image, noise[2])
         points = points[visible > 0.0]
         a, b = End.of(*earlier, points, blur), End.of(*later, points, blur)
-        known = np.flatnonzero(np.isfinite(a.value) & np.isfinite(b.value))
-        return BrightnessPair(*frames, points[known.astype(np.int32)], a.of_those(known), b.of_those(known), *noise[:2])
+        known = np.flatnonzero(np.isfinite(a.value) & np.isfinite(b.value)).astype(np.int32)
+        return BrightnessPair(*frames, points[known], a.of_those(known), b.of_those(known), *noise[:2])
 
     def energy(self, earlier: Posed, later: Posed) -> float:
         """At the two poses."""
