@@ -29,7 +29,9 @@ from twistcap.solve import Arrow, Solution, minimise
 
 _LEAST_FRAMES = 3
 _WORSE = 0.01  # fraction of contour points: so many agree or not by chance
-_HELD_ROUNDS = 8  # at most where joint centres are held: poses and lengths settle sooner (balance_4view: 8 as 14)
+_HELD_ROUNDS = (
+    6  # at most where joint centres are held: poses and lengths settle sooner (balance_4view: 6, 8, 14 alike)
+)
 
 
 class Tell(Protocol):
