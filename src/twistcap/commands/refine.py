@@ -191,7 +191,7 @@ def tell(document: dict[str, Any]) -> None:
             " the surface is not quite the person's, so joint centres were held."
         )
     if not document["helped"]:
-        words.print("The images agree no better than before: the track is kept as it was.")
+        words.print("The images agree less than before: refining did not help, and the track is kept as it was.")
     for path in document["files"]:
         typer.echo(path)
 

@@ -110,7 +110,7 @@ class Sculpted:
         V = len(self.offsets)
         where = np.arange(3 * V), np.repeat(np.arange(V), 3)
         along = sparse.coo_array((self.directions.ravel(), where), shape=(3 * V, V))
-        return sparse.hstack([by_field, along]).tocsr()
+        return sparse.csr_array(sparse.hstack([by_field, along]))
 
     def joint_motions(self, posed: Posed) -> Float:
         """(6 S, M) twist of each segment in a frame where joint centres move: a joint carries all below it."""

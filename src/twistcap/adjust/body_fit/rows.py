@@ -34,10 +34,9 @@ class Rows:
 
 def rows(posed: Posed, views: Sequence[Observed]) -> Rows:
     """Of all views of one frame."""
-    body, each = posed.body, [_of_view(posed, view) for view in views]
-    twist, segments, turned, ends = (np.concatenate([of[k] for of in each]) for k in range(4))
-    by_twist = _sparse(segments, twist, len(body.segment_names))
-    return Rows(by_twist, _sparse(ends, turned, len(body.vertices)))
+    twist, segments, turned, ends = zip(*(_of_view(posed, view) for view in views), strict=True)
+    by_twist = _sparse(np.concatenate(segments), np.concatenate(twist), len(posed.body.segment_names))
+    return Rows(by_twist, _sparse(np.concatenate(ends), np.concatenate(turned), len(posed.body.vertices)))
 
 
 def _of_view(posed: Posed, seen: Observed) -> tuple[Float, Int, Float, Int]:

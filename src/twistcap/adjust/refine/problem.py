@@ -61,7 +61,7 @@ class RefineProblem:
     def __init__(self, looked: Track, rounds: Sequence[CameraRound], standing: Standing) -> None:
         self.looked, self.rounds, self.standing = looked, rounds, standing
         frames = range(len(looked.poses))
-        self.contours = [[r.contours[t] for r in rounds if r.contours[t] is not None] for t in frames]
+        self.contours = [[term for r in rounds if (term := r.contours[t]) is not None] for t in frames]
         self.pairs = [pair for r in rounds for pair in r.pairs]
         self.reach = max([2, *(pair.second - pair.first for pair in self.pairs)])
 

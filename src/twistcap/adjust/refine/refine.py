@@ -31,7 +31,10 @@ from twistcap.solve import Arrow, Solution, minimise
 from twistcap.track.visibility import SupportRule
 
 _LEAST_FRAMES = 3
-_HELD_ROUNDS = 8  # at most where joint centres are held: poses and lengths settle sooner (balance_4view: 8 as 14)
+_WORSE = 0.01  # fraction of contour points: so many agree or not by chance
+_HELD_ROUNDS = (
+    6  # at most where joint centres are held: poses and lengths settle sooner (balance_4view: 6, 8, 14 alike)
+)
 
 
 class Tell(Protocol):
@@ -54,7 +57,8 @@ class Refined:
         shape: what a refinement of another track with this body goes on from.
         design_effect: by how much contours of one part err together, 1 for not at all; see `common_error`. Beyond
             `RefineConfig.alike` joint centres were held.
-        helped: whether the images agree better than with the track given; where they do not, that is what this is.
+        helped: whether the contours agree with the images as well as those of the track given, or better; where they
+            do not, that track is what this is.
     """
 
     body: Body
@@ -105,8 +109,9 @@ def refine(
     if adjusted.design_effect > config.alike and given.shape.moved:
         given = replace(given, shape=given.shape.without_joints())
         adjusted = _adjusted(eyes, given, estimates, tell)
-    as_given = eyes.look(given.posed, np.ones(count, dtype=np.bool_), coarse=False)
-    if agreement(adjusted.problem.rounds) < agreement(as_given):
+    all_frames = np.ones(count, dtype=np.bool_)
+    before, after = (agreement(eyes.look(x.posed, all_frames, coarse=False)) for x in (given, adjusted.found.x))
+    if after < before - _WORSE:
         return _kept(given, estimates, adjusted)
     return _answer(adjusted, estimates, tracker)
 
