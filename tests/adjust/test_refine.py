@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from twistcap.studio.subjects import limbering
 
+from reproduce.scenes.subjects import limbering
 from support.finite_differences import check_jacobian
 from twistcap.adjust.refine import RefineConfig, refine
 from twistcap.adjust.refine.common_error import design_effect
@@ -25,7 +25,6 @@ from twistcap.adjust.refine.sums import (
     FrameSums,
     add_products,
     flat,
-    products_reference,
     projection,
     row_reference,
     stacked,
@@ -102,7 +101,8 @@ def test_sums_by_segment_are_those_of_the_rows() -> None:
     one, other = (Derivatives.of(posed, motion, points, rng.normal(size=(200, 3))) for _ in range(2))
     blocks = np.zeros((S, S, 11, 11))
     add_products(one.segments, one.by_segment, other.segments, other.by_segment, weight, blocks)
-    np.testing.assert_allclose(flat(blocks), products_reference(one, other, weight, S), atol=1e-9)
+    expected = stacked(one, S).T @ (weight[:, None] * stacked(other, S))
+    np.testing.assert_allclose(flat(blocks), expected, atol=1e-9)
     sums, residual = FrameSums(posed, motion), rng.normal(size=200)
     sums.add(one, weight, residual)
     gradient, matrix = sums.projected()

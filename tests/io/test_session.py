@@ -94,7 +94,7 @@ def test_command_line_over_session_over_defaults(path: Path) -> None:
         ),
         ('"direct"', '"direct"\npredictor = "motion"', r"is 'motion', but no \[motions\] names a library"),
         ('"direct"', '"direct"\ndifferential = {levls = 9}', r"unknown key 'levls' in \[tracker.differential\]"),
-        ('"direct"', '"direct"\nlimbs = {near = []}', "near name a deviation"),
+        ('"direct"', '"direct"\nkeypoint_sigma = 0.0', "keypoint_sigma is 0.0; it must be a finite number above 0"),
         ('"direct"', '"direct"\n[motions]\npath = "m.npz"\nkind = "folowed"', "'motions.kind' is 'folowed'"),
         (
             '"direct"',

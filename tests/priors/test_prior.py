@@ -243,7 +243,7 @@ def test_a_session_names_a_prior(tmp_path: Path) -> None:
     assert load_session(path).pose_prior is None
     path.write_text(SESSION + '[prior]\npath = "p.npz"\nsigma = 0.2\nstrength = 0.5\nscale = { knee_angle_r = 2.0 }\n')
     session = load_session(path)
-    assert session.tracker_config.prior.strength == 0.5
+    assert session.tracker_settings.prior_strength == 0.5
     prior = session.pose_prior
     assert prior is not None and prior.sigma == 0.2
     np.testing.assert_array_equal(prior.scale, [1.0, 2.0, 1.0])

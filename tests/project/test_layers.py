@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).parents[2] / "src" / "twistcap"
 
 # From the ground up; a room may import from its own floor and from those before it.
 FLOORS: tuple[tuple[str, ...], ...] = (
-    ("errors", "_typing", "stages"),
+    ("errors", "_typing", "stages", "registry"),
     ("se3",),
     ("camera",),
     ("body",),
@@ -24,13 +24,11 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("terms", "solve"),
     ("cues",),
     ("predict", "priors"),
-    ("motion",),
+    ("motion", "search"),
     ("differential",),
     ("settings",),
     ("track",),
     ("adjust",),
-    ("refine",),
-    ("firstpose",),
     ("studio",),
     ("keyviews",),
     ("io",),

@@ -11,9 +11,8 @@ from reproduce import tables
 from reproduce.cases import PRIOR, STUDIO, UNITS, Bar, Case, Suite
 from reproduce.sequence import Outcome, Pictures, noisy_keypoints, run_case
 from twistcap.errors import InputError
-from twistcap.predict import MotionNoise
 from twistcap.studio import StudioConfig, capture
-from twistcap.track import TrackerConfig
+from twistcap.track import Settings
 
 SMALL = StudioConfig(views=2, size=(192, 140), frames=16)
 CASE = {case.id: case for case in STUDIO.cases}
@@ -63,7 +62,7 @@ def test_quick_is_a_shorter_table_of_the_same_cases() -> None:
 
 def test_rows_are_sums_over_the_seeds() -> None:
     bars = (Bar("KHE", 1.0), Bar("KHE", 1.0, "worst"), Bar("lost sequences", 0.0, "sum"))
-    cases = tuple(Case(name, "", SMALL, TrackerConfig(), bars) for name in ("a", "b"))
+    cases = tuple(Case(name, "", SMALL, Settings(), bars) for name in ("a", "b"))
     agreement = replace(STUDIO.agreements[0], first="a", second="b")
     outcomes = {"a": [outcome(0.5), outcome(1.1, lost=True, angle=2.0)], "b": [outcome(0.7), outcome(0.9)]}
     mean, worst, lost, *rest = tables.rows_of(Suite("s", "", cases, (agreement,)), outcomes)
@@ -76,7 +75,7 @@ def test_rows_are_sums_over_the_seeds() -> None:
 
 
 def test_a_sequence_without_an_answer_never_holds() -> None:
-    case = Case("a", "", SMALL, TrackerConfig(), (Bar("KHE", 1.0),))
+    case = Case("a", "", SMALL, Settings(), (Bar("KHE", 1.0),))
     (row,) = tables.rows_of(Suite("s", "", (case,)), {"a": [outcome(0.5), outcome(np.inf)]})
     assert row["holds"] is False and row["value"] is None and row["seeds"] == [0.5, None]
 
@@ -97,10 +96,9 @@ def test_run_prints_a_table_and_tells_how_far_it_is(monkeypatch: pytest.MonkeyPa
 
 
 def test_a_tracker_that_stands_still_does_not_hold() -> None:
-    stubborn = MotionNoise(joint_speed=1e-6, turn_speed=1e-6, shift_speed=1e-6)
-    broken = TrackerConfig(predictor="hold", noise=stubborn, photometric=False)
-    case = replace(CASE["stereo-exact"], studio=SMALL, tracker=broken, every=15)
-    found = run_case(case, Pictures(capture(SMALL)))
+    case = replace(CASE["stereo-exact"], studio=SMALL, tracker=Settings(predictor="hold", brightness=False), every=15)
+    stands = StudioConfig(**{**vars(SMALL), "dropped": ((1, SMALL.frames - 1),)})
+    found = run_case(case, Pictures(capture(stands)))
     rows = {row["metric"]: row for row in tables.rows_of(Suite("s", "", (case,)), {case.id: [found]})}
     assert [rows[m]["holds"] for m in ("KHE", "joints", "lost sequences")] == [False, False, False]
     assert rows["KHE"]["lost"] == 1

@@ -68,7 +68,7 @@ def test_rows_are_the_derivatives_of_the_residuals(clock: str | None) -> None:
     """By two poses, the shape, the camera with its focal length, and its clock, all together."""
     x = a_point()
     term = replace(a_term(x, clock), weight=np.ones(len(BODY.landmarks.names)), reach=1e9)
-    J = np.zeros((2 * len(term.marks), x.size))
+    J = np.zeros((2 * len(term.marks), x.dof))
 
     class Gathered:
         def add_rows(self, energy: float, slopes: list[Slope], weight: Array, residual: Array) -> None:
@@ -79,7 +79,7 @@ def test_rows_are_the_derivatives_of_the_residuals(clock: str | None) -> None:
                 J[:, start : start + slope.by.shape[1]] += slope.by
 
     term.add_to(Gathered(), x)
-    check_jacobian(lambda d: term.residuals(x.retract(d)).ravel(), J, np.zeros(x.size), rtol=1e-5, atol=1e-5)
+    check_jacobian(lambda d: term.residuals(x.retract(d)).ravel(), J, np.zeros(x.dof), rtol=1e-5, atol=1e-5)
     assert np.abs(J[:, x.slices["camera"]]).max() > 1 and np.abs(J[:, x.slices["poses"]]).max() > 1
     assert np.any(J[:, x.slices["clock"]]) == (clock is not None)
 
@@ -95,7 +95,7 @@ def test_the_gradient_is_that_of_the_energy(free: tuple[str, ...]) -> None:
     def energy(step: Array) -> Array:
         return np.array(sum(problem.energies(x.retract(step)).values()))
 
-    check_jacobian(energy, system.gradient, np.zeros(x.size), rtol=1e-4, atol=1e-4 * np.abs(system.gradient).max())
+    check_jacobian(energy, system.gradient, np.zeros(x.dof), rtol=1e-4, atol=1e-4 * np.abs(system.gradient).max())
 
 
 def test_arrow_and_dense_are_one_system() -> None:
@@ -122,7 +122,7 @@ def test_a_quadratic_of_several_blocks_is_added_in_both_systems(free: tuple[str,
     dense, arrow = DenseSums(x), ArrowSums(x, 1)
     for sums in (dense, arrow):
         sums.add_quadratic(places, 0.5, q, H)
-    step = np.random.default_rng(5).normal(size=x.size)
+    step = np.random.default_rng(5).normal(size=x.dof)
     full = x.retract(step).minus(x)
     pick = lambda name, k: full[x.slices[name].start + k] if name in free else 0.0  # noqa: E731
     d = np.r_[pick("clock", 0), full[2 * D : 3 * D], pick("camera", 2), pick("growth", 0)]

@@ -7,7 +7,6 @@ files of ``libver="latest"`` cannot be opened after a kill.
 from __future__ import annotations
 
 import json
-import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -23,6 +22,7 @@ from twistcap.body import Body, Landmarks, Pose
 from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate
+from twistcap.io.state_slots import latest_state, put_state
 
 FORMAT = "twistcap-result"
 FORMAT_VERSION = 3
@@ -30,7 +30,6 @@ _ARRAYS = (
     "parent", "twists", "limits", "segment_joint", "vertices", "faces", "skin_segments", "skin_weights",
 )  # fmt: skip
 _NAMES = ("coordinate_names", "segment_names")
-_SLOTS = ("0", "1")  # of the state
 
 
 @dataclass(frozen=True)
@@ -162,17 +161,7 @@ class ResultWriter:
 
         Two slots are used in turn, so that a kill in the middle of a write leaves one whole.
         """
-        group = self._file.require_group("state")
-        saved = [int(group[slot].attrs.get("frames", -1)) if slot in group else -1 for slot in _SLOTS]
-        slot = _SLOTS[int(np.argmin(saved))]
-        if slot not in group:
-            group.create_dataset(slot, (0,), np.uint8, maxshape=(None,), chunks=(1 << 16,))
-        dataset = _dataset(group, slot)
-        dataset.attrs["frames"] = -1  # not valid until all of it is there
-        dataset.resize(len(data), axis=0)
-        dataset[:] = data
-        dataset.attrs["crc32"] = zlib.crc32(data.tobytes())
-        dataset.attrs["frames"] = self._count
+        put_state(self._file.require_group("state"), data, self._count)
         self._file.flush()
 
     def __len__(self) -> int:
@@ -246,15 +235,8 @@ def read_state(path: str | Path) -> tuple[int, UInt8] | None:
     """
     with _opened(path, "r") as file:
         _check_format(path, file)
-        found: list[tuple[int, UInt8]] = []
         complete = _complete(_group(file, "frames"))
-        for slot in _SLOTS if "state" in file else ():
-            if slot in _group(file, "state"):
-                dataset = _dataset(_group(file, "state"), slot)
-                data, frames = np.asarray(dataset[:], np.uint8), int(dataset.attrs.get("frames", -1))
-                if 0 <= frames <= complete and zlib.crc32(data.tobytes()) == dataset.attrs.get("crc32"):
-                    found.append((frames, data))
-        return max(found, key=lambda one: one[0], default=None)
+        return latest_state(_group(file, "state"), complete) if "state" in file else None
 
 
 def installed_versions() -> dict[str, str]:

@@ -92,7 +92,7 @@ class ReprojectionTerm:
         rows = np.repeat(np.where(before, self.weight * weight, 0.0), 2)
         slopes = self._slopes(x, by_point)
         if self.camera in x.free:
-            by_camera = scale[..., None] * camera_rates(camera, points)[..., : x[self.camera].size]
+            by_camera = scale[..., None] * camera_rates(camera, points)[..., : x[self.camera].dof]
             slopes.append(Slope(self.camera, by_camera.reshape(len(rows), -1)))
         sums.add_rows(float(np.sum(self.weight * energy)), slopes, rows, residual.ravel())
 

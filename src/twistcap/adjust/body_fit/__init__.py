@@ -1,4 +1,4 @@
-"""A body fitted to recordings: fields of shape, sub-pixel edges, poses and shape in one solve (docs/bodyfit.md)."""
+"""A body fitted to recordings, poses and shape in one solve (docs/concepts/body-fit.md)."""
 
 from twistcap.adjust.body_fit.fit import Fitted, Take, fit_body
 from twistcap.adjust.body_fit.settings import FitRule

@@ -144,9 +144,34 @@ def add_pulls(segments: Int, rows: Float, weighted: Float, vector: Float) -> Non
                     vector[segments[n, k], p] += weighted[n] * rows[n, k, p]
 
 
-def products_reference(one: Derivatives, other: Derivatives, weight: Float, S: int) -> Float:
-    """Readable twin of `add_products`: (11 S, 11 S) of stacked rows."""
-    return stacked(one, S).T @ (weight[:, None] * stacked(other, S))
+def segment_rows_reference(
+    transforms: Float, segments: Int, weights: Float, local: Float, origins: Float, axes: Float, gradient: Float
+) -> tuple[Int, Float]:
+    """Readable twin of `segment_rows`."""
+    repeats = len(gradient) // len(segments)
+    own, w, rest = np.tile(segments, (repeats, 1)), np.tile(weights, (repeats, 1)), np.tile(local, (repeats, 1))
+    T, a, arm = transforms[own], axes[own], rest[:, None] - origins[own]
+    at, g = np.einsum("nkij,nj->nki", T[..., :3, :3], rest) + T[..., :3, 3], gradient[:, None]
+    turned = np.einsum("nk,nkji,nj->ni", w, T[..., :3, :3], gradient)[:, None]
+    along = np.sum(arm * a, axis=2) * np.sum(turned * a, axis=2)
+    across = np.sum(arm * turned, axis=2) - along
+    same = np.broadcast_to(g, at.shape), np.broadcast_to(turned, at.shape)
+    out = w[..., None] * np.concatenate([np.cross(at, g), *same, along[..., None], across[..., None]], axis=2)
+    return np.where(w != 0.0, own, -1).astype(np.int32), out
+
+
+def add_products_reference(
+    segments: Int, one: Float, other_segments: Int, other: Float, weight: Float, blocks: Float
+) -> None:
+    """Readable twin of `add_products`."""
+    S = len(blocks)
+    a, b = stacked(Derivatives(segments, one), S), stacked(Derivatives(other_segments, other), S)
+    blocks += (a.T @ (weight[:, None] * b)).reshape(S, WIDTH, S, WIDTH).transpose(0, 2, 1, 3)
+
+
+def add_pulls_reference(segments: Int, rows: Float, weighted: Float, vector: Float) -> None:
+    """Readable twin of `add_pulls`."""
+    vector += (weighted @ stacked(Derivatives(segments, rows), len(vector))).reshape(vector.shape)
 
 
 def stacked(rows: Derivatives, S: int) -> Float:
