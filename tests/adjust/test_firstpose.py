@@ -247,7 +247,7 @@ def test_rows_of_an_outline_are_the_derivatives_of_its_energy(body: Body) -> Non
     g = problem.dense(x).gradient
     check_jacobian(
         lambda d: np.array(problem.energies(x.retract(d))["outline"]),
-        g, np.zeros(x.size), step=1e-6, rtol=2e-3, atol=1e-3 * np.abs(g).max(),
+        g, np.zeros(x.dof), step=1e-6, rtol=2e-3, atol=1e-3 * np.abs(g).max(),
     )  # fmt: skip
     assert np.abs(g[-2:]).min() > 1e-3 * np.abs(g).max()
 

@@ -391,6 +391,6 @@ def test_the_command_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     with ResultWriter(path, BODY, Rig((Camera("c", np.eye(3), np.eye(4), (8, 8)),)), {}) as writer:
         writer.append(Estimate(0, 0.0, a_pose(0), np.eye(BODY.dof)))
     assert run("refine", path) == 2
-    assert "names no videos; give one with --session" in capsys.readouterr().err
+    assert "names no videos; give a session with --session" in capsys.readouterr().err
     assert run("refine", path, "--set", "round=3") == 2
     assert "did you mean 'rounds'?" in capsys.readouterr().err

@@ -8,6 +8,7 @@ import pytest
 from support.twins import check_twin
 from twistcap.cues.appearance import part_colours
 from twistcap.cues.contour import tallied
+from twistcap.cues.memory import first_in_cells, strongest_in_cells
 from twistcap.cues.support_maps import robust_scale
 
 N, S = 200, 5
@@ -44,3 +45,17 @@ def test_tallies_are_those_of_the_twin(count: int) -> None:
     tolerance = 6.0 * rng.uniform(0.2, 0.5, count)
     points, telling, agreeing = check_twin(tallied, part, outer, tolerance, displacement, contrast, S)
     assert agreeing.sum() < telling.sum() < points.sum() or count == 0
+
+
+@pytest.mark.parametrize("cell", [1, 7])
+def test_points_in_cells_are_those_of_the_twins(cell: int) -> None:
+    rng = np.random.default_rng(3)
+    pixels, occupied = rng.uniform(0, 60, (300, 2)), np.zeros((60 // cell + 1, 60 // cell + 1), np.bool_)
+    occupied[3] = True
+    check_twin(first_in_cells, pixels, rng.permutation(300)[:200].astype(np.int32), cell, 2, occupied)
+    grey = rng.uniform(size=(60, 60)).astype(np.float32)
+    nearness = np.where(rng.uniform(size=(60, 60)) < 0.9, 0.3, 0.0).astype(np.float32)
+    nearness[30:] *= 2.0
+    for inverse in (True, False):
+        rows, _ = check_twin(strongest_in_cells, grey, nearness, inverse, cell, occupied)
+        assert len(rows) > 5

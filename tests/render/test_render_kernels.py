@@ -10,10 +10,11 @@ from support.twins import check_twin
 from twistcap import se3
 from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
-from twistcap.camera.projection import project
+from twistcap.camera.projection import along, depth_at, project
 from twistcap.render import render
 from twistcap.render.contour import contour_samples
 from twistcap.render.raster import barycentric
+from twistcap.render.view import in_sight, off_rims
 
 BODY = humanoid()
 
@@ -47,3 +48,15 @@ def test_projections_and_barycentric_coordinates_are_those_of_the_twins() -> Non
     which = rng.integers(0, 10, 25).astype(np.int32)
     inside = np.einsum("nk,nki->ni", rng.dirichlet(np.ones(3), 25), pixels[faces[which]])
     check_twin(barycentric, which, faces, pixels, nearness, inside, rtol=1e-7, atol=1e-7)
+
+
+@pytest.mark.parametrize("inverse", [True, False])
+def test_sight_and_rims_are_those_of_the_twins(inverse: bool) -> None:
+    rng = np.random.default_rng(4)
+    image = np.where(rng.uniform(size=(40, 50)) < 0.9, rng.choice([0.4, 0.41, 0.6], (40, 50)), 0.0).astype(np.float32)
+    pixels, nearness = rng.uniform(-3, 55, (400, 2)), rng.choice([0.0, 0.39, 0.4, 0.6], 400)
+    seen = check_twin(in_sight, pixels, nearness, image, inverse, 0.02)
+    assert 0.05 < seen.mean() < 0.9
+    assert 0.0 < check_twin(off_rims, image, inverse).mean() < 1.0
+    check_twin(depth_at, 0.4, inverse)
+    check_twin(along, camera_at((2.0, 0.3, 0.2)).P, 3.0, -4.0, 0.6, 0.8)

@@ -92,3 +92,14 @@ def along(P: Float, x: float, y: float, a: float, b: float) -> tuple[float, floa
         a * (P[0, 1] - x * P[2, 1]) + b * (P[1, 1] - y * P[2, 1]),
         a * (P[0, 2] - x * P[2, 2]) + b * (P[1, 2] - y * P[2, 2]),
     )
+
+
+def depth_at_reference(nearness: float, inverse: bool) -> float:
+    """Readable twin of `depth_at`."""
+    return 1.0 / nearness if inverse else -nearness
+
+
+def along_reference(P: Float, x: float, y: float, a: float, b: float) -> tuple[float, float, float]:
+    """Readable twin of `along`."""
+    out = np.array([a, b]) @ (P[:2, :3] - np.outer([x, y], P[2, :3]))
+    return float(out[0]), float(out[1]), float(out[2])

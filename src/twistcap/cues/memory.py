@@ -284,3 +284,34 @@ def _at_rim(nearness: Float32, inverse: bool, r: int, c: int) -> bool:
         if other == 0.0 or abs(w - other) > (0.04 * w * other if inverse else 0.04):
             return True
     return False
+
+
+def first_in_cells_reference(pixels: Float, order: Int, cell: int, border: int, occupied: Bool) -> Int:
+    """Readable twin of `first_in_cells`."""
+    places, found = np.floor(pixels + 0.5).astype(int) - border, dict[tuple[int, int], int]()
+    for n in order:
+        column, row = places[n]
+        place = int(row) // cell, int(column) // cell
+        if min(row, column) >= 0 and not occupied[place]:
+            occupied[place], found[place] = True, int(n)
+    return np.array([found[place] for place in sorted(found)], np.int32)
+
+
+def strongest_in_cells_reference(
+    grey: Float32, nearness: Float32, inverse: bool, cell: int, occupied: Bool
+) -> tuple[Int, Int]:
+    """Readable twin of `strongest_in_cells`."""
+    strength = np.full_like(grey, 1e-9)
+    strength[1:-1, 1:-1] += (grey[1:-1, 2:] - grey[1:-1, :-2]) ** 2 + (grey[2:, 1:-1] - grey[:-2, 1:-1]) ** 2
+    for dr, dc in ((0, 0), (-_RIM, 0), (_RIM, 0), (0, -_RIM), (0, _RIM)):
+        other = np.roll(nearness, (dr, dc), axis=(0, 1))
+        jump = 0.04 * nearness * other if inverse else 0.04
+        strength[(other == 0.0) | (np.abs(nearness - other) > jump)] = 0.0
+    inner, found = strength[_RIM:-_RIM, _RIM:-_RIM], list[tuple[int, int]]()
+    for i, j in np.argwhere(~occupied):
+        patch = inner[i * cell : (i + 1) * cell, j * cell : (j + 1) * cell]
+        if patch.size and patch.max() > 0.0:
+            r, c = np.unravel_index(np.argmax(patch), patch.shape)
+            found.append((int(i * cell + r + _RIM), int(j * cell + c + _RIM)))
+    rows, columns = np.array(found, np.int32).reshape(-1, 2).T
+    return rows, columns

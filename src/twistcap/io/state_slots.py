@@ -28,7 +28,7 @@ def put_state(group: h5py.Group, data: UInt8, frames: int) -> None:
 
 
 def latest_state(group: h5py.Group, complete: int) -> tuple[int, UInt8] | None:
-    """Frames and bytes (N,) of the newest slot that is whole and not ahead of the `complete` frames; None if none is."""
+    """Frames and bytes (N,) of the newest slot that is whole and not ahead of `complete` frames; None where none is."""
     for slot in sorted(_SLOTS, key=lambda name: -_frames(group, name)):
         dataset, frames = group.get(slot), _frames(group, slot)
         if isinstance(dataset, h5py.Dataset) and 0 <= frames <= complete:

@@ -149,6 +149,17 @@ def in_sight(pixels: Float, nearness: Float, image: Float32, inverse: bool, tole
     return out
 
 
+def in_sight_reference(pixels: Float, nearness: Float, image: Float32, inverse: bool, tolerance: float) -> Bool:
+    """Readable twin of `in_sight`."""
+    columns, rows = np.floor(pixels + 0.5).astype(int).T
+    height, width = image.shape
+    seen = (nearness != 0.0) & (rows >= 0) & (columns >= 0) & (rows < height) & (columns < width)
+    surface = image[np.where(seen, rows, 0), np.where(seen, columns, 0)].astype(float)
+    seen &= surface > 0.0
+    behind, here = (1.0 / np.where(seen, n, 1.0) if inverse else -n for n in (nearness, surface))
+    return seen & (behind < here + tolerance)
+
+
 @njit(cache=True, nogil=True)
 def off_rims(nearness: Float32, inverse: bool) -> AnyArray:
     """(H, W) uint8: 1 on the body, 0 off it and at its rims: beside what is off it, or 4 cm nearer or farther."""
@@ -165,6 +176,20 @@ def off_rims(nearness: Float32, inverse: bool) -> AnyArray:
                     rim |= other == 0.0 or abs(depth_at(other, inverse) - depth_at(w, inverse)) > _JUMP
             out[r, c] = 0 if rim else 1
     return out
+
+
+def off_rims_reference(nearness: Float32, inverse: bool) -> AnyArray:
+    """Readable twin of `off_rims`."""
+    body = nearness != 0.0
+    depth = np.where(body, 1.0 / np.where(body, nearness, 1.0) if inverse else -nearness, np.inf)
+    out = body.copy()
+    for axis in (0, 1):
+        before, after = (np.take(depth, range(a, depth.shape[axis] + b), axis) for a, b in ((0, -1), (1, 0)))
+        with np.errstate(invalid="ignore"):
+            jump = ~(np.abs(after - before) <= _JUMP)
+        pad = np.zeros_like(np.take(jump, [0], axis))
+        out &= ~np.concatenate([jump, pad], axis) & ~np.concatenate([pad, jump], axis)
+    return out.astype(np.uint8)
 
 
 def body_window(posed: Posed, camera: AnyCamera, margin: float) -> tuple[tuple[int, int], tuple[int, int]] | None:
