@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import cv2
 import numpy as np
 from numba import njit
 
+from twistcap._cached import cached
 from twistcap._typing import AnyArray, Bool, Float, Float32, Int
 from twistcap.body import Body, Posed
 from twistcap.camera import AnyCamera
@@ -39,7 +39,7 @@ class SurfacePoints:
     def __len__(self) -> int:
         return len(self.local)
 
-    @cached_property
+    @cached
     def part(self) -> Int:
         """(N,) the segment that each point is bound to most."""
         best = np.argmax(self.weights, axis=1)
@@ -88,22 +88,22 @@ class RenderedView:
     face_index: Int
     nearness_image: Float32
 
-    @cached_property
+    @cached
     def px_per_m(self) -> float:
         """Image scale at the body, px/m (0 where none of it is before the camera)."""
         return self.camera.px_per_m(self.nearness)
 
-    @cached_property
+    @cached
     def mask(self) -> Bool:
         """(H, W) silhouette."""
         return self.face_index >= 0
 
-    @cached_property
+    @cached
     def part(self) -> Int:
         """(H, W) visible segment, -1 off the body."""
         return _part_image(self.face_index, self.posed.body.face_part)
 
-    @cached_property
+    @cached
     def inside(self) -> Float32:
         """(H, W) px from the nearest rim: of the silhouette, or of one part before another."""
         kept = off_rims(self.nearness_image, self.camera.inverse_depth)
