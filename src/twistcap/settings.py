@@ -62,6 +62,8 @@ class Settings:
     differential: DifferentialConfig = field(default_factory=DifferentialConfig)
 
     def __post_init__(self) -> None:
+        if isinstance(self.plugins, str) or len(set(self.plugins)) < len(self.plugins):
+            raise InputError(f"tracker: plugins is {self.plugins!r}; give a list of names, each once.")
         if self.despeckle not in (1, 3, 5):
             raise InputError(f"tracker: despeckle is {self.despeckle}; it must be 1, 3 or 5.")
         self._expect_positive("keypoint_sigma", "first_sigma_deg", "first_sigma_m")

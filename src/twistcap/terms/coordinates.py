@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 class LimitTerm:
     """Half a parabola beyond each joint limit; `sigma` rad is the standard deviation of going past it."""
 
-    sigma: float = np.deg2rad(0.5)
+    sigma: float = float(np.deg2rad(0.5))
     name: str = "limits"
 
     def _excess(self, posed: Posed) -> Float:
