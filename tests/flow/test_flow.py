@@ -98,7 +98,7 @@ def test_motion_outside_the_mask_does_not_leak_in(smoothness: str) -> None:
     inner = mask & (X < W / 2 - 8)  # derivatives of the images themselves see a few pixels across
     far = inner & (X > W / 2 - 20)
     if smoothness == "homogeneous":
-        settings = replace(settings, robust_data=False, alpha=300.0)  # smoothness reaches far
+        settings = replace(settings, alpha=300.0)  # smoothness reaches far
     against = optical_flow(first, second, mask=mask, settings=settings)
     along = optical_flow(*(i.astype(np.float32) for i in with_it), mask=mask, settings=settings)
     unmasked = optical_flow(first, second, settings=settings)
@@ -118,7 +118,7 @@ def test_the_linear_system_does_not_know_what_lies_off_the_mask() -> None:
     out = []
     for u, v in flows:
         g = diffusivity(u, v, mask, 0.001)
-        data = data_weights(tensors, np.zeros_like(u), np.zeros_like(v), 1.0, 0.001, True)
+        data = data_weights(tensors, np.zeros_like(u), np.zeros_like(v), 1.0, 0.001)
         relax(assemble(data, u, v, g, 1.0, mask), u, v, 7, 1.8)
         out.append((u[mask], v[mask]))
     np.testing.assert_array_equal(out[0], out[1])
