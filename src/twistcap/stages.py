@@ -1,7 +1,7 @@
-"""Stopwatch of the tracker's stages: off unless `record` is open, so that the normal path pays next to nothing.
+"""Stopwatch of the tracker's stages; it costs next to nothing unless `record` is open.
 
-``with stages.record() as times: ...`` fills ``times``: stage -> seconds in each frame. A stage inside another one is
-taken out of the outer one's time. One thread at a time.
+``with stages.record() as times: ...`` fills ``times``: stage -> seconds in each frame. The time of a stage inside
+another one is subtracted from the outer one's. One thread at a time.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ class _Recorder:
     def __init__(self) -> None:
         self.times: Times = {}
         self.frames = 0
-        self.inner = [0.0]  # per open stage: the seconds that stages inside it took
+        self.inner = [0.0]  # seconds of the stages inside each open stage
 
     def add(self, name: str, seconds: float) -> None:
         entries = self.times.setdefault(name, [])
@@ -32,7 +32,7 @@ _recorder: _Recorder | None = None
 
 @contextmanager
 def record() -> Generator[Times]:
-    """Record every `stage` until the block ends; yields stage -> seconds per frame, complete once it has ended."""
+    """Record every `stage` until the block ends; yields stage -> seconds per frame, complete at its end."""
     global _recorder
     before, _recorder = _recorder, _Recorder()
     mine = _recorder
@@ -45,7 +45,7 @@ def record() -> Generator[Times]:
 
 
 def next_frame() -> None:
-    """What is timed from here on belongs to the next frame."""
+    """Count all times from here on for the next frame."""
     if _recorder is not None:
         _recorder.frames += 1
 
