@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -142,11 +141,3 @@ def _surface(body: Body, vertices: Float, dropped: Bool) -> tuple[Float, Int, In
     new = np.cumsum(~gone) - 1
     faces = body.faces[~gone[body.faces].any(axis=1)]
     return np.ascontiguousarray(vertices[used]), np.ascontiguousarray(new[faces].astype(np.int32)), used
-
-
-def with_surface(body: Body, vertices: Float, faces: Int, segments: Int) -> Body:
-    """The body with another surface, rigid on the segments (V,) given."""
-    one = np.ones((len(vertices), 1))
-    return replace(
-        body, vertices=vertices, faces=faces, skin_segments=segments[:, None].astype(np.int32), skin_weights=one
-    )

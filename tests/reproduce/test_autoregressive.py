@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from reproduce.autoregressive import AutoregressiveMotion
 from twistcap import se3
 from twistcap._typing import Float
 from twistcap.body.humanoid import humanoid
 from twistcap.errors import InputError
-from twistcap.motion import AutoregressiveMotion, MotionClip, MotionLibrary, motion_predictor
+from twistcap.motion import MotionClip, MotionLibrary
 from twistcap.motion.openloop import Stretched
 
 BODY = humanoid("legs")
@@ -78,9 +79,8 @@ def test_a_short_history_goes_on_as_before() -> None:
     np.testing.assert_allclose(found.q[0], clip.q[-1] + np.diff(clip.q, axis=0).mean(axis=0))
 
 
-def test_it_is_chosen_by_name_and_tells_how_far_it_strays() -> None:
-    predictor = motion_predictor("autoregressive", library(swinging(300, 0.0)), BODY)
-    assert isinstance(predictor, AutoregressiveMotion)
+def test_it_learns_its_own_spread() -> None:
+    predictor = AutoregressiveMotion(library(swinging(300, 0.0)), BODY)
     turn, shift, joints = predictor.spread.variances(8.0)
     assert 0 < turn < 0.1 and 0 < shift < 0.1 and np.all((joints > 0) & (joints < 0.1))
 

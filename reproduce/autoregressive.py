@@ -1,28 +1,31 @@
-"""Prediction by a vector autoregression: the next step is linear in the last poses, learnt from the library.
+"""Prediction by a vector autoregression, a baseline: the next step is linear in the last poses.
 
-Joint angles and the root's twists of the last p frames tell the next increments, by ridge regression over all poses of
-all clips (Lütkepohl, "New Introduction to Multiple Time Series Analysis", 2005, chapter 3;
-DOI 10.1007/978-3-540-27752-1); the linear algebra is scipy's. It knows no phase and no match: what is compared with.
+Joint angles and the root's twists of the last p frames predict the next increments, by ridge regression over all poses
+of all clips (Lütkepohl, "New Introduction to Multiple Time Series Analysis", 2005, chapter 3;
+DOI 10.1007/978-3-540-27752-1). The linear algebra is scipy's.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import scipy.linalg
 
+from reproduce.arrays import Float
 from twistcap import se3
-from twistcap._typing import Float
 from twistcap.body import Body
 from twistcap.errors import InputError
-from twistcap.motion.library import MotionLibrary
+from twistcap.motion import MotionLibrary
 from twistcap.motion.matching import Stretch
 from twistcap.motion.openloop import OpenLoop, Stretched
 from twistcap.motion.paper import standard_step
+from twistcap.motion.predictor import TrainedMotion
+from twistcap.track import Model
 
-_BEYOND = 0.2  # rad by which a joint may leave the range that the library has of it
-_TWIST = 10.0  # a twist per frame (rad, m) counts so much against a joint angle (rad)
+_BEYOND = 0.2  # rad by which a joint may leave its range in the library
+_TWIST = 10.0  # weight of a twist per frame (rad, m) against a joint angle (rad)
 
 
 class AutoregressiveMotion(OpenLoop):
@@ -31,9 +34,9 @@ class AutoregressiveMotion(OpenLoop):
     Args:
         library: training motion, at the frame rate of the recording.
         body: that is tracked.
-        order: p, poses that are looked at.
+        order: p, number of poses.
         stride: frames between them.
-        ridge: by which coefficients are held small, as a share of the mean square of what they multiply.
+        ridge: weight of the penalty on a coefficient, as a fraction of the mean square of its feature.
 
     Raises:
         InputError: as `OpenLoop`, for an order or a stride below 1, a ridge that is not positive, or clips that are all
@@ -47,7 +50,7 @@ class AutoregressiveMotion(OpenLoop):
         if order < 1 or stride < 1 or not 0 < ridge < np.inf:
             raise InputError("autoregressive motion: take an order and a stride of 1 or more, and a positive ridge.")
         self.order, self.stride, self.ridge = order, stride, ridge
-        self.history = (order - 1) * stride + 2  # the first of them has come by a step, too
+        self.history = (order - 1) * stride + 2  # the first pose needs the step before it
         clips = [library.clip(k) for k in range(len(library.clip_names))]
         rows = [self._rows(clip.q, clip.roots) for clip in clips if len(clip) > self.history]
         if not rows:
@@ -111,6 +114,12 @@ class AutoregressiveMotion(OpenLoop):
         diagonal = np.diag(gram)
         weight = self.ridge * np.maximum(diagonal, 1e-3 * diagonal.max())
         return np.asarray(scipy.linalg.solve(gram + np.diag(weight), cross, assume_a="pos"))
+
+
+def with_autoregression(model: Model, library: MotionLibrary) -> Model:
+    """The model with this predictor in place of its own from training motion."""
+    linear = TrainedMotion(AutoregressiveMotion(library, model.body))
+    return replace(model, predictors=tuple(linear if isinstance(p, TrainedMotion) else p for p in model.predictors))
 
 
 def _twists(roots: Float) -> Float:
