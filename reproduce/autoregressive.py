@@ -18,8 +18,8 @@ from twistcap import se3
 from twistcap.body import Body
 from twistcap.errors import InputError
 from twistcap.motion import MotionLibrary
-from twistcap.motion.matching import Stretch
-from twistcap.motion.openloop import OpenLoop, Stretched
+from twistcap.motion.matching import Interval
+from twistcap.motion.openloop import OpenLoop, PoseSequence
 from twistcap.motion.paper import standard_step
 from twistcap.motion.predictor import TrainedMotion
 from twistcap.track import Model
@@ -65,15 +65,15 @@ class AutoregressiveMotion(OpenLoop):
         used = library.q[:, self.compared]
         self._range = used.min(axis=0) - _BEYOND, used.max(axis=0) + _BEYOND
         self._coefficients = self._solved(np.zeros(len(self._x), dtype=np.bool_))
-        self._without: tuple[tuple[Stretch, ...], Float] = ((), self._coefficients)
+        self._without: tuple[tuple[Interval, ...], Float] = ((), self._coefficients)
 
-    def go_on(self, past: Stretched, count: int, barred: Sequence[Stretch] = ()) -> Stretched:
-        """The next pose; see `OpenLoop.go_on`. Barred stretches are left out of what is learnt from."""
+    def next_poses(self, past: PoseSequence, count: int, excluded: Sequence[Interval] = ()) -> PoseSequence:
+        """The next pose; see `OpenLoop.next_poses`. Excluded stretches are left out of what is learnt from."""
         if len(past) < self.history:
             return standard_step(past.since(max(0, len(past) - 5)))
         past = past.since(len(past) - self.history)
         x = self._features(past.q[:, self.compared], _twists(past.roots), past.roots[:, 2, :3])[-1]
-        step = x @ self._fitted(tuple(barred))
+        step = x @ self._fitted(tuple(excluded))
         q = past.q[-1].copy()
         K = len(self.compared)
         # Where the person already is beyond the range, one step does not jump back into it.
@@ -82,7 +82,7 @@ class AutoregressiveMotion(OpenLoop):
         )
         q[self.compared] = np.clip(q[self.compared] + step[:K], low, high)
         root = past.roots[-1] @ se3.exp(step[K:] / _TWIST)
-        return Stretched(q[None], root[None])
+        return PoseSequence(q[None], root[None])
 
     def _rows(self, q: Float, roots: Float) -> tuple[Float, Float]:
         """Features (n, F) and what followed (n, K + 6) at the poses history − 1 … N − 2 of a clip."""
@@ -96,15 +96,15 @@ class AutoregressiveMotion(OpenLoop):
         lags = [np.column_stack([q[last - v], twists[last - v]]) for v in self.stride * np.arange(self.order)]
         return np.column_stack([np.ones(len(last)), up[last], *lags])
 
-    def _fitted(self, barred: tuple[Stretch, ...]) -> Float:
-        """(F, K + 6) coefficients without what is barred; the last ones are kept."""
-        if not barred:
+    def _fitted(self, excluded: tuple[Interval, ...]) -> Float:
+        """(F, K + 6) coefficients without what is excluded; the last ones are kept."""
+        if not excluded:
             return self._coefficients
-        if self._without[0] != barred:
+        if self._without[0] != excluded:
             out = np.zeros(len(self._x), dtype=np.bool_)
-            for clip, low, high in barred:
+            for clip, low, high in excluded:
                 out |= (self._clip == clip) & (self._position > low) & (self._position < high)
-            self._without = barred, self._solved(out)
+            self._without = excluded, self._solved(out)
         return self._without[1]
 
     def _solved(self, out: np.ndarray) -> Float:
