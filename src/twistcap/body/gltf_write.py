@@ -114,9 +114,7 @@ def _add_mesh(gltf: GLTF2, pack: Packer, body: Body) -> None:
     sets = -(-K // 4)
     segments, weights = np.zeros((V, 4 * sets), np.uint16), np.zeros((V, 4 * sets), np.float32)
     weights[:, :K] = body.skin_weights
-    segments[:, :K] = np.where(
-        body.skin_weights > 0, body.skin_segments, 0
-    )  # the validator wants unused joints to be 0
+    segments[:, :K] = np.where(body.skin_weights > 0, body.skin_segments, 0)  # glTF's validator wants 0 where unused
     for n in range(sets):
         part = slice(4 * n, 4 * n + 4)
         setattr(attributes, f"JOINTS_{n}", pack.add(segments[:, part], "VEC4", ARRAY_BUFFER))

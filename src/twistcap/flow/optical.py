@@ -19,7 +19,6 @@ def optical_flow(
     mask: Bool | None = None,
     preset: Preset = "accurate",
     settings: FlowSettings | None = None,
-    initial: AnyArray | None = None,
 ) -> Float32:
     """Where the points of the first image are in the second: (H, W, 2) px, (x, y) to (x + u, y + v).
 
@@ -32,12 +31,11 @@ def optical_flow(
             edge. Off it the flow is that of the nearest pixel on it. Within a mask, displacements up to
             `SearchSettings.radius` are searched: limbs may move farther than they are wide.
         preset: "accurate" (some tenths of a second for a person) or "fast" (some milliseconds).
-        settings: used instead of the preset's; `BROX_2004` and `CHAPTER` are the published forms.
-        initial: (H, W, 2) px, from which to start instead of from 0.
+        settings: used instead of the preset's; `BROX_2004` is the published form.
 
     Raises:
         InputError: for images that differ in size or channels, are empty or not finite, a mask of another size or
-            without a pixel, an unknown preset, settings out of range, or an initial flow of another size.
+            without a pixel, an unknown preset, or settings out of range.
     """
     chosen = _chosen(preset, settings)
     first, second = _channels(image1, "first"), _channels(image2, "second")
@@ -47,8 +45,7 @@ def optical_flow(
         )
     shape = (first.shape[0], first.shape[1])
     inside = np.ones(shape, bool) if mask is None else _mask(mask, shape)
-    start = None if initial is None else _initial(initial, shape)
-    return coarse_to_fine(first, second, inside, chosen, start)
+    return coarse_to_fine(first, second, inside, chosen)
 
 
 def flow_confidence(forward: Float32, backward: Float32) -> Float32:
@@ -92,7 +89,6 @@ def _chosen(preset: str, settings: FlowSettings | None) -> FlowSettings:
         raise InputError(f"optical_flow: preset is {preset!r}; it must be one of {', '.join(map(repr, PRESETS))}.")
     s = PRESETS[preset] if settings is None else settings
     for name, holds, wanted in (
-        ("smoothness", s.smoothness in ("robust", "homogeneous"), "'robust' or 'homogeneous'"),
         ("alpha", s.alpha > 0, "positive"),
         ("gamma", s.gamma >= 0, "0 or more"),
         ("zeta", s.zeta >= 0, "0 or more"),
@@ -124,11 +120,3 @@ def _mask(mask: AnyArray, shape: tuple[int, int]) -> Bool:
     if not inside.any():
         raise InputError("optical_flow: the mask has no pixel; leave it out for the flow of the whole image.")
     return inside
-
-
-def _initial(initial: AnyArray, shape: tuple[int, int]) -> Float32:
-    if initial.shape != (*shape, 2) or not np.isfinite(initial).all():
-        raise InputError(
-            f"optical_flow: the initial flow has size {initial.shape}; give {(*shape, 2)} of finite numbers."
-        )
-    return np.ascontiguousarray(initial, dtype=np.float32)

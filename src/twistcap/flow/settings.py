@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal
 
-Smoothness = Literal["robust", "homogeneous"]
 Preset = Literal["accurate", "fast"]
 
 
@@ -44,10 +43,9 @@ class SearchSettings:
 
 @dataclass(frozen=True)
 class FlowSettings:
-    """The model and its numerical scheme.
+    """The model and its numerical scheme; the smoothness is flow-driven and isotropic (Brox et al. 2004).
 
     Attributes:
-        smoothness: "robust", flow-driven and isotropic (Brox et al. 2004), or "homogeneous", the chapter's quadratic.
         alpha: weight of the smoothness. It goes with the data term's unit: px with `zeta`, intensity in [0, 1] without.
         gamma: weight of gradient against brightness constancy; 0 leaves the gradient out.
         zeta: noise floor (intensity per px) of the normalised constraints (Zimmer et al. 2011); 0 does not normalise.
@@ -62,7 +60,6 @@ class FlowSettings:
         search: of large displacements within the mask; None for none. Without a mask there is none.
     """
 
-    smoothness: Smoothness = "robust"
     alpha: float = 1.7
     gamma: float = 2.0
     zeta: float = 0.005
@@ -87,6 +84,5 @@ FAST_PRESET = replace(
 )  # fmt: skip
 PRESETS: dict[str, FlowSettings] = {"accurate": ACCURATE, "fast": FAST_PRESET}
 # Brox, Bruhn, Papenberg and Weickert 2004, with a separate robust function for each constancy (eq. 11.24 of the
-# chapter), and the chapter's form. Their weights were set on the four Middlebury pairs of the benchmark.
+# chapter). The weights were set on the four Middlebury pairs of the benchmark.
 BROX_2004 = replace(ACCURATE, alpha=0.08, gamma=5.0, zeta=0.0, blend=0.0, median=0, search=None)
-CHAPTER = replace(BROX_2004, smoothness="homogeneous", alpha=0.1, gamma=3.0)

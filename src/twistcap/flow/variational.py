@@ -1,8 +1,8 @@
 """Warping from coarse to fine: an outer fixed point over the flow, an inner one over the lagged weights.
 
 Brox, Bruhn, Papenberg and Weickert 2004, "High accuracy optical flow estimation based on a theory for warping", DOI
-10.1007/978-3-540-24673-2_3; with homogeneous smoothness within a mask, eq. 11.24-11.27 of Brox, Rosenhahn and Cremers,
-"Contours, Optic Flow, and Prior Knowledge".
+10.1007/978-3-540-24673-2_3; within a mask, eq. 11.24-11.27 of Brox, Rosenhahn and Cremers, "Contours, Optic Flow, and
+Prior Knowledge".
 """
 
 from __future__ import annotations
@@ -24,22 +24,15 @@ _PRESMOOTH = 0.6  # px, standard deviation of the Gaussian over the images of ev
 _SEARCH_SCALE = 0.5  # levels coarser than this come before the search, finer ones after it
 
 
-def coarse_to_fine(
-    first: Float32, second: Float32, mask: Bool, settings: FlowSettings, initial: Float32 | None = None
-) -> Float32:
-    """(H, W, 2) flow in px from the first image to the second, both (H, W, C) in [0, 1], within a mask (H, W).
-
-    An initial flow (H, W, 2) px replaces the levels coarser than `_SEARCH_SCALE`, which would blur it.
-    """
+def coarse_to_fine(first: Float32, second: Float32, mask: Bool, settings: FlowSettings) -> Float32:
+    """(H, W, 2) flow in px from the first image to the second, both (H, W, C) in [0, 1], within a mask (H, W)."""
     s, shape = settings, (first.shape[0], first.shape[1])
     shapes = level_shapes(shape, s.factor, s.least_size, s.finest)
     levels = list(zip(pyramid(first, shapes, _PRESMOOTH), pyramid(second, shapes, _PRESMOOTH), strict=True))
     before = [level for level in levels if level[0].shape[0] < _SEARCH_SCALE * shape[0]]
-    flow = initial
-    if flow is None:
-        flow = np.zeros((*shapes[-1], 2), np.float32)
-        for level in reversed(before):
-            flow = _at_level(*level, mask, flow, s)
+    flow = np.zeros((*shapes[-1], 2), np.float32)
+    for level in reversed(before):
+        flow = _at_level(*level, mask, flow, s)
     if s.search is not None and not mask.all():
         flow = large_displacements(first, second, mask, flow, s.search)
         near = box_of(mask, _REACH)
@@ -87,13 +80,12 @@ def refined(
     """
     s = settings
     u, v = (np.ascontiguousarray(flow[..., k]) for k in range(2))
-    even = np.ones_like(u)
     for _ in range(s.warps):
         u0, v0 = u.copy(), v.copy()
         tensors = motion_tensors(first, second, u, v, mask, corner, s.zeta, s.blend)
         for _ in range(s.inner):
             data = data_weights(tensors, u - u0, v - v0, s.gamma, _EPSILON)
-            g = diffusivity(u, v, mask, _EPSILON) if s.smoothness == "robust" else even
+            g = diffusivity(u, v, mask, _EPSILON)
             relax(assemble(data, u0, v0, g, s.alpha, mask), u, v, s.sweeps, s.omega)
         if s.median:
             u, v = (np.asarray(cv2.medianBlur(x, s.median), np.float32) for x in (u, v))

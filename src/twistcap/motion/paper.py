@@ -36,7 +36,6 @@ class PaperMotion(OpenLoop):
         kind: which of them.
         poses: m, number of the last poses that are matched, or averaged.
         scales: time scales that are tried.
-        weights: of the matched coordinates, by name; by default 1.
 
     Raises:
         InputError: as `OpenLoop`, and for fewer than two poses.
@@ -49,15 +48,13 @@ class PaperMotion(OpenLoop):
         kind: PaperKind = "scaled",
         poses: int = 5,
         scales: Sequence[float] = PAPER_SCALES,
-        weights: dict[str, float] | None = None,
     ) -> None:
         super().__init__(library, body)
         if poses < 2:
             raise InputError(f"motion prediction: {poses} pose(s) are to be matched; take 2 or more.")
         self.kind, self.poses, self.history = kind, poses, poses
         chosen = scales if kind == "scaled" else (1.0,)
-        given = [(weights or {}).get(library.names[c], 1.0) for c in self.compared]
-        self._matcher = Matcher(library, self.compared, given, chosen)
+        self._matcher = Matcher(library, self.compared, scales=chosen)
 
     def dissimilarity(self, match: Match | None) -> float:
         """Mean distance of the matched poses, rad."""
