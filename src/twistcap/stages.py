@@ -1,13 +1,14 @@
-"""Stopwatch of the tracker's stages; it costs next to nothing unless `record` is open.
+"""Stopwatch of the tracker's stages: off unless `record` is open, so that the normal path pays next to nothing.
 
-``with stages.record() as times: ...`` fills ``times``: stage -> seconds in each frame. The time of a stage inside
-another one is subtracted from the outer one's. One thread at a time.
+``with stages.record() as times: ...`` fills ``times``: stage -> seconds in each frame. A stage inside another one is
+taken out of the outer one's time. Seconds of several threads are summed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Generator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from threading import Lock, local
 from time import perf_counter
 
 Times = dict[str, list[float]]
@@ -19,12 +20,20 @@ class _Recorder:
     def __init__(self) -> None:
         self.times: Times = {}
         self.frames = 0
-        self.inner = [0.0]  # seconds of the stages inside each open stage
+        self.lock = Lock()
+        self.open = local()  # of each thread, per open stage: the seconds that stages inside it took
+
+    @property
+    def inner(self) -> list[float]:
+        if not hasattr(self.open, "inner"):
+            self.open.inner = [0.0]
+        return self.open.inner
 
     def add(self, name: str, seconds: float) -> None:
-        entries = self.times.setdefault(name, [])
-        entries.extend([0.0] * (self.frames - len(entries)))
-        entries[-1] += seconds
+        with self.lock:
+            entries = self.times.setdefault(name, [])
+            entries.extend([0.0] * (self.frames - len(entries)))
+            entries[-1] += seconds
 
 
 _recorder: _Recorder | None = None
@@ -32,7 +41,7 @@ _recorder: _Recorder | None = None
 
 @contextmanager
 def record() -> Generator[Times]:
-    """Record every `stage` until the block ends; yields stage -> seconds per frame, complete at its end."""
+    """Record every `stage` until the block ends; yields stage -> seconds per frame, complete once it has ended."""
     global _recorder
     before, _recorder = _recorder, _Recorder()
     mine = _recorder
@@ -45,7 +54,7 @@ def record() -> Generator[Times]:
 
 
 def next_frame() -> None:
-    """Count all times from here on for the next frame."""
+    """What is timed from here on belongs to the next frame."""
     if _recorder is not None:
         _recorder.frames += 1
 
