@@ -36,7 +36,7 @@ class Settings:
         predictor: where the body is expected. "hold" is where it was, "flow" where optic flow leads. "motion" is as in
             training motion and needs `[motions]`.
         motion: how training motion predicts: "followed" is the default, "guarded" yields to inertia where that does
-            better. "scaled", "unscaled", "standard" and "autoregressive" are for comparison.
+            better. "scaled", "unscaled" and "standard" are the paper's, for comparison.
         keypoint_sigma: m on the body, standard deviation of a 2D keypoint of confidence 1.
         prior_strength: weight of a pose prior for each contour sample.
         first_sigma_deg: degrees, standard deviation of the joints and the turn of the first pose.
