@@ -12,11 +12,11 @@ import pytest
 
 from support.browser import Browser
 from support.pages_shared import has_colour, needs_browser, picture, run, served
+from twistcap.acquire.cutout import Hints, Stroke, cut_out
 from twistcap.camera import Camera, Rig, look_at
 from twistcap.commands.body import cutting_of
 from twistcap.errors import InputError
 from twistcap.io.calibration import write_rig
-from twistcap.keyviews.cutout import Hints, Stroke, cut_out
 from twistcap.pages.assemble import page
 from twistcap.pages.cutting import outline
 from twistcap.region.compare import iou

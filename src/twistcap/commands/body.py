@@ -34,11 +34,11 @@ def keyviews(
 
       twistcap body keyviews anna.toml --out anna
     """
+    from twistcap.acquire.build import build
+    from twistcap.acquire.measure import measure
     from twistcap.body.gltf import save_glb
     from twistcap.io.keyviews import read_key_views
-    from twistcap.keyviews.build import build
-    from twistcap.keyviews.measure import measure
-    from twistcap.report.keyviews import draw_silhouettes, draw_steps
+    from twistcap.report.acquire import draw_silhouettes, draw_steps
 
     found, line = read_key_views(views)
     folder = terminal.output_folder(out)

@@ -21,11 +21,11 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from twistcap._typing import Bool, UInt8
+from twistcap.acquire.silhouette import KeyView, difference_mask, one_person
 from twistcap.camera import Camera, Rectifier, Rig
 from twistcap.errors import InputError
 from twistcap.io.calibration import read_rig
 from twistcap.io.strict import validated
-from twistcap.keyviews.silhouette import KeyView, difference_mask, one_person
 
 
 class ViewEntry(BaseModel):

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 
 from twistcap._typing import Bool, UInt8
+from twistcap.acquire.cutout import Hints, Stroke, cut_out
 from twistcap.errors import InputError
-from twistcap.keyviews.cutout import Hints, Stroke, cut_out
 from twistcap.pages.assemble import jpeg
 from twistcap.pages.outlines import flat
 from twistcap.pages.server import Answer

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from twistcap._typing import Bool, Float, UInt8
-from twistcap.keyviews.silhouette import one_person
+from twistcap.acquire.silhouette import one_person
 
 _ROUNDS = 4
 _SURE = 0.02  # of the image's height: an earlier silhouette is taken for granted farther than this from its edge

@@ -9,11 +9,11 @@ import numpy as np
 
 from twistcap import se3
 from twistcap._typing import Float, Int
+from twistcap.acquire.measure import SIDES, Measured
+from twistcap.acquire.sections import closed_spline, fullness
 from twistcap.body import Body, Landmarks
 from twistcap.body.humanoid import humanoid
 from twistcap.body.shape import joint_origin
-from twistcap.keyviews.measure import SIDES, Measured
-from twistcap.keyviews.sections import closed_spline, fullness
 
 _RING = 24  # vertices of a slice
 _DOWN = np.array([0.0, 0.0, -1.0])

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from twistcap._typing import Bool, Float
+from twistcap.acquire.outline import corners, skeleton
 from twistcap.errors import InputError
-from twistcap.keyviews.outline import corners, skeleton
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,13 @@ import numpy as np
 
 from twistcap import se3
 from twistcap._typing import Bool, Float
+from twistcap.acquire.joints import ArmCorner, arm_corner, narrowest
+from twistcap.acquire.outline import Separation, separate
+from twistcap.acquire.sections import Cut, sections
+from twistcap.acquire.silhouette import KeyView, check_views, middle_pixel, nearest_point
 from twistcap.body import _humanoid_profiles as P
 from twistcap.camera import Camera
 from twistcap.errors import InputError
-from twistcap.keyviews.joints import ArmCorner, arm_corner, narrowest
-from twistcap.keyviews.outline import Separation, separate
-from twistcap.keyviews.sections import Cut, sections
-from twistcap.keyviews.silhouette import KeyView, check_views, middle_pixel, nearest_point
 
 SIDES = ("r", "l")
 _STEP = 0.012  # m between slices
