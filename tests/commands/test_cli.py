@@ -83,7 +83,7 @@ def test_export(kind: str, tracked: Path, tmp_path: Path, capsys: pytest.Capture
 
 
 def test_export_refuses(tracked: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "must be one of trc, mot, bvh" in told(capsys, "export", tracked / "result.h5", "--to", "fbx")
+    assert "choose one of trc, mot, bvh, csv, glb" in told(capsys, "export", tracked / "result.h5", "--to", "fbx")
     assert "does not exist" in told(capsys, "export", tmp_path / "none.h5", "--to", "trc")
     assert "no HDF5 file" in told(capsys, "export", tracked / "angles.csv", "--to", "trc")
 

@@ -32,7 +32,16 @@ def _from_folder(path: str, info: ValidationInfo) -> str:
 
 
 DataPath = Annotated[str, AfterValidator(_from_folder)]
-ExportKind = Literal["trc", "mot", "bvh", "csv", "glb"]
+
+
+def _known_format(name: str) -> str:
+    from twistcap.io.exports import FORMATS
+
+    FORMATS.get(name)
+    return name
+
+
+ExportName = Annotated[str, AfterValidator(_known_format)]
 Factors = dict[str, Annotated[float, Field(gt=0)]]
 
 
@@ -178,7 +187,7 @@ class Output(Table):
     folder: str | None = None
     overlay: bool = True
     report: bool = True
-    exports: tuple[ExportKind, ...] = ("trc", "csv")
+    exports: tuple[ExportName, ...] = ("trc", "csv")
 
 
 class Session(Table):
