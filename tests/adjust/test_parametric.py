@@ -80,7 +80,7 @@ def test_steps_stay_within_the_bounds_and_are_exact() -> None:
     assert np.abs(moved.vertices - there.vertices).max() < 1e-9
     assert np.abs(joint_centres(moved) - joint_centres(there)).max() < 1e-9
     assert np.abs(moved.landmarks.points - there.landmarks.points).max() < 1e-12
-    assert build.told({"legs": -0.4}) == {"tall": 0.8, "legs": -0.4, "stout": 0.0}
+    assert build.summary({"legs": -0.4}) == {"tall": 0.8, "legs": -0.4, "stout": 0.0}
 
 
 def test_a_model_takes_another_bodys_lengths() -> None:

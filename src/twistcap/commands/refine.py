@@ -47,7 +47,7 @@ def refine(
     if json:
         terminal.emit(document)
     else:
-        tell(document)
+        show(document)
 
 
 def _run(
@@ -66,13 +66,13 @@ def _run(
     chosen = [e for e in result.estimates if span is None or span[0] <= e.index <= span[1]]
     views = _views(session, result.rig, [e.index for e in chosen], path)
     folder = terminal.output_folder(out)
-    with terminal.telling("refining") as told:
-        found = refined(views, result.body, views.image_rig, chosen, config, session.tracker_settings, told)
+    with terminal.status("refining") as report:
+        found = refined(views, result.body, views.image_rig, chosen, config, session.tracker_settings, report)
     if again:
         anew = _tracked_again(session, found, views)
-        with terminal.telling("refining again") as told:
+        with terminal.status("refining again") as report:
             rig = views.image_rig
-            found = refined(views, found.body, rig, anew, config, session.tracker_settings, told, found.shape)
+            found = refined(views, found.body, rig, anew, config, session.tracker_settings, report, found.shape)
     return {
         "id": "refine",
         "result": folder / "refined.h5",
@@ -121,10 +121,10 @@ def _tracked_again(session: Any, found: Any, views: Any) -> list[Any]:
     tracker = session_tracker(session, found.body, views)
     tracker.start(found.estimates[0].pose, found.estimates[0].time)
     anew: list[Any] = []
-    with terminal.telling("tracking again") as told:
+    with terminal.status("tracking again") as report:
         for frame in views:
             anew.append(tracker.step(frame))
-            told(f"frame {frame.index}", len(anew), len(views))
+            report(f"frame {frame.index}", len(anew), len(views))
     return anew
 
 
@@ -171,7 +171,7 @@ def _written(result: Any, found: Any, session: Any, views: Any, folder: Path) ->
     return files
 
 
-def tell(document: dict[str, Any]) -> None:
+def show(document: dict[str, Any]) -> None:
     """Print the end of a run for a person."""
     table = Table(title="shape", title_justify="left")
     for name in ("segments", "length", "± (1σ)", "girth", "± (1σ)"):
