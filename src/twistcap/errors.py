@@ -6,7 +6,7 @@ from math import inf
 
 
 class InputError(ValueError):
-    """Bad input, told in one sentence that names the file, the field and the mend.
+    """Bad input, described in one sentence that names the file, the field and what to do.
 
     The command line prints the sentence alone and exits with code 2.
     """

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from reproduce.experiments.body_fit import girth_errors
-from support.commands import document, run, told
+from support.commands import document, refusal, run
 from twistcap.adjust.body_fit import FitRule, Take, fit_body
 from twistcap.adjust.body_fit import fields as f
 from twistcap.adjust.body_fit.build import Stretches
@@ -301,5 +301,5 @@ def test_the_command_writes_a_session_that_tracks(tmp_path, capsys) -> None:
 
 
 def test_the_command_refuses_in_one_sentence(tmp_path, capsys) -> None:
-    assert "cannot be read" in told(capsys, "body", "fit", tmp_path / "none.toml", "--out", tmp_path / "body")
-    assert "FIRST:LAST" in told(capsys, "body", "fit", tmp_path / "none.toml", "--frames", "3")
+    assert "cannot be read" in refusal(capsys, "body", "fit", tmp_path / "none.toml", "--out", tmp_path / "body")
+    assert "FIRST:LAST" in refusal(capsys, "body", "fit", tmp_path / "none.toml", "--frames", "3")

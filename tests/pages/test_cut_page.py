@@ -12,6 +12,7 @@ import pytest
 
 from support.browser import Browser
 from support.pages_shared import has_colour, needs_browser, picture, run, served
+from twistcap.acquire import cutout
 from twistcap.acquire.cutout import Hints, Stroke, cut_out
 from twistcap.camera import Camera, Rig, look_at
 from twistcap.commands.body import cutting_of
@@ -98,9 +99,10 @@ def test_an_earlier_silhouette_is_mended_along_its_edge() -> None:
     assert found is not None and iou(found, true) > max(0.95, iou(known, true))
 
 
-def test_a_large_image_is_cut_small_and_enlarged() -> None:
+def test_a_large_image_is_cut_small_and_enlarged(monkeypatch: pytest.MonkeyPatch) -> None:
     image, true = (cv2.resize(a, None, fx=3, fy=3) for a in (scene(), person().astype(np.uint8)))
-    found = cut_out(image, Hints((150, 60, 450, 735)), largest=260)
+    monkeypatch.setattr(cutout, "_LARGEST", 260)
+    found = cut_out(image, Hints((150, 60, 450, 735)))
     assert found is not None and found.shape == true.shape and iou(found, true > 0) > 0.9
 
 

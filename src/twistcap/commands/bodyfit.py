@@ -75,13 +75,13 @@ def _take(recording: Recording) -> Take:
 
 def _rows(name: str, before: Agreement, after: Agreement) -> list[Row]:
     out: list[Row] = []
-    for when, found in (("before", before), ("after", after)):
+    for when, result in (("before", before), ("after", after)):
         case = f"{name}, {when}"
-        for unit, values in (("px", found.px), ("mm", found.mm)):
+        for unit, values in (("px", result.px), ("mm", result.mm)):
             out.append(row(case, "surface to silhouette, mean", float(values.mean()), unit))
             out.append(row(case, "surface to silhouette, p95", percentile_known(values, 95), unit))
-        out.append(row(case, "IoU with the segmentation", found.iou, ""))
-        out.append(row(case, "IoU of the visual hulls", found.hull, ""))
+        out.append(row(case, "IoU with the segmentation", result.iou, ""))
+        out.append(row(case, "IoU of the visual hulls", result.hull, ""))
     for part, (mean, p95) in after.by_part().items():
         out.append(row(f"{name}, after", f"{part}, mean", mean, "mm"))
         out.append(row(f"{name}, after", f"{part}, p95", p95, "mm"))

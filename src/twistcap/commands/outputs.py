@@ -40,14 +40,14 @@ def write_error_plot(times: Any, names: Sequence[str], errors_mm: Any, folder: P
 def write_overlay(
     result: Result, frames: Iterable[Frame], image_rig: Rig, folder: Path, fps: float, title: str
 ) -> Path:
-    """``overlay.mp4``: the body over every view, beside one another."""
+    """``overlay.mp4``: the body over every view, side by side."""
     return overlay_video(folder / "overlay.mp4", frames, image_rig, result.estimates, result.body, fps, title)
 
 
 def write_page(
     folder: Path, title: str, lead: str, headlines: Sequence[Headline], rows: Sequence[Any], plots: Mapping[Path, str]
 ) -> Path:
-    """``report.html`` over what lies in the folder."""
+    """``report.html`` about the files of the folder."""
     video = folder / "overlay.mp4"
     about = {"result.h5": "everything, see docs/formats/result-file.md", "angles.png": "joint angles"}
     about |= {found.file_name: found.about for found in map(format_of, FORMATS.names())}

@@ -1,4 +1,4 @@
-"""What every command shares: progress and words on stderr, one JSON document on stdout, output folders."""
+"""Common to all commands: progress and words on stderr, one JSON document on stdout, output folders."""
 
 from __future__ import annotations
 

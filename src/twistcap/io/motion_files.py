@@ -122,7 +122,7 @@ def poses_from_mot(
         body: whose coordinates have OpenSim's names.
         axes: how the file's world is turned about the vertical, see `io.markers`.
         knee: sign of knee flexion in the file; gait2392 and its kin bend to negative angles. "auto" takes the columns
-            as negative if their mean lies below −5°.
+            as negative if their mean is below −5°.
 
     Returns:
         One pose per row, and the names of the columns that the body has no use for.

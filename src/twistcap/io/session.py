@@ -87,7 +87,7 @@ class HumanoidBody(Table):
 
 
 class GlbBody(Table):
-    """``[body] kind = "glb"``: a skinned GLB or glTF and the TOML that tells what its joints are."""
+    """``[body] kind = "glb"``: a skinned GLB or glTF and the TOML that describes its joints."""
 
     kind: Literal["glb"]
     path: DataPath
@@ -168,7 +168,7 @@ class PriorTable(Table):
 
 
 class MotionsTable(Table):
-    """``[motions]``: training motion of `twistcap motions build`, by which tracking goes on without images."""
+    """``[motions]``: training motion of `twistcap motions build`, which predicts also without images."""
 
     path: DataPath
     kind: MotionKind | None = None
@@ -314,7 +314,7 @@ def _check_method(session: Session, source: str) -> None:
     if session.tracker.get("method") == "differential" and given:
         tables = " and ".join(f"[{name}]" for name in given)
         raise InputError(
-            f"{source}: tracker.method 'differential' looks at brightness alone; remove {tables}, or choose 'direct'."
+            f"{source}: tracker.method 'differential' uses brightness alone; remove {tables}, or choose 'direct'."
         )
 
 

@@ -12,7 +12,7 @@ class RefineConfig:
     """How a track is refined.
 
     Attributes:
-        rounds: greatest number of rounds; each measures the images anew and solves once.
+        rounds: greatest number of rounds; each measures the images and solves once.
         coarse_rounds: how many of the first rounds search for contours farther off and compare brightness under a wide
             blur.
         strides: distances in frames between which brightness is compared.
