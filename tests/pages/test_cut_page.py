@@ -132,7 +132,7 @@ def test_masks_are_written_where_the_file_reads_them(keyviews: Path) -> None:
         cutting.save({})
     for role in ("front", "side"):
         answer = cutting.cut({"view": role, "rectangle": [50, 20, 150, 245], "strokes": []})
-        assert answer["outline"] and 0.1 < answer["share"] < 0.5
+        assert answer["outline"] and 0.1 < answer["fraction"] < 0.5
     saved = cutting.save({})
     assert [Path(path).name for path in saved["saved"]] == ["anna_front_mask.png", "side_mask.png"]
     assert saved["note"] == 'Put mask = "anna_front_mask.png" into [views.front].'
@@ -147,7 +147,7 @@ def test_what_is_cleared_is_not_saved(keyviews: Path) -> None:
     cutting, rectangle = cutting_of(keyviews), [50, 20, 150, 245]
     assert cutting.cut({"view": "front", "rectangle": rectangle})["cut"]
     cleared = cutting.cut({"view": "front", "rectangle": None, "strokes": []})
-    assert cleared == {"view": "front", "outline": [], "share": 0.0, "cut": False}
+    assert cleared == {"view": "front", "outline": [], "fraction": 0.0, "cut": False}
     with pytest.raises(InputError, match="nothing to save"):
         cutting.save({})
     cutting.cut({"view": "side", "rectangle": rectangle})
