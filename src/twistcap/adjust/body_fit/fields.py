@@ -47,7 +47,7 @@ class Fields:
             np.concatenate([self.vertices, other.vertices]),
             np.concatenate([self.joints, other.joints]),
             np.concatenate([self.landmarks, other.landmarks]),
-            block_diag(self.precision, other.precision),
+            np.asarray(block_diag(self.precision, other.precision), np.float64),
         )
 
     def __matmul__(self, amounts: Float) -> tuple[Float, Float, Float]:
@@ -115,7 +115,7 @@ def profile_fields(body: Body, sigma: float, knots: int, alike: float = 1.5) -> 
                 moved.append(np.sum([section[k, side] for section in sections], axis=0))
         precision.append(np.asarray(np.linalg.inv(sigma**2 * covariance), np.float64))
     still = np.zeros((len(names), len(body.segment_names), 3)), np.zeros((len(names), *body.landmarks.points.shape))
-    return Fields(tuple(names), np.array(moved), *still, block_diag(*precision))
+    return Fields(tuple(names), np.array(moved), *still, np.asarray(block_diag(*precision), np.float64))
 
 
 def _alike(knots: int, reach: float) -> Float:
