@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from math import inf
 
 
@@ -31,3 +32,14 @@ def check_numbers(
         if not (0 <= value < inf) or (value == 0 and name in positive):
             bound = "above 0" if name in positive else "of 0 or more"
             raise InputError(f"{where}: {name} is {value}; it must be a finite number {bound}.")
+
+
+def check_choice(where: str, value: object, choices: Iterable[object]) -> None:
+    """Check that a value is one of those known.
+
+    Raises:
+        InputError: where it is not, with those that are.
+    """
+    known = list(choices)
+    if value not in known:
+        raise InputError(f"{where} is {value!r}; it must be one of {', '.join(map(str, known))}.")

@@ -303,3 +303,9 @@ def test_the_command_writes_a_session_that_tracks(tmp_path, capsys) -> None:
 def test_the_command_refuses_in_one_sentence(tmp_path, capsys) -> None:
     assert "cannot be read" in refusal(capsys, "body", "fit", tmp_path / "none.toml", "--out", tmp_path / "body")
     assert "FIRST:LAST" in refusal(capsys, "body", "fit", tmp_path / "none.toml", "--frames", "3")
+
+
+@pytest.mark.parametrize("field", ["rounds", "steps", "frames"])
+def test_settings_of_the_fit_are_checked_when_made(field: str) -> None:
+    with pytest.raises(InputError, match=f"body fit: {field} is 0"):
+        FitRule(**{field: 0})

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from twistcap._typing import AnyArray, Float
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check_choice
 from twistcap.io.keypoints import LAYOUTS
 
 WorldAxes = Literal["pose2sim", "opensim"]
@@ -55,6 +55,8 @@ def write_trc(
     Raises:
         InputError: for shapes that do not fit each other, or if the file cannot be written.
     """
+    check_choice("write_trc: unit", unit, ("m", "mm"))
+    check_choice("write_trc: axes", axes, TO_FILE)
     path, points = Path(path), np.asarray(points, dtype=float)
     if points.shape != (len(times), len(names), 3):
         raise InputError(f"{path}: points are {points.shape}, but there are {len(times)} times and {len(names)} names.")
@@ -82,6 +84,7 @@ def read_trc(path: Path | str, axes: WorldAxes = "pose2sim") -> Markers:
     Raises:
         InputError: if it cannot be read, or a header field or a row is broken, naming it.
     """
+    check_choice("read_trc: axes", axes, TO_FILE)
     path = Path(path)
     lines = read_lines(path)
     if len(lines) < 5 or not lines[0].startswith("PathFileType"):
