@@ -48,6 +48,11 @@ class Arm:
         return model if self.changed is None else self.changed(model)
 
 
+def unsearched(model: Model) -> Model:
+    """Without the search for limbs that have slipped off the images, which would mend what an arm is to show."""
+    return replace(model, searches=tuple(s for s in model.searches if s.name != "slipped limbs"))
+
+
 @dataclass(frozen=True)
 class Shot:
     """A picture to be drawn: an image of a camera, the body as one arm had it there, and its true silhouette (H, W)."""

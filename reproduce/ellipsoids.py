@@ -6,14 +6,13 @@ by ellipsoidal blobs. The body is a `Body` like any other, whose mesh is that of
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import ConvexHull
 
 from reproduce.arrays import Float, Int
 from twistcap.body.model import Body
-from twistcap.body.simplify import with_surface
 from twistcap.errors import InputError
 
 _RINGS, _SECTORS = 12, 20
@@ -68,6 +67,14 @@ def fitted_ellipsoids(body: Body) -> Ellipsoids:
 def ellipsoid_body(body: Body, ellipsoids: Ellipsoids | None = None) -> Body:
     """The body with the mesh of ellipsoids in place of its surface; by default those fitted to it."""
     return with_surface(body, *(ellipsoids or fitted_ellipsoids(body)).mesh())
+
+
+def with_surface(body: Body, vertices: Float, faces: Int, segments: Int) -> Body:
+    """The body with another surface, each vertex rigid on its segment (V,)."""
+    one = np.ones((len(vertices), 1))
+    return replace(
+        body, vertices=vertices, faces=faces, skin_segments=segments[:, None].astype(np.int32), skin_weights=one
+    )
 
 
 def _same_moments(points: Float) -> tuple[Float, Float, Float]:

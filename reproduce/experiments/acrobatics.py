@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from reproduce.arms import Arm, Comparison, Trace, by_arm
+from reproduce.arms import Arm, Comparison, Trace, by_arm, unsearched
 from reproduce.arrays import Float
 from reproduce.experiments.gaps import MIMIC, RATE, RUN
 from reproduce.recorded import Recording
@@ -26,14 +26,9 @@ from twistcap.evaluate.metrics import Row, row
 from twistcap.motion import MotionClip, MotionLibrary
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.scene import default_body
-from twistcap.track import Model, Settings
+from twistcap.track import Settings
 
 SEARCHED = "guarded"
-
-
-def _unsearched(model: Model) -> Model:
-    """Without the search for limbs that have slipped off the images."""
-    return replace(model, searches=tuple(s for s in model.searches if s.name != "slipped limbs"))
 
 
 ARMS = (
@@ -41,8 +36,8 @@ ARMS = (
     Arm("constant velocity", Settings()),
     Arm("followed", Settings(predictor="motion", motion="followed")),
     Arm("scaled", Settings(predictor="motion", motion="scaled")),
-    Arm("guarded, no limb search", Settings(predictor="motion", motion="guarded"), changed=_unsearched),
-    Arm("constant velocity, no limb search", Settings(), changed=_unsearched),
+    Arm("guarded, no limb search", Settings(predictor="motion", motion="guarded"), changed=unsearched),
+    Arm("constant velocity, no limb search", Settings(), changed=unsearched),
 )
 
 BLEND = 10  # frames over which one motion passes into the next

@@ -8,25 +8,31 @@ body and cameras exact, and a picture that slides over the body by up to 3 cm wh
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from reproduce.arms import Arm, Comparison, Trace, by_arm
 from reproduce.sequence import joint_errors_mm
-from twistcap.cues.brightness import LOOSE_CLOTHES
+from twistcap.cues.brightness import LOOSE_CLOTHES, Brightness
 from twistcap.estimate import Estimate
 from twistcap.evaluate.metrics import Row, row
 from twistcap.studio import Capture, StudioConfig, capture
-from twistcap.track import Settings
+from twistcap.track import Model, Settings
 
 ON, OFF = "support maps", "the default"
-_NO_MAPS, _ROBUST = replace(LOOSE_CLOTHES, support="none"), replace(LOOSE_CLOTHES, support="robust")
+
+
+def _of(brightness: Brightness) -> Callable[[Model], Model]:
+    return partial(Model.with_cue, cue=brightness)
+
+
 ARMS = (
-    Arm(ON, Settings(), changed=lambda m: m.with_cue(LOOSE_CLOTHES)),
-    Arm("robust scales", Settings(), changed=lambda m: m.with_cue(_ROBUST)),
-    Arm("the same noise without maps", Settings(), changed=lambda m: m.with_cue(_NO_MAPS)),
+    Arm(ON, Settings(), changed=_of(LOOSE_CLOTHES)),
+    Arm("robust scales", Settings(), changed=_of(replace(LOOSE_CLOTHES, support="robust"))),
+    Arm("the same noise without maps", Settings(), changed=_of(replace(LOOSE_CLOTHES, support="none"))),
     Arm(OFF, Settings()),
     Arm("no brightness", Settings(brightness=False)),
 )

@@ -22,7 +22,7 @@ from reproduce.running import Tell
 from twistcap.body import Body
 from twistcap.evaluate.metrics import row
 from twistcap.motion import FollowedMotion, FollowRule, Match, MotionClip, MotionLibrary, PaperMotion, RecurrenceRule
-from twistcap.motion.openloop import OpenLoop, Stretched
+from twistcap.motion.openloop import OpenLoop, PoseSequence
 from twistcap.studio import StudioConfig
 from twistcap.studio.config import stream
 from twistcap.studio.scene import default_body
@@ -120,8 +120,8 @@ def _matches(predictor: OpenLoop, tracked: MotionClip) -> list[Match]:
 def _matched(predictor: OpenLoop, tracked: MotionClip) -> Iterator[Match]:
     last: Match | None = None
     for end in range(_FIRST, len(tracked)):
-        past = Stretched(tracked.q[:end], tracked.roots[:end], last)
-        last = predictor.go_on(past.since(max(0, end - predictor.history)), 1).match
+        past = PoseSequence(tracked.q[:end], tracked.roots[:end], last)
+        last = predictor.next_poses(past.since(max(0, end - predictor.history)), 1).match
         assert last is not None  # each clip is longer than what is matched
         yield last
 

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from reproduce.arms import Findings
+from reproduce.autoregressive import with_autoregression
 from reproduce.recorded import Recording, data_file
 from reproduce.running import Tell
 from twistcap.body import Body, Posed
@@ -43,13 +44,13 @@ MIMIC = ("walk", "jump", "kick", "punch")
 Track = Sequence[Estimate]
 """One estimate for each frame."""
 
-UNDISTURBED = "undisturbed"
+UNDISTURBED, LINEAR = "undisturbed", "autoregressive"
 ARMS = {
     UNDISTURBED: Settings(),
     "guarded": Settings(predictor="motion", motion="guarded"),
     "followed": Settings(predictor="motion", motion="followed"),
     "scaled (paper)": Settings(predictor="motion", motion="scaled"),
-    "autoregressive": Settings(predictor="motion", motion="autoregressive"),
+    LINEAR: Settings(predictor="motion"),
     "constant velocity": Settings(),
 }
 
@@ -78,6 +79,7 @@ class RealGap:
             shown = frames if name == UNDISTURBED else list(without_images(frames, *GAP))
             used = motions if config.predictor == "motion" else None
             draws, model = seeds if name == "guarded" else seeds[:1], build(body, rig, config, motions=used)
+            model = with_autoregression(model, motions) if name == LINEAR else model
             runs = [list(track(shown, drawn(model, seed), recording.first_pose)) for seed in draws]
             reference = reference or runs[0]
             rows += self._rows(name, body, recording.rig, rig.pinhole(), runs, reference)

@@ -11,7 +11,7 @@ from reproduce.arrays import Float, Float32
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.background import smooth_noise
 from twistcap.studio.config import stream
-from twistcap.studio.look import GARMENTS, garment_shares, mean_light
+from twistcap.studio.look import GARMENTS, garment_fractions, mean_light
 
 HORIZON = 0.64  # of the image's height: about the knees
 TONES = np.array([0.2, 0.42, 0.64, 0.86])  # greys, one each for bare arms, shirt, trousers and wall
@@ -50,7 +50,7 @@ def elsewhere(config: StudioConfig) -> Elsewhere:
     tones = tones_of(config.seed)[:3, None] / mean_light(scene.look.lights)
     for name, tone in zip(("skin", "shirt", "trousers"), tones, strict=True):
         albedo[GARMENTS.index(name)] = tone
-    cover = garment_shares(scene.true_body, short_sleeves=True, shorts=False)
+    cover = garment_fractions(scene.true_body, short_sleeves=True, shorts=False)
     look = replace(scene.look, albedo=albedo, cover=cover)
     known = (scene.body, scene.rig, scene.first_pose, look)
     return Elsewhere(scene.config, scene.true_body, scene.true_rig, scene.true_poses, *known)

@@ -16,6 +16,7 @@ from twistcap.commands.motions import motions
 from twistcap.commands.new import new
 from twistcap.commands.prior import prior
 from twistcap.commands.refine import refine
+from twistcap.commands.session import session
 from twistcap.commands.studio import studio
 from twistcap.commands.track import track
 from twistcap.commands.view import view
@@ -29,7 +30,7 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (demo, new, init, track, refine, view, studio, evaluate, export):
+for command in (demo, new, session, init, track, refine, view, studio, evaluate, export):
     app.command()(command)
 app.add_typer(body)
 app.add_typer(prior)

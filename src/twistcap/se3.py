@@ -1,8 +1,8 @@
 """Rigid motions and their twists, batched over leading axes.
 
 A twist is the 6-vector ``(ω, v)``; a motion is a 4×4 matrix. ``exp`` and ``log`` are those of Rosenhahn, Brox and
-Seidel, "Scaled Motion Dynamics for Markerless Motion Capture", eq. 4-9 (DOI 10.1109/CVPR.2007.383128), written so that
-they stay exact near θ = 0 and θ = π.
+Seidel, "Scaled Motion Dynamics for Markerless Motion Capture", eq. 4-9 (DOI 10.1109/CVPR.2007.383128), in forms that
+are exact near θ = 0 and θ = π.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def _sinc_terms(theta: Float) -> tuple[Float, Float, Float]:
     t2 = theta * theta
     a = np.where(small, 1.0 - t2 / 6.0, np.sin(safe) / safe)
     b = np.where(small, 0.5 - t2 / 24.0, 2.0 * np.sin(safe / 2.0) ** 2 / safe**2)
-    # θ − sin θ loses digits long before θ is tiny: the series is used up to 0.3 rad, where its rest is below 1e-16.
+    # θ − sin θ loses digits: the series is used up to 0.3 rad, where its remainder is below 1e-16.
     series = 1 / 6 - t2 / 120 * (1 - t2 / 42 * (1 - t2 / 72 * (1 - t2 / 110)))
     c = np.where(np.abs(theta) < 0.3, series, (safe - np.sin(safe)) / safe**3)
     return a, b, c
@@ -145,7 +145,7 @@ def bracket_matrix(twist: ArrayLike) -> Float:
 def left_jacobian(twist: ArrayLike) -> Float:
     """J with ``exp(ξ + δ) ≈ exp(J δ) exp(ξ)``, ``J = Σ ad_ξⁿ/(n+1)!``. (..., 6) -> (..., 6, 6).
 
-    Above 1 rad the closed form in ad … ad⁴, below it the series, whose rest is there below the last digit.
+    Above 1 rad the closed form in ad … ad⁴, below it the series, exact there to the last digit.
     """
     xi = np.asarray(twist, dtype=np.float64)
     ad = bracket_matrix(xi)
@@ -178,7 +178,7 @@ def inverse_left_jacobian(twist: ArrayLike) -> Float:
 
 
 def orthonormalised(motion: ArrayLike) -> Float:
-    """The nearest motion to a matrix that rounding has carried off SE(3). (..., 4, 4) -> (..., 4, 4)."""
+    """The motion nearest to a matrix that has left SE(3) by rounding. (..., 4, 4) -> (..., 4, 4)."""
     T = np.array(motion, dtype=np.float64)
     U, _, Vt = np.linalg.svd(T[..., :3, :3])
     sign = np.linalg.det(U @ Vt)[..., None]
@@ -188,7 +188,7 @@ def orthonormalised(motion: ArrayLike) -> Float:
 
 @njit(cache=True, nogil=True)
 def log_one(T: Float) -> Float:
-    """`log` of a single motion (4, 4) -> (6,), without the cost of batching."""
+    """`log` of a single motion (4, 4) -> (6,)."""
     trace = T[0, 0] + T[1, 1] + T[2, 2]
     K = np.empty((4, 4))
     K[0, 0] = 1.0 + trace
@@ -222,7 +222,7 @@ def log_one(T: Float) -> Float:
 
 @njit(cache=True, nogil=True)
 def exp_one(twist: Float) -> Float:
-    """`exp` of a single twist (6,) -> (4, 4), without the cost of batching."""
+    """`exp` of a single twist (6,) -> (4, 4)."""
     w0, w1, w2, v0, v1, v2 = twist
     t2 = w0 * w0 + w1 * w1 + w2 * w2
     t = np.sqrt(t2)
@@ -243,9 +243,9 @@ def exp_one(twist: Float) -> Float:
 
 @njit(cache=True, nogil=True)
 def compose_one(A: Float, B: Float) -> Float:
-    """``A B`` of single motions (4, 4), its rotation kept orthonormal.
+    """``A B`` of single motions (4, 4), orthonormalised by a Newton step of the polar decomposition.
 
-    One Newton step of the polar decomposition, ``R <- R (3 I - RᵀR) / 2``, squares the error that rounding leaves.
+    The step ``R <- R (3 I - RᵀR) / 2`` squares the rounding error.
     """
     out = np.zeros((4, 4))
     R = np.empty((3, 3))
@@ -277,10 +277,7 @@ def inverse_one(T: Float) -> Float:
 
 @njit(cache=True, nogil=True)
 def inverse_left_jacobian_one(twist: Float) -> Float:
-    """`inverse_left_jacobian` of a single twist (6,) -> (6, 6), without the cost of batching.
-
-    Below 0.1 rad the Bernoulli series, whose rest is there below the last digit; above it the series of the Jacobian.
-    """
+    """`inverse_left_jacobian` of a single twist (6,) -> (6, 6)."""
     w0, w1, w2, v0, v1, v2 = twist
     ad, eye = np.zeros((6, 6)), np.eye(6)
     ad[0, 1], ad[0, 2], ad[1, 0], ad[1, 2], ad[2, 0], ad[2, 1] = -w2, w1, w2, -w0, -w1, w0

@@ -20,20 +20,23 @@ class Settings:
     """The ``[tracker]`` table of a session.
 
     Attributes:
-        method: "direct" (contours measured along their normals; the default), "levelset" (contours by a coupled level
-            set), or "differential" (brightness alone, which reads only the table of that name).
+        method: "direct" measures contours along their normals. "levelset" finds them by a coupled level set.
+            "differential" tracks by brightness alone and reads only the table of that name.
         channels: what region statistics look at: "grey", "lab", "grey+texture" (5 channels) or "lab+texture" (7).
-        despeckle: px across of a median filter of all images, 1, 3 or 5: it takes out single wrong pixels, as noise
-            on a video line leaves them. 1 leaves the images as they are.
-        density: what the regions' densities are: "local" Gaussians, one "global" Gaussian for each region, or "parzen",
-            one smoothed histogram for each region.
-        statistics: whether inside densities are of each "part" or of the "whole" body; by default of each part for
-            local densities in the direct method, else of the whole, as in the chapter.
-        surface_sigma: m, standard deviation of the body's surface from the person's, where that is known.
-        brightness: whether the brightness of the surface is followed beside the contours; not where lights flicker.
-        predictor: where the body is expected: "constant_velocity", "hold" (where it was), "flow" (where optic flow
-            leads), or "motion" (as in training motion, which needs a library).
-        motion: how training motion predicts.
+        despeckle: px across of a median filter of all images, 1, 3 or 5. It takes out single wrong pixels, as noise on
+            a video line leaves them. 1 leaves the images as they are.
+        density: what the densities of the regions are: "local" Gaussians, one "global" Gaussian for each region, or
+            "parzen", one smoothed histogram for each region.
+        statistics: whether densities inside are of each "part" or of the "whole" body. The default is "part" for local
+            densities in the direct method, else "whole".
+        surface_sigma: m, standard deviation of the body's surface from the person's, where that is known. Use 0.006
+            for a body from key views.
+        brightness: whether the brightness of the surface is followed beside the contours. Turn it off where lights
+            flicker.
+        predictor: where the body is expected. "hold" is where it was, "flow" where optic flow leads. "motion" is as in
+            training motion and needs `[motions]`.
+        motion: how training motion predicts: "followed" is the default, "guarded" yields to inertia where that does
+            better. "scaled", "unscaled", "standard" and "autoregressive" are for comparison.
         keypoint_sigma: m on the body, standard deviation of a 2D keypoint of confidence 1.
         prior_strength: weight of a pose prior for each contour sample.
         first_sigma_deg: degrees, standard deviation of the joints and the turn of the first pose.
@@ -59,6 +62,8 @@ class Settings:
     differential: DifferentialConfig = field(default_factory=DifferentialConfig)
 
     def __post_init__(self) -> None:
+        if isinstance(self.plugins, str) or len(set(self.plugins)) < len(self.plugins):
+            raise InputError(f"tracker: plugins is {self.plugins!r}; give a list of names, each once.")
         if self.despeckle not in (1, 3, 5):
             raise InputError(f"tracker: despeckle is {self.despeckle}; it must be 1, 3 or 5.")
         self._expect_positive("keypoint_sigma", "first_sigma_deg", "first_sigma_m")

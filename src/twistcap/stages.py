@@ -1,13 +1,14 @@
 """Stopwatch of the tracker's stages: off unless `record` is open, so that the normal path pays next to nothing.
 
 ``with stages.record() as times: ...`` fills ``times``: stage -> seconds in each frame. A stage inside another one is
-taken out of the outer one's time. One thread at a time.
+taken out of the outer one's time. Seconds of several threads are summed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Generator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from threading import Lock, local
 from time import perf_counter
 
 Times = dict[str, list[float]]
@@ -19,12 +20,20 @@ class _Recorder:
     def __init__(self) -> None:
         self.times: Times = {}
         self.frames = 0
-        self.inner = [0.0]  # per open stage: the seconds that stages inside it took
+        self.lock = Lock()
+        self.open = local()  # of each thread, per open stage: the seconds that stages inside it took
+
+    @property
+    def inner(self) -> list[float]:
+        if not hasattr(self.open, "inner"):
+            self.open.inner = [0.0]
+        return self.open.inner
 
     def add(self, name: str, seconds: float) -> None:
-        entries = self.times.setdefault(name, [])
-        entries.extend([0.0] * (self.frames - len(entries)))
-        entries[-1] += seconds
+        with self.lock:
+            entries = self.times.setdefault(name, [])
+            entries.extend([0.0] * (self.frames - len(entries)))
+            entries[-1] += seconds
 
 
 _recorder: _Recorder | None = None

@@ -118,7 +118,7 @@ def test_a_perspective_view_is_the_pinholes_own() -> None:
 def test_a_body_behind_the_camera_is_told() -> None:
     camera, root, _ = near_view()
     behind = se3.transform(root[:3, :3], camera.centre + 0.1 * camera.T_cam_world[2, :3])
-    with pytest.raises(InputError, match="reaches behind a camera"):
+    with pytest.raises(InputError, match="behind a camera"):
         ScaledView.of(camera, behind, perspective=True).pixels(BODY.vertices)
 
 

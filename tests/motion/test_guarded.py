@@ -9,7 +9,7 @@ from twistcap._typing import Float
 from twistcap.body.humanoid import humanoid
 from twistcap.errors import InputError
 from twistcap.motion import FollowedMotion, MotionClip, MotionLibrary, motion_predictor
-from twistcap.motion.guarded import GuardedMotion, Judged, trusts
+from twistcap.motion.guarded import ForecastErrors, GuardedMotion, trusts
 from twistcap.predict import Moment
 from twistcap.studio.motion import gait
 
@@ -41,7 +41,9 @@ def guarded() -> GuardedMotion:
     return found
 
 
-def seen(predictor: GuardedMotion, clip: MotionClip, frames: int, memory: Judged | None = None) -> Judged:
+def seen(
+    predictor: GuardedMotion, clip: MotionClip, frames: int, memory: ForecastErrors | None = None
+) -> ForecastErrors:
     """What the predictor remembers once a clip has been seen."""
     history = moments(clip)
     for n in range(2, frames):

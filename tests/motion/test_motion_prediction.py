@@ -167,7 +167,7 @@ def test_offset_and_range_are_learnt_where_there_is_swing() -> None:
 
 def test_bad_input_is_refused() -> None:
     training = library(walking(1.0, 1.2))
-    with pytest.raises(InputError, match="shares no coordinate with body"):
+    with pytest.raises(InputError, match="has none of its coordinates"):
         PaperMotion(MotionLibrary.of([MotionClip("a", ("x",), FPS, np.eye(4)[None], np.zeros((1, 1)))], FPS), BODY)
     with pytest.raises(InputError, match="take 2 or more"):
         PaperMotion(training, BODY, poses=1)

@@ -9,7 +9,7 @@ from support.motion import ahead
 from twistcap.body.humanoid import humanoid
 from twistcap.errors import InputError
 from twistcap.motion import FollowedMotion, FollowRule, MotionClip, MotionLibrary, RecurrenceRule
-from twistcap.motion.openloop import Stretched
+from twistcap.motion.openloop import PoseSequence
 from twistcap.motion.recurrence import OWN, recurrences
 from twistcap.predict import Moment
 from twistcap.studio.motion import gait
@@ -73,13 +73,13 @@ def test_what_was_copied_does_not_pass_for_a_better_match() -> None:
     predictor = FollowedMotion(MotionLibrary.of([walking(240, 1.1)], FPS), BODY)
     clip = walking(130, 1.3)
     wavering = clip.q + 0.02 * np.random.default_rng(0).normal(size=clip.q.shape)
-    past = Stretched(wavering, clip.roots)
-    first, far = predictor.go_on(past, 5).match, predictor.roll(past, 200).match
+    past = PoseSequence(wavering, clip.roots)
+    first, far = predictor.next_poses(past, 5).match, predictor.roll(past, 200).match
     assert first is not None and far is not None
     assert far.distance >= first.distance > 0.01
 
 
 def test_bad_rules_are_told() -> None:
-    for wrong in ({"poses": 0}, {"lead": float("nan")}, {"shortest": 0}, {"look_back": 10}):
-        with pytest.raises(InputError, match="recurrence: poses, shortest and count"):
+    for wrong in ({"poses": 0}, {"lead": float("nan")}, {"count": 0}, {"poses": 120}):
+        with pytest.raises(InputError, match="recurrence: poses must be 1 to 119"):
             RecurrenceRule(**wrong)

@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).parents[2] / "src" / "twistcap"
 
 # From the ground up; a room may import from its own floor and from those before it.
 FLOORS: tuple[tuple[str, ...], ...] = (
-    ("errors", "_typing", "stages", "registry"),
+    ("errors", "_typing", "_cached", "stages", "registry"),
     ("se3",),
     ("camera",),
     ("body",),
@@ -35,7 +35,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("evaluate",),
     ("report", "view"),
     ("pages",),
-    ("commands", "cli"),
+    ("commands", "cli", "__main__"),
 )
 FLOOR_OF = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
 FILES = sorted(path for path in PACKAGE.rglob("*.py") if path != PACKAGE / "__init__.py")

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from reproduce.ellipsoids import Ellipsoids, ellipsoid_body, fitted_ellipsoids
+from reproduce.ellipsoids import Ellipsoids, ellipsoid_body, fitted_ellipsoids, with_surface
 from twistcap import se3
 from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
-from twistcap.body.simplify import simplified, with_surface
+from twistcap.body.simplify import simplified
 from twistcap.differential.view import ScaledView
 from twistcap.render import render
 

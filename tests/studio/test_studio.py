@@ -29,7 +29,7 @@ from twistcap.studio.look import Look, look
 from twistcap.studio.marring import paint_rectangles, replace_pixels
 from twistcap.studio.motion import gait
 from twistcap.studio.picture import render_body
-from twistcap.studio.scene import PERSON_SHARE
+from twistcap.studio.scene import PERSON_HEIGHT
 from twistcap.studio.shade import OCTAVES, shade
 
 SMALL = StudioConfig(seed=3, views=2, frames=3, size=(192, 140))
@@ -180,7 +180,7 @@ def test_ring_angles():
         a, b = (c.centre[:2] - [1, 2] for c in ring(views, 3.0, 1.2, (1, 2, 1), (384, 280)).cameras[:2])
         assert np.isclose(np.rad2deg(np.arccos(a @ b / 9.0)), wanted)
     focal = ring(1, 3.0, 1.2, (0, 0, 1), (384, 280))[0].K[0, 0]
-    assert np.isclose(focal * 1.75 / 3.0, PERSON_SHARE * 280)
+    assert np.isclose(focal * 1.75 / 3.0, PERSON_HEIGHT * 280)
 
 
 def test_exact_scenes_tell_the_tracker_the_truth():
@@ -250,7 +250,7 @@ def test_dropped_frames():
 
 def test_uniform_noise_schedule():
     config = replace(SMALL, frames=11, uniform_noise=(0.0, 1.0, 0.0))
-    assert np.allclose([config.noise_share(k) for k in (0, 5, 10)], [0, 1, 0])
+    assert np.allclose([config.noise_fraction(k) for k in (0, 5, 10)], [0, 1, 0])
     picture = np.full((200, 200, 3), 0.5, np.float32)
     replace_pixels(picture, 0.25, stream(0, "x"))
     hit = np.any(picture != 0.5, axis=-1)

@@ -143,5 +143,6 @@ def test_a_damaged_or_foreign_state_is_refused(harm: str) -> None:
         data[len(data) // 3] ^= 255
     else:
         model = build(made.body, made.rig, Settings(brightness=False))
-    with pytest.raises(InputError, match="state of the track is damaged or of other settings"):
+    message = "differ in the cues photometric" if harm == "other model" else "state of the track is damaged"
+    with pytest.raises(InputError, match=message):
         from_bytes(data, model)

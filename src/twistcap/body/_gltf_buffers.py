@@ -1,4 +1,4 @@
-"""Arrays out of and into glTF buffers."""
+"""Reading and writing arrays of glTF buffers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _TYPES: dict[int, type[np.generic]] = {
 _CODES = {np.dtype(kind): code for code, kind in _TYPES.items()}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 TO_REST = RigSpec().to_rest()  # (3, 3) from glTF's axes to ours: a cyclic permutation, exact
-EXTRAS = "twistcap"  # under which our own data stand in extras
+EXTRAS = "twistcap"  # key of our own data in extras
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 
 
@@ -36,7 +36,7 @@ class Buffers:
         """(N, width) values of an accessor; normalised integers are scaled to [0, 1] or [-1, 1].
 
         Raises:
-            InputError: for an accessor that does not exist, is sparse, runs past its buffer, or holds NaN.
+            InputError: for an accessor that is missing, sparse, exceeds its buffer, or has values that are not finite.
         """
         try:
             entry = dict(enumerate(self.gltf.accessors))[number]  # no negative numbers here
@@ -82,7 +82,7 @@ class Packer:
         self.gltf, self.blob = gltf, bytearray()
 
     def add(self, values: AnyArray, kind: str, target: int | None = None, bounds: bool = False) -> int:
-        """Appends an array of glTF type `kind`; the number of its accessor. `bounds` writes min and max."""
+        """Append an array of glTF type `kind`, with min and max if `bounds`; returns the number of its accessor."""
         data = np.ascontiguousarray(values)
         self.gltf.bufferViews.append(
             BufferView(buffer=0, byteOffset=len(self.blob), byteLength=data.nbytes, target=target)

@@ -14,7 +14,7 @@ from twistcap.body._humanoid_profiles import Sweep
 
 _SAMPLES = 33
 _BLEND = 0.011  # m, radius of the smooth union
-_FAR = 3.0  # beyond this many radii the exponent of a cross-section no longer matters
+_FAR = 3.0  # radii beyond which the exponent of a cross-section hardly matters
 
 _AXES = {  # columns: first and second cross direction, running direction
     "up": np.eye(3),
@@ -32,7 +32,7 @@ class Field:
         parts: N names such as "trunk" or "arm_l".
         maps: (N, 3, 4) from the body to each limb's cross directions and axis.
         profiles: (N, 33, 4) half widths and offsets along the axis, m.
-        scalars: (N, 6) length, start, both caps (m), exponent, and ≥ 0 where a sole cuts the limb at its height 0.
+        scalars: (N, 6) length, start, both caps (m), exponent, and ≥ 0 for limbs that a sole cuts at height 0.
     """
 
     parts: tuple[str, ...]
@@ -45,7 +45,7 @@ class Field:
         return _union(points, self.maps, self.profiles, self.scalars)
 
     def lead(self, points: Float, part: str, side: str) -> Float:
-        """(V,) by how much a limb is nearer than every other part but its mirror image, m."""
+        """(V,) distance (m) to the nearest other part, without the limb's mirror image, minus that to the limb."""
         d = _distances(points, self.maps, self.profiles, self.scalars)
         own = [p == f"{part}_{side}" for p in self.parts]
         others = [not p.startswith(part) for p in self.parts]
@@ -55,7 +55,7 @@ class Field:
 def field_of(central: Sequence[Sweep], paired: Sequence[Sweep], motions: Mapping[str, Float]) -> Field:
     """The implicit body of sweeps on the midline and of left sweeps with their mirror images.
 
-    `motions` (4, 4) by part carry the left limbs from the neutral into the modelling pose.
+    `motions` (4, 4) by part move the left limbs from the neutral to the modelling pose.
     """
     sided = [(s, "") for s in central] + [(s, side) for s in paired for side in "lr"]
     parts = tuple(f"{s.part}_{side}" if s.part in motions else s.part for s, side in sided)
@@ -114,9 +114,9 @@ def _limb(point: Float, T: Float, profile: Float, scalars: Float) -> tuple[float
     if scalars[5] >= 0.0:  # the flat sole: a rounded intersection with the half-space above the floor
         e = 0.003 - y
         root = np.sqrt((d - e) ** 2 + 0.008**2)
-        share = 0.5 * (1.0 + (d - e) / root)
+        mix = 0.5 * (1.0 + (d - e) / root)
         d = 0.5 * (d + e + root) - 0.002
-        gx, gy, gs = share * gx, share * gy - (1.0 - share), share * gs
+        gx, gy, gs = mix * gx, mix * gy - (1.0 - mix), mix * gs
     return d, gx, gy, gs
 
 

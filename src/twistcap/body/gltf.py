@@ -1,9 +1,9 @@
 """Any skinned GLB or glTF as a `Body`, and bodies with their motion as GLB.
 
-glTF 2.0 (ISO/IEC 12113:2022): y up, facing +z, m. The rest pose is the bind pose, in which skinning is exact: vertices
-as stored and joints where the inverse bind matrices put them, both carried into the scene by the root joint's own
-motion. Without inverse bind matrices it is the pose of the nodes. Coordinates that are no part of glTF travel in
-`asset.extras.twistcap`, so that a body saved here loads as the same body, while a viewer sees skin and animation.
+glTF 2.0 (ISO/IEC 12113:2022): y up, facing +z, m. The rest pose is the bind pose: stored vertices and joints by the
+inverse bind matrices, both moved into the scene by the root joint's motion. Without inverse bind matrices it is the
+pose of the nodes. Our coordinates are in `asset.extras.twistcap`, so that a body saved here loads as the same body,
+while a viewer shows skin and animation.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from twistcap.errors import InputError
 __all__ = ["load_glb", "save_glb"]
 
 _TRIANGLES = 4
+_INFLUENCES = 8  # segments of one vertex, at most
 
 
-def load_glb(path: Path | str, rig: Path | str | RigSpec | None = None, influences: int = 8) -> Body:
+def load_glb(path: Path | str, rig: Path | str | RigSpec | None = None) -> Body:
     """The skinned mesh of a GLB or glTF as a body.
 
     Args:
-        path: the file. One that `save_glb` wrote comes back as it was (no `rig` is read then, unless given).
-        rig: what the joints mean (`rig_spec`). Default: <name>.rig.toml beside the file if it is there, else every
+        path: the file. One written by `save_glb` gives the same body (`rig` is read only if given).
+        rig: meaning of the joints (`rig_spec`). Default: <name>.rig.toml beside the file if there is one, else every
             joint is a ball joint without limits.
-        influences: most segments that hold one vertex.
 
     Raises:
         InputError: if the file cannot be read or has no skin, for primitives that are not triangles, buffers that are
@@ -58,7 +58,7 @@ def load_glb(path: Path | str, rig: Path | str | RigSpec | None = None, influenc
     if rig is None and beside.is_file():
         rig = beside
     spec = rig if isinstance(rig, RigSpec) else read_rig(rig) if rig is not None else RigSpec()
-    return build_body(mesh, spec, influences)
+    return build_body(mesh, spec, _INFLUENCES)
 
 
 def _open(path: Path) -> GLTF2:
@@ -66,7 +66,7 @@ def _open(path: Path) -> GLTF2:
         raise InputError(f"{path}: there is no such file.")
     try:
         gltf = GLTF2().load(str(path))
-    except Exception as error:  # pygltflib lets out whatever its parsers raise
+    except Exception as error:  # pygltflib passes on any exception of its parsers
         raise InputError(f"{path}: not a glTF file ({type(error).__name__}: {error}).") from error
     if gltf is None:
         raise InputError(f"{path}: not a glTF file.")
@@ -104,7 +104,7 @@ class _Scene:
 
     @cached_property
     def world(self) -> Float:
-        """(nodes, 4, 4) motions of the nodes as they stand in the file."""
+        """(nodes, 4, 4) motions of the nodes in the file's pose."""
         world = np.zeros((len(self.parents), 4, 4))
         for n in in_tree_order(self.parents):
             above = world[self.parents[n]] if self.parents[n] >= 0 else np.eye(4)
@@ -116,7 +116,7 @@ class _Scene:
 
     @cached_property
     def joints(self) -> list[int]:
-        """The nodes that are joints, parents first; our own files keep the order of their segments."""
+        """The nodes that are joints, parents first; in our own files in the order of segments."""
         if EXTRAS in (self.gltf.skins[0].extras or {}):
             return self.skin_joints(0)
         used = {joint for skin in range(len(self.gltf.skins)) for joint in self.skin_joints(skin)}
@@ -183,10 +183,10 @@ def _parts(scene: _Scene, binds: list[tuple[Float, Float]]) -> list[tuple[Float,
         mesh = scene.gltf.meshes[node.mesh]
         for number, primitive in enumerate(mesh.primitives):
             where = f"mesh {mesh.name or node.mesh!r}, primitive {number}"
-            vertices, faces, shares = _primitive(scene, primitive, where, len(columns))
+            vertices, faces, by_joint = _primitive(scene, primitive, where, len(columns))
             weights = np.zeros((len(vertices), len(scene.joints)))
-            weights[:, columns] = shares
-            parts.append((*_in_scene(vertices, faces, shares, binds[node.skin][0]), weights))
+            weights[:, columns] = by_joint
+            parts.append((*_in_scene(vertices, faces, by_joint, binds[node.skin][0]), weights))
     _expect(bool(parts), scene.path, "no mesh uses its skin")
     return parts
 
@@ -223,33 +223,33 @@ def _primitive(scene: _Scene, primitive: Any, where: str, joint_count: int) -> t
         corners = scene.buffers.accessor(primitive.indices, f"{where}: indices").astype(int).ravel()
     _expect(len(corners) % 3 == 0, path, f"{where}: its indices are no whole number of triangles")
     _expect(int(corners.max(initial=0)) < len(vertices), path, f"{where}: indices name a vertex that is not there")
-    shares = _shares(scene, attributes, where, (len(vertices), joint_count))
-    return vertices, corners.reshape(-1, 3).astype(np.int32), shares
+    weights = _weights(scene, attributes, where, (len(vertices), joint_count))
+    return vertices, corners.reshape(-1, 3).astype(np.int32), weights
 
 
-def _shares(scene: _Scene, attributes: dict[str, Any], where: str, shape: tuple[int, int]) -> Float:
+def _weights(scene: _Scene, attributes: dict[str, Any], where: str, shape: tuple[int, int]) -> Float:
     """(V, B) weights of the skin's joints, from all sets JOINTS_n and WEIGHTS_n."""
     out, rows = np.zeros(shape), np.arange(shape[0])
     for name in sorted(n for n, at in attributes.items() if n.startswith("JOINTS_") and at is not None):
         held = scene.buffers.accessor(attributes[name], f"{where}: {name}").astype(int)
-        share = scene.buffers.accessor(
+        weight = scene.buffers.accessor(
             attributes.get(name.replace("JOINTS", "WEIGHTS"), -1), f"{where}: {name} weights"
         )
-        _expect(len(held) == len(share) == len(rows), scene.path, f"{where}: {name} and POSITION differ in length")
+        _expect(len(held) == len(weight) == len(rows), scene.path, f"{where}: {name} and POSITION differ in length")
         known = int(held.max(initial=0)) < shape[1]
-        _expect(known, scene.path, f"{where}: {name} names a joint the skin has not")
+        _expect(known, scene.path, f"{where}: {name} names a joint that the skin does not have")
         for k in range(held.shape[1]):
-            np.add.at(out, (rows, held[:, k]), share[:, k])
+            np.add.at(out, (rows, held[:, k]), weight[:, k])
     return out
 
 
-def _in_scene(vertices: Float, faces: Int, shares: Float, motions: Float) -> tuple[Float, Int]:
-    """The vertices (V, 3) of one primitive in the rest pose; faces turned over where the motion mirrors."""
+def _in_scene(vertices: Float, faces: Int, weights: Float, motions: Float) -> tuple[Float, Int]:
+    """The vertices (V, 3) of one primitive in the rest pose, and its faces, reversed where the motion mirrors."""
     if np.array_equal(motions, np.broadcast_to(motions[0], motions.shape)):  # the bind pose
         still = np.array_equal(motions[0], np.eye(4))
         placed, blended = vertices if still else se3.apply(motions[0], vertices), motions[:1]
     else:
-        blended = np.einsum("vb,bij->vij", shares / np.maximum(shares.sum(axis=1, keepdims=True), 1e-12), motions)
+        blended = np.einsum("vb,bij->vij", weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-12), motions)
         placed = se3.apply(blended, vertices[:, None, :])[:, 0]
     mirrored = float(np.median(np.linalg.det(blended[:, :3, :3]))) < 0
     return placed, np.ascontiguousarray(faces[:, ::-1]) if mirrored else faces
@@ -262,7 +262,7 @@ def _joined(parts: list[tuple[Float, Int, Float]]) -> tuple[Float, Int, Float]:
 
 
 def _own_body(mesh: SkinnedMesh, own: dict[str, Any], path: Path) -> Body:
-    """The body that `save_glb` wrote."""
+    """The body of a file of `save_glb`."""
     try:
         order = np.argsort(-mesh.weights, axis=1, kind="stable")[:, : own["influences"]].astype(np.int32)
         weights = np.take_along_axis(mesh.weights, order, axis=1)

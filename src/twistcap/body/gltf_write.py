@@ -28,19 +28,19 @@ from pygltflib import (
 from twistcap import se3
 from twistcap._typing import Float
 from twistcap.body._gltf_buffers import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, EXTRAS, TO_REST, Packer
-from twistcap.body.kinematics import Pose, Posed
+from twistcap.body.kinematics import Pose, Posed, vertex_normals
 from twistcap.body.model import Body
 from twistcap.body.shape import joint_origin
 from twistcap.errors import InputError
 
 
 def save_glb(body: Body, path: Path | str, poses: Sequence[Pose] | None = None, fps: float | None = None) -> None:
-    """Writes skin, surface and (with `poses`) an animation; our own coordinates go along in `asset.extras`.
+    """Write skin, surface and (with `poses`) an animation, with our own coordinates in `asset.extras`.
 
-    One joint node per segment, at the segment's proximal joint; the skinned mesh stands at the root, as glTF asks.
+    There is one joint node per segment, at the segment's proximal joint; the skinned mesh is at the root.
 
     Args:
-        body: to be written. Surface and weights are kept to float32.
+        body: to be written, surface and weights as float32.
         path: of the GLB.
         poses: one per frame.
         fps: frames per second of `poses`.
@@ -86,7 +86,7 @@ def _extras(body: Body) -> dict[str, Any]:
 
 
 def _add_nodes(gltf: GLTF2, body: Body, origins: Float) -> None:
-    """Node s is segment s; then the armature above them and the mesh."""
+    """Node s is segment s; then come the armature above them and the mesh."""
     S = len(origins)
     above = body.segment_parent
     for s, name in enumerate(body.segment_names):
@@ -114,31 +114,19 @@ def _add_mesh(gltf: GLTF2, pack: Packer, body: Body) -> None:
     sets = -(-K // 4)
     segments, weights = np.zeros((V, 4 * sets), np.uint16), np.zeros((V, 4 * sets), np.float32)
     weights[:, :K] = body.skin_weights
-    segments[:, :K] = np.where(
-        body.skin_weights > 0, body.skin_segments, 0
-    )  # the validator wants unused joints to be 0
+    segments[:, :K] = np.where(body.skin_weights > 0, body.skin_segments, 0)  # glTF's validator wants 0 where unused
     for n in range(sets):
         part = slice(4 * n, 4 * n + 4)
         setattr(attributes, f"JOINTS_{n}", pack.add(segments[:, part], "VEC4", ARRAY_BUFFER))
         setattr(attributes, f"WEIGHTS_{n}", pack.add(weights[:, part], "VEC4", ARRAY_BUFFER))
     indices = pack.add(body.faces.astype(np.uint32).ravel(), "SCALAR", ELEMENT_ARRAY_BUFFER)
-    gltf.materials.append(
-        Material(
-            name="body",
-            pbrMetallicRoughness=PbrMetallicRoughness(
-                baseColorFactor=[0.8, 0.8, 0.8, 1.0], metallicFactor=0.0, roughnessFactor=0.9
-            ),
-        )
-    )
+    grey = PbrMetallicRoughness(baseColorFactor=[0.8, 0.8, 0.8, 1.0], metallicFactor=0.0, roughnessFactor=0.9)
+    gltf.materials.append(Material(name="body", pbrMetallicRoughness=grey))
     gltf.meshes.append(Mesh(name=body.name, primitives=[Primitive(attributes=attributes, indices=indices, material=0)]))
 
 
 def _normals(vertices: Float, body: Body) -> Float:
-    corners = vertices[body.faces]
-    by_face = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    out = np.zeros_like(vertices)
-    for k in range(3):
-        np.add.at(out, body.faces[:, k], by_face)
+    out = vertex_normals(vertices, body.faces)
     length = np.linalg.norm(out, axis=1, keepdims=True)
     return np.where(length > 0, out / np.where(length > 0, length, 1.0), [0.0, 1.0, 0.0])
 
@@ -159,7 +147,7 @@ def _add_animation(gltf: GLTF2, pack: Packer, body: Body, origins: Float, poses:
 def local_motions(body: Body, origins: Float, poses: Sequence[Pose]) -> tuple[Float, Float]:
     """Quaternions (T, S, 4; x y z w, continuous in time) and translations (T, S, 3) of each segment in its parent.
 
-    In glTF's axes; a segment's frame stands at its origin (S, 3) and is unturned in the rest pose.
+    In glTF's axes; a segment's frame is at its origin (S, 3), without rotation in the rest pose.
     """
     motions = np.array([Posed(body, pose).segment_transforms for pose in poses])
     C = se3.transform(TO_REST.T, np.zeros(3))

@@ -20,7 +20,7 @@ from twistcap.body.shape import rescaled
 from twistcap.errors import InputError
 
 Variant = Literal["full", "legs"]
-_ARM_OUT, _LEG_OUT = np.deg2rad(42.0), np.deg2rad(7.0)  # modelling pose: no limb touches another
+_ARM_OUT, _LEG_OUT = np.deg2rad(42.0), np.deg2rad(7.0)  # modelling pose, in which no limbs touch
 _FLEX, _SIDE, _TURN = (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 # Talocrural and subtalar axes after Inman, "The Joints of the Ankle" (1976), as gait models use them; right side.
 _ANKLE, _SUBTALAR = (-0.105, -0.979, -0.174), (0.787, 0.121, 0.605)
@@ -45,7 +45,7 @@ def humanoid(
         lengths, girths: factors by segment name, see `body.shape.rescaled`.
         thorax: a second spine joint between the lumbar joint and the neck.
         neck: whether the head moves.
-        clavicles, wrists: whether to give those joints coordinates.
+        clavicles, wrists: whether those joints have coordinates.
 
     Raises:
         InputError: for an unknown variant or segment, or a size that is not positive.
@@ -62,7 +62,7 @@ def humanoid(
 
 @lru_cache(maxsize=16)
 def _reference(variant: str, thorax: bool, neck: bool, clavicles: bool, wrists: bool) -> Body:
-    """The body at the reference stature, which `humanoid` scales."""
+    """The body at the reference stature."""
     skeleton = _Skeleton()
     if variant == "full":
         _add_trunk(skeleton, thorax, neck)
@@ -74,7 +74,7 @@ def _reference(variant: str, thorax: bool, neck: bool, clavicles: bool, wrists: 
 
 
 class _Skeleton:
-    """Joints, segments and landmarks gathered one after the other."""
+    """Joints, segments and landmarks, added one after the other."""
 
     def __init__(self) -> None:
         self.names: list[str] = []
@@ -126,7 +126,7 @@ def _sided(side: str, point: tuple[float, float, float]) -> Float:
 
 
 def _axis(side: str, right: tuple[float, float, float]) -> tuple[float, float, float]:
-    """An axis given for the right side; mirrored in the sagittal plane (an axial vector) for the left."""
+    """An axis of the right side, mirrored in the sagittal plane (as an axial vector) for the left."""
     x, y, z = right
     return right if side == "r" else (-x, y, -z)
 
@@ -199,7 +199,7 @@ def _modelling_pose(body: Body) -> Pose:
 
 
 def _unposed(transforms: Float, segments: Int, weights: Float, points: Float) -> Float:
-    """Rest positions (V, 3) that linear-blend skinning carries to the given points (V, 3)."""
+    """Rest positions (V, 3) that linear-blend skinning moves to the given points (V, 3)."""
     blended = np.einsum("vk,vkij->vij", weights, transforms[segments])
     return np.linalg.solve(blended[:, :3, :3], (points - blended[:, :3, 3])[..., None])[..., 0]
 

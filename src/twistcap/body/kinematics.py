@@ -60,7 +60,7 @@ class Posed:
 
     @cached_property
     def world_twists(self) -> Float:
-        """(J, 6) ``ξ'_k = Ad_{M g₁…g_{k−1}} ξ_k``; g_k leaves its own twist as it is, so its motion may stand in."""
+        """(J, 6) ``ξ'_k = Ad_{M g₁…g_{k−1}} ξ_k = Ad_{M g₁…g_k} ξ_k``."""
         return _carried_twists(self.joint_transforms, self.body.twists)
 
     @cached_property
@@ -71,18 +71,18 @@ class Posed:
 
     @cached_property
     def vertex_normals(self) -> Float:
-        """(V, 3) outward normals of the surface, as long as the area about each vertex (times 6)."""
+        """(V, 3) outward normals of the surface, of length 6 times the area about each vertex."""
         return vertex_normals(self.vertices, self.body.faces)
 
     @cached_property
     def landmarks(self) -> Float:
-        """(L, 3) the body's landmarks."""
+        """(L, 3) landmarks."""
         marks = self.body.landmarks
         return _carried(self.segment_transforms[marks.segments], marks.points)
 
     @cached_property
     def segment_middles(self) -> Float:
-        """(S, 3) the middle of each segment's own surface; where it has none, that of the whole body."""
+        """(S, 3) middle of each segment's own surface; of the whole body's where it has none."""
         return _carried(self.segment_transforms, self.body.segment_middles)
 
     @cached_property
@@ -91,7 +91,7 @@ class Posed:
         return _projector(self.body.chain, self.world_twists)
 
     def points(self, segments: Int, weights: Float, local: Float) -> Float:
-        """World positions (N, 3) of surface points given as (N, K) segments and weights and (N, 3) rest points."""
+        """World positions (N, 3) of surface points with segments and weights (N, K) and rest points (N, 3)."""
         return skin_points(self.segment_transforms, segments, weights, local)
 
     def point_jacobian(self, segments: Int, weights: Float, local: Float) -> Float:
@@ -125,7 +125,7 @@ def _chain(root: Float, twists: Float, parent: Int, q: Float) -> Float:
 
 @njit(cache=True, nogil=True)
 def _picked(motions: Float, root: Float, which: Int) -> Float:
-    """(S, 4, 4) the motion of each segment's last coordinate, the root's where it has none."""
+    """(S, 4, 4) motion of each segment's last coordinate, or the root's."""
     out = np.empty((len(which), 4, 4))
     for s in range(len(which)):
         out[s] = root if which[s] < 0 else motions[which[s]]
@@ -149,7 +149,7 @@ def _carried_twists(motions: Float, twists: Float) -> Float:
 
 @njit(cache=True, nogil=True)
 def _projector(chain: Bool, world_twists: Float) -> Float:
-    """(6 S, 6 + J) the identity for the root, and the twists of those coordinates that move the segment."""
+    """(6 S, 6 + J) identity for the root, and the twists of the coordinates that move each segment."""
     S, J = chain.shape
     out = np.zeros((6 * S, 6 + J))
     for s in range(S):

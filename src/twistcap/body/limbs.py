@@ -1,4 +1,4 @@
-"""Limbs and branches: which coordinates move what hangs at the end of the body. The one definition of a limb."""
+"""Limbs and branches of a body, by the coordinates that move its ends. The one definition of a limb."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from twistcap.body.model import Body
 
 
 def branches(body: Body) -> list[Bool]:
-    """Masks (6 + J,) of coordinates that carry the same ends of the body: the root's, then those of most ends first."""
+    """Masks (6 + J,) of coordinates that move the same ends of the body: the root's, then those of most ends first."""
     root = np.arange(body.dof) < 6
     return [root, *(mask for _, mask in _by_ends(body))]
 
 
 def limbs(body: Body) -> list[Bool]:
-    """Masks (6 + J,) of the coordinates of each limb: those that carry one and the same end of the body alone.
+    """Masks (6 + J,) of the coordinates of each limb: those that move the same single end of the body.
 
-    A hand whose fingers are jointed has many ends: then the fingers are the limbs, and the arm is none.
+    With a hand of jointed fingers the fingers are limbs, and the arm is none.
     """
     return [mask for ends, mask in _by_ends(body) if ends == 1]
 
@@ -28,19 +28,19 @@ def limb_parts(body: Body, limb: Bool) -> Bool:
 
 
 def same_limb(body: Body, one: int, other: int) -> bool:
-    """Whether all coordinates that move one segment move the other one too, or the reverse."""
+    """Whether all coordinates that move one of the segments also move the other."""
     a, b = body.chain[one], body.chain[other]
     return bool(np.all(a <= b) or np.all(b <= a))
 
 
 def segments_above(body: Body) -> Bool:
-    """(S, S) which segments each one hangs from: itself, and those above it up to the root, which is not among them."""
+    """(S, S) whether a segment (column) is the other (row) itself or between it and the root."""
     chain = body.chain
     return np.asarray(np.all(chain <= chain[:, None], axis=2) & np.any(chain, axis=1), np.bool_)
 
 
 def _by_ends(body: Body) -> list[tuple[int, Bool]]:
-    """How many ends of the body each of its branches carries, and its mask (6 + J,); those of most ends first."""
+    """Number of ends of the body and mask (6 + J,) of each branch; those of most ends first."""
     carries = body.chain
     ends = [s for s in range(len(carries)) if not any(_beyond(carries[t], carries[s]) for t in range(len(carries)))]
     groups: dict[bytes, list[int]] = {}
@@ -50,5 +50,5 @@ def _by_ends(body: Body) -> list[tuple[int, Bool]]:
 
 
 def _beyond(one: Bool, other: Bool) -> bool:
-    """Whether a segment hangs on another: all that moves the other moves it, and more."""
+    """Whether all coordinates that move the other segment move this one, and more."""
     return bool(np.all(other <= one) and np.any(one & ~other))

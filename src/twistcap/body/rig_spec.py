@@ -1,6 +1,4 @@
-"""What a rigged mesh's joints mean: the small TOML beside a GLB or an OBJ.
-
-The file gives joints as frames; a small TOML beside it says what they mean. All keys are optional:
+"""The meaning of a rigged mesh's joints: the TOML beside a GLB or an OBJ. All keys are optional:
 
     root = "Hips"            # the joint that carries the six degrees of freedom (default: the top of the tree)
     up = "y"                 # the file's vertical axis, "y" or "z"
@@ -15,7 +13,7 @@ The file gives joints as frames; a small TOML beside it says what they mean. All
     names = ["knee_angle_l"] # of the coordinates; default <joint>_x, _y, _z
     limits_deg = [[0, 140]]  # default ±180
     segment = "tibia_l"      # name of the segment; default the joint's
-    aim = { at = "LeftFoot", along = [0, 0, -1] }   # turn the rest pose: the line to joint `at` shall run `along`
+    aim = { at = "LeftFoot", along = [0, 0, -1] }   # turn the rest pose: the line to joint `at` gets this direction
     [landmarks]              # default: every joint that stays, under its own name
     knee_l = "LeftLeg"                                        # where that joint is
     nose = { joint = "Head", at = [0.2, 0.0, 1.6] }           # a point: our axes, m, before aim and origin
@@ -29,7 +27,7 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -39,12 +37,13 @@ from twistcap.errors import InputError
 
 Vector = tuple[float, float, float]
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
+_Model = TypeVar("_Model", bound=BaseModel)
 
 
 class Aim(BaseModel):
-    """Turn of the rest pose: the line from the joint to joint `at` shall run along a direction of the rest frame.
+    """Turn of the rest pose so that the line from the joint to joint `at` has a direction of the rest frame.
 
-    "file" turns the joint back to the way it stands in the file, whatever the joints above it have done.
+    "file" restores the joint's orientation in the file, whatever the joints above it did.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -107,18 +106,28 @@ def read_rig(path: Path | str) -> RigSpec:
     Raises:
         InputError: if it is missing, no TOML, or has an unknown key or a wrong value.
     """
+    return parsed_toml(path, RigSpec)
+
+
+def parsed_toml(path: Path | str, model: type[_Model]) -> _Model:
+    """A TOML file as a pydantic model.
+
+    Raises:
+        InputError: if it is missing, no TOML, or has an unknown key or a wrong value.
+    """
     path = Path(path)
     try:
-        return RigSpec.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+        return model.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not a TOML file ({error}).") from error
     except ValidationError as error:
         first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
+        where = ".".join(str(part) for part in first["loc"]) or "table"
         unknown = first["type"] == "extra_forbidden"
-        raise InputError(f"{path}: {where}: {'unknown key' if unknown else first['msg']}.") from error
+        what = "unknown key" if unknown else first["msg"].removeprefix("Value error, ")
+        raise InputError(f"{path}: {where}: {what}.") from error
 
 
 def _unit(axis: str) -> Float:

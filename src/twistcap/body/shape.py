@@ -1,4 +1,4 @@
-"""Changing a body's proportions: every segment longer or wider, joints, surface and landmarks together."""
+"""Changing a body's proportions: length and girth of segments, with joints, surface and landmarks."""
 
 from __future__ import annotations
 
@@ -13,6 +13,9 @@ from twistcap.body.kinematics import Posed, skin_points
 from twistcap.body.model import Body, Landmarks
 from twistcap.errors import InputError
 
+_AT_CENTRE = 0.01  # m from a joint's centre, within which a landmark marks it
+_CROSSWISE = 0.7  # greatest cosine between a hinge's axis and its segment that counts as across
+
 
 def rescaled(
     body: Body,
@@ -22,8 +25,8 @@ def rescaled(
 ) -> Body:
     """The body with its segments stretched along (`lengths`) and across (`girths`) their axes, by factors.
 
-    A segment is stretched about its joint, along the line to the next joint (or landmark) down the chain; what hangs
-    on it moves along. Offsets across the axis (hips on the pelvis, shoulders on the chest) grow with the girth.
+    A segment is stretched about its joint, along the line to the next joint (or landmark) down the chain; segments
+    below it move along. Offsets across the axis (hips on the pelvis, shoulders on the chest) grow with the girth.
 
     Raises:
         InputError: for an unknown segment or a factor that is not positive.
@@ -34,8 +37,7 @@ def rescaled(
             raise InputError(f"body {body.name!r} has no segment {name!r}; it has {', '.join(body.segment_names)}.")
         if not factor > 0:
             raise InputError(f"body {body.name!r}: the factor of {name!r} is {factor}; it must be positive.")
-    maps = stretch_maps(body, lengths, girths, stature)
-    return warped(body, maps)
+    return warped(body, stretch_maps(body, lengths, girths, stature))
 
 
 def segment_axes(body: Body) -> tuple[Float, Float]:
@@ -49,21 +51,19 @@ def segment_axes(body: Body) -> tuple[Float, Float]:
 
 
 def joint_origin(body: Body, segment: int) -> Float:
-    """(3,) rest-pose position of a segment's proximal joint, m: where the axes of its joint meet.
+    """(3,) rest-pose position of a segment's proximal joint, m, the intersection of the joint's axes.
 
-    Root segments have none: theirs is the centre of their own surface.
+    For root segments it is the centre of their own surface.
     """
-    k = int(body.segment_joint[segment])
-    if k < 0:
-        own = body.vertices[body.vertex_part == segment]
-        return own.mean(axis=0) if len(own) else np.zeros(3)
+    if int(body.segment_joint[segment]) < 0:
+        return _centroid(body, segment)
     axes = body.twists[joint_coordinates(body, segment)]
     w, v = axes[:, :3], axes[:, 3:]
     normal = -se3.hat(w)  # the point p of each axis solves ω × p = −v
     rows, rhs = -normal.reshape(-1, 3), -v.reshape(-1)
     prior = body.landmarks.points[body.landmarks.segments == segment]
     guess = prior[0] if len(prior) else _centroid(body, segment)
-    # A hinge fixes the joint only up to its axis: of all points on it, take the one nearest the segment's own landmark.
+    # The joint may be anywhere on a hinge's axis: take the point nearest to the segment's own landmark.
     return guess + np.linalg.lstsq(rows, rhs - rows @ guess, rcond=1e-9)[0]
 
 
@@ -78,12 +78,12 @@ def joint_coordinates(body: Body, segment: int) -> list[int]:
     return out
 
 
-def marks_of(body: Body, segment: int, within: float = 0.01) -> Int:
-    """Landmarks (indices) that mark a segment's joint: on one of its two segments and at its centre."""
+def marks_of(body: Body, segment: int) -> Int:
+    """Landmarks (indices) of a segment's joint: on one of its two segments and at its centre."""
     marks = body.landmarks
     beside = (marks.segments == segment) | (marks.segments == body.segment_parent[segment])
-    off = np.linalg.norm(marks.points - joint_origin(body, segment), axis=1)
-    return np.flatnonzero(beside & (off < within)).astype(np.int32)
+    distance = np.linalg.norm(marks.points - joint_origin(body, segment), axis=1)
+    return np.flatnonzero(beside & (distance < _AT_CENTRE)).astype(np.int32)
 
 
 def _centroid(body: Body, segment: int) -> Float:
@@ -104,7 +104,7 @@ def _axis_from(body: Body, segment: int, origin: Float) -> Float:
 
 
 def stretch_maps(body: Body, lengths: Mapping[str, float], girths: Mapping[str, float], stature: float = 1.0) -> Float:
-    """(S, 4, 4) affine maps that take each segment of the rest pose to its stretched place."""
+    """(S, 4, 4) affine maps from each segment of the rest pose to its stretched place."""
     origins, axes = segment_axes(body)
     S = len(body.segment_names)
     maps = np.zeros((S, 4, 4))
@@ -155,7 +155,7 @@ class RestMotion:
     joints: Float
 
     def velocities(self, local: Float) -> Float:
-        """(N, S, K, 3) of rest points (N, 3) as each segment would move them, m per unit."""
+        """(N, S, K, 3) velocities of rest points (N, 3) by each segment, m per unit."""
         arm = local[:, None] - self.origins
         along = np.sum(arm * self.axes, axis=2, keepdims=True) * self.axes
         stretched = np.stack([along, arm - along], axis=2)
@@ -164,7 +164,7 @@ class RestMotion:
     def rates(self, posed: Posed, segments: Int, weights: Float, local: Float, gradient: Float) -> Float:
         """(N, K) derivative by the parameters of residuals whose gradients by their skinned world points are (N, 3).
 
-        The surface moves in the rest pose and is skinned after; joint centres carry what hangs below them.
+        The surface moves in the rest pose and is then skinned; joint centres move the segments below them.
         """
         rotations = posed.segment_transforms[segments][..., :3, :3]
         turned = np.einsum("nb,nbji,nj->ni", weights, rotations, gradient)
@@ -175,7 +175,7 @@ class RestMotion:
 
 
 def carried(posed: Posed, joints: Float) -> Float:
-    """(K, S, 3) world velocity of each segment where the joint centres above it move in the rest pose, (K, S, 3)."""
+    """(K, S, 3) world velocity of each segment by the velocities (K, S, 3) of joint centres in the rest pose."""
     body, R, out = posed.body, posed.segment_transforms[:, :3, :3], np.zeros_like(joints)
     for s in np.argsort(body.chain.sum(axis=1), kind="stable"):  # from the root outward
         above = int(body.segment_parent[s])
@@ -190,7 +190,7 @@ def rest_motion(
     """`RestMotion` by the logarithms of lengths and girths of groups of segments, then by x, y, z of joint centres.
 
     Args:
-        stretched, widened: of each parameter, the segments and the rate at which each one's log-length or girth grows.
+        stretched, widened: by parameter, the rate of each segment's log-length or log-girth.
         moved: segments whose proximal joint moves; three parameters (m) each.
     """
     (origins, axes), G = segment_axes(body), len(stretched) + len(widened)
@@ -199,7 +199,7 @@ def rest_motion(
     for k, rates in enumerate((*stretched, *widened)):
         for name, rate in rates.items():
             stretches[k, body.segment(name), int(k >= len(stretched))] = rate
-    for s, above in enumerate(body.segment_parent):  # what hangs on a segment goes with it
+    for s, above in enumerate(body.segment_parent):  # a segment moves with the one above
         if above >= 0:
             arm = origins[s] - origins[above]
             along = (arm @ axes[above]) * axes[above]
@@ -211,9 +211,9 @@ def rest_motion(
 
 
 def joints_moved(body: Body, shifts: Mapping[str, Float]) -> Body:
-    """Joint centres moved by (3,) m in the rest pose, by the name of the segment below; landmarks that mark them too.
+    """Joint centres and their landmarks moved by (3,) m in the rest pose, by the name of the segment below.
 
-    The axes keep their directions and the surface its place, so that the angles keep their meaning.
+    The axes keep their directions and the surface its place, so that angles keep their meaning.
 
     Raises:
         InputError: for an unknown segment, or one without a joint.
@@ -229,23 +229,18 @@ def joints_moved(body: Body, shifts: Mapping[str, Float]) -> Body:
     return replace(body, twists=twists, landmarks=Landmarks(body.landmarks.names, body.landmarks.segments, points))
 
 
-def hinge_middles(body: Body, crosswise: float = 0.7) -> dict[str, tuple[Float, float]]:
-    """Where along its axis each hinge that lies across its limb has the middle of the limb, by the segment below.
+def hinge_middles(body: Body) -> dict[str, tuple[Float, float]]:
+    """Unit axis (3,) of each hinge across its limb, and distance (m) along it from its centre to the limb's middle.
 
-    A hinge does not know where on its axis its centre is; by custom (ISB; Wu et al. 2002, 2005) it is the middle.
-
-    Args:
-        crosswise: greatest cosine between axis and segment of a hinge that counts as lying across.
-
-    Returns:
-        of each such hinge its unit axis (3,) in the rest pose, and how far (m) along it the middle is from the centre.
+    By the name of the segment below, in the rest pose. Motion does not determine a hinge's centre on its axis; by
+    convention (ISB; Wu et al. 2002, 2005) it is the middle of the limb.
     """
     origins, along = segment_axes(body)
     out: dict[str, tuple[Float, float]] = {}
     for s, name in enumerate(body.segment_names):
         joint, above = joint_coordinates(body, s), int(body.segment_parent[s])
         axis = body.twists[joint[0], :3] if len(joint) == 1 else np.zeros(3)
-        if not axis.any() or abs(axis @ along[s]) > crosswise:
+        if not axis.any() or abs(axis @ along[s]) > _CROSSWISE:
             continue
         own = body.faces[np.isin(body.vertex_part[body.faces], (s, above)).all(axis=1)]
         crossed = _line_crossings(body.vertices[own], origins[s], axis)
@@ -256,7 +251,7 @@ def hinge_middles(body: Body, crosswise: float = 0.7) -> dict[str, tuple[Float, 
 
 
 def _line_crossings(triangles: Float, origin: Float, direction: Float) -> Float:
-    """Where (m along the unit direction) a line meets triangles (F, 3, 3); Möller and Trumbore 1997."""
+    """Places (m along the unit direction) where a line meets triangles (F, 3, 3); Möller and Trumbore 1997."""
     a, e, f = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     across = np.cross(direction, f)
     volume = np.sum(e * across, axis=1)
@@ -269,7 +264,7 @@ def _line_crossings(triangles: Float, origin: Float, direction: Float) -> Float:
 
 
 def joint_distances(body: Body) -> dict[str, float]:
-    """Distance (m) from a segment's joint to that of the segment that hangs on it, of those on which one hangs."""
+    """Distance (m) from a segment's joint to that of its child, for segments with one child."""
     out: dict[str, float] = {}
     for s, name in enumerate(body.segment_names):
         children = np.flatnonzero(body.segment_parent == s)

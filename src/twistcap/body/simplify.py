@@ -1,9 +1,8 @@
-"""Bodies with fewer joints: what a coarse model needs of a fine one, such as one side of a person."""
+"""Bodies with fewer joints, such as one side of a person."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -30,14 +29,14 @@ def simplified(
     without: Collection[str] = (),
     axis: Float | None = None,
 ) -> Body:
-    """The body with some of its joints only; the others stay as they are in a pose.
+    """The body with some of its joints only, the others fixed.
 
     Args:
         body: with more coordinates.
-        kept: names of those that stay; the segments between them grow together.
-        at: (J,) angles of the body at which the joints left out stay; by default rest.
+        kept: names of the coordinates that stay; the segments between them are merged.
+        at: (J,) angles of the fixed joints; by default rest.
         without: names of segments whose surface and landmarks are left out.
-        axis: (3,) in the body's frame; all axes are turned parallel to it, each to its nearer end. A planar model.
+        axis: (3,) in the body's frame; all axes are turned parallel to it, in the nearer direction. A planar model.
 
     Raises:
         InputError: for a coordinate or segment that the body lacks.
@@ -82,7 +81,7 @@ def side_view(body: Body, side: str, *, at: Float | None = None, axis: Float | N
     Args:
         body: with OpenSim's coordinate names.
         side: "r" or "l".
-        at: angles at which the other joints stay.
+        at: angles of the other joints.
         axis: (3,) of all joints, in the body's frame; by default its y axis.
 
     Raises:
@@ -96,7 +95,7 @@ def side_view(body: Body, side: str, *, at: Float | None = None, axis: Float | N
 
 
 def angles_of(model: Body, body: Body, q: Float) -> Float:
-    """The angles (..., J') of a simplified model in those (..., J) of the body it was made of."""
+    """The angles (..., J') of a simplified model among those (..., J) of its full body."""
     return q[..., [body.coordinate(name) for name in model.coordinate_names]]
 
 
@@ -124,7 +123,7 @@ def _kept_above(parent: Int, joint: Int, k: int) -> int:
 
 
 def _heads(segment: Int) -> list[int]:
-    """The old segment that each new one is named after: its first."""
+    """The first old segment of each new one, which gives its name."""
     return [int(np.flatnonzero(segment == s)[0]) for s in range(int(segment.max()) + 1)]
 
 
@@ -137,16 +136,8 @@ def _parallel(twists: Float, axis: Float) -> Float:
 
 def _surface(body: Body, vertices: Float, dropped: Bool) -> tuple[Float, Int, Int]:
     """Vertices and faces without those of dropped segments, and which vertices are left."""
-    gone = dropped[body.vertex_part]
-    used = np.flatnonzero(~gone).astype(np.int32)
-    new = np.cumsum(~gone) - 1
-    faces = body.faces[~gone[body.faces].any(axis=1)]
+    stays = ~dropped[body.vertex_part]
+    used = np.flatnonzero(stays).astype(np.int32)
+    new = np.cumsum(stays) - 1
+    faces = body.faces[stays[body.faces].all(axis=1)]
     return np.ascontiguousarray(vertices[used]), np.ascontiguousarray(new[faces].astype(np.int32)), used
-
-
-def with_surface(body: Body, vertices: Float, faces: Int, segments: Int) -> Body:
-    """The body with another surface, rigid on the segments (V,) given."""
-    one = np.ones((len(vertices), 1))
-    return replace(
-        body, vertices=vertices, faces=faces, skin_segments=segments[:, None].astype(np.int32), skin_weights=one
-    )

@@ -58,7 +58,7 @@ class Camera:
         return OF_W
 
     def px_per_m(self, nearness: Float) -> float:
-        """Image scale at mean inverse depth, focal length times it, px/m; 0 where nothing is before the camera."""
+        """Image scale, px/m: focal length times mean inverse depth; 0 where nothing is before the camera."""
         seen = nearness[nearness > 0]
         return float(self.K[0, 0] * seen.mean()) if len(seen) else 0.0
 
@@ -106,7 +106,7 @@ class Camera:
         return replace(self, K=self.K - shift, size=size)
 
     def pinhole(self) -> Camera:
-        """The same camera without distortion: the one that `Rectifier` turns images into."""
+        """The same camera without distortion, that of images from a `Rectifier`."""
         return replace(self, dist=np.zeros(5))
 
 
@@ -114,7 +114,7 @@ def pinhole(P: Float, points: Float) -> tuple[Float, Float, Float]:
     """Pixels (..., 2), depths (...,) m, and the derivative (..., 2, 3) of the pixels by the points (..., 3), m.
 
     ``π(X) = (h₁, h₂) / h₃`` with ``h = P (X, 1)``; its derivative is ``(P₁₂ − π P₃) / h₃``. Behind the camera (depth 0
-    or less) pixels mean nothing.
+    or less) pixels have no meaning.
 
     Args:
         P: (..., 3, 4) projection matrices, one for all points or one for each set (N, 3) of them.
@@ -134,29 +134,25 @@ def distort(xy: Float, dist: Float) -> Float:
     x, y = xy[..., 0], xy[..., 1]
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    return np.stack(
-        [
-            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-        ],
-        axis=-1,
-    )
+    u = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+    v = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+    return np.stack([u, v], axis=-1)
 
 
-def undistort(xy: Float, dist: Float, tolerance: float = 1e-12, iterations: int = 100) -> Float:
+def undistort(xy: Float, dist: Float) -> Float:
     """Inverse of `distort` by fixed-point iteration; NaN where the model cannot be inverted."""
     if not np.any(dist):
         return xy
     guess = xy.copy()
     error = np.full(xy.shape[:-1], np.inf)
     with np.errstate(over="ignore", invalid="ignore"):
-        for _ in range(iterations):
+        for _ in range(100):
             step = xy - distort(guess, dist)
             guess = guess + step
             error = np.abs(step).max(axis=-1)
-            if np.all(error < tolerance):
+            if np.all(error < 1e-12):
                 break
-        # A point beyond the fold of the distortion polynomial does not come back: say so rather than return a guess.
+        # Beyond the fold of the distortion polynomial the iteration does not converge.
         return np.where((error < 1e-6)[..., None], guess, np.nan)
 
 
@@ -187,7 +183,7 @@ class Rig:
 
 
 class Rectifier:
-    """Turns a camera's images into those of `camera.pinhole()`, once per image, so that straight rays are straight."""
+    """Resamples a camera's images to those of `camera.pinhole()`, without distortion."""
 
     def __init__(self, camera: Camera) -> None:
         self.camera = camera.pinhole()
@@ -200,7 +196,7 @@ class Rectifier:
             self._maps = (source[..., 0].astype(np.float32), source[..., 1].astype(np.float32))
 
     def __call__(self, image: AnyArray, nearest: bool = False) -> AnyArray:
-        """Resample one image (H, W[, C]); `nearest` keeps masks and labels as they are."""
+        """One image (H, W[, C]) resampled; `nearest` for masks and labels."""
         if self._maps is None:
             return image
         mode = cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR

@@ -1,8 +1,8 @@
 """A projection and its derivative, for any camera: a pinhole's or scaled orthography's 3×4 matrix P.
 
 A point X has ``(x / w, y / w, 1 / w) = P (X, 1)``: its pixel (x, y), and w, which is a pinhole's inverse depth in 1/m
-and 1 for a parallel projection, whose P ends in (0, 0, 0, 1). Nearness is what is linear in the image and larger for
-what is nearer: an inverse depth (1/m), or for scaled views a depth turned round (m).
+and 1 for a parallel projection, whose P ends in (0, 0, 0, 1). Nearness is linear in the image and grows towards the
+camera: an inverse depth (1/m), or for scaled views a negative depth plus a constant (m).
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from numba import njit
 
 from twistcap._typing import Float
 
-NEAR = 1e-3  # m before the camera; what is nearer has no image
+NEAR = 1e-3  # m before the camera; nearer points have no image
 OF_W = np.array([0.0, 0.0, 0.0, 1.0])
 """`AnyCamera.nearness_row` where nearness is w itself."""
 
 
 class AnyCamera(Protocol):
-    """What drawing a body and comparing it with an image need of a camera."""
+    """A camera, as far as rendering a body and comparing it with an image need it."""
 
     @cached_property
     def P(self) -> Float:
@@ -35,16 +35,16 @@ class AnyCamera(Protocol):
 
     @property
     def inverse_depth(self) -> bool:
-        """Whether nearness is the inverse depth w, 1/m; otherwise it is a depth turned round, m."""
+        """Whether nearness is the inverse depth w, 1/m; otherwise a negative depth plus a constant, m."""
         ...
 
     @cached_property
     def nearness_row(self) -> Float:
-        """(4,) n: the nearness of a point X is ``n (X, 1)`` times its w."""
+        """(4,) n, with which the nearness of a point X is ``n (X, 1)`` times its w."""
         ...
 
     def px_per_m(self, nearness: Float) -> float:
-        """Image scale where things of these nearnesses (N,) are, px/m; those of 0 are left out."""
+        """Image scale at points of these nearnesses (N,), px/m; those of 0 are left out."""
         ...
 
 
@@ -80,13 +80,13 @@ def project_reference(P: Float, points: Float) -> tuple[Float, Float]:
 
 @njit(cache=True, nogil=True, inline="always")
 def depth_at(nearness: float, inverse: bool) -> float:
-    """Depth, m, of what has a nearness other than 0; up to a constant where that is no `inverse` depth."""
+    """Depth, m, of a nearness other than 0; up to a constant where that is no `inverse` depth."""
     return 1.0 / nearness if inverse else -nearness
 
 
 @njit(cache=True, nogil=True, inline="always")
 def along(P: Float, x: float, y: float, a: float, b: float) -> tuple[float, float, float]:
-    """Derivative of ``a x + b y`` by the point that is seen at the pixel (x, y), over its w."""
+    """Derivative of ``a x + b y`` by the point with the pixel (x, y), divided by its w."""
     return (
         a * (P[0, 0] - x * P[2, 0]) + b * (P[1, 0] - y * P[2, 0]),
         a * (P[0, 1] - x * P[2, 1]) + b * (P[1, 1] - y * P[2, 1]),

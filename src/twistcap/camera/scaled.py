@@ -1,10 +1,10 @@
 """Scaled orthography: a view of a body is a turn, a scale and a shift in the image.
 
 ``(x, y) = shift + s (R X)_xy`` (Bregler and Malik, "Tracking People with Twists and Exponential Maps", CVPR 1998,
-DOI 10.1109/CVPR.1998.698581). X is in the body's own frame, so that several views share the joint angles only.
+DOI 10.1109/CVPR.1998.698581). X is in the body's own frame, so that several views have only the joint angles in common.
 
-Beyond the paper: where a camera's intrinsic matrix is known, the same six numbers say where the body stands before it,
-and the view is that pinhole's. Near by, what scaled orthography cannot show, a turn of the trunk would have to.
+Beyond the paper: with a known intrinsic matrix the same six numbers are the body's pose before that pinhole camera.
+Without perspective, close views would be explained by a wrong turn of the trunk.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from twistcap.camera.calibrated import Camera
 from twistcap.camera.projection import OF_W
 from twistcap.errors import InputError
 
-REACH = 4.0  # m; nearness at the origin of the body's frame: all of the body has more than 0
+REACH = 4.0  # m; nearness at the origin of the body's frame, large enough to be above 0 on all of the body
 ROOT = 6
 """Numbers of a view's own motion: relative scale, shift in x and y (px), turn about x, y and z of the camera (rad)."""
 
 
 @dataclass(frozen=True)
 class ScaledView:
-    """What one camera has of the body's place.
+    """The body's pose in one camera.
 
     Attributes:
         rotation: (3, 3) body frame to camera (x right, y down, z forward).
         scale: px/m.
         shift: (2,) image of the body frame's origin, px.
         K: (3, 3) intrinsic matrix of a pinhole camera, px; None for scaled orthography.
-        size: (width, height) of its image, px; (0, 0) where none is known yet.
+        size: (width, height) of its image, px; (0, 0) where it is not known yet.
     """
 
     rotation: Float
@@ -47,12 +47,12 @@ class ScaledView:
         """Points (..., 3) m of the body frame to pixels (..., 2).
 
         Raises:
-            InputError: where points lie behind a pinhole.
+            InputError: where a point is behind a pinhole.
         """
         P = self.P
         homogeneous = points @ P[:, :3].T + P[:, 3]
         if not np.all(homogeneous[..., 2] > 0.0):
-            raise InputError("differential: the body reaches behind a camera, before which perspective needs it.")
+            raise InputError("differential: part of the body is behind a camera; perspective needs all of it in front.")
         return homogeneous[..., :2] / homogeneous[..., 2:]
 
     def depth(self, points: Float) -> Float:
@@ -71,14 +71,14 @@ class ScaledView:
 
     @property
     def inverse_depth(self) -> bool:
-        """False: nearness is a depth turned round; see `AnyCamera`."""
+        """False; see `AnyCamera`."""
         return False
 
     @cached_property
     def nearness_row(self) -> Float:
-        """(4,) by which nearness falls by 1 per metre of depth, from `REACH` at the origin.
+        """(4,) for a nearness of `REACH` at the origin that falls by 1 per metre of depth.
 
-        Before a pinhole at depth z it is linear in 1/z, and falls so at the origin's depth.
+        For a pinhole it is linear in the inverse depth, with that slope at the origin's depth.
         """
         if self.K is None:
             return np.append(-self.rotation[2], REACH)
@@ -96,14 +96,14 @@ class ScaledView:
         return ROOT
 
     def retract(self, phi: Float) -> ScaledView:
-        """After the motion φ = (s', v₁, v₂, ω_x, ω_y, ω_z); it grows and turns about the image of the origin."""
+        """The view after the motion φ = (s', v₁, v₂, ω_x, ω_y, ω_z), growth and turn about the image of the origin."""
         turned = se3.orthonormalised(se3.transform(se3.exp_rotation(phi[3:]) @ self.rotation, np.zeros(3)))[:3, :3]
         return replace(self, rotation=turned, scale=self.scale * float(np.exp(phi[0])), shift=self.shift + phi[1:3])
 
     def root_step(self) -> Float:
-        """(6, 6) twist of the body (ω, v; about its origin, in its frame) that the motion φ amounts to.
+        """(6, 6) derivative by φ of the body's twist (ω, v; about its origin, in its frame).
 
-        Without K the growth s' is no motion of the body's: its column is zero.
+        Without K the growth s' does not move the body: its column is 0.
         """
         out = np.zeros((ROOT, ROOT))
         out[:3, 3:] = self.rotation.T
@@ -134,11 +134,8 @@ class ScaledView:
 
     def cropped(self, origin: tuple[int, int], size: tuple[int, int]) -> ScaledView:
         """The view in the window of its image that starts at pixel `origin` (x, y) and is `size` (w, h) large."""
-        K = (
-            None
-            if self.K is None
-            else self.K - np.array([[0.0, 0.0, origin[0]], [0.0, 0.0, origin[1]], [0.0, 0.0, 0.0]])
-        )
+        shift = np.array([[0.0, 0.0, origin[0]], [0.0, 0.0, origin[1]], [0.0, 0.0, 0.0]])
+        K = None if self.K is None else self.K - shift
         return replace(self, shift=self.shift - np.array(origin), K=K, size=size)
 
     @staticmethod
@@ -156,7 +153,7 @@ class ScaledView:
         return ScaledView(towards @ camera.T_cam_world[:3, :3] @ root[:3, :3], scale * stretch, pixel, K, camera.size)
 
     def root(self, camera: Camera) -> Float:
-        """(4, 4) where the body stands, rest to world, for a pinhole camera of known focal length: undoes `of`."""
+        """(4, 4) root motion of the body, rest to world, by a pinhole camera of known focal length; inverse of `of`."""
         T, R, t = self._T_cam_body(camera.K), camera.T_cam_world[:3, :3], camera.T_cam_world[:3, 3]
         return se3.transform(R.T @ T[:3, :3], R.T @ (T[:3, 3] - t))
 
@@ -168,7 +165,7 @@ class ScaledView:
 
 
 def _towards(at: Float) -> Float:
-    """(3, 3) the least turn that takes the direction of a camera point (3,) to the optical axis."""
+    """(3, 3) the smallest rotation that takes the direction of a camera point (3,) to the optical axis."""
     n = at / np.linalg.norm(at)
     axis = np.cross(n, [0.0, 0.0, 1.0])
     sine = float(np.linalg.norm(axis))

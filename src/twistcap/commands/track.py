@@ -42,7 +42,7 @@ def track(
 
       twistcap track walk.toml --out out/walk --resume
 
-      twistcap track walk.toml --set tracker.coarse_rounds=8 --set 'body.girths.torso=1.1'
+      twistcap track walk.toml --set tracker.surface_sigma=0.006 --set 'body.girths.torso=1.1'
     """
     from twistcap.io.session import load_session
 
@@ -187,7 +187,7 @@ def parsed_settings(settings: list[str]) -> dict[str, Any]:
     for text in settings:
         key, equals, value = text.partition("=")
         if not equals or not key:
-            raise InputError(f"--set is {text!r}; write KEY=VALUE, such as tracker.coarse_rounds=8.")
+            raise InputError(f"--set is {text!r}; write KEY=VALUE, such as tracker.surface_sigma=0.006.")
         try:
             out[key.strip()] = tomllib.loads(f"value = {value}")["value"]
         except tomllib.TOMLDecodeError:

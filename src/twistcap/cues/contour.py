@@ -142,5 +142,5 @@ def tallied_reference(
     """Readable twin of `tallied`."""
     telling = outer & (contrast > CONTRAST)
     agreeing = telling & (np.abs(displacement) < tolerance)
-    points, tells, agrees = (np.bincount(part[which], minlength=parts) for which in (outer, telling, agreeing))
-    return points, tells, agrees
+    counts = [np.bincount(part[which], minlength=parts).astype(np.int32) for which in (outer, telling, agreeing)]
+    return counts[0], counts[1], counts[2]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import cv2
 import numpy as np
 
+from twistcap._cached import cached
 from twistcap._typing import AnyArray, Float32
 from twistcap.body import Posed
 from twistcap.camera import Camera
@@ -35,7 +35,7 @@ class Picture:
     _blurs: dict[float, Float32] = field(default_factory=dict, repr=False)
     _levels: dict[tuple[int, bool], Float32] = field(default_factory=dict, repr=False)
 
-    @cached_property
+    @cached
     def grey(self) -> Float32:
         """(H, W) float32."""
         return grey(self.image)
@@ -95,18 +95,18 @@ class View:
     channels: Channels = "grey"
     origin: tuple[int, int] = (0, 0)
 
-    @cached_property
+    @cached
     def picture(self) -> Picture:
         """The image under blurs and in a pyramid."""
         return Picture(self.image, self.origin)
 
-    @cached_property
+    @cached
     def features(self) -> Float32:
         """(H, W, C) float32."""
         with stage("features"):
             return self.grey[..., None] if self.channels == "grey" else feature_channels(self.image, self.channels)
 
-    @cached_property
+    @cached
     def grey(self) -> Float32:
         """(H, W) float32."""
         return self.picture.grey

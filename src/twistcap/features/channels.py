@@ -1,4 +1,4 @@
-"""What the region statistics look at, by name."""
+"""Channels of the region statistics, by name."""
 
 from __future__ import annotations
 

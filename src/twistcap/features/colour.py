@@ -10,16 +10,16 @@ from twistcap._typing import AnyArray, Float32
 
 _BYTE = np.arange(256, dtype=np.float32)
 _BYTE_TO_FLOAT = (_BYTE / 255.0)[None]
-_STEPS = 16384  # of the tabulated cube root; the error of CIELAB so computed stays below that of half a byte
+_STEPS = 16384  # of the tabulated cube root; the error of CIELAB is then below that of half a byte
 
 
-def _share_of_white() -> Float32:
-    """(3, 256, 3) share of white's X, Y and Z (CIE 1931, D65) that each byte of R, G and B adds, in steps."""
+def _fractions_of_white() -> Float32:
+    """(3, 256, 3) fraction of white's X, Y and Z (CIE 1931, D65) that each byte of R, G and B adds, in steps."""
     u = _BYTE.astype(np.float64) / 255.0
     linear = np.where(u <= 0.04045, u / 12.92, ((u + 0.055) / 1.055) ** 2.4)  # sRGB, IEC 61966-2-1
     xyz = np.array([[0.412453, 0.357580, 0.180423], [0.212671, 0.715160, 0.072169], [0.019334, 0.119193, 0.950227]])
-    shares = (xyz / xyz.sum(axis=1, keepdims=True)).T
-    return ((_STEPS - 1) * linear[None, :, None] * shares[:, None]).astype(np.float32)
+    fractions = (xyz / xyz.sum(axis=1, keepdims=True)).T
+    return ((_STEPS - 1) * linear[None, :, None] * fractions[:, None]).astype(np.float32)
 
 
 def _lightness() -> Float32:
@@ -28,11 +28,11 @@ def _lightness() -> Float32:
     return np.where(t > 216 / 24389, np.cbrt(t), (24389 / 27 * t + 16) / 116).astype(np.float32)
 
 
-_SHARES, _LIGHTNESS = _share_of_white(), _lightness()
+_FRACTIONS, _LIGHTNESS = _fractions_of_white(), _lightness()
 
 
 def to_float(image: AnyArray) -> Float32:
-    """uint8 or float image to float32 in [0, 1]; the shape stays."""
+    """A uint8 or float image as float32 in [0, 1], of the same shape."""
     if image.dtype == np.uint8:
         return np.asarray(cv2.LUT(image, _BYTE_TO_FLOAT), np.float32) if image.size else image.astype(np.float32)
     return image.astype(np.float32)
@@ -49,11 +49,11 @@ _OPPONENT = np.array([[0.299, 0.587, 0.114], [0.707, -0.707, 0.0], [0.408, 0.408
 
 
 def opponent(image: AnyArray, colour: bool = True) -> Float32:
-    """(C, H, W) grey in [0, 1], and for RGB images two opponent colours, red to green and yellow to blue.
+    """(C, H, W) grey in [0, 1], and for RGB images the opponent colours red-green and yellow-blue.
 
     Args:
         image: (H, W) or (H, W, 3), uint8 or in [0, 1].
-        colour: False leaves grey alone.
+        colour: False gives grey only.
     """
     values = image.astype(np.float32) / np.float32(255.0 if image.dtype == np.uint8 else 1.0)
     if values.ndim == 2:
@@ -63,19 +63,20 @@ def opponent(image: AnyArray, colour: bool = True) -> Float32:
 
 
 def lab(image: AnyArray) -> Float32:
-    """(H, W, 3) CIELAB of an RGB image (H, W, 3), divided by 100: equal steps look about equally large."""
+    """(H, W, 3) CIELAB (CIE 1976) of an RGB image (H, W, 3), divided by 100."""
     if image.dtype == np.uint8:
-        return _lab_of_bytes(np.ascontiguousarray(image), _SHARES, _LIGHTNESS)
+        return _lab_of_bytes(np.ascontiguousarray(image), _FRACTIONS, _LIGHTNESS)
     return cv2.cvtColor(to_float(image), cv2.COLOR_RGB2LAB) * np.float32(0.01)
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"}, error_model="numpy")
-def _lab_of_bytes(image: AnyArray, shares: Float32, lightness: Float32) -> Float32:
-    """(H, W, 3) CIELAB / 100 of an RGB image (H, W, 3) of bytes, by tables: `_SHARES` and `_LIGHTNESS`."""
+def _lab_of_bytes(image: AnyArray, fractions: Float32, lightness: Float32) -> Float32:
+    """(H, W, 3) CIELAB / 100 of an RGB image (H, W, 3) of bytes, by tables."""
     out = np.empty(image.shape, dtype=np.float32)
     rgb, lab, half = image.reshape(-1), out.reshape(-1), np.float32(0.5)
     for i in range(0, len(rgb), 3):
-        r, g, b = shares[0, np.int64(rgb[i])], shares[1, np.int64(rgb[i + 1])], shares[2, np.int64(rgb[i + 2])]
+        r, g = fractions[0, np.int64(rgb[i])], fractions[1, np.int64(rgb[i + 1])]
+        b = fractions[2, np.int64(rgb[i + 2])]
         x = lightness[np.int64(r[0] + g[0] + b[0] + half)]
         y = lightness[np.int64(r[1] + g[1] + b[1] + half)]
         z = lightness[np.int64(r[2] + g[2] + b[2] + half)]

@@ -2,8 +2,8 @@
 
 After T. Brox and J. Weickert, "A TV flow based local scale estimate and its application to texture discrimination",
 J. Visual Communication and Image Representation 17(5), 2006, doi:10.1016/j.jvcir.2005.06.001, and M. Rousson, T. Brox
-and R. Deriche, "Active unsupervised texture segmentation on a diffusion based feature space", CVPR 2003. They say how
-strong a texture is, which way it runs and how coarse it is, where a bank of Gabor filters needs dozens of channels.
+and R. Deriche, "Active unsupervised texture segmentation on a diffusion based feature space", CVPR 2003. The channels
+measure a texture's strength, direction and scale.
 """
 
 from __future__ import annotations
@@ -20,52 +20,43 @@ from twistcap._typing import AnyArray, Float, Float32
 from twistcap.errors import InputError
 from twistcap.features.tvflow import tv_step
 
+_STRENGTH = 0.2  # largest value of the structure tensor's channels: their weight beside grey
+_FLOW_STEPS, _FLOW_GROWTH = 6, 1.25  # of the TV flow, and from each to the next: fine structures need short steps
+_WINDOW = 4.0  # px, standard deviation over which the flow's changes and their times are summed
+
 
 @dataclass(frozen=True)
 class Texture:
-    """How texture is measured. Nothing depends on an image's own extremes: a crop or a new frame changes no value.
+    """How texture is measured. No value depends on the range of an image, so that crops and frames agree.
 
     Attributes:
         resolution: px of the image in each row and column of the grid on which channels are smoothed; 1 is the
             papers', 2 needs less than half the time.
-        blend: whether the grey or colour channels come back smoothed with the texture, as in the papers, or as sharp as
-            the image, so that they still say where exactly an outline runs. They steer the smoothing either way.
-        strength: largest value of the structure tensor's channels: their weight beside grey.
+        blend: whether the grey or colour channels are smoothed too, as in the papers; otherwise they stay sharp and
+            only steer the smoothing.
         knee: gradient (brightness/px) at which half the strength is reached; a lone strong edge is no strong texture.
         largest: size (px) of the structures at which the local scale is 1; those of 1 px have 0.
-        flow_steps, flow_time: steps of TV flow that measure the scale, and their sum, brightness · px; a structure of
-            size m and height h has gone after m h / 2.
-        flow_growth: factor from one of these steps to the next: what is fine goes early and needs short steps.
-        window: standard deviation (px) over which the flow's changes and their times are summed.
+        flow_time: duration of the TV flow that measures the scale, brightness · px; a structure of size m and height h
+            vanishes after m h / 2.
         steps, tau: steps of the joint smoothing, and their size, brightness · px.
         epsilon: gradient (brightness per px of the grid) below which TV flow turns into linear diffusion.
+
+    Raises:
+        InputError: for numbers that are not positive and finite, or structures of 1 px or less.
     """
 
     resolution: int = 2
     blend: bool = False
-    strength: float = 0.2
     knee: float = 0.1
     largest: float = 16.0
-    flow_steps: int = 6
     flow_time: float = 0.5
-    flow_growth: float = 1.25
-    window: float = 4.0
     steps: int = 3
     tau: float = 0.12
     epsilon: float = 0.01
 
     def __post_init__(self) -> None:
-        numbers = (
-            self.resolution,
-            self.strength,
-            self.knee,
-            self.flow_time,
-            self.flow_growth,
-            self.window,
-            self.tau,
-            self.epsilon,
-        )
-        if not all(math.isfinite(x) and x > 0 for x in numbers) or self.flow_steps < 1 or self.steps < 0:
+        numbers = (self.resolution, self.knee, self.flow_time, self.tau, self.epsilon)
+        if not all(math.isfinite(x) and x > 0 for x in numbers) or self.steps < 0:
             raise InputError("texture: sizes, steps and weights must be positive and finite.")
         if not (math.isfinite(self.largest) and self.largest > 1.0):
             raise InputError(f"texture: largest is {self.largest} px; it must be more than 1.")
@@ -74,13 +65,12 @@ class Texture:
 def with_texture(colours: Float32, light: Float32, how: Texture) -> Float32:
     """(H, W, C + 4): colours (H, W, C), then J₁₁ (along x), J₂₂ (along y), J₁₂ and the local scale of `light` (H, W).
 
-    J of an image is ∇I∇Iᵀ/|∇I|, whose size is that of the gradient and not its square, and here bends towards
-    `strength`. The scale is logarithmic. All diffuse together, the inverse scale (the flow's speed) in place of the
-    scale, with one diffusivity from all their gradients.
+    J is ∇I∇Iᵀ/|∇I|, saturating at `_STRENGTH`. The scale is logarithmic. All channels diffuse together with one
+    diffusivity from all their gradients, the inverse scale (the flow's speed) in place of the scale.
     """
     height, width, C = colours.shape
     planes = np.concatenate([
-        grid_planes([*cv2.split(colours), *structure_tensor(light, how.strength, how.knee)], how.resolution),
+        grid_planes([*cv2.split(colours), *structure_tensor(light, _STRENGTH, how.knee)], how.resolution),
         flow_speed(light, how)[None],
     ])  # fmt: skip
     for _ in range(how.steps):
@@ -92,34 +82,34 @@ def with_texture(colours: Float32, light: Float32, how: Texture) -> Float32:
 
 
 def _joined(sharp: Sequence[AnyArray], planes: Float32, block: int, shape: tuple[int, int]) -> Float32:
-    """(H, W, C) sharp channels and the planes (k, h, w) of the grid, brought to the image's own `shape`."""
+    """(H, W, C) sharp channels and the planes (k, h, w) of the grid, enlarged to the image's `shape`."""
     size = (block * planes.shape[2], block * planes.shape[1])
     large = [cv2.resize(p, size, interpolation=cv2.INTER_LINEAR)[: shape[0], : shape[1]] for p in planes]
     return np.asarray(cv2.merge([*sharp, *large]), dtype=np.float32)
 
 
 def flow_speed(light: Float32, how: Texture) -> Float32:
-    """Mean speed |∂_t I| (1/px) at which pixels of `light` (H, W) change under TV flow, while they do, on the grid.
+    """(h, w) mean speed |∂_t I| (1/px) of the pixels of `light` (H, W) under TV flow while they change, on the grid.
 
-    A bump or stripe of m px loses 2/m: 2 over it is the local scale. What changes slower than structures of `largest`
-    counts as resting, and where all rests their speed stands in.
+    A bump or stripe of m px changes by 2/m, so that the local scale is 2 over the speed. Pixels slower than structures
+    of `largest` count as at rest; where all are, the speed is that of such structures.
     """
     before, slowest = light[None], 2.0 / how.largest
     moved, time = np.zeros_like(light), np.zeros_like(light)
-    growth = how.flow_growth ** np.arange(how.flow_steps)
+    growth = _FLOW_GROWTH ** np.arange(_FLOW_STEPS)
     for tau in (how.flow_time / growth.sum() * growth).tolist():
         after = tv_step(before, tau, how.epsilon)
         _add_changes(before[0], after[0], tau, slowest, moved, time)
         before = after
-    sums, sigma = grid_planes((moved, time), how.resolution), how.window / how.resolution
+    sums, sigma = grid_planes((moved, time), how.resolution), _WINDOW / how.resolution
     moved, time = (cv2.GaussianBlur(x, (0, 0), sigma, borderType=cv2.BORDER_REFLECT) for x in sums)
-    rest = np.float32(1e-3 * how.flow_time)  # of the slowest change, that every pixel is granted
+    rest = np.float32(1e-3 * how.flow_time)  # of the slowest change, added to every pixel
     return (moved + rest * np.float32(slowest)) / (time + rest)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "arcp"})
 def _add_changes(before: Float32, after: Float32, tau: float, slowest: float, moved: Float32, time: Float32) -> None:
-    """Add how far each pixel went in a step of `tau`, and how long, where it went faster than `slowest`."""
+    """Add each pixel's change in a step of `tau`, and the time, where it is faster than `slowest`."""
     passed, zero, enough = np.float32(tau), np.float32(0.0), np.float32(slowest * tau)
     for r in range(before.shape[0]):
         old, new, way, spent = before[r], after[r], moved[r], time[r]

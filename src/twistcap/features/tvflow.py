@@ -1,8 +1,8 @@
 """Total variation flow of an image of one or many channels by additive operator splitting (AOS).
 
-``∂_t u_k = div(g ∇u_k)`` with one diffusivity ``g = 1/√(Σ_j |∇u_j|² + ε²)`` for all channels: an edge in one holds
-the others. AOS: Weickert, ter Haar Romeny, Viergever, IEEE Trans. Image Processing 7(3), 1998, doi:10.1109/83.661190.
-It is stable for steps of any size.
+``∂_t u_k = div(g ∇u_k)`` with one diffusivity ``g = 1/√(Σ_j |∇u_j|² + ε²)`` for all channels: an edge in one stops
+diffusion in all. AOS (Weickert, ter Haar Romeny, Viergever, IEEE Trans. Image Processing 7(3), 1998,
+doi:10.1109/83.661190) is stable for steps of any size.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def tv_step(channels: Float32, tau: float, epsilon: float) -> Float32:
 
 
 def _transposed(channels: Float32) -> Float32:
-    """(C, W, H) of (C, H, W); OpenCV's transpose keeps to the cache's lines."""
+    """(C, W, H) of (C, H, W), by OpenCV's transpose, which is faster than numpy's."""
     out = np.empty((len(channels), channels.shape[2], channels.shape[1]), dtype=np.float32)
     for channel, turned in zip(channels, out, strict=True):
         cv2.transpose(channel, dst=turned)

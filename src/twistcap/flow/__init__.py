@@ -1,11 +1,10 @@
 """Optic flow: variational, from coarse to fine, with a search for large displacements within a mask."""
 
 from twistcap.flow.optical import flow_confidence, moved_mask, optical_flow
-from twistcap.flow.settings import BROX_2004, CHAPTER, PRESETS, FlowSettings, Preset, SearchSettings
+from twistcap.flow.settings import BROX_2004, PRESETS, FlowSettings, Preset, SearchSettings
 
 __all__ = [
     "BROX_2004",
-    "CHAPTER",
     "PRESETS",
     "FlowSettings",
     "Preset",

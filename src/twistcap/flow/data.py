@@ -42,7 +42,7 @@ def motion_tensors(
 ) -> Float32:  # fmt: skip
     """(H, 12, W) motion tensors of brightness (6 entries) and gradient, summed over the channels.
 
-    0 where the mask is, or where the flow leaves the image: nothing is known of what is not seen.
+    0 off the mask, and where the flow leaves the image.
 
     Args:
         first: (C, H, W, 6) `derivative_maps` of a window of the first image.
@@ -51,7 +51,7 @@ def motion_tensors(
         u, v: (H, W) flow, px, at which the second image is looked up by Catmull-Rom interpolation.
         mask: (H, W) where tensors are wanted.
         zeta: noise floor (intensity per px) of the normalisation; 0 leaves the constraints as they are.
-        blend: share of the first image's derivatives in the constraint.
+        blend: fraction of the first image's derivatives in the constraint.
     """
     (C, H, W, _), (top, left) = first.shape, corner
     rows_there, columns_there = second.shape[1:3]

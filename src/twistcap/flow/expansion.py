@@ -1,9 +1,9 @@
 """Rigid expansion: whole limbs change their motion at once.
 
-A node alone cannot leave its neighbours, even where all of them together would gain. So the rigid motion of one node
-is offered to all nodes around it, and those take it that lower the energy together: a fusion of two labellings
-(Lempitsky, Rother, Roth and Blake 2010, "Fusion moves for Markov random field optimization", DOI
-10.1109/TPAMI.2009.143), decided by belief propagation and carried out only if the energy falls.
+A single node cannot leave its neighbours, even where all of them together would gain. So the rigid motion of one node
+is proposed to all nodes around it: a fusion of two labellings (Lempitsky, Rother, Roth and Blake 2010, "Fusion moves
+for Markov random field optimization", DOI 10.1109/TPAMI.2009.143). Belief propagation decides which nodes accept. The
+move is carried out only if the energy falls.
 """
 
 from __future__ import annotations
@@ -23,59 +23,58 @@ Box = tuple[int, int, int, int]
 
 @njit(cache=True, nogil=True, fastmath=FAST)
 def expand(
-    images: Images, nodes: Bool, labels: Float32, cost: Float32, offered: Float32, order: Int, rule: BlockRule,
-    offer_rule: tuple[int, float],
+    images: Images, nodes: Bool, labels: Float32, cost: Float32, proposed: Float32, order: Int, rule: BlockRule,
+    move: tuple[int, float],
 ) -> int:  # fmt: skip
-    """Offer the motions `offered` (h, w, 4) of the nodes in `order` (N, 2), one after the other; labels in place.
+    """Propose the motions `proposed` (h, w, 4) of the nodes in `order` (N, 2), one after the other.
 
     Args:
         images, nodes, rule: as for `match_blocks`.
-        labels, cost: (h, w, 4) present motions and (h, w) their block costs; both change.
-        offer_rule: nodes each way to which a motion is offered, and px by which it must differ from the present one of
-            its node to be offered at all.
+        labels, cost: (h, w, 4) present motions and (h, w) their block costs; both change in place.
+        move: nodes each way to which a motion is proposed, and the least difference (px) from the node's present one.
 
     Returns:
-        How many motions were taken by some nodes.
+        Number of motions that some nodes accepted.
     """
-    (window, news), parting = offer_rule, (rule.step, rule.apart, rule.most_apart)
+    (window, least), parting = move, (rule.step, rule.apart, rule.most_apart)
     h, w, _ = labels.shape
     proposal, price = np.zeros((h, w, LABEL), np.float32), np.zeros((h, w), np.float32)
     field, messages = np.zeros((h, w), np.float32), np.zeros((h, w, 4), np.float32)
     edges = np.zeros((h, w, 2, 3), np.float32)
-    taken = 0
+    accepted = 0
     for n in range(len(order)):
         i, j = order[n]
-        offer, present = offered[i, j], labels[i, j]
-        if abs(offer[0] - present[0]) + abs(offer[1] - present[1]) < news:
+        motion, present = proposed[i, j], labels[i, j]
+        if abs(motion[0] - present[0]) + abs(motion[1] - present[1]) < least:
             continue
         box = (max(i - window, 0), min(i + window + 1, h), max(j - window, 0), min(j + window + 1, w))
-        _propose(images, nodes, offer, (i, j), rule, box, (proposal, price))
+        _propose(images, nodes, motion, (i, j), rule, box, (proposal, price))
         _edges(labels, proposal, nodes, parting, box, edges)
         _fields(labels, proposal, nodes, (cost, price), parting, box, field)
         _propagate(field, edges, nodes, box, messages)
         if _change(field, edges, messages, nodes, box) < -1e-6:
-            taken += 1
+            accepted += 1
             for a in range(box[0], box[1]):
                 for b in range(box[2], box[3]):
                     if nodes[a, b] and _belief(field, messages, a, b) < 0.0:
                         labels[a, b] = proposal[a, b]
                         cost[a, b] = price[a, b]
-    return taken
+    return accepted
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
 def _propose(
-    images: Images, nodes: Bool, offer: Float32, at: tuple[int, int], rule: BlockRule, box: Box,
+    images: Images, nodes: Bool, motion: Float32, at: tuple[int, int], rule: BlockRule, box: Box,
     out: tuple[Float32, Float32],
 ) -> None:  # fmt: skip
-    """out (h, w, 4) and (h, w): what the motion of the node `at` means at each node of the box, and its block cost."""
+    """out (h, w, 4) and (h, w): the motion of the node `at` carried to each node of the box, and its block cost."""
     (first, second, mask), (proposal, price), (top, bottom, left, right) = images, out, box
     step, radius, block = rule.step, rule.radius, (rule.half, rule.spacing, rule.ceiling)
     for a in range(top, bottom):
         for b in range(left, right):
             if nodes[a, b]:
                 label, x, y = proposal[a, b], np.float32(step * (b - at[1])), np.float32(step * (a - at[0]))
-                carried(offer, x, y, np.float32(0.0), label)
+                carried(motion, x, y, np.float32(0.0), label)
                 if label[0] ** 2 + label[1] ** 2 > radius * radius:
                     price[a, b] = _HUGE
                 else:
@@ -84,7 +83,7 @@ def _propose(
 
 @njit(cache=True, nogil=True, fastmath=FAST)
 def _edges(labels: Float32, proposal: Float32, nodes: Bool, rule: PartingRule, box: Box, out: Float32) -> None:
-    """out (h, w, 2, 3): cost of the edge to the right and to the one below if neither, the other, this one changes."""
+    """out (h, w, 2, 3): cost of the edges to the right and down if no node, the other node or this node changes."""
     top, bottom, left, right = box
     for a in range(top, bottom):
         for b in range(left, right):
@@ -103,7 +102,7 @@ def _fields(
     labels: Float32, proposal: Float32, nodes: Bool, costs: tuple[Float32, Float32], rule: PartingRule, box: Box,
     out: Float32,
 ) -> None:  # fmt: skip
-    """out (h, w): what a change costs a node itself, and towards neighbours outside the window."""
+    """out (h, w): cost of a node's change, with that of its edges to neighbours outside the window."""
     (h, w, _), (cost, price), (top, bottom, left, right) = labels.shape, costs, box
     for a in range(top, bottom):
         for b in range(left, right):
@@ -127,7 +126,7 @@ def _belief(field: Float32, messages: Float32, a: int, b: int) -> np.float32:
 
 @njit(cache=True, nogil=True, fastmath=FAST)
 def _propagate(field: Float32, edges: Float32, nodes: Bool, box: Box, messages: Float32) -> None:
-    """Sequential min-sum belief propagation; a message (from left, above, right, below) favours the present label."""
+    """Sequential min-sum belief propagation; messages (from left, above, right, below) above 0 favour no change."""
     top, bottom, left, right = box
     messages[top:bottom, left:right] = 0.0
     for sweep in range(_SWEEPS):
@@ -152,14 +151,14 @@ def _propagate(field: Float32, edges: Float32, nodes: Bool, box: Box, messages: 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
 def _message(h: np.float32, edge: Float32, back: bool) -> np.float32:
-    """What a node that would pay h for the change tells its neighbour; the edge is free if both change."""
+    """Message of a node whose change costs h to its neighbour; the edge costs nothing if both change."""
     other, own = (edge[2], edge[1]) if back else (edge[1], edge[2])
     return min(other, h) - min(edge[0], h + own)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
 def _change(field: Float32, edges: Float32, messages: Float32, nodes: Bool, box: Box) -> np.float32:
-    """Energy after the change less that before."""
+    """Energy after the change minus that before it."""
     top, bottom, left, right = box
     total = np.float32(0.0)
     for a in range(top, bottom):

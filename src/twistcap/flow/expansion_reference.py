@@ -13,19 +13,19 @@ _SWEEPS = 4
 
 
 def expand_reference(
-    images: Images, nodes: Bool, labels: Float32, cost: Float32, offered: Float32, order: Int, rule: BlockRule,
-    offer_rule: tuple[int, float],
+    images: Images, nodes: Bool, labels: Float32, cost: Float32, proposed: Float32, order: Int, rule: BlockRule,
+    move: tuple[int, float],
 ) -> int:  # fmt: skip
     """Readable twin of `expand`."""
-    block, (window, news), taken = (rule.half, rule.spacing, rule.ceiling), offer_rule, 0
+    block, (window, least), accepted = (rule.half, rule.spacing, rule.ceiling), move, 0
     every = [(int(a), int(b)) for a, b in np.argwhere(nodes)]
     for i, j in order.tolist():
-        if np.abs(offered[i, j, :2] - labels[i, j, :2]).sum() < news:
+        if np.abs(proposed[i, j, :2] - labels[i, j, :2]).sum() < least:
             continue
         box = [(a, b) for a, b in every if abs(a - i) <= window and abs(b - j) <= window]
         proposal, price = labels.copy(), dict[Node, float]()
         for a, b in box:
-            carried_reference(offered[i, j], rule.step * (b - j), rule.step * (a - i), 0.0, proposal[a, b])
+            carried_reference(proposed[i, j], rule.step * (b - j), rule.step * (a - i), 0.0, proposal[a, b])
             price[a, b] = 1e3
             if np.hypot(*proposal[a, b, :2]) <= rule.radius:
                 at = (rule.step * a, rule.step * b)
@@ -36,16 +36,16 @@ def expand_reference(
         energy = sum(own[p] for p in changed)
         energy += sum(V[int(p in changed), int(q in changed)] - V[0, 0] for (p, q), V in pairs.items())
         if energy < -1e-6:
-            taken += 1
+            accepted += 1
             for p in changed:
                 labels[p], cost[p] = proposal[p], price[p]
-    return taken
+    return accepted
 
 
 def _pairs(
     box: list[Node], every: list[Node], labels: Float32, proposal: Float32, own: dict[Node, float], rule: BlockRule
 ) -> dict[tuple[Node, Node], Float]:
-    """Cost of each pair of neighbours in the box if none, one or both change; those outside go to the nodes' own."""
+    """Cost of each pair of neighbours in the box if none, one or both change; edges out of it are added to `own`."""
     parting, pairs = (rule.step, rule.apart, rule.most_apart), dict[tuple[Node, Node], Float]()
     for p in box:
         for di, dj in ((0, 1), (1, 0), (0, -1), (-1, 0)):
@@ -63,7 +63,7 @@ def _pairs(
 
 
 def _changed(own: dict[Node, float], pairs: dict[tuple[Node, Node], Float]) -> set[Node]:
-    """The nodes that take the proposal, by sequential min-sum belief propagation, forth and back in turn."""
+    """The nodes that accept, by sequential min-sum belief propagation, forward and backward in turn."""
     messages = {(p, q): 0.0 for pair in pairs for p, q in (pair, pair[::-1])}
 
     def belief(p: Node) -> float:

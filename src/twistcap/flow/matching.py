@@ -1,10 +1,10 @@
 """Large displacements: blocks that move and turn rigidly, matched by propagation and random search.
 
-Coarse-to-fine warping loses what the coarse images no longer show: a limb that moves farther than it is wide (Brox and
-Malik 2011, "Large displacement optical flow", DOI 10.1109/TPAMI.2010.143). Here nodes some pixels apart each carry a
-rigid motion of their block, of which only the masked pixels count: what lies behind a limb has no say. Good motions
-spread to neighbours (Barnes, Shechtman, Finkelstein and Goldman 2009, "PatchMatch", DOI 10.1145/1531326.1531330), as
-the neighbour's turn carries them there, or bent at a hinge between the two; and neighbours that move apart pay for it.
+Coarse-to-fine warping loses a limb that moves farther than it is wide (Brox and Malik 2011, "Large displacement
+optical flow", DOI 10.1109/TPAMI.2010.143). Here each node of a grid has a rigid motion of its block, of which only the
+masked pixels count: the background behind a limb does not. Good motions spread to neighbours (Barnes, Shechtman,
+Finkelstein and Goldman 2009, "PatchMatch", DOI 10.1145/1531326.1531330), carried by the neighbour's turn or bent at a
+hinge between the two. Neighbours that move apart cost energy.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from twistcap._typing import Bool, Float32
 from twistcap.flow.solver import FAST
 
 LABEL = 4  # of a node: u, v (px), cos θ - 1, sin θ
-_FORGIVEN = 0.9  # share of a block's mean square that a change of light explains
+_FORGIVEN = 0.9  # fraction of a block's squared mean difference that is put down to a change of light
 NEIGHBOURS = ((-1, 0), (0, -1), (1, 0), (0, 1))
 
 Images = tuple[Float32, Float32, Bool]
 """Two images (H, W, C) and the mask (H, W) of the pixels that are compared."""
 PartingRule = tuple[int, float, float]
-"""Px from node to node, cost of each px between where two neighbours put each other, px beyond which it stays."""
+"""Px from node to node, cost of each px by which two neighbours disagree, px beyond which it no longer grows."""
 
 
 class BlockRule(NamedTuple):
@@ -49,11 +49,11 @@ def match_blocks(
 
     Args:
         images: two, and the mask of the pixels that are compared.
-        nodes: (h, w) nodes that are asked; the others keep their start.
+        nodes: (h, w) which nodes are matched; the others keep their start.
         start: (h, w, 4).
         table: (N, 3) random numbers: places in the unit disc, turns in [-1, 1].
         rule: how blocks are compared and varied.
-        rounds: times through all nodes.
+        rounds: passes through all nodes.
     """
     (first, second, mask), step, radius, turn = images, rule.step, rule.radius, rule.turn
     parting_rule, block = (step, rule.apart, rule.most_apart), (rule.half, rule.spacing, rule.ceiling)
@@ -106,14 +106,15 @@ def block_cost(
     first: Float32, second: Float32, mask: Bool, at: tuple[int, int], label: Float32, block: tuple[int, int, float],
     limit: float,
 ) -> np.float32:  # fmt: skip
-    """Root mean square difference over a block, most of its mean forgiven: light changes as limbs turn.
+    """Root mean square difference over a block without most of its mean, since light changes as limbs turn.
 
-    Masked pixels count as equal, pixels outside the image as different by the ceiling; given up beyond the limit.
+    Pixels off the mask count as equal, pixels outside the image as different by the ceiling.
 
     Args:
         first, second: (H, W, C); mask: (H, W).
         at: row and column of its middle; label: (4,) its motion.
-        block: samples each way from the middle, their spacing, and the most that a difference counts.
+        block: samples each way from the middle, their spacing (px), and the ceiling of a difference.
+        limit: cost beyond which the sum is broken off.
     """
     (r, c), (half, spacing, ceiling) = at, block
     H, W, C = first.shape
@@ -144,7 +145,7 @@ def block_cost(
 
 @njit(cache=True, nogil=True, fastmath=FAST)
 def _parting(labels: Float32, nodes: Bool, i: int, j: int, mine: Float32, rule: PartingRule) -> np.float32:
-    """Cost of how far four neighbours and a label at node (i, j) disagree, each half turned by either's turn."""
+    """Cost by which four neighbours and a label at node (i, j) disagree; see `parting_of`."""
     h, w, _ = labels.shape
     total = np.float32(0.0)
     for k in range(4):
@@ -157,7 +158,7 @@ def _parting(labels: Float32, nodes: Bool, i: int, j: int, mine: Float32, rule: 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
 def parting_of(mine: Float32, other: Float32, dj: int, di: int, rule: PartingRule) -> np.float32:
-    """Cost of how far two neighbours disagree, the other one (dj, di) nodes away: half turned by either's turn."""
+    """Cost by which two neighbours (dj, di) nodes apart disagree about the place of the middle between them."""
     step, apart, most_apart = rule
     x, y = np.float32(-0.5 * step * dj), np.float32(-0.5 * step * di)
     cosine, sine = mine[2] + other[2], mine[3] + other[3]
@@ -170,7 +171,7 @@ def parting_of(mine: Float32, other: Float32, dj: int, di: int, rule: PartingRul
 def _turned(label: Float32, angle: np.float32, out: Float32) -> None:
     """out = label, turned further by an angle."""
     square = angle * angle
-    c = square * (square * np.float32(1.0 / 24.0) - np.float32(0.5))  # of cos - 1 and sin, below 1e-3 off up to 60°
+    c = square * (square * np.float32(1.0 / 24.0) - np.float32(0.5))  # cos - 1 and sin to 1e-3 up to 60°
     s = angle * (np.float32(1.0) - square * (np.float32(1.0 / 6.0) - square * np.float32(1.0 / 120.0)))
     out[0], out[1] = label[0], label[1]
     out[2] = c + label[2] + c * label[2] - s * label[3]
@@ -187,7 +188,7 @@ def _disturbed(label: Float32, draw: Float32, radius: float, turn: float, out: F
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
 def carried(label: Float32, x: np.float32, y: np.float32, bend: np.float32, out: Float32) -> None:
-    """out = what a neighbour's label means (x, y) px from it, bent by an angle at the middle between the two."""
+    """out = a neighbour's label at (x, y) px from it, bent by an angle (rad) at the middle between the two."""
     _turned(label, bend, out)
     cosine, sine = np.float32(0.5) * (label[2] + out[2]), np.float32(0.5) * (label[3] + out[3])
     out[0] = label[0] + cosine * x - sine * y
@@ -196,7 +197,7 @@ def carried(label: Float32, x: np.float32, y: np.float32, bend: np.float32, out:
 
 @njit(cache=True, nogil=True, fastmath=FAST)
 def spread(labels: Float32, step: int, height: int, width: int) -> Float32:
-    """(height, width, 2) px: the flow that the motion of the nearest node means at each pixel."""
+    """(height, width, 2) px: at each pixel the flow by the rigid motion of the nearest node."""
     h, w, _ = labels.shape
     out = np.empty((height, width, 2), dtype=np.float32)
     for r in range(height):

@@ -22,7 +22,7 @@ def block_cost_reference(
     first: Float32, second: Float32, mask: Bool, at: tuple[int, int], label: Float32, block: tuple[int, int, float],
     limit: float,
 ) -> float:  # fmt: skip
-    """Readable twin of `block_cost`; it never gives up."""
+    """Readable twin of `block_cost`, without the limit."""
     (H, W, C), (half, spacing, ceiling), (shift, turn) = first.shape, block, _motion(label)
     squares, differences = 0.0, list[Float]()
     for dy, dx in spacing * (np.argwhere(np.ones((2 * half + 1, 2 * half + 1))) - half):
@@ -97,7 +97,7 @@ def match_blocks_reference(
 def _candidate(
     p: tuple[int, int], k: int, draw: Float32, labels: Float32, places: list[tuple[int, int]], rule: BlockRule
 ) -> Float32 | None:
-    """A neighbour's motion, carried here and perhaps bent, for k < 8; then one's own, disturbed less and less."""
+    """For k < 8 a neighbour's motion, carried here, bent from 4 on; then the node's own, disturbed less and less."""
     if k >= 8:
         shift, turn = _motion(labels[p])
         bent = (1.0 + turn) * np.exp(1j * rule.turn * 0.5 ** (k - 8) * draw[2]) - 1.0

@@ -1,4 +1,4 @@
-"""`optical_flow`: the checked front of the room."""
+"""`optical_flow`: checks its input and computes the flow."""
 
 from __future__ import annotations
 
@@ -19,25 +19,23 @@ def optical_flow(
     mask: Bool | None = None,
     preset: Preset = "accurate",
     settings: FlowSettings | None = None,
-    initial: AnyArray | None = None,
 ) -> Float32:
     """Where the points of the first image are in the second: (H, W, 2) px, (x, y) to (x + u, y + v).
 
     Source: Brox, Rosenhahn and Cremers, "Contours, Optic Flow, and Prior Knowledge", eq. 11.24, and Brox et al. 2004;
-    `FlowSettings` says what has been added since. The same images give the same flow.
+    `FlowSettings` lists what was added. The same images give the same flow.
 
     Args:
         image1, image2: (H, W) or (H, W, C), uint8 or float in [0, 1]; all channels count alike.
-        mask: (H, W), the foreground in the first image: nothing is asked of other pixels and nothing smoothed across
-            its edge. Off it the flow is that of the nearest pixel on it. Within a mask, displacements up to
-            `SearchSettings.radius` are searched for: limbs may move farther than they are wide.
+        mask: (H, W), the foreground in the first image: other pixels do not count and nothing is smoothed across its
+            edge. Off it the flow is that of the nearest pixel on it. Within a mask, displacements up to
+            `SearchSettings.radius` are searched: limbs may move farther than they are wide.
         preset: "accurate" (some tenths of a second for a person) or "fast" (some milliseconds).
-        settings: used instead of the preset's; `BROX_2004` and `CHAPTER` are the published forms.
-        initial: (H, W, 2) px, from which to start instead of from 0.
+        settings: used instead of the preset's; `BROX_2004` is the published form.
 
     Raises:
         InputError: for images that differ in size or channels, are empty or not finite, a mask of another size or
-            without a pixel, an unknown preset, settings that make no sense, or an initial flow of another size.
+            without a pixel, an unknown preset, or settings out of range.
     """
     chosen = _chosen(preset, settings)
     first, second = _channels(image1, "first"), _channels(image2, "second")
@@ -47,17 +45,16 @@ def optical_flow(
         )
     shape = (first.shape[0], first.shape[1])
     inside = np.ones(shape, bool) if mask is None else _mask(mask, shape)
-    start = None if initial is None else _initial(initial, shape)
-    return coarse_to_fine(first, second, inside, chosen, start)
+    return coarse_to_fine(first, second, inside, chosen)
 
 
 def flow_confidence(forward: Float32, backward: Float32) -> Float32:
-    """(H, W) in [0, 1]: how well a flow (H, W, 2) px is undone by the flow back (H, W, 2) px; 0 where it leads outside.
+    """(H, W) in [0, 1]: forward-backward consistency of flows (H, W, 2) px; 0 where the flow leaves the image.
 
-    It is ``exp(-d² / 2b)`` for the distance d to where forth and back again lead, and b = 0.5 px² and 1 % of both
-    squared lengths: the bound of Sundaram, Brox and Keutzer 2010 ("Dense point trajectories by GPU-accelerated large
-    displacement optical flow", DOI 10.1007/978-3-642-15549-9_32), made soft. Below exp(-1/2) = 0.61 a vector fails
-    their test. Points that the second image hides fail it mostly; so do those where nothing fixes the flow.
+    ``exp(-d² / 2b)`` for the distance d (px) between a point and its place after the forward and the backward flow.
+    b is 0.5 px² plus 1 % of both squared lengths, the bound of Sundaram, Brox and Keutzer 2010 ("Dense point
+    trajectories by GPU-accelerated large displacement optical flow", DOI 10.1007/978-3-642-15549-9_32). A vector
+    below exp(-1/2) = 0.61 fails their test; most points that are occluded in the second image do.
 
     Raises:
         InputError: if the two differ in size.
@@ -77,10 +74,7 @@ def flow_confidence(forward: Float32, backward: Float32) -> Float32:
 
 
 def moved_mask(mask: Bool, flow: Float32) -> Bool:
-    """(H, W) where the flow (H, W, 2) px takes the pixels of a mask (H, W), closed over gaps of a px or two.
-
-    It is the mask for the flow back from the second image, which `flow_confidence` asks for.
-    """
+    """(H, W) the mask (H, W) moved by a flow (H, W, 2) px, gaps of a px or two closed: the mask of the flow back."""
     H, W = mask.shape
     rows, columns = np.nonzero(mask)
     at = np.rint(np.stack([columns, rows], axis=1) + flow[rows, columns]).astype(int)
@@ -95,7 +89,6 @@ def _chosen(preset: str, settings: FlowSettings | None) -> FlowSettings:
         raise InputError(f"optical_flow: preset is {preset!r}; it must be one of {', '.join(map(repr, PRESETS))}.")
     s = PRESETS[preset] if settings is None else settings
     for name, holds, wanted in (
-        ("smoothness", s.smoothness in ("robust", "homogeneous"), "'robust' or 'homogeneous'"),
         ("alpha", s.alpha > 0, "positive"),
         ("gamma", s.gamma >= 0, "0 or more"),
         ("zeta", s.zeta >= 0, "0 or more"),
@@ -104,7 +97,6 @@ def _chosen(preset: str, settings: FlowSettings | None) -> FlowSettings:
         ("omega", 0 < s.omega < 2, "between 0 and 2"),
         ("median", s.median in (0, 3, 5), "0, 3 or 5"),
         ("warps", s.warps >= 1 and s.inner >= 1 and s.sweeps >= 1, "with inner and sweeps 1 or more"),
-        ("epsilon_data", s.epsilon_data > 0 and s.epsilon_smooth > 0, "with epsilon_smooth positive"),
     ):
         if not holds:
             raise InputError(f"optical_flow: {name} is {getattr(s, name)!r}; it must be {wanted}.")
@@ -128,11 +120,3 @@ def _mask(mask: AnyArray, shape: tuple[int, int]) -> Bool:
     if not inside.any():
         raise InputError("optical_flow: the mask has no pixel; leave it out for the flow of the whole image.")
     return inside
-
-
-def _initial(initial: AnyArray, shape: tuple[int, int]) -> Float32:
-    if initial.shape != (*shape, 2) or not np.isfinite(initial).all():
-        raise InputError(
-            f"optical_flow: the initial flow has size {initial.shape}; give {(*shape, 2)} of finite numbers."
-        )
-    return np.ascontiguousarray(initial, dtype=np.float32)

@@ -9,7 +9,7 @@ from numba import njit
 from twistcap._typing import Bool, Float32, Int
 
 Shape = tuple[int, int]
-_COVERED = 0.4  # share of a coarse pixel that the mask must cover: thin limbs stay
+_COVERED = 0.4  # fraction of a coarse pixel that the mask must cover: thin limbs stay
 
 
 def level_shapes(shape: Shape, factor: float, least_size: int, finest: float = 1.0) -> list[Shape]:
@@ -27,7 +27,7 @@ def _scaled(shape: Shape, scale: float) -> Shape:
 
 
 def pyramid(image: Float32, shapes: list[Shape], presmooth: float) -> list[Float32]:
-    """The image (H, W, C) in each of these sizes, finest first, smoothed by so much (px) in its new size."""
+    """The image (H, W, C) in each of these sizes, finest first, smoothed by `presmooth` px in its new size."""
     out, at, sigma = list[Float32](), image, presmooth * image.shape[0] / shapes[0][0]
     for shape in shapes:
         if out:
@@ -38,7 +38,7 @@ def pyramid(image: Float32, shapes: list[Shape], presmooth: float) -> list[Float
 
 
 def smoothed(image: Float32, sigma: float) -> Float32:
-    """(H, W, C) after a Gaussian of so many px; reflecting borders."""
+    """(H, W, C) after a Gaussian of `sigma` px; reflecting borders."""
     if sigma < 0.05:
         return image
     size = 2 * int(np.ceil(3.0 * sigma)) + 1
@@ -71,7 +71,7 @@ def _resized(image: Float32, shape: Shape) -> Float32:
 
 
 def box_of(mask: Bool, margin: int) -> tuple[slice, slice]:
-    """Rows and columns that hold a mask (H, W) and so many px about it."""
+    """Rows and columns that hold a mask (H, W) and a margin (px) about it."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     return (
         slice(max(int(rows[0]) - margin, 0), int(rows[-1]) + margin + 1),
@@ -80,7 +80,7 @@ def box_of(mask: Bool, margin: int) -> tuple[slice, slice]:
 
 
 def filled(flow: Float32, mask: Bool) -> Float32:
-    """The flow (H, W, 2), each pixel off the mask (H, W) as the nearest one on it: so it may be interpolated."""
+    """The flow (H, W, 2) with each pixel off the mask (H, W) as the nearest one on it, for interpolation."""
     if mask.all() or not mask.any():
         return flow
     off = np.logical_not(mask).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""Large displacements within a mask: candidates gathered node by node, then offered to whole limbs."""
+"""Large displacements within a mask: candidates gathered node by node, then proposed to whole limbs."""
 
 from __future__ import annotations
 
@@ -13,11 +13,16 @@ from twistcap.flow.matching import LABEL, BlockRule, match_blocks, spread
 from twistcap.flow.pyramid import resized_flow, smoothed
 from twistcap.flow.settings import SearchSettings
 
-_NEWS = 1.0  # px by which a motion must differ to be offered
+_LEAST = 1.0  # px by which a motion must differ to be proposed
+_LOOSE = 0.0007  # `SearchSettings.apart` while candidates are gathered: nearly each node for itself
+_PRESMOOTH = 0.7  # px, standard deviation of the Gaussian over the images before they are compared
+_WINDOW = 40.0  # px each way to which a motion is proposed
 
 
-def searched(first: Float32, second: Float32, mask: Bool, flow: Float32, settings: SearchSettings) -> Float32:
-    """(H, W, 2) px: the flow, with limbs moved where the images agree better.
+def large_displacements(
+    first: Float32, second: Float32, mask: Bool, flow: Float32, settings: SearchSettings
+) -> Float32:
+    """(H, W, 2) px: the flow, with limbs moved where the images then agree better.
 
     Args:
         first, second: (H, W, C).
@@ -26,9 +31,9 @@ def searched(first: Float32, second: Float32, mask: Bool, flow: Float32, setting
         settings: of the search.
     """
     s = settings
-    a, b = (smoothed(image, s.presmooth) for image in (first, second))
+    a, b = (smoothed(image, _PRESMOOTH) for image in (first, second))
     nodes = np.ascontiguousarray(cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8))[:: s.step, :: s.step] > 0)
-    window, images = round(s.window / s.step), (a, b, mask)
+    window, images = round(_WINDOW / s.step), (a, b, mask)
     rule = BlockRule(
         s.step, s.half, s.spacing, s.radius, float(np.deg2rad(s.turn_deg)), s.ceiling, s.apart, s.most_apart, s.draws
     )
@@ -38,9 +43,9 @@ def searched(first: Float32, second: Float32, mask: Bool, flow: Float32, setting
 
     labels, cost = matched(_labels(flow, mask.shape, s.step), s.apart, 0, 0)
     for loop in range(s.loops):
-        offered, _ = matched(labels, s.loose, s.rounds, loop)
+        proposed, _ = matched(labels, _LOOSE, s.rounds, loop)
         order = _order(nodes, s.every, loop)
-        expand(images, nodes, labels, cost, offered, order, rule, (window, _NEWS))
+        expand(images, nodes, labels, cost, proposed, order, rule, (window, _LEAST))
         labels, cost = matched(labels, s.apart, s.polish, loop)
     return spread(labels, s.step, *mask.shape)
 
@@ -52,7 +57,7 @@ def _labels(flow: Float32, shape: tuple[int, ...], step: int) -> Float32:
 
 
 def _order(nodes: Bool, every: int, loop: int) -> Int:
-    """(N, 2) one node in `every`, in an order without pattern that is always the same."""
+    """(N, 2) one node in `every`, in a random order that is always the same."""
     places = np.argwhere(nodes).astype(np.int32)
     return places[np.random.default_rng(loop).permutation(len(places))[::every]]
 

@@ -1,11 +1,10 @@
-"""What the flow is computed with; the presets, and the published forms of the model."""
+"""Settings of the flow, its presets, and the published forms of the model."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from typing import Literal
 
-Smoothness = Literal["robust", "homogeneous"]
 Preset = Literal["accurate", "fast"]
 
 
@@ -16,18 +15,15 @@ class SearchSettings:
     Attributes:
         radius: px that a point may move.
         step: px from node to node.
-        half, spacing: a block has 2 half + 1 samples each way, so many px apart.
-        turn_deg: most that a block turns from its neighbour, or from one candidate to the next.
-        presmooth: standard deviation (px) of the Gaussian over the images before they are compared.
-        ceiling: most that the difference of a sample counts, intensity.
-        apart: cost of each px between where two neighbours put each other, in a block's mean difference.
-        loose: the same while candidates are gathered: each node for itself.
-        most_apart: px beyond which neighbours may part for no more.
-        rounds, polish: times through all nodes before and after whole limbs are offered motions.
-        draws: random candidates of a node in a round, each half as far as the one before.
-        loops: times that candidates are gathered and offered.
-        every: one node in so many offers its motion to those around it.
-        window: px each way to which a motion is offered.
+        half, spacing: a block has 2 half + 1 samples each way, `spacing` px apart.
+        turn_deg: greatest turn of a block from its neighbour, or from one candidate to the next.
+        ceiling: greatest difference of a sample, intensity.
+        apart: cost of each px by which two neighbours disagree, in a block's mean difference.
+        most_apart: px beyond which that cost no longer grows.
+        rounds, polish: passes through all nodes before and after motions are proposed to whole limbs.
+        draws: random candidates of a node in a pass, each half as far as the one before.
+        loops: how often candidates are gathered and proposed.
+        every: one node in `every` proposes its motion to those around it.
     """
 
     radius: float = 40.0
@@ -35,62 +31,48 @@ class SearchSettings:
     half: int = 3
     spacing: int = 2
     turn_deg: float = 30.0
-    presmooth: float = 0.7
     ceiling: float = 0.25
     apart: float = 0.01
-    loose: float = 0.0007
     most_apart: float = 10.0
     rounds: int = 3
     polish: int = 2
     draws: int = 8
     loops: int = 4
     every: int = 2
-    window: float = 40.0
 
 
 @dataclass(frozen=True)
 class FlowSettings:
-    """The model and its numerical scheme.
+    """The model and its numerical scheme; the smoothness is flow-driven and isotropic (Brox et al. 2004).
 
     Attributes:
-        smoothness: "robust", flow-driven and isotropic (Brox et al. 2004), or "homogeneous", the chapter's quadratic.
-        robust_data: Ψ(s²) = sqrt(s² + ε²) on either constancy; otherwise both are quadratic.
         alpha: weight of the smoothness. It goes with the data term's unit: px with `zeta`, intensity in [0, 1] without.
-        gamma: weight of the gradient's constancy against the brightness'; 0 leaves it out.
+        gamma: weight of gradient against brightness constancy; 0 leaves the gradient out.
         zeta: noise floor (intensity per px) of the normalised constraints (Zimmer et al. 2011); 0 does not normalise.
-        blend: share of the first image's derivatives in the constraints; 0 takes the warped image's alone, as in 2004.
-        epsilon_data, epsilon_smooth: ε of either Ψ, in the term's own unit.
+        blend: fraction of the first image's derivatives in the constraints; 0 takes the warped image's alone (2004).
         factor: from one level's size to the next coarser one's.
         least_size: px of the coarsest level's shorter side, at least.
         finest: scale of the finest level; below 1 its flow is interpolated.
-        presmooth: standard deviation (px) of the Gaussian over the images of every level.
         warps, inner, sweeps: outer fixed points per level, lagged weights per warp, SOR sweeps for each.
         omega: over-relaxation of SOR, in (0, 2).
         median: 3 or 5: window (px) of the median filter after each warp (Sun, Roth and Black 2010,
             DOI 10.1109/CVPR.2010.5539939); 0 for none.
         search: of large displacements within the mask; None for none. Without a mask there is none.
-        search_scale: levels coarser than this come before the search, finer ones after it.
     """
 
-    smoothness: Smoothness = "robust"
-    robust_data: bool = True
     alpha: float = 1.7
     gamma: float = 2.0
     zeta: float = 0.005
     blend: float = 0.5
-    epsilon_data: float = 0.001
-    epsilon_smooth: float = 0.001
     factor: float = 0.8
     least_size: int = 16
     finest: float = 1.0
-    presmooth: float = 0.6
     warps: int = 5
     inner: int = 3
     sweeps: int = 8
     omega: float = 1.9
     median: int = 5
     search: SearchSettings | None = SearchSettings()
-    search_scale: float = 0.5
 
 
 ACCURATE = FlowSettings()
@@ -101,7 +83,6 @@ FAST_PRESET = replace(
     ),
 )  # fmt: skip
 PRESETS: dict[str, FlowSettings] = {"accurate": ACCURATE, "fast": FAST_PRESET}
-# Brox, Bruhn, Papenberg and Weickert 2004, but for a robust function of its own on either constancy (eq. 11.24 of the
-# chapter), and the chapter's form; their weights were set on all four Middlebury pairs that the benchmark uses.
+# Brox, Bruhn, Papenberg and Weickert 2004, with a separate robust function for each constancy (eq. 11.24 of the
+# chapter). The weights were set on the four Middlebury pairs of the benchmark.
 BROX_2004 = replace(ACCURATE, alpha=0.08, gamma=5.0, zeta=0.0, blend=0.0, median=0, search=None)
-CHAPTER = replace(BROX_2004, smoothness="homogeneous", alpha=0.1, gamma=3.0)

@@ -1,9 +1,8 @@
 """The linear system of one inner fixed point: assembled from lagged weights, relaxed by red-black SOR.
 
 At every pixel the two unknowns are the total flow (u, v), not its increment; a relaxation solves the pixel's 2 by 2
-block exactly. Red and black pixels lie in arrays of their own, so that a row is updated by straight vector loops, and
-all half sweeps go down the image together, one row apart: each finds its rows still in the cache. The result is that
-of whole sweeps one after the other.
+block exactly. Red and black pixels are in separate arrays, so that a row is updated by vector loops. All half sweeps
+go down the image together, one row apart, so that rows stay in the cache. The result is that of whole sweeps in turn.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from numba import njit
 
 from twistcap._typing import Bool, Float, Float32
 
-FAST = {"contract", "reassoc", "arcp", "nsz"}  # never `nnan` or `ninf`: what is not finite is to be seen
+FAST = {"contract", "reassoc", "arcp", "nsz"}  # never `nnan` or `ninf`: numbers that are not finite must show
 TENSOR = 6  # entries of a symmetric 3 by 3 motion tensor: 11, 12, 22, 13, 23, 33
 _COEFFICIENTS = 9  # of a pixel's two equations: right sides, inverse block (11, 12, 22), weights left, right, up, down
 
@@ -48,7 +47,7 @@ def diffusivity(u: Float32, v: Float32, mask: Bool, epsilon: float) -> Float32:
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
-def data_weights(tensors: Float32, du: Float32, dv: Float32, gamma: float, epsilon: float, robust: bool) -> Float32:
+def data_weights(tensors: Float32, du: Float32, dv: Float32, gamma: float, epsilon: float) -> Float32:
     """(H, 5, W) weighted data term ψ'₁J₁ + γψ'₂J₂ of the increment: entries 11, 12, 22, 13, 23.
 
     Args:
@@ -56,7 +55,6 @@ def data_weights(tensors: Float32, du: Float32, dv: Float32, gamma: float, epsil
         du, dv: (H, W) increment at which the weights are lagged, px.
         gamma: weight of the gradient's constancy.
         epsilon: of Ψ(s²) = sqrt(s² + ε²).
-        robust: otherwise Ψ' = 1.
     """
     H, _, W = tensors.shape
     out = np.zeros((H, TENSOR - 1, W), dtype=np.float32)
@@ -68,11 +66,9 @@ def data_weights(tensors: Float32, du: Float32, dv: Float32, gamma: float, epsil
             continue
         for r in range(H):
             J = tensors[r, TENSOR * term : TENSOR * (term + 1)]
-            weight[:] = factor
-            if robust:
-                _quadratic_form(J, du[r], dv[r], weight)
-                for c in range(W):
-                    weight[c] = half * factor / np.sqrt(max(weight[c], zero) + e2)
+            _quadratic_form(J, du[r], dv[r], weight)
+            for c in range(W):
+                weight[c] = half * factor / np.sqrt(max(weight[c], zero) + e2)
             for k in range(TENSOR - 1):
                 _add_scaled(out[r, k], weight, J[k])
     return out
@@ -141,7 +137,7 @@ def relax(coefficients: Float32, u: Float32, v: Float32, sweeps: int, omega: flo
     """SOR in place on u, v (H, W): `sweeps` red-black sweeps; pixels off the mask stay as they are."""
     _, H, _, K = coefficients.shape
     W = u.shape[1]
-    split = np.zeros((2, 2, H + 2, K + 2), dtype=np.float32)  # u or v, colour, and a border that weighs nothing
+    split = np.zeros((2, 2, H + 2, K + 2), dtype=np.float32)  # u or v, colour, and a border of weight 0
     for r in range(H):
         for c in range(W):
             split[0, (r + c) & 1, r + 1, (c >> 1) + 1] = u[r, c]
@@ -198,16 +194,14 @@ def diffusivity_reference(u: Float32, v: Float32, mask: Bool, epsilon: float) ->
     return 0.5 / np.sqrt(s2 + epsilon**2)
 
 
-def data_weights_reference(
-    tensors: Float32, du: Float32, dv: Float32, gamma: float, epsilon: float, robust: bool
-) -> Float:
+def data_weights_reference(tensors: Float32, du: Float32, dv: Float32, gamma: float, epsilon: float) -> Float:
     """Readable twin of `data_weights`."""
     w, out = np.stack([du, dv, np.ones_like(du)], axis=-1).astype(float), np.zeros((len(du), TENSOR - 1, du.shape[1]))
     for term, factor in enumerate((1.0, gamma)):
         J = tensors[:, TENSOR * term : TENSOR * (term + 1)].astype(float)
         full = np.moveaxis(J, 1, 2)[..., [0, 1, 3, 1, 2, 4, 3, 4, 5]].reshape(*du.shape, 3, 3)
         square = np.maximum(np.einsum("hwi,hwij,hwj->hw", w, full, w), 0.0)
-        out += (factor * (0.5 / np.sqrt(square + epsilon**2) if robust else np.ones_like(square)))[:, None] * J[:, :5]
+        out += (0.5 * factor / np.sqrt(square + epsilon**2))[:, None] * J[:, :5]
     return out
 
 

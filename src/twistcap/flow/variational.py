@@ -1,8 +1,8 @@
-"""Warping from coarse to fine: the outer fixed point over the flow, the inner one over the lagged weights.
+"""Warping from coarse to fine: an outer fixed point over the flow, an inner one over the lagged weights.
 
 Brox, Bruhn, Papenberg and Weickert 2004, "High accuracy optical flow estimation based on a theory for warping", DOI
-10.1007/978-3-540-24673-2_3; with homogeneous smoothness within a mask, eq. 11.24-11.27 of Brox, Rosenhahn and Cremers,
-"Contours, Optic Flow, and Prior Knowledge".
+10.1007/978-3-540-24673-2_3; within a mask, eq. 11.24-11.27 of Brox, Rosenhahn and Cremers, "Contours, Optic Flow, and
+Prior Knowledge".
 """
 
 from __future__ import annotations
@@ -13,32 +13,28 @@ import numpy as np
 from twistcap._typing import Bool, Float32
 from twistcap.flow.data import derivative_maps, motion_tensors
 from twistcap.flow.pyramid import box_of, filled, level_shapes, pyramid, resized_flow, resized_mask
-from twistcap.flow.search import searched
+from twistcap.flow.search import large_displacements
 from twistcap.flow.settings import FlowSettings
 from twistcap.flow.solver import assemble, data_weights, diffusivity, relax
 
-_REACH = 8  # px about the mask that its derivatives see
-_MARGIN = 2  # px about the mask that the next finer level may ask for
+_REACH = 8  # px about the mask that its derivatives need
+_MARGIN = 2  # px about the mask that the next finer level may need
+_EPSILON = 0.001  # of Ψ(s²) = sqrt(s² + ε²), in each term's own unit
+_PRESMOOTH = 0.6  # px, standard deviation of the Gaussian over the images of every level
+_SEARCH_SCALE = 0.5  # levels coarser than this come before the search, finer ones after it
 
 
-def coarse_to_fine(
-    first: Float32, second: Float32, mask: Bool, settings: FlowSettings, initial: Float32 | None = None
-) -> Float32:
-    """(H, W, 2) flow in px from the first image to the second, both (H, W, C) in [0, 1], within a mask (H, W).
-
-    An initial flow (H, W, 2) px enters where the levels are as coarse as `search_scale`: coarser ones would blur it.
-    """
+def coarse_to_fine(first: Float32, second: Float32, mask: Bool, settings: FlowSettings) -> Float32:
+    """(H, W, 2) flow in px from the first image to the second, both (H, W, C) in [0, 1], within a mask (H, W)."""
     s, shape = settings, (first.shape[0], first.shape[1])
     shapes = level_shapes(shape, s.factor, s.least_size, s.finest)
-    levels = list(zip(pyramid(first, shapes, s.presmooth), pyramid(second, shapes, s.presmooth), strict=True))
-    before = [level for level in levels if level[0].shape[0] < s.search_scale * shape[0]]
-    flow = initial
-    if flow is None:
-        flow = np.zeros((*shapes[-1], 2), np.float32)
-        for level in reversed(before):
-            flow = _at_level(*level, mask, flow, s)
+    levels = list(zip(pyramid(first, shapes, _PRESMOOTH), pyramid(second, shapes, _PRESMOOTH), strict=True))
+    before = [level for level in levels if level[0].shape[0] < _SEARCH_SCALE * shape[0]]
+    flow = np.zeros((*shapes[-1], 2), np.float32)
+    for level in reversed(before):
+        flow = _at_level(*level, mask, flow, s)
     if s.search is not None and not mask.all():
-        flow = searched(first, second, mask, flow, s.search)
+        flow = large_displacements(first, second, mask, flow, s.search)
         near = box_of(mask, _REACH)
         flow[near] = filled(flow[near], mask[near])
     for level in reversed(levels[: len(levels) - len(before)]):
@@ -47,7 +43,7 @@ def coarse_to_fine(
 
 
 def _at_level(first: Float32, second: Float32, mask: Bool, flow: Float32, s: FlowSettings) -> Float32:
-    """The flow at the size of these images: computed in the window of the mask, and around it as it comes."""
+    """The flow at the size of these images, refined in the window of the mask."""
     shape = (first.shape[0], first.shape[1])
     inside, flow = resized_mask(mask, shape), resized_flow(flow, shape)
     if not inside.any():
@@ -72,7 +68,7 @@ def _length(part: slice, full: int) -> int:
 def refined(
     first: Float32, second: Float32, mask: Bool, flow: Float32, corner: tuple[int, int], settings: FlowSettings
 ) -> Float32:
-    """(H, W, 2) flow after `warps` outer fixed points on one level; off the mask it is not asked for.
+    """(H, W, 2) flow after `warps` outer fixed points on one level; off the mask it has no meaning.
 
     Args:
         first: (C, H, W, 6) `derivative_maps` of a window of the first image.
@@ -84,13 +80,12 @@ def refined(
     """
     s = settings
     u, v = (np.ascontiguousarray(flow[..., k]) for k in range(2))
-    even = np.ones_like(u)
     for _ in range(s.warps):
         u0, v0 = u.copy(), v.copy()
         tensors = motion_tensors(first, second, u, v, mask, corner, s.zeta, s.blend)
         for _ in range(s.inner):
-            data = data_weights(tensors, u - u0, v - v0, s.gamma, s.epsilon_data, s.robust_data)
-            g = diffusivity(u, v, mask, s.epsilon_smooth) if s.smoothness == "robust" else even
+            data = data_weights(tensors, u - u0, v - v0, s.gamma, _EPSILON)
+            g = diffusivity(u, v, mask, _EPSILON)
             relax(assemble(data, u0, v0, g, s.alpha, mask), u, v, s.sweeps, s.omega)
         if s.median:
             u, v = (np.asarray(cv2.medianBlur(x, s.median), np.float32) for x in (u, v))

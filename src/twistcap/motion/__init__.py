@@ -1,6 +1,5 @@
 """Motion as data: clips, skeletons of motion files, retargeting; libraries, scaled matching, prediction from them."""
 
-from twistcap.motion.autoregressive import AutoregressiveMotion
 from twistcap.motion.choice import MotionKind, motion_predictor
 from twistcap.motion.clip import MotionClip
 from twistcap.motion.following import FollowedMotion, FollowRule
@@ -15,7 +14,6 @@ from twistcap.motion.table import SkeletonTable, body_table, read_table, table_f
 
 __all__ = [
     "PAPER_SCALES",
-    "AutoregressiveMotion",
     "Expected",
     "FollowRule",
     "FollowedMotion",

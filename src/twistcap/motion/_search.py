@@ -1,16 +1,15 @@
-"""Kernels of the exact search for the best match; `matching` explains what is searched.
+"""Kernels of the exact search for the best match; see `matching`.
 
-Three bounds from below spare most of the work, and all are rounded down so that the answer stays exact:
+Three lower bounds exclude most candidates. All are rounded down, so that the result is exact:
 
-Coordinates stand in rows, padded with rows of zeros to a multiple of four.
+1. A block of consecutive poses is inside a tube around a straight line. The query's distance from the tubes excludes
+   whole blocks.
+2. Between stored poses a and b, ``|Θ − P| ≥ (|Θ−a| + |Θ−b| − |b−a|)/2``. Distances to stored poses serve all scales, so
+   that a bound for one pose and scale costs m comparisons.
+3. At a fraction f from a to b, ``|Θ − P|² = (1−f)|Θ−a|² + f|Θ−b|² − f(1−f)|b−a|²``: the distance itself, in float32.
 
-1. Poses lie in blocks of neighbours, each inside a tube around a straight line, for motion goes nearly straight for a
-   few poses: how far the query is from the tubes rules out whole blocks.
-2. Between stored poses a and b, ``|Θ − P| ≥ (|Θ−a| + |Θ−b| − |b−a|)/2``. Distances to stored poses are shared by all
-   scales, so that a bound for one pose and scale costs m comparisons.
-3. At a share f from a to b, ``|Θ − P|² = (1−f)|Θ−a|² + f|Θ−b|² − f(1−f)|b−a|²``: the distance itself, in float32.
-
-What is left is summed in float64 from the angles.
+The remaining candidates are summed in float64 from the angles. Coordinates are rows, padded with rows of zeros to a
+multiple of four.
 """
 
 from __future__ import annotations
@@ -21,24 +20,24 @@ from numba import njit
 from twistcap._typing import Float, Float32, Int
 
 BLOCK = 8  # poses whose neighbourhood is bounded by one tube
-FEW = 256  # blocks that are all looked into: bounds of so few are not worth their while
+FEW = 256  # blocks that are all searched: for so few, bounds save no time
 _TILE = 512  # poses whose distances are held at a time
-_SHARE = 512  # blocks of which the most promising one is looked into first
-_GAP = 4  # blocks without promise that are looked into with their neighbours, which is cheaper than to begin anew
+_GROUP = 512  # blocks of which the one with the least bound is searched first
+_GAP = 4  # blocks that are searched with their neighbours though bounds exclude them, which is cheaper than a new tile
 _LOSS = np.float32(4e-6)  # relative, above the rounding of sums in float32
 _SLACK = 1e-6  # rad, above the rounding of the bounds
 _NEAR = 1e-8  # poses, above the rounding of positions in a clip
 
 ClipArrays = tuple[Float32, Float32, Int]
 """Weighted coordinates (K, N) of all clips, the distance (N,) of each pose from the next one of its clip, rounded up,
-0 at its end, and where clips start (C + 1,)."""
+0 at its end, and the starts of clips (C + 1,)."""
 
 
 @njit(cache=True, nogil=True)
 def prepared(query: Float, factors: Float, width: int) -> tuple[Float, bool]:
-    """(m, width) the query (m, K) unwrapped as `library.unwrapped` does, weighted, the latest pose first; then zeros.
+    """(m, width) the query (m, K) unwrapped as by `library.unwrapped`, weighted, the latest pose first; then zeros.
 
-    And whether all of it is finite.
+    Also whether all of it is finite.
     """
     m, K = query.shape
     out = np.zeros((m, width))
@@ -60,8 +59,8 @@ def tubes(base: Float32, begin: Int, end: Int) -> tuple[Float32, Float32, Float3
     """Tubes around stretches of poses begin … end − 1 of base (K, N).
 
     Returns:
-        Of straight lines along the motion the middles and unit directions (K, B), and half the lengths (B,); the radii
-        (B,) that reach from there to all poses, and so to all that lies between poses.
+        Middles and unit directions (K, B) and half lengths (B,) of straight lines along the motion, and the radii (B,)
+        of the tubes about them that hold all poses, and so all interpolated ones.
     """
     K, B = len(base), len(begin)
     middles, lines = np.empty((K, B), np.float32), np.zeros((K, B), np.float32)
@@ -85,7 +84,7 @@ def tubes(base: Float32, begin: Int, end: Int) -> tuple[Float32, Float32, Float3
 
 @njit(cache=True, nogil=True)
 def _add_squares(base: Float32, begin: int, end: int, pose: Float32, k: int, out: Float32) -> None:
-    """Add the squared differences of coordinates k … k + 3: four at once, or storing the sums would cost the most."""
+    """Add the squared differences of coordinates k … k + 3: four at once, to store the sums less often."""
     a, b, c, d = base[k, begin:end], base[k + 1, begin:end], base[k + 2, begin:end], base[k + 3, begin:end]
     x, y, z, w = pose[k], pose[k + 1], pose[k + 2], pose[k + 3]
     for i in range(len(out)):
@@ -95,7 +94,7 @@ def _add_squares(base: Float32, begin: int, end: int, pose: Float32, k: int, out
 
 @njit(cache=True, nogil=True)
 def _add_products(middles: Float32, lines: Float32, begin: int, end: int, pose: Float32, k: int, out: Float32) -> None:
-    """Add coordinates k … k + 3 of the products of directions with the ways from the pose to the middles."""
+    """Add coordinates k … k + 3 of the products of directions with the vectors from the pose to the middles."""
     a, b, c, d = middles[k, begin:end], middles[k + 1, begin:end], middles[k + 2, begin:end], middles[k + 3, begin:end]
     p, q, r, s = lines[k, begin:end], lines[k + 1, begin:end], lines[k + 2, begin:end], lines[k + 3, begin:end]
     x, y, z, w = pose[k], pose[k + 1], pose[k + 2], pose[k + 3]
@@ -106,7 +105,7 @@ def _add_products(middles: Float32, lines: Float32, begin: int, end: int, pose: 
 
 @njit(cache=True, nogil=True)
 def _to_tubes(squares: Float32, along: Float32, halves: Float32, radii: Float32) -> None:
-    """From squared distances to the middles of tubes, and ways along them, distances to the tubes, into squares."""
+    """Distances to tubes, written into `squares`, from squared distances to their middles and distances along them."""
     for i in range(len(squares)):
         beyond = max(np.float32(0.0), np.abs(along[i]) - halves[i])
         lost = np.float32(4.0) * _LOSS * squares[i]
@@ -135,11 +134,11 @@ def tube_distances(
 
 @njit(cache=True, nogil=True)
 def block_bounds(away: Float32, lags: Int, slow: float, fast: float, first_block: Int) -> Float32:
-    """(B,) a sum of norms that no match ending in a block undercuts (bound 1).
+    """(B,) lower bound of the sum of norms of matches that end in each block (bound 1).
 
     Args:
         away: (L, B), of `tube_distances`.
-        lags: (L,) of the query poses that are looked at; fewer make a lower bound.
+        lags: (L,) of the query poses that are used; fewer make a lower bound.
         slow, fast: least and greatest step of the scales, poses per frame.
         first_block: (B,) first block of each block's clip.
     """
@@ -147,7 +146,7 @@ def block_bounds(away: Float32, lags: Int, slow: float, fast: float, first_block
     out = np.zeros(B, np.float32)
     for lag in range(len(lags)):
         v = lags[lag]
-        # The pose at this lag stands `slow·v` to `fast·v` poses before one in the block.
+        # The pose at this lag is `slow·v` to `fast·v` poses before one in the block.
         nearest, farthest = int(np.floor(slow * v / BLOCK)), int(np.ceil(fast * v / BLOCK))
         for b in range(B):
             low = away[lag, max(first_block[b], b - nearest)]
@@ -241,9 +240,9 @@ def score(base: Float32, query: Float, start: int, j: int, step: float, limit: f
 
 
 @njit(cache=True, nogil=True)
-def _barred(clip: int, p: float, barred: Int, windows: Float) -> bool:
-    for e in range(len(barred)):  # noqa: SIM110 - numba knows no any()
-        if barred[e] == clip and windows[e, 0] < p < windows[e, 1]:
+def _excluded(clip: int, p: float, excluded: Int, windows: Float) -> bool:
+    for e in range(len(excluded)):  # noqa: SIM110 - numba knows no any()
+        if excluded[e] == clip and windows[e, 0] < p < windows[e, 1]:
             return True
     return False
 
@@ -251,7 +250,7 @@ def _barred(clip: int, p: float, barred: Int, windows: Float) -> bool:
 @njit(cache=True, nogil=True)
 def _stretch(
     poses: tuple[Float32, Float32], asked: tuple[Float, Float32], steps: Float, span: tuple[int, int, int, int],
-    ahead: float, barred: tuple[int, Int, Float], room: tuple[Float32, Float32], limit: tuple[float, float],
+    ahead: float, excluded: tuple[int, Int, Float], room: tuple[Float32, Float32], limit: tuple[float, float],
 ) -> tuple[float, int, int]:  # fmt: skip
     """The best match that ends at poses low … high of one clip, if it is better than `best`: score, scale and pose j.
 
@@ -259,13 +258,13 @@ def _stretch(
         poses: base (K, N) and jumps (N,); asked: the query in float64 and in float32.
         steps: (S,).
         span: start and end of the clip (its poses are start … end − 1), and low and high, counted from its start.
-        ahead: frames by which a match must be followed inside its clip.
-        barred: the clip's number, and what is barred, as for `search`.
+        ahead: frames that the clip must go on after a match.
+        excluded: the clip's number, and intervals as for `search`.
         room: for squares and bounds of (m, halo + _TILE + 2) values.
         limit: the best so far, and the slack of the bounds.
     """
     (base, jumps), (query, rounded), (squares, bounds) = poses, asked, room
-    (start, end, low, high), (clip, clips, windows), (best, slack) = span, barred, limit
+    (start, end, low, high), (clip, clips, windows), (best, slack) = span, excluded, limit
     m, N, n = len(query), end - start, high - low
     halo = squares.shape[1] - _TILE - 2
     _distances(base, rounded, jumps, (start, end), start + low - halo, halo + n + 2, squares, bounds)
@@ -283,7 +282,7 @@ def _stretch(
                 continue
             j = max(int(np.ceil((low + i - _NEAR) / step)), m - 1)
             while j * step < low + i + 1 - _NEAR and (j + ahead) * step <= N - 1 + _NEAR:
-                if _below(squares, jumps, start, low - halo, j, step, best + slack) and not _barred(
+                if _below(squares, jumps, start, low - halo, j, step, best + slack) and not _excluded(
                     clip, j * step, clips, windows
                 ):
                     value = score(base, query, start, j, step, best)
@@ -295,7 +294,7 @@ def _stretch(
 
 @njit(cache=True, nogil=True)
 def _run(least: Float32, clip_of: Int, b: int, limit: float) -> int:
-    """One behind the last of the blocks from b on that are looked at together: promising ones with small gaps."""
+    """One after the last of the blocks from b on that are searched together: those below the limit, with small gaps."""
     last = b + 1
     for c in range(b + 1, min(len(least), b + _TILE // BLOCK) if least[b] <= limit else b):
         if clip_of[c] != clip_of[b] or c - last > _GAP:
@@ -308,18 +307,18 @@ def _run(least: Float32, clip_of: Int, b: int, limit: float) -> int:
 @njit(cache=True, nogil=True)
 def search(
     clips: ClipArrays, query: Float, steps: Float, blocks: tuple[Float32, Int, Int], ahead: float,
-    barred: tuple[Int, Float], limit: float,
+    excluded: tuple[Int, Float], limit: float,
 ) -> tuple[float, int, int, int]:  # fmt: skip
-    """The least sum of norms below a limit, its clip, scale and pose j of the scaled clip; clip −1 where there is none.
+    """The least sum of norms below a limit, its clip, scale and pose j of the scaled clip; clip −1 if there is none.
 
     Args:
         clips: the library.
         query: (m, K) weighted, the latest first.
         steps: (S,) poses per frame of the query, 1/s.
         blocks: (B,) bound of each block, of `block_bounds`, the first block of its clip, and the clip.
-        ahead: frames by which a match must be followed inside its clip.
-        barred: (E,) clips, and (E, 2) positions in them between which no match may end.
-        limit: worse matches are not looked for.
+        ahead: frames that the clip must go on after a match.
+        excluded: (E,) clips, and (E, 2) positions in them between which no match may end.
+        limit: worse matches are not searched.
     """
     (base, jumps, starts), (least, first_block, clip_of) = clips, blocks
     m, B = len(query), len(least)
@@ -328,13 +327,13 @@ def search(
     halo = int(np.ceil((m - 1) * steps.max())) + 1
     room = (np.empty((m, halo + _TILE + 2), np.float32), np.empty((m, halo + _TILE + 2), np.float32))
     best, best_clip, best_scale, best_pose = limit, -1, -1, -1
-    # The most promising block of each share goes first, so that the rest is soon ruled out.
-    leads = -(-B // _SHARE) if B > FEW else 0
+    # The block of least bound of each group goes first, so that most others are excluded early.
+    leads = -(-B // _GROUP) if B > FEW else 0
     turn, b = 0, 0
     while b < B:
         if turn < leads:
-            begin = turn * _SHARE
-            b = begin + int(np.argmin(least[begin : begin + _SHARE]))
+            begin = turn * _GROUP
+            b = begin + int(np.argmin(least[begin : begin + _GROUP]))
             last = b + 1
         else:
             last = _run(least, clip_of, b, best + slack)
@@ -342,7 +341,7 @@ def search(
             start, end = int(starts[clip_of[b]]), int(starts[clip_of[b] + 1])
             low = (b - first_block[b]) * BLOCK
             high = min(low + (last - b) * BLOCK, end - start)
-            span, not_there = (start, end, low, high), (clip_of[b], barred[0], barred[1])
+            span, not_there = (start, end, low, high), (clip_of[b], excluded[0], excluded[1])
             value, scale, pose = _stretch(
                 (base, jumps), (query, rounded), steps, span, ahead, not_there, room, (best, slack)
             )

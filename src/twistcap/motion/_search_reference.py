@@ -1,4 +1,4 @@
-"""Readable twins of the kernels of `_search`: every place is tried."""
+"""Readable twins of the kernels of `_search`, by exhaustive search."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def score_reference(base: Float32, query: Float, start: int, j: int, step: float
 
 
 def _ends(m: int, poses: int, step: float, ahead: float) -> Iterator[tuple[int, float]]:
-    """The poses j of a scaled clip at which m poses may end, and where in the clip they lie."""
+    """The poses j of a scaled clip at which m poses may end, and their positions in the clip."""
     j = m - 1
     while (j + ahead) * step <= poses - 1 + 1e-8:
         yield j, j * step
@@ -77,12 +77,12 @@ def _ends(m: int, poses: int, step: float, ahead: float) -> Iterator[tuple[int, 
 
 def search_reference(
     clips: ClipArrays, query: Float, steps: Float, blocks: tuple[Float32, Int, Int], ahead: float,
-    barred: tuple[Int, Float], limit: float,
+    excluded: tuple[Int, Float], limit: float,
 ) -> tuple[float, int, int, int]:  # fmt: skip
     """Readable twin of `search`; the bounds of the blocks are not needed."""
     (base, _, starts), found = clips, (limit, -1, -1, -1)
     for clip, (start, end) in enumerate(pairwise(starts)):
-        windows = barred[1][barred[0] == clip]
+        windows = excluded[1][excluded[0] == clip]
         for scale, step in enumerate(steps):
             for j, place in _ends(len(query), end - start, step, ahead):
                 if not ((windows[:, 0] < place) & (place < windows[:, 1])).any():

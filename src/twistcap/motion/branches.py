@@ -1,9 +1,9 @@
-"""Which of their two sets of angles the joints of three axes take.
+"""The choice between the two sets of angles of joints with three axes.
 
-A rotation by (a, b, c) about three axes square to each other is also one by (a + π, π − b, c + π). Followed over time,
-a shoulder that swings around a pole of its middle axis (b = ±π/2: arms straight forward) winds from one set into the
-other, and leaves its limits for good. Where that would happen, the angles cross to the other set on a short bridge,
-near the pole, where this turns the limb least.
+A rotation by (a, b, c) about three orthogonal axes is also one by (a + π, π − b, c + π). Followed over time, a shoulder
+that swings around a pole of its middle axis (b = ±π/2: arms straight forward) changes from one set to the other, and
+stays beyond its limits. There the angles cross to the other set on a short bridge near the pole, where this turns the
+limb least.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from twistcap._typing import Bool, Float, Int
 from twistcap.body import Body
 
 _BRIDGE = 0.1  # s that a crossing takes
-_CROSSING = 1.0  # rad²: a crossing at the pole is worth a frame that lies a rad beyond the limits
+_CROSSING = 1.0  # rad²: a crossing at the pole costs as much as a frame 1 rad beyond the limits
 
 
 def square_joints(body: Body) -> list[list[int]]:
-    """Coordinates (three each, outermost first) of the joints whose three axes are square to each other."""
+    """Coordinates (three each, outermost first) of the joints with three orthogonal axes."""
     ends, out = {int(k) for k in body.segment_joint}, list[list[int]]()
     for k in ends - {-1}:
         chain = [k]
@@ -33,7 +33,7 @@ def square_joints(body: Body) -> list[list[int]]:
 
 
 def within_limits(body: Body, q: Float, rate: float) -> tuple[Float, Bool]:
-    """The same poses with joints of three axes kept to their limits where their other set of angles does so.
+    """The same poses, joints of three axes within their limits where their other set of angles is.
 
     Args:
         body: with J coordinates.
@@ -41,7 +41,7 @@ def within_limits(body: Body, q: Float, rate: float) -> tuple[Float, Bool]:
         rate: per second.
 
     Returns:
-        (N, J) rad, and (N,) whether a frame lies on a bridge, where some joint is not turned as it was.
+        (N, J) rad, and (N,) whether a frame is on a bridge, where some joint's rotation changed.
     """
     q, bridged = q.copy(), np.zeros(len(q), dtype=bool)
     for joint in square_joints(body):
@@ -54,13 +54,13 @@ def within_limits(body: Body, q: Float, rate: float) -> tuple[Float, Bool]:
 
 
 def _both_sets(angles: Float, limits: Float) -> Float:
-    """(2, N, 3) the sets that angles (N, 3) stand for, each turned by whole turns to the limits' middle."""
+    """(2, N, 3) both sets of the angles (N, 3), each moved by whole turns towards the middle of the limits."""
     both = np.stack([angles, angles * [1.0, -1.0, 1.0] + np.pi])
     return both - 2 * np.pi * np.round((both - limits.mean(axis=1)) / (2 * np.pi))
 
 
 def _cheapest(sets: Float, limits: Float) -> Int:
-    """(N,) which set each frame takes: least violation of the limits and crossings, by dynamic programming."""
+    """(N,) set of each frame: least violation of the limits and crossings, by dynamic programming."""
     beyond = np.sum((sets - np.clip(sets, limits[:, 0], limits[:, 1])) ** 2, axis=2)
     crossing = _CROSSING * (1.0 + (2.0 * np.minimum(*np.abs(np.cos(sets[..., 1])))) ** 2)
     cost, came = beyond[:, 0].copy(), np.zeros((2, sets.shape[1]), dtype=np.int32)
@@ -78,10 +78,10 @@ def _cheapest(sets: Float, limits: Float) -> Int:
 def _bridge(q: Float, joint: Sequence[int], n: int, half: int) -> Bool:
     """Smooth the step after frame n over `half` frames to both sides, in place; (N,) which frames it changed."""
     first, last = max(n - half + 1, 0), min(n + half, len(q) - 1)
-    share = np.linspace(0.0, 1.0, last - first + 1)[:, None]
-    share = share * share * (3.0 - 2.0 * share)
+    fraction = np.linspace(0.0, 1.0, last - first + 1)[:, None]
+    fraction = fraction * fraction * (3.0 - 2.0 * fraction)
     a, b = q[first, joint], q[last, joint]
-    q[first : last + 1, joint] = a + share * (b - a)
+    q[first : last + 1, joint] = a + fraction * (b - a)
     changed = np.zeros(len(q), dtype=bool)
     changed[first : last + 1] = True
     return changed

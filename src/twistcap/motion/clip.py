@@ -1,4 +1,4 @@
-"""A stretch of motion in one body's coordinates."""
+"""A continuous recording of motion in one body's coordinates."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ _MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 
 @dataclass(frozen=True)
 class MotionClip:
-    """A stretch of motion without a seam, in one body's coordinates.
+    """A continuous recording of motion, in one body's coordinates.
 
     Attributes:
-        name: of the clip, for people.
-        names: J joint coordinates, as the body calls them.
+        name: of the clip.
+        names: J joint coordinates of the body.
         rate: poses per second.
         roots: (N, 4, 4) T_world_root.
         q: (N, J) joint coordinates, rad; without jumps by 2π.
 
     Raises:
-        InputError: for shapes that do not fit, values that are not finite, roots that are no rigid motions, or a rate
-            that is not positive.
+        InputError: for wrong shapes, values that are not finite, roots that are no rigid motions, or a rate that is
+            not positive.
     """
 
     name: str
@@ -58,7 +58,7 @@ class MotionClip:
 
     @property
     def duration(self) -> float:
-        """From the first pose to the last, s."""
+        """Time from the first pose to the last, s."""
         return (len(self) - 1) / self.rate
 
     def at(self, index: int) -> Pose:
@@ -70,7 +70,7 @@ class MotionClip:
         return [self.at(k) for k in range(len(self))]
 
     def resampled(self, rate: float) -> MotionClip:
-        """The same motion at another rate: joints linear, roots along the screw between neighbours.
+        """The same motion at another rate: joints are interpolated linearly, roots along the screw between neighbours.
 
         Raises:
             InputError: for a rate that is not positive.
@@ -83,36 +83,14 @@ class MotionClip:
         roots, q = interpolated_roots(self.roots, positions), interpolated_angles(self.q, positions)
         return replace(self, rate=rate, roots=roots, q=q)
 
-    def looped(self, cycles: int) -> MotionClip:
-        """A clip that ends about as it began, played so many times; each cycle starts where the last ended.
-
-        What the ends differ by is spread over the cycle.
-
-        Raises:
-            InputError: for no cycle, or a clip whose ends differ by more than 40° in a joint.
-        """
-        self._expect(cycles >= 1, f"{cycles} cycles are asked of it; take 1 or more")
-        if cycles == 1:
-            return self
-        gap = self.q[-1] - self.q[0]
-        worst = float(np.degrees(np.abs(gap).max()))
-        self._expect(worst <= 40.0, f"its ends differ by {worst:.0f}° in a joint: it is no cycle")
-        q = self.q - np.linspace(-0.5, 0.5, len(self))[:, None] * gap
-        onward, roots = _level(self.roots[-1] @ se3.inverse(self.roots[0]), self.roots[0], self.roots[-1]), [self.roots]
-        for _ in range(cycles - 1):
-            roots.append(onward @ roots[-1])
-        parts = [part[:-1] for part in roots[:-1]]  # the last pose of a cycle is the first of the next one
-        all_q = np.concatenate([*[q[:-1]] * (cycles - 1), q])
-        return replace(self, roots=np.concatenate([*parts, roots[-1]]), q=all_q)
-
     def mirrored(self) -> MotionClip:
-        """The motion in a mirror: left and right exchanged, the world's y axis turned round.
+        """The mirrored motion: left and right exchanged, the world's y axis reversed.
 
         Coordinates ending in ``_r`` and ``_l`` change places, equal signs meaning equal movements (CONVENTIONS.md);
         those of the trunk change sign where they bend sideways or turn.
 
         Raises:
-            InputError: where a name has no partner, or does not tell which way it moves.
+            InputError: as `mirror_of`.
         """
         partner, sign = mirror_of(self.names)
         return replace(
@@ -125,48 +103,40 @@ class MotionClip:
 
 
 def mirror_of(names: Sequence[str]) -> tuple[Int, Float]:
-    """By coordinate, which one stands in its place in a mirror (J,), and the sign it gets (J,).
+    """The partner (J,) of each coordinate in a mirrored motion, and its sign (J,).
 
     Raises:
-        InputError: where a name has no partner, or does not tell which way it moves.
+        InputError: for a name without a partner, or whose direction of movement is not known.
     """
     partner, sign = np.arange(len(names), dtype=np.int32), np.ones(len(names))
     for k, name in enumerate(names):
         if name[-2:] in ("_r", "_l"):
             other = name[:-1] + ("l" if name[-1] == "r" else "r")
             if other not in names:
-                raise InputError(f"motion: {name!r} has no partner {other!r}; leave mirrored copies away.")
+                raise InputError(f"motion: {name!r} has no partner {other!r}; leave out mirrored copies.")
             partner[k] = names.index(other)
         elif name.endswith(_ODD):
             sign[k] = -1.0
         elif not name.endswith(_EVEN):
             raise InputError(
-                f"motion: {name!r} does not tell how it looks in a mirror (…_r, …_l, …_extension, …_bending, "
-                "…_rotation do); leave mirrored copies away."
+                f"motion: {name!r} cannot be mirrored (…_r, …_l, …_extension, …_bending, …_rotation can); "
+                "leave out mirrored copies."
             )
     return partner, sign
 
 
-def _level(motion: Float, before: Float, after: Float) -> Float:
-    """(4, 4) the turn of a rigid motion about the vertical, with the shift that carries one root to another's place."""
-    angle = np.arctan2(motion[1, 0] - motion[0, 1], motion[0, 0] + motion[1, 1])
-    R = se3.exp_rotation(np.array([0.0, 0.0, angle]))
-    shift = after[:3, 3] - R @ before[:3, 3]
-    return se3.transform(R, shift * [1.0, 1.0, 0.0])
-
-
 def interpolated_angles(q: Float | Float32, positions: Float) -> Float:
     """(P, J) joint coordinates between the poses of q (N, J), linear; positions (P,) in poses, within 0 … N − 1."""
-    before, share = _between(len(q), positions)
+    before, fraction = _between(len(q), positions)
     after = np.minimum(before + 1, len(q) - 1)
-    return (1.0 - share)[:, None] * q[before] + share[:, None] * q[after]
+    return (1.0 - fraction)[:, None] * q[before] + fraction[:, None] * q[after]
 
 
 def interpolated_roots(roots: Float, positions: Float) -> Float:
     """(P, 4, 4) motions between roots (N, 4, 4): ``M_i exp(f log(M_i⁻¹ M_{i+1}))``; positions (P,) in poses."""
-    before, share = _between(len(roots), positions)
+    before, fraction = _between(len(roots), positions)
     first, second = roots[before], roots[np.minimum(before + 1, len(roots) - 1)]
-    return first @ se3.exp(share[:, None] * se3.log(se3.inverse(first) @ second))
+    return first @ se3.exp(fraction[:, None] * se3.log(se3.inverse(first) @ second))
 
 
 def _between(count: int, positions: Float) -> tuple[Int, Float]:

@@ -1,8 +1,8 @@
-"""Prediction by following a match: what was measured better than the paper's, and so the default.
+"""Prediction by following matches, the default: measured to be better than the paper's.
 
-The k best matches of a long history are placed exactly in time and pace, adapted to the person (offset and range of
-each joint), followed to their ends, and blended. Where the person's own past recurs as well as the library matches, it
-is followed instead. How this and the paper's compare: docs/reproduction/motion-prediction.md.
+The k best matches of a long history are fitted in time and pace, adapted to the person (offset and range of each
+joint), followed to their ends, and blended. A recurrence of the person's own past that is as good is followed instead.
+For a comparison with the paper's see docs/reproduction/motion-prediction.md.
 """
 
 from __future__ import annotations
@@ -19,12 +19,17 @@ from twistcap.body import Body
 from twistcap.errors import InputError
 from twistcap.motion.leverage import leverage
 from twistcap.motion.library import PAPER_SCALES, MotionLibrary
-from twistcap.motion.matching import Match, Matcher, Stretch
-from twistcap.motion.openloop import OpenLoop, Stretched
+from twistcap.motion.matching import Interval, Match, Matcher
+from twistcap.motion.openloop import OpenLoop, PoseSequence
 from twistcap.motion.paper import standard_step
-from twistcap.motion.recurrence import OWN, RecurrenceRule, recurrences
+from twistcap.motion.recurrence import LOOK_BACK, OWN, RecurrenceRule, recurrences
 
-_ALIKE = 0.05  # rad per pose, of all joints together: differences below this tell nothing
+_ALIKE = 0.05  # rad per pose, of all joints together: smaller differences are no evidence
+_WORSE = 2.5  # factor by which the mean distance of a longer history may be larger than that of a shorter one
+_FITTED = 60  # frames of history to which a match is fitted
+_SHARPNESS = 4.0  # how fast a match's weight falls with its distance, in units of the best one's
+_STIFFNESS = 0.3  # rad², summed square deviation below which a joint's range is not adapted
+_TRUST = 30.0  # frames of history that give an adaptation half its weight, for an angle of large leverage
 
 
 @dataclass(frozen=True)
@@ -32,31 +37,23 @@ class FollowRule:
     """How matches are found and followed.
 
     Attributes:
-        poses: lengths of history that are matched. The longest counts for which the library has anything as like as
-            for the shortest: a clip may be too short for it, or nobody there goes on like this.
-        as_like: factor by which its mean distance may be larger.
-        look_back: frames of history to which a match is then fitted.
+        poses: lengths of history that are matched; the longest with matches about as good as the shorter ones counts.
         count: matches that are blended, at most.
         apart: frames between them.
-        sharpness: how fast a match's share falls with its distance, in units of the best one's.
-        fading: share of the last pose's offset from the match that is left after each frame.
-        stiffness: rad², swing (summed square deviation) below which a joint's range is not adapted.
-        trust: frames of history at which half of what they tell of an angle of large leverage is believed.
-        scales: time scales that are tried before the exact one is sought.
-        lever: m/rad, leverage at which an angle counts 1/√2; one that moves the body less is told worse by images than
-            people differ, and counts less.
+        fading: factor per frame of the last pose's offset from the match.
+        scales: time scales that are tried before the exact one is fitted.
+        lever: m/rad, leverage at which an angle has weight 1/√2. Angles that move the body less have less weight, since
+            images determine them worse.
         recurrence: when the person's own past is followed.
+
+    Raises:
+        InputError: for numbers out of range.
     """
 
     poses: tuple[int, ...] = (10, 20, 40)
-    as_like: float = 2.5
-    look_back: int = 60
     count: int = 3
     apart: int = 20
-    sharpness: float = 4.0
     fading: float = 0.9
-    stiffness: float = 0.3
-    trust: float = 30.0
     scales: tuple[float, ...] = PAPER_SCALES
     lever: float = 0.1
     recurrence: RecurrenceRule = field(default_factory=RecurrenceRule)
@@ -72,7 +69,7 @@ class FollowedMotion(OpenLoop):
     Args:
         library: training motion, at the frame rate of the recording.
         body: that is tracked.
-        rule: how.
+        rule: how matches are found and followed.
 
     Raises:
         InputError: as `OpenLoop`.
@@ -81,52 +78,54 @@ class FollowedMotion(OpenLoop):
     def __init__(self, library: MotionLibrary, body: Body, rule: FollowRule | None = None) -> None:
         super().__init__(library, body)
         self.rule = rule or FollowRule()
-        self.history = max(self.rule.look_back, self.rule.recurrence.look_back, *self.rule.poses)
+        self.history = max(_FITTED, LOOK_BACK, *self.rule.poses)
         self._weights = self._by_leverage()
         ahead = float(min(self.rule.poses))
         self._matcher = Matcher(library, self.compared, self._weights**2, self.rule.scales, ahead)
 
     def _by_leverage(self) -> Float:
-        """(K,) what a deviation of each compared coordinate counts, 0 … 1."""
+        """(K,) weight of a deviation of each compared coordinate, 0 … 1."""
         q = np.zeros(len(self.body.coordinate_names))
         q[self._theirs] = self.library.q[:, self._known].mean(axis=0)
         by_joint = leverage(self.body, q)[self._theirs]
         return by_joint / np.hypot(by_joint, self.rule.lever)
 
-    def unlikeness(self, match: Match | None) -> float:
-        """Mean distance of a matched pose, rad."""
+    def dissimilarity(self, match: Match | None) -> float:
+        """Mean distance of the matched poses, rad."""
         return np.nan if match is None else match.distance
 
-    def go_on(self, past: Stretched, count: int, barred: Sequence[Stretch] = ()) -> Stretched:
-        """Poses up to where the best match ends; see `OpenLoop.go_on`."""
+    def next_poses(self, past: PoseSequence, count: int, excluded: Sequence[Interval] = ()) -> PoseSequence:
+        """Poses up to where the best match ends; see `OpenLoop.next_poses`."""
         past = past.since(max(0, len(past) - self.history))
-        library, matches = self._sources(past, barred)
+        library, matches = self._sources(past, excluded)
         if not matches:
             return standard_step(past.since(max(0, len(past) - 5)))
         own = library is not self.library
         guides = [
-            _Guide.fitted(library, past, match, poses, self.rule, self.compared, self._weights, not own)
+            _Guide.fitted(library, past, match, poses, self.compared, self._weights, not own)
             for match, poses in matches
         ]
         lasting = [guide.lasting(library) for guide in guides]
         best = matches[0][0].distance
         alike = [guide.match.distance <= 1.5 * best + _ALIKE for guide in guides]
-        # Of matches that are about as good, one that goes on for long enough leads.
+        # Of matches that are about as good, those that last long enough are used.
         count = max(1, min(count, max(n for n, good in zip(lasting, alike, strict=True) if good)))
         used = [guide for guide, n in zip(guides, lasting, strict=True) if n >= count] or guides[:1]
-        likeness = [np.exp(-self.rule.sharpness * (g.match.distance - best) / (best + _ALIKE)) for g in used]
-        found = _blended([g.followed(library, past, count, self.rule.fading) for g in used], np.array(likeness))
+        weights = [np.exp(-_SHARPNESS * (g.match.distance - best) / (best + _ALIKE)) for g in used]
+        found = _blended([g.followed(library, past, count, self.rule.fading) for g in used], np.array(weights))
         return replace(found, match=replace(matches[0][0], clip=OWN)) if own else found
 
-    def _sources(self, past: Stretched, barred: Sequence[Stretch]) -> tuple[MotionLibrary, list[tuple[Match, int]]]:
-        """Motion to follow, the library or the person's own, and its matches as of `_matches`."""
-        rule, matches = self.rule.recurrence, self._matches(past, barred)
+    def _sources(
+        self, past: PoseSequence, excluded: Sequence[Interval]
+    ) -> tuple[MotionLibrary, list[tuple[Match, int]]]:
+        """Motion to follow, the library or the person's own, and its matches as those of `_matches`."""
+        rule, matches = self.rule.recurrence, self._matches(past, excluded)
         own = recurrences(past.q[:, self.compared] * self._weights, rule)
         if not own or (matches and own[0].distance > rule.lead * matches[0][0].distance):
             return self.library, matches
         return _as_library(past, self.library), [(match, rule.poses) for match in own]
 
-    def _matches(self, past: Stretched, barred: Sequence[Stretch]) -> list[tuple[Match, int]]:
+    def _matches(self, past: PoseSequence, excluded: Sequence[Interval]) -> list[tuple[Match, int]]:
         """The best matches, their distances by pose (rad), and the number of poses that were matched."""
         out: list[tuple[Match, int]] = []
         bar = np.inf
@@ -134,27 +133,27 @@ class FollowedMotion(OpenLoop):
             if poses > len(past):
                 break
             query = past.q[-poses:][:, self.compared]
-            found = self._matcher.k_best(query, self.rule.count, self.rule.apart, barred)
+            found = self._matcher.k_best(query, self.rule.count, self.rule.apart, excluded)
             if found and found[0].distance / poses <= bar:
                 out = [(replace(match, distance=match.distance / poses), poses) for match in found]
-            bar = min(bar, self.rule.as_like * out[0][0].distance + _ALIKE) if out else bar
+            bar = min(bar, _WORSE * out[0][0].distance + _ALIKE) if out else bar
         return out
 
 
-def _as_library(past: Stretched, like: MotionLibrary) -> MotionLibrary:
+def _as_library(past: PoseSequence, like: MotionLibrary) -> MotionLibrary:
     ends = np.array([0, len(past)], np.int32)
     return MotionLibrary(like.names, like.rate, ("own",), ends, past.q.astype(np.float32), past.roots)
 
 
 @dataclass(frozen=True)
 class _Guide:
-    """A match placed exactly in time, and how the person differs from it.
+    """A match fitted exactly in time, and the person's differences from it.
 
     Attributes:
-        match: where the last pose is in the library; its scale is the exact one.
+        match: place of the last pose in the library, with the exact scale.
         gain, offset: (J,) of the joints: ``q ≈ gain · sample + offset``.
         heading: (3, 3) turn about the vertical from the sample's world to ours.
-        way: complex factor of its horizontal ways, turned by `heading`.
+        path: complex factor of its horizontal displacements, turned by `heading`.
         lean: (3,) rotation vector from the sample's root to ours, in the root's frame.
     """
 
@@ -162,41 +161,40 @@ class _Guide:
     gain: Float
     offset: Float
     heading: Float
-    way: complex
+    path: complex
     lean: Float
 
     @staticmethod
     def fitted(
-        library: MotionLibrary, past: Stretched, match: Match, poses: int, rule: FollowRule, columns: Int,
-        weights: Float, any_pace: bool = True,
+        library: MotionLibrary, past: PoseSequence, match: Match, poses: int, columns: Int, weights: Float,
+        any_pace: bool,
     ) -> _Guide:  # fmt: skip
-        """Of a match of the last so many poses; columns (K,) are compared, each deviation times its weight (K,).
+        """The guide of a match of the last `poses` poses, by the columns (K,), each deviation times its weight (K,).
 
-        The person's own past goes at the person's own pace, not at any.
+        Without `any_pace` the scale of the match stays.
         """
         clip = library.q[library.starts[match.clip] : library.starts[match.clip + 1]]
-        reached = min(len(past), rule.look_back, int(match.position / match.step + 1e-6) + 1)
+        reached = min(len(past), _FITTED, int(match.position / match.step + 1e-6) + 1)
         query = np.ascontiguousarray(past.q[-max(poses, reached) :][:, columns]) * weights
         position, step = placed(
             np.ascontiguousarray(clip[:, columns]) * weights, query, match.position, match.step, any_pace
         )
         match = Match(match.clip, position, 1.0 / step, match.distance)
-        length = min(len(past), rule.look_back, int(position / step + 1e-6) + 1)
+        length = min(len(past), _FITTED, int(position / step + 1e-6) + 1)
         where = np.array(position - step * np.arange(length)[::-1], dtype=np.float64)
-        told = np.zeros(len(library.names))  # frames, by how well they tell each angle
-        told[columns] = length * weights**2
-        believed = told / (told + rule.trust)
-        gain, offset = adapted(past.q[-length:], library.angles(match.clip, where), rule.stiffness, believed)
-        heading, way, lean = _aligned(past.roots[-length:], library.root_motions(match.clip, where))
-        return _Guide(match, gain, offset, heading, way, lean)
+        evidence = np.zeros(len(library.names))  # frames, weighted for each angle
+        evidence[columns] = length * weights**2
+        kept = evidence / (evidence + _TRUST)
+        gain, offset = adapted(past.q[-length:], library.angles(match.clip, where), _STIFFNESS, kept)
+        return _Guide(match, gain, offset, *_aligned(past.roots[-length:], library.root_motions(match.clip, where)))
 
     def lasting(self, library: MotionLibrary) -> int:
         """Frames until the clip ends."""
         left = int(library.lengths[self.match.clip]) - 1 - self.match.position
         return int(left / self.match.step + 1e-6)
 
-    def followed(self, library: MotionLibrary, past: Stretched, count: int, fading: float) -> Stretched:
-        """The next `count` poses; what the last pose differs by fades away."""
+    def followed(self, library: MotionLibrary, past: PoseSequence, count: int, fading: float) -> PoseSequence:
+        """The next `count` poses; the offset of the last pose fades."""
         frames = np.arange(count + 1)
         where = np.array(self.match.position + self.match.step * frames, dtype=np.float64)
         left = fading ** frames[:, None]
@@ -206,60 +204,63 @@ class _Guide:
         turned = self.heading @ sample[:, :3, :3]
         rest = se3.log_rotation(turned[0].T @ past.roots[-1, :3, :3]) - self.lean
         turned = turned @ se3.exp_rotation(self.lean + left * rest)
-        ways = (sample[:, :3, 3] - sample[0, :3, 3]) @ self.heading.T
-        across = self.way * (ways[:, 0] + 1j * ways[:, 1])
-        place = past.roots[-1, :3, 3] + np.stack([across.real, across.imag, ways[:, 2]], axis=1)
-        return Stretched(q[1:], se3.transform(turned, place)[1:], self.match.after(count))
+        shift = (sample[:, :3, 3] - sample[0, :3, 3]) @ self.heading.T
+        level = self.path * (shift[:, 0] + 1j * shift[:, 1])
+        place = past.roots[-1, :3, 3] + np.stack([level.real, level.imag, shift[:, 2]], axis=1)
+        return PoseSequence(q[1:], se3.transform(turned, place)[1:], self.match.after(count))
 
 
-def adapted(query: Float, sample: Float, stiffness: float, believed: float | Float) -> tuple[Float, Float]:
-    """Gain and offset (J,) that carry a sample (n, J) to a query (n, J), by ridge regression towards 1 and 0.
+def adapted(query: Float, sample: Float, stiffness: float, kept: float | Float) -> tuple[Float, Float]:
+    """Gain and offset (J,) from a sample (n, J) to a query (n, J), by ridge regression towards 1 and 0.
 
     Args:
         query, sample: rad.
         stiffness: rad², of the ridge.
-        believed: share of the difference from 1 and 0 that is kept, of all or of each joint.
+        kept: fraction of the differences from 1 and 0 that is kept, for all joints or for each (J,).
     """
     of_query, of_sample = query.mean(axis=0), sample.mean(axis=0)
     a, b = sample - of_sample, query - of_query
     gain = ((a * b).sum(axis=0) + stiffness) / ((a * a).sum(axis=0) + stiffness)
     gain = np.clip(gain, 0.3, 3.0)
-    return 1.0 + believed * (gain - 1.0), believed * (of_query - gain * of_sample)
+    return 1.0 + kept * (gain - 1.0), kept * (of_query - gain * of_sample)
 
 
-_STRIDE = 0.15  # m: a sample that has gone less far tells little of length and direction of ways
+_STRIDE = 0.15  # m: shorter displacements hardly change the length and direction of the path
 
 
 def _aligned(roots: Float, sample: Float) -> tuple[Float, complex, Float]:
-    """Heading, way and lean of `_Guide` from (n, 4, 4) roots of the person and the sample, frame by frame."""
+    """Heading, path and lean of `_Guide` from (n, 4, 4) roots of the person and the sample, frame by frame."""
     between = (roots[:, :3, :3] @ np.swapaxes(sample[:, :3, :3], 1, 2)).sum(axis=0)
     angle = np.arctan2(between[1, 0] - between[0, 1], between[0, 0] + between[1, 1])
     heading = se3.exp_rotation(np.array([0.0, 0.0, angle]))
     lean = se3.log_rotation(np.swapaxes(heading @ sample[:, :3, :3], 1, 2) @ roots[:, :3, :3]).mean(axis=0)
     ours, theirs = roots[-1, :2, 3] - roots[0, :2, 3], heading[:2, :2] @ (sample[-1, :2, 3] - sample[0, :2, 3])
     a, b = complex(*ours), complex(*theirs)
-    way = (a * b.conjugate() + _STRIDE**2) / (abs(b) ** 2 + _STRIDE**2)
-    return heading, way, lean
+    path = (a * b.conjugate() + _STRIDE**2) / (abs(b) ** 2 + _STRIDE**2)
+    return heading, path, lean
 
 
-def _blended(ways: Sequence[Stretched], shares: Float) -> Stretched:
+def _blended(predictions: Sequence[PoseSequence], weights: Float) -> PoseSequence:
     """The weighted mean of predictions; roots by the mean of their twists from the first one."""
-    shares = shares / shares.sum()
-    q = np.einsum("k,knj->nj", shares, np.array([way.q for way in ways]))
-    first = ways[0].roots
-    twists = [share * se3.log(se3.inverse(first) @ way.roots) for share, way in zip(shares, ways, strict=True)]
-    return Stretched(q, first @ se3.exp(np.sum(twists, axis=0)), ways[0].match)
+    weights = weights / weights.sum()
+    q = np.einsum("k,knj->nj", weights, np.array([p.q for p in predictions]))
+    first = predictions[0].roots
+    twists = [w * se3.log(se3.inverse(first) @ p.roots) for w, p in zip(weights, predictions, strict=True)]
+    return PoseSequence(q, first @ se3.exp(np.sum(twists, axis=0)), predictions[0].match)
 
 
-_FORGIVEN = 0.7  # share of a constant offset of the joints that does not count when a match is placed in time
+_FORGIVEN = 0.7  # fraction of a constant offset of the joints that does not count when a match is fitted in time
 _GRID, _ROUNDS = 4, 4  # places to either side, and rounds of refinement
-_REACH, _PACE = 1.0, 0.06  # poses, and poses per frame, within which the exact place and pace are sought
-_SPACING = 0.05  # half the way from a scale to the next: steps are 1/s, and lie the farther apart the larger they are
+_REACH, _PACE = 1.0, 0.06  # poses, and poses per frame, within which place and pace are searched
+_SPACING = 0.05  # half the distance of neighbouring scales; steps are 1/s, so that their distance grows with them
 
 
 @njit(cache=True, nogil=True)
 def misplaced(clip: np.ndarray, query: Float, position: float, step: float) -> float:
-    """Sum of the norms by which a query (m, K) differs from a clip (N, K), most of its constant offset forgiven."""
+    """Sum of the norms of the differences of a query (m, K) from a clip (N, K), without most of their constant offset.
+
+    Position and step are in poses; infinite where the query would leave the clip.
+    """
     m, K = query.shape
     if position - (m - 1) * step < 0.0 or position > len(clip) - 1:
         return np.inf
@@ -280,7 +281,7 @@ def misplaced(clip: np.ndarray, query: Float, position: float, step: float) -> f
 def placed(
     clip: np.ndarray, query: Float, position: float, step: float, any_pace: bool = True
 ) -> tuple[float, float]:  # fmt: skip
-    """Position and, where it is free, step near the given ones that fit a query (m, K) best, by ever finer grids."""
+    """Position and, with `any_pace`, step near the given ones that fit a query (m, K) best, by ever finer grids."""
     reach, pace = _REACH, max(_PACE, _SPACING * step * step) if any_pace else 0.0
     best = misplaced(clip, query, position, step)
     for _ in range(_ROUNDS):
@@ -308,7 +309,7 @@ def misplaced_reference(clip: np.ndarray, query: Float, position: float, step: f
 def placed_reference(
     clip: np.ndarray, query: Float, position: float, step: float, any_pace: bool = True
 ) -> tuple[float, float]:
-    """Readable twin of `placed`: the best of ever finer grids, the given place where none is better."""
+    """Readable twin of `placed`: the best of ever finer grids."""
     pace = max(_PACE, _SPACING * step * step) if any_pace else 0.0
     grid = np.linspace(-1.0, 1.0, 2 * _GRID + 1)
     for finer in 3.0 ** -np.arange(_ROUNDS):

@@ -1,9 +1,8 @@
-"""Prediction from training motion for as long as it proves itself; otherwise the person's own motion goes on.
+"""Prediction from training motion while its forecasts are the better ones; otherwise by inertia.
 
-A person who does what the library does not know is matched all the same, and led astray. So in each frame that was seen
-forecasts for it are judged that were made before: the library's, and those of inertia, in which the last velocity dies
-away. Whichever was nearer lately predicts. One frame ahead inertia is hard to beat; it is over a gap that the library
-is needed, and there it is judged by forecasts from farther back.
+A motion that the library does not contain is matched all the same, and predicted wrongly. So in each frame with images
+earlier forecasts are compared: the library's, and those of inertia with a decaying velocity. The one with smaller
+errors predicts. Inertia is hard to beat one frame ahead, so that longer gaps are decided by longer forecasts.
 """
 
 from __future__ import annotations
@@ -18,35 +17,35 @@ from twistcap import se3
 from twistcap._typing import Float
 from twistcap.body import Pose
 from twistcap.errors import InputError
-from twistcap.motion.openloop import Expected, OpenLoop, Run
+from twistcap.motion.openloop import Expected, OpenLoop, Rollout
 from twistcap.predict.history import Moment, MotionNoise, MotionSpread, constant_velocity
 
-_AHEAD = (1, 8)  # frames by which the judged forecasts are made ahead
-_FAR = 3  # frames from which on the farther ones tell
-_MEMORY = 0.85  # share of past errors that counts in the next frame
-_MOST = 0.3  # rad that one joint counts at most: a limb that was lost must not decide for the whole body
-_DECAY = 0.15  # s in which a velocity dies away
+_AHEAD = (1, 8)  # frames ahead of the compared forecasts
+_FAR = 3  # frames ahead from which the longer forecasts decide
+_MEMORY = 0.85  # factor of past errors in the next frame
+_MOST = 0.3  # rad, greatest error of a joint: a lost limb must not decide for the whole body
+_DECAY = 0.15  # s, decay time of the velocity
 
 
 @dataclass(frozen=True)
-class Judged:
-    """How both predictors have done.
+class ForecastErrors:
+    """Past errors of both predictors.
 
     Attributes:
-        last: the last moment that was judged.
+        last: the last moment that was compared.
         errors: (2, 2) squared, one and several frames ahead, of the library and of inertia; older ones count less.
         spread: of inertia.
-        run: the library's prediction under way.
+        run: the library's prediction, to be extended.
     """
 
     last: Moment
     errors: Float
     spread: MotionSpread
-    run: Run | None = None
+    run: Rollout | None = None
 
 
 class GuardedMotion:
-    """A predictor that yields to inertia where inertia does better.
+    """A predictor that is replaced by inertia where inertia has smaller errors.
 
     Args:
         inner: predictor from training motion.
@@ -58,31 +57,33 @@ class GuardedMotion:
 
     @property
     def memory_type(self) -> Any:
-        """How both predictors have done, or nothing yet."""
-        return Judged | None
+        """Past errors, or None."""
+        return ForecastErrors | None
 
-    def predict(self, history: Sequence[Moment], time: float, memory: Judged | None = None) -> tuple[Expected, Judged]:
+    def predict(
+        self, history: Sequence[Moment], time: float, memory: ForecastErrors | None = None
+    ) -> tuple[Expected, ForecastErrors]:
         """The pose at `time`; see `MotionPredictor`.
 
         Raises:
-            InputError: for a history without moments.
+            InputError: for a history without images.
         """
         seen = [moment for moment in history if moment.seen]
         if memory is None or seen[-1].time != memory.last.time:
-            memory = self._judged(seen, memory or self._fresh(seen))
+            memory = self._compared(seen, memory or self._fresh(seen))
         ahead = (time - seen[-1].time) * self.inner.library.rate
         if len(seen) > 1 and not trusts(memory.errors, ahead):
             return self._inert(seen, time, memory.spread), memory
         expected, run = self.inner.predict(history, time, memory.run)
         return expected, replace(memory, run=run)
 
-    def _fresh(self, seen: Sequence[Moment]) -> Judged:
+    def _fresh(self, seen: Sequence[Moment]) -> ForecastErrors:
         if not seen:
-            raise InputError("motion: a prediction needs at least one moment that was seen.")
-        return Judged(seen[-1], np.zeros((len(_AHEAD), 2)), MotionSpread.usual(self._noise))
+            raise InputError("motion: a prediction needs at least one moment with images.")
+        return ForecastErrors(seen[-1], np.zeros((len(_AHEAD), 2)), MotionSpread.usual(self._noise))
 
-    def _judged(self, history: Sequence[Moment], memory: Judged) -> Judged:
-        """With the forecasts of the last moment compared."""
+    def _compared(self, history: Sequence[Moment], memory: ForecastErrors) -> ForecastErrors:
+        """The memory with the errors of the forecasts of the last moment."""
         now, frame, errors = history[-1], 1.0 / self.inner.library.rate, memory.errors.copy()
         spread = memory.spread
         for k, ahead in enumerate(_AHEAD):
@@ -94,24 +95,24 @@ class GuardedMotion:
             errors[k] = _MEMORY * errors[k] + [_apart(pose, now.pose) for pose in forecasts]
             if ahead == _AHEAD[0]:
                 spread = spread.learnt(inert, now.pose, now.time - before[-1].time, "constant_velocity")
-        return Judged(now, errors, spread)
+        return ForecastErrors(now, errors, spread)
 
     def _inert(self, history: Sequence[Moment], time: float, spread: MotionSpread) -> Expected:
         pose, passed = constant_velocity(history, time, _DECAY), time - history[-1].time
-        # Accelerations do not last: an unknown step grows with the square of the first moments only.
+        # Accelerations are short: the step grows with the square of time at first only.
         lasting = np.sqrt(min(passed, _DECAY) * passed)
         found = spread.covariance(6 + len(pose.q), lasting, "constant_velocity", pose.root[:3, 3])
         return Expected(pose, *found, None)
 
 
 def trusts(errors: Float, frames: float) -> bool:
-    """Whether the library predicts so many frames ahead, by past errors as in `Judged`."""
+    """Whether the library predicts this number of frames ahead, by past errors as in `ForecastErrors`."""
     ours, inert = errors[int(frames >= _FAR)]
     return bool(ours <= inert)
 
 
 def _apart(pose: Pose, truth: Pose) -> float:
-    """Sum of squares of turn (rad), shift (m) and angles (rad) between two poses; each angle counts up to _MOST."""
+    """Sum of squares of turn (rad), shift (m) and angles (rad, each up to `_MOST`) between two poses."""
     turn = se3.log_rotation(pose.root[:3, :3].T @ truth.root[:3, :3])
     shift = pose.root[:3, 3] - truth.root[:3, 3]
     joints = np.minimum(np.abs(pose.q - truth.q), _MOST)

@@ -1,8 +1,8 @@
-"""How far a joint moves the body: what an error of its angle weighs, and how well images tell it.
+"""How far a joint moves the body, which is the weight of its angle when poses are compared.
 
-A radian of the hip carries the whole leg along, one of the forearm about its own axis hardly the hand. Images tell
-the first to a degree and the second to ten or twenty; compared alike, the second would decide. Kovar, Gleicher and
-Pighin, "Motion Graphs" (DOI 10.1145/566654.566605), section 3, likewise compare poses by points of the body.
+A radian of the hip moves the whole leg, one of the forearm's rotation hardly the hand. Images determine the first to a
+degree and the second to ten or twenty; with equal weights the second would decide. Kovar, Gleicher and Pighin,
+"Motion Graphs" (DOI 10.1145/566654.566605), section 3, likewise compare poses by points of the body.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from twistcap.body import Body, Pose, Posed
 
 
 def leverage(body: Body, q: Float) -> Float:
-    """Root mean square way of the body's vertices by each coordinate at a pose, the pelvis held, m/rad (J,).
+    """(J,) root mean square motion of the body's vertices by each coordinate at a pose, m/rad; the pelvis is fixed.
 
     Args:
-        body: its vertices lie about evenly on its surface.
+        body: with vertices about evenly on its surface.
         q: (J,) rad.
     """
     posed = Posed(body, Pose(np.eye(4), q))

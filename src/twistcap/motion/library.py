@@ -1,4 +1,4 @@
-"""Training motion: clips side by side, never joined, at one rate.
+"""Training motion: separate clips at one rate.
 
 Rosenhahn, Brox and Seidel, "Scaled Motion Dynamics for Markerless Motion Capture" (DOI 10.1109/CVPR.2007.383128),
 section 3; method.md 8.
@@ -23,19 +23,18 @@ PAPER_SCALES: tuple[float, ...] = tuple(round(0.5 + 0.1 * k, 1) for k in range(1
 class MotionLibrary:
     """Clips of training motion, all of the same joint coordinates and rate.
 
-    The paper's resampled copies ``P^s`` are never stored: pose j of ``P^s`` stands at position j/s of its clip, between
-    two poses that are.
+    The paper's resampled copies ``P^s`` are not stored: pose j of ``P^s`` is at position j/s of its clip, interpolated.
 
     Attributes:
         names: J joint coordinates.
         rate: poses per second, that of the tracked recording.
         clip_names: C names.
-        starts: (C + 1,) where each clip starts, and where the last one ends.
-        q: (N, J) joint coordinates of all clips, one after the other, rad; float32 holds them to 1e-7.
+        starts: (C + 1,) start of each clip, and end of the last one.
+        q: (N, J) joint coordinates of all clips, one after the other, rad.
         roots: (N, 4, 4) T_world_root.
 
     Raises:
-        InputError: for shapes that do not fit, or values that are not finite.
+        InputError: for wrong shapes, or values that are not finite.
     """
 
     names: tuple[str, ...]
@@ -62,8 +61,8 @@ class MotionLibrary:
 
         Args:
             clips: training motion.
-            rate: of the recording that is to be tracked, frames per second.
-            names: the coordinates to keep; by default those of the first clip that all have.
+            rate: of the tracked recording, frames per second.
+            names: coordinates to keep; by default those of the first clip that all clips have.
             mirrored: whether each clip's mirror image is added.
 
         Raises:
@@ -109,17 +108,17 @@ class MotionLibrary:
         return MotionClip(self.clip_names[index], self.names, self.rate, self.roots[part], self.q[part].astype(float))
 
     def angles(self, clip: int, positions: Float) -> Float:
-        """(P, J) joint coordinates at positions (P,) in poses from the clip's start; those outside get its ends."""
+        """(P, J) joint coordinates at positions (P,), in poses from the clip's start, clipped to it."""
         part = self.q[self.starts[clip] : self.starts[clip + 1]]
         return interpolated_angles(part, np.clip(positions, 0, len(part) - 1))
 
     def root_motions(self, clip: int, positions: Float) -> Float:
-        """(P, 4, 4) roots at positions (P,) in poses from the clip's start; those outside get its ends."""
+        """(P, 4, 4) roots at positions (P,), in poses from the clip's start, clipped to it."""
         part = self.roots[self.starts[clip] : self.starts[clip + 1]]
         return interpolated_roots(part, np.clip(positions, 0, len(part) - 1))
 
     def columns(self, names: Sequence[str]) -> Int:
-        """(K,) where some coordinates stand in `names`.
+        """(K,) indices of some coordinates in `names`.
 
         Raises:
             InputError: where the library lacks one.
@@ -130,7 +129,7 @@ class MotionLibrary:
 
 
 def unwrapped(q: Float) -> Float:
-    """Angles (N, J) without jumps by 2π, their mean within ±π: how clips and queries are compared modulo 2π."""
+    """Angles (N, J) without jumps by 2π, their mean within ±π, so that they compare modulo 2π."""
     smooth = np.unwrap(q, axis=0)
     return smooth - 2.0 * np.pi * np.round(smooth.mean(axis=0) / (2.0 * np.pi))
 

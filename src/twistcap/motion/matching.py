@@ -1,4 +1,4 @@
-"""Where in the training motion the last poses are found again, at whatever speed.
+"""Matching of the last poses to the training motion, at any speed.
 
 Rosenhahn, Brox and Seidel, "Scaled Motion Dynamics for Markerless Motion Capture" (DOI 10.1109/CVPR.2007.383128),
 eq. 18; method.md 8: ``argmin_{s,j} Σ_{v<m} ‖Θ_{t−v} − Θ̃^s_{j−v}‖``, a sum of norms of joint angles alone.
@@ -17,10 +17,10 @@ from twistcap.errors import InputError
 from twistcap.motion import _search as kernels
 from twistcap.motion.library import PAPER_SCALES, MotionLibrary
 
-_BOUNDING_LAGS = 6  # of the query, whose distances to the tubes are taken
+_BOUNDING_LAGS = 6  # poses of the query whose distances to the tubes are bounded
 
 
-Stretch = tuple[int, float, float]
+Interval = tuple[int, float, float]
 """A clip, and two positions in it."""
 
 
@@ -30,7 +30,7 @@ class Match:
 
     Attributes:
         clip: index of the clip; −1 is the person's own past.
-        position: of the last pose, in poses of the clip from its start, between two of them as a rule.
+        position: of the last pose, in poses from the clip's start; usually between two poses.
         scale: s of the resampled motion; one frame of the query is 1/s poses of the clip.
         distance: the sum of norms, rad.
     """
@@ -88,13 +88,13 @@ class Matcher:
         self.jumps = _jumps(self.base, library.starts)
         self.tubes = _Tubes.of(self.base, library.starts)
 
-    def best(self, query: Float, last: Match | None = None, barred: Sequence[Stretch] = ()) -> Match | None:
+    def best(self, query: Float, last: Match | None = None, excluded: Sequence[Interval] = ()) -> Match | None:
         """The best match of the last m poses.
 
         Args:
             query: (m, K) compared coordinates, rad, the latest last, one frame apart.
-            last: match of the frame before; among equals the one that continues it is taken.
-            barred: where no match may end.
+            last: match of the previous frame; of equal matches the one that continues it is taken.
+            excluded: intervals in which no match may end.
 
         Returns:
             The match, or None where no clip is long enough.
@@ -103,20 +103,20 @@ class Matcher:
             InputError: for a query that is not (m, K), or not finite.
         """
         found = self._ready(query)
-        near = None if last is None or barred else found.near(last.after(1.0))
+        near = None if last is None or excluded else found.near(last.after(1.0))
         if near is None:
-            return found.best(barred)
+            return found.best(excluded)
         better = found.best(limit=near.distance * (1.0 - 1e-9) - 1e-9)
         return near if better is None else better
 
-    def k_best(self, query: Float, count: int, apart: float, barred: Sequence[Stretch] = ()) -> list[Match]:
+    def k_best(self, query: Float, count: int, apart: float, excluded: Sequence[Interval] = ()) -> list[Match]:
         """The best match and the next best ones, each more than `apart` poses from those before it in its clip.
 
         Args:
             query: as for `best`.
             count: how many.
             apart: poses of the library.
-            barred: where no match may end.
+            excluded: intervals in which no match may end.
 
         Raises:
             InputError: as `best`.
@@ -124,7 +124,7 @@ class Matcher:
         found, taken = self._ready(query), list[Match]()
         while len(taken) < count:
             around = [(match.clip, match.position - apart, match.position + apart) for match in taken]
-            match = found.best([*barred, *around])
+            match = found.best([*excluded, *around])
             if match is None:
                 break
             taken.append(match)
@@ -141,14 +141,14 @@ class Matcher:
 
 
 class _Query:
-    """A search: bounds are computed once for all that is asked of it."""
+    """A query with its bounds, which are computed once for several searches."""
 
     def __init__(self, matcher: Matcher, poses: Float) -> None:
         self._matcher, self._poses = matcher, poses
 
     @cached_property
     def _bounds(self) -> Float32:
-        """(B,) by block; zeros where the library is too small for the bounds to be worth their while."""
+        """(B,) lower bound of each block; zeros for libraries that are too small for bounds to save time."""
         tubes, steps = self._matcher.tubes, self._matcher.steps
         if len(tubes.radii) <= kernels.FEW:
             return tubes.nothing
@@ -159,13 +159,19 @@ class _Query:
         away = kernels.tube_distances(tubes.middles, tubes.lines, tubes.halves, tubes.radii, rounded, lags)
         return kernels.block_bounds(away, lags, slow, fast, tubes.first_block)
 
-    def best(self, barred: Sequence[Stretch] = (), limit: float = 1e300) -> Match | None:
-        """The best match below a limit that does not end where it is barred."""
+    def best(self, excluded: Sequence[Interval] = (), limit: float = 1e300) -> Match | None:
+        """The best match below a limit that does not end in an excluded interval."""
         matcher, tubes = self._matcher, self._matcher.tubes
         clips = (matcher.base, matcher.jumps, matcher.library.starts)
         blocks = (self._bounds, tubes.first_block, tubes.clip_of)
         distance, clip, scale, pose = kernels.search(
-            clips, self._poses, matcher.steps, blocks, matcher.ahead, _as_arrays(barred) if barred else _NOTHING, limit
+            clips,
+            self._poses,
+            matcher.steps,
+            blocks,
+            matcher.ahead,
+            _as_arrays(excluded) if excluded else _NOTHING,
+            limit,
         )
         return self._match(clip, scale, pose, distance)
 
@@ -188,9 +194,9 @@ class _Query:
 
 @dataclass(frozen=True)
 class _Tubes:
-    """Tubes around blocks of poses, of `_search.tubes`, and the clip and first block of the clip (B,).
+    """Tubes around blocks of poses (`_search.tubes`), and the clip and first block of the clip (B,).
 
-    Each tube holds the first pose of the next block as well, and so all that lies between poses.
+    Each tube also holds the first pose of the next block, and so all interpolated poses.
     """
 
     middles: Float32
@@ -202,7 +208,7 @@ class _Tubes:
 
     @cached_property
     def nothing(self) -> Float32:
-        """(B,) bounds that rule nothing out."""
+        """(B,) bounds that exclude nothing."""
         return np.zeros(len(self.radii), np.float32)
 
     @staticmethod
@@ -215,10 +221,10 @@ class _Tubes:
         return _Tubes(*kernels.tubes(base, begin.astype(np.int32), end.astype(np.int32)), clip_of, first)
 
 
-def _as_arrays(barred: Sequence[Stretch]) -> tuple[Int, Float]:
+def _as_arrays(excluded: Sequence[Interval]) -> tuple[Int, Float]:
     """(E,) clips and (E, 2) positions in them."""
-    clips = np.array([clip for clip, _, _ in barred], np.int32)
-    return clips, np.array([[low, high] for _, low, high in barred]).reshape(-1, 2)
+    clips = np.array([clip for clip, _, _ in excluded], np.int32)
+    return clips, np.array([[low, high] for _, low, high in excluded]).reshape(-1, 2)
 
 
 _NOTHING = _as_arrays(())

@@ -1,7 +1,7 @@
-"""Predictors from training motion: what they share.
+"""The protocol and the base class of predictors from training motion.
 
-A predictor is given the moments that were seen, and any later time: between the last of them and that time it runs
-open-loop. What it predicted on the way is kept, so that a long gap costs no more than its frames.
+A predictor gets the moments with images, and any later time: between the last of them and that time it runs open-loop.
+It keeps the poses predicted so far, so that a long gap costs no more than its frames.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from twistcap.errors import InputError
 from twistcap.motion.bridging import bridged
 from twistcap.motion.clip import interpolated_angles, interpolated_roots
 from twistcap.motion.library import MotionLibrary, unwrapped
-from twistcap.motion.matching import Match, Stretch
-from twistcap.motion.spread import Spread, learnt
+from twistcap.motion.matching import Interval, Match
+from twistcap.motion.spread import Spread, learned_spread
 from twistcap.predict.history import Moment, covariance_about
 
-_LONGEST = 10.0  # s of history that are looked at, at most
+_LONGEST = 10.0  # s of history that are used, at most
 
 
 @dataclass(frozen=True)
 class Expected:
-    """What a predictor expects.
+    """An expected pose.
 
     Attributes:
         pose: the expected pose.
         covariance: (6 + J, 6 + J) of the step from it to the true pose; see CONVENTIONS.md.
         information: its inverse.
-        match: where in the training motion it comes from; None where nothing matched.
+        match: its source in the training motion; None where nothing matched.
     """
 
     pose: Pose
@@ -45,7 +45,7 @@ class Expected:
 
 
 class MotionPredictor(Protocol):
-    """Says where the body is at a time, from the moments before."""
+    """Predicts the pose at a time from the moments before."""
 
     @property
     def memory_type(self) -> Any:
@@ -53,19 +53,19 @@ class MotionPredictor(Protocol):
         ...
 
     def predict(self, history: Sequence[Moment], time: float, memory: Any = None) -> tuple[Expected, Any]:
-        """The pose expected at `time`, s, and the memory with which a later time costs only its own frames.
+        """The pose expected at `time`, s, and the memory for the next prediction.
 
         Args:
-            history: at least one earlier moment that was seen, the latest last.
+            history: at least one earlier moment with images, the latest last.
             time: s.
-            memory: that of the prediction before; None for none.
+            memory: that of the previous prediction; None for none.
         """
         ...
 
 
 @dataclass(frozen=True)
-class Stretched:
-    """Poses of the library's coordinates, one frame apart: q (n, J) rad, roots (n, 4, 4); and where they come from."""
+class PoseSequence:
+    """Poses of the library's coordinates, one frame apart: q (n, J) rad, roots (n, 4, 4); and their last match."""
 
     q: Float
     roots: Float
@@ -74,149 +74,153 @@ class Stretched:
     def __len__(self) -> int:
         return len(self.q)
 
-    def then(self, more: Stretched) -> Stretched:
-        """This one and what follows; the place is the later one's, the distance the larger.
+    def then(self, more: PoseSequence) -> PoseSequence:
+        """This sequence followed by another; the match is the later one's, its distance the larger of both.
 
-        What follows a prediction matches where that was copied from, ever so well.
+        A prediction matches its own source perfectly, so that the distance of its match has no meaning.
         """
         match = more.match
         if match is not None and self.match is not None:
             match = replace(match, distance=max(match.distance, self.match.distance))
-        return Stretched(np.concatenate([self.q, more.q]), np.concatenate([self.roots, more.roots]), match)
+        return PoseSequence(np.concatenate([self.q, more.q]), np.concatenate([self.roots, more.roots]), match)
 
-    def since(self, start: int) -> Stretched:
-        """From pose `start` on."""
-        return Stretched(self.q[start:], self.roots[start:], self.match)
+    def since(self, start: int) -> PoseSequence:
+        """The poses from number `start` on."""
+        return PoseSequence(self.q[start:], self.roots[start:], self.match)
 
     def at(self, position: float) -> tuple[Float, Float]:
-        """(J,) and (4, 4) between two poses."""
+        """(J,) and (4, 4) interpolated between two poses."""
         where = np.array([position])
         return interpolated_angles(self.q, where)[0], interpolated_roots(self.roots, where)[0]
 
 
 @dataclass(frozen=True)
-class Run:
-    """A prediction under way.
+class Rollout:
+    """An open-loop prediction, to be extended.
 
     Attributes:
-        last: the last moment that was seen, from which it starts.
+        last: the last moment with images, where it starts.
         turns: (J,) rad, whole turns between the library's angles and the body's.
-        past: what was seen, one frame apart.
-        ahead: the poses from the last seen one on.
+        past: poses with images, one frame apart.
+        ahead: predicted poses, from that of `last` on.
     """
 
     last: Moment
     turns: Float
-    past: Stretched
-    ahead: Stretched
+    past: PoseSequence
+    ahead: PoseSequence
 
 
 class OpenLoop(ABC):
-    """A predictor that goes on frame by frame from the last poses.
+    """A predictor that extends the last poses frame by frame.
 
     Args:
         library: training motion, at the frame rate of the recording.
-        body: that is tracked; coordinates that the library lacks are held where they are.
+        body: that is tracked; coordinates that the library lacks keep their values.
 
     Raises:
         InputError: where body and library have no coordinate in common.
     """
 
-    history: int  # frames that are looked at
+    history: int  # frames that are used
 
     def __init__(self, library: MotionLibrary, body: Body) -> None:
         self.library, self.body = library, body
-        shared = [name for name in library.names if name in body.coordinate_names]
-        if not shared:
+        common = [name for name in library.names if name in body.coordinate_names]
+        if not common:
             raise InputError(
-                f"motion library: it shares no coordinate with body {body.name!r}; it has {', '.join(library.names)}."
+                f"motion library: body {body.name!r} has none of its coordinates {', '.join(library.names)}."
             )
-        self._known = library.columns(shared)  # in the library, and
-        self._theirs = np.array([body.coordinate(name) for name in shared], np.int32)  # in the body
+        self._known = library.columns(common)  # in the library, and
+        self._theirs = np.array([body.coordinate(name) for name in common], np.int32)  # in the body
 
     @property
     def memory_type(self) -> Any:
-        """A prediction under way, or none."""
-        return Run | None
+        """A prediction to be extended, or none."""
+        return Rollout | None
 
     @abstractmethod
-    def go_on(self, past: Stretched, count: int, barred: Sequence[Stretch] = ()) -> Stretched:
+    def next_poses(self, past: PoseSequence, count: int, excluded: Sequence[Interval] = ()) -> PoseSequence:
         """One to `count` poses that follow those of the past, which holds at least one.
 
         Args:
             past: poses of the library's coordinates, one frame apart.
-            count: poses that are wanted; fewer may come, and never none.
-            barred: stretches of the library that may not be matched.
+            count: wanted poses; fewer may come, but at least one.
+            excluded: intervals of the library that may not be matched.
         """
 
-    def roll(self, past: Stretched, count: int, barred: Sequence[Stretch] = ()) -> Stretched:
+    def roll(self, past: PoseSequence, count: int, excluded: Sequence[Interval] = ()) -> PoseSequence:
         """`count` poses that follow those of the past, open-loop."""
         whole = past
         while len(whole) < len(past) + count:
-            whole = whole.then(self.go_on(whole, len(past) + count - len(whole), barred))
+            whole = whole.then(self.next_poses(whole, len(past) + count - len(whole), excluded))
         return whole.since(len(past))
 
     @cached_property
     def spread(self) -> Spread:
-        """How far the truth strays from this predictor, learnt from the library itself at the first use."""
-        return learnt(self.library, self.history, lambda q, roots, count, barred: self._trial(q, roots, count, barred))
+        """The predictor's standard deviations, learned from the library at the first use."""
+        return learned_spread(
+            self.library, self.history, lambda q, roots, count, excluded: self._trial(q, roots, count, excluded)
+        )
 
-    def _trial(self, q: Float, roots: Float, count: int, barred: Sequence[Stretch]) -> tuple[Float, Float, float]:
-        found = self.roll(Stretched(q, roots), count, barred)
-        return found.q, found.roots, self.unlikeness(found.match)
+    def _trial(self, q: Float, roots: Float, count: int, excluded: Sequence[Interval]) -> tuple[Float, Float, float]:
+        found = self.roll(PoseSequence(q, roots), count, excluded)
+        return found.q, found.roots, self.dissimilarity(found.match)
 
-    def unlikeness(self, match: Match | None) -> float:
-        """How badly poses match, in rad per pose; NaN where they match nothing that should be matched."""
+    def dissimilarity(self, match: Match | None) -> float:
+        """Mean distance of the matched poses, rad per pose; NaN where a match is needed and there is none."""
         return 0.0
 
-    def predict(self, history: Sequence[Moment], time: float, memory: Run | None = None) -> tuple[Expected, Run]:
+    def predict(
+        self, history: Sequence[Moment], time: float, memory: Rollout | None = None
+    ) -> tuple[Expected, Rollout]:
         """The pose at `time`, with its covariance; see `MotionPredictor`.
 
-        Moments that were not seen hold predictions: those after the last seen one say nothing, those before it fill
-        the gap (`bridged`).
+        Moments without images hold predictions: those after the last image are ignored, earlier ones fill gaps
+        (`bridged`).
 
         Raises:
-            InputError: for a history without a seen moment.
+            InputError: for a history without images.
         """
         last = next((moment for moment in reversed(history) if moment.seen), None)
         if last is None:
-            raise InputError("motion: a prediction needs at least one moment that was seen.")
+            raise InputError("motion: a prediction needs at least one moment with images.")
         run = memory if memory is not None and memory.last.time == last.time else self._begun(last, bridged(history))
         frames, ahead = max(0.0, (time - last.time) * self.library.rate), run.ahead
         while len(ahead) - 1 < frames - 1e-6:
             whole = run.past.then(ahead.since(1))
-            ahead = ahead.then(self.go_on(whole, max(1, int(np.ceil(frames)) - len(ahead) + 1)))
+            ahead = ahead.then(self.next_poses(whole, max(1, int(np.ceil(frames)) - len(ahead) + 1)))
         run = replace(run, ahead=ahead)
         return self._expected(run, frames), run
 
-    def _expected(self, run: Run, frames: float) -> Expected:
+    def _expected(self, run: Rollout, frames: float) -> Expected:
         known, root = run.ahead.at(min(frames, len(run.ahead) - 1.0))
         q = run.last.pose.q.copy()
         q[self._theirs] = (known - run.turns)[self._known]
         match = run.ahead.match
-        turn, shift, joints = self.spread.variances(frames, float(np.nan_to_num(self.unlikeness(match))))
+        turn, shift, joints = self.spread.variances(frames, float(np.nan_to_num(self.dissimilarity(match))))
         variance = np.full(self.body.dof, self.spread.unknown(frames))
         variance[:3], variance[3:6], variance[6 + self._theirs] = turn, shift, joints[self._known]
         covariance, information = covariance_about(variance, root[:3, 3])
         return Expected(Pose(root, q), covariance, information, match)
 
-    def _begun(self, last: Moment, history: Sequence[Moment]) -> Run:
-        """The last moments, one frame apart; the library's coordinates that the body lacks are 0."""
+    def _begun(self, last: Moment, history: Sequence[Moment]) -> Rollout:
+        """A prediction without poses ahead; the library's coordinates that the body lacks are 0."""
         times = np.array([moment.time for moment in history])
         rate = self.library.rate
         begin = max(times[0], times[-1] - min(_LONGEST, (self.history - 1) / rate))
         wanted = times[-1] - np.arange(int((times[-1] - begin) * rate + 1e-3) + 1)[::-1] / rate
         positions = np.clip(np.interp(wanted, times, np.arange(len(times))), 0, len(times) - 1)
-        # Time stamps are rounded: a pose almost at a moment is that moment's.
+        # Time stamps are rounded: positions near a moment are moved to it.
         positions = np.where(np.abs(positions - np.round(positions)) < 0.01, np.round(positions), positions)
         q = np.zeros((len(history), len(self.library.names)))
         q[:, self._known] = np.array([moment.pose.q for moment in history])[:, self._theirs]
         roots = np.array([moment.pose.root for moment in history])
         smooth = unwrapped(q)  # as the library's clips are
-        past = Stretched(interpolated_angles(smooth, positions), interpolated_roots(roots, positions))
-        return Run(last, smooth[-1] - q[-1], past, past.since(len(past) - 1))
+        past = PoseSequence(interpolated_angles(smooth, positions), interpolated_roots(roots, positions))
+        return Rollout(last, smooth[-1] - q[-1], past, past.since(len(past) - 1))
 
     @property
     def compared(self) -> Int:
-        """Columns of the library that are matched: those that the body has."""
+        """(K,) columns of the library that are matched: those that the body has."""
         return self._known

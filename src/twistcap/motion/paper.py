@@ -1,4 +1,4 @@
-"""Prediction as Rosenhahn, Brox and Seidel have it: match anew in each frame, take over the sample's increment.
+"""Prediction by Rosenhahn, Brox and Seidel: a new match in each frame, and the increment of its sample.
 
 "Scaled Motion Dynamics for Markerless Motion Capture" (DOI 10.1109/CVPR.2007.383128), sections 2.3 and 3; method.md 8.
 """
@@ -15,28 +15,27 @@ from twistcap._typing import Float
 from twistcap.body import Body
 from twistcap.errors import InputError
 from twistcap.motion.library import PAPER_SCALES, MotionLibrary
-from twistcap.motion.matching import Match, Matcher, Stretch
-from twistcap.motion.openloop import OpenLoop, Stretched
+from twistcap.motion.matching import Interval, Match, Matcher
+from twistcap.motion.openloop import OpenLoop, PoseSequence
 
 PaperKind = Literal["scaled", "unscaled", "standard"]
-_STANDING = 0.03  # m/s: a sample that moves less tells nothing of the speed
+_STANDING = 0.03  # m/s: the speed of a slower sample is not used
 _RATIOS = (0.0, 4.0)  # of the speeds of person and sample
 
 
 class PaperMotion(OpenLoop):
     """The paper's predictions.
 
-    "scaled": the best match over all time scales; joints by the sample's increment, the root by its twist, carried over
+    "scaled": the best match over all time scales; joints by the sample's increment, the root by its twist, transformed
     by the adjoint and scaled by the ratio of the speeds. "unscaled": the same at the sample's own speed. "standard":
-    the average motion of the last frames goes on; the library is not asked.
+    the mean motion of the last frames, without the library.
 
     Args:
         library: training motion, at the frame rate of the recording.
         body: that is tracked.
         kind: which of them.
-        poses: m, how many of the last poses are matched, and averaged.
+        poses: m, number of the last poses that are matched, or averaged.
         scales: time scales that are tried.
-        weights: of the matched coordinates, by name; 1 where none is given.
 
     Raises:
         InputError: as `OpenLoop`, and for fewer than two poses.
@@ -49,48 +48,46 @@ class PaperMotion(OpenLoop):
         kind: PaperKind = "scaled",
         poses: int = 5,
         scales: Sequence[float] = PAPER_SCALES,
-        weights: dict[str, float] | None = None,
     ) -> None:
         super().__init__(library, body)
         if poses < 2:
             raise InputError(f"motion prediction: {poses} pose(s) are to be matched; take 2 or more.")
         self.kind, self.poses, self.history = kind, poses, poses
         chosen = scales if kind == "scaled" else (1.0,)
-        given = [(weights or {}).get(library.names[c], 1.0) for c in self.compared]
-        self._matcher = Matcher(library, self.compared, given, chosen)
+        self._matcher = Matcher(library, self.compared, scales=chosen)
 
-    def unlikeness(self, match: Match | None) -> float:
-        """Mean distance of a matched pose, rad."""
+    def dissimilarity(self, match: Match | None) -> float:
+        """Mean distance of the matched poses, rad."""
         if match is None:
             return 0.0 if self.kind == "standard" else np.nan
         return match.distance / self.poses
 
-    def go_on(self, past: Stretched, count: int, barred: Sequence[Stretch] = ()) -> Stretched:
-        """The next pose; see `OpenLoop.go_on`."""
+    def next_poses(self, past: PoseSequence, count: int, excluded: Sequence[Interval] = ()) -> PoseSequence:
+        """The next pose; see `OpenLoop.next_poses`."""
         recent = past.since(max(0, len(past) - self.poses))
         if self.kind == "standard" or len(recent) < 2:
             return standard_step(recent)
         last = None if past.match is None else past.match
-        match = self._matcher.best(recent.q[:, self.compared], last, barred)
+        match = self._matcher.best(recent.q[:, self.compared], last, excluded)
         if match is None:
             return standard_step(recent)
         where = np.array([match.position, match.after(1.0).position])
         q, sample = self.library.angles(match.clip, where), self.library.root_motions(match.clip, where)
         speed = root_speed(recent.roots) if self.kind == "scaled" else None
         root = transferred(recent.roots[-1], sample[0], sample[1], speed, _STANDING / self.library.rate)
-        return Stretched((recent.q[-1] + q[1] - q[0])[None], root[None], match)
+        return PoseSequence((recent.q[-1] + q[1] - q[0])[None], root[None], match)
 
 
 def transferred(root: Float, before: Float, after: Float, speed: float | None, standing: float) -> Float:
-    """A root (4, 4) moved as a sample moves: ``exp(ν/ν̃ · Ad_g log(M̃' M̃⁻¹)) M`` with ``g = M M̃⁻¹``.
+    """A root (4, 4) after the motion of a sample: ``exp(ν/ν̃ · Ad_g log(M̃' M̃⁻¹)) M`` with ``g = M M̃⁻¹``.
 
-    Unscaled this is ``M M̃⁻¹ M̃'``, the sample's motion as the sample itself sees it.
+    Unscaled this is ``M M̃⁻¹ M̃'``, the sample's motion in its own frame.
 
     Args:
         root: M, to be moved.
         before, after: (4, 4) the sample M̃, and M̃' one frame later.
         speed: ν, m per frame; None for the sample's own.
-        standing: m per frame below which the sample's speed ν̃ tells nothing, and is kept.
+        standing: m per frame; a sample's speed ν̃ below it is kept.
     """
     twist = se3.adjoint(root @ se3.inverse(before)) @ se3.log(after @ se3.inverse(before))
     if speed is not None:
@@ -101,15 +98,15 @@ def transferred(root: Float, before: Float, after: Float, speed: float | None, s
 
 
 def root_speed(roots: Float) -> float:
-    """ν: mean way of the root's origin from each of the roots (n, 4, 4) to the next, m."""
+    """ν: mean distance of the root's origin from each of the roots (n, 4, 4) to the next, m."""
     return float(np.mean(np.linalg.norm(np.diff(roots[:, :3, 3], axis=0), axis=1)))
 
 
-def standard_step(recent: Stretched) -> Stretched:
-    """The last pose moved by the average of the motions between the recent ones, as the body itself sees them."""
+def standard_step(recent: PoseSequence) -> PoseSequence:
+    """The last pose moved by the mean of the motions between the recent ones, in the body's frame."""
     if len(recent) < 2:
         return recent
     steps = se3.log(se3.inverse(recent.roots[:-1]) @ recent.roots[1:])
     root = recent.roots[-1] @ se3.exp(steps.mean(axis=0))
     q = recent.q[-1] + np.diff(recent.q, axis=0).mean(axis=0)
-    return Stretched(q[None], root[None])
+    return PoseSequence(q[None], root[None])

@@ -17,21 +17,21 @@ from twistcap.stages import stage
 
 @dataclass(frozen=True)
 class TrainedMotion:
-    """Answers once two frames have been seen."""
+    """Predicts from training motion, once there are two frames with images."""
 
     motion: MotionPredictor
     name: str = field(default="motion", init=False)
 
     @property
     def memory_type(self) -> Any:
-        """What its memory is, for saving."""
+        """Type of its memory, for saving."""
         return self.motion.memory_type
 
     def start(self, body: Body, rig: Rig) -> Any:
-        """No prediction is under way."""
+        """No memory."""
 
     def predict(self, memory: Any, past: Past, frame: Frame) -> tuple[Prediction | None, Any]:
-        """Where the training motion leads."""
+        """The pose expected by the training motion."""
         if not past.started or len(past.seen) < 2:
             return None, memory
         with stage("motion"):
@@ -40,5 +40,5 @@ class TrainedMotion:
         return Prediction(expected.pose, name, expected.covariance, expected.information), memory
 
     def learn(self, memory: Any, fit: Fit, past: Past, frame: Frame) -> Any:
-        """Nothing: the past poses say it all."""
+        """Nothing to learn: the past poses are all that is used."""
         return memory

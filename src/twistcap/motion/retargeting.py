@@ -1,9 +1,8 @@
 """From a skeleton's motion to the coordinates of a body, by the anatomical frames of the segments.
 
-In every frame each segment of the source has an orientation in the world: that of its anatomical axes (`motion.table`).
-The body's coordinates are those whose segments come nearest to these orientations in the sense of least squares; the
-pelvis takes its orientation exactly. Joints with fewer axes than the source's, or with oblique ones, find the
-best compromise, and a long axis counts more than the turn about it.
+In every frame each segment of the source has the orientation of its anatomical axes (`motion.table`). The body's
+coordinates are the least-squares fit of its segments to these orientations; the pelvis takes its orientation exactly.
+A long axis has more weight than the turn about it.
 """
 
 from __future__ import annotations
@@ -23,19 +22,19 @@ from twistcap.motion.clip import MotionClip
 from twistcap.motion.skeleton import SkeletonMotion
 from twistcap.motion.table import Calibration, SkeletonTable, calibrated, table_for
 
-# How much the directions of a segment's forward, left and up axes count. The long axis is what one sees, a foot's is
-# the first. Feet and hands count little: their joints cannot follow every turn, and limbs shall not bend for them.
+# Weights of the directions of a segment's forward, left and up axes. The long axis has most; a foot's is the first.
+# Feet and hands have little: their joints cannot follow every turn, and limbs must not bend for them.
 _WEIGHTS = {"foot": (0.2, 0.1, 0.1), "hand": (0.2, 0.1, 0.2)}
 _USUAL = (0.5, 0.5, 1.0)
-_REST = 1e-4  # pull to zero of what no target determines: a rad of it counts like 0.1 mrad of direction
-_LIMITS = 0.15  # a rad beyond a limit counts like 0.15 rad of direction
+_REST = 1e-4  # weight of a rad against a rad of direction, for angles that no target determines
+_LIMITS = 0.15  # weight of a rad beyond a limit against a rad of direction
 _SWEEPS, _NEAR = 40, 0.02  # and the rad by which the last of them may still turn a joint
 _STEPS, _TOLERANCE = 30, 1e-6
 
 
 @dataclass(frozen=True)
 class Targets:
-    """What M segments of a body shall look like in N frames.
+    """Wanted orientations of M segments of a body in N frames.
 
     Attributes:
         segments: (M,) of the body.
@@ -56,12 +55,11 @@ def retarget(
     Args:
         motion: of a skeleton.
         body: with our segment names (`motion.table.SEGMENTS`).
-        table: of the skeleton; None takes the shipped one that fits.
-        scale: of the root's path; None takes the ratio of the lengths of the legs, so that feet do not slide.
+        table: of the skeleton; by default the shipped one that fits.
+        scale: of the root's path; by default the ratio of the leg lengths, so that feet do not slide.
 
     Raises:
-        InputError: for a skeleton that no shipped table fits or that lacks a joint of the table, or a body without our
-            segments.
+        InputError: for a skeleton without a table, or that lacks a joint of it, or a body without our segments.
     """
     known = calibrated(motion, table or table_for(motion))
     turned, mid_hip = _world_turn(motion, known), _mid_hip(body)
@@ -82,7 +80,7 @@ def leg_length(body: Body) -> float:
 
 
 def _source_leg(motion: SkeletonMotion, known: Calibration) -> float:
-    """As `leg_length`; a skeleton without feet counts with a shank as long as its thigh."""
+    """As `leg_length`; without feet the shank is taken to be as long as the thigh."""
     rest, lengths = motion.rest_positions(), list[float]()
     for side in "rl":
         joints = [known.joints.get(f"{part}_{side}") for part in ("femur", "tibia", "foot")]
@@ -111,7 +109,7 @@ def _world_turn(motion: SkeletonMotion, known: Calibration) -> Float:
     """(3, 3) from the file's axes to our world: z up, and the rest pose facing +x."""
     up = np.eye(3)["xyz".index(motion.up)]
     forward = known.axes["pelvis"][:, 0] - up * (up @ known.axes["pelvis"][:, 0])
-    if np.linalg.norm(forward) < 1e-3:  # a rest pose that lies on its back or front
+    if np.linalg.norm(forward) < 1e-3:  # a lying rest pose
         forward = known.axes["pelvis"][:, 2] - up * (up @ known.axes["pelvis"][:, 2])
     forward = forward / np.linalg.norm(forward)
     return np.stack([forward, np.cross(up, forward), up])
@@ -129,7 +127,7 @@ def _targets(motion: SkeletonMotion, body: Body, known: Calibration, turned: Flo
 
 
 def fitted_angles(body: Body, roots: Float, targets: Targets, rate: float) -> Float:
-    """(N, J) coordinates whose segments come nearest to their targets, each frame followed from the one before.
+    """(N, J) coordinates that fit the segments to their targets, each frame starting from the one before.
 
     Args:
         body: with J coordinates.
@@ -148,9 +146,9 @@ def fitted_angles(body: Body, roots: Float, targets: Targets, rate: float) -> Fl
 
 
 def _swept(body: Body, pose: Pose, targets: Targets) -> Float:
-    """A start from afar, for the first frame: one coordinate after the other takes its best angle, several times over.
+    """A start for the first frame, by coordinate descent.
 
-    With all others fixed the sum of Σ w t·(R e) is A cos δ + B sin δ, whose greatest value is at atan2(B, A).
+    With all others fixed Σ w t·(R e) is A cos δ + B sin δ of a coordinate's change δ, greatest at atan2(B, A).
     """
     moves, q = body.chain[targets.segments], pose.q.copy()
     want = np.swapaxes(targets.rotations[0], 1, 2) * targets.weights[:, :, None] ** 2  # (M, axis, xyz)
@@ -170,7 +168,7 @@ def _swept(body: Body, pose: Pose, targets: Targets) -> Float:
 
 
 def _refined(body: Body, pose: Pose, targets: Targets, n: int, limits: float) -> Float:
-    """Levenberg-Marquardt on the differences of directions, with weak pulls to zero and into the limits."""
+    """Levenberg-Marquardt on the differences of directions, with weak terms towards zero and the limits."""
     q, damping = pose.q, 1e-6
     value, gradient, curvature = _equations(body, pose, targets, n, limits)
     for _ in range(_STEPS):
@@ -232,9 +230,8 @@ def direction_sums_reference(
 ) -> tuple[float, Float, Float]:
     """Readable twin of `direction_sums`.
 
-    For the direction h of an axis, the one t it shall have and a coordinate that turns about ω, the derivative of h is
-    ω × h: the gradient of ``½ w² |h − t|²`` is ``w² ω·(t × h)``, and the curvature of two coordinates
-    ``w² ω·(I − h hᵀ) ω'``.
+    For the direction h of an axis, its target t and a coordinate that turns about ω, the derivative of h is ω × h: the
+    gradient of ``½ w² |h − t|²`` is ``w² ω·(t × h)``, and the curvature of two coordinates ``w² ω·(I − h hᵀ) ω'``.
 
     Args:
         have, want: (M, 3, 3) rotations, whose columns are the axes.
@@ -251,9 +248,9 @@ def direction_sums_reference(
 
 
 def grounded(clip: MotionClip, body: Body) -> MotionClip:
-    """The clip moved up or down as a whole, so that the surface touches the floor z = 0 (its 5 % lowest frames do).
+    """The clip moved up or down as a whole, so that the 5 % percentile of its lowest points is on the floor z = 0.
 
-    A body's feet are not as thick as the source's, so that after retargeting they may stand a little too high or low.
+    After retargeting feet may be too high or low, since their thickness differs from the source's.
     """
     every = max(1, len(clip) // 60)
     lowest = [Posed(body, pose).vertices[:, 2].min() for pose in clip.poses()[::every]]

@@ -1,4 +1,4 @@
-"""`SkeletonMotion`: what a motion file holds, whatever its format, before it is brought into a body's coordinates."""
+"""`SkeletonMotion`: the content of a motion file of any format, before retargeting to a body."""
 
 from __future__ import annotations
 
@@ -19,19 +19,22 @@ Up = Literal["y", "z"]
 
 @dataclass(frozen=True)
 class SkeletonMotion:
-    """N frames of a tree of S joints. A joint's segment is what turns with it; it has the joint's name.
+    """N frames of a tree of S joints. A joint's segment is the bone that turns with it and has the joint's name.
 
-    All is in the file's own axes, in metres. In the rest pose every rotation is the identity.
+    All is in the file's axes, in metres. In the rest pose every rotation is the identity.
 
     Attributes:
         name: of the motion, e.g. its file's stem.
         joints: S names; parents stand before their children.
         parents: (S,) index of the joint above, -1 for the root.
-        offsets: (S, 3) from the joint above in the rest pose, m; the root's own is where it rests.
+        offsets: (S, 3) from the parent joint in the rest pose, m; of the root, its place there.
         rotations: (N, S, 3, 3) world rotation of each segment from the rest pose.
         positions: (N, S, 3) world position of each joint, m.
         rate: frames per second.
         up: the file's vertical axis.
+
+    Raises:
+        InputError: for wrong shapes, no frames, a bad rate, or values that are not finite.
     """
 
     name: str
@@ -74,11 +77,11 @@ class SkeletonMotion:
         last = len(self) - 1
         at = np.arange(int(np.floor(last * rate / self.rate + 1e-6)) + 1) * self.rate / rate
         low = np.minimum(at.astype(int), max(last - 1, 0))
-        high, share = np.minimum(low + 1, last), np.clip(at - low, 0.0, 1.0)[:, None, None]
+        high, fraction = np.minimum(low + 1, last), np.clip(at - low, 0.0, 1.0)[:, None, None]
         R = self.rotations[low]
         step = se3.log_rotation(np.swapaxes(R, 2, 3) @ self.rotations[high])
-        positions = (1 - share) * self.positions[low] + share * self.positions[high]
-        return replace(self, rotations=R @ se3.exp_rotation(share * step), positions=positions, rate=rate)
+        positions = (1 - fraction) * self.positions[low] + fraction * self.positions[high]
+        return replace(self, rotations=R @ se3.exp_rotation(fraction * step), positions=positions, rate=rate)
 
     def rest_positions(self) -> Float:
         """(S, 3) joints in the rest pose, m."""
@@ -104,7 +107,7 @@ class SkeletonMotion:
 
         Args:
             name, joints, parents, offsets, rate, up: as in the class.
-            local: (N, S, 3, 3) rotation of each segment in the one above; the identity in the rest pose.
+            local: (N, S, 3, 3) rotation of each segment in its parent; the identity in the rest pose.
             places: (N, 3) of the root joint, m.
         """
         rotations, positions = local.copy(), np.zeros(local.shape[:3])
@@ -118,10 +121,10 @@ class SkeletonMotion:
 
 
 def skeleton_of(body: Body, poses: Sequence[Pose], rate: float, name: str = "motion") -> SkeletonMotion:
-    """The motion of a body as that of a skeleton: one joint per segment, z up, rest pose as the body's.
+    """The motion of a body as that of a skeleton: one joint per segment, z up, the body's rest pose.
 
     Args:
-        body: that the poses are of.
+        body: of the poses.
         poses: N poses.
         rate: per second.
         name: of the motion.

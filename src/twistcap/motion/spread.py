@@ -1,4 +1,4 @@
-"""How far motion strays from its prediction, learnt from the training motion itself."""
+"""Standard deviations of a motion from its prediction, learned from the training motion itself."""
 
 from __future__ import annotations
 
@@ -10,33 +10,33 @@ import numpy as np
 from twistcap import se3
 from twistcap._typing import Float
 from twistcap.motion.library import MotionLibrary
-from twistcap.motion.matching import Stretch
+from twistcap.motion.matching import Interval
 
 _HORIZONS = np.array([1, 2, 4, 8, 16, 32, 48])
 _TRIALS = 48
 _AWAY = 0.35  # s around a trial that may not be matched: about a step
-_FEWEST = 8  # trials that tell something
-_LEAST = (np.radians(0.3), 0.002, np.radians(0.3))  # rad, m, rad: nothing is known better after one frame
-_GUESS = (1.0, 0.5, 1.5)  # rad/s, m/s, rad/s: where the library is too small to learn from
-_UNKNOWN = (2.0, 0.5)  # rad/s and rad at most, of a coordinate that the library lacks: it is held
-_WORST = 4.0  # the most by which a bad match widens the spread
+_FEWEST = 8  # trials needed
+_LEAST = (np.radians(0.3), 0.002, np.radians(0.3))  # rad, m, rad: least standard deviations
+_GUESS = (1.0, 0.5, 1.5)  # rad/s, m/s, rad/s: for libraries that are too small to learn from
+_UNKNOWN = (2.0, 0.5)  # rad/s, and rad at most, of a coordinate that the library lacks
+_WORST = 4.0  # greatest factor by which a bad match widens the spread
 
-Trial = Callable[[Float, Float, int, Sequence[Stretch]], tuple[Float, Float, float]]
-"""From past q (n, J) and roots (n, 4, 4), a number of frames and barred stretches: q, roots, unlikeness of the match.
+Trial = Callable[[Float, Float, int, Sequence[Interval]], tuple[Float, Float, float]]
+"""Past q (n, J), roots (n, 4, 4), a number of frames and excluded intervals to q, roots and dissimilarity of the match.
 
-The unlikeness is NaN where nothing matched.
+The dissimilarity is NaN where nothing matched.
 """
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Standard deviations of a prediction by the number of frames it ran open-loop.
+    """Standard deviations of a prediction by the number of open-loop frames.
 
     Attributes:
         frames: (H,) increasing.
         turn, shift: (H,) of the root's rotation (rad) and place (m), about the root, along each axis.
         joints: (H, J) rad.
-        usual: unlikeness of a match for which this holds, rad per pose; worse matches widen it. 0 for any.
+        usual: usual dissimilarity of a match, rad per pose; worse matches widen the spread. 0 for no widening.
         rate: frames per second.
     """
 
@@ -47,43 +47,43 @@ class Spread:
     usual: float
     rate: float
 
-    def variances(self, frames: float, unlikeness: float = 0.0) -> tuple[float, float, Float]:
-        """Variances of turn (rad²), shift (m²) and joints (J,) rad² after some frames; they never shrink with time."""
-        wider = 1.0 if self.usual <= 0 else float(np.clip(unlikeness / self.usual, 1.0, _WORST))
+    def variances(self, frames: float, dissimilarity: float = 0.0) -> tuple[float, float, Float]:
+        """Variances of turn (rad²), shift (m²) and joints (J,) rad² after some frames."""
+        wider = 1.0 if self.usual <= 0 else float(np.clip(dissimilarity / self.usual, 1.0, _WORST))
         wider *= max(1.0, frames / self.frames[-1])
         at = [np.interp(frames, self.frames, s) for s in (self.turn, self.shift, *self.joints.T)]
         squares = (np.array(at) * wider) ** 2
         return float(squares[0]), float(squares[1]), squares[2:]
 
     def unknown(self, frames: float) -> float:
-        """Variance (rad²) of a coordinate that is held."""
+        """Variance (rad²) of a coordinate that the library lacks, after some frames."""
         return min(_UNKNOWN[1], _LEAST[2] + _UNKNOWN[0] * frames / self.rate) ** 2
 
 
-def learnt(library: MotionLibrary, history: int, trial: Trial) -> Spread:
-    """The spread of a predictor on the library's own clips, what is matched being kept from it.
+def learned_spread(library: MotionLibrary, history: int, trial: Trial) -> Spread:
+    """The spread of a predictor on the library's own clips, by cross-validation.
 
-    Stretches are predicted from what goes before them while the library around them is barred, so that the rest of the
-    library plays the unknown person. Where it is too small, a careful guess stands in.
+    Intervals are predicted from the poses before them, with the library around them excluded. For a library that is too
+    small the spread is a guess.
     """
     longest = int(_HORIZONS[-1])
-    errors, unlikeness = list[Float](), list[float]()
+    errors, dissimilarity = list[Float](), list[float]()
     for clip, end in _places(library, history, longest):
         motion = library.clip(clip)
         past = slice(max(0, end - history + 1), end + 1)
-        barred = [(clip, end - _AWAY * library.rate, end + _AWAY * library.rate)]
-        q, roots, distance = trial(motion.q[past], motion.roots[past], longest, barred)
+        excluded = [(clip, end - _AWAY * library.rate, end + _AWAY * library.rate)]
+        q, roots, distance = trial(motion.q[past], motion.roots[past], longest, excluded)
         if np.isnan(distance):
             continue
         truth = slice(end + 1, end + 1 + longest)
         errors.append(_errors(q, roots, motion.q[truth], motion.roots[truth])[_HORIZONS - 1])
-        unlikeness.append(distance)
+        dissimilarity.append(distance)
     if len(errors) < _FEWEST:
         return _guessed(library)
     deviations = np.sqrt(np.mean(np.square(errors), axis=0))
     least = np.array([_LEAST[0], _LEAST[1], *[_LEAST[2]] * len(library.names)])
     growing = np.maximum.accumulate(np.maximum(deviations, least), axis=0)
-    usual = float(np.median(unlikeness))
+    usual = float(np.median(dissimilarity))
     return Spread(_HORIZONS.astype(float), growing[:, 0], growing[:, 1], growing[:, 2:], usual, library.rate)
 
 

@@ -1,4 +1,4 @@
-"""What a skeleton's joints mean: a small TOML that names the joint of each of our segments and its anatomical axes.
+"""The meaning of a skeleton's joints: a TOML with the joint of each of our segments and its anatomical axes.
 
     name = "mine"
     [segments]
@@ -10,10 +10,10 @@
   clavicle, humerus, ulna, radius, hand, femur, tibia, foot. `pelvis`, both femurs and both tibias must be
   there. A body without a thorax takes the `thorax` row for its torso.
 - `joint` is the one that the segment turns with; of several names the first that the skeleton has is taken.
-- Axes are those of the segment's anatomy, written down as they point in the skeleton's rest pose, in the file's axes:
-  `up` is where its upper end lies when the person stands with hanging arms, `down` its opposite; either is a vector, or
-  a segment of this table to whose joint it points. `forward` is where it then faces: for the upper arm the way the
-  forearm goes when the elbow bends, for forearm and hand the side of the thumb. It need not be square to `up`.
+- Axes are those of the segment's anatomy, in the skeleton's rest pose and the file's axes. `up` points to its upper end
+  when the person stands with hanging arms, `down` is its opposite; either is a vector, or a segment of this table to
+  whose joint it points. `forward` is its front then: for the upper arm the direction of the forearm when the elbow
+  bends, for forearm and hand the side of the thumb. It need not be orthogonal to `up`.
 """
 
 from __future__ import annotations
@@ -26,9 +26,10 @@ from importlib import resources
 from pathlib import Path
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from twistcap._typing import Float
+from twistcap.body.rig_spec import parsed_toml
 from twistcap.errors import InputError
 from twistcap.motion.skeleton import SkeletonMotion
 
@@ -48,7 +49,7 @@ class SegmentAxes(BaseModel):
     down: Vector | str | None = None
 
     @model_validator(mode="after")
-    def _one_way(self) -> SegmentAxes:
+    def _one_direction(self) -> SegmentAxes:
         if (self.up is None) == (self.down is None):
             raise ValueError("give either up or down")
         return self
@@ -80,14 +81,14 @@ class SkeletonTable(BaseModel):
         return self
 
     def found(self, motion: SkeletonMotion) -> dict[str, int]:
-        """Index of each segment's joint, for those of the table that the skeleton has."""
+        """Index of the joint of each segment of the table that the skeleton has."""
         rows = {segment: [j for j in axes.joints if j in motion.joints] for segment, axes in self.segments.items()}
         return {segment: motion.joints.index(names[0]) for segment, names in rows.items() if names}
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """The segments of ours that a skeleton has.
+    """Those of our segments that a skeleton has.
 
     `joints` by name are indices into the skeleton's; `axes` by name are (3, 3), whose columns are the segment's
     forward, left and up in the skeleton's rest pose.
@@ -101,7 +102,7 @@ def calibrated(motion: SkeletonMotion, table: SkeletonTable) -> Calibration:
     """Anatomical axes of a skeleton's segments in its rest pose.
 
     Raises:
-        InputError: where the skeleton lacks a joint that must be there, or an axis has no direction.
+        InputError: where the skeleton lacks a required joint, or an axis has no direction.
     """
     joints, rest = table.found(motion), motion.rest_positions()
     for segment in REQUIRED:
@@ -135,14 +136,14 @@ def _frame(forward: Float, up: Float, where: str) -> Float:
 
 @cache
 def shipped_tables() -> tuple[SkeletonTable, ...]:
-    """The tables of this package, in the order in which they are tried."""
+    """The tables of this package, in the order of trial."""
     folder = resources.files("twistcap.motion") / "tables"
     names = ("cmu", "cmu_arms_down", "deepmimic", "humanoid")
     return tuple(SkeletonTable.model_validate(tomllib.loads((folder / f"{n}.toml").read_text("utf-8"))) for n in names)
 
 
 def table_for(motion: SkeletonMotion) -> SkeletonTable:
-    """The shipped table that fits a skeleton: of those whose required joints it has, the one with most others.
+    """The shipped table that fits a skeleton: of those whose required joints it has, the one with most joints.
 
     Raises:
         InputError: where there is none.
@@ -159,7 +160,7 @@ def table_for(motion: SkeletonMotion) -> SkeletonTable:
 
 
 def body_table() -> SkeletonTable:
-    """The table of what `skeleton_of` makes of a body with our segment names."""
+    """The table of the skeletons that `skeleton_of` makes of bodies with our segment names."""
     rows = {name: SegmentAxes(joint=name, forward=(1, 0, 0), up=(0, 0, 1)) for name in SEGMENTS}
     return SkeletonTable(name="body", segments=rows)
 
@@ -170,14 +171,4 @@ def read_table(path: Path | str) -> SkeletonTable:
     Raises:
         InputError: if it is missing, no TOML, or has an unknown key or a wrong value.
     """
-    path = Path(path)
-    try:
-        return SkeletonTable.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not a TOML file ({error}).") from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "table"
-        raise InputError(f"{path}: {where}: {first['msg'].removeprefix('Value error, ')}.") from error
+    return parsed_toml(path, SkeletonTable)

@@ -1,4 +1,4 @@
-"""Two labellings held against each other: their overlap, and which explains an image better."""
+"""Comparing two labellings: their overlap, and which explains an image better."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numba import njit
 from twistcap._typing import AnyArray, Bool, Float, Float32, Int
 
 BLOCK = 4  # px: the background's statistics are gathered in blocks of this size
-_FALLBACK = 0.02  # share of a window at which the whole background weighs as much as the window's own
+_FALLBACK = 0.02  # fraction of a window at which the whole background has the weight of the window's own
 
 
 @njit(cache=True, nogil=True)
@@ -17,8 +17,8 @@ def background_moments(features: Float32, off: Bool, reach: int) -> Float:
 
     Args:
         features: (H, W, C).
-        off: (H, W) where it is surely background: what a limb covers, or may cover, must not speak against it.
-        reach: blocks about a block from which its background is gathered; where there is none, the whole one stands in.
+        off: (H, W) where it is surely background, without pixels that a limb covers or may cover.
+        reach: blocks about a block from which its background is gathered; if there is none, the whole one is used.
     """
     height, width, C = features.shape
     sums = np.zeros(((height + BLOCK - 1) // BLOCK, (width + BLOCK - 1) // BLOCK, 1 + 2 * C))
@@ -60,9 +60,9 @@ def label_evidence(
     Args:
         features: (H, W, C).
         background: as `background_moments` gives it.
-        colours: (S, 1 + 2C) confidence, mean and mean square of each part; parts of confidence 0 are not asked.
+        colours: (S, 1 + 2C) confidence, mean and mean square of each part; pixels of parts of confidence 0 are ignored.
         floor: least variance.
-        clip: most that one pixel can say, nats.
+        clip: greatest contribution of one pixel, nats.
     """
     total = 0.0
     for r in range(part.shape[0]):
@@ -81,7 +81,7 @@ def label_evidence(
 
 @njit(cache=True, nogil=True, inline="always")
 def _log_density(values: Float32, moments: Float, floor: float) -> float:
-    """Log density, but for a constant, of a pixel (C,) under independent Gaussians of mean and mean square (2C,)."""
+    """Log density up to a constant of a pixel (C,) under independent Gaussians of mean and mean square (2C,)."""
     C, out = len(values), 0.0
     for k in range(C):
         variance = max(moments[C + k] - moments[k] ** 2, 0.0) + floor
@@ -122,7 +122,7 @@ def label_evidence_reference(
 
 
 def iou(mask: AnyArray, reference: AnyArray) -> float:
-    """Intersection over union of two masks (H, W); two empty masks agree fully."""
+    """Intersection over union of two masks (H, W); 1 for two empty masks."""
     a, b = np.asarray(mask, bool), np.asarray(reference, bool)
     union = int(np.count_nonzero(a | b))
     return float(np.count_nonzero(a & b)) / union if union else 1.0

@@ -1,4 +1,4 @@
-"""Region densities on the pixel grid: what log-likelihood ratio inside to outside each pixel has.
+"""Region densities on the pixel grid: log-likelihood ratio of each pixel, inside to outside.
 
 Channels are taken as independent (Brox, Rosenhahn and Cremers, eq. 11.8); variances are those of the squared
 deviations, where the paper omits the square.
@@ -34,7 +34,7 @@ def heaviside_reference(phi: Float32, width: float) -> Float:
 def global_log_ratio(channels: Float32, inside: Float32, floor: float, outside: Float32 | None = None) -> Float32:
     """(H, W) Σ_j log p₁/p₂ under one Gaussian per region and channel.
 
-    `inside` and `outside` (H, W) are the regions' memberships; without the latter it is what is left.
+    `inside` and `outside` (H, W) are the regions' memberships; `outside` is by default the complement.
     """
     out = np.zeros(inside.shape, dtype=np.float32)
     outside = np.float32(1.0) - inside if outside is None else outside
@@ -52,11 +52,10 @@ def blockwise_log_ratio(
 ) -> Float32:  # fmt: skip
     """(H, W) Σ_j log p₁/p₂ under Gaussians estimated in a window of standard deviation `rho` px about each pixel.
 
-    The window is a box of that deviation, which costs the same at any size; at the border the image is mirrored. Where
-    a region hardly reaches into the window, its global statistics take over smoothly, with the weight of `prior_mass`
-    (fraction of the window). Statistics are those of blocks of `block`² pixels: the densities vary slowly, so that it
-    costs no accuracy; every pixel's own value is looked at. Where nobody wants it (H, W) the ratio is 0. `outside`
-    (H, W) is the other region where it is not all that is left.
+    The window is a box of that deviation, which costs the same at any size; at the border the image is mirrored. A
+    region's global statistics are added with the weight of `prior_mass` (fraction of the window), for windows that the
+    region hardly reaches. Statistics are summed over blocks of `block`² pixels, since densities vary slowly; every
+    pixel has its own value. Off `wanted` (H, W) the ratio is 0. `outside` (H, W) is by default the complement.
     """
     outside = np.float32(1.0) - inside if outside is None else outside
     if wanted is None:
@@ -84,16 +83,16 @@ def _block_sums(channels: Float32, inside: Float32, outside: Float32, block: int
             without[:], within[:] = np.float32(0.0), np.float32(0.0)
             for r in range(br * block, min(br * block + block, height)):
                 for c in range(bc * block, min(bc * block + block, width)):
-                    share, rest = inside[r, c], outside[r, c]
+                    own, rest = inside[r, c], outside[r, c]
                     without[0] += rest
-                    within[0] += share
+                    within[0] += own
                     for j in range(C):
                         value = channels[r, c, j]
                         square = value * value
                         without[1 + j] += rest * value
                         without[1 + C + j] += rest * square
-                        within[1 + j] += share * value
-                        within[1 + C + j] += share * square
+                        within[1 + j] += own * value
+                        within[1 + C + j] += own * square
             for i in range(1 + 2 * C):
                 out[br, bc, 0, i], out[br, bc, 1, i] = within[i], without[i]
     return out

@@ -12,13 +12,13 @@ from numba import njit
 
 from twistcap._typing import Bool, Float, Float32
 
-_TABLE = 512  # places at which H' is tabulated
+_TABLE = 512  # entries of the table of H'
 
 
 def signed_distance(mask: Bool) -> Float32:
-    """(H, W) distance to the mask's outline in px, positive inside.
+    """(H, W) distance to the mask's outline in px, positive inside, to 2 %.
 
-    The outline runs half a pixel outside the mask's own pixel centres, which is corrected for. Good to 2 % of itself.
+    The outline is half a pixel outside the mask's pixel centres, which is corrected for.
     """
     inside = mask.astype(np.uint8)
     to_outside = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_5)
@@ -32,12 +32,12 @@ def evolve(
 ) -> Float32:
     """Evolve from the shape Φ₀ (H, W) under a fixed log ratio (H, W), clipped to ±`clip`; reflecting borders.
 
-    `width` is the standard deviation of H' in px; nothing moves where H' has fallen below 1/3000 of its top.
+    `width` is the standard deviation of H' in px; Φ does not change where H' is below 1/3000 of its maximum.
     """
     height, width_px = phi0.shape
     band = 4.0 * width
     pull_of = np.exp(-0.5 * (np.arange(_TABLE + 2) * 4.0 / _TABLE) ** 2) / (np.sqrt(2.0 * np.pi) * width)
-    rows, columns = np.nonzero(np.abs(phi0) <= band)  # beyond it nothing ever moves
+    rows, columns = np.nonzero(np.abs(phi0) <= band)  # Φ does not change beyond it
     phi, new = phi0.copy(), phi0.copy()
     for _ in range(steps):
         for n in range(len(rows)):
@@ -85,7 +85,7 @@ def evolve_reference(
 
 @njit(cache=True, nogil=True)
 def zero_crossings(phi: Float32) -> tuple[Float, Float]:
-    """Sub-pixel points (N, 2) px of the zero level, one per grid edge that it cuts, and outward unit normals (N, 2)."""
+    """Sub-pixel points (N, 2) px of the zero level, one per grid edge that it crosses, and outward unit normals."""
     height, width = phi.shape
     points, normals = np.empty((2 * height * width, 2)), np.empty((2 * height * width, 2))
     count = 0
@@ -139,7 +139,7 @@ def nearest_with_normal(
     for n in range(N):
         best = np.inf
         start = np.searchsorted(heights, points[n, 1])
-        for direction in (-1, 1):  # up and down from the point's own height, until nothing nearer can follow
+        for direction in (-1, 1):  # up and down from the point's own height, until no nearer one can follow
             k = start if direction > 0 else start - 1
             while 0 <= k < M:
                 m = order[k]

@@ -1,9 +1,9 @@
-"""Region statistics along the contour's normals, and what they say about where the true contour lies.
+"""Region statistics along the contour's normals, and the posterior of the true contour's place on them.
 
-The direct counterpart of the level set: the same two local Gaussian densities, inside and outside (Brox, Rosenhahn
-and Cremers, "Contours, Optic Flow, and Prior Knowledge", eq. 11.7-11.11), evaluated on lines across the projected
-contour only. Every place along a line is a hypothesis for the boundary; its log-likelihood is the sum of the log
-density ratios on the inner side of it. The posterior's mean is the displacement, its variance the uncertainty.
+The same two local Gaussian densities as the level set, inside and outside (Brox, Rosenhahn and Cremers, "Contours,
+Optic Flow, and Prior Knowledge", eq. 11.7-11.11), on lines across the projected contour only. Every place along a line
+is a hypothesis for the boundary; its log-likelihood is the sum of the log density ratios on its inner side. The
+posterior's mean is the displacement, its variance the uncertainty.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from numba import njit
 
 from twistcap._typing import Bool, Float, Float32, Int
 
-_FAST = {"contract", "reassoc", "arcp", "nsz"}  # never `nnan` or `ninf`: images may hold anything
+_FAST = {"contract", "reassoc", "arcp", "nsz"}  # never `nnan` or `ninf`: images may hold any numbers
 
 VisibleParts = tuple[Int, Int]
-"""Of a rendered body the visible triangle (H, W) at each pixel, -1 off it, and the part (F,) of each triangle."""
+"""Visible triangle (H, W) of a rendered body at each pixel, -1 off it, and the part (F,) of each triangle."""
 Lines = tuple[Float, Float, Int, Bool, Float]
 """Pixels (N, 2), unit normals (N, 2), part (N,), whether on the silhouette (N,) and inverse depth (N,), 1/m."""
 Measured = tuple[Float, Float, Float, Float]
@@ -26,19 +26,19 @@ Measured = tuple[Float, Float, Float, Float]
 
 
 class LineSettings(NamedTuple):
-    """How lines are measured and weighed.
+    """How lines are measured and weighted.
 
     Attributes:
         half: samples on each side of the contour.
         clip: largest log density ratio, nats per px.
-        fraction: of each line's information, how much counts: neighbours see the same pixels.
-        inner: the same for contours before another part of the body, beside.
-        least_sigma: measurement noise that is added, px.
-        surface_sigma: how far the body's surface may lie from the person's, px at 1 m from the camera; added likewise.
-        rho: width of the window in which lines share their statistics, px.
-        prior_mass: samples with which a group's whole statistics enter.
+        fraction: of each line's information that counts, since neighbours measure the same pixels.
+        inner: a further factor for contours before another part of the body.
+        least_sigma: standard deviation of the measurement, added, px.
+        surface_sigma: standard deviation of the body's surface, added, px at 1 m from the camera.
+        rho: width of the window in which lines of a group pool their statistics, px.
+        prior_mass: weight of a group's whole statistics, in samples.
         floor: least variance.
-        colour_mass: samples for which the remembered colours of a group count.
+        colour_mass: weight of a group's remembered colours, in samples.
     """
 
     half: int
@@ -58,13 +58,15 @@ def measured_lines(
     image: Float32, visible: VisibleParts, lines: Lines, group: Int, colours: Float, reach: float,
     settings: LineSettings,
 ) -> Measured:  # fmt: skip
-    """All of a view's lines by the four steps below, and what they weigh.
+    """All lines of a view, by the four steps below.
 
     Args:
         image: (H, W, C).
-        group: (N,) lines of one number share their statistics: the part, or 0 for the whole body.
-        colours: (G, 1 + 2C) what is remembered of each group: confidence, mean, mean square.
+        visible, lines: of the rendered body.
+        group: (N,) lines of one number pool their statistics: the part, or 0 for the whole body.
+        colours: (G, 1 + 2C) remembered confidence, mean and mean square of each group.
         reach: half length of the lines, px at 1 m from the camera.
+        settings: of the lines.
     """
     pixels = lines[0]
     step = np.maximum(reach / settings.half * lines[4], 0.25)
@@ -80,7 +82,7 @@ def measured_lines(
 
 @njit(cache=True, nogil=True)
 def ratio_lines(ratio: Float32, visible: VisibleParts, lines: Lines, reach: float, settings: LineSettings) -> Measured:
-    """As `measured_lines`, where log density ratios (H, W) of any region model are known already."""
+    """As `measured_lines`, from given log density ratios (H, W) of any region model."""
     step = np.maximum(reach / settings.half * lines[4], 0.25)
     image = ratio.reshape((*ratio.shape, 1))
     values, first, last = sample_lines(image, visible, lines, step, settings.half)
@@ -94,13 +96,13 @@ def ratio_lines(ratio: Float32, visible: VisibleParts, lines: Lines, reach: floa
 
 @njit(cache=True, nogil=True)
 def _weighed(lines: Lines, displacement: Float, spread: Float, settings: LineSettings) -> tuple[Float, Float]:
-    """Information (N,) and target (N, 2) of lines with these posteriors."""
+    """Information (N,) and target (N, 2) of lines, from their posteriors."""
     pixels, normals, _, outer, inverse_depth = lines
     weight, target = np.empty_like(spread), np.empty_like(pixels)
     for n in range(len(pixels)):
-        off = settings.surface_sigma * inverse_depth[n]
+        surface = settings.surface_sigma * inverse_depth[n]
         counts = settings.fraction * (1.0 if outer[n] else settings.inner)
-        weight[n] = counts / (spread[n] + settings.least_sigma**2 + off * off)
+        weight[n] = counts / (spread[n] + settings.least_sigma**2 + surface * surface)
         target[n, 0] = pixels[n, 0] + displacement[n] * normals[n, 0]
         target[n, 1] = pixels[n, 1] + displacement[n] * normals[n, 1]
     return weight, target
@@ -110,7 +112,7 @@ def _weighed(lines: Lines, displacement: Float, spread: Float, settings: LineSet
 def _bilinear(
     flat: Float32, at: int, row: int, channels: int, fx: np.float32, fy: np.float32, out: Float32
 ) -> None:  # fmt: skip
-    """Value at (fx, fy) beyond the pixel whose first channel stands at `at`; `row` channels make a row."""
+    """Value at (fx, fy) from the pixel whose first channel is at index `at`; a row has `row` numbers."""
     for c in range(channels):
         a, b = flat[at + c], flat[at + row + c]
         top, bottom = a + fx * (flat[at + channels + c] - a), b + fx * (flat[at + row + channels + c] - b)
@@ -123,9 +125,8 @@ def sample_lines(
 ) -> tuple[Float32, Int, Int]:
     """Bilinear values (N, 2 half + 1, C) along the lines, and the first and last usable sample of each (N,).
 
-    Sample k of a line lies ``(k − half) · step`` px outward. Inward a line is usable while it stays on its own part,
-    outward while it stays off it: off the body for outer contours, off the part for inner ones. Values beyond the
-    usable ones are 0.
+    Sample k of a line is ``(k − half) · step`` px outward. Inward a line is usable while it stays on its own part,
+    outward while it stays off the body (outer contours) or off the part (inner ones). Other values are 0.
     """
     face_index, face_part = visible
     pixels, normals, part, outer, _ = lines
@@ -135,7 +136,7 @@ def sample_lines(
     values = np.zeros((N, 2 * half + 1, channels), dtype=np.float32)
     first, last = np.full(N, half, dtype=np.int32), np.full(N, half, dtype=np.int32)
     for n in range(N):
-        own, off_body, nearest = part[n], outer[n], 1.0 / step[n]  # at the contour itself rounding decides: not asked
+        own, off_body, nearest = part[n], outer[n], 1.0 / step[n]  # nearer to the contour rounding would decide
         for direction in (-1, 1):
             for i in range(0 if direction < 0 else 1, half + 1):
                 k = half + direction * i
@@ -153,7 +154,7 @@ def sample_lines(
                 x0, y0 = int(x), int(y)
                 fx, fy = np.float32(x - x0), np.float32(y - y0)
                 at = y0 * row + x0 * channels
-                if channels == 3:  # a number that the compiler knows
+                if channels == 3:  # a constant for the compiler
                     _bilinear(flat, at, row, 3, fx, fy, values[n, k])
                 else:
                     _bilinear(flat, at, row, channels, fx, fy, values[n, k])
@@ -202,8 +203,8 @@ def _pooled(moments: Float, pixels: Float, part: Int, rho: float) -> Float:
             if d2 >= 6.25:
                 continue
             u = 1.0 - d2 / 6.25
-            weight = u * u * u  # as good as exp(-d2 / 2), and no cliff at the end
-            if fields == 14:  # of three channels: a number that the compiler knows
+            weight = u * u * u  # close to exp(-d2 / 2), and continuous at its end
+            if fields == 14:  # three channels: a constant for the compiler
                 _add_both(out, moments, n, m, weight, 14)
             else:
                 _add_both(out, moments, n, m, weight, fields)
@@ -212,7 +213,7 @@ def _pooled(moments: Float, pixels: Float, part: Int, rho: float) -> Float:
 
 @njit(cache=True, nogil=True, fastmath=_FAST, inline="always")
 def _add_both(out: Float, moments: Float, n: int, m: int, weight: float, fields: int) -> None:
-    """Lines n and m add their moments to each other's."""
+    """Add the moments of lines n and m to each other's."""
     for f in range(fields):
         out[n, f] += weight * moments[m, f]
     for f in range(fields):
@@ -232,11 +233,10 @@ def pooled_gaussians(
 ) -> tuple[Float, Float]:
     """Local means and variances (N, 2, C) of both sides, pooled over the lines of the same part within about `rho` px.
 
-    A window like a Gaussian of `rho` px weights the neighbours; the part's whole statistics come in with `prior_mass`
-    samples, so that a line without neighbours falls back on them smoothly. `floor` is the least variance.
-
-    Inside, where a part's `colours` (S, 1 + 2C: confidence, mean, mean square) are remembered, they take the place of
-    its whole statistics, with `colour_mass` samples times their confidence.
+    Neighbours are weighted by a window like a Gaussian of `rho` px. The part's whole statistics are added with the
+    weight of `prior_mass` samples, for lines without neighbours. `floor` is the least variance. Inside, remembered
+    `colours` (S, 1 + 2C: confidence, mean, mean square) replace the part's whole statistics, with the weight of
+    `colour_mass` samples times their confidence.
     """
     N, _, fields = moments.shape
     channels = (fields - 1) // 2
@@ -249,15 +249,15 @@ def pooled_gaussians(
     for n in range(N):
         for side in range(2):
             fallback = whole[part[n], side] if whole[part[n], side, 0] > 0.0 else everything[side]
-            share = prior_mass / fallback[0] if fallback[0] > 0.0 else 0.0
-            prior = share * fallback[0]
+            scale = prior_mass / fallback[0] if fallback[0] > 0.0 else 0.0
+            prior = scale * fallback[0]
             if side == 0 and colours[part[n], 0] > 0.0:
-                fallback, share = colours[part[n]], colour_mass * colours[part[n], 0]
-                prior = share
+                fallback, scale = colours[part[n]], colour_mass * colours[part[n], 0]
+                prior = scale
             mass = max(pooled[n, side, 0] + prior, 1e-9)
             for c in range(channels):
-                mu = (pooled[n, side, 1 + c] + share * fallback[1 + c]) / mass
-                second = (pooled[n, side, 1 + channels + c] + share * fallback[1 + channels + c]) / mass
+                mu = (pooled[n, side, 1 + c] + scale * fallback[1 + c]) / mass
+                second = (pooled[n, side, 1 + channels + c] + scale * fallback[1 + channels + c]) / mass
                 mean[n, side, c] = mu
                 variance[n, side, c] = max(second - mu * mu, 0.0) + floor
     return mean, variance
@@ -265,7 +265,7 @@ def pooled_gaussians(
 
 @njit(cache=True, nogil=True, fastmath=_FAST, inline="always")
 def _exp(x: np.float32) -> np.float32:
-    """e^x for x ≤ 0 as (1 + x/1024)^1024: x²/2048 off relative to itself, and the compiler takes many at once."""
+    """e^x for x ≤ 0 as (1 + x/1024)^1024, with a relative error of x²/2048; the compiler can vectorise it."""
     y = max(np.float32(1.0) + x * np.float32(1.0 / 1024.0), np.float32(0.0))
     y *= y
     y *= y
@@ -294,9 +294,9 @@ def boundary_posterior(
 ) -> tuple[Float, Float, Float]:
     """Mean (px, outward), variance (px²) and evidence of the contour's displacement along each line.
 
-    The boundary may lie half a step before or behind any usable sample. A sample's log density ratio is clipped to
-    ±`clip` nats per px, which keeps one odd pixel from deciding. Evidence is the log-likelihood of the best place
-    against that of "no boundary here" (all inside or all outside), in nats: how much the line has to say.
+    The boundary may be half a step before or behind any usable sample. A sample's log density ratio is clipped to
+    ±`clip` nats per px against outliers. Evidence is the log-likelihood (nats) of the best place minus that of no
+    boundary on the line (all inside or all outside).
     """
     N, length, channels = values.shape
     half = length // 2

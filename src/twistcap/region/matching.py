@@ -1,9 +1,9 @@
-"""Matching two shapes: which point of the image's contour belongs to which of the body's.
+"""Shape matching: corresponding points of the image's contour and the body's.
 
 Two ways (Brox, Rosenhahn and Cremers, "Contours, Optic Flow, and Prior Knowledge", section 11.3.3; B. Rosenhahn et al.,
 "A comparison of shape matching methods for contour based pose estimation", IWCIA 2006, LNCS 4040, 263-276): the nearest
-point (`nearest_with_normal`), and a smooth field of displacements between the two signed distances, which also slides
-points along the contour where their neighbours go.
+point (`nearest_with_normal`), and a smooth field of displacements between the two signed distances, which also moves
+points along the contour with their neighbours.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from twistcap._typing import Float, Float32
 from twistcap.region.levelset import signed_distance
 
 _RELAXATION = 1.8
+_NEWTON_STEPS = 4
 
 
 @dataclass(frozen=True)
@@ -45,14 +46,14 @@ class Displacement:
 
 @dataclass(frozen=True)
 class VariationalRule:
-    """How displacement fields are found.
+    """Settings of displacement fields.
 
     Attributes:
         alpha: weight of smoothness, in squared px of the image.
         resolution: px of the image in each row and column of the grid; signed distances are smooth.
         warps: linearisations.
         iterations: of the linear solver in each.
-        reach: px from the contour within which the shapes must agree.
+        reach: px from the contour within which the shapes are compared.
     """
 
     alpha: float = 100.0
@@ -62,17 +63,15 @@ class VariationalRule:
     reach: float = 12.0
 
 
-def displacement(phi0: Float32, phi: Float32, rule: VariationalRule, start: Displacement | None = None) -> Displacement:
+def displacement(phi0: Float32, phi: Float32, rule: VariationalRule) -> Displacement:
     """The smooth field w that makes Φ(x + w) agree with Φ₀(x).
 
-    Minimises ``∫ (Φ₀(x) − Φ(x + w))² + α (|∇u|² + |∇v|²)`` (eq. 11.15, with the roles of the two shapes exchanged, so
-    that w starts on the body's contour), by warping and successive over-relaxation, about the contour of Φ₀ only.
+    Minimises ``∫ (Φ₀(x) − Φ(x + w))² + α (|∇u|² + |∇v|²)`` near the contour of Φ₀, by warping and successive
+    over-relaxation (eq. 11.15, with the two shapes exchanged, so that w starts on the body's contour).
 
     Args:
-        phi0, phi: (H, W) signed distances px, positive inside; of `phi` only the sign is used, so that a level set
-            that is no distance any more will do.
+        phi0, phi: (H, W) signed distances px, positive inside; only the sign of `phi` is used.
         rule: settings.
-        start: field that is already known of the same grid.
     """
     r = rule.resolution
     scale = np.float32(r)
@@ -82,7 +81,7 @@ def displacement(phi0: Float32, phi: Float32, rule: VariationalRule, start: Disp
     slopes = np.gradient(target)
     packed = np.ascontiguousarray(np.stack([target, slopes[1], slopes[0]], axis=2), np.float32)
     weight = (np.abs(source) <= rule.reach / r).astype(np.float32)
-    field = np.zeros((*size[::-1], 2), np.float32) if start is None else np.asarray(start.field / r, np.float32)
+    field = np.zeros((*size[::-1], 2), np.float32)
     x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in size))
     for _ in range(rule.warps):
         warped = cv2.remap(
@@ -93,7 +92,7 @@ def displacement(phi0: Float32, phi: Float32, rule: VariationalRule, start: Disp
 
 
 def _distance(phi: Float32) -> Float32:
-    """The signed distance of a level set; all on one side it stays as it is."""
+    """The signed distance of a level set; unchanged where it has one sign."""
     inside = phi > 0.0
     return signed_distance(inside) if inside.any() and not inside.all() else phi
 
@@ -105,14 +104,14 @@ def relax(field: Float32, warped: Float32, source: Float32, weight: Float32, alp
     Args:
         field: u and v.
         warped: (h, w, 3) value and x and y slope of the target at x + w.
-        source: (h, w) what the value should be.
-        weight: (h, w) of the data; 0 where neighbours alone decide.
+        source: (h, w) wanted value.
+        weight: (h, w) of the data; 0 where only the smoothness counts.
         alpha: of the smoothness; borders reflect.
         iterations: sweeps.
     """
     height, width = source.shape
     a, keep, relaxed = np.float32(alpha), np.float32(1.0 - _RELAXATION), np.float32(_RELAXATION)
-    # Both equations of a place, divided by α: what pulls u and v, how they pull each other, and the sweep's step.
+    # Both equations of a place, divided by α: right sides for u and v, their coupling, and the sweep's steps.
     system = np.empty((height, width, 5), dtype=np.float32)
     for r in range(height):
         for c in range(width):
@@ -137,7 +136,7 @@ def relax(field: Float32, warped: Float32, source: Float32, weight: Float32, alp
 def relax_reference(
     field: Float32, warped: Float32, source: Float32, weight: Float32, alpha: float, iterations: int
 ) -> None:
-    """Readable twin of `relax`: place by place, each unknown moved a little beyond what solves its own equation."""
+    """Readable twin of `relax`: place by place, each unknown moved somewhat beyond the solution of its own equation."""
     height, width = source.shape
     rest = warped[..., 0] - source - np.sum(warped[..., 1:] * field, axis=2)
     for _ in range(iterations):
@@ -153,24 +152,24 @@ def relax_reference(
 def displaced_partners(
     points: Float, normals: Float, flow: Displacement, phi: Float32, least_cosine: float
 ) -> tuple[Float, Float]:
-    """For each point (N, 2) px where the field takes it, and how far that is (N,).
+    """Partner (N, 2) px of each point (N, 2) px by the field, and its distance (N,).
 
-    The field is coarse: its end is put on the zero level of `phi` (H, W) itself. Where the outward normal there does
-    not agree with the point's own (N, 2), or the zero level is not met, the distance is infinite.
+    Since the field is coarse, partners are moved to the zero level of `phi` (H, W). Where that fails, or the outward
+    normal there does not agree with the point's own (N, 2), the distance is infinite.
     """
     return _on_contour(points, normals, points + flow.at(points), phi, least_cosine)
 
 
 @njit(cache=True, nogil=True)
 def _on_contour(
-    points: Float, normals: Float, ends: Float, phi: Float32, least_cosine: float, steps: int = 4
-) -> tuple[Float, Float]:
-    """Newton's steps from `ends` (N, 2) down Φ to its zero level."""
+    points: Float, normals: Float, ends: Float, phi: Float32, least_cosine: float
+) -> tuple[Float, Float]:  # fmt: skip
+    """Newton's steps from `ends` (N, 2) along the slope of Φ to its zero level."""
     height, width = phi.shape
     partner, distance = ends.copy(), np.full(len(points), np.inf)
     for n in range(len(points)):
         gx = gy = value = 0.0
-        for _ in range(steps):
+        for _ in range(_NEWTON_STEPS):
             x = min(max(partner[n, 0], 1.0), width - 2.001)
             y = min(max(partner[n, 1], 1.0), height - 2.001)
             value, gx, gy = _sample(phi, x, y)

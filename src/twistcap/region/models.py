@@ -1,8 +1,7 @@
-"""What the two regions look like: the models a session chooses from, behind one protocol.
+"""Appearance models of the two regions, behind one protocol: each pixel's log density ratio, inside to outside.
 
-A model is asked for one thing only, each pixel's log density ratio inside to outside, so that whatever tracks or
-segments takes any model. After Brox, Rosenhahn and Cremers, "Contours, Optic Flow, and Prior Knowledge", section 11.2,
-which compares the local Gaussians with a global Parzen estimate.
+After Brox, Rosenhahn and Cremers, "Contours, Optic Flow, and Prior Knowledge", section 11.2, which compares local
+Gaussians with a global Parzen estimate.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ class RegionModel(Protocol):
 
     @property
     def window(self) -> float:
-        """How far from a pixel its densities are estimated, m; infinite for global models."""
+        """Radius (m) about a pixel in which its densities are estimated; infinite for global models."""
         ...
 
     def log_ratio(
@@ -38,9 +37,9 @@ class RegionModel(Protocol):
 
         Args:
             features: (H, W, C).
-            inside, outside: (H, W) membership of each region, 0 … 1; what is in neither is not asked.
+            inside, outside: (H, W) membership of each region, 0 … 1; pixels in neither are ignored.
             px_per_m: scale of the image.
-            wanted: (H, W) where the ratio is needed; elsewhere it is 0 or right.
+            wanted: (H, W) where the ratio is needed; elsewhere it may be 0.
         """
         ...
 
@@ -52,7 +51,7 @@ class LocalGaussian:
     Attributes:
         rho: standard deviation of the window, m.
         floor: least variance, brightness².
-        prior_mass: share of a window at which global statistics weigh as much as local ones.
+        prior_mass: fraction of a window at which global statistics have the weight of local ones.
     """
 
     rho: float = 0.04
@@ -61,7 +60,7 @@ class LocalGaussian:
 
     @property
     def window(self) -> float:
-        """As far as the box of that deviation reaches."""
+        """Half width of the box of that deviation."""
         return math.sqrt(3.0) * self.rho
 
     def log_ratio(
@@ -108,10 +107,10 @@ class GlobalParzen:
 
 
 def region_model(density: Density, rho: float, floor: float, prior_mass: float, parzen_sigma: float) -> RegionModel:
-    """The model of a name, with those settings (see its class) that it has.
+    """The model of a name, with those of the settings (see its class) that it has.
 
     Raises:
-        InputError: for a name that no model has.
+        InputError: for an unknown name.
     """
     if density == "local":
         return LocalGaussian(rho, floor, prior_mass)
@@ -126,16 +125,16 @@ def log_ratio_by_part(
     model: RegionModel, features: Float32, inside: Float32, part: Int, px_per_m: float, wanted: Bool,
     outside: Float32 | None = None,
 ) -> Float32:  # fmt: skip
-    """(H, W) log p₁/p₂ where p₁ is the density of each pixel's own part of the body only.
+    """(H, W) log p₁/p₂ with p₁ the density of the pixel's own part of the body.
 
     Args:
         model: of the densities.
         features: (H, W, C).
         inside: (H, W) membership of the whole body.
-        part: (H, W) the part that each pixel belongs to, or would if the body were a little larger; -1 for none.
-        px_per_m: scale of the image; a model of finite window is asked about the part's surroundings only.
+        part: (H, W) part of each pixel, or the nearest part just outside the body; -1 for none.
+        px_per_m: scale of the image.
         wanted: (H, W) where the ratio is needed; elsewhere it is 0.
-        outside: (H, W) membership of the background, where it is not all that is left.
+        outside: (H, W) membership of the background; by default the complement of `inside`.
     """
     out = np.zeros(inside.shape, dtype=np.float32)
     outside = np.float32(1.0) - inside if outside is None else outside
@@ -154,7 +153,7 @@ def log_ratio_by_part(
 
 
 def nearest_part(part: Int) -> Int:
-    """(H, W) the part (H, W; -1 off the body) of the nearest pixel on the body, to half a pixel or so."""
+    """(H, W) part of the nearest pixel on the body, from the part image (H, W; -1 off the body), to half a pixel."""
     off = (part < 0).astype(np.uint8)
     if off.all():
         return part
@@ -167,7 +166,7 @@ def nearest_part(part: Int) -> Int:
 
 
 def _box(mask: Bool, margin: float) -> tuple[slice, slice]:
-    """Rows and columns of all that is set, with `margin` px about it; the whole image for an infinite one."""
+    """Rows and columns of the mask and `margin` px about it; the whole image for an infinite margin."""
     if math.isinf(margin):
         return slice(None), slice(None)
     m = math.ceil(margin)

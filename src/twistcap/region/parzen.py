@@ -1,7 +1,7 @@
 """Parzen density estimates of whole regions, channel by channel: a histogram under a Gaussian kernel.
 
-The density model of Kim, Fisher, Yezzi, Cetin and Willsky that Brox, Rosenhahn and Cremers hold their local one against
-("Contours, Optic Flow, and Prior Knowledge", Fig. 11.4).
+The density model of Kim, Fisher, Yezzi, Cetin and Willsky with which Brox, Rosenhahn and Cremers compare their local
+one ("Contours, Optic Flow, and Prior Knowledge", Fig. 11.4).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def parzen_log_ratio(channels: Float32, inside: Float32, outside: Float32, sigma
         channels: (H, W, C).
         inside, outside: (H, W) weight of each pixel in the two regions.
         sigma: standard deviation of the kernel, in units of the channels.
-        floor: added to the densities, per unit of the channels: no value is impossible, and no log that of 0.
+        floor: added to the densities, per unit of the channels, so that no value is impossible.
 
     Raises:
         InputError: if sigma or floor is not positive and finite.
@@ -58,7 +58,7 @@ def parzen_densities(values: Float32, inside: Float32, outside: Float32, sigma: 
 
 @njit(cache=True, nogil=True)
 def histograms(values: Float32, inside: Float32, outside: Float32, low: float, width: float, bins: int) -> Float:
-    """(2, bins) weights of both regions, each pixel's shared between the two places nearest to its value."""
+    """(2, bins) weights of both regions, each pixel's split between the two bins nearest to its value."""
     out = np.zeros((2, bins))
     flat, one, other = values.ravel(), inside.ravel(), outside.ravel()
     for n in range(len(flat)):
@@ -87,7 +87,7 @@ def histograms_reference(
 
 @njit(cache=True, nogil=True)
 def add_interpolated(values: Float32, low: float, width: float, table: Float32, out: Float32) -> None:
-    """Add to each pixel of `out` (H, W) what the table has at its value."""
+    """Add to each pixel of `out` (H, W) the interpolated table at its value."""
     flat, sums = values.ravel(), out.ravel()
     for n in range(len(flat)):
         at = (flat[n] - low) / width

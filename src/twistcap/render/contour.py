@@ -1,7 +1,7 @@
 """Visible contour points of a rendered body, sub-pixel, each with its place on the surface.
 
-Where a front-facing and a back-facing triangle meet, the surface turns away from the camera: the projections of those
-edges that nothing hides are exactly the outline of the mesh, so no half pixel is lost as it would be on a mask.
+Edges between a front-facing and a back-facing triangle project to the exact outline of the mesh where they are not
+occluded. An outline traced on a mask would be up to half a pixel wrong.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from twistcap.camera.projection import along, project
 from twistcap.render.view import RenderedView, SurfacePoints, surface_points
 
 _HIDDEN, _OUTER, _INNER = 0, 1, 2
+_INNER_GAP = 0.04  # m
 
 MeshArrays = tuple[Int, Int, Int, Int, Int]
 """Faces (F, 3), edges (E, 2), the faces of each edge (E, 2), -1 for none, and the part of each face and vertex."""
@@ -33,8 +34,8 @@ class ContourPoints:
     Attributes:
         points: (N,) places on the surface.
         pixels: (N, 2) image positions, px.
-        normals: (N, 2) unit image normals, pointing off the part.
-        part: (N,) segment the contour belongs to.
+        normals: (N, 2) unit image normals, outward of the part.
+        part: (N,) segment of the contour.
         outer: (N,) True on the silhouette, False before another part of the body.
         inverse_depth: (N,) 1/m.
     """
@@ -56,12 +57,12 @@ class ContourPoints:
         )  # fmt: skip
 
     def moved_by(self, posed: Posed, P: Float) -> Float:
-        """(N,) px by which the points lie elsewhere with the body so posed."""
+        """(N,) px by which the points move in the image when the body takes this pose."""
         return _step_lengths(P, self.points.at(posed), self.pixels)
 
 
 def reprojected(contour: ContourPoints, posed: Posed, P: Float) -> ContourPoints:
-    """The same contour points after the body moved a little; their normals and order of depth are taken to stay."""
+    """The same contour points after a small motion of the body; normals and visibility stay."""
     pixels, inverse_depth = project(P, contour.points.at(posed))
     return replace(contour, pixels=pixels, inverse_depth=inverse_depth)
 
@@ -76,29 +77,29 @@ def _step_lengths(P: Float, world: Float, pixels: Float) -> Float:
     return out
 
 
-def visible_contour(view: RenderedView, spacing: float = 3.0, inner_gap: float = 0.04) -> ContourPoints:
+def visible_contour(view: RenderedView, spacing: float = 3.0, inner_gap: float = _INNER_GAP) -> ContourPoints:
     """Contour points about `spacing` px apart along the outline.
 
     Args:
         view: the rendered body.
         spacing: px between samples.
-        inner_gap: contours before another part count only where that part lies at least so far behind, m.
+        inner_gap: least distance (m) to another part behind a contour point for it to count.
     """
     return contour_on_edges(view, spacing, inner_gap)[0]
 
 
 def contour_on_edges(
-    view: RenderedView, spacing: float = 3.0, inner_gap: float = 0.04
+    view: RenderedView, spacing: float = 3.0, inner_gap: float = _INNER_GAP
 ) -> tuple[ContourPoints, Int, Float]:
-    """`visible_contour`, and of each point the vertices (N, 2) at the ends of its edge and their shares (N, 2)."""
+    """`visible_contour`, and for each point the vertices (N, 2) of its edge and their weights (N, 2)."""
     body = view.posed.body
     mesh = body.faces, *body.edges, body.face_part, body.vertex_part
     drawn = view.face_index, view.nearness_image
-    ends, shares, part, outer, pixels, image_normals, inverse_depth = contour_samples(
+    ends, weights, part, outer, pixels, image_normals, inverse_depth = contour_samples(
         view.camera.P, view.pixels, view.nearness, view.posed.vertex_normals, mesh, drawn, spacing, inner_gap
     )
-    points = surface_points(body, ends, shares)
-    return ContourPoints(points, pixels, image_normals, part, outer, inverse_depth), ends, shares
+    points = surface_points(body, ends, weights)
+    return ContourPoints(points, pixels, image_normals, part, outer, inverse_depth), ends, weights
 
 
 @njit(cache=True, nogil=True)
@@ -133,7 +134,7 @@ def _visibility(
     at: tuple[float, float], normal: tuple[float, float], w: float, part: int, face_index: Int, buffer: Float32,
     face_part: Int, inner_gap: float,
 ) -> int:  # fmt: skip
-    """Whether a contour point is hidden, on the silhouette, or before another part: looks a pixel in and out."""
+    """Whether a contour point is hidden, on the silhouette or before another part, by the pixels inside and outside."""
     height, width = face_index.shape
     (x, y), (nx, ny) = at, normal
     column, row = int(np.round(x - nx)), int(np.round(y - ny))
@@ -145,7 +146,7 @@ def _visibility(
         return _HIDDEN
     column, row = int(np.round(x + 1.5 * nx)), int(np.round(y + 1.5 * ny))
     if not (0 <= column < width and 0 <= row < height):
-        return _HIDDEN  # beyond the image's edge: there is nothing to be seen outside
+        return _HIDDEN  # the outside is beyond the image's border
     outside = face_index[row, column]
     if outside < 0:
         return _OUTER
@@ -157,12 +158,12 @@ def contour_samples(
     P: Float, pixels: Float, inverse_depth: Float, normals: Float, mesh: MeshArrays, drawn: tuple[Int, Float32],
     spacing: float, inner_gap: float,
 ) -> Samples:  # fmt: skip
-    """Walk all contour edges and drop a sample each time `spacing` pixels of edge have gone by.
+    """Samples every `spacing` px along all contour edges.
 
     Args:
         P: (3, 4) projection.
         pixels, inverse_depth, normals: (V, 2), (V,) and (V, 3) of the vertices.
-        mesh: its faces, edges and parts.
+        mesh: faces, edges and parts.
         drawn: (H, W) visible triangle and inverse depth of the rendered body.
         spacing, inner_gap: as for `visible_contour`.
     """
@@ -170,7 +171,7 @@ def contour_samples(
     face_index, buffer = drawn
     front = _faces_camera(pixels, inverse_depth, faces)
     capacity = 4096
-    ends, shares = np.empty((capacity, 2), dtype=np.int32), np.empty((capacity, 2))
+    ends, weights = np.empty((capacity, 2), dtype=np.int32), np.empty((capacity, 2))
     at, normal_out, w_out = np.empty((capacity, 2)), np.empty((capacity, 2)), np.empty(capacity)
     part_out, outer = np.empty(capacity, dtype=np.int32), np.empty(capacity, dtype=np.bool_)
     count, walked = 0, 0.5 * spacing
@@ -202,13 +203,13 @@ def contour_samples(
             kind = _visibility((u, v), (a, b), w, part, face_index, buffer, face_part, inner_gap)
             if kind == _HIDDEN:
                 continue
-            ends[count, 0], ends[count, 1], shares[count, 0], shares[count, 1] = i, j, 1.0 - t, t
+            ends[count, 0], ends[count, 1], weights[count, 0], weights[count, 1] = i, j, 1.0 - t, t
             part_out[count], outer[count] = vertex_part[i if t < 0.5 else j], kind == _OUTER
             at[count, 0], at[count, 1] = u, v
             normal_out[count, 0], normal_out[count, 1] = a, b
             w_out[count] = w
             count += 1
-    return ends[:count], shares[:count], part_out[:count], outer[:count], at[:count], normal_out[:count], w_out[:count]
+    return ends[:count], weights[:count], part_out[:count], outer[:count], at[:count], normal_out[:count], w_out[:count]
 
 
 def contour_samples_reference(
@@ -236,9 +237,9 @@ def contour_samples_reference(
             kind = _visibility_reference(at, normal, w, part, drawn, face_part, inner_gap)
             if normal.any() and kind != _HIDDEN:
                 found.append(((i, j), (1.0 - t, t), vertex_part[i if t < 0.5 else j], kind == _OUTER, at, normal, w))
-    ends, shares, parts, outer, places, directions, nearness = zip(*found, strict=True)
+    ends, weights, parts, outer, places, directions, nearness = zip(*found, strict=True)
     return (
-        np.array(ends, np.int32), np.array(shares), np.array(parts, np.int32), np.array(outer), np.array(places),
+        np.array(ends, np.int32), np.array(weights), np.array(parts, np.int32), np.array(outer), np.array(places),
         np.array(directions), np.array(nearness),
     )  # fmt: skip
 

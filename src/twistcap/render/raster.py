@@ -1,4 +1,4 @@
-"""Z-buffer rasteriser: which triangle is seen at each pixel, and how near."""
+"""Z-buffer rasteriser: visible triangle and nearness at each pixel."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from numba import njit
 
 from twistcap._typing import AnyArray, Float, Float32, Int
 
-_EDGE = 1e-9  # triangles overlap by this much, so that rounding leaves no crack along a shared edge
+_EDGE = 1e-9  # triangles overlap by this much, so that rounding leaves no crack along a common edge
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "arcp"}, error_model="numpy")

@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import cv2
 import numpy as np
 from numba import njit
 
+from twistcap._cached import cached
 from twistcap._typing import AnyArray, Bool, Float, Float32, Int
 from twistcap.body import Body, Posed
 from twistcap.camera import AnyCamera
 from twistcap.camera.projection import depth_at, project, projected
 from twistcap.render.raster import barycentric, rasterise
 
-_JUMP = 0.04  # m; a step of depth between neighbouring pixels above this is the rim of one part before another
+_JUMP = 0.04  # m; a larger step of depth between neighbouring pixels is the rim of one part before another
+_KEEP = 4  # segments that a surface point is bound to, at most
 
 SurfaceArrays = tuple[Float, Int, Float, Float]
-"""Surface points at a pose, as kernels take them: segment motions (S, 4, 4), segments (N, K), weights (N, K), rest
-places (N, 3), m. A plain tuple: numba dispatches a named one 1 to 2 µs slower, and a frame has some 60 such calls."""
+"""Surface points at a pose, for kernels: segment motions (S, 4, 4), segments (N, K), weights (N, K), rest places
+(N, 3), m. A plain tuple, which numba dispatches 1 to 2 µs faster than a named one; a frame has some 60 such calls."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class SurfacePoints:
     def __len__(self) -> int:
         return len(self.local)
 
-    @cached_property
+    @cached
     def part(self) -> Int:
         """(N,) the segment that each point is bound to most."""
         best = np.argmax(self.weights, axis=1)
@@ -60,7 +61,7 @@ class SurfacePoints:
         )  # fmt: skip
 
     def bound_to(self, posed: Posed) -> SurfaceArrays:
-        """What a kernel needs to carry the points itself."""
+        """The points at a pose, for kernels."""
         return posed.segment_transforms, self.segments, self.weights, self.local
 
     def at(self, posed: Posed) -> Float:
@@ -88,24 +89,24 @@ class RenderedView:
     face_index: Int
     nearness_image: Float32
 
-    @cached_property
+    @cached
     def px_per_m(self) -> float:
         """Image scale at the body, px/m (0 where none of it is before the camera)."""
         return self.camera.px_per_m(self.nearness)
 
-    @cached_property
+    @cached
     def mask(self) -> Bool:
         """(H, W) silhouette."""
         return self.face_index >= 0
 
-    @cached_property
+    @cached
     def part(self) -> Int:
         """(H, W) visible segment, -1 off the body."""
         return _part_image(self.face_index, self.posed.body.face_part)
 
-    @cached_property
+    @cached
     def inside(self) -> Float32:
-        """(H, W) px from the nearest rim: of the silhouette, or of one part before another."""
+        """(H, W) distance (px) from the nearest rim: of the silhouette, or of one part before another."""
         kept = off_rims(self.nearness_image, self.camera.inverse_depth)
         kept = cv2.copyMakeBorder(kept, 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=1)  # the image's border is no rim
         return np.asarray(cv2.distanceTransform(kept, cv2.DIST_L2, 3)[1:-1, 1:-1], np.float32)
@@ -122,7 +123,7 @@ class RenderedView:
     def visible(self, points: SurfacePoints, tolerance: float, posed: Posed | None = None) -> tuple[Bool, Float]:
         """Which points (N,) lie in the image no more than `tolerance` m behind what is seen; all pixels (N, 2).
 
-        With `posed` they are placed by another pose than the rendered one, such as the one settled since.
+        With `posed` their places are those of another pose than the rendered one.
         """
         pixels, nearness = projected(self.camera, points.at(posed or self.posed))
         return in_sight(pixels, nearness, self.nearness_image, self.camera.inverse_depth, tolerance), pixels
@@ -162,7 +163,7 @@ def in_sight_reference(pixels: Float, nearness: Float, image: Float32, inverse: 
 
 @njit(cache=True, nogil=True)
 def off_rims(nearness: Float32, inverse: bool) -> AnyArray:
-    """(H, W) uint8: 1 on the body, 0 off it and at its rims: beside what is off it, or 4 cm nearer or farther."""
+    """(H, W) uint8: 1 on the body, 0 off it and at rims: beside a pixel off it, or one 4 cm nearer or farther."""
     height, width = nearness.shape
     out = np.zeros((height, width), dtype=np.uint8)
     for r in range(height):
@@ -207,7 +208,7 @@ def body_window(posed: Posed, camera: AnyCamera, margin: float) -> tuple[tuple[i
 
 @njit(cache=True, nogil=True)
 def _bounds(P: Float, points: Float) -> tuple[float, float, float, float]:
-    """Least x, y and largest x, y (px) of world points' (N, 3) projections; upside down where the camera sees none."""
+    """Least x, y and greatest x, y (px) of world points' (N, 3) projections; infinite where all are behind it."""
     left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
     pixels, w = project(P, points)
     for n in range(len(points)):
@@ -227,8 +228,8 @@ def _part_image(face_index: Int, face_part: Int) -> Int:
     return out
 
 
-def surface_points(body: Body, corners: Int, weights: Float, keep: int = 4) -> SurfacePoints:
-    """Surface points from vertex indices (N, M) and their weights (N, M): binding blended, its `keep` largest kept."""
+def surface_points(body: Body, corners: Int, weights: Float, keep: int = _KEEP) -> SurfacePoints:
+    """Surface points from vertex indices (N, M) and their weights (N, M), bound to their `keep` strongest segments."""
     segments, skin = _blend_binding(body.skin_segments, body.skin_weights, corners, weights, keep)
     local = _blend_places(body.vertices, corners, weights)
     return SurfacePoints(segments, skin, local)
@@ -249,7 +250,7 @@ def _blend_places(vertices: Float, corners: Int, weights: Float) -> Float:
 def _blend_binding(
     skin_segments: Int, skin_weights: Float, corners: Int, weights: Float, keep: int
 ) -> tuple[Int, Float]:
-    """Merge the bindings of several vertices; unused places hold weight 0. See `blend_binding_reference`."""
+    """Merged bindings of several vertices; unused places have weight 0. See `blend_binding_reference`."""
     N, M = corners.shape
     K = skin_segments.shape[1]
     segments, out = np.zeros((N, keep), dtype=np.int32), np.zeros((N, keep))
@@ -285,7 +286,7 @@ def _blend_binding(
     return segments, out
 
 
-def blend_binding_reference(body: Body, corners: Int, weights: Float, keep: int = 4) -> Float:
+def blend_binding_reference(body: Body, corners: Int, weights: Float, keep: int = _KEEP) -> Float:
     """Readable twin of the binding kernel, as dense weights (N, S)."""
     dense = np.zeros((len(body.vertices), len(body.segment_names)))
     rows = np.repeat(np.arange(len(body.vertices)), body.skin_segments.shape[1])

@@ -146,7 +146,7 @@ class SlippedLimbs:
 
         They must favour where the limbs are now by itself: one that something hides would be favoured anywhere else.
         """
-        parts = memory.parts[list(found)].any(axis=0)
+        parts = np.asarray(memory.parts[list(found)].any(axis=0), np.bool_)
         if judge.evidence(after.pose) <= self.gain or judge.evidence(after.pose, parts) <= self.gain:
             return False
         now, was = (np.nan_to_num(self._fractions(memory.parts, fit.agreement)) for fit in (after, before))

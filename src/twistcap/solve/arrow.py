@@ -1,6 +1,6 @@
 """Normal equations of a whole sequence: banded in the poses, with a dense border of shared parameters.
 
-The unknowns are F pose steps of D numbers and K parameters that all frames share. A frame meets only its next few,
+The unknowns are F pose steps of D numbers and K parameters of all frames. Rows couple a frame with its next few only,
 so the matrix is an arrow: ``[[A, B], [Bᵀ, C]]`` with A banded. A is factored by LAPACK's banded Cholesky; the border is
 eliminated by its Schur complement (Triggs et al., "Bundle Adjustment", 1999, section 6, DOI 10.1007/3-540-44480-7_21).
 """
@@ -19,7 +19,7 @@ from twistcap.errors import InputError
 
 @dataclass(frozen=True)
 class Marginals:
-    """Covariances of all unknowns, each with all others free.
+    """Marginal covariances of all unknowns.
 
     Attributes:
         poses: (F, D, D) of each pose.
@@ -40,15 +40,15 @@ class _Factor:
 
 
 class Arrow:
-    """Sum of quadratics of F poses, each block of rows touching poses at most `reach` frames apart, and of K shared.
+    """Sum of quadratics of F poses and K shared parameters; rows couple poses at most `reach` frames apart.
 
     Attributes:
         band: (F, reach + 1, D, D), block (t, j) is that of frames t + j (rows) and t (columns).
         border: (F, D, K); corner: (K, K).
         pull, shared_pull: (F, D) and (K,) gradients.
-        value: energy where it was summed.
-        longest: of a step, the largest entry (rad, m) up to which the linearisation can hold, a number or (D,), for
-            each of the F poses by itself; `shared_longest`, a number or (K,), that of the shared parameters.
+        value: energy at the linearisation point.
+        longest: largest entry (rad, m) of a pose's step, a number or (D,); `shared_longest`, a number or (K,), of the
+            shared parameters' step.
     """
 
     def __init__(self, frames: int, dof: int, shared: int, reach: int) -> None:
@@ -87,7 +87,7 @@ class Arrow:
         return math.isfinite(self.value + sum(sums))
 
     def step(self, damping: float = 0.0) -> Float | None:
-        """(F D + K,) minimiser with the diagonal raised by a fraction, poses first; None where there is none.
+        """(F D + K,) minimiser with the diagonal raised by the fraction `damping`, poses first; None if there is none.
 
         The step of each pose is shortened to `longest`, that of the shared parameters to `shared_longest`.
         """
@@ -102,19 +102,15 @@ class Arrow:
         shared /= max(1.0, float(np.abs(shared / self.shared_longest).max(initial=0.0)))
         return np.concatenate([poses.ravel(), shared])
 
-    def unstacked(self, step: Float) -> tuple[Float, Float]:
-        """A step (F D + K,) as those of the poses (F, D) and of the shared parameters (K,)."""
-        return step[: self.pull.size].reshape(self.pull.shape), step[self.pull.size :]
-
-    def marginals(self, damping: float = 0.0) -> Marginals:
-        """Exact marginal covariances (of unit weight), the diagonals raised by the fraction `damping`.
+    def marginals(self) -> Marginals:
+        """Exact marginal covariances (of unit weight).
 
         Raises:
-            InputError: where the equations leave an unknown open, or a number is not finite.
+            InputError: where the equations do not determine an unknown, or a number is not finite.
         """
-        factor = self._factored(damping)
+        factor = self._factored(0.0)
         if factor is None:
-            raise InputError("adjust: the equations leave a pose or a length open; give more frames or views.")
+            raise InputError("adjust: the data do not determine a pose or a length; give more frames or views.")
         F, D, K = self.border.shape
         shared, lean = cho_solve(factor.complement, np.eye(K)), factor.across.reshape(F, D, K)
         return Marginals(diagonal_blocks(factor.band, F, D) + lean @ shared @ lean.transpose(0, 2, 1), shared)
@@ -138,7 +134,7 @@ class Arrow:
             return None
 
     def dense(self) -> Float:
-        """((F D + K), (F D + K)) the whole matrix, to check with."""
+        """((F D + K), (F D + K)) the whole matrix, for tests."""
         F, D, K = self.border.shape
         out = np.zeros((F * D + K, F * D + K))
         for t in range(F):
@@ -175,9 +171,9 @@ def _block(factor: Float, t: int, j: int, D: int) -> Float:
 def diagonal_blocks(factor: Float, frames: int, D: int) -> Float:
     """(F, D, D) diagonal blocks of the inverse of a banded matrix, from its Cholesky factor L in lower band storage.
 
-    From the last frame to the first: with ``G = L_wt L_tt⁻¹`` for the window w of frames that t meets,
+    From the last frame to the first: with ``G = L_wt L_tt⁻¹`` for the window w of frames coupled with t,
     ``Σ_wt = −Σ_ww G`` and ``Σ_tt = (L_tt L_ttᵀ)⁻¹ + Gᵀ Σ_ww G`` (Takahashi, Fagan and Chen 1973; Erisman and Tinney,
-    DOI 10.1145/360680.360704). Exact, and no column of the inverse is ever made.
+    DOI 10.1145/360680.360704). Exact, without the other blocks of the inverse.
     """
     reach = len(factor) // D - 1
     out = np.empty((frames, D, D))

@@ -1,7 +1,6 @@
 """Blocks of variables that know how to take a step, and named sets of them of which some are free.
 
-A pose is a block as it stands, and so is anything else that has `size`, `retract` and `minus`: what a body's shape is
-made of is the business of those who adjust it.
+A block is anything with `dof`, `retract` and `minus`, such as a pose.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from twistcap.camera import Camera
 
 
 class Block(Protocol):
-    """A value that is moved by a step of so many numbers."""
+    """A value that is moved by a step of `dof` numbers."""
 
     @property
     def dof(self) -> int:
@@ -38,7 +37,7 @@ class Block(Protocol):
 
 @dataclass(frozen=True)
 class Vector:
-    """Numbers that are simply added to, inside their limits: an exposure, log-factors of lengths, a clock.
+    """Numbers whose step is added, inside their limits: an exposure, log-factors of lengths, a clock.
 
     Attributes:
         values: (n,) in their own unit.
@@ -60,7 +59,7 @@ class Vector:
         return self.values - other.values
 
     def pressed(self, gradient: Float) -> Bool:
-        """(n,) which numbers stand at a limit and are pushed beyond it by an energy of that gradient."""
+        """(n,) which numbers are at a limit that a step against the gradient would cross."""
         if self.limits is None:
             return np.zeros(self.dof, dtype=np.bool_)
         lower, upper = self.limits.T
@@ -69,11 +68,11 @@ class Vector:
 
 @dataclass(frozen=True)
 class Moment:
-    """A pose between two of a track, and how it moves with them.
+    """A pose between two of a track, and its derivatives.
 
     Attributes:
-        pose: there.
-        frames: the two poses' numbers.
+        pose: the interpolated pose.
+        frames: numbers of the two poses.
         by_frame: (D, D) derivative of the step of `pose` by the step of each of the two.
         velocity: (D,) of `pose` (rad/s, m/s), which is its derivative by time.
     """
@@ -113,9 +112,9 @@ class PoseTrack:
         return np.concatenate([p.minus(o) for p, o in zip(self.poses, other.poses, strict=True)])
 
     def at(self, time: float) -> Moment:
-        """The pose at a time (s), by the constant velocity between the two frames next to it; also somewhat outside.
+        """The pose at a time (s), by the constant velocity of the two frames next to it; it extrapolates outside.
 
-        With ``ξ = log(M₂ M₁⁻¹)`` and the fraction a of the way it is ``exp(a ξ) M₁``. A step δ₁ of M₁ moves it by
+        With ``ξ = log(M₂ M₁⁻¹)`` and the fraction a of the interval it is ``exp(a ξ) M₁``. A step δ₁ of M₁ moves it by
         ``Ad δ₁ − a J(aξ) J⁻¹(−ξ) δ₁``, and δ₂ of M₂ by ``a J(aξ) J⁻¹(ξ) δ₂``, J the left Jacobian, Ad that of exp(a ξ).
         """
         k = int(np.clip(np.searchsorted(self.times, time, side="right") - 1, 0, len(self.poses) - 2))
@@ -131,7 +130,7 @@ class PoseTrack:
 
 @dataclass(frozen=True)
 class CameraBlock:
-    """A camera's place, and if wanted its focal length.
+    """A camera's pose, and optionally its focal length.
 
     The step is the left twist of `T_cam_world` (ω rad, v m; in the camera's axes), then log f.
 
@@ -162,7 +161,7 @@ class CameraBlock:
 
 @dataclass(frozen=True)
 class FixedShape:
-    """A body whose shape is known; see `terms.reprojection.Shaped`."""
+    """A body of known shape; see `terms.reprojection.Shaped`."""
 
     body: Body
 
@@ -173,14 +172,13 @@ class FixedShape:
 
 @dataclass(frozen=True)
 class Variables:
-    """Named blocks, of which some are free: their steps, one after the other in the order of `free`, are one step.
+    """Named blocks, of which some are free; the whole step is that of the free blocks in the order of `free`.
 
     Attributes:
         blocks: by name.
         free: names of those that move.
-        longest: by name, the largest entry of a block's step up to which a linearisation can hold, a number or one for
-            each entry; 1 (rad, m) where nothing is said.
-        fixed: by name, which numbers of a free block stay all the same.
+        longest: by name, the largest entry of a block's step, a number or one for each entry; by default 1 (rad, m).
+        fixed: by name, which numbers of a free block do not move.
     """
 
     blocks: Mapping[str, Any]
@@ -193,7 +191,7 @@ class Variables:
 
     @cached_property
     def slices(self) -> dict[str, slice]:
-        """Where in the step each free block's own stands."""
+        """Place of each free block in the step."""
         ends = np.cumsum([0, *(self.blocks[name].dof for name in self.free)])
         return {name: slice(int(a), int(b)) for name, a, b in zip(self.free, ends[:-1], ends[1:], strict=True)}
 
@@ -203,17 +201,17 @@ class Variables:
         return sum(self.blocks[name].dof for name in self.free)
 
     def longest_step(self, names: Sequence[str] | None = None) -> Float:
-        """(n,) `longest` of every number of the step of these blocks, of all free ones by default."""
+        """(n,) `longest` of every number of the step of these blocks, by default all free ones."""
         names = self.free if names is None else names
         return stacked([np.broadcast_to(self.longest.get(name, 1.0), self.blocks[name].dof) for name in names])
 
     def retract(self, step: Float) -> Variables:
-        """All blocks after a step (size,); those that are not free as they are."""
+        """All blocks after a step (dof,) of the free ones."""
         moved = {name: self.blocks[name].retract(step[own]) for name, own in self.slices.items()}
         return replace(self, blocks={**self.blocks, **moved})
 
     def held(self, gradient: Float) -> Bool:
-        """(size,) which numbers stay: fixed ones, or pressed against a limit by an energy of that gradient."""
+        """(dof,) which numbers are fixed, or at a limit that a step against the gradient would cross."""
         out = np.zeros(self.dof, dtype=np.bool_)
         for name, own in self.slices.items():
             block = self.blocks[name]
@@ -225,11 +223,11 @@ class Variables:
 
     @cached_property
     def memo(self) -> dict[Any, Any]:
-        """What terms have worked out at these values, to be used by others."""
+        """Results of terms at these values that other terms may use."""
         return {}
 
     def minus(self, other: Variables) -> Float:
-        """(size,) the step that `retract` needs to come from `other` to these."""
+        """(dof,) the step that `retract` needs to come from `other` to these."""
         return stacked([self.blocks[name].minus(other.blocks[name]) for name in self.free])
 
 

@@ -11,7 +11,7 @@ from scipy.linalg import get_lapack_funcs
 from twistcap._typing import Bool, Float
 from twistcap.terms import Quadratic
 
-# Cholesky, without the cost of scipy's batching
+# Cholesky; scipy's own functions cost more for one small matrix
 _posv, _potrf, _potri = get_lapack_funcs(("posv", "potrf", "potri"), dtype=np.float64)
 
 
@@ -20,8 +20,7 @@ class Dense(Quadratic):
     """A quadratic over the stacked step of all free blocks, as a system that `minimise` solves.
 
     Attributes:
-        longest: of a step, the largest entry up to which the linearisation can hold: 1 rad (m) for a pose. Where the
-            unknowns have other units, (n,) one for each.
+        longest: largest entry of a step, a number (1 rad or m for a pose) or (n,).
     """
 
     longest: Float | float = 1.0
@@ -32,11 +31,11 @@ class Dense(Quadratic):
         return Dense(quadratic.value, quadratic.gradient, quadratic.hessian, longest)
 
     def finite(self) -> bool:
-        # A sum is finite only where every number is; that it overflows with all of them finite is no use either.
+        # A sum is finite only if every number is.
         return math.isfinite(self.value + float(self.gradient.sum()) + float(self.hessian.sum()))
 
     def step(self, damping: float) -> Float | None:
-        """Minimiser with the diagonal raised, no entry above the longest; None where there is none."""
+        """(n,) minimiser with the diagonal raised, shortened to `longest`; None where there is none."""
         H = self.hessian.copy()
         diagonal = np.diagonal(self.hessian)
         np.fill_diagonal(H, (1.0 + damping) * diagonal + 1e-9 * (1.0 + diagonal.max(initial=0.0)))
@@ -46,7 +45,7 @@ class Dense(Quadratic):
         return step / max(1.0, float(np.abs(step / self.longest).max(initial=0.0)))
 
     def holding(self, held: Bool) -> Dense:
-        """The system in which the unknowns `held` (n,) stay where they are, as at a limit that they press against."""
+        """The system in which the unknowns `held` (n,) do not move, as at a limit."""
         gradient, hessian = np.where(held, 0.0, self.gradient), np.where(held[:, None] | held, 0.0, self.hessian)
         hessian[held, held] = 1.0
         return replace(self, gradient=gradient, hessian=hessian)

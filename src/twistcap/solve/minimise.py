@@ -20,8 +20,9 @@ X = TypeVar("X")
 S = TypeVar("S", bound="System")
 S_co = TypeVar("S_co", bound="System", covariant=True)
 
+_TOLERANCE = 1e-6  # largest entry of a step, in the blocks' own units (rad, m), that counts as converged
 _TRIES = 5  # dampings of one step, each ten times the one before
-_ROUNDING = 1e-12  # of the energy: by so much a step may raise it
+_ROUNDING = 1e-12  # of the energy, by which a step may raise it
 
 
 class System(Protocol):
@@ -33,14 +34,11 @@ class System(Protocol):
         ...
 
     def finite(self) -> bool:
-        """Whether every number of it is finite."""
+        """Whether every number is finite."""
         ...
 
     def step(self, damping: float) -> Float | None:
-        """Its minimiser with the diagonal raised by the fraction `damping`, shortened to where it can hold.
-
-        None where the system cannot be solved.
-        """
+        """Minimiser with the diagonal raised by the fraction `damping`, shortened; None if it cannot be solved."""
         ...
 
 
@@ -52,7 +50,7 @@ class Problem(Protocol[X, S_co]):
         ...
 
     def linearised(self, x: X) -> S_co:
-        """Their sum as a quadratic of the step."""
+        """Their sum, as a quadratic of the step."""
         ...
 
     def retract(self, x: X, step: Float) -> X:
@@ -65,12 +63,12 @@ class Solution(Generic[X, S]):
     """Outcome of `minimise`.
 
     Attributes:
-        x: the best point reached; the first one where nothing better was found.
+        x: the best point reached; the first one if none was better.
         status: "converged" (step below tolerance, or gain too small), "max_iterations", "stalled" (no step lowered the
             energy) or "failed" (a number was not finite).
         steps: accepted steps.
         energies: at that point, by name of term.
-        system: of all terms, at the point where the last step was taken from.
+        system: of all terms, at the point before the last step.
     """
 
     x: X
@@ -87,7 +85,7 @@ class Solution(Generic[X, S]):
 
 @dataclass(frozen=True)
 class _Step(Generic[X]):
-    """An accepted step: where it leads, its size, its damping, and by what fraction the energy fell."""
+    """An accepted step: the new point, the step's size and damping, and the fraction by which the energy fell."""
 
     x: X
     energies: Mapping[str, float]
@@ -96,21 +94,18 @@ class _Step(Generic[X]):
     gain: float
 
 
-def minimise(
-    problem: Problem[X, S], x: X, steps: int = 1, damping: float = 1e-3, tolerance: float = 1e-6, gain: float = 0.0
-) -> Solution[X, S]:
+def minimise(problem: Problem[X, S], x: X, steps: int = 1, damping: float = 1e-3, gain: float = 0.0) -> Solution[X, S]:
     """Minimise the energy of a problem from a point on.
 
-    A step that does not lower the energy is damped ten times more and tried again, and what it took is carried over:
-    the next step begins with a tenth of it, but never below `damping`.
+    A step that does not lower the energy is damped ten times more and tried again. The next step begins with a tenth
+    of the damping that was needed, but not below `damping`.
 
     Args:
         problem: energy, quadratic and retraction.
-        x: where to begin.
-        steps: how many steps to accept at most.
+        x: the starting point.
+        steps: greatest number of accepted steps.
         damping: least factor on the diagonal.
-        tolerance: largest entry of a step, in the blocks' own units (rad, m), that counts as standing still.
-        gain: fraction by which the energy must fall for another step to be worth while.
+        gain: fraction by which the energy must fall for another step to be taken.
     """
     system, energies = problem.linearised(x), None
     status: Status = "max_iterations"
@@ -130,7 +125,7 @@ def minimise(
             break
         x, energies, taken = accepted.x, accepted.energies, taken + 1
         damping = max(0.1 * accepted.damping, least)
-        if accepted.size < tolerance or accepted.gain < gain:
+        if accepted.size < _TOLERANCE or accepted.gain < gain:
             status = "converged"
             break
     return Solution(x, status, taken, energies or problem.energies(x), system)

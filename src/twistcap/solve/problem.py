@@ -1,4 +1,4 @@
-"""The problem of named blocks: which are free, which terms are summed, and in what system."""
+"""The problem of named blocks: the free blocks, the terms, and the system that sums them."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class DenseSums:
         self.hessian[np.ix_(there, there)] += hessian[np.ix_(own, own)]
 
     def system(self) -> Dense:
-        """What has been summed; numbers that are fixed or press against their limits are held."""
+        """The sums as a system; numbers that are fixed or at their limits are held."""
         dense = Dense(self.value, self.gradient, self.hessian, self.x.longest_step())
         held = self.x.held(self.gradient)
         return dense.holding(held) if held.any() else dense
@@ -54,9 +54,9 @@ class DenseSums:
 
 
 class ArrowSums:
-    """Normal equations of a track of poses, each meeting its next few only, with all other free blocks as the border.
+    """Normal equations of a track of poses in a band, with all other free blocks as the border.
 
-    The track stands first among the free blocks. Limits and numbers that are fixed are not heeded here.
+    The track is the first of the free blocks. Limits and fixed numbers are ignored.
     """
 
     def __init__(self, x: Variables, reach: int) -> None:
@@ -101,7 +101,7 @@ class ArrowSums:
 
 
 def _free(x: Variables, places: Sequence[Place]) -> tuple[Int, Int]:
-    """Which numbers of a quadratic are free, and where they stand in the step of all free blocks."""
+    """Which numbers of a quadratic are free, and their places in the step of all free blocks."""
     own, there, start = [np.zeros(0, np.int32)], [np.zeros(0, np.int32)], 0
     for place in places:
         if place.block in x.slices:
@@ -136,11 +136,11 @@ class BlockProblem:
         return self.dense(x) if self.reach is None else self.arrow(x, self.reach)
 
     def dense(self, x: Variables) -> Dense:
-        """That in one matrix, whatever the rows' reach."""
+        """The same in one matrix, whatever the reach."""
         return self._dense_sums(x).system()
 
     def covariance(self, x: Variables) -> Float:
-        """(size, size) marginal covariances of all free blocks, as if there were no limits."""
+        """(dof, dof) marginal covariances of all free blocks, without limits."""
         sums = self._dense_sums(x)
         return covariance(Quadratic(sums.value, sums.gradient, sums.hessian))
 
@@ -151,7 +151,7 @@ class BlockProblem:
         return sums
 
     def arrow(self, x: Variables, reach: int) -> Arrow:
-        """That with the track's poses in a band."""
+        """The same with the track's poses in a band."""
         sums = ArrowSums(x, reach)
         for term in self.terms:
             term.add_to(sums, x)

@@ -1,4 +1,4 @@
-"""A cluttered room behind the person, one picture per camera, and the things that stand before it."""
+"""A cluttered room behind the person, one picture per camera, and occluders in front."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _OVER = 3  # shapes are drawn this many times larger and averaged down: smooth e
 
 
 def background(config: StudioConfig, camera: int) -> Float32:
-    """(H, W, 3) picture in [0, 1] of what a camera sees of the empty room."""
+    """(H, W, 3) picture in [0, 1] of the empty room in a camera."""
     rng = stream(config.seed, "background", camera)
     width, height = config.size
     canvas = _room(rng, width * _OVER, height * _OVER)
@@ -30,7 +30,7 @@ def background(config: StudioConfig, camera: int) -> Float32:
 
 
 def smooth_noise(rng: np.random.Generator, shape: tuple[int, int], spacing: float) -> Float:
-    """(H, W, 3) value noise of unit lattice variance; lattice points lie `spacing` px apart."""
+    """(H, W, 3) value noise of unit lattice variance, on lattice points `spacing` px apart."""
     rows, cols = (_interpolation(n, spacing) for n in shape)
     common = rng.normal(size=(rows.shape[1], cols.shape[1], 1))
     own = rng.normal(size=(rows.shape[1], cols.shape[1], 3))
@@ -64,7 +64,7 @@ def _colour(rng: np.random.Generator, saturation: float) -> tuple[float, ...]:
 
 
 def _draw_shape(canvas: AnyArray, rng: np.random.Generator, k: int) -> None:
-    """One rectangle, ellipse or line; the first ones are large (furniture), later ones smaller (things)."""
+    """One rectangle, ellipse or line; the first ones are large (furniture), later ones smaller."""
     height, width = canvas.shape[:2]
     extent = height * (0.32 if k < 10 else 0.14) * rng.uniform(0.3, 1.0, size=2)
     centre = (float(rng.uniform(0, width)), float(rng.uniform(0, height)))
@@ -81,7 +81,7 @@ def _draw_shape(canvas: AnyArray, rng: np.random.Generator, k: int) -> None:
 
 
 def occluder_layer(config: StudioConfig, camera: int) -> Float32:
-    """(H, W, 4) colour times coverage, and coverage, of posts and boxes that stand before the person."""
+    """(H, W, 4) colour times coverage, and coverage, of posts and boxes in front of the person."""
     rng = stream(config.seed, "occluders", camera)
     width, height = config.size
     layer = np.zeros((height, width, 4))

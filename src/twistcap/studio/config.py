@@ -1,4 +1,4 @@
-"""What a synthetic capture is made of: one frozen value, checked once; the same value gives the same pixels."""
+"""Settings of a synthetic capture; equal settings give equal pixels."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ Variant = Literal["full", "legs"]
 
 @dataclass(frozen=True)
 class Board:
-    """A board that hides some segments of the body in some views for a while, and nothing else of it.
+    """A board that occludes some segments of the body in some views for a while, and no others.
 
-    It stands between those segments and the rest of the body, wherever the cameras are, and is as large as the segments
-    need while it is there. It does not move, so that its edges tell nothing of them.
+    It is drawn between those segments and the rest of the body, large enough to cover them while it is there. It does
+    not move, so that its edges give no evidence of them.
 
     Attributes:
-        segments: that are hidden, ``("femur_r", "tibia_r", "foot_r")``.
+        segments: that are occluded, ``("femur_r", "tibia_r", "foot_r")``.
         first, last: frames in which it is there, both included.
-        cameras: in whose views it stands, by number; all by default.
+        cameras: numbers of the views with the board; by default all.
     """
 
     segments: tuple[str, ...]
@@ -33,7 +33,7 @@ class Board:
     cameras: tuple[int, ...] | None = None
 
     def stands(self, frame: int, camera: int) -> bool:
-        """Whether it is seen."""
+        """Whether it is in a camera's frame."""
         return self.first <= frame <= self.last and (self.cameras is None or camera in self.cameras)
 
 
@@ -42,30 +42,33 @@ class StudioConfig:
     """A synthetic capture.
 
     Attributes:
-        seed: chooses clothes, texture, background, lights, stature, gait and camera angles.
+        seed: of clothes, texture, background, lights, stature, gait and camera angles.
         views: number of cameras on the ring, 1-8.
         size: (width, height) of the images, px. The person fills about 0.68 of the height.
         frames: number of frames.
         fps: frames per second.
-        motion: "gait"; other motions are handed to `capture` as poses.
+        motion: "gait"; other motions are given to `capture` as poses.
         condition: "exact", or "mismatch": body, cameras and first pose of the tracker differ from the truth.
         hard: person and background have nearly the same greys and colours.
-        one_colour: the whole body in one colour without texture; only its shading is left.
+        one_colour: the whole body has one colour and no texture, only shading.
         colour: RGB images; otherwise grey ones.
-        speed_factor: how many times faster than real the motion is played.
-        dropped: spans (first, last) of frames, both included, that no camera delivers, or (first, last, camera).
-        uniform_noise: share of pixels in [0, 1] replaced by uniform noise, or its knots, evenly spaced over the
+        speed_factor: playback speed of the motion.
+        dropped: spans (first, last) of frames, both included, without images, or (first, last, camera).
+        uniform_noise: fraction of pixels in [0, 1] replaced by uniform noise, or its knots, evenly spaced over the
             sequence: (0, 1, 0) rises from none to all and falls again.
-        rectangles: rectangles of random place, size and colour painted over each image anew.
-        occluders: things that stand before the person in each view, the same in all frames.
-        boards: things that hide chosen parts of the person for a while.
-        cloth: m that the texture of shirt and trousers slides over the surface, as loose cloth does: 0 is tight.
-        passers: textured things that move behind the person.
-        plates: old photographs: low contrast, exposures that differ from one to the next, grain.
-        motion_blur: sub-frames averaged over the time the shutter is open; 1 is a sharp image.
-        shutter: open time as a share of the frame interval, centred on the frame's time.
+        rectangles: number of rectangles of random place, size and colour in each image.
+        occluders: number of occluders in each view, the same in all frames.
+        boards: occluders of chosen parts of the person for a while.
+        cloth: motion (m) of the texture of shirt and trousers over the surface, as of loose cloth; 0 is tight.
+        passers: number of textured things that move behind the person.
+        plates: old photographs: low contrast, varying exposure, grain.
+        motion_blur: number of sub-frames averaged over the open time of the shutter; 1 is a sharp image.
+        shutter: open time as a fraction of the frame interval, centred on the frame's time.
         sensor_noise: standard deviation of Gaussian noise, in intensities of [0, 1].
         variant: of the built-in humanoid, when no body is given.
+
+    Raises:
+        InputError: for values out of range.
     """
 
     seed: int = 0
@@ -112,14 +115,14 @@ class StudioConfig:
         shaped = all(len(span) in (2, 3) and span[0] <= span[1] for span in self.dropped)
         _expect(shaped, "dropped", self.dropped, "spans (first, last) or (first, last, camera)")
 
-    def noise_share(self, frame: int) -> float:
-        """Share of the pixels of a frame that uniform noise replaces."""
+    def noise_fraction(self, frame: int) -> float:
+        """Fraction of the pixels of a frame that uniform noise replaces."""
         knots = np.atleast_1d(np.asarray(self.uniform_noise, float))
         at = frame / max(1, self.frames - 1)
         return float(np.interp(at, np.linspace(0.0, 1.0, len(knots)), knots))
 
     def is_dropped(self, frame: int, camera: int) -> bool:
-        """Whether a camera does not deliver a frame."""
+        """Whether a camera has no image of a frame."""
         return any(s[0] <= frame <= s[1] and (len(s) == 2 or s[2] == camera) for s in self.dropped)
 
 
@@ -129,5 +132,5 @@ def _expect(holds: bool, field: str, value: object, wanted: str) -> None:
 
 
 def stream(seed: int, purpose: str, *index: int) -> np.random.Generator:
-    """The random numbers of one purpose (and frame, camera …), independent of all others and of the order of calls."""
+    """Random numbers of one purpose (and frame, camera …), independent of all others and of the order of calls."""
     return np.random.default_rng(np.random.SeedSequence((seed, zlib.crc32(purpose.encode()), *index)))

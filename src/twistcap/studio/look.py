@@ -1,4 +1,4 @@
-"""What a person looks like: clothes, solid texture and the lights of the room."""
+"""Appearance of a person: clothes, solid texture and the lights of the room."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from twistcap.studio.shade import LATTICE_BITS
 GARMENTS = ("skin", "hair", "shirt", "trousers", "shoes")
 _CONTRAST = np.array([0.11, 0.14, 0.18, 0.18, 0.18])  # of the texture on each garment
 GREY = np.array([0.299, 0.587, 0.114])  # weights of red, green and blue in a grey image (ITU-R BT.601)
-HARD_GREY = 0.47  # the grey that person and background share in hard scenes
+HARD_GREY = 0.47  # the grey of both person and background in hard scenes
 _SKIN = np.array([[0.94, 0.78, 0.68], [0.82, 0.62, 0.50], [0.60, 0.42, 0.32], [0.40, 0.27, 0.20]])
 _HAIR = np.array([[0.12, 0.09, 0.08], [0.35, 0.22, 0.13], [0.70, 0.55, 0.33], [0.55, 0.54, 0.53]])
 
 
 @dataclass(frozen=True)
 class Look:
-    """Everything the shading kernel needs beside the geometry; see `shade.shade`.
+    """Input of the shading kernel beside the geometry; see `shade.shade`.
 
     Attributes:
-        cover: (V, G) share of each garment in each vertex.
+        cover: (V, G) fraction of each garment in each vertex.
         albedo: (G, 3) colour of each garment; contrast: (G,) of the texture on it.
         lattice: (n³, 3) random values with mean 0 that the texture interpolates.
         lights: (L + 1, 6) unit direction (world) and colour of each light; the last row is the ambient light.
@@ -39,9 +39,9 @@ class Look:
 
 
 def look(body: Body, config: StudioConfig) -> Look:
-    """Dress a body and light it, as the seed says."""
+    """Clothes and lights of a body, by the seed."""
     cut = stream(config.seed, "cut")
-    cover = garment_shares(body, bool(cut.random() < 0.6), bool(cut.random() < 0.35))
+    cover = garment_fractions(body, bool(cut.random() < 0.6), bool(cut.random() < 0.35))
     albedo, contrast = wardrobe(config), _CONTRAST.copy()
     lights = _lights(stream(config.seed, "lights"))
     if config.one_colour:
@@ -52,23 +52,20 @@ def look(body: Body, config: StudioConfig) -> Look:
     return Look(cover, albedo, contrast, _lattice(stream(config.seed, "texture")), lights)
 
 
-def garment_shares(body: Body, short_sleeves: bool, shorts: bool) -> Float:
-    """(V, G) share of each garment in each vertex.
-
-    It follows the skinning weights, so that hems run smoothly across triangles where the weights are smooth.
-    """
+def garment_fractions(body: Body, short_sleeves: bool, shorts: bool) -> Float:
+    """(V, G) fraction of each garment in each vertex, by the skinning weights, which makes smooth hems."""
     worn = [GARMENTS.index(_garment(name, short_sleeves, shorts)) for name in body.segment_names]
     cover = np.zeros((len(body.vertices), len(GARMENTS)))
     for k in range(body.skin_segments.shape[1]):
         np.add.at(cover, (np.arange(len(cover)), np.array(worn)[body.skin_segments[:, k]]), body.skin_weights[:, k])
-    hair = _hair_share(body) * cover[:, 0]
+    hair = _hair(body) * cover[:, 0]
     cover[:, 0] -= hair
     cover[:, GARMENTS.index("hair")] = hair
     return cover
 
 
 def _garment(segment: str, short_sleeves: bool, shorts: bool) -> str:
-    """What covers a segment, by its name."""
+    """The garment of a segment, by its name."""
     rules = [
         (("head", "neck", "hand", "radius"), "skin"),
         (("ulna", "forearm"), "skin" if short_sleeves else "shirt"),
@@ -79,8 +76,8 @@ def _garment(segment: str, short_sleeves: bool, shorts: bool) -> str:
     return next((g for keys, g in rules if any(k in segment.lower() for k in keys)), "shirt")
 
 
-def _hair_share(body: Body) -> Float:
-    """(V,) share of hair on the crown and back of a head (x is forward, z up), smooth across the hairline."""
+def _hair(body: Body) -> Float:
+    """(V,) fraction of hair on the crown and back of a head (x forward, z up), smooth across the hairline."""
     heads = [s for s, name in enumerate(body.segment_names) if "head" in name.lower()]
     on_head = np.isin(body.vertex_part, heads)
     if not on_head.any():
@@ -112,14 +109,14 @@ def _cloth(rng: np.random.Generator, darkest: float, lightest: float) -> Float:
 
 
 def _lattice(rng: np.random.Generator) -> Float32:
-    """Channels share most of their values, so that the texture is light and dark rather than a rainbow."""
+    """(n³, 3) lattice; channels are strongly correlated, so that the texture varies in lightness rather than hue."""
     n = (1 << LATTICE_BITS) ** 3
     values = np.clip(0.96 * rng.normal(size=(n, 1)) + 0.18 * rng.normal(size=(n, 3)), -2.5, 2.5)
     return (values - values.mean()).astype(np.float32)
 
 
 def _lights(rng: np.random.Generator) -> Float:
-    """A key light from above and a weaker one from about the other side, slightly warm and cold, and ambient light."""
+    """A key light from above, a weaker one from about the opposite side, slightly warm or cold, and ambient light."""
     azimuth = rng.uniform(0, 2 * np.pi)
     key = _light(azimuth, rng.uniform(0.6, 1.0), rng.uniform(0.46, 0.6), rng.normal(0, 0.03))
     other = _light(azimuth + rng.uniform(1.8, 4.4), rng.uniform(0.2, 0.7), rng.uniform(0.12, 0.26), rng.normal(0, 0.03))
@@ -127,7 +124,7 @@ def _lights(rng: np.random.Generator) -> Float:
 
 
 def mean_light(lights: Float) -> Float:
-    """(3,) light on a surface, averaged over all the directions that it may face."""
+    """(3,) light on a surface, averaged over all orientations."""
     return 0.85 * lights[-1, 3:] + 0.25 * lights[:-1, 3:].sum(axis=0)
 
 

@@ -1,4 +1,4 @@
-"""What moves but neither as the body nor as the room: loose cloth, and things that pass behind."""
+"""Motion that is neither the body's nor the room's: loose cloth, and things that pass behind."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from twistcap.studio.background import smooth_noise
 from twistcap.studio.config import StudioConfig, stream
 
 _WAVES = 6
-_WAVE, _SWINGS = (0.10, 0.25), (0.8, 2.5)  # m, wavelength of the folds; 1/s, how often they swing
+_WAVE, _SWINGS = (0.10, 0.25), (0.8, 2.5)  # m, wavelength of the folds; 1/s, their frequency
 _LOOSE = ("femur", "tibia", "thigh", "shank", "humerus", "torso", "thorax", "ulna")
 
 
 def flutter(body: Body, config: StudioConfig, frame: int) -> Float | None:
-    """(V, 3) m by which the texture of loose cloth slides over the rest pose in a frame; None for tight clothes.
+    """(V, 3) m displacement of the texture of loose cloth over the rest pose in a frame; None for tight clothes.
 
-    Travelling waves of several lengths and directions, `config.cloth` their root mean square.
+    Travelling waves of several lengths and directions, with a root mean square of `config.cloth`.
     """
     if config.cloth == 0.0:
         return None
@@ -28,12 +28,12 @@ def flutter(body: Body, config: StudioConfig, frame: int) -> Float | None:
         phase = 2 * np.pi * (body.vertices @ along / rng.uniform(*_WAVE) + time * rng.uniform(*_SWINGS) + rng.random())
         out += np.sin(phase)[:, None] * slide
     loose = np.array([any(name.startswith(part) for part in _LOOSE) for name in body.segment_names])
-    share = np.sum(body.skin_weights * loose[body.skin_segments], axis=1)
-    return config.cloth / np.sqrt(_WAVES / 2) * share[:, None] * out
+    fraction = np.sum(body.skin_weights * loose[body.skin_segments], axis=1)
+    return config.cloth / np.sqrt(_WAVES / 2) * fraction[:, None] * out
 
 
 def passer(room: Float32, config: StudioConfig, number: int, camera: int, frame: int) -> None:
-    """Paints something with a texture of its own that crosses the picture (H, W, 3), in place."""
+    """Paint a textured thing that crosses the picture (H, W, 3), in place."""
     rng = stream(config.seed, "passers", number, camera)
     height, width = room.shape[:2]
     w, h = int(width * rng.uniform(0.08, 0.16)), int(height * rng.uniform(0.3, 0.75))
@@ -42,9 +42,8 @@ def passer(room: Float32, config: StudioConfig, number: int, camera: int, frame:
     y = int(rng.uniform(0.15, 0.5) * height)
     cell = rng.uniform(0.15, 0.85) * (1.0 + 0.25 * smooth_noise(rng, (h, w + 1), 5.0 * height / 280))
     shift = x - np.floor(x)
-    strip = (1 - shift) * np.pad(cell[:, :w], ((0, 0), (0, 1), (0, 0))) + shift * np.pad(
-        cell[:, :w], ((0, 0), (1, 0), (0, 0))
-    )
+    left, right = (np.pad(cell[:, :w], ((0, 0), pad, (0, 0))) for pad in ((0, 1), (1, 0)))
+    strip = (1 - shift) * left + shift * right
     cover = np.ones(w + 1)
     cover[0], cover[-1] = 1 - shift, shift
     first = int(np.floor(x))

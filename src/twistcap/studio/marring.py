@@ -1,4 +1,4 @@
-"""What spoils an image after the lens: sensor noise, painted rectangles, uniform noise."""
+"""Disturbances of an image after the lens: sensor noise, painted rectangles, uniform noise."""
 
 from __future__ import annotations
 
@@ -9,10 +9,7 @@ from twistcap.studio.config import StudioConfig, stream
 
 
 def marred(picture: Float32, config: StudioConfig, frame: int, camera: int) -> UInt8:
-    """The camera's file of a picture (H, W, 3) or (H, W) in [0, 1]: noise, rectangles, uniform noise, 8 bits.
-
-    The picture itself is used up.
-    """
+    """The camera's 8-bit image of a picture (H, W, 3) or (H, W) in [0, 1], which is overwritten."""
     if config.plates:
         _photograph(picture, stream(config.seed, "plate", camera, frame))
     if config.sensor_noise > 0:
@@ -20,13 +17,13 @@ def marred(picture: Float32, config: StudioConfig, frame: int, camera: int) -> U
         noise *= np.float32(config.sensor_noise)
         picture += noise
     paint_rectangles(picture, config.rectangles, stream(config.seed, "rectangles", camera, frame))
-    replace_pixels(picture, config.noise_share(frame), stream(config.seed, "uniform", camera, frame))
+    replace_pixels(picture, config.noise_fraction(frame), stream(config.seed, "uniform", camera, frame))
     picture *= np.float32(255)
     return np.clip(np.rint(picture, out=picture), 0, 255, out=picture).astype(np.uint8)
 
 
 def _photograph(picture: Float32, rng: np.random.Generator) -> None:
-    """Half the contrast, an exposure of its own, and grain, in place."""
+    """Half the contrast, a random exposure, and grain, in place."""
     gain, offset = 1.0 + 0.08 * rng.standard_normal(), 0.03 * rng.standard_normal()
     picture *= np.float32(0.5 * gain)
     picture += np.float32(0.25 * gain + offset)
@@ -34,7 +31,7 @@ def _photograph(picture: Float32, rng: np.random.Generator) -> None:
 
 
 def paint_rectangles(picture: Float32, count: int, rng: np.random.Generator) -> None:
-    """Paints rectangles of random place, colour and size (up to a tenth of the width) into a picture, in place."""
+    """Paint rectangles of random place, colour and size (up to a tenth of the width) into a picture, in place."""
     height, width = picture.shape[:2]
     for _ in range(count):
         x, y = rng.integers(0, width), rng.integers(0, height)
@@ -42,9 +39,9 @@ def paint_rectangles(picture: Float32, count: int, rng: np.random.Generator) -> 
         picture[y : y + h, x : x + w] = rng.random(picture.shape[2:])
 
 
-def replace_pixels(picture: Float32, share: float, rng: np.random.Generator) -> None:
-    """Replaces a share of the pixels by uniform noise in every channel, in place."""
-    if share <= 0:
+def replace_pixels(picture: Float32, fraction: float, rng: np.random.Generator) -> None:
+    """Replace a fraction of the pixels by uniform noise in every channel, in place."""
+    if fraction <= 0:
         return
-    hit = rng.random(picture.shape[:2]) < share
+    hit = rng.random(picture.shape[:2]) < fraction
     picture[hit] = rng.random((int(hit.sum()), *picture.shape[2:]))

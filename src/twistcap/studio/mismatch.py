@@ -1,4 +1,4 @@
-"""How the tracker's knowledge differs from the truth in `mismatch` scenes, as it always does in a laboratory."""
+"""Errors of the tracker's body, cameras and first pose in `mismatch` scenes, as in a laboratory."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from twistcap.camera import Camera, Rig
 
 GIRTH = 1.04  # factor of the surface's distance from each segment's axis
 BUMPS = 0.004  # m, root mean square of the smooth surface error along the normals
-BUMP_WAVE = 0.15  # m, wavelength of the bumps
-JOINT_NOISE = 0.006  # m, each joint centre is moved this far, in a random direction
-CAMERA_DEG, CAMERA_FOCAL = 0.05, 0.002  # each camera is turned by this angle and its focal length wrong by this share
-POSE_DEG, ROOT_SHIFT, ROOT_DEG = 1.0, 0.005, 1.0  # first pose: uniform ± per joint; root moved and turned this far
+BUMP_WAVE, BUMP_COUNT = 0.15, 24  # m, wavelength of the bumps; number of waves
+JOINT_NOISE = 0.006  # m, error of each joint centre, in a random direction
+CAMERA_DEG, CAMERA_FOCAL = 0.05, 0.002  # error of each camera's orientation, and relative error of its focal length
+POSE_DEG, ROOT_SHIFT, ROOT_DEG = 1.0, 0.005, 1.0  # first pose: uniform ± per joint; error of the root (m, deg)
 
 
 def wrong_body(body: Body, rng: np.random.Generator) -> Body:
@@ -38,10 +38,10 @@ def fattened(body: Body, factor: float) -> Body:
     return replace(body, vertices=skin_points(maps, body.skin_segments, body.skin_weights, body.vertices))
 
 
-def bumpy(body: Body, height: float, rng: np.random.Generator, waves: int = 24) -> Body:
-    """The surface moved along its normals by a random smooth field of the given root mean square (m)."""
-    directions = _directions(rng, waves)
-    phases = rng.uniform(0, 2 * np.pi, waves)
+def bumpy(body: Body, height: float, rng: np.random.Generator) -> Body:
+    """The surface moved along its normals by a random smooth field with a root mean square of `height` m."""
+    directions = _directions(rng, BUMP_COUNT)
+    phases = rng.uniform(0, 2 * np.pi, BUMP_COUNT)
     field = np.sin(body.vertices @ directions.T * (2 * np.pi / BUMP_WAVE) + phases).sum(axis=1)
     field *= height / np.sqrt(np.mean(field**2))
     normals = unit_vertex_normals(body.vertices, body.faces)
@@ -49,16 +49,13 @@ def bumpy(body: Body, height: float, rng: np.random.Generator, waves: int = 24) 
 
 
 def with_joint_noise(body: Body, distance: float, rng: np.random.Generator) -> Body:
-    """Every joint centre moved by `distance` (m) in a random direction, the landmark that marks it along with it.
-
-    The axes keep their directions and the surface its place, so that the pose of the truth still means the same.
-    """
+    """Every joint centre moved, with its landmark, by `distance` (m) in a random direction; see `joints_moved`."""
     jointed = [name for name, joint in zip(body.segment_names, body.segment_joint, strict=True) if joint >= 0]
     return joints_moved(body, {name: distance * _directions(rng, 1)[0] for name in jointed})
 
 
 def wrong_rig(rig: Rig, rng: np.random.Generator) -> Rig:
-    """Every camera turned by 0.05° about a random axis through its centre, its focal length 0.2 % off."""
+    """Every camera turned by 0.05° about a random axis through its centre, its focal length wrong by 0.2 %."""
     return Rig(tuple(_wrong_camera(camera, rng) for camera in rig))
 
 
@@ -70,7 +67,7 @@ def _wrong_camera(camera: Camera, rng: np.random.Generator) -> Camera:
 
 
 def wrong_pose(body: Body, pose: Pose, rng: np.random.Generator) -> Pose:
-    """The pose with joints uniformly ± 1° off, its root moved 5 mm and turned 1° about the middle of the body."""
+    """The pose with uniform errors of ± 1° in the joints, the root moved 5 mm and turned 1° about the body's middle."""
     middle = Posed(body, pose).vertices.mean(axis=0)
     turn = se3.exp_rotation(np.deg2rad(ROOT_DEG) * _directions(rng, 1)[0])
     shift = ROOT_SHIFT * _directions(rng, 1)[0]

@@ -17,7 +17,7 @@ from twistcap._typing import Float, Int
 from twistcap.body import Body, Pose, Posed
 from twistcap.errors import InputError
 
-_PHASES = 120  # samples of one cycle on which root motion is worked out
+_PHASES = 120  # samples of one cycle for the root motion
 _HARMONICS = 8
 _WALK_RATIO = 0.0064  # m per (step/min): step length over cadence of adults (Sekiya et al. 1997, Gait Posture 5:201)
 
@@ -69,7 +69,7 @@ def gait(
         fps: frames per second.
         frames: how many poses.
         speed: m/s, met exactly; the stride is widened or narrowed to it.
-        cadence: steps per minute; by default the one at which adults walk at this speed.
+        cadence: steps per minute; by default that of adults at this speed.
         heading: direction of the walk, rad from +x towards +y.
         start: where mid-hip begins on the floor, m.
         phase: of the first frame, in cycles; 0 is the right heel strike.
@@ -96,9 +96,9 @@ class _Cycle:
     offset: Float
 
 
-def fourier(samples: Float, at: Float, harmonics: int = _HARMONICS) -> Float:
+def fourier(samples: Float, at: Float) -> Float:
     """Values (M, ...) at phases (M,) of the truncated Fourier series through one cycle of samples (N, ...)."""
-    c = np.fft.rfft(samples, axis=0)[: harmonics + 1] / len(samples)
+    c = np.fft.rfft(samples, axis=0)[: _HARMONICS + 1] / len(samples)
     c[1:] *= 2.0
     waves = np.exp(2j * np.pi * np.outer(at, np.arange(len(c))))
     return np.real(np.tensordot(waves, c, axes=1))
@@ -124,7 +124,7 @@ def _angles(swing: float) -> dict[str, Float]:
 
 
 def _pelvis(angles: dict[str, Float], n: int) -> Float:
-    """(3, 3) rotation of the pelvis: turned, then tipped sideways, then tilted forward (Baker 2001)."""
+    """(3, 3) rotation of the pelvis: rotation, then obliquity, then tilt (Baker 2001)."""
     turn = se3.exp_rotation(np.array([0, 0, angles["pelvis_rotation"][n]]))
     tip = se3.exp_rotation(np.array([-angles["pelvis_obliquity"][n], 0, 0]))
     return turn @ tip @ se3.exp_rotation(np.array([0, angles["pelvis_tilt"][n], 0]))
@@ -135,7 +135,7 @@ def _coordinates(body: Body, angles: dict[str, Float], n: int) -> Float:
 
 
 def _cycle_of_stride(body: Body, stride: float) -> _Cycle:
-    """The cycle whose stride has the asked length: the swing of the hips is found by the secant rule."""
+    """The cycle with this stride length (m), by the secant method on the swing of the hips."""
     a, b = 1.0, 0.9
     first, second = _grounded(body, a), _grounded(body, b)
     for _ in range(4):
@@ -153,7 +153,7 @@ def _grounded(body: Body, swing: float) -> _Cycle:
     angles, near = _angles(swing), _near_ground(body)
     feet = np.array([_surface(body, near, angles, n) for n in range(_PHASES)])
     low = feet[:, :, 2].min(axis=1)
-    load = np.exp(-(feet[:, :, 2] - low[:, None]) / 0.006) * _stance(body, near)  # share of the ground contact
+    load = np.exp(-(feet[:, :, 2] - low[:, None]) / 0.006) * _stance(body, near)  # weights of the ground contact
     ahead = np.roll(feet, -1, axis=0) - feet
     both = load * np.roll(load, -1, axis=0)
     slip = (both[..., None] * ahead[..., :2]).sum(axis=1) / both.sum(axis=1)[:, None]
@@ -173,7 +173,7 @@ def _near_ground(body: Body) -> Int:
 
 
 def _stance(body: Body, near: Int) -> Float:
-    """(_PHASES, N) how far each vertex may bear load: those of a leg in its stance, 0 to 60 % of its cycle."""
+    """(_PHASES, N) weight of each vertex as ground contact: those of a leg in its stance, 0 to 60 % of its cycle."""
     out = np.full((_PHASES, len(near)), 1e-6)
     for side, shift in (("r", 0.0), ("l", 0.5)):
         if f"hip_flexion_{side}" in body.coordinate_names:

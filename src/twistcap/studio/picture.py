@@ -28,7 +28,7 @@ class Layer:
     pixels: Float32
 
     def over(self, picture: Float32) -> None:
-        """Lays the window over a picture (H, W, 3), in place."""
+        """Lay the window over a picture (H, W, 3), in place."""
         h, w = self.pixels.shape[:2]
         part = picture[self.y : self.y + h, self.x : self.x + w]
         part *= 1.0 - self.pixels[..., 3:]
@@ -36,10 +36,10 @@ class Layer:
 
 
 def render_body(posed: Posed, camera: Camera, look: Look, slide: Float | None = None) -> Layer:
-    """A body as a camera without distortion sees it, in the window that it covers.
+    """A body in a camera without distortion, in the window that it covers.
 
-    Sample ``SAMPLES * i + (SAMPLES - 1) / 2`` is the centre of pixel i: `Camera.scaled` keeps that exactly.
-    The texture is looked up `slide` (V, 3) m from the vertices of the rest pose.
+    Sample ``SAMPLES * i + (SAMPLES - 1) / 2`` is the centre of pixel i, as in `Camera.scaled`. The texture is looked
+    up at `slide` (V, 3) m from the vertices of the rest pose.
     """
     faces, n = posed.body.faces, SAMPLES
     pixels, inverse_depth = project(camera.scaled(n).P, posed.vertices)
@@ -55,7 +55,7 @@ def render_body(posed: Posed, camera: Camera, look: Look, slide: Float | None = 
 
 
 def _window(samples: Float, size: tuple[int, int]) -> tuple[Float, Float]:
-    """First pixel and the one after the last (x, y) of the window that holds all samples and lies in the image."""
+    """First pixel and the one after the last (x, y) of the window of all samples, within the image."""
     if len(samples) == 0:
         return np.zeros(2), np.zeros(2)
     low = np.floor(samples.min(axis=0) / SAMPLES) - 1
@@ -66,13 +66,13 @@ def _window(samples: Float, size: tuple[int, int]) -> tuple[Float, Float]:
 def picture_of(
     moments: Sequence[Posed], camera: Camera, look: Look, room: Float32, slide: Float | None = None
 ) -> Float32:
-    """(H, W, 3) the room with the body in it, averaged over the moments in which the shutter is open."""
+    """(H, W, 3) the room with the body, averaged over the moments of the open shutter."""
     pictures = [room.copy() for _ in moments]
     for posed, picture in zip(moments, pictures, strict=True):
         render_body(posed, camera, look, slide).over(picture)
     return pictures[0] if len(pictures) == 1 else np.mean(np.stack(pictures), axis=0).astype(np.float32)
 
 
-def between(first: Pose, second: Pose, share: float) -> Pose:
-    """The pose a share of the way from one to another; shares outside [0, 1] go on beyond them."""
-    return first.retract(share * second.minus(first))
+def between(first: Pose, second: Pose, fraction: float) -> Pose:
+    """The pose at a fraction of the way from one to another; outside [0, 1] it is extrapolated."""
+    return first.retract(fraction * second.minus(first))

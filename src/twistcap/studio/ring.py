@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike
 from twistcap._typing import Float
 from twistcap.camera import Camera, Rig, look_at
 
-STEREO_ANGLE_DEG = 135.0  # two cameras work best about 135° apart; 90° and 160° were measured to be worse
+STEREO_ANGLE_DEG = 135.0  # between two cameras; 90° and 160° were measured to be worse
+_MARGIN = 0.03  # of the image, on each side
 
 
 def ring(
@@ -22,7 +23,7 @@ def ring(
     focal: float | None = None,
     offset_deg: float = 0.0,
 ) -> Rig:
-    """Cameras evenly spaced on a circle, all looking at one point; two stand 135° apart.
+    """Cameras evenly spaced on a circle, all looking at one point; two are 135° apart.
 
     Args:
         views: number of cameras, named cam01 ….
@@ -51,14 +52,14 @@ def with_focal(rig: Rig, factor: float) -> Rig:
     return Rig(tuple(replace(c, K=np.diag([factor, factor, 1.0]) @ (c.K - _principal(c)) + _principal(c)) for c in rig))
 
 
-def zoom_to_fit(rig: Rig, points: Float, margin: float = 0.03) -> Rig:
-    """The rig zoomed out, if it must, until all points (N, 3) lie inside every image, less a share for the margin."""
+def zoom_to_fit(rig: Rig, points: Float) -> Rig:
+    """The rig zoomed out, if needed, until all points (N, 3) are inside every image with a margin."""
     reach = 0.0
     for camera in rig:
         half = (np.array(camera.size) - 1) / 2
         pixels, _ = camera.project(points)
         reach = max(reach, float(np.max(np.abs(pixels - half) / half)))
-    return with_focal(rig, min(1.0, (1.0 - 2 * margin) / reach))
+    return with_focal(rig, min(1.0, (1.0 - 2 * _MARGIN) / reach))
 
 
 def _principal(camera: Camera) -> Float:

@@ -1,4 +1,4 @@
-"""Synthetic captures with exact truth: a textured person walks through a cluttered room before a ring of cameras."""
+"""Synthetic captures with exact truth: a textured person walks through a cluttered room inside a ring of cameras."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from twistcap.studio.motion import gait
 from twistcap.studio.picture import Layer, between, picture_of, render_body
 from twistcap.studio.ring import ring, zoom_to_fit
 
-PERSON_SHARE = 0.68  # of the image's height, for a person in the middle of the ring: 190 px of 280
-BORDER = 3.0  # px that a board is larger than what it hides
+PERSON_HEIGHT = 0.68  # fraction of the image's height, for a person in the middle of the ring: 190 px of 280
+BORDER = 3.0  # px that a board is larger than the segments that it occludes
 RADIUS = 2.9  # of the ring, in statures
-# Direction of the first camera from the walking direction, deg, by number of views. Two cameras look at the person's
-# left and right from the front, so that each arm is seen by one of them.
+# Direction of the first camera from the walking direction, deg, by number of views. Two cameras are at the front left
+# and right, so that each arm is visible in one of them.
 FIRST_CAMERA_DEG = {1: 60.0, 2: -67.5}
 
 
@@ -38,9 +38,9 @@ class Capture:
     """A synthetic recording. A tracker may see `frames()`, `body`, `rig` and `first_pose`; the rest is the truth.
 
     Attributes:
-        config: what was asked for.
-        true_body, true_rig, true_poses: what the pictures show, pose by frame.
-        body, rig, first_pose: the tracker's knowledge; equal to the truth in `exact` scenes.
+        config: of the capture.
+        true_body, true_rig, true_poses: the truth, with one pose per frame.
+        body, rig, first_pose: the tracker's input; equal to the truth in `exact` scenes.
         look: clothes, texture, lights.
     """
 
@@ -60,7 +60,7 @@ class Capture:
 
     @cached_property
     def occluders(self) -> tuple[Float32, ...]:
-        """What stands before the person in each view, (H, W, 4) colour times coverage, and coverage."""
+        """The occluders in each view, (H, W, 4) colour times coverage, and coverage."""
         return tuple(occluder_layer(self.config, c) for c in range(len(self.true_rig)))
 
     @cached_property
@@ -75,7 +75,7 @@ class Capture:
     def frame(self, index: int) -> Frame:
         """One frame; the same pixels whether rendered alone or in turn."""
         moments, views = self._moments(index), range(len(self.rooms))
-        with ThreadPoolExecutor(len(views)) as pool:  # one thread per camera: the kernels let go of the interpreter
+        with ThreadPoolExecutor(len(views)) as pool:  # one thread per camera: the kernels release the interpreter lock
             images = tuple(pool.map(lambda camera: self.image(index, camera, moments), views))
         return Frame(index, index / self.config.fps, images)
 
@@ -84,7 +84,7 @@ class Capture:
         if self.config.is_dropped(index, camera):
             return None
         moments = moments or self._moments(index)
-        room, slide = self._what_lies_behind(index, camera), flutter(self.true_body, self.config, index)
+        room, slide = self._background(index, camera), flutter(self.true_body, self.config, index)
         picture = picture_of(moments, self.true_rig[camera], self.look, room, slide)
         for number, board in enumerate(self.config.boards):
             if board.stands(index, camera):
@@ -95,8 +95,8 @@ class Capture:
             picture = picture @ GREY.astype(np.float32)
         return marred(picture, self.config, index, camera)
 
-    def _what_lies_behind(self, index: int, camera: int) -> Float32:
-        """The room and what moves in it."""
+    def _background(self, index: int, camera: int) -> Float32:
+        """The room and the things that move in it."""
         if not self.config.passers:
             return self.rooms[camera]
         room = self.rooms[camera].copy()
@@ -105,7 +105,7 @@ class Capture:
         return room
 
     def _behind_board(self, picture: Float32, moments: Sequence[Posed], number: int, camera: int) -> Float32:
-        """The picture with a board over it, and over that what of the body it does not hide."""
+        """The picture with a board over it, and over that the segments that it does not occlude."""
         Layer(0, 0, self._board(number, camera)).over(picture)
         body = self.true_body
         hidden = np.isin(body.face_part, [body.segment(name) for name in self.config.boards[number].segments])
@@ -113,7 +113,7 @@ class Capture:
         return picture_of([Posed(rest, m.pose) for m in moments], self.true_rig[camera], self.look, picture)
 
     def _board(self, number: int, camera: int) -> Float32:
-        """As large as what it hides needs while it stands there."""
+        """The board's layer, large enough for its segments in all its frames."""
         board, body = self.config.boards[number], self.true_body
         hidden = np.isin(body.vertex_part, [body.segment(name) for name in board.segments])
         poses = self.true_poses[max(0, board.first - 1) : board.last + 2]
@@ -122,7 +122,7 @@ class Capture:
         return board_layer(self.config, number, camera, pixels.min(axis=0) - BORDER, pixels.max(axis=0) + BORDER)
 
     def masks(self, index: int) -> list[Bool]:
-        """True silhouettes (H, W) of the whole body, occluded or not: pixels that it covers by half or more."""
+        """True silhouettes (H, W) of the whole body, occluded or not: pixels that it covers by more than half."""
         posed = Posed(self.true_body, self.true_poses[index])
         return [self._mask(posed, c) for c in range(len(self.true_rig))]
 
@@ -135,7 +135,7 @@ class Capture:
         return mask
 
     def _moments(self, index: int) -> list[Posed]:
-        """The body at the sub-frames of one frame, spread evenly over the time the shutter is open."""
+        """The body at the sub-frames of one frame, evenly spaced over the open time of the shutter."""
         n = self.config.motion_blur
         offsets = self.config.shutter * ((np.arange(n) + 0.5) / n - 0.5)
         return [Posed(self.true_body, self._pose_at(index + offset)) for offset in offsets]
@@ -153,8 +153,8 @@ def capture(config: StudioConfig, body: Body | None = None, poses: Sequence[Pose
 
     Args:
         config: what to render.
-        body: who is seen; by default the built-in humanoid, of a stature that the seed chooses.
-        poses: one per frame; by default the motion that the configuration names.
+        body: of the person; by default the built-in humanoid, of random stature by the seed.
+        poses: one per frame; by default the motion of the configuration.
 
     Raises:
         InputError: for an unknown motion, or fewer poses than frames.
@@ -181,7 +181,7 @@ def default_body(config: StudioConfig) -> Body:
 
 
 def default_poses(config: StudioConfig, body: Body, heading: float) -> list[Pose]:
-    """The motion that the configuration names, turned to a heading (rad, from x towards y)."""
+    """The motion of the configuration, in the direction of a heading (rad, from x towards y)."""
     if config.motion != "gait":
         raise InputError(f"studio: motion is {config.motion!r}; it must be 'gait' (other motions are given as poses).")
     rng = stream(config.seed, "gait")
@@ -191,7 +191,7 @@ def default_poses(config: StudioConfig, body: Body, heading: float) -> list[Pose
 
 
 def ring_around(config: StudioConfig, body: Body, poses: Sequence[Pose], heading: float) -> Rig:
-    """Cameras around the middle of the path, so far and so wide that the person stays in every view."""
+    """Cameras around the middle of the path, with the person inside all images."""
     rng = stream(config.seed, "cameras")
     steps = np.unique(np.linspace(0, len(poses) - 1, 25).astype(int))
     cloud = np.concatenate([Posed(body, poses[k]).vertices for k in steps])
@@ -199,6 +199,6 @@ def ring_around(config: StudioConfig, body: Body, poses: Sequence[Pose], heading
     target = 0.5 * (cloud.min(axis=0) + cloud.max(axis=0))
     heights = stature * rng.uniform(0.55, 1.05, size=config.views)
     offset = np.rad2deg(heading) + FIRST_CAMERA_DEG.get(config.views, 40.0) + rng.uniform(-10, 10)
-    focal = PERSON_SHARE * config.size[1] * RADIUS
+    focal = PERSON_HEIGHT * config.size[1] * RADIUS
     rig = ring(config.views, RADIUS * stature, target[2] - 0.5 * stature + heights, target, config.size, focal, offset)
     return zoom_to_fit(rig, cloud)

@@ -12,11 +12,11 @@ LATTICE_BITS = 5  # the texture repeats after 2⁵ lattice steps
 OCTAVES = np.array([[0.018, 0.7], [0.034, 0.9], [0.070, 1.0]])  # lattice spacing (half a wave), m; amplitude
 
 DrawnMesh = tuple[Int, Float, Float, Float, Float]
-"""Faces, pixels and inverse depths as the rasteriser has them, rest-pose vertices (V, 3), m, where the texture lives,
-and world normals (V, 3) of the posed surface."""
+"""Faces, pixels and inverse depths of the rasteriser, rest-pose vertices (V, 3), m, for the texture, and world normals
+(V, 3) of the posed surface."""
 Dress = tuple[Float, Float, Float, Float32, Float]
-"""Cover (V, G), how much of each garment each vertex has (a sample takes the garment with most), the garments' colours
-(G, 3) and contrast (G,) of the texture on them, and the texture: lattice (n³, 3) and octaves."""
+"""Cover (V, G), the fraction of each garment in each vertex (a sample takes the largest), the garments' colours (G, 3)
+and contrast (G,) of the texture on them, and the texture: lattice (n³, 3) and octaves."""
 
 
 @njit(cache=True, nogil=True)
@@ -86,15 +86,15 @@ def _blend(values: Float, corners: Int, weights: tuple[float, float, float], col
 
 @njit(cache=True, nogil=True)
 def _garment(cover: Float, corners: Int, weights: tuple[float, float, float]) -> int:
-    """The garment that covers most of a surface point; where it covers most of all corners, that is plain."""
+    """The garment of largest fraction at a surface point."""
     a, b, c = corners[0], corners[1], corners[2]
     best, most = 0, -1.0
     for g in range(cover.shape[1]):
         if cover[a, g] > 0.5 and cover[b, g] > 0.5 and cover[c, g] > 0.5:
             return g
-        share = _blend(cover, corners, weights, g)
-        if share > most:
-            best, most = g, share
+        fraction = _blend(cover, corners, weights, g)
+        if fraction > most:
+            best, most = g, fraction
     return best
 
 
@@ -128,8 +128,8 @@ def shade(
         origin: (x, y) of the first sample.
         factor: samples per pixel and axis.
         drawn, dress: the posed body and its clothes.
-        lights: (L + 1, 6) unit direction towards each light and its colour; the last row is the ambient light, the
-            same from everywhere but for 15 % more from above and less from below.
+        lights: (L + 1, 6) unit direction towards each light and its colour; the last row is the ambient light, 15 %
+            stronger from above and weaker from below.
 
     Returns:
         (H, W, 4) colour times coverage, and coverage in [0, 1].
@@ -138,7 +138,7 @@ def shade(
     cover, albedo, contrast, lattice, octaves = dress
     height, width = face_index.shape[0] // factor, face_index.shape[1] // factor
     out = np.zeros((height, width, 4))
-    share = 1.0 / (factor * factor)
+    area = 1.0 / (factor * factor)
     texture, light = np.zeros(3), np.zeros(3)
     for row in range(height * factor):
         for col in range(width * factor):
@@ -155,8 +155,8 @@ def shade(
             i, j = row // factor, col // factor
             for ch in range(3):
                 value = albedo[g, ch] * (1.0 + contrast[g] * texture[ch]) * light[ch]
-                out[i, j, ch] += share * min(max(value, 0.0), 1.0)
-            out[i, j, 3] += share
+                out[i, j, ch] += area * min(max(value, 0.0), 1.0)
+            out[i, j, 3] += area
     return out
 
 

@@ -1,6 +1,6 @@
 """Terms of the one least-squares system: each gives its energy and its quadratic at a pose."""
 
-from twistcap.terms.accumulate import PointTerm, SegmentSums
+from twistcap.terms.accumulate import PointTerm, Rows, SegmentSums
 from twistcap.terms.coordinates import BlockGaussian, GaussianTerm, LimitTerm, OnPose, RestTerm
 from twistcap.terms.photometric import PhotometricTerm
 from twistcap.terms.points import KeypointTerm, PointNormalTerm, PointRayTerm
@@ -24,6 +24,7 @@ __all__ = [
     "Quadratic",
     "ReprojectionTerm",
     "RestTerm",
+    "Rows",
     "SegmentSums",
     "Slope",
     "Sums",

@@ -1,8 +1,8 @@
 """Normal equations of surface-point rows, accumulated per segment and projected once.
 
-A row is a residual r of a surface point x with gradient g = ∂r/∂x. On the twist of segment s, which carries the share
-w_s of the point, its derivative is ``w_s [x_s × g, g]``, so 6×6 blocks gather everything and no row ever sees the
-skeleton; ``posed.projector`` then takes segment twists to pose coordinates.
+A row is a residual r of a surface point x with gradient g = ∂r/∂x. Its derivative by the twist of segment s, to which
+the point is bound with weight w_s, is ``w_s [x_s × g, g]``. So rows are summed into 6×6 blocks, and
+``posed.projector`` takes segment twists to pose coordinates once.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from twistcap.camera.projection import NEAR
 from twistcap.render import SurfaceArrays, SurfacePoints
 from twistcap.terms.quadratic import Quadratic
 
-TWIST_WIDTH = 8  # twists padded from 6, so that the rows of a block lie as vector registers want them
+TWIST_WIDTH = 8  # twists padded from 6, to align the rows of a block with vector registers
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Rows:
     Attributes:
         gradient: (R N, 3) derivative of each residual by its world point.
         residual: (R N,) in the term's own unit.
-        weight: (R N,) information 1/unit², robust weights included.
+        weight: (R N,) information, 1/unit², times the robust weights.
     """
 
     gradient: Float
@@ -60,10 +60,7 @@ class SegmentSums:
 
 
 class PointTerm:
-    """A term of surface points: it says what rows they have, which is all that a sum over terms needs.
-
-    The terms of every frame have kernels of their own for `energy`, which make no rows.
-    """
+    """A term of surface points, given by its rows. Subclasses may override `energy` by a kernel that makes no rows."""
 
     def rows(self, posed: Posed) -> tuple[float, SurfacePoints, Rows]:
         """Energy, the N points and their rows at a pose."""
@@ -92,7 +89,7 @@ def normal_equations(
 
     Args:
         posed, points, rows: of the pose's step.
-        beside: (R N, C) derivatives of the residuals by C more unknowns; of rows without weight anything, even NaN.
+        beside: (R N, C) derivatives of the residuals by C more unknowns; NaN is allowed in rows of weight 0.
     """
     sums = SegmentSums(posed)
     sums.add_rows(0.0, points, rows)
@@ -129,7 +126,7 @@ def skinned_point(transforms: Float, segments: Int, weights: Float, local: Float
 def projected_point(
     P: Float, transforms: Float, segments: Int, weights: Float, local: Float, n: int
 ) -> tuple[float, float, float]:
-    """Pixel (x, y) and inverse depth (1/m) of surface point n; inverse depth 0 where it is not before the camera."""
+    """Pixel (x, y) and inverse depth (1/m) of surface point n; inverse depth 0 where it is behind the camera."""
     X, Y, Z = skinned_point(transforms, segments, weights, local, n)
     depth = P[2, 0] * X + P[2, 1] * Y + P[2, 2] * Z + P[2, 3]
     if depth < NEAR:
@@ -145,8 +142,8 @@ def accumulate(
 ) -> None:
     """Add W j jᵀ to blocks (S, S, 6, 8) and W r j to vector (S, 6), j a row's derivative by its segments' twists.
 
-    Row n of (R N,) is of point n mod N. Of two segments only the block above the diagonal is kept, and of a segment's
-    own block half: with its transpose the sum is whole. Flat indices spare a search for every number.
+    Row n of (R N,) is of point n mod N. Only blocks above the diagonal are summed, and half of those on it: with its
+    transpose the sum is complete. Flat indices are faster than nested ones.
     """
     transforms, segments, weights, local = surface
     N, K = segments.shape
@@ -183,10 +180,10 @@ def accumulate(
             for a in range(count):
                 if own[b] < own[a]:
                     continue
-                share = 0.5 * W if a == b else W
+                half = 0.5 * W if a == b else W
                 base = (own[a] * S + own[b]) * 6 * TWIST_WIDTH
                 for p in range(6):
-                    Wj, o = share * j[a, p], base + p * TWIST_WIDTH
+                    Wj, o = half * j[a, p], base + p * TWIST_WIDTH
                     out[o] += Wj * j0
                     out[o + 1] += Wj * j1
                     out[o + 2] += Wj * j2

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 class LimitTerm:
     """Half a parabola beyond each joint limit; `sigma` rad is the standard deviation of going past it."""
 
-    sigma: float = np.deg2rad(0.5)
+    sigma: float = float(np.deg2rad(0.5))
     name: str = "limits"
 
     def _excess(self, posed: Posed) -> Float:
@@ -49,7 +49,7 @@ def _of_joints(value: float, gradient: Float, diagonal: Float | float) -> Quadra
 
 @dataclass(frozen=True)
 class RestTerm:
-    """A weak Gaussian (`sigma` rad) around the joints' rest pose, for limbs that nothing shows; the root is free."""
+    """A weak Gaussian (`sigma` rad) around the joints' rest pose, for limbs without evidence; the root is free."""
 
     sigma: float
     name: str = "rest"
@@ -66,7 +66,7 @@ class RestTerm:
 class GaussianTerm:
     """A Gaussian around a pose: ``½ dᵀ information d`` with d the step from `mean` to the pose.
 
-    With no other evidence the solution is `mean` itself (Rosenhahn, Brox and Seidel, eq. 17-22).
+    Source: Rosenhahn, Brox and Seidel, eq. 17-22 (DOI 10.1109/CVPR.2007.383128).
 
     Attributes:
         mean: the pose expected.
@@ -100,7 +100,7 @@ class OnPose:
 
     Attributes:
         term: of the pose.
-        body: whose pose it is; the term does not ask for its shape.
+        body: of the poses; its shape does not matter.
         poses: name of the track's block.
         frame: of the track.
     """

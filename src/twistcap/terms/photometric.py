@@ -1,9 +1,8 @@
-"""Brightness constancy of surface points: the one row of both trackers.
+"""Brightness constancy of surface points.
 
-The image brightness at a surface point's projection stays what it was in the frames that the template was taken from,
-up to a change of the exposure: ``r = I(π(x)) − (1 + a) template − b`` (Bregler and Malik,
-DOI 10.1109/CVPR.1998.698581). π is any 3×4 projection: a pinhole's, or with a third row (0, 0, 0, 1) the paper's scaled
-orthography.
+The brightness at a surface point's projection equals that of a template from earlier frames, up to a change of the
+exposure: ``r = I(π(x)) − (1 + a) template − b`` (Bregler and Malik, DOI 10.1109/CVPR.1998.698581). π is any 3×4
+projection: a pinhole's, or with a third row (0, 0, 0, 1) the paper's scaled orthography.
 """
 
 from __future__ import annotations
@@ -27,13 +26,13 @@ EXPOSURE = 2
 
 @njit(cache=True, nogil=True, inline="always")
 def sample(image: Float32, x: float, y: float) -> tuple[float, float, float, bool]:
-    """Bilinear value, its central differences and whether all pixels they need are there."""
+    """Bilinear value, its central differences, and whether all pixels that they need are in the image."""
     height, width = image.shape
     if not (1.0 <= x < width - 2 and 1.0 <= y < height - 2):
         return 0.0, 0.0, 0.0, False
     x0, y0 = int(x), int(y)
     fx, fy = x - x0, y - y0
-    flat, at = image.reshape(-1), (y0 - 1) * width + x0  # flat indices spare a search for every number
+    flat, at = image.reshape(-1), (y0 - 1) * width + x0  # flat indices are faster than nested ones
     a, b, at1, at2, at3 = flat[at], flat[at + 1], at + width, at + 2 * width, at + 3 * width
     c0, c1, c2, c3 = flat[at1 - 1], flat[at1], flat[at1 + 1], flat[at1 + 2]
     d0, d1, d2, d3 = flat[at2 - 1], flat[at2], flat[at2 + 1], flat[at2 + 2]
@@ -47,7 +46,7 @@ def sample(image: Float32, x: float, y: float) -> tuple[float, float, float, boo
 
 @njit(cache=True, nogil=True, inline="always")
 def brightness_at(image: Float32, x: float, y: float) -> float:
-    """`sample` for its value alone; NaN where a pixel that its gradient needs is not there."""
+    """The value of `sample` alone; NaN where a pixel that the gradient needs is outside the image."""
     height, width = image.shape
     if not (1.0 <= x < width - 2 and 1.0 <= y < height - 2):
         return np.nan
@@ -87,11 +86,11 @@ def sampled_reference(image: Float32, pixels: Float) -> tuple[Float, Float]:
 
 @dataclass(frozen=True)
 class Samples:
-    """Surface points of one view and how bright they should be.
+    """Surface points of one view and their template brightness.
 
     Attributes:
         points: N places on the surface.
-        value: (N,) brightness in the frames before.
+        value: (N,) brightness in earlier frames.
         gradient: (N, 2) image gradient there, 1/px.
     """
 
@@ -120,8 +119,8 @@ class Samples:
     def rows(self, posed: Posed, P: Float, image: Float32, exposure: Float, weight: Float) -> Rows:
         """The residuals and their gradients by the point, with weights (N,); all 0 off the image.
 
-        The image gradient is averaged with the template's (second-order minimisation: the mean of the two gradients is
-        right to second order in the displacement).
+        The gradient is the mean of the image's and the template's, which is exact to second order in the displacement
+        (efficient second-order minimisation).
         """
         surface = self.points.bound_to(posed)
         residual, gradient, seen = photometric_rows(surface, P, image, self.value, self.gradient, exposure, weight)
@@ -130,7 +129,7 @@ class Samples:
 
 @njit(cache=True, nogil=True)
 def photometric_residuals(surface: SurfaceArrays, P: Float, image: Float32, value: Float, exposure: Float) -> Float:
-    """As `Samples.residuals` says."""
+    """See `Samples.residuals`."""
     transforms, segments, weights, local = surface
     out = np.full(len(value), np.nan)
     for n in range(len(value)):
@@ -171,7 +170,7 @@ class PhotometricTerm(PointTerm):
         samples: N points and their template brightness.
         image: (H, W) float32, the current view (blurred as the template's was).
         weight: (N,) information, 1/brightness².
-        scale: (N,) brightness difference at which a point begins to lose its say.
+        scale: (N,) brightness difference from which a point is down-weighted.
         exposure: (2,) relative gain and offset of the present image against the template's.
     """
 
@@ -203,7 +202,7 @@ class PhotometricTerm(PointTerm):
 def photometric_energy(
     surface: SurfaceArrays, P: Float, image: Float32, value: Float, exposure: Float, weight: Float, scale: Float
 ) -> float:
-    """`PhotometricTerm.rows` for its energy alone."""
+    """The energy of `PhotometricTerm.rows` alone."""
     transforms, segments, weights, local = surface
     energy, gain = 0.0, 1.0 + exposure[0]
     for n in range(len(weight)):
@@ -220,7 +219,7 @@ def photometric_energy(
 
 
 def sample_reference(image: Float32, x: float, y: float) -> tuple[float, float, float, bool]:
-    """Readable twin of `sample`: bilinear values at the place and a pixel to each side."""
+    """Readable twin of `sample`: bilinear values at the pixel and one pixel to each side."""
     height, width = image.shape
     if not (1.0 <= x < width - 2 and 1.0 <= y < height - 2):
         return 0.0, 0.0, 0.0, False

@@ -54,10 +54,10 @@ class PointNormalTerm(PointTerm):
     Attributes:
         P: (3, 4) projection of the view.
         points: N places on the surface.
-        target: (N, 2) px, where the contour was measured.
+        target: (N, 2) px, measured places of the contour.
         normal: (N, 2) unit image normals.
         weight: (N,) information of each measurement, 1/px².
-        scale_px: residual at which a point begins to lose its say.
+        scale_px: residual from which a point is down-weighted.
     """
 
     P: Float
@@ -82,7 +82,7 @@ class PointNormalTerm(PointTerm):
 def normal_energy(
     surface: SurfaceArrays, P: Float, direction: Float, target: Float, weight: Float, scale: float
 ) -> float:
-    """`PointNormalTerm.rows` for its energy alone."""
+    """The energy of `PointNormalTerm.rows` alone."""
     transforms, segments, weights, local = surface
     energy, per = 0.0, 1.0 / scale
     for n in range(len(weight)):
@@ -105,7 +105,7 @@ def normal_energy_reference(
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST, inline="always")
-def _off_ray(
+def _ray_offset(
     x: float, y: float, z: float, n: Float, m: Float, scale: float
 ) -> tuple[float, float, float, float]:  # fmt: skip
     """``scale (x × n − m)`` and its length."""
@@ -119,7 +119,7 @@ def _off_ray(
 def ray_rows(
     world: Float, direction: Float, moment: Float, scale: Float, weight: Float, knee: float
 ) -> tuple[float, Float, Float, Float]:
-    """Rows of ``scale (x × n − m)`` (px) along two unit directions e across each ray: N of the one, N of the other.
+    """Rows of ``scale (x × n − m)`` (px) along two unit directions e across each ray: N of one, then N of the other.
 
     ``d(x × n) = −n̂ dx``, so along e it is ``e · (dx × n) = dx · (n × e)``. The loss is Huber's of the length of both.
 
@@ -130,7 +130,7 @@ def ray_rows(
     energy, residual, gradient, robust = 0.0, np.empty(2 * N), np.empty((2 * N, 3)), np.empty(2 * N)
     for i in range(N):
         n, f = direction[i], scale[i]
-        a, b, c, size = _off_ray(world[i, 0], world[i, 1], world[i, 2], n, moment[i], f)
+        a, b, c, size = _ray_offset(world[i, 0], world[i, 1], world[i, 2], n, moment[i], f)
         energy += weight[i] * (0.5 * size * size if size <= knee else knee * (size - 0.5 * knee))
         robust[i] = robust[N + i] = weight[i] * (1.0 if size <= knee else knee / size)
         if abs(n[0]) < 0.7:  # e: n × an axis, of unit length
@@ -163,11 +163,11 @@ def ray_rows_reference(
 
 @dataclass(frozen=True)
 class PointRayTerm(PointTerm):
-    """Contour points drawn to the Plücker rays of their partners in the image.
+    """Contour points pulled to the Plücker rays of their partners in the image: Huber on the distance in pixels.
 
     The residual ``x × n − m`` is the distance to the ray in metres; times f/z it is in pixels, so that near and far
-    cameras weigh alike (Brox, Rosenhahn and Cremers, eq. 11.16-11.19; method.md 3). It is taken along two directions
-    across the ray, which hold all of it (the 3-vector has rank 2).
+    cameras have equal weight (Brox, Rosenhahn and Cremers, eq. 11.16-11.19; method.md 3). It has rank 2 and is taken
+    along two directions across the ray.
 
     Attributes:
         points: N places on the surface.
@@ -200,12 +200,12 @@ class PointRayTerm(PointTerm):
 def ray_energy(
     surface: SurfaceArrays, direction: Float, moment: Float, scale: Float, weight: Float, knee: float
 ) -> float:
-    """`PointRayTerm.rows` for its energy alone."""
+    """The energy of `PointRayTerm.rows` alone."""
     transforms, segments, weights, local = surface
     energy = 0.0
     for n in range(len(weight)):
         x, y, z = skinned_point(transforms, segments, weights, local, n)
-        _, _, _, size = _off_ray(x, y, z, direction[n], moment[n], scale[n])
+        _, _, _, size = _ray_offset(x, y, z, direction[n], moment[n], scale[n])
         energy += weight[n] * (0.5 * size * size if size <= knee else knee * (size - 0.5 * knee))
     return energy
 
@@ -226,7 +226,7 @@ class KeypointTerm(PointTerm):
         points: N landmarks as surface points (rigid on their segments).
         target: (N, 2) px.
         weight: (N,) information, 1/px² (0 for missing ones).
-        scale_px: residual at which a keypoint begins to lose its say.
+        scale_px: residual from which a keypoint is down-weighted.
     """
 
     P: Float

@@ -28,11 +28,11 @@ class Quadratic:
 
 
 class Term(Protocol):
-    """One kind of evidence or prior, as an energy (negative log-likelihood) of the pose."""
+    """Evidence or a prior, as an energy (negative log-likelihood) of the pose."""
 
     @property
     def name(self) -> str:
-        """Under which its energy is reported; several terms (one per view) may share a name."""
+        """Name of its energy in reports; several terms (one per view) may have the same."""
         ...
 
     def energy(self, posed: Posed) -> float:
@@ -45,8 +45,8 @@ class Term(Protocol):
 
 
 class MaskableTerm(Term, Protocol):
-    """A term of image evidence: what it says of a part that the image does not show can be taken out."""
+    """A term of image evidence that can be masked where a part is occluded."""
 
     def masked(self, by_part: Float) -> MaskableTerm:
-        """The same term with the information about each of S parts times a factor (S,) in [0, 1]."""
+        """The same term with the information of each of S parts times a factor (S,) in [0, 1]."""
         ...

@@ -18,7 +18,7 @@ from twistcap.terms.rows import Slope, Sums
 if TYPE_CHECKING:
     from twistcap.solve.blocks import Moment, Variables
 
-_NEAREST = 0.05  # m before the camera; what is nearer is as wrong as can be
+_NEAREST = 0.05  # m before the camera; nearer points get the residual _WRONG
 _WRONG = 1e6  # standard deviations
 
 
@@ -27,7 +27,7 @@ class Shaped(Protocol):
 
     @property
     def body(self) -> Body:
-        """Of that shape."""
+        """The body of that shape."""
         ...
 
     def rates(self, posed: Posed) -> Float:
@@ -39,18 +39,18 @@ class Shaped(Protocol):
 class ReprojectionTerm:
     """N landmarks at one frame against keypoints in one view: Geman and McClure's loss of each distance.
 
-    A camera whose clock is off by τ s shows the frame's instant τ later (or, below 0, earlier); the pose there is that
+    A camera whose clock has an offset of τ s shows the pose at τ after (below 0, before) the frame's time, interpolated
     between two frames of the track.
 
     Attributes:
         marks: (N,) landmarks of the body.
         target: (N, 2) px of the pinhole camera.
-        weight: (N,) confidence, 0 for what is not there.
+        weight: (N,) confidence, 0 for missing keypoints.
         sigma: (N,) px, standard deviation.
-        reach: standard deviations at which a keypoint begins to be down-weighted.
+        reach: standard deviations from which a keypoint is down-weighted.
         camera, poses, shape: names of the blocks: a `CameraBlock`, a `PoseTrack`, a `Shaped`.
         frame: of the track.
-        clock: name of the block of the camera's clock, a `Vector` of τ (s) alone; None for one that is right.
+        clock: name of the block of the clock's offset, a `Vector` of τ (s) alone; None for an offset of 0.
     """
 
     marks: Int
@@ -67,7 +67,7 @@ class ReprojectionTerm:
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """On which it has rows."""
+        """Names of the blocks on which it has rows."""
         return (self.poses, self.shape, self.camera, *([] if self.clock is None else [self.clock]))
 
     def energy(self, x: Variables) -> float:
@@ -78,8 +78,8 @@ class ReprojectionTerm:
     def residuals(self, x: Variables) -> Float:
         """(N, 2) distances in standard deviations; far too large behind the camera."""
         pixels, depth, _ = pinhole(x[self.camera].camera.P, self._posed(x).landmarks[self.marks])
-        off = (pixels - self.target) / self.sigma[:, None]
-        return np.where(depth[:, None] > _NEAREST, off, _WRONG)
+        offset = (pixels - self.target) / self.sigma[:, None]
+        return np.where(depth[:, None] > _NEAREST, offset, _WRONG)
 
     def add_to(self, sums: Sums, x: Variables) -> None:
         """Add the rows, two for each landmark."""
@@ -97,8 +97,8 @@ class ReprojectionTerm:
         sums.add_rows(float(np.sum(self.weight * energy)), slopes, rows, residual.ravel())
 
     def _squares(self, pixels: Float, depth: Float) -> Float:
-        off = (pixels - self.target) / self.sigma[:, None]
-        return np.where(depth > _NEAREST, np.sum(off * off, axis=1), _WRONG**2)
+        offset = (pixels - self.target) / self.sigma[:, None]
+        return np.where(depth > _NEAREST, np.sum(offset * offset, axis=1), _WRONG**2)
 
     def _slopes(self, x: Variables, by_point: Float) -> list[Slope]:
         """Rows (2 N, …) by poses, shape and clock, of residuals whose derivatives by the points are (N, 2, 3)."""
@@ -130,7 +130,7 @@ class ReprojectionTerm:
         return self._once(x, "posed", make)
 
     def _once(self, x: Variables, what: str, make: Callable[[], Any]) -> Any:
-        """What other views of the same instant need too."""
+        """A result that other views of the same instant need too, computed once."""
         key = (what, self.poses, self.shape, self.frame, self.clock)
         if key not in x.memo:
             x.memo[key] = make()

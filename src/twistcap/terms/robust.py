@@ -17,7 +17,7 @@ def huber(residual: Float, scale: Float | float) -> tuple[Float, Float]:
 
 
 def cauchy(residual: Float, scale: Float | float) -> tuple[Float, Float]:
-    """Lorentzian: large residuals lose their say: (energy in residual², weight in (0, 1])."""
+    """Lorentzian, down-weights large residuals: (energy in residual², weight in (0, 1])."""
     ratio = (residual / scale) ** 2
     return 0.5 * scale**2 * np.log1p(ratio), 1.0 / (1.0 + ratio)
 
@@ -42,6 +42,6 @@ def weighted_cauchy(residual: Float, weight: Float, scale: float) -> tuple[float
 
 
 def weighted_cauchy_reference(residual: Float, weight: Float, scale: float) -> tuple[float, Float]:
-    """Readable twin of `weighted_cauchy`; residuals without weight may be anything."""
+    """Readable twin of `weighted_cauchy`; residuals of weight 0 may be NaN."""
     energy, robust = cauchy(np.where(weight == 0.0, 0.0, residual), scale)
     return float(weight @ energy), weight * robust

@@ -1,4 +1,4 @@
-"""Rows of a term on named blocks of variables, and what takes them up."""
+"""Rows of a term on named blocks of variables, and the protocol of what sums them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Slope:
 
 @dataclass(frozen=True)
 class Place:
-    """So many numbers of a block's step, from the number `first` on."""
+    """`size` numbers of a block's step, from the number `first` on."""
 
     block: str
     size: int
@@ -30,14 +30,14 @@ class Place:
 
 
 class Sums(Protocol):
-    """A system while it is being summed; what it is told of blocks that are not free it leaves out."""
+    """A system while it is being summed; rows of blocks that are not free are left out."""
 
     def add_rows(self, energy: float, slopes: list[Slope], weight: Float, residual: Float) -> None:
         """Add ½ Σ weight (residual + Σ by δ)² of N rows; their true, robust energy is `energy`."""
         ...
 
     def add_quadratic(self, places: list[Place], value: float, gradient: Float, hessian: Float) -> None:
-        """Add a quadratic of numbers of one block's step or of several, one place after the other."""
+        """Add a quadratic of the numbers at these places, one place after the other."""
         ...
 
 
@@ -45,8 +45,8 @@ class BlockTerm(Protocol):
     """An energy of named blocks.
 
     Attributes:
-        name: under which its energy is told; several terms may share one.
-        blocks: on which it has rows.
+        name: of its energy in reports; several terms may have the same.
+        blocks: names of the blocks on which it has rows.
     """
 
     @property

@@ -32,6 +32,7 @@ from twistcap.stages import stage
 from twistcap.terms import Quadratic, Term
 from twistcap.track.model import MARGIN, Model
 from twistcap.track.state import State
+from twistcap.track.threads import each_view
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,7 @@ class FrameProblem:
         scale = INFLATION**2 / self.trust
         return covariance(Quadratic(0.0, np.zeros(len(known)), news / scale + known))
 
-    @cached_property
+    @property
     def spread(self) -> Float:
         """(6 + J, 6 + J) covariance of the step from the expected pose to the truth."""
         return self.state.covariance + self.process_noise
@@ -161,8 +162,10 @@ def alternated(problem: FrameProblem, fit: Fit, level: Level, steps: int = 1) ->
     """One alternation: the body is rendered anew where it has moved, else its contour is carried along; then a step."""
     model, posed = problem.model, fit.posed
     again = not fit.sights or fit.drift > model.schedule.render_after
+    if again:
+        _ = posed.vertices, posed.vertex_normals  # once, not in each thread
     carried: Sequence[Sight | None] = [None] * len(problem.views) if again else fit.sights
-    looked = [_looked(problem, posed, i, s, level) for i, s in zip(problem.views, carried, strict=True)]
+    looked = each_view(lambda i, s: _looked(problem, posed, i, s, level), list(problem.views), carried)
     sights, measured = [sight for sight, _ in looked], [found for _, found in looked]
     standing, news = _prior_terms(problem, fit, measured)
     masked = _masked(model, measured, fit.visibility)

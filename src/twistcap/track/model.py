@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any, get_type_hints
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Rig
 from twistcap.cues import Cue
 from twistcap.cues.view import View, crop_view
+from twistcap.errors import InputError
 from twistcap.estimate import Frame
 from twistcap.features import Channels
 from twistcap.predict import MotionNoise, MotionSpread, Predictor
@@ -25,6 +27,22 @@ from twistcap.track.visibility import OcclusionRule, SupportRule
 
 MARGIN = 0.15
 """m about the expected body within which images are looked at."""
+
+
+def memory_type(owner: Any) -> Any:
+    """The type of the memory of a cue, predictor or search: what its `start` is annotated to return, or it says.
+
+    Raises:
+        InputError: where it is not annotated.
+    """
+    if hasattr(owner, "memory_type"):
+        return owner.memory_type
+    try:
+        return get_type_hints(type(owner).start)["return"]
+    except (KeyError, NameError) as error:
+        raise InputError(
+            f"model: {owner.name!r} does not say what its start returns; annotate it, since memories are saved."
+        ) from error
 
 
 @dataclass(frozen=True)
@@ -62,6 +80,16 @@ class Model:
     channels: Channels = "lab"
     despeckle: int = 1
     learn_every: int = 3
+
+    def __post_init__(self) -> None:
+        for kind in ("cues", "predictors", "searches"):
+            owners = getattr(self, kind)
+            names = [owner.name for owner in owners]
+            twice = sorted({name for name in names if names.count(name) > 1})
+            if twice:
+                raise InputError(f"model: two {kind} have the name {twice[0]!r}; each needs a name of its own.")
+            for owner in owners:
+                memory_type(owner)
 
     def with_cue(self, cue: Cue) -> Model:
         """With a cue in the place of the one of its name."""

@@ -19,7 +19,7 @@ import numpy as np
 from twistcap._typing import AnyArray, UInt8
 from twistcap.body import Body, Pose, Posed
 from twistcap.errors import InputError
-from twistcap.track.model import Model
+from twistcap.track.model import Model, memory_type
 from twistcap.track.state import State
 
 _DAMAGE = (
@@ -43,15 +43,17 @@ def from_bytes(data: UInt8, model: Model) -> State:
     """The state of a model that `to_bytes` wrote.
 
     Raises:
-        InputError: for bytes that are damaged, or of another model.
+        InputError: for bytes that are damaged, or of a model with other cues, predictors or searches.
     """
     try:
         with np.load(io.BytesIO(data.tobytes()), allow_pickle=False) as file:
             layout = json.loads(file["layout"].tobytes())
             arrays = [file[str(k)] for k in range(len(file.files) - 1)]
         return _Reader(arrays, model.body).state(layout, model)
+    except InputError:
+        raise
     except _DAMAGE as error:
-        raise InputError("the stored state of the track is damaged or of other settings; track anew.") from error
+        raise InputError("the stored state of the track is damaged; track anew.") from error
 
 
 def _packed(value: Any, arrays: list[AnyArray]) -> Any:
@@ -87,8 +89,11 @@ class _Reader:
             if name in _MEMORIES:
                 stored = dict(packed["items"])
                 owners = {owner.name: owner for owner in getattr(model, name)}
-                if stored.keys() != owners.keys():
-                    raise ValueError("the model has other parts")
+                if other := stored.keys() ^ owners.keys():
+                    raise InputError(
+                        f"the stored state and the settings differ in the {name} {', '.join(sorted(other))};"
+                        " resume with the settings of the first run, or track anew."
+                    )
                 values[name] = {key: self.read(memory_type(owners[key]), stored[key]) for key in owners}
             else:
                 values[name] = self.read(hints[name], packed)
@@ -129,10 +134,3 @@ class _Reader:
         if len(kinds) != 1:
             raise TypeError("of a union of several types none can be chosen")
         return self.read(kinds[0], packed)
-
-
-def memory_type(owner: Any) -> Any:
-    """The type of the memory of a cue, predictor or search: what its `start` is annotated to return, or it says."""
-    if hasattr(owner, "memory_type"):
-        return owner.memory_type
-    return get_type_hints(type(owner).start)["return"]

@@ -72,9 +72,7 @@ def begun(problem: FrameProblem, prediction: Prediction) -> FrameProblem:
 def doubted(problem: FrameProblem, fit: Fit) -> FrameProblem:
     """The problem with images believed as far as the body agrees with them; the prediction counts for more instead."""
     trust = problem.model.support.trust(fit.agreement)
-    if trust == 0.0:
-        return replace(problem, trust=trust)
-    return replace(problem, trust=trust, information=problem.information / trust)
+    return replace(problem, trust=trust, information=problem.information / (trust or 1.0))
 
 
 def searched(problem: FrameProblem, fit: Fit) -> tuple[FrameProblem, Fit, bool]:

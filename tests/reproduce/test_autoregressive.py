@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from reproduce.autoregressive import AutoregressiveMotion
 from twistcap import se3
 from twistcap._typing import Float
 from twistcap.body.humanoid import humanoid
 from twistcap.errors import InputError
-from twistcap.motion import AutoregressiveMotion, MotionClip, MotionLibrary, motion_predictor
-from twistcap.motion.openloop import Stretched
+from twistcap.motion import MotionClip, MotionLibrary
+from twistcap.motion.openloop import PoseSequence
 
 BODY = humanoid("legs")
 J = len(BODY.coordinate_names)
@@ -28,8 +29,8 @@ def library(*clips: MotionClip) -> MotionLibrary:
     return MotionLibrary.of(clips, 60.0, BODY.coordinate_names)
 
 
-def rolled(predictor: AutoregressiveMotion, clip: MotionClip, seen: int, count: int) -> Stretched:
-    return predictor.roll(Stretched(clip.q[:seen], clip.roots[:seen]), count)
+def rolled(predictor: AutoregressiveMotion, clip: MotionClip, seen: int, count: int) -> PoseSequence:
+    return predictor.roll(PoseSequence(clip.q[:seen], clip.roots[:seen]), count)
 
 
 def test_a_linear_motion_is_predicted_wherever_it_stands_and_heads() -> None:
@@ -51,13 +52,13 @@ def test_the_ridge_is_that_of_the_normal_equations_of_augmented_rows() -> None:
 
 
 def test_barred_stretches_are_not_learnt_from() -> None:
-    """What the rest of the library says, as if the barred clip were not there."""
+    """What the rest of the library says, as if the excluded clip were not there."""
     slow, fast = swinging(150, 0.0), MotionClip("other", BODY.coordinate_names, 60.0, *_faster(150))
     both, alone = (AutoregressiveMotion(library(*clips), BODY) for clips in ((slow, fast), (slow,)))
-    past = Stretched(slow.q[:40], slow.roots[:40])
-    barred = both.roll(past, 20, [(1, -1.0, 150.0)])
-    np.testing.assert_allclose(barred.q, alone.roll(past, 20).q, atol=1e-6)
-    assert np.abs(both.roll(past, 20).q - barred.q).max() > 1e-3
+    past = PoseSequence(slow.q[:40], slow.roots[:40])
+    excluded = both.roll(past, 20, [(1, -1.0, 150.0)])
+    np.testing.assert_allclose(excluded.q, alone.roll(past, 20).q, atol=1e-6)
+    assert np.abs(both.roll(past, 20).q - excluded.q).max() > 1e-3
 
 
 def _faster(count: int) -> tuple[Float, Float]:
@@ -68,19 +69,18 @@ def _faster(count: int) -> tuple[Float, Float]:
 def test_it_stays_within_what_the_library_has() -> None:
     predictor = AutoregressiveMotion(library(swinging(120, 0.0)), BODY)
     wild = swinging(60, 0.0)
-    found = predictor.roll(Stretched(wild.q * 0.5 + np.linspace(0, 0.3, 60)[:, None], wild.roots), 300)
+    found = predictor.roll(PoseSequence(wild.q * 0.5 + np.linspace(0, 0.3, 60)[:, None], wild.roots), 300)
     assert np.abs(found.q).max() < 0.4 + 0.2 + 1e-6
 
 
 def test_a_short_history_goes_on_as_before() -> None:
     predictor, clip = AutoregressiveMotion(library(swinging(120, 0.0)), BODY), swinging(3, 0.0)
-    found = predictor.go_on(Stretched(clip.q, clip.roots), 1)
+    found = predictor.next_poses(PoseSequence(clip.q, clip.roots), 1)
     np.testing.assert_allclose(found.q[0], clip.q[-1] + np.diff(clip.q, axis=0).mean(axis=0))
 
 
-def test_it_is_chosen_by_name_and_tells_how_far_it_strays() -> None:
-    predictor = motion_predictor("autoregressive", library(swinging(300, 0.0)), BODY)
-    assert isinstance(predictor, AutoregressiveMotion)
+def test_it_learns_its_own_spread() -> None:
+    predictor = AutoregressiveMotion(library(swinging(300, 0.0)), BODY)
     turn, shift, joints = predictor.spread.variances(8.0)
     assert 0 < turn < 0.1 and 0 < shift < 0.1 and np.all((joints > 0) & (joints < 0.1))
 

@@ -1,0 +1,5 @@
+"""``python -m twistcap``: the command line."""
+
+from twistcap.cli import main
+
+main()

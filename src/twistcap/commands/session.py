@@ -1,0 +1,89 @@
+"""``twistcap session``: what a session file says, and what can be set of the tracker."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import MISSING, Field, fields, is_dataclass
+from pathlib import Path
+from typing import Annotated, Any, get_type_hints
+
+import typer
+
+from twistcap.commands import terminal
+from twistcap.commands.terminal import words
+from twistcap.errors import InputError
+
+
+def session(
+    session: Annotated[Path | None, typer.Argument(help="Session TOML to check.", metavar="[SESSION]")] = None,
+    explain: Annotated[
+        bool, typer.Option("--explain", help="List the keys of [tracker] with units and defaults.")
+    ] = False,
+    json: terminal.Json = False,
+) -> None:
+    """Check a session file, or list the settings of the tracker.
+
+    Examples:
+
+      twistcap session walk/session.toml
+
+      twistcap session --explain
+    """
+    if explain:
+        from twistcap.settings import Settings
+
+        _print_settings(explained(Settings), json)
+        return
+    if session is None:
+        raise InputError("session: no file is named; give a session.toml, or --explain.")
+    from twistcap.io.session import load_session
+
+    loaded = load_session(session)
+    changed = {name: value for name, value in vars(loaded.tracker_settings).items() if name in loaded.tracker}
+    document = {"id": "session", "session": session, "cameras": sorted(loaded.videos), "tracker": changed}
+    if json:
+        terminal.emit(document)
+        return
+    words.print(f"{session} is a session with {len(loaded.videos)} videos: {', '.join(sorted(loaded.videos))}")
+    words.print(f"settings of the tracker that it changes: {', '.join(changed) or 'none'}")
+
+
+def explained(settings: type[Any], prefix: str = "tracker") -> list[dict[str, str]]:
+    """Key, default and meaning of every setting of a dataclass, those of the tables in it included."""
+    texts, hints, rows = _attributes(settings.__doc__ or ""), get_type_hints(settings), list[dict[str, str]]()
+    for item in fields(settings):
+        key = f"{prefix}.{item.name}"
+        if is_dataclass(hints[item.name]):
+            rows += explained(hints[item.name], key)
+        else:
+            rows.append({"key": key, "default": _default(item), "meaning": texts[item.name]})
+    return rows
+
+
+def _attributes(docstring: str) -> dict[str, str]:
+    """Name to text of the ``Attributes:`` section."""
+    section = docstring.partition("Attributes:")[2]
+    entries = re.split(r"\n        (?=\w[\w, ]*: )", section)
+    out: dict[str, str] = {}
+    for entry in entries[1:]:
+        names, _, text = entry.partition(": ")
+        out.update((name.strip(), " ".join(text.split())) for name in names.split(","))
+    return out
+
+
+def _default(item: Field[Any]) -> str:
+    value = item.default if item.default is not MISSING else "(table)"
+    return "by method" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def _print_settings(rows: list[dict[str, str]], json: bool) -> None:
+    if json:
+        terminal.emit({"id": "settings", "settings": rows})
+        return
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("key", "default", "what it is")
+    for row in rows:
+        table.add_row(row["key"], row["default"], row["meaning"])
+    Console().print(table)
