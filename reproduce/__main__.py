@@ -52,7 +52,7 @@ def reproduce(
     catalogue.check(name, pictures=out is not None)
     chosen = parsed_seeds(catalogue.default_seeds(name) if seeds is None else seeds)
     folder = None if out is None else terminal.output_folder(out)
-    with terminal.telling("reproduce") as tell:
+    with terminal.status("reproduce") as tell:
         table = catalogue.run(name, chosen, quick, tell, folder)
     if json:
         terminal.emit(table)

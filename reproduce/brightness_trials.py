@@ -22,7 +22,7 @@ from twistcap.differential.view import ScaledView, State
 from twistcap.differential.world import state_of, world_pose
 from twistcap.estimate import Estimate
 from twistcap.evaluate import Row
-from twistcap.evaluate.metrics import JOINT_CENTRES, LOST_FRAME_MM, lost_frames
+from twistcap.evaluate.metrics import JOINT_CENTRES, lost_frames
 from twistcap.studio import Capture
 
 Model = Callable[[Capture], Body]
@@ -127,7 +127,7 @@ def _trace(
         [_estimate(k + 1, s, scene) for k, s in enumerate(states)],
         _shot(trial, arm, model, scene, images, states), np.degrees(q[:, knee]), np.degrees(true_q[:, knee]),
         angles_deg=error, names=names, scale_error=_scale_error(scene, states),
-        share_tracked=1.0 - float(lost_frames(mm, LOST_FRAME_MM).mean()),
+        share_tracked=1.0 - float(lost_frames(mm).mean()),
     )  # fmt: skip
 
 

@@ -25,13 +25,13 @@ from reproduce.running import Tell, over_seeds
 from reproduce.scenes.key_views import KeyViewScene, key_view_scene
 from reproduce.sequence import joint_errors_mm, khe_errors_deg
 from twistcap import se3
+from twistcap.acquire.build import Acquired, build
+from twistcap.acquire.measure import measure
+from twistcap.acquire.silhouette import KeyView, difference_mask, one_person
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.obj_rig import load_makehuman
 from twistcap.estimate import Frame
 from twistcap.evaluate.metrics import Row, mean_known, row
-from twistcap.keyviews.build import Acquired, build
-from twistcap.keyviews.measure import measure
-from twistcap.keyviews.silhouette import KeyView, difference_mask, one_person
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.config import stream
 from twistcap.studio.mismatch import wrong_pose

@@ -1,4 +1,4 @@
-"""Key views of a body whose truth is known: the four pictures that `twistcap.keyviews` builds a body from."""
+"""Key views of a body whose truth is known: the four pictures that `twistcap.acquire` builds a body from."""
 
 from __future__ import annotations
 

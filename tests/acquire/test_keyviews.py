@@ -14,6 +14,11 @@ from typer.testing import CliRunner
 
 from reproduce.scenes.key_views import KeyViewScene, key_view_scene
 from twistcap import se3
+from twistcap.acquire.build import Acquired, build
+from twistcap.acquire.measure import measure
+from twistcap.acquire.outline import corners, outline, skeleton
+from twistcap.acquire.sections import Cut, closed_spline, section
+from twistcap.acquire.silhouette import KeyView, check_views, difference_mask, one_person
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.gltf import load_glb, save_glb
 from twistcap.body.humanoid import humanoid
@@ -22,11 +27,6 @@ from twistcap.cli import app
 from twistcap.errors import InputError
 from twistcap.io.calibration import write_rig
 from twistcap.io.keyviews import read_key_views
-from twistcap.keyviews.build import Acquired, build
-from twistcap.keyviews.measure import measure
-from twistcap.keyviews.outline import corners, outline, skeleton
-from twistcap.keyviews.sections import Cut, closed_spline, section
-from twistcap.keyviews.silhouette import KeyView, check_views, difference_mask, one_person
 
 JOINTS = tuple(f"{j}_{s}" for j in ("shoulder", "elbow", "wrist", "hip", "knee") for s in "rl")
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from reproduce.experiments.body_fit import girth_errors
-from support.commands import document, run, told
+from support.commands import document, refusal, run
 from twistcap.adjust.body_fit import FitRule, Take, fit_body
 from twistcap.adjust.body_fit import fields as f
 from twistcap.adjust.body_fit.build import Stretches
 from twistcap.adjust.body_fit.judge import agreement, inside_silhouette, inside_silhouette_reference
-from twistcap.adjust.body_fit.observe import Contours, Observed, observe_masks
+from twistcap.adjust.body_fit.observe import Observed, observe_masks
 from twistcap.adjust.body_fit.problem import FitProblem, Freedom, Sculpted
 from twistcap.adjust.body_fit.rows import rows
 from twistcap.adjust.body_fit.subpixel import refined
@@ -41,10 +41,9 @@ def body():
 
 def sculpted(body, poses, offsets=True):
     """A problem's variables, all fields wide, some amounts and offsets not 0."""
-    rule = FitRule(joint=0.01, joint_side=0.01)
     build = Stretches(0.1, 0.1, 0.1, 0.1, 4)
     start = np.random.default_rng(5).normal(0.0, 1e-3, len(body.vertices)) * offsets
-    freedom = Freedom(body, build, rule, offsets)
+    freedom = Freedom(body, build, offsets)
     return Sculpted(freedom, body, tuple(poses), {"girth torso": 0.02}, start if offsets else np.zeros(0))
 
 
@@ -95,7 +94,7 @@ def test_the_sums_are_those_of_stacked_rows(body) -> None:
     rng, D, M = np.random.default_rng(3), body.dof, len(x.values)
     seen = [[looked_at(p, camera, rng) for camera in rig] for p in x.posed]
     tracked = [p.retract(rng.normal(0.0, 0.01, D)) for p in x.poses]
-    problem = FitProblem(seen, tracked, x.precision, x.freedom.rule)
+    problem = FitProblem(seen, tracked, x.precision)
     arrow = problem.linearised(x)
 
     H, g = np.zeros((2 * D + M,) * 2), np.zeros(2 * D + M)
@@ -211,9 +210,9 @@ def test_a_wrong_body_is_fitted_to_a_few_frames() -> None:
     body = fattened(scene.true_body, 1.08)
     take = Take(scene.rig, list(scene.frames()), scene.first_pose)
     rule = FitRule(rounds=2, steps=2, frames=3)
-    told: list[str] = []
-    fitted = fit_body(body, [take], rule, told.append)
-    assert len(told) == 2 * (3 + 2)
+    notes: list[str] = []
+    fitted = fit_body(body, [take], rule, notes.append)
+    assert len(notes) == 2 * (3 + 2)
     before, after = (girth_errors(b, scene.true_body).mean() for b in (body, fitted.body))
     assert before > 6.0
     assert after < 0.6 * before
@@ -230,7 +229,7 @@ def test_a_wrong_body_is_fitted_to_a_few_frames() -> None:
 def test_given_silhouettes_are_fitted_to() -> None:
     scene = capture(StudioConfig(seed=2, views=4, frames=1))
     posed = Posed(fattened(scene.true_body, 1.1), scene.first_pose)
-    found = observe_masks(scene.masks(0), scene.rig, posed, Contours())
+    found = observe_masks(scene.masks(0), scene.rig, posed)
     distance = np.concatenate([seen.distance / seen.px_per_m for seen in found])
     assert len(found) == 4
     assert -0.012 < np.median(distance) < -0.003  # the body is 10 % too wide: 4 to 10 mm at limbs and trunk
@@ -302,5 +301,11 @@ def test_the_command_writes_a_session_that_tracks(tmp_path, capsys) -> None:
 
 
 def test_the_command_refuses_in_one_sentence(tmp_path, capsys) -> None:
-    assert "cannot be read" in told(capsys, "body", "fit", tmp_path / "none.toml", "--out", tmp_path / "body")
-    assert "FIRST:LAST" in told(capsys, "body", "fit", tmp_path / "none.toml", "--frames", "3")
+    assert "cannot be read" in refusal(capsys, "body", "fit", tmp_path / "none.toml", "--out", tmp_path / "body")
+    assert "FIRST:LAST" in refusal(capsys, "body", "fit", tmp_path / "none.toml", "--frames", "3")
+
+
+@pytest.mark.parametrize("field", ["rounds", "steps", "frames"])
+def test_settings_of_the_fit_are_checked_when_made(field: str) -> None:
+    with pytest.raises(InputError, match=f"body fit: {field} is 0"):
+        FitRule(**{field: 0})

@@ -9,7 +9,7 @@ import pytest
 
 from support.finite_differences import numeric_jacobian
 from twistcap import se3
-from twistcap.adjust.first_pose.clicks import ClickConfig, click_problem, click_variables, fit_clicks, gathered
+from twistcap.adjust.first_pose.clicks import click_problem, click_variables, fit_clicks, gathered
 from twistcap.adjust.first_pose.skeleton import Skeleton
 from twistcap.body import rescaled
 from twistcap.body.humanoid import humanoid
@@ -44,9 +44,9 @@ def test_the_gradient_is_that_of_the_energy() -> None:
     state = State((view_of(20), view_of(80)), np.clip(rng.normal(0, 0.3, 19), *model.limits.T))
     clicks = gathered(model, clicked(model, state, JOINTS, rng, 5.0))
     near = replace(view_of(90), K=np.array([[400.0, 0, 192], [0, 410.0, 140], [0, 0, 1]]))
-    start = click_variables(Skeleton(model), State((view_of(0), near), np.zeros(19)), ClickConfig())
+    start = click_variables(Skeleton(model), State((view_of(0), near), np.zeros(19)))
     start = replace(start, blocks={**start.blocks, "joints": Vector(np.zeros(19))})
-    problem = click_problem(clicks, start, ClickConfig())
+    problem = click_problem(clicks, start)
     step = rng.normal(0, 0.15, start.dof)
     step[[1, 2, 7, 8]] *= 20
     x = start.retract(step)
@@ -86,7 +86,7 @@ def test_one_side_view_from_any_start() -> None:
     q = np.deg2rad([5.0, 20, 30, 25, 20, 5])
     state = State((view_of(90),), q)
     names = [n for n in JOINTS if n in model.landmarks.names and not n.endswith("_l")]
-    found = fit_clicks(model, clicked(model, state, names, rng, 0.5), config=ClickConfig(length=0.03, girth=0.02))
+    found = fit_clicks(model, clicked(model, state, names, rng, 0.5))
     assert np.degrees(np.abs(found.state.q - q)).max() < 8
     assert np.nanmax(found.residual_px) < 3
 

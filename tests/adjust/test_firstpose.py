@@ -21,7 +21,7 @@ from twistcap.adjust.first_pose import (
     pose_at,
     refine_on_silhouettes,
 )
-from twistcap.adjust.first_pose.keypoints import KeypointProblem, Priors, evidence, truncated
+from twistcap.adjust.first_pose.keypoints import COORDINATE, KeypointProblem, evidence, truncated
 from twistcap.adjust.first_pose.outline import outline_of
 from twistcap.adjust.first_pose.outline_term import Girths, OutlineTerm
 from twistcap.adjust.first_pose.triangulate import rigid_fit, triangulate
@@ -117,7 +117,7 @@ def test_gradient_of_the_problem(body: Body) -> None:
     keypoints = seen(rig, Posed(body, pose).landmarks, body.landmarks.names, 3.0, rng)
     skeleton = Skeleton(body)
     frame = evidence(body, rig, keypoints)
-    problem = KeypointProblem(skeleton, (frame,), Priors(), 1e6, True)
+    problem = KeypointProblem(skeleton, (frame,), 1e6, True)
     x = problem.start([Pose(pose.root, pose.q + 0.05 * rng.standard_normal(len(pose.q)))], np.full(skeleton.size, 0.02))
     g = problem.problem.dense(x).gradient
     for k, step in enumerate(1e-6 * np.eye(len(g))):
@@ -197,7 +197,7 @@ def test_what_nobody_saw_stays_neutral_and_single_views_do_no_harm(body: Body) -
     keypoints.pixels[:, hand], keypoints.confidence[:, hand] = np.nan, 0.0
     fit = fit_keypoints(body, rig, keypoints)
     elbow = body.coordinate("elbow_flex_r")
-    neutral, sigma = truncated(body.limits, Priors().coordinate)
+    neutral, sigma = truncated(body.limits, COORDINATE)
     assert abs(fit.pose.q[elbow] - neutral[elbow]) < 0.1
     assert np.sqrt(fit.covariance[6 + elbow, 6 + elbow]) == pytest.approx(sigma[elbow], rel=0.2)
 
@@ -257,7 +257,7 @@ def test_refinement_on_silhouettes(body: Body) -> None:
     truth = Posed(body, posed_like(body, "balance", rng))
     fit = fit_keypoints(body, rig, seen(rig, truth.landmarks, body.landmarks.names, 3.0, rng), fit_lengths=False)
     masks = [render(truth, camera).mask for camera in rig]
-    refined = refine_on_silhouettes(body, rig, fit.pose, masks, covariances=[fit.covariance])
+    refined = refine_on_silhouettes(body, rig, fit.pose, masks)
     names = body.landmarks.names
     which = [i for i, n in enumerate(names) if stem(n) in JOINTS]
     error = 1000 * np.linalg.norm(Posed(refined.body, refined.poses[0]).landmarks - truth.landmarks, axis=1)[which]
@@ -414,9 +414,7 @@ def test_leewalk_clicks_and_silhouettes(body: Body, shared_data: Path) -> None:
     fit = fit_keypoints(body, rig, read_clicks(clicks, rig.names, body.landmarks.names), sigma_px=4.0)
     noisy = [cv2.imread(str(folder / f"FG{c}" / "image0000.bmp"), cv2.IMREAD_GRAYSCALE) for c in range(1, 5)]
     masks = [person(m) for m in noisy]
-    found = refine_on_silhouettes(
-        fit.body, rig, fit.pose, masks, covariances=[fit.covariance], groups=girth_groups(body)
-    )
+    found = refine_on_silhouettes(fit.body, rig, fit.pose, masks, groups=girth_groups(body))
     overlap: list[float] = []
     for camera, m in zip(rig, noisy, strict=True):
         theirs = Rectifier(camera)(m, nearest=True) > 0

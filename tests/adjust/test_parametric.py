@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from reproduce.measures.surfaces import surface_distances, surface_samples
-from support.commands import run, told
+from support.commands import refusal, run
 from twistcap.adjust.body_fit import FitRule, Take, fit_body
 from twistcap.adjust.body_fit.fields import deformed, joint_centres
 from twistcap.adjust.body_fit.parametric import Parametric, carried_pose, matched, rates_at
@@ -80,7 +80,7 @@ def test_steps_stay_within_the_bounds_and_are_exact() -> None:
     assert np.abs(moved.vertices - there.vertices).max() < 1e-9
     assert np.abs(joint_centres(moved) - joint_centres(there)).max() < 1e-9
     assert np.abs(moved.landmarks.points - there.landmarks.points).max() < 1e-12
-    assert build.told({"legs": -0.4}) == {"tall": 0.8, "legs": -0.4, "stout": 0.0}
+    assert build.summary({"legs": -0.4}) == {"tall": 0.8, "legs": -0.4, "stout": 0.0}
 
 
 def test_a_model_takes_another_bodys_lengths() -> None:
@@ -163,7 +163,7 @@ def test_without_the_extra_one_sentence_says_how_to_get_it(tmp_path, capsys, mon
     monkeypatch.setitem(sys.modules, "anny", None)  # an import of it fails, whether it is installed or not
     walk = tmp_path / "walk"
     assert run("studio", walk, "--size", "96x70", "--views", "2", "--frames", "1") == 0
-    said = told(capsys, "body", "fit", walk / "session.toml", "--model", "anny", "--out", tmp_path / "body")
+    said = refusal(capsys, "body", "fit", walk / "session.toml", "--model", "anny", "--out", tmp_path / "body")
     assert "pip install 'twistcap[anny]'" in said
 
 

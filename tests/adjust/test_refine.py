@@ -16,7 +16,7 @@ from support.finite_differences import check_jacobian
 from twistcap.adjust.refine import RefineConfig, refine
 from twistcap.adjust.refine.common_error import design_effect
 from twistcap.adjust.refine.evidence import BrightnessPair, reshaped
-from twistcap.adjust.refine.look import CameraRound, followed_points
+from twistcap.adjust.refine.measure import CameraRound, followed_points
 from twistcap.adjust.refine.motion import accelerations
 from twistcap.adjust.refine.problem import RefineProblem, Standing, Track
 from twistcap.adjust.refine.shape import Shape
@@ -26,13 +26,14 @@ from twistcap.adjust.refine.sums import (
     add_products,
     flat,
     projection,
-    row_reference,
     stacked,
 )
 from twistcap.body import Body, Pose, Posed, rescaled
 from twistcap.body.humanoid import humanoid
 from twistcap.body.kinematics import skin_points
 from twistcap.body.shape import (
+    RestMotion,
+    carried,
     hinge_middles,
     joint_distances,
     joint_origin,
@@ -69,6 +70,21 @@ def a_pose(seed: int) -> Pose:
 def some_points(count: int, seed: int = 0) -> SurfacePoints:
     some = np.random.default_rng(seed).integers(0, len(BODY.vertices), count)
     return SurfacePoints(BODY.skin_segments[some], BODY.skin_weights[some], BODY.vertices[some])
+
+
+def row_reference(posed: Posed, motion: RestMotion, points: SurfacePoints, gradient: Array) -> Array:
+    """(N, 6 + J + K) readable twin of the rows after their projection: one way through the skeleton, one through rest.
+
+    A joint centre that moves by d below parent p carries all below it by (R_p - R_s) d: it moves with the parent, and
+    the segment turns about it. The surface itself moves in the rest pose and is skinned after.
+    """
+    jacobian = posed.point_jacobian(points.segments, points.weights, points.local)
+    by_pose = np.einsum("ni,nid->nd", gradient, jacobian)
+    R = np.einsum("nk,nkij->nij", points.weights, posed.segment_transforms[points.segments][..., :3, :3])
+    moved = np.einsum("nk,nkmi->nmi", points.weights, carried(posed, motion.joints).transpose(1, 0, 2)[points.segments])
+    at_rest = motion.velocities(points.local)[np.arange(len(points))[:, None], points.segments]
+    by_shape = moved + np.einsum("nij,nk,nkmj->nmi", R, points.weights, at_rest)
+    return np.concatenate([by_pose, np.einsum("ni,nmi->nm", gradient, by_shape)], axis=1)
 
 
 def test_derivatives_by_pose_and_shape() -> None:
@@ -308,7 +324,7 @@ def test_points_that_err_alike_count_as_fewer() -> None:
 def test_a_track_that_cannot_be_bettered_is_kept(scene: Capture) -> None:
     frames, body = list(scene.frames()), scene.true_body
     exact = [Estimate(f.index, f.time, scene.true_poses[f.index], np.eye(body.dof)) for f in frames]
-    shaken = RefineConfig(rounds=1, coarse_rounds=1, contour=0.0, brightness=0.0, noise=MotionNoise(joint=1e-3))
+    shaken = RefineConfig(rounds=1, coarse_rounds=1, contour=0.0, brightness=0.0)
     found = refine(
         frames, body, scene.rig, exact, shaken
     )  # images that count for nothing: motion alone, to a standstill
@@ -340,7 +356,7 @@ def test_a_track_by_brightness_is_refined_by_brightness(
 
 def test_bad_input(scene: Capture, wrong: tuple[list[Frame], Body, list[Estimate]]) -> None:
     frames, body, estimates = wrong
-    with pytest.raises(InputError, match="takes at least 3"):
+    with pytest.raises(InputError, match="give at least 3"):
         refine(frames[:2], body, scene.rig, estimates[:2])
     with pytest.raises(InputError, match="not those of the estimates"):
         refine(frames[:4], body, scene.rig, estimates[:5])
@@ -351,7 +367,12 @@ def test_bad_input(scene: Capture, wrong: tuple[list[Frame], Body, list[Estimate
     bad = replace(estimates[1], pose=Pose(estimates[1].pose.root, np.full_like(estimates[1].pose.q, np.nan)))
     with pytest.raises(InputError, match="pose of frame 1 is not finite"):
         refine(frames[:3], body, scene.rig, [estimates[0], bad, estimates[2]])
-    with pytest.raises(InputError, match="rounds and strides 1 or more"):
+    with pytest.raises(InputError, match="strides are"):
+        RefineConfig(strides=())
+    for value in (np.nan, np.inf, -0.1):
+        with pytest.raises(InputError, match="finite number"):
+            RefineConfig(joint=value)
+    with pytest.raises(InputError, match="rounds is 0; it must be a finite number above 0"):
         RefineConfig(rounds=0)
 
 

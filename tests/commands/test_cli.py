@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import pytest
 
-from support.commands import document, run, told
+from support.commands import document, refusal, run
 from support.videos import corrupted, write
 from twistcap.body.humanoid import humanoid
 from twistcap.errors import InputError
@@ -73,7 +73,7 @@ def test_evaluate(tracked: Path, made: Path, capsys: pytest.CaptureFixture[str])
     assert 0.0 < by_metric["joints, mean"] < 100.0
     masks = document(capsys, "evaluate", result, "--reference", made / "masks")
     assert len(masks["masks"]) == 16 and all(mask["iou"] > 0.5 for mask in masks["masks"])
-    assert "does not exist" in told(capsys, "evaluate", result, "--reference", made / "none.npz")
+    assert "does not exist" in refusal(capsys, "evaluate", result, "--reference", made / "none.npz")
 
 
 @pytest.mark.parametrize("kind", ["trc", "mot", "bvh", "csv", "glb"])
@@ -83,9 +83,9 @@ def test_export(kind: str, tracked: Path, tmp_path: Path, capsys: pytest.Capture
 
 
 def test_export_refuses(tracked: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "must be one of trc, mot, bvh" in told(capsys, "export", tracked / "result.h5", "--to", "fbx")
-    assert "does not exist" in told(capsys, "export", tmp_path / "none.h5", "--to", "trc")
-    assert "no HDF5 file" in told(capsys, "export", tracked / "angles.csv", "--to", "trc")
+    assert "choose one of trc, mot, bvh, csv, glb" in refusal(capsys, "export", tracked / "result.h5", "--to", "fbx")
+    assert "does not exist" in refusal(capsys, "export", tmp_path / "none.h5", "--to", "trc")
+    assert "no HDF5 file" in refusal(capsys, "export", tracked / "angles.csv", "--to", "trc")
 
 
 def test_resume_goes_on(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -123,7 +123,7 @@ def test_motions_carry_the_track_over_missing_images(
     told_by = [estimate.predicted for estimate in result.estimates]
     assert len(result) == 8 and told_by[6:] == ["motion"] * 2
     assert [estimate.status == "no_images" for estimate in result.estimates] == [k == 6 for k in range(8)]
-    assert "but tracker.predictor is 'hold'" in told(capsys, "track", session, "--set", "tracker.predictor=hold")
+    assert "but tracker.predictor is 'hold'" in refusal(capsys, "track", session, "--set", "tracker.predictor=hold")
 
 
 def test_an_amc_is_built_on_the_skeleton_that_is_named(
@@ -131,14 +131,14 @@ def test_an_amc_is_built_on_the_skeleton_that_is_named(
 ) -> None:
     cmu = shared_data / "motions" / "cmu"
     build = ("motions", "build", tmp_path / "walk.npz", cmu / "08_04.amc")
-    assert "there are several (01.asf, 11.asf); name it (--skeleton" in told(capsys, *build)
+    assert "there are several (01.asf, 11.asf); name it (--skeleton" in refusal(capsys, *build)
     assert document(capsys, *build, "--skeleton", cmu / "01.asf", "--fps", "30")["clips"][0]["name"] == "08_04"
-    assert "'leg' is unknown" in told(capsys, *build, "--variant", "leg")
+    assert "'leg' is unknown" in refusal(capsys, *build, "--variant", "leg")
 
 
 def test_resume_refuses_other_cameras(session: Path, tracked: Path, capsys: pytest.CaptureFixture[str]) -> None:
     replace(session, 'unit = "m"', 'unit = "m"\nuse = ["cam02"]')
-    assert "was tracked with cameras cam01, cam02" in told(capsys, "track", session, "--out", tracked, "--resume")
+    assert "was tracked with cameras cam01, cam02" in refusal(capsys, "track", session, "--out", tracked, "--resume")
 
 
 def test_killed_run_keeps_its_frames_and_goes_on(made: Path, tmp_path: Path) -> None:
@@ -165,7 +165,7 @@ def test_corrupt_frame_loses_nothing(session: Path, tmp_path: Path, capsys: pyte
     good = session.parent / "videos" / "cam02.mp4"
     corrupted(good, session.parent / "videos" / "bad.mp4", 0.9)
     replace(session, "cam02.mp4", "bad.mp4")
-    sentence = told(capsys, "track", session, "--out", tmp_path / "out")
+    sentence = refusal(capsys, "track", session, "--out", tmp_path / "out")
     assert "bad.mp4: frame " in sentence and "is corrupt" in sentence and "--resume" in sentence
     kept = len(read_result(tmp_path / "out" / "result.h5"))
     assert kept >= 1 and f"the {kept} frames before it are kept" in sentence
@@ -211,25 +211,25 @@ def test_bad_sessions(session: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
     ]
     for file, old, new, sentence in cases:
         replace(file, old, new)
-        assert sentence in told(capsys, "track", session, "--out", tmp_path / "out"), sentence
+        assert sentence in refusal(capsys, "track", session, "--out", tmp_path / "out"), sentence
         for path, text in whole.items():
             path.write_text(text)
-    assert "unknown key 'metod' in [tracker]" in told(capsys, "track", session, "--set", "tracker.metod=direct")
-    assert "write FIRST:LAST" in told(capsys, "track", session, "--frames", "3")
-    assert "cannot be read" in told(capsys, "track", tmp_path / "none.toml")
+    assert "unknown key 'metod' in [tracker]" in refusal(capsys, "track", session, "--set", "tracker.metod=direct")
+    assert "write FIRST:LAST" in refusal(capsys, "track", session, "--frames", "3")
+    assert "cannot be read" in refusal(capsys, "track", tmp_path / "none.toml")
     assert not (tmp_path / "out" / "result.h5").exists()
 
 
 def test_person_underground(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The calibration's floor lies 0.8 m above the world's: heels underground."""
     replace(session, 'unit = "m"', 'unit = "m"\nfloor = 0.8')
-    assert "underground" in told(capsys, "track", session, "--out", tmp_path / "out")
+    assert "underground" in refusal(capsys, "track", session, "--out", tmp_path / "out")
 
 
 def test_bad_input_keeps_an_older_result(session: Path, tracked: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = (tracked / "result.h5").read_bytes()
     replace(session, "cam02.mp4", "none.mp4")
-    told(capsys, "track", session, "--out", tracked)
+    refusal(capsys, "track", session, "--out", tracked)
     assert (tracked / "result.h5").read_bytes() == before
 
 

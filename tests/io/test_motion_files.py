@@ -329,3 +329,15 @@ def test_real_angles_put_the_joints_where_the_keypoints_were(shared_data: Path, 
     for ours, theirs in (("hip_r", "RHip"), ("knee_r", "RKnee"), ("knee_l", "LKnee"), ("ankle_l", "LAnkle")):
         gap = marks[:, body.landmarks.index(ours)] - markers.points[:, markers.names.index(theirs)]
         assert np.median(np.linalg.norm(gap, axis=1)) < 0.10, ours
+
+
+def test_unknown_choices_are_refused(tmp_path: Path, body: Body) -> None:
+    """None of them falls back to a default, in Python either."""
+    times, points = np.array([0.0, 0.5]), np.zeros((2, 1, 3))
+    with pytest.raises(InputError, match="axes is 'opensin'; it must be one of pose2sim, opensim"):
+        write_trc(tmp_path / "a.trc", times, ["p"], points, axes="opensin")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(InputError, match="unit is 'cm'"):
+        write_trc(tmp_path / "a.trc", times, ["p"], points, unit="cm")  # pyright: ignore[reportArgumentType]
+    write_mot(tmp_path / "a.mot", body, times, [Pose.rest(body)] * 2)
+    with pytest.raises(InputError, match="knee is 'left'"):
+        poses_from_mot(read_mot(tmp_path / "a.mot"), body, knee="left")  # pyright: ignore[reportArgumentType]

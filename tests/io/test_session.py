@@ -99,7 +99,7 @@ def test_command_line_over_session_over_defaults(path: Path) -> None:
         (
             '"direct"',
             '"differential"\n[prior]\npath = "p.npz"\n[motions]\npath = "m.npz"',
-            r"looks at brightness alone; remove \[prior\] and \[motions\]",
+            r"uses brightness alone; remove \[prior\] and \[motions\]",
         ),
     ],
 )

@@ -12,11 +12,12 @@ import pytest
 
 from support.browser import Browser
 from support.pages_shared import has_colour, needs_browser, picture, run, served
+from twistcap.acquire import cutout
+from twistcap.acquire.cutout import Hints, Stroke, cut_out
 from twistcap.camera import Camera, Rig, look_at
 from twistcap.commands.body import cutting_of
 from twistcap.errors import InputError
 from twistcap.io.calibration import write_rig
-from twistcap.keyviews.cutout import Hints, Stroke, cut_out
 from twistcap.pages.assemble import page
 from twistcap.pages.cutting import outline
 from twistcap.region.compare import iou
@@ -98,9 +99,10 @@ def test_an_earlier_silhouette_is_mended_along_its_edge() -> None:
     assert found is not None and iou(found, true) > max(0.95, iou(known, true))
 
 
-def test_a_large_image_is_cut_small_and_enlarged() -> None:
+def test_a_large_image_is_cut_small_and_enlarged(monkeypatch: pytest.MonkeyPatch) -> None:
     image, true = (cv2.resize(a, None, fx=3, fy=3) for a in (scene(), person().astype(np.uint8)))
-    found = cut_out(image, Hints((150, 60, 450, 735)), largest=260)
+    monkeypatch.setattr(cutout, "_LARGEST", 260)
+    found = cut_out(image, Hints((150, 60, 450, 735)))
     assert found is not None and found.shape == true.shape and iou(found, true > 0) > 0.9
 
 
@@ -130,7 +132,7 @@ def test_masks_are_written_where_the_file_reads_them(keyviews: Path) -> None:
         cutting.save({})
     for role in ("front", "side"):
         answer = cutting.cut({"view": role, "rectangle": [50, 20, 150, 245], "strokes": []})
-        assert answer["outline"] and 0.1 < answer["share"] < 0.5
+        assert answer["outline"] and 0.1 < answer["fraction"] < 0.5
     saved = cutting.save({})
     assert [Path(path).name for path in saved["saved"]] == ["anna_front_mask.png", "side_mask.png"]
     assert saved["note"] == 'Put mask = "anna_front_mask.png" into [views.front].'
@@ -145,7 +147,7 @@ def test_what_is_cleared_is_not_saved(keyviews: Path) -> None:
     cutting, rectangle = cutting_of(keyviews), [50, 20, 150, 245]
     assert cutting.cut({"view": "front", "rectangle": rectangle})["cut"]
     cleared = cutting.cut({"view": "front", "rectangle": None, "strokes": []})
-    assert cleared == {"view": "front", "outline": [], "share": 0.0, "cut": False}
+    assert cleared == {"view": "front", "outline": [], "fraction": 0.0, "cut": False}
     with pytest.raises(InputError, match="nothing to save"):
         cutting.save({})
     cutting.cut({"view": "side", "rectangle": rectangle})

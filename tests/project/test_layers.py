@@ -30,7 +30,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("track",),
     ("adjust",),
     ("studio",),
-    ("keyviews",),
+    ("acquire",),
     ("io",),
     ("evaluate",),
     ("report", "view"),

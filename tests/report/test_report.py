@@ -130,9 +130,6 @@ def test_plots_show_both_sides_and_lost_frames(tmp_path: Path) -> None:
     picture = cv2.imread(str(angle_plot(tmp_path / "a.png", series, series, lost)))[..., ::-1]
     right, left, middle, red = (232, 121, 12), (23, 128, 214), (61, 143, 109), (249, 214, 215)
     assert all(_has_colour(picture, colour, 12) for colour in (right, left, middle, red))
-    only = cv2.imread(str(angle_plot(tmp_path / "b.png", series, only=["knee_angle_r"])))[..., ::-1]
-    assert _has_colour(only, right, 12)
-    assert not _has_colour(only, left, 12)
     errors = np.abs(angles) * 10
     errors[3] = np.nan
     errors[4] = np.inf

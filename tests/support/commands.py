@@ -24,7 +24,7 @@ def document(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict[str
     return json.loads(capsys.readouterr().out)
 
 
-def told(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     """The one sentence of a refusal: exit code 2, nothing on stdout, no traceback."""
     capsys.readouterr()
     assert run(*arguments) == 2

@@ -27,11 +27,11 @@ def write(path: Path, count: int = COUNT, size: tuple[int, int] = (384, 280)) ->
     return path
 
 
-def corrupted(source: Path, path: Path, share: float = 0.5) -> Path:
-    """The video with its pictures overwritten from a share of the file on; header and index stay."""
+def corrupted(source: Path, path: Path, fraction: float = 0.5) -> Path:
+    """The video with its pictures overwritten from a fraction of the file on; header and index stay."""
     data = bytearray(source.read_bytes())
     start = data.index(b"mdat")
-    cut = start + int(share * (len(data) - start))
+    cut = start + int(fraction * (len(data) - start))
     data[cut:] = np.random.default_rng(0).integers(0, 256, len(data) - cut, dtype=np.uint8).tobytes()
     path.write_bytes(bytes(data))
     return path

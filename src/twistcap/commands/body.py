@@ -34,17 +34,17 @@ def keyviews(
 
       twistcap body keyviews anna.toml --out anna
     """
+    from twistcap.acquire.build import build
+    from twistcap.acquire.measure import measure
     from twistcap.body.gltf import save_glb
     from twistcap.io.keyviews import read_key_views
-    from twistcap.keyviews.build import build
-    from twistcap.keyviews.measure import measure
-    from twistcap.report.keyviews import draw_silhouettes, draw_steps
+    from twistcap.report.acquire import draw_silhouettes, draw_steps
 
-    found, line = read_key_views(views)
+    key_views, line = read_key_views(views)
     folder = terminal.output_folder(out)
-    page = draw_silhouettes(found, folder / "steps.png")  # what there is to see if a later step fails
-    acquired = build(measure(found, line))
-    page = draw_steps(found, acquired, folder / "steps.png")
+    page = draw_silhouettes(key_views, folder / "steps.png")  # what there is to see if a later step fails
+    acquired = build(measure(key_views, line))
+    page = draw_steps(key_views, acquired, folder / "steps.png")
     save_glb(acquired.body, folder / "body.glb")
     words.print(f"stature {acquired.measured.stature:.3f} m. Wrote {folder / 'body.glb'}. Look at {page}.")
 
@@ -83,9 +83,9 @@ def cutting_of(path: Path) -> Any:
     from twistcap.io.keyviews import read_uncut
     from twistcap.pages.cutting import Cutting, CutView
 
-    found = read_uncut(path)
-    notes = {r: "" if u.named else f'Put mask = "{u.target.name}" into [views.{r}].' for r, u in found.items()}
-    return Cutting({role: CutView(u.image, u.target, u.known) for role, u in found.items()}, notes)
+    uncut = read_uncut(path)
+    notes = {r: "" if u.named else f'Put mask = "{u.target.name}" into [views.{r}].' for r, u in uncut.items()}
+    return Cutting({role: CutView(u.image, u.target, u.known) for role, u in uncut.items()}, notes)
 
 
 @body.command()

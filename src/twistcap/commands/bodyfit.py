@@ -14,7 +14,7 @@ from twistcap.adjust.body_fit.judge import Agreement, agreement
 from twistcap.adjust.body_fit.parametric import Model, carried_pose, matched
 from twistcap.body.gltf import save_glb
 from twistcap.commands.body import BodyModel
-from twistcap.commands.terminal import telling, words
+from twistcap.commands.terminal import status, words
 from twistcap.evaluate.metrics import Row, percentile_known, row
 from twistcap.io.pose_file import write_pose
 from twistcap.io.recording import Recording, image_masks, open_together
@@ -36,9 +36,9 @@ def fit_sessions(
         takes = [_take(recording) for recording in recordings]
     rule = FitRule(frames=count)
     total = rule.rounds * (sum(len(take.frames) for take in takes) + rule.steps)
-    with telling("fitting the body") as told:
+    with status("fitting the body") as report:
         notes = iter(range(1, total + 1))
-        fitted = fit_body(recordings[0].body, takes, rule, lambda note: told(note, next(notes, total), total), build)
+        fitted = fit_body(recordings[0].body, takes, rule, lambda note: report(note, next(notes, total), total), build)
     files = _written(fitted, recordings[0], source, folder)
     with words.status("measuring and drawing"):
         seen = [(take.rig, frames) for take, frames in zip(takes, fitted.frames, strict=True)]
@@ -75,13 +75,13 @@ def _take(recording: Recording) -> Take:
 
 def _rows(name: str, before: Agreement, after: Agreement) -> list[Row]:
     out: list[Row] = []
-    for when, found in (("before", before), ("after", after)):
+    for when, result in (("before", before), ("after", after)):
         case = f"{name}, {when}"
-        for unit, values in (("px", found.px), ("mm", found.mm)):
+        for unit, values in (("px", result.px), ("mm", result.mm)):
             out.append(row(case, "surface to silhouette, mean", float(values.mean()), unit))
             out.append(row(case, "surface to silhouette, p95", percentile_known(values, 95), unit))
-        out.append(row(case, "IoU with the segmentation", found.iou, ""))
-        out.append(row(case, "IoU of the visual hulls", found.hull, ""))
+        out.append(row(case, "IoU with the segmentation", result.iou, ""))
+        out.append(row(case, "IoU of the visual hulls", result.hull, ""))
     for part, (mean, p95) in after.by_part().items():
         out.append(row(f"{name}, after", f"{part}, mean", mean, "mm"))
         out.append(row(f"{name}, after", f"{part}, p95", p95, "mm"))

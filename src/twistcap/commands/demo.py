@@ -83,20 +83,20 @@ def _reported(scene: Any, pictures: list[Any], result: Any, folder: Path, timing
     with words.status("writing plots, exports and the overlay"):
         write_truth(scene, folder / "truth.npz")
         truth = load_reference(folder / "truth.npz", result.body, lambda rows: result.times[:rows])
-        found = compare(result, truth, "studio walk")
+        comparison = compare(result, truth, "studio walk")
         exports = outputs.write_exports(result, ("trc", "csv"), folder)
         plots = {outputs.write_angle_plot(result, folder, truth): "Joint angles (± 2σ) and the truth, dashed"}
-        if found.joints is not None:
-            errors = found.joints
+        if comparison.joints is not None:
+            errors = comparison.joints
             plots[outputs.write_error_plot(result.times, errors.names, errors.raw, folder)] = "Joint position errors"
         video = outputs.write_overlay(result, pictures, scene.rig.pinhole(), folder, scene.config.fps, "twistcap demo")
         speed = Headline("per frame, without decoding", f"{timing.median:.0f}", "ms")
-        headlines = [*headline_rows(found.rows, _headlines(found.rows)), speed]
+        headlines = [*headline_rows(comparison.rows, _headlines(comparison.rows)), speed]
         lead = f"A synthetic walk in {len(scene.rig)} views, tracked from its first pose and compared with its truth."
-        page = outputs.write_page(folder, "twistcap demo", lead, headlines, found.rows, plots)
+        page = outputs.write_page(folder, "twistcap demo", lead, headlines, comparison.rows, plots)
     return {
         "id": "demo",
-        "rows": found.rows,
+        "rows": comparison.rows,
         "ms_per_frame": timing.median,
         "result": folder / "result.h5",
         "report": page,

@@ -34,10 +34,10 @@ def evaluate(
     from twistcap.evaluate.reference import evaluate as compare
     from twistcap.io.result import read_result
 
-    found = compare(read_result(result), reference, time_offset, exclude=exclude or ())
+    comparison = compare(read_result(result), reference, time_offset, exclude=exclude or ())
     if json:
-        terminal.emit({"id": "evaluate", **found.as_dict()})
+        terminal.emit({"id": "evaluate", **comparison.as_dict()})
         return
-    terminal.show_rows(f"{result} against {reference}", found.rows)
-    for note in found.notes:
+    terminal.show_rows(f"{result} against {reference}", comparison.rows)
+    for note in comparison.notes:
         terminal.words.print(f"note: {note}")

@@ -8,12 +8,11 @@ from typing import Annotated
 import typer
 
 from twistcap.commands import terminal
-from twistcap.errors import InputError
 
 
 def export(
     result: Annotated[Path, typer.Argument(help="result.h5 of a track.", metavar="RESULT")],
-    to: Annotated[str, typer.Option(help="trc, mot, bvh, csv or glb.")],
+    to: Annotated[str, typer.Option(help="trc, mot, bvh, csv, glb, or a format of an installed package.")],
     out: Annotated[Path | None, typer.Option(help="File to write. Default: in the folder of the result.")] = None,
     json: terminal.Json = False,
 ) -> None:
@@ -25,12 +24,10 @@ def export(
 
       twistcap export out/result.h5 --to bvh --out walk.bvh
     """
-    from twistcap.commands import outputs
+    from twistcap.io.exports import export as written
     from twistcap.io.result import read_result
 
-    if to not in outputs.FILE_NAMES:
-        raise InputError(f"--to is {to!r}; it must be one of {', '.join(outputs.FILE_NAMES)}.")
-    path = outputs.export(read_result(result), to, out or result.parent / outputs.FILE_NAMES[to])
+    path = written(read_result(result), to, result.parent, out)
     if json:
         terminal.emit({"id": "export", "format": to, "file": path})
     else:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -85,8 +85,3 @@ def _step(tracker: Tracker, frame: Frame, timing: Timing) -> Estimate:
 def angle_sigmas(result: Result) -> Float:
     """(N, J) standard deviations of the coordinates, rad."""
     return np.sqrt(np.maximum(np.diagonal(result.covariances, axis1=1, axis2=2)[:, 6:], 0.0))
-
-
-def frame_rate(times: Sequence[float] | Float) -> float:
-    """Frames per second of rising times; 60 for a single frame."""
-    return float(1.0 / np.median(np.diff(times))) if len(times) > 1 else 60.0

@@ -56,11 +56,11 @@ def clicking_of(session: Any, path: Path, out: Path | None = None, detector: str
     if detector is not None:
         if any(image is None for image in images):
             raise InputError("a camera has no image of the first frame for the detector; let `frames` start later.")
-        found = detected(detector, [image for image in images if image is not None], rig)
+        keypoints = detected(detector, [image for image in images if image is not None], rig)
     else:
-        found = _known(session, clicking)
-    if found is not None:
-        clicking.clicks = clicks_of(found, rig, body.landmarks.names)
+        keypoints = _known(session, clicking)
+    if keypoints is not None:
+        clicking.clicks = clicks_of(keypoints, rig, body.landmarks.names)
     _with_saved_pose(clicking)
     return clicking
 

@@ -25,7 +25,7 @@ def new(
     force: Annotated[bool, typer.Option("--force", help="Overwrite an existing session.toml.")] = False,
     json: terminal.Json = False,
 ) -> None:
-    """Write a session.toml with comments, check videos and calibration, and say what is missing.
+    """Write a session.toml with comments, check videos and calibration, and list what is missing.
 
     Examples:
 
@@ -49,12 +49,12 @@ def new(
     path.write_text(session_lines(draft, folder, stature), encoding="utf-8")
     session = load_session(path)  # what was written must be what `track` reads
     views_of(session, rig_of(session))
-    found, lacks = findings(draft), missing(draft, path, stature)
+    facts, lacks = findings(draft), missing(draft, path, stature)
     if json:
-        terminal.emit({"id": "new", "session": path, "found": found, "missing": lacks})
+        terminal.emit({"id": "new", "session": path, "found": facts, "missing": lacks})
         return
     typer.echo(path)
-    for sentence in found:
+    for sentence in facts:
         typer.echo(sentence, err=True)
     typer.echo("Still missing:" if lacks else "Nothing is missing.", err=True)
     for sentence in lacks:

@@ -47,7 +47,7 @@ def refine(
     if json:
         terminal.emit(document)
     else:
-        tell(document)
+        show(document)
 
 
 def _run(
@@ -66,23 +66,25 @@ def _run(
     chosen = [e for e in result.estimates if span is None or span[0] <= e.index <= span[1]]
     views = _views(session, result.rig, [e.index for e in chosen], path)
     folder = terminal.output_folder(out)
-    with terminal.telling("refining") as told:
-        found = refined(views, result.body, views.image_rig, chosen, config, session.tracker_settings, told)
+    with terminal.status("refining") as report:
+        refinement = refined(views, result.body, views.image_rig, chosen, config, session.tracker_settings, report)
     if again:
-        anew = _tracked_again(session, found, views)
-        with terminal.telling("refining again") as told:
+        retracked = _tracked_again(session, refinement, views)
+        with terminal.status("refining again") as report:
             rig = views.image_rig
-            found = refined(views, found.body, rig, anew, config, session.tracker_settings, told, found.shape)
+            refinement = refined(
+                views, refinement.body, rig, retracked, config, session.tracker_settings, report, refinement.shape
+            )
     return {
         "id": "refine",
         "result": folder / "refined.h5",
         "frames": len(chosen),
-        "moved_mm": [1000.0 * step for step in found.moved],
-        "helped": found.helped,
-        "design_effect": found.design_effect,
-        "joints_held": not found.joint_shifts,
-        **_shape(result.body, found),
-        "files": _written(result, found, session, views, folder),
+        "moved_mm": [1000.0 * step for step in refinement.moved],
+        "helped": refinement.helped,
+        "design_effect": refinement.design_effect,
+        "joints_held": not refinement.joint_shifts,
+        **_shape(result.body, refinement),
+        "files": _written(result, refinement, session, views, folder),
     }
 
 
@@ -114,50 +116,50 @@ def _views(session: Any, rig: Any, indices: list[int], path: Path) -> Any:
     return replace(views, indices=range(indices[0], indices[-1] + 1, steps.pop()))
 
 
-def _tracked_again(session: Any, found: Any, views: Any) -> list[Any]:
+def _tracked_again(session: Any, refinement: Any, views: Any) -> list[Any]:
     """Estimates of the same frames, tracked with the refined body from its first pose."""
     from twistcap.commands.track import session_tracker
 
-    tracker = session_tracker(session, found.body, views)
-    tracker.start(found.estimates[0].pose, found.estimates[0].time)
-    anew: list[Any] = []
-    with terminal.telling("tracking again") as told:
+    tracker = session_tracker(session, refinement.body, views)
+    tracker.start(refinement.estimates[0].pose, refinement.estimates[0].time)
+    retracked: list[Any] = []
+    with terminal.status("tracking again") as report:
         for frame in views:
-            anew.append(tracker.step(frame))
-            told(f"frame {frame.index}", len(anew), len(views))
-    return anew
+            retracked.append(tracker.step(frame))
+            report(f"frame {frame.index}", len(retracked), len(views))
+    return retracked
 
 
-def _shape(before: Any, found: Any) -> dict[str, Any]:
+def _shape(before: Any, refinement: Any) -> dict[str, Any]:
     """How the body's shape changed: factors with their standard deviations, joint centres in mm."""
     from twistcap.body.shape import joint_distances
 
-    old, new = joint_distances(before), joint_distances(found.body)
+    old, new = joint_distances(before), joint_distances(refinement.body)
     return {
         "lengths": [
-            {"group": name, "factor": factor, "sigma": found.length_sigmas[name]}
-            for name, factor in found.lengths.items()
+            {"group": name, "factor": factor, "sigma": refinement.length_sigmas[name]}
+            for name, factor in refinement.lengths.items()
         ],
         "girths": [
-            {"group": name, "factor": factor, "sigma": found.girth_sigmas[name]}
-            for name, factor in found.girths.items()
+            {"group": name, "factor": factor, "sigma": refinement.girth_sigmas[name]}
+            for name, factor in refinement.girths.items()
         ],
         "bones": [{"segment": n, "before_mm": 1000 * mm, "after_mm": 1000 * new[n]} for n, mm in old.items()],
         "joints": [
-            {"segment": name, "shift_mm": 1000 * shift, "sigma_mm": 1000 * found.joint_sigmas[name]}
-            for name, shift in found.joint_shifts.items()
+            {"segment": name, "shift_mm": 1000 * shift, "sigma_mm": 1000 * refinement.joint_sigmas[name]}
+            for name, shift in refinement.joint_shifts.items()
         ],
     }
 
 
-def _written(result: Any, found: Any, session: Any, views: Any, folder: Path) -> list[Path]:
+def _written(result: Any, refinement: Any, session: Any, views: Any, folder: Path) -> list[Path]:
     from twistcap.commands import outputs
     from twistcap.io.result import ResultWriter, read_result
 
     path = folder / "refined.h5"
-    kept = {**result.config, "refined": {"moved_m": list(found.moved), "lengths": dict(found.lengths)}}
-    with ResultWriter(path, found.body, result.rig, kept) as writer:
-        for estimate in found.estimates:
+    kept = {**result.config, "refined": {"moved_m": list(refinement.moved), "lengths": dict(refinement.lengths)}}
+    with ResultWriter(path, refinement.body, result.rig, kept) as writer:
+        for estimate in refinement.estimates:
             writer.append(estimate)
     with words.status("writing plots, exports and the overlay"):
         refined = read_result(path)
@@ -171,7 +173,7 @@ def _written(result: Any, found: Any, session: Any, views: Any, folder: Path) ->
     return files
 
 
-def tell(document: dict[str, Any]) -> None:
+def show(document: dict[str, Any]) -> None:
     """Print the end of a run for a person."""
     table = Table(title="shape", title_justify="left")
     for name in ("segments", "length", "± (1σ)", "girth", "± (1σ)"):

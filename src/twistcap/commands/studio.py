@@ -26,7 +26,7 @@ def studio(
     drop: Annotated[list[str] | None, typer.Option(help="FIRST:LAST frames without images.")] = None,
     noise: Annotated[float, typer.Option(help="Fraction of the pixels that become uniform noise.")] = 0.0,
     rectangles: Annotated[int, typer.Option(help="Number of random rectangles painted over each image.")] = 0,
-    occluders: Annotated[int, typer.Option(help="Number of things that stand before the person.")] = 0,
+    occluders: Annotated[int, typer.Option(help="Number of things in front of the person.")] = 0,
     blur: Annotated[int, typer.Option(help="Number of sub-frames for motion blur.")] = 1,
     json: terminal.Json = False,
 ) -> None:

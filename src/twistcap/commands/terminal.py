@@ -1,4 +1,4 @@
-"""What every command shares: progress and words on stderr, one JSON document on stdout, output folders."""
+"""Common to all commands: progress and words on stderr, one JSON document on stdout, output folders."""
 
 from __future__ import annotations
 
@@ -25,23 +25,26 @@ Advance = Callable[[str], None]
 @contextmanager
 def progress(title: str, total: int) -> Generator[Advance]:
     """A bar on stderr; call the function that it gives once per step, with a short note."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, TextColumn("{task.fields[note]}"), console=words) as bar:
+    with _bar() as bar:
         task = bar.add_task(title, total=total, note="")
         yield lambda note="": bar.update(task, advance=1, note=note)
 
 
 @contextmanager
-def telling(title: str) -> Generator[Callable[..., None]]:
+def status(title: str) -> Generator[Callable[..., None]]:
     """A bar on stderr for work of unknown length; call the function that it gives with (note, done, total)."""
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, TextColumn("{task.fields[note]}"), console=words) as bar:
+    with _bar() as bar:
         task = bar.add_task(title, total=None, note="")
 
         def report(note: str, done: int = 0, total: int | None = None) -> None:
             bar.update(task, completed=done, total=total, note=note)
 
         yield report
+
+
+def _bar() -> Progress:
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    return Progress(*columns, TextColumn("{task.fields[note]}"), console=words)
 
 
 def emit(document: Mapping[str, Any]) -> None:

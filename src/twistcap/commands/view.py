@@ -91,18 +91,18 @@ def _sources(result: Any, session: Path | None) -> dict[str, Any]:
     for camera in result.rig:
         path = videos.get(camera.name)
         try:
-            found = None if path is None else open_source(path)
+            source = None if path is None else open_source(path)
         except InputError:
             if session is not None:
                 raise
-            found = None
-        if found is None:
+            source = None
+        if source is None:
             words.print(f"camera {camera.name}: its video {path or ''} is not found: no images; give --session.")
-        elif found.size != camera.size:
+        elif source.size != camera.size:
             had = f"camera {camera.name!r} had {camera.size}"
-            raise InputError(f"video {path} is {found.size} px, but {had}; give the original video.")
+            raise InputError(f"video {path} is {source.size} px, but {had}; give the original video.")
         else:
-            sources[camera.name] = found
+            sources[camera.name] = source
     return sources
 
 

@@ -25,7 +25,7 @@ _MIDDLE_NAMES: Mapping[str, str] = {"nose": "nose", "neck": "neck", "head": "hea
 
 @dataclass(frozen=True)
 class Reference:
-    """What is taken as true, on its own time line.
+    """Values to compare with, on their own time line.
 
     Attributes:
         times: (M,) s, rising, on the recording's clock.
@@ -33,7 +33,7 @@ class Reference:
         points: (M, P, 3) world, m; NaN where unknown. P may be 0.
         coordinate_names: C joint coordinates.
         angles: (M, C) rad; NaN where unknown. C may be 0.
-        notes: what was assumed in reading, for the reader of the table.
+        notes: assumptions of the reader, for below the table.
     """
 
     times: Float
@@ -74,7 +74,7 @@ class Reference:
 def interpolated(times: Float, values: Float, at: Float) -> Float:
     """Values (M, ...) given at rising `times` (M,), linearly interpolated at other times (N,); NaN outside.
 
-    An exact hit needs only its own sample, whatever stands beside it.
+    A time that is given needs only its own sample; its neighbours may be NaN.
     """
     tolerance = 1e-9 + 1e-6 * (times[-1] - times[0])  # times that came through a text file still hit the ends
     after = np.clip(np.searchsorted(times, at - tolerance), 0, len(times) - 1)
@@ -107,7 +107,7 @@ def load_reference(
         path: the file.
         body: whose coordinates a motion file is read into (OpenSim turns the shoulder in another order).
         frame_times: times (M,) of the recording's frames 0 … M − 1, for files that have no clock of their own.
-        axes: how a TRC's world is turned about the vertical, see `io.markers`.
+        axes: rotation of a TRC's world about the vertical, see `io.markers`.
 
     Raises:
         InputError: for a missing, unknown or unreadable file.
@@ -187,7 +187,7 @@ def _from_mot(path: Path, body: Body) -> Reference:
         for k, name in enumerate(names)
         if name.startswith("knee_angle") and np.allclose(q[:, k], -table.get(name)) and np.any(q[:, k])
     ]
-    notes = tuple(f"{name} was negative in flexion and has been turned round" for name in flipped)
+    notes = tuple(f"{name} was negative in flexion and has its sign changed" for name in flipped)
     return Reference(table.times, coordinate_names=names, angles=q, notes=notes)
 
 

@@ -1,7 +1,7 @@
 """Error measures: arrays in, numbers out. Angles in rad come out in degrees, metres come out in millimetres.
 
 A NaN in the reference means "not known there" and is left out; a non-finite *estimate* counts as infinitely wrong, so
-that a tracker gains nothing by giving no answer.
+that no answer is never better than a wrong one.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ KHE_COORDINATES = tuple(
 )
 """Coordinates of the knee-hip-elbow error, the one number by which the project compares trackers."""
 
-LOST_FRAME_MM = 150.0  # a frame is lost when any joint is farther off than this
+LOST_FRAME_MM = 150.0  # a frame is lost when any joint has a larger error than this
 LOST_SEQUENCE_MM = 20.0  # a sequence is lost when its mean joint error is above this
 
 
@@ -90,10 +90,10 @@ def angle_differences_deg(estimate: Float, reference: Float) -> Float:
 
 
 def without_offset(difference: Float) -> Float:
-    """Differences (N, ...) less their mean over the frames: what is left once the two frames of reference agree.
+    """Differences (N, ...) less their mean over the frames, as if the two frames of reference agreed.
 
     For positions (N, L, 3) that is one 3D vector per joint, for angles (N, J) one number per coordinate. Frames that
-    are not finite take no part in the mean and stay as they are.
+    are not finite do not count in the mean and stay as they are.
     """
     finite = np.isfinite(difference)
     count = np.maximum(finite.sum(axis=0), 1)
@@ -125,19 +125,19 @@ def percentile_known(values: AnyArray, percent: float) -> float:
 
 
 def khe_deg(difference_deg: Float, names: Sequence[str]) -> float:
-    """Mean absolute error in degrees over `KHE_COORDINATES` of both sides, as far as `names` has them."""
+    """Mean absolute error in degrees over those `KHE_COORDINATES` of both sides that `names` has."""
     columns = [k for k, name in enumerate(names) if name in KHE_COORDINATES]
     return mean_known(np.abs(difference_deg[:, columns]))
 
 
-def lost_frames(errors_mm: Float, limit_mm: float = LOST_FRAME_MM) -> Bool:
-    """(N,) whether any joint of (N, L) is more than `limit_mm` off; unknown joints do not count."""
-    return np.any(np.where(np.isnan(errors_mm), 0.0, errors_mm) > limit_mm, axis=1)
+def lost_frames(errors_mm: Float) -> Bool:
+    """(N,) whether any joint of (N, L) is more than `LOST_FRAME_MM` off; unknown joints do not count."""
+    return np.any(np.where(np.isnan(errors_mm), 0.0, errors_mm) > LOST_FRAME_MM, axis=1)
 
 
-def lost_sequence(errors_mm: Float, limit_mm: float = LOST_SEQUENCE_MM) -> bool:
-    """Whether the mean joint error over the sequence (N, L) is above `limit_mm`."""
-    return mean_known(errors_mm) > limit_mm
+def lost_sequence(errors_mm: Float) -> bool:
+    """Whether the mean joint error over the sequence (N, L) is above `LOST_SEQUENCE_MM`."""
+    return mean_known(errors_mm) > LOST_SEQUENCE_MM
 
 
 def silhouette(P: Float, vertices: Float, faces: Int, size: tuple[int, int]) -> Bool:
@@ -158,6 +158,6 @@ def z_scores(error: Float, covariance: Float) -> Float:
 
 
 def within_sigmas(z: Float, sigmas: float) -> float:
-    """Share of z-scores inside ± `sigmas`: of normal errors 68.3 % lie in 1, 95.4 % in 2."""
+    """Fraction of z-scores inside ± `sigmas`: of normal errors 68.3 % are inside 1, 95.4 % inside 2."""
     known = z[np.isfinite(z)]
     return float(np.mean(np.abs(known) <= sigmas)) if known.size else math.nan

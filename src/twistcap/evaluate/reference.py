@@ -22,7 +22,7 @@ from twistcap.io.markers import WorldAxes
 
 
 class Tracked(Protocol):
-    """What `evaluate` needs of a result; `twistcap.io.result.Result` has it."""
+    """Parts of a result that `evaluate` needs, such as `twistcap.io.result.Result`."""
 
     @property
     def body(self) -> Body: ...
@@ -76,7 +76,7 @@ class Overlap:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Everything that `evaluate` found.
+    """A comparison with a reference.
 
     Attributes:
         case: name of the comparison.
@@ -85,7 +85,7 @@ class Evaluation:
         angles: angle errors, degrees, where it has coordinates.
         overlaps: IoU by mask, where it is a folder of masks.
         lost_frames: frame numbers lost by the reference (`metrics.lost_frames`).
-        notes: what was assumed.
+        notes: assumptions.
     """
 
     case: str
@@ -127,7 +127,7 @@ def evaluate(
         time_offset: seconds to add to the reference's clock to get the recording's.
         exclude: flawed stretches of the reference, see `Reference.without`.
         case: name in the table; the reference's own name by default.
-        axes: how a TRC's world is turned about the vertical, see `io.markers`.
+        axes: rotation of a TRC's world about the vertical, see `io.markers`.
 
     Raises:
         InputError: for a reference that is missing, unreadable, or has nothing in common with the result.
@@ -180,7 +180,7 @@ def _expect_common(result: Tracked, truth: Reference, times: Float, source: str)
     ours = {*result.body.landmarks.names, *result.body.coordinate_names}
     if not ours & {*truth.names, *truth.coordinate_names}:
         raise InputError(
-            f"{source} shares no point or coordinate name with body {result.body.name!r}; it has "
+            f"{source} has no point or coordinate name in common with body {result.body.name!r}; it has "
             f"{', '.join((*truth.names, *truth.coordinate_names)[:12])} …, the body {', '.join(sorted(ours)[:12])} …."
         )
 
@@ -274,8 +274,8 @@ def _overlaps(result: Tracked, folder: Path) -> Iterator[Overlap]:
     subfolders = sorted(path for path in folder.iterdir() if path.is_dir())
     unknown = [path.name for path in subfolders if path.name not in cameras]
     if unknown or not subfolders:
-        found = f"a folder {unknown[0]!r}" if unknown else "no folders"
-        raise InputError(f"the masks in {folder} have {found}; name one folder per camera: {', '.join(cameras)}.")
+        what = f"a folder {unknown[0]!r}" if unknown else "no folders"
+        raise InputError(f"the masks in {folder} have {what}; name one folder per camera: {', '.join(cameras)}.")
     for path in subfolders:
         camera, rectify = cameras[path.name], Rectifier(cameras[path.name])
         for file in sorted(path.glob("*.png")):

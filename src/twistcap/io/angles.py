@@ -1,8 +1,8 @@
-"""One rotation in two orders: how our poses and OpenSim's coordinates are converted into each other.
+"""One rotation in two orders: conversion between our poses and OpenSim's coordinates.
 
 OpenSim's full-body models (Rajagopal et al. 2016, DOI 10.1109/TBME.2016.2586891) turn the pelvis about z (tilt), x
 (list), y (rotation) and the arm by flexion, adduction, rotation. Our arm turns by adduction first, so that its gimbal
-lock is off the T pose; its axes are the same.
+lock is away from the T pose; its axes are the same.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def decomposed(rotations: Float, axes: Float, near: Float) -> Float:
     Args:
         rotations: (T, 3, 3).
         axes: (3, 3) orthonormal, one a row, right- or left-handed.
-        near: (3,) angles that the first frame shall lie near to.
+        near: (3,) angles near which those of the first frame are chosen.
     """
     hand = np.sign(np.linalg.det(axes))
     R = axes @ rotations @ axes.T  # about x, y, z now, backwards if left-handed
@@ -50,7 +50,7 @@ def _xyz_angles(R: Float, first_if_locked: float) -> Float:
     middle = np.arctan2(R[0, 2], np.hypot(R[0, 0], R[0, 1]))
     if np.hypot(R[0, 0], R[0, 1]) > 1e-7:
         return np.array([np.arctan2(-R[1, 2], R[2, 2]), middle, np.arctan2(-R[0, 1], R[0, 0])])
-    # Gimbal lock: only the sum (or difference) of the outer angles is there; the first keeps its value.
+    # Gimbal lock: only the sum (or difference) of the outer angles is known; the first keeps its value.
     both = np.arctan2(R[1, 0], R[1, 1])
     return np.array([first_if_locked, middle, both - np.sign(R[0, 2]) * first_if_locked])
 
@@ -64,7 +64,7 @@ def _nearest(angles: Float, near: Float) -> Float:
 
 
 def pelvis_point(body: Body) -> Float:
-    """(3,) rest-pose place of OpenSim's pelvis origin: from the hip centres, as far off as in Rajagopal's pelvis.
+    """(3,) rest-pose place of OpenSim's pelvis origin: from the hip centres, at the offset of Rajagopal's pelvis.
 
     The rest frame's origin for a body without landmarks hip_r and hip_l.
     """
@@ -97,7 +97,7 @@ def pelvis_roots(angles: Float, place: Float, point: Float, to_file: Float) -> F
 
 def shoulders_of(body: Body) -> list[tuple[list[int], list[int]]]:
     """For each shoulder of three square axes: its coordinates in the body's order and in OpenSim's (flex, add, rot)."""
-    found: list[tuple[list[int], list[int]]] = []
+    groups: list[tuple[list[int], list[int]]] = []
     for side in ("_r", "_l"):
         names = [f"arm_{part}{side}" for part in ("flex", "add", "rot")]
         if not set(names) <= set(body.coordinate_names):
@@ -105,8 +105,8 @@ def shoulders_of(body: Body) -> list[tuple[list[int], list[int]]]:
         opensim = [body.coordinate(name) for name in names]
         axes = body.twists[opensim, :3]
         if np.allclose(axes @ axes.T, np.eye(3), atol=1e-6):
-            found.append((sorted(opensim), opensim))
-    return found
+            groups.append((sorted(opensim), opensim))
+    return groups
 
 
 def reordered(body: Body, q: Float, start: Sequence[int], end: Sequence[int]) -> Float:

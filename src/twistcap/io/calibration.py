@@ -142,7 +142,7 @@ def _check_intrinsics(where: str, K: Float, size: Float) -> None:
     off = np.abs(K[:2, 2] - 0.5 * size) / size
     if np.any(off > 1.0):
         raise InputError(
-            f"{where}: the principal point ({K[0, 2]:g}, {K[1, 2]:g}) lies far outside the image of {size.tolist()}"
+            f"{where}: the principal point ({K[0, 2]:g}, {K[1, 2]:g}) is far outside the image of {size.tolist()}"
             " pixels; check that 'matrix' and 'size' belong together."
         )
 

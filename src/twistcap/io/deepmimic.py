@@ -64,12 +64,12 @@ def _json(path: Path) -> dict[str, Any]:
 
 def _joints(path: Path) -> list[dict[str, Any]]:
     if not path.is_file():
-        raise InputError(f"{path}: DeepMimic's skeleton is not there; lay it beside the clip or give skeleton=….")
+        raise InputError(f"{path}: DeepMimic's skeleton is not there; put it beside the clip or give skeleton=….")
     try:
         joints: list[dict[str, Any]] = _json(path)["Skeleton"]["Joints"]
         for s, joint in enumerate(joints[1:], start=1):
             if joint["Type"] not in _WIDTHS or not 0 <= int(joint["Parent"]) < s:
-                raise InputError(f"{path}: joint {joint['Name']!r} has an unknown type or stands before its parent.")
+                raise InputError(f"{path}: joint {joint['Name']!r} has an unknown type or comes before its parent.")
     except (KeyError, TypeError, ValueError) as error:
         raise (
             error

@@ -36,7 +36,7 @@ LAYOUTS: Mapping[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class Grid:
-    """How the pixels a detector saw relate to the video: ``detector = scale · video + offset``, per axis, in pixels."""
+    """How the pixels of a detector relate to the video: ``detector = scale · video + offset``, per axis, in pixels."""
 
     scale: tuple[float, float] = (1.0, 1.0)
     offset: tuple[float, float] = (0.0, 0.0)
@@ -56,15 +56,15 @@ def read_openpose(
     """Keypoints of one frame from one OpenPose-style JSON file per camera.
 
     Args:
-        files: JSON file of each camera, by camera name; a camera without one sees nothing.
+        files: JSON file of each camera, by camera name; a camera without one gives no keypoints.
         cameras: the rig's camera names, in order.
-        layout: "body_25", "body_25b" or "coco_17". BODY_25 and BODY_25B both have 25 points: the file does not tell.
-        person: which entry of ``people``, for all cameras or by camera name; a file with nobody in it sees nothing.
+        layout: "body_25", "body_25b" or "coco_17". BODY_25 and BODY_25B both have 25 points: the file does not say.
+        person: which entry of ``people``, for all cameras or by camera name; a file without people gives no keypoints.
         grids: pixel grid of the detector, by camera name, where it is not the video's.
 
     Raises:
         InputError: for an unknown layout or camera, a file that cannot be read, has another number of points, or has
-            not so many people.
+            fewer people.
     """
     names = _layout(layout)
     _expect_cameras([*files, *(grids or {})], cameras, "the keypoints")
@@ -83,13 +83,13 @@ def openpose_files(folders: Mapping[str, Path | str], frame: int) -> dict[str, P
     """The JSON file of a frame in each camera's folder: number `frame` of its files in the order of their names.
 
     Raises:
-        InputError: if a folder has not so many JSON files.
+        InputError: if a folder has fewer JSON files.
     """
     out: dict[str, Path] = {}
     for camera, folder in folders.items():
         files = sorted(Path(folder).glob("*.json"))
         if not 0 <= frame < len(files):
-            raise InputError(f"{folder}: frame {frame} of {camera} was asked, but there are {len(files)} JSON files.")
+            raise InputError(f"{folder}: frame {frame} of {camera} is needed, but there are {len(files)} JSON files.")
         out[camera] = files[frame]
     return out
 
@@ -151,7 +151,7 @@ def _read_json(path: Path) -> Any:
 
 
 def _read_person(path: Path, L: int, person: int) -> Float:
-    """(L, 3) x, y, confidence of one person; all zero if the file holds nobody."""
+    """(L, 3) x, y, confidence of one person; all zero without people."""
     content = _read_json(path)
     if not isinstance(content, dict) or not isinstance(content.get("people"), list):
         raise InputError(f"{path}: field 'people' (a list) is missing; an OpenPose keypoint file has one.")
@@ -159,7 +159,7 @@ def _read_person(path: Path, L: int, person: int) -> Float:
     if not people:
         return np.zeros((L, 3))
     if not 0 <= person < len(people):
-        raise InputError(f"{path}: person {person} was asked, but the file holds {len(people)} (counted from 0).")
+        raise InputError(f"{path}: person {person} is needed, but the file holds {len(people)} (counted from 0).")
     try:
         numbers = np.asarray(people[person]["pose_keypoints_2d"], dtype=float)
     except (KeyError, TypeError, ValueError) as error:

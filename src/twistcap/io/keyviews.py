@@ -21,11 +21,11 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from twistcap._typing import Bool, UInt8
+from twistcap.acquire.silhouette import KeyView, difference_mask, one_person
 from twistcap.camera import Camera, Rectifier, Rig
 from twistcap.errors import InputError
 from twistcap.io.calibration import read_rig
 from twistcap.io.strict import validated
-from twistcap.keyviews.silhouette import KeyView, difference_mask, one_person
 
 
 class ViewEntry(BaseModel):
@@ -109,7 +109,7 @@ class Uncut:
 
 
 def read_uncut(path: Path | str) -> dict[str, Uncut]:
-    """The pictures of the key views by role; of what is missing only pictures and cameras matter yet.
+    """The pictures of the key views by role; only pictures and cameras must be there.
 
     Raises:
         InputError: for a file, a picture or a camera that is missing or does not fit, no picture at all, or a mask
@@ -118,21 +118,21 @@ def read_uncut(path: Path | str) -> dict[str, Uncut]:
     path = Path(path)
     file = read_key_views_file(path)
     rig = read_rig(path.parent / file.calibration)
-    found = {role: _uncut(role, e, rig, path) for role, e in file.entries.items() if e.image is not None}
-    if not found:
+    uncut = {role: _uncut(role, e, rig, path) for role, e in file.entries.items() if e.image is not None}
+    if not uncut:
         raise InputError(f'{path}: no view names an `image`; give [views.front] image = "front.png" and so on.')
-    _refuse_shared(found, file.entries, path)
-    return found
+    _refuse_shared(uncut, file.entries, path)
+    return uncut
 
 
-def _refuse_shared(found: Mapping[str, Uncut], entries: Mapping[str, ViewEntry], path: Path) -> None:
-    """A mask that is written must not lie where any other picture does."""
-    targets = {role: _target(role, e, path).resolve() for role, e in entries.items() if e.mask or role in found}
+def _refuse_shared(uncut: Mapping[str, Uncut], entries: Mapping[str, ViewEntry], path: Path) -> None:
+    """A mask must not overwrite any other picture."""
+    targets = {role: _target(role, e, path).resolve() for role, e in entries.items() if e.mask or role in uncut}
     pictures = {(path.parent / p).resolve() for e in entries.values() for p in (e.image, e.background) if p}
-    for role, uncut in found.items():
+    for role, view in uncut.items():
         others = {target for other, target in targets.items() if other != role}
         if targets[role] in pictures | others:
-            raise InputError(f"[views.{role}]: `mask` {uncut.target} is another picture too; name a file of its own.")
+            raise InputError(f"[views.{role}]: `mask` {view.target} is another picture too; name a file of its own.")
 
 
 def _target(role: str, entry: ViewEntry, path: Path) -> Path:

@@ -1,7 +1,7 @@
 """Point trajectories: TRC marker files, and 3D keypoints as npz.
 
-A TRC is y up, in one of two turns about the vertical: Pose2Sim writes the world point (x, y, z) as (y, z, x); OpenSim's
-own models walk along its x, so that (x, y, z) is (x, z, −y). Files do not say which; give MOT and TRC the same.
+A TRC is y up, in one of two rotations about the vertical: Pose2Sim writes the world point (x, y, z) as (y, z, x);
+OpenSim's own models walk along x, so that (x, y, z) is (x, z, −y). Files do not say which; give MOT and TRC the same.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from twistcap._typing import AnyArray, Float
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check_choice
 from twistcap.io.keypoints import LAYOUTS
 
 WorldAxes = Literal["pose2sim", "opensim"]
@@ -49,15 +49,17 @@ def write_trc(
         times: (N,) s.
         names: M marker names.
         points: (N, M, 3) world, z up, m.
-        unit: that the numbers are written in, named in the field Units.
-        axes: how the world is turned, see the module's head.
+        unit: of the numbers in the file, as its field Units names it.
+        axes: rotation of the world, see the head of this module.
 
     Raises:
         InputError: for shapes that do not fit each other, or if the file cannot be written.
     """
+    check_choice("write_trc: unit", unit, ("m", "mm"))
+    check_choice("write_trc: axes", axes, TO_FILE)
     path, points = Path(path), np.asarray(points, dtype=float)
     if points.shape != (len(times), len(names), 3):
-        raise InputError(f"{path}: points are {points.shape}, but {len(times)} times and {len(names)} names stand by.")
+        raise InputError(f"{path}: points are {points.shape}, but there are {len(times)} times and {len(names)} names.")
     values = points @ TO_FILE[axes].T / _UNITS[unit]
     digits = 6 if unit == "m" else 3
     rate = f"{frame_rate(np.asarray(times)):.10g}"
@@ -82,6 +84,7 @@ def read_trc(path: Path | str, axes: WorldAxes = "pose2sim") -> Markers:
     Raises:
         InputError: if it cannot be read, or a header field or a row is broken, naming it.
     """
+    check_choice("read_trc: axes", axes, TO_FILE)
     path = Path(path)
     lines = read_lines(path)
     if len(lines) < 5 or not lines[0].startswith("PathFileType"):

@@ -14,7 +14,7 @@ import numpy as np
 from twistcap import se3
 from twistcap._typing import Float
 from twistcap.body import Body, Pose
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check_choice
 from twistcap.estimate import Estimate
 from twistcap.io import angles as convert
 from twistcap.io.bvh import write_bvh
@@ -43,18 +43,19 @@ def write_mot(path: Path | str, body: Body, times: Float, poses: Sequence[Pose],
     """Writes the poses in OpenSim's coordinates: inDegrees=yes, lengths in m.
 
     The root becomes pelvis_tilt, list, rotation, tx, ty, tz in OpenSim's order and frame, shoulders turn in OpenSim's
-    order (`io.angles`); all other coordinates stand under their own names.
+    order (`io.angles`); all other coordinates keep their names.
 
     Args:
         path: of the file.
         body: that the poses are of.
         times: (N,) s.
         poses: N poses.
-        axes: how the world is turned about the vertical, see `io.markers`.
+        axes: rotation of the world about the vertical, see `io.markers`.
 
     Raises:
         InputError: for unequal numbers, or if the file cannot be written.
     """
+    check_choice("write_mot: axes", axes, TO_FILE)
     path = Path(path)
     if len(times) != len(poses):
         raise InputError(f"{path}: there are {len(poses)} poses, but {len(times)} times.")
@@ -120,16 +121,18 @@ def poses_from_mot(
     Args:
         table: as `read_mot` gives it.
         body: whose coordinates have OpenSim's names.
-        axes: how the file's world is turned about the vertical, see `io.markers`.
-        knee: sign of knee flexion in the file; gait2392 and its kin bend to negative angles. "auto" takes the columns
-            as negative if their mean lies below −5°.
+        axes: rotation of the file's world about the vertical, see `io.markers`.
+        knee: sign of knee flexion in the file; gait2392 and others bend to negative angles. "auto" takes columns
+            as negative if their mean is below −5°.
 
     Returns:
-        One pose per row, and the names of the columns that the body has no use for.
+        One pose per row, and the names of the columns that the body does not have.
 
     Raises:
         InputError: if a used column holds NaN, or none of the columns is known to the body.
     """
+    check_choice("poses_from_mot: axes", axes, TO_FILE)
+    check_choice("poses_from_mot: knee", knee, ("auto", "positive", "negative"))
     known = {*convert.PELVIS_ANGLES, *convert.PELVIS_PLACE, *body.coordinate_names}
     unknown = [name for name in table.columns if name not in known]
     if len(unknown) == len(table.columns):

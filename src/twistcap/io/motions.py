@@ -42,7 +42,7 @@ def read_motion(
     Args:
         path: .bvh, .amc, .txt or .json (DeepMimic), .mot, .sto, .h5.
         body: the coordinates are of.
-        skeleton: the ASF of an AMC or DeepMimic's humanoid3d.txt, where it does not lie beside the motion.
+        skeleton: the ASF of an AMC or DeepMimic's humanoid3d.txt, where it is not beside the motion.
         table: what the skeleton's joints mean, or its TOML (docs/formats/motion-files.md); None takes one of ours.
         rate: poses per second of the clip; None keeps the file's.
         scale: of the root's path when retargeted; None takes the ratio of the legs' lengths.

@@ -1,4 +1,4 @@
-"""A session written from videos and a calibration, and what is still missing in it, in plain sentences."""
+"""A session written from videos and a calibration, and its gaps in plain sentences."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Draft:
         rig: cameras in use, as calibrated.
         paths: video or images by camera, in the rig's order.
         sources: the same, opened.
-        unit: of the calibration; None where the file itself tells it or it is metres.
+        unit: of the calibration; None where the file names it or it is metres.
         calibration: its file.
         unused: calibrated cameras without a video.
     """
@@ -46,7 +46,7 @@ class Draft:
 
     @property
     def rates(self) -> dict[str, float]:
-        """Frames per second by camera, of those that tell it."""
+        """Frames per second by camera, where known."""
         return {name: source.fps for name, source in self.sources.items() if source.fps}
 
 
@@ -54,7 +54,7 @@ def draft_session(videos: Sequence[str], calibration: Path, unit: Unit | None = 
     """Open everything and check that it belongs together.
 
     Args:
-        videos: files, folders, globs or printf patterns, each alone (the camera is then told by its name) or as
+        videos: files, folders, globs or printf patterns, each alone (its name then names the camera) or as
             ``CAMERA=PATH``.
         calibration: ``Calib.toml``.
         unit: of its translations.
@@ -64,7 +64,7 @@ def draft_session(videos: Sequence[str], calibration: Path, unit: Unit | None = 
             that two videos claim, or frame rates that differ.
     """
     rig = read_rig(calibration, unit)
-    paths = matched([found for text in videos for found in _expanded(text)], rig.names)
+    paths = matched([path for text in videos for path in _expanded(text)], rig.names)
     used = Rig(tuple(camera for camera in rig if camera.name in paths))
     sources = {camera.name: open_source(paths[camera.name]) for camera in used}
     ordered = {name: paths[name] for name in used.names}
@@ -100,15 +100,15 @@ def _camera_of(path: str, cameras: Sequence[str]) -> str:
     exact = [name for name in cameras if name.lower() == title]
     held = [name for name in cameras if name.lower() in title]
     longest = [name for name in held if len(name) == max(map(len, held))]
-    found = exact or longest
-    if len(found) != 1:
-        many = "no camera" if not found else "more than one camera"
+    fitting = exact or longest
+    if len(fitting) != 1:
+        many = "no camera" if not fitting else "more than one camera"
         raise InputError(f"the name of {path} fits {many} of {', '.join(cameras)}; write it as CAMERA={path}.")
-    return found[0]
+    return fitting[0]
 
 
 def _expanded(text: str) -> list[tuple[str | None, str]]:
-    """What one argument stands for: a folder of videos stands for each of them, a folder of images for itself."""
+    """The recordings of one argument: each video of a folder of videos; a folder of images as one."""
     name, equals, path = text.partition("=")
     if equals and not Path(text).exists():
         return [(name, path)]
@@ -117,7 +117,7 @@ def _expanded(text: str) -> list[tuple[str | None, str]]:
     files = sorted(glob(text)) if any(c in text for c in "*?[") else [text]
     if not files:
         raise InputError(f"no file matches {text}; check --videos.")
-    return [(None, found) for file in files for found in _in_folder(Path(file))]
+    return [(None, inside) for file in files for inside in _in_folder(Path(file))]
 
 
 def _in_folder(path: Path) -> list[str]:
@@ -127,10 +127,10 @@ def _in_folder(path: Path) -> list[str]:
     if any(p.suffix.lower() in _IMAGES for p in inside):
         return [str(path)]
     folders = [p for p in inside if p.is_dir() and any(q.suffix.lower() in _IMAGES for q in p.iterdir())]
-    found = [str(p) for p in inside if p.suffix.lower() in _VIDEOS] or [str(p) for p in folders]
-    if not found:
+    videos = [str(p) for p in inside if p.suffix.lower() in _VIDEOS] or [str(p) for p in folders]
+    if not videos:
         raise InputError(f"folder {path} holds neither videos nor images; check --videos.")
-    return found
+    return videos
 
 
 def _check_sizes(draft: Draft) -> None:
@@ -151,7 +151,7 @@ def _check_rates(draft: Draft) -> None:
 
 
 def session_lines(draft: Draft, folder: Path, stature: float | None) -> str:
-    """The session file: what is known is filled in, the rest is in comments."""
+    """The session file: known values are filled in, the rest is in comments."""
     fewest, most = draft.frames
     rate = next(iter(draft.rates.values()), None)
     lines = [
@@ -194,7 +194,7 @@ def _path(path: Path, folder: Path) -> str:
 
 
 def findings(draft: Draft) -> list[str]:
-    """What was found, in sentences."""
+    """Facts about the recording, in sentences."""
     fewest, most = draft.frames
     rates = draft.rates
     rate = f"{next(iter(rates.values())):g} frames per second" if rates else "images without a known frame rate"

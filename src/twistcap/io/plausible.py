@@ -1,6 +1,6 @@
-"""Whether cameras and a person can stand as told: what a small reprojection error never shows.
+"""Whether the places of cameras and person are possible, which a small reprojection error does not show.
 
-A mirrored board pose can read 0.3 px while heels are half a metre underground; these checks cost nothing and find it.
+A mirrored board pose can have an error of 0.3 px while the heels are half a metre underground.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _LOW = ("ankle_r", "ankle_l", "heel_r", "heel_l")
 def check_plausible(
     rig: Rig, points: ArrayLike | None = None, floor: float | None = 0.0, source: str = "the calibration"
 ) -> None:
-    """Check that the cameras can stand as told and that a person at `points` is above ground and seen.
+    """Check that the places of the cameras are possible and that a person at `points` is above ground and seen.
 
     Args:
         rig: the cameras.
@@ -92,10 +92,14 @@ def check_person_place(rig: Rig, points: Float, floor: float | None, source: str
 
 
 def check_upright(landmarks: Mapping[str, ArrayLike], source: str = "the first pose") -> None:
-    """Head above feet; for a first pose that is truly upside down, do not call this ([first_pose] upright = false).
+    """Head above feet; not for a first pose that is truly upside down ([first_pose] upright = false).
 
     Args:
-        landmarks: world points (3,) m by name, e.g. ``nose`` and ``ankle_r``; those that are absent are not asked.
+        landmarks: world points (3,) m by name, e.g. ``nose`` and ``ankle_r``; those that are absent do not count.
+        source: named in messages.
+
+    Raises:
+        InputError: for a person upside down.
     """
     high = [np.asarray(landmarks[name], float)[2] for name in _HIGH if name in landmarks]
     low = [np.asarray(landmarks[name], float)[2] for name in _LOW if name in landmarks]
@@ -107,7 +111,7 @@ def check_upright(landmarks: Mapping[str, ArrayLike], source: str = "the first p
 
 
 def frustum_points(camera: Camera, reach: float) -> Float:
-    """(N, 3) world points spread over what the camera sees, between 1/10 of and 3 × `reach` m away."""
+    """(N, 3) world points over the view of the camera, between 1/10 of and 3 × `reach` m away."""
     width, height = camera.size
     x, y = np.meshgrid(np.linspace(0, width - 1, 13), np.linspace(0, height - 1, 13))
     xy = camera.normalised(np.stack([x.ravel(), y.ravel()], axis=-1))
@@ -118,7 +122,7 @@ def frustum_points(camera: Camera, reach: float) -> Float:
 
 
 def sees(camera: Camera, points: Float) -> Bool:
-    """(N,) whether points (N, 3) fall inside the image. Distortion is left out: its polynomial folds far outside."""
+    """(N,) whether points (N, 3) fall inside the image, without distortion, whose polynomial folds back far outside."""
     pixels, depth = camera.pinhole().project(points)
     with np.errstate(invalid="ignore"):
         return (depth > 0) & np.all((pixels > -0.5) & (pixels < np.array(camera.size) - 0.5), axis=-1)

@@ -42,7 +42,7 @@ def body_at(path: str | Path, body: Body) -> Body:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except ValueError:
-        return body  # `read_pose` tells
+        return body  # `read_pose` raises
     given = content.get("proportions") if isinstance(content, dict) else None
     if given is None:
         return body

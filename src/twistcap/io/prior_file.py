@@ -68,10 +68,10 @@ def trained_prior(
     Args:
         paths: MOT or STO, a result file (its lost frames are left out), or an NPZ of poses (``q``,
             ``coordinate_names``, rad) such as the studio's ``truth.npz``.
-        every: only every so many frames of each.
+        every: frames from one sample to the next, 1 for all.
         coordinates: to learn; by default all that every file has.
         sigma: kernel width, rad; by default the paper's rule.
-        scale: by coordinate, what its differences are divided by; 1 where it is not named.
+        scale: by coordinate, divisor of its differences; 1 where it is not named.
 
     Raises:
         InputError: for a file that cannot be read, a value that is not finite, or a coordinate that a file lacks.
@@ -87,10 +87,10 @@ def trained_prior(
 
 
 def adjusted(prior: ParzenPrior, sigma: float | None, scale: Mapping[str, float] | None) -> ParzenPrior:
-    """A prior with another width or scales; new scales without a width call for the paper's rule again.
+    """A prior with another width or scales; new scales without a width take the paper's rule again.
 
     Raises:
-        InputError: for a scale of a coordinate that the prior has not learnt.
+        InputError: for a scale of a coordinate that the prior does not have.
     """
     if sigma is None and not scale:
         return prior

@@ -31,7 +31,7 @@ from twistcap.io.video import Views, open_views
 
 @dataclass(frozen=True)
 class Recording:
-    """A session made ready.
+    """A session ready to be tracked.
 
     Attributes:
         session: as read.
@@ -53,7 +53,7 @@ class Recording:
 
 
 def open_recording(session: Session) -> Recording:
-    """Read everything a session names and check that it can be true.
+    """Read everything a session names and check that it is possible.
 
     Raises:
         InputError: whatever is missing, malformed or impossible, in one sentence.
@@ -65,7 +65,7 @@ def open_recording(session: Session) -> Recording:
 
 
 def open_together(sessions: Sequence[Session]) -> list[Recording]:
-    """Recordings of one person: the first says what the body is, whose lengths hold in all others.
+    """Recordings of one person: the body of the first, and its lengths, hold in all others.
 
     Raises:
         InputError: as `open_recording`, or where a later session has another kind of body.
@@ -122,7 +122,7 @@ def floor_of(session: Session) -> float | None:
 
 
 def views_of(session: Session, rig: Rig) -> Views:
-    """The frames that the session asks for."""
+    """The frames of the session."""
     first, last = session.frames or (0, None)
     videos = {name: path for name, path in session.videos.items() if session.cameras.use is None or name in rig.names}
     return open_views(videos, rig, first, last, session.step, session.scale, session.fps, session.time_offset)
@@ -189,21 +189,21 @@ class _Start:
             body = body_at(table.file, body)
             return _Start(body, (first,), (read_pose(table.file, body, table.frame),))
         if table.clicks is not None:
-            found = fit_keypoints(body, rig, read_clicks(table.clicks, rig.names), fit_lengths=table.fit_lengths)
-            return _Start(found.body, (first,), (found.pose,))
+            fit = fit_keypoints(body, rig, read_clicks(table.clicks, rig.names), fit_lengths=table.fit_lengths)
+            return _Start(fit.body, (first,), (fit.pose,))
         return _from_keypoints(table, rig, body)
 
 
 def _from_keypoints(table: FirstPoseTable, rig: Rig, body: Body) -> _Start:
-    """One fit over the instants near the first frame and those that only tell the lengths."""
+    """One fit over the instants near the first frame and those that only serve the lengths."""
     assert table.keypoints is not None
     own = keypoints_of(table.keypoints, rig)
     instants, rigs = list(own), [rig] * len(own)
     for extra in table.lengths_from:
         their_rig = read_rig(extra.calibration, extra.unit) if extra.calibration else rig
-        found = keypoints_of(extra, their_rig)
-        instants += found
-        rigs += [their_rig] * len(found)
+        more = keypoints_of(extra, their_rig)
+        instants += more
+        rigs += [their_rig] * len(more)
     fits = fit_keypoints_sequence(body, rigs, instants, fit_lengths=table.fit_lengths)[: len(own)]
     frames = tuple(number + table.keypoints.offset for number in table.keypoints.frames)
     return _Start(fits[0].body, frames, tuple(fit.pose for fit in fits))
@@ -216,7 +216,7 @@ def _with_girths(session: Session, rig: Rig, start: _Start) -> _Start:
         return start
     far = [f for f in table.frames if not start.frames[0] - 5 <= f <= start.frames[-1] + 5]
     if far:
-        raise InputError(f"[fit_girths] frames: frame {far[0]} is too far from the first pose; give frames beside it.")
+        raise InputError(f"[fit_girths] frames: frame {far[0]} is too far from the first pose; give frames near it.")
     poses = [start.at(frame) for frame in table.frames]
     masks = [read_masks(table.masks, rig, frame) for frame in table.frames]
     fitted = refine_on_silhouettes(start.body, rig, poses, masks, groups=girth_groups(start.body))

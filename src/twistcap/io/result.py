@@ -48,7 +48,7 @@ class Result:
         iterations: (N,) accepted solver steps.
         lost: (N,) whether the evidence no longer supported the pose.
         support: (N,) that evidence in [0, 1].
-        predicted: N words, what told the pose that each frame was started from; see `Estimate`.
+        predicted: N words, the source of the pose that each frame started from; see `Estimate`.
         config: what the run was configured with, as JSON data.
         versions: of the programs, by name.
     """
@@ -141,7 +141,7 @@ class ResultWriter:
     def resume(cls, path: str | Path, frames: int | None = None) -> ResultWriter:
         """Go on after the last complete frame of a file, or after its first `frames`.
 
-        Later frames stay in the file until they are written anew.
+        Later frames stay in the file until they are overwritten.
 
         Raises:
             InputError: for a file that is missing or no result.
@@ -345,9 +345,9 @@ def _energies(frames: h5py.Group, n: int) -> dict[str, Float]:
 
 
 def _datasets(group: h5py.Group) -> list[h5py.Dataset]:
-    found: list[h5py.Dataset] = []
-    group.visititems(lambda _, item: found.append(item) if isinstance(item, h5py.Dataset) else None)
-    return found
+    out: list[h5py.Dataset] = []
+    group.visititems(lambda _, item: out.append(item) if isinstance(item, h5py.Dataset) else None)
+    return out
 
 
 def _opened(path: str | Path, mode: str) -> h5py.File:
@@ -369,7 +369,7 @@ def _check_format(path: str | Path, file: h5py.File) -> None:
     if version > FORMAT_VERSION:
         raise InputError(f"{path} was written by a newer twistcap (format {version}); update twistcap.")
     if version < FORMAT_VERSION:
-        raise InputError(f"{path} was written by an older twistcap (format {version}); track the recording anew.")
+        raise InputError(f"{path} was written by an older twistcap (format {version}); track the recording again.")
 
 
 def _group(parent: h5py.Group, name: str) -> h5py.Group:

@@ -32,7 +32,16 @@ def _from_folder(path: str, info: ValidationInfo) -> str:
 
 
 DataPath = Annotated[str, AfterValidator(_from_folder)]
-ExportKind = Literal["trc", "mot", "bvh", "csv", "glb"]
+
+
+def _known_format(name: str) -> str:
+    from twistcap.io.exports import FORMATS
+
+    FORMATS.get(name)
+    return name
+
+
+ExportName = Annotated[str, AfterValidator(_known_format)]
 Factors = dict[str, Annotated[float, Field(gt=0)]]
 
 
@@ -78,7 +87,7 @@ class HumanoidBody(Table):
 
 
 class GlbBody(Table):
-    """``[body] kind = "glb"``: a skinned GLB or glTF and the TOML that tells what its joints are."""
+    """``[body] kind = "glb"``: a skinned GLB or glTF and the TOML that describes its joints."""
 
     kind: Literal["glb"]
     path: DataPath
@@ -159,7 +168,7 @@ class PriorTable(Table):
 
 
 class MotionsTable(Table):
-    """``[motions]``: training motion of `twistcap motions build`, by which tracking goes on without images."""
+    """``[motions]``: training motion of `twistcap motions build`, which predicts also without images."""
 
     path: DataPath
     kind: MotionKind | None = None
@@ -178,7 +187,7 @@ class Output(Table):
     folder: str | None = None
     overlay: bool = True
     report: bool = True
-    exports: tuple[ExportKind, ...] = ("trc", "csv")
+    exports: tuple[ExportName, ...] = ("trc", "csv")
 
 
 class Session(Table):
@@ -305,7 +314,7 @@ def _check_method(session: Session, source: str) -> None:
     if session.tracker.get("method") == "differential" and given:
         tables = " and ".join(f"[{name}]" for name in given)
         raise InputError(
-            f"{source}: tracker.method 'differential' looks at brightness alone; remove {tables}, or choose 'direct'."
+            f"{source}: tracker.method 'differential' uses brightness alone; remove {tables}, or choose 'direct'."
         )
 
 

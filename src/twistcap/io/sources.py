@@ -51,7 +51,7 @@ class VideoSource:
 
     @property
     def size(self) -> tuple[int, int]:
-        """(width, height) px as shown: a rotation told by the file is applied."""
+        """(width, height) px as shown: the file's rotation is applied."""
         return self._size
 
     @cached_property

@@ -14,7 +14,7 @@ _NONE = -1  # frames of a slot that is empty or being written
 
 
 def put_state(group: h5py.Group, data: UInt8, frames: int) -> None:
-    """Write (N,) bytes into the older slot, as they are after so many frames."""
+    """Write (N,) bytes into the older slot, the state after `frames` frames."""
     slot = min(_SLOTS, key=lambda name: _frames(group, name))
     if slot not in group:
         group.create_dataset(slot, (0,), np.uint8, maxshape=(None,), chunks=(1 << 16,))

@@ -1,4 +1,4 @@
-"""Strict configuration: a key nobody knows is an error that names the nearest one that exists."""
+"""Strict configuration: an unknown key is an error that names the nearest one that exists."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ def unknown_key(source: str, key: str, table: str, valid: Iterable[str]) -> Inpu
     """The error for a key that does not exist, with the nearest that does."""
     valid = sorted(valid)
     near = difflib.get_close_matches(key, valid, n=1, cutoff=0.5)
-    mend = f"did you mean {near[0]!r}?" if near else f"the keys are {', '.join(valid)}."
+    hint = f"did you mean {near[0]!r}?" if near else f"the keys are {', '.join(valid)}."
     where = f"in [{table}]" if table else "at the top"
-    return InputError(f"{source}: unknown key {key!r} {where}; {mend}")
+    return InputError(f"{source}: unknown key {key!r} {where}; {hint}")
 
 
 def validated(model: type[BaseModel], data: Mapping[str, Any], source: str, context: Mapping[str, Any]) -> Any:
@@ -32,7 +32,7 @@ def validated(model: type[BaseModel], data: Mapping[str, Any], source: str, cont
     try:
         return model.model_validate(data, context=dict(context))
     except ValidationError as error:
-        raise _told(error, model, source) from error
+        raise _described(error, model, source) from error
 
 
 def dataclass_from(kind: type[T], table: Mapping[str, Any], source: str, where: str) -> T:
@@ -40,7 +40,7 @@ def dataclass_from(kind: type[T], table: Mapping[str, Any], source: str, where: 
 
     Args:
         kind: the dataclass.
-        table: its settings; what is absent keeps its default.
+        table: its settings; absent keys keep their defaults.
         source, where: file and table, for messages.
 
     Raises:
@@ -66,21 +66,21 @@ def _check_keys(kind: type[Any], table: Mapping[str, Any], source: str, where: s
                 _check_keys(cast("type[Any]", below), cast("Mapping[str, Any]", value), source, f"{where}.{key}")
 
 
-def _told(error: ValidationError, model: type[BaseModel], source: str) -> InputError:
+def _described(error: ValidationError, model: type[BaseModel], source: str) -> InputError:
     # An unknown key first: it is often why a needed one is missing.
-    found = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")[0]
-    loc = found["loc"]
+    chosen = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")[0]
+    loc = chosen["loc"]
     holder, tagless = _walk(model, loc[:-1])
-    if found["type"] == "extra_forbidden" and holder is not None:
+    if chosen["type"] == "extra_forbidden" and holder is not None:
         return unknown_key(source, str(loc[-1]), ".".join(tagless), holder.model_fields)
     path = ".".join(map(str, [*tagless, *loc[-1:]]))
-    if found["type"] == "missing" and isinstance(loc[-1], int):
+    if chosen["type"] == "missing" and isinstance(loc[-1], int):
         return InputError(
             f"{source}: the list {'.'.join(tagless)!r} has too few entries; it needs {loc[-1] + 1} or more."
         )
-    if found["type"] == "missing":
+    if chosen["type"] == "missing":
         return InputError(f"{source}: the key {path!r} is missing; add it.")
-    return _wrong_value(source, path, found)
+    return _wrong_value(source, path, chosen)
 
 
 def _wrong_value(source: str, key: str, error: Any) -> InputError:

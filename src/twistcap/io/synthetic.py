@@ -13,7 +13,7 @@ import numpy as np
 from twistcap._typing import AnyArray
 from twistcap.body import Body, Pose
 from twistcap.body.gltf_write import save_glb
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check_choice
 from twistcap.io.calibration import write_rig
 from twistcap.io.videowriter import VideoWriter
 from twistcap.studio.config import StudioConfig
@@ -52,6 +52,7 @@ def write_session(
             is dropped.
     """
     folder, images = Path(folder), images or ("png" if capture.config.dropped else "video")
+    check_choice("write_session: images", images, ("video", "png"))
     _check_drops(capture.config, images)
     try:
         folder.mkdir(parents=True, exist_ok=True)

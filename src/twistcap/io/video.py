@@ -5,7 +5,7 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -92,7 +92,7 @@ def open_views(
 
 @dataclass(frozen=True)
 class Views:
-    """The frames of a recording: iterate as often as you like, each time from the start.
+    """The frames of a recording: iterable any number of times, each time from the start.
 
     Attributes:
         sources, rig: one source per camera; `rig` as calibrated (with distortion, full size).
@@ -119,14 +119,7 @@ class Views:
         """The same frames from the first number that is not below `index`."""
         rest = [i for i in self.indices if i >= index]
         start = rest[0] if rest else self.indices.stop
-        return Views(
-            self.sources,
-            self.rig,
-            range(start, self.indices.stop, self.indices.step),
-            self.scale,
-            self.fps,
-            self.time_offset,
-        )
+        return replace(self, indices=range(start, self.indices.stop, self.indices.step))
 
     def __iter__(self) -> Iterator[Frame]:
         """Frames in order; decoding, resizing and rectifying run ahead in one thread per camera."""
@@ -183,7 +176,7 @@ class _Reader:
             for image in source.read(indices):
                 if not self._put(None if image is None else prepare(image)):
                     return
-        except Exception as error:  # told where the frame is asked for, after all frames before it
+        except Exception as error:  # raised again at the frame's turn, after all frames before it
             self._put(error)
 
     def _put(self, item: AnyArray | Exception | None) -> bool:

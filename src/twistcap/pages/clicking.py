@@ -1,4 +1,4 @@
-"""The first pose by clicking: what the page sends, the fit, and what is written where the session reads it."""
+"""The first pose by clicking: the page's questions, the fit, and the file that the session reads."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Clicking:
 
     @property
     def answers(self) -> Mapping[str, Answer]:
-        """What the page may ask, by path; one question at a time."""
+        """Answers to the page's questions, by path; one at a time."""
 
         def alone(answer: Answer) -> Answer:
             def locked(question: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -110,8 +110,8 @@ class Clicking:
         if not self.clicks:
             self.shown = None
             raise InputError("no joint is clicked; click a handful of joints in two views.")
-        found = self._fitted(held, self.shown.pose if self.shown else None)
-        return {**self._state(), **_judged(found)}
+        fit = self._fitted(held, self.shown.pose if self.shown else None)
+        return {**self._state(), **_quality(fit)}
 
     def slide(self, question: Mapping[str, Any]) -> dict[str, Any]:
         """Set joint angles without a fit: ``{"held": {coordinate: degrees}}``.
@@ -156,10 +156,10 @@ class Clicking:
         keypoints = _keypoints(self.clicks, self.rig)
         body = replace(self.generic, limits=limits)
         lengths = self.session.first_pose.fit_lengths
-        found = fit_keypoints(body, self.rig, keypoints, fit_lengths=lengths, start=start)
-        self.proportions = found.proportions
-        self.shown = Posed(sized(self.generic, found.proportions), found.pose)
-        return found
+        fit = fit_keypoints(body, self.rig, keypoints, fit_lengths=lengths, start=start)
+        self.proportions = fit.proportions
+        self.shown = Posed(sized(self.generic, fit.proportions), fit.pose)
+        return fit
 
     def _state(self) -> dict[str, Any]:
         assert self.shown is not None
@@ -236,11 +236,11 @@ def _keypoints(clicks: Clicks, rig: Rig) -> Keypoints:
     return Keypoints(names, pixels, confidence)
 
 
-def _judged(found: FirstPose) -> dict[str, Any]:
-    given = np.isfinite(found.residual_px)
+def _quality(fit: FirstPose) -> dict[str, Any]:
+    given = np.isfinite(fit.residual_px)
     return {
-        "residual_px": round(float(np.median(found.residual_px[given])), 2),
-        "rejected": [list(pair) for pair in found.rejected],
+        "residual_px": round(float(np.median(fit.residual_px[given])), 2),
+        "rejected": [list(pair) for pair in fit.rejected],
     }
 
 

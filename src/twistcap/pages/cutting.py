@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 
 from twistcap._typing import Bool, UInt8
+from twistcap.acquire.cutout import Hints, Stroke, cut_out
 from twistcap.errors import InputError
-from twistcap.keyviews.cutout import Hints, Stroke, cut_out
 from twistcap.pages.assemble import jpeg
 from twistcap.pages.outlines import flat
 from twistcap.pages.server import Answer
@@ -74,11 +74,11 @@ class Cutting:
     def cut(self, question: Mapping[str, Any]) -> dict[str, Any]:
         """Cut ``{"view": role, "rectangle": [x, y, x, y] | null, "strokes": [{"inside", "points", "width"}]}``.
 
-        Where nothing is drawn the view is as it was at the beginning. Of a cut that fails nothing is left to save.
+        A view without drawing is as at the beginning. A cut that fails leaves nothing to save.
 
         Raises:
-            InputError: for an unknown view, a number that is not finite, nothing that says where the person is, or
-                nothing left of it.
+            InputError: for an unknown view, a number that is not finite, a drawing without a person, or an empty
+                silhouette.
         """
         role = self._role(question)
         view = self.views[role]
@@ -89,8 +89,8 @@ class Cutting:
                 mask = np.zeros(view.image.shape[:2], np.bool_) if view.known is None else view.known
             else:
                 mask = self.masks[role] = _person(view, hints)
-        share = round(float(mask.mean()), 4)
-        return {"view": role, "outline": outline(mask), "share": share, "cut": role in self.masks}
+        fraction = round(float(mask.mean()), 4)
+        return {"view": role, "outline": outline(mask), "fraction": fraction, "cut": role in self.masks}
 
     def save(self, question: Mapping[str, Any]) -> dict[str, Any]:
         """Write the masks of all views that were drawn on.

@@ -1,4 +1,4 @@
-"""Keypoint detectors of the user, found by entry point; twistcap has none.
+"""Keypoint detectors of the user, offered by entry point; twistcap has none.
 
 A package offers one in its ``pyproject.toml``::
 
@@ -31,12 +31,12 @@ def detector(name: str) -> Detector:
     Raises:
         InputError: where nothing of that name is installed, or it cannot be imported.
     """
-    found = entry_points(group=GROUP)
-    if name not in found.names:
-        installed = ", ".join(sorted(found.names)) or "none"
+    offered = entry_points(group=GROUP)
+    if name not in offered.names:
+        installed = ", ".join(sorted(offered.names)) or "none"
         raise InputError(f"detector {name!r} is not installed (installed: {installed}); see docs/how-to/first-pose.md.")
     try:
-        return next(iter(found.select(name=name))).load()
+        return next(iter(offered.select(name=name))).load()
     except (ImportError, AttributeError) as error:
         raise InputError(f"detector {name!r} cannot be loaded: {error}.") from error
 
@@ -47,13 +47,13 @@ def detected(name: str, images: Sequence[UInt8], rig: Rig) -> Keypoints:
     Raises:
         InputError: as `detector`; for an answer that is no `Keypoints` of this rig.
     """
-    found = detector(name)(images, rig)
-    if not isinstance(found, Keypoints):
-        raise InputError(f"detector {name!r} returned {type(found).__name__}; it must return Keypoints.")
-    pixels, weights = np.asarray(found.pixels, float), np.asarray(found.confidence, float)
-    C, L = len(rig), len(found.names)
+    offered = detector(name)(images, rig)
+    if not isinstance(offered, Keypoints):
+        raise InputError(f"detector {name!r} returned {type(offered).__name__}; it must return Keypoints.")
+    pixels, weights = np.asarray(offered.pixels, float), np.asarray(offered.confidence, float)
+    C, L = len(rig), len(offered.names)
     if pixels.shape != (C, L, 2) or weights.shape != (C, L):
         raise InputError(f"detector {name!r} returned pixels {pixels.shape}; {C} cameras, {L} names need {(C, L, 2)}.")
     if not np.all(np.isfinite(weights)) or not np.all(np.isfinite(pixels[weights > 0])):
         raise InputError(f"detector {name!r} returned a number that is not finite; give it confidence 0.")
-    return Keypoints(found.names, pixels, weights)
+    return Keypoints(offered.names, pixels, weights)

@@ -46,8 +46,8 @@ def page_server(page: str, answers: Mapping[str, Answer] | None = None, port: in
             if answer is None or self.headers.get_content_type() != "application/json":
                 self._reply(404, "text/plain", b"not here")
                 return
-            told = self.headers.get("Content-Length", "")
-            length = int(told) if told.isdigit() else 0
+            header = self.headers.get("Content-Length", "")
+            length = int(header) if header.isdigit() else 0
             reply = _answered(answer, self.rfile.read(min(length, _LARGEST)))
             self._reply(200, "application/json", json.dumps(reply, allow_nan=False).encode())
 

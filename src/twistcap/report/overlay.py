@@ -26,9 +26,10 @@ RIGHT: Colour = (255, 150, 50)
 LEFT: Colour = (50, 170, 255)
 MIDDLE: Colour = (225, 225, 215)
 LOST: Colour = (235, 40, 50)
+_LARGEST = (1600, 900)  # (width, height) px of all views together
 _INK: Colour = (20, 24, 32)
 _PAPER: Colour = (245, 246, 248)
-_CREASE = 0.02  # a jump of this share of the depth between neighbouring pixels is drawn as a line
+_CREASE = 0.02  # a jump by this fraction of the depth between neighbouring pixels is drawn as a line
 
 
 @dataclass(frozen=True)
@@ -38,16 +39,14 @@ class Style:
     Attributes:
         opacity: of the surface, 0 to 1.
         skeleton: whether bones and joints are drawn.
-        width: of lines in pixels; 0 picks one that suits the image.
     """
 
     opacity: float = 0.5
     skeleton: bool = True
-    width: float = 0.0
 
 
 class Shown(Protocol):
-    """What is drawn of a frame; `twistcap.estimate.Estimate` has it."""
+    """Parts of an estimate that are drawn, such as `twistcap.estimate.Estimate`."""
 
     @property
     def index(self) -> int: ...
@@ -102,7 +101,7 @@ def draw_overlay(
 
     Args:
         image: (H, W) or (H, W, 3), uint8 or float in [0, 1]; None for a dropped frame (drawn on a dark ground).
-        camera: the camera of that very image: with distortion for images as recorded, `pinhole()` for rectified ones.
+        camera: of the image: with distortion for images as recorded, `pinhole()` for rectified ones.
         posed: the body at its pose.
         lost: draw it all in red.
         style: see `Style`.
@@ -115,7 +114,7 @@ def draw_overlay(
     canvas = _canvas(image, camera)
     pixels, inverse_depth = visible_projection(camera, posed.vertices)
     window = _window(pixels[inverse_depth > 0], camera.size)
-    width = style.width or max(1.5, camera.size[1] / 400)
+    width = max(1.5, camera.size[1] / 400)
     if window:
         face_index, buffer = rasterise(pixels, inverse_depth, posed.body.faces, *window)
         colours = _shaded(posed, camera, pixels, inverse_depth, face_index, window[0], lost)
@@ -285,12 +284,12 @@ class Mosaic:
         return x, y
 
 
-def mosaic_for(rig: Rig, width: int = 1600, height: int = 900) -> Mosaic:
-    """The grid that shows the views largest within a size in pixels; small images are enlarged at most threefold."""
+def mosaic_for(rig: Rig) -> Mosaic:
+    """The grid that shows the views largest within 1600 × 900 pixels; images are enlarged at most threefold."""
     w, h = max(camera.size[0] for camera in rig), max(camera.size[1] for camera in rig)
 
     def scale(columns: int) -> float:
-        return min(3.0, width / (columns * w), height / (math.ceil(len(rig) / columns) * h))
+        return min(3.0, _LARGEST[0] / (columns * w), _LARGEST[1] / (math.ceil(len(rig) / columns) * h))
 
     columns = max(range(1, len(rig) + 1), key=scale)
     cameras = tuple(camera.scaled(scale(columns)) for camera in rig)
@@ -342,21 +341,19 @@ def overlay_video(
     body: Body,
     fps: float,
     title: str = "",
-    size: tuple[int, int] = (1600, 900),
 ) -> Path:
     """Write an H.264 video of all views with the tracked body over them.
 
     Args:
         path: of the ``.mp4``.
         frames: the recording; a camera that dropped a frame shows the body alone.
-        rig: the cameras of these very images (`Rig.pinhole` when they have been rectified), at full size.
+        rig: the cameras of these images (`Rig.pinhole` when they have been rectified), at full size.
         estimates: by frame index; frames without one are shown bare.
         body: that was tracked.
         fps: frames per second of the video.
         title: heading.
-        size: greatest (width, height) of all views together, pixels.
     """
-    mosaic, bones = mosaic_for(rig, *size), bones_of(body)
+    mosaic, bones = mosaic_for(rig), bones_of(body)
     by_index: Mapping[int, Shown] = {int(e.index): e for e in estimates}
     with VideoWriter(path, fps) as writer:
         for frame in frames:

@@ -81,20 +81,18 @@ def write_report(
     video: Path | str | None = None,
     files: Mapping[Path | str, str] | None = None,
     notes: Sequence[str] = (),
-    name: str = "report.html",
 ) -> Path:
     """Write a stand-alone HTML page; every text is escaped, pictures are embedded, nothing is loaded from a network.
 
     Args:
-        folder: where the page goes; the video and the files are linked relative to it.
+        folder: of the page, report.html; the video and the files are linked relative to it.
         title, lead: heading and the sentence under it.
         rows: table of measures.
         headlines: the few numbers that matter, in large type.
         figures: PNG files to embed.
         video: of the overlay; linked, not embedded.
-        files: what else was written, path to description.
+        files: other files, path to description.
         notes: remarks below the table.
-        name: of the page.
 
     Returns:
         The path of the page.
@@ -112,7 +110,7 @@ def write_report(
         _list("Files", [_file(folder, Path(path), text) for path, text in (files or {}).items()]),
         _footer(),
     ]
-    path = folder / name
+    path = folder / "report.html"
     path.write_text(_page(title, "\n".join(part for part in parts if part)), encoding="utf-8")
     return path
 

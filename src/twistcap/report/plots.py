@@ -52,19 +52,17 @@ def angle_plot(
     lost: Bool | None = None,
     dropped: Bool | None = None,
     title: str = "",
-    only: Sequence[str] | None = None,
 ) -> Path:
     """Small multiples of joint angles, right and left in one panel, with bands of ± 2σ.
 
     Args:
         path: of the PNG.
-        estimate: what was tracked.
+        estimate: of the tracker.
         truth: drawn dashed, on its own times.
         lost, dropped: (N,) frames to shade red and grey.
         title: heading.
-        only: coordinates to show; all by default.
     """
-    names = [name for name in estimate.names if only is None or name in only]
+    names = estimate.names
     panels = list(dict.fromkeys(split_side(name)[0] for name in names))
     figure, axes = _grid(len(panels), title)
     for axis, panel in zip(axes, panels, strict=True):
@@ -83,7 +81,7 @@ def angle_plot(
 
 
 def _widen(axis: Axes, least: float) -> None:
-    """Keep a very small motion from filling a panel."""
+    """Widen the range of a panel to at least `least`, so that a very small motion does not fill it."""
     low, high = axis.get_ylim()
     more = max(0.0, least - (high - low)) / 2
     axis.set_ylim(low - more, high + more)
@@ -98,29 +96,19 @@ def _draw_angle(axis: Axes, series: AngleSeries, name: str) -> None:
     axis.plot(series.times, values, color=colour, lw=1.6, zorder=3)
 
 
-def joint_error_plot(
-    path: Path | str,
-    times: Float,
-    names: Sequence[str],
-    errors_mm: Float,
-    lost: Bool | None = None,
-    dropped: Bool | None = None,
-    title: str = "Joint position error (mm)",
-) -> Path:
+def joint_error_plot(path: Path | str, times: Float, names: Sequence[str], errors_mm: Float) -> Path:
     """Position error of each joint (N, L) in mm over time, one panel per joint; in grey the median of all."""
     panels = list(dict.fromkeys(split_side(name)[0] for name in names))
-    figure, axes = _grid(len(panels), title)
+    figure, axes = _grid(len(panels), "Joint position error (mm)")
     top = _ceiling(errors_mm)
     for axis, panel in zip(axes, panels, strict=True):
-        _shade(axis, times, lost, _LOST)
-        _shade(axis, times, dropped, _DROPPED)
         axis.plot(times, _median(errors_mm), color="#b9c0c8", lw=1.2, zorder=2)
         for k, name in enumerate(names):
             if split_side(name)[0] == panel:
                 axis.plot(times, errors_mm[:, k], color=_COLOURS[split_side(name)[1]], lw=1.5, zorder=3)
         axis.set_ylim(0, top)
         axis.set_title(panel.replace("_", " "), loc="left", fontsize=9, fontweight="bold")
-    _legend(figure, names, False, False, lost, dropped, [Line2D([], [], color="#b9c0c8", label="median of all joints")])
+    _legend(figure, names, False, False, None, None, [Line2D([], [], color="#b9c0c8", label="median of all joints")])
     return _saved(figure, path)
 
 
@@ -132,7 +120,7 @@ def _median(errors: Float) -> Float:
 
 
 def _ceiling(errors: Float) -> float:
-    """Top of the error axis: all of the curves, unless a lost limb would flatten the rest."""
+    """Top of the error axis: the largest error, but at most five times the 90th percentile."""
     known = errors[np.isfinite(errors)]
     if not known.size:
         return 1.0
@@ -159,7 +147,7 @@ def _grid(panels: int, title: str) -> tuple[Figure, list[Axes]]:
 
 
 def spans(times: Float, flags: AnyArray) -> list[tuple[float, float]]:
-    """Stretches of flagged frames, each frame reaching half way to its neighbours."""
+    """Stretches of flagged frames, each frame from half way to half way between its neighbours."""
     edges = np.concatenate([times[:1], (times[1:] + times[:-1]) / 2, times[-1:]])
     steps = np.diff(np.concatenate([[0], np.asarray(flags, int), [0]]))
     starts, ends = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)

@@ -1,4 +1,4 @@
-"""What a kind of body may become in a fit, apart from its joint centres and offsets of its surface."""
+"""The build of a body in a fit: its free parameters other than joint centres and offsets of the surface."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Motions = tuple[Float, Float, Float]
 
 
 class Build(Protocol):
-    """Parameters of a body's build, all 0 where the fit begins."""
+    """Parameters of a body's build, all 0 at the start of the fit."""
 
     @property
     def rigid(self) -> bool:
@@ -26,21 +26,21 @@ class Build(Protocol):
         ...
 
     def fields(self, body: Body, amounts: Mapping[str, float]) -> Fields:
-        """What each parameter moves, on the body as it is at these amounts (none named: all 0)."""
+        """Motions by each parameter, of the body at these amounts; an amount that is not named is 0."""
         ...
 
     def moved(self, fields: Fields, amounts: Float, change: Float) -> tuple[Float, Motions]:
-        """The change (M,) that the bounds allow on amounts (M,), and what it moves, exactly."""
+        """The change (M,) inside the bounds of amounts (M,), and its exact motions."""
         ...
 
-    def told(self, amounts: Mapping[str, float]) -> dict[str, float]:
-        """What a report says of the amounts."""
+    def summary(self, amounts: Mapping[str, float]) -> dict[str, float]:
+        """The amounts as a report shows them."""
         ...
 
 
 @dataclass(frozen=True)
 class Stretches:
-    """Of any body: stature, length and girth of each kind of segment, factors of its cross-sections.
+    """The build of any body: stature, length and girth of each kind of segment, factors of its cross-sections.
 
     Attributes:
         stature, length, girth, section: standard deviations of the log-factors.
@@ -48,11 +48,11 @@ class Stretches:
         rigid: whether a segment's surface must not turn against the axes of its joint.
     """
 
-    stature: float
-    length: float
-    girth: float
-    section: float
-    knots: int
+    stature: float = 0.02
+    length: float = 0.01
+    girth: float = 0.12
+    section: float = 0.06
+    knots: int = 5
     rigid: bool = True
 
     def fields(self, body: Body, amounts: Mapping[str, float]) -> Fields:
@@ -64,5 +64,5 @@ class Stretches:
         del amounts
         return change, fields @ change
 
-    def told(self, amounts: Mapping[str, float]) -> dict[str, float]:
+    def summary(self, amounts: Mapping[str, float]) -> dict[str, float]:
         return {n: float(np.exp(a)) for n, a in amounts.items() if not n.startswith("section")}

@@ -1,16 +1,15 @@
-"""What can change about a body's shape: each parameter is a field of motions of its vertices, joints and landmarks.
+"""Parameters of a body's shape: each is a field of motions of its vertices, joints and landmarks.
 
-All of them are taken in the rest pose and are linear, so that one least-squares solve weighs them against one another;
-`deformed` makes the step and the fields are then taken anew on the body that it gives.
+They hold in the rest pose and are linear, so that one least-squares solve weighs them against one another. `deformed`
+makes the step; the fields are then computed again on the new body.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from twistcap import se3
 from twistcap._typing import Float, Int
@@ -26,14 +25,14 @@ _SIDES = (0.0, 0.5, 1.0, 1.5)  # directions about a segment's axis, in half turn
 
 @dataclass(frozen=True)
 class Fields:
-    """M shape parameters and what each moves per unit, m in the rest pose.
+    """M shape parameters and their motions per unit, m in the rest pose.
 
     Attributes:
         names: of the parameters, such as ``length femur``.
         vertices: (M, V, 3).
-        joints: (M, S, 3) of the centre of each segment's joint; of root segments they count for nothing.
+        joints: (M, S, 3) of the centre of each segment's joint; those of root segments do not count.
         landmarks: (M, L, 3).
-        precision: (M, M) inverse covariance of the prior, about the body from which the fit began.
+        precision: (M, M) inverse covariance of the prior, about the body at the start of the fit.
     """
 
     names: tuple[str, ...]
@@ -42,21 +41,13 @@ class Fields:
     landmarks: Float
     precision: Float
 
-    @cached_property
-    def by_vertex(self) -> Float:
-        """(V, M, 3) `vertices`, those of one vertex together."""
-        return np.ascontiguousarray(self.vertices.transpose(1, 0, 2))
-
     def __add__(self, other: Fields) -> Fields:
-        precision = np.zeros((len(self.names) + len(other.names),) * 2)
-        precision[: len(self.names), : len(self.names)] = self.precision
-        precision[len(self.names) :, len(self.names) :] = other.precision
         return Fields(
             (*self.names, *other.names),
             np.concatenate([self.vertices, other.vertices]),
             np.concatenate([self.joints, other.joints]),
             np.concatenate([self.landmarks, other.landmarks]),
-            precision,
+            np.asarray(block_diag(self.precision, other.precision), np.float64),
         )
 
     def __matmul__(self, amounts: Float) -> tuple[Float, Float, Float]:
@@ -83,7 +74,7 @@ def deformed(body: Body, vertices: Float, joints: Float, landmarks: Float) -> Bo
 def stretch_fields(body: Body, stature: float, length: float, girth: float) -> Fields:
     """Log-stature, and log-length and log-girth of each kind of segment, left and right alike.
 
-    The girths take along what hangs on a segment (hips on the pelvis, shoulders on the torso).
+    The girths move the joints of a segment too (hips of the pelvis, shoulders of the torso).
 
     Args:
         stature, length, girth: standard deviations of the log-factors.
@@ -107,12 +98,12 @@ def stretch_fields(body: Body, stature: float, length: float, girth: float) -> F
 def profile_fields(body: Body, sigma: float, knots: int, alike: float = 1.5) -> Fields:
     """Factors of the cross-sections along each kind of segment, in four directions about its axis.
 
-    Between knots and directions the factors go over into one another by hat functions; left is the mirror of right.
+    Hat functions interpolate between knots and directions; left is the mirror of right.
 
     Args:
         sigma: standard deviation of a factor less 1.
         knots: along each segment.
-        alike: distance, in knots, at which two factors still have much in common.
+        alike: length of the correlation of two factors, in knots.
     """
     names, moved, precision = list[str](), list[Float](), list[Float]()
     covariance = _alike(knots, alike)
@@ -124,7 +115,7 @@ def profile_fields(body: Body, sigma: float, knots: int, alike: float = 1.5) -> 
                 moved.append(np.sum([section[k, side] for section in sections], axis=0))
         precision.append(np.asarray(np.linalg.inv(sigma**2 * covariance), np.float64))
     still = np.zeros((len(names), len(body.segment_names), 3)), np.zeros((len(names), *body.landmarks.points.shape))
-    return Fields(tuple(names), np.array(moved), *still, _blocks(precision))
+    return Fields(tuple(names), np.array(moved), *still, np.asarray(block_diag(*precision), np.float64))
 
 
 def _alike(knots: int, reach: float) -> Float:
@@ -136,10 +127,10 @@ def _alike(knots: int, reach: float) -> Float:
 
 
 def _sections(body: Body, segment: int, knots: int) -> Float:
-    """(K, 4, V, 3) outward motion of the vertices for each knot and direction of one segment, its share of them."""
+    """(K, 4, V, 3) outward motion of the vertices for each knot and direction of one segment, by its skin weights."""
     origins, axes = segment_axes(body)
     axis = axes[segment]
-    share = np.where(body.skin_segments == segment, body.skin_weights, 0.0).sum(axis=1)
+    weight = np.where(body.skin_segments == segment, body.skin_weights, 0.0).sum(axis=1)
     own = body.vertex_part == segment
     if not own.any():
         return np.zeros((knots, len(_SIDES), *body.vertices.shape))
@@ -154,7 +145,7 @@ def _sections(body: Body, segment: int, knots: int) -> Float:
         turn = np.minimum(turn, 2.0 - turn)  # trunk and head: both sides alike, the fourth direction stays empty
     apart = np.abs(turn - np.array(_SIDES)[:, None])
     around = np.maximum(0.0, 1.0 - 2.0 * np.minimum(apart, 2.0 - apart))
-    return np.einsum("kv,dv,v,vi->kdvi", along, around, share, across)
+    return np.einsum("kv,dv,v,vi->kdvi", along, around, weight, across)
 
 
 def _cross_axes(body: Body, segment: int, axis: Float) -> Float:
@@ -169,8 +160,8 @@ def joint_fields(body: Body, sigma: float, side: float) -> Fields:
     """Shifts of the joint centres with the surface at rest: of left and right together, mirrored, and of each alone.
 
     Args:
-        sigma: standard deviation of what both sides share, m.
-        side: of what each has to itself, m.
+        sigma: m, standard deviation of the shift of both sides.
+        side: m, of the shift of each side alone.
     """
     names, joints, sigmas = list[str](), list[Float](), list[float]()
     for kind, segments in girth_groups(body).items():
@@ -199,7 +190,7 @@ def _marks_with(body: Body, joints: Float) -> Float:
 
 
 def offset_directions(body: Body) -> Float:
-    """(V, 3) outward unit normals of the rest surface: along them the per-vertex offsets go."""
+    """(V, 3) outward unit normals of the rest surface, directions of the per-vertex offsets."""
     return unit_vertex_normals(body.vertices, body.faces)
 
 
@@ -219,8 +210,7 @@ def offset_precision(body: Body, sigma: float, reach: float) -> Float:
 def turns(body: Body) -> Float:
     """(3 S, V, 3) rotation (rad) of each segment's surface as a whole, per motion of each vertex (least squares).
 
-    A surface that turns against the axes of its joint cannot be told from a joint that turns: no image decides it, so a
-    prior must.
+    Images do not separate a surface that turns against the axes of its joint from a joint that turns; a prior must.
     """
     out = np.zeros((len(body.segment_names), 3, *body.vertices.shape))
     for s in range(len(body.segment_names)):
@@ -247,12 +237,3 @@ def _finite_elements(vertices: Float, faces: Int) -> tuple[Float, Float]:
         for m, n, sign in ((i, j, -1.0), (j, i, -1.0), (i, i, 1.0), (j, j, 1.0)):
             np.add.at(stiffness, (m, n), sign * half)
     return area, stiffness
-
-
-def _blocks(parts: Sequence[Float]) -> Float:
-    out = np.zeros((sum(len(p) for p in parts),) * 2)
-    at = 0
-    for part in parts:
-        out[at : at + len(part), at : at + len(part)] = part
-        at += len(part)
-    return out

@@ -1,4 +1,4 @@
-"""Fitting a body to recordings: track with the body there is, then solve for poses and shape together, and again."""
+"""Fitting a body to recordings: in each round track with the body so far, then solve for poses and shape together."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from twistcap.solve import minimise
 from twistcap.track import Tracker
 from twistcap.track import build as build_model
 
-Tell = Callable[[str], None]
+Report = Callable[[str], None]
 
 
 class Frames(Protocol):
-    """Frames that can be read from the start as often as one likes."""
+    """Frames that can be read from the start any number of times."""
 
     def __len__(self) -> int: ...
 
@@ -38,15 +38,15 @@ class Frames(Protocol):
 
 @dataclass(frozen=True)
 class Take:
-    """One recording that the fit looks at.
+    """One recording of the fit.
 
     Attributes:
         rig: cameras of the images.
         name: for messages.
-        frames: in order; they are read anew in every round.
+        frames: in order; read in every round.
         first_pose: of the first frame.
         config: of the tracker.
-        masks: silhouettes (H, W) of some frames by number, one per camera or None, in the images' pixels; those frames
+        masks: silhouettes (H, W) of some frames by number, one per camera or None, in the images' pixels. These frames
             are fitted to them, all others to the images.
     """
 
@@ -60,17 +60,17 @@ class Take:
 
 @dataclass(frozen=True)
 class Fitted:
-    """What a fit gives.
+    """A fitted body.
 
     Attributes:
         body: the fitted one.
         first_poses: of each take, for its first frame.
         poses: of each take, frame number to pose, of the frames that the shape was fitted to.
-        frames: of each take, by number, those that have a pose before or after.
-        begun: the body from which the fit began.
-        begun_poses: as it was tracked in those frames.
-        factors: what the build tells: stature, lengths and girths against the body given, or a model's parameters.
-        errors_px: root mean square distance to the edges found, before every step.
+        frames: of each take, by number, those with a pose before or after.
+        begun: the body at the start of the fit.
+        begun_poses: of that body, as tracked in those frames.
+        factors: stature, lengths and girths against the body given, or a model's parameters.
+        errors_px: root mean square distance to the edges before every step.
     """
 
     body: Body
@@ -87,48 +87,49 @@ def fit_body(
     body: Body,
     takes: Sequence[Take],
     rule: FitRule | None = None,
-    tell: Tell = lambda note: None,
+    report: Report = lambda note: None,
     build: Build | None = None,
 ) -> Fitted:
-    """The body that the contours in all views and frames of all takes ask for.
+    """Fit a body to the contours in all views and frames of all takes.
 
     Args:
-        body: to begin with; its tree and binding stay.
-        tell: is given a few words after each piece of work.
-        build: what the body may become; by default its lengths, girths and cross-sections change.
+        body: to start with; its tree and binding stay. The fit starts from the mean of it and its mirror image.
+        takes: the recordings.
+        rule: how much work it takes.
+        report: is called with a few words after each piece of work.
+        build: free parameters of the body; by default its lengths, girths and cross-sections.
 
     Raises:
-        InputError: where there is no frame, or nothing of the body is seen.
+        InputError: where there is no frame, a take is lost, or nothing of the body is seen.
     """
     rule = rule or FitRule()
     if not takes or any(not len(take.frames) for take in takes):
         raise InputError("body fit: there is no frame to fit the body to; give at least one recording with frames.")
-    body = symmetric(body) if rule.mirrored else body
-    build = build or Stretches(rule.stature, rule.length, rule.girth, rule.section, rule.knots)
+    body, build = symmetric(body), build or Stretches()
     first_poses = tuple(take.first_pose for take in takes)
-    first = moments = _tracked(body, first_poses, takes, rule, tell)
-    x, errors = Sculpted(Freedom(body, build, rule, False), body, (), {}, np.zeros(0)), list[float]()
+    first = moments = _tracked(body, first_poses, takes, rule, report)
+    x, errors = Sculpted(Freedom(body, build, False), body, (), {}, np.zeros(0)), list[float]()
     for n in range(rule.rounds):
-        moments = moments if n == 0 else _tracked(x.body, first_poses, takes, rule, tell)
+        moments = moments if n == 0 else _tracked(x.body, first_poses, takes, rule, report)
         if n == 1:  # from here on every vertex is free
             x = replace(x, freedom=replace(x.freedom, offsets=True), offsets=np.zeros(len(body.vertices)))
         x = replace(x, poses=tuple(m.pose for m in moments))
         for _ in range(rule.steps):
             x, error = _shaped(x, takes, moments)
             errors.append(error)
-            tell(f"{error:.2f} px to the edges")
+            report(f"{error:.2f} px to the edges")
         moments = [replace(m, pose=pose) for m, pose in zip(moments, x.poses, strict=True)]
         first_poses = _first_poses(first_poses, moments)
-    told = build.told({name: amount for name, amount in x.amounts.items() if not name.startswith("joint ")})
+    factors = build.summary({name: amount for name, amount in x.amounts.items() if not name.startswith("joint ")})
     poses, begun = (tuple({m.frame.index: m.pose for m in of} for of in _by_take(some, len(takes)))
                     for some in (moments, first))  # fmt: skip
     frames = tuple({m.frame.index: m.frame for m in of} for of in _by_take([*first, *moments], len(takes)))
-    return Fitted(x.body, first_poses, poses, frames, body, begun, told, tuple(errors))
+    return Fitted(x.body, first_poses, poses, frames, body, begun, factors, tuple(errors))
 
 
 @dataclass(frozen=True)
 class _Moment:
-    """A frame, and where the body is in it; `first` says if it is its take's."""
+    """A frame and its pose; `first` says whether it is the first of its take."""
 
     take: int
     frame: Frame
@@ -141,7 +142,7 @@ def _by_take(moments: Sequence[_Moment], takes: int) -> list[list[_Moment]]:
 
 
 def _tracked(
-    body: Body, first_poses: Sequence[Pose], takes: Sequence[Take], rule: FitRule, tell: Tell
+    body: Body, first_poses: Sequence[Pose], takes: Sequence[Take], rule: FitRule, report: Report
 ) -> list[_Moment]:
     """Track every take with the body so far, and choose the frames for the shape."""
     out: list[_Moment] = []
@@ -152,11 +153,11 @@ def _tracked(
         tracker.start(first_poses[t])
         lost = 0
         for k, frame in enumerate(take.frames):
-            found = tracker.step(frame)
-            lost += found.lost
-            if (k in chosen or frame.index in take.masks) and not found.lost and found.status != "no_images":
-                out.append(_Moment(t, frame, found.pose, k == 0))
-            tell(f"{take.name}, frame {frame.index}")
+            estimate = tracker.step(frame)
+            lost += estimate.lost
+            if (k in chosen or frame.index in take.masks) and not estimate.lost and estimate.status != "no_images":
+                out.append(_Moment(t, frame, estimate.pose, k == 0))
+            report(f"{take.name}, frame {frame.index}")
         if 2 * lost > total or all(m.take != t for m in out):
             raise InputError(
                 f"body fit: {take.name} is lost in {lost} of {total} frames, and a body cannot be fitted to it;"
@@ -165,17 +166,15 @@ def _tracked(
     return out
 
 
-def _observed(
-    moments: Sequence[_Moment], posed: Sequence[Posed], takes: Sequence[Take], rule: FitRule
-) -> list[list[Observed]]:
-    """What each chosen frame shows: given silhouettes where there are some, else the edges in the images."""
+def _observed(moments: Sequence[_Moment], posed: Sequence[Posed], takes: Sequence[Take]) -> list[list[Observed]]:
+    """Contours of each chosen frame: against given silhouettes where there are any, else in the images."""
 
     def one(moment: _Moment, at: Posed) -> list[Observed]:
         take = takes[moment.take]
         masks = take.masks.get(moment.frame.index)
         if masks is None:
-            return observe(moment.frame.images, take.rig, at, rule.contours)
-        return observe_masks(masks, take.rig, at, rule.contours)
+            return observe(moment.frame.images, take.rig, at)
+        return observe_masks(masks, take.rig, at)
 
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         out = list(pool.map(one, moments, posed))
@@ -185,14 +184,13 @@ def _observed(
 
 
 def _shaped(x: Sculpted, takes: Sequence[Take], moments: Sequence[_Moment]) -> tuple[Sculpted, float]:
-    """A look at the chosen frames and a step of poses and shape; how far the edges were off before it, px."""
-    rule = x.freedom.rule
-    seen, tracked = _observed(moments, x.posed, takes, rule), [m.pose for m in moments]
-    problem = FitProblem(seen, tracked, x.precision, rule)
+    """The variables after a step of poses and shape, and the distance to the edges before it, px."""
+    seen, tracked = _observed(moments, x.posed, takes), [m.pose for m in moments]
+    problem = FitProblem(seen, tracked, x.precision)
     return minimise(problem, x, 1, 0.0).x, problem.error_px()
 
 
 def _first_poses(before: Sequence[Pose], moments: Sequence[_Moment]) -> tuple[Pose, ...]:
-    """The first frames' poses as they are now; where the first frame does not count, the pose that it had."""
-    found = {m.take: m.pose for m in moments if m.first}
-    return tuple(found.get(t, pose) for t, pose in enumerate(before))
+    """The present poses of the first frames; of a first frame that was not chosen, the pose before."""
+    now = {m.take: m.pose for m in moments if m.first}
+    return tuple(now.get(t, pose) for t, pose in enumerate(before))

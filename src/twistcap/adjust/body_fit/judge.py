@@ -1,4 +1,4 @@
-"""How well a body agrees with a recording: distances to its edges, overlap with a segmentation, visual hulls."""
+"""Agreement of a body with a recording: distances to edges, overlap with a segmentation and of visual hulls."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from twistcap._typing import AnyArray, Bool, Float
-from twistcap.adjust.body_fit.observe import Contours, observe
+from twistcap.adjust.body_fit.observe import CHANNELS, MARGIN, observe
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Camera, Rig
 from twistcap.cues.levelset import LevelSetContour
@@ -20,16 +20,16 @@ from twistcap.region.compare import iou
 from twistcap.render import render, visible_contour
 
 _CLEAR = 1.0  # 1/px²: information from which an edge counts as seen
-_MARGIN, _VOXEL = 0.15, 0.02  # m
+_VOXEL = 0.02  # m
 
 
 @dataclass(frozen=True)
 class Agreement:
-    """Of one body with one recording, over the frames that it was fitted to.
+    """Of one body with one recording, over the frames of the fit.
 
     Attributes:
-        px, mm: distances (N,) of the silhouettes' points to the edges in the images, where these are clear.
-        part: (N,) names of the segments they are on.
+        px, mm: (N,) distances from points of the silhouettes to clear edges in the images.
+        part: (N,) names of the segments of these points.
         iou: overlap of silhouettes and the tracker's own segmentation, mean over views and frames.
         hull: overlap of the visual hulls of both, as volumes, mean over the frames.
     """
@@ -49,32 +49,27 @@ class Agreement:
         }
 
 
-def agreement(
-    body: Body, rig: Rig, frames: Mapping[int, Frame], poses: Mapping[int, Pose], rule: Contours | None = None
-) -> Agreement:
-    """Look at the frames, by number, that have a pose; the images alone are asked, no given silhouettes."""
-    rule = rule or Contours()
+def agreement(body: Body, rig: Rig, frames: Mapping[int, Frame], poses: Mapping[int, Pose]) -> Agreement:
+    """Agreement in the frames, by number, that have a pose, with the images alone: given silhouettes do not count."""
     px, mm, part, ious, hulls = list[Float](), list[Float](), list[str](), list[float](), list[float]()
     for index, pose in poses.items():
         images, posed = frames[index].images, Posed(body, pose)
-        for seen in observe(images, rig, posed, rule):
+        for seen in observe(images, rig, posed):
             clear = seen.contour.outer & (seen.weight > _CLEAR)
             px.append(np.abs(seen.distance[clear]))
             mm.append(1000.0 * px[-1] / max(seen.px_per_m, 1e-9))
             part += [body.segment_names[s] for s in seen.contour.part[clear]]
-        pairs = _segmented(images, rig, posed, rule)
+        pairs = _segmented(images, rig, posed)
         ious += [iou(ours, theirs) for _, ours, theirs in pairs]
         hulls.append(hull_overlap(posed, pairs))
     return Agreement(np.concatenate(px), np.concatenate(mm), part, float(np.mean(ious)), float(np.mean(hulls)))
 
 
-def _segmented(
-    images: Sequence[AnyArray | None], rig: Rig, posed: Posed, rule: Contours
-) -> list[tuple[Camera, Bool, Bool]]:
-    """Of each view its camera (of the crop), the body's silhouette and the level set's."""
+def _segmented(images: Sequence[AnyArray | None], rig: Rig, posed: Posed) -> list[tuple[Camera, Bool, Bool]]:
+    """Of each view the camera of its crop, the silhouette of the body and that of the level set."""
     out: list[tuple[Camera, Bool, Bool]] = []
     for image, camera in zip(images, rig, strict=True):
-        view = None if image is None else crop_view(image, camera, posed, _MARGIN, rule.channels)
+        view = None if image is None else crop_view(image, camera, posed, MARGIN, CHANNELS)
         if view is None:
             continue
         seen = render(posed, view.camera)
@@ -87,7 +82,7 @@ def _segmented(
 
 def hull_overlap(posed: Posed, views: Sequence[tuple[Camera, Bool, Bool]]) -> float:
     """Intersection over union of the visual hulls of two sets of silhouettes, voxels of 2 cm about the body."""
-    low, high = posed.vertices.min(axis=0) - _MARGIN, posed.vertices.max(axis=0) + _MARGIN
+    low, high = posed.vertices.min(axis=0) - MARGIN, posed.vertices.max(axis=0) + MARGIN
     axes = [np.arange(a, b, _VOXEL) for a, b in zip(low, high, strict=True)]
     centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     ours, theirs = np.ones(len(centres), bool), np.ones(len(centres), bool)

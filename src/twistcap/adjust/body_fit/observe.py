@@ -1,9 +1,9 @@
-"""Where the images put the body's visible contour: what the shape is fitted to."""
+"""Where the images show the body's visible contour, to which the shape is fitted."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,18 +19,25 @@ from twistcap.render import ContourPoints, contour_on_edges, render
 from twistcap.render.contour import reprojected
 from twistcap.terms import PointNormalTerm
 
-_MARGIN = 0.15  # m about the body that is looked at
+CHANNELS: Channels = "lab"
+"""Of the images, as the tracker's default."""
+MARGIN = 0.15
+"""m about the body that an image is cropped to."""
+_CUE = DirectContour()  # finds the edge along the normals
+_SPACING = 0.025  # m on the body between points
+_REACH = 0.06  # m within which the outline of a given mask is searched for
+_MASK_SIGMA = 0.7  # px, standard deviation of the outline of a given mask
 _CONTRAST = 1.5  # standard deviations between the sides' colours at which an edge counts by half
 
 
 @dataclass(frozen=True)
 class Observed:
-    """N contour points of one view of one frame, and how far off the image has them.
+    """N contour points of one view of one frame, and their distances to the edge in the image.
 
     Attributes:
         camera: the pinhole camera.
-        contour: points of the body as it was looked at.
-        ends, shares: (N, 2) vertices of the edge each lies on, and their shares.
+        contour: points of the body, posed as it was rendered.
+        ends, shares: (N, 2) vertices of the mesh edge of each point, and their weights.
         distance: (N,) px outward along the image normal.
         weight: (N,) information, 1/px².
         px_per_m: scale of the image at the body.
@@ -45,63 +52,46 @@ class Observed:
     px_per_m: float
 
 
-@dataclass(frozen=True)
-class Contours:
-    """How contours are observed.
-
-    Attributes:
-        direct: the tracker's cue by which the edge is found along the normals.
-        spacing: m on the body between points.
-        channels: of the images, as the tracker's.
-        reach: m within which a given mask's outline is looked for.
-        mask_sigma: standard deviation of a given mask's outline, px.
-    """
-
-    direct: DirectContour = field(default_factory=DirectContour)
-    spacing: float = 0.025
-    channels: Channels = "lab"
-    reach: float = 0.06
-    mask_sigma: float = 0.7
-
-
-def observe(images: Sequence[AnyArray | None], rig: Rig, posed: Posed, rule: Contours) -> list[Observed]:
+def observe(images: Sequence[AnyArray | None], rig: Rig, posed: Posed) -> list[Observed]:
     """The contour in all views of one frame; views without image or body are left out.
 
     Args:
         images: rectified, of the (pinhole) rig.
-        posed: the body where it is thought to be.
+        posed: the body at the pose so far.
     """
     out: list[Observed] = []
     for image, camera in zip(images, rig, strict=True):
-        view = None if image is None else crop_view(image, camera, posed, _MARGIN, rule.channels)
+        view = None if image is None else crop_view(image, camera, posed, MARGIN, CHANNELS)
         if view is not None:
-            out.append(_observed(view, posed, rule))
+            out.append(_observed(view, posed))
     return out
 
 
-def observe_masks(masks: Sequence[Bool | None], rig: Rig, posed: Posed, rule: Contours) -> list[Observed]:
+def observe_masks(masks: Sequence[Bool | None], rig: Rig, posed: Posed) -> list[Observed]:
     """The contour against the outlines of given silhouettes (H, W), in the pixels of the (pinhole) rig."""
     out: list[Observed] = []
     for mask, camera in zip(masks, rig, strict=True):
         if mask is None or not mask.any():
             continue
         seen = render(posed, camera)
-        contour, ends, shares = contour_on_edges(seen, max(1.0, rule.spacing * seen.px_per_m))
-        found = match(contour, outline_of(mask, rule.spacing * seen.px_per_m), rule.reach * seen.px_per_m)
-        on = replace(reprojected(contour, posed, camera.P)[found.index], normals=found.normals)
-        weight = found.weight / rule.mask_sigma**2
-        out.append(Observed(camera, on, ends[found.index], shares[found.index], found.distance, weight, seen.px_per_m))
+        contour, ends, shares = contour_on_edges(seen, max(1.0, _SPACING * seen.px_per_m))
+        matches = match(contour, outline_of(mask, _SPACING * seen.px_per_m), _REACH * seen.px_per_m)
+        on = replace(reprojected(contour, posed, camera.P)[matches.index], normals=matches.normals)
+        weight = matches.weight / _MASK_SIGMA**2
+        out.append(
+            Observed(camera, on, ends[matches.index], shares[matches.index], matches.distance, weight, seen.px_per_m)
+        )
     return out
 
 
-def _observed(view: View, posed: Posed, rule: Contours) -> Observed:
+def _observed(view: View, posed: Posed) -> Observed:
     seen = render(posed, view.camera)
-    contour, ends, shares = contour_on_edges(seen, max(1.0, rule.spacing * seen.px_per_m))
+    contour, ends, shares = contour_on_edges(seen, max(1.0, _SPACING * seen.px_per_m))
     nothing = np.zeros((len(posed.body.segment_names), 1 + 2 * view.features.shape[2]))  # remembered colours
-    found = rule.direct.locate(view, seen, contour, 1.0, nothing)
-    assert isinstance(found.term, PointNormalTerm)
-    distance, contrast = refined(view.image, contour.pixels, contour.normals, found.displacement)
+    evidence = _CUE.locate(view, seen, contour, 1.0, nothing)
+    assert isinstance(evidence.term, PointNormalTerm)
+    distance, contrast = refined(view.image, contour.pixels, contour.normals, evidence.displacement)
     doubt = 1.0 + (_CONTRAST / np.maximum(contrast, 1e-6)) ** 2
-    weight = np.where(contour.outer, found.term.weight / doubt, 0.0)
-    placed = reprojected(contour, posed, view.camera.P)  # where the points are that are bound to the surface
+    weight = np.where(contour.outer, evidence.term.weight / doubt, 0.0)
+    placed = reprojected(contour, posed, view.camera.P)  # of the points on the surface
     return Observed(view.camera, placed, ends, shares, distance, weight, seen.px_per_m)

@@ -1,4 +1,4 @@
-"""Bodies whose build a few parameters choose, such as Anny, in a fit: evaluated, linearised anew at every step."""
+"""Bodies with a few parameters, such as Anny, in a fit: linearised by difference quotients at every step."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from twistcap.estimate import Keypoints
 
 _STEP = 0.02  # of the difference quotients
 _ROUNDS = 8  # of Gauss-Newton, to the lengths of another body
-_BREADTH = 0.06  # standard deviation of log-breadths: keypoints and joints of two bodies hardly agree about them
+_BREADTH = 0.06  # standard deviation of log-breadths: the joints of two bodies differ most in these
 _SIDES = ("r", "l")
 _LENGTHS = tuple(
     (f"{a}_{s}", f"{b}_{s}")
@@ -64,10 +64,10 @@ class Parametric:
     Attributes:
         model: of the body.
         start: (M,) parameters of the body with which the fit begins.
-        length: standard deviation of the logarithms of limb lengths and stature about those of the start: contours
-            hardly tell them.
-        rigid: whether a segment's surface must not turn against the axes of its joint; as a rule it may, for a model
-            knows which way its surface turns.
+        length: standard deviation of the logarithms of limb lengths and stature about those of the start; contours
+            hardly show them.
+        rigid: whether a segment's surface must not turn against the axes of its joint. By default it may: a model
+            turns its surface as people do.
     """
 
     model: Model
@@ -92,7 +92,7 @@ class Parametric:
         motions = new.vertices - old.vertices, joint_centres(new) - joint_centres(old)
         return after - before, (*motions, new.landmarks.points - old.landmarks.points)
 
-    def told(self, amounts: Mapping[str, float]) -> dict[str, float]:
+    def summary(self, amounts: Mapping[str, float]) -> dict[str, float]:
         pairs = zip(self.model.parameters, self.start, strict=True)
         return {p.name: float(v + amounts.get(p.name, 0.0)) for p, v in pairs}
 
@@ -115,16 +115,16 @@ def rates_at(model: Model, values: Float) -> Motions:
 
 
 def matched(model: Model, body: Body, length: float = 0.01) -> Parametric:
-    """The usual person with the limb lengths, trunk and stature of another body, as a build to begin a fit with.
+    """The mean person with the limb lengths, trunk and stature of another body, as a build to start a fit with.
 
     Raises:
-        InputError: where the body has not all landmarks by which it is measured; ``humanoid("legs")`` has not.
+        InputError: where the body lacks a landmark that measures it, as ``humanoid("legs")`` does.
     """
     missing = [name for name in _MEASURED if name not in body.landmarks.names]
     if missing:
         raise InputError(
-            f"body {body.name!r} has no landmarks {', '.join(missing)}, by which a model takes its lengths;"
-            " begin with a whole body."
+            f"body {body.name!r} has no landmarks {', '.join(missing)}, which measure its lengths;"
+            " start with a whole body."
         )
     parameters = model.parameters
     usual, spread = np.array([p.usual for p in parameters]), np.array([p.spread for p in parameters])
@@ -140,7 +140,7 @@ def matched(model: Model, body: Body, length: float = 0.01) -> Parametric:
 
 
 def carried_pose(given: Body, pose: Pose, body: Body, rig: Rig) -> Pose:
-    """The pose of another body whose landmarks are seen where those of the given one are.
+    """The pose of another body whose landmarks project to those of the given one.
 
     Raises:
         InputError: for fewer than two cameras, or too few landmarks before two of them.

@@ -1,4 +1,4 @@
-"""Poses of some frames and the shape of the body in all of them as one problem, around where it was looked at."""
+"""Poses of some frames and the shape of the body in all of them as one problem, around the poses observed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from twistcap.adjust.body_fit.build import Build, Motions
 from twistcap.adjust.body_fit.fields import Fields
 from twistcap.adjust.body_fit.observe import Observed
 from twistcap.adjust.body_fit.rows import Rows, rows
-from twistcap.adjust.body_fit.settings import FitRule
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.shape import carried
 from twistcap.render.view import surface_points
@@ -23,18 +22,30 @@ from twistcap.solve import Arrow
 from twistcap.terms.points import projected_rows
 from twistcap.terms.robust import cauchy
 
+# Standard deviations of the prior, chosen on the studio and `balance_4view` (docs/concepts/body-fit.md).
+_JOINT, _JOINT_SIDE = 0.002, 0.001  # m, shifts of joint centres: of both sides alike, and of each side alone
+_OFFSET, _REACH = 0.006, 0.10  # m, offsets of the surface along its normals, and the distance over which they are alike
+_TURN_DEG = 0.1  # turn of a segment's surface against the axes of its joint, which no image shows
+_POSE_DEG, _POSE_M = 3.0, 0.02  # change of a pose from the tracked one
+_OFFSET_BOUND = 0.03  # m, greatest offset of a vertex along its normal
+_ROBUST = 0.012  # m, distance at which a contour point is down-weighted by half
+# All frames together count as so many frames of independent contour points: neighbours, and frames of one person
+# before one background, err alike.
+_WORTH = 0.3
+
 
 @dataclass(frozen=True)
 class Freedom:
-    """What may change of a body: what its build allows, joint centres, and with `offsets` every vertex.
+    """What may change of a body: its build, joint centres, and with `offsets` every vertex.
 
     Attributes:
-        given: the body from which the fit began.
+        given: the body at the start of the fit.
+        build: its free parameters.
+        offsets: whether every vertex is free along its normal.
     """
 
     given: Body
     build: Build
-    rule: FitRule
     offsets: bool
 
     @cached_property
@@ -45,14 +56,17 @@ class Freedom:
     @cached_property
     def offset_precision(self) -> Float:
         """(V, V) of the offsets, or (0, 0)."""
-        return f.offset_precision(self.given, self.rule.offset, self.rule.reach) if self.offsets else np.zeros((0, 0))
+        return f.offset_precision(self.given, _OFFSET, _REACH) if self.offsets else np.zeros((0, 0))
 
 
 @dataclass(frozen=True)
 class Sculpted:
-    """What is moved: the poses of all frames, and the body with what made it.
+    """The variables: the poses of all frames, and the body with its parameters.
 
     Attributes:
+        freedom: what may change.
+        body: with these amounts and offsets.
+        poses: of the frames.
         amounts: (M,) of the fields, by `names`.
         offsets: (V,) m of the vertices along their normals; empty where they are not free.
     """
@@ -75,13 +89,12 @@ class Sculpted:
 
     @cached_property
     def fields(self) -> Fields:
-        """Those, and shifts of the joint centres."""
-        rule = self.freedom.rule
-        return self.own + f.joint_fields(self.body, rule.joint, rule.joint_side)
+        """The build's fields, and shifts of the joint centres."""
+        return self.own + f.joint_fields(self.body, _JOINT, _JOINT_SIDE)
 
     @cached_property
     def directions(self) -> Float:
-        """(V, 3) along which the vertices' offsets go, or (0, 3)."""
+        """(V, 3) directions of the vertices' offsets, or (0, 3)."""
         return f.offset_directions(self.body)[: len(self.offsets)]
 
     @cached_property
@@ -99,7 +112,7 @@ class Sculpted:
         turned[:, :K] *= free.build.rigid
         if free.offsets:
             turned = np.hstack([turned, np.einsum("tvi,vi->tv", free.turns, self.directions)])
-        return out + turned.T @ turned / np.deg2rad(free.rule.turn_deg) ** 2
+        return out + turned.T @ turned / np.deg2rad(_TURN_DEG) ** 2
 
     @cached_property
     def motions(self) -> sparse.csr_array:
@@ -119,11 +132,10 @@ class Sculpted:
         return out.reshape(-1, out.shape[2])
 
     def reshaped(self, step: Float) -> Sculpted:
-        """The body after a step (M + V,) of its shape, as far as the bounds allow."""
+        """The body after a step (M + V,) of its shape, inside the bounds."""
         names, K, M = self.fields.names, len(self.own.names), len(self.fields.names)
-        bound = self.freedom.rule.offset_bound
         change, built = self.freedom.build.moved(self.own, self.values[:K], step[:K])
-        offsets = np.clip(self.offsets + step[M:], -bound, bound)
+        offsets = np.clip(self.offsets + step[M:], -_OFFSET_BOUND, _OFFSET_BOUND)
         moved = _sum(built, self.fields @ np.concatenate([np.zeros(K), step[K:M]]))
         vertices = moved[0]
         if len(offsets):
@@ -140,30 +152,28 @@ def _sum(one: Motions, other: Motions) -> Motions:
 
 @dataclass(frozen=True)
 class FitProblem:
-    """Distances to the edges that one look at all frames found, the poses' pull to the tracked ones, and the prior.
+    """Distances to the edges observed, Gaussians of the poses about the tracked ones, and the prior of the shape.
 
     Attributes:
         seen: of each frame, its views.
-        tracked: poses about which those of the frames are expected.
+        tracked: mean poses of the frames.
         precision: (M + V, M + V) of the prior of the shape's values.
-        rule: weights.
     """
 
     seen: Sequence[Sequence[Observed]]
     tracked: Sequence[Pose]
     precision: Float
-    rule: FitRule
 
     def energies(self, x: Sculpted) -> dict[str, float]:
         """Energies by term."""
         contour = sum(self._energy(at, view) for at, views in zip(x.posed, self.seen, strict=True) for view in views)
-        strayed = [pose.minus(expected) for pose, expected in zip(x.poses, self.tracked, strict=True)]
-        pose = 0.5 * sum(float(step @ (self._hold(len(step)) * step)) for step in strayed)
+        change = [pose.minus(expected) for pose, expected in zip(x.poses, self.tracked, strict=True)]
+        pose = 0.5 * sum(float(step @ (_hold(len(step)) * step)) for step in change)
         return {"contour": contour, "pose": pose, "shape": 0.5 * float(x.values @ self.precision @ x.values)}
 
     def linearised(self, x: Sculpted) -> Arrow:
         """The quadratic of all poses' steps and the shape's."""
-        D, V, hold = x.body.dof, len(x.body.vertices), self._hold(x.body.dof)
+        D, V, hold = x.body.dof, len(x.body.vertices), _hold(x.body.dof)
         arrow = Arrow(len(x.poses), D, len(x.values), 0)
         arrow.value, arrow.shared_longest = sum(self.energies(x).values()), np.inf
         squares, pull = sparse.csr_array((3 * V, 3 * V)), np.zeros(3 * V)
@@ -185,7 +195,7 @@ class FitProblem:
         return replace(x.reshaped(step[len(poses) * D :]), poses=poses)
 
     def error_px(self) -> float:
-        """Weighted root mean square distance to the edges where they were looked for."""
+        """Weighted root mean square distance to the edges when they were observed, px."""
         squares = total = 0.0
         for view in (view for views in self.seen for view in views):
             weight = self._weight(view, view.distance)
@@ -193,7 +203,7 @@ class FitProblem:
         return float(np.sqrt(squares / max(total, 1e-12)))
 
     def _add_frame(self, arrow: Arrow, t: int, x: Sculpted, by: Rows, weighing: tuple[Float, Float]) -> None:
-        """Add all but what the motions of vertices do by themselves, which is the same in all frames."""
+        """Add all products except those of the vertices with themselves, which are the same in all frames."""
         (weight, distance), at = weighing, x.posed[t]
         weighted = by.twist * weight[:, None]
         twists, pull = (weighted.T @ by.twist).toarray(), -(weighted.T @ distance)
@@ -215,22 +225,23 @@ class FitProblem:
         return rows(at, views), np.concatenate(weights), np.concatenate(distances)
 
     def _distance(self, at: Posed, view: Observed) -> Float:
-        """(N,) px by which the edges still lie outward of the points."""
+        """(N,) px from the points outward to the edges."""
         points = surface_points(at.body, view.ends, view.shares)
         moved, _ = projected_rows(view.camera.P, points.at(at), view.contour.normals, view.contour.pixels)
         return view.distance - moved
 
     def _weight(self, view: Observed, distance: Float) -> Float:
-        """(N,) information of each point, 1/px²: all frames together are worth so many (`FitRule.worth`)."""
-        _, robust = cauchy(distance, self.rule.robust * view.px_per_m)
-        return self.rule.worth / len(self.seen) * view.weight * robust
+        """(N,) information of each point, 1/px²."""
+        _, robust = cauchy(distance, _ROBUST * view.px_per_m)
+        return _WORTH / len(self.seen) * view.weight * robust
 
     def _energy(self, at: Posed, view: Observed) -> float:
-        energy, _ = cauchy(self._distance(at, view), self.rule.robust * view.px_per_m)
-        return self.rule.worth / len(self.seen) * float(view.weight @ energy)
+        energy, _ = cauchy(self._distance(at, view), _ROBUST * view.px_per_m)
+        return _WORTH / len(self.seen) * float(view.weight @ energy)
 
-    def _hold(self, dof: int) -> Float:
-        """(6 + J,) precision of a pose about the tracked one."""
-        sigma = np.full(dof, np.deg2rad(self.rule.pose_deg))
-        sigma[3:6] = self.rule.pose_m
-        return sigma**-2.0
+
+def _hold(dof: int) -> Float:
+    """(6 + J,) precision of a pose about the tracked one."""
+    sigma = np.full(dof, np.deg2rad(_POSE_DEG))
+    sigma[3:6] = _POSE_M
+    return sigma**-2.0

@@ -1,7 +1,7 @@
-"""Rows of contour distances by the twists of segments and the motions of vertices: sums that know no parameter.
+"""Rows of contour distances by the twists of segments and the motions of vertices.
 
 A distance changes with the twists of the segments that carry its point, and with the motions in the rest pose of the
-two vertices of its edge. Sums over these know neither skeleton nor fields; both are applied to a frame's sums once.
+two vertices of its edge. Skeleton and fields are applied once, to the sums of a frame.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def _of_view(posed: Posed, seen: Observed) -> tuple[Float, Int, Float, Int]:
 
 
 def _sparse(which: Int, values: Float, count: int) -> sparse.csr_array:
-    """(N, w count) of values (N, K, w) that belong to the items (N, K) of so many; those of one item are summed."""
+    """(N, w count) of values (N, K, w) of items (N, K) out of `count`; values of one item are summed."""
     N, K, w = values.shape
     columns = which[..., None] * w + np.arange(w)
     row = np.repeat(np.arange(N), K * w)

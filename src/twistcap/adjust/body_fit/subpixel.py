@@ -1,8 +1,8 @@
-"""An edge's place to a small part of a pixel, from the areas on its two sides.
+"""Place of an edge to a small fraction of a pixel, from the areas on its two sides.
 
-Along a line across an edge the integral of the inside's coverage is the length that lies inside, however the lens, the
-pixels and their interpolation blur the edge, as long as they do it alike to both sides: moments that blur preserves
-(Tabatabai and Mitchell, DOI 10.1109/TPAMI.1984.4767502). What is needed are the colours of both sides nearby.
+Along a line across an edge, the integral of the inside's coverage is the length inside. A blur that is alike on both
+sides preserves it (moments: Tabatabai and Mitchell, DOI 10.1109/TPAMI.1984.4767502). It takes the colours of both
+sides nearby.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ _HALF, _FAR = 1.75, 4.0  # px: half the window in which the edge lies; where the
 
 
 def refined(image: AnyArray, pixels: Float, normals: Float, distance: Float, rounds: int = 2) -> tuple[Float, Float]:
-    """Distances (N,) px along the normals, and how many standard deviations part the sides' colours there.
+    """Distances (N,) px along the normals, and the contrast (N,) there in standard deviations of the colours.
 
     Args:
-        image: (H, W[, 3]) in brightness as light adds up, or nearly.
+        image: (H, W[, 3]), nearly linear in light.
         pixels, normals: (N, 2) points and unit directions, from the inside outward.
-        distance: (N,) px by which the edge is thought to lie farther outward, to about a pixel.
+        distance: (N,) px outward to the edge, known to about a pixel.
     """
     values = np.ascontiguousarray(image, dtype=np.float32)
     contrast = np.zeros(len(pixels))

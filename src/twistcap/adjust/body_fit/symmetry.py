@@ -1,4 +1,4 @@
-"""People are nearly alike on both sides: a body's mirrored mean."""
+"""The mean of a body and its mirror image: people are nearly alike on both sides."""
 
 from __future__ import annotations
 
@@ -14,10 +14,11 @@ _MIRROR = np.array([1.0, -1.0, 1.0])  # in the plane that parts left (+y) from r
 
 
 def symmetric(body: Body, tolerance: float = 0.015) -> Body:
-    """The mean of a body and its mirror image; the body itself where its mesh is not made in mirrored pairs.
+    """The mean of a body and its mirror image; the body itself where its mesh has no mirrored pairs.
 
     Args:
-        tolerance: m by which mirrored vertices may miss one another on average.
+        body: of any mesh.
+        tolerance: m, greatest mean distance between mirrored vertices.
     """
     partner = mirrored_vertices(body)
     mirrored = body.vertices[partner] * _MIRROR
@@ -31,7 +32,7 @@ def symmetric(body: Body, tolerance: float = 0.015) -> Body:
 
 
 def mirrored_vertices(body: Body) -> Int:
-    """(V,) the vertex of the other side nearest to each one's mirror image; of the middle, itself or its neighbour."""
+    """(V,) nearest vertex of the other side to the mirror image of each; in the middle, itself or a neighbour."""
     partner = np.zeros(len(body.vertices), np.int32)
     for segments in girth_groups(body).values():
         own = [np.flatnonzero(body.vertex_part == body.segment(s)) for s in segments]

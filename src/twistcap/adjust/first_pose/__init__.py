@@ -1,16 +1,13 @@
 """The first pose of a recording: from 2D keypoints, refined on silhouettes."""
 
 from twistcap.adjust.first_pose.fit import FirstPose, fit_keypoints, fit_keypoints_sequence, pose_at
-from twistcap.adjust.first_pose.keypoints import Priors
-from twistcap.adjust.first_pose.silhouette import Refined, SilhouetteOptions, girth_groups, refine_on_silhouettes
+from twistcap.adjust.first_pose.silhouette import Refined, girth_groups, refine_on_silhouettes
 from twistcap.adjust.first_pose.skeleton import Proportions, Skeleton
 
 __all__ = [
     "FirstPose",
-    "Priors",
     "Proportions",
     "Refined",
-    "SilhouetteOptions",
     "Skeleton",
     "fit_keypoints",
     "fit_keypoints_sequence",

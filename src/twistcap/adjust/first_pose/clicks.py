@@ -1,7 +1,7 @@
 """The first state of the differential tracker from joints clicked in one or more views, without calibrated cameras.
 
-Turns, scales and places of the views, joint angles and body dimensions together, left and right of equal length
-(Bregler and Malik, "Tracking People with Twists and Exponential Maps", CVPR 1998, section 2.6).
+Rotations, scales and shifts of the views, joint angles and body dimensions are fitted together; left and right have
+equal lengths (Bregler and Malik, CVPR 1998, section 2.6, DOI 10.1109/CVPR.1998.698581).
 """
 
 from __future__ import annotations
@@ -25,44 +25,28 @@ from twistcap.render import SurfacePoints
 from twistcap.solve import BlockProblem, Variables, Vector, minimise
 from twistcap.terms import BlockGaussian, BlockTerm, Place, Slope, Sums
 
-_FEWEST = 4
-_HEADINGS = 8
+_FEWEST = 4  # clicks in each view, at least
+_HEADINGS = 8  # directions of the body that are tried
+# Standard deviations of the priors. In scaled orthography no image shows the stature.
+_SIGMA_PX = 2.0  # of a click
+_STATURE, _LENGTH, _GIRTH = 0.02, 0.08, 0.08  # of the body's log-factors
+_ANGLE_DEG = 60.0  # of the joint angles about neutral, so weak that it only decides what no click shows
+_LEAN_DEG = 60.0  # of each view's rotation from the start's, for a camera held upright
 _STEPS, _DAMPING, _GAIN = 100, 1e-6, 1e-6
-_REACH = 0.5  # rad, log-scale, m: beyond it no linearisation holds
+_REACH = 0.5  # rad, log-scale, m: no linearisation holds beyond
 _UPRIGHT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])  # z up, x towards the camera
 
 
 @dataclass(frozen=True)
-class ClickConfig:
-    """How the clicks are fitted.
-
-    Attributes:
-        sigma_px: standard deviation of a click.
-        stature, length, girth: of the body's log-factors. In scaled orthography the stature shows in no image.
-        angle_deg: of the joint angles about neutral, so weak that it only decides what no click says.
-        fit_lengths: whether the body's dimensions are free.
-        lean_deg: of each view's turn out of the start's, for a camera held upright.
-    """
-
-    sigma_px: float = 2.0
-    stature: float = 0.02
-    length: float = 0.08
-    girth: float = 0.08
-    angle_deg: float = 60.0
-    fit_lengths: bool = True
-    lean_deg: float = 60.0
-
-
-@dataclass(frozen=True)
 class ClickedStart:
-    """What was found.
+    """A state fitted to clicks.
 
     Attributes:
-        body: at the fitted dimensions.
-        state: of it.
-        proportions: that made it.
+        body: of the fitted dimensions.
+        state: of the body.
+        proportions: factors of the body against the generic one.
         residual_px: (V, L) distance of each click from its landmark, NaN where there was none.
-        covariance: (6 V + J, 6 V + J) of the state's step, the body's dimensions free where they are fitted.
+        covariance: (6 V + J, 6 V + J) of the state's step, with the uncertainty of the body's dimensions.
     """
 
     body: Body
@@ -74,7 +58,7 @@ class ClickedStart:
 
 @dataclass(frozen=True)
 class Clicks:
-    """Landmarks (L,), where they were clicked in each view (V, L, 2), and whether they were (V, L)."""
+    """Landmarks (L,), their clicks in each view (V, L, 2) px, and whether they were clicked (V, L)."""
 
     marks: Int
     pixels: Float
@@ -87,7 +71,6 @@ def fit_clicks(
     *,
     facing_deg: Sequence[float] | None = None,
     start: State | None = None,
-    config: ClickConfig | None = None,
 ) -> ClickedStart:
     """The state and dimensions of a body whose joints were clicked.
 
@@ -96,27 +79,30 @@ def fit_clicks(
         clicks: of each view, (x, y) px by landmark name; a view may lack some.
         facing_deg: of each view, the direction the body faces: 0 towards the camera, 90 to the image's right; by
             default several are tried.
-        start: where to begin; by default upright bodies.
-        config: settings.
+        start: of the solve; by default upright bodies.
 
     Raises:
         InputError: for an unknown name, fewer than four clicks in a view, or numbers that are not finite.
     """
-    config, skeleton = config or ClickConfig(), Skeleton(body)
-    found = gathered(body, clicks)
-    starts = [start] if start is not None else _starts(body, found, facing_deg)
-    x, _ = min((_minimised(skeleton, found, begin, config) for begin in starts), key=lambda end: end[1])
+    skeleton, known = Skeleton(body), gathered(body, clicks)
+    starts = [start] if start is not None else _starts(body, known, facing_deg)
+    x, _ = min((_minimised(skeleton, known, begin) for begin in starts), key=lambda end: end[1])
     proportions, state = skeleton.proportions(x["shape"].values), state_of(x)
     fitted = rescaled(body, proportions.lengths, proportions.girths, proportions.stature)
-    at = Posed(fitted, Pose(np.eye(4), state.q)).landmarks[found.marks]
-    off = np.stack([view.pixels(at) for view in state.views]) - found.pixels
-    residual = np.where(found.known, np.linalg.norm(off, axis=-1), np.nan)
+    at = Posed(fitted, Pose(np.eye(4), state.q)).landmarks[known.marks]
+    off = np.stack([view.pixels(at) for view in state.views]) - known.pixels
+    residual = np.where(known.known, np.linalg.norm(off, axis=-1), np.nan)
     size = ROOT * len(state.views) + len(state.q)
-    covariance = click_problem(found, x, config).covariance(x)[:size, :size]
+    covariance = click_problem(known, x).covariance(x)[:size, :size]
     return ClickedStart(fitted, state, proportions, residual, covariance)
 
 
 def gathered(body: Body, clicks: Sequence[Mapping[str, Sequence[float]]]) -> Clicks:
+    """The clicks as arrays.
+
+    Raises:
+        InputError: as `fit_clicks`.
+    """
     names = list(dict.fromkeys(name for view in clicks for name in view))
     for name in names:
         if name not in body.landmarks.names:
@@ -131,7 +117,7 @@ def gathered(body: Body, clicks: Sequence[Mapping[str, Sequence[float]]]) -> Cli
 
 
 def _starts(body: Body, clicks: Clicks, facing_deg: Sequence[float] | None) -> list[State]:
-    """Upright bodies, each view's scale and place laid on its clicks."""
+    """Upright bodies, each view's scale and shift fitted to its clicks."""
     V = len(clicks.pixels)
     if facing_deg is not None and len(facing_deg) != V:
         raise InputError(f"clicks: {len(facing_deg)} directions are given for {V} views; give one for each.")
@@ -139,8 +125,8 @@ def _starts(body: Body, clicks: Clicks, facing_deg: Sequence[float] | None) -> l
     first = [np.asarray(facing_deg, float)] if facing_deg is not None else [np.full(V, a) for a in turns]
     q = np.clip(np.zeros(len(body.coordinate_names)), *body.limits.T)
     points = Posed(body, Pose(np.eye(4), q)).landmarks[clicks.marks]
-    states = [State(tuple(_laid(points, clicks, v, a) for v, a in enumerate(angles)), q) for angles in first]
-    if facing_deg is None and V > 1:  # each view by itself takes the direction that suits it best
+    states = [State(tuple(_placed(points, clicks, v, a) for v, a in enumerate(angles)), q) for angles in first]
+    if facing_deg is None and V > 1:  # and the best direction of each view alone
         best = [
             min((s.views[v] for s in states), key=lambda view, v=v: _misfit(view, points, clicks, v)) for v in range(V)
         ]
@@ -148,8 +134,8 @@ def _starts(body: Body, clicks: Clicks, facing_deg: Sequence[float] | None) -> l
     return states
 
 
-def _laid(points: Float, clicks: Clicks, v: int, facing: float) -> ScaledView:
-    """The view of a direction whose scale and shift suit the clicks best, by heights and middles."""
+def _placed(points: Float, clicks: Clicks, v: int, facing: float) -> ScaledView:
+    """The view of a direction, its scale and shift from the heights and means of body and clicks."""
     a = np.deg2rad(facing)
     turn = _UPRIGHT @ se3.exp_rotation(np.array([0.0, 0.0, a]))
     known = clicks.known[v]
@@ -163,42 +149,42 @@ def _misfit(view: ScaledView, points: Float, clicks: Clicks, v: int) -> float:
     return float(np.sum((view.pixels(points) - clicks.pixels[v])[clicks.known[v]] ** 2))
 
 
-def _minimised(skeleton: Skeleton, clicks: Clicks, start: State, config: ClickConfig) -> tuple[Variables, float]:
-    """From one start, its turns taken up afresh once: the blocks and their energy."""
-    x = click_variables(skeleton, start, config)
-    first = minimise(click_problem(clicks, x, config), x, _STEPS, damping=_DAMPING, gain=_GAIN)
-    again = minimise(click_problem(clicks, first.x, config), first.x, _STEPS, damping=_DAMPING, gain=_GAIN)
+def _minimised(skeleton: Skeleton, clicks: Clicks, start: State) -> tuple[Variables, float]:
+    """The blocks and their energy from one start; the second solve takes the rotations of the first as its start."""
+    x = click_variables(skeleton, start)
+    first = minimise(click_problem(clicks, x), x, _STEPS, damping=_DAMPING, gain=_GAIN)
+    again = minimise(click_problem(clicks, first.x), first.x, _STEPS, damping=_DAMPING, gain=_GAIN)
     return again.x, again.energy
 
 
-def click_variables(skeleton: Skeleton, start: State, config: ClickConfig) -> Variables:
+def click_variables(skeleton: Skeleton, start: State) -> Variables:
     """The views, the joints inside their limits, and the body's log-factors."""
     body, V = skeleton.body, len(start.views)
     blocks: dict[str, Any] = {_view(v): view for v, view in enumerate(start.views)}
     reach = {_view(v): _REACH * np.array([1, s, s, 1, 1, 1]) for v, s in enumerate(view.scale for view in start.views)}
     joints = Vector(np.clip(start.q, *body.limits.T), body.limits)
-    free = (*map(_view, range(V)), "joints", *(["shape"] if config.fit_lengths else []))
+    free = (*map(_view, range(V)), "joints", "shape")
     return Variables({**blocks, "joints": joints, "shape": Scaling(skeleton, np.zeros(skeleton.size))}, free, reach)
 
 
-def click_problem(clicks: Clicks, start: Variables, config: ClickConfig) -> BlockProblem:
-    """``½ Σ |x − click|² / σ²`` and weak Gaussians on angles, log-factors and the views' turns out of the start's."""
+def click_problem(clicks: Clicks, start: Variables) -> BlockProblem:
+    """``½ Σ |x − click|² / σ²`` and weak Gaussians on angles, log-factors and the views' rotations from the start's."""
     skeleton: Skeleton = start["shape"].skeleton
-    c, J = config, len(start["joints"].values)
-    sizes = [c.stature, *[c.length] * len(skeleton.length_groups), *[c.girth] * len(skeleton.girth_segments)]
+    J = len(start["joints"].values)
+    sizes = [_STATURE, *[_LENGTH] * len(skeleton.length_groups), *[_GIRTH] * len(skeleton.girth_segments)]
     terms: list[BlockTerm] = [
-        BlockGaussian("joints", np.zeros(J), np.full(J, np.deg2rad(c.angle_deg)), "neutral"),
+        BlockGaussian("joints", np.zeros(J), np.full(J, np.deg2rad(_ANGLE_DEG)), "neutral"),
         BlockGaussian("shape", np.zeros(len(sizes)), np.array(sizes)),
     ]
     for v in range(len(clicks.pixels)):
         own = np.flatnonzero(clicks.known[v])
-        terms.append(ClickTerm(_view(v), clicks.marks[own], clicks.pixels[v, own], c.sigma_px))
-        terms.append(LeanTerm(_view(v), start[_view(v)], float(np.deg2rad(c.lean_deg))))
+        terms.append(ClickTerm(_view(v), clicks.marks[own], clicks.pixels[v, own], _SIGMA_PX))
+        terms.append(LeanTerm(_view(v), start[_view(v)], float(np.deg2rad(_LEAN_DEG))))
     return BlockProblem(terms)
 
 
 def state_of(x: Variables) -> State:
-    """The blocks as the differential tracker has them."""
+    """The blocks as a state of the differential tracker."""
     return State(tuple(block for block in x.blocks.values() if isinstance(block, ScaledView)), x["joints"].values)
 
 
@@ -238,10 +224,9 @@ class ClickTerm:
         )
         motion = image_motion(posed, view, points).reshape(len(residual), -1) / self.sigma
         slopes = [Slope(self.view, motion[:, :ROOT]), Slope("joints", motion[:, ROOT:])]
-        if "shape" in x.free:
-            by_point = pinhole(view.P, posed.landmarks[self.marks])[2] / self.sigma
-            by_shape = by_point @ x["shape"].rates(posed)[self.marks]
-            slopes.append(Slope("shape", by_shape.reshape(len(residual), -1)))
+        by_point = pinhole(view.P, posed.landmarks[self.marks])[2] / self.sigma
+        by_shape = by_point @ x["shape"].rates(posed)[self.marks]
+        slopes.append(Slope("shape", by_shape.reshape(len(residual), -1)))
         sums.add_rows(0.5 * float(residual @ residual), slopes, np.ones(len(residual)), residual)
 
     def _residual(self, x: Variables, posed: Posed) -> Float:
@@ -253,7 +238,7 @@ class ClickTerm:
 
 @dataclass(frozen=True)
 class LeanTerm:
-    """A Gaussian about a view's turn at the start, for a camera held upright.
+    """A Gaussian about a view's rotation at the start, for a camera held upright.
 
     Attributes:
         view: its block.

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twistcap._typing import Bool, Float
-from twistcap.adjust.first_pose.keypoints import Evidence, KeypointProblem, Priors, evidence, residuals
+from twistcap.adjust.first_pose.keypoints import Evidence, KeypointProblem, evidence, residuals
 from twistcap.adjust.first_pose.skeleton import Proportions, Skeleton
 from twistcap.adjust.first_pose.triangulate import Triangulated, rigid_fit, triangulate
 from twistcap.body import Body, Pose
@@ -20,11 +20,12 @@ from twistcap.estimate import Keypoints
 from twistcap.solve import Variables
 from twistcap.terms.robust import geman_mcclure
 
-_FEWEST = 5  # triangulated joints below which no pose is worth the name
+_FEWEST = 5  # triangulated joints, at least
 _REACH = 4.0  # final scale of the robust function, standard deviations
 _USED = 0.2  # robust weight above which a keypoint counts as used
+_LOOSE = 0.2  # rad, standard deviation beyond a limit while starts are compared
 
-# Start poses in degrees, both sides alike; a coordinate the body lacks is passed over.
+# Start poses in degrees, both sides alike; coordinates that the body lacks do not count.
 STARTS_DEG: tuple[Mapping[str, float], ...] = (
     {},
     {"arm_add": -80.0},
@@ -38,7 +39,7 @@ STARTS_DEG: tuple[Mapping[str, float], ...] = (
 
 @dataclass(frozen=True)
 class FirstPose:
-    """A pose found from keypoints.
+    """A pose fitted to keypoints.
 
     Attributes:
         body: the body at the fitted lengths.
@@ -48,7 +49,7 @@ class FirstPose:
         used: (C, L) the keypoints that counted.
         names: L keypoint names.
         cameras: C camera names.
-        covariance: (6 + J, 6 + J) of the pose step (rad, m), from the solve, scaled to the residuals found.
+        covariance: (6 + J, 6 + J) of the pose step (rad, m), from the solve, scaled to the residuals.
     """
 
     body: Body
@@ -62,7 +63,7 @@ class FirstPose:
 
     @property
     def rejected(self) -> tuple[tuple[str, str], ...]:
-        """Camera and name of every keypoint that was given but did not count."""
+        """Camera and name of every keypoint that was given and did not count."""
         given = np.isfinite(self.residual_px)
         return tuple((self.cameras[c], self.names[n]) for c, n in np.argwhere(given & ~self.used))
 
@@ -75,13 +76,13 @@ def fit_keypoints(
     fit_lengths: bool = True,
     sigma_px: float | None = None,
     start: Pose | None = None,
-    priors: Priors | None = None,
 ) -> FirstPose:
     """Pose and lengths of a person from 2D keypoints in two or more views.
 
-    Landmarks are triangulated with a vote of all views, the trunk's give the root, and Levenberg-Marquardt on the
-    reprojection errors (Geman-McClure, its scale lowered by stages) the rest, from each of a few start poses; the best
-    end is kept. Limits hold; what nobody sees stays near neutral.
+    Landmarks are triangulated with a vote of all views; those of the trunk give the root. Levenberg-Marquardt on the
+    reprojection errors gives the rest, from each of a few start poses; the result of least energy is kept. The loss is
+    that of Geman and McClure (1987), its scale lowered in stages. Limits hold; joints that are not seen stay near
+    neutral.
 
     Args:
         body: the generic body; its landmark names say which keypoints count.
@@ -89,15 +90,14 @@ def fit_keypoints(
         keypoints: in the rig's own pixels.
         fit_lengths: whether stature, segment lengths and the breadth of pelvis and torso are fitted too.
         sigma_px: standard deviation of a wrist keypoint, pixels; by default 1.5 % of the person's height in the image.
-        start: one more pose to start from.
-        priors: widths of the weak priors.
+        start: one more start pose.
 
     Raises:
         InputError: for arrays of the wrong shape, fewer than two views, or too few joints seen by two views.
     """
-    return fit_keypoints_sequence(
-        body, [rig], [keypoints], fit_lengths=fit_lengths, sigma_px=sigma_px, starts=[start], priors=priors
-    )[0]
+    return fit_keypoints_sequence(body, [rig], [keypoints], fit_lengths=fit_lengths, sigma_px=sigma_px, starts=[start])[
+        0
+    ]
 
 
 def fit_keypoints_sequence(
@@ -108,12 +108,14 @@ def fit_keypoints_sequence(
     fit_lengths: bool = True,
     sigma_px: float | None = None,
     starts: Sequence[Pose | None] | None = None,
-    priors: Priors | None = None,
 ) -> tuple[FirstPose, ...]:
     """As `fit_keypoints`, for several instants that share their lengths (and `FirstPose.body`).
 
     Args:
+        body, fit_lengths, sigma_px: as in `fit_keypoints`.
         rigs: one for all, or one for each instant: two trials may differ in cameras and grids.
+        keypoints: of each instant.
+        starts: of each instant, one more start pose or None.
 
     Raises:
         InputError: as `fit_keypoints`, or if there is no instant, or not one rig for each.
@@ -122,7 +124,7 @@ def fit_keypoints_sequence(
     if not keypoints or len(rigs) != len(keypoints):
         raise InputError(f"keypoints: {len(keypoints)} instants and {len(rigs)} rigs were given; each needs its rig.")
     frames = tuple(evidence(body, rig, k, sigma_px) for rig, k in zip(rigs, keypoints, strict=True))
-    problem = KeypointProblem(Skeleton(body), frames, priors or Priors(), _REACH, fit_lengths)
+    problem = KeypointProblem(Skeleton(body), frames, _REACH, fit_lengths)
     given = starts or [None] * len(frames)
     singles: list[Variables] = []
     for frame, extra in zip(frames, given, strict=True):
@@ -136,7 +138,7 @@ def fit_keypoints_sequence(
 
 
 def _first_fit(problem: KeypointProblem, extra: Pose | None, before: Variables | None) -> Variables:
-    """One instant by itself: carried on from the one before if that explains the keypoints, else from all starts."""
+    """One instant alone: from the one before if that explains the keypoints, else from all starts."""
     if before is not None:
         carried = problem.minimised(problem.start(before["poses"].poses, before["shape"].values)).x
         if problem.energy(carried) < 1.5 * problem.frames[0].weights.sum():  # noise alone costs about 1 for each
@@ -149,8 +151,7 @@ def _best_start(fine: KeypointProblem, extra: Pose | None) -> Variables:
     (frame,) = fine.frames
     seen = triangulate(frame.rig, frame.pixels, frame.weights, frame.sigma)
     trusted = replace(frame, weights=np.where(seen.inliers, 1.0, 0.1) * frame.weights)
-    loose = replace(fine.priors, limit=max(fine.priors.limit, 0.2))
-    coarse = replace(fine, frames=(trusted,), priors=loose, reach=10 * _REACH)
+    coarse = replace(fine, frames=(trusted,), limit=_LOOSE, reach=10 * _REACH)
     poses = [*_start_poses(fine.skeleton.body, frame, seen), *([] if extra is None else [extra])]
     ends = [coarse.minimised(coarse.start([pose], np.zeros(fine.skeleton.size)), 15) for pose in poses]
     best = sorted(ends, key=lambda end: end.energy)[:3]
@@ -158,7 +159,7 @@ def _best_start(fine: KeypointProblem, extra: Pose | None) -> Variables:
 
 
 def _start_poses(body: Body, frame: Evidence, seen: Triangulated) -> list[Pose]:
-    """Start poses with the root laid on the triangulated trunk."""
+    """Start poses with the root fitted to the triangulated trunk."""
     good = np.isfinite(seen.points).all(axis=1)
     if good.sum() < _FEWEST:
         raise InputError(
@@ -217,7 +218,7 @@ def _robust(errors: Float, reach: float) -> Float:
 
 
 def _covariance(problem: KeypointProblem, x: Variables, errors: Sequence[Float]) -> Float:
-    """Marginal covariances, the keypoints' standard deviations scaled to the residuals found."""
+    """Marginal covariances, the keypoints' standard deviations scaled to the residuals."""
     weights = [frame.weights * _robust(r, problem.reach) for frame, r in zip(problem.frames, errors, strict=True)]
     squares = sum(float(np.sum(w[..., None] * r * r)) for w, r in zip(weights, errors, strict=True))
     used = sum(2 * np.count_nonzero(w > _USED) for w in weights)

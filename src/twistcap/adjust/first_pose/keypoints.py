@@ -19,32 +19,21 @@ from twistcap.estimate import Keypoints
 from twistcap.solve import Arrow, BlockProblem, CameraBlock, Dense, PoseTrack, Solution, Variables, minimise
 from twistcap.terms import BlockGaussian, GaussianTerm, LimitTerm, OnPose, ReprojectionTerm
 
-# How much looser than a wrist's a detector's word on these is (their definitions differ between detector and body:
-# the hips of OpenPose lie several centimetres off the joints).
+# Standard deviations as multiples of a wrist's: the definitions differ between detector and body. The hips of OpenPose
+# are several centimetres from the joints.
 _LOOSENESS = {
     "hip": 2.0, "mid_hip": 1.5, "neck": 2.0, "head_top": 2.0, "nose": 1.5, "eye": 2.0, "ear": 2.0, "toe": 1.5,
     "small_toe": 2.0, "heel": 1.5, "shoulder": 1.3,
 }  # fmt: skip
-_GAIN = 1e-4  # fraction by which a step must lower the energy for another to be worth while
-_BLUR = 0.015  # a detector's standard deviation as a part of the person's height in the image
+_GAIN = 1e-4  # fraction by which a step must lower the energy, else the solve ends
+_BLUR = 0.015  # a detector's standard deviation as a fraction of the person's height in the image
 
-
-@dataclass(frozen=True)
-class Priors:
-    """Standard deviations of the weak priors.
-
-    Attributes:
-        coordinate: rad, of a joint about 0 before its limits truncate that. Of 0.3, 0.4, 0.5, 0.6 and 1 rad it left the
-            smallest error of the joints in 24 people of the studio, clicked in six joints (22 mm; 38 at 1 rad).
-        limit: rad beyond a limit.
-        stature, length, girth: log-factors.
-    """
-
-    coordinate: float = 0.5
-    limit: float = 0.01
-    stature: float = 0.12
-    length: float = 0.06
-    girth: float = 0.06
+COORDINATE = 0.5
+"""rad, standard deviation of a joint about 0, before its limits truncate that. Of 0.3, 0.4, 0.5, 0.6 and 1 rad it gave
+the smallest error of the joints in 24 people of the studio, clicked in six joints (22 mm; 38 at 1 rad)."""
+LIMIT = 0.01
+"""rad beyond a limit, standard deviation."""
+_STATURE, _LENGTH, _GIRTH = 0.12, 0.06, 0.06  # standard deviations of the log-factors
 
 
 @dataclass(frozen=True)
@@ -70,6 +59,12 @@ class Evidence:
 
 def evidence(body: Body, rig: Rig, keypoints: Keypoints, sigma_px: float | None = None) -> Evidence:
     """Check keypoints against body and rig, undistort them, and give each its standard deviation.
+
+    Args:
+        body: whose landmarks count.
+        rig: C cameras, with their distortion.
+        keypoints: in the rig's own pixels.
+        sigma_px: as in `fit_keypoints`.
 
     Raises:
         InputError: for arrays of the wrong shape, values that are not finite, or fewer than two views.
@@ -127,16 +122,16 @@ class KeypointProblem:
     Attributes:
         skeleton: the scalable body.
         frames: evidence of each instant.
-        priors: widths of the weak priors: joints near neutral and inside their limits, factors near 1.
         reach: of the robust function, standard deviations.
         fit_lengths: whether the log-factors are free.
+        limit: rad beyond a limit of a joint, standard deviation.
     """
 
     skeleton: Skeleton
     frames: tuple[Evidence, ...]
-    priors: Priors
     reach: float
     fit_lengths: bool
+    limit: float = LIMIT
 
     def start(self, poses: Sequence[Pose], log_factors: Float) -> Variables:
         """The blocks at these poses and log-factors."""
@@ -147,7 +142,7 @@ class KeypointProblem:
         return Variables({**blocks, "shape": Scaling(self.skeleton, log_factors)}, free)
 
     def minimised(self, x: Variables, steps: int = 30) -> Solution[Variables, Dense | Arrow]:
-        """Where the terms lead from there."""
+        """The minimum of the terms from there."""
         return minimise(self.problem, x, steps, damping=1e-4, gain=_GAIN)
 
     def energy(self, x: Variables) -> float:
@@ -173,22 +168,22 @@ class KeypointProblem:
 
     def _poses(self) -> list[OnPose]:
         body = self.skeleton.body
-        mean, sigma = truncated(body.limits, self.priors.coordinate)
+        mean, sigma = truncated(body.limits, COORDINATE)
         neutral, joints = Pose(np.eye(4), mean), np.diag(np.r_[np.zeros(6), sigma**-2.0])
-        each = (GaussianTerm(neutral, joints, "neutral"), LimitTerm(self.priors.limit))
+        each = (GaussianTerm(neutral, joints, "neutral"), LimitTerm(self.limit))
         return [OnPose(term, body, frame=f) for f in range(len(self.frames)) for term in each]
 
     def _factors(self) -> BlockGaussian:
-        p, k = self.priors, self.skeleton
-        sigma = np.array([p.stature, *[p.length] * len(k.length_groups), *[p.girth] * len(k.girth_segments)])
+        k = self.skeleton
+        sigma = np.array([_STATURE, *[_LENGTH] * len(k.length_groups), *[_GIRTH] * len(k.girth_segments)])
         return BlockGaussian("shape", np.zeros(k.size), sigma)
 
 
 def truncated(limits: Float, sigma: float) -> tuple[Float, Float]:
     """Mean and standard deviation (J,) of normal joint coordinates, 0 ± sigma (rad), truncated to limits (J, 2).
 
-    A hinge whose straight end is its limit is mostly a little bent. A Gaussian about 0 would have it straight, and the
-    person that much shorter. (Johnson, Kotz and Balakrishnan, "Continuous Univariate Distributions", 1994, 13.10.1.)
+    A hinge that is straight at its limit is mostly a little bent. With a Gaussian about 0 it would be straight, and the
+    bones too short. (Johnson, Kotz and Balakrishnan, "Continuous Univariate Distributions", 1994, 13.10.1.)
     """
     a, b = np.clip(limits.T / sigma, -40.0, 40.0)
     density_a, density_b = (np.exp(-0.5 * x * x) / np.sqrt(2.0 * np.pi) for x in (a, b))

@@ -1,4 +1,4 @@
-"""Outlines of masks and their matching with the contour of the model, both ways."""
+"""Outlines of masks, and their matches with the contour of the model in both directions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from twistcap.render import ContourPoints
 
 @dataclass(frozen=True)
 class Outline:
-    """Points (M, 2) on the outline of a mask, pixels, and unit normals (M, 2) off it."""
+    """Points (M, 2) on the outline of a mask, pixels, and outward unit normals (M, 2)."""
 
     points: Float
     normals: Float
@@ -22,13 +22,13 @@ class Outline:
 
 @dataclass(frozen=True)
 class Matches:
-    """Contour samples of the model and where the mask wants them.
+    """Contour samples of the model and their places on the outline of the mask.
 
     Attributes:
         index: (N,) contour sample.
         normals: (N, 2) direction along which the distance counts.
-        distance: (N,) signed distance to go along the normal, px.
-        weight: (N,) 1 over the number of matches of a kind that fall to the same sample.
+        distance: (N,) px along the normal to the outline, signed.
+        weight: (N,) 1 over the square root of the number of outline points on the same sample.
     """
 
     index: Int
@@ -37,7 +37,7 @@ class Matches:
     weight: Float
 
     def target(self, contour: ContourPoints) -> Float:
-        """(N, 2) px to go to: on the outline, or level with it."""
+        """(N, 2) px on the outline, or on its tangent."""
         return contour.pixels[self.index] + self.distance[:, None] * self.normals
 
 
@@ -55,7 +55,7 @@ def outline_of(mask: AnyArray, spacing: float) -> Outline:
     x, y = pixels.T
     normals = np.stack([gx[y, x], gy[y, x]], axis=1).astype(np.float64)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-    # Pixel centres of the border lie half a pixel inside the outline.
+    # Pixel centres of the border are half a pixel inside the outline.
     return Outline(pixels - normals * distance[y, x, None], normals)
 
 
@@ -69,9 +69,10 @@ def _signed_distance(inside: AnyArray) -> Float32:
 def match(contour: ContourPoints, outline: Outline, reach: float, agree: float = 0.5) -> Matches:
     """Every outer contour sample to the nearest outline point, and every outline point to the nearest sample.
 
-    Without the second way, an arm that lies before the torso in the model is never drawn out to its mask.
+    Without the second direction, an arm before the torso in the model would never reach its mask.
 
     Args:
+        contour, outline: in pixels of the same image.
         reach: greatest distance, px.
         agree: least cosine between the two normals.
     """

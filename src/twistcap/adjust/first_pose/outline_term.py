@@ -1,4 +1,4 @@
-"""Contour samples drawn to the outline of a mask, with rows on a pose and on the body's girths."""
+"""Distances of contour samples to the outline of a mask, with rows on a pose and on the body's girths."""
 
 from __future__ import annotations
 
@@ -76,12 +76,12 @@ class OutlineTerm:
     Attributes:
         P: (3, 4) projection.
         points: N samples on the body of `origin`.
-        origin: the girths at which they were taken, those of all terms of a problem.
+        origin: the girths of the samples, the same in all terms of a problem.
         motion: of the rest pose with the log-girths; None where these are not free.
         normal: (N, 2) directions along which the distances count.
-        target: (N, 2) px, on the outline or level with it.
+        target: (N, 2) px, on the outline or on its tangent.
         sigma: px, standard deviation.
-        weight: (N,) how much each match counts.
+        weight: (N,) of each match.
         frame: of the track.
     """
 

@@ -1,4 +1,4 @@
-"""Refining a pose, and if wanted the girths, on silhouettes."""
+"""Refinement of a pose, and of the girths if wanted, on silhouettes."""
 
 from __future__ import annotations
 
@@ -23,30 +23,8 @@ Groups = Mapping[str, Sequence[str]]
 
 
 @dataclass(frozen=True)
-class SilhouetteOptions:
-    """How silhouettes are trusted.
-
-    Attributes:
-        iterations: re-matchings.
-        spacing: of contour samples, parts of the person's height in the image.
-        first_reach, last_reach: greatest distance of a match at the first and last iteration, parts of the height.
-        sigma: standard deviation of an outline point, parts of the height.
-        correlation: length along the outline over which its errors are alike, parts of the height.
-        girth: standard deviation of a log-girth.
-    """
-
-    iterations: int = 20
-    spacing: float = 0.01
-    first_reach: float = 0.12
-    last_reach: float = 0.03
-    sigma: float = 0.006
-    correlation: float = 0.04
-    girth: float = 0.15
-
-
-@dataclass(frozen=True)
 class Refined:
-    """What the silhouettes say.
+    """Poses and girths refined on silhouettes.
 
     Attributes:
         body: with the girths fitted.
@@ -63,9 +41,17 @@ class Refined:
     covariances: tuple[Float, ...]
 
 
+# Lengths as fractions of the person's height in the image.
+_ITERATIONS = 20  # matchings
+_REACH = 0.12, 0.03  # greatest distance of a match, at the first and last iteration
+_SPACING = 0.01  # of contour samples
+_SIGMA = 0.006  # standard deviation of an outline point
+_CORRELATION = 0.04  # along the outline, over which its errors are alike
+_COUNTED = 0.5 * _SPACING / _CORRELATION  # of each sample: both ways together, one per correlation length
+_GIRTH = 0.15  # standard deviation of a log-girth
 _LONGEST = 0.5  # rad, m, log-girth; the matches hold no farther
 _DAMPING = 1e-6
-_REFRESH = 5  # iterations after which the motion with girths is worked out anew: the joints move little with them
+_REFRESH = 5  # iterations between updates of the motion with girths: the joints move little with them
 
 
 def girth_groups(body: Body) -> dict[str, tuple[str, ...]]:
@@ -83,19 +69,19 @@ def refine_on_silhouettes(
     poses: Pose | Sequence[Pose],
     masks: Sequence[AnyArray | None] | Sequence[Sequence[AnyArray | None]],
     *,
-    covariances: Sequence[Float] | None = None,
     groups: Groups | None = None,
-    options: SilhouetteOptions | None = None,
 ) -> Refined:
     """Move body and girths so that the model's contour lies on the outlines of the masks.
 
-    One step on distances along normals after each matching, from model to mask and from mask to model, Huber-weighted,
-    with a reach that shrinks. The poses given pull back with their covariance.
+    Each iteration matches model to mask and mask to model, with a reach that shrinks, and takes one step on the
+    distances along the normals with Huber's loss (DOI 10.1214/aoms/1177703732). Each pose has a Gaussian prior about
+    its start, of 10 degrees and 5 cm.
 
     Args:
+        body: whose girths are fitted.
+        rig: cameras, with their distortion.
         poses: of one or more instants, which share their girths.
         masks: for each instant one mask (H, W) per camera, 0 off the person, or None; in the cameras' own pixels.
-        covariances: (6 + J, 6 + J) of each pose (`FirstPose.covariance`); by default 10 degrees and 5 cm.
         groups: segments that share a girth factor; None keeps the girths, `girth_groups` gives one for each kind.
 
     Raises:
@@ -104,39 +90,36 @@ def refine_on_silhouettes(
     single = isinstance(poses, Pose)
     starts: list[Pose] = [poses] if isinstance(poses, Pose) else list(poses)
     many_masks: list[Sequence[AnyArray | None]] = [masks] if single else list(masks)  # type: ignore[list-item]
-    options, names = options or SilhouetteOptions(), dict(groups or {})
-    instants = [_Instant.of(rig, m, options) for m in many_masks]
-    given = covariances or [None] * len(starts)
+    names = dict(groups or {})
+    instants = [_Instant.of(rig, m) for m in many_masks]
     priors: list[BlockTerm] = [
-        OnPose(GaussianTerm(pose, _information(body, c), "start"), body, frame=f)
-        for f, (pose, c) in enumerate(zip(starts, given, strict=True))
+        OnPose(GaussianTerm(pose, _information(body), "start"), body, frame=f) for f, pose in enumerate(starts)
     ]
-    priors.append(BlockGaussian("girths", np.zeros(len(names)), np.full(len(names), options.girth), "girths"))
+    priors.append(BlockGaussian("girths", np.zeros(len(names)), np.full(len(names), _GIRTH), "girths"))
     blocks = {
         "poses": PoseTrack(tuple(starts), np.arange(float(len(starts)))),
         "girths": Girths(body, names, np.zeros(len(names))),
     }
     x, system = Variables(blocks, ("poses", "girths"), dict.fromkeys(blocks, _LONGEST)), None
     motion: RestMotion | None = None
-    for i in range(options.iterations):
-        part = i / max(options.iterations - 1, 1)
-        reach = options.first_reach * (options.last_reach / options.first_reach) ** part
+    for i in range(_ITERATIONS):
+        reach = _REACH[0] * (_REACH[1] / _REACH[0]) ** (i / (_ITERATIONS - 1))
         if names and i % _REFRESH == 0:
             motion = x["girths"].rest_motion()
-        terms = [term for f, instant in enumerate(instants) for term in instant.terms(x, motion, f, reach, options)]
+        terms = [term for f, instant in enumerate(instants) for term in instant.terms(x, motion, f, reach)]
         x, system = _stepped(x, [*terms, *priors])
     assert isinstance(system, Arrow)
-    found, girths = x["poses"].poses, x["girths"]
-    iou = np.array([instant.overlaps(Posed(girths.body, p)) for instant, p in zip(instants, found, strict=True)])
-    return Refined(girths.body, found, girths.factors, iou, tuple(system.marginals().poses))
+    refined, girths = x["poses"].poses, x["girths"]
+    iou = np.array([instant.overlaps(Posed(girths.body, p)) for instant, p in zip(instants, refined, strict=True)])
+    return Refined(girths.body, refined, girths.factors, iou, tuple(system.marginals().poses))
 
 
 def _stepped(x: Variables, terms: Sequence[BlockTerm]) -> tuple[Variables, Dense | Arrow]:
     """All poses, inside their limits, and girths after one step; the system of the step."""
-    found = minimise(BlockProblem(terms, reach=0), x, damping=_DAMPING)
-    track = found.x["poses"]
+    solution = minimise(BlockProblem(terms, reach=0), x, damping=_DAMPING)
+    track = solution.x["poses"]
     inside = replace(track, poses=tuple(pose.within(x["girths"].generic.limits) for pose in track.poses))
-    return replace(found.x, blocks={**found.x.blocks, "poses": inside}), found.system
+    return replace(solution.x, blocks={**solution.x.blocks, "poses": inside}), solution.system
 
 
 @dataclass(frozen=True)
@@ -149,33 +132,27 @@ class _Instant:
     heights: tuple[float, ...]
 
     @staticmethod
-    def of(rig: Rig, masks: Sequence[AnyArray | None], options: SilhouetteOptions) -> _Instant:
+    def of(rig: Rig, masks: Sequence[AnyArray | None]) -> _Instant:
         if len(masks) != len(rig) or all(m is None for m in masks):
             raise InputError(
                 f"masks: {len(masks)} were given for {len(rig)} cameras; give one or None for each, not all None."
             )
         flat = [None if m is None else _rectified(c, m) for c, m in zip(rig, masks, strict=True)]
         heights = tuple(0.0 if m is None else _height(m) for m in flat)
-        outlines = tuple(
-            None if m is None else outline_of(m, options.spacing * h) for m, h in zip(flat, heights, strict=True)
-        )
+        outlines = tuple(None if m is None else outline_of(m, _SPACING * h) for m, h in zip(flat, heights, strict=True))
         return _Instant(tuple(rig.pinhole()), tuple(flat), outlines, heights)
 
-    def terms(
-        self, x: Variables, motion: RestMotion | None, f: int, reach: float, options: SilhouetteOptions
-    ) -> list[OutlineTerm]:
+    def terms(self, x: Variables, motion: RestMotion | None, f: int, reach: float) -> list[OutlineTerm]:
         """The outlines of this instant, number `f` of the track, matched with the model as it is."""
         girths: Girths = x["girths"]
         posed, out = Posed(girths.body, x["poses"].poses[f]), list[OutlineTerm]()
-        # Neighbouring samples err alike: together they may count no more than one per correlation length, both ways.
-        fraction = 0.5 * options.spacing / options.correlation
         for camera, outline, height in zip(self.cameras, self.outlines, self.heights, strict=True):
             if outline is not None:
-                contour = visible_contour(render(posed, camera), options.spacing * height)
-                found = match(contour, outline, reach * height)
-                points, target = contour.points[found.index], found.target(contour)
-                sigma, weight = options.sigma * height, fraction * found.weight
-                out.append(OutlineTerm(camera.P, points, girths, motion, found.normals, target, sigma, weight, f))
+                contour = visible_contour(render(posed, camera), _SPACING * height)
+                matches = match(contour, outline, reach * height)
+                points, target = contour.points[matches.index], matches.target(contour)
+                sigma, weight = _SIGMA * height, _COUNTED * matches.weight
+                out.append(OutlineTerm(camera.P, points, girths, motion, matches.normals, target, sigma, weight, f))
         return out
 
     def overlaps(self, posed: Posed) -> list[float]:
@@ -202,9 +179,8 @@ def _height(mask: Bool) -> float:
     return float(max(np.ptp(rows), np.ptp(columns), 1))
 
 
-def _information(body: Body, covariance: Float | None) -> Float:
-    if covariance is not None:
-        return np.asarray(np.linalg.inv(covariance), np.float64)
+def _information(body: Body) -> Float:
+    """(6 + J, 6 + J) information of a pose at the start."""
     sigma = np.full(body.dof, np.deg2rad(10.0))
     sigma[3:6] = 0.05
     return np.diag(sigma**-2.0)

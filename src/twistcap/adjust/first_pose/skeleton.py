@@ -1,9 +1,9 @@
 """A body without its skin whose proportions can be changed cheaply, with derivatives.
 
 Every segment c carries its points by ``R_c A_c (p − o_c)``, where ``A_c = across (I − a aᵀ) + along a aᵀ`` stretches
-the rest pose about the joint o_c (`body.shape`), and hands its children's joints on by the same map. Stretching leaves
-the rotations R alone, so that a landmark is linear in the factors of the segments above it, and its derivative by the
-logarithm of a factor is the stretched part of the chain itself.
+the rest pose about the joint o_c (`body.shape`) and moves its children's joints by the same map. Stretching does not
+change the rotations R, so that a landmark is linear in the factors of the segments above it, and its derivative by the
+logarithm of a factor is the stretched part of the chain.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Proportions:
 
 @dataclass(frozen=True)
 class _Links:
-    """What the landmarks are sums of: one entry per landmark and segment on its way to the root (E in all)."""
+    """Landmarks as sums of links: one for each landmark and segment on its way to the root, E in all."""
 
     landmark: Int
     segment: Int
@@ -148,7 +148,7 @@ class Skeleton:
         body = self.body
         out = np.full(len(body.coordinate_names), -1, np.int32)
         for s, k in enumerate(body.segment_joint):
-            while k >= 0 and out[k] < 0:  # up to the joint of the segment above, which stands before this one
+            while k >= 0 and out[k] < 0:  # up to the joint of the segment above, which comes before this one
                 out[k] = s
                 k = body.parent[k]
         return out

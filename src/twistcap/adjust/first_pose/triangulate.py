@@ -1,4 +1,4 @@
-"""Robust triangulation of keypoints: every pair of views proposes a point, all views vote."""
+"""Robust triangulation of keypoints: every pair of views proposes a point, and all views vote."""
 
 from __future__ import annotations
 

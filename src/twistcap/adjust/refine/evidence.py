@@ -1,4 +1,4 @@
-"""What the images say of poses and shape together: rows by the steps of one frame's pose, another's, and the shape."""
+"""Image rows of poses and shape: derivatives by the poses of one or two frames and by the shape."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Term = TypeVar("Term", PointTerm, "BrightnessPair")
 
 
 def reshaped(term: Term, maps: Float | None) -> Term:
-    """The term with its rest points carried by maps (S, 4, 4) of the segments, as a change of shape carries them."""
+    """The term with its rest points moved by maps (S, 4, 4) of the segments, as a change of shape moves them."""
     if maps is None:
         return term
     points: SurfacePoints = term.points  # pyright: ignore[reportAttributeAccessIssue]  (every term of points has them)
@@ -56,7 +56,7 @@ class End:
 
     @staticmethod
     def of(view: View, seen: RenderedView, points: SurfacePoints, blur: float) -> End:
-        """As an image shows points under a blur (m on the body); of those off the image all is NaN."""
+        """As an image shows points under a blur (m on the body); NaN for points off the image."""
         pixels, _ = projected(view.camera, points.at(seen.posed))
         value, slope = sampled(view.blurred(blur * seen.px_per_m), pixels)
         return End(view.camera.P, value, slope, pixels)
@@ -66,8 +66,8 @@ class End:
         change, gradient = projected_rows(self.P, points.at(posed), self.slope, self.pixels)
         return self.value + change, gradient
 
-    def of_those(self, which: Int) -> End:
-        """The end of some of its points."""
+    def subset(self, which: Int) -> End:
+        """Of some of its points."""
         return End(self.P, self.value[which], self.slope[which], self.pixels[which])
 
 
@@ -75,7 +75,7 @@ class End:
 class BrightnessPair:
     """Brightness constancy of N points between two frames, ``I_b(π(x_b)) − I_a(π(x_a))``, both poses free.
 
-    Bregler and Malik (DOI 10.1109/CVPR.1998.698581), eq. 17 ff., refine a sequence so; here in perspective.
+    Bregler and Malik, DOI 10.1109/CVPR.1998.698581, eq. 17 ff., here in perspective.
 
     Attributes:
         first, second: numbers of the frames.
@@ -98,7 +98,7 @@ class BrightnessPair:
         frames: tuple[int, int], points: SurfacePoints, earlier: tuple[View, RenderedView],
         later: tuple[View, RenderedView], blur: float, noise: tuple[float, float, float],
     ) -> BrightnessPair:  # fmt: skip
-        """Of those points that both images show.
+        """Of the points that both images show.
 
         Args:
             frames: their numbers.
@@ -110,7 +110,7 @@ class BrightnessPair:
         points = points[later[1].visible(points, noise[2])[0]]
         a, b = End.of(*earlier, points, blur), End.of(*later, points, blur)
         known = np.flatnonzero(np.isfinite(a.value) & np.isfinite(b.value)).astype(np.int32)
-        return BrightnessPair(*frames, points[known], a.of_those(known), b.of_those(known), *noise[:2])
+        return BrightnessPair(*frames, points[known], a.subset(known), b.subset(known), *noise[:2])
 
     def energy(self, earlier: Posed, later: Posed) -> float:
         """At the two poses."""

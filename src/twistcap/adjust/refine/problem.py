@@ -1,4 +1,4 @@
-"""Poses of all frames and the shape they share as one problem: what one look at the images tells, motion, priors."""
+"""Poses of all frames and the shape they share as one problem: image rows of one round, motion and priors."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from twistcap._typing import Float
 from twistcap.adjust.refine.evidence import contour_rows, reshaped
-from twistcap.adjust.refine.look import CameraRound
+from twistcap.adjust.refine.measure import CameraRound
 from twistcap.adjust.refine.motion import accelerations
 from twistcap.adjust.refine.shape import Shape
 from twistcap.adjust.refine.sums import WIDTH, FrameSums, add_products, flat, projection
@@ -23,7 +23,7 @@ from twistcap.terms import LimitTerm, PointTerm, RestTerm
 
 @dataclass(frozen=True)
 class Track:
-    """What is moved: a pose for each frame, and the shape of all."""
+    """The variables: a pose for each frame, and the shape of all."""
 
     poses: tuple[Pose, ...]
     shape: Shape
@@ -41,9 +41,9 @@ class Standing:
     Attributes:
         times: (F,) s.
         noise: of the motion.
-        rest: rad by which joints are off the rest pose.
+        rest: rad, standard deviation of the joints from the rest pose.
         hinge: m, see `Shape.prior`.
-        shape_weight: factor on what is known of the shape, as images are counted at their own noise.
+        shape_weight: factor on the prior of the shape, which matches the way in which images are counted.
         contour: factor on the information of contours.
     """
 
@@ -56,11 +56,11 @@ class Standing:
 
 
 class RefineProblem:
-    """The sum of what one look at all frames tells and what is known without, around the track that was looked at."""
+    """The sum of one round's image rows and of standing knowledge, around the track at which was measured."""
 
-    def __init__(self, looked: Track, rounds: Sequence[CameraRound], standing: Standing) -> None:
-        self.looked, self.rounds, self.standing = looked, rounds, standing
-        frames = range(len(looked.poses))
+    def __init__(self, measured: Track, rounds: Sequence[CameraRound], standing: Standing) -> None:
+        self.measured, self.rounds, self.standing = measured, rounds, standing
+        frames = range(len(measured.poses))
         self.contours = [[term for r in rounds if (term := r.contours[t]) is not None] for t in frames]
         self.pairs = [pair for r in rounds for pair in r.pairs]
         self.reach = max([2, *(pair.second - pair.first for pair in self.pairs)])
@@ -74,7 +74,7 @@ class RefineProblem:
 
     def parts(self, x: Track) -> Iterator[tuple[str, int, float]]:
         """Name of the term, frame (that of the shape and of motion: the last) and energy of everything summed."""
-        maps, posed = x.shape.maps_since(self.looked.shape), x.posed
+        maps, posed = x.shape.maps_since(self.measured.shape), x.posed
         for t, terms in enumerate(self.contours):
             for term in terms:
                 yield "contour", t, self.standing.contour * reshaped(term, maps).energy(posed[t])
@@ -87,9 +87,12 @@ class RefineProblem:
 
     def linearised(self, x: Track) -> Arrow:
         """The quadratic of all poses' steps and the shape's."""
-        maps, motion, posed = x.shape.maps_since(self.looked.shape), x.shape.motion(), x.posed
+        maps, motion, posed = x.shape.maps_since(self.measured.shape), x.shape.motion(), x.posed
         arrow = Arrow(len(posed), x.shape.body.dof, len(x.shape.sigma), self.reach)
-        arrow.longest, arrow.shared_longest = 0.5, 0.1  # rad in a joint; log-length or m: beyond no linearisation holds
+        arrow.longest, arrow.shared_longest = (
+            0.5,
+            0.1,
+        )  # rad in a joint; log-length or m: no linearisation holds beyond
         own = [FrameSums(at, motion) for at in posed]
         self._add_pairs(arrow, own, maps, motion)
         for t, sums in enumerate(own):
@@ -120,7 +123,7 @@ class RefineProblem:
         sums.add(rows, self.standing.contour * weight, residual)
 
     def _add_pairs(self, arrow: Arrow, own: Sequence[FrameSums], maps: Float | None, motion: RestMotion) -> None:
-        """Brightness: each end's own rows to its frame's sums, what couples the two frames to the matrix."""
+        """Add brightness: the rows of each end to its frame's sums, their products to the coupling of both frames."""
         between: dict[tuple[int, int], Float] = {}
         for pair in (reshaped(p, maps) for p in self.pairs):
             a, b = pair.first, pair.second

@@ -1,7 +1,7 @@
-"""Refinement of a whole track: look, sum, solve for all frames and the body's shape, and look again.
+"""Refinement of a whole track: measure all images, solve for all poses and the body's shape, and measure again.
 
-What Bregler and Malik do to a tracked sequence (CVPR 1998, section 2.5, DOI 10.1109/CVPR.1998.698581), with contours,
-perspective and joint centres beside.
+Bregler and Malik refine a tracked sequence so (CVPR 1998, section 2.5, DOI 10.1109/CVPR.1998.698581). Contours,
+perspective and joint centres are added.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from twistcap._typing import Bool, Float
 from twistcap.adjust.first_pose import girth_groups
 from twistcap.adjust.refine.common_error import design_effect
-from twistcap.adjust.refine.look import Eyes, agreement, support
+from twistcap.adjust.refine.measure import SequenceImages, agreement, support
 from twistcap.adjust.refine.problem import RefineProblem, Standing, Track
 from twistcap.adjust.refine.settings import RefineConfig
 from twistcap.adjust.refine.shape import Shape
@@ -24,6 +24,7 @@ from twistcap.body import Body
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
+from twistcap.predict import MotionNoise
 from twistcap.predict.inertia import INFLATION
 from twistcap.priors.standing import RestPose
 from twistcap.settings import Settings
@@ -32,13 +33,19 @@ from twistcap.track.visibility import SupportRule
 
 _LEAST_FRAMES = 3
 _WORSE = 0.01  # fraction of contour points: so many agree or not by chance
-_HELD_ROUNDS = (
-    6  # at most where joint centres are held: poses and lengths settle sooner (balance_4view: 6, 8, 14 alike)
-)
+_HELD_ROUNDS = 6  # at most where joint centres are held: poses and lengths settle sooner (balance_4view: 6 as 14)
+_SETTLED = 2.5e-4  # m, mean motion of the landmarks in a round: where it is less, the rounds end
+_BRIDGE = 0.2  # s: lost spans that are shorter are bridged by motion alone in the first round
+_DAMPING = 1e-3  # fraction by which the diagonal of the equations is raised in each step
+
+# Design effect of the contours beyond which joint centres are held: where points of one part err together, the surface
+# is not the person's, and joint centres would make up for it. In the studio it is 1.0 to two digits, on `balance_4view`
+# with a fitted body 2.6 of 30 frames and 5 of 100.
+_ALIKE = 1.5
 
 
-class Tell(Protocol):
-    """Is told how far the work is."""
+class Report(Protocol):
+    """Takes a few words on the work in progress, how much is done, and of how much."""
 
     def __call__(self, note: str, done: int = 0, total: int | None = None) -> None: ...
 
@@ -49,16 +56,15 @@ class Refined:
 
     Attributes:
         body: with the refined lengths, girths and joint centres.
-        estimates: one for each given; their covariances count what is not known of the shape.
+        estimates: one for each given; their covariances contain the uncertainty of the shape.
         lengths, girths: factor of each group of segments against the body given.
         length_sigmas, girth_sigmas: standard deviations of the factors' logarithms.
         joint_shifts, joint_sigmas: (3,) m in the rest pose and standard deviations, by the segment below the joint.
-        moved: m that the landmarks moved in each round, mean over all frames.
-        shape: what a refinement of another track with this body goes on from.
-        design_effect: by how much contours of one part err together, 1 for not at all; see `common_error`. Beyond
-            `RefineConfig.alike` joint centres were held.
-        helped: whether the contours agree with the images as well as those of the track given, or better; where they
-            do not, that track is what this is.
+        moved: m, mean motion of the landmarks in each round, over all frames.
+        shape: where a refinement of another track with this body starts.
+        design_effect: how far contours of one part err together, 1 for not at all; see `common_error`. Beyond
+            `_ALIKE` joint centres were held.
+        helped: whether the contours agree with the images at least as well as before; if not, this is the track given.
     """
 
     body: Body
@@ -77,40 +83,40 @@ class Refined:
 
 def refine(
     frames: Iterable[Frame], body: Body, rig: Rig, estimates: Sequence[Estimate], config: RefineConfig | None = None,
-    tracker: Settings | None = None, tell: Tell | None = None, shape: Shape | None = None,
+    tracker: Settings | None = None, report: Report | None = None, shape: Shape | None = None,
 ) -> Refined:  # fmt: skip
     """Refine the poses of all frames, segment lengths, girths and joint centres together.
 
-    A limb that the wrong body has lost is not found again by refining. Track once more with the refined body, and give
-    those estimates here with the `shape` found: what is known of the shape beforehand stays that about the first body.
+    Refining does not recover a limb that was lost with the wrong body. Track again with the refined body and refine
+    those estimates with the refined `shape`: the prior of the shape stays about the first body.
 
     Args:
-        frames: those of the estimates, in order; they are gone through once. What is about the body is kept, some 0.3
-            MB for each image at half of full HD.
-        body, rig: that were tracked with; of the body, where a `shape` is given, its coordinates alone are looked at.
+        frames: those of the estimates, in order; read once. The surroundings of the body are kept, some 0.3 MB for
+            each image at half of full HD.
+        body, rig: of the track; where a `shape` is given, only the coordinates of the body are used.
         estimates: of the track, one per frame.
         config: settings of the refinement.
         tracker: settings of the cues and of the claimed covariance.
-        tell: is told how far it is.
-        shape: to begin with, that of an earlier refinement; that of `body` by default.
+        report: is called with the progress.
+        shape: to begin with, that of an earlier refinement; by default that of `body`.
 
     Raises:
         InputError: for fewer than three frames, frames that are not those of the estimates, poses that are not
-            finite, or images that leave a number open.
+            finite, or images that do not determine a number.
     """
     config, tracker = config or RefineConfig(), tracker or Settings()
     _check(body, estimates)
     given = Track(tuple(e.pose for e in estimates), shape or Shape.of(body, girth_groups(body), config))
-    eyes = Eyes(rig.pinhole(), config, tracker, given.shape.body)
-    tell, count = tell or _untold, len(estimates)
-    for done in eyes.read(frames, estimates):
-        tell("reading", done, count * (1 + config.rounds))
-    adjusted = _adjusted(eyes, given, estimates, tell)
-    if adjusted.design_effect > config.alike and given.shape.moved:
+    images = SequenceImages(rig.pinhole(), config, tracker, given.shape.body)
+    report, count = report or _silent, len(estimates)
+    for done in images.read(frames, estimates):
+        report("reading", done, count * (1 + config.rounds))
+    adjusted = _adjusted(images, given, estimates, report)
+    if adjusted.design_effect > _ALIKE and given.shape.moved:
         given = replace(given, shape=given.shape.without_joints())
-        adjusted = _adjusted(eyes, given, estimates, tell)
+        adjusted = _adjusted(images, given, estimates, report)
     all_frames = np.ones(count, dtype=np.bool_)
-    before, after = (agreement(eyes.look(x.posed, all_frames, coarse=False)) for x in (given, adjusted.found.x))
+    before, after = (agreement(images.measure(x.posed, all_frames, coarse=False)) for x in (given, adjusted.solution.x))
     if after < before - _WORSE:
         return _kept(given, estimates, adjusted)
     return _answer(adjusted, estimates, tracker)
@@ -121,54 +127,54 @@ class _Adjusted:
     """How far the rounds have come.
 
     Attributes:
-        found: of the last round; `problem` is what it solved.
-        moved: m of the landmarks in each round.
-        settled: whether the last moved less than it must.
+        solution: of the last round; `problem` is what it solved.
+        moved: m, motion of the landmarks in each round.
+        settled: whether the last round moved less than `_SETTLED`.
         design_effect: by which contours err together; 1 where no round was fine.
     """
 
-    found: Solution[Track, Arrow]
+    solution: Solution[Track, Arrow]
     problem: RefineProblem
     moved: tuple[float, ...]
     settled: bool
     design_effect: float
 
 
-def _adjusted(eyes: Eyes, given: Track, estimates: Sequence[Estimate], tell: Tell) -> _Adjusted:
-    """Rounds of looking and solving, until one settles; to the first fine one where contours err together too much."""
-    config, x, moved, total = eyes.config, given, list[float](), len(estimates) * (1 + eyes.config.rounds)
+def _adjusted(images: SequenceImages, given: Track, estimates: Sequence[Estimate], report: Report) -> _Adjusted:
+    """Rounds until one settles; only to the first fine round where contours err together too much."""
+    config, x, moved, total = images.config, given, list[float](), len(estimates) * (1 + images.config.rounds)
     most = config.rounds if given.shape.moved else min(config.rounds, _HELD_ROUNDS)
     inflation, standing = INFLATION**2, _standing(estimates, config)
-    trusted = ~_bridged(estimates, config.bridge)
+    trusted = ~_bridged(estimates, _BRIDGE)
     while True:
         coarse = len(moved) < config.coarse_rounds
-        rounds = eyes.look(x.posed, trusted, coarse)
+        rounds = images.measure(x.posed, trusted, coarse)
         effect = design_effect(rounds, x.posed, inflation)
         # Images are counted at their own noise, of which the claimed one is a multiple; so must the shape's prior be.
         problem = RefineProblem(x, rounds, replace(standing, shape_weight=effect * inflation))
-        found = minimise(problem, x, 1, config.damping)
-        moved.append(_mean_move(x, found.x))
-        x, trusted = found.x, np.ones(len(estimates), dtype=np.bool_)
-        tell(f"round {len(moved)} of at most {most}", len(estimates) * (1 + len(moved)), total)
-        settled = not coarse and moved[-1] < config.settled
-        together = not coarse and effect > config.alike and bool(given.shape.moved)
+        solution = minimise(problem, x, 1, _DAMPING)
+        moved.append(_mean_move(x, solution.x))
+        x, trusted = solution.x, np.ones(len(estimates), dtype=np.bool_)
+        report(f"round {len(moved)} of at most {most}", len(estimates) * (1 + len(moved)), total)
+        settled = not coarse and moved[-1] < _SETTLED
+        together = not coarse and effect > _ALIKE and bool(given.shape.moved)
         if settled or together or len(moved) >= most:
-            return _Adjusted(found, problem, tuple(moved), settled, 1.0 if coarse else effect)
+            return _Adjusted(solution, problem, tuple(moved), settled, 1.0 if coarse else effect)
 
 
-def _untold(note: str, done: int = 0, total: int | None = None) -> None:
-    """Nobody is told."""
+def _silent(note: str, done: int = 0, total: int | None = None) -> None:
+    """Report nothing."""
 
 
 def _standing(estimates: Sequence[Estimate], config: RefineConfig) -> Standing:
-    """What is known without the images."""
+    """Standing knowledge, of the weights of a configuration."""
     rest = float(np.deg2rad(RestPose().sigma_deg))
-    return Standing([e.time for e in estimates], config.noise, rest, config.hinge, 1.0, config.contour)
+    return Standing([e.time for e in estimates], MotionNoise(), rest, config.hinge, 1.0, config.contour)
 
 
 def _check(body: Body, estimates: Sequence[Estimate]) -> None:
     if len(estimates) < _LEAST_FRAMES:
-        raise InputError(f"refine: {len(estimates)} frames are given; it takes at least {_LEAST_FRAMES}.")
+        raise InputError(f"refine: {len(estimates)} frames are given; give at least {_LEAST_FRAMES}.")
     for e in estimates:
         if len(e.pose.q) != len(body.coordinate_names):
             raise InputError(f"refine: frame {e.index} has {len(e.pose.q)} joint coordinates; give the body tracked.")
@@ -177,7 +183,7 @@ def _check(body: Body, estimates: Sequence[Estimate]) -> None:
 
 
 def _bridged(estimates: Sequence[Estimate], longest: float) -> Bool:
-    """(F,) which frames are lost in spans shorter than so many seconds, with others at both ends."""
+    """(F,) whether a frame is in a lost span of at most `longest` seconds between tracked frames."""
     out = np.zeros(len(estimates), dtype=np.bool_)
     kept = [t for t, e in enumerate(estimates) if not e.lost]
     for before, after in pairwise(kept):
@@ -194,30 +200,30 @@ def _mean_move(before: Track, after: Track) -> float:
 
 
 def _answer(adjusted: _Adjusted, estimates: Sequence[Estimate], tracker: Settings) -> Refined:
-    found, effect = adjusted.found, adjusted.design_effect
-    shape, marginals = found.x.shape, found.system.marginals()
+    solution, effect = adjusted.solution, adjusted.design_effect
+    shape, marginals = solution.x.shape, solution.system.marginals()
     lengths, girths, joints = shape.parts(shape.total)
     # The shape's information was counted `effect` times; its covariance is that much larger.
     sigmas = shape.parts(INFLATION * np.sqrt(effect * np.diagonal(marginals.shared)))
-    out = tuple(_judged(adjusted, marginals.poses, estimates, tracker))
+    out = tuple(_estimates(adjusted, marginals.poses, estimates, tracker))
     girth, joint = (_exp(girths), sigmas[1]), (joints, sigmas[2])
     return Refined(shape.body, out, _exp(lengths), sigmas[0], *girth, *joint, adjusted.moved, shape, effect, True)
 
 
 def _kept(given: Track, estimates: Sequence[Estimate], adjusted: _Adjusted) -> Refined:
-    """The track as it was."""
+    """The track given, where refining did not help."""
     lengths, girths, joints = given.shape.parts(given.shape.total)
     sigma = given.shape.parts(given.shape.sigma)
     girth, joint = (_exp(girths), sigma[1]), (joints, sigma[2])
-    found = (adjusted.moved, given.shape, adjusted.design_effect, False)
-    return Refined(given.shape.body, tuple(estimates), _exp(lengths), sigma[0], *girth, *joint, *found)
+    rest = (adjusted.moved, given.shape, adjusted.design_effect, False)
+    return Refined(given.shape.body, tuple(estimates), _exp(lengths), sigma[0], *girth, *joint, *rest)
 
 
-def _judged(
+def _estimates(
     adjusted: _Adjusted, covariances: Float, estimates: Sequence[Estimate], tracker: Settings
 ) -> Iterator[Estimate]:
-    """The estimates with pose, claimed covariance, energies and support as the last round has them."""
-    x, problem = adjusted.found.x, adjusted.problem
+    """The estimates with pose, claimed covariance, energies and support of the last round."""
+    x, problem = adjusted.solution.x, adjusted.problem
     energies: list[dict[str, float]] = [{} for _ in estimates]
     for name, t, value in problem.parts(x):
         energies[t][name] = energies[t].get(name, 0.0) + value
@@ -228,7 +234,7 @@ def _judged(
             e, pose=x.poses[t], covariance=INFLATION**2 * covariances[t], energies=energies[t],
             iterations=len(adjusted.moved), status=status if e.status != "no_images" else e.status,
         )  # fmt: skip
-        if supported is None or e.status == "no_images":  # without contours the tracker's own judgement stands
+        if supported is None or e.status == "no_images":  # without contours the tracker's own support stays
             yield own
         else:
             yield replace(own, support=float(supported[t]), lost=bool(supported[t] < SupportRule().least))

@@ -1,4 +1,4 @@
-"""The shape that the refinement seeks: lengths and girths of groups of segments, and places of joint centres."""
+"""The shape that is refined: lengths and girths of groups of segments, and joint centres."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ Groups = Mapping[str, tuple[str, ...]]
 
 @dataclass(frozen=True)
 class Shape:
-    """What is sought of a body's shape, and how far it has moved from the body given.
+    """The free parameters of a body's shape, and their change since the body given.
 
     Attributes:
-        body: as it is now.
+        body: with these parameters.
         stretched, widened: groups of segments, left and right alike, by name.
         moved: segments whose proximal joint moves.
         sigma: (K,) prior standard deviation of each parameter.
-        total: (K,) of the parameters since the body given: log-lengths, log-girths, then x, y, z (m) of joints.
+        total: (K,) change since the body given: log-lengths, log-girths, then x, y, z (m) of joints.
     """
 
     body: Body
@@ -37,7 +37,7 @@ class Shape:
 
     @staticmethod
     def of(body: Body, groups: Groups, config: RefineConfig) -> Shape:
-        """The unknowns that a configuration leaves free."""
+        """The parameters that a configuration leaves free."""
         stretched = groups if config.length > 0 else {}
         widened = groups if config.girth > 0 else {}
         jointed = zip(body.segment_names, body.segment_joint, strict=True)
@@ -64,10 +64,10 @@ class Shape:
         return rest_motion(self.body, stretched, widened, [self.body.segment(name) for name in self.moved])
 
     def prior(self, hinge: float) -> tuple[float, Float, Float]:
-        """Energy, gradient (K,) and information (K, K) of what is known beforehand, at the present shape.
+        """Energy, gradient (K,) and information (K, K) of the prior, at this shape.
 
         Args:
-            hinge: m by which the centre of a hinge may be off the middle of its limb, along its axis; 0: anything.
+            hinge: m, standard deviation of a hinge's centre from the middle of its limb, along its axis; 0: no prior.
         """
         information, gradient = np.diag(self.sigma**-2.0), self.total / self.sigma**2
         energy = 0.5 * float(gradient @ self.total)
@@ -88,7 +88,7 @@ class Shape:
         return replace(self, body=joints_moved(body, joints), total=self.total + step)
 
     def maps_since(self, earlier: Shape) -> Float | None:
-        """(S, 4, 4) of each segment: how rest points of an earlier shape are carried onto this one; None: they stay."""
+        """(S, 4, 4) maps of rest points from an earlier shape to this one; None where nothing has moved."""
         if np.array_equal(self.total, earlier.total):
             return None
         lengths, girths, _ = self.parts(self.total - earlier.total)

@@ -2,9 +2,9 @@
 
 A residual r with gradient g = ∂r/∂x has, on segment s that carries the fraction w_s of the point, eleven derivatives:
 six by its twist, ``w_s [x_s × g, g]``, three by a shift of its rest points, and two by their stretch along and across
-its axis a from its origin, all of them turned as skinning turns the point: with ``t = Σ_k w_k R_kᵀ g``,
-``w_s [t, (a·l)(a·t), l·t − (a·l)(a·t)]``, l the rest point from the origin. No row ever sees the skeleton or a shape
-parameter; one projection of each frame takes the sums to both.
+its axis a from its origin, all of them rotated as skinning rotates the point: with ``t = Σ_k w_k R_kᵀ g``,
+``w_s [t, (a·l)(a·t), l·t − (a·l)(a·t)]``, l the rest point from the origin. Rows do not depend on the skeleton or on a
+shape parameter; one projection of each frame's sums gives both.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def flat(blocks: Float) -> Float:
 
 
 def projection(posed: Posed, motion: RestMotion) -> Float:
-    """(11 S, 6 + J + K) from a pose step and the shape parameters to what each segment does."""
+    """(11 S, 6 + J + K) from a pose step and the shape parameters to the twist, shift and stretch of each segment."""
     S, D, K = len(posed.body.segment_names), posed.body.dof, len(motion.joints)
     out = np.zeros((S, WIDTH, D + K))
     out[:, :6, :D] = posed.projector.reshape(S, 6, D)
@@ -181,18 +181,3 @@ def stacked(rows: Derivatives, S: int) -> Float:
         used = np.flatnonzero(rows.segments[:, k] >= 0)
         np.add.at(out, (used, rows.segments[used, k]), rows.by_segment[used, k])
     return out.reshape(len(out), S * WIDTH)
-
-
-def row_reference(posed: Posed, motion: RestMotion, points: SurfacePoints, gradient: Float) -> Float:
-    """(N, 6 + J + K) readable twin of the rows after their projection: one way through the skeleton, one through rest.
-
-    A joint centre that moves by d below parent p carries all below it by (R_p - R_s) d: it moves with the parent, and
-    the segment turns about it. The surface itself moves in the rest pose and is skinned after.
-    """
-    jacobian = posed.point_jacobian(points.segments, points.weights, points.local)
-    by_pose = np.einsum("ni,nid->nd", gradient, jacobian)
-    R = np.einsum("nk,nkij->nij", points.weights, posed.segment_transforms[points.segments][..., :3, :3])
-    moved = np.einsum("nk,nkmi->nmi", points.weights, carried(posed, motion.joints).transpose(1, 0, 2)[points.segments])
-    at_rest = motion.velocities(points.local)[np.arange(len(points))[:, None], points.segments]
-    by_shape = moved + np.einsum("nij,nk,nkmj->nmi", R, points.weights, at_rest)
-    return np.concatenate([by_pose, np.einsum("ni,nmi->nm", gradient, by_shape)], axis=1)

@@ -52,7 +52,7 @@ function take(reply, question) {
     return;
   }
   const view = views.find((one) => one.name === reply.view);
-  Object.assign(view, { outline: reply.outline, share: reply.share, cut: reply.cut });
+  Object.assign(view, { outline: reply.outline, fraction: reply.fraction, cut: reply.cut });
   document.body.dataset.cuts = +(document.body.dataset.cuts ?? 0) + 1;
   if (reply.cut) tell("Paint with Person or Background where the outline is wrong.");
   else invite(shown);

@@ -1,4 +1,4 @@
-"""One round's look at all frames: the body is rendered into each, and what the images say of it is kept as terms."""
+"""One round's measurements: the body is rendered into all images, and what these show of it becomes terms."""
 
 from __future__ import annotations
 
@@ -29,7 +29,8 @@ from twistcap.track.model import MARGIN
 from twistcap.track.schedule import Schedule
 from twistcap.track.visibility import SupportRule
 
-_ROOM = 0.15  # m about the body, beside the tracker's margin, that refining may move it by
+_ROOM = 0.15  # m about the body, added to the tracker's margin, by which refining may move it
+_COARSE = 2.0  # factor on the reach of the contours in coarse rounds
 
 Tally = tuple[Float, Float]
 """Contour points (S,) of each part that agree with the image, and how many there are."""
@@ -40,10 +41,10 @@ class CameraRound:
     """What one camera shows in one round.
 
     Attributes:
-        contours: of each frame; None where there is none.
-        pairs: brightness between frames.
+        contours: of each frame; None without an image of the body.
+        pairs: brightness between two frames.
         tallies: of each frame.
-        colours: of the parts, all that this camera has shown.
+        colours: of the parts, in all frames of this camera.
     """
 
     contours: Sequence[PointTerm | None]
@@ -52,12 +53,12 @@ class CameraRound:
     colours: Appearance
 
 
-class Eyes:
-    """The images of a sequence about the body, and the colours of its S parts as the whole sequence shows them.
+class SequenceImages:
+    """The images of a sequence, cropped about the body, and the colours of its S parts over the whole sequence.
 
     Attributes:
-        views: of each camera and frame, the image about the tracked body; None where there is none.
-        contour: the cue; None for the method that has none.
+        views: of each camera and frame, the image about the tracked body; None without an image.
+        contour: the cue; None for the differential method.
         colours: of each part in each camera.
     """
 
@@ -66,10 +67,10 @@ class Eyes:
         self._rig, self._body = rig, body
         self.views: list[list[View | None]] = [[] for _ in rig]
         self.contour: ContourCue | None = None if tracker.method == "differential" else contour_of(tracker)
-        self.colours = self._fresh()
+        self.colours = self._blank()
 
     def read(self, frames: Iterable[Frame], estimates: Sequence[Estimate]) -> Iterable[int]:
-        """Keep what is about the body in each frame; yields how many are read.
+        """Keep the surroundings of the body in each frame; yields how many are read.
 
         Raises:
             InputError: where the frames are not those of the estimates.
@@ -91,21 +92,21 @@ class Eyes:
             seen = None if image is None else crop_view(image, self._rig[i], posed, margin, self.tracker.channels)
             self.views[i].append(seen)
 
-    def _fresh(self) -> Appearance:
-        """Nothing learnt yet; of what is learnt nothing fades, since a sequence has no present."""
+    def _blank(self) -> Appearance:
+        """No colours yet. None of them fades: all frames of a sequence count alike."""
         return Appearance.blank(self.cameras, self.parts, AppearanceRule(memory=1.0))
 
-    def look(self, posed: Sequence[Posed], trusted: Bool, coarse: bool) -> list[CameraRound]:
-        """A round of all cameras, one thread for each; frames that are not `trusted` (F,) are not looked at."""
+    def measure(self, posed: Sequence[Posed], trusted: Bool, coarse: bool) -> list[CameraRound]:
+        """A round of all cameras, one thread for each; frames that are not `trusted` (F,) are left out."""
         with ThreadPoolExecutor(min(self.cameras, os.cpu_count() or 1)) as pool:
             rounds = list(pool.map(lambda i: self._one_camera(i, posed, trusted, coarse), range(self.cameras)))
-        self.colours = self._fresh()
+        self.colours = self._blank()
         for of_camera in rounds:
             self.colours = self.colours + of_camera.colours
         return rounds
 
     def _one_camera(self, i: int, posed: Sequence[Posed], trusted: Bool, coarse: bool) -> CameraRound:
-        learnt, recent = self._fresh(), list[tuple[int, View, RenderedView, SurfacePoints]]()
+        learnt, recent = self._blank(), list[tuple[int, View, RenderedView, SurfacePoints]]()
         contours, pairs, tallies = list[PointTerm | None](), list[BrightnessPair](), list[Tally]()
         for t, at in enumerate(posed):
             view = self._view(i, t, at) if trusted[t] else None
@@ -118,7 +119,7 @@ class Eyes:
             contours.append(term)
             tallies.append(tally)
             pairs += self._pairs(recent, (t, view, seen), coarse)
-            recent = [r for r in recent if t - r[0] < max(self.config.strides, default=0)]
+            recent = [r for r in recent if t - r[0] < max(self.config.strides)]
             recent.append((t, view, seen, followed_points(view, seen, self.config.points)))
         return CameraRound(contours, pairs, tallies, learnt)
 
@@ -133,11 +134,11 @@ class Eyes:
             return None, (np.zeros(self.parts), np.zeros(self.parts)), learnt
         contour = visible_contour(seen, max(1.0, Schedule().contour_spacing * seen.px_per_m))
         colours = self.colours.of(i, view.features.shape[2])
-        found = self.contour.locate(view, seen, contour, self.config.coarse if coarse else 1.0, colours)
-        assert isinstance(found.term, PointTerm) and found.agreement is not None
-        agreeing, points = found.agreement.agreeing, found.agreement.points
+        evidence = self.contour.locate(view, seen, contour, _COARSE if coarse else 1.0, colours)
+        assert isinstance(evidence.term, PointTerm) and evidence.agreement is not None
+        agreeing, points = evidence.agreement.agreeing, evidence.agreement.points
         learnt = learnt.learnt(i, view, seen, agreeing / np.maximum(points, 1), 1)
-        return found.term, (agreeing, points.astype(float)), learnt
+        return evidence.term, (agreeing, points.astype(float)), learnt
 
     def _pairs(
         self, recent: Sequence[tuple[int, View, RenderedView, SurfacePoints]], now: tuple[int, View, RenderedView],
@@ -155,7 +156,7 @@ class Eyes:
 
 
 def followed_points(view: View, seen: RenderedView, count: int) -> SurfacePoints:
-    """About so many points of the visible surface, the most textured of each cell of a grid, none at a rim."""
+    """About `count` points of the visible surface: the most textured of each cell of a grid, none at a rim."""
     cell, inverse = cell_of(seen, count), seen.camera.inverse_depth
     free = empty_grid(seen.mask.shape, cell)
     return seen.surface_points(*strongest_in_cells(view.grey, seen.nearness_image, inverse, cell, free))
@@ -168,7 +169,7 @@ def agreement(rounds: Sequence[CameraRound]) -> float:
 
 
 def support(rounds: Sequence[CameraRound]) -> Float:
-    """(F,) how far the contours support each frame's pose, judged as in tracking: its worst part's fraction."""
+    """(F,) support of each frame's pose by the contours, as in tracking: the fraction of its worst part."""
     rule, frames = SupportRule(), len(rounds[0].tallies)
     out, fraction = np.ones(frames), np.ones(len(rounds[0].tallies[0][0]))
     for t in range(frames):

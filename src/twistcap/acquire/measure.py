@@ -1,4 +1,4 @@
-"""From four checked silhouettes to what a body is made of: slices of every part, and joint centres."""
+"""From four checked silhouettes to slices of every part of the body, and joint centres."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ import numpy as np
 
 from twistcap import se3
 from twistcap._typing import Bool, Float
+from twistcap.acquire.joints import ArmCorner, arm_corner, narrowest
+from twistcap.acquire.outline import Separation, separate
+from twistcap.acquire.sections import Cut, sections
+from twistcap.acquire.silhouette import KeyView, check_views, middle_pixel, nearest_point
 from twistcap.body import _humanoid_profiles as P
 from twistcap.camera import Camera
 from twistcap.errors import InputError
-from twistcap.keyviews.joints import ArmCorner, arm_corner, narrowest
-from twistcap.keyviews.outline import Separation, separate
-from twistcap.keyviews.sections import Cut, sections
-from twistcap.keyviews.silhouette import KeyView, check_views, middle_pixel, nearest_point
 
 SIDES = ("r", "l")
 _STEP = 0.012  # m between slices
 _NEAR_PIT, _FLARE = 0.08, 0.6  # m from the arm pit where arms widen to shoulders; by how much, front and back, per m
-# Joint shifts: where anatomy has a joint less where the silhouettes show one (x forward, y outward, z up; shares of
+# Joint shifts: place in anatomy less place in the silhouettes (x forward, y outward, z up; fractions of
 # stature), in the poses of the key views. Measured on the built-in humanoid, but for the hip's height above the crotch:
-# 0.530 (Winter 2009, fig. 4.1) less the 0.478 of the crotch in ANSUR. They hold as far as people are alike.
+# 0.530 (Winter 2009, fig. 4.1) less the 0.478 of the crotch in ANSUR. They hold for average people.
 SHIFT: dict[str, tuple[float, float, float]] = {
     "shoulder": (0.0, 0.006, 0.0),
     "elbow": (0.0, 0.0025, 0.0),
@@ -38,14 +38,14 @@ SHIFT: dict[str, tuple[float, float, float]] = {
 
 @dataclass(frozen=True)
 class Measured:
-    """All that the views tell, in the body's axes: x forward, y left, z up, m; the origin is on the floor.
+    """Measurements from the views, in the body's axes: x forward, y left, z up, m; the origin is on the floor.
 
     Attributes:
         to_world: (4, 4) from these axes to the world.
         stature: height, m.
         slices: control points (n, 4, 3) by part: trunk, arm_r, arm_l, leg_r, leg_l.
         joints: centres (3,) by landmark name, in the pose of the front view.
-        separation, corners: what was seen in the front view and in the joint view, px.
+        separation, corners: of the front view and of the joint view, px.
         parts: separation of the joint view.
     """
 
@@ -63,10 +63,10 @@ def measure(views: Mapping[str, KeyView], body_line: float | None = None) -> Mea
 
     Args:
         views: by role.
-        body_line: height above the floor, m, above which the arm pits are looked for.
+        body_line: height above the floor, m, above which the arm pits are searched for.
 
     Raises:
-        InputError: for views that no body can be built from, naming view and reason.
+        InputError: for views that are not enough for a body, naming view and reason.
     """
     check_views(dict(views))
     to_world = _axes(views["front"], views["side"], views["above"])
@@ -86,29 +86,29 @@ def measure(views: Mapping[str, KeyView], body_line: float | None = None) -> Mea
     stature = top - floor
     height = float(np.ptp(np.flatnonzero(views["front"].mask.any(axis=1))))
     corners = {s: arm_corner(elbows.arms[k], elbows.pits[k], height) for k, s in enumerate(SIDES)}
-    found = _centre_joints(views["front"], slices, front, stature)
+    joints = _centre_joints(views["front"], slices, front, stature)
     for k, s in enumerate(SIDES):
-        found |= _leg_joints(views["front"], slices[f"leg_{s}"], front, s, floor, stature)
-        found |= _arm_joints(views, slices[f"arm_{s}"], front.pits[k], elbows.arms[k], corners[s], s)
-        found[f"shoulder_{s}"][0] = _mid_depth(slices["trunk"], found[f"shoulder_{s}"][2])
-    joints = _straight(_shifted(_even_shoulders(found), stature))
+        joints |= _leg_joints(views["front"], slices[f"leg_{s}"], front, s, floor, stature)
+        joints |= _arm_joints(views, slices[f"arm_{s}"], front.pits[k], elbows.arms[k], corners[s], s)
+        joints[f"shoulder_{s}"][0] = _mid_depth(slices["trunk"], joints[f"shoulder_{s}"][2])
+    joints = _straight(_shifted(_even_shoulders(joints), stature))
     return Measured(to_world, stature, slices, joints, front, corners, elbows)
 
 
-def _even_shoulders(found: dict[str, Float]) -> dict[str, Float]:
-    """Both shoulders equally far from the neck: an arm pit is a blunt corner, found 20 mm off at times, and hardly on
+def _even_shoulders(joints: dict[str, Float]) -> dict[str, Float]:
+    """Both shoulders equally far from the neck: an arm pit is a blunt corner, sometimes 20 mm off, and hardly on
     both sides at once."""
-    half = 0.5 * (found["shoulder_l"][1] - found["shoulder_r"][1])
-    out = dict(found)
+    half = 0.5 * (joints["shoulder_l"][1] - joints["shoulder_r"][1])
+    out = dict(joints)
     for side, sign in (("r", -1.0), ("l", 1.0)):
-        x, _, z = found[f"shoulder_{side}"]
-        out[f"shoulder_{side}"] = np.array([x, found["neck"][1] + sign * half, z])
+        x, _, z = joints[f"shoulder_{side}"]
+        out[f"shoulder_{side}"] = np.array([x, joints["neck"][1] + sign * half, z])
     return out
 
 
 def _straight(joints: dict[str, Float]) -> dict[str, Float]:
-    """Elbows and knees on the line of the joints beside them: arms and legs are held straight, that is the zero of
-    their angles, and 10 mm beside the line would be an error of 5° in every frame tracked later."""
+    """Elbows and knees moved onto the line of their neighbours: arms and legs are straight, which is the zero of their
+    angles. 10 mm off the line would be an error of 5° in every tracked frame."""
     out = dict(joints)
     for side in SIDES:
         for above, joint, below in (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle")):
@@ -117,10 +117,10 @@ def _straight(joints: dict[str, Float]) -> dict[str, Float]:
     return out
 
 
-def _shifted(found: dict[str, Float], stature: float) -> dict[str, Float]:
-    """Joints moved from where silhouettes show them to where anatomy has them."""
+def _shifted(joints: dict[str, Float], stature: float) -> dict[str, Float]:
+    """Joints moved from their places in the silhouettes to those in anatomy."""
     out: dict[str, Float] = {}
-    for name, point in found.items():
+    for name, point in joints.items():
         joint, _, side = name.partition("_")
         out[name] = point + stature * np.array(SHIFT[joint]) * [1.0, -1.0 if side == "r" else 1.0, 1.0]
     return out
@@ -219,8 +219,10 @@ def _arm_slices(views: Mapping[str, KeyView], arm: Bool, sign: int) -> Float:
 
 
 def _beside_trunk(arm: Float) -> Float:
-    """The slices (n, 4, 3) of an arm, from its pit outward, without what the trunk adds to the first in the view from
-    above: breast and shoulder blade, 30 to 70 mm before or behind an arm that itself widens smoothly."""
+    """The slices (n, 4, 3) of an arm, from its pit outward, without the trunk in the view from above.
+
+    Breast and shoulder blade are 30 to 70 mm before or behind the first slices; the arm itself widens smoothly.
+    """
     out, y = arm.copy(), np.abs(arm.mean(axis=1)[:, 1])
     near = np.flatnonzero(y < y.min(initial=np.inf) + _NEAR_PIT)
     edges = arm[:, :, 0].reshape(-1, 2, 2).mean(axis=2)
@@ -246,7 +248,7 @@ def _heights(view: KeyView, slices: Mapping[str, Float]) -> tuple[float, float]:
 
 
 def _mended(slices: Mapping[str, Float], side: KeyView, floor: float) -> dict[str, Float]:
-    """Trunk and legs without what other limbs add to them in the side view."""
+    """Trunk and legs without the other limbs in the side view."""
     hidden = _arms_seen(side, [slices["arm_r"], slices["arm_l"]])
     right, left = (control[control[:, :, 2].mean(axis=1) > floor] for control in (slices["leg_r"], slices["leg_l"]))
     return {
@@ -259,8 +261,8 @@ def _mended(slices: Mapping[str, Float], side: KeyView, floor: float) -> dict[st
 def _as_deep(leg: Float, other: Float) -> Float:
     """The slices (n, 4, 3) of a leg no deeper than both views of it allow.
 
-    Seen from the side one leg hides behind the other, and the silhouette is that of both. As they stand side by side,
-    each is as deep as the part of the depth that its own and the other's slices at this height share.
+    From the side, one leg hides behind the other, and the silhouette is that of both. As they stand side by side,
+    the depth of each is what its own and the other's slices at this height have in common.
     """
     z, other_z = leg.mean(axis=1)[:, 2], other.mean(axis=1)[::-1, 2]
     out, pairs = leg.copy(), ([0, 1], [2, 3])
@@ -313,7 +315,7 @@ def _leg_joints(
 ) -> dict[str, Float]:
     """Hip, knee and ankle of a leg: from the front on the line its slices follow, from the side on the plumb line.
 
-    A straight leg shows neither knee nor ankle: they lie at the heights they have in people, Winter (2009), fig. 4.1.
+    A straight leg shows neither knee nor ankle: their heights are those of Winter (2009), fig. 4.1.
     """
     centres = leg.mean(axis=1)
     crotch = float(_frontal(view, front.crotch)[2])
@@ -323,8 +325,8 @@ def _leg_joints(
     if straight.sum() < 4:
         raise InputError("key views: the legs are not seen from thigh to shank; check silhouettes and calibration.")
     fit = np.polynomial.polynomial.polyfit(centres[straight, 2], centres[straight, :2], 1)
-    share = P.RATIOS["thigh"] / (P.RATIOS["thigh"] + P.RATIOS["shank"])
-    heights = {"hip": crotch, "knee": hip_z + share * (ankle_z - hip_z), "ankle": ankle_z}
+    ratio = P.RATIOS["thigh"] / (P.RATIOS["thigh"] + P.RATIOS["shank"])
+    heights = {"hip": crotch, "knee": hip_z + ratio * (ankle_z - hip_z), "ankle": ankle_z}
     shank_and_thigh = (centres[:, 2] > ankle_z) & (centres[:, 2] < crotch)
     x = float(centres[shank_and_thigh, 0].mean())
     y = {n: float(fit[0, 1] + fit[1, 1] * z) for n, z in heights.items()}
@@ -335,7 +337,7 @@ def _leg_joints(
 def _arm_joints(
     views: Mapping[str, KeyView], arm: Float, pit: Float, bent: Bool, corner: ArmCorner, side: str
 ) -> dict[str, Float]:
-    """Shoulder at the arm pit, elbow as far from the fingertip as the joint view shows it, wrist at the narrowest."""
+    """Shoulder at the arm pit, elbow at its distance from the fingertip in the joint view, wrist at the narrowest."""
     centres = arm.mean(axis=1)
     x = float(np.median(centres[:, 0]))
     tip = centres[-1] + (centres[-1] - centres[-6]) / 5.0 * 0.5

@@ -18,8 +18,9 @@ _NEEDS = {
     "above": "the arm view: the arms held out, seen from above",
     "elbows": "the joint view: upper arms out sideways, forearms straight up",
 }
-_KEPT = 0.35  # px of a person's rim that are rather kept: toes and fingers are thin
-_TILT = np.deg2rad(30.0)  # two views farther than this from a right angle give no control points worth having
+_KEPT = 0.35  # px of a person's rim that are kept: toes and fingers are thin
+_TILT = np.deg2rad(30.0)  # two views farther than this from a right angle give poor control points
+_NOISE = 4.0  # times the median difference from the plate: what differs more is the person
 
 
 @dataclass(frozen=True)
@@ -31,13 +32,13 @@ class KeyView:
     mask: Bool
 
     def soft(self, part: Bool | None = None) -> Float32:
-        """(H, W) the silhouette, or a part of it, blurred by one pixel: its level 0.5 lies between the pixels."""
+        """(H, W) the silhouette, or a part of it, blurred by one pixel: its level 0.5 is between the pixels."""
         mask = self.mask if part is None else part
         return np.asarray(cv2.GaussianBlur(mask.astype(np.float32), (0, 0), 1.0), np.float32)
 
 
-def difference_mask(image: AnyArray, plate: AnyArray, noise: float = 4.0) -> Bool:
-    """(H, W) where an image differs from the empty plate by more than ``noise`` times what it differs by elsewhere.
+def difference_mask(image: AnyArray, plate: AnyArray) -> Bool:
+    """(H, W) where an image differs from the empty plate by more than four times the median difference.
 
     Raises:
         InputError: if image and plate are not of one shape.
@@ -46,15 +47,17 @@ def difference_mask(image: AnyArray, plate: AnyArray, noise: float = 4.0) -> Boo
         raise InputError(f"the image is {image.shape[1::-1]} and its background {plate.shape[1::-1]}; take both alike.")
     change = np.abs(cv2.GaussianBlur(image, (0, 0), 1.0).astype(float) - cv2.GaussianBlur(plate, (0, 0), 1.0))
     change = change.reshape(*change.shape[:2], -1).max(axis=2)
-    mask = (change > max(noise * float(np.median(change)), 5.0)).astype(np.uint8)  # most of the image is empty room
+    mask = (change > max(_NOISE * float(np.median(change)), 5.0)).astype(np.uint8)  # most of the image is empty room
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
     mask = cv2.morphologyEx(cv2.morphologyEx(mask, cv2.MORPH_OPEN, kernel), cv2.MORPH_CLOSE, kernel)
     return _at_half_contrast(change, mask)
 
 
 def _at_half_contrast(change: Float, mask: AnyArray, rim: int = 4) -> Bool:
-    """The mask (H, W) made smaller by as much as, at the median of its rim, the change is less than half of what it is
-    a few pixels farther in: noise is small, so that a mask of all above noise reaches out into the blur of the edge."""
+    """The mask (H, W) eroded by the median depth at which the change reaches half of its value farther inside.
+
+    Noise is small, so that a mask of all above noise contains the outer blur of the edge.
+    """
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * rim + 1,) * 2)
     core = cv2.erode(mask, kernel)
     inner = cv2.dilate(
@@ -78,7 +81,7 @@ def one_person(mask: Bool) -> Bool:
 
 
 def check_views(views: dict[str, KeyView]) -> None:
-    """Whether a body can be built from the views.
+    """Check that a body can be built from the views.
 
     Raises:
         InputError: for a view that is missing, empty, cut off by the image's border, or not near-orthogonal.

@@ -77,11 +77,11 @@ def corners(curve: Float, reach: tuple[int, int], angle: float, closed: bool) ->
     for k in range(reach[0], reach[1] + 1, max(1, (reach[1] - reach[0]) // 6)):
         a, b = np.roll(curve, k, axis=0) - curve, np.roll(curve, -k, axis=0) - curve
         cosine = (a * b).sum(axis=1) / np.maximum(np.hypot(*a.T) * np.hypot(*b.T), 1e-9)
-        found = np.arccos(np.clip(cosine, -1.0, 1.0))
+        bend = np.arccos(np.clip(cosine, -1.0, 1.0))
         if not closed:
-            found[:k] = found[n - k :] = np.pi
-        sharper = found < opening
-        opening = np.where(sharper, found, opening)
+            bend[:k] = bend[n - k :] = np.pi
+        sharper = bend < opening
+        opening = np.where(sharper, bend, opening)
         turn = np.where(sharper, a[:, 1] * b[:, 0] - a[:, 0] * b[:, 1], turn)  # > 0: to the right, as convex ones do
     kept: list[int] = []
     for i in np.argsort(opening):
@@ -97,14 +97,14 @@ def _arm_pits(mask: Bool, line: float, height: int) -> Float:
     curve = outline(mask)
     reach = max(4, round(0.025 * height)), max(8, round(0.05 * height))
     index, opening = corners(curve, reach, _PIT_ANGLE, closed=True)
-    found = curve[index[opening < 0]]
-    found = found[found[:, 1] < line]
+    concave = curve[index[opening < 0]]
+    concave = concave[concave[:, 1] < line]
     rows = np.flatnonzero(mask.any(axis=1))
     top = np.flatnonzero(mask[rows[0] : rows[0] + max(2, height // 10)].any(axis=0))
     middle = (top[0] + top[-1]) / 2
     pits: list[Float] = []
     for side, name in ((-1, "right"), (1, "left")):
-        own = found[side * (found[:, 0] - middle) > 0.03 * height]
+        own = concave[side * (concave[:, 0] - middle) > 0.03 * height]
         if len(own) == 0:
             raise InputError(
                 f"key view 'front': the {name} arm pit is not to be seen; hold the arms out sideways, or set body_line"
@@ -124,8 +124,8 @@ def _arm_beyond(mask: Bool, pit: Float, side: int) -> Bool:
         beyond[:, x:] = False
     _, labels = cv2.connectedComponents(beyond.astype(np.uint8))
     column = labels[: y + 1, x + side]
-    found = column[column > 0]
-    return (labels == found[-1]) & beyond if len(found) else np.zeros_like(mask)
+    below = column[column > 0]
+    return (labels == below[-1]) & beyond if len(below) else np.zeros_like(mask)
 
 
 def _crotch(rest: Bool, line: float) -> Float:

@@ -1,4 +1,4 @@
-"""Where the joints are: skeleton corners and narrowest slices, shifted to where anatomy has the joints."""
+"""Joints in silhouettes: skeleton corners and narrowest slices."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from twistcap._typing import Bool, Float
+from twistcap.acquire.outline import corners, skeleton
 from twistcap.errors import InputError
-from twistcap.keyviews.outline import corners, skeleton
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ def arm_corner(arm: Bool, trunk_side: Float, height: float) -> ArmCorner:
 
     Args:
         arm: mask of one arm.
-        trunk_side: (2,) a pixel (x, y) beside which the arm leaves the trunk.
+        trunk_side: (2,) pixel (x, y) near which the arm leaves the trunk.
         height: of the person, px.
 
     Raises:
@@ -48,7 +48,7 @@ def arm_corner(arm: Bool, trunk_side: Float, height: float) -> ArmCorner:
 
 
 def _longest_path(pixels: Bool, start_near: Float) -> Float:
-    """(N, 2) the longest way through a skeleton from the pixel nearest to a point, returned from its far end."""
+    """(N, 2) the longest path through a skeleton from the pixel nearest to a point, in order from its far end."""
     points = np.argwhere(pixels)[:, ::-1]
     number = {tuple(p): i for i, p in enumerate(points.tolist())}
     start = int(np.argmin(((points - start_near) ** 2).sum(axis=1)))
@@ -78,7 +78,7 @@ def _crossing(first: tuple[Float, Float], second: tuple[Float, Float]) -> Float:
     return p + t[0] * d
 
 
-def girths(control: Float) -> tuple[Float, Float]:
+def _girths(control: Float) -> tuple[Float, Float]:
     """Both widths (n,), (n,) of slices (n, 4, 3), m."""
     a = np.linalg.norm(control[:, 1] - control[:, 0] + control[:, 2] - control[:, 3], axis=1) / 2
     b = np.linalg.norm(control[:, 3] - control[:, 0] + control[:, 2] - control[:, 1], axis=1) / 2
@@ -86,8 +86,12 @@ def girths(control: Float) -> tuple[Float, Float]:
 
 
 def narrowest(control: Float, along: Float, between: tuple[float, float]) -> float:
-    """Where along a limb, m, the girth of its slices (n, 4, 3) is least, within a range of `along` (n,)."""
-    a, b = girths(control)
+    """Place along a limb, m, of the least girth of its slices (n, 4, 3), within a range of `along` (n,).
+
+    Raises:
+        InputError: where no slice is in the range.
+    """
+    a, b = _girths(control)
     area = gaussian_filter1d(a * b, 1.0, mode="nearest")
     inside = np.flatnonzero((along >= between[0]) & (along <= between[1]))
     if len(inside) == 0:

@@ -12,6 +12,7 @@ from twistcap._typing import Float, Float32
 from twistcap.camera import Camera
 
 _REACH, _STEP = 0.6, 0.001  # m on either side of the middle that is searched for the silhouette; sampling
+_PASSES = 3  # in which the middle is improved
 
 
 @dataclass(frozen=True)
@@ -22,15 +23,15 @@ class Cut:
     soft: Float32
 
 
-def section(first: Cut, second: Cut, middle: Float, passes: int = 3) -> Float | None:
-    """Four control points (4, 3) of the slice through a middle (3,), in turn about it; None where a view shows nothing.
+def section(first: Cut, second: Cut, middle: Float) -> Float | None:
+    """Four control points (4, 3) of the slice through a middle (3,), in order; None where a view shows nothing.
 
     The slicing plane holds both optical centres: it is seen as one epipolar line in either image, so that the two edges
-    of each silhouette on it are four rays in one plane, which meet in four points. The middle is then taken anew.
+    of each silhouette on it are four rays in one plane, which meet in four points. Their mean is the next middle.
     Source: Brox, Rosenhahn and Cremers, "Contours, Optic Flow, and Prior Knowledge", appendix.
     """
     corners = None
-    for _ in range(passes):
+    for _ in range(_PASSES):
         normal = np.cross(first.camera.centre - middle, second.camera.centre - middle)
         normal /= np.linalg.norm(normal)
         one, two = _edges(first, middle, normal), _edges(second, middle, normal)
@@ -43,7 +44,7 @@ def section(first: Cut, second: Cut, middle: Float, passes: int = 3) -> Float | 
 
 
 def _edges(cut: Cut, middle: Float, normal: Float) -> Float | None:
-    """(2, 3) points on the rays of the silhouette's two edges, beside the middle and across the line of sight."""
+    """(2, 3) points on the rays of the silhouette's two edges, on a line through the middle across the sight."""
     sight = middle - cut.camera.centre
     across = np.cross(normal, sight)
     across /= np.linalg.norm(across)
@@ -60,16 +61,16 @@ def _edges(cut: Cut, middle: Float, normal: Float) -> Float | None:
 
 
 def _crossing(s: Float, values: Float, at: int, side: int) -> float:
-    """Where the values fall through 0.5 beside a sample, linearly between it and the next."""
+    """Where the values fall below 0.5 next to a sample, by linear interpolation."""
     beyond = at + side
     if not 0 <= beyond < len(s):
         return float(s[at])
-    share = (values[at] - 0.5) / max(values[at] - values[beyond], 1e-9)
-    return float(s[at] + share * (s[beyond] - s[at]))
+    fraction = (values[at] - 0.5) / max(values[at] - values[beyond], 1e-9)
+    return float(s[at] + fraction * (s[beyond] - s[at]))
 
 
 def _meet(c1: Float, p1: Float, c2: Float, p2: Float, normal: Float) -> Float:
-    """(3,) where the lines c1 p1 and c2 p2 of one plane meet."""
+    """(3,) intersection of the lines c1 p1 and c2 p2 of one plane."""
     d1, d2 = p1 - c1, p2 - c2
     along = np.cross(normal, d2)
     return c1 + d1 * ((c2 - c1) @ along) / (d1 @ along)
@@ -103,5 +104,5 @@ def closed_spline(control: Float, count: int, fullness: float = 1.0) -> Float:
 
 def sections(first: Cut, second: Cut, middles: Iterable[Float]) -> Float:
     """(n, 4, 3) control points of the slices through middles (3,), without those that a view does not show."""
-    found = [section(first, second, middle) for middle in middles]
-    return np.array([c for c in found if c is not None]).reshape(-1, 4, 3)
+    corners = [section(first, second, middle) for middle in middles]
+    return np.array([c for c in corners if c is not None]).reshape(-1, 4, 3)

@@ -1,7 +1,7 @@
 """A silhouette cut out by hand: a rectangle, strokes on person and background, and GrabCut between them.
 
 Rother, Kolmogorov and Blake, *GrabCut: Interactive Foreground Extraction using Iterated Graph Cuts*, ACM TOG 23(3),
-2004 (DOI 10.1145/1015706.1015720), as OpenCV has it.
+2004 (DOI 10.1145/1015706.1015720), in OpenCV's implementation.
 """
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ import cv2
 import numpy as np
 
 from twistcap._typing import Bool, Float, UInt8
-from twistcap.keyviews.silhouette import one_person
+from twistcap.acquire.silhouette import one_person
 
 _ROUNDS = 4
-_SURE = 0.02  # of the image's height: an earlier silhouette is taken for granted farther than this from its edge
+_SURE = 0.02  # of the image's height: an earlier silhouette is certain farther than this from its edge
+_LARGEST = 640  # px; a larger image is made smaller for the cut, and the silhouette is enlarged again
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class Stroke:
 
 @dataclass(frozen=True)
 class Hints:
-    """What the user has drawn on one image, in its pixels.
+    """The user's drawing on one image, in its pixels.
 
     Attributes:
         rectangle: x and y of two corners around the person; None where an earlier silhouette is mended.
@@ -41,17 +42,16 @@ class Hints:
     strokes: Sequence[Stroke] = field(default_factory=tuple)
 
 
-def cut_out(image: UInt8, hints: Hints, known: Bool | None = None, largest: int = 640) -> Bool | None:
-    """The person's silhouette (H, W), one piece without small holes; None as long as nothing says where it is.
+def cut_out(image: UInt8, hints: Hints, known: Bool | None = None) -> Bool | None:
+    """The person's silhouette (H, W), one piece without small holes; None without any hint.
 
     Args:
         image: (H, W, 3).
-        hints: what was drawn.
+        hints: the drawing.
         known: (H, W) an earlier silhouette, which counts where there is no rectangle.
-        largest: px; a larger image is made smaller for the cut, and the silhouette is enlarged again.
     """
     height, width = image.shape[:2]
-    factor = min(1.0, largest / max(height, width))
+    factor = min(1.0, _LARGEST / max(height, width))
     size = max(1, round(width * factor)), max(1, round(height * factor))
     small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
     labels = _labels(size, hints, known, factor)

@@ -10,12 +10,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from twistcap._typing import Bool, Float
+from twistcap.acquire.build import Acquired
+from twistcap.acquire.measure import Measured
+from twistcap.acquire.sections import closed_spline, fullness
+from twistcap.acquire.silhouette import KeyView
 from twistcap.body import Posed
 from twistcap.body.kinematics import Pose
-from twistcap.keyviews.build import Acquired
-from twistcap.keyviews.measure import Measured
-from twistcap.keyviews.sections import closed_spline, fullness
-from twistcap.keyviews.silhouette import KeyView
 
 _PARTS = {"trunk": "0.4", "arm_r": "tab:red", "arm_l": "tab:blue", "leg_r": "tab:orange", "leg_l": "tab:cyan"}
 

@@ -9,17 +9,17 @@ import numpy as np
 
 from twistcap import se3
 from twistcap._typing import Float, Int
+from twistcap.acquire.measure import SIDES, Measured
+from twistcap.acquire.sections import closed_spline, fullness
 from twistcap.body import Body, Landmarks
 from twistcap.body.humanoid import humanoid
 from twistcap.body.shape import joint_origin
-from twistcap.keyviews.measure import SIDES, Measured
-from twistcap.keyviews.sections import closed_spline, fullness
 
 _RING = 24  # vertices of a slice
 _DOWN = np.array([0.0, 0.0, -1.0])
-# The joint of L5 and S1 from the middle of the hips, shares of stature: Reed, Manary and Schneider 1999 (SAE
+# The joint of L5 and S1 from the middle of the hips, as fractions of stature: Reed, Manary and Schneider 1999 (SAE
 # 1999-01-0959) put it 0.404 of the pelvis' breadth (224 mm at 1.75 m) above the hips and 0.056 behind them. The
-# numbers were not checked against the printed paper; on two of Anny's meshes they lie at the mesh's own joint.
+# numbers were not checked against the printed paper; on two of Anny's meshes they agree with the mesh's own joint.
 _LUMBAR = np.array([-0.007, 0.0, 0.052])
 _FOLD, _GROIN = 0.085, 0.015  # m below the hip, at 1.75 m: the fold of the buttock 0.1 m behind it, the groin before it
 
@@ -30,7 +30,7 @@ class Acquired:
 
     Attributes:
         body: rest pose and skeleton of the built-in humanoid, the person's own surface and joint centres.
-        measured: what it was made from.
+        measured: its slices and joints.
         surface: (V, 3) the body's vertices as the person stood in the front view, in the body's axes, m.
     """
 
@@ -40,21 +40,24 @@ class Acquired:
 
 
 def build(measured: Measured) -> Acquired:
-    """The body that the tracker takes. Arms and legs run on into the trunk and are closed there (appendix: "the arm
-    patches are connected to the mid plane of the torso"), so that no gap opens when they move."""
+    """The body for the tracker.
+
+    Arms and legs continue into the trunk and are closed there (Brox, Rosenhahn and Cremers, appendix: "the arm patches
+    are connected to the mid plane of the torso"), so that no gap opens when they move.
+    """
     skeleton = humanoid(stature=measured.stature)
     motions, centres = _motions(skeleton, measured)
     points, faces, parts = _surface(measured)
     weights = _binding(skeleton, measured, points, parts)
-    segments, shares = _strongest(weights)
-    rest = _unposed(motions[segments], shares, points)
+    segments, fractions = _strongest(weights)
+    rest = _unposed(motions[segments], fractions, points)
     body = replace(
         _rejointed(skeleton, centres),
         name="keyviews",
         vertices=rest,
         faces=faces,
         skin_segments=segments,
-        skin_weights=shares,
+        skin_weights=fractions,
     )
     return Acquired(_with_feet(body), measured, points)
 
@@ -79,7 +82,7 @@ def _motions(skeleton: Body, measured: Measured) -> tuple[Float, Float]:
 
 
 def _straightened(at: list[Float], mid_hip: Float, flat_end: bool) -> tuple[Float, Float]:
-    """Motions (3, 4, 4) of a limb from hanging straight down to its joints (3,) each, and its joints then (3, 3)."""
+    """Motions (3, 4, 4) of a limb from straight down to its joints, and its joints (3, 3) when straight down."""
     rest = [at[0] - mid_hip]
     turns = [_turn(_DOWN, at[1] - at[0])]
     turns.append(_turn(at[1] - at[0], at[2] - at[1]) @ turns[0])
@@ -112,7 +115,7 @@ def _surface(measured: Measured) -> tuple[Float, Int, list[str]]:
 
 
 def _joined(measured: Measured) -> dict[str, Float]:
-    """The slices of all parts, those of arms and legs carried on into the trunk."""
+    """The slices of all parts, those of arms and legs continued into the trunk."""
     out = dict(measured.slices)
     for side in SIDES:
         medial = np.array([0.0, 1.0 if side == "r" else -1.0, 0.0])
@@ -142,14 +145,14 @@ def _loft(rings: Float) -> tuple[Float, Int]:
 
 
 def _binding(skeleton: Body, measured: Measured, points: Float, parts: list[str]) -> Float:
-    """(V, S) shares of the segments: every joint hands its share on, smoothly, as the humanoid's do."""
+    """(V, S) skin weights: at every joint a smooth fraction goes to the segment below, as in the humanoid."""
     J, size = measured.joints, measured.stature / 1.75
     weights = np.zeros((len(points), len(skeleton.segment_names)))
     weights[:, skeleton.segment("pelvis")] = 1.0
     part = np.array(parts)
 
-    def hand(above: str, below: str, share: Float) -> None:
-        moved = weights[:, skeleton.segment(above)] * share
+    def hand(above: str, below: str, fraction: Float) -> None:
+        moved = weights[:, skeleton.segment(above)] * fraction
         weights[:, skeleton.segment(above)] -= moved
         weights[:, skeleton.segment(below)] += moved
 
@@ -159,16 +162,16 @@ def _binding(skeleton: Body, measured: Measured, points: Float, parts: list[str]
     tilted = points[:, 2] + 0.3 * (points[:, 0] - J["neck"][0])
     hand("torso", "head", (part == "trunk") * _ramp(tilted, J["neck"][2] + 0.02 * size, 0.045))
     for side in SIDES:
-        shares = _limb_shares(J, points, part, side, size)
+        fractions = _limb_fractions(J, points, part, side, size)
         for above, below in (("torso", "humerus"), ("humerus", "ulna"), ("ulna", "radius")):
-            hand(above if above == "torso" else f"{above}_{side}", f"{below}_{side}", shares[below])
+            hand(above if above == "torso" else f"{above}_{side}", f"{below}_{side}", fractions[below])
         for above, below in (("pelvis", "femur"), ("femur", "tibia"), ("tibia", "foot")):
-            hand(above if above == "pelvis" else f"{above}_{side}", f"{below}_{side}", shares[below])
+            hand(above if above == "pelvis" else f"{above}_{side}", f"{below}_{side}", fractions[below])
     return weights
 
 
-def _limb_shares(J: Mapping[str, Float], points: Float, part: Int, side: str, size: float) -> dict[str, Float]:
-    """(V,) by segment: what it takes over from the one above it."""
+def _limb_fractions(J: Mapping[str, Float], points: Float, part: Int, side: str, size: float) -> dict[str, Float]:
+    """(V,) by segment: fraction of the weight that it takes from the one above it."""
 
     def along(joint: str, to: str) -> Float:
         way = J[f"{to}_{side}"] - J[f"{joint}_{side}"]
@@ -204,13 +207,13 @@ def _strongest(weights: Float) -> tuple[Int, Float]:
 
 
 def _unposed(motions: Float, weights: Float, points: Float) -> Float:
-    """Rest positions (V, 3) that linear-blend skinning by motions (V, 4, 4, 4) carries to the given points (V, 3)."""
+    """Rest positions (V, 3) that linear-blend skinning by motions (V, 4, 4, 4) moves to the given points (V, 3)."""
     blended = np.einsum("vk,vkij->vij", weights, motions)
     return np.linalg.solve(blended[:, :3, :3], (points - blended[:, :3, 3])[..., None])[..., 0]
 
 
 def _rejointed(skeleton: Body, centres: Float) -> Body:
-    """The skeleton with its joints at new centres (S, 3); landmarks move along with their segment's joint."""
+    """The skeleton with its joints at new centres (S, 3); landmarks move with their segment's joint."""
     twists, marks = skeleton.twists.copy(), skeleton.landmarks
     old = np.array([joint_origin(skeleton, s) for s in range(len(centres))])
     old[skeleton.segment_joint < 0] = 0.0
@@ -225,7 +228,7 @@ def _rejointed(skeleton: Body, centres: Float) -> Body:
 
 
 def _with_feet(body: Body) -> Body:
-    """Toes, heels and the top of the head marked where the surface has them."""
+    """The body with landmarks of toes, heels and the top of the head on its surface."""
     marks, points = body.landmarks, body.landmarks.points.copy()
     part = body.vertex_part
     for side in SIDES:
