@@ -19,9 +19,9 @@ from reproduce.arrays import AnyArray, Float, Float32, Int
 from reproduce.layers import Layers, LimbCost, learnt
 from twistcap.body import Body
 from twistcap.cues.view import Picture
-from twistcap.differential.settings import DifferentialConfig
-from twistcap.differential.tracker import track
-from twistcap.differential.view import State
+from twistcap.differential.settings import DifferentialConfig, Rule
+from twistcap.differential.state import State
+from twistcap.differential.step import track
 from twistcap.errors import InputError
 
 _LEVEL = 1  # of the pyramid, at which postures are compared
@@ -94,6 +94,7 @@ def track_sequence(
     start: State,
     frames: Sequence[Sequence[AnyArray | None]],
     config: DifferentialConfig | None = None,
+    rule: Rule | None = None,
     sequence: SequenceConfig | None = None,
 ) -> list[State]:
     """The states of a body in all frames, the first of which is known; the cameras stand still.
@@ -102,22 +103,22 @@ def track_sequence(
         body: whose surface gives the depth.
         start: state in the first frame.
         frames: one image per view each.
-        config: of the tracker.
+        config, rule: of the tracker.
         sequence: of the passes after its first.
 
     Raises:
-        InputError: where a frame lacks an image, and as `DifferentialTracker` does.
+        InputError: where a frame lacks an image, and as `differential.step` does.
     """
-    config, sequence = config or DifferentialConfig(), sequence or SequenceConfig()
+    config, rule, sequence = config or DifferentialConfig(), rule or Rule(), sequence or SequenceConfig()
     whole = [_whole(n, frame) for n, frame in enumerate(frames)]
     start = start.sized(whole[0])
-    states = [start, *(e.state for e in track(body, start, whole, config))]
-    level = min(_LEVEL, config.levels - 1)
+    states = [start, *(e.state for e in track(body, start, whole, config, rule))]
+    level = min(_LEVEL, rule.levels - 1)
     grey = [[Picture(image).level(level, colour=False)[0] for image in frame] for frame in whole]
-    near = replace(config, levels=min(2, config.levels), stray_deg=sequence.stray_deg)
+    near, fine = replace(config, stray_deg=sequence.stray_deg), replace(rule, levels=min(2, rule.levels))
     for n in range(sequence.passes):
         states = chosen(body, states, grey, 0.5**level, sequence, closer=1.0 / (n + 1))
-        states = [start, *(e.state for e in track(body, start, whole, near, states))]
+        states = [start, *(e.state for e in track(body, start, whole, near, fine, states))]
     return states
 
 

@@ -12,15 +12,16 @@ from support.finite_differences import check_jacobian, numeric_jacobian
 from twistcap import se3
 from twistcap.body.humanoid import humanoid
 from twistcap.camera import Camera, look_at
-from twistcap.differential.system import (
+from twistcap.camera.scaled import ROOT, ScaledView
+from twistcap.differential.state import State
+from twistcap.errors import InputError
+from twistcap.render import render
+from twistcap.terms.photometric import Samples
+from twistcap.terms.scaled import (
     image_motion,
     normal_equations,
     normal_equations_reference,
 )
-from twistcap.differential.view import ROOT, ScaledView, State
-from twistcap.errors import InputError
-from twistcap.render import render
-from twistcap.terms.photometric import Samples
 
 BODY = humanoid()
 SIZE = (200, 260)

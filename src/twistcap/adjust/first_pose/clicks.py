@@ -18,12 +18,13 @@ from twistcap.adjust.first_pose.skeleton import Proportions, Scaling, Skeleton
 from twistcap.body import Body, Posed, rescaled
 from twistcap.body.kinematics import Pose
 from twistcap.camera import pinhole
-from twistcap.differential.system import image_motion
-from twistcap.differential.view import ROOT, ScaledView, State
+from twistcap.camera.scaled import ROOT, ScaledView
+from twistcap.differential.state import State
 from twistcap.errors import InputError
 from twistcap.render import SurfacePoints
 from twistcap.solve import BlockProblem, Variables, Vector, minimise
-from twistcap.terms import BlockGaussian, BlockTerm, Place, Slope, Sums
+from twistcap.terms import BlockGaussian, BlockTerm, Slope, Sums
+from twistcap.terms.scaled import ViewGaussian, image_motion
 
 _FEWEST = 4
 _HEADINGS = 8
@@ -185,6 +186,7 @@ def click_problem(clicks: Clicks, start: Variables, config: ClickConfig) -> Bloc
     """``½ Σ |x − click|² / σ²`` and weak Gaussians on angles, log-factors and the views' turns out of the start's."""
     skeleton: Skeleton = start["shape"].skeleton
     c, J = config, len(start["joints"].values)
+    lean = np.array([*[np.inf] * 3, *[np.deg2rad(c.lean_deg)] * 3])
     sizes = [c.stature, *[c.length] * len(skeleton.length_groups), *[c.girth] * len(skeleton.girth_segments)]
     terms: list[BlockTerm] = [
         BlockGaussian("joints", np.zeros(J), np.full(J, np.deg2rad(c.angle_deg)), "neutral"),
@@ -193,7 +195,7 @@ def click_problem(clicks: Clicks, start: Variables, config: ClickConfig) -> Bloc
     for v in range(len(clicks.pixels)):
         own = np.flatnonzero(clicks.known[v])
         terms.append(ClickTerm(_view(v), clicks.marks[own], clicks.pixels[v, own], c.sigma_px))
-        terms.append(LeanTerm(_view(v), start[_view(v)], float(np.deg2rad(c.lean_deg))))
+        terms.append(ViewGaussian(_view(v), start[_view(v)], lean))
     return BlockProblem(terms)
 
 
@@ -249,32 +251,3 @@ class ClickTerm:
 
     def _posed(self, x: Variables) -> Posed:
         return Posed(x["shape"].body, Pose(np.eye(4), x["joints"].values))
-
-
-@dataclass(frozen=True)
-class LeanTerm:
-    """A Gaussian about a view's turn at the start, for a camera held upright.
-
-    Attributes:
-        view: its block.
-        start: the view there.
-        sigma: rad.
-    """
-
-    view: str
-    start: ScaledView
-    sigma: float
-    name: str = "lean"
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        return (self.view,)
-
-    def energy(self, x: Variables) -> float:
-        turn = x[self.view].minus(self.start)[3:]
-        return 0.5 * float(turn @ turn) / self.sigma**2
-
-    def add_to(self, sums: Sums, x: Variables) -> None:
-        turn = x[self.view].minus(self.start)[3:]
-        D = se3.inverse_left_jacobian(np.concatenate([turn, np.zeros(3)]))[:3, :3] / self.sigma
-        sums.add_quadratic([Place(self.view, 3, 3)], self.energy(x), D.T @ turn / self.sigma, D.T @ D)
