@@ -17,6 +17,7 @@ from reproduce.scenes.walks import Walk
 from twistcap.body import Body, Posed
 from twistcap.body.simplify import angles_of
 from twistcap.camera import ScaledView
+from twistcap.differential.model import DifferentialModel
 from twistcap.differential.settings import DifferentialConfig, Rule
 from twistcap.differential.state import State
 from twistcap.differential.step import track
@@ -109,9 +110,10 @@ def _states(
     """The states of all frames but the first, which is given."""
     start = state_of(scene.true_poses[0], scene.rig, config.perspective)
     first = State(start.views, angles_of(model, scene.body, start.q))
+    followed = DifferentialModel(model, config, trial.rule)
     if trial.sequence is None:
-        return [estimate.state for estimate in track(model, first, images, config, trial.rule)]
-    return track_sequence(model, first, images, config, trial.rule, trial.sequence)[1:]
+        return [estimate.state for estimate in track(followed, first, images)]
+    return track_sequence(followed, first, images, trial.sequence)[1:]
 
 
 def _trace(

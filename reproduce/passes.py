@@ -19,7 +19,7 @@ from reproduce.arrays import AnyArray, Float, Float32, Int
 from reproduce.layers import Layers, LimbCost, learnt
 from twistcap.body import Body
 from twistcap.cues.view import Picture
-from twistcap.differential.settings import DifferentialConfig, Rule
+from twistcap.differential.model import DifferentialModel
 from twistcap.differential.state import State
 from twistcap.differential.step import track
 from twistcap.errors import InputError
@@ -90,35 +90,33 @@ class SequenceConfig:
 
 
 def track_sequence(
-    body: Body,
+    model: DifferentialModel,
     start: State,
     frames: Sequence[Sequence[AnyArray | None]],
-    config: DifferentialConfig | None = None,
-    rule: Rule | None = None,
     sequence: SequenceConfig | None = None,
 ) -> list[State]:
     """The states of a body in all frames, the first of which is known; the cameras stand still.
 
     Args:
-        body: whose surface gives the depth.
+        model: body and settings of the tracker.
         start: state in the first frame.
         frames: one image per view each.
-        config, rule: of the tracker.
         sequence: of the passes after its first.
 
     Raises:
-        InputError: where a frame lacks an image, and as `differential.step` does.
+        InputError: where a frame lacks an image, and as `differential.step.followed` does.
     """
-    config, rule, sequence = config or DifferentialConfig(), rule or Rule(), sequence or SequenceConfig()
+    sequence, config, rule = sequence or SequenceConfig(), model.config, model.rule
     whole = [_whole(n, frame) for n, frame in enumerate(frames)]
     start = start.sized(whole[0])
-    states = [start, *(e.state for e in track(body, start, whole, config, rule))]
+    states = [start, *(e.state for e in track(model, start, whole))]
     level = min(_LEVEL, rule.levels - 1)
     grey = [[Picture(image).level(level, colour=False)[0] for image in frame] for frame in whole]
-    near, fine = replace(config, stray_deg=sequence.stray_deg), replace(rule, levels=min(2, rule.levels))
+    few = replace(rule, levels=min(2, rule.levels))
+    near = replace(model, config=replace(config, stray_deg=sequence.stray_deg), rule=few)
     for n in range(sequence.passes):
-        states = chosen(body, states, grey, 0.5**level, sequence, closer=1.0 / (n + 1))
-        states = [start, *(e.state for e in track(body, start, whole, near, fine, states))]
+        states = chosen(model.body, states, grey, 0.5**level, sequence, closer=1.0 / (n + 1))
+        states = [start, *(e.state for e in track(near, start, whole, states))]
     return states
 
 

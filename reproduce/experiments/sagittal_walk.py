@@ -27,6 +27,7 @@ from twistcap.adjust.first_pose.clicks import fit_clicks
 from twistcap.body import Body
 from twistcap.body.humanoid import humanoid
 from twistcap.body.simplify import SIDE_VIEW, simplified
+from twistcap.differential.model import DifferentialModel
 from twistcap.differential.settings import DifferentialConfig, Rule
 from twistcap.differential.state import State
 from twistcap.evaluate import Row, row
@@ -58,7 +59,7 @@ class SagittalWalk:
         del seeds
         images, (model, first) = frames(data_file("sagittal_walk/demo.mp4")), start()
         progress("tracking", 0, 1)
-        states = track_sequence(model, first, [[i] for i in images], TRACKER, RULE, PASSES)
+        states = track_sequence(DifferentialModel(model, TRACKER, RULE), first, [[i] for i in images], PASSES)
         if out is not None:
             cv2.imwrite(str(out / f"{self.id}.png"), overlay(model, states, images, range(0, COUNT, 5))[..., ::-1])
         return Findings(self._rows(model, states), "", ())

@@ -69,7 +69,7 @@ def model_of(kind: str, made: Capture) -> Any:
     if kind in ("followed", "guarded"):
         return build(made.body, made.rig, Settings(predictor="motion", motion=kind), motions=library())  # type: ignore[arg-type]
     if kind == "differential":
-        return DifferentialModel(made.body, made.rig, DifferentialConfig(behind="dominant"))
+        return DifferentialModel(made.body, DifferentialConfig(behind="dominant"), rig=made.rig)
     return build(
         made.body,
         made.rig,

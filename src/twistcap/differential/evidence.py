@@ -13,7 +13,7 @@ from twistcap.cues.background import under_motion
 from twistcap.cues.memory import Memory, level_pixels, sampled_channels
 from twistcap.cues.support_maps import Neighbourhood, posterior, robust_scale
 from twistcap.cues.view import Picture
-from twistcap.differential.settings import DifferentialConfig, Rule
+from twistcap.differential.model import DifferentialModel
 from twistcap.solve import Variables
 from twistcap.terms import Place, Sums
 from twistcap.terms.photometric import EXPOSURE, Samples
@@ -58,7 +58,6 @@ class Evidence:
         near: where the points are.
         support: (N,) of the last E step; it begins as the prior.
         weight: (N, C) information, 1/brightness², of the last E step.
-        sigma: median robust scale.
     """
 
     number: int
@@ -72,7 +71,6 @@ class Evidence:
     near: Neighbourhood
     support: Float
     weight: Float = field(default_factory=lambda: np.zeros((0, 1)))
-    sigma: float = np.nan
     name: str = "brightness"
 
     @property
@@ -120,21 +118,20 @@ class Evidence:
         places = [Place(block, size) for block, size in zip(self.blocks, sizes, strict=True)]
         sums.add_quadratic(places, self.energy(x), per * g, per[:, None] * H * per)
 
-    def expected(self, x: Variables, config: DifferentialConfig, rule: Rule) -> Evidence:
+    def expected(self, x: Variables, model: DifferentialModel) -> Evidence:
         """With the support and the weight of every point as an E step tells them."""
         r = self.residuals(x)
         there = np.isfinite(r).all(axis=1).astype(float)
-        if config.support == "shape":
+        if model.config.support == "shape":
             support, sigma = there, np.full(r.shape, _PLAIN_SIGMA)
         else:
             scales = [robust_scale(c, self.part, len(self.body.segment_names), there * self.support) for c in r.T]
             sigma = np.stack([scale[self.part] for scale in scales], axis=1)
-            if config.support == "em":
+            if model.config.support == "em":
                 support = posterior(r, self.behind, self.prior, sigma, self._sigma_behind(), self.near)
             else:
                 support = there / (1.0 + np.mean((np.where(there[:, None] > 0, r, 0.0) / sigma) ** 2, axis=1))
-        middle = float(np.median(sigma[:, 0])) if len(sigma) else np.nan
-        return replace(self, support=support, weight=support[:, None] * rule.fraction / sigma**2, sigma=middle)
+        return replace(self, support=support, weight=support[:, None] * model.rule.fraction / sigma**2)
 
     def _view(self, x: Variables) -> ScaledView:
         view: ScaledView = x[view_block(self.number)]
@@ -157,22 +154,20 @@ def known(residual: Float) -> Float:
 
 
 def evidence(
-    number: int, body: Body, memory: Memory, level: int, picture: Picture, visible: Bool, motion: Float,
-    settings: tuple[DifferentialConfig, Rule],
+    number: int, model: DifferentialModel, memory: Memory, level: int, picture: Picture, visible: Bool, motion: Float
 ) -> Evidence:  # fmt: skip
     """The remembered points that are `visible` (N,), thinned at coarse levels.
 
     Args:
         number: of the view.
-        body: in it.
+        model: body and settings.
         memory: of the frame before.
         level: of the pyramid.
         picture: of the present frame.
         visible: whether a point is seen at the present guess.
         motion: (2, 3) of the layer behind, px of the finest level.
-        settings: config and rule.
     """
-    config, rule = settings
+    config, rule = model.config, model.rule
     factor, (image, before) = 0.5**level, (p.level(level, config.colour) for p in (picture, memory.picture))
     which = _thinned(factor * memory.pixels / rule.spacing, visible)
     at = level_pixels(np.take(memory.pixels, which, axis=0), level)
@@ -184,7 +179,7 @@ def evidence(
         shape = _shape_prior(factor * memory.inside[which], rule.reach_px)
         prior = np.clip(0.5 * (shape + memory.trust[which]), 0.02, 0.98)
     samples = memory.samples(level, which)
-    return Evidence(number, body, samples, which, image, factor, prior, behind, Neighbourhood.about(at), prior)
+    return Evidence(number, model.body, samples, which, image, factor, prior, behind, Neighbourhood.about(at), prior)
 
 
 def _thinned(cells: Float, visible: Bool) -> Int:

@@ -106,7 +106,7 @@ def of_method(
         return build(body, rig, settings, prior, motions)
     if prior is not None or motions is not None:
         raise InputError('tracker: method "differential" takes neither a prior nor motions; leave them out.')
-    return DifferentialModel(body, rig, settings.differential)
+    return DifferentialModel(body, settings.differential, rig=rig)
 
 
 def contour_of(settings: Settings) -> ContourCue:

@@ -10,6 +10,7 @@ from twistcap.cues.observation import Fit
 from twistcap.cues.view import despeckled
 from twistcap.differential.model import DifferentialModel
 from twistcap.differential.state import Track
+from twistcap.differential.step import step as by_brightness
 from twistcap.estimate import Estimate, Frame
 from twistcap.predict import Prediction
 from twistcap.predict.history import Moment, Past, jumped
@@ -31,7 +32,7 @@ def step(state: Any, frame: Frame, model: Model | DifferentialModel) -> tuple[An
     """
     next_frame()
     if isinstance(model, DifferentialModel):
-        return model.step(state, frame)
+        return by_brightness(state, frame, model)
     frame = despeckled(frame, model.despeckle)
     prediction, state = predicted(state, frame, model)
     problem = posed_problem(state, frame, model, prediction)
