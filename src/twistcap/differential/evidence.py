@@ -7,13 +7,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from twistcap._typing import Bool, Float, Float32, Int
-from twistcap.body import Body, Pose, Posed
+from twistcap.body import Body
 from twistcap.camera.scaled import ROOT, ScaledView
 from twistcap.cues.background import under_motion
 from twistcap.cues.memory import Memory, level_pixels, sampled_channels
 from twistcap.cues.support_maps import Neighbourhood, posterior, robust_scale
 from twistcap.cues.view import Picture
-from twistcap.differential.model import DifferentialModel
+from twistcap.differential.model import JOINTS, DifferentialModel, exposure_block, posed_at, view_block
 from twistcap.solve import Variables
 from twistcap.terms import Place, Sums
 from twistcap.terms.photometric import EXPOSURE, Samples
@@ -22,24 +22,6 @@ from twistcap.terms.scaled import normal_equations
 _PLAIN_SIGMA = 0.02  # brightness; scale of the residuals where none is estimated
 _OFF = 0.2  # residual of a point that has left the image
 _BEHIND = (0.01, 0.03)  # brightness; least and largest scale of the layer behind
-JOINTS = "joints"
-
-
-def view_block(v: int) -> str:
-    """Name of the block of a view's own motion."""
-    return f"view {v}"
-
-
-def exposure_block(v: int) -> str:
-    """Name of that of a view's exposure."""
-    return f"exposure {v}"
-
-
-def posed_at(x: Variables, body: Body) -> Posed:
-    """The body at the joints' values, in its own frame."""
-    if "posed" not in x.memo:
-        x.memo["posed"] = Posed(body, Pose(np.eye(4), x[JOINTS].values))
-    return x.memo["posed"]
 
 
 @dataclass(frozen=True)

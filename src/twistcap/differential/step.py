@@ -9,31 +9,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from twistcap._typing import AnyArray, Bool, Float
 from twistcap.body import Body
-from twistcap.camera import ScaledView
 from twistcap.cues.background import STILL, dominant_motion
-from twistcap.cues.memory import Look, Memory, Retention, remember
+from twistcap.cues.memory import Look, Memory, remember
 from twistcap.cues.view import Picture
-from twistcap.differential.evidence import JOINTS, Evidence, evidence, exposure_block, view_block
-from twistcap.differential.model import DifferentialModel
+from twistcap.differential.evidence import Evidence, evidence
+from twistcap.differential.model import DifferentialModel, exposure_block, posed_at, state_at, view_block, with_state
 from twistcap.differential.search import searched
 from twistcap.differential.state import ROOT, State, Track
 from twistcap.differential.world import world_pose
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
 from twistcap.render import render
-from twistcap.solve import BlockProblem, Variables, Vector, inverse, minimise
-from twistcap.terms import BlockGaussian, BlockTerm
+from twistcap.solve import BlockProblem, Dense, Solution, Variables, inverse, minimise
+from twistcap.terms import Quadratic
 from twistcap.terms.photometric import EXPOSURE
-from twistcap.terms.scaled import ViewGaussian
 
-_DEEPER = 0.02  # m that a point may lie behind the rendered surface and still be remembered as seen
 _LOST = 0.25  # mean support of the body's pixels, in the view that has most, below which the images support no pose
-_LONGEST = 0.35  # rad; no joint turns farther in one step of the descent
 _GAIN = 1e-3  # of the energy; a step that gains less is the last one of its level
 
 
@@ -59,7 +56,7 @@ class Found:
 
     def world_covariance(self, model: DifferentialModel) -> Float:
         """(6 + J, 6 + J) of the pose in the world, by finite differences of the views' motions."""
-        n, views, cameras = len(self.covariance), ROOT * len(self.state.views), list(model.cameras)
+        n, views, cameras = len(self.covariance), ROOT * len(self.state.views), list(model.rig)
         pose, G = world_pose(self.state, cameras), np.zeros((model.body.dof, n))
         G[ROOT:, views:] = np.eye(n - views)
         for k in range(views):
@@ -77,7 +74,7 @@ def step(track: Track, frame: Frame, model: DifferentialModel) -> tuple[Track, E
         InputError: for images that do not fit, or a value that is not finite.
     """
     after, found = followed(track, frame.images, model)
-    pose = world_pose(found.state, list(model.cameras))
+    pose = world_pose(found.state, list(model.rig))
     if not track.started:
         return after, Estimate(frame.index, frame.time, pose, 1e-6 * np.eye(model.body.dof))
     covariance, support = found.world_covariance(model), float(found.support.max())
@@ -123,44 +120,36 @@ class Follow:
 
     def first(self) -> tuple[Track, Found]:
         """The state is known, and remembered."""
-        state, V, D = self.track.state, len(self.pictures), len(self.track.velocity)
-        exposure, nothing = np.zeros((V, EXPOSURE)), [None] * V
-        track = replace(self.track, memories=self._remembered(state, nothing, exposure))
-        return track, Found(state, np.ones(V), 0.0, np.zeros((D, D)), exposure)
+        V, D = len(self.pictures), len(self.track.velocity)
+        track = replace(self.track, memories=self._remembered(self.model.variables(self.track.state), []))
+        return track, Found(self.track.state, np.ones(V), 0.0, np.zeros((D, D)), np.zeros((V, EXPOSURE)))
 
     def next(self) -> tuple[Track, Found]:
         """Coarse to fine from where the body is expected."""
-        rule, before, model = self.model.rule, self.track.state, self.model
-        guess = self.expected or self._carried()
-        x, priors, steps = self._variables(guess), self._priors(guess), 0
+        model, before = self.model, self.track.state
+        x = model.variables(self.expected or self._carried())
+        priors, coarsest, free = model.priors(x), model.rule.levels - 1, self.expected is None
         motions = [self._behind(*pair) for pair in zip(self.track.memories, self.pictures, strict=True)]
-        seen, problem, found = list[Evidence | None](), BlockProblem(priors), None
-        for level in reversed(range(rule.levels)):
-            seen = [self._evidence(v, level, state_at(x), motion) for v, motion in enumerate(motions)]
-            if self.expected is None and level == rule.levels - 1 and rule.carry > 0:
-                x = min((x, with_state(x, before)), key=lambda trial: misfit(seen, trial))
-            if self.expected is None and level == min(1, rule.levels - 1) and model.config.search_deg > 0:
+        found, seen, steps = Solution(x, "max_iterations", 0, {}, Dense.of(Quadratic.zero(x.dof))), list[Evidence](), 0
+        for level in range(coarsest, -1, -1):
+            seen = self._evidence(x, level, motions)
+            if free and level == coarsest and model.rule.carry > 0:
+                x = min((x, with_state(x, before)), key=partial(misfit, seen))
+            if free and level == min(1, coarsest) and model.config.search_deg > 0:
                 x = self._searched(seen, x)
-            for _ in range(rule.iterations):
-                seen = [None if e is None else e.expected(x, model) for e in seen]
-                problem = BlockProblem([*(e for e in seen if e is not None), *priors])
-                found = minimise(problem, x, steps=1, gain=_GAIN)
+            for _ in range(model.rule.iterations):
+                seen = [e.expected(x, model) for e in seen]
+                found = minimise(BlockProblem([*seen, *priors]), x, steps=1, gain=_GAIN)
                 x, steps = found.x, steps + found.steps
                 if found.status != "max_iterations":
                     break
-        assert found is not None
-        return self._ended(x, seen, sum(found.energies.values()), found.system.hessian, steps)
-
-    def _ended(
-        self, x: Variables, seen: Sequence[Evidence | None], energy: float, hessian: Float, steps: int
-    ) -> tuple[Track, Found]:
-        state, D = state_at(x), len(self.track.velocity)
-        exposure = np.array([x[exposure_block(v)].values for v in range(len(seen))])
-        known = inverse(hessian)
+        state, known, D = state_at(x), inverse(found.system.hessian), len(self.track.velocity)
         covariance = np.full((D, D), np.nan) if known is None else known[:D, :D]
-        support = np.array([0.0 if e is None or len(e.support) == 0 else e.support.mean() for e in seen])
-        track = Track(state, state.minus(self.track.state), self._remembered(state, seen, exposure))
-        return track, Found(state, support, energy, covariance, exposure, steps)
+        support, exposure = np.zeros(len(motions)), [x[exposure_block(v)].values for v in range(len(motions))]
+        for e in seen:
+            support[e.number] = e.support.mean() if len(e.support) else 0.0
+        track = Track(state, state.minus(before), self._remembered(x, seen))
+        return track, Found(state, support, found.energy, covariance, np.array(exposure), steps)
 
     def _carried(self) -> State:
         """Where the last motion leads, that of the joints as far as it carries."""
@@ -169,97 +158,51 @@ class Follow:
         motion[ROOT * len(state.views) :] *= carry
         return state.retract(motion)
 
-    def _variables(self, state: State) -> Variables:
-        """The views' motions, the joints inside their limits, and the views' exposures."""
-        views = view_blocks(state)
-        exposures = {exposure_block(v): Vector(np.zeros(EXPOSURE)) for v in range(len(views))}
-        joints = Vector(np.clip(state.q, *self.model.body.limits.T), self.model.body.limits)
-        blocks = {**views, JOINTS: joints, **exposures}
-        free = tuple(blocks) if self.model.config.exposure else (*views, JOINTS)
-        planar = np.array([False] * 3 + [True, True, False])
-        fixed = dict.fromkeys(views, planar) if self.model.config.turns == "planar" else {}
-        return Variables(blocks, free, {**dict.fromkeys(blocks, np.inf), JOINTS: _LONGEST}, fixed)
-
-    def _priors(self, guess: State) -> list[BlockTerm]:
-        """How far the state strays from the guess, and the views' exposures from those of the frame before."""
-        q, lit = self._variables(guess)[JOINTS].values, np.array([self.model.rule.gain, self.model.rule.offset])
-        out: list[BlockTerm] = [
-            BlockGaussian(JOINTS, q, np.full(len(q), np.deg2rad(self.model.config.stray_deg)), JOINTS)
-        ]
-        for v, view in enumerate(guess.views):
-            out.append(ViewGaussian(view_block(v), view, self.model.rule.view_sigma))
-            out.append(BlockGaussian(exposure_block(v), np.zeros(EXPOSURE), lit, "exposure"))
-        return out
-
     def _behind(self, memory: Memory | None, picture: Picture | None) -> Float:
-        if self.model.config.behind == "still" or picture is None or memory is None:
+        config = self.model.config
+        if config.behind == "still" or picture is None or memory is None:
             return STILL
-        before, after = (p.level(0, self.model.config.colour)[0] for p in (memory.picture, picture))
+        before, after = (p.level(0, config.colour)[0] for p in (memory.picture, picture))
         return dominant_motion(before, after, memory.mask)
 
-    def _evidence(self, v: int, level: int, state: State, motion: Float) -> Evidence | None:
-        memory, picture = self.track.memories[v], self.pictures[v]
-        if memory is None or picture is None:
-            return None
-        visible, _ = render(state.posed(self.model.body), state.views[v]).visible(memory.points, 0.03)
-        return evidence(v, self.model, memory, level, picture, visible, motion)
+    def _evidence(self, x: Variables, level: int, motions: Sequence[Float]) -> list[Evidence]:
+        """Of the views that have an image and remember one."""
+        out, state = list[Evidence](), state_at(x)
+        for v, (memory, picture) in enumerate(zip(self.track.memories, self.pictures, strict=True)):
+            if memory is not None and picture is not None:
+                visible, _ = render(posed_at(x, self.model.body), state.views[v]).visible(memory.points, 0.03)
+                out.append(evidence(v, self.model, memory, level, picture, visible, motions[v]))
+        return out
 
-    def _searched(self, seen: Sequence[Evidence | None], x: Variables) -> Variables:
+    def _searched(self, seen: Sequence[Evidence], x: Variables) -> Variables:
         """With limbs where a coarse search puts them."""
 
         def cost(state: State, segments: Bool) -> float:
-            return misfit([None if e is None else e.of(segments) for e in seen], with_state(x, state))
+            return misfit([e.of(segments) for e in seen], with_state(x, state))
 
         reach, spread = np.deg2rad(self.model.config.search_deg), np.deg2rad(self.model.config.stray_deg)
         return with_state(x, searched(self.model.body, state_at(x), cost, reach, spread))
 
-    def _remembered(self, state: State, seen: Sequence[Evidence | None], exposure: Float) -> tuple[Memory | None, ...]:
+    def _remembered(self, x: Variables, seen: Sequence[Evidence]) -> tuple[Memory | None, ...]:
         """The memories as the frame shows them."""
-        out, posed, rule, retention = (
-            list(self.track.memories),
-            state.posed(self.model.body),
-            self.model.rule,
-            self._retention,
-        )
-        for v, (e, picture) in enumerate(zip(seen, self.pictures, strict=True)):
-            old = out[v]
-            if picture is None:
-                continue
-            if old is not None and e is not None:
-                trust = old.trust.copy()
-                trust[e.which] = 0.5 * (trust[e.which] + e.support)
-                old = replace(old, trust=trust) if rule.update < 1.0 else None
-            levels = picture.levels(rule.levels, self.model.config.colour)
-            out[v] = remember(Look(picture, levels, render(posed, state.views[v]), posed, exposure[v]), old, retention)
+        model, posed, out = self.model, posed_at(x, self.model.body), list(self.track.memories)
+        for e in seen:
+            old = out[e.number]
+            assert old is not None
+            trust = old.trust.copy()
+            trust[e.which] = 0.5 * (trust[e.which] + e.support)
+            out[e.number] = replace(old, trust=trust) if model.rule.update < 1.0 else None
+        for v, picture in enumerate(self.pictures):
+            if picture is not None:
+                levels = picture.levels(model.rule.levels, model.config.colour)
+                look = Look(picture, levels, render(posed, x[view_block(v)]), posed, x[exposure_block(v)].values)
+                out[v] = remember(look, out[v], model.retention)
         return tuple(out)
 
-    @property
-    def _retention(self) -> Retention:
-        return Retention(
-            self.model.rule.spacing, "middle", self.model.rule.update, _DEEPER, trust=0.5, least_trust=0.2, trusted_first=True,
-            hidden=self.model.rule.hidden,
-        )  # fmt: skip
 
-
-def misfit(seen: Sequence[Evidence | None], x: Variables) -> float:
+def misfit(seen: Sequence[Evidence], x: Variables) -> float:
     """Mean robust cost of all views."""
-    return sum(e.misfit(x) for e in seen if e is not None)
-
-
-def view_blocks(state: State) -> dict[str, ScaledView]:
-    """The views by the names of their blocks."""
-    return {view_block(v): view for v, view in enumerate(state.views)}
-
-
-def with_state(x: Variables, state: State) -> Variables:
-    """The blocks at another state, exposures as they are."""
-    return replace(x, blocks={**x.blocks, **view_blocks(state), JOINTS: replace(x[JOINTS], values=state.q)})
-
-
-def state_at(x: Variables) -> State:
-    """The blocks as a state."""
-    views = (x[view_block(v)] for v in range(len(x.blocks)) if view_block(v) in x.blocks)
-    return State(tuple(views), x[JOINTS].values)
+    return sum(e.misfit(x) for e in seen)
 
 
 def _check(body: Body, state: State, images: Sequence[AnyArray | None]) -> None:

@@ -19,6 +19,7 @@ from twistcap.body import Body, Posed, rescaled
 from twistcap.body.kinematics import Pose
 from twistcap.camera import pinhole
 from twistcap.camera.scaled import ROOT, ScaledView
+from twistcap.differential.model import state_at, view_block
 from twistcap.differential.state import State
 from twistcap.errors import InputError
 from twistcap.render import SurfacePoints
@@ -107,7 +108,7 @@ def fit_clicks(
     found = gathered(body, clicks)
     starts = [start] if start is not None else _starts(body, found, facing_deg)
     x, _ = min((_minimised(skeleton, found, begin, config) for begin in starts), key=lambda end: end[1])
-    proportions, state = skeleton.proportions(x["shape"].values), state_of(x)
+    proportions, state = skeleton.proportions(x["shape"].values), state_at(x)
     fitted = rescaled(body, proportions.lengths, proportions.girths, proportions.stature)
     at = Posed(fitted, Pose(np.eye(4), state.q)).landmarks[found.marks]
     off = np.stack([view.pixels(at) for view in state.views]) - found.pixels
@@ -174,12 +175,14 @@ def _minimised(skeleton: Skeleton, clicks: Clicks, start: State, config: ClickCo
 
 def click_variables(skeleton: Skeleton, start: State, config: ClickConfig) -> Variables:
     """The views, the joints inside their limits, and the body's log-factors."""
-    body, V = skeleton.body, len(start.views)
-    blocks: dict[str, Any] = {_view(v): view for v, view in enumerate(start.views)}
-    reach = {_view(v): _REACH * np.array([1, s, s, 1, 1, 1]) for v, s in enumerate(view.scale for view in start.views)}
+    body = skeleton.body
+    blocks: dict[str, Any] = {view_block(v): view for v, view in enumerate(start.views)}
+    reach = {
+        view_block(v): _REACH * np.array([1, s, s, 1, 1, 1]) for v, s in enumerate(view.scale for view in start.views)
+    }
     joints = Vector(np.clip(start.q, *body.limits.T), body.limits)
-    free = (*map(_view, range(V)), "joints", *(["shape"] if config.fit_lengths else []))
-    return Variables({**blocks, "joints": joints, "shape": Scaling(skeleton, np.zeros(skeleton.size))}, free, reach)
+    free = (*views, "joints", *(["shape"] if config.fit_lengths else []))
+    return Variables({**views, "joints": joints, "shape": Scaling(skeleton, np.zeros(skeleton.size))}, free, reach)
 
 
 def click_problem(clicks: Clicks, start: Variables, config: ClickConfig) -> BlockProblem:
@@ -194,18 +197,9 @@ def click_problem(clicks: Clicks, start: Variables, config: ClickConfig) -> Bloc
     ]
     for v in range(len(clicks.pixels)):
         own = np.flatnonzero(clicks.known[v])
-        terms.append(ClickTerm(_view(v), clicks.marks[own], clicks.pixels[v, own], c.sigma_px))
-        terms.append(ViewGaussian(_view(v), start[_view(v)], lean))
+        terms.append(ClickTerm(view_block(v), clicks.marks[own], clicks.pixels[v, own], c.sigma_px))
+        terms.append(ViewGaussian(view_block(v), start[view_block(v)], lean))
     return BlockProblem(terms)
-
-
-def state_of(x: Variables) -> State:
-    """The blocks as the differential tracker has them."""
-    return State(tuple(block for block in x.blocks.values() if isinstance(block, ScaledView)), x["joints"].values)
-
-
-def _view(v: int) -> str:
-    return f"view {v}"
 
 
 @dataclass(frozen=True)
