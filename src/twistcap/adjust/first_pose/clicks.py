@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -175,11 +174,8 @@ def _minimised(skeleton: Skeleton, clicks: Clicks, start: State, config: ClickCo
 
 def click_variables(skeleton: Skeleton, start: State, config: ClickConfig) -> Variables:
     """The views, the joints inside their limits, and the body's log-factors."""
-    body = skeleton.body
-    blocks: dict[str, Any] = {view_block(v): view for v, view in enumerate(start.views)}
-    reach = {
-        view_block(v): _REACH * np.array([1, s, s, 1, 1, 1]) for v, s in enumerate(view.scale for view in start.views)
-    }
+    body, views = skeleton.body, view_blocks(start)
+    reach = {name: _REACH * np.array([1, view.scale, view.scale, 1, 1, 1]) for name, view in views.items()}
     joints = Vector(np.clip(start.q, *body.limits.T), body.limits)
     free = (*views, "joints", *(["shape"] if config.fit_lengths else []))
     return Variables({**views, "joints": joints, "shape": Scaling(skeleton, np.zeros(skeleton.size))}, free, reach)
