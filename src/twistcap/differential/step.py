@@ -143,6 +143,7 @@ class Follow:
                 x, steps = found.x, steps + found.steps
                 if found.status != "max_iterations":
                     break
+        assert isinstance(found.system, Dense)
         state, known, D = state_at(x), inverse(found.system.hessian), len(self.track.velocity)
         covariance = np.full((D, D), np.nan) if known is None else known[:D, :D]
         support, exposure = np.zeros(len(motions)), [x[exposure_block(v)].values for v in range(len(motions))]

@@ -18,7 +18,7 @@ from twistcap.body import Body, Posed, rescaled
 from twistcap.body.kinematics import Pose
 from twistcap.camera import pinhole
 from twistcap.camera.scaled import ROOT, ScaledView
-from twistcap.differential.model import state_at, view_block
+from twistcap.differential.model import state_at, view_block, view_blocks
 from twistcap.differential.state import State
 from twistcap.errors import InputError
 from twistcap.render import SurfacePoints
