@@ -13,13 +13,15 @@ from twistcap.cues.background import under_motion
 from twistcap.cues.memory import Memory, level_pixels, sampled_channels
 from twistcap.cues.support_maps import Neighbourhood, posterior, robust_scale
 from twistcap.cues.view import Picture
-from twistcap.differential.model import JOINTS, DifferentialModel, exposure_block, posed_at, view_block
+from twistcap.differential.model import JOINTS, SPACING, DifferentialModel, exposure_block, posed_at, view_block
 from twistcap.solve import Variables
 from twistcap.terms import Place, Sums
 from twistcap.terms.photometric import EXPOSURE, Samples
 from twistcap.terms.scaled import normal_equations
 
 _PLAIN_SIGMA = 0.02  # brightness; scale of the residuals where none is estimated
+_FRACTION = 0.05  # of the pixels' information counts, since neighbours see the same
+_REACH = 1.0  # px from a rim at which half of the pixels are the body's own
 _OFF = 0.2  # residual of a point that has left the image
 _BEHIND = (0.01, 0.03)  # brightness; least and largest scale of the layer behind
 
@@ -113,7 +115,7 @@ class Evidence:
                 support = posterior(r, self.behind, self.prior, sigma, self._sigma_behind(), self.near)
             else:
                 support = there / (1.0 + np.mean((np.where(there[:, None] > 0, r, 0.0) / sigma) ** 2, axis=1))
-        return replace(self, support=support, weight=support[:, None] * model.rule.fraction / sigma**2)
+        return replace(self, support=support, weight=support[:, None] * _FRACTION / sigma**2)
 
     def _view(self, x: Variables) -> ScaledView:
         view: ScaledView = x[view_block(self.number)]
@@ -149,16 +151,15 @@ def evidence(
         visible: whether a point is seen at the present guess.
         motion: (2, 3) of the layer behind, px of the finest level.
     """
-    config, rule = model.config, model.rule
-    factor, (image, before) = 0.5**level, (p.level(level, config.colour) for p in (picture, memory.picture))
-    which = _thinned(factor * memory.pixels / rule.spacing, visible)
+    factor, (image, before) = 0.5**level, (p.level(level, model.config.colour) for p in (picture, memory.picture))
+    which = _thinned(factor * memory.pixels / SPACING, visible)
     at = level_pixels(np.take(memory.pixels, which, axis=0), level)
     shrunk = np.c_[motion[:, :2], factor * motion[:, 2]]
     behind = sampled_channels(image, under_motion(at, shrunk))[0] - sampled_channels(before, at)[0]
     behind[memory.missed[which] > 0] = np.nan  # what was seen at its pixel was not the point's own
     prior = np.ones(len(which))
-    if config.support == "em":
-        shape = _shape_prior(factor * memory.inside[which], rule.reach_px)
+    if model.config.support == "em":
+        shape = _shape_prior(factor * memory.inside[which])
         prior = np.clip(0.5 * (shape + memory.trust[which]), 0.02, 0.98)
     samples = memory.samples(level, which)
     return Evidence(number, model.body, samples, which, image, factor, prior, behind, Neighbourhood.about(at), prior)
@@ -172,6 +173,6 @@ def _thinned(cells: Float, visible: Bool) -> Int:
     return seen[first].astype(np.int32)
 
 
-def _shape_prior(inside: Float, reach: float) -> Float:
+def _shape_prior(inside: Float) -> Float:
     """Fraction of the pixels so far inside the projected shape (px) that are the body's own."""
-    return 0.95 / (1.0 + np.exp(-(inside - reach) / 0.7))
+    return 0.95 / (1.0 + np.exp(-(inside - _REACH) / 0.7))

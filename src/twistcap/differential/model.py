@@ -18,9 +18,13 @@ from twistcap.terms.photometric import EXPOSURE
 from twistcap.terms.scaled import ViewGaussian
 
 _DEEPER = 0.02  # m that a point may lie behind the rendered surface and still be remembered as seen
+_HIDDEN = 30  # frames that points are remembered while something hides them
+_EXPOSURE = np.array([0.1, 0.05])  # how far a view's gain and offset change from one frame to the next
 _LONGEST = 0.35  # rad; no joint turns farther in one step of the descent
 _PLANAR = np.array([False, False, False, True, True, False])  # a view's turns out of the image
 JOINTS = "joints"
+SPACING = 2
+"""Px between surface points at the finest level."""
 
 
 @dataclass(frozen=True)
@@ -56,18 +60,18 @@ class DifferentialModel:
 
     def priors(self, guess: Variables) -> list[BlockTerm]:
         """How far a frame strays from the guess, and the views' exposures from those of the frame before."""
-        q, lit = guess[JOINTS].values, np.array([self.rule.gain, self.rule.offset])
+        q, stray = guess[JOINTS].values, self.rule
+        view_sigma = np.array([stray.scale, *[stray.shift_px] * 2, *[np.deg2rad(stray.turn_deg)] * 3])
         out: list[BlockTerm] = [BlockGaussian(JOINTS, q, np.full(len(q), np.deg2rad(self.config.stray_deg)), JOINTS)]
         for v, view in enumerate(state_at(guess).views):
-            out.append(ViewGaussian(view_block(v), view, self.rule.view_sigma))
-            out.append(BlockGaussian(exposure_block(v), np.zeros(EXPOSURE), lit, "exposure"))
+            out.append(ViewGaussian(view_block(v), view, view_sigma))
+            out.append(BlockGaussian(exposure_block(v), np.zeros(EXPOSURE), _EXPOSURE, "exposure"))
         return out
 
     @property
     def retention(self) -> Retention:
         """How brightness is remembered."""
-        cell, update, hidden = self.rule.spacing, self.rule.update, self.rule.hidden
-        return Retention(cell, "middle", update, _DEEPER, np.inf, 0.5, 0.2, True, hidden)
+        return Retention(SPACING, "middle", self.rule.update, _DEEPER, np.inf, 0.5, 0.2, True, _HIDDEN)
 
 
 def view_block(v: int) -> str:

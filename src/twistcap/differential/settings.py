@@ -7,7 +7,6 @@ from typing import Literal
 
 import numpy as np
 
-from twistcap._typing import Float
 from twistcap.errors import InputError
 
 
@@ -43,36 +42,20 @@ class DifferentialConfig:
 
 @dataclass(frozen=True)
 class Rule:
-    """What no user can know better: experiments alone choose another.
+    """What no user can know better; experiments alone choose another.
 
     Attributes:
         levels: of the image pyramid, by factors of 2.
         iterations: Gauss-Newton steps at each level.
-        spacing: px between surface points at the finest level.
         update: fraction of the new brightness a remembered point takes over in each frame; 1 remembers nothing.
-        hidden: frames that points are remembered while something hides them.
         carry: fraction of the joints' last motion that is expected to go on; 0 expects everything to stay.
-        fraction: of the pixels' information that counts, since neighbours see the same.
         turn_deg, scale, shift_px: how far the views' turns, scales and places stray from the guess in a frame.
-        gain, offset: how far a view's exposure changes from one frame to the next.
-        reach_px: distance from a rim at which half of the pixels are the body's own, prior of the support maps.
     """
 
     levels: int = 4
     iterations: int = 6
-    spacing: int = 2
     update: float = 0.2
-    hidden: int = 30
     carry: float = 1.0
-    fraction: float = 0.05
     turn_deg: float = 3.0
     scale: float = 0.01
     shift_px: float = 8.0
-    gain: float = 0.1
-    offset: float = 0.05
-    reach_px: float = 1.0
-
-    @property
-    def view_sigma(self) -> Float:
-        """(6,) of a view's motion."""
-        return np.array([self.scale, *[self.shift_px] * 2, *[np.deg2rad(self.turn_deg)] * 3])
