@@ -26,8 +26,7 @@ from twistcap.differential.world import world_pose
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
 from twistcap.render import render
-from twistcap.solve import BlockProblem, Dense, Solution, Variables, inverse, minimise
-from twistcap.terms import Quadratic
+from twistcap.solve import BlockProblem, Dense, Variables, inverse, minimise
 from twistcap.terms.photometric import EXPOSURE
 
 _LOST = 0.25  # mean support of the body's pixels, in the view that has most, below which the images support no pose
@@ -130,7 +129,7 @@ class Follow:
         x = model.variables(self.expected or self._carried())
         priors, coarsest, free = model.priors(x), model.rule.levels - 1, self.expected is None
         motions = [self._behind(*pair) for pair in zip(self.track.memories, self.pictures, strict=True)]
-        found, seen, steps = Solution(x, "max_iterations", 0, {}, Dense.of(Quadratic.zero(x.dof))), list[Evidence](), 0
+        seen, steps, hessian, energy = list[Evidence](), 0, np.eye(x.dof), 0.0
         for level in range(coarsest, -1, -1):
             seen = self._evidence(x, level, motions)
             if free and level == coarsest and model.rule.carry > 0:
@@ -140,17 +139,20 @@ class Follow:
             for _ in range(model.rule.iterations):
                 seen = [e.expected(x, model) for e in seen]
                 found = minimise(BlockProblem([*seen, *priors]), x, steps=1, gain=_GAIN)
-                x, steps = found.x, steps + found.steps
+                assert isinstance(found.system, Dense)
+                x, steps, hessian, energy = found.x, steps + found.steps, found.system.hessian, found.energy
                 if found.status != "max_iterations":
                     break
-        assert isinstance(found.system, Dense)
-        state, known, D = state_at(x), inverse(found.system.hessian), len(self.track.velocity)
+        track = Track(state_at(x), state_at(x).minus(before), self._remembered(x, seen))
+        return track, self._found(x, seen, energy, hessian, steps)
+
+    def _found(self, x: Variables, seen: Sequence[Evidence], energy: float, hessian: Float, steps: int) -> Found:
+        V, D, known = len(self.pictures), len(self.track.velocity), inverse(hessian)
         covariance = np.full((D, D), np.nan) if known is None else known[:D, :D]
-        support, exposure = np.zeros(len(motions)), [x[exposure_block(v)].values for v in range(len(motions))]
+        support, exposure = np.zeros(V), np.array([x[exposure_block(v)].values for v in range(V)])
         for e in seen:
             support[e.number] = e.support.mean() if len(e.support) else 0.0
-        track = Track(state, state.minus(before), self._remembered(x, seen))
-        return track, Found(state, support, found.energy, covariance, np.array(exposure), steps)
+        return Found(state_at(x), support, energy, covariance, exposure, steps)
 
     def _carried(self) -> State:
         """Where the last motion leads, that of the joints as far as it carries."""
