@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -16,9 +16,11 @@ from reproduce.running import Tell, over_seeds
 from reproduce.scenes.walks import Walk
 from twistcap.body import Body, Posed
 from twistcap.body.simplify import angles_of
-from twistcap.differential.settings import DifferentialConfig
-from twistcap.differential.tracker import track
-from twistcap.differential.view import ScaledView, State
+from twistcap.camera import ScaledView
+from twistcap.differential.model import DifferentialModel
+from twistcap.differential.settings import DifferentialConfig, Rule
+from twistcap.differential.state import State
+from twistcap.differential.step import track
 from twistcap.differential.world import state_of, world_pose
 from twistcap.estimate import Estimate
 from twistcap.evaluate import Row
@@ -71,6 +73,7 @@ class DifferentialTrial:
         picture: draws more pictures into a folder, from the walk and the first arm's traces.
         shown: frame (counted from the second) and camera of the picture.
         sequence: the passes over all frames after the first; None makes none.
+        rule: of all arms.
     """
 
     id: str
@@ -83,6 +86,7 @@ class DifferentialTrial:
     picture: Callable[[Path, Walk, Sequence[Tracked]], None] | None = None
     shown: tuple[int, int] = (-1, 0)
     sequence: SequenceConfig | None = None
+    rule: Rule = field(default_factory=Rule)
 
     def run(self, seeds: Sequence[int], progress: Tell, out: Path | None = None) -> Findings:
         """All arms on all seeds, two scenes at a time."""
@@ -106,9 +110,10 @@ def _states(
     """The states of all frames but the first, which is given."""
     start = state_of(scene.true_poses[0], scene.rig, config.perspective)
     first = State(start.views, angles_of(model, scene.body, start.q))
+    followed = DifferentialModel(model, config, trial.rule)
     if trial.sequence is None:
-        return [estimate.state for estimate in track(model, first, images, config)]
-    return track_sequence(model, first, images, config, trial.sequence)[1:]
+        return [estimate.state for estimate in track(followed, first, images)]
+    return track_sequence(followed, first, images, trial.sequence)[1:]
 
 
 def _trace(

@@ -19,9 +19,9 @@ from reproduce.arrays import AnyArray, Float, Float32, Int
 from reproduce.layers import Layers, LimbCost, learnt
 from twistcap.body import Body
 from twistcap.cues.view import Picture
-from twistcap.differential.settings import DifferentialConfig
-from twistcap.differential.tracker import track
-from twistcap.differential.view import State
+from twistcap.differential.model import DifferentialModel
+from twistcap.differential.state import State
+from twistcap.differential.step import track
 from twistcap.errors import InputError
 
 _LEVEL = 1  # of the pyramid, at which postures are compared
@@ -90,34 +90,33 @@ class SequenceConfig:
 
 
 def track_sequence(
-    body: Body,
+    model: DifferentialModel,
     start: State,
     frames: Sequence[Sequence[AnyArray | None]],
-    config: DifferentialConfig | None = None,
     sequence: SequenceConfig | None = None,
 ) -> list[State]:
     """The states of a body in all frames, the first of which is known; the cameras stand still.
 
     Args:
-        body: whose surface gives the depth.
+        model: body and settings of the tracker.
         start: state in the first frame.
         frames: one image per view each.
-        config: of the tracker.
         sequence: of the passes after its first.
 
     Raises:
-        InputError: where a frame lacks an image, and as `DifferentialTracker` does.
+        InputError: where a frame lacks an image, and as `differential.step.followed` does.
     """
-    config, sequence = config or DifferentialConfig(), sequence or SequenceConfig()
+    sequence, config, rule = sequence or SequenceConfig(), model.config, model.rule
     whole = [_whole(n, frame) for n, frame in enumerate(frames)]
     start = start.sized(whole[0])
-    states = [start, *(e.state for e in track(body, start, whole, config))]
-    level = min(_LEVEL, config.levels - 1)
+    states = [start, *(e.state for e in track(model, start, whole))]
+    level = min(_LEVEL, rule.levels - 1)
     grey = [[Picture(image).level(level, colour=False)[0] for image in frame] for frame in whole]
-    near = replace(config, levels=min(2, config.levels), stray_deg=sequence.stray_deg)
+    few = replace(rule, levels=min(2, rule.levels))
+    near = replace(model, config=replace(config, stray_deg=sequence.stray_deg), rule=few)
     for n in range(sequence.passes):
-        states = chosen(body, states, grey, 0.5**level, sequence, closer=1.0 / (n + 1))
-        states = [start, *(e.state for e in track(body, start, whole, near, states))]
+        states = chosen(model.body, states, grey, 0.5**level, sequence, closer=1.0 / (n + 1))
+        states = [start, *(e.state for e in track(near, start, whole, states))]
     return states
 
 

@@ -22,8 +22,8 @@ from reproduce.reanimated import reanimated
 from reproduce.scenes.walks import Walk
 from twistcap.body import Body
 from twistcap.body.simplify import NINETEEN, SIDE_VIEW, side_view, simplified
-from twistcap.differential.settings import DifferentialConfig
-from twistcap.differential.view import ScaledView
+from twistcap.camera import ScaledView
+from twistcap.differential.settings import DifferentialConfig, Rule
 from twistcap.evaluate import Row, row
 from twistcap.studio import Capture, StudioConfig
 
@@ -31,7 +31,7 @@ WITH, ROBUST, WITHOUT = "support maps by EM", "robust weights", "the projected s
 # Settings of the tracker: grey, as the paper's pictures.
 _SIDE = DifferentialConfig(turns="planar", colour=False)
 _OBLIQUE = DifferentialConfig(colour=False, perspective=True)
-_PLATES = DifferentialConfig(levels=3, search_deg=30.0, carry=0.6, stray_deg=12.0, update=0.1)
+_PLATES, _FEW = DifferentialConfig(search_deg=30.0, stray_deg=12.0), Rule(levels=3, carry=0.6, update=0.1)
 # What limbs do between two frames at 60 per second.
 _ARM = Limb(("arm_flex", "elbow_flex"), steps_deg=(8.0, 10.0), counts=(5, 7), stray_deg=(1.5, 2.5))
 _LEG = Limb(("hip_flexion", "knee_angle"), steps_deg=(10.0, 18.0), counts=(5, 9), stray_deg=(4.0, 7.0))
@@ -154,6 +154,7 @@ T3 = DifferentialTrial(
     _plate_rows,
     picture=_reanimation,
     sequence=SequenceConfig(),
+    rule=_FEW,
 )
 T_EM = DifferentialTrial(
     "T-EM",

@@ -27,8 +27,9 @@ from twistcap.adjust.first_pose.clicks import fit_clicks
 from twistcap.body import Body
 from twistcap.body.humanoid import humanoid
 from twistcap.body.simplify import SIDE_VIEW, simplified
-from twistcap.differential.settings import DifferentialConfig
-from twistcap.differential.view import State
+from twistcap.differential.model import DifferentialModel
+from twistcap.differential.settings import DifferentialConfig, Rule
+from twistcap.differential.state import State
 from twistcap.evaluate import Row, row
 from twistcap.render import render
 
@@ -39,7 +40,7 @@ CLICKS = {
     "head_top": (1226, 531), "hip_r": (1230, 734), "knee_r": (1260, 817), "ankle_r": (1307, 904), "toe_r": (1278, 917),
     "heel_r": (1320, 912), "shoulder_r": (1222, 610), "elbow_r": (1187, 671), "wrist_r": (1126, 704),
 }  # fmt: skip
-TRACKER = DifferentialConfig(turns="planar", stray_scale=1e-4, stray_px=2.0, stray_turn_deg=0.5)
+TRACKER, RULE = DifferentialConfig(turns="planar"), Rule(scale=1e-4, shift_px=2.0, turn_deg=0.5)
 LIMBS = tuple(
     Limb(names, (10, 12), (5, 7), (3, 6)) for names in (("hip_flexion", "knee_angle"), ("arm_flex", "elbow_flex"))
 )
@@ -58,7 +59,7 @@ class SagittalWalk:
         del seeds
         images, (model, first) = frames(data_file("sagittal_walk/demo.mp4")), start()
         progress("tracking", 0, 1)
-        states = track_sequence(model, first, [[i] for i in images], TRACKER, PASSES)
+        states = track_sequence(DifferentialModel(model, TRACKER, RULE), first, [[i] for i in images], PASSES)
         if out is not None:
             cv2.imwrite(str(out / f"{self.id}.png"), overlay(model, states, images, range(0, COUNT, 5))[..., ::-1])
         return Findings(self._rows(model, states), "", ())

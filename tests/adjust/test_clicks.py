@@ -14,7 +14,8 @@ from twistcap.adjust.first_pose.skeleton import Skeleton
 from twistcap.body import rescaled
 from twistcap.body.humanoid import humanoid
 from twistcap.body.simplify import NINETEEN, side_view, simplified
-from twistcap.differential.view import ScaledView, State
+from twistcap.camera import ScaledView
+from twistcap.differential.state import State
 from twistcap.errors import InputError
 from twistcap.solve import Vector
 

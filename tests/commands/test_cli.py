@@ -88,14 +88,17 @@ def test_export_refuses(tracked: Path, tmp_path: Path, capsys: pytest.CaptureFix
     assert "no HDF5 file" in refusal(capsys, "export", tracked / "angles.csv", "--to", "trc")
 
 
-def test_resume_goes_on(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    session = made / "session.toml"
-    assert run("track", session, "--out", tmp_path, "--frames", "0:3", "--set", "output.overlay=false") == 0
-    before = read_result(tmp_path / "result.h5")
-    found = document(capsys, "track", session, "--out", tmp_path, "--resume", "--set", "output.overlay=false")
-    after = read_result(tmp_path / "result.h5")
-    assert found["frames"] == 8 and list(after.indices) == list(range(8))
-    np.testing.assert_array_equal(after.roots[:4], before.roots)
+@pytest.mark.parametrize("method", ["direct", "differential"])
+def test_resume_goes_on(method: str, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What is resumed is the undisturbed run, to the last bit."""
+    session, quick = made / "session.toml", ("--method", method, "--set", "output.overlay=false")
+    assert run("track", session, "--out", tmp_path / "whole", *quick) == 0
+    assert run("track", session, "--out", tmp_path / "cut", "--frames", "0:3", *quick) == 0
+    found = document(capsys, "track", session, "--out", tmp_path / "cut", "--resume", *quick)
+    whole, cut = (read_result(tmp_path / name / "result.h5") for name in ("whole", "cut"))
+    assert found["frames"] == 8 and list(cut.indices) == list(range(8))
+    np.testing.assert_array_equal(cut.roots, whole.roots)
+    np.testing.assert_array_equal(cut.covariances, whole.covariances)
 
 
 def test_motions_carry_the_track_over_missing_images(

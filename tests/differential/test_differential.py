@@ -12,15 +12,18 @@ from support.finite_differences import check_jacobian, numeric_jacobian
 from twistcap import se3
 from twistcap.body.humanoid import humanoid
 from twistcap.camera import Camera, look_at
-from twistcap.differential.system import (
+from twistcap.camera.scaled import ROOT, ScaledView
+from twistcap.differential.model import DifferentialModel
+from twistcap.differential.state import State
+from twistcap.errors import InputError
+from twistcap.render import render
+from twistcap.solve import BlockProblem
+from twistcap.terms.photometric import Samples
+from twistcap.terms.scaled import (
     image_motion,
     normal_equations,
     normal_equations_reference,
 )
-from twistcap.differential.view import ROOT, ScaledView, State
-from twistcap.errors import InputError
-from twistcap.render import render
-from twistcap.terms.photometric import Samples
 
 BODY = humanoid()
 SIZE = (200, 260)
@@ -189,3 +192,14 @@ def test_gradient_is_that_of_the_energy() -> None:
 
     g, _ = normal_equations(state.posed(BODY), state.views[0], samples, image, exposure, weight)
     np.testing.assert_allclose(g, numeric_jacobian(energy, np.zeros(BODY.dof + 2), 1e-4), rtol=2e-3, atol=2e-3)
+
+
+def test_the_gradient_of_the_priors_is_that_of_their_energy() -> None:
+    model = DifferentialModel(BODY)
+    guess = model.variables(a_state(2))
+    step = np.random.default_rng(4).normal(0, 0.1, guess.dof)
+    x, problem = guess.retract(step), BlockProblem(model.priors(guess))
+    inside = ~x.held(np.ones(x.dof)) & ~x.held(-np.ones(x.dof))
+    slope = numeric_jacobian(lambda d: sum(problem.energies(x.retract(d)).values()), np.zeros(x.dof), 1e-6)
+    np.testing.assert_allclose(problem.dense(x).gradient[inside], slope[inside], rtol=1e-5, atol=1e-3)
+    assert inside.sum() > 2 * ROOT and sum(problem.energies(guess).values()) == 0.0

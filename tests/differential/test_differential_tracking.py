@@ -11,20 +11,22 @@ import pytest
 
 from reproduce.scenes.walks import Walk
 from twistcap.body.simplify import NINETEEN, angles_of, simplified
+from twistcap.camera import ScaledView
+from twistcap.cues.background import STILL, dominant_motion, under_motion
 from twistcap.cues.support_maps import Neighbourhood, posterior, robust_scale
-from twistcap.differential.background import STILL, dominant_motion, under_motion
-from twistcap.differential.follower import DifferentialFollower
+from twistcap.differential.model import DifferentialModel
 from twistcap.differential.search import limbs_of, searched
-from twistcap.differential.settings import DifferentialConfig
-from twistcap.differential.tracker import DifferentialTracker, track
-from twistcap.differential.view import ScaledView, State
+from twistcap.differential.settings import DifferentialConfig, Rule
+from twistcap.differential.state import State, Track
+from twistcap.differential.step import followed, track
 from twistcap.differential.world import state_of, world_pose
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
 from twistcap.studio import StudioConfig
+from twistcap.track import Tracker
 
 WALK = Walk((-90.0, -20.0), 10.0, StudioConfig(size=(192, 140), frames=6))
-FEW = DifferentialConfig(levels=3, iterations=4)
+FEW = Rule(levels=3, iterations=4)
 
 
 @lru_cache
@@ -44,6 +46,10 @@ def the_model():
     return model, State(start.views, angles_of(model, found.body, start.q))
 
 
+def few(model) -> DifferentialModel:
+    return DifferentialModel(model, rule=FEW)
+
+
 def errors_deg(model, states, frames) -> np.ndarray:
     truth = angles_of(model, scene().body, np.array([scene().true_poses[k].q for k in frames]))
     return np.abs(np.degrees(np.array([s.q for s in states]) - truth))
@@ -51,7 +57,7 @@ def errors_deg(model, states, frames) -> np.ndarray:
 
 def test_two_views_follow_a_walk() -> None:
     model, start = the_model()
-    found = track(model, start, images(), FEW)
+    found = track(few(model), start, images())
     errors, still = (
         errors_deg(model, [e.state for e in found], range(1, 6)),
         errors_deg(model, [start] * 5, range(1, 6)),
@@ -65,30 +71,39 @@ def test_two_views_follow_a_walk() -> None:
 
 def test_a_dropped_image_is_passed_over() -> None:
     model, start = the_model()
-    tracker = DifferentialTracker(model, start, images()[0], FEW)
-    states = [tracker.step((image[0], None) if k == 1 else image).state for k, image in enumerate(images()[1:], 1)]
+    frames = [(image[0], None) if k == 1 else image for k, image in enumerate(images())]
+    found = track(few(model), start, frames)
+    assert found[0].support[1] == 0.0 < found[1].support[1]
+    states = [e.state for e in found]
     legs = [model.coordinate(n) for n in model.coordinate_names if "knee" in n or "hip_flexion" in n]
     assert errors_deg(model, states, range(1, 6))[:, legs].mean() < 3.0
+
+
+def test_a_view_that_begins_late_takes_part_from_then_on() -> None:
+    """Its turn and place are those of the start, carried along by the joints' limits alone, until it is seen."""
+    model, start = the_model()
+    late = Track.of(start)
+    for k, image in enumerate(images()[:4]):
+        late, found = followed(late, (image[0], None) if k == 0 else image, few(model))
+    assert found.support[1] > 0.5
+    assert np.all(np.isfinite(found.state.q))
 
 
 def test_a_change_of_exposure_is_found() -> None:
     model, start = the_model()
     brighter = tuple(np.clip(1.1 * image.astype(np.float32) / 255 + 0.02, 0, 1) for image in images()[0])
-    found = track(
-        model, start, [tuple(i.astype(np.float32) / 255 for i in images()[0]), brighter], replace(FEW, colour=False)
-    )[0]
+    followed = replace(few(model), config=DifferentialConfig(colour=False))
+    found = track(followed, start, [tuple(i.astype(np.float32) / 255 for i in images()[0]), brighter])[0]
     np.testing.assert_allclose(found.exposure[:, 0], 0.1, atol=0.03)
     assert np.degrees(np.abs(found.state.q - start.q)).max() < 1.0
 
 
 @pytest.mark.parametrize("perspective", [False, True])
-def test_the_follower_gives_poses_in_the_world(perspective) -> None:
+def test_the_model_gives_poses_in_the_world(perspective) -> None:
     found = scene()
-    follower = DifferentialFollower(found.body, found.rig, replace(FEW, perspective=perspective))
-    with pytest.raises(InputError, match="first pose"):
-        follower.step(Frame(0, 0.0, images()[0]))
-    follower.start(found.true_poses[0])
-    estimates = [follower.step(Frame(k, k / 60, image)) for k, image in enumerate(images()[:3])]
+    tracker = Tracker(DifferentialModel(found.body, DifferentialConfig(perspective=perspective), FEW, found.rig))
+    tracker.start(found.true_poses[0])
+    estimates = [tracker.step(Frame(k, k / 60, image)) for k, image in enumerate(images()[:3])]
     np.testing.assert_array_equal(estimates[0].pose.q, found.true_poses[0].q)
     last = estimates[-1]
     assert np.linalg.norm(last.pose.root[:3, 3] - found.true_poses[2].root[:3, 3]) < 0.03
@@ -107,13 +122,13 @@ def test_the_world_pose_of_a_state_is_the_pose() -> None:
 def test_bad_input_is_told() -> None:
     model, start = the_model()
     with pytest.raises(InputError, match="1 images for 2 views"):
-        DifferentialTracker(model, start, images()[0][:1])
+        track(few(model), start, [images()[0][:1]])
     with pytest.raises(InputError, match="angles"):
-        DifferentialTracker(model, State(start.views, start.q[:3]), images()[0])
+        track(few(model), State(start.views, start.q[:3]), [images()[0]])
     with pytest.raises(InputError, match="not finite"):
-        DifferentialTracker(model, start, [np.full((140, 192), np.nan)] * 2)
-    with pytest.raises(InputError, match="iterations"):
-        DifferentialConfig(iterations=0)
+        track(few(model), start, [[np.full((140, 192), np.nan)] * 2])
+    with pytest.raises(InputError, match="stray_deg"):
+        DifferentialConfig(stray_deg=0.0)
 
 
 def test_support_tells_the_body_from_what_is_still_and_from_neither() -> None:

@@ -9,7 +9,7 @@ from twistcap import se3
 from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.body.simplify import simplified
-from twistcap.differential.view import ScaledView
+from twistcap.camera import ScaledView
 from twistcap.render import render
 
 BODY = humanoid()

@@ -15,9 +15,10 @@ from reproduce.passes import LIMBS, SequenceConfig, cheapest_path, chosen, neare
 from reproduce.scenes.walks import Walk
 from twistcap.body.simplify import NINETEEN, angles_of, simplified
 from twistcap.cues.view import Picture
-from twistcap.differential.settings import DifferentialConfig
-from twistcap.differential.tracker import DifferentialTracker
-from twistcap.differential.view import State
+from twistcap.differential.model import DifferentialModel
+from twistcap.differential.settings import Rule
+from twistcap.differential.state import State
+from twistcap.differential.step import track
 from twistcap.differential.world import state_of
 from twistcap.errors import InputError
 from twistcap.render import render
@@ -142,21 +143,19 @@ def test_a_leg_that_stands_in_the_place_of_another_counts_only_where_it_is_not_l
 
 def test_a_sequence_without_further_passes_is_the_trackers() -> None:
     model, states, images = plates()
-    config = DifferentialConfig(levels=2, iterations=2)
-    tracker = DifferentialTracker(model, states[0], images[0], config)
-    stepped = [tracker.step(frame).state for frame in images[1:3]]
-    found = track_sequence(model, states[0], images[:3], config, SequenceConfig(passes=0))
+    followed = DifferentialModel(model, rule=Rule(levels=2, iterations=2))
+    stepped = track(followed, states[0], images[:3])
+    found = track_sequence(followed, states[0], images[:3], SequenceConfig(passes=0))
     for a, b in zip(found[1:], stepped, strict=True):
-        np.testing.assert_array_equal(a.q, b.q)
+        np.testing.assert_array_equal(a.q, b.state.q)
 
 
 def test_an_expected_state_is_looked_for_about() -> None:
     model, states, images = plates()
-    config = DifferentialConfig(levels=2, iterations=4, stray_deg=6.0)
-    at_rest, told = (DifferentialTracker(model, states[0], images[0], config) for _ in range(2))
+    followed, frames = DifferentialModel(model, rule=Rule(levels=2, iterations=4)), (images[0], images[2])
     off = [
-        np.degrees(np.abs(s.q - states[2].q)).max()
-        for s in (at_rest.step(images[2]).state, told.step(images[2], states[2]).state)
+        np.degrees(np.abs(track(followed, states[0], frames, expected)[-1].state.q - states[2].q)).max()
+        for expected in (None, (states[0], states[2]))
     ]
     assert off[1] < 0.5 * off[0]
 
@@ -170,7 +169,7 @@ def test_an_oblique_walk_is_followed_with_both_legs_before_the_pinhole() -> None
     truth = [state_of(pose, found.rig, config.perspective) for pose in found.true_poses]
     first = State(truth[0].views, angles_of(model, found.body, truth[0].q))
     images = [list(frame.images) for frame in found.frames()]
-    states = track_sequence(model, first, images, replace(config, levels=3), T2.sequence)
+    states = track_sequence(DifferentialModel(model, config, Rule(levels=3)), first, images, T2.sequence)
     assert states[-1].views[0].K is not None
     off = np.degrees([s.q - angles_of(model, found.body, t.q) for s, t in zip(states, truth, strict=True)])
     legs = [k for k, name in enumerate(model.coordinate_names) if name[:4] in ("hip_", "knee")]
@@ -183,7 +182,7 @@ def test_an_oblique_walk_is_followed_with_both_legs_before_the_pinhole() -> None
 def test_a_missing_image_is_told() -> None:
     model, states, images = plates()
     with pytest.raises(InputError, match="frame 1 lacks an image"):
-        track_sequence(model, states[0], [images[0], [None, *images[1][1:]]])
+        track_sequence(DifferentialModel(model), states[0], [images[0], [None, *images[1][1:]]])
 
 
 def test_bad_settings_are_told() -> None:

@@ -12,6 +12,8 @@ import pytest
 
 from reproduce.scenes.subjects import walks_of_another
 from twistcap.body import Posed
+from twistcap.differential.model import DifferentialModel
+from twistcap.differential.settings import DifferentialConfig
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
 from twistcap.motion import MotionLibrary
@@ -19,7 +21,7 @@ from twistcap.motion.library import unwrapped
 from twistcap.priors import ParzenPrior
 from twistcap.search.uncertain import UncertainLimbs
 from twistcap.studio import Capture, StudioConfig, capture
-from twistcap.track import Model, Settings, State, build, step
+from twistcap.track import Model, Settings, build, step
 from twistcap.track.saving import from_bytes, to_bytes
 
 
@@ -59,13 +61,15 @@ def library() -> MotionLibrary:
     return MotionLibrary(walk.true_body.coordinate_names, 30.0, ("walk",), ends, q.astype(np.float32), roots)
 
 
-def model_of(kind: str, made: Capture) -> Model:
+def model_of(kind: str, made: Capture) -> Any:
     """A tracker with every search on, of one kind."""
     if kind == "prior":
         samples = walks_of_another(made.body, 7)
         return build(made.body, made.rig, prior=ParzenPrior.trained(made.body.coordinate_names, samples))
     if kind in ("followed", "guarded"):
         return build(made.body, made.rig, Settings(predictor="motion", motion=kind), motions=library())  # type: ignore[arg-type]
+    if kind == "differential":
+        return DifferentialModel(made.body, DifferentialConfig(behind="dominant"), rig=made.rig)
     return build(
         made.body,
         made.rig,
@@ -73,7 +77,7 @@ def model_of(kind: str, made: Capture) -> Model:
     )
 
 
-def tracked(state: State, frames: Sequence[Frame], model: Model) -> tuple[State, list[Estimate]]:
+def tracked(state: Any, frames: Sequence[Frame], model: Any) -> tuple[Any, list[Estimate]]:
     out: list[Estimate] = []
     for frame in frames:
         state, estimate = step(state, frame, model)
@@ -83,7 +87,16 @@ def tracked(state: State, frames: Sequence[Frame], model: Model) -> tuple[State,
 
 @pytest.mark.parametrize(
     ("kind", "views"),
-    [("direct", 4), ("direct", 2), ("levelset", 2), ("prior", 2), ("flow", 2), ("followed", 2), ("guarded", 2)],
+    [
+        ("direct", 4),
+        ("direct", 2),
+        ("levelset", 2),
+        ("prior", 2),
+        ("flow", 2),
+        ("followed", 2),
+        ("guarded", 2),
+        ("differential", 2),
+    ],
 )
 def test_a_track_that_goes_on_from_any_frame_is_the_undisturbed_one(kind: str, views: int) -> None:
     made, frames = scene(views)
@@ -103,9 +116,10 @@ def test_a_track_that_goes_on_from_any_frame_is_the_undisturbed_one(kind: str, v
         assert same(end, states[min(k + 3, len(frames))]), k
 
 
-def test_a_step_changes_nothing_in_place() -> None:
+@pytest.mark.parametrize("kind", ["direct", "differential"])
+def test_a_step_changes_nothing_in_place(kind: str) -> None:
     made, frames = scene(2)
-    model = build(made.body, made.rig)
+    model = model_of(kind, made)
     state, _ = tracked(model.start(made.first_pose), frames[:4], model)
     before = to_bytes(state)
     first, second = step(state, frames[4], model), step(state, frames[4], model)
@@ -131,7 +145,7 @@ def test_a_rejected_hypothesis_leaves_no_trace() -> None:
     assert same(replace(tried, searches={}), replace(never, searches={}))
 
 
-@pytest.mark.parametrize("harm", ["cut", "flip", "other model"])
+@pytest.mark.parametrize("harm", ["cut", "flip", "other model", "other method"])
 def test_a_damaged_or_foreign_state_is_refused(harm: str) -> None:
     made, frames = scene(2)
     model = build(made.body, made.rig)
@@ -141,8 +155,10 @@ def test_a_damaged_or_foreign_state_is_refused(harm: str) -> None:
     elif harm == "flip":
         data = data.copy()
         data[len(data) // 3] ^= 255
-    else:
+    elif harm == "other model":
         model = build(made.body, made.rig, Settings(brightness=False))
-    message = "differ in the cues photometric" if harm == "other model" else "state of the track is damaged"
-    with pytest.raises(InputError, match=message):
+    else:
+        model = model_of("differential", made)
+    messages = {"other model": "differ in the cues photometric", "other method": "is of another method"}
+    with pytest.raises(InputError, match=messages.get(harm, "state of the track is damaged")):
         from_bytes(data, model)

@@ -12,10 +12,11 @@ import pytest
 from twistcap.body import Pose, Posed
 from twistcap.cues.direct import DirectContour
 from twistcap.cues.levelset import LevelSetContour
+from twistcap.differential.model import DifferentialModel
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame, Keypoints
 from twistcap.studio import Capture, StudioConfig, capture
-from twistcap.track import Model, Settings, build, track
+from twistcap.track import Model, Settings, build, of_method, track
 
 JOINTS = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
 
@@ -121,10 +122,13 @@ def test_a_limb_on_other_ground_keeps_its_colours() -> None:
     assert remembered < 40.0 < forgotten
 
 
-def test_the_method_without_contours_is_refused() -> None:
+def test_the_method_without_contours_has_a_model_of_its_own() -> None:
     scene = capture(StudioConfig(frames=1))
-    with pytest.raises(InputError, match="DifferentialFollower"):
-        build(scene.body, scene.rig, Settings(method="differential"))
+    settings = Settings(method="differential")
+    with pytest.raises(InputError, match="of_method"):
+        build(scene.body, scene.rig, settings)
+    assert isinstance(of_method(scene.body, scene.rig, settings), DifferentialModel)
+    assert isinstance(of_method(scene.body, scene.rig, Settings()), Model)
 
 
 def test_equal_runs_give_equal_numbers() -> None:

@@ -6,7 +6,6 @@ import time
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -46,7 +45,7 @@ def follow(frames: Iterable[Frame], total: int, tracker: Tracker, writer: Result
         try:
             for frame in frames:
                 if len(writer) % STATE_EVERY == 0:
-                    save_state(tracker, writer)
+                    writer.save_state(to_bytes(tracker.state))
                 estimate = _step(tracker, frame, timing)
                 writer.append(estimate)
                 advance(f"{timing.ms[-1]:.0f} ms{'  LOST' if estimate.lost else ''}")
@@ -56,13 +55,7 @@ def follow(frames: Iterable[Frame], total: int, tracker: Tracker, writer: Result
     return timing
 
 
-def save_state(tracker: Any, writer: ResultWriter) -> None:
-    """Put what the next frame depends on into the file."""
-    if isinstance(tracker, Tracker):
-        writer.save_state(to_bytes(tracker.state))
-
-
-def resumed(tracker: Any, path: Path) -> int:
+def resumed(tracker: Tracker, path: Path) -> int:
     """Bring a tracker to the last saved state of a file; how many frames had been tracked by then.
 
     Raises:

@@ -105,9 +105,7 @@ def _resumed(session: Any, path: Path, done: Any) -> tuple[Any, Timing]:
         raise InputError(f"{path} was tracked with cameras {had}, the session has {has}; track anew without --resume.")
     views = views_of(session, rig)
     tracker = session_tracker(session, done.body, views)
-    count = len(done) if session.tracker_settings.method == "differential" else resumed(tracker, path)
-    if session.tracker_settings.method == "differential":
-        tracker.restore(done.estimates)
+    count = resumed(tracker, path)
     rest = views.starting_at(int(done.indices[count - 1]) + 1) if count else views
     words.print(f"going on after {count} frames: {len(rest)} frames to go")
     with ResultWriter.resume(path, count) as writer:
@@ -116,16 +114,11 @@ def _resumed(session: Any, path: Path, done: Any) -> tuple[Any, Timing]:
 
 def session_tracker(session: Any, body: Any, views: Any) -> Any:
     """The session's tracker; training motion is brought to the rate of the frames that are read."""
-    from twistcap.track import Tracker, build
+    from twistcap.track import Tracker, of_method
 
-    settings = session.tracker_settings
-    if settings.method == "differential":
-        from twistcap.differential.follower import DifferentialFollower
-
-        return DifferentialFollower(body, views.image_rig, settings.differential)
     library = session.motion_library
     motions = None if library is None else library.resampled(views.fps / session.step)
-    return Tracker(build(body, views.image_rig, settings, session.pose_prior, motions))
+    return Tracker(of_method(body, views.image_rig, session.tracker_settings, session.pose_prior, motions))
 
 
 def _kept(views: Any, tracker: Any, writer: Any, path: Path) -> Timing:

@@ -13,7 +13,7 @@ import numpy as np
 
 from twistcap._typing import Bool, Float
 from twistcap.body import Body
-from twistcap.differential.view import State
+from twistcap.differential.state import State
 
 LIMBS = (("hip_flexion", "knee_angle"), ("arm_flex", "elbow_flex"))
 """Upper and lower coordinate of each limb, sides left out."""
@@ -42,7 +42,7 @@ def searched(body: Body, state: State, misfit: Callable[[State, Bool], float], r
         misfit: mean cost of a state on the pixels of some segments (S,).
         reach: rad; lower joints are tried up to one and a half of it, upper ones up to it.
         spread: rad, how far angles stray from the guess: a candidate pays half the square of its distance in these,
-            in shares of a hundredth of the cost's own unit.
+            in hundredths of the cost's own unit.
     """
     for upper, lower in limbs_of(body):
         segments = moved_by(body, upper)

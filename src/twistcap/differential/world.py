@@ -9,8 +9,8 @@ import numpy as np
 from twistcap import se3
 from twistcap._typing import Float
 from twistcap.body import Pose
-from twistcap.camera import Camera
-from twistcap.differential.view import ScaledView, State
+from twistcap.camera import Camera, ScaledView
+from twistcap.differential.state import State
 
 _DEPTH = 1e-3
 """Information of a view along its ray against across it: scale tells depth badly, so that other views decide it."""

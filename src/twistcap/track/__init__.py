@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from typing import Any
 
 from twistcap.body import Pose
+from twistcap.differential.model import DifferentialModel
 from twistcap.estimate import Estimate, Frame
 from twistcap.settings import Settings
-from twistcap.track.build import build
+from twistcap.track.build import build, of_method
 from twistcap.track.model import Model
 from twistcap.track.state import State
 from twistcap.track.step import step
 
-__all__ = ["Model", "Settings", "State", "Tracker", "build", "step", "track"]
+__all__ = ["Model", "Settings", "State", "Tracker", "build", "of_method", "step", "track"]
 
 
 class Tracker:
     """A model and the state that it has reached, for those who go frame by frame."""
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: Model | DifferentialModel) -> None:
         self.model = model
-        self.state = model.start(Pose.rest(model.body))
+        self.state: Any = model.start(Pose.rest(model.body))
 
     def start(self, pose: Pose, time: float = 0.0) -> None:
         """Take the pose from which the first frame is tracked."""
@@ -32,7 +34,7 @@ class Tracker:
         return estimate
 
 
-def track(frames: Iterable[Frame], model: Model, first_pose: Pose) -> Iterator[Estimate]:
+def track(frames: Iterable[Frame], model: Model | DifferentialModel, first_pose: Pose) -> Iterator[Estimate]:
     """Track a body through frames, one estimate each."""
     tracker = Tracker(model)
     for k, frame in enumerate(frames):

@@ -13,6 +13,7 @@ from twistcap.cues.contour import ContourCue
 from twistcap.cues.direct import DirectContour
 from twistcap.cues.keypoints import Keypoints2D
 from twistcap.cues.levelset import LevelSetContour
+from twistcap.differential.model import DifferentialModel
 from twistcap.errors import InputError
 from twistcap.motion import MotionLibrary, motion_predictor
 from twistcap.motion.predictor import TrainedMotion
@@ -93,6 +94,21 @@ def build(
     )  # fmt: skip
 
 
+def of_method(
+    body: Body, rig: Rig, settings: Settings, prior: ParzenPrior | None = None, motions: MotionLibrary | None = None
+) -> Model | DifferentialModel:
+    """The model of the chosen method: brightness alone, or as `build` makes it.
+
+    Raises:
+        InputError: as `build` does; and for a prior or a library that the method cannot use.
+    """
+    if settings.method != "differential":
+        return build(body, rig, settings, prior, motions)
+    if prior is not None or motions is not None:
+        raise InputError('tracker: method "differential" takes neither a prior nor motions; leave them out.')
+    return DifferentialModel(body, settings.differential, rig=rig)
+
+
 def contour_of(settings: Settings) -> ContourCue:
     """The contour cue of the chosen method.
 
@@ -100,7 +116,7 @@ def contour_of(settings: Settings) -> ContourCue:
         InputError: for the method without contours.
     """
     if settings.method == "differential":
-        raise InputError('tracker: method "differential" has no contours; use DifferentialFollower instead.')
+        raise InputError('tracker: method "differential" has no contours; use track.of_method instead of build.')
     kind = DirectContour if settings.method == "direct" else LevelSetContour
     return kind(density=settings.density, statistics=settings.statistics, surface_sigma=settings.surface_sigma)
 

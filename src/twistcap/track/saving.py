@@ -18,9 +18,9 @@ import numpy as np
 
 from twistcap._typing import AnyArray, UInt8
 from twistcap.body import Body, Pose, Posed
+from twistcap.differential.model import DifferentialModel
 from twistcap.errors import InputError
 from twistcap.track.model import Model, memory_type
-from twistcap.track.state import State
 
 _DAMAGE = (
     OSError, EOFError, ValueError, TypeError, KeyError, IndexError, AttributeError, zipfile.BadZipFile,
@@ -28,7 +28,7 @@ _DAMAGE = (
 _MEMORIES = ("cues", "predictors", "searches")
 
 
-def to_bytes(state: State) -> UInt8:
+def to_bytes(state: Any) -> UInt8:
     """(N,) bytes of a state, with checksums."""
     arrays: list[AnyArray] = []
     layout = _packed(state, arrays)
@@ -39,7 +39,7 @@ def to_bytes(state: State) -> UInt8:
     return np.frombuffer(buffer.getvalue(), np.uint8)
 
 
-def from_bytes(data: UInt8, model: Model) -> State:
+def from_bytes(data: UInt8, model: Model | DifferentialModel) -> Any:
     """The state of a model that `to_bytes` wrote.
 
     Raises:
@@ -82,9 +82,12 @@ class _Reader:
     def __init__(self, arrays: list[AnyArray], body: Body) -> None:
         self.arrays, self.body = arrays, body
 
-    def state(self, layout: Mapping[str, Any], model: Model) -> State:
-        """The state; the memories' types are those that their owners annotate."""
-        hints, values = get_type_hints(State), dict[str, Any]()
+    def state(self, layout: Mapping[str, Any], model: Model | DifferentialModel) -> Any:
+        """The state, of the type that `start` makes; the memories' types are those that their owners annotate."""
+        kind = memory_type(model)
+        hints, values = get_type_hints(kind), dict[str, Any]()
+        if layout.keys() != hints.keys():
+            raise InputError("the stored state is of another method; resume with the settings of the first run.")
         for name, packed in layout.items():
             if name in _MEMORIES:
                 stored = dict(packed["items"])
@@ -97,7 +100,7 @@ class _Reader:
                 values[name] = {key: self.read(memory_type(owners[key]), stored[key]) for key in owners}
             else:
                 values[name] = self.read(hints[name], packed)
-        return State(**values)
+        return kind(**values)
 
     def read(self, kind: Any, packed: Any) -> Any:
         """A value of an annotated type."""

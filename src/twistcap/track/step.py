@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any, overload
 
 from twistcap._typing import Bool
 from twistcap.cues.observation import Fit
 from twistcap.cues.view import despeckled
+from twistcap.differential.model import DifferentialModel
+from twistcap.differential.state import Track
+from twistcap.differential.step import step as by_brightness
 from twistcap.estimate import Estimate, Frame
 from twistcap.predict import Prediction
 from twistcap.predict.history import Moment, Past, jumped
@@ -16,13 +20,19 @@ from twistcap.track.model import Model
 from twistcap.track.state import State
 
 
-def step(state: State, frame: Frame, model: Model) -> tuple[State, Estimate]:
+@overload
+def step(state: State, frame: Frame, model: Model) -> tuple[State, Estimate]: ...
+@overload
+def step(state: Track, frame: Frame, model: DifferentialModel) -> tuple[Track, Estimate]: ...
+def step(state: Any, frame: Frame, model: Model | DifferentialModel) -> tuple[Any, Estimate]:
     """Track one frame.
 
     Raises:
         InputError: for an image with a value that is not finite.
     """
     next_frame()
+    if isinstance(model, DifferentialModel):
+        return by_brightness(state, frame, model)
     frame = despeckled(frame, model.despeckle)
     prediction, state = predicted(state, frame, model)
     problem = posed_problem(state, frame, model, prediction)

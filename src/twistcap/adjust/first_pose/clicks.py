@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -18,12 +17,14 @@ from twistcap.adjust.first_pose.skeleton import Proportions, Scaling, Skeleton
 from twistcap.body import Body, Posed, rescaled
 from twistcap.body.kinematics import Pose
 from twistcap.camera import pinhole
-from twistcap.differential.system import image_motion
-from twistcap.differential.view import ROOT, ScaledView, State
+from twistcap.camera.scaled import ROOT, ScaledView
+from twistcap.differential.model import state_at, view_block, view_blocks
+from twistcap.differential.state import State
 from twistcap.errors import InputError
 from twistcap.render import SurfacePoints
 from twistcap.solve import BlockProblem, Variables, Vector, minimise
-from twistcap.terms import BlockGaussian, BlockTerm, Place, Slope, Sums
+from twistcap.terms import BlockGaussian, BlockTerm, Slope, Sums
+from twistcap.terms.scaled import ViewGaussian, image_motion
 
 _FEWEST = 4  # clicks in each view, at least
 _HEADINGS = 8  # directions of the body that are tried
@@ -87,7 +88,7 @@ def fit_clicks(
     skeleton, known = Skeleton(body), gathered(body, clicks)
     starts = [start] if start is not None else _starts(body, known, facing_deg)
     x, _ = min((_minimised(skeleton, known, begin) for begin in starts), key=lambda end: end[1])
-    proportions, state = skeleton.proportions(x["shape"].values), state_of(x)
+    proportions, state = skeleton.proportions(x["shape"].values), state_at(x)
     fitted = rescaled(body, proportions.lengths, proportions.girths, proportions.stature)
     at = Posed(fitted, Pose(np.eye(4), state.q)).landmarks[known.marks]
     off = np.stack([view.pixels(at) for view in state.views]) - known.pixels
@@ -159,18 +160,17 @@ def _minimised(skeleton: Skeleton, clicks: Clicks, start: State) -> tuple[Variab
 
 def click_variables(skeleton: Skeleton, start: State) -> Variables:
     """The views, the joints inside their limits, and the body's log-factors."""
-    body, V = skeleton.body, len(start.views)
-    blocks: dict[str, Any] = {_view(v): view for v, view in enumerate(start.views)}
-    reach = {_view(v): _REACH * np.array([1, s, s, 1, 1, 1]) for v, s in enumerate(view.scale for view in start.views)}
+    body, views = skeleton.body, view_blocks(start)
+    reach = {name: _REACH * np.array([1, view.scale, view.scale, 1, 1, 1]) for name, view in views.items()}
     joints = Vector(np.clip(start.q, *body.limits.T), body.limits)
-    free = (*map(_view, range(V)), "joints", "shape")
-    return Variables({**blocks, "joints": joints, "shape": Scaling(skeleton, np.zeros(skeleton.size))}, free, reach)
+    shape = Scaling(skeleton, np.zeros(skeleton.size))
+    return Variables({**views, "joints": joints, "shape": shape}, (*views, "joints", "shape"), reach)
 
 
 def click_problem(clicks: Clicks, start: Variables) -> BlockProblem:
     """``½ Σ |x − click|² / σ²`` and weak Gaussians on angles, log-factors and the views' rotations from the start's."""
     skeleton: Skeleton = start["shape"].skeleton
-    J = len(start["joints"].values)
+    J, lean = len(start["joints"].values), np.array([*[np.inf] * 3, *[np.deg2rad(_LEAN_DEG)] * 3])
     sizes = [_STATURE, *[_LENGTH] * len(skeleton.length_groups), *[_GIRTH] * len(skeleton.girth_segments)]
     terms: list[BlockTerm] = [
         BlockGaussian("joints", np.zeros(J), np.full(J, np.deg2rad(_ANGLE_DEG)), "neutral"),
@@ -178,18 +178,9 @@ def click_problem(clicks: Clicks, start: Variables) -> BlockProblem:
     ]
     for v in range(len(clicks.pixels)):
         own = np.flatnonzero(clicks.known[v])
-        terms.append(ClickTerm(_view(v), clicks.marks[own], clicks.pixels[v, own], _SIGMA_PX))
-        terms.append(LeanTerm(_view(v), start[_view(v)], float(np.deg2rad(_LEAN_DEG))))
+        terms.append(ClickTerm(view_block(v), clicks.marks[own], clicks.pixels[v, own], _SIGMA_PX))
+        terms.append(ViewGaussian(view_block(v), start[view_block(v)], lean))
     return BlockProblem(terms)
-
-
-def state_of(x: Variables) -> State:
-    """The blocks as a state of the differential tracker."""
-    return State(tuple(block for block in x.blocks.values() if isinstance(block, ScaledView)), x["joints"].values)
-
-
-def _view(v: int) -> str:
-    return f"view {v}"
 
 
 @dataclass(frozen=True)
@@ -234,32 +225,3 @@ class ClickTerm:
 
     def _posed(self, x: Variables) -> Posed:
         return Posed(x["shape"].body, Pose(np.eye(4), x["joints"].values))
-
-
-@dataclass(frozen=True)
-class LeanTerm:
-    """A Gaussian about a view's rotation at the start, for a camera held upright.
-
-    Attributes:
-        view: its block.
-        start: the view there.
-        sigma: rad.
-    """
-
-    view: str
-    start: ScaledView
-    sigma: float
-    name: str = "lean"
-
-    @property
-    def blocks(self) -> tuple[str, ...]:
-        return (self.view,)
-
-    def energy(self, x: Variables) -> float:
-        turn = x[self.view].minus(self.start)[3:]
-        return 0.5 * float(turn @ turn) / self.sigma**2
-
-    def add_to(self, sums: Sums, x: Variables) -> None:
-        turn = x[self.view].minus(self.start)[3:]
-        D = se3.inverse_left_jacobian(np.concatenate([turn, np.zeros(3)]))[:3, :3] / self.sigma
-        sums.add_quadratic([Place(self.view, 3, 3)], self.energy(x), D.T @ turn / self.sigma, D.T @ D)

@@ -11,8 +11,12 @@ scale and the exposure are unknowns beside the pose.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
 import numpy as np
 
+from twistcap import se3
 from twistcap._typing import Float, Float32
 from twistcap.body import Posed
 from twistcap.camera import pinhole
@@ -20,6 +24,10 @@ from twistcap.camera.scaled import ROOT, ScaledView
 from twistcap.render import SurfacePoints
 from twistcap.terms import accumulate
 from twistcap.terms.photometric import EXPOSURE, Samples, sample
+from twistcap.terms.rows import Place, Sums
+
+if TYPE_CHECKING:
+    from twistcap.solve.blocks import Variables
 
 
 def image_motion(posed: Posed, view: ScaledView, points: SurfacePoints) -> Float:
@@ -53,6 +61,36 @@ def _pose_step(view: ScaledView, joints: int) -> Float:
     out[own, own] = 1.0
     out[own[-1] + 2 :, own[-1] + 1 :] = np.eye(EXPOSURE)
     return out
+
+
+@dataclass(frozen=True)
+class ViewGaussian:
+    """Independent Gaussians about a view's scale, place and turn.
+
+    Attributes:
+        view: its block.
+        mean: the view expected.
+        sigma: (6,) of the step from there: relative scale, px, rad; infinite where nothing is expected.
+    """
+
+    view: str
+    mean: ScaledView
+    sigma: Float
+    name: str = "view"
+
+    @property
+    def blocks(self) -> tuple[str, ...]:
+        return (self.view,)
+
+    def energy(self, x: Variables) -> float:
+        return 0.5 * float(np.sum((x[self.view].minus(self.mean) / self.sigma) ** 2))
+
+    def add_to(self, sums: Sums, x: Variables) -> None:
+        step = x[self.view].minus(self.mean)
+        D = np.eye(ROOT)
+        D[3:, 3:] = se3.inverse_left_jacobian(np.append(step[3:], np.zeros(3)))[:3, :3]
+        D, off = D / self.sigma[:, None], step / self.sigma
+        sums.add_quadratic([Place(self.view, ROOT)], 0.5 * float(off @ off), D.T @ off, D.T @ D)
 
 
 def normal_equations_reference(
