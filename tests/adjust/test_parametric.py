@@ -104,7 +104,7 @@ def test_a_body_without_landmarks_is_told() -> None:
 
 def test_a_surface_of_another_release_is_told() -> None:
     _check_surface(1229)
-    with pytest.raises(InputError, match="another surface, of 1230"):
+    with pytest.raises(InputError, match="a surface of 1230 vertices instead of 1229"):
         _check_surface(1230)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from support.commands import document, run, told
+from support.commands import document, refusal, run
 from twistcap.settings import Settings
 
 PAGE = Path(__file__).parents[2] / "docs" / "formats" / "settings.md"
@@ -31,7 +31,7 @@ def test_the_list_is_readable(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_a_session_is_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "no file is named" in told(capsys, "session")
+    assert "no file is named" in refusal(capsys, "session")
     assert run("studio", tmp_path / "walk", "--size", "96x70", "--views", "2", "--frames", "2") == 0
     found = document(capsys, "session", tmp_path / "walk" / "session.toml")
     assert len(found["cameras"]) == 2
