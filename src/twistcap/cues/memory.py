@@ -126,8 +126,11 @@ class Look:
 
     def brightness(self, pixels: Float) -> tuple[Float, Float]:
         """(N, L, C) values, NaN off the image, and (N, L, C, 2) gradients at pixels (N, 2) of the finest level."""
-        found = [sampled_channels(im, level_pixels(pixels, k)) for k, im in enumerate(self.levels)]
-        return np.stack([f[0] for f in found], axis=1), np.stack([f[1] for f in found], axis=1)
+        value = np.empty((len(pixels), len(self.levels), len(self.levels[0])))
+        gradient = np.empty((*value.shape, 2))
+        for k, level in enumerate(self.levels):
+            value[:, k], gradient[:, k] = sampled_channels(level, level_pixels(pixels, k))
+        return value, gradient
 
     def exposed(self, value: Float) -> Float:
         """What is remembered (N, L, C) under this frame's exposure."""
@@ -144,8 +147,10 @@ def level_pixels(pixels: Float, level: int) -> Float:
 
 def sampled_channels(image: Float32, pixels: Float) -> tuple[Float, Float]:
     """Values (N, C), NaN off the image (C, H, W), and their gradients (N, C, 2) at pixels (N, 2)."""
-    found = [sampled(channel, pixels) for channel in image]
-    return np.stack([f[0] for f in found], axis=1), np.stack([f[1] for f in found], axis=1)
+    value, gradient = np.empty((len(pixels), len(image))), np.empty((len(pixels), len(image), 2))
+    for c, channel in enumerate(image):
+        value[:, c], gradient[:, c] = sampled(channel, pixels)
+    return value, gradient
 
 
 def remember(look: Look, memory: Memory | None, rule: Retention, fresh: bool = True) -> Memory:
@@ -158,8 +163,7 @@ def remember(look: Look, memory: Memory | None, rule: Retention, fresh: bool = T
     if kept is not None and not fresh:
         return kept
     new = _fresh(look, rule, occupied)
-    found = new if kept is None else kept + new
-    return found.of(np.asarray(np.isfinite(found.value).all(axis=(1, 2)), np.bool_))
+    return new if kept is None else kept + new
 
 
 def empty_grid(shape: tuple[int, ...], cell: int) -> Bool:
@@ -179,23 +183,25 @@ def _kept(look: Look, memory: Memory, rule: Retention, occupied: Bool) -> Memory
     which = first_in_cells(pixels, order, rule.cell, rule.border, occupied)
     if not rule.trusted_first:
         which = np.sort(which)
-    memory = replace(memory, pixels=pixels, value=was, picture=look.picture, mask=look.seen.mask)
-    shown = memory.of(which)
-    at = np.rint(shown.pixels).astype(np.int32)
-    shown = replace(
-        shown,
-        value=shown.value + rule.update * (now[which] - shown.value),
-        gradient=shown.gradient + rule.update * (slope[which] - shown.gradient),
-        inside=_inside(look, rule, at[:, 1], at[:, 0]),
-        missed=np.zeros(len(which), np.int32),
-    )
+    at, take = np.rint(pixels[which]).astype(np.int32), np.take  # much faster than indexing
+    value, gradient = take(was, which, axis=0), take(memory.gradient, which, axis=0)
+    shown = Memory(
+        memory.points[which],
+        value + rule.update * (take(now, which, axis=0) - value),
+        gradient + rule.update * (take(slope, which, axis=0) - gradient),
+        trust[which], _inside(look, rule, at[:, 1], at[:, 0]), np.zeros(len(which), np.int32), pixels[which],
+        memory.excess, look.picture, look.seen.mask,
+    )  # fmt: skip
+    if rule.hidden == 0:
+        return shown
     hidden = np.flatnonzero(~visible & (trust > 0.5) & (memory.missed < rule.hidden)).astype(np.int32)
     hidden = hidden[np.argsort(memory.missed[hidden], kind="stable")][: max(len(which), 1)]
-    return shown + replace(memory, missed=memory.missed + np.int32(1)).of(hidden) if len(hidden) else shown
+    aged = replace(memory, pixels=pixels, value=was, missed=memory.missed + np.int32(1))
+    return shown + aged.of(hidden) if len(hidden) else shown
 
 
 def _fresh(look: Look, rule: Retention, occupied: Bool) -> Memory:
-    """New points in the cells that are not occupied."""
+    """New points in the cells that are not occupied, those of them that lie in the image."""
     seen = look.seen
     if rule.choice == "middle":
         rows, columns = middles_of_cells(seen.mask, rule.cell, occupied)
@@ -207,10 +213,12 @@ def _fresh(look: Look, rule: Retention, occupied: Bool) -> Memory:
     if look.posed is not seen.posed:
         pixels, _ = projected(seen.camera, points.at(look.posed))
     N, S = len(points), len(look.posed.body.segment_names)
-    return Memory(
+    new = Memory(
         points, *look.brightness(pixels), np.full(N, rule.trust), _inside(look, rule, rows, columns),
         np.zeros(N, np.int32), pixels, np.ones(S), look.picture, seen.mask,
     )  # fmt: skip
+    known = np.asarray(np.isfinite(new.value).all(axis=(1, 2)), np.bool_)
+    return new if known.all() else new.of(known)
 
 
 def _inside(look: Look, rule: Retention, rows: Int, columns: Int) -> Float:

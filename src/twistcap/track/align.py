@@ -105,7 +105,7 @@ class FrameProblem:
         if fit.status == "failed" or (known := self._known) is None:
             return self.spread
         # What stands in every frame is no news of this one: taken in anew in every frame it would add up.
-        news = fit.quadratic.hessian - PoseProblem(fit.standing).linearised(fit.before).hessian
+        news = fit.quadratic.hessian - sum(term.linearize(fit.before).hessian for term in fit.standing)
         scale = INFLATION**2 / self.trust
         return covariance(Quadratic(0.0, np.zeros(len(known)), news / scale + known))
 
@@ -165,7 +165,8 @@ def alternated(problem: FrameProblem, fit: Fit, level: Level, steps: int = 1) ->
     if again:
         _ = posed.vertices, posed.vertex_normals  # once, not in each thread
     carried: Sequence[Sight | None] = [None] * len(problem.views) if again else fit.sights
-    looked = each_view(lambda i, s: _looked(problem, posed, i, s, level), list(problem.views), carried)
+    pixels = sum(view.image.shape[0] * view.image.shape[1] for view in problem.views.values())
+    looked = each_view(pixels, lambda i, s: _looked(problem, posed, i, s, level), list(problem.views), carried)
     sights, measured = [sight for sight, _ in looked], [found for _, found in looked]
     standing, news = _prior_terms(problem, fit, measured)
     masked = _masked(model, measured, fit.visibility)
