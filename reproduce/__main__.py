@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -89,14 +88,7 @@ def _print_list(json: bool) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point; `arguments` default to the process's own."""
-    try:
-        app(args=None if arguments is None else list(arguments), prog_name="python -m reproduce")
-    except InputError as error:
-        print(f"reproduce: {error}", file=sys.stderr)
-        sys.exit(2)
-    except OSError as error:  # a full disk, a folder that may not be written
-        print(f"reproduce: {error.filename or 'a file'} cannot be used: {error.strerror or error}.", file=sys.stderr)
-        sys.exit(2)
+    terminal.run_command(app, "reproduce", arguments, "python -m reproduce")
 
 
 if __name__ == "__main__":

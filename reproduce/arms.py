@@ -10,10 +10,10 @@ from typing import Protocol
 
 import numpy as np
 
-from reproduce.arrays import AnyArray, Bool, Float
 from reproduce.cases import Training
 from reproduce.running import Tell, over_seeds
 from reproduce.sequence import joint_errors_mm, prior_of
+from twistcap.arrays import AnyArray, Bool, Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Camera, Rig
 from twistcap.estimate import Estimate, Frame

@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 import scipy.linalg
 
-from reproduce.arrays import Float
 from twistcap import se3
+from twistcap.arrays import Float
 from twistcap.body import Body
 from twistcap.errors import InputError
 from twistcap.motion import MotionLibrary

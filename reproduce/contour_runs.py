@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 
 from reproduce.arms import Findings
-from reproduce.arrays import AnyArray, Bool, Float
 from reproduce.running import Tell
 from reproduce.sequence import joint_errors_mm
+from twistcap.arrays import AnyArray, Bool, Float
 from twistcap.body import Pose, Posed
 from twistcap.errors import InputError
 from twistcap.estimate import Frame

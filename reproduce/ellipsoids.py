@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from reproduce.arrays import Float, Int
+from twistcap.arrays import Float, Int
 from twistcap.body.model import Body
 from twistcap.errors import InputError
 

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numba import njit
 
-from reproduce.arrays import AnyArray, Bool, Float, Float32, Int
+from twistcap.arrays import AnyArray, Bool, Float, Float32, Int
 from twistcap.body import Body, Posed
 from twistcap.camera import ScaledView
 from twistcap.camera.projection import projected

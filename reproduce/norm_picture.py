@@ -10,10 +10,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from reproduce.arms import Trace
-from reproduce.arrays import Float
 from reproduce.measures.gait_norms import FILE, GRID, at_phases, gait_norm
 from reproduce.recorded import data_file
 from reproduce.scenes.walks import Walk
+from twistcap.arrays import Float
 
 JOINTS = ("hip_flexion", "knee_angle", "ankle_angle")
 

@@ -15,8 +15,8 @@ from itertools import product
 
 import numpy as np
 
-from reproduce.arrays import AnyArray, Float, Float32, Int
 from reproduce.layers import Layers, LimbCost, learnt
+from twistcap.arrays import AnyArray, Float, Float32, Int
 from twistcap.body import Body
 from twistcap.cues.view import Picture
 from twistcap.differential.model import DifferentialModel

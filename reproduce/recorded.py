@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from reproduce.arrays import Float
 from twistcap import se3
+from twistcap.arrays import Float
 from twistcap.body import Body
 from twistcap.errors import InputError
 from twistcap.io.motions import read_motion

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from reproduce.arrays import Bool, Float32
+from twistcap.arrays import Bool, Float32
 from twistcap.errors import InputError
 from twistcap.region.densities import heaviside
 from twistcap.region.levelset import evolve, signed_distance

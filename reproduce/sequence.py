@@ -8,10 +8,10 @@ from time import perf_counter
 
 import numpy as np
 
-from reproduce.arrays import Float
 from reproduce.cases import Case, Measure, Training
 from reproduce.scenes.subjects import squats, walks_of_another
 from twistcap.adjust.first_pose import fit_keypoints
+from twistcap.arrays import Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.estimate import Estimate, Frame, Keypoints

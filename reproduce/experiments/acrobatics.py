@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from reproduce.arms import Arm, Comparison, Trace, by_arm, unsearched
-from reproduce.arrays import Float
 from reproduce.experiments.gaps import MIMIC, RATE, RUN
 from reproduce.recorded import Recording
 from reproduce.sequence import joint_errors_mm
 from twistcap import se3
+from twistcap.arrays import Float
 from twistcap.body import Posed
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate

@@ -14,11 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from reproduce.arms import Findings
-from reproduce.arrays import Float
 from reproduce.running import Tell, over_seeds
 from reproduce.sequence import joint_errors_mm, khe_errors_deg
 from twistcap.adjust.body_fit.fit import Take, fit_body
 from twistcap.adjust.first_pose import girth_groups
+from twistcap.arrays import Float
 from twistcap.body import Body
 from twistcap.body.shape import segment_axes
 from twistcap.estimate import Frame

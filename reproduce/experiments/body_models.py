@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 
 from reproduce.arms import Findings
-from reproduce.arrays import Float
 from reproduce.measures.surfaces import surface_distances
 from reproduce.running import Tell, over_seeds
 from reproduce.sequence import joint_errors_mm, noisy_keypoints
@@ -23,6 +22,7 @@ from twistcap.adjust.body_fit import FitRule, Fitted, Take, fit_body
 from twistcap.adjust.body_fit.build import Build
 from twistcap.adjust.body_fit.parametric import carried_pose, matched
 from twistcap.adjust.first_pose import fit_keypoints
+from twistcap.arrays import Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.anny import AnnyModel
 from twistcap.body.humanoid import humanoid

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from reproduce.arrays import Bool
 from reproduce.contour_runs import Claim, arm_rows, both
 from reproduce.running import Tell
 from reproduce.segment import Evolution, segment
+from twistcap.arrays import Bool
 from twistcap.camera import Camera, Rig
 from twistcap.cues.contour import Segmentation
 from twistcap.cues.levelset import LevelSetContour

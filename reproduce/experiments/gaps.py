@@ -120,27 +120,10 @@ class _Failing:
             knees = [float(t.errors[self.missing].mean()) for t in found]
             kept = [float(resumed(t)) for t in found]
             lost = len(kept) - int(sum(kept))
-            out.append(
-                row(
-                    f"{self.id} {arm}",
-                    "knees while images fail",
-                    float(np.mean(knees)),
-                    "deg",
-                    at_most=most,
-                    seeds=knees,
-                )
-            )
-            out.append(
-                row(
-                    f"{self.id} {arm}",
-                    "tracks on",
-                    float(np.mean(kept)),
-                    "share",
-                    at_least=least,
-                    seeds=kept,
-                    lost=lost,
-                )
-            )
+            case, error = f"{self.id} {arm}", float(np.mean(knees))
+            out.append(row(case, "knees while images fail", error, "deg", at_most=most, seeds=knees))
+            share = float(np.mean(kept))
+            out.append(row(case, "tracks on", share, "share", at_least=least, seeds=kept, lost=lost))
         return out
 
 

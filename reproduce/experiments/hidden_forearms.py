@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from reproduce.arms import Findings
-from reproduce.arrays import Bool, Float
 from reproduce.cases import PRIOR
 from reproduce.running import Tell, over_seeds
 from reproduce.sequence import Pictures, joint_errors_mm, prior_of, tracked
+from twistcap.arrays import Bool, Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Camera
 from twistcap.evaluate import Row, metrics, row

@@ -19,7 +19,6 @@ from pathlib import Path
 import numpy as np
 
 from reproduce.arms import Findings, Trace, shot_of, slim
-from reproduce.arrays import AnyArray, UInt8
 from reproduce.recorded import data_file
 from reproduce.running import Tell, over_seeds
 from reproduce.scenes.key_views import KeyViewScene, key_view_scene
@@ -28,6 +27,7 @@ from twistcap import se3
 from twistcap.acquire.build import Acquired, build
 from twistcap.acquire.measure import measure
 from twistcap.acquire.silhouette import KeyView, difference_mask, one_person
+from twistcap.arrays import AnyArray, UInt8
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.obj_rig import load_makehuman
 from twistcap.estimate import Frame

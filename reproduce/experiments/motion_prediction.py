@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from reproduce.arms import Findings
-from reproduce.arrays import Float
 from reproduce.autoregressive import AutoregressiveMotion
 from reproduce.running import Tell
 from reproduce.scenes.motion_cases import BODY, Case, opensim_cases, other_cases
+from twistcap.arrays import Float
 from twistcap.body import Body
 from twistcap.evaluate import Row, row
 from twistcap.motion import Expected, FollowedMotion, MotionLibrary, MotionPredictor, PaperMotion, motion_predictor

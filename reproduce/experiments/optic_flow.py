@@ -21,9 +21,9 @@ import cv2
 import numpy as np
 
 from reproduce.arms import Findings
-from reproduce.arrays import Bool, Float32, UInt8
 from reproduce.running import Tell
 from reproduce.scenes.flow_pairs import FlowPair, flow_pair
+from twistcap.arrays import Bool, Float32, UInt8
 from twistcap.errors import InputError
 from twistcap.evaluate import Row, row
 from twistcap.flow import BROX_2004, optical_flow

@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 
 from reproduce.arms import Findings, Trace, shot_of, slim
-from reproduce.arrays import Float
 from reproduce.running import Tell, over_seeds
 from reproduce.scenes.subjects import limbering
 from reproduce.sequence import joint_errors_mm, khe_angles, khe_errors_deg
 from twistcap.adjust.first_pose import girth_groups
 from twistcap.adjust.refine import Refined, refine
+from twistcap.arrays import Float
 from twistcap.body import Body, Posed, rescaled
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate.metrics import Row, row

@@ -17,13 +17,13 @@ import cv2
 import numpy as np
 
 from reproduce.arms import Findings
-from reproduce.arrays import AnyArray, UInt8
 from reproduce.ellipsoids import ellipsoid_body
 from reproduce.measures.gait_norms import FILE, by_cycle, correlation, gait_norm, heel_strikes
 from reproduce.passes import Limb, SequenceConfig, track_sequence
 from reproduce.recorded import data_file
 from reproduce.running import Tell
 from twistcap.adjust.first_pose.clicks import fit_clicks
+from twistcap.arrays import AnyArray, UInt8
 from twistcap.body import Body
 from twistcap.body.humanoid import humanoid
 from twistcap.body.simplify import SIDE_VIEW, simplified

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import find_peaks
 
-from reproduce.arrays import Float, Int
+from twistcap.arrays import Float, Int
 from twistcap.errors import InputError
 
 FILE = "gait_norms/Schwartz2008.json"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import KDTree
 
-from reproduce.arrays import Float, Int
+from twistcap.arrays import Float, Int
 
 _SAMPLES, _DENSE = 5000, 60000
 

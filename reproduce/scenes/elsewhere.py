@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from reproduce.arrays import Float, Float32
+from twistcap.arrays import Float, Float32
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.background import smooth_noise
 from twistcap.studio.config import stream

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from reproduce.arrays import Bool, Float32, UInt8
+from twistcap.arrays import Bool, Float32, UInt8
 from twistcap.body import Body, Pose, Posed
 from twistcap.render import render
 from twistcap.studio import StudioConfig, capture

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from reproduce.arrays import Float32
 from twistcap import se3
+from twistcap.arrays import Float32
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Camera, look_at
 from twistcap.studio.background import background

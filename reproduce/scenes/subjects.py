@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from reproduce.arrays import Float
+from twistcap.arrays import Float
 from twistcap.body import Body, Pose
 from twistcap.studio.config import stream
 from twistcap.studio.motion import gait

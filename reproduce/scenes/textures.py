@@ -7,7 +7,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from reproduce.arrays import Bool, Float, Float32
+from twistcap.arrays import Bool, Float, Float32
 
 Difference = Literal["0 | 90", "45 | 135", "scale"]
 DIFFERENCES: tuple[Difference, ...] = get_args(Difference)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from reproduce.arrays import Float
+from twistcap.arrays import Float
 from twistcap.body import Pose
 from twistcap.camera import Camera, Rig, look_at
 from twistcap.studio import Capture, StudioConfig, capture

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 
 import typer
@@ -18,9 +17,9 @@ from twistcap.commands.prior import prior
 from twistcap.commands.refine import refine
 from twistcap.commands.session import session
 from twistcap.commands.studio import studio
+from twistcap.commands.terminal import run_command
 from twistcap.commands.track import track
 from twistcap.commands.view import view
-from twistcap.errors import InputError
 
 app = typer.Typer(
     name="twistcap",
@@ -57,14 +56,7 @@ def common(
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Entry point; `arguments` default to the process's own."""
-    try:
-        app(args=None if arguments is None else list(arguments))
-    except InputError as error:
-        print(f"twistcap: {error}", file=sys.stderr)
-        sys.exit(2)
-    except OSError as error:  # a full disk, a folder that may not be written
-        print(f"twistcap: {error.filename or 'a file'} cannot be used: {error.strerror or error}.", file=sys.stderr)
-        sys.exit(2)
+    run_command(app, "twistcap", arguments)
 
 
 if __name__ == "__main__":

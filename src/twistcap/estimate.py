@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from twistcap._typing import AnyArray, Float
+from twistcap.arrays import AnyArray, Float
 from twistcap.body import Pose
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 
-from twistcap._typing import Float
+from twistcap.arrays import Float
 
 _SMALL = 1e-4  # below this angle (rad) the trigonometric quotients are replaced by their series
 

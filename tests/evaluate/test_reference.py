@@ -12,7 +12,7 @@ import pytest
 
 from support.box import hinged_box
 from twistcap import se3
-from twistcap._typing import AnyArray
+from twistcap.arrays import AnyArray
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.camera import Camera, Rig, look_at

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from support.moving_texture import H, W, X, Y, limb_scene, moved, texture, turn
-from twistcap._typing import Bool, Float32
+from twistcap.arrays import Bool, Float32
 from twistcap.errors import InputError
 from twistcap.flow import BROX_2004, PRESETS, FlowSettings, flow_confidence, moved_mask, optical_flow
 from twistcap.flow.solver import assemble, data_weights, diffusivity, relax

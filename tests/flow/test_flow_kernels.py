@@ -7,7 +7,7 @@ import pytest
 
 from support.moving_texture import H, W, X, Y, limb_scene, moved, texture
 from support.twins import check_twin
-from twistcap._typing import Bool, Float, Float32
+from twistcap.arrays import Bool, Float, Float32
 from twistcap.flow import FlowSettings
 from twistcap.flow.data import derivative_maps, motion_tensors, motion_tensors_reference
 from twistcap.flow.expansion import expand

@@ -7,7 +7,7 @@ import pytest
 
 from support.motion import ahead
 from twistcap import se3
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.errors import InputError

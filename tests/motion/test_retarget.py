@@ -13,7 +13,7 @@ import pytest
 from support.cameras import ring
 from support.finite_differences import check_jacobian
 from twistcap import se3
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.body.shape import joint_origin

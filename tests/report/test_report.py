@@ -15,7 +15,7 @@ import pytest
 
 from support.box import BOX, hinged_box
 from twistcap import se3
-from twistcap._typing import AnyArray
+from twistcap.arrays import AnyArray
 from twistcap.body import Pose, Posed
 from twistcap.camera import Camera, Rig, look_at
 from twistcap.estimate import Estimate, Frame

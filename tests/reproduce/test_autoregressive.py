@@ -7,7 +7,7 @@ import pytest
 
 from reproduce.autoregressive import AutoregressiveMotion
 from twistcap import se3
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.body.humanoid import humanoid
 from twistcap.errors import InputError
 from twistcap.motion import MotionClip, MotionLibrary

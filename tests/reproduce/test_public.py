@@ -65,6 +65,6 @@ def test_files_and_functions_stay_small(path: Path) -> None:
 
 def test_the_test_finds_what_it_looks_for() -> None:
     source = (
-        "from twistcap._typing import Float\nfrom twistcap.body import _a\nimport twistcap._b\nx._c\nself._d\nx.__e__"
+        "from twistcap._cached import cached\nfrom twistcap.body import _a\nimport twistcap._b\nx._c\nself._d\nx.__e__"
     )
     assert [found.split(":")[0] for found in private_names(source)] == [f"line {n}" for n in (1, 2, 3, 4)]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from support.oracle import BODY, Oracle
-from twistcap._typing import Bool
+from twistcap.arrays import Bool
 from twistcap.body import Pose, Posed
 from twistcap.body.limbs import limbs
 from twistcap.camera import Rig

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twistcap._typing import Bool, Float, Float32
+from twistcap.arrays import Bool, Float, Float32
 
 H, W = 96, 120
 Y, X = np.mgrid[:H, :W].astype(float)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from support.browser import CHROMIUM, Browser
-from twistcap._typing import AnyArray
+from twistcap.arrays import AnyArray
 from twistcap.cli import main
 from twistcap.estimate import Estimate
 from twistcap.io.result import ResultWriter

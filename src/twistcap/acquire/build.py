@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twistcap import se3
-from twistcap._typing import Float, Int
 from twistcap.acquire.measure import SIDES, Measured
 from twistcap.acquire.sections import closed_spline, fullness
+from twistcap.arrays import Float, Int
 from twistcap.body import Body, Landmarks
 from twistcap.body.humanoid import humanoid
 from twistcap.body.shape import joint_origin

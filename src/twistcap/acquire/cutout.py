@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from twistcap._typing import Bool, Float, UInt8
 from twistcap.acquire.silhouette import one_person
+from twistcap.arrays import Bool, Float, UInt8
 
 _ROUNDS = 4
 _SURE = 0.02  # of the image's height: an earlier silhouette is certain farther than this from its edge

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from twistcap._typing import Bool, Float
 from twistcap.acquire.outline import corners, skeleton
+from twistcap.arrays import Bool, Float
 from twistcap.errors import InputError
 
 

@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 
 from twistcap import se3
-from twistcap._typing import Bool, Float
 from twistcap.acquire.joints import ArmCorner, arm_corner, narrowest
 from twistcap.acquire.outline import Separation, separate
 from twistcap.acquire.sections import Cut, sections
 from twistcap.acquire.silhouette import KeyView, check_views, middle_pixel, nearest_point
+from twistcap.arrays import Bool, Float
 from twistcap.body import _humanoid_profiles as P
 from twistcap.camera import Camera
 from twistcap.errors import InputError

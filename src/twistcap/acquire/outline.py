@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from twistcap._typing import Bool, Float, Int, UInt8
+from twistcap.arrays import Bool, Float, Int, UInt8
 from twistcap.errors import InputError
 
 _PIT_ANGLE = np.deg2rad(150.0)  # an arm pit is sharper than this

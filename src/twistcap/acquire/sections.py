@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from twistcap._typing import Float, Float32
+from twistcap.arrays import Float, Float32
 from twistcap.camera import Camera
 
 _REACH, _STEP = 0.6, 0.001  # m on either side of the middle that is searched for the silhouette; sampling

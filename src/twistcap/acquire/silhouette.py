@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from twistcap._typing import AnyArray, Bool, Float, Float32
+from twistcap.arrays import AnyArray, Bool, Float, Float32
 from twistcap.camera import Camera
 from twistcap.errors import InputError
 

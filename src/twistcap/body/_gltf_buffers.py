@@ -11,7 +11,7 @@ from urllib.parse import unquote
 import numpy as np
 from pygltflib import GLTF2, Accessor, BufferView
 
-from twistcap._typing import AnyArray, Float
+from twistcap.arrays import AnyArray, Float
 from twistcap.body.rig_spec import RigSpec
 from twistcap.errors import InputError
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.sparse import coo_matrix
 
 from twistcap import se3
-from twistcap._typing import Float, Int
+from twistcap.arrays import Float, Int
 from twistcap.body import _humanoid_profiles as P
 from twistcap.body._humanoid_field import Field
 from twistcap.body.model import edges_of

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from scipy.interpolate import PchipInterpolator
 
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.body._humanoid_profiles import Sweep
 
 _SAMPLES = 33

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from twistcap import se3
-from twistcap._typing import Float, Int
+from twistcap.arrays import Float, Int
 from twistcap.body import _humanoid_profiles as P
 from twistcap.body._humanoid_field import Field
 

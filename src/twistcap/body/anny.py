@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from twistcap import se3
-from twistcap._typing import AnyArray, Float, Int
+from twistcap.arrays import AnyArray, Float, Int
 from twistcap.body.model import Body
 from twistcap.body.rig import SkinnedMesh, build_body
 from twistcap.body.rig_spec import LandmarkSpec, RigSpec, read_rig

@@ -17,7 +17,7 @@ import numpy as np
 from pygltflib import GLTF2
 
 from twistcap import se3
-from twistcap._typing import Float, Int
+from twistcap.arrays import Float, Int
 from twistcap.body._gltf_buffers import EXTRAS, TO_REST, Buffers
 from twistcap.body.gltf_write import save_glb
 from twistcap.body.model import Body, Landmarks

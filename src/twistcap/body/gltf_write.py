@@ -26,7 +26,7 @@ from pygltflib import (
 )
 
 from twistcap import se3
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.body._gltf_buffers import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, EXTRAS, TO_REST, Packer
 from twistcap.body.kinematics import Pose, Posed, vertex_normals
 from twistcap.body.model import Body

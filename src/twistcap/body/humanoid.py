@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from twistcap import se3
-from twistcap._typing import Float, Int
+from twistcap.arrays import Float, Int
 from twistcap.body import _humanoid_profiles as P
 from twistcap.body._humanoid_binding import binding
 from twistcap.body._humanoid_field import field_of

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from twistcap import se3
-from twistcap._typing import Bool, Float, Int
+from twistcap.arrays import Bool, Float, Int
 from twistcap.body.model import Body
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twistcap._typing import Bool
+from twistcap.arrays import Bool
 from twistcap.body.model import Body
 
 

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from twistcap._typing import Bool, Float, Int
+from twistcap.arrays import Bool, Float, Int
 from twistcap.errors import InputError
 
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from twistcap import se3
-from twistcap._typing import Float, Int
+from twistcap.arrays import Float, Int
 from twistcap.body.model import Body
 from twistcap.body.rig import SkinnedMesh, build_body, in_tree_order
 from twistcap.body.rig_spec import RigSpec, read_rig

@@ -32,7 +32,7 @@ from typing import Literal, TypeVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.errors import InputError
 
 Vector = tuple[float, float, float]

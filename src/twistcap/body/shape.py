@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twistcap import se3
-from twistcap._typing import Float, Int
+from twistcap.arrays import Float, Int
 from twistcap.body.kinematics import Posed, skin_points
 from twistcap.body.model import Body, Landmarks
 from twistcap.errors import InputError

@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from twistcap._typing import Bool, Float, Int
+from twistcap.arrays import Bool, Float, Int
 from twistcap.body.kinematics import Pose, Posed
 from twistcap.body.model import Body, Landmarks
 from twistcap.errors import InputError

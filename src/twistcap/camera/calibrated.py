@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twistcap import se3
-from twistcap._typing import AnyArray, Float, Float32
+from twistcap.arrays import AnyArray, Float, Float32
 from twistcap.camera.projection import OF_W
 
 

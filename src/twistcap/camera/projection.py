@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Float
+from twistcap.arrays import Float
 
 NEAR = 1e-3  # m before the camera; nearer points have no image
 OF_W = np.array([0.0, 0.0, 0.0, 1.0])

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from twistcap import se3
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.camera.calibrated import Camera
 from twistcap.camera.projection import OF_W
 from twistcap.errors import InputError

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.commands.terminal import progress
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Bool, Float, Float32, Int
+from twistcap.arrays import Bool, Float, Float32, Int
 from twistcap.cues.view import View
 from twistcap.render import RenderedView
 

@@ -7,7 +7,7 @@ from typing import cast
 import cv2
 import numpy as np
 
-from twistcap._typing import AnyArray, Bool, Float, Float32
+from twistcap.arrays import AnyArray, Bool, Float, Float32
 
 _FEWEST = 12
 STILL = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from twistcap._typing import Float, Float32
+from twistcap.arrays import Float, Float32
 from twistcap.body import Body, Posed
 from twistcap.camera import Rig
 from twistcap.cues.memory import Look, Memory, Retention, remember

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Bool, Float, Float32, Int
+from twistcap.arrays import Bool, Float, Float32, Int
 from twistcap.body import Body
 from twistcap.camera import Rig
 from twistcap.cues.appearance import Appearance, AppearanceRule

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.cues.appearance import AppearanceRule
 from twistcap.cues.contour import ContourCue, ContourEvidence, part_agreement
 from twistcap.cues.view import View

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Bool, Float, Float32
+from twistcap.arrays import Bool, Float, Float32
 from twistcap.cues.appearance import AppearanceRule
 from twistcap.cues.contour import ContourCue, ContourEvidence, Segmentation, part_agreement
 from twistcap.cues.view import View

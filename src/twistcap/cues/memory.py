@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Bool, Float, Float32, Int
+from twistcap.arrays import Bool, Float, Float32, Int
 from twistcap.body import Posed
 from twistcap.camera.projection import projected
 from twistcap.cues.view import Picture

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from twistcap._typing import Bool, Float, Int
+from twistcap.arrays import Bool, Float, Int
 from twistcap.body import Pose, Posed
 from twistcap.cues.view import View
 from twistcap.estimate import Frame

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Bool, Float, Float32, Int
+from twistcap.arrays import Bool, Float, Float32, Int
 
 _FLOOR = 0.008  # brightness; least robust scale: sensor noise and sampling
 _CEILING = 0.15

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from twistcap._cached import cached
-from twistcap._typing import AnyArray, Float32
+from twistcap.arrays import AnyArray, Float32
 from twistcap.body import Posed
 from twistcap.camera import Camera
 from twistcap.errors import InputError

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from twistcap._typing import Bool, Float, Float32, Int
+from twistcap.arrays import Bool, Float, Float32, Int
 from twistcap.body import Body
 from twistcap.camera.scaled import ROOT, ScaledView
 from twistcap.cues.background import under_motion

@@ -11,7 +11,7 @@ from itertools import product
 
 import numpy as np
 
-from twistcap._typing import Bool, Float
+from twistcap.arrays import Bool, Float
 from twistcap.body import Body
 from twistcap.differential.state import State
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twistcap._typing import AnyArray, Float
+from twistcap.arrays import AnyArray, Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera.scaled import ROOT, ScaledView
 from twistcap.cues.memory import Memory

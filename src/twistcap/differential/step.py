@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from twistcap._typing import AnyArray, Bool, Float
+from twistcap.arrays import AnyArray, Bool, Float
 from twistcap.body import Body
 from twistcap.cues.background import STILL, dominant_motion
 from twistcap.cues.memory import Look, Memory, remember

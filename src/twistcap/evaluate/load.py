@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from twistcap._typing import AnyArray, Float
+from twistcap.arrays import AnyArray, Float
 from twistcap.body import Body
 from twistcap.errors import InputError
 from twistcap.io.angles import shoulders_of

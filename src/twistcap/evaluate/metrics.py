@@ -12,7 +12,7 @@ from typing import TypedDict
 
 import numpy as np
 
-from twistcap._typing import AnyArray, Bool, Float, Int
+from twistcap.arrays import AnyArray, Bool, Float, Int
 from twistcap.camera.projection import project
 from twistcap.region.compare import iou as iou
 from twistcap.render.raster import rasterise

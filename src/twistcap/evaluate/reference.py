@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import cv2
 import numpy as np
 
-from twistcap._typing import AnyArray, Bool, Float
+from twistcap.arrays import AnyArray, Bool, Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Camera, Rectifier, Rig
 from twistcap.errors import InputError

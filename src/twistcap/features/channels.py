@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from twistcap._typing import AnyArray, Float32
+from twistcap.arrays import AnyArray, Float32
 from twistcap.features.colour import grey, lab
 from twistcap.features.texture import Texture, with_texture
 

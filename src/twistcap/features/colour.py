@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numba import njit
 
-from twistcap._typing import AnyArray, Float32
+from twistcap.arrays import AnyArray, Float32
 
 _BYTE = np.arange(256, dtype=np.float32)
 _BYTE_TO_FLOAT = (_BYTE / 255.0)[None]

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numba import njit
 
-from twistcap._typing import AnyArray, Float, Float32
+from twistcap.arrays import AnyArray, Float, Float32
 from twistcap.errors import InputError
 from twistcap.features.tvflow import tv_step
 

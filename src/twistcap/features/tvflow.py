@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Float, Float32
+from twistcap.arrays import Float, Float32
 
 
 def tv_step(channels: Float32, tau: float, epsilon: float) -> Float32:

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Bool, Float, Float32, Int
+from twistcap.arrays import Bool, Float, Float32, Int
 from twistcap.flow.solver import FAST, TENSOR
 
 _CENTRAL = np.array([-1, 9, -45, 0, 45, -9, 1], np.float32) / 60  # first derivative, sixth order

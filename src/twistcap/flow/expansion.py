@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Bool, Float32, Int
+from twistcap.arrays import Bool, Float32, Int
 from twistcap.flow.matching import FAST, LABEL, BlockRule, Images, PartingRule, block_cost, carried, parting_of
 
 _SWEEPS = 4

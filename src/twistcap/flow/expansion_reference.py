@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twistcap._typing import Bool, Float, Float32, Int
+from twistcap.arrays import Bool, Float, Float32, Int
 from twistcap.flow.matching import BlockRule, Images
 from twistcap.flow.matching_reference import block_cost_reference, carried_reference, parting_of_reference
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Bool, Float32
+from twistcap.arrays import Bool, Float32
 from twistcap.flow.solver import FAST
 
 LABEL = 4  # of a node: u, v (px), cos θ - 1, sin θ

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twistcap._typing import Bool, Float, Float32
+from twistcap.arrays import Bool, Float, Float32
 from twistcap.flow.matching import NEIGHBOURS, BlockRule, Images, PartingRule
 
 _FORGIVEN = 0.9

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from twistcap._typing import AnyArray, Bool, Float32
+from twistcap.arrays import AnyArray, Bool, Float32
 from twistcap.errors import InputError
 from twistcap.features import to_float
 from twistcap.flow.settings import PRESETS, FlowSettings, Preset

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Bool, Float32, Int
+from twistcap.arrays import Bool, Float32, Int
 
 Shape = tuple[int, int]
 _COVERED = 0.4  # fraction of a coarse pixel that the mask must cover: thin limbs stay

@@ -7,7 +7,7 @@ from functools import cache
 import cv2
 import numpy as np
 
-from twistcap._typing import Bool, Float32, Int
+from twistcap.arrays import Bool, Float32, Int
 from twistcap.flow.expansion import expand
 from twistcap.flow.matching import LABEL, BlockRule, match_blocks, spread
 from twistcap.flow.pyramid import resized_flow, smoothed

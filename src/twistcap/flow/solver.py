@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Bool, Float, Float32
+from twistcap.arrays import Bool, Float, Float32
 
 FAST = {"contract", "reassoc", "arcp", "nsz"}  # never `nnan` or `ninf`: numbers that are not finite must show
 TENSOR = 6  # entries of a symmetric 3 by 3 motion tensor: 11, 12, 22, 13, 23, 33

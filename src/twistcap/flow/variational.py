@@ -10,7 +10,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from twistcap._typing import Bool, Float32
+from twistcap.arrays import Bool, Float32
 from twistcap.flow.data import derivative_maps, motion_tensors
 from twistcap.flow.pyramid import box_of, filled, level_shapes, pyramid, resized_flow, resized_mask
 from twistcap.flow.search import large_displacements

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from twistcap import se3
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.errors import InputError
 from twistcap.io.markers import read_lines
 from twistcap.motion.skeleton import SkeletonMotion

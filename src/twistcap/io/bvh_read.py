@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pybvh
 
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.errors import InputError
 from twistcap.motion.skeleton import SkeletonMotion, Up
 

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from twistcap import se3
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError
 from twistcap.io.plausible import check_plausible

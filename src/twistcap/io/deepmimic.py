@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from twistcap import se3
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.errors import InputError
 from twistcap.motion.skeleton import SkeletonMotion
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
 

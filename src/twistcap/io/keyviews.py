@@ -20,8 +20,8 @@ import cv2
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from twistcap._typing import Bool, UInt8
 from twistcap.acquire.silhouette import KeyView, difference_mask, one_person
+from twistcap.arrays import Bool, UInt8
 from twistcap.camera import Camera, Rectifier, Rig
 from twistcap.errors import InputError
 from twistcap.io.calibration import read_rig

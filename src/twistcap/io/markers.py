@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from twistcap._typing import AnyArray, Float
+from twistcap.arrays import AnyArray, Float
 from twistcap.errors import InputError, check_choice
 from twistcap.io.keypoints import LAYOUTS
 

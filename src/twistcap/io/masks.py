@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from twistcap._typing import Bool
+from twistcap.arrays import Bool
 from twistcap.camera import Rectifier, Rig
 from twistcap.errors import InputError
 

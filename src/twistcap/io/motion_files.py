@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from twistcap import se3
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.body import Body, Pose
 from twistcap.errors import InputError, check_choice
 from twistcap.estimate import Estimate

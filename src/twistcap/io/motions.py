@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from twistcap import se3
-from twistcap._typing import Bool, Float
+from twistcap.arrays import Bool, Float
 from twistcap.body import Body
 from twistcap.body.humanoid import humanoid
 from twistcap.errors import InputError

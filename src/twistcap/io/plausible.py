@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from twistcap import se3
-from twistcap._typing import Bool, Float
+from twistcap.arrays import Bool, Float
 from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from twistcap._typing import Float
 from twistcap.adjust.first_pose import Proportions
+from twistcap.arrays import Float
 from twistcap.body import Body, Pose, rescaled
 from twistcap.errors import InputError
 from twistcap.io.result import read_result

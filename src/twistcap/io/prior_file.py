@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.body.humanoid import humanoid
 from twistcap.errors import InputError
 from twistcap.io.angles import shoulders_of

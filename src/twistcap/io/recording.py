@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from twistcap._typing import Bool
 from twistcap.adjust.first_pose import (
     fit_keypoints,
     fit_keypoints_sequence,
@@ -16,6 +15,7 @@ from twistcap.adjust.first_pose import (
     pose_at,
     refine_on_silhouettes,
 )
+from twistcap.arrays import Bool
 from twistcap.body import Body, Pose, Posed, rescaled
 from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError

@@ -17,7 +17,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from twistcap._typing import AnyArray, Bool, Float, Int, UInt8
+from twistcap.arrays import AnyArray, Bool, Float, Int, UInt8
 from twistcap.body import Body, Landmarks, Pose
 from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from av.error import FFmpegError
 
-from twistcap._typing import UInt8
+from twistcap.arrays import UInt8
 from twistcap.errors import InputError
 
 _IMAGES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm"}

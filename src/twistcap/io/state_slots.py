@@ -7,7 +7,7 @@ import zlib
 import h5py
 import numpy as np
 
-from twistcap._typing import UInt8
+from twistcap.arrays import UInt8
 
 _SLOTS = ("0", "1")
 _NONE = -1  # frames of a slot that is empty or being written

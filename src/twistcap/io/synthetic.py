@@ -10,7 +10,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from twistcap._typing import AnyArray
+from twistcap.arrays import AnyArray
 from twistcap.body import Body, Pose
 from twistcap.body.gltf_write import save_glb
 from twistcap.errors import InputError, check_choice

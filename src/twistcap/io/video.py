@@ -12,7 +12,7 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from twistcap._typing import AnyArray, UInt8
+from twistcap.arrays import AnyArray, UInt8
 from twistcap.camera import Camera, Rectifier, Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Frame

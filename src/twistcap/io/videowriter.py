@@ -11,7 +11,7 @@ import av
 import numpy as np
 from av.error import FFmpegError
 
-from twistcap._typing import AnyArray
+from twistcap.arrays import AnyArray
 from twistcap.errors import InputError
 
 

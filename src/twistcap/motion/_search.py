@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Float, Float32, Int
+from twistcap.arrays import Float, Float32, Int
 
 BLOCK = 8  # poses whose neighbourhood is bounded by one tube
 FEW = 256  # blocks that are all searched: for so few, bounds save no time

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from twistcap._typing import Float, Float32, Int
+from twistcap.arrays import Float, Float32, Int
 from twistcap.motion._search import BLOCK, ClipArrays
 
 

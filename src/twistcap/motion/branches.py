@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from twistcap._typing import Bool, Float, Int
+from twistcap.arrays import Bool, Float, Int
 from twistcap.body import Body
 
 _BRIDGE = 0.1  # s that a crossing takes

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from twistcap import se3
-from twistcap._typing import Float, Int
+from twistcap.arrays import Float, Int
 from twistcap.body import Body
 from twistcap.errors import InputError
 from twistcap.motion.leverage import leverage

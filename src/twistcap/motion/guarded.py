@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from twistcap import se3
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.body import Pose
 from twistcap.errors import InputError
 from twistcap.motion.openloop import Expected, OpenLoop, Rollout

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.body import Body, Pose, Posed
 
 

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from twistcap._typing import Float, Float32, Int
+from twistcap.arrays import Float, Float32, Int
 from twistcap.errors import InputError
 from twistcap.motion.clip import MotionClip, interpolated_angles, interpolated_roots
 

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from twistcap._typing import Float, Float32, Int
+from twistcap.arrays import Float, Float32, Int
 from twistcap.errors import InputError
 from twistcap.motion import _search as kernels
 from twistcap.motion.library import PAPER_SCALES, MotionLibrary

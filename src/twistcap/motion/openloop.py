@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from twistcap._typing import Float, Int
+from twistcap.arrays import Float, Int
 from twistcap.body import Body, Pose
 from twistcap.errors import InputError
 from twistcap.motion.bridging import bridged

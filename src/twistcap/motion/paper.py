@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from twistcap import se3
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.body import Body
 from twistcap.errors import InputError
 from twistcap.motion.library import PAPER_SCALES, MotionLibrary

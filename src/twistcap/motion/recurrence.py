@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.errors import InputError
 from twistcap.motion.matching import Match
 

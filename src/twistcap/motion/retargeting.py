@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from twistcap import se3
-from twistcap._typing import Bool, Float, Int
+from twistcap.arrays import Bool, Float, Int
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.shape import joint_origin
 from twistcap.errors import InputError

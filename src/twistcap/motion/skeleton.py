@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from twistcap import se3
-from twistcap._typing import Float, Int
+from twistcap.arrays import Float, Int
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.shape import joint_origin
 from twistcap.errors import InputError

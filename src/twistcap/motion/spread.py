@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twistcap import se3
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.motion.library import MotionLibrary
 from twistcap.motion.matching import Interval
 

@@ -28,7 +28,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.body.rig_spec import parsed_toml
 from twistcap.errors import InputError
 from twistcap.motion.skeleton import SkeletonMotion

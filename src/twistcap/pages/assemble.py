@@ -13,7 +13,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from twistcap._typing import AnyArray
+from twistcap.arrays import AnyArray
 
 _MODULES: Mapping[str, str] = {"three": "three.module.min.js", "orbit": "OrbitControls.js"}
 _TYPES: Mapping[str, str] = {"float32": "f4", "uint8": "u1", "uint16": "u2", "uint32": "u4"}

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from twistcap._typing import UInt8
 from twistcap.adjust.first_pose import FirstPose, Proportions, fit_keypoints
+from twistcap.arrays import UInt8
 from twistcap.body import Body, Pose, Posed, rescaled
 from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError

@@ -11,8 +11,8 @@ from typing import Any
 import cv2
 import numpy as np
 
-from twistcap._typing import Bool, UInt8
 from twistcap.acquire.cutout import Hints, Stroke, cut_out
+from twistcap.arrays import Bool, UInt8
 from twistcap.errors import InputError
 from twistcap.pages.assemble import jpeg
 from twistcap.pages.outlines import flat

@@ -16,7 +16,7 @@ from importlib.metadata import entry_points
 
 import numpy as np
 
-from twistcap._typing import UInt8
+from twistcap.arrays import UInt8
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints

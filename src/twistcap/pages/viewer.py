@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from twistcap._typing import AnyArray, Float, Int
+from twistcap.arrays import AnyArray, Float, Int
 from twistcap.body import Body, Posed
 from twistcap.body.kinematics import unit_vertex_normals
 from twistcap.camera import Camera, Rig

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.body import Body, Pose
 from twistcap.camera import Rig
 from twistcap.cues.observation import Fit

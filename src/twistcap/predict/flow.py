@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from twistcap._typing import AnyArray, Float
+from twistcap.arrays import AnyArray, Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Camera, Rig
 from twistcap.cues.observation import Fit

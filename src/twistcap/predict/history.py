@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twistcap import se3
-from twistcap._typing import Bool, Float
+from twistcap.arrays import Bool, Float
 from twistcap.body import Pose
 from twistcap.errors import InputError
 

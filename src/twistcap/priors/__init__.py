@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.body import Posed
 from twistcap.cues.observation import Alternation
 from twistcap.priors.parzen import ParzenPrior, kernel_width

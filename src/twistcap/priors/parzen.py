@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree  # type: ignore[attr-defined]
 from scipy.special import logsumexp, softmax
 
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.errors import InputError
 
 _SAME = 4  # decimals, rad: samples that agree so far are one, as where a file was given twice

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from twistcap._typing import AnyArray, Bool, Float, Float32, Int
+from twistcap.arrays import AnyArray, Bool, Float, Float32, Int
 
 BLOCK = 4  # px: the background's statistics are gathered in blocks of this size
 _FALLBACK = 0.02  # fraction of a window at which the whole background has the weight of the window's own

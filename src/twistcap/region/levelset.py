@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Bool, Float, Float32
+from twistcap.arrays import Bool, Float, Float32
 
 _TABLE = 512  # entries of the table of H'
 

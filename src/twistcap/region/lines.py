@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Bool, Float, Float32, Int
+from twistcap.arrays import Bool, Float, Float32, Int
 
 _FAST = {"contract", "reassoc", "arcp", "nsz"}  # never `nnan` or `ninf`: images may hold any numbers
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twistcap._typing import Float, Float32, Int
+from twistcap.arrays import Float, Float32, Int
 from twistcap.region.lines import Lines, LineSettings, Measured, VisibleParts
 
 

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Float, Float32
+from twistcap.arrays import Float, Float32
 from twistcap.region.levelset import signed_distance
 
 _RELAXATION = 1.8

@@ -13,7 +13,7 @@ from typing import Literal, Protocol, get_args
 import cv2
 import numpy as np
 
-from twistcap._typing import Bool, Float32, Int
+from twistcap.arrays import Bool, Float32, Int
 from twistcap.errors import InputError
 from twistcap.region.densities import blockwise_log_ratio, global_log_ratio
 from twistcap.region.parzen import parzen_log_ratio

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Float, Float32
+from twistcap.arrays import Float, Float32
 from twistcap.errors import InputError
 
 _BINS_PER_SIGMA = 4.0

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Bool, Float, Float32, Int
+from twistcap.arrays import Bool, Float, Float32, Int
 from twistcap.body import Posed
 from twistcap.camera.projection import along, project
 from twistcap.render.view import RenderedView, SurfacePoints, surface_points

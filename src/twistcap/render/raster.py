@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from twistcap._typing import AnyArray, Float, Float32, Int
+from twistcap.arrays import AnyArray, Float, Float32, Int
 
 _EDGE = 1e-9  # triangles overlap by this much, so that rounding leaves no crack along a common edge
 

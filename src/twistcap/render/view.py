@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 
 from twistcap._cached import cached
-from twistcap._typing import AnyArray, Bool, Float, Float32, Int
+from twistcap.arrays import AnyArray, Bool, Float, Float32, Int
 from twistcap.body import Body, Posed
 from twistcap.camera import AnyCamera
 from twistcap.camera.projection import depth_at, project, projected

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from twistcap._typing import Bool, Float
 from twistcap.acquire.build import Acquired
 from twistcap.acquire.measure import Measured
 from twistcap.acquire.sections import closed_spline, fullness
 from twistcap.acquire.silhouette import KeyView
+from twistcap.arrays import Bool, Float
 from twistcap.body import Posed
 from twistcap.body.kinematics import Pose
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from twistcap._typing import AnyArray
 from twistcap.adjust.body_fit.fit import Fitted, Take
+from twistcap.arrays import AnyArray
 from twistcap.body import Body, Pose
 from twistcap.estimate import Frame
 from twistcap.evaluate.metrics import Row

@@ -11,7 +11,7 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from twistcap._typing import AnyArray, Bool, Float, Float32, Int
+from twistcap.arrays import AnyArray, Bool, Float, Float32, Int
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.kinematics import unit_vertex_normals
 from twistcap.body.shape import joint_origin

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from twistcap._typing import Bool, Float
+from twistcap.arrays import Bool, Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.limbs import branches
 from twistcap.camera import Rig

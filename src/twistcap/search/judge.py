@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from twistcap._typing import Bool, Float, Float32, Int
+from twistcap.arrays import Bool, Float, Float32, Int
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Camera
 from twistcap.cues.view import View

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from twistcap._typing import Bool, Float
+from twistcap.arrays import Bool, Float
 from twistcap.body import Body, Pose
 from twistcap.body.limbs import limb_parts, limbs
 from twistcap.camera import Rig

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from twistcap import se3
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.limbs import same_limb
 from twistcap.camera import Rig

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded, cholesky_banded, solve_triangular
 
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.errors import InputError
 
 

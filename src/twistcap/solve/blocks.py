@@ -13,7 +13,7 @@ from typing import Any, Protocol, Self
 import numpy as np
 
 from twistcap import se3
-from twistcap._typing import Bool, Float
+from twistcap.arrays import Bool, Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Camera
 

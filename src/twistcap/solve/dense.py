@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import get_lapack_funcs
 
-from twistcap._typing import Bool, Float
+from twistcap.arrays import Bool, Float
 from twistcap.terms import Quadratic
 
 # Cholesky; scipy's own functions cost more for one small matrix

@@ -12,7 +12,7 @@ from typing import Generic, Literal, Protocol, TypeVar
 
 import numpy as np
 
-from twistcap._typing import Float
+from twistcap.arrays import Float
 
 Status = Literal["converged", "max_iterations", "stalled", "failed"]
 

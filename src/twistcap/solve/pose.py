@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.body import Posed
 from twistcap.solve.dense import Dense
 from twistcap.terms import PointTerm, Quadratic, SegmentSums, Term

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twistcap._typing import Float, Int
+from twistcap.arrays import Float, Int
 from twistcap.solve.arrow import Arrow
 from twistcap.solve.blocks import Variables
 from twistcap.solve.dense import Dense, covariance

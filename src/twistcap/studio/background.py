@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from twistcap._typing import AnyArray, Float, Float32, UInt8
+from twistcap.arrays import AnyArray, Float, Float32, UInt8
 from twistcap.studio.config import StudioConfig, stream
 from twistcap.studio.look import HARD_GREY
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twistcap._typing import Float, Float32
+from twistcap.arrays import Float, Float32
 from twistcap.body import Body
 from twistcap.studio.config import StudioConfig, stream
 from twistcap.studio.shade import LATTICE_BITS

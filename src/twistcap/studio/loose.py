@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twistcap._typing import Float, Float32
+from twistcap.arrays import Float, Float32
 from twistcap.body import Body
 from twistcap.studio.background import smooth_noise
 from twistcap.studio.config import StudioConfig, stream

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twistcap._typing import Float32, UInt8
+from twistcap.arrays import Float32, UInt8
 from twistcap.studio.config import StudioConfig, stream
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from twistcap import se3
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.body import Body, Pose
 from twistcap.body.kinematics import Posed, skin_points, unit_vertex_normals
 from twistcap.body.shape import joints_moved, segment_axes

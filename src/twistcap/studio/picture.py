@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twistcap._typing import Float, Float32
+from twistcap.arrays import Float, Float32
 from twistcap.body import Pose, Posed
 from twistcap.body.kinematics import unit_vertex_normals
 from twistcap.camera import Camera

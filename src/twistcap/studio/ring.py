@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.camera import Camera, Rig, look_at
 
 STEREO_ANGLE_DEG = 135.0  # between two cameras; 90° and 160° were measured to be worse

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from twistcap._typing import Bool, Float, Float32, UInt8
+from twistcap.arrays import Bool, Float, Float32, UInt8
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.camera import Rig

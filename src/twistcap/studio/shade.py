@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Float, Float32, Int
+from twistcap.arrays import Float, Float32, Int
 from twistcap.render.raster import barycentric
 
 LATTICE_BITS = 5  # the texture repeats after 2⁵ lattice steps

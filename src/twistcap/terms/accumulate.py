@@ -13,7 +13,7 @@ from typing import Any, Self
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Float, Int
+from twistcap.arrays import Float, Int
 from twistcap.body import Posed
 from twistcap.camera.projection import NEAR
 from twistcap.render import SurfaceArrays, SurfacePoints

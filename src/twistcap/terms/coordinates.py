@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twistcap import se3
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.terms.quadratic import Quadratic, Term
 from twistcap.terms.rows import Place, Sums

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Float, Float32
+from twistcap.arrays import Float, Float32
 from twistcap.body import Posed
 from twistcap.camera.projection import along
 from twistcap.render import SurfaceArrays, SurfacePoints

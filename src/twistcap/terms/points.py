@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.body import Posed
 from twistcap.body.kinematics import skin_points_reference
 from twistcap.camera.projection import NEAR, along

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.body import Posed
 
 

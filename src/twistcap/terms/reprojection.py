@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from twistcap import se3
-from twistcap._typing import Float, Int
+from twistcap.arrays import Float, Int
 from twistcap.body import Body, Posed
 from twistcap.camera import Camera, pinhole
 from twistcap.terms.robust import geman_mcclure

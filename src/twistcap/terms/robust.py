@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Float
+from twistcap.arrays import Float
 
 
 def huber(residual: Float, scale: Float | float) -> tuple[Float, Float]:

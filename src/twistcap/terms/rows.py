@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
-from twistcap._typing import Float
+from twistcap.arrays import Float
 
 if TYPE_CHECKING:
     from twistcap.solve.blocks import Variables

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from twistcap import se3
-from twistcap._typing import Float, Float32
+from twistcap.arrays import Float, Float32
 from twistcap.body import Posed
 from twistcap.camera import pinhole
 from twistcap.camera.scaled import ROOT, ScaledView

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.cues.appearance import Appearance
 from twistcap.cues.observation import (

@@ -8,7 +8,7 @@ from typing import Any, get_type_hints
 
 import numpy as np
 
-from twistcap._typing import AnyArray
+from twistcap.arrays import AnyArray
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Rig
 from twistcap.cues import Cue

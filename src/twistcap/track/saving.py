@@ -16,7 +16,7 @@ from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hin
 
 import numpy as np
 
-from twistcap._typing import AnyArray, UInt8
+from twistcap.arrays import AnyArray, UInt8
 from twistcap.body import Body, Pose, Posed
 from twistcap.differential.model import DifferentialModel
 from twistcap.errors import InputError

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, overload
 
-from twistcap._typing import Bool
+from twistcap.arrays import Bool
 from twistcap.cues.observation import Fit
 from twistcap.cues.view import despeckled
 from twistcap.differential.model import DifferentialModel

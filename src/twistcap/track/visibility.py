@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twistcap._typing import Bool, Float
+from twistcap.arrays import Bool, Float
 from twistcap.body import Body
 from twistcap.body.limbs import segments_above
 from twistcap.cues.observation import Agreement, Evidence, Measured, Visibility, total_agreement

@@ -8,9 +8,9 @@ from typing import Protocol
 
 import numpy as np
 
-from twistcap._typing import Float
 from twistcap.adjust.body_fit import fields as f
 from twistcap.adjust.body_fit.fields import Fields
+from twistcap.arrays import Float
 from twistcap.body import Body
 
 Motions = tuple[Float, Float, Float]

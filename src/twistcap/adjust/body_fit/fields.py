@@ -12,8 +12,8 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from twistcap import se3
-from twistcap._typing import Float, Int
 from twistcap.adjust.first_pose import girth_groups
+from twistcap.arrays import Float, Int
 from twistcap.body import Body
 from twistcap.body.kinematics import unit_vertex_normals
 from twistcap.body.model import Landmarks

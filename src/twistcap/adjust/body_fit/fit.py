@@ -10,12 +10,12 @@ from typing import Protocol
 
 import numpy as np
 
-from twistcap._typing import Bool
 from twistcap.adjust.body_fit.build import Build, Stretches
 from twistcap.adjust.body_fit.observe import Observed, observe, observe_masks
 from twistcap.adjust.body_fit.problem import FitProblem, Freedom, Sculpted
 from twistcap.adjust.body_fit.settings import FitRule
 from twistcap.adjust.body_fit.symmetry import symmetric
+from twistcap.arrays import Bool
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Rig
 from twistcap.errors import InputError

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from twistcap._typing import AnyArray, Bool, Float
 from twistcap.adjust.body_fit.observe import CHANNELS, MARGIN, observe
+from twistcap.arrays import AnyArray, Bool, Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Camera, Rig
 from twistcap.cues.levelset import LevelSetContour

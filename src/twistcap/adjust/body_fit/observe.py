@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twistcap._typing import AnyArray, Bool, Float, Int
 from twistcap.adjust.body_fit.subpixel import refined
 from twistcap.adjust.first_pose.outline import match, outline_of
+from twistcap.arrays import AnyArray, Bool, Float, Int
 from twistcap.body import Posed
 from twistcap.camera import Camera, Rig
 from twistcap.cues.direct import DirectContour

@@ -9,12 +9,12 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from twistcap._typing import Float
 from twistcap.adjust.body_fit import fields as f
 from twistcap.adjust.body_fit.build import Build, Motions
 from twistcap.adjust.body_fit.fields import Fields
 from twistcap.adjust.body_fit.observe import Observed
 from twistcap.adjust.body_fit.rows import Rows, rows
+from twistcap.arrays import Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.shape import carried
 from twistcap.render.view import surface_points

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from twistcap._typing import Float, Int
 from twistcap.adjust.body_fit.observe import Observed
+from twistcap.arrays import Float, Int
 from twistcap.body import Posed
 from twistcap.render.view import surface_points
 from twistcap.terms.points import projected_rows

@@ -10,7 +10,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from twistcap._typing import AnyArray, Float
+from twistcap.arrays import AnyArray, Float
 
 _STEP = 0.25  # px between samples
 _HALF, _FAR = 1.75, 4.0  # px: half the window in which the edge lies; where the sides' colours end

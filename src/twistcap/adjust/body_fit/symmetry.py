@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import KDTree
 
-from twistcap._typing import Int
 from twistcap.adjust.body_fit.fields import deformed, joint_centres
 from twistcap.adjust.first_pose import girth_groups
+from twistcap.arrays import Int
 from twistcap.body import Body
 
 _MIRROR = np.array([1.0, -1.0, 1.0])  # in the plane that parts left (+y) from right

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from twistcap import se3
-from twistcap._typing import Bool, Float, Int
 from twistcap.adjust.first_pose.skeleton import Proportions, Scaling, Skeleton
+from twistcap.arrays import Bool, Float, Int
 from twistcap.body import Body, Posed, rescaled
 from twistcap.body.kinematics import Pose
 from twistcap.camera import pinhole

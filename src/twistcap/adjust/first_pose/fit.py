@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twistcap._typing import Bool, Float
 from twistcap.adjust.first_pose.keypoints import Evidence, KeypointProblem, evidence, residuals
 from twistcap.adjust.first_pose.skeleton import Proportions, Skeleton
 from twistcap.adjust.first_pose.triangulate import Triangulated, rigid_fit, triangulate
+from twistcap.arrays import Bool, Float
 from twistcap.body import Body, Pose
 from twistcap.body.kinematics import Posed
 from twistcap.body.shape import rescaled

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtr
 
-from twistcap._typing import Float, Int
 from twistcap.adjust.first_pose.skeleton import Scaling, Skeleton
+from twistcap.arrays import Float, Int
 from twistcap.body import Body, Pose
 from twistcap.camera import Rig, pinhole
 from twistcap.errors import InputError

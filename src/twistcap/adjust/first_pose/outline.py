@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from scipy.spatial import KDTree
 
-from twistcap._typing import AnyArray, Float, Float32, Int
+from twistcap.arrays import AnyArray, Float, Float32, Int
 from twistcap.render import ContourPoints
 
 

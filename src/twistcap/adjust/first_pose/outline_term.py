@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.body import Body, Posed, rescaled
 from twistcap.body.kinematics import skin_points
 from twistcap.body.shape import RestMotion, rest_motion, stretch_maps

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twistcap._typing import AnyArray, Bool, Float
 from twistcap.adjust.first_pose.outline import Outline, match, outline_of
 from twistcap.adjust.first_pose.outline_term import Girths, OutlineTerm
+from twistcap.arrays import AnyArray, Bool, Float
 from twistcap.body import Body, Pose
 from twistcap.body.kinematics import Posed
 from twistcap.body.shape import RestMotion

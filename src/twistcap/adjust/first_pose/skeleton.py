@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from twistcap import se3
-from twistcap._typing import Float, Int
+from twistcap.arrays import Float, Int
 from twistcap.body import Body
 from twistcap.body.kinematics import Posed
 from twistcap.body.model import Landmarks

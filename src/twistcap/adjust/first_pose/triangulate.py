@@ -7,7 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
-from twistcap._typing import Bool, Float
+from twistcap.arrays import Bool, Float
 from twistcap.camera import Rig
 
 

@@ -7,8 +7,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from twistcap._typing import Float, Int
 from twistcap.adjust.refine.sums import Derivatives
+from twistcap.arrays import Float, Int
 from twistcap.body import Posed
 from twistcap.body.kinematics import skin_points
 from twistcap.body.shape import RestMotion

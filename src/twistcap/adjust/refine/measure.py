@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twistcap._typing import Bool, Float
 from twistcap.adjust.refine.evidence import BrightnessPair
 from twistcap.adjust.refine.settings import RefineConfig
+from twistcap.arrays import Bool, Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Rig
 from twistcap.cues.appearance import Appearance, AppearanceRule

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from twistcap import se3
-from twistcap._typing import Float
+from twistcap.arrays import Float
 from twistcap.body import Pose
 from twistcap.predict import MotionNoise, covariance_about
 from twistcap.solve import Arrow

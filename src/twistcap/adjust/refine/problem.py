@@ -8,12 +8,12 @@ from functools import cached_property
 
 import numpy as np
 
-from twistcap._typing import Float
 from twistcap.adjust.refine.evidence import contour_rows, reshaped
 from twistcap.adjust.refine.measure import CameraRound
 from twistcap.adjust.refine.motion import accelerations
 from twistcap.adjust.refine.shape import Shape
 from twistcap.adjust.refine.sums import WIDTH, FrameSums, add_products, flat, projection
+from twistcap.arrays import Float
 from twistcap.body import Pose, Posed
 from twistcap.body.shape import RestMotion
 from twistcap.predict import MotionNoise

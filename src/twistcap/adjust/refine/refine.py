@@ -13,13 +13,13 @@ from typing import Protocol
 
 import numpy as np
 
-from twistcap._typing import Bool, Float
 from twistcap.adjust.first_pose import girth_groups
 from twistcap.adjust.refine.common_error import design_effect
 from twistcap.adjust.refine.measure import SequenceImages, agreement, support
 from twistcap.adjust.refine.problem import RefineProblem, Standing, Track
 from twistcap.adjust.refine.settings import RefineConfig
 from twistcap.adjust.refine.shape import Shape
+from twistcap.arrays import Bool, Float
 from twistcap.body import Body
 from twistcap.camera import Rig
 from twistcap.errors import InputError

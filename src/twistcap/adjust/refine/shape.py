@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twistcap._typing import Float
 from twistcap.adjust.refine.settings import RefineConfig
+from twistcap.arrays import Float
 from twistcap.body import Body
 from twistcap.body.shape import RestMotion, hinge_middles, joints_moved, rescaled, rest_motion, stretch_maps
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from twistcap._typing import Float, Int
+from twistcap.arrays import Float, Int
 from twistcap.body import Posed
 from twistcap.body.shape import RestMotion, carried
 from twistcap.render import SurfacePoints
