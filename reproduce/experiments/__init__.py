@@ -14,7 +14,6 @@ from reproduce.experiments.hidden_forearms import HIDDEN_FOREARMS
 from reproduce.experiments.hidden_leg import C4
 from reproduce.experiments.key_views import KEYVIEWS
 from reproduce.experiments.local_densities import C2
-from reproduce.experiments.loose_cloth import T_CLOTH
 from reproduce.experiments.mixed import D6
 from reproduce.experiments.motion_prediction import MOTION_PREDICTION
 from reproduce.experiments.optic_flow import FLOW
@@ -27,7 +26,7 @@ from reproduce.experiments.texture import TEXTURE
 
 EXPERIMENTS: tuple[Experiment, ...] = (
     B1, B2, C1, C2, C3, C4, C5, C6, D1, D1_SPEED, D1_OTHER, D2, D3, D3_OTHERS, D4, D5, D6, D7, T1, T2, T3, T_EM,
-    T_CLOTH, REFINE, REFINE_WALK, CLICKS, KEYVIEWS, FLOW, HIDDEN_FOREARMS, TEXTURE, MOTION_PREDICTION,
+    REFINE, REFINE_WALK, CLICKS, KEYVIEWS, FLOW, HIDDEN_FOREARMS, TEXTURE, MOTION_PREDICTION,
     RECORDING, CHAPTER, REAL_GAP, SAGITTAL,
 )  # fmt: skip
 

@@ -9,7 +9,7 @@ from support.twins import check_twin
 from twistcap.cues.appearance import part_colours
 from twistcap.cues.contour import tallied
 from twistcap.cues.memory import first_in_cells, strongest_in_cells
-from twistcap.cues.support_maps import robust_scale
+from twistcap.differential.support_maps import robust_scale
 
 N, S = 200, 5
 

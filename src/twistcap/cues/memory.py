@@ -36,7 +36,6 @@ class Memory:
         inside: (N,) px from the nearest rim when it was last seen; infinite where points keep off rims.
         missed: (N,) frames since it was last seen.
         pixels: (N, 2) where the points were in the last frame.
-        excess: (S,) running robust scale of each part's differences, in units of the noise that was expected.
         picture: the last frame's, where other blurs are read when they are wanted.
         mask: (H, W) silhouette in that frame.
     """
@@ -48,7 +47,6 @@ class Memory:
     inside: Float
     missed: Int
     pixels: Float
-    excess: Float
     picture: Picture
     mask: Bool
 
@@ -190,7 +188,7 @@ def _kept(look: Look, memory: Memory, rule: Retention, occupied: Bool) -> Memory
         value + rule.update * (take(now, which, axis=0) - value),
         gradient + rule.update * (take(slope, which, axis=0) - gradient),
         trust[which], _inside(look, rule, at[:, 1], at[:, 0]), np.zeros(len(which), np.int32), pixels[which],
-        memory.excess, look.picture, look.seen.mask,
+        look.picture, look.seen.mask,
     )  # fmt: skip
     if rule.hidden == 0:
         return shown
@@ -212,10 +210,10 @@ def _fresh(look: Look, rule: Retention, occupied: Bool) -> Memory:
     points, pixels = seen.surface_points(rows, columns), np.stack([columns, rows], axis=1).astype(float)
     if look.posed is not seen.posed:
         pixels, _ = projected(seen.camera, points.at(look.posed))
-    N, S = len(points), len(look.posed.body.segment_names)
+    N = len(points)
     new = Memory(
         points, *look.brightness(pixels), np.full(N, rule.trust), _inside(look, rule, rows, columns),
-        np.zeros(N, np.int32), pixels, np.ones(S), look.picture, seen.mask,
+        np.zeros(N, np.int32), pixels, look.picture, seen.mask,
     )  # fmt: skip
     known = np.asarray(np.isfinite(new.value).all(axis=(1, 2)), np.bool_)
     return new if known.all() else new.of(known)

@@ -11,9 +11,9 @@ from twistcap.body import Body
 from twistcap.camera.scaled import ROOT, ScaledView
 from twistcap.cues.background import under_motion
 from twistcap.cues.memory import Memory, level_pixels, sampled_channels
-from twistcap.cues.support_maps import Neighbourhood, posterior, robust_scale
 from twistcap.cues.view import Picture
 from twistcap.differential.model import JOINTS, SPACING, DifferentialModel, exposure_block, posed_at, view_block
+from twistcap.differential.support_maps import Neighbourhood, posterior, robust_scale
 from twistcap.solve import Variables
 from twistcap.terms import Place, Sums
 from twistcap.terms.photometric import EXPOSURE, Samples
