@@ -87,9 +87,9 @@ class Brightness:
         blur, fine = self.blurs[level] * seen.px_per_m, memory.samples()[0]
         visible, _ = seen.visible(memory.points, self.depth_tolerance)
         samples = fine if level in (-1, len(self.blurs) - 1) else memory.blurred(blur)
-        noise = np.full(len(visible), self.sigma)
-        weight = visible * (self.share / noise**2)
-        return PhotometricTerm(view.camera.P, samples, view.blurred(blur), weight, self.scale * noise)
+        weight = visible * (self.share / self.sigma**2)
+        scale = np.full(len(visible), self.scale * self.sigma)
+        return PhotometricTerm(view.camera.P, samples, view.blurred(blur), weight, scale)
 
 
 def cell_of(seen: RenderedView, count: int) -> int:
