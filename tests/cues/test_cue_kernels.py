@@ -8,7 +8,7 @@ import pytest
 from support.twins import check_twin
 from twistcap.cues.appearance import part_colours
 from twistcap.cues.contour import tallied
-from twistcap.cues.memory import first_in_cells, strongest_in_cells
+from twistcap.cues.memory import first_in_cells, followed, still_alike, strongest_in_cells
 from twistcap.differential.support_maps import robust_scale
 
 N, S = 200, 5
@@ -45,6 +45,18 @@ def test_tallies_are_those_of_the_twin(count: int) -> None:
     tolerance = 6.0 * rng.uniform(0.2, 0.5, count)
     points, telling, agreeing = check_twin(tallied, part, outer, tolerance, displacement, contrast, S)
     assert agreeing.sum() < telling.sum() < points.sum() or count == 0
+
+
+@pytest.mark.parametrize("shape", [(N, 1, 1), (N, 3, 2), (0, 1, 1)])
+def test_what_is_remembered_of_points_is_that_of_the_twins(shape: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(4)
+    was, now = rng.uniform(size=shape), rng.uniform(size=shape)
+    now[::9] = np.nan  # off the image
+    candidates = rng.uniform(size=len(was)) < 0.8
+    which = check_twin(still_alike, was, now, candidates, 0.6)
+    assert 0 < len(which) < candidates.sum() or not len(was)
+    check_twin(followed, was, now, which[::-1], 0.2)
+    check_twin(followed, np.stack([was, was], axis=-1), np.stack([now, was], axis=-1), which, 0.2)
 
 
 @pytest.mark.parametrize("cell", [1, 7])

@@ -9,10 +9,10 @@ import pytest
 
 from support.mean_colour import LevelTerm, MeanColour
 from twistcap.errors import InputError
+from twistcap.io.state import from_bytes, to_bytes
 from twistcap.studio import StudioConfig, capture
 from twistcap.track import Settings, build, step
 from twistcap.track.build import CUES
-from twistcap.track.saving import from_bytes, to_bytes
 from twistcap.track.visibility import OcclusionRule
 
 

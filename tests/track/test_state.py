@@ -16,13 +16,13 @@ from twistcap.differential.model import DifferentialModel
 from twistcap.differential.settings import DifferentialConfig
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
+from twistcap.io.state import from_bytes, to_bytes
 from twistcap.motion import MotionLibrary
 from twistcap.motion.library import unwrapped
 from twistcap.priors import ParzenPrior
 from twistcap.search.uncertain import UncertainLimbs
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import Model, Settings, build, step
-from twistcap.track.saving import from_bytes, to_bytes
 
 
 def same(one: Any, other: Any) -> bool:

@@ -3,39 +3,73 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
+from twistcap import threads
+from twistcap.errors import InputError
 from twistcap.studio import StudioConfig, capture
-from twistcap.track import Tracker, build, threads
+from twistcap.track import Tracker, build
 
 
-@pytest.fixture
-def pooled(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two threads, for images of every size."""
+@pytest.fixture(autouse=True)
+def pool() -> Iterator[None]:
+    """The threads of one test are not those of the next, whose number may differ."""
+    threads._others.cache_clear()
+    yield
+    threads._others.cache_clear()
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_the_results_of_views_come_in_their_order(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
+    monkeypatch.setattr(threads, "THREADS", count)
+    assert threads.each_view(lambda i, j: i + j, range(5), range(5)) == [0, 2, 4, 6, 8]
+    assert threads.each_view(lambda i: i, []) == []
+
+
+def test_two_threads_share_the_views(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(threads, "THREADS", 2)
-    monkeypatch.setattr(threads, "_WORTHWHILE", 0)
+    both = threading.Barrier(2, timeout=10.0)  # neither can do both views
+
+    def work(_: int) -> str:
+        both.wait()
+        return threading.current_thread().name
+
+    here, there = threads.each_view(work, range(2))
+    assert here == threading.current_thread().name and there.startswith("view")
 
 
-def test_the_views_results_come_in_their_order_from_other_threads(pooled: None) -> None:
-    found = threads.each_view(1, lambda i, j: (i + j, threading.current_thread().name), range(5), range(5))
-    assert [n for n, _ in found] == [0, 2, 4, 6, 8]
-    assert all(name.startswith("view") for _, name in found)
-
-
-def test_small_images_stay_in_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_in_any_thread_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(threads, "THREADS", 2)
-    here = threading.current_thread().name
-    assert threads.each_view(1000, lambda _: threading.current_thread().name, range(3)) == [here] * 3
+    both = threading.Barrier(2, timeout=10.0)
+
+    def work(k: int) -> None:
+        both.wait()
+        if k == 1:
+            raise InputError("view 1: no.")
+
+    with pytest.raises(InputError, match="view 1"):
+        threads.each_view(work, range(2))
+
+
+def test_work_ahead_is_done_by_another_thread_if_there_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    done = threading.Event()
+    monkeypatch.setattr(threads, "THREADS", 1)
+    threads.ahead(done.set)
+    assert not done.is_set()
+    monkeypatch.setattr(threads, "THREADS", 2)
+    threads.ahead(done.set)
+    assert done.wait(10.0)
 
 
 def test_estimates_do_not_depend_on_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
     made = capture(StudioConfig(seed=5, views=3, frames=8))
-    monkeypatch.setattr(threads, "_WORTHWHILE", 0)
     tracks = []
     for count in (1, 2):
         monkeypatch.setattr(threads, "THREADS", count)
+        threads._others.cache_clear()
         tracker = Tracker(build(made.body, made.rig))
         tracker.start(made.first_pose)
         tracks.append([tracker.step(frame) for frame in made.frames()])

@@ -14,8 +14,8 @@ from twistcap.commands.terminal import progress
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
 from twistcap.io.result import Result, ResultWriter, read_state
+from twistcap.io.state import from_bytes, to_bytes
 from twistcap.track import Tracker
-from twistcap.track.saving import from_bytes, to_bytes
 
 STATE_EVERY = 10
 """Frames from one saved state to the next; what follows the last one is tracked again, and comes out alike."""

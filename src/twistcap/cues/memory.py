@@ -174,21 +174,17 @@ def _kept(look: Look, memory: Memory, rule: Retention, occupied: Bool) -> Memory
     visible, pixels = look.seen.visible(memory.points, rule.tolerance, look.posed)
     now, slope = look.brightness(pixels)
     was, trust = look.exposed(memory.value), memory.trust
-    alike = (np.abs(now - was) < rule.jump).all(axis=(1, 2))  # and in the image
-    order = np.flatnonzero(visible & alike & (trust > rule.least_trust)).astype(np.int32)
+    order = still_alike(was, now, visible & (trust > rule.least_trust), rule.jump)
     if rule.trusted_first:
         order = order[np.argsort(-trust[order], kind="stable")]
     which = first_in_cells(pixels, order, rule.cell, rule.border, occupied)
     if not rule.trusted_first:
         which = np.sort(which)
-    at, take = np.rint(pixels[which]).astype(np.int32), np.take  # much faster than indexing
-    value, gradient = take(was, which, axis=0), take(memory.gradient, which, axis=0)
+    at = np.rint(pixels[which]).astype(np.int32)
     shown = Memory(
-        memory.points[which],
-        value + rule.update * (take(now, which, axis=0) - value),
-        gradient + rule.update * (take(slope, which, axis=0) - gradient),
-        trust[which], _inside(look, rule, at[:, 1], at[:, 0]), np.zeros(len(which), np.int32), pixels[which],
-        look.picture, look.seen.mask,
+        memory.points[which], followed(was, now, which, rule.update),
+        followed(memory.gradient, slope, which, rule.update), trust[which], _inside(look, rule, at[:, 1], at[:, 0]),
+        np.zeros(len(which), np.int32), pixels[which], look.picture, look.seen.mask,
     )  # fmt: skip
     if rule.hidden == 0:
         return shown
@@ -223,6 +219,32 @@ def _inside(look: Look, rule: Retention, rows: Int, columns: Int) -> Float:
     if rule.choice == "strongest":
         return np.full(len(rows), np.inf)
     return look.seen.inside[rows, columns].astype(np.float64)
+
+
+@njit(cache=True, nogil=True)
+def still_alike(was: Float, now: Float, candidates: Bool, jump: float) -> Int:
+    """(M,) numbers of the candidates (N,) that differ from before, (N, L, C), by less than `jump` in all values."""
+    out, count = np.empty(len(was), dtype=np.int32), 0
+    before, after = was.reshape(len(was), -1), now.reshape(len(was), -1)
+    for n in range(len(was)):
+        alike = candidates[n]
+        for k in range(before.shape[1]):
+            alike &= abs(after[n, k] - before[n, k]) < jump  # not so where it left the image
+        out[count] = n
+        count += alike
+    return out[:count]
+
+
+@njit(cache=True, nogil=True)
+def followed(was: Float, now: Float, which: Int, update: float) -> Float:
+    """(M, ...) values that some points (M,) of all (N, ...) take: from the old towards the new ones by a fraction."""
+    out = np.empty((len(which), *was.shape[1:]))
+    before, after, values = was.reshape(len(was), -1), now.reshape(len(was), -1), out.reshape(len(which), -1)
+    for m in range(len(which)):
+        for k in range(before.shape[1]):
+            value = before[which[m], k]
+            values[m, k] = value + update * (after[which[m], k] - value)
+    return out
 
 
 @njit(cache=True, nogil=True)
@@ -290,6 +312,16 @@ def _at_rim(nearness: Float32, inverse: bool, r: int, c: int) -> bool:
         if other == 0.0 or abs(w - other) > (0.04 * w * other if inverse else 0.04):
             return True
     return False
+
+
+def still_alike_reference(was: Float, now: Float, candidates: Bool, jump: float) -> Int:
+    """Readable twin of `still_alike`."""
+    return np.flatnonzero(candidates & (np.abs(now - was) < jump).all(axis=(1, 2))).astype(np.int32)
+
+
+def followed_reference(was: Float, now: Float, which: Int, update: float) -> Float:
+    """Readable twin of `followed`."""
+    return was[which] + update * (now[which] - was[which])
 
 
 def first_in_cells_reference(pixels: Float, order: Int, cell: int, border: int, occupied: Bool) -> Int:

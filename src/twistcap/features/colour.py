@@ -13,13 +13,20 @@ _BYTE_TO_FLOAT = (_BYTE / 255.0)[None]
 _STEPS = 16384  # of the tabulated cube root; the error of CIELAB is then below that of half a byte
 
 
-def _fractions_of_white() -> Float32:
-    """(3, 256, 3) fraction of white's X, Y and Z (CIE 1931, D65) that each byte of R, G and B adds, in steps."""
+_FIELD, _SUBSTEPS = 21, 64  # bits of each of the three packed numbers, and their unit: so many to a step
+
+
+def _fractions_of_white() -> AnyArray:
+    """(3, 256) uint64: fraction of white's X, Y and Z (CIE 1931, D65) that each byte of R, G and B adds, in steps.
+
+    The three are packed into one number, so that one sum of three table entries adds them all.
+    """
     u = _BYTE.astype(np.float64) / 255.0
     linear = np.where(u <= 0.04045, u / 12.92, ((u + 0.055) / 1.055) ** 2.4)  # sRGB, IEC 61966-2-1
     xyz = np.array([[0.412453, 0.357580, 0.180423], [0.212671, 0.715160, 0.072169], [0.019334, 0.119193, 0.950227]])
     fractions = (xyz / xyz.sum(axis=1, keepdims=True)).T
-    return ((_STEPS - 1) * linear[None, :, None] * fractions[:, None]).astype(np.float32)
+    fields = np.rint((_STEPS - 1) * _SUBSTEPS * linear[None, :, None] * fractions[:, None]).astype(np.uint64)
+    return (fields << np.array([0, _FIELD, 2 * _FIELD], np.uint64)).sum(axis=2)
 
 
 def _lightness() -> Float32:
@@ -70,16 +77,16 @@ def lab(image: AnyArray) -> Float32:
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"}, error_model="numpy")
-def _lab_of_bytes(image: AnyArray, fractions: Float32, lightness: Float32) -> Float32:
+def _lab_of_bytes(image: AnyArray, fractions: AnyArray, lightness: Float32) -> Float32:
     """(H, W, 3) CIELAB / 100 of an RGB image (H, W, 3) of bytes, by tables."""
     out = np.empty(image.shape, dtype=np.float32)
-    rgb, lab, half = image.reshape(-1), out.reshape(-1), np.float32(0.5)
+    rgb, lab = image.reshape(-1), out.reshape(-1)
+    field, half = np.int64((1 << _FIELD) - 1), np.int64(_SUBSTEPS // 2)
     for i in range(0, len(rgb), 3):
-        r, g = fractions[0, np.int64(rgb[i])], fractions[1, np.int64(rgb[i + 1])]
-        b = fractions[2, np.int64(rgb[i + 2])]
-        x = lightness[np.int64(r[0] + g[0] + b[0] + half)]
-        y = lightness[np.int64(r[1] + g[1] + b[1] + half)]
-        z = lightness[np.int64(r[2] + g[2] + b[2] + half)]
+        xyz = np.int64(fractions[0, rgb[i]] + fractions[1, rgb[i + 1]] + fractions[2, rgb[i + 2]])
+        x = lightness[((xyz & field) + half) // _SUBSTEPS]
+        y = lightness[((xyz >> _FIELD & field) + half) // _SUBSTEPS]
+        z = lightness[((xyz >> 2 * _FIELD & field) + half) // _SUBSTEPS]
         lab[i] = np.float32(1.16) * y - np.float32(0.16)
         lab[i + 1] = np.float32(5.0) * (x - y)
         lab[i + 2] = np.float32(2.0) * (y - z)

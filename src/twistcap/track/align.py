@@ -30,9 +30,9 @@ from twistcap.search.judge import Judge, judge_of
 from twistcap.solve import PoseProblem, covariance, inverse, minimise
 from twistcap.stages import stage
 from twistcap.terms import Quadratic, Term
+from twistcap.threads import each_view
 from twistcap.track.model import MARGIN, Model
 from twistcap.track.state import State
-from twistcap.track.threads import each_view
 
 
 @dataclass(frozen=True)
@@ -165,8 +165,7 @@ def alternated(problem: FrameProblem, fit: Fit, level: Level, steps: int = 1) ->
     if again:
         _ = posed.vertices, posed.vertex_normals  # once, not in each thread
     carried: Sequence[Sight | None] = [None] * len(problem.views) if again else fit.sights
-    pixels = sum(view.image.shape[0] * view.image.shape[1] for view in problem.views.values())
-    looked = each_view(pixels, lambda i, s: _looked(problem, posed, i, s, level), list(problem.views), carried)
+    looked = each_view(lambda i, s: _looked(problem, posed, i, s, level), list(problem.views), carried)
     sights, measured = [sight for sight, _ in looked], [found for _, found in looked]
     standing, news = _prior_terms(problem, fit, measured)
     masked = _masked(model, measured, fit.visibility)

@@ -15,6 +15,7 @@ from twistcap.estimate import Estimate, Frame
 from twistcap.predict import Prediction
 from twistcap.predict.history import Moment, Past, jumped
 from twistcap.stages import next_frame, stage
+from twistcap.threads import ahead
 from twistcap.track.align import FrameProblem, align, with_claims
 from twistcap.track.model import Model
 from twistcap.track.state import State
@@ -63,6 +64,7 @@ def posed_problem(state: State, frame: Frame, model: Model, prediction: Predicti
     """The frame as a problem, with the images about the expected body, or as far about it as a search wants to look."""
     wanted = [m for s in model.searches if (m := s.wanted_margin(state.past, frame.time)) is not None]
     views = model.views(frame, prediction.pose, max(wanted, default=None))
+    ahead(lambda: [(view.grey, view.features) for view in reversed(views.values())])
     return FrameProblem(model, state, frame, prediction.pose, prediction.covariance, prediction.information, views)
 
 
