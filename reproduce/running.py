@@ -11,7 +11,7 @@ from typing import Protocol, TypedDict, TypeVar
 
 from twistcap.evaluate.metrics import Row
 
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_THREADS = ("TWISTCAP_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 _T = TypeVar("_T")
 
