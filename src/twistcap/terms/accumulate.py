@@ -51,6 +51,12 @@ class SegmentSums:
         surface = points.bound_to(self.posed)
         accumulate(surface, rows.gradient, rows.residual, rows.weight, self.blocks, self.vector)
 
+    def by_shift(self) -> Float:
+        """(6 S, 3 S) change of the gradient by all segments' twists where a segment is shifted along x, y or z."""
+        upper = self.blocks[..., 3:6].transpose(0, 2, 1, 3)  # (twists of a, shifts of b)
+        mirrored = self.blocks[:, :, 3:, :6].transpose(1, 3, 0, 2)
+        return (upper + mirrored).reshape(6 * len(self.vector), -1)
+
     def quadratic(self) -> Quadratic:
         """The sums as a quadratic of the pose step."""
         A, S = self.posed.projector, len(self.vector)

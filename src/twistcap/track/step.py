@@ -15,7 +15,7 @@ from twistcap.estimate import Estimate, Frame
 from twistcap.predict import Prediction
 from twistcap.predict.history import Moment, Past, jumped
 from twistcap.stages import next_frame, stage
-from twistcap.track.align import FrameProblem, align, with_claims
+from twistcap.track.align import FrameProblem, align
 from twistcap.track.model import Model
 from twistcap.track.state import State
 
@@ -109,7 +109,9 @@ def learned(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool)
     support = model.support.updated(state.support, fit.agreement)
     posterior = problem.posterior(fit)
     after = State(past, posterior, support, _occluded(model, fit), state.learned + 1, cues, predictors, state.searches)
-    least, claimed = float(support.min()), with_claims(model, fit.posed, posterior)
+    least = float(support.min())
+    with stage("claim"):
+        claimed = problem.claimed(fit, posterior)
     return after, Estimate(
         frame.index, frame.time, fit.pose, claimed, fit.energies, fit.status, fit.steps, least < model.support.least,
         least, prediction.name,
