@@ -60,7 +60,7 @@ def scores(case: str, seed: int) -> tuple[Float, tuple[str, ...]]:
     for k in range(0, config.frames, every):
         estimate = tracker.step(scene.frame(k))
         error = estimate.pose.minus(scene.true_poses[estimate.index])
-        error[6:] = np.radians(angle_differences_deg(np.degrees(error[6:]), np.zeros(len(error) - 6)))
+        error[6:] = np.radians(angle_differences_deg(error[6:], np.zeros(len(error) - 6)))
         about = np.eye(len(error))  # from a step about the world's origin to one about the root
         about[3:6, :3] = -se3.hat(estimate.pose.root[:3, 3])
         sigma = np.sqrt(np.diagonal(about @ estimate.covariance @ about.T))
