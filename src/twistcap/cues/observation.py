@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -138,6 +139,7 @@ class Fit:
         quadratic: of all terms, about `before`.
         before: the body where the last step was taken from.
         standing: terms that hold what was known without this frame's images.
+        fresh: terms of the priors that bring news of this frame, as keypoints.
         sights, measured: of each view.
         visibility: of the parts.
         moved: m by which the last step moved the contour.
@@ -152,6 +154,7 @@ class Fit:
     before: Posed
     visibility: Visibility
     standing: Sequence[Term] = ()
+    fresh: Sequence[Term] = ()
     sights: Sequence[Sight] = ()
     measured: Sequence[Measured] = ()
     moved: float = 0.0
@@ -166,6 +169,14 @@ class Fit:
     def pose(self) -> Pose:
         """The pose reached."""
         return self.posed.pose
+
+    @cached_property
+    def news_hessian(self) -> Float:
+        """(6 + J, 6 + J) information of this frame.
+
+        What stands in every frame is no news of this one: taken in anew in every frame it would add up.
+        """
+        return self.quadratic.hessian - sum(term.linearize(self.before).hessian for term in self.standing)
 
     def of(self, cue: str) -> Iterator[tuple[Sight, Evidence]]:
         """Each view and what a cue measured there."""

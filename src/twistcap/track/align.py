@@ -23,6 +23,7 @@ from twistcap.cues.observation import (
 )
 from twistcap.cues.view import View
 from twistcap.estimate import Frame
+from twistcap.predict.claims import claimed
 from twistcap.predict.history import Past
 from twistcap.predict.inertia import INFLATION
 from twistcap.render import render, reprojected, visible_contour
@@ -94,8 +95,17 @@ class FrameProblem:
         return rule.in_sight(fit.agreement, fit.visibility.occluded)
 
     def covariance(self, fit: Fit) -> Float:
-        """What is reported of a fit: with what the priors claim added, once; it does not go on to the next frame."""
+        """What searches go by: with what the priors claim added, once; it does not go on to the next frame."""
         return with_claims(self.model, fit.posed, self.posterior(fit))
+
+    def claimed(self, fit: Fit, posterior: Float) -> Float:
+        """Covariance of the estimate, from that of the state: samples that err together, and what the priors claim."""
+        if fit.status != "failed" and self._known is not None:
+            masked = _masked(self.model, fit.measured, fit.visibility)
+            evidence = [one for found in masked for one in found.values()]
+            images = fit.news_hessian - sum(term.linearize(fit.before).hessian for term in fit.fresh)
+            posterior = claimed(posterior, images, fit, evidence, self.trust)
+        return with_claims(self.model, fit.posed, posterior)
 
     def posterior(self, fit: Fit) -> Float:
         """Covariance of a fit: what this frame's images add to what was known, as a Kalman filter would have it.
@@ -104,10 +114,8 @@ class FrameProblem:
         """
         if fit.status == "failed" or (known := self._known) is None:
             return self.spread
-        # What stands in every frame is no news of this one: taken in anew in every frame it would add up.
-        news = fit.quadratic.hessian - sum(term.linearize(fit.before).hessian for term in fit.standing)
         scale = INFLATION**2 / self.trust
-        return covariance(Quadratic(0.0, np.zeros(len(known)), news / scale + known))
+        return covariance(Quadratic(0.0, np.zeros(len(known)), fit.news_hessian / scale + known))
 
     @property
     def spread(self) -> Float:
@@ -175,7 +183,7 @@ def alternated(problem: FrameProblem, fit: Fit, level: Level, steps: int = 1) ->
     moved = contour_moved(sights, result.x)
     return Fit(
         result.x, result.status, fit.steps + result.steps, result.energies, result.system, posed,
-        fit.visibility, standing, sights, measured, moved, moved if again else fit.drift + moved,
+        fit.visibility, standing, news, sights, measured, moved, moved if again else fit.drift + moved,
     )  # fmt: skip
 
 

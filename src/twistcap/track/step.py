@@ -16,7 +16,7 @@ from twistcap.predict import Prediction
 from twistcap.predict.history import Moment, Past, jumped
 from twistcap.stages import next_frame, stage
 from twistcap.threads import ahead
-from twistcap.track.align import FrameProblem, align, with_claims
+from twistcap.track.align import FrameProblem, align
 from twistcap.track.model import Model
 from twistcap.track.state import State
 
@@ -104,16 +104,17 @@ def learned(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool)
     """The state after a frame, and its estimate."""
     model, state, frame = problem.model, problem.state, problem.frame
     lesson = model.learn_every if state.learned % model.learn_every == 0 else 0
+    posterior = problem.posterior(fit)
+    claimed = ahead(lambda: problem.claimed(fit, posterior))
     with stage("remember"):
         cues = {cue.name: cue.learn(state.cues[cue.name], fit, lesson) for cue in model.cues}
     past = _advanced(problem, fit, prediction, jump)
     predictors = {p.name: p.learn(state.predictors[p.name], fit, past, frame) for p in model.predictors}
     support = model.support.updated(state.support, fit.agreement)
-    posterior = problem.posterior(fit)
     after = State(past, posterior, support, _occluded(model, fit), state.learned + 1, cues, predictors, state.searches)
-    least, claimed = float(support.min()), with_claims(model, fit.posed, posterior)
+    least = float(support.min())
     return after, Estimate(
-        frame.index, frame.time, fit.pose, claimed, fit.energies, fit.status, fit.steps, least < model.support.least,
+        frame.index, frame.time, fit.pose, claimed(), fit.energies, fit.status, fit.steps, least < model.support.least,
         least, prediction.name,
     )  # fmt: skip
 
