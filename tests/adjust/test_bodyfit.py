@@ -110,7 +110,7 @@ def test_the_sums_are_those_of_stacked_rows(body) -> None:
         J[:, 2 * D :] = by_values(x, p, by)
         distance, scale = (np.concatenate(of) for of in (
             [v.distance for v in views], [np.full(len(v.distance), 0.012 * v.px_per_m) for v in views]))  # fmt: skip
-        weight = 0.15 * np.concatenate([v.weight for v in views]) / (1 + (distance / scale) ** 2)
+        weight = 0.5 * np.concatenate([v.weight for v in views]) / (1 + (distance / scale) ** 2)
         H += J.T @ (weight[:, None] * J)
         g -= J.T @ (weight * distance)
     np.testing.assert_allclose(np.concatenate([arrow.pull.ravel(), arrow.shared_pull]), g, atol=1e-6 * np.abs(g).max())
