@@ -70,13 +70,13 @@ def _in_pairs(partner: Int) -> bool:
 
 def _assigned(points: Float, others: Float) -> Int:
     """(N,) the nearest of the others (M, 3) to each point (N, 3); one to one where there are as many."""
-    nearest, back = KDTree(others).query(points)[1], KDTree(points).query(others)[1]
+    nearest, back = (np.asarray(KDTree(a).query(b)[1], np.int32) for a, b in ((others, points), (points, others)))
     if len(points) != len(others):
-        return nearest.astype(np.int32)
+        return nearest
     alone = np.flatnonzero(back[nearest] != np.arange(len(points)))
     free = np.flatnonzero(nearest[back] != np.arange(len(others)))
     chosen = linear_sum_assignment(cdist(points[alone], others[free], "sqeuclidean"))[1]
-    out = nearest.astype(np.int32)
+    out = nearest.copy()
     out[alone] = free[chosen]
     return out
 
