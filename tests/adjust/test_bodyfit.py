@@ -18,7 +18,7 @@ from twistcap.adjust.body_fit.observe import Observed, observe_masks
 from twistcap.adjust.body_fit.problem import FitProblem, Freedom, Sculpted
 from twistcap.adjust.body_fit.rows import rows
 from twistcap.adjust.body_fit.subpixel import refined
-from twistcap.adjust.body_fit.symmetry import mirrored_vertices, symmetric
+from twistcap.adjust.body_fit.symmetry import alike, mirrored_vertices, symmetric
 from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.body.shape import segment_axes
@@ -110,7 +110,7 @@ def test_the_sums_are_those_of_stacked_rows(body) -> None:
         J[:, 2 * D :] = by_values(x, p, by)
         distance, scale = (np.concatenate(of) for of in (
             [v.distance for v in views], [np.full(len(v.distance), 0.012 * v.px_per_m) for v in views]))  # fmt: skip
-        weight = 0.15 * np.concatenate([v.weight for v in views]) / (1 + (distance / scale) ** 2)
+        weight = 0.5 * np.concatenate([v.weight for v in views]) / (1 + (distance / scale) ** 2)
         H += J.T @ (weight[:, None] * J)
         g -= J.T @ (weight * distance)
     np.testing.assert_allclose(np.concatenate([arrow.pull.ravel(), arrow.shared_pull]), g, atol=1e-6 * np.abs(g).max())
@@ -183,6 +183,37 @@ def test_a_bumpy_body_becomes_its_mirrored_mean(body) -> None:
     centres = f.joint_centres(mean)
     right, left = (centres[body.segment(f"tibia_{s}")] for s in "rl")
     assert np.allclose(right * [1, -1, 1], left)
+
+
+@pytest.mark.parametrize("seed", [6, 7])
+def test_vertices_of_a_rough_body_are_paired_one_to_one(seed: int) -> None:
+    """The nearest vertex of the other side is not always mutual: with these bumps it is not."""
+    scene = capture(StudioConfig(seed=seed, frames=1, condition="mismatch"))
+    body, rough = scene.true_body, scene.body
+    partner = mirrored_vertices(rough)
+    assert np.array_equal(partner, mirrored_vertices(body))
+    mean = symmetric(rough)
+    assert np.abs(mean.vertices - mean.vertices[partner] * [1, -1, 1]).max() < 1e-12
+
+
+def test_offsets_of_both_sides_are_alike(body) -> None:
+    free = f.offset_precision(body, 0.006, 0.1)
+    held = np.linalg.inv(alike(free, body, 0.25))
+    covariance, partner = np.linalg.inv(free), mirrored_vertices(body)
+    for sign, factor in ((1.0, 1.0), (-1.0, 0.25)):
+        before, after = (c + sign * c[partner] for c in (covariance, held))
+        spread = [
+            np.sqrt(np.diag(c + sign * c[:, partner]))[partner != np.arange(len(partner))] for c in (before, after)
+        ]
+        assert np.allclose(spread[1], factor * spread[0], rtol=1e-3)
+
+
+def test_offsets_of_a_mesh_without_pairs_are_free(body) -> None:
+    own = body.skin_segments.copy()
+    own[np.flatnonzero(body.vertex_part == body.segment("femur_r"))[0]] = body.segment("torso")
+    uneven = replace(body, skin_segments=own)
+    free = f.offset_precision(body, 0.006, 0.1)
+    assert alike(free, uneven, 0.25) is free
 
 
 @pytest.mark.parametrize("blur", [0.0, 0.8])

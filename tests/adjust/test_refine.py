@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 import cv2
@@ -317,7 +318,7 @@ def test_points_that_err_alike_count_as_fewer() -> None:
     assert design_effect(contours(0.0), posed, 1.0) == pytest.approx(1.0, abs=0.5)
     assert design_effect(contours(0.5), posed, 1.0) > 50.0
     assert (
-        Shape.of(BODY, {"femur": ("femur_r", "femur_l")}, RefineConfig()).without_joints().motion().joints.shape[0] == 2
+        Shape.of(BODY, {"femur": ("femur_r", "femur_l")}, RefineConfig()).girths_alone().motion().joints.shape[0] == 1
     )
 
 
@@ -338,6 +339,19 @@ def test_what_is_held_stays(scene: Capture, wrong: tuple[list[Frame], Body, list
     found = refine(frames[:4], body, scene.rig, estimates[:4], held)
     np.testing.assert_allclose(found.body.vertices, body.vertices, atol=1e-12)
     assert found.lengths == {} and found.joint_shifts == {} and found.moved[0] > 0.0
+
+
+def test_where_contours_err_together_only_poses_and_girths_are_refined(
+    scene: Capture, wrong: tuple[list[Frame], Body, list[Estimate]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames, body, estimates = wrong
+    monkeypatch.setattr(import_module("twistcap.adjust.refine.refine"), "_ALIKE", 0.0)
+    found = refine(frames[:4], body, scene.rig, estimates[:4], RefineConfig(rounds=2, coarse_rounds=1))
+    assert found.lengths == {} and found.joint_shifts == {} and len(found.girths) > 5
+    assert max(abs(factor - 1.0) for factor in found.girths.values()) > 1e-4
+    before, after = joint_distances(body), joint_distances(found.body)
+    thighs = [(before[name], after[name]) for name in ("femur_r", "femur_l")]
+    np.testing.assert_allclose(*np.transpose(thighs), atol=1e-9)
 
 
 def test_a_track_by_brightness_is_refined_by_brightness(

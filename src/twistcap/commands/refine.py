@@ -178,10 +178,9 @@ def show(document: dict[str, Any]) -> None:
     table = Table(title="shape", title_justify="left")
     for name in ("segments", "length", "± (1σ)", "girth", "± (1σ)"):
         table.add_column(name, justify="left" if name == "segments" else "right")
-    girths = {item["group"]: item for item in document["girths"]}
-    for item in document["lengths"]:
-        girth = girths.get(item["group"])
-        table.add_row(item["group"], *_per_cent(item), *(("", "") if girth is None else _per_cent(girth)))
+    lengths, girths = ({item["group"]: _per_cent(item) for item in document[kind]} for kind in ("lengths", "girths"))
+    for group in lengths | girths:
+        table.add_row(group, *lengths.get(group, ("", "")), *girths.get(group, ("", "")))
     Console(highlight=False).print(table)
     for bone in document["bones"]:
         words.print(f"{bone['segment']}: {bone['before_mm']:.0f} mm before, {bone['after_mm']:.0f} mm after")
@@ -190,7 +189,7 @@ def show(document: dict[str, Any]) -> None:
     if document["joints_held"]:
         words.print(
             f"Contours err together (design effect {document['design_effect']:.1f}):"
-            " the surface is not quite the person's, so joint centres were held."
+            " the surface is not quite the person's, so lengths and joint centres were held."
         )
     if not document["helped"]:
         words.print("The images agree less than before: refining did not help, and the track is kept as it was.")

@@ -14,6 +14,7 @@ from twistcap.adjust.body_fit.build import Build, Motions
 from twistcap.adjust.body_fit.fields import Fields
 from twistcap.adjust.body_fit.observe import Observed
 from twistcap.adjust.body_fit.rows import Rows, rows
+from twistcap.adjust.body_fit.symmetry import alike
 from twistcap.arrays import Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.shape import carried
@@ -25,13 +26,14 @@ from twistcap.terms.robust import cauchy
 # Standard deviations of the prior, chosen on the studio and `balance_4view` (docs/concepts/body-fit.md).
 _JOINT, _JOINT_SIDE = 0.002, 0.001  # m, shifts of joint centres: of both sides alike, and of each side alone
 _OFFSET, _REACH = 0.006, 0.10  # m, offsets of the surface along its normals, and the distance over which they are alike
+_APART = 1.0 / 3.0  # of that, for what the sides do not have in common
 _TURN_DEG = 0.1  # turn of a segment's surface against the axes of its joint, which no image shows
 _POSE_DEG, _POSE_M = 3.0, 0.02  # change of a pose from the tracked one
 _OFFSET_BOUND = 0.03  # m, greatest offset of a vertex along its normal
 _ROBUST = 0.012  # m, distance at which a contour point is down-weighted by half
 # All frames together count as so many frames of independent contour points: neighbours, and frames of one person
 # before one background, err alike.
-_WORTH = 0.3
+_WORTH = 1.0
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,9 @@ class Freedom:
     @cached_property
     def offset_precision(self) -> Float:
         """(V, V) of the offsets, or (0, 0)."""
-        return f.offset_precision(self.given, _OFFSET, _REACH) if self.offsets else np.zeros((0, 0))
+        if not self.offsets:
+            return np.zeros((0, 0))
+        return alike(f.offset_precision(self.given, _OFFSET, _REACH), self.given, _APART)
 
 
 @dataclass(frozen=True)

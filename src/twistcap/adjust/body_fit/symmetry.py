@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
 
 from twistcap.adjust.body_fit.fields import deformed, joint_centres
 from twistcap.adjust.first_pose import girth_groups
-from twistcap.arrays import Int
+from twistcap.arrays import Float, Int
 from twistcap.body import Body
 
 _MIRROR = np.array([1.0, -1.0, 1.0])  # in the plane that parts left (+y) from right
@@ -22,8 +24,7 @@ def symmetric(body: Body, tolerance: float = 0.015) -> Body:
     """
     partner = mirrored_vertices(body)
     mirrored = body.vertices[partner] * _MIRROR
-    paired = np.array_equal(partner[partner], np.arange(len(partner)))
-    if not paired or np.linalg.norm(mirrored - body.vertices, axis=1).mean() > tolerance:
+    if not _in_pairs(partner) or np.linalg.norm(mirrored - body.vertices, axis=1).mean() > tolerance:
         return body
     centres, marks = joint_centres(body), body.landmarks.points
     joints = centres[_partners(body.segment_names)] * _MIRROR
@@ -32,14 +33,52 @@ def symmetric(body: Body, tolerance: float = 0.015) -> Body:
 
 
 def mirrored_vertices(body: Body) -> Int:
-    """(V,) nearest vertex of the other side to the mirror image of each; in the middle, itself or a neighbour."""
+    """(V,) vertex of the other side that mirrors each; in the middle, itself or a neighbour.
+
+    Where the mesh is rough, the nearest one of two vertices may have a nearer one of its own. Those that are left over
+    are assigned to one another with the least sum of squared distances, so that pairs stay pairs.
+    """
     partner = np.zeros(len(body.vertices), np.int32)
     for segments in girth_groups(body).values():
         own = [np.flatnonzero(body.vertex_part == body.segment(s)) for s in segments]
         for here, there in zip(own, own[::-1], strict=True):
             if len(here) and len(there):
-                partner[here] = there[KDTree(body.vertices[there]).query(body.vertices[here] * _MIRROR)[1]]
+                partner[here] = there[_assigned(body.vertices[here] * _MIRROR, body.vertices[there])]
     return partner
+
+
+def alike(precision: Float, body: Body, apart: float) -> Float:
+    """(V, V) precision of offsets whose difference between the sides is held; the same where nothing is paired.
+
+    Offsets are the sum of a part that both sides have in common and of one that they have with opposite signs.
+
+    Args:
+        precision: (V, V) of offsets that know nothing of sides.
+        body: whose vertices they move.
+        apart: factor on the standard deviation of the opposite part.
+    """
+    partner = mirrored_vertices(body)
+    if not _in_pairs(partner):
+        return precision
+    half = 0.5 * (precision - precision[:, partner])
+    return precision + (apart**-2.0 - 1.0) * 0.5 * (half - half[partner])
+
+
+def _in_pairs(partner: Int) -> bool:
+    return np.array_equal(partner[partner], np.arange(len(partner)))
+
+
+def _assigned(points: Float, others: Float) -> Int:
+    """(N,) the nearest of the others (M, 3) to each point (N, 3); one to one where there are as many."""
+    nearest, back = (np.asarray(KDTree(a).query(b)[1], np.int32) for a, b in ((others, points), (points, others)))
+    if len(points) != len(others):
+        return nearest
+    alone = np.flatnonzero(back[nearest] != np.arange(len(points)))
+    free = np.flatnonzero(nearest[back] != np.arange(len(others)))
+    chosen = linear_sum_assignment(cdist(points[alone], others[free], "sqeuclidean"))[1]
+    out = nearest.copy()
+    out[alone] = free[chosen]
+    return out
 
 
 def _partners(names: tuple[str, ...]) -> list[int]:

@@ -33,14 +33,14 @@ from twistcap.track.visibility import SupportRule
 
 _LEAST_FRAMES = 3
 _WORSE = 0.01  # fraction of contour points: so many agree or not by chance
-_HELD_ROUNDS = 6  # at most where joint centres are held: poses and lengths settle sooner (balance_4view: 6 as 14)
+_HELD_ROUNDS = 6  # at most where joint centres are held: all else settles sooner (balance_4view: 6 as 14)
 _SETTLED = 2.5e-4  # m, mean motion of the landmarks in a round: where it is less, the rounds end
 _BRIDGE = 0.2  # s: lost spans that are shorter are bridged by motion alone in the first round
 _DAMPING = 1e-3  # fraction by which the diagonal of the equations is raised in each step
 
-# Design effect of the contours beyond which joint centres are held: where points of one part err together, the surface
-# is not the person's, and joint centres would make up for it. In the studio it is 1.0 to two digits, on `balance_4view`
-# with a fitted body 2.6 of 30 frames and 5 of 100.
+# Design effect of the contours beyond which lengths and joint centres are held: where points of one part err together,
+# the surface is not the person's, and both would make up for it (the pelvis 6 % longer, the radius 7 % shorter). In the
+# studio it is 1.0 to two digits, on `balance_4view` with a fitted body 2.6 of 30 frames and 5 of 100.
 _ALIKE = 1.5
 
 
@@ -63,7 +63,7 @@ class Refined:
         moved: m, mean motion of the landmarks in each round, over all frames.
         shape: where a refinement of another track with this body starts.
         design_effect: how far contours of one part err together, 1 for not at all; see `common_error`. Beyond
-            `_ALIKE` joint centres were held.
+            `_ALIKE` lengths and joint centres were held.
         helped: whether the contours agree with the images at least as well as before; if not, this is the track given.
     """
 
@@ -112,8 +112,8 @@ def refine(
     for done in images.read(frames, estimates):
         report("reading", done, count * (1 + config.rounds))
     adjusted = _adjusted(images, given, estimates, report)
-    if adjusted.design_effect > _ALIKE and given.shape.moved:
-        given = replace(given, shape=given.shape.without_joints())
+    if adjusted.design_effect > _ALIKE and given.shape.places_joints:
+        given = replace(given, shape=given.shape.girths_alone())
         adjusted = _adjusted(images, given, estimates, report)
     all_frames = np.ones(count, dtype=np.bool_)
     before, after = (agreement(images.measure(x.posed, all_frames, coarse=False)) for x in (given, adjusted.solution.x))
@@ -157,7 +157,7 @@ def _adjusted(images: SequenceImages, given: Track, estimates: Sequence[Estimate
         x, trusted = solution.x, np.ones(len(estimates), dtype=np.bool_)
         report(f"round {len(moved)} of at most {most}", len(estimates) * (1 + len(moved)), total)
         settled = not coarse and moved[-1] < _SETTLED
-        together = not coarse and effect > _ALIKE and bool(given.shape.moved)
+        together = not coarse and effect > _ALIKE and given.shape.places_joints
         if settled or together or len(moved) >= most:
             return _Adjusted(solution, problem, tuple(moved), settled, 1.0 if coarse else effect)
 

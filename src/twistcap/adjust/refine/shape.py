@@ -46,10 +46,15 @@ class Shape:
         sigma = np.repeat([config.length, config.girth, config.joint], sizes)
         return Shape(body, stretched, widened, moved, sigma, np.zeros(len(sigma)))
 
-    def without_joints(self) -> Shape:
-        """The same with all joint centres held where they are."""
-        free = self._bounds[1]
-        return replace(self, moved=(), sigma=self.sigma[:free], total=self.total[:free])
+    @property
+    def places_joints(self) -> bool:
+        """Whether lengths or joint centres are free."""
+        return bool(self.stretched or self.moved)
+
+    def girths_alone(self) -> Shape:
+        """The same with all lengths and joint centres held where they are."""
+        own = slice(*self._bounds)
+        return replace(self, stretched={}, moved=(), sigma=self.sigma[own], total=self.total[own])
 
     @property
     def _bounds(self) -> tuple[int, int]:
