@@ -14,9 +14,10 @@ THREADS = int(os.environ.get("TWISTCAP_THREADS", os.cpu_count() or 1))
 """Threads at most, this one among them; the environment variable of that name says otherwise."""
 
 
-def ahead(work: Callable[[], T]) -> Callable[[], T]:
-    """Let another thread, if there is one, begin what will be wanted soon; the answer gives its result."""
-    return _others().submit(work).result if THREADS > 1 else work
+def ahead(work: Callable[[], object]) -> None:
+    """Let another thread, if there is one, begin what will be wanted soon."""
+    if THREADS > 1:
+        _others().submit(work)
 
 
 def each_view(work: Callable[..., T], *arguments: Sequence[Any]) -> list[T]:

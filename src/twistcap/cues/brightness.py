@@ -87,7 +87,7 @@ class Brightness:
         blur, fine = self.blurs[level] * seen.px_per_m, memory.samples()[0]
         visible, _ = seen.visible(memory.points, self.depth_tolerance)
         samples = fine if level in (-1, len(self.blurs) - 1) else memory.blurred(blur)
-        weight = visible * (self.share / self.sigma**2)
+        weight = np.where(visible, self.share / self.sigma**2, 0.0)
         scale = np.full(len(visible), self.scale * self.sigma)
         return PhotometricTerm(view.camera.P, samples, view.blurred(blur), weight, scale)
 

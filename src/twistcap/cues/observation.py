@@ -13,9 +13,9 @@ from twistcap.arrays import Bool, Float, Int
 from twistcap.body import Pose, Posed
 from twistcap.cues.view import View
 from twistcap.estimate import Frame
-from twistcap.render import ContourPoints, RenderedView
+from twistcap.render import ContourPoints, RenderedView, SurfacePoints
 from twistcap.solve import Status
-from twistcap.terms import MaskableTerm, Quadratic, Term
+from twistcap.terms import MaskableTerm, Quadratic, Rows, Term
 
 
 @dataclass(frozen=True)
@@ -141,6 +141,7 @@ class Fit:
         standing: terms that hold what was known without this frame's images.
         fresh: terms of the priors that bring news of this frame, as keypoints.
         sights, measured: of each view.
+        entered: evidence of surface points as it entered the fit, masked, with the rows of the last step.
         visibility: of the parts.
         moved: m by which the last step moved the contour.
         drift: m by which it has moved since the body was rendered.
@@ -157,6 +158,7 @@ class Fit:
     fresh: Sequence[Term] = ()
     sights: Sequence[Sight] = ()
     measured: Sequence[Measured] = ()
+    entered: Sequence[tuple[Evidence, SurfacePoints, Rows]] = ()
     moved: float = 0.0
     drift: float = 0.0
 

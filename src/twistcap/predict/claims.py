@@ -8,14 +8,11 @@ cue, whose shared error is a random offset of the segment. Nothing in here is re
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from twistcap.arrays import Float
-from twistcap.cues.observation import Evidence, Fit
+from twistcap.cues.observation import Fit
 from twistcap.predict.inertia import INFLATION
-from twistcap.terms import PointTerm
 from twistcap.terms.offsets import add_offset_variance
 
 OFFSET = 0.007
@@ -23,7 +20,7 @@ OFFSET = 0.007
 says. The one factor on what is claimed; derived in docs/concepts/covariance.md."""
 
 
-def claimed(posterior: Float, images: Float, fit: Fit, evidence: Sequence[Evidence], trust: float = 1.0) -> Float:
+def claimed(posterior: Float, images: Float, fit: Fit, trust: float = 1.0) -> Float:
     """Covariance (6 + J, 6 + J) of a fit whose samples err together.
 
     What does not come from cues (the prediction, keypoints, priors) counts as in `posterior`.
@@ -32,21 +29,17 @@ def claimed(posterior: Float, images: Float, fit: Fit, evidence: Sequence[Eviden
         posterior: (6 + J, 6 + J) as if samples were independent, times the square of `INFLATION`.
         images: (6 + J, 6 + J) information of the evidence, as of independent samples.
         fit: that it is of.
-        evidence: of all views and cues, as it entered the fit.
         trust: how far the images were believed, 0 … 1.
     """
-    squares, count, together = 0.0, 0, np.zeros_like(images)
-    for one in evidence:
-        if isinstance(one.term, PointTerm):
-            _, points, rows = one.term.rows(fit.posed)
-            add_offset_variance(points.bound_to(fit.posed), rows.gradient, rows.weight, fit.posed.projector, together)
-            if one.agreement is not None:
-                used = rows.weight != 0.0
-                squares += float(rows.weight[used] @ rows.residual[used] ** 2)
-                count += np.count_nonzero(used)
+    judging = [(evidence.term.name, rows) for evidence, _, rows in fit.entered if evidence.agreement is not None]
+    count = sum(np.count_nonzero(rows.weight) for _, rows in judging)
     if not count:
         return posterior
-    factor = squares / count  # of the noise; 1 where it is as large as it is said to be
+    # Mean square residual in units of its claimed variance: 1 where the noise is as large as it is said to be.
+    factor = 2.0 * sum(fit.energies[name] for name in {name for name, _ in judging}) / count
+    together, posed = np.zeros_like(images), fit.before
+    for _, points, rows in fit.entered:
+        add_offset_variance(points.bound_to(posed), rows.gradient, rows.weight, posed.projector, together)
     # Gradients enter the posterior times trust / INFLATION²; their variance is taken out, and the true one put in.
     true = factor / INFLATION**2 * (images + OFFSET**2 * together)
     found = posterior + posterior @ (true - images) @ posterior * (trust / INFLATION**2)

@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from twistcap.arrays import Float
 from twistcap.body import Posed
+from twistcap.render import SurfacePoints
 from twistcap.solve.dense import Dense
-from twistcap.terms import PointTerm, Quadratic, SegmentSums, Term
+from twistcap.terms import PointTerm, Quadratic, Rows, SegmentSums, Term
 
 
 @dataclass(frozen=True)
 class PoseProblem:
-    """The sum of terms as a problem of the pose alone."""
+    """The sum of terms as a problem of the pose alone.
+
+    Attributes:
+        terms: energies of the posed body.
+        rows: points and rows of the point terms, by the terms' `id`, where the problem was linearised last.
+    """
 
     terms: Sequence[Term]
+    rows: dict[int, tuple[SurfacePoints, Rows]] = field(default_factory=dict[int, "tuple[SurfacePoints, Rows]"])
 
     def energies(self, x: Posed) -> dict[str, float]:
         """Energies by name of term; terms of the same name are summed."""
@@ -29,7 +36,9 @@ class PoseProblem:
         sums, total = SegmentSums(x), Quadratic.zero(x.body.dof)
         for term in self.terms:
             if isinstance(term, PointTerm):
-                sums.add_rows(*term.rows(x))
+                energy, points, rows = term.rows(x)
+                sums.add_rows(energy, points, rows)
+                self.rows[id(term)] = points, rows
             else:
                 total = total + term.linearize(x)
         return Dense.of(total + sums.quadratic())

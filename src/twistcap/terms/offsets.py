@@ -25,9 +25,10 @@ def add_offset_variance(
     N, K = segments.shape
     S, D = len(transforms), projector.shape[1]
     blocks, touched = np.zeros((S, S, 6, 3)), np.zeros((S, S), dtype=np.bool_)  # [offset of b, twist of a]
-    j = np.zeros(6)
+    j, n = np.zeros(6), -1
     for row in range(len(row_weight)):
-        n, W = row % N, row_weight[row]
+        n = n + 1 if n + 1 < N else 0
+        W = row_weight[row]
         if W == 0.0:
             continue
         g0, g1, g2 = gradient[row, 0], gradient[row, 1], gradient[row, 2]

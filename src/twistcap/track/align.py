@@ -101,10 +101,8 @@ class FrameProblem:
     def claimed(self, fit: Fit, posterior: Float) -> Float:
         """Covariance of the estimate, from that of the state: samples that err together, and what the priors claim."""
         if fit.status != "failed" and self._known is not None:
-            masked = _masked(self.model, fit.measured, fit.visibility)
-            evidence = [one for found in masked for one in found.values()]
             images = fit.news_hessian - sum(term.linearize(fit.before).hessian for term in fit.fresh)
-            posterior = claimed(posterior, images, fit, evidence, self.trust)
+            posterior = claimed(posterior, images, fit, self.trust)
         return with_claims(self.model, fit.posed, posterior)
 
     def posterior(self, fit: Fit) -> Float:
@@ -176,14 +174,15 @@ def alternated(problem: FrameProblem, fit: Fit, level: Level, steps: int = 1) ->
     looked = each_view(lambda i, s: _looked(problem, posed, i, s, level), list(problem.views), carried)
     sights, measured = [sight for sight, _ in looked], [found for _, found in looked]
     standing, news = _prior_terms(problem, fit, measured)
-    masked = _masked(model, measured, fit.visibility)
-    terms = [*standing, *news, *(evidence.term for found in masked for evidence in found.values())]
+    masked = [evidence for found in _masked(model, measured, fit.visibility) for evidence in found.values()]
+    system = PoseProblem([*standing, *news, *(evidence.term for evidence in masked)])
     with stage("solve"):
-        result = minimise(PoseProblem(terms), posed, steps=steps)
+        result = minimise(system, posed, steps=steps)
+    entered = [(evidence, *system.rows[id(evidence.term)]) for evidence in masked if id(evidence.term) in system.rows]
     moved = contour_moved(sights, result.x)
     return Fit(
         result.x, result.status, fit.steps + result.steps, result.energies, result.system, posed,
-        fit.visibility, standing, news, sights, measured, moved, moved if again else fit.drift + moved,
+        fit.visibility, standing, news, sights, measured, entered, moved, moved if again else fit.drift + moved,
     )  # fmt: skip
 
 

@@ -64,7 +64,7 @@ def posed_problem(state: State, frame: Frame, model: Model, prediction: Predicti
     """The frame as a problem, with the images about the expected body, or as far about it as a search wants to look."""
     wanted = [m for s in model.searches if (m := s.wanted_margin(state.past, frame.time)) is not None]
     views = model.views(frame, prediction.pose, max(wanted, default=None))
-    ahead(lambda: [(view.grey, view.features) for view in reversed(views.values())])
+    ahead(lambda: [(view.grey, view.features) for view in list(views.values())[::-1]])
     return FrameProblem(model, state, frame, prediction.pose, prediction.covariance, prediction.information, views)
 
 
@@ -105,7 +105,6 @@ def learned(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool)
     model, state, frame = problem.model, problem.state, problem.frame
     lesson = model.learn_every if state.learned % model.learn_every == 0 else 0
     posterior = problem.posterior(fit)
-    claimed = ahead(lambda: problem.claimed(fit, posterior))
     with stage("remember"):
         cues = {cue.name: cue.learn(state.cues[cue.name], fit, lesson) for cue in model.cues}
     past = _advanced(problem, fit, prediction, jump)
@@ -114,7 +113,7 @@ def learned(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool)
     after = State(past, posterior, support, _occluded(model, fit), state.learned + 1, cues, predictors, state.searches)
     least = float(support.min())
     return after, Estimate(
-        frame.index, frame.time, fit.pose, claimed(), fit.energies, fit.status, fit.steps, least < model.support.least,
+        frame.index, frame.time, fit.pose, problem.claimed(fit, posterior), fit.energies, fit.status, fit.steps, least < model.support.least,
         least, prediction.name,
     )  # fmt: skip
 
