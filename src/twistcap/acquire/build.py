@@ -12,6 +12,7 @@ from twistcap.acquire.measure import SIDES, Measured
 from twistcap.acquire.sections import closed_spline, fullness
 from twistcap.arrays import Float, Int
 from twistcap.body import Body, Landmarks
+from twistcap.body.binding import Binding, ramp, strongest, unposed
 from twistcap.body.humanoid import humanoid
 from twistcap.body.shape import joint_origin
 
@@ -48,9 +49,8 @@ def build(measured: Measured) -> Acquired:
     skeleton = humanoid(stature=measured.stature)
     motions, centres = _motions(skeleton, measured)
     points, faces, parts = _surface(measured)
-    weights = _binding(skeleton, measured, points, parts)
-    segments, fractions = _strongest(weights)
-    rest = _unposed(motions[segments], fractions, points)
+    segments, fractions = strongest(_binding(skeleton, measured, points, parts))
+    rest = unposed(motions[segments], fractions, points)
     body = replace(
         _rejointed(skeleton, centres),
         name="keyviews",
@@ -147,27 +147,19 @@ def _loft(rings: Float) -> tuple[Float, Int]:
 def _binding(skeleton: Body, measured: Measured, points: Float, parts: list[str]) -> Float:
     """(V, S) skin weights: at every joint a smooth fraction goes to the segment below, as in the humanoid."""
     J, size = measured.joints, measured.stature / 1.75
-    weights = np.zeros((len(points), len(skeleton.segment_names)))
-    weights[:, skeleton.segment("pelvis")] = 1.0
-    part = np.array(parts)
-
-    def hand(above: str, below: str, fraction: Float) -> None:
-        moved = weights[:, skeleton.segment(above)] * fraction
-        weights[:, skeleton.segment(above)] -= moved
-        weights[:, skeleton.segment(below)] += moved
-
+    out, part = Binding(skeleton.segment_names, len(points)), np.array(parts)
     hips = (J["hip_r"] + J["hip_l"]) / 2
     trunk = ~np.char.startswith(part, "leg")
-    hand("pelvis", "torso", trunk * _ramp(points[:, 2], hips[2] + _LUMBAR[2] * measured.stature, 0.08))
+    out.move("pelvis", "torso", trunk * ramp(points[:, 2], hips[2] + _LUMBAR[2] * measured.stature, 0.08))
     tilted = points[:, 2] + 0.3 * (points[:, 0] - J["neck"][0])
-    hand("torso", "head", (part == "trunk") * _ramp(tilted, J["neck"][2] + 0.02 * size, 0.045))
+    out.move("torso", "head", (part == "trunk") * ramp(tilted, J["neck"][2] + 0.02 * size, 0.045))
     for side in SIDES:
         fractions = _limb_fractions(J, points, part, side, size)
-        for above, below in (("torso", "humerus"), ("humerus", "ulna"), ("ulna", "radius")):
-            hand(above if above == "torso" else f"{above}_{side}", f"{below}_{side}", fractions[below])
-        for above, below in (("pelvis", "femur"), ("femur", "tibia"), ("tibia", "foot")):
-            hand(above if above == "pelvis" else f"{above}_{side}", f"{below}_{side}", fractions[below])
-    return weights
+        for chain in (("torso", "humerus", "ulna", "radius"), ("pelvis", "femur", "tibia", "foot")):
+            names = [chain[0], *(f"{name}_{side}" for name in chain[1:])]
+            for above, below, part_below in zip(names, names[1:], chain[1:], strict=False):
+                out.move(above, below, fractions[part_below])
+    return out.weights
 
 
 def _limb_fractions(J: Mapping[str, Float], points: Float, part: Int, side: str, size: float) -> dict[str, Float]:
@@ -178,38 +170,19 @@ def _limb_fractions(J: Mapping[str, Float], points: Float, part: Int, side: str,
         return (points - J[f"{joint}_{side}"]) @ way / np.linalg.norm(way)
 
     sign = -1.0 if side == "r" else 1.0
-    own_half = _ramp(sign * points[:, 1], 0.015, 0.015)
-    above_pit = np.where(part == "trunk", _ramp(points[:, 2], J[f"shoulder_{side}"][2] - 0.08 * size, 0.05), 1.0)
+    own_half = ramp(sign * points[:, 1], 0.015, 0.015)
+    above_pit = np.where(part == "trunk", ramp(points[:, 2], J[f"shoulder_{side}"][2] - 0.08 * size, 0.05), 1.0)
     forearm, length = along("elbow", "wrist"), np.linalg.norm(J[f"wrist_{side}"] - J[f"elbow_{side}"])
     ahead = np.clip((points[:, 0] - J[f"hip_{side}"][0]) / (0.1 * size), -1.0, 1.0)
     crease = size * (0.5 * (_FOLD + _GROIN) - 0.5 * (_FOLD - _GROIN) * ahead)  # below the hip, from back to front
     return {
-        "humerus": np.isin(part, ["trunk", f"arm_{side}"]) * above_pit * _ramp(along("shoulder", "elbow"), 0.0, 0.05),
-        "ulna": _ramp(forearm, 0.0, 0.04),
+        "humerus": np.isin(part, ["trunk", f"arm_{side}"]) * above_pit * ramp(along("shoulder", "elbow"), 0.0, 0.05),
+        "ulna": ramp(forearm, 0.0, 0.04),
         "radius": np.clip((forearm - 0.05) / (length - 0.06), 0.0, 1.0),
-        "femur": np.isin(part, ["trunk", f"leg_{side}"]) * own_half * _ramp(along("hip", "knee") - crease, 0.0, 0.07),
-        "tibia": _ramp(along("knee", "ankle"), 0.0, 0.05),
-        "foot": _ramp(-along("ankle", "knee"), 0.0, 0.03),
+        "femur": np.isin(part, ["trunk", f"leg_{side}"]) * own_half * ramp(along("hip", "knee") - crease, 0.0, 0.07),
+        "tibia": ramp(along("knee", "ankle"), 0.0, 0.05),
+        "foot": ramp(-along("ankle", "knee"), 0.0, 0.03),
     }
-
-
-def _ramp(x: Float, centre: float, half_width: float) -> Float:
-    """Smooth step from 0 to 1 around a centre."""
-    t = np.clip((x - centre) / (2 * half_width) + 0.5, 0.0, 1.0)
-    return t * t * (3 - 2 * t)
-
-
-def _strongest(weights: Float) -> tuple[Int, Float]:
-    """The 4 strongest segments (V, 4) of each vertex and their weights, which sum to 1."""
-    segments = np.argsort(-weights, axis=1, kind="stable")[:, :4]
-    kept = np.take_along_axis(weights, segments, axis=1)
-    return segments.astype(np.int32), kept / kept.sum(axis=1, keepdims=True)
-
-
-def _unposed(motions: Float, weights: Float, points: Float) -> Float:
-    """Rest positions (V, 3) that linear-blend skinning by motions (V, 4, 4, 4) moves to the given points (V, 3)."""
-    blended = np.einsum("vk,vkij->vij", weights, motions)
-    return np.linalg.solve(blended[:, :3, :3], (points - blended[:, :3, 3])[..., None])[..., 0]
 
 
 def _rejointed(skeleton: Body, centres: Float) -> Body:

@@ -15,7 +15,7 @@ from twistcap.acquire.outline import Separation, separate
 from twistcap.acquire.sections import Cut, sections
 from twistcap.acquire.silhouette import KeyView, check_views, middle_pixel, nearest_point
 from twistcap.arrays import Bool, Float
-from twistcap.body import _humanoid_profiles as P
+from twistcap.body import proportions as P
 from twistcap.camera import Camera
 from twistcap.errors import InputError
 
