@@ -10,8 +10,8 @@ import numpy as np
 from twistcap.arrays import Float, Float32
 from twistcap.body import Body
 from twistcap.studio.config import StudioConfig, stream
-from twistcap.studio.shade import LATTICE_BITS
 
+LATTICE_BITS = 5  # the texture repeats after 2⁵ lattice steps
 GARMENTS = ("skin", "hair", "shirt", "trousers", "shoes")
 _CONTRAST = np.array([0.11, 0.14, 0.18, 0.18, 0.18])  # of the texture on each garment
 GREY = np.array([0.299, 0.587, 0.114])  # weights of red, green and blue in a grey image (ITU-R BT.601)
@@ -22,7 +22,7 @@ _HAIR = np.array([[0.12, 0.09, 0.08], [0.35, 0.22, 0.13], [0.70, 0.55, 0.33], [0
 
 @dataclass(frozen=True)
 class Look:
-    """Input of the shading kernel beside the geometry; see `shade.shade`.
+    """What shading takes beside the geometry; see `shade.shade`.
 
     Attributes:
         cover: (V, G) fraction of each garment in each vertex.
