@@ -14,7 +14,8 @@ from twistcap.arrays import Float, Int
 from twistcap.body import Body, Landmarks
 from twistcap.body.binding import Binding, ramp, strongest, unposed
 from twistcap.body.humanoid import humanoid
-from twistcap.body.shape import joint_origin
+from twistcap.body.rig import turn_between
+from twistcap.body.shape import joint_coordinates, joint_origin
 
 _RING = 24  # vertices of a slice
 _DOWN = np.array([0.0, 0.0, -1.0])
@@ -51,15 +52,8 @@ def build(measured: Measured) -> Acquired:
     points, faces, parts = _surface(measured)
     segments, fractions = strongest(_binding(skeleton, measured, points, parts))
     rest = unposed(motions[segments], fractions, points)
-    body = replace(
-        _rejointed(skeleton, centres),
-        name="keyviews",
-        vertices=rest,
-        faces=faces,
-        skin_segments=segments,
-        skin_weights=fractions,
-    )
-    return Acquired(_with_feet(body), measured, points)
+    skin = {"vertices": rest, "faces": faces, "skin_segments": segments, "skin_weights": fractions}
+    return Acquired(_with_feet(replace(_rejointed(skeleton, centres), name="keyviews", **skin)), measured, points)
 
 
 def _motions(skeleton: Body, measured: Measured) -> tuple[Float, Float]:
@@ -84,28 +78,18 @@ def _motions(skeleton: Body, measured: Measured) -> tuple[Float, Float]:
 def _straightened(at: list[Float], mid_hip: Float, flat_end: bool) -> tuple[Float, Float]:
     """Motions (3, 4, 4) of a limb from straight down to its joints, and its joints (3, 3) when straight down."""
     rest = [at[0] - mid_hip]
-    turns = [_turn(_DOWN, at[1] - at[0])]
-    turns.append(_turn(at[1] - at[0], at[2] - at[1]) @ turns[0])
-    turns.append(np.eye(3) if flat_end else turns[1])
+    upper = turn_between(_DOWN, at[1] - at[0])
+    lower = turn_between(at[1] - at[0], at[2] - at[1]) @ upper
+    turns = [upper, lower, np.eye(3) if flat_end else lower]
     for above, below in ((at[0], at[1]), (at[1], at[2])):
         rest.append(rest[-1] + float(np.linalg.norm(below - above)) * _DOWN)
     motions = [se3.transform(R, p - R @ r) for R, p, r in zip(turns, at, rest, strict=True)]
     return np.array(motions), np.array(rest)
 
 
-def _turn(a: Float, b: Float) -> Float:
-    """(3, 3) the least rotation that takes the direction of a to that of b."""
-    a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
-    axis, sine = np.cross(a, b), float(np.linalg.norm(np.cross(a, b)))
-    angle = float(np.arctan2(sine, a @ b))
-    return se3.exp_rotation(axis * (angle / sine if sine > 1e-12 else 0.0))
-
-
 def _surface(measured: Measured) -> tuple[Float, Int, list[str]]:
     """Vertices (V, 3) in the front view's pose, outward faces (F, 3), and the part of each vertex."""
-    vertices: list[Float] = []
-    faces: list[Int] = []
-    parts: list[str] = []
+    vertices, faces, parts = list[Float](), list[Int](), list[str]()
     for part, control in _joined(measured).items():
         points, triangles = _loft(closed_spline(control, _RING, fullness(part)))
         faces.append(triangles + len(parts))
@@ -191,11 +175,8 @@ def _rejointed(skeleton: Body, centres: Float) -> Body:
     old = np.array([joint_origin(skeleton, s) for s in range(len(centres))])
     old[skeleton.segment_joint < 0] = 0.0
     for s in np.flatnonzero(skeleton.segment_joint >= 0):
-        above = int(skeleton.segment_parent[s])
-        k, top = int(skeleton.segment_joint[s]), int(skeleton.segment_joint[above])
-        while k >= 0 and k != top:
+        for k in joint_coordinates(skeleton, s):
             twists[k, 3:] = -np.cross(twists[k, :3], centres[s])
-            k = int(skeleton.parent[k])
     points = marks.points + (centres - old)[marks.segments]
     return replace(skeleton, twists=twists, landmarks=Landmarks(marks.names, marks.segments, points))
 

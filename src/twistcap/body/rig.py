@@ -257,7 +257,7 @@ def _aimed(mesh: SkinnedMesh, marks: Landmarks, spec: RigSpec) -> tuple[SkinnedM
             head, tip = se3.apply(motions[b], ends)
             where = f"{mesh.source}: joints.{name}.aim"
             back = motions[b, :3, :3].T
-            R = back if aim.along == "file" else _turn(tip - head, np.array(aim.along), where)
+            R = back if aim.along == "file" else turn_between(tip - head, np.array(aim.along), where)
             motions[b] = se3.transform(R, head - R @ head) @ motions[b]
     segments, weights = compact_binding(mesh.weights, 8, mesh.source)
     T = motions[segments]
@@ -267,8 +267,12 @@ def _aimed(mesh: SkinnedMesh, marks: Landmarks, spec: RigSpec) -> tuple[SkinnedM
     return replace(mesh, vertices=vertices, frames=motions @ mesh.frames), replace(marks, points=points)
 
 
-def _turn(start: Float, end: Float, where: str) -> Float:
-    """The smallest rotation that takes one direction into another."""
+def turn_between(start: Float, end: Float, where: str = "") -> Float:
+    """(3, 3) the smallest rotation that takes one direction (3,) into another.
+
+    Raises:
+        InputError: for a direction without a length; `where` begins the message.
+    """
     lengths = float(np.linalg.norm(start)), float(np.linalg.norm(end))
     if min(lengths) < 1e-9:
         raise InputError(f"{where}: the two joints coincide, or `along` has no length.")
