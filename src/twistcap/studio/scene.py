@@ -138,11 +138,8 @@ def capture(config: StudioConfig, body: Body | None = None, poses: Sequence[Pose
     rig = ring_around(config, body, poses, heading)
     known = (body, rig, poses[0])
     if config.condition == "mismatch":
-        known = (
-            wrong_body(body, stream(config.seed, "wrong body")),
-            wrong_rig(rig, stream(config.seed, "wrong rig")),
-            wrong_pose(body, poses[0], stream(config.seed, "wrong pose")),
-        )
+        rngs = [stream(config.seed, f"wrong {what}") for what in ("body", "rig", "pose")]
+        known = (wrong_body(body, rngs[0]), wrong_rig(rig, rngs[1]), wrong_pose(body, poses[0], rngs[2]))
     return Capture(config, body, rig, tuple(poses), *known, look(body, config))
 
 
