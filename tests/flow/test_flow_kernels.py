@@ -11,7 +11,7 @@ from twistcap.arrays import Bool, Float, Float32
 from twistcap.flow import FlowSettings
 from twistcap.flow.data import derivative_maps, motion_tensors, motion_tensors_reference
 from twistcap.flow.expansion import expand
-from twistcap.flow.matching import BlockRule, block_cost, carried, match_blocks, parting_of, spread
+from twistcap.flow.matching import BlockRule, block_cost, carried, match_blocks, parting_of
 from twistcap.flow.pyramid import filled, level_shapes, pyramid, resized_flow
 from twistcap.flow.search import large_displacements
 from twistcap.flow.settings import SearchSettings
@@ -148,7 +148,6 @@ def test_motions_are_carried_and_compared_as_by_the_twins() -> None:
         check_twin(parting_of, *labels, 1, 0, (4, 0.01, 10.0), atol=1e-6)
         check_twin(parting_of, *labels, 0, -1, (4, 1.0, 3.0), atol=1e-4)
         check_twin(carried, labels[0], x, y, np.float32(bend), np.zeros(4, np.float32), atol=1e-2)
-    check_twin(spread, random_labels(rng, (3, 4)), 4, 13, 14, atol=1e-4)
 
 
 def random_labels(rng: np.random.Generator, shape: tuple[int, ...], size: float = 1.0) -> Float32:

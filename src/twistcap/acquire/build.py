@@ -174,7 +174,7 @@ def _rejointed(skeleton: Body, centres: Float) -> Body:
     twists, marks = skeleton.twists.copy(), skeleton.landmarks
     old = np.array([joint_origin(skeleton, s) for s in range(len(centres))])
     old[skeleton.segment_joint < 0] = 0.0
-    for s in np.flatnonzero(skeleton.segment_joint >= 0):
+    for s in np.flatnonzero(skeleton.segment_joint >= 0).tolist():
         for k in joint_coordinates(skeleton, s):
             twists[k, 3:] = -np.cross(twists[k, :3], centres[s])
     points = marks.points + (centres - old)[marks.segments]

@@ -14,6 +14,7 @@ from twistcap.arrays import Bool, Float, Float32
 
 FAST = {"contract", "reassoc", "arcp", "nsz"}  # never `nnan` or `ninf`: numbers that are not finite must show
 TENSOR = 6  # entries of a symmetric 3 by 3 motion tensor: 11, 12, 22, 13, 23, 33
+_SIDES = ((0, -1), (0, 1), (-1, 0), (1, 0))
 _COEFFICIENTS = 9  # of a pixel's two equations: right sides, inverse block (11, 12, 22), weights left, right, up, down
 
 
@@ -110,15 +111,7 @@ def assemble(data: Float32, u0: Float32, v0: Float32, g: Float32, alpha: float, 
                 continue
             here, total = out[(r + c) & 1, r, :, c >> 1], np.float32(1e-9)
             for side in range(4):
-                i, j = r, c
-                if side == 0:
-                    j -= 1
-                elif side == 1:
-                    j += 1
-                elif side == 2:
-                    i -= 1
-                else:
-                    i += 1
+                i, j = r + _SIDES[side][0], c + _SIDES[side][1]
                 if 0 <= i < H and 0 <= j < W and mask[i, j]:
                     weight = half * (g[r, c] + g[i, j])
                     here[5 + side] = weight
@@ -210,8 +203,8 @@ def assemble_reference(data: Float32, u0: Float32, v0: Float32, g: Float32, alph
     H, W = mask.shape
     out = np.zeros((2, H, _COEFFICIENTS, (W + 1) // 2))
     for r, c in np.argwhere(mask):
-        sides, weights = ((r, c - 1), (r, c + 1), (r - 1, c), (r + 1, c)), np.zeros(4)
-        for k, (i, j) in enumerate(sides):
+        weights = np.zeros(4)
+        for k, (i, j) in enumerate((r + dr, c + dc) for dr, dc in _SIDES):
             if 0 <= i < H and 0 <= j < W and mask[i, j]:
                 weights[k] = 0.5 * alpha * (g[r, c] + g[i, j])
         a, b, d, e, f = data[r, :, c].astype(float)
@@ -229,8 +222,8 @@ def relax_reference(coefficients: Float32, u: Float32, v: Float32, sweeps: int, 
             here = coefficients[(r + c) & 1, r, :, c >> 1]
             if (r + c) % 2 == half % 2 and here[2] > 0.0:
                 s, x = here[:2].astype(float), np.array([u[r, c], v[r, c]])
-                for weight, (i, j) in zip(here[5:], ((r, c - 1), (r, c + 1), (r - 1, c), (r + 1, c)), strict=True):
+                for weight, (dr, dc) in zip(here[5:], _SIDES, strict=True):
                     if weight > 0.0:
-                        s += weight * np.array([u[i, j], v[i, j]])
+                        s += weight * np.array([u[r + dr, c + dc], v[r + dr, c + dc]])
                 solved = np.array([[here[2], here[3]], [here[3], here[4]]]) @ s
                 u[r, c], v[r, c] = x + omega * (solved - x)

@@ -122,7 +122,7 @@ def _angles(swing: float) -> dict[str, Float]:
 
 
 def _pose(body: Body, angles: dict[str, Float], n: int) -> Pose:
-    """The pose of a sample, mid-hip at the origin; the pelvis has its rotation, then obliquity, then tilt (Baker 2001)."""
+    """The pose of a sample, mid-hip at the origin; the pelvis by rotation, obliquity, tilt in turn (Baker 2001)."""
     turn = se3.exp_rotation(np.array([0, 0, angles["pelvis_rotation"][n]]))
     tip = se3.exp_rotation(np.array([-angles["pelvis_obliquity"][n], 0, 0]))
     pelvis = turn @ tip @ se3.exp_rotation(np.array([0, angles["pelvis_tilt"][n], 0]))
