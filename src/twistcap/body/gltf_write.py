@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pygltflib as gl
+from scipy.spatial.transform import Rotation
 
 from twistcap import se3
 from twistcap.arrays import Float
@@ -127,14 +128,9 @@ def local_motions(body: Body, origins: Float, poses: Sequence[Pose]) -> tuple[Fl
     frames = C @ motions @ se3.transform(np.eye(3), origins) @ C.T
     above = body.segment_parent
     local = np.where((above >= 0)[:, None, None], se3.inverse(frames[:, above]) @ frames, frames)
-    quaternions = _quaternions(local[..., :3, :3])
+    turns = Rotation.from_matrix(local[..., :3, :3].reshape(-1, 3, 3))
+    quaternions = turns.as_quat(canonical=True).reshape(*local.shape[:2], 4)
     for t in range(1, len(quaternions)):
         opposite = np.sum(quaternions[t] * quaternions[t - 1], axis=-1, keepdims=True) < 0
         quaternions[t] = np.where(opposite, -quaternions[t], quaternions[t])
     return quaternions, local[..., :3, 3]
-
-
-def _quaternions(rotations: Float) -> Float:
-    omega = se3.log_rotation(rotations)
-    half = np.linalg.norm(omega, axis=-1, keepdims=True) / 2.0
-    return np.concatenate([omega / 2.0 * np.sinc(half / np.pi), np.cos(half)], axis=-1)
