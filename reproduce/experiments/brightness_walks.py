@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from reproduce.ellipsoids import ellipsoid_body
 from reproduce.norm_picture import norm_picture
 from reproduce.passes import Limb, SequenceConfig
 from reproduce.reanimated import reanimated
+from reproduce.scenes.disturbed import loose, plates
 from reproduce.scenes.walks import Walk
 from twistcap.body import Body
 from twistcap.body.simplify import NINETEEN, SIDE_VIEW, side_view, simplified
@@ -147,7 +149,11 @@ T3 = DifferentialTrial(
     "T-3",
     "plates: three views, a dozen exposures in a cycle, grain, flicker, low contrast, 19 joint angles",
     Walk(
-        (-90.0, -30.0, -150.0), 10.0, StudioConfig(frames=14, colour=False, plates=True, sensor_noise=0.0), per_cycle=12
+        (-90.0, -30.0, -150.0),
+        10.0,
+        StudioConfig(frames=14, colour=False, sensor_noise=0.0),
+        per_cycle=12,
+        disturbed=plates,
     ),
     _nineteen,
     (("tracked", _PLATES),),
@@ -159,7 +165,7 @@ T3 = DifferentialTrial(
 T_EM = DifferentialTrial(
     "T-EM",
     "as T-1, the clothes loose and clutter moving behind: support maps on, against off",
-    Walk((-90.0,), 8.0, replace(_SIDE_STUDIO, frames=61, cloth=0.012, passers=4)),
+    Walk((-90.0,), 8.0, replace(_SIDE_STUDIO, frames=61), disturbed=partial(loose, cloth=0.012, passers=4)),
     _planar,
     ((WITH, _SIDE), (ROBUST, replace(_SIDE, support="robust")), (WITHOUT, replace(_SIDE, support="shape"))),
     _support_rows,

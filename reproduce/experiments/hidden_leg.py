@@ -14,10 +14,11 @@ from dataclasses import replace
 import numpy as np
 
 from reproduce.arms import Arm, Comparison, Trace, by_arm
+from reproduce.scenes.disturbed import Board, boarded
 from twistcap.body import Posed
 from twistcap.estimate import Estimate
 from twistcap.evaluate.metrics import Row, row
-from twistcap.studio import Board, Capture, StudioConfig, capture
+from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import Model, Settings
 from twistcap.track.visibility import OcclusionRule
 
@@ -41,7 +42,7 @@ ARMS = (
 
 def leg_hidden(seed: int) -> Capture:
     """A walk in four views; boards hide the right leg in all of them."""
-    return capture(StudioConfig(seed=seed, views=4, frames=60, boards=(Board(LEG, *HIDDEN),)))
+    return boarded(capture(StudioConfig(seed=seed, views=4, frames=60)), (Board(LEG, *HIDDEN),))
 
 
 def _knee_deg(posed: Posed) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,12 +28,14 @@ class Walk:
         distance: of the cameras, m.
         studio: picture settings; views are as many as directions.
         per_cycle: exposures in a cycle of the gait; None takes the studio's rate.
+        disturbed: what is changed of each capture.
     """
 
     directions_deg: tuple[float, ...]
     distance: float
     studio: StudioConfig
     per_cycle: int | None = None
+    disturbed: Callable[[Capture], Capture] | None = None
 
     def scene(self, seed: int) -> Capture:
         """The capture of a seed."""
@@ -43,7 +45,8 @@ class Walk:
         body = default_body(config)
         poses = gait(body, fps=fps, frames=config.frames, speed=speed, phase=phase)
         rig = self._rig(poses, config.size)
-        return replace(capture(config, body, poses), true_rig=rig, rig=rig)
+        take = replace(capture(config, body, poses), true_rig=rig, rig=rig)
+        return take if self.disturbed is None else self.disturbed(take)
 
     def phases(self, scene: Capture) -> Float:
         """(N,) phase of the right leg in each frame, cycles from its heel strike."""

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from reproduce.scenes.disturbed import Board, boarded
 from reproduce.scenes.subjects import squats, walks_of_another
 from support.finite_differences import check_jacobian, numeric_jacobian
 from twistcap.body import Pose, Posed
@@ -21,7 +22,7 @@ from twistcap.io.prior_file import adjusted, read_prior, trained_prior, write_pr
 from twistcap.io.session import load_session
 from twistcap.priors import ParzenPrior, PriorRule, kernel_width, matched
 from twistcap.solve import PoseProblem, minimise
-from twistcap.studio import Board, StudioConfig, capture
+from twistcap.studio import StudioConfig, capture
 from twistcap.studio.motion import gait
 from twistcap.track import build, track
 
@@ -258,7 +259,7 @@ def test_a_session_names_a_prior(tmp_path: Path) -> None:
 def test_a_hidden_leg_follows_the_rest_of_the_body() -> None:
     """Frames 3 to 7 show no right leg: with a prior it goes on as it should, and its claimed error stays small."""
     leg = ("femur_r", "tibia_r", "foot_r")
-    scene = capture(StudioConfig(seed=2, views=3, frames=8, fps=30, boards=(Board(leg, 3, 7),)))
+    scene = boarded(capture(StudioConfig(seed=2, views=3, frames=8, fps=30)), (Board(leg, 3, 7),))
     prior = ParzenPrior.trained(scene.body.coordinate_names, walks_of_another(scene.body, 3))
     frames, knee = list(scene.frames()), scene.body.coordinate("knee_angle_r")
     errors, claims = dict[bool, float](), dict[bool, float]()
@@ -274,14 +275,14 @@ def test_a_hidden_leg_follows_the_rest_of_the_body() -> None:
 
 def test_boards_hide_what_they_should_and_when() -> None:
     board = Board(("femur_r", "tibia_r", "foot_r"), 1, 1, cameras=(0,))
-    with_board = capture(StudioConfig(seed=2, views=2, frames=3, size=(192, 140), boards=(board,)))
     without = capture(StudioConfig(seed=2, views=2, frames=3, size=(192, 140)))
+    with_board = boarded(without, (board,))
     for frame in range(3):
         for camera in range(2):
             same = np.array_equal(with_board.image(frame, camera), without.image(frame, camera))  # type: ignore[arg-type]
             assert same == ((frame, camera) != (1, 0))
     with pytest.raises(InputError, match="boards"):
-        StudioConfig(frames=3, boards=(Board(("foot_r",), 1, 3),))
+        boarded(without, (Board(("foot_r",), 1, 3),))
 
 
 def test_other_walkers_differ_and_stay_within_limits() -> None:

@@ -13,14 +13,15 @@ from reproduce.arms import Comparison, Findings, Trace, run_seed
 from reproduce.experiments.clutter import C5
 from reproduce.experiments.hidden_leg import C4, LEG
 from reproduce.pictures import seed_picture
-from twistcap.studio import Board, StudioConfig, capture
+from reproduce.scenes.disturbed import Board, boarded
+from twistcap.studio import StudioConfig, capture
 
 SMALL = StudioConfig(seed=3, views=2, size=(192, 140), frames=4)
 
 
 def test_a_hidden_leg_comes_back_to_what_is_seen_of_it() -> None:
     """Behind boards in frames 2 to 4 the leg is carried by the prior alone; the frame after, the images have it."""
-    scene = capture(StudioConfig(seed=7, views=3, frames=8, boards=(Board(LEG, 2, 4),)))
+    scene = boarded(capture(StudioConfig(seed=7, views=3, frames=8)), (Board(LEG, 2, 4),))
     assert C4.arms[-1].prior == "another's walk"
     trace = run_seed(replace(C4, scene=lambda _: scene, arms=C4.arms[-1:], shown=(4, 0), span=(2, 4)), 7)[0]
     assert trace.errors[2:5].max() < 10.0 and trace.errors[-1] < 1.0
@@ -30,7 +31,7 @@ def test_a_hidden_leg_comes_back_to_what_is_seen_of_it() -> None:
 @pytest.mark.parametrize("experiment", [C4, C5])
 def test_a_picture_per_seed(experiment: Comparison, tmp_path: Path) -> None:
     boards = (Board(LEG, 1, 2),) if experiment is C4 else ()
-    scene = capture(replace(SMALL, boards=boards, rectangles=5))
+    scene = boarded(capture(replace(SMALL, rectangles=5)), boards)
     short = replace(experiment, scene=lambda _: scene, shown=(2, 1), span=(1, 2))
     traces = run_seed(short, 3)
     assert [t.arm for t in traces] == [arm.name for arm in experiment.arms]

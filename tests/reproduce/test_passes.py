@@ -12,6 +12,7 @@ import pytest
 from reproduce.experiments.brightness_walks import T2
 from reproduce.layers import LimbCost, learnt
 from reproduce.passes import LIMBS, SequenceConfig, cheapest_path, chosen, nearest_first, track_sequence
+from reproduce.scenes.disturbed import plates
 from reproduce.scenes.walks import Walk
 from twistcap.body.simplify import NINETEEN, angles_of, simplified
 from twistcap.cues.view import Picture
@@ -27,8 +28,9 @@ from twistcap.studio import StudioConfig
 WALK = Walk(
     (-90.0, -20.0),
     10.0,
-    StudioConfig(size=(192, 140), frames=6, colour=False, plates=True, sensor_noise=0.0),
+    StudioConfig(size=(192, 140), frames=6, colour=False, sensor_noise=0.0),
     per_cycle=12,
+    disturbed=plates,
 )
 
 

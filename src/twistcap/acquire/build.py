@@ -12,8 +12,10 @@ from twistcap.acquire.measure import SIDES, Measured
 from twistcap.acquire.sections import closed_spline, fullness
 from twistcap.arrays import Float, Int
 from twistcap.body import Body, Landmarks
+from twistcap.body.binding import Binding, ramp, strongest, unposed
 from twistcap.body.humanoid import humanoid
-from twistcap.body.shape import joint_origin
+from twistcap.body.rig import turn_between
+from twistcap.body.shape import joint_coordinates, joint_origin
 
 _RING = 24  # vertices of a slice
 _DOWN = np.array([0.0, 0.0, -1.0])
@@ -48,18 +50,10 @@ def build(measured: Measured) -> Acquired:
     skeleton = humanoid(stature=measured.stature)
     motions, centres = _motions(skeleton, measured)
     points, faces, parts = _surface(measured)
-    weights = _binding(skeleton, measured, points, parts)
-    segments, fractions = _strongest(weights)
-    rest = _unposed(motions[segments], fractions, points)
-    body = replace(
-        _rejointed(skeleton, centres),
-        name="keyviews",
-        vertices=rest,
-        faces=faces,
-        skin_segments=segments,
-        skin_weights=fractions,
-    )
-    return Acquired(_with_feet(body), measured, points)
+    segments, fractions = strongest(_binding(skeleton, measured, points, parts))
+    rest = unposed(motions[segments], fractions, points)
+    skin = {"vertices": rest, "faces": faces, "skin_segments": segments, "skin_weights": fractions}
+    return Acquired(_with_feet(replace(_rejointed(skeleton, centres), name="keyviews", **skin)), measured, points)
 
 
 def _motions(skeleton: Body, measured: Measured) -> tuple[Float, Float]:
@@ -84,28 +78,18 @@ def _motions(skeleton: Body, measured: Measured) -> tuple[Float, Float]:
 def _straightened(at: list[Float], mid_hip: Float, flat_end: bool) -> tuple[Float, Float]:
     """Motions (3, 4, 4) of a limb from straight down to its joints, and its joints (3, 3) when straight down."""
     rest = [at[0] - mid_hip]
-    turns = [_turn(_DOWN, at[1] - at[0])]
-    turns.append(_turn(at[1] - at[0], at[2] - at[1]) @ turns[0])
-    turns.append(np.eye(3) if flat_end else turns[1])
+    upper = turn_between(_DOWN, at[1] - at[0])
+    lower = turn_between(at[1] - at[0], at[2] - at[1]) @ upper
+    turns = [upper, lower, np.eye(3) if flat_end else lower]
     for above, below in ((at[0], at[1]), (at[1], at[2])):
         rest.append(rest[-1] + float(np.linalg.norm(below - above)) * _DOWN)
     motions = [se3.transform(R, p - R @ r) for R, p, r in zip(turns, at, rest, strict=True)]
     return np.array(motions), np.array(rest)
 
 
-def _turn(a: Float, b: Float) -> Float:
-    """(3, 3) the least rotation that takes the direction of a to that of b."""
-    a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
-    axis, sine = np.cross(a, b), float(np.linalg.norm(np.cross(a, b)))
-    angle = float(np.arctan2(sine, a @ b))
-    return se3.exp_rotation(axis * (angle / sine if sine > 1e-12 else 0.0))
-
-
 def _surface(measured: Measured) -> tuple[Float, Int, list[str]]:
     """Vertices (V, 3) in the front view's pose, outward faces (F, 3), and the part of each vertex."""
-    vertices: list[Float] = []
-    faces: list[Int] = []
-    parts: list[str] = []
+    vertices, faces, parts = list[Float](), list[Int](), list[str]()
     for part, control in _joined(measured).items():
         points, triangles = _loft(closed_spline(control, _RING, fullness(part)))
         faces.append(triangles + len(parts))
@@ -147,27 +131,19 @@ def _loft(rings: Float) -> tuple[Float, Int]:
 def _binding(skeleton: Body, measured: Measured, points: Float, parts: list[str]) -> Float:
     """(V, S) skin weights: at every joint a smooth fraction goes to the segment below, as in the humanoid."""
     J, size = measured.joints, measured.stature / 1.75
-    weights = np.zeros((len(points), len(skeleton.segment_names)))
-    weights[:, skeleton.segment("pelvis")] = 1.0
-    part = np.array(parts)
-
-    def hand(above: str, below: str, fraction: Float) -> None:
-        moved = weights[:, skeleton.segment(above)] * fraction
-        weights[:, skeleton.segment(above)] -= moved
-        weights[:, skeleton.segment(below)] += moved
-
+    out, part = Binding(skeleton.segment_names, len(points)), np.array(parts)
     hips = (J["hip_r"] + J["hip_l"]) / 2
     trunk = ~np.char.startswith(part, "leg")
-    hand("pelvis", "torso", trunk * _ramp(points[:, 2], hips[2] + _LUMBAR[2] * measured.stature, 0.08))
+    out.move("pelvis", "torso", trunk * ramp(points[:, 2], hips[2] + _LUMBAR[2] * measured.stature, 0.08))
     tilted = points[:, 2] + 0.3 * (points[:, 0] - J["neck"][0])
-    hand("torso", "head", (part == "trunk") * _ramp(tilted, J["neck"][2] + 0.02 * size, 0.045))
+    out.move("torso", "head", (part == "trunk") * ramp(tilted, J["neck"][2] + 0.02 * size, 0.045))
     for side in SIDES:
         fractions = _limb_fractions(J, points, part, side, size)
-        for above, below in (("torso", "humerus"), ("humerus", "ulna"), ("ulna", "radius")):
-            hand(above if above == "torso" else f"{above}_{side}", f"{below}_{side}", fractions[below])
-        for above, below in (("pelvis", "femur"), ("femur", "tibia"), ("tibia", "foot")):
-            hand(above if above == "pelvis" else f"{above}_{side}", f"{below}_{side}", fractions[below])
-    return weights
+        for chain in (("torso", "humerus", "ulna", "radius"), ("pelvis", "femur", "tibia", "foot")):
+            names = [chain[0], *(f"{name}_{side}" for name in chain[1:])]
+            for above, below, part_below in zip(names, names[1:], chain[1:], strict=False):
+                out.move(above, below, fractions[part_below])
+    return out.weights
 
 
 def _limb_fractions(J: Mapping[str, Float], points: Float, part: Int, side: str, size: float) -> dict[str, Float]:
@@ -178,38 +154,19 @@ def _limb_fractions(J: Mapping[str, Float], points: Float, part: Int, side: str,
         return (points - J[f"{joint}_{side}"]) @ way / np.linalg.norm(way)
 
     sign = -1.0 if side == "r" else 1.0
-    own_half = _ramp(sign * points[:, 1], 0.015, 0.015)
-    above_pit = np.where(part == "trunk", _ramp(points[:, 2], J[f"shoulder_{side}"][2] - 0.08 * size, 0.05), 1.0)
+    own_half = ramp(sign * points[:, 1], 0.015, 0.015)
+    above_pit = np.where(part == "trunk", ramp(points[:, 2], J[f"shoulder_{side}"][2] - 0.08 * size, 0.05), 1.0)
     forearm, length = along("elbow", "wrist"), np.linalg.norm(J[f"wrist_{side}"] - J[f"elbow_{side}"])
     ahead = np.clip((points[:, 0] - J[f"hip_{side}"][0]) / (0.1 * size), -1.0, 1.0)
     crease = size * (0.5 * (_FOLD + _GROIN) - 0.5 * (_FOLD - _GROIN) * ahead)  # below the hip, from back to front
     return {
-        "humerus": np.isin(part, ["trunk", f"arm_{side}"]) * above_pit * _ramp(along("shoulder", "elbow"), 0.0, 0.05),
-        "ulna": _ramp(forearm, 0.0, 0.04),
+        "humerus": np.isin(part, ["trunk", f"arm_{side}"]) * above_pit * ramp(along("shoulder", "elbow"), 0.0, 0.05),
+        "ulna": ramp(forearm, 0.0, 0.04),
         "radius": np.clip((forearm - 0.05) / (length - 0.06), 0.0, 1.0),
-        "femur": np.isin(part, ["trunk", f"leg_{side}"]) * own_half * _ramp(along("hip", "knee") - crease, 0.0, 0.07),
-        "tibia": _ramp(along("knee", "ankle"), 0.0, 0.05),
-        "foot": _ramp(-along("ankle", "knee"), 0.0, 0.03),
+        "femur": np.isin(part, ["trunk", f"leg_{side}"]) * own_half * ramp(along("hip", "knee") - crease, 0.0, 0.07),
+        "tibia": ramp(along("knee", "ankle"), 0.0, 0.05),
+        "foot": ramp(-along("ankle", "knee"), 0.0, 0.03),
     }
-
-
-def _ramp(x: Float, centre: float, half_width: float) -> Float:
-    """Smooth step from 0 to 1 around a centre."""
-    t = np.clip((x - centre) / (2 * half_width) + 0.5, 0.0, 1.0)
-    return t * t * (3 - 2 * t)
-
-
-def _strongest(weights: Float) -> tuple[Int, Float]:
-    """The 4 strongest segments (V, 4) of each vertex and their weights, which sum to 1."""
-    segments = np.argsort(-weights, axis=1, kind="stable")[:, :4]
-    kept = np.take_along_axis(weights, segments, axis=1)
-    return segments.astype(np.int32), kept / kept.sum(axis=1, keepdims=True)
-
-
-def _unposed(motions: Float, weights: Float, points: Float) -> Float:
-    """Rest positions (V, 3) that linear-blend skinning by motions (V, 4, 4, 4) moves to the given points (V, 3)."""
-    blended = np.einsum("vk,vkij->vij", weights, motions)
-    return np.linalg.solve(blended[:, :3, :3], (points - blended[:, :3, 3])[..., None])[..., 0]
 
 
 def _rejointed(skeleton: Body, centres: Float) -> Body:
@@ -217,12 +174,9 @@ def _rejointed(skeleton: Body, centres: Float) -> Body:
     twists, marks = skeleton.twists.copy(), skeleton.landmarks
     old = np.array([joint_origin(skeleton, s) for s in range(len(centres))])
     old[skeleton.segment_joint < 0] = 0.0
-    for s in np.flatnonzero(skeleton.segment_joint >= 0):
-        above = int(skeleton.segment_parent[s])
-        k, top = int(skeleton.segment_joint[s]), int(skeleton.segment_joint[above])
-        while k >= 0 and k != top:
+    for s in np.flatnonzero(skeleton.segment_joint >= 0).tolist():
+        for k in joint_coordinates(skeleton, s):
             twists[k, 3:] = -np.cross(twists[k, :3], centres[s])
-            k = int(skeleton.parent[k])
     points = marks.points + (centres - old)[marks.segments]
     return replace(skeleton, twists=twists, landmarks=Landmarks(marks.names, marks.segments, points))
 

@@ -43,8 +43,11 @@ def arm_corner(arm: Bool, trunk_side: Float, height: float) -> ArmCorner:
         raise InputError("key view 'elbows': an arm is straight; hold the upper arms out sideways, the forearms up.")
     corner = int(inner[0])
     near, far = round(0.035 * height), round(0.11 * height)
-    lines = [_line(smooth[max(0, corner - far) : max(2, corner - near)]), _line(smooth[corner + near : corner + far])]
-    return ArmCorner(smooth, corner, _crossing(*lines))
+    limbs = (smooth[max(0, corner - far) : max(2, corner - near)], smooth[corner + near : corner + far])
+    p, q = (limb.mean(axis=0) for limb in limbs)
+    d, e = (np.linalg.svd(limb - limb.mean(axis=0))[2][0] for limb in limbs)
+    t = np.linalg.solve(np.stack([d, -e], axis=1), q - p)
+    return ArmCorner(smooth, corner, p + t[0] * d)
 
 
 def _longest_path(pixels: Bool, start_near: Float) -> Float:
@@ -67,31 +70,14 @@ def _longest_path(pixels: Bool, start_near: Float) -> Float:
     return points[way].astype(float)
 
 
-def _line(points: Float) -> tuple[Float, Float]:
-    middle = points.mean(axis=0)
-    return middle, np.linalg.svd(points - middle)[2][0]
-
-
-def _crossing(first: tuple[Float, Float], second: tuple[Float, Float]) -> Float:
-    (p, d), (q, e) = first, second
-    t = np.linalg.solve(np.stack([d, -e], axis=1), q - p)
-    return p + t[0] * d
-
-
-def _girths(control: Float) -> tuple[Float, Float]:
-    """Both widths (n,), (n,) of slices (n, 4, 3), m."""
-    a = np.linalg.norm(control[:, 1] - control[:, 0] + control[:, 2] - control[:, 3], axis=1) / 2
-    b = np.linalg.norm(control[:, 3] - control[:, 0] + control[:, 2] - control[:, 1], axis=1) / 2
-    return a, b
-
-
 def narrowest(control: Float, along: Float, between: tuple[float, float]) -> float:
     """Place along a limb, m, of the least girth of its slices (n, 4, 3), within a range of `along` (n,).
 
     Raises:
         InputError: where no slice is in the range.
     """
-    a, b = _girths(control)
+    a = np.linalg.norm(control[:, 1] - control[:, 0] + control[:, 2] - control[:, 3], axis=1) / 2
+    b = np.linalg.norm(control[:, 3] - control[:, 0] + control[:, 2] - control[:, 1], axis=1) / 2
     area = gaussian_filter1d(a * b, 1.0, mode="nearest")
     inside = np.flatnonzero((along >= between[0]) & (along <= between[1]))
     if len(inside) == 0:

@@ -13,10 +13,9 @@ from twistcap import se3
 from twistcap.acquire.joints import ArmCorner, arm_corner, narrowest
 from twistcap.acquire.outline import Separation, separate
 from twistcap.acquire.sections import Cut, sections
-from twistcap.acquire.silhouette import KeyView, check_views, middle_pixel, nearest_point
+from twistcap.acquire.silhouette import KeyView, check_views, middle_of, middle_pixel, nearest_point
 from twistcap.arrays import Bool, Float
-from twistcap.body import _humanoid_profiles as P
-from twistcap.camera import Camera
+from twistcap.body import proportions as P
 from twistcap.errors import InputError
 
 SIDES = ("r", "l")
@@ -26,14 +25,9 @@ _NEAR_PIT, _FLARE = 0.08, 0.6  # m from the arm pit where arms widen to shoulder
 # stature), in the poses of the key views. Measured on the built-in humanoid, but for the hip's height above the crotch:
 # 0.530 (Winter 2009, fig. 4.1) less the 0.478 of the crotch in ANSUR. They hold for average people.
 SHIFT: dict[str, tuple[float, float, float]] = {
-    "shoulder": (0.0, 0.006, 0.0),
-    "elbow": (0.0, 0.0025, 0.0),
-    "wrist": (0.0, 0.012, 0.0),
-    "hip": (0.0, 0.0, 0.052),
-    "knee": (0.0, 0.0, 0.0),
-    "ankle": (0.0, 0.0, 0.0),
-    "neck": (0.0, 0.0, -0.025),
-}
+    "shoulder": (0.0, 0.006, 0.0), "elbow": (0.0, 0.0025, 0.0), "wrist": (0.0, 0.012, 0.0),
+    "hip": (0.0, 0.0, 0.052), "knee": (0.0, 0.0, 0.0), "ankle": (0.0, 0.0, 0.0), "neck": (0.0, 0.0, -0.025),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -70,10 +64,13 @@ def measure(views: Mapping[str, KeyView], body_line: float | None = None) -> Mea
     """
     check_views(dict(views))
     to_world = _axes(views["front"], views["side"], views["above"])
-    views = {role: _seen_from(view, to_world) for role, view in views.items()}
+    views = {
+        role: replace(view, camera=replace(view.camera, T_cam_world=view.camera.T_cam_world @ to_world))
+        for role, view in views.items()
+    }  # in the body's axes
     line = None if body_line is None else float(_pixel(views["front"], np.array([0.0, 0.0, body_line]))[1])
     front = separate(views["front"].mask, line)
-    elbows = _joint_view(views["elbows"], line)
+    elbows = separate(views["elbows"].mask, line, "elbows")
     slices = {"trunk": _trunk_slices(views, front)}
     for k, s in enumerate(SIDES):
         slices[f"leg_{s}"] = _leg_slices(views, front.legs[k])
@@ -86,7 +83,8 @@ def measure(views: Mapping[str, KeyView], body_line: float | None = None) -> Mea
     stature = top - floor
     height = float(np.ptp(np.flatnonzero(views["front"].mask.any(axis=1))))
     corners = {s: arm_corner(elbows.arms[k], elbows.pits[k], height) for k, s in enumerate(SIDES)}
-    joints = _centre_joints(views["front"], slices, front, stature)
+    neck = _frontal(views["front"], front.neck)
+    joints = {"neck": np.array([_mid_depth(slices["trunk"], neck[2] + SHIFT["neck"][2] * stature), neck[1], neck[2]])}
     for k, s in enumerate(SIDES):
         joints |= _leg_joints(views["front"], slices[f"leg_{s}"], front, s, floor, stature)
         joints |= _arm_joints(views, slices[f"arm_{s}"], front.pits[k], elbows.arms[k], corners[s], s)
@@ -131,11 +129,12 @@ def _axes(front: KeyView, side: KeyView, above: KeyView) -> Float:
 
     The origin is on the vertical through the middle of the silhouettes, at the height of the lowest pixel.
     """
-    middle = nearest_point([(v.camera, middle_pixel(v.mask)) for v in (front, side)])
-    forward = (front.camera.centre - middle) * [1.0, 1.0, 0.0]
-    up = np.array([0.0, 0.0, 1.0])
-    tips = [_fingertip(front, above, middle, sign * np.cross(up, forward)) for sign in (-1.0, 1.0)]
-    left = (tips[1] - tips[0]) * [1.0, 1.0, 0.0]
+    middle, up = middle_of(front, side), np.array([0.0, 0.0, 1.0])
+    across = np.cross(up, (front.camera.centre - middle) * [1.0, 1.0, 0.0])
+    right, left = (
+        nearest_point([(v.camera, _farthest(v, middle, way)) for v in (front, above)]) for way in (-across, across)
+    )  # fingertips
+    left = (left - right) * [1.0, 1.0, 0.0]
     left /= np.linalg.norm(left)
     R = np.stack([np.cross(left, up), left, up], axis=1)
     low = np.array([middle_pixel(front.mask)[0], np.flatnonzero(front.mask.any(axis=1))[-1]])
@@ -145,30 +144,12 @@ def _axes(front: KeyView, side: KeyView, above: KeyView) -> Float:
     return se3.transform(R, middle)
 
 
-def _fingertip(front: KeyView, above: KeyView, middle: Float, way: Float) -> Float:
-    """(3,) the point of the body farthest in a direction (3,), world, m."""
-    return nearest_point([(v.camera, _farthest(v.camera, v.mask, middle, way)) for v in (front, above)])
-
-
-def _farthest(camera: Camera, mask: Bool, middle: Float, way: Float) -> Float:
-    """(2,) the pixel of a mask farthest in a world direction (3,) at a point (3,)."""
-    ends, _ = camera.project(np.array([middle, middle + 0.1 * way / np.linalg.norm(way)]))
-    pixels = np.argwhere(mask)[:, ::-1]
+def _farthest(view: KeyView, middle: Float, way: Float) -> Float:
+    """(2,) the pixel of a silhouette farthest in a world direction (3,) at a point (3,)."""
+    ends, _ = view.camera.project(np.array([middle, middle + 0.1 * way / np.linalg.norm(way)]))
+    pixels = np.argwhere(view.mask)[:, ::-1]
     reach = pixels @ (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
     return pixels[reach > reach.max() - 2.0].mean(axis=0)
-
-
-def _seen_from(view: KeyView, to_world: Float) -> KeyView:
-    """The view with its camera in the body's axes."""
-    camera = replace(view.camera, T_cam_world=view.camera.T_cam_world @ to_world)
-    return replace(view, camera=camera)
-
-
-def _joint_view(view: KeyView, line: float | None) -> Separation:
-    try:
-        return separate(view.mask, line)
-    except InputError as error:
-        raise InputError(str(error).replace("'front'", "'elbows'")) from error
 
 
 def _frontal(view: KeyView, pixel: Float, x: float = 0.0) -> Float:
@@ -251,11 +232,8 @@ def _mended(slices: Mapping[str, Float], side: KeyView, floor: float) -> dict[st
     """Trunk and legs without the other limbs in the side view."""
     hidden = _arms_seen(side, [slices["arm_r"], slices["arm_l"]])
     right, left = (control[control[:, :, 2].mean(axis=1) > floor] for control in (slices["leg_r"], slices["leg_l"]))
-    return {
-        "trunk": _beside_arms(slices["trunk"], side, hidden),
-        "leg_r": _as_deep(right, left),
-        "leg_l": _as_deep(left, right),
-    }
+    trunk = _beside_arms(slices["trunk"], side, hidden)
+    return {"trunk": trunk, "leg_r": _as_deep(right, left), "leg_l": _as_deep(left, right)}
 
 
 def _as_deep(leg: Float, other: Float) -> Float:
@@ -299,11 +277,6 @@ def _beside_arms(trunk: Float, side: KeyView, arms: Bool) -> Float:
     return out
 
 
-def _centre_joints(view: KeyView, slices: Mapping[str, Float], front: Separation, stature: float) -> dict[str, Float]:
-    neck = _frontal(view, front.neck)
-    return {"neck": np.array([_mid_depth(slices["trunk"], neck[2] + SHIFT["neck"][2] * stature), neck[1], neck[2]])}
-
-
 def _mid_depth(trunk: Float, z: float) -> float:
     """Middle of the trunk between front and back at a height, m."""
     centres = trunk.mean(axis=1)
@@ -327,8 +300,7 @@ def _leg_joints(
     fit = np.polynomial.polynomial.polyfit(centres[straight, 2], centres[straight, :2], 1)
     ratio = P.RATIOS["thigh"] / (P.RATIOS["thigh"] + P.RATIOS["shank"])
     heights = {"hip": crotch, "knee": hip_z + ratio * (ankle_z - hip_z), "ankle": ankle_z}
-    shank_and_thigh = (centres[:, 2] > ankle_z) & (centres[:, 2] < crotch)
-    x = float(centres[shank_and_thigh, 0].mean())
+    x = float(centres[(centres[:, 2] > ankle_z) & (centres[:, 2] < crotch), 0].mean())
     y = {n: float(fit[0, 1] + fit[1, 1] * z) for n, z in heights.items()}
     y["ankle"] = float(np.interp(ankle_z + 0.02 * stature, centres[::-1, 2], centres[::-1, 1]))
     return {f"{n}_{side}": np.array([x, y[n], z]) for n, z in heights.items()}

@@ -33,13 +33,14 @@ class Separation:
     legs: tuple[Bool, Bool]
 
 
-def separate(mask: Bool, body_line: float | None = None) -> Separation:
+def separate(mask: Bool, body_line: float | None = None, role: str = "front") -> Separation:
     """Arms, legs and trunk of a front silhouette (H, W), cut at the arm pits and the crotch.
 
     Args:
         mask: of the person facing the camera.
         body_line: row that bounds the search for arm pits from below; by default 0.42 of the person's height from
             the top.
+        role: of the view, for messages.
 
     Raises:
         InputError: if an arm pit or the gap between the legs is not to be seen.
@@ -47,12 +48,14 @@ def separate(mask: Bool, body_line: float | None = None) -> Separation:
     rows = np.flatnonzero(mask.any(axis=1))
     top, height = int(rows[0]), int(rows[-1] - rows[0])
     line = top + 0.42 * height if body_line is None else body_line
-    pits = _arm_pits(mask, line, height)
+    pits = _arm_pits(mask, line, height, role)
     arms = (_arm_beyond(mask, pits[0], -1), _arm_beyond(mask, pits[1], 1))
     rest = mask & ~arms[0] & ~arms[1]
-    crotch = _crotch(rest, line)
-    legs = _legs(rest, crotch)
-    trunk = rest & ~legs[0] & ~legs[1]
+    crotch = _crotch(rest, line, role)
+    x, y = np.meshgrid(*(np.arange(n) for n in mask.shape[::-1]))
+    below, on_right = rest & (y >= int(crotch[1])), x < round(float(crotch[0]))
+    legs = (below & on_right, below & ~on_right)
+    trunk = rest & ~below
     return Separation(line, pits, _neck(trunk, height, float(pits[:, 1].mean())), crotch, trunk, arms, legs)
 
 
@@ -92,7 +95,7 @@ def corners(curve: Float, reach: tuple[int, int], angle: float, closed: bool) ->
     return index, np.where(turn[index] < 0, -1.0, 1.0) * opening[index]
 
 
-def _arm_pits(mask: Bool, line: float, height: int) -> Float:
+def _arm_pits(mask: Bool, line: float, height: int, role: str) -> Float:
     """(2, 2) the lowest concave corner above the body line on either side, the one on the left first."""
     curve = outline(mask)
     reach = max(4, round(0.025 * height)), max(8, round(0.05 * height))
@@ -107,7 +110,7 @@ def _arm_pits(mask: Bool, line: float, height: int) -> Float:
         own = concave[side * (concave[:, 0] - middle) > 0.03 * height]
         if len(own) == 0:
             raise InputError(
-                f"key view 'front': the {name} arm pit is not to be seen; hold the arms out sideways, or set body_line"
+                f"key view {role!r}: the {name} arm pit is not to be seen; hold the arms out sideways, or set body_line"
                 " below the arm pits."
             )
         pits.append(own[np.argmax(own[:, 1])])
@@ -118,17 +121,14 @@ def _arm_beyond(mask: Bool, pit: Float, side: int) -> Bool:
     """The piece of a mask that a vertical cut upward from an arm pit leaves on one side (-1 left, 1 right)."""
     x, y = (round(float(p)) for p in pit)
     beyond = mask.copy()
-    if side > 0:
-        beyond[:, : x + 1] = False
-    else:
-        beyond[:, x:] = False
+    beyond[:, slice(0, x + 1) if side > 0 else slice(x, None)] = False
     _, labels = cv2.connectedComponents(beyond.astype(np.uint8))
     column = labels[: y + 1, x + side]
     below = column[column > 0]
     return (labels == below[-1]) & beyond if len(below) else np.zeros_like(mask)
 
 
-def _crotch(rest: Bool, line: float) -> Float:
+def _crotch(rest: Bool, line: float, role: str) -> Float:
     """(2,) top of the gap between the legs: going up, the last row that has two pieces."""
     rows = np.flatnonzero(rest.any(axis=1))
     crotch = None
@@ -138,17 +138,7 @@ def _crotch(rest: Bool, line: float) -> Float:
             crotch = np.array([(edges[1] + edges[2] + 1) / 2.0, float(row)])
         elif crotch is not None:
             return crotch
-    raise InputError("key view 'front': no gap is seen between the legs; stand with the feet apart.")
-
-
-def _legs(rest: Bool, crotch: Float) -> tuple[Bool, Bool]:
-    x, y = round(float(crotch[0])), int(crotch[1])
-    below = rest.copy()
-    below[:y] = False
-    right, left = below.copy(), below
-    right[:, x:] = False
-    left[:, :x] = False
-    return right, left
+    raise InputError(f"key view {role!r}: no gap is seen between the legs; stand with the feet apart.")
 
 
 def _neck(trunk: Bool, height: int, pits: float) -> Float:

@@ -11,8 +11,7 @@ from twistcap.arrays import AnyArray, Bool, Float, Float32
 from twistcap.camera import Camera
 from twistcap.errors import InputError
 
-ROLES = ("front", "side", "above", "elbows")
-_NEEDS = {
+ROLES = {  # and what they need
     "front": "the person facing the camera, arms out sideways, feet apart",
     "side": "the same stance seen at a right angle to the front view",
     "above": "the arm view: the arms held out, seen from above",
@@ -58,11 +57,9 @@ def _at_half_contrast(change: Float, mask: AnyArray, rim: int = 4) -> Bool:
 
     Noise is small, so that a mask of all above noise contains the outer blur of the edge.
     """
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * rim + 1,) * 2)
-    core = cv2.erode(mask, kernel)
-    inner = cv2.dilate(
-        np.where(core > 0, change, 0.0), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (4 * rim + 1,) * 2)
-    )
+    near, far = (cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (n * rim + 1,) * 2) for n in (2, 4))
+    core = cv2.erode(mask, near)
+    inner = cv2.dilate(np.where(core > 0, change, 0.0), far)
     half = ((core > 0) | ((mask > 0) & (change > 0.5 * inner))).astype(np.uint8)
     depth = cv2.distanceTransform(mask, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     edge = (half > 0) & (cv2.erode(half, np.ones((3, 3), np.uint8)) == 0)
@@ -86,16 +83,17 @@ def check_views(views: dict[str, KeyView]) -> None:
     Raises:
         InputError: for a view that is missing, empty, cut off by the image's border, or not near-orthogonal.
     """
-    for role in ROLES:
+    for role, needs in ROLES.items():
         if role not in views:
-            raise InputError(f"key view {role!r} is missing ({_NEEDS[role]}); add [views.{role}].")
+            raise InputError(f"key view {role!r} is missing ({needs}); add [views.{role}].")
         _check_silhouette(views[role])
-    middle = _middle(views["front"], views["side"])
-    for first, second in (("front", "side"), ("front", "above")):
-        angle = _angle(views[first].camera, views[second].camera, middle)
+    middle = middle_of(views["front"], views["side"])
+    for second in ("side", "above"):
+        a, b = (views[role].camera.centre - middle for role in ("front", second))
+        angle = float(np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1.0, 1.0)))
         if abs(angle - np.pi / 2) > _TILT:
             raise InputError(
-                f"key views {first!r} and {second!r} look at the person {np.rad2deg(angle):.0f}° apart; they must be"
+                f"key views 'front' and {second!r} look at the person {np.rad2deg(angle):.0f}° apart; they must be"
                 " near 90° (60° to 120°): move a camera."
             )
 
@@ -104,8 +102,7 @@ def _check_silhouette(view: KeyView) -> None:
     mask = view.mask
     if mask.sum() < 0.005 * mask.size:
         raise InputError(f"key view {view.role!r}: no person stands out; check its image, background or mask.")
-    sides = {"top": mask[0], "bottom": mask[-1], "left": mask[:, 0], "right": mask[:, -1]}
-    for name, line in sides.items():
+    for name, line in {"top": mask[0], "bottom": mask[-1], "left": mask[:, 0], "right": mask[:, -1]}.items():
         if line.any():
             raise InputError(
                 f"key view {view.role!r}: the silhouette touches the {name} border of the image; take the view again"
@@ -113,7 +110,7 @@ def _check_silhouette(view: KeyView) -> None:
             )
 
 
-def _middle(front: KeyView, side: KeyView) -> Float:
+def middle_of(front: KeyView, side: KeyView) -> Float:
     """(3,) the point nearest to the rays through the middles of two silhouettes, world, m."""
     return nearest_point([(v.camera, middle_pixel(v.mask)) for v in (front, side)])
 
@@ -132,8 +129,3 @@ def nearest_point(rays: list[tuple[Camera, Float]]) -> Float:
         across = np.eye(3) - np.outer(n, n)
         A, b = A + across, b + across @ camera.centre
     return np.asarray(np.linalg.solve(A, b), dtype=np.float64)
-
-
-def _angle(first: Camera, second: Camera, point: Float) -> float:
-    a, b = first.centre - point, second.centre - point
-    return float(np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1.0, 1.0)))

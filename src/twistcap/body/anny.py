@@ -77,12 +77,8 @@ class AnnyModel:
         self._changes = _groups([name for name in model.local_change_labels if _CHANGES.match(name)])
         whole = [Parameter(name, usual, 0.06 if name == "age" else 0.2, 0.0, 1.0) for name, usual in _BUILD.items()]
         parts = [Parameter(name, 0.0, 0.3, -1.0, 1.0) for name in self._changes]
-        self._parameters = (*whole, *parts)
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Six of the whole body (gender from male 0 to female 1, age, …), then changes of single parts."""
-        return self._parameters
+        #: Six of the whole body (gender from male 0 to female 1, age, …), then changes of single parts.
+        self.parameters: tuple[Parameter, ...] = (*whole, *parts)
 
     def bodies(self, values: Float) -> list[Body]:
         """Bodies of the joints, signs and zero pose of the built-in humanoid.
@@ -94,9 +90,8 @@ class AnnyModel:
         with self._torch.no_grad():
             coefficients = self._model._get_phenotype_blendshape_coefficients(build, changes, build[:, :0])
             rest = self._model.get_rest_model(coefficients)
-        heads, tails = _array(rest["rest_bone_heads"]), _array(rest["rest_bone_tails"])
-        surfaces = _array(rest["rest_vertices"])
-        return [self._body(*each) for each in zip(heads, tails, surfaces, strict=True)]
+        heads, surfaces = _array(rest["rest_bone_heads"]), _array(rest["rest_vertices"])
+        return [self._body(*each) for each in zip(heads, surfaces, strict=True)]
 
     def _inputs(self, values: Float) -> tuple[Any, Any]:
         """Tensors (N, 6) and (N, all local changes)."""
@@ -107,21 +102,14 @@ class AnnyModel:
         order = [list(_BUILD).index(name) for name in self._model.phenotype_labels]
         return self._torch.as_tensor(values[:, order]), self._torch.as_tensor(changes)
 
-    def _body(self, heads: Float, tails: Float, vertices: Float) -> Body:
+    def _body(self, heads: Float, vertices: Float) -> Body:
         names = tuple(str(name) for name in self._model.bone_labels)
         hips = [heads[names.index(name)] for name in ("RightUpLeg", "LeftUpLeg")]
+        parents, frames = np.array(self._model.bone_parents, dtype=np.int32), se3.transform(np.eye(3), heads)
         mesh = SkinnedMesh(
-            name="anny",
-            source="Anny",
-            joints=names,
-            parents=np.array(self._model.bone_parents, dtype=np.int32),
-            frames=se3.transform(np.eye(3), heads),
-            vertices=vertices,
-            faces=self._faces,
-            weights=self._weights,
-            points={"mid_hip": np.mean(hips, axis=0)},
-            numbered=vertices,
-        )
+            "anny", "Anny", names, parents, frames, vertices, self._faces, self._weights,
+            points={"mid_hip": np.mean(hips, axis=0)}, numbered=vertices,
+        )  # fmt: skip
         return build_body(mesh, _rig())
 
     @cached_property

@@ -95,9 +95,8 @@ class _Scene:
         parents = [-1] * len(self.gltf.nodes)
         for number, node in enumerate(self.gltf.nodes):
             for child in node.children or []:
-                _expect(
-                    0 <= child < len(parents), self.path, f"node {number} has the child {child}, which is not there"
-                )
+                there = 0 <= child < len(parents)
+                _expect(there, self.path, f"node {number} has the child {child}, which is not there")
                 parents[child] = number
         _expect(len(in_tree_order(parents)) == len(parents), self.path, "its nodes form a ring instead of a tree")
         return parents
@@ -161,16 +160,13 @@ def _read_mesh(scene: _Scene, as_is: bool) -> SkinnedMesh:
     vertices, faces, weights = _joined(_parts(scene, binds))
     if not as_is:
         vertices, faces, weights = welded(vertices, faces, weights)
-    return SkinnedMesh(
-        name=scene.path.stem,
-        source=scene.path.name,
-        joints=scene.names(),
-        parents=np.array([scene.joint_above(node) for node in scene.joints], dtype=np.int32),
-        frames=_joint_frames(scene, binds),
-        vertices=vertices,
-        faces=faces,
-        weights=weights,
-    )
+    found: dict[int, Float] = {}
+    for skin, (_, frames) in enumerate(binds):
+        for joint, frame in zip(scene.skin_joints(skin), frames, strict=True):
+            found.setdefault(joint, frame)
+    frames = np.array([found[joint] for joint in scene.joints])
+    parents = np.array([scene.joint_above(node) for node in scene.joints], dtype=np.int32)
+    return SkinnedMesh(scene.path.stem, scene.path.name, scene.names(), parents, frames, vertices, faces, weights)
 
 
 def _parts(scene: _Scene, binds: list[tuple[Float, Float]]) -> list[tuple[Float, Int, Float]]:
@@ -201,14 +197,6 @@ def _node_matrix(node: Any) -> Float:
     return se3.transform(R, np.array(node.translation or (0.0, 0.0, 0.0)))
 
 
-def _joint_frames(scene: _Scene, binds: list[tuple[Float, Float]]) -> Float:
-    found: dict[int, Float] = {}
-    for skin, (_, frames) in enumerate(binds):
-        for joint, frame in zip(scene.skin_joints(skin), frames, strict=True):
-            found.setdefault(joint, frame)
-    return np.array([found[joint] for joint in scene.joints])
-
-
 def _primitive(scene: _Scene, primitive: Any, where: str, joint_count: int) -> tuple[Float, Int, Float]:
     """Vertices (V, 3), triangles (F, 3) and weights (V, B) by the skin's joints."""
     path, mode = scene.path, _TRIANGLES if primitive.mode is None else primitive.mode
@@ -232,9 +220,8 @@ def _weights(scene: _Scene, attributes: dict[str, Any], where: str, shape: tuple
     out, rows = np.zeros(shape), np.arange(shape[0])
     for name in sorted(n for n, at in attributes.items() if n.startswith("JOINTS_") and at is not None):
         held = scene.buffers.accessor(attributes[name], f"{where}: {name}").astype(int)
-        weight = scene.buffers.accessor(
-            attributes.get(name.replace("JOINTS", "WEIGHTS"), -1), f"{where}: {name} weights"
-        )
+        number = attributes.get(name.replace("JOINTS", "WEIGHTS"), -1)
+        weight = scene.buffers.accessor(number, f"{where}: {name} weights")
         _expect(len(held) == len(weight) == len(rows), scene.path, f"{where}: {name} and POSITION differ in length")
         known = int(held.max(initial=0)) < shape[1]
         _expect(known, scene.path, f"{where}: {name} names a joint that the skin does not have")
@@ -263,32 +250,26 @@ def _joined(parts: list[tuple[Float, Int, Float]]) -> tuple[Float, Int, Float]:
 
 def _own_body(mesh: SkinnedMesh, own: dict[str, Any], path: Path) -> Body:
     """The body of a file of `save_glb`."""
+
+    def numbers(value: Any, width: int) -> Float:
+        return np.array(value, dtype=float).reshape(-1, width)
+
+    def indices(value: Any) -> Int:
+        return np.array(value, dtype=np.int32)
+
     try:
         order = np.argsort(-mesh.weights, axis=1, kind="stable")[:, : own["influences"]].astype(np.int32)
         weights = np.take_along_axis(mesh.weights, order, axis=1)
         marks = own["landmarks"]
         return Body(
-            name=own["name"],
-            coordinate_names=tuple(own["coordinates"]),
-            parent=np.array(own["parent"], dtype=np.int32),
-            twists=np.array(own["twists"], dtype=float).reshape(-1, 6),
-            limits=np.array(own["limits"], dtype=float).reshape(-1, 2),
-            segment_names=tuple(own["segments"]),
-            segment_joint=np.array(own["segment_joint"], dtype=np.int32),
-            vertices=mesh.vertices @ TO_REST.T,
-            faces=mesh.faces,
-            skin_segments=order,
-            skin_weights=weights / weights.sum(axis=1, keepdims=True),
-            landmarks=Landmarks(
-                tuple(marks["names"]),
-                np.array(marks["segments"], dtype=np.int32),
-                np.array(marks["points"], dtype=float).reshape(-1, 3),
-            ),
-        )
+            own["name"], tuple(own["coordinates"]), indices(own["parent"]), numbers(own["twists"], 6),
+            numbers(own["limits"], 2), tuple(own["segments"]), indices(own["segment_joint"]), mesh.vertices @ TO_REST.T,
+            mesh.faces, order, weights / weights.sum(axis=1, keepdims=True),
+            Landmarks(tuple(marks["names"]), indices(marks["segments"]), numbers(marks["points"], 3)),
+        )  # fmt: skip
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(
-            f"{path}: asset.extras.{EXTRAS} is broken ({error}); pass a rig TOML to read it without."
-        ) from error
+        message = f"asset.extras.{EXTRAS} is broken ({error}); pass a rig TOML to read it without."
+        raise InputError(f"{path}: {message}") from error
 
 
 def _expect(holds: bool, path: Path, message: str) -> None:

@@ -7,23 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pygltflib import (
-    GLTF2,
-    Animation,
-    AnimationChannel,
-    AnimationChannelTarget,
-    AnimationSampler,
-    Asset,
-    Attributes,
-    Buffer,
-    Material,
-    Mesh,
-    Node,
-    PbrMetallicRoughness,
-    Primitive,
-    Scene,
-    Skin,
-)
+import pygltflib as gl
+from scipy.spatial.transform import Rotation
 
 from twistcap import se3
 from twistcap.arrays import Float
@@ -50,7 +35,7 @@ def save_glb(body: Body, path: Path | str, poses: Sequence[Pose] | None = None, 
     """
     if poses and not (fps and fps > 0):
         raise InputError(f"{path}: an animation needs a frame rate; fps is {fps}.")
-    gltf = GLTF2(asset=Asset(version="2.0", generator="twistcap", extras={EXTRAS: _extras(body)}), scene=0)
+    gltf = gl.GLTF2(asset=gl.Asset(version="2.0", generator="twistcap", extras={EXTRAS: _extras(body)}), scene=0)
     pack = Packer(gltf)
     origins = np.array([joint_origin(body, s) for s in range(len(body.segment_names))]).reshape(-1, 3)
     _add_nodes(gltf, body, origins)
@@ -58,7 +43,7 @@ def save_glb(body: Body, path: Path | str, poses: Sequence[Pose] | None = None, 
     _add_mesh(gltf, pack, body)
     if poses and fps:
         _add_animation(gltf, pack, body, origins, poses, fps)
-    gltf.buffers.append(Buffer(byteLength=len(pack.blob)))
+    gltf.buffers.append(gl.Buffer(byteLength=len(pack.blob)))
     gltf.set_binary_blob(bytes(pack.blob))
     try:
         gltf.save_binary(str(path))
@@ -67,49 +52,43 @@ def save_glb(body: Body, path: Path | str, poses: Sequence[Pose] | None = None, 
 
 
 def _extras(body: Body) -> dict[str, Any]:
+    marks = body.landmarks
     return {
-        "version": 1,
-        "name": body.name,
-        "coordinates": list(body.coordinate_names),
-        "parent": body.parent.tolist(),
-        "twists": body.twists.tolist(),
-        "limits": body.limits.tolist(),
-        "segments": list(body.segment_names),
-        "segment_joint": body.segment_joint.tolist(),
-        "influences": int(body.skin_weights.shape[1]),
-        "landmarks": {
-            "names": list(body.landmarks.names),
-            "segments": body.landmarks.segments.tolist(),
-            "points": body.landmarks.points.tolist(),
-        },
-    }
+        "version": 1, "name": body.name, "coordinates": list(body.coordinate_names), "parent": body.parent.tolist(),
+        "twists": body.twists.tolist(), "limits": body.limits.tolist(), "segments": list(body.segment_names),
+        "segment_joint": body.segment_joint.tolist(), "influences": int(body.skin_weights.shape[1]),
+        "landmarks": {"names": list(marks.names), "segments": marks.segments.tolist(), "points": marks.points.tolist()},
+    }  # fmt: skip
 
 
-def _add_nodes(gltf: GLTF2, body: Body, origins: Float) -> None:
+def _add_nodes(gltf: gl.GLTF2, body: Body, origins: Float) -> None:
     """Node s is segment s; then come the armature above them and the mesh."""
     S = len(origins)
     above = body.segment_parent
     for s, name in enumerate(body.segment_names):
-        start = origins[above[s]] if above[s] >= 0 else np.zeros(3)
+        offset = TO_REST.T @ (origins[s] - (origins[above[s]] if above[s] >= 0 else 0.0))
         children = [int(c) for c in np.flatnonzero(above == s)]
-        gltf.nodes.append(Node(name=name, children=children, translation=(TO_REST.T @ (origins[s] - start)).tolist()))
-    gltf.nodes.append(Node(name="armature", children=[int(c) for c in np.flatnonzero(above < 0)]))
-    gltf.nodes.append(Node(name=body.name, mesh=0, skin=0))
-    gltf.scenes.append(Scene(nodes=[S, S + 1]))
+        gltf.nodes.append(gl.Node(name=name, children=children, translation=offset.tolist()))
+    gltf.nodes.append(gl.Node(name="armature", children=[int(c) for c in np.flatnonzero(above < 0)]))
+    gltf.nodes.append(gl.Node(name=body.name, mesh=0, skin=0))
+    gltf.scenes.append(gl.Scene(nodes=[S, S + 1]))
 
 
-def _add_skin(gltf: GLTF2, pack: Packer, origins: Float) -> None:
+def _add_skin(gltf: gl.GLTF2, pack: Packer, origins: Float) -> None:
     inverse_binds = se3.transform(np.eye(3), -origins @ TO_REST)
     matrices = pack.add(inverse_binds.transpose(0, 2, 1).astype(np.float32), "MAT4")
     S = len(origins)
-    gltf.skins.append(Skin(joints=list(range(S)), skeleton=S, inverseBindMatrices=matrices, extras={EXTRAS: True}))
+    gltf.skins.append(gl.Skin(joints=list(range(S)), skeleton=S, inverseBindMatrices=matrices, extras={EXTRAS: True}))
 
 
-def _add_mesh(gltf: GLTF2, pack: Packer, body: Body) -> None:
-    attributes = Attributes()
+def _add_mesh(gltf: gl.GLTF2, pack: Packer, body: Body) -> None:
+    attributes = gl.Attributes()
     vertices = body.vertices @ TO_REST
+    normals = vertex_normals(vertices, body.faces)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = np.where(length > 0, normals / np.where(length > 0, length, 1.0), [0.0, 1.0, 0.0])
     attributes.POSITION = pack.add(vertices.astype(np.float32), "VEC3", ARRAY_BUFFER, bounds=True)
-    attributes.NORMAL = pack.add(_normals(vertices, body).astype(np.float32), "VEC3", ARRAY_BUFFER)
+    attributes.NORMAL = pack.add(normals.astype(np.float32), "VEC3", ARRAY_BUFFER)
     V, K = body.skin_weights.shape
     sets = -(-K // 4)
     segments, weights = np.zeros((V, 4 * sets), np.uint16), np.zeros((V, 4 * sets), np.float32)
@@ -120,27 +99,22 @@ def _add_mesh(gltf: GLTF2, pack: Packer, body: Body) -> None:
         setattr(attributes, f"JOINTS_{n}", pack.add(segments[:, part], "VEC4", ARRAY_BUFFER))
         setattr(attributes, f"WEIGHTS_{n}", pack.add(weights[:, part], "VEC4", ARRAY_BUFFER))
     indices = pack.add(body.faces.astype(np.uint32).ravel(), "SCALAR", ELEMENT_ARRAY_BUFFER)
-    grey = PbrMetallicRoughness(baseColorFactor=[0.8, 0.8, 0.8, 1.0], metallicFactor=0.0, roughnessFactor=0.9)
-    gltf.materials.append(Material(name="body", pbrMetallicRoughness=grey))
-    gltf.meshes.append(Mesh(name=body.name, primitives=[Primitive(attributes=attributes, indices=indices, material=0)]))
+    grey = gl.PbrMetallicRoughness(baseColorFactor=[0.8, 0.8, 0.8, 1.0], metallicFactor=0.0, roughnessFactor=0.9)
+    gltf.materials.append(gl.Material(name="body", pbrMetallicRoughness=grey))
+    primitive = gl.Primitive(attributes=attributes, indices=indices, material=0)
+    gltf.meshes.append(gl.Mesh(name=body.name, primitives=[primitive]))
 
 
-def _normals(vertices: Float, body: Body) -> Float:
-    out = vertex_normals(vertices, body.faces)
-    length = np.linalg.norm(out, axis=1, keepdims=True)
-    return np.where(length > 0, out / np.where(length > 0, length, 1.0), [0.0, 1.0, 0.0])
-
-
-def _add_animation(gltf: GLTF2, pack: Packer, body: Body, origins: Float, poses: Sequence[Pose], fps: float) -> None:
+def _add_animation(gltf: gl.GLTF2, pack: Packer, body: Body, origins: Float, poses: Sequence[Pose], fps: float) -> None:
     rotations, translations = local_motions(body, origins, poses)
     times = pack.add((np.arange(len(poses)) / fps).astype(np.float32), "SCALAR", bounds=True)
-    animation = Animation(name="motion")
+    animation = gl.Animation(name="motion")
     for s in range(len(origins)):
         for path, values, kind in (("rotation", rotations, "VEC4"), ("translation", translations, "VEC3")):
             output = pack.add(values[:, s].astype(np.float32), kind)
-            animation.samplers.append(AnimationSampler(input=times, output=output, interpolation="LINEAR"))
-            target = AnimationChannelTarget(node=s, path=path)
-            animation.channels.append(AnimationChannel(sampler=len(animation.samplers) - 1, target=target))
+            animation.samplers.append(gl.AnimationSampler(input=times, output=output, interpolation="LINEAR"))
+            target = gl.AnimationChannelTarget(node=s, path=path)
+            animation.channels.append(gl.AnimationChannel(sampler=len(animation.samplers) - 1, target=target))
     gltf.animations.append(animation)
 
 
@@ -154,14 +128,9 @@ def local_motions(body: Body, origins: Float, poses: Sequence[Pose]) -> tuple[Fl
     frames = C @ motions @ se3.transform(np.eye(3), origins) @ C.T
     above = body.segment_parent
     local = np.where((above >= 0)[:, None, None], se3.inverse(frames[:, above]) @ frames, frames)
-    quaternions = _quaternions(local[..., :3, :3])
+    turns = Rotation.from_matrix(local[..., :3, :3].reshape(-1, 3, 3))
+    quaternions = turns.as_quat(canonical=True).reshape(*local.shape[:2], 4)
     for t in range(1, len(quaternions)):
         opposite = np.sum(quaternions[t] * quaternions[t - 1], axis=-1, keepdims=True) < 0
         quaternions[t] = np.where(opposite, -quaternions[t], quaternions[t])
     return quaternions, local[..., :3, 3]
-
-
-def _quaternions(rotations: Float) -> Float:
-    omega = se3.log_rotation(rotations)
-    half = np.linalg.norm(omega, axis=-1, keepdims=True) / 2.0
-    return np.concatenate([omega / 2.0 * np.sinc(half / np.pi), np.cos(half)], axis=-1)

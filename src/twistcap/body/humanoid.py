@@ -1,42 +1,65 @@
-"""The built-in humanoid: a sex-neutral adult of swept cross-sections, smoothly skinned. Own work."""
+"""The built-in humanoid: a sex-neutral adult, smoothly skinned. Own work.
+
+Its surface, in a modelling pose in which no limbs touch, is that of swept cross-sections. `humanoid.npz` holds it for
+each variant: points (V, 3), faces (F, 3) and, for each limb, how much nearer (m) each point is to it than to the rest
+of the body, its mirror image left out. ``python -m reproduce.humanoid`` computes the file.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
+from importlib import resources
 from typing import Literal
 
 import numpy as np
+from scipy.sparse import coo_matrix
 
 from twistcap import se3
-from twistcap.arrays import Float, Int
-from twistcap.body import _humanoid_profiles as P
-from twistcap.body._humanoid_binding import binding
-from twistcap.body._humanoid_field import field_of
-from twistcap.body._humanoid_surface import surface
+from twistcap.arrays import AnyArray, Float, Int
+from twistcap.body import proportions as P
+from twistcap.body.binding import Binding, ramp, strongest, unposed
 from twistcap.body.kinematics import Pose, Posed
-from twistcap.body.model import Body, Landmarks
+from twistcap.body.model import Body, Landmarks, edges_of
 from twistcap.body.shape import rescaled
 from twistcap.errors import InputError
 
 Variant = Literal["full", "legs"]
-_ARM_OUT, _LEG_OUT = np.deg2rad(42.0), np.deg2rad(7.0)  # modelling pose, in which no limbs touch
+Vector = tuple[float, float, float]
 _FLEX, _SIDE, _TURN = (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 # Talocrural and subtalar axes after Inman, "The Joints of the Ankle" (1976), as gait models use them; right side.
 _ANKLE, _SUBTALAR = (-0.105, -0.979, -0.174), (0.787, 0.121, 0.605)
+# Joints of a side, outwards: segment, centre, axes of the right side by coordinate, landmark at the centre.
+_CLAVICLE = ("clavicle", P.CLAVICLE, {"clavicle_elevation": (-1, 0, 0), "clavicle_protraction": _TURN}, "")
+_ARM = (
+    ("humerus", P.SHOULDER, {"arm_add": _SIDE, "arm_flex": _FLEX, "arm_rot": _TURN}, "shoulder"),
+    ("ulna", P.ELBOW, {"elbow_flex": _FLEX}, "elbow"),
+    ("radius", P.WRIST, {"pro_sup": _TURN}, "wrist"),
+)
+_HAND = ("hand", P.WRIST, {"wrist_flex": _SIDE}, "")
+_LEG = (
+    ("femur", P.HIP, {"hip_flexion": _FLEX, "hip_adduction": _SIDE, "hip_rotation": _TURN}, "hip"),
+    ("tibia", P.KNEE, {"knee_angle": (0.0, 1.0, 0.0)}, "knee"),
+    ("foot", P.ANKLE, {"ankle_angle": _ANKLE, "subtalar_angle": _SUBTALAR}, "ankle"),
+)
+_SOLE = (("toe", P.TOE_X - 0.01, -0.022), ("small_toe", 0.155, 0.036), ("heel", P.HEEL_X + 0.004, 0.0))
+
+_OUT = {"arm": (P.SHOULDER, np.deg2rad(42.0)), "leg": (P.HIP, np.deg2rad(7.0))}  # how limbs are held in modelling
+_SOFT = 0.035  # m, half of the blending zone of trunk and limb
+_SMOOTHINGS = 3
+_BRANCHES = {"arm": "humerus", "leg": "femur"}
+_HINGES = {  # joint, above, below, half of the blending zone in m
+    "arm": ((P.ELBOW, "humerus", "ulna", 0.04), (P.WRIST, "radius", "hand", 0.025)),
+    "leg": ((P.KNEE, "femur", "tibia", 0.05), (P.ANKLE, "tibia", "foot", 0.03)),
+}
 
 
 def humanoid(
-    variant: Variant = "full",
-    *,
-    stature: float = 1.75,
-    lengths: Mapping[str, float] | None = None,
-    girths: Mapping[str, float] | None = None,
-    thorax: bool = False,
-    neck: bool = True,
-    clavicles: bool = False,
+    variant: Variant = "full", *, stature: float = 1.75, lengths: Mapping[str, float] | None = None,
+    girths: Mapping[str, float] | None = None, thorax: bool = False, neck: bool = True, clavicles: bool = False,
     wrists: bool = False,
-) -> Body:
+) -> Body:  # fmt: skip
     """A person standing upright, arms at the sides, palms to the thighs; mid-hip at the origin, facing +x, z up.
 
     Args:
@@ -60,173 +83,144 @@ def humanoid(
     return rescaled(body, lengths, girths, stature / P.H)
 
 
+def limb_motions() -> dict[str, Float]:
+    """Motions (4, 4) of the left "arm" and "leg" from the neutral to the modelling pose."""
+    omega = np.array(_SIDE)
+    return {n: se3.exp(angle * np.concatenate([omega, -np.cross(omega, at)])) for n, (at, angle) in _OUT.items()}
+
+
 @lru_cache(maxsize=16)
 def _reference(variant: str, thorax: bool, neck: bool, clavicles: bool, wrists: bool) -> Body:
     """The body at the reference stature."""
     skeleton = _Skeleton()
     if variant == "full":
-        _add_trunk(skeleton, thorax, neck)
+        chest = _add_trunk(skeleton, thorax, neck)
+        joints = (*[_CLAVICLE][:clavicles], *_ARM, *[_HAND][:wrists])
         for side in "rl":
-            _add_arm(skeleton, side, clavicles, wrists)
+            skeleton.limb(joints, chest, side)
     for side in "rl":
-        _add_leg(skeleton, side)
-    return _with_surface(skeleton, variant)
+        skeleton.limb(_LEG, "pelvis", side)
+        for mark, x, y in _SOLE:
+            skeleton.mark(mark, "foot", (x, P.ANKLE[1] + y, P.FLOOR + 0.02), side)
+    return _with_surface(skeleton.body(variant), variant)
 
 
 class _Skeleton:
-    """Joints, segments and landmarks, added one after the other."""
+    """Joints, segments and landmarks, added one after the other. Places are those of the left side."""
 
     def __init__(self) -> None:
-        self.names: list[str] = []
-        self.parent: list[int] = []
-        self.twists: list[Float] = []
+        self.names, self.parent, self.twists = list[str](), list[int](), list[Float]()
         self.segments: dict[str, int] = {"pelvis": -1}
         self.marks: dict[str, tuple[str, Float]] = {"mid_hip": ("pelvis", np.zeros(3))}
 
-    def joint(self, segment: str, above: str, at: Float, axes: dict[str, tuple[float, float, float]]) -> None:
-        """A segment on a joint of one coordinate per axis, all through one point."""
-        last = self.segments[above]
+    def joint(self, segment: str, above: str, at: Vector, axes: Mapping[str, Vector], side: str = "") -> None:
+        """A segment on a joint of one coordinate per axis, all through one point; axes are those of the right side."""
+        last, place = self.segments[above], _placed(at, side)
         for name, axis in axes.items():
-            omega = np.array(axis) / np.linalg.norm(axis)
+            mirrored = np.array(axis) * ([-1.0, 1.0, -1.0] if side == "l" else 1.0)  # as an axial vector
+            omega = mirrored / np.linalg.norm(axis)
             self.parent.append(last)
-            self.names.append(name)
-            self.twists.append(np.concatenate([omega, -np.cross(omega, at)]))
+            self.names.append(_sided(name, side))
+            self.twists.append(np.concatenate([omega, -np.cross(omega, place)]))
             last = len(self.names) - 1
-        self.segments[segment] = last
+        self.segments[_sided(segment, side)] = last
 
-    def mark(self, name: str, segment: str, at: Float) -> None:
-        self.marks[name] = (segment, at)
+    def mark(self, name: str, segment: str, at: Vector, side: str = "") -> None:
+        self.marks[_sided(name, side)] = (_sided(segment, side), _placed(at, side))
+
+    def limb(self, joints: Sequence[tuple[str, Vector, Mapping[str, Vector], str]], above: str, side: str) -> None:
+        """The joints of a side, one on the other, the first one on a segment of the trunk."""
+        for segment, at, axes, mark in joints:
+            self.joint(segment, above, at, axes, side)
+            above = f"{segment}_{side}"
+            if mark:
+                self.mark(mark, segment, at, side)
+
+    def body(self, variant: str) -> Body:
+        """The body without a surface."""
+        names = tuple(self.segments)
+        limits = np.deg2rad([P.LIMITS_DEG[n if n in P.LIMITS_DEG else n[:-2]] for n in self.names])
+        owners = np.array([names.index(segment) for segment, _ in self.marks.values()], np.int32)
+        marks = Landmarks(tuple(self.marks), owners, np.array([at for _, at in self.marks.values()], dtype=np.float64))
+        return Body(
+            f"humanoid-{variant}", tuple(self.names), np.array(self.parent, np.int32), np.array(self.twists),
+            np.asarray(limits, np.float64), names, np.array(list(self.segments.values()), np.int32),
+            vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), np.int32), skin_segments=np.zeros((0, 1), np.int32),
+            skin_weights=np.zeros((0, 1)), landmarks=marks,
+        )  # fmt: skip
 
 
-def _add_trunk(s: _Skeleton, thorax: bool, neck: bool) -> None:
-    def axes(prefix: str) -> dict[str, tuple[float, float, float]]:
-        return {f"{prefix}_extension": _FLEX, f"{prefix}_bending": _SIDE, f"{prefix}_rotation": _TURN}
+def _sided(name: str, side: str) -> str:
+    return f"{name}_{side}" if side else name
 
-    s.joint("torso", "pelvis", np.array(P.LUMBAR), axes("lumbar"))
-    if thorax:
-        s.joint("thorax", "torso", np.array(P.THORAX), axes("thorax"))
-    chest = _chest(s)
-    if neck:
-        s.joint("head", chest, np.array(P.NECK), axes("neck"))
+
+def _placed(at: Vector, side: str) -> Float:
+    return np.array(at) * [1.0, -1.0 if side == "r" else 1.0, 1.0]
+
+
+def _add_trunk(s: _Skeleton, thorax: bool, neck: bool) -> str:
+    """Spine, head and its landmarks; the name of the segment that carries the arms."""
+    spine = [("torso", "pelvis", P.LUMBAR, "lumbar"), ("thorax", "torso", P.THORAX, "thorax")][: 1 + thorax]
+    chest = spine[-1][0]
+    for segment, above, at, prefix in [*spine, ("head", chest, P.NECK, "neck")][: len(spine) + neck]:
+        axes = {f"{prefix}_extension": _FLEX, f"{prefix}_bending": _SIDE, f"{prefix}_rotation": _TURN}
+        s.joint(segment, above, at, axes)
     head = "head" if neck else chest
-    s.mark("neck", head, np.array(P.NECK))
-    s.mark("head_top", head, np.array([0.0, 0.0, P.TOP]))
-    s.mark("nose", head, np.array([0.116, 0.0, 0.683]))
-    for side, sign in (("r", -1), ("l", 1)):
-        s.mark(f"eye_{side}", head, np.array([0.085, 0.032 * sign, P.RATIOS["eye_height"] * P.H + P.FLOOR]))
-        s.mark(f"ear_{side}", head, np.array([0.0, 0.076 * sign, 0.700]))
+    for mark, at in (("neck", P.NECK), ("head_top", (0.0, 0.0, P.TOP)), ("nose", (0.116, 0.0, 0.683))):
+        s.mark(mark, head, at)
+    for side in "rl":
+        for mark, at in (("eye", (0.085, 0.032, P.RATIOS["eye_height"] * P.H + P.FLOOR)), ("ear", (0.0, 0.076, 0.700))):
+            s.marks[f"{mark}_{side}"] = (head, _placed(at, side))
+    return chest
 
 
-def _chest(s: _Skeleton) -> str:
-    return "thorax" if "thorax" in s.segments else "torso"
+def _with_surface(bare: Body, variant: str) -> Body:
+    with (resources.files("twistcap.body") / "humanoid.npz").open("rb") as file:
+        arrays = np.load(file)
+        shape = {n.removeprefix(f"{variant}_"): arrays[n] for n in arrays.files if n.startswith(variant)}
+    pose = Pose.rest(bare)
+    for joint, (_, angle) in zip(("arm_add", "hip_adduction"), _OUT.values(), strict=True):
+        for name in (f"{joint}_r", f"{joint}_l"):
+            if name in bare.coordinate_names:
+                pose.q[bare.coordinate(name)] = -angle
+    segments, weights = _bound(bare.segment_names, shape)
+    rest = unposed(Posed(bare, pose).segment_transforms[segments], weights, shape["points"])
+    return replace(bare, vertices=rest, faces=shape["faces"], skin_segments=segments, skin_weights=weights)
 
 
-def _sided(side: str, point: tuple[float, float, float]) -> Float:
-    return np.array(point) * [1.0, -1.0 if side == "r" else 1.0, 1.0]
+def _bound(names: tuple[str, ...], shape: Mapping[str, AnyArray]) -> tuple[Int, Float]:
+    """Segments and weights (V, 4): from the trunk outwards, weight moves smoothly to the segment below each joint."""
+    points, motions = shape["points"], limb_motions()
+    out, z, chest = Binding(names, len(points)), points[:, 2], "thorax" if "thorax" in names else "torso"
+    out.move("pelvis", "torso", ramp(z, P.LUMBAR[2], 0.08))
+    out.move("torso", "thorax", ramp(z, P.THORAX[2], 0.07))
+    out.move(chest, "head", ramp(z + 0.3 * points[:, 0], P.NECK[2] + 0.035, 0.045))
+    for side, sign in (("l", 1.0), ("r", -1.0)):
+        mirrored = points * [1.0, sign, 1.0]
+        out.move(chest, f"clavicle_{side}", ramp(mirrored[:, 1], 0.09, 0.06) * ramp(z, 0.40, 0.10))
+        for part in _BRANCHES:
+            if f"{part}_{side}" in shape:
+                near = ramp(shape[f"{part}_{side}"], 0.0, _SOFT) * ramp(mirrored[:, 1], 0.015, 0.015)
+                _bind_limb(out, part, side, near, se3.apply(se3.inverse(motions[part]), mirrored))
+    return strongest(_smoothed(out.weights, shape["faces"]), least=0.01)
 
 
-def _axis(side: str, right: tuple[float, float, float]) -> tuple[float, float, float]:
-    """An axis of the right side, mirrored in the sagittal plane (as an axial vector) for the left."""
-    x, y, z = right
-    return right if side == "r" else (-x, y, -z)
+def _bind_limb(out: Binding, part: str, side: str, near: Float, local: Float) -> None:
+    """One limb: `near` (V,) is its weight against the trunk, `local` (V, 3) the points in the left neutral pose."""
+    for above in ("pelvis", "torso", "thorax", f"clavicle_{side}"):
+        out.move(above, f"{_BRANCHES[part]}_{side}", near)
+    for at, above, below, width in _HINGES[part]:
+        if above == "radius":  # pronation twists the whole forearm evenly
+            top, bottom = P.ELBOW[2] - 0.05, P.WRIST[2] + 0.01
+            out.move(f"ulna_{side}", f"radius_{side}", np.clip((top - local[:, 2]) / (top - bottom), 0.0, 1.0))
+        out.move(f"{above}_{side}", f"{below}_{side}", ramp(at[2] - local[:, 2], 0.0, width))
 
 
-def _add_arm(s: _Skeleton, side: str, clavicles: bool, wrists: bool) -> None:
-    above = _chest(s)
-    if clavicles:
-        axes = {
-            f"clavicle_elevation_{side}": _axis(side, (-1, 0, 0)),
-            f"clavicle_protraction_{side}": _axis(side, _TURN),
-        }
-        s.joint(f"clavicle_{side}", above, _sided(side, P.CLAVICLE), axes)
-        above = f"clavicle_{side}"
-    shoulder = {f"arm_add_{side}": _SIDE, f"arm_flex_{side}": _FLEX, f"arm_rot_{side}": _TURN}
-    for segment, parent, at, axes, mark in (
-        ("humerus", above, P.SHOULDER, shoulder, "shoulder"),
-        ("ulna", f"humerus_{side}", P.ELBOW, {f"elbow_flex_{side}": _FLEX}, "elbow"),
-        ("radius", f"ulna_{side}", P.WRIST, {f"pro_sup_{side}": _TURN}, "wrist"),
-    ):
-        sided = {name: _axis(side, axis) for name, axis in axes.items()}
-        s.joint(f"{segment}_{side}", parent, _sided(side, at), sided)
-        s.mark(f"{mark}_{side}", f"{segment}_{side}", _sided(side, at))
-    if wrists:
-        s.joint(f"hand_{side}", f"radius_{side}", _sided(side, P.WRIST), {f"wrist_flex_{side}": _axis(side, _SIDE)})
-
-
-def _add_leg(s: _Skeleton, side: str) -> None:
-    hip = {f"hip_flexion_{side}": _FLEX, f"hip_adduction_{side}": _SIDE, f"hip_rotation_{side}": _TURN}
-    foot = {f"ankle_angle_{side}": _ANKLE, f"subtalar_angle_{side}": _SUBTALAR}
-    for segment, above, at, axes, mark in (
-        ("femur", "pelvis", P.HIP, hip, "hip"),
-        ("tibia", f"femur_{side}", P.KNEE, {f"knee_angle_{side}": (0.0, 1.0, 0.0)}, "knee"),
-        ("foot", f"tibia_{side}", P.ANKLE, foot, "ankle"),
-    ):
-        sided = {name: _axis(side, axis) for name, axis in axes.items()}
-        s.joint(f"{segment}_{side}", above, _sided(side, at), sided)
-        s.mark(f"{mark}_{side}", f"{segment}_{side}", _sided(side, at))
-    for mark, x, y in (("toe", P.TOE_X - 0.01, -0.022), ("small_toe", 0.155, 0.036), ("heel", P.HEEL_X + 0.004, 0.0)):
-        s.mark(f"{mark}_{side}", f"foot_{side}", _sided(side, (x, P.ANKLE[1] + y, P.FLOOR + 0.02)))
-
-
-def _with_surface(s: _Skeleton, variant: str) -> Body:
-    bare = _bare(s, variant)
-    model = _modelling_pose(bare)
-    motions = _left_motions()
-    central = (P.TRUNK, *P.CENTRAL) if variant == "full" else (P.PELVIS_ONLY,)
-    paired = (*P.UPPER_LEFT, *P.LOWER_LEFT) if variant == "full" else P.LOWER_LEFT
-    field = field_of(central, paired, motions)
-    points, faces = surface(field, variant, motions)
-    segments, weights = binding(bare.segment_names, field, points, faces, motions)
-    rest = _unposed(Posed(bare, model).segment_transforms, segments, weights, points)
-    return _body(s, variant, rest, faces, segments, weights)
-
-
-def _left_motions() -> dict[str, Float]:
-    out: dict[str, Float] = {}
-    for part, at, angle in (("arm", P.SHOULDER, _ARM_OUT), ("leg", P.HIP, _LEG_OUT)):
-        omega = np.array([1.0, 0.0, 0.0])
-        out[part] = se3.exp(angle * np.concatenate([omega, -np.cross(omega, at)]))
-    return out
-
-
-def _modelling_pose(body: Body) -> Pose:
-    pose = Pose.rest(body)
-    for name, angle in (("arm_add", _ARM_OUT), ("hip_adduction", _LEG_OUT)):
-        for side in "rl":
-            if f"{name}_{side}" in body.coordinate_names:
-                pose.q[body.coordinate(f"{name}_{side}")] = -angle
-    return pose
-
-
-def _unposed(transforms: Float, segments: Int, weights: Float, points: Float) -> Float:
-    """Rest positions (V, 3) that linear-blend skinning moves to the given points (V, 3)."""
-    blended = np.einsum("vk,vkij->vij", weights, transforms[segments])
-    return np.linalg.solve(blended[:, :3, :3], (points - blended[:, :3, 3])[..., None])[..., 0]
-
-
-def _bare(s: _Skeleton, variant: str) -> Body:
-    return _body(s, variant, np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 1), np.int32), np.zeros((0, 1)))
-
-
-def _body(s: _Skeleton, variant: str, vertices: Float, faces: Int, segments: Int, weights: Float) -> Body:
-    names = tuple(s.segments)
-    limits = np.deg2rad([P.LIMITS_DEG[n] if n in P.LIMITS_DEG else P.LIMITS_DEG[n[:-2]] for n in s.names])
-    marks = Landmarks(
-        tuple(s.marks),
-        np.array([names.index(m[0]) for m in s.marks.values()], np.int32),
-        np.array([m[1] for m in s.marks.values()], dtype=np.float64),
-    )
-    return Body(
-        name=f"humanoid-{variant}",
-        coordinate_names=tuple(s.names),
-        parent=np.array(s.parent, np.int32),
-        twists=np.array(s.twists, dtype=np.float64),
-        limits=np.asarray(limits, dtype=np.float64),
-        segment_names=names,
-        segment_joint=np.array([s.segments[n] for n in names], np.int32),
-        vertices=vertices,
-        faces=faces,
-        skin_segments=segments,
-        skin_weights=weights,
-        landmarks=marks,
-    )
+def _smoothed(weights: Float, faces: Int) -> Float:
+    """The binding (V, S) averaged with that of the neighbours, against creases at bent joints."""
+    edges, _ = edges_of(faces)
+    links = coo_matrix((np.ones(2 * len(edges)), (edges.ravel(), edges[:, ::-1].ravel()))).tocsr()
+    degree = np.asarray(links.sum(axis=1))
+    for _ in range(_SMOOTHINGS):
+        weights = 0.5 * (weights + links @ weights / degree)
+    return weights

@@ -41,12 +41,9 @@ class ObjMesh:
 
 
 def load_makehuman(
-    obj: Path | str,
-    rig: Path | str | None = None,
-    weights: Path | str | None = None,
-    targets: Mapping[Path | str, float] | None = None,
-    spec: RigSpec | Path | str | None = None,
-) -> Body:
+    obj: Path | str, rig: Path | str | None = None, weights: Path | str | None = None,
+    targets: Mapping[Path | str, float] | None = None, spec: RigSpec | Path | str | None = None,
+) -> Body:  # fmt: skip
     """The body of a MakeHuman-style mesh, standing and facing +x, z up, m.
 
     Args:
@@ -66,9 +63,7 @@ def load_makehuman(
         obj, rig, weights = obj / "base.obj", rig or obj / "default.mhskel", weights or obj / "default_weights.mhw"
     if rig is None or weights is None:
         raise InputError(f"{obj}: an OBJ needs rig and weights; name both files, or a folder with them.")
-    mesh = read_obj(obj)
-    moved = _targeted(mesh, targets or {})
-    skinned = _skinned(moved, Path(rig), Path(weights))
+    skinned = _skinned(_targeted(read_obj(obj), targets or {}), Path(rig), Path(weights))
     return build_body(skinned, spec if isinstance(spec, RigSpec) else _find_spec(Path(rig), spec))
 
 
@@ -79,9 +74,7 @@ def read_obj(path: Path | str) -> ObjMesh:
         InputError: if it cannot be read, a line is broken, or a face names a vertex that does not exist.
     """
     path = Path(path)
-    vertices: list[tuple[float, ...]] = []
-    faces: dict[str, list[tuple[int, int, int]]] = {}
-    group = "default"
+    vertices, faces, group = list[tuple[float, ...]](), dict[str, list[tuple[int, int, int]]](), "default"
     for number, line in enumerate(_text(path).splitlines(), start=1):
         key, *values = line.split() or [""]
         try:
@@ -92,8 +85,7 @@ def read_obj(path: Path | str) -> ObjMesh:
                 group = " ".join(values)
             elif key == "f":
                 corners = [_corner(v, len(vertices)) for v in values]
-                fan = [(corners[0], b, c) for b, c in pairwise(corners[1:])]
-                faces.setdefault(group, []).extend(fan)
+                faces.setdefault(group, []).extend((corners[0], b, c) for b, c in pairwise(corners[1:]))
         except ValueError as error:
             raise InputError(f"{path}: line {number} is broken ({line.strip()!r}).") from error
     return ObjMesh(np.array(vertices).reshape(-1, 3), {g: np.array(f, dtype=np.int32) for g, f in faces.items()})
@@ -134,18 +126,12 @@ def _skinned(mesh: ObjMesh, rig: Path, weights: Path) -> SkinnedMesh:
     used = mesh.group_vertices(_GROUP)
     renumber = np.full(len(mesh.vertices), -1, dtype=np.int32)
     renumber[used] = np.arange(len(used))
+    bound = _weights(weights, names, len(mesh.vertices))[used]
     return SkinnedMesh(
-        name=rig.stem,
-        source=rig.name,
-        joints=tuple(names),
-        parents=np.array([rank[parents[b]] for b in order], dtype=np.int32),
-        frames=se3.transform(np.eye(3), np.array(heads)),
-        vertices=mesh.vertices[used],
-        faces=renumber[mesh.triangles[_GROUP]],
-        weights=_weights(weights, names, len(mesh.vertices))[used],
-        points=_points(mesh, bones, names, listed, rig),
-        numbered=mesh.vertices,
-    )
+        rig.stem, rig.name, tuple(names), np.array([rank[parents[b]] for b in order], dtype=np.int32),
+        se3.transform(np.eye(3), np.array(heads)), mesh.vertices[used], renumber[mesh.triangles[_GROUP]], bound,
+        points=_points(mesh, bones, names, listed, rig), numbered=mesh.vertices,
+    )  # fmt: skip
 
 
 def _parent(names: list[str], name: str, bone: Mapping[str, Any], rig: Path) -> int:
@@ -176,10 +162,8 @@ def _points(
     """Named points for landmarks: the centre of each joint cube, and each bone's tail as `<bone>.tail`."""
     cubes = [g for g in mesh.triangles if g.startswith("joint-")]
     points = {g: mesh.vertices[mesh.group_vertices(g)].mean(axis=0) for g in cubes}
-    tails = {
-        f"{n}.tail": _end(mesh, bones[n], "tail", listed, f"{rig}: bone {n!r}") for n in names if "tail" in bones[n]
-    }
-    return points | tails
+    tailed = [n for n in names if "tail" in bones[n]]
+    return points | {f"{n}.tail": _end(mesh, bones[n], "tail", listed, f"{rig}: bone {n!r}") for n in tailed}
 
 
 def _weights(path: Path, names: list[str], count: int) -> Float:

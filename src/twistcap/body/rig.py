@@ -9,6 +9,7 @@ import numpy as np
 
 from twistcap import se3
 from twistcap.arrays import Float, Int
+from twistcap.body.kinematics import skin_points
 from twistcap.body.model import Body, Landmarks
 from twistcap.body.rig_spec import JointSpec, LandmarkSpec, RigSpec
 from twistcap.errors import InputError
@@ -62,20 +63,12 @@ def build_body(mesh: SkinnedMesh, spec: RigSpec, influences: int = 4) -> Body:
     mesh, marks = _shifted(mesh, marks, spec.origin)
     tree = _Tree(mesh, spec)
     segments, weights = compact_binding(tree.merged_weights(), influences, mesh.source)
+    owner, parent, last = (np.array(x, dtype=np.int32) for x in (tree.owner, tree.parent, tree.segment_joint))
     return Body(
-        name=mesh.name,
-        coordinate_names=tuple(tree.names),
-        parent=np.array(tree.parent, dtype=np.int32),
-        twists=np.array(tree.twists).reshape(-1, 6),
-        limits=np.radians(np.array(tree.limits_deg).reshape(-1, 2)),
-        segment_names=tuple(tree.segment_names),
-        segment_joint=np.array(tree.segment_joint, dtype=np.int32),
-        vertices=mesh.vertices,
-        faces=mesh.faces,
-        skin_segments=segments,
-        skin_weights=weights,
-        landmarks=replace(marks, segments=np.array(tree.owner, dtype=np.int32)[marks.segments]),
-    )
+        mesh.name, tuple(tree.names), parent, np.array(tree.twists).reshape(-1, 6),
+        np.radians(np.array(tree.limits_deg).reshape(-1, 2)), tuple(tree.segment_names), last,
+        mesh.vertices, mesh.faces, segments, weights, replace(marks, segments=owner[marks.segments]),
+    )  # fmt: skip
 
 
 def compact_binding(weights: Float, influences: int, source: str = "mesh") -> tuple[Int, Float]:
@@ -122,14 +115,14 @@ class _Tree:
 
     def __init__(self, mesh: SkinnedMesh, spec: RigSpec) -> None:
         self.mesh, self.spec = mesh, spec
-        self.names: list[str] = []
-        self.parent: list[int] = []
-        self.twists: list[Float] = []
+        self.names, self.parent, self.twists = list[str](), list[int](), list[Float]()
         self.limits_deg: list[tuple[float, float]] = []
         root = _root(mesh, spec)
         self.segment_names = [spec.joints.get(mesh.joints[root], JointSpec()).segment or mesh.joints[root]]
         self.segment_joint = [-1]
-        above_root = _line_up(mesh.parents, root)
+        above_root = {root}
+        while (root := int(mesh.parents[root])) >= 0:
+            above_root.add(root)
         self.owner = [0] * len(mesh.joints)  # segment of each joint of the file
         for b, name in enumerate(mesh.joints):
             self.owner[b] = self.owner[mesh.parents[b]] if mesh.parents[b] >= 0 else 0
@@ -190,17 +183,8 @@ def _root(mesh: SkinnedMesh, spec: RigSpec) -> int:
     return mesh.joints.index(spec.root or tops[0])
 
 
-def _line_up(parents: Int, joint: int) -> set[int]:
-    line: set[int] = set()
-    while joint >= 0:
-        line.add(joint)
-        joint = int(parents[joint])
-    return line
-
-
 def _check_names(mesh: SkinnedMesh, spec: RigSpec) -> None:
-    named: list[tuple[str, str]] = [("keep", name) for name in spec.keep or []]
-    named += [("joints", name) for name in spec.joints]
+    named = [("keep", name) for name in spec.keep or []] + [("joints", name) for name in spec.joints]
     named += [(f"joints.{name}.aim.at", j.aim.at) for name, j in spec.joints.items() if j.aim]
     named += [(f"landmarks.{m}", s if isinstance(s, str) else s.joint) for m, s in (spec.landmarks or {}).items()]
     named += [("root", spec.root)] if spec.root is not None else []
@@ -253,22 +237,23 @@ def _aimed(mesh: SkinnedMesh, marks: Landmarks, spec: RigSpec) -> tuple[SkinnedM
             motions[b] = motions[mesh.parents[b]]
         aim = spec.joints[name].aim if name in spec.joints else None
         if aim is not None:
-            ends = mesh.frames[[b, mesh.joints.index(aim.at)], :3, 3]
-            head, tip = se3.apply(motions[b], ends)
-            where = f"{mesh.source}: joints.{name}.aim"
-            back = motions[b, :3, :3].T
-            R = back if aim.along == "file" else _turn(tip - head, np.array(aim.along), where)
+            head, tip = se3.apply(motions[b], mesh.frames[[b, mesh.joints.index(aim.at)], :3, 3])
+            R = motions[b, :3, :3].T  # back to the file's orientation
+            if aim.along != "file":
+                R = turn_between(tip - head, np.array(aim.along), f"{mesh.source}: joints.{name}.aim")
             motions[b] = se3.transform(R, head - R @ head) @ motions[b]
     segments, weights = compact_binding(mesh.weights, 8, mesh.source)
-    T = motions[segments]
-    carried = (T[..., :3, :3] @ mesh.vertices[:, None, :, None])[..., 0] + T[..., :3, 3]
     points = se3.apply(motions[marks.segments], marks.points[:, None, :])[:, 0]
-    vertices = np.einsum("nk,nki->ni", weights, carried)
+    vertices = skin_points(motions, segments, weights, mesh.vertices)
     return replace(mesh, vertices=vertices, frames=motions @ mesh.frames), replace(marks, points=points)
 
 
-def _turn(start: Float, end: Float, where: str) -> Float:
-    """The smallest rotation that takes one direction into another."""
+def turn_between(start: Float, end: Float, where: str = "") -> Float:
+    """(3, 3) the smallest rotation that takes one direction (3,) into another.
+
+    Raises:
+        InputError: for a direction without a length; `where` begins the message.
+    """
     lengths = float(np.linalg.norm(start)), float(np.linalg.norm(end))
     if min(lengths) < 1e-9:
         raise InputError(f"{where}: the two joints coincide, or `along` has no length.")

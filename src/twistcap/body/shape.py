@@ -18,11 +18,9 @@ _CROSSWISE = 0.7  # greatest cosine between a hinge's axis and its segment that 
 
 
 def rescaled(
-    body: Body,
-    lengths: Mapping[str, float] | None = None,
-    girths: Mapping[str, float] | None = None,
+    body: Body, lengths: Mapping[str, float] | None = None, girths: Mapping[str, float] | None = None,
     stature: float = 1.0,
-) -> Body:
+) -> Body:  # fmt: skip
     """The body with its segments stretched along (`lengths`) and across (`girths`) their axes, by factors.
 
     A segment is stretched about its joint, along the line to the next joint (or landmark) down the chain; segments
@@ -42,12 +40,8 @@ def rescaled(
 
 def segment_axes(body: Body) -> tuple[Float, Float]:
     """Origin (S, 3) and unit axis (S, 3) of each segment in the rest pose: from its joint to the next one below."""
-    S = len(body.segment_names)
-    origins, axes = np.zeros((S, 3)), np.zeros((S, 3))
-    for s in range(S):
-        origins[s] = joint_origin(body, s)
-        axes[s] = _axis_from(body, s, origins[s])
-    return origins, axes
+    origins = np.array([joint_origin(body, s) for s in range(len(body.segment_names))]).reshape(-1, 3)
+    return origins, np.array([_axis_from(body, s, origins) for s in range(len(origins))]).reshape(-1, 3)
 
 
 def joint_origin(body: Body, segment: int) -> Float:
@@ -91,14 +85,14 @@ def _centroid(body: Body, segment: int) -> Float:
     return own.mean(axis=0) if len(own) else np.zeros(3)
 
 
-def _axis_from(body: Body, segment: int, origin: Float) -> Float:
+def _axis_from(body: Body, segment: int, origins: Float) -> Float:
     children = np.flatnonzero(body.segment_parent == segment)
     if body.segment_joint[segment] < 0 or len(children) > 1:
         towards = np.array([0.0, 0.0, 1.0])  # trunk segments are stretched upward
     elif len(children) == 1:
-        towards = joint_origin(body, int(children[0])) - origin
+        towards = origins[children[0]] - origins[segment]
     else:
-        towards = _centroid(body, segment) - origin
+        towards = _centroid(body, segment) - origins[segment]
     norm = float(np.linalg.norm(towards))
     return towards / norm if norm > 1e-9 else np.array([0.0, 0.0, 1.0])
 
@@ -121,14 +115,10 @@ def warped(body: Body, maps: Float) -> Body:
     """The body after an affine map (S, 4, 4) of each segment's rest pose; surface blended by the skinning weights."""
     vertices = skin_points(np.ascontiguousarray(maps), body.skin_segments, body.skin_weights, body.vertices)
     marks = body.landmarks
-    T = maps[marks.segments]
-    points = (T[:, :3, :3] @ marks.points[..., None])[..., 0] + T[:, :3, 3]
+    points = se3.apply(maps[marks.segments], marks.points[:, None])[:, 0]
     twists = body.twists.copy()
-    for s in range(len(body.segment_names)):
-        above = int(body.segment_parent[s])
-        if body.segment_joint[s] < 0:
-            continue
-        moved = se3.apply(maps[above], joint_origin(body, s)[None])[0]
+    for s in np.flatnonzero(body.segment_joint >= 0).tolist():
+        moved = se3.apply(maps[int(body.segment_parent[s])], joint_origin(body, s)[None])[0]
         for k in joint_coordinates(body, s):  # every axis moves with the joint's centre, directions stay
             if np.any(twists[k, :3]):
                 twists[k, 3:] = -np.cross(twists[k, :3], moved)

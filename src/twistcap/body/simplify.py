@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
-from twistcap.arrays import Bool, Float, Int
+from twistcap.arrays import Bool, Float
 from twistcap.body.kinematics import Pose, Posed
 from twistcap.body.model import Body, Landmarks
 from twistcap.errors import InputError
@@ -22,13 +22,9 @@ NINETEEN = ("neck_extension", "neck_bending", "neck_rotation", *(
 
 
 def simplified(
-    body: Body,
-    kept: Sequence[str],
-    *,
-    at: Float | None = None,
-    without: Collection[str] = (),
+    body: Body, kept: Sequence[str], *, at: Float | None = None, without: Collection[str] = (),
     axis: Float | None = None,
-) -> Body:
+) -> Body:  # fmt: skip
     """The body with some of its joints only, the others fixed.
 
     Args:
@@ -47,32 +43,25 @@ def simplified(
     stays = np.array([name in kept for name in body.coordinate_names])
     q = np.zeros(len(stays)) if at is None else np.where(stays, 0.0, at)
     posed = Posed(body, Pose(np.eye(4), q))
-    joint, segment = _renumbered(body, stays)
     twists = posed.world_twists[stays]
     if axis is not None:
         twists = _parallel(twists, np.asarray(axis, float))
-    dropped = np.array([name in without for name in body.segment_names])
-    heads = _heads(segment)
-    marks = body.landmarks
-    shown = ~dropped[marks.segments]
-    landmarks = Landmarks(
-        tuple(np.array(marks.names)[shown]), segment[marks.segments[shown]].astype(np.int32), posed.landmarks[shown]
-    )
-    vertices, faces, used = _surface(body, posed.vertices, dropped)
+    joint = np.append(np.where(stays, np.cumsum(stays) - 1, -1), -1)  # new index of each coordinate, -1 for none
+    parent = np.array([joint[_last(body, stays, int(body.parent[k]))] for k in np.flatnonzero(stays)], np.int32)
+    last = np.array([_last(body, stays, int(k)) for k in body.segment_joint])
+    _, heads, group = np.unique(last, return_index=True, return_inverse=True)  # segments on one coordinate are merged
+    order = np.argsort(heads)  # a merged segment has its first one's name and place
+    heads, segment = heads[order], np.argsort(order)[group].astype(np.int32)
+    dropped, marks = np.array([name in without for name in body.segment_names]), body.landmarks
+    shown, faced = ~dropped[marks.segments], ~dropped[body.vertex_part]
+    landmarks = Landmarks(tuple(np.array(marks.names)[shown]), segment[marks.segments[shown]], posed.landmarks[shown])
+    faces = (np.cumsum(faced) - 1)[body.faces[faced[body.faces].all(axis=1)]].astype(np.int32)
     return Body(
-        name=f"{body.name}-{len(twists)}",
-        coordinate_names=tuple(np.array(body.coordinate_names)[stays]),
-        parent=np.array([_kept_above(body.parent, joint, int(k)) for k in np.flatnonzero(stays)], np.int32),
-        twists=twists,
-        limits=body.limits[stays],
-        segment_names=tuple(body.segment_names[s] for s in heads),
-        segment_joint=np.array([joint[_last(body, stays, s)] for s in heads], np.int32),
-        vertices=vertices,
-        faces=faces,
-        skin_segments=segment[body.skin_segments[used]].astype(np.int32),
-        skin_weights=body.skin_weights[used],
-        landmarks=landmarks,
-    )
+        f"{body.name}-{len(twists)}", tuple(np.array(body.coordinate_names)[stays]), parent, twists, body.limits[stays],
+        tuple(body.segment_names[s] for s in heads), joint[last[heads]].astype(np.int32),
+        np.ascontiguousarray(posed.vertices[faced]), np.ascontiguousarray(faces), segment[body.skin_segments[faced]],
+        body.skin_weights[faced], landmarks,
+    )  # fmt: skip
 
 
 def side_view(body: Body, side: str, *, at: Float | None = None, axis: Float | None = None) -> Body:
@@ -99,32 +88,11 @@ def angles_of(model: Body, body: Body, q: Float) -> Float:
     return q[..., [body.coordinate(name) for name in model.coordinate_names]]
 
 
-def _renumbered(body: Body, stays: Bool) -> tuple[Int, Int]:
-    """New index of each coordinate (J + 1,), -1 for none (and in the last place), and new segment of each segment."""
-    joint = np.append(np.where(stays, np.cumsum(stays) - 1, -1), -1).astype(np.int32)
-    top = np.array([_last(body, stays, s) for s in range(len(body.segment_names))])
-    names: dict[int, int] = {}
-    return joint, np.array([names.setdefault(int(k), len(names)) for k in top], np.int32)
-
-
-def _last(body: Body, stays: Bool, segment: int) -> int:
-    """The last coordinate that stays and moves a segment, -1 for none."""
-    k = int(body.segment_joint[segment])
+def _last(body: Body, stays: Bool, k: int) -> int:
+    """The last coordinate that stays, from one of them towards the root; -1 for none."""
     while k >= 0 and not stays[k]:
         k = int(body.parent[k])
     return k
-
-
-def _kept_above(parent: Int, joint: Int, k: int) -> int:
-    k = int(parent[k])
-    while k >= 0 and joint[k] < 0:
-        k = int(parent[k])
-    return -1 if k < 0 else int(joint[k])
-
-
-def _heads(segment: Int) -> list[int]:
-    """The first old segment of each new one, which gives its name."""
-    return [int(np.flatnonzero(segment == s)[0]) for s in range(int(segment.max()) + 1)]
 
 
 def _parallel(twists: Float, axis: Float) -> Float:
@@ -132,12 +100,3 @@ def _parallel(twists: Float, axis: Float) -> Float:
     omega = np.sign(twists[:, :3] @ axis)[:, None] * axis / np.linalg.norm(axis)
     points = np.cross(twists[:, :3], twists[:, 3:])
     return np.concatenate([omega, -np.cross(omega, points)], axis=1)
-
-
-def _surface(body: Body, vertices: Float, dropped: Bool) -> tuple[Float, Int, Int]:
-    """Vertices and faces without those of dropped segments, and which vertices are left."""
-    stays = ~dropped[body.vertex_part]
-    used = np.flatnonzero(stays).astype(np.int32)
-    new = np.cumsum(stays) - 1
-    faces = body.faces[stays[body.faces].all(axis=1)]
-    return np.ascontiguousarray(vertices[used]), np.ascontiguousarray(new[faces].astype(np.int32)), used

@@ -1,15 +1,6 @@
 """Optic flow: variational, from coarse to fine, with a search for large displacements within a mask."""
 
 from twistcap.flow.optical import flow_confidence, moved_mask, optical_flow
-from twistcap.flow.settings import BROX_2004, PRESETS, FlowSettings, Preset, SearchSettings
+from twistcap.flow.settings import BROX_2004, PRESETS, FlowSettings, Preset
 
-__all__ = [
-    "BROX_2004",
-    "PRESETS",
-    "FlowSettings",
-    "Preset",
-    "SearchSettings",
-    "flow_confidence",
-    "moved_mask",
-    "optical_flow",
-]
+__all__ = ["BROX_2004", "PRESETS", "FlowSettings", "Preset", "flow_confidence", "moved_mask", "optical_flow"]

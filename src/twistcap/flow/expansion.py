@@ -12,13 +12,24 @@ import numpy as np
 from numba import njit
 
 from twistcap.arrays import Bool, Float32, Int
-from twistcap.flow.matching import FAST, LABEL, BlockRule, Images, PartingRule, block_cost, carried, parting_of
+from twistcap.flow.matching import (
+    FAST,
+    LABEL,
+    NEIGHBOURS,
+    BlockRule,
+    Images,
+    PartingRule,
+    block_cost,
+    carried,
+    is_node,
+    parting_of,
+)
 
 _SWEEPS = 4
 _HUGE = np.float32(1e3)
 
-Box = tuple[int, int, int, int]
-"""First row of nodes and the one after the last, first column and the one after the last."""
+Window = tuple[Bool, Int]
+"""Nodes of a window, as a mask (h, w) and as places (N, 2) row by row."""
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
@@ -36,87 +47,78 @@ def expand(
     Returns:
         Number of motions that some nodes accepted.
     """
-    (window, least), parting = move, (rule.step, rule.apart, rule.most_apart)
+    (reach, least), parting = move, (rule.step, rule.apart, rule.most_apart)
     h, w, _ = labels.shape
     proposal, price = np.zeros((h, w, LABEL), np.float32), np.zeros((h, w), np.float32)
     field, messages = np.zeros((h, w), np.float32), np.zeros((h, w, 4), np.float32)
-    edges = np.zeros((h, w, 2, 3), np.float32)
+    edges = np.zeros((h, w, 2, 4), np.float32)
     accepted = 0
     for n in range(len(order)):
         i, j = order[n]
         motion, present = proposed[i, j], labels[i, j]
         if abs(motion[0] - present[0]) + abs(motion[1] - present[1]) < least:
             continue
-        box = (max(i - window, 0), min(i + window + 1, h), max(j - window, 0), min(j + window + 1, w))
-        _propose(images, nodes, motion, (i, j), rule, box, (proposal, price))
-        _edges(labels, proposal, nodes, parting, box, edges)
-        _fields(labels, proposal, nodes, (cost, price), parting, box, field)
-        _propagate(field, edges, nodes, box, messages)
-        if _change(field, edges, messages, nodes, box) < -1e-6:
+        top, left = max(i - reach, 0), max(j - reach, 0)
+        inside = np.zeros((h, w), np.bool_)
+        inside[top : i + reach + 1, left : j + reach + 1] = nodes[top : i + reach + 1, left : j + reach + 1]
+        window = (inside, np.argwhere(inside).astype(np.int32))
+        _propose(images, motion, (i, j), rule, window, (proposal, price))
+        _edges(labels, proposal, parting, window, edges)
+        _fields(labels, proposal, nodes, (cost, price), parting, window, field)
+        _propagate(field, edges, window, messages)
+        if _change(field, edges, messages, window) < -1e-6:
             accepted += 1
-            for a in range(box[0], box[1]):
-                for b in range(box[2], box[3]):
-                    if nodes[a, b] and _belief(field, messages, a, b) < 0.0:
-                        labels[a, b] = proposal[a, b]
-                        cost[a, b] = price[a, b]
+            for a, b in window[1]:
+                if _belief(field, messages, a, b) < 0.0:
+                    labels[a, b] = proposal[a, b]
+                    cost[a, b] = price[a, b]
     return accepted
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
 def _propose(
-    images: Images, nodes: Bool, motion: Float32, at: tuple[int, int], rule: BlockRule, box: Box,
-    out: tuple[Float32, Float32],
-) -> None:  # fmt: skip
-    """out (h, w, 4) and (h, w): the motion of the node `at` carried to each node of the box, and its block cost."""
-    (first, second, mask), (proposal, price), (top, bottom, left, right) = images, out, box
+    images: Images, motion: Float32, at: tuple[int, int], rule: BlockRule, window: Window, out: tuple[Float32, Float32]
+) -> None:
+    """out (h, w, 4) and (h, w): the motion of the node `at` carried to each node of the window, and its block cost."""
+    (first, second, mask), (proposal, price) = images, out
     step, radius, block = rule.step, rule.radius, (rule.half, rule.spacing, rule.ceiling)
-    for a in range(top, bottom):
-        for b in range(left, right):
-            if nodes[a, b]:
-                label, x, y = proposal[a, b], np.float32(step * (b - at[1])), np.float32(step * (a - at[0]))
-                carried(motion, x, y, np.float32(0.0), label)
-                if label[0] ** 2 + label[1] ** 2 > radius * radius:
-                    price[a, b] = _HUGE
-                else:
-                    price[a, b] = block_cost(first, second, mask, (step * a, step * b), label, block, 1e9)
+    for a, b in window[1]:
+        label, x, y = proposal[a, b], np.float32(step * (b - at[1])), np.float32(step * (a - at[0]))
+        carried(motion, x, y, np.float32(0.0), label)
+        if label[0] ** 2 + label[1] ** 2 > radius * radius:
+            price[a, b] = _HUGE
+        else:
+            price[a, b] = block_cost(first, second, mask, (step * a, step * b), label, block, 1e9)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
-def _edges(labels: Float32, proposal: Float32, nodes: Bool, rule: PartingRule, box: Box, out: Float32) -> None:
-    """out (h, w, 2, 3): cost of the edges to the right and down if no node, the other node or this node changes."""
-    top, bottom, left, right = box
-    for a in range(top, bottom):
-        for b in range(left, right):
-            for k in range(2):
-                m, n = a + k, b + 1 - k
-                if m >= bottom or n >= right or not nodes[a, b] or not nodes[m, n]:
-                    out[a, b, k, :] = 0.0
-                    continue
-                out[a, b, k, 0] = parting_of(labels[a, b], labels[m, n], 1 - k, k, rule)
-                out[a, b, k, 1] = parting_of(labels[a, b], proposal[m, n], 1 - k, k, rule)
-                out[a, b, k, 2] = parting_of(proposal[a, b], labels[m, n], 1 - k, k, rule)
+def _edges(labels: Float32, proposal: Float32, rule: PartingRule, window: Window, out: Float32) -> None:
+    """out (h, w, 2, 4): cost of edges right and down if no node, the other, this or both change (one rigid motion)."""
+    for a, b in window[1]:
+        for k in range(2):
+            m, n, edge = a + k, b + 1 - k, out[a, b, k]
+            edge[:] = 0.0
+            if is_node(window[0], m, n):
+                edge[0] = parting_of(labels[a, b], labels[m, n], 1 - k, k, rule)
+                edge[1] = parting_of(labels[a, b], proposal[m, n], 1 - k, k, rule)
+                edge[2] = parting_of(proposal[a, b], labels[m, n], 1 - k, k, rule)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
 def _fields(
-    labels: Float32, proposal: Float32, nodes: Bool, costs: tuple[Float32, Float32], rule: PartingRule, box: Box,
+    labels: Float32, proposal: Float32, nodes: Bool, costs: tuple[Float32, Float32], rule: PartingRule, window: Window,
     out: Float32,
 ) -> None:  # fmt: skip
     """out (h, w): cost of a node's change, with that of its edges to neighbours outside the window."""
-    (h, w, _), (cost, price), (top, bottom, left, right) = labels.shape, costs, box
-    for a in range(top, bottom):
-        for b in range(left, right):
-            if not nodes[a, b]:
-                continue
-            out[a, b] = price[a, b] - cost[a, b]
-            for k in range(4):
-                da, db = (k - 1) % 2 * (1 if k == 2 else -1), (k % 2) * (1 if k == 1 else -1)
-                m, n = a + da, b + db
-                if top <= m < bottom and left <= n < right:
-                    continue
-                if 0 <= m < h and 0 <= n < w and nodes[m, n]:
-                    out[a, b] += parting_of(proposal[a, b], labels[m, n], db, da, rule)
-                    out[a, b] -= parting_of(labels[a, b], labels[m, n], db, da, rule)
+    cost, price = costs
+    for a, b in window[1]:
+        out[a, b] = price[a, b] - cost[a, b]
+        for k in range(4):
+            da, db = NEIGHBOURS[k]
+            m, n = a + da, b + db
+            if is_node(nodes, m, n) and not window[0][m, n]:
+                out[a, b] += parting_of(proposal[a, b], labels[m, n], db, da, rule)
+                out[a, b] -= parting_of(labels[a, b], labels[m, n], db, da, rule)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
@@ -125,58 +127,36 @@ def _belief(field: Float32, messages: Float32, a: int, b: int) -> np.float32:
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
-def _propagate(field: Float32, edges: Float32, nodes: Bool, box: Box, messages: Float32) -> None:
-    """Sequential min-sum belief propagation; messages (from left, above, right, below) above 0 favour no change."""
-    top, bottom, left, right = box
-    messages[top:bottom, left:right] = 0.0
+def _propagate(field: Float32, edges: Float32, window: Window, messages: Float32) -> None:
+    """Sequential min-sum belief propagation; messages (from left, above, right, below) above 0 favour no change.
+
+    The message of a node whose change costs h goes right and down in one sweep, left and up in the next.
+    """
+    messages[:] = 0.0
     for sweep in range(_SWEEPS):
-        for s in range(bottom - top):
-            a = top + s if sweep % 2 == 0 else bottom - 1 - s
-            for t in range(right - left):
-                b = left + t if sweep % 2 == 0 else right - 1 - t
-                if not nodes[a, b]:
-                    continue
-                total = _belief(field, messages, a, b)
-                if sweep % 2 == 0:
-                    if b + 1 < right and nodes[a, b + 1]:
-                        messages[a, b + 1, 0] = _message(total - messages[a, b, 2], edges[a, b, 0], False)
-                    if a + 1 < bottom and nodes[a + 1, b]:
-                        messages[a + 1, b, 1] = _message(total - messages[a, b, 3], edges[a, b, 1], False)
-                else:
-                    if b > left and nodes[a, b - 1]:
-                        messages[a, b - 1, 2] = _message(total - messages[a, b, 0], edges[a, b - 1, 0], True)
-                    if a > top and nodes[a - 1, b]:
-                        messages[a - 1, b, 3] = _message(total - messages[a, b, 1], edges[a - 1, b, 1], True)
-
-
-@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def _message(h: np.float32, edge: Float32, back: bool) -> np.float32:
-    """Message of a node whose change costs h to its neighbour; the edge costs nothing if both change."""
-    other, own = (edge[2], edge[1]) if back else (edge[1], edge[2])
-    return min(other, h) - min(edge[0], h + own)
+        ahead = sweep % 2 == 0
+        for a, b in window[1] if ahead else window[1][::-1]:
+            total = _belief(field, messages, a, b)
+            for k in range(2):
+                m, n = (a + k, b + 1 - k) if ahead else (a - k, b - 1 + k)
+                if is_node(window[0], m, n):
+                    edge = edges[a, b, k] if ahead else edges[m, n, k]
+                    other, own = (edge[1], edge[2]) if ahead else (edge[2], edge[1])
+                    h = total - messages[a, b, k + 2 if ahead else k]
+                    messages[m, n, k if ahead else k + 2] = min(other, h) - min(edge[0], h + own)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
-def _change(field: Float32, edges: Float32, messages: Float32, nodes: Bool, box: Box) -> np.float32:
+def _change(field: Float32, edges: Float32, messages: Float32, window: Window) -> np.float32:
     """Energy after the change minus that before it."""
-    top, bottom, left, right = box
     total = np.float32(0.0)
-    for a in range(top, bottom):
-        for b in range(left, right):
-            if not nodes[a, b]:
-                continue
-            this = _belief(field, messages, a, b) < 0.0
-            if this:
-                total += field[a, b]
-            for k in range(2):
-                m, n = a + k, b + 1 - k
-                if m >= bottom or n >= right or not nodes[m, n]:
-                    continue
-                other, edge = _belief(field, messages, m, n) < 0.0, edges[a, b, k]
-                if this and other:
-                    total -= edge[0]
-                elif other:
-                    total += edge[1] - edge[0]
-                elif this:
-                    total += edge[2] - edge[0]
-    return total
+    for a, b in window[1]:
+        this = _belief(field, messages, a, b) < 0.0
+        if this:
+            total += field[a, b]
+        for k in range(2):
+            m, n, edge = a + k, b + 1 - k, edges[a, b, k]
+            if is_node(window[0], m, n):
+                other = _belief(field, messages, m, n) < 0.0
+                total += np.float32(edge[2 * int(this) + int(other)] - edge[0])
+    return np.float32(total)

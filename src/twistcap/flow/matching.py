@@ -81,7 +81,7 @@ def match_blocks(
                     if k < 8:
                         di, dj = NEIGHBOURS[k % 4]
                         m, n = i + di, j + dj
-                        if not (0 <= m < h and 0 <= n < w and nodes[m, n]):
+                        if not is_node(nodes, m, n):
                             continue
                         bend = np.float32(turn) * draw[2] if k >= 4 else np.float32(0.0)
                         carried(labels[m, n], np.float32(-dj * step), np.float32(-di * step), bend, candidate)
@@ -146,14 +146,18 @@ def block_cost(
 @njit(cache=True, nogil=True, fastmath=FAST)
 def _parting(labels: Float32, nodes: Bool, i: int, j: int, mine: Float32, rule: PartingRule) -> np.float32:
     """Cost by which four neighbours and a label at node (i, j) disagree; see `parting_of`."""
-    h, w, _ = labels.shape
     total = np.float32(0.0)
     for k in range(4):
         di, dj = NEIGHBOURS[k]
-        m, n = i + di, j + dj
-        if 0 <= m < h and 0 <= n < w and nodes[m, n]:
-            total += parting_of(mine, labels[m, n], dj, di, rule)
+        if is_node(nodes, i + di, j + dj):
+            total += parting_of(mine, labels[i + di, j + dj], dj, di, rule)
     return total
+
+
+@njit(cache=True, nogil=True, inline="always")
+def is_node(nodes: Bool, i: int, j: int) -> bool:
+    """Whether a place is within the grid (h, w) and a node."""
+    return 0 <= i < nodes.shape[0] and 0 <= j < nodes.shape[1] and nodes[i, j]
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, inline="always")
@@ -195,15 +199,11 @@ def carried(label: Float32, x: np.float32, y: np.float32, bend: np.float32, out:
     out[1] = label[1] + sine * x + cosine * y
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
 def spread(labels: Float32, step: int, height: int, width: int) -> Float32:
     """(height, width, 2) px: at each pixel the flow by the rigid motion of the nearest node."""
     h, w, _ = labels.shape
-    out = np.empty((height, width, 2), dtype=np.float32)
-    for r in range(height):
-        for c in range(width):
-            i, j = min((r + step // 2) // step, h - 1), min((c + step // 2) // step, w - 1)
-            label, x, y = labels[i, j], np.float32(c - step * j), np.float32(r - step * i)
-            out[r, c, 0] = label[0] + label[2] * x - label[3] * y
-            out[r, c, 1] = label[1] + label[3] * x + label[2] * y
-    return out
+    i, j = (np.minimum((np.arange(n) + step // 2) // step, m - 1) for n, m in ((height, h), (width, w)))
+    x = (np.arange(width) - step * j).astype(np.float32)
+    y = (np.arange(height) - step * i).astype(np.float32)[:, None]
+    u, v, cosine, sine = np.moveaxis(labels[i[:, None], j], 2, 0)
+    return np.stack([u + cosine * x - sine * y, v + sine * x + cosine * y], axis=-1)

@@ -53,16 +53,9 @@ def carried_reference(label: Float32, x: float, y: float, bend: float, out: Floa
     out[:] = _label(shift + (turn + bent) / 2 * complex(x, y), bent)
 
 
-def spread_reference(labels: Float32, step: int, height: int, width: int) -> Float:
-    """Readable twin of `spread`."""
-    h, w, _ = labels.shape
-    out = np.empty((height, width, 2))
-    for r, c in np.ndindex(height, width):
-        i, j = min((r + step // 2) // step, h - 1), min((c + step // 2) // step, w - 1)
-        shift, turn = _motion(labels[i, j])
-        moved = shift + turn * complex(c - step * j, r - step * i)
-        out[r, c] = moved.real, moved.imag
-    return out
+def is_node_reference(nodes: Bool, i: int, j: int) -> bool:
+    """Readable twin of `is_node`."""
+    return [i, j] in np.argwhere(nodes).tolist()
 
 
 def match_blocks_reference(

@@ -13,13 +13,9 @@ from twistcap.flow.variational import coarse_to_fine
 
 
 def optical_flow(
-    image1: AnyArray,
-    image2: AnyArray,
-    *,
-    mask: Bool | None = None,
-    preset: Preset = "accurate",
+    image1: AnyArray, image2: AnyArray, *, mask: Bool | None = None, preset: Preset = "accurate",
     settings: FlowSettings | None = None,
-) -> Float32:
+) -> Float32:  # fmt: skip
     """Where the points of the first image are in the second: (H, W, 2) px, (x, y) to (x + u, y + v).
 
     Source: Brox, Rosenhahn and Cremers, "Contours, Optic Flow, and Prior Knowledge", eq. 11.24, and Brox et al. 2004;
@@ -40,9 +36,8 @@ def optical_flow(
     chosen = _chosen(preset, settings)
     first, second = _channels(image1, "first"), _channels(image2, "second")
     if first.shape != second.shape:
-        raise InputError(
-            f"optical_flow: the images have sizes {image1.shape} and {image2.shape}; give two of the same size."
-        )
+        sizes = f"{image1.shape} and {image2.shape}"
+        raise InputError(f"optical_flow: the images have sizes {sizes}; give two of the same size.")
     shape = (first.shape[0], first.shape[1])
     inside = np.ones(shape, bool) if mask is None else _mask(mask, shape)
     return coarse_to_fine(first, second, inside, chosen)
@@ -60,9 +55,8 @@ def flow_confidence(forward: Float32, backward: Float32) -> Float32:
         InputError: if the two differ in size.
     """
     if forward.shape != backward.shape or forward.ndim != 3 or forward.shape[2] != 2:
-        raise InputError(
-            f"flow_confidence: sizes {forward.shape} and {backward.shape} must both be the same (H, W, 2)."
-        )
+        sizes = f"{forward.shape} and {backward.shape}"
+        raise InputError(f"flow_confidence: sizes {sizes} must both be the same (H, W, 2).")
     H, W, _ = forward.shape
     x, y = np.meshgrid(np.arange(W, dtype=np.float32), np.arange(H, dtype=np.float32))
     x, y = x + forward[..., 0], y + forward[..., 1]

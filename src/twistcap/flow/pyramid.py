@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numba import njit
 
-from twistcap.arrays import Bool, Float32, Int
+from twistcap.arrays import Bool, Float32
 
 Shape = tuple[int, int]
 _COVERED = 0.4  # fraction of a coarse pixel that the mask must cover: thin limbs stay
@@ -84,20 +83,8 @@ def filled(flow: Float32, mask: Bool) -> Float32:
     if mask.all() or not mask.any():
         return flow
     off = np.logical_not(mask).astype(np.uint8)
-    _, labels = cv2.distanceTransformWithLabels(off, cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL)
-    return _taken(flow, mask, np.asarray(labels, np.int32))
-
-
-@njit(cache=True, nogil=True)
-def _taken(flow: Float32, mask: Bool, labels: Int) -> Float32:
-    """(H, W, 2) each pixel's flow from the masked pixel of its label."""
-    H, W = mask.shape
-    table, out = np.zeros((H * W + 1, 2), dtype=np.float32), np.empty((H, W, 2), dtype=np.float32)
-    for r in range(H):
-        for c in range(W):
-            if mask[r, c]:
-                table[labels[r, c], 0], table[labels[r, c], 1] = flow[r, c, 0], flow[r, c, 1]
-    for r in range(H):
-        for c in range(W):
-            out[r, c, 0], out[r, c, 1] = table[labels[r, c], 0], table[labels[r, c], 1]
-    return out
+    found = cv2.distanceTransformWithLabels(off, cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL)
+    labels = np.asarray(found[1], np.int32)
+    table = np.empty((int(labels.max()) + 1, 2), dtype=np.float32)
+    table[labels[mask]] = flow[mask]
+    return table[labels]

@@ -14,39 +14,23 @@ from twistcap.arrays import Bool, Float, Float32
 
 FAST = {"contract", "reassoc", "arcp", "nsz"}  # never `nnan` or `ninf`: numbers that are not finite must show
 TENSOR = 6  # entries of a symmetric 3 by 3 motion tensor: 11, 12, 22, 13, 23, 33
+_SIDES = ((0, -1), (0, 1), (-1, 0), (1, 0))
 _COEFFICIENTS = 9  # of a pixel's two equations: right sides, inverse block (11, 12, 22), weights left, right, up, down
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
 def diffusivity(u: Float32, v: Float32, mask: Bool, epsilon: float) -> Float32:
     """(H, W) Ψ'(|∇u|² + |∇v|²) for Ψ(s²) = sqrt(s² + ε²); |∇u|² is half the sum of the squared steps to 4 neighbours.
 
     Steps across the mask's edge do not exist: the boundary reflects.
     """
-    H, W = u.shape
-    out = np.empty((H, W), dtype=np.float32)
-    across = np.empty(W + 1, dtype=np.float32)  # squared steps from column c - 1 to c
-    above, below = np.zeros(W, dtype=np.float32), np.zeros(W, dtype=np.float32)
-    across[0] = across[W] = 0.0
-    e2 = np.float32(epsilon * epsilon)
-    for r in range(H):
-        for c in range(1, W):
-            du, dv = u[r, c] - u[r, c - 1], v[r, c] - v[r, c - 1]
-            across[c] = du * du + dv * dv if mask[r, c] & mask[r, c - 1] else np.float32(0.0)
-        if r + 1 < H:
-            for c in range(W):
-                du, dv = u[r + 1, c] - u[r, c], v[r + 1, c] - v[r, c]
-                below[c] = du * du + dv * dv if mask[r + 1, c] & mask[r, c] else np.float32(0.0)
-        else:
-            below[:] = 0.0
-        for c in range(W):
-            s2 = np.float32(0.5) * (across[c] + across[c + 1] + above[c] + below[c])
-            out[r, c] = np.float32(0.5) / np.sqrt(s2 + e2)
-        above, below = below, above
-    return out
+    s2 = np.zeros(mask.shape, np.float32)
+    for near, far in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        square = (np.square(u[far] - u[near]) + np.square(v[far] - v[near])) * (mask[far] & mask[near])
+        s2[near] += square
+        s2[far] += square
+    return np.asarray(0.5 / np.sqrt(0.5 * s2 + np.float32(epsilon**2)), np.float32)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
 def data_weights(tensors: Float32, du: Float32, dv: Float32, gamma: float, epsilon: float) -> Float32:
     """(H, 5, W) weighted data term ψ'₁J₁ + γψ'₂J₂ of the increment: entries 11, 12, 22, 13, 23.
 
@@ -56,38 +40,14 @@ def data_weights(tensors: Float32, du: Float32, dv: Float32, gamma: float, epsil
         gamma: weight of the gradient's constancy.
         epsilon: of Ψ(s²) = sqrt(s² + ε²).
     """
-    H, _, W = tensors.shape
-    out = np.zeros((H, TENSOR - 1, W), dtype=np.float32)
-    weight = np.empty(W, dtype=np.float32)
-    e2, half, zero = np.float32(epsilon * epsilon), np.float32(0.5), np.float32(0.0)
-    for term in range(2):
-        factor = np.float32(1.0 if term == 0 else gamma)
-        if factor == zero:
-            continue
-        for r in range(H):
-            J = tensors[r, TENSOR * term : TENSOR * (term + 1)]
-            _quadratic_form(J, du[r], dv[r], weight)
-            for c in range(W):
-                weight[c] = half * factor / np.sqrt(max(weight[c], zero) + e2)
-            for k in range(TENSOR - 1):
-                _add_scaled(out[r, k], weight, J[k])
+    out = np.zeros((len(du), TENSOR - 1, du.shape[1]), np.float32)
+    for J, factor in ((tensors[:, :TENSOR], 1.0), (tensors[:, TENSOR:], gamma)):
+        if factor > 0.0:
+            a, b, c, d, e, f = (J[:, k] for k in range(TENSOR))
+            square = (a * du + 2 * (b * dv + d)) * du + (c * dv + 2 * e) * dv + f
+            weight = np.float32(0.5 * factor) / np.sqrt(np.maximum(square, 0) + np.float32(epsilon**2))
+            out += weight[:, None] * J[:, : TENSOR - 1]
     return out
-
-
-@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def _quadratic_form(J: Float32, du: Float32, dv: Float32, out: Float32) -> None:
-    """out (W,) = wᵀ J w for w = (du, dv, 1)."""
-    two = np.float32(2.0)
-    for c in range(len(out)):
-        a = J[0, c] * du[c] + two * (J[1, c] * dv[c] + J[3, c])
-        b = J[2, c] * dv[c] + two * J[4, c]
-        out[c] = a * du[c] + b * dv[c] + J[5, c]
-
-
-@njit(cache=True, nogil=True, fastmath=FAST, inline="always")
-def _add_scaled(out: Float32, a: Float32, b: Float32) -> None:
-    for c in range(len(out)):
-        out[c] += a[c] * b[c]
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)
@@ -110,15 +70,7 @@ def assemble(data: Float32, u0: Float32, v0: Float32, g: Float32, alpha: float, 
                 continue
             here, total = out[(r + c) & 1, r, :, c >> 1], np.float32(1e-9)
             for side in range(4):
-                i, j = r, c
-                if side == 0:
-                    j -= 1
-                elif side == 1:
-                    j += 1
-                elif side == 2:
-                    i -= 1
-                else:
-                    i += 1
+                i, j = r + _SIDES[side][0], c + _SIDES[side][1]
                 if 0 <= i < H and 0 <= j < W and mask[i, j]:
                     weight = half * (g[r, c] + g[i, j])
                     here[5 + side] = weight
@@ -181,37 +133,13 @@ def _mix(x: Float32, a: Float32, s: Float32, b: Float32, t: Float32, omega: np.f
         x[k] += omega * (a[k] * s[k] + b[k] * t[k] - x[k])
 
 
-def diffusivity_reference(u: Float32, v: Float32, mask: Bool, epsilon: float) -> Float:
-    """Readable twin of `diffusivity`."""
-    s2 = np.zeros(mask.shape)
-    for axis in (0, 1):
-        both = np.moveaxis(mask, axis, 0)
-        square = sum(np.diff(np.moveaxis(x.astype(float), axis, 0), axis=0) ** 2 for x in (u, v))
-        square = square * (both[1:] & both[:-1])
-        sums = np.moveaxis(s2, axis, 0)
-        sums[1:] += 0.5 * square
-        sums[:-1] += 0.5 * square
-    return 0.5 / np.sqrt(s2 + epsilon**2)
-
-
-def data_weights_reference(tensors: Float32, du: Float32, dv: Float32, gamma: float, epsilon: float) -> Float:
-    """Readable twin of `data_weights`."""
-    w, out = np.stack([du, dv, np.ones_like(du)], axis=-1).astype(float), np.zeros((len(du), TENSOR - 1, du.shape[1]))
-    for term, factor in enumerate((1.0, gamma)):
-        J = tensors[:, TENSOR * term : TENSOR * (term + 1)].astype(float)
-        full = np.moveaxis(J, 1, 2)[..., [0, 1, 3, 1, 2, 4, 3, 4, 5]].reshape(*du.shape, 3, 3)
-        square = np.maximum(np.einsum("hwi,hwij,hwj->hw", w, full, w), 0.0)
-        out += (0.5 * factor / np.sqrt(square + epsilon**2))[:, None] * J[:, :5]
-    return out
-
-
 def assemble_reference(data: Float32, u0: Float32, v0: Float32, g: Float32, alpha: float, mask: Bool) -> Float:
     """Readable twin of `assemble`: pixel by pixel."""
     H, W = mask.shape
     out = np.zeros((2, H, _COEFFICIENTS, (W + 1) // 2))
     for r, c in np.argwhere(mask):
-        sides, weights = ((r, c - 1), (r, c + 1), (r - 1, c), (r + 1, c)), np.zeros(4)
-        for k, (i, j) in enumerate(sides):
+        weights = np.zeros(4)
+        for k, (i, j) in enumerate((r + dr, c + dc) for dr, dc in _SIDES):
             if 0 <= i < H and 0 <= j < W and mask[i, j]:
                 weights[k] = 0.5 * alpha * (g[r, c] + g[i, j])
         a, b, d, e, f = data[r, :, c].astype(float)
@@ -229,8 +157,8 @@ def relax_reference(coefficients: Float32, u: Float32, v: Float32, sweeps: int, 
             here = coefficients[(r + c) & 1, r, :, c >> 1]
             if (r + c) % 2 == half % 2 and here[2] > 0.0:
                 s, x = here[:2].astype(float), np.array([u[r, c], v[r, c]])
-                for weight, (i, j) in zip(here[5:], ((r, c - 1), (r, c + 1), (r - 1, c), (r + 1, c)), strict=True):
+                for weight, (dr, dc) in zip(here[5:], _SIDES, strict=True):
                     if weight > 0.0:
-                        s += weight * np.array([u[i, j], v[i, j]])
+                        s += weight * np.array([u[r + dr, c + dc], v[r + dr, c + dc]])
                 solved = np.array([[here[2], here[3]], [here[3], here[4]]]) @ s
                 u[r, c], v[r, c] = x + omega * (solved - x)

@@ -49,20 +49,13 @@ def _at_level(first: Float32, second: Float32, mask: Bool, flow: Float32, s: Flo
     if not inside.any():
         return flow
     near, box = box_of(inside, _REACH), box_of(inside, _MARGIN)
-    cut = tuple(
-        slice(b.start - n.start, b.start - n.start + _length(b, full))
-        for b, n, full in zip(box, near, shape, strict=True)
-    )
-    maps = np.ascontiguousarray(derivative_maps(first[near])[:, *cut])
     window = np.ascontiguousarray(inside[box])
-    corner = (box[0].start, box[1].start)
+    corner, (H, W) = (box[0].start, box[1].start), window.shape
+    top, left = corner[0] - near[0].start, corner[1] - near[1].start
+    maps = np.ascontiguousarray(derivative_maps(first[near])[:, top : top + H, left : left + W])
     out = flow.copy()
     out[box] = filled(refined(maps, derivative_maps(second), window, flow[box], corner, s), window)
     return out
-
-
-def _length(part: slice, full: int) -> int:
-    return min(part.stop, full) - part.start
 
 
 def refined(

@@ -1,7 +1,7 @@
 """The studio: synthetic captures with exact truth."""
 
-from twistcap.studio.config import Board, StudioConfig
+from twistcap.studio.config import StudioConfig
 from twistcap.studio.ring import ring
 from twistcap.studio.scene import Capture, capture
 
-__all__ = ["Board", "Capture", "StudioConfig", "capture", "ring"]
+__all__ = ["Capture", "StudioConfig", "capture", "ring"]

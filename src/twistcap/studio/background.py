@@ -52,12 +52,12 @@ def _room(rng: np.random.Generator, width: int, height: int) -> UInt8:
     """Wall, floor and skirting board."""
     canvas = np.empty((height, width, 3), np.uint8)
     horizon = int(height * rng.uniform(0.55, 0.72))
-    canvas[:horizon], canvas[horizon:] = _colour(rng, 0.1), _colour(rng, 0.1)
-    canvas[horizon : horizon + height // 70] = _colour(rng, 0.08)
+    canvas[:horizon], canvas[horizon:] = muted_colour(rng, 0.1), muted_colour(rng, 0.1)
+    canvas[horizon : horizon + height // 70] = muted_colour(rng, 0.08)
     return canvas
 
 
-def _colour(rng: np.random.Generator, saturation: float) -> tuple[float, ...]:
+def muted_colour(rng: np.random.Generator, saturation: float) -> tuple[float, ...]:
     """A colour whose grey is spread as widely as that of clothes."""
     grey = rng.uniform(35, 215)
     return tuple(float(np.clip(round(grey * (1 + saturation * rng.normal())), 0, 255)) for _ in range(3))
@@ -69,7 +69,7 @@ def _draw_shape(canvas: AnyArray, rng: np.random.Generator, k: int) -> None:
     extent = height * (0.32 if k < 10 else 0.14) * rng.uniform(0.3, 1.0, size=2)
     centre = (float(rng.uniform(0, width)), float(rng.uniform(0, height)))
     angle = float(rng.choice([0.0, rng.uniform(-30, 30)]))
-    colour, kind = _colour(rng, 0.2), rng.random()
+    colour, kind = muted_colour(rng, 0.2), rng.random()
     box = (centre, (float(extent[0]), float(extent[1])), angle)
     if kind < 0.55:
         cv2.fillPoly(canvas, [np.round(cv2.boxPoints(box)).astype(np.int32)], colour)
@@ -89,21 +89,7 @@ def occluder_layer(config: StudioConfig, camera: int) -> Float32:
         w = int(width * rng.uniform(0.03, 0.07))
         h = int(height * rng.uniform(0.25, 0.7))
         x, y = int(rng.uniform(0.25, 0.75) * width), int(rng.uniform(0.3, 0.9) * height)
-        layer[max(0, y) : y + h, x : x + w, :3] = np.array(_colour(rng, 0.2)) / 255
+        layer[max(0, y) : y + h, x : x + w, :3] = np.array(muted_colour(rng, 0.2)) / 255
         layer[max(0, y) : y + h, x : x + w, 3] = 1.0
     layer[..., :3] *= np.clip(1 + 0.1 * smooth_noise(rng, (height, width), 6.0), 0, 1.5)
     return np.clip(layer, 0.0, 1.0).astype(np.float32)
-
-
-def board_layer(config: StudioConfig, number: int, camera: int, low: Float, high: Float) -> Float32:
-    """(H, W, 4) colour times coverage, and coverage, of a board from pixel `low` to pixel `high` (x, y)."""
-    rng = stream(config.seed, "boards", number, camera)
-    width, height = config.size
-    layer = np.zeros((height, width, 4))
-    (x, y), (right, bottom) = np.maximum(low, 0).astype(int), np.maximum(np.ceil(high), 0).astype(int)
-    cells = smooth_noise(rng, (height, width), 9.0 * height / 280)
-    layer[..., :3] = np.clip(np.array(_colour(rng, 0.2)) / 255 * (1 + 0.15 * cells), 0, 1)
-    layer[..., 3] = 1.0
-    inside = np.zeros((height, width, 1))
-    inside[y : bottom + 1, x : right + 1] = 1.0
-    return (layer * inside).astype(np.float32)

@@ -8,33 +8,10 @@ from typing import Literal
 
 import numpy as np
 
+from twistcap.body.humanoid import Variant
 from twistcap.errors import InputError
 
 Condition = Literal["exact", "mismatch"]
-Variant = Literal["full", "legs"]
-
-
-@dataclass(frozen=True)
-class Board:
-    """A board that occludes some segments of the body in some views for a while, and no others.
-
-    It is drawn between those segments and the rest of the body, large enough to cover them while it is there. It does
-    not move, so that its edges give no evidence of them.
-
-    Attributes:
-        segments: that are occluded, ``("femur_r", "tibia_r", "foot_r")``.
-        first, last: frames in which it is there, both included.
-        cameras: numbers of the views with the board; by default all.
-    """
-
-    segments: tuple[str, ...]
-    first: int
-    last: int
-    cameras: tuple[int, ...] | None = None
-
-    def stands(self, frame: int, camera: int) -> bool:
-        """Whether it is in a camera's frame."""
-        return self.first <= frame <= self.last and (self.cameras is None or camera in self.cameras)
 
 
 @dataclass(frozen=True)
@@ -47,7 +24,6 @@ class StudioConfig:
         size: (width, height) of the images, px. The person fills about 0.68 of the height.
         frames: number of frames.
         fps: frames per second.
-        motion: "gait"; other motions are given to `capture` as poses.
         condition: "exact", or "mismatch": body, cameras and first pose of the tracker differ from the truth.
         hard: person and background have nearly the same greys and colours.
         one_colour: the whole body has one colour and no texture, only shading.
@@ -58,12 +34,7 @@ class StudioConfig:
             sequence: (0, 1, 0) rises from none to all and falls again.
         rectangles: number of rectangles of random place, size and colour in each image.
         occluders: number of occluders in each view, the same in all frames.
-        boards: occluders of chosen parts of the person for a while.
-        cloth: motion (m) of the texture of shirt and trousers over the surface, as of loose cloth; 0 is tight.
-        passers: number of textured things that move behind the person.
-        plates: old photographs: low contrast, varying exposure, grain.
-        motion_blur: number of sub-frames averaged over the open time of the shutter; 1 is a sharp image.
-        shutter: open time as a fraction of the frame interval, centred on the frame's time.
+        motion_blur: number of sub-frames averaged over the open time of the shutter, half the frame interval; 1: sharp.
         sensor_noise: standard deviation of Gaussian noise, in intensities of [0, 1].
         variant: of the built-in humanoid, when no body is given.
 
@@ -76,7 +47,6 @@ class StudioConfig:
     size: tuple[int, int] = (384, 280)
     frames: int = 60
     fps: float = 60.0
-    motion: str = "gait"
     condition: Condition = "exact"
     hard: bool = False
     one_colour: bool = False
@@ -86,12 +56,7 @@ class StudioConfig:
     uniform_noise: float | tuple[float, ...] = 0.0
     rectangles: int = 0
     occluders: int = 0
-    boards: tuple[Board, ...] = ()
-    cloth: float = 0.0
-    passers: int = 0
-    plates: bool = False
     motion_blur: int = 1
-    shutter: float = 0.5
     sensor_noise: float = 0.012
     variant: Variant = "full"
 
@@ -104,11 +69,7 @@ class StudioConfig:
         _expect(self.speed_factor > 0, "speed_factor", self.speed_factor, "positive")
         _expect(self.condition in ("exact", "mismatch"), "condition", self.condition, "'exact' or 'mismatch'")
         _expect(self.rectangles >= 0 and self.occluders >= 0, "rectangles and occluders", "negative", "0 or more")
-        _expect(self.cloth >= 0 and self.passers >= 0, "cloth and passers", "negative", "0 or more")
-        spans = all(0 <= board.first <= board.last < self.frames for board in self.boards)
-        _expect(spans, "boards", self.boards, "boards whose first and last frame lie in the sequence")
         _expect(self.motion_blur >= 1, "motion_blur", self.motion_blur, "1 or more")
-        _expect(0 <= self.shutter <= 1, "shutter", self.shutter, "in [0, 1]")
         _expect(self.sensor_noise >= 0, "sensor_noise", self.sensor_noise, "0 or more")
         knots = np.atleast_1d(self.uniform_noise)
         _expect(bool(np.all((knots >= 0) & (knots <= 1))), "uniform_noise", self.uniform_noise, "in [0, 1]")

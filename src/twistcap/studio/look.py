@@ -10,8 +10,8 @@ import numpy as np
 from twistcap.arrays import Float, Float32
 from twistcap.body import Body
 from twistcap.studio.config import StudioConfig, stream
-from twistcap.studio.shade import LATTICE_BITS
 
+LATTICE_BITS = 5  # the texture repeats after 2⁵ lattice steps
 GARMENTS = ("skin", "hair", "shirt", "trousers", "shoes")
 _CONTRAST = np.array([0.11, 0.14, 0.18, 0.18, 0.18])  # of the texture on each garment
 GREY = np.array([0.299, 0.587, 0.114])  # weights of red, green and blue in a grey image (ITU-R BT.601)
@@ -22,7 +22,7 @@ _HAIR = np.array([[0.12, 0.09, 0.08], [0.35, 0.22, 0.13], [0.70, 0.55, 0.33], [0
 
 @dataclass(frozen=True)
 class Look:
-    """Input of the shading kernel beside the geometry; see `shade.shade`.
+    """What shading takes beside the geometry; see `shade.shade`.
 
     Attributes:
         cover: (V, G) fraction of each garment in each vertex.
@@ -104,8 +104,7 @@ def _between(rng: np.random.Generator, steps: Float) -> Float:
 
 
 def _cloth(rng: np.random.Generator, darkest: float, lightest: float) -> Float:
-    hue, saturation, value = rng.random(), rng.uniform(0.1, 0.6), rng.uniform(darkest, lightest)
-    return np.array(colorsys.hsv_to_rgb(hue, saturation, value))
+    return np.array(colorsys.hsv_to_rgb(rng.random(), rng.uniform(0.1, 0.6), rng.uniform(darkest, lightest)))
 
 
 def _lattice(rng: np.random.Generator) -> Float32:
@@ -117,10 +116,15 @@ def _lattice(rng: np.random.Generator) -> Float32:
 
 def _lights(rng: np.random.Generator) -> Float:
     """A key light from above, a weaker one from about the opposite side, slightly warm or cold, and ambient light."""
+
+    def light(azimuth: float, elevation: float, strength: float, warmth: float) -> Float:
+        towards = [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
+        return np.concatenate([towards, strength * np.array([1 + warmth, 1.0, 1 - warmth])])
+
     azimuth = rng.uniform(0, 2 * np.pi)
-    key = _light(azimuth, rng.uniform(0.6, 1.0), rng.uniform(0.46, 0.6), rng.normal(0, 0.03))
-    other = _light(azimuth + rng.uniform(1.8, 4.4), rng.uniform(0.2, 0.7), rng.uniform(0.12, 0.26), rng.normal(0, 0.03))
-    return np.stack([key, other, _light(0.0, 0.0, rng.uniform(0.58, 0.66), 0.0)])
+    key = light(azimuth, rng.uniform(0.6, 1.0), rng.uniform(0.46, 0.6), rng.normal(0, 0.03))
+    other = light(azimuth + rng.uniform(1.8, 4.4), rng.uniform(0.2, 0.7), rng.uniform(0.12, 0.26), rng.normal(0, 0.03))
+    return np.stack([key, other, light(0.0, 0.0, rng.uniform(0.58, 0.66), 0.0)])
 
 
 def mean_light(lights: Float) -> Float:
@@ -133,8 +137,3 @@ def _mean_colour(body: Body, cover: Float, albedo: Float) -> Float:
     a, b, c = np.swapaxes(body.vertices[body.faces], 0, 1)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     return area @ albedo[np.argmax(cover[body.faces].sum(axis=1), axis=1)] / area.sum()
-
-
-def _light(azimuth: float, elevation: float, strength: float, warmth: float) -> Float:
-    towards = [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
-    return np.concatenate([towards, strength * np.array([1 + warmth, 1.0, 1 - warmth])])

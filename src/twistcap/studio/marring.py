@@ -10,8 +10,6 @@ from twistcap.studio.config import StudioConfig, stream
 
 def marred(picture: Float32, config: StudioConfig, frame: int, camera: int) -> UInt8:
     """The camera's 8-bit image of a picture (H, W, 3) or (H, W) in [0, 1], which is overwritten."""
-    if config.plates:
-        _photograph(picture, stream(config.seed, "plate", camera, frame))
     if config.sensor_noise > 0:
         noise = stream(config.seed, "sensor", camera, frame).standard_normal(picture.shape, dtype=np.float32)
         noise *= np.float32(config.sensor_noise)
@@ -20,14 +18,6 @@ def marred(picture: Float32, config: StudioConfig, frame: int, camera: int) -> U
     replace_pixels(picture, config.noise_fraction(frame), stream(config.seed, "uniform", camera, frame))
     picture *= np.float32(255)
     return np.clip(np.rint(picture, out=picture), 0, 255, out=picture).astype(np.uint8)
-
-
-def _photograph(picture: Float32, rng: np.random.Generator) -> None:
-    """Half the contrast, a random exposure, and grain, in place."""
-    gain, offset = 1.0 + 0.08 * rng.standard_normal(), 0.03 * rng.standard_normal()
-    picture *= np.float32(0.5 * gain)
-    picture += np.float32(0.25 * gain + offset)
-    picture += np.float32(0.03) * rng.standard_normal(picture.shape, dtype=np.float32)
 
 
 def paint_rectangles(picture: Float32, count: int, rng: np.random.Generator) -> None:

@@ -56,14 +56,13 @@ def with_joint_noise(body: Body, distance: float, rng: np.random.Generator) -> B
 
 def wrong_rig(rig: Rig, rng: np.random.Generator) -> Rig:
     """Every camera turned by 0.05° about a random axis through its centre, its focal length wrong by 0.2 %."""
-    return Rig(tuple(_wrong_camera(camera, rng) for camera in rig))
-
-
-def _wrong_camera(camera: Camera, rng: np.random.Generator) -> Camera:
-    turn = se3.transform(se3.exp_rotation(np.deg2rad(CAMERA_DEG) * _directions(rng, 1)[0]), np.zeros(3))
-    K = camera.K.copy()
-    K[[0, 1], [0, 1]] *= 1 + CAMERA_FOCAL * rng.choice([-1.0, 1.0])
-    return replace(camera, K=K, T_cam_world=turn @ camera.T_cam_world)
+    wrong: list[Camera] = []
+    for camera in rig:
+        turn = se3.transform(se3.exp_rotation(np.deg2rad(CAMERA_DEG) * _directions(rng, 1)[0]), np.zeros(3))
+        K = camera.K.copy()
+        K[[0, 1], [0, 1]] *= 1 + CAMERA_FOCAL * rng.choice([-1.0, 1.0])
+        wrong.append(replace(camera, K=K, T_cam_world=turn @ camera.T_cam_world))
+    return Rig(tuple(wrong))
 
 
 def wrong_pose(body: Body, pose: Pose, rng: np.random.Generator) -> Pose:

@@ -52,16 +52,9 @@ _TRUNK: dict[str, tuple[tuple[float, float], ...]] = {
 
 
 def gait(
-    body: Body,
-    *,
-    fps: float = 60.0,
-    frames: int = 60,
-    speed: float = 1.3,
-    cadence: float | None = None,
-    heading: float = 0.0,
-    start: tuple[float, float] = (0.0, 0.0),
-    phase: float = 0.0,
-) -> list[Pose]:
+    body: Body, *, fps: float = 60.0, frames: int = 60, speed: float = 1.3, cadence: float | None = None,
+    heading: float = 0.0, start: tuple[float, float] = (0.0, 0.0), phase: float = 0.0,
+) -> list[Pose]:  # fmt: skip
     """A natural walk on the floor z = 0, in a straight line; coordinates that the body lacks are left out.
 
     Args:
@@ -81,10 +74,15 @@ def gait(
         if not value > 0:
             raise InputError(f"gait: {name} is {value}; it must be positive.")
     steps = cadence if cadence is not None else float(np.sqrt(speed * 60.0 / _WALK_RATIO))
-    stride = speed * 120.0 / steps
-    cycle = _cycle_of_stride(body, stride)
+    cycle = _cycle_of_stride(body, speed * 120.0 / steps)
     phases = phase + np.arange(frames) / fps * steps / 120.0
-    return _poses(body, cycle, phases, heading, start)
+    angles = {name: fourier(values, phases) for name, values in cycle.angles.items()}
+    offset = fourier(cycle.offset, phases)
+    offset[:, 0] += (phases - phases[:1]) * cycle.stride
+    offset[:, :2] -= offset[:1, :2].copy()
+    to_world = se3.transform(se3.exp_rotation(np.array([0.0, 0.0, heading])), np.array([start[0], start[1], 0.0]))
+    poses = [_pose(body, angles, n) for n in range(frames)]
+    return [Pose(to_world @ se3.transform(p.root[:3, :3], at), p.q) for p, at in zip(poses, offset, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -123,15 +121,13 @@ def _angles(swing: float) -> dict[str, Float]:
     return out
 
 
-def _pelvis(angles: dict[str, Float], n: int) -> Float:
-    """(3, 3) rotation of the pelvis: rotation, then obliquity, then tilt (Baker 2001)."""
+def _pose(body: Body, angles: dict[str, Float], n: int) -> Pose:
+    """The pose of a sample, mid-hip at the origin; the pelvis by rotation, obliquity, tilt in turn (Baker 2001)."""
     turn = se3.exp_rotation(np.array([0, 0, angles["pelvis_rotation"][n]]))
     tip = se3.exp_rotation(np.array([-angles["pelvis_obliquity"][n], 0, 0]))
-    return turn @ tip @ se3.exp_rotation(np.array([0, angles["pelvis_tilt"][n], 0]))
-
-
-def _coordinates(body: Body, angles: dict[str, Float], n: int) -> Float:
-    return np.array([angles[name][n] if name in angles else 0.0 for name in body.coordinate_names])
+    pelvis = turn @ tip @ se3.exp_rotation(np.array([0, angles["pelvis_tilt"][n], 0]))
+    q = np.array([angles[name][n] if name in angles else 0.0 for name in body.coordinate_names])
+    return Pose(se3.transform(pelvis, np.zeros(3)), q)
 
 
 def _cycle_of_stride(body: Body, stride: float) -> _Cycle:
@@ -150,8 +146,10 @@ def _cycle_of_stride(body: Body, stride: float) -> _Cycle:
 
 def _grounded(body: Body, swing: float) -> _Cycle:
     """Stride length and mid-hip motion that keep the lowest points of the surface still on the floor."""
-    angles, near = _angles(swing), _near_ground(body)
-    feet = np.array([_surface(body, near, angles, n) for n in range(_PHASES)])
+    angles, z = _angles(swing), body.vertices[:, 2]
+    near = np.flatnonzero(z < z.min() + np.ptp(z) / 8).astype(np.int32)  # the feet: the lowest eighth
+    bound = body.skin_segments[near], body.skin_weights[near], body.vertices[near]
+    feet = np.array([Posed(body, _pose(body, angles, n)).points(*bound) for n in range(_PHASES)])
     low = feet[:, :, 2].min(axis=1)
     load = np.exp(-(feet[:, :, 2] - low[:, None]) / 0.006) * _stance(body, near)  # weights of the ground contact
     ahead = np.roll(feet, -1, axis=0) - feet
@@ -166,12 +164,6 @@ def _grounded(body: Body, swing: float) -> _Cycle:
     return _Cycle(angles, float(moved[0]), position)
 
 
-def _near_ground(body: Body) -> Int:
-    """The vertices of the lowest eighth of the standing body: its feet."""
-    z = body.vertices[:, 2]
-    return np.flatnonzero(z < z.min() + np.ptp(z) / 8).astype(np.int32)
-
-
 def _stance(body: Body, near: Int) -> Float:
     """(_PHASES, N) weight of each vertex as ground contact: those of a leg in its stance, 0 to 60 % of its cycle."""
     out = np.full((_PHASES, len(near)), 1e-6)
@@ -181,21 +173,3 @@ def _stance(body: Body, near: Int) -> Float:
             leg = body.chain[body.vertex_part[near], body.coordinate(f"hip_flexion_{side}")]
             out += np.interp(at, [0, 6, 54, 60, 94, 100], [0.5, 1, 1, 0, 0, 0.5])[:, None] * leg
     return out
-
-
-def _surface(body: Body, near: Int, angles: dict[str, Float], n: int) -> Float:
-    root = se3.transform(_pelvis(angles, n), np.zeros(3))
-    posed = Posed(body, Pose(root, _coordinates(body, angles, n)))
-    return posed.points(body.skin_segments[near], body.skin_weights[near], body.vertices[near])
-
-
-def _poses(body: Body, cycle: _Cycle, phases: Float, heading: float, start: tuple[float, float]) -> list[Pose]:
-    angles = {name: fourier(values, phases) for name, values in cycle.angles.items()}
-    offset = fourier(cycle.offset, phases)
-    offset[:, 0] += (phases - phases[:1]) * cycle.stride
-    offset[:, :2] -= offset[:1, :2].copy()
-    to_world = se3.transform(se3.exp_rotation(np.array([0.0, 0.0, heading])), np.array([start[0], start[1], 0.0]))
-    return [
-        Pose(to_world @ se3.transform(_pelvis(angles, n), offset[n]), _coordinates(body, angles, n))
-        for n in range(len(phases))
-    ]

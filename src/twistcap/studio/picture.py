@@ -14,7 +14,7 @@ from twistcap.camera import Camera
 from twistcap.camera.projection import project
 from twistcap.render.raster import rasterise
 from twistcap.studio.look import Look
-from twistcap.studio.shade import OCTAVES, shade
+from twistcap.studio.shade import shade
 
 SAMPLES = 3  # per pixel and axis
 
@@ -43,24 +43,14 @@ def render_body(posed: Posed, camera: Camera, look: Look, slide: Float | None = 
     """
     faces, n = posed.body.faces, SAMPLES
     pixels, inverse_depth = project(camera.scaled(n).P, posed.vertices)
-    low, high = _window(pixels[inverse_depth > 0], camera.size)
-    size = (int(high[0] - low[0]) * n, int(high[1] - low[1]) * n)
-    origin = (int(low[0]) * n, int(low[1]) * n)
-    index, _ = rasterise(pixels, inverse_depth, faces, origin, size)
-    normals = unit_vertex_normals(posed.vertices, faces)
+    shown = pixels[inverse_depth > 0] if np.any(inverse_depth > 0) else np.zeros((1, 2))
+    low = np.clip(np.floor(shown.min(axis=0) / n) - 1, 0, camera.size).astype(int)
+    high = np.clip(np.ceil(shown.max(axis=0) / n) + 2, 0, camera.size).astype(int)
+    (x, y), (width, height) = low.tolist(), (n * (high - low)).tolist()
+    index, _ = rasterise(pixels, inverse_depth, faces, (n * x, n * y), (width, height))
     rest = posed.body.vertices if slide is None else posed.body.vertices + slide
-    drawn = (faces, pixels, inverse_depth, rest, normals)
-    dress = (look.cover, look.albedo, look.contrast, look.lattice, OCTAVES)
-    return Layer(int(low[0]), int(low[1]), shade(index, origin, n, drawn, dress, look.lights).astype(np.float32))
-
-
-def _window(samples: Float, size: tuple[int, int]) -> tuple[Float, Float]:
-    """First pixel and the one after the last (x, y) of the window of all samples, within the image."""
-    if len(samples) == 0:
-        return np.zeros(2), np.zeros(2)
-    low = np.floor(samples.min(axis=0) / SAMPLES) - 1
-    high = np.ceil(samples.max(axis=0) / SAMPLES) + 2
-    return np.clip(low, 0, size), np.clip(high, 0, size)
+    drawn = (faces, pixels, inverse_depth, rest, unit_vertex_normals(posed.vertices, faces))
+    return Layer(x, y, shade(index, (n * x, n * y), n, drawn, look))
 
 
 def picture_of(

@@ -15,14 +15,9 @@ _MARGIN = 0.03  # of the image, on each side
 
 
 def ring(
-    views: int,
-    radius: float,
-    height: float | ArrayLike,
-    target: ArrayLike,
-    size: tuple[int, int],
-    focal: float | None = None,
+    views: int, radius: float, height: ArrayLike, target: ArrayLike, size: tuple[int, int], focal: float | None = None,
     offset_deg: float = 0.0,
-) -> Rig:
+) -> Rig:  # fmt: skip
     """Cameras evenly spaced on a circle, all looking at one point; two are 135° apart.
 
     Args:
@@ -47,11 +42,6 @@ def ring(
     return Rig(tuple(cameras))
 
 
-def with_focal(rig: Rig, factor: float) -> Rig:
-    """The rig zoomed by a factor about each principal point."""
-    return Rig(tuple(replace(c, K=np.diag([factor, factor, 1.0]) @ (c.K - _principal(c)) + _principal(c)) for c in rig))
-
-
 def zoom_to_fit(rig: Rig, points: Float) -> Rig:
     """The rig zoomed out, if needed, until all points (N, 3) are inside every image with a margin."""
     reach = 0.0
@@ -59,10 +49,6 @@ def zoom_to_fit(rig: Rig, points: Float) -> Rig:
         half = (np.array(camera.size) - 1) / 2
         pixels, _ = camera.project(points)
         reach = max(reach, float(np.max(np.abs(pixels - half) / half)))
-    return with_focal(rig, min(1.0, (1.0 - 2 * _MARGIN) / reach))
-
-
-def _principal(camera: Camera) -> Float:
-    out = np.zeros((3, 3))
-    out[:2, 2], out[2, 2] = camera.K[:2, 2], 1.0
-    return out
+    factor = min(1.0, (1.0 - 2 * _MARGIN) / reach)
+    zoom = np.array([[factor, factor, 1.0], [factor, factor, 1.0], [1.0, 1.0, 1.0]])
+    return Rig(tuple(replace(camera, K=camera.K * zoom) for camera in rig))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -15,10 +15,9 @@ from twistcap.body.humanoid import humanoid
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
-from twistcap.studio.background import background, board_layer, occluder_layer
+from twistcap.studio.background import background, occluder_layer
 from twistcap.studio.config import StudioConfig, stream
 from twistcap.studio.look import GREY, Look, look
-from twistcap.studio.loose import flutter, passer
 from twistcap.studio.marring import marred
 from twistcap.studio.mismatch import wrong_body, wrong_pose, wrong_rig
 from twistcap.studio.motion import gait
@@ -26,8 +25,8 @@ from twistcap.studio.picture import Layer, between, picture_of, render_body
 from twistcap.studio.ring import ring, zoom_to_fit
 
 PERSON_HEIGHT = 0.68  # fraction of the image's height, for a person in the middle of the ring: 190 px of 280
-BORDER = 3.0  # px that a board is larger than the segments that it occludes
 RADIUS = 2.9  # of the ring, in statures
+_SHUTTER = 0.5  # open time as a fraction of the frame interval, centred on the frame's time
 # Direction of the first camera from the walking direction, deg, by number of views. Two cameras are at the front left
 # and right, so that each arm is visible in one of them.
 FIRST_CAMERA_DEG = {1: 60.0, 2: -67.5}
@@ -83,61 +82,33 @@ class Capture:
         """One camera's image, uint8 (H, W, 3) or grey (H, W); None if it was dropped."""
         if self.config.is_dropped(index, camera):
             return None
-        moments = moments or self._moments(index)
-        room, slide = self._background(index, camera), flutter(self.true_body, self.config, index)
-        picture = picture_of(moments, self.true_rig[camera], self.look, room, slide)
-        for number, board in enumerate(self.config.boards):
-            if board.stands(index, camera):
-                picture = self._behind_board(picture, moments, number, camera)
+        return marred(self.exposed(index, camera, moments or self._moments(index)), self.config, index, camera)
+
+    def exposed(self, index: int, camera: int, moments: Sequence[Posed]) -> Float32:
+        """The picture (H, W, 3) or grey (H, W) in [0, 1] before it is disturbed; it may be overwritten."""
+        picture = self.scenery(index, camera, moments)
         if self.config.occluders:
             Layer(0, 0, self.occluders[camera]).over(picture)
-        if not self.config.colour:
-            picture = picture @ GREY.astype(np.float32)
-        return marred(picture, self.config, index, camera)
+        return picture if self.config.colour else picture @ GREY.astype(np.float32)
 
-    def _background(self, index: int, camera: int) -> Float32:
-        """The room and the things that move in it."""
-        if not self.config.passers:
-            return self.rooms[camera]
-        room = self.rooms[camera].copy()
-        for number in range(self.config.passers):
-            passer(room, self.config, number, camera, index)
-        return room
-
-    def _behind_board(self, picture: Float32, moments: Sequence[Posed], number: int, camera: int) -> Float32:
-        """The picture with a board over it, and over that the segments that it does not occlude."""
-        Layer(0, 0, self._board(number, camera)).over(picture)
-        body = self.true_body
-        hidden = np.isin(body.face_part, [body.segment(name) for name in self.config.boards[number].segments])
-        rest = replace(body, faces=np.ascontiguousarray(body.faces[~hidden]))
-        return picture_of([Posed(rest, m.pose) for m in moments], self.true_rig[camera], self.look, picture)
-
-    def _board(self, number: int, camera: int) -> Float32:
-        """The board's layer, large enough for its segments in all its frames."""
-        board, body = self.config.boards[number], self.true_body
-        hidden = np.isin(body.vertex_part, [body.segment(name) for name in board.segments])
-        poses = self.true_poses[max(0, board.first - 1) : board.last + 2]
-        cloud = np.concatenate([Posed(body, pose).vertices[hidden] for pose in poses])
-        pixels = self.true_rig[camera].project(cloud)[0]
-        return board_layer(self.config, number, camera, pixels.min(axis=0) - BORDER, pixels.max(axis=0) + BORDER)
+    def scenery(self, index: int, camera: int, moments: Sequence[Posed]) -> Float32:
+        """The picture (H, W, 3) of the room and the person; it may be overwritten."""
+        return picture_of(moments, self.true_rig[camera], self.look, self.rooms[camera])
 
     def masks(self, index: int) -> list[Bool]:
         """True silhouettes (H, W) of the whole body, occluded or not: pixels that it covers by more than half."""
-        posed = Posed(self.true_body, self.true_poses[index])
-        return [self._mask(posed, c) for c in range(len(self.true_rig))]
-
-    def _mask(self, posed: Posed, camera: int) -> Bool:
-        view = self.true_rig[camera]
-        layer = render_body(posed, view, self.look)
-        h, w = layer.pixels.shape[:2]
-        mask = np.zeros(view.size[::-1], dtype=bool)
-        mask[layer.y : layer.y + h, layer.x : layer.x + w] = layer.pixels[..., 3] > 0.5
-        return mask
+        posed, masks = Posed(self.true_body, self.true_poses[index]), list[Bool]()
+        for view in self.true_rig:
+            layer, mask = render_body(posed, view, self.look), np.zeros(view.size[::-1], dtype=bool)
+            h, w = layer.pixels.shape[:2]
+            mask[layer.y : layer.y + h, layer.x : layer.x + w] = layer.pixels[..., 3] > 0.5
+            masks.append(mask)
+        return masks
 
     def _moments(self, index: int) -> list[Posed]:
         """The body at the sub-frames of one frame, evenly spaced over the open time of the shutter."""
         n = self.config.motion_blur
-        offsets = self.config.shutter * ((np.arange(n) + 0.5) / n - 0.5)
+        offsets = _SHUTTER * ((np.arange(n) + 0.5) / n - 0.5)
         return [Posed(self.true_body, self._pose_at(index + offset)) for offset in offsets]
 
     def _pose_at(self, at: float) -> Pose:
@@ -154,10 +125,10 @@ def capture(config: StudioConfig, body: Body | None = None, poses: Sequence[Pose
     Args:
         config: what to render.
         body: of the person; by default the built-in humanoid, of random stature by the seed.
-        poses: one per frame; by default the motion of the configuration.
+        poses: one per frame; by default a walk.
 
     Raises:
-        InputError: for an unknown motion, or fewer poses than frames.
+        InputError: for fewer poses than frames.
     """
     body = default_body(config) if body is None else body
     heading = float(stream(config.seed, "heading").uniform(0, 2 * np.pi)) if poses is None else 0.0
@@ -167,11 +138,8 @@ def capture(config: StudioConfig, body: Body | None = None, poses: Sequence[Pose
     rig = ring_around(config, body, poses, heading)
     known = (body, rig, poses[0])
     if config.condition == "mismatch":
-        known = (
-            wrong_body(body, stream(config.seed, "wrong body")),
-            wrong_rig(rig, stream(config.seed, "wrong rig")),
-            wrong_pose(body, poses[0], stream(config.seed, "wrong pose")),
-        )
+        rngs = [stream(config.seed, f"wrong {what}") for what in ("body", "rig", "pose")]
+        known = (wrong_body(body, rngs[0]), wrong_rig(rig, rngs[1]), wrong_pose(body, poses[0], rngs[2]))
     return Capture(config, body, rig, tuple(poses), *known, look(body, config))
 
 
@@ -181,9 +149,7 @@ def default_body(config: StudioConfig) -> Body:
 
 
 def default_poses(config: StudioConfig, body: Body, heading: float) -> list[Pose]:
-    """The motion of the configuration, in the direction of a heading (rad, from x towards y)."""
-    if config.motion != "gait":
-        raise InputError(f"studio: motion is {config.motion!r}; it must be 'gait' (other motions are given as poses).")
+    """A walk in the direction of a heading (rad, from x towards y), its speed and phase by the seed."""
     rng = stream(config.seed, "gait")
     speed, phase = float(rng.uniform(1.15, 1.45)), float(rng.uniform(0, 1))
     fps = config.fps / config.speed_factor

@@ -9,8 +9,8 @@ import numpy as np
 from numba import njit
 from scipy.interpolate import PchipInterpolator
 
+from reproduce.humanoid.sweeps import Sweep
 from twistcap.arrays import Float
-from twistcap.body._humanoid_profiles import Sweep
 
 _SAMPLES = 33
 _BLEND = 0.011  # m, radius of the smooth union

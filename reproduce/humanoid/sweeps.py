@@ -1,46 +1,15 @@
-"""Numbers of the built-in humanoid: proportions and cross-sections of a sex-neutral adult, own work.
+"""Cross-sections of the built-in humanoid's limbs, and places of the rings of its surface: own work.
 
-Lengths are fractions of stature: Drillis and Contini (1966) as given by Winter, "Biomechanics and Motor Control of
-Human Movement", 4th ed. 2009, fig. 4.1 (DOI 10.1002/9780470549148). Cross-sections are metres at a stature of 1.75 m,
-our own, with girths near the mean of women and men in ANSUR II (Gordon et al. 2014, NATICK/TR-15/007), somewhat
-slimmer since soldiers are heavy, and a volume that agrees with a body mass of 70 kg at about 1 kg/l.
-All in the neutral rest pose: x forward, y left, z up, origin at mid-hip.
+Metres at a stature of 1.75 m in the neutral rest pose, with girths near the mean of women and men in ANSUR II (Gordon
+et al. 2014, NATICK/TR-15/007), somewhat slimmer since soldiers are heavy, and a volume that agrees with a body mass of
+70 kg at about 1 kg/l.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-REFERENCE_STATURE = 1.75
-H = REFERENCE_STATURE
-
-# Fractions of stature.
-RATIOS = {
-    "hip_height": 0.530,
-    "thigh": 0.245,
-    "shank": 0.246,
-    "ankle_height": 0.039,
-    "foot": 0.152,
-    "upper_arm": 0.186,
-    "forearm": 0.146,
-    "chin_height": 0.870,
-    "eye_height": 0.936,
-}
-
-FLOOR = -RATIOS["hip_height"] * H
-TOP = H + FLOOR
-HIP = (0.0, 0.048 * H, 0.0)
-KNEE = (0.0, HIP[1], -RATIOS["thigh"] * H)
-ANKLE = (0.0, HIP[1], KNEE[2] - RATIOS["shank"] * H)
-SHOULDER = (-0.012, 0.101 * H, 0.805 * H + FLOOR)
-ELBOW = (-0.012, SHOULDER[1], SHOULDER[2] - RATIOS["upper_arm"] * H)
-WRIST = (-0.012, SHOULDER[1], ELBOW[2] - RATIOS["forearm"] * H)
-LUMBAR = (-0.025, 0.0, 0.14)
-THORAX = (-0.035, 0.0, 0.34)
-NECK = (-0.035, 0.0, 0.855 * H + FLOOR)
-CLAVICLE = (0.03, 0.025, 0.50)
-HEEL_X = -0.056
-TOE_X = HEEL_X + RATIOS["foot"] * H
+from twistcap.body.proportions import ANKLE, FLOOR, HIP, SHOULDER, TOP, WRIST
 
 
 @dataclass(frozen=True)
@@ -162,16 +131,3 @@ LEG_LEVELS = (0.125, 0.165, 0.205, 0.245, 0.285, 0.325, 0.363, 0.398, 0.432, 0.4
 ARM_LEVELS = (0.06, 0.10, 0.14, 0.18, 0.22, 0.26, 0.295, 0.3255, 0.357, 0.395, 0.435, 0.475, 0.515, 0.552, 0.585, 0.615,
               0.645, 0.675, 0.705, 0.735, 0.765)  # fmt: skip
 FOOT_XS = (-0.048, -0.028, 0.0, 0.025, 0.05, 0.078, 0.106, 0.132, 0.157, 0.181, 0.204)
-
-# Clinical ranges of motion, degrees, from the neutral pose: AAOS, "Joint Motion: Method of Measuring and Recording"
-# (1965), and Norkin and White, "Measurement of Joint Motion" (5th ed. 2016), a little wider for athletes.
-LIMITS_DEG = {
-    "lumbar_extension": (-60, 25), "lumbar_bending": (-35, 35), "lumbar_rotation": (-45, 45),
-    "thorax_extension": (-40, 25), "thorax_bending": (-30, 30), "thorax_rotation": (-40, 40),
-    "neck_extension": (-60, 75), "neck_bending": (-45, 45), "neck_rotation": (-80, 80),
-    "clavicle_elevation": (-10, 45), "clavicle_protraction": (-25, 30),
-    "arm_add": (-180, 45), "arm_flex": (-60, 180), "arm_rot": (-90, 90),
-    "elbow_flex": (0, 150), "pro_sup": (-90, 90), "wrist_flex": (-70, 80),
-    "hip_flexion": (-30, 125), "hip_adduction": (-50, 30), "hip_rotation": (-45, 45),
-    "knee_angle": (-10, 145), "ankle_angle": (-50, 30), "subtalar_angle": (-25, 35),
-}  # fmt: skip

@@ -1,0 +1,1 @@
+"""How the built-in humanoid's surface is modelled; the wheel carries the result."""
