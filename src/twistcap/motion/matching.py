@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -16,9 +15,6 @@ from twistcap.arrays import Float, Float32, Int
 from twistcap.errors import InputError
 from twistcap.motion import _search as kernels
 from twistcap.motion.library import PAPER_SCALES, MotionLibrary
-
-_BOUNDING_LAGS = 6  # poses of the query whose distances to the tubes are bounded
-
 
 Interval = tuple[int, float, float]
 """A clip, and two positions in it."""
@@ -86,7 +82,6 @@ class Matcher:
         self._factors, self.steps = np.sqrt(given), 1.0 / self.scales
         self.base = _transposed(library.q, self.columns, self._factors)
         self.jumps = _jumps(self.base, library.starts)
-        self.tubes = _Tubes.of(self.base, library.starts)
 
     def best(self, query: Float, last: Match | None = None, excluded: Sequence[Interval] = ()) -> Match | None:
         """The best match of the last m poses.
@@ -141,93 +136,37 @@ class Matcher:
 
 
 class _Query:
-    """A query with its bounds, which are computed once for several searches."""
+    """A prepared query (m, K), the latest pose first."""
 
     def __init__(self, matcher: Matcher, poses: Float) -> None:
         self._matcher, self._poses = matcher, poses
 
-    @cached_property
-    def _bounds(self) -> Float32:
-        """(B,) lower bound of each block; zeros for libraries that are too small for bounds to save time."""
-        tubes, steps = self._matcher.tubes, self._matcher.steps
-        if len(tubes.radii) <= kernels.FEW:
-            return tubes.nothing
-        m = len(self._poses)
-        lags = np.unique(np.linspace(0, m - 1, min(m, _BOUNDING_LAGS)).astype(np.int32))
-        slow, fast = float(steps.min()), float(steps.max())
-        rounded = self._poses.astype(np.float32)
-        away = kernels.tube_distances(tubes.middles, tubes.lines, tubes.halves, tubes.radii, rounded, lags)
-        return kernels.block_bounds(away, lags, slow, fast, tubes.first_block)
-
     def best(self, excluded: Sequence[Interval] = (), limit: float = 1e300) -> Match | None:
         """The best match below a limit that does not end in an excluded interval."""
-        matcher, tubes = self._matcher, self._matcher.tubes
+        matcher = self._matcher
         clips = (matcher.base, matcher.jumps, matcher.library.starts)
-        blocks = (self._bounds, tubes.first_block, tubes.clip_of)
-        distance, clip, scale, pose = kernels.search(
-            clips,
-            self._poses,
-            matcher.steps,
-            blocks,
-            matcher.ahead,
-            _as_arrays(excluded) if excluded else _NOTHING,
-            limit,
-        )
-        return self._match(clip, scale, pose, distance)
+        windows = np.array([[low, high] for _, low, high in excluded]).reshape(-1, 2)
+        within = np.array([clip for clip, _, _ in excluded], np.int32), windows
+        distance, clip, scale, pose = kernels.search(clips, self._poses, matcher.steps, matcher.ahead, within, limit)
+        return None if scale < 0 else self._match(clip, scale, pose, distance)
 
     def near(self, place: Match) -> Match | None:
         """The best match within half a step of a place."""
-        matcher, reach = self._matcher, 0.5 * place.step
-        start, end = matcher.library.starts[place.clip : place.clip + 2]
-        low, high = place.position - reach, place.position + reach
-        distance, scale, pose = kernels.nearby(
-            matcher.base, self._poses, matcher.steps, start, end, low, high, matcher.ahead
-        )
-        return self._match(place.clip, scale, pose, distance)
+        matcher, best = self._matcher, None
+        start, end = map(int, matcher.library.starts[place.clip : place.clip + 2])
+        low, high = place.position - 0.5 * place.step - kernels.NEAR, place.position + 0.5 * place.step + kernels.NEAR
+        for scale, step in enumerate(matcher.steps):
+            last = min(high, end - start - 1 + kernels.NEAR - matcher.ahead * step)
+            for j in range(max(int(np.ceil(low / step)), len(self._poses) - 1), int(np.floor(last / step)) + 1):
+                limit = np.inf if best is None else best.distance
+                value = kernels.score(matcher.base, self._poses, start, j, step, limit)
+                if value < limit:
+                    best = self._match(place.clip, scale, j, value)
+        return best
 
-    def _match(self, clip: int, scale: int, pose: int, distance: float) -> Match | None:
-        if scale < 0:
-            return None
-        s = float(self._matcher.scales[scale])
-        return Match(int(clip), float(pose * self._matcher.steps[scale]), s, float(distance))
-
-
-@dataclass(frozen=True)
-class _Tubes:
-    """Tubes around blocks of poses (`_search.tubes`), and the clip and first block of the clip (B,).
-
-    Each tube also holds the first pose of the next block, and so all interpolated poses.
-    """
-
-    middles: Float32
-    lines: Float32
-    halves: Float32
-    radii: Float32
-    clip_of: Int
-    first_block: Int
-
-    @cached_property
-    def nothing(self) -> Float32:
-        """(B,) bounds that exclude nothing."""
-        return np.zeros(len(self.radii), np.float32)
-
-    @staticmethod
-    def of(base: Float32, starts: Int) -> _Tubes:
-        counts = -(-np.diff(starts) // kernels.BLOCK)
-        clip_of = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
-        first = np.repeat(np.cumsum(counts) - counts, counts).astype(np.int32)
-        begin = starts[clip_of] + (np.arange(len(first)) - first) * kernels.BLOCK
-        end = np.minimum(begin + kernels.BLOCK + 1, starts[clip_of + 1])
-        return _Tubes(*kernels.tubes(base, begin.astype(np.int32), end.astype(np.int32)), clip_of, first)
-
-
-def _as_arrays(excluded: Sequence[Interval]) -> tuple[Int, Float]:
-    """(E,) clips and (E, 2) positions in them."""
-    clips = np.array([clip for clip, _, _ in excluded], np.int32)
-    return clips, np.array([[low, high] for _, low, high in excluded]).reshape(-1, 2)
-
-
-_NOTHING = _as_arrays(())
+    def _match(self, clip: int, scale: int, pose: int, distance: float) -> Match:
+        matcher = self._matcher
+        return Match(int(clip), float(pose * matcher.steps[scale]), float(matcher.scales[scale]), float(distance))
 
 
 def _transposed(q: Float32, columns: Int, factors: Float) -> Float32:
