@@ -15,9 +15,8 @@ from numba import njit
 
 from twistcap import se3
 from twistcap.arrays import Float, Int
-from twistcap.body import Body
+from twistcap.body import Body, Pose, Posed
 from twistcap.errors import InputError
-from twistcap.motion.leverage import leverage
 from twistcap.motion.library import PAPER_SCALES, MotionLibrary
 from twistcap.motion.matching import Interval, Match, Matcher
 from twistcap.motion.openloop import OpenLoop, PoseSequence
@@ -86,7 +85,7 @@ class FollowedMotion(OpenLoop):
     def _by_leverage(self) -> Float:
         """(K,) weight of a deviation of each compared coordinate, 0 … 1."""
         q = np.zeros(len(self.body.coordinate_names))
-        q[self._theirs] = self.library.q[:, self._known].mean(axis=0)
+        q[self._theirs] = self.library.q[:, self.compared].mean(axis=0)
         by_joint = leverage(self.body, q)[self._theirs]
         return by_joint / np.hypot(by_joint, self.rule.lever)
 
@@ -138,6 +137,19 @@ class FollowedMotion(OpenLoop):
                 out = [(replace(match, distance=match.distance / poses), poses) for match in found]
             bar = min(bar, _WORSE * out[0][0].distance + _ALIKE) if out else bar
         return out
+
+
+def leverage(body: Body, q: Float) -> Float:
+    """(J,) root mean square motion of the body's vertices by each coordinate at q (J,), m/rad; the pelvis is fixed.
+
+    It weighs angles when poses are compared. A radian of the hip moves the whole leg, one of the forearm's rotation
+    hardly the hand. Images determine the first to a degree and the second to ten or twenty; with equal weights the
+    second would decide. Kovar, Gleicher and Pighin, "Motion Graphs" (DOI 10.1145/566654.566605), section 3, likewise
+    compare poses by points of the body. The vertices should lie about evenly on the surface.
+    """
+    posed = Posed(body, Pose(np.eye(4), q))
+    by_step = posed.point_jacobian(body.skin_segments, body.skin_weights, body.vertices)
+    return np.sqrt(np.square(by_step[:, :, 6:]).sum(axis=1).mean(axis=0))
 
 
 def _as_library(past: PoseSequence, like: MotionLibrary) -> MotionLibrary:

@@ -7,13 +7,14 @@ eq. 18; method.md 8: ``argmin_{s,j} Σ_{v<m} ‖Θ_{t−v} − Θ̃^s_{j−v}‖
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from twistcap.arrays import Float, Float32, Int
 from twistcap.errors import InputError
 from twistcap.motion import _search as kernels
+from twistcap.motion.clip import interpolated_angles, interpolated_roots
 from twistcap.motion.library import PAPER_SCALES, MotionLibrary
 
 Interval = tuple[int, float, float]
@@ -22,13 +23,10 @@ Interval = tuple[int, float, float]
 
 @dataclass(frozen=True)
 class Match:
-    """A place in the training motion.
+    """A place in the training motion, and the sum of norms there (`distance`, rad).
 
-    Attributes:
-        clip: index of the clip; −1 is the person's own past.
-        position: of the last pose, in poses from the clip's start; usually between two poses.
-        scale: s of the resampled motion; one frame of the query is 1/s poses of the clip.
-        distance: the sum of norms, rad.
+    Clip −1 is the person's own past. The position is that of the last pose, in poses from the clip's start, usually
+    between two poses. Of the motion resampled by `scale` s, one frame of the query is 1/s poses of the clip.
     """
 
     clip: int
@@ -44,6 +42,37 @@ class Match:
     def after(self, frames: float) -> Match:
         """The place some frames later."""
         return Match(self.clip, self.position + frames * self.step, self.scale, self.distance)
+
+
+@dataclass(frozen=True)
+class PoseSequence:
+    """Poses of the library's coordinates, one frame apart: q (n, J) rad, roots (n, 4, 4); and their last match."""
+
+    q: Float
+    roots: Float
+    match: Match | None = None
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def then(self, more: PoseSequence) -> PoseSequence:
+        """This sequence followed by another; the match is the later one's, its distance the larger of both.
+
+        A prediction matches its own source perfectly, so that the distance of its match has no meaning.
+        """
+        match = more.match
+        if match is not None and self.match is not None:
+            match = replace(match, distance=max(match.distance, self.match.distance))
+        return PoseSequence(np.concatenate([self.q, more.q]), np.concatenate([self.roots, more.roots]), match)
+
+    def since(self, start: int) -> PoseSequence:
+        """The poses from number `start` on."""
+        return PoseSequence(self.q[start:], self.roots[start:], self.match)
+
+    def at(self, position: float) -> tuple[Float, Float]:
+        """(J,) and (4, 4) interpolated between two poses."""
+        where = np.array([position])
+        return interpolated_angles(self.q, where)[0], interpolated_roots(self.roots, where)[0]
 
 
 class Matcher:

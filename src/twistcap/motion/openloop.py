@@ -14,13 +14,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from twistcap.arrays import Float, Int
+from twistcap.arrays import Float
 from twistcap.body import Body, Pose
 from twistcap.errors import InputError
 from twistcap.motion.bridging import bridged
 from twistcap.motion.clip import interpolated_angles, interpolated_roots
 from twistcap.motion.library import MotionLibrary, unwrapped
-from twistcap.motion.matching import Interval, Match
+from twistcap.motion.matching import Interval, Match, PoseSequence
 from twistcap.motion.spread import Spread, learned_spread
 from twistcap.predict.history import Moment, covariance_about
 
@@ -29,13 +29,9 @@ _LONGEST = 10.0  # s of history that are used, at most
 
 @dataclass(frozen=True)
 class Expected:
-    """An expected pose.
+    """An expected pose, and its source in the training motion, None where nothing matched.
 
-    Attributes:
-        pose: the expected pose.
-        covariance: (6 + J, 6 + J) of the step from it to the true pose; see CONVENTIONS.md.
-        information: its inverse.
-        match: its source in the training motion; None where nothing matched.
+    `covariance` (6 + J, 6 + J) is that of the step to the true pose (CONVENTIONS.md), `information` its inverse.
     """
 
     pose: Pose
@@ -61,37 +57,6 @@ class MotionPredictor(Protocol):
             memory: that of the previous prediction; None for none.
         """
         ...
-
-
-@dataclass(frozen=True)
-class PoseSequence:
-    """Poses of the library's coordinates, one frame apart: q (n, J) rad, roots (n, 4, 4); and their last match."""
-
-    q: Float
-    roots: Float
-    match: Match | None = None
-
-    def __len__(self) -> int:
-        return len(self.q)
-
-    def then(self, more: PoseSequence) -> PoseSequence:
-        """This sequence followed by another; the match is the later one's, its distance the larger of both.
-
-        A prediction matches its own source perfectly, so that the distance of its match has no meaning.
-        """
-        match = more.match
-        if match is not None and self.match is not None:
-            match = replace(match, distance=max(match.distance, self.match.distance))
-        return PoseSequence(np.concatenate([self.q, more.q]), np.concatenate([self.roots, more.roots]), match)
-
-    def since(self, start: int) -> PoseSequence:
-        """The poses from number `start` on."""
-        return PoseSequence(self.q[start:], self.roots[start:], self.match)
-
-    def at(self, position: float) -> tuple[Float, Float]:
-        """(J,) and (4, 4) interpolated between two poses."""
-        where = np.array([position])
-        return interpolated_angles(self.q, where)[0], interpolated_roots(self.roots, where)[0]
 
 
 @dataclass(frozen=True)
@@ -128,11 +93,11 @@ class OpenLoop(ABC):
         self.library, self.body = library, body
         common = [name for name in library.names if name in body.coordinate_names]
         if not common:
-            raise InputError(
-                f"motion library: body {body.name!r} has none of its coordinates {', '.join(library.names)}."
-            )
-        self._known = library.columns(common)  # in the library, and
-        self._theirs = np.array([body.coordinate(name) for name in common], np.int32)  # in the body
+            names = ", ".join(library.names)
+            raise InputError(f"motion library: body {body.name!r} has none of its coordinates {names}.")
+        self.compared = library.columns(common)
+        """(K,) columns of the library that are matched: those that the body has."""
+        self._theirs = np.array([body.coordinate(name) for name in common], np.int32)  # the same in the body
 
     @property
     def memory_type(self) -> Any:
@@ -159,13 +124,7 @@ class OpenLoop(ABC):
     @cached_property
     def spread(self) -> Spread:
         """The predictor's standard deviations, learned from the library at the first use."""
-        return learned_spread(
-            self.library, self.history, lambda q, roots, count, excluded: self._trial(q, roots, count, excluded)
-        )
-
-    def _trial(self, q: Float, roots: Float, count: int, excluded: Sequence[Interval]) -> tuple[Float, Float, float]:
-        found = self.roll(PoseSequence(q, roots), count, excluded)
-        return found.q, found.roots, self.dissimilarity(found.match)
+        return learned_spread(self)
 
     def dissimilarity(self, match: Match | None) -> float:
         """Mean distance of the matched poses, rad per pose; NaN where a match is needed and there is none."""
@@ -196,11 +155,11 @@ class OpenLoop(ABC):
     def _expected(self, run: Rollout, frames: float) -> Expected:
         known, root = run.ahead.at(min(frames, len(run.ahead) - 1.0))
         q = run.last.pose.q.copy()
-        q[self._theirs] = (known - run.turns)[self._known]
+        q[self._theirs] = (known - run.turns)[self.compared]
         match = run.ahead.match
         turn, shift, joints = self.spread.variances(frames, float(np.nan_to_num(self.dissimilarity(match))))
         variance = np.full(self.body.dof, self.spread.unknown(frames))
-        variance[:3], variance[3:6], variance[6 + self._theirs] = turn, shift, joints[self._known]
+        variance[:3], variance[3:6], variance[6 + self._theirs] = turn, shift, joints[self.compared]
         covariance, information = covariance_about(variance, root[:3, 3])
         return Expected(Pose(root, q), covariance, information, match)
 
@@ -214,13 +173,8 @@ class OpenLoop(ABC):
         # Time stamps are rounded: positions near a moment are moved to it.
         positions = np.where(np.abs(positions - np.round(positions)) < 0.01, np.round(positions), positions)
         q = np.zeros((len(history), len(self.library.names)))
-        q[:, self._known] = np.array([moment.pose.q for moment in history])[:, self._theirs]
+        q[:, self.compared] = np.array([moment.pose.q for moment in history])[:, self._theirs]
         roots = np.array([moment.pose.root for moment in history])
         smooth = unwrapped(q)  # as the library's clips are
         past = PoseSequence(interpolated_angles(smooth, positions), interpolated_roots(roots, positions))
         return Rollout(last, smooth[-1] - q[-1], past, past.since(len(past) - 1))
-
-    @property
-    def compared(self) -> Int:
-        """(K,) columns of the library that are matched: those that the body has."""
-        return self._known

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from twistcap import se3
 from twistcap.arrays import Float
 from twistcap.motion.library import MotionLibrary
-from twistcap.motion.matching import Interval
+from twistcap.motion.matching import PoseSequence
+
+if TYPE_CHECKING:
+    from twistcap.motion.openloop import OpenLoop
 
 _HORIZONS = np.array([1, 2, 4, 8, 16, 32, 48])
 _TRIALS = 48
@@ -20,12 +23,6 @@ _LEAST = (np.radians(0.3), 0.002, np.radians(0.3))  # rad, m, rad: least standar
 _GUESS = (1.0, 0.5, 1.5)  # rad/s, m/s, rad/s: for libraries that are too small to learn from
 _UNKNOWN = (2.0, 0.5)  # rad/s, and rad at most, of a coordinate that the library lacks
 _WORST = 4.0  # greatest factor by which a bad match widens the spread
-
-Trial = Callable[[Float, Float, int, Sequence[Interval]], tuple[Float, Float, float]]
-"""Past q (n, J), roots (n, 4, 4), a number of frames and excluded intervals to q, roots and dissimilarity of the match.
-
-The dissimilarity is NaN where nothing matched.
-"""
 
 
 @dataclass(frozen=True)
@@ -60,24 +57,24 @@ class Spread:
         return min(_UNKNOWN[1], _LEAST[2] + _UNKNOWN[0] * frames / self.rate) ** 2
 
 
-def learned_spread(library: MotionLibrary, history: int, trial: Trial) -> Spread:
+def learned_spread(predictor: OpenLoop) -> Spread:
     """The spread of a predictor on the library's own clips, by cross-validation.
 
     Intervals are predicted from the poses before them, with the library around them excluded. For a library that is too
     small the spread is a guess.
     """
-    longest = int(_HORIZONS[-1])
+    library, history, longest = predictor.library, predictor.history, int(_HORIZONS[-1])
     errors, dissimilarity = list[Float](), list[float]()
     for clip, end in _places(library, history, longest):
         motion = library.clip(clip)
         past = slice(max(0, end - history + 1), end + 1)
         excluded = [(clip, end - _AWAY * library.rate, end + _AWAY * library.rate)]
-        q, roots, distance = trial(motion.q[past], motion.roots[past], longest, excluded)
-        if np.isnan(distance):
-            continue
-        truth = slice(end + 1, end + 1 + longest)
-        errors.append(_errors(q, roots, motion.q[truth], motion.roots[truth])[_HORIZONS - 1])
-        dissimilarity.append(distance)
+        found = predictor.roll(PoseSequence(motion.q[past], motion.roots[past]), longest, excluded)
+        distance = predictor.dissimilarity(found.match)
+        if not np.isnan(distance):
+            truth = slice(end + 1, end + 1 + longest)
+            errors.append(_errors(found.q, found.roots, motion.q[truth], motion.roots[truth])[_HORIZONS - 1])
+            dissimilarity.append(distance)
     if len(errors) < _FEWEST:
         return _guessed(library)
     deviations = np.sqrt(np.mean(np.square(errors), axis=0))
