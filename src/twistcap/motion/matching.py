@@ -134,16 +134,9 @@ class Matcher:
         return near if better is None else better
 
     def k_best(self, query: Float, count: int, apart: float, excluded: Sequence[Interval] = ()) -> list[Match]:
-        """The best match and the next best ones, each more than `apart` poses from those before it in its clip.
+        """The `count` best matches, each more than `apart` poses of the library from those before it in its clip.
 
-        Args:
-            query: as for `best`.
-            count: how many.
-            apart: poses of the library.
-            excluded: intervals in which no match may end.
-
-        Raises:
-            InputError: as `best`.
+        Query, excluded intervals and errors are as of `best`.
         """
         found, taken = self._ready(query), list[Match]()
         while len(taken) < count:
@@ -155,10 +148,8 @@ class Matcher:
         return taken
 
     def _ready(self, query: Float) -> _Query:
-        query = np.ascontiguousarray(query, dtype=float)
-        K = len(self.columns)
-        if query.ndim != 2 or len(query) == 0 or query.shape[1] != K:
-            raise InputError(f"motion matching: a query must be (m, {K}), K coordinates.")
+        query, K = np.ascontiguousarray(query, dtype=float), len(self.columns)
+        _expect(query.ndim == 2 and len(query) > 0 and query.shape[1] == K, f"a query must be (m, {K}), K coordinates")
         poses, finite = kernels.prepared(query, self._factors, len(self.base))
         _expect(finite, "a pose of the query is not finite")
         return _Query(self, poses)

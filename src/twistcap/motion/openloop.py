@@ -49,25 +49,18 @@ class MotionPredictor(Protocol):
         ...
 
     def predict(self, history: Sequence[Moment], time: float, memory: Any = None) -> tuple[Expected, Any]:
-        """The pose expected at `time`, s, and the memory for the next prediction.
+        """The pose expected at `time`, s, and the memory for the next prediction, which is None before the first.
 
-        Args:
-            history: at least one earlier moment with images, the latest last.
-            time: s.
-            memory: that of the previous prediction; None for none.
+        The history holds at least one earlier moment with images, the latest last.
         """
         ...
 
 
 @dataclass(frozen=True)
 class Rollout:
-    """An open-loop prediction, to be extended.
+    """An open-loop prediction, to be extended: poses with images (`past`), and those predicted from the last one on.
 
-    Attributes:
-        last: the last moment with images, where it starts.
-        turns: (J,) rad, whole turns between the library's angles and the body's.
-        past: poses with images, one frame apart.
-        ahead: predicted poses, from that of `last` on.
+    `last` is the last moment with images; `turns` (J,) rad are whole turns between the library's angles and the body's.
     """
 
     last: Moment
@@ -108,10 +101,7 @@ class OpenLoop(ABC):
     def next_poses(self, past: PoseSequence, count: int, excluded: Sequence[Interval] = ()) -> PoseSequence:
         """One to `count` poses that follow those of the past, which holds at least one.
 
-        Args:
-            past: poses of the library's coordinates, one frame apart.
-            count: wanted poses; fewer may come, but at least one.
-            excluded: intervals of the library that may not be matched.
+        They are poses of the library's coordinates, one frame apart; the excluded intervals may not be matched.
         """
 
     def roll(self, past: PoseSequence, count: int, excluded: Sequence[Interval] = ()) -> PoseSequence:
@@ -136,10 +126,7 @@ class OpenLoop(ABC):
         """The pose at `time`, with its covariance; see `MotionPredictor`.
 
         Moments without images hold predictions: those after the last image are ignored, earlier ones fill gaps
-        (`bridged`).
-
-        Raises:
-            InputError: for a history without images.
+        (`bridged`). A history without images is an InputError.
         """
         last = next((moment for moment in reversed(history) if moment.seen), None)
         if last is None:
