@@ -10,8 +10,7 @@ from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Rig, ScaledView
 from twistcap.cues.memory import Retention
 from twistcap.differential.settings import DifferentialConfig, Rule
-from twistcap.differential.state import State, Track
-from twistcap.differential.world import state_of
+from twistcap.differential.state import State, Track, state_of
 from twistcap.solve import Variables, Vector
 from twistcap.terms import BlockGaussian, BlockTerm
 from twistcap.terms.photometric import EXPOSURE

@@ -21,8 +21,7 @@ from twistcap.cues.view import Picture
 from twistcap.differential.evidence import Evidence, evidence
 from twistcap.differential.model import DifferentialModel, exposure_block, posed_at, state_at, view_block, with_state
 from twistcap.differential.search import searched
-from twistcap.differential.state import ROOT, State, Track
-from twistcap.differential.world import world_pose
+from twistcap.differential.state import ROOT, State, Track, world_pose
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
 from twistcap.render import render
@@ -104,12 +103,12 @@ def followed(
     _check(model.body, track.state, images)
     track = replace(track, state=track.state.sized(images))
     pictures = tuple(None if image is None else Picture(image) for image in images)
-    follow = Follow(model, track, pictures, expected)
+    follow = _Follow(model, track, pictures, expected)
     return follow.next() if track.started else follow.first()
 
 
 @dataclass(frozen=True)
-class Follow:
+class _Follow:
     """One frame of a track; see `followed`."""
 
     model: DifferentialModel
@@ -211,10 +210,8 @@ def misfit(seen: Sequence[Evidence], x: Variables) -> float:
 def _check(body: Body, state: State, images: Sequence[AnyArray | None]) -> None:
     if len(images) != len(state.views):
         raise InputError(f"differential: {len(images)} images for {len(state.views)} views; give one for each view.")
-    if len(state.q) != len(body.coordinate_names):
-        raise InputError(
-            f"differential: {len(state.q)} angles for {len(body.coordinate_names)} coordinates of the body."
-        )
+    if len(state.q) != (J := len(body.coordinate_names)):
+        raise InputError(f"differential: {len(state.q)} angles for {J} coordinates of the body.")
     for image in images:
         if image is not None and image.dtype != np.uint8 and not np.all(np.isfinite(image)):
             raise InputError("differential: an image holds a value that is not finite; repair or leave out the frame.")
