@@ -235,7 +235,7 @@ def test_rows_of_an_outline_are_the_derivatives_of_its_energy(body: Body) -> Non
     """By the pose and by the girths, about the shape at which the samples were taken."""
     rng, camera = np.random.default_rng(13), ring(1)[0]
     groups = {"thigh": ("femur_r", "femur_l"), "trunk": ("torso", "pelvis")}
-    girths = Girths(body, groups, np.array([0.05, -0.03]))
+    girths = Girths(np.array([0.05, -0.03]), generic=body, groups=groups)
     pose = posed_like(body, "balance", rng)
     contour = visible_contour(render(Posed(girths.body, pose), camera), 3.0)
     target = contour.pixels + 4.0 * rng.standard_normal((len(contour), 2))

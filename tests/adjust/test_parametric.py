@@ -12,9 +12,8 @@ import pytest
 from reproduce.measures.surfaces import surface_distances, surface_samples
 from support.commands import refusal, run
 from twistcap.adjust.body_fit import FitRule, Take, fit_body
-from twistcap.adjust.body_fit.fields import deformed, joint_centres
+from twistcap.adjust.body_fit.fields import deformed, joint_centres, mirrored_vertices
 from twistcap.adjust.body_fit.parametric import Parametric, carried_pose, matched, rates_at
-from twistcap.adjust.body_fit.symmetry import mirrored_vertices
 from twistcap.body import Pose, Posed, rescaled
 from twistcap.body.anny import _check_surface
 from twistcap.body.gltf import load_glb, save_glb

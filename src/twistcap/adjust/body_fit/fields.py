@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag
+from scipy.spatial import KDTree
 
 from twistcap import se3
 from twistcap.adjust.first_pose import girth_groups
@@ -21,6 +22,7 @@ from twistcap.body.shape import joint_coordinates, joint_origin, marks_of, resca
 
 _STEP = 1e-4  # of the difference quotients by log-factors
 _SIDES = (0.0, 0.5, 1.0, 1.5)  # directions about a segment's axis, in half turns, in which a cross-section is scaled
+_MIRROR = np.array([1.0, -1.0, 1.0])  # in the plane that parts left (+y) from right
 
 
 @dataclass(frozen=True)
@@ -237,3 +239,38 @@ def _finite_elements(vertices: Float, faces: Int) -> tuple[Float, Float]:
         for m, n, sign in ((i, j, -1.0), (j, i, -1.0), (i, i, 1.0), (j, j, 1.0)):
             np.add.at(stiffness, (m, n), sign * half)
     return area, stiffness
+
+
+def symmetric(body: Body, tolerance: float = 0.015) -> Body:
+    """The mean of a body and its mirror image, as people nearly are; itself where its mesh has no mirrored pairs.
+
+    Args:
+        body: of any mesh.
+        tolerance: m, greatest mean distance between mirrored vertices.
+    """
+    partner = mirrored_vertices(body)
+    mirrored = body.vertices[partner] * _MIRROR
+    paired = np.array_equal(partner[partner], np.arange(len(partner)))
+    if not paired or np.linalg.norm(mirrored - body.vertices, axis=1).mean() > tolerance:
+        return body
+    centres, marks = joint_centres(body), body.landmarks.points
+    joints = centres[_partners(body.segment_names)] * _MIRROR
+    landmarks = marks[_partners(body.landmarks.names)] * _MIRROR
+    return deformed(body, 0.5 * (mirrored - body.vertices), 0.5 * (joints - centres), 0.5 * (landmarks - marks))
+
+
+def mirrored_vertices(body: Body) -> Int:
+    """(V,) nearest vertex of the other side to the mirror image of each; in the middle, itself or a neighbour."""
+    partner = np.zeros(len(body.vertices), np.int32)
+    for segments in girth_groups(body).values():
+        own = [np.flatnonzero(body.vertex_part == body.segment(s)) for s in segments]
+        for here, there in zip(own, own[::-1], strict=True):
+            if len(here) and len(there):
+                partner[here] = there[KDTree(body.vertices[there]).query(body.vertices[here] * _MIRROR)[1]]
+    return partner
+
+
+def _partners(names: tuple[str, ...]) -> list[int]:
+    other = {"_r": "_l", "_l": "_r"}
+    mirrored = [name[:-2] + other.get(name[-2:], name[-2:]) for name in names]
+    return [names.index(m) if m in names else n for n, m in enumerate(mirrored)]

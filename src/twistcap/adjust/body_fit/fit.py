@@ -11,14 +11,13 @@ from typing import Protocol
 import numpy as np
 
 from twistcap.adjust.body_fit.build import Build, Stretches
+from twistcap.adjust.body_fit.fields import symmetric
 from twistcap.adjust.body_fit.observe import Observed, observe, observe_masks
 from twistcap.adjust.body_fit.problem import FitProblem, Freedom, Sculpted
-from twistcap.adjust.body_fit.settings import FitRule
-from twistcap.adjust.body_fit.symmetry import symmetric
 from twistcap.arrays import Bool
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Rig
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check_numbers
 from twistcap.estimate import Frame
 from twistcap.settings import Settings
 from twistcap.solve import minimise
@@ -34,6 +33,27 @@ class Frames(Protocol):
     def __len__(self) -> int: ...
 
     def __iter__(self) -> Iterator[Frame]: ...
+
+
+@dataclass(frozen=True)
+class FitRule:
+    """How much work a fit takes.
+
+    Attributes:
+        rounds: how often the recording is tracked with the body so far.
+        steps: Gauss-Newton steps in each round.
+        frames: greatest number of frames of each recording to which the shape is fitted, evenly spread.
+
+    Raises:
+        InputError: for a number below 1.
+    """
+
+    rounds: int = 3
+    steps: int = 4
+    frames: int = 20
+
+    def __post_init__(self) -> None:
+        check_numbers("body fit", self, ("rounds", "steps", "frames"))
 
 
 @dataclass(frozen=True)

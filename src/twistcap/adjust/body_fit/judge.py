@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from twistcap.adjust.body_fit.observe import CHANNELS, MARGIN, observe
 from twistcap.arrays import AnyArray, Bool, Float
@@ -92,24 +91,8 @@ def hull_overlap(posed: Posed, views: Sequence[tuple[Camera, Bool, Bool]]) -> fl
     return iou(ours, theirs)
 
 
-@njit(cache=True, nogil=True)
 def inside_silhouette(P: Float, points: Float, mask: Bool) -> Bool:
     """(N,) whether points (N, 3) are seen inside a silhouette (H, W)."""
-    height, width = mask.shape
-    out = np.zeros(len(points), dtype=np.bool_)
-    for n in range(len(points)):
-        x, y, z = points[n, 0], points[n, 1], points[n, 2]
-        depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
-        if depth <= 0.0:
-            continue
-        u = np.rint((P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) / depth)
-        v = np.rint((P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) / depth)
-        out[n] = 0.0 <= u < width and 0.0 <= v < height and mask[int(v), int(u)]
-    return out
-
-
-def inside_silhouette_reference(P: Float, points: Float, mask: Bool) -> Bool:
-    """Readable twin of `inside_silhouette`."""
     h = points @ P[:, :3].T + P[:, 3]
     pixel = np.rint(h[:, :2] / np.maximum(h[:, 2:], 1e-9)).astype(np.int64)
     height, width = mask.shape

@@ -92,13 +92,12 @@ def refine_on_silhouettes(
     many_masks: list[Sequence[AnyArray | None]] = [masks] if single else list(masks)  # type: ignore[list-item]
     names = dict(groups or {})
     instants = [_Instant.of(rig, m) for m in many_masks]
-    priors: list[BlockTerm] = [
-        OnPose(GaussianTerm(pose, _information(body), "start"), body, frame=f) for f, pose in enumerate(starts)
-    ]
+    about = [GaussianTerm(pose, _information(body), "start") for pose in starts]
+    priors: list[BlockTerm] = [OnPose(term, body, frame=f) for f, term in enumerate(about)]
     priors.append(BlockGaussian("girths", np.zeros(len(names)), np.full(len(names), _GIRTH), "girths"))
     blocks = {
         "poses": PoseTrack(tuple(starts), np.arange(float(len(starts)))),
-        "girths": Girths(body, names, np.zeros(len(names))),
+        "girths": Girths(np.zeros(len(names)), generic=body, groups=names),
     }
     x, system = Variables(blocks, ("poses", "girths"), dict.fromkeys(blocks, _LONGEST)), None
     motion: RestMotion | None = None
@@ -134,9 +133,8 @@ class _Instant:
     @staticmethod
     def of(rig: Rig, masks: Sequence[AnyArray | None]) -> _Instant:
         if len(masks) != len(rig) or all(m is None for m in masks):
-            raise InputError(
-                f"masks: {len(masks)} were given for {len(rig)} cameras; give one or None for each, not all None."
-            )
+            need = "give one or None for each, not all None"
+            raise InputError(f"masks: {len(masks)} were given for {len(rig)} cameras; {need}.")
         flat = [None if m is None else _rectified(c, m) for c, m in zip(rig, masks, strict=True)]
         heights = tuple(0.0 if m is None else _height(m) for m in flat)
         outlines = tuple(None if m is None else outline_of(m, _SPACING * h) for m, h in zip(flat, heights, strict=True))
@@ -166,9 +164,8 @@ class _Instant:
 
 def _rectified(camera: Camera, mask: AnyArray) -> Bool:
     if mask.shape != camera.size[::-1]:
-        raise InputError(
-            f"masks: that of camera {camera.name} is {mask.shape}, but the camera has {camera.size[::-1]}."
-        )
+        shapes = f"{mask.shape}, but the camera has {camera.size[::-1]}"
+        raise InputError(f"masks: that of camera {camera.name} is {shapes}.")
     return np.asarray(Rectifier(camera)(np.where(mask > 0, 255, 0).astype(np.uint8), nearest=True) > 127)
 
 

@@ -32,12 +32,6 @@ def reshaped(term: Term, maps: Float | None) -> Term:
     return replace(term, points=replace(points, local=moved))  # pyright: ignore[reportArgumentType]
 
 
-def contour_rows(posed: Posed, motion: RestMotion, term: PointTerm) -> tuple[float, Derivatives, Float, Float]:
-    """Energy, derivatives, weights (R N,) and residuals (R N,) of a contour."""
-    energy, points, rows = term.rows(posed)
-    return energy, Derivatives.of(posed, motion, points, rows.gradient), rows.weight, rows.residual
-
-
 @dataclass(frozen=True)
 class End:
     """One of the two frames between which brightness is compared: how N points' brightness changes as they move.

@@ -14,8 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from twistcap.adjust.first_pose import girth_groups
-from twistcap.adjust.refine.common_error import design_effect
-from twistcap.adjust.refine.measure import SequenceImages, agreement, support
+from twistcap.adjust.refine.measure import SequenceImages, agreement, design_effect, support
 from twistcap.adjust.refine.problem import RefineProblem, Standing, Track
 from twistcap.adjust.refine.settings import RefineConfig
 from twistcap.adjust.refine.shape import Shape
@@ -62,7 +61,7 @@ class Refined:
         joint_shifts, joint_sigmas: (3,) m in the rest pose and standard deviations, by the segment below the joint.
         moved: m, mean motion of the landmarks in each round, over all frames.
         shape: where a refinement of another track with this body starts.
-        design_effect: how far contours of one part err together, 1 for not at all; see `common_error`. Beyond
+        design_effect: how far contours of one part err together, 1 for not at all. Beyond
             `_ALIKE` joint centres were held.
         helped: whether the contours agree with the images at least as well as before; if not, this is the track given.
     """
