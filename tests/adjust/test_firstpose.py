@@ -130,10 +130,10 @@ def test_triangulation_outvotes_a_gross_error() -> None:
     points = rng.uniform(-0.5, 0.5, (6, 3)) + np.array([0, 0, 0.9])
     keypoints = seen(rig, points, tuple("abcdef"), 0.0, rng)
     keypoints.pixels[1, 2] += 40
-    found = triangulate(rig, keypoints.pixels, keypoints.confidence, np.full((4, 6), 2.0))
-    np.testing.assert_allclose(found.points, points, atol=1e-6)
-    assert not found.inliers[1, 2]
-    assert found.inliers.sum() == 23
+    found, inliers = triangulate(rig, keypoints.pixels, keypoints.confidence, np.full((4, 6), 2.0))
+    np.testing.assert_allclose(found, points, atol=1e-6)
+    assert not inliers[1, 2]
+    assert inliers.sum() == 23
 
 
 def test_rigid_fit_does_not_mirror() -> None:

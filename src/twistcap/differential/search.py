@@ -32,8 +32,6 @@ def searched(body: Body, state: State, misfit: Callable[[State, Bool], float], r
     """The state with each limb at the best of the angles tried.
 
     Args:
-        body: whose limbs are tried.
-        state: the guess.
         misfit: mean cost of a state on the pixels of some segments (S,).
         reach: rad; lower joints are tried up to one and a half of it, upper ones up to it.
         spread: rad, how far angles stray from the guess: a candidate pays half the square of its distance in these,

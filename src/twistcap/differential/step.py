@@ -37,9 +37,7 @@ class Found:
     """The answer for one frame.
 
     Attributes:
-        state: views and joint angles.
         support: (V,) mean support of the body's pixels in each view, 0 where there was no image.
-        energy: of the solution.
         covariance: (6 V + J, 6 V + J) of the state's step; NaN where it could not be solved for.
         exposure: (V, 2) change of gain and offset from the frame before.
         steps: accepted solver steps.
@@ -91,9 +89,7 @@ def followed(
     """Follow the body into the next frame; a track that has not started takes its first frame as its state says.
 
     Args:
-        track: so far.
         images: one per view, grey (H, W) or RGB (H, W, 3), uint8 or in [0, 1]; None for a view that dropped it.
-        model: body and settings.
         expected: the state that is looked for about, such as an earlier pass over the sequence found; by default
             the last motion goes on, and limbs are searched where the settings ask for it.
 

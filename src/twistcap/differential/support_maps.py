@@ -23,12 +23,7 @@ _NEITHER = 0.05  # prior of pixels that move neither way times their density; re
 
 @dataclass(frozen=True)
 class Neighbourhood:
-    """Where the points of a view lie on its pixels, so that evidence can be shared by neighbours.
-
-    Attributes:
-        rows, columns: (N,) pixels.
-        size: (height, width).
-    """
+    """The pixels (N,) of the points of a view, of `size` (height, width), so that neighbours can share evidence."""
 
     rows: Int
     columns: Int

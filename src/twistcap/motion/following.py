@@ -146,14 +146,11 @@ def leverage(body: Body, q: Float) -> Float:
 
 @dataclass(frozen=True)
 class _Guide:
-    """A match fitted exactly in time, and the person's differences from it.
+    """A match fitted exactly in time (that of the last pose), and the person's differences from it.
 
-    Attributes:
-        match: place of the last pose in the library, with the exact scale.
-        gain, offset: (J,) of the joints: ``q ≈ gain · sample + offset``.
-        heading: (3, 3) turn about the vertical from the sample's world to ours.
-        path: complex factor of its horizontal displacements, turned by `heading`.
-        lean: (3,) rotation vector from the sample's root to ours, in the root's frame.
+    The joints are ``q ≈ gain · sample + offset``. `heading` (3, 3) turns about the vertical from the sample's world to
+    ours, `path` is a complex factor of the horizontal displacements after that, and `lean` the rotation vector from the
+    sample's root to ours, in the root's frame.
     """
 
     match: Match

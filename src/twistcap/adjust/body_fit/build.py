@@ -42,10 +42,7 @@ class Build(Protocol):
 class Stretches:
     """The build of any body: stature, length and girth of each kind of segment, factors of its cross-sections.
 
-    Attributes:
-        stature, length, girth, section: standard deviations of the log-factors.
-        knots: of the sections along a segment.
-        rigid: whether a segment's surface must not turn against the axes of its joint.
+    All are standard deviations of log-factors, but for the `knots` of the sections along a segment, and `rigid`.
     """
 
     stature: float = 0.02

@@ -16,10 +16,10 @@ from twistcap import se3
 from twistcap.adjust.first_pose import girth_groups
 from twistcap.arrays import Float, Int
 from twistcap.body import Body
-from twistcap.body.kinematics import unit_vertex_normals
 from twistcap.body.model import Landmarks
 from twistcap.body.shape import joint_coordinates, joint_origin, marks_of, rescaled, segment_axes
 
+_ALIKE = 1.5  # knots, length of the correlation of two factors of cross-sections
 _STEP = 1e-4  # of the difference quotients by log-factors
 _SIDES = (0.0, 0.5, 1.0, 1.5)  # directions about a segment's axis, in half turns, in which a cross-section is scaled
 _MIRROR = np.array([1.0, -1.0, 1.0])  # in the plane that parts left (+y) from right
@@ -44,18 +44,20 @@ class Fields:
     precision: Float
 
     def __add__(self, other: Fields) -> Fields:
-        return Fields(
-            (*self.names, *other.names),
-            np.concatenate([self.vertices, other.vertices]),
-            np.concatenate([self.joints, other.joints]),
-            np.concatenate([self.landmarks, other.landmarks]),
-            np.asarray(block_diag(self.precision, other.precision), np.float64),
-        )
+        pairs = zip(self.motions, other.motions, strict=True)
+        precision = np.asarray(block_diag(self.precision, other.precision), np.float64)
+        vertices, joints, landmarks = (np.concatenate(pair) for pair in pairs)
+        return Fields((*self.names, *other.names), vertices, joints, landmarks, precision)
 
     def __matmul__(self, amounts: Float) -> tuple[Float, Float, Float]:
         """Motions of vertices (V, 3), joints (S, 3) and landmarks (L, 3) for amounts (M,)."""
-        a, b, c = (np.tensordot(amounts, field, 1) for field in (self.vertices, self.joints, self.landmarks))
+        a, b, c = (np.tensordot(amounts, field, 1) for field in self.motions)
         return a, b, c
+
+    @property
+    def motions(self) -> tuple[Float, Float, Float]:
+        """Of vertices, joints and landmarks."""
+        return self.vertices, self.joints, self.landmarks
 
 
 def joint_centres(body: Body) -> Float:
@@ -76,10 +78,8 @@ def deformed(body: Body, vertices: Float, joints: Float, landmarks: Float) -> Bo
 def stretch_fields(body: Body, stature: float, length: float, girth: float) -> Fields:
     """Log-stature, and log-length and log-girth of each kind of segment, left and right alike.
 
-    The girths move the joints of a segment too (hips of the pelvis, shoulders of the torso).
-
-    Args:
-        stature, length, girth: standard deviations of the log-factors.
+    The girths move the joints of a segment too (hips of the pelvis, shoulders of the torso). `stature`, `length` and
+    `girth` are standard deviations.
     """
     kinds = girth_groups(body)
     out = [("stature", rescaled(body, stature=float(np.exp(_STEP))), stature)]
@@ -88,27 +88,21 @@ def stretch_fields(body: Body, stature: float, length: float, girth: float) -> F
         out.append((f"length {kind}", rescaled(body, lengths=factors), length))
         out.append((f"girth {kind}", rescaled(body, girths=factors), girth))
     centres = joint_centres(body)
-    return Fields(
-        tuple(name for name, _, _ in out),
-        np.array([(b.vertices - body.vertices) / _STEP for _, b, _ in out]),
-        np.array([(joint_centres(b) - centres) / _STEP for _, b, _ in out]),
-        np.array([(b.landmarks.points - body.landmarks.points) / _STEP for _, b, _ in out]),
-        np.diag([sigma**-2.0 for _, _, sigma in out]),
-    )
+    names, bodies, sigmas = zip(*out, strict=True)
+    vertices = np.array([b.vertices - body.vertices for b in bodies]) / _STEP
+    joints = np.array([joint_centres(b) - centres for b in bodies]) / _STEP
+    marks = np.array([b.landmarks.points - body.landmarks.points for b in bodies]) / _STEP
+    return Fields(names, vertices, joints, marks, np.diag(np.power(sigmas, -2.0)))
 
 
-def profile_fields(body: Body, sigma: float, knots: int, alike: float = 1.5) -> Fields:
+def profile_fields(body: Body, sigma: float, knots: int) -> Fields:
     """Factors of the cross-sections along each kind of segment, in four directions about its axis.
 
-    Hat functions interpolate between knots and directions; left is the mirror of right.
-
-    Args:
-        sigma: standard deviation of a factor less 1.
-        knots: along each segment.
-        alike: length of the correlation of two factors, in knots.
+    Hat functions interpolate between the knots along each segment and directions; left is the mirror of right. `sigma`
+    is the standard deviation of a factor less 1.
     """
     names, moved, precision = list[str](), list[Float](), list[Float]()
-    covariance = _alike(knots, alike)
+    covariance = _alike(knots)
     for kind, segments in girth_groups(body).items():
         sections = [_sections(body, body.segment(s), knots) for s in segments]
         for k in range(knots):
@@ -120,9 +114,9 @@ def profile_fields(body: Body, sigma: float, knots: int, alike: float = 1.5) -> 
     return Fields(tuple(names), np.array(moved), *still, np.asarray(block_diag(*precision), np.float64))
 
 
-def _alike(knots: int, reach: float) -> Float:
+def _alike(knots: int) -> Float:
     """(K 4, K 4) correlation of the factors of one segment's knots and directions."""
-    along = np.exp(-0.5 * ((np.arange(knots)[:, None] - np.arange(knots)) / reach) ** 2)
+    along = np.exp(-0.5 * ((np.arange(knots)[:, None] - np.arange(knots)) / _ALIKE) ** 2)
     turn = np.abs(np.subtract.outer(_SIDES, _SIDES))
     around = np.exp(-np.minimum(turn, 2.0 - turn))
     return np.kron(along, around) + 1e-3 * np.eye(knots * len(_SIDES))
@@ -161,9 +155,7 @@ def _cross_axes(body: Body, segment: int, axis: Float) -> Float:
 def joint_fields(body: Body, sigma: float, side: float) -> Fields:
     """Shifts of the joint centres with the surface at rest: of left and right together, mirrored, and of each alone.
 
-    Args:
-        sigma: m, standard deviation of the shift of both sides.
-        side: m, of the shift of each side alone.
+    Their standard deviations are `sigma` for both sides and `side` for each alone, m.
     """
     names, joints, sigmas = list[str](), list[Float](), list[float]()
     for kind, segments in girth_groups(body).items():
@@ -189,11 +181,6 @@ def _marks_with(body: Body, joints: Float) -> Float:
     for s in np.flatnonzero(body.segment_joint >= 0):
         out[:, marks_of(body, int(s))] += joints[:, s, None]
     return out
-
-
-def offset_directions(body: Body) -> Float:
-    """(V, 3) outward unit normals of the rest surface, directions of the per-vertex offsets."""
-    return unit_vertex_normals(body.vertices, body.faces)
 
 
 def offset_precision(body: Body, sigma: float, reach: float) -> Float:
@@ -244,9 +231,7 @@ def _finite_elements(vertices: Float, faces: Int) -> tuple[Float, Float]:
 def symmetric(body: Body, tolerance: float = 0.015) -> Body:
     """The mean of a body and its mirror image, as people nearly are; itself where its mesh has no mirrored pairs.
 
-    Args:
-        body: of any mesh.
-        tolerance: m, greatest mean distance between mirrored vertices.
+    `tolerance` (m) is the greatest mean distance between mirrored vertices.
     """
     partner = mirrored_vertices(body)
     mirrored = body.vertices[partner] * _MIRROR

@@ -44,8 +44,7 @@ class FitRule:
         steps: Gauss-Newton steps in each round.
         frames: greatest number of frames of each recording to which the shape is fitted, evenly spread.
 
-    Raises:
-        InputError: for a number below 1.
+    A number below 1 is an InputError.
     """
 
     rounds: int = 3
@@ -104,12 +103,9 @@ class Fitted:
 
 
 def fit_body(
-    body: Body,
-    takes: Sequence[Take],
-    rule: FitRule | None = None,
-    report: Report = lambda note: None,
+    body: Body, takes: Sequence[Take], rule: FitRule | None = None, report: Report = lambda note: None,
     build: Build | None = None,
-) -> Fitted:
+) -> Fitted:  # fmt: skip
     """Fit a body to the contours in all views and frames of all takes.
 
     Args:
@@ -179,10 +175,8 @@ def _tracked(
                 out.append(_Moment(t, frame, estimate.pose, k == 0))
             report(f"{take.name}, frame {frame.index}")
         if 2 * lost > total or all(m.take != t for m in out):
-            raise InputError(
-                f"body fit: {take.name} is lost in {lost} of {total} frames, and a body cannot be fitted to it;"
-                " check its first pose and its cameras."
-            )
+            mend = "a body cannot be fitted to it; check its first pose and its cameras"
+            raise InputError(f"body fit: {take.name} is lost in {lost} of {total} frames, and {mend}.")
     return out
 
 
@@ -191,10 +185,8 @@ def _observed(moments: Sequence[_Moment], posed: Sequence[Posed], takes: Sequenc
 
     def one(moment: _Moment, at: Posed) -> list[Observed]:
         take = takes[moment.take]
-        masks = take.masks.get(moment.frame.index)
-        if masks is None:
-            return observe(moment.frame.images, take.rig, at)
-        return observe_masks(masks, take.rig, at)
+        masks, images = take.masks.get(moment.frame.index), moment.frame.images
+        return observe(images, take.rig, at) if masks is None else observe_masks(masks, take.rig, at)
 
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         out = list(pool.map(one, moments, posed))

@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from twistcap.adjust.body_fit.observe import CHANNELS, MARGIN, observe
+from twistcap.adjust.body_fit.observe import MARGIN, cropped, observe
 from twistcap.arrays import AnyArray, Bool, Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Camera, Rig
 from twistcap.cues.levelset import LevelSetContour
-from twistcap.cues.view import crop_view
 from twistcap.estimate import Frame
 from twistcap.region.compare import iou
 from twistcap.render import render, visible_contour
@@ -67,10 +66,7 @@ def agreement(body: Body, rig: Rig, frames: Mapping[int, Frame], poses: Mapping[
 def _segmented(images: Sequence[AnyArray | None], rig: Rig, posed: Posed) -> list[tuple[Camera, Bool, Bool]]:
     """Of each view the camera of its crop, the silhouette of the body and that of the level set."""
     out: list[tuple[Camera, Bool, Bool]] = []
-    for image, camera in zip(images, rig, strict=True):
-        view = None if image is None else crop_view(image, camera, posed, MARGIN, CHANNELS)
-        if view is None:
-            continue
+    for view in cropped(images, rig, posed):
         seen = render(posed, view.camera)
         nothing = np.zeros((len(posed.body.segment_names), 1 + 2 * view.features.shape[2]))
         kept, cue = dict[str, Any](), LevelSetContour()

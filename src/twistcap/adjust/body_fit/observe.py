@@ -55,18 +55,15 @@ class Observed:
 
 
 def observe(images: Sequence[AnyArray | None], rig: Rig, posed: Posed) -> list[Observed]:
-    """The contour in all views of one frame; views without image or body are left out.
+    """The contour in all rectified images of one frame; views without image or body are left out."""
+    return [_observed(view, posed) for view in cropped(images, rig, posed)]
 
-    Args:
-        images: rectified, of the (pinhole) rig.
-        posed: the body at the pose so far.
-    """
-    out: list[Observed] = []
-    for image, camera in zip(images, rig, strict=True):
-        view = None if image is None else crop_view(image, camera, posed, MARGIN, CHANNELS)
-        if view is not None:
-            out.append(_observed(view, posed))
-    return out
+
+def cropped(images: Sequence[AnyArray | None], rig: Rig, posed: Posed) -> list[View]:
+    """The images of a (pinhole) rig about the body; views without image or body are left out."""
+    pairs = [(image, camera) for image, camera in zip(images, rig, strict=True) if image is not None]
+    views = [crop_view(image, camera, posed, MARGIN, CHANNELS) for image, camera in pairs]
+    return [view for view in views if view is not None]
 
 
 def observe_masks(masks: Sequence[Bool | None], rig: Rig, posed: Posed) -> list[Observed]:
@@ -78,11 +75,9 @@ def observe_masks(masks: Sequence[Bool | None], rig: Rig, posed: Posed) -> list[
         seen = render(posed, camera)
         contour, ends, shares = contour_on_edges(seen, max(1.0, _SPACING * seen.px_per_m))
         matches = match(contour, outline_of(mask, _SPACING * seen.px_per_m), _REACH * seen.px_per_m)
-        on = replace(reprojected(contour, posed, camera.P)[matches.index], normals=matches.normals)
-        weight = matches.weight / _MASK_SIGMA**2
-        out.append(
-            Observed(camera, on, ends[matches.index], shares[matches.index], matches.distance, weight, seen.px_per_m)
-        )
+        on, own = reprojected(contour, posed, camera.P)[matches.index], matches.index
+        on, weight = replace(on, normals=matches.normals), matches.weight / _MASK_SIGMA**2
+        out.append(Observed(camera, on, ends[own], shares[own], matches.distance, weight, seen.px_per_m))
     return out
 
 
@@ -99,22 +94,20 @@ def _observed(view: View, posed: Posed) -> Observed:
     return Observed(view.camera, placed, ends, shares, distance, weight, seen.px_per_m)
 
 
-def refined(image: AnyArray, pixels: Float, normals: Float, distance: Float, rounds: int = 2) -> tuple[Float, Float]:
+def refined(image: AnyArray, pixels: Float, normals: Float, distance: Float) -> tuple[Float, Float]:
     """Distances (N,) px along the normals, and the contrast (N,) there in standard deviations of the colours.
 
     They are exact to a small fraction of a pixel: along a line across an edge, the integral of the inside's coverage is
     the length inside. A blur that is alike on both sides preserves it (moments: Tabatabai and Mitchell,
     DOI 10.1109/TPAMI.1984.4767502). It takes the colours of both sides nearby.
 
-    Args:
-        image: (H, W[, 3]), nearly linear in light.
-        pixels, normals: (N, 2) points and unit directions, from the inside outward.
-        distance: (N,) px outward to the edge, known to about a pixel.
+    The image (H, W[, 3]) is nearly linear in light. Points and unit directions (N, 2) lead from the inside outward, and
+    `distance` (N,) px to the edge is known to about a pixel.
     """
     values = np.ascontiguousarray(image, dtype=np.float32)
     contrast = np.zeros(len(pixels))
     start = distance
-    for _ in range(rounds if len(pixels) else 0):
+    for _ in range(2 if len(pixels) else 0):
         shift, contrast = _shift(values, pixels + distance[:, None] * normals, normals)
         distance = start + np.clip(distance + shift - start, -_HALF, _HALF)
     return distance, contrast

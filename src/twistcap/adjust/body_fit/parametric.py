@@ -40,15 +40,10 @@ class Model(Protocol):
 
 @dataclass(frozen=True)
 class Parametric:
-    """A model's parameters as a `Build`; amounts are counted from `start`.
+    """A model's parameters as a `Build`; amounts are counted from `start` (M,), with which the fit begins.
 
-    Attributes:
-        model: of the body.
-        start: (M,) parameters of the body with which the fit begins.
-        length: standard deviation of the logarithms of limb lengths and stature about those of the start; contours
-            hardly show them.
-        rigid: whether a segment's surface must not turn against the axes of its joint. By default it may: a model
-            turns its surface as people do.
+    `length` is the standard deviation of the logarithms of limb lengths and stature about those of the start; contours
+    hardly show them. By default a segment's surface may turn against the axes of its joint, as a model's does.
     """
 
     model: Model

@@ -10,11 +10,12 @@ import numpy as np
 from scipy import sparse
 
 from twistcap.adjust.body_fit import fields as f
-from twistcap.adjust.body_fit.build import Build, Motions
+from twistcap.adjust.body_fit.build import Build
 from twistcap.adjust.body_fit.fields import Fields
 from twistcap.adjust.body_fit.observe import Observed
 from twistcap.arrays import Float, Int
 from twistcap.body import Body, Pose, Posed
+from twistcap.body.kinematics import unit_vertex_normals
 from twistcap.body.shape import carried
 from twistcap.render.view import surface_points
 from twistcap.solve import Arrow
@@ -35,13 +36,7 @@ _WORTH = 0.3
 
 @dataclass(frozen=True)
 class Freedom:
-    """What may change of a body: its build, joint centres, and with `offsets` every vertex.
-
-    Attributes:
-        given: the body at the start of the fit.
-        build: its free parameters.
-        offsets: whether every vertex is free along its normal.
-    """
+    """What may change of the body `given` at the start: its build, joint centres, and with `offsets` every vertex."""
 
     given: Body
     build: Build
@@ -65,8 +60,7 @@ class Sculpted:
     Attributes:
         freedom: what may change.
         body: with these amounts and offsets.
-        poses: of the frames.
-        amounts: (M,) of the fields, by `names`.
+        amounts: of the M fields, by their names.
         offsets: (V,) m of the vertices along their normals; empty where they are not free.
     """
 
@@ -93,8 +87,8 @@ class Sculpted:
 
     @cached_property
     def directions(self) -> Float:
-        """(V, 3) directions of the vertices' offsets, or (0, 3)."""
-        return f.offset_directions(self.body)[: len(self.offsets)]
+        """(V, 3) directions of the vertices' offsets, the outward normals at rest, or (0, 3)."""
+        return unit_vertex_normals(self.body.vertices, self.body.faces)[: len(self.offsets)]
 
     @cached_property
     def values(self) -> Float:
@@ -135,18 +129,13 @@ class Sculpted:
         names, K, M = self.fields.names, len(self.own.names), len(self.fields.names)
         change, built = self.freedom.build.moved(self.own, self.values[:K], step[:K])
         offsets = np.clip(self.offsets + step[M:], -_OFFSET_BOUND, _OFFSET_BOUND)
-        moved = _sum(built, self.fields @ np.concatenate([np.zeros(K), step[K:M]]))
-        vertices = moved[0]
+        joints = self.fields @ np.concatenate([np.zeros(K), step[K:M]])
+        vertices, *moved = (a + b for a, b in zip(built, joints, strict=True))
         if len(offsets):
             vertices = vertices + (offsets - self.offsets)[:, None] * self.directions
         amounts = self.values[:M] + np.concatenate([change, step[K:M]])
-        body = f.deformed(self.body, vertices, *moved[1:])
+        body = f.deformed(self.body, vertices, *moved)
         return replace(self, body=body, amounts=dict(zip(names, amounts.tolist(), strict=True)), offsets=offsets)
-
-
-def _sum(one: Motions, other: Motions) -> Motions:
-    a, b, c = (x + y for x, y in zip(one, other, strict=True))
-    return a, b, c
 
 
 @dataclass(frozen=True)
@@ -179,7 +168,9 @@ class FitProblem:
         for t, (at, views) in enumerate(zip(x.posed, self.seen, strict=True)):
             arrow.add_pose(t, hold * at.pose.minus(self.tracked[t]), np.diag(hold))
             if views:
-                by, weight, distance = self._rows(at, views)
+                distances, by = [self._distance(at, view) for view in views], rows(at, views)
+                weight = np.concatenate([self._weight(*pair) for pair in zip(views, distances, strict=True)])
+                distance = np.concatenate(distances)
                 self._add_frame(arrow, t, x, by, (weight, distance))
                 squares += by.vertex.T @ (by.vertex * weight[:, None])
                 pull -= by.vertex.T @ (weight * distance)
@@ -216,12 +207,6 @@ class FitProblem:
         arrow.corner[:M] += crossed
         arrow.corner[:, :M] += crossed.T
         arrow.shared_pull[:M] += joints.T @ pull
-
-    def _rows(self, at: Posed, views: Sequence[Observed]) -> tuple[Rows, Float, Float]:
-        """Derivatives, weights and distances of all points of a frame."""
-        distances = [self._distance(at, view) for view in views]
-        weights = [self._weight(view, distance) for view, distance in zip(views, distances, strict=True)]
-        return rows(at, views), np.concatenate(weights), np.concatenate(distances)
 
     def _distance(self, at: Posed, view: Observed) -> Float:
         """(N,) px from the points outward to the edges."""

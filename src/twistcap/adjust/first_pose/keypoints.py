@@ -38,15 +38,10 @@ _STATURE, _LENGTH, _GIRTH = 0.12, 0.06, 0.06  # standard deviations of the log-f
 
 @dataclass(frozen=True)
 class Evidence:
-    """Keypoints of one instant made ready: N landmarks of the body in C pinhole views.
+    """Keypoints of one instant made ready: N landmarks of the body (`marks`) in C pinhole views.
 
-    Attributes:
-        marks: (N,) landmark of the body.
-        columns: (N,) column of each in the keypoints as given.
-        rig: pinhole cameras.
-        pixels: (C, N, 2) undistorted, 0 where there is none.
-        weights: (C, N) confidence, 0 where there is none.
-        sigma: (C, N) standard deviation, pixels.
+    `columns` (N,) are those of the keypoints as given. Pixels (C, N, 2) are undistorted, with confidence `weights`
+    (C, N); both are 0 where there is none. `sigma` (C, N) is their standard deviation, pixels.
     """
 
     marks: Int

@@ -64,13 +64,9 @@ def girth_groups(body: Body) -> dict[str, tuple[str, ...]]:
 
 
 def refine_on_silhouettes(
-    body: Body,
-    rig: Rig,
-    poses: Pose | Sequence[Pose],
-    masks: Sequence[AnyArray | None] | Sequence[Sequence[AnyArray | None]],
-    *,
-    groups: Groups | None = None,
-) -> Refined:
+    body: Body, rig: Rig, poses: Pose | Sequence[Pose],
+    masks: Sequence[AnyArray | None] | Sequence[Sequence[AnyArray | None]], *, groups: Groups | None = None,
+) -> Refined:  # fmt: skip
     """Move body and girths so that the model's contour lies on the outlines of the masks.
 
     Each iteration matches model to mask and mask to model, with a reach that shrinks, and takes one step on the

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -11,21 +10,10 @@ from twistcap.arrays import Bool, Float
 from twistcap.camera import Rig
 
 
-@dataclass(frozen=True)
-class Triangulated:
-    """Landmarks in the world.
+def triangulate(rig: Rig, pixels: Float, confidence: Float, sigma_px: Float, reach: float = 4.0) -> tuple[Float, Bool]:
+    """Points (L, 3) in the world seen by at least two views within `reach` standard deviations, and these views (C, L).
 
-    Attributes:
-        points: (L, 3) m, NaN where fewer than two views agree.
-        inliers: (C, L) the views that agree.
-    """
-
-    points: Float
-    inliers: Bool
-
-
-def triangulate(rig: Rig, pixels: Float, confidence: Float, sigma_px: Float, reach: float = 4.0) -> Triangulated:
-    """Points seen by at least two views within `reach` standard deviations.
+    Points are NaN where fewer than two views agree.
 
     Args:
         rig: C cameras.
@@ -49,7 +37,7 @@ def triangulate(rig: Rig, pixels: Float, confidence: Float, sigma_px: Float, rea
     for _ in range(2):
         best = nearest_points(centres, directions, weight * (_residuals(rig, pixels, best) < reach * sigma_px))
     inliers = (_residuals(rig, pixels, best) < reach * sigma_px) & (weight > 0)
-    return Triangulated(best, np.asarray(inliers))
+    return best, np.asarray(inliers)
 
 
 def nearest_points(centres: Float, directions: Float, weights: Float) -> Float:

@@ -39,13 +39,9 @@ Tally = tuple[Float, Float]
 
 @dataclass(frozen=True)
 class CameraRound:
-    """What one camera shows in one round.
+    """What one camera shows in one round: of each frame contours, None without an image of the body, and tallies.
 
-    Attributes:
-        contours: of each frame; None without an image of the body.
-        pairs: brightness between two frames.
-        tallies: of each frame.
-        colours: of the parts, in all frames of this camera.
+    Further the brightness between pairs of frames, and the colours of the parts in all frames.
     """
 
     contours: Sequence[PointTerm | None]

@@ -18,7 +18,7 @@ from twistcap.body import Pose, Posed
 from twistcap.body.shape import RestMotion
 from twistcap.predict import MotionNoise, covariance_about
 from twistcap.solve import Arrow
-from twistcap.terms import LimitTerm, PointTerm, RestTerm
+from twistcap.terms import LimitTerm, RestTerm
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,7 @@ class Standing:
     """What is known without the images.
 
     Attributes:
-        times: (F,) s.
-        noise: of the motion.
+        times: (F,) s; noise: of the motion.
         rest: rad, standard deviation of the joints from the rest pose.
         hinge: m, see `Shape.prior`.
         shape_weight: factor on the prior of the shape, which matches the way in which images are counted.
@@ -94,7 +93,10 @@ class RefineProblem:
         self._add_pairs(arrow, own, maps, motion)
         for t, sums in enumerate(own):
             for term in self.contours[t]:
-                self._add_contour(arrow, sums, reshaped(term, maps), motion)
+                energy, points, rows = reshaped(term, maps).rows(sums.posed)
+                arrow.value += self.standing.contour * energy
+                by = Derivatives.of(sums.posed, motion, points, rows.gradient)
+                sums.add(by, self.standing.contour * rows.weight, rows.residual)
             gradient, matrix = sums.projected()  # of the pose's step and the shape's together
             D = arrow.pull.shape[1]
             arrow.add_pose(t, gradient[:D], matrix[:D, :D])
@@ -106,7 +108,10 @@ class RefineProblem:
                 arrow.value += quadratic.value
                 arrow.add_pose(t, quadratic.gradient, quadratic.hessian)
         arrow.value += accelerations(x.poses, self.standing.times, self.standing.noise, arrow)
-        self._add_shape(arrow, x.shape)
+        value, gradient, information = x.shape.prior(self.standing.hinge)
+        arrow.value += self.standing.shape_weight * value
+        arrow.shared_pull += self.standing.shape_weight * gradient
+        arrow.corner += self.standing.shape_weight * information
         return arrow
 
     def retract(self, x: Track, step: Float) -> Track:
@@ -117,12 +122,6 @@ class RefineProblem:
 
     def _priors(self) -> tuple[LimitTerm, RestTerm]:
         return LimitTerm(), RestTerm(self.standing.rest)
-
-    def _add_contour(self, arrow: Arrow, sums: FrameSums, term: PointTerm, motion: RestMotion) -> None:
-        energy, points, rows = term.rows(sums.posed)
-        arrow.value += self.standing.contour * energy
-        by = Derivatives.of(sums.posed, motion, points, rows.gradient)
-        sums.add(by, self.standing.contour * rows.weight, rows.residual)
 
     def _add_pairs(self, arrow: Arrow, own: Sequence[FrameSums], maps: Float | None, motion: RestMotion) -> None:
         """Add brightness: the rows of each end to its frame's sums, their products to the coupling of both frames."""
@@ -144,12 +143,6 @@ class RefineProblem:
             arrow.border[a] += matrix[:D, D:]
             arrow.border[b] += matrix[D:, :D].T
             arrow.corner += matrix[D:, D:] + matrix[D:, D:].T
-
-    def _add_shape(self, arrow: Arrow, shape: Shape) -> None:
-        value, gradient, information = shape.prior(self.standing.hinge)
-        arrow.value += self.standing.shape_weight * value
-        arrow.shared_pull += self.standing.shape_weight * gradient
-        arrow.corner += self.standing.shape_weight * information
 
 
 def accelerations(
