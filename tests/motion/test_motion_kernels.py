@@ -32,19 +32,6 @@ def asked(m: int, seed: int = 1) -> np.ndarray:
     return out
 
 
-@pytest.mark.parametrize("spoilt", [False, True])
-def test_queries_are_prepared_as_by_the_twin(spoilt: bool) -> None:
-    rng = np.random.default_rng(0)
-    query = rng.normal(0, 3.0, (9, 5)) + 40.0
-    if spoilt:
-        query[3, 2] = np.nan
-    out, finite = _search.prepared(query, np.arange(1.0, 6.0), 8)
-    assert finite is not spoilt
-    if not spoilt:
-        check_twin(_search.prepared, query, np.arange(1.0, 6.0), 8)
-        assert not out[:, 5:].any()
-
-
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("m", [1, 5])
 def test_the_search_finds_what_the_twin_finds(seed: int, m: int) -> None:

@@ -30,27 +30,6 @@ ClipArrays = tuple[Float32, Float32, Int]
 
 
 @njit(cache=True, nogil=True)
-def prepared(query: Float, factors: Float, width: int) -> tuple[Float, bool]:
-    """(m, width) the query (m, K) unwrapped as by `library.unwrapped`, weighted, the latest pose first; then zeros.
-
-    Also whether all of it is finite.
-    """
-    m, K = query.shape
-    out = np.zeros((m, width))
-    for k in range(K):
-        turn, total = 0.0, 0.0
-        for i in range(m):
-            if i > 0:
-                turn -= 2.0 * np.pi * np.round((query[i, k] - query[i - 1, k]) / (2.0 * np.pi))
-            out[m - 1 - i, k] = query[i, k] + turn
-            total += query[i, k] + turn
-        whole = 2.0 * np.pi * np.round(total / m / (2.0 * np.pi))
-        for i in range(m):
-            out[i, k] = (out[i, k] - whole) * factors[k]
-    return out, np.isfinite(out.sum())
-
-
-@njit(cache=True, nogil=True)
 def _add_squares(base: Float32, begin: int, end: int, pose: Float32, k: int, out: Float32) -> None:
     """Add the squared differences of coordinates k … k + 3: four at once, to store the sums less often."""
     a, b, c, d = base[k, begin:end], base[k + 1, begin:end], base[k + 2, begin:end], base[k + 3, begin:end]
@@ -226,16 +205,6 @@ def search(
             if scale >= 0:
                 best, best_clip, best_scale, best_pose = value, clip, scale, pose
     return best, best_clip, best_scale, best_pose
-
-
-def prepared_reference(query: Float, factors: Float, width: int) -> tuple[Float, bool]:
-    """Readable twin of `prepared`."""
-    whole = 2.0 * np.pi
-    turns = np.round(np.diff(query, axis=0, prepend=query[:1]) / whole)
-    unwrapped = query - whole * np.cumsum(turns, axis=0)
-    unwrapped -= whole * np.round(unwrapped.mean(axis=0) / whole)
-    out = np.pad(unwrapped[::-1] * factors, ((0, 0), (0, width - query.shape[1])))
-    return out, bool(np.isfinite(out).all())
 
 
 def score_reference(base: Float32, query: Float, start: int, j: int, step: float, limit: float) -> float:

@@ -15,7 +15,7 @@ from twistcap.arrays import Float, Float32, Int
 from twistcap.errors import InputError
 from twistcap.motion import _search as kernels
 from twistcap.motion.clip import interpolated_angles, interpolated_roots
-from twistcap.motion.library import PAPER_SCALES, MotionLibrary
+from twistcap.motion.library import PAPER_SCALES, MotionLibrary, unwrapped
 
 Interval = tuple[int, float, float]
 """A clip, and two positions in it."""
@@ -90,13 +90,9 @@ class Matcher:
     """
 
     def __init__(
-        self,
-        library: MotionLibrary,
-        columns: Sequence[int] | Int | None = None,
-        weights: Sequence[float] | Float | None = None,
-        scales: Sequence[float] = PAPER_SCALES,
-        ahead: float = 1.0,
-    ) -> None:
+        self, library: MotionLibrary, columns: Sequence[int] | Int | None = None,
+        weights: Sequence[float] | Float | None = None, scales: Sequence[float] = PAPER_SCALES, ahead: float = 1.0,
+    ) -> None:  # fmt: skip
         self.library, self.ahead = library, ahead
         chosen = range(len(library.names)) if columns is None else columns
         self.columns = np.array([int(c) for c in chosen], dtype=np.int32)
@@ -126,67 +122,58 @@ class Matcher:
         Raises:
             InputError: for a query that is not (m, K), or not finite.
         """
-        found = self._ready(query)
-        near = None if last is None or excluded else found.near(last.after(1.0))
+        poses = self._ready(query)
+        near = None if last is None or excluded else self._near(poses, last.after(1.0))
         if near is None:
-            return found.best(excluded)
-        better = found.best(limit=near.distance * (1.0 - 1e-9) - 1e-9)
-        return near if better is None else better
+            return self._best(poses, excluded)
+        return self._best(poses, limit=near.distance * (1.0 - 1e-9) - 1e-9) or near
 
     def k_best(self, query: Float, count: int, apart: float, excluded: Sequence[Interval] = ()) -> list[Match]:
         """The `count` best matches, each more than `apart` poses of the library from those before it in its clip.
 
         Query, excluded intervals and errors are as of `best`.
         """
-        found, taken = self._ready(query), list[Match]()
+        poses, taken = self._ready(query), list[Match]()
         while len(taken) < count:
             around = [(match.clip, match.position - apart, match.position + apart) for match in taken]
-            match = found.best([*excluded, *around])
+            match = self._best(poses, [*excluded, *around])
             if match is None:
                 break
             taken.append(match)
         return taken
 
-    def _ready(self, query: Float) -> _Query:
+    def _ready(self, query: Float) -> Float:
+        """The query unwrapped, weighted and padded as the library is, the latest pose first."""
         query, K = np.ascontiguousarray(query, dtype=float), len(self.columns)
         _expect(query.ndim == 2 and len(query) > 0 and query.shape[1] == K, f"a query must be (m, {K}), K coordinates")
-        poses, finite = kernels.prepared(query, self._factors, len(self.base))
-        _expect(finite, "a pose of the query is not finite")
-        return _Query(self, poses)
+        _expect(bool(np.isfinite(query).all()), "a pose of the query is not finite")
+        poses = np.zeros((len(query), len(self.base)))
+        poses[:, :K] = unwrapped(query)[::-1] * self._factors
+        return poses
 
-
-class _Query:
-    """A prepared query (m, K), the latest pose first."""
-
-    def __init__(self, matcher: Matcher, poses: Float) -> None:
-        self._matcher, self._poses = matcher, poses
-
-    def best(self, excluded: Sequence[Interval] = (), limit: float = 1e300) -> Match | None:
+    def _best(self, poses: Float, excluded: Sequence[Interval] = (), limit: float = 1e300) -> Match | None:
         """The best match below a limit that does not end in an excluded interval."""
-        matcher = self._matcher
-        clips = (matcher.base, matcher.jumps, matcher.library.starts)
+        clips = (self.base, self.jumps, self.library.starts)
         windows = np.array([[low, high] for _, low, high in excluded]).reshape(-1, 2)
         within = np.array([clip for clip, _, _ in excluded], np.int32), windows
-        distance, clip, scale, pose = kernels.search(clips, self._poses, matcher.steps, matcher.ahead, within, limit)
+        distance, clip, scale, pose = kernels.search(clips, poses, self.steps, self.ahead, within, limit)
         return None if scale < 0 else self._match(clip, scale, pose, distance)
 
-    def near(self, place: Match) -> Match | None:
+    def _near(self, poses: Float, place: Match) -> Match | None:
         """The best match within half a step of a place."""
-        matcher, best = self._matcher, None
-        start, end = map(int, matcher.library.starts[place.clip : place.clip + 2])
+        start, end = map(int, self.library.starts[place.clip : place.clip + 2])
         low, high = place.position - 0.5 * place.step - kernels.NEAR, place.position + 0.5 * place.step + kernels.NEAR
-        for scale, step in enumerate(matcher.steps):
-            last = min(high, end - start - 1 + kernels.NEAR - matcher.ahead * step)
-            for j in range(max(int(np.ceil(low / step)), len(self._poses) - 1), int(np.floor(last / step)) + 1):
-                limit = np.inf if best is None else best.distance
-                value = kernels.score(matcher.base, self._poses, start, j, step, limit)
+        best, limit = None, np.inf
+        for scale, step in enumerate(self.steps):
+            last = min(high, end - start - 1 + kernels.NEAR - self.ahead * step)
+            for j in range(max(int(np.ceil(low / step)), len(poses) - 1), int(np.floor(last / step)) + 1):
+                value = kernels.score(self.base, poses, start, j, step, limit)
                 if value < limit:
-                    best = self._match(place.clip, scale, j, value)
+                    best, limit = self._match(place.clip, scale, j, value), value
         return best
 
     def _match(self, clip: int, scale: int, pose: int, distance: float) -> Match:
-        matcher = self._matcher
-        return Match(int(clip), float(pose * matcher.steps[scale]), float(matcher.scales[scale]), float(distance))
+        return Match(int(clip), float(pose * self.steps[scale]), float(self.scales[scale]), float(distance))
 
 
 def _transposed(q: Float32, columns: Int, factors: Float) -> Float32:
