@@ -12,8 +12,8 @@ from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.errors import InputError
 from twistcap.motion import FollowedMotion, FollowRule, MotionClip, MotionLibrary, PaperMotion
-from twistcap.motion.bridging import bridged
 from twistcap.motion.following import adapted, leverage, misplaced, placed
+from twistcap.motion.openloop import bridged
 from twistcap.motion.paper import root_speed, transferred
 from twistcap.predict import Moment
 from twistcap.studio.motion import gait

@@ -31,10 +31,8 @@ _DECAY = 0.15  # s, decay time of the velocity
 class ForecastErrors:
     """Past errors of both predictors.
 
-    Attributes:
-        last: the last moment that was compared.
-        errors: (2, 2) squared, one and several frames ahead, of the library and of inertia; older ones count less.
-        spread: of inertia; run: the library's prediction, to be extended.
+    `last` is the last moment compared, `spread` that of inertia, `run` the library's prediction, to be extended.
+    Squared errors (2, 2) are those one and several frames ahead, of the library and of inertia; older ones count less.
     """
 
     last: Moment

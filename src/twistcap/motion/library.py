@@ -28,7 +28,6 @@ class MotionLibrary:
     Attributes:
         names: J joint coordinates.
         rate: poses per second, that of the tracked recording.
-        clip_names: C names.
         starts: (C + 1,) start of each clip, and end of the last one.
         q: (N, J) joint coordinates of all clips, one after the other, rad.
         roots: (N, 4, 4) T_world_root.
@@ -60,7 +59,6 @@ class MotionLibrary:
         """A library of clips, resampled to one rate.
 
         Args:
-            clips: training motion.
             rate: of the tracked recording, frames per second.
             names: coordinates to keep; by default those of the first clip that all clips have.
             mirrored: whether each clip's mirror image is added.

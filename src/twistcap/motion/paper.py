@@ -74,13 +74,8 @@ class PaperMotion(OpenLoop):
 def transferred(root: Float, before: Float, after: Float, speed: float | None, standing: float) -> Float:
     """A root (4, 4) after the motion of a sample: ``exp(ν/ν̃ · Ad_g log(M̃' M̃⁻¹)) M`` with ``g = M M̃⁻¹``.
 
-    Unscaled this is ``M M̃⁻¹ M̃'``, the sample's motion in its own frame.
-
-    Args:
-        root: M, to be moved.
-        before, after: (4, 4) the sample M̃, and M̃' one frame later.
-        speed: ν, m per frame; None for the sample's own.
-        standing: m per frame; a sample's speed ν̃ below it is kept.
+    M is the root, M̃ and M̃' are the sample before and one frame after. Without a speed ν (m per frame) this is
+    ``M M̃⁻¹ M̃'``, the sample's motion in its own frame; a sample's speed ν̃ below `standing` is kept too.
     """
     twist = se3.adjoint(root @ se3.inverse(before)) @ se3.log(after @ se3.inverse(before))
     if speed is not None:

@@ -60,8 +60,6 @@ class Take:
     """One recording of the fit.
 
     Attributes:
-        rig: cameras of the images.
-        name: for messages.
         frames: in order; read in every round.
         first_pose: of the first frame.
         config: of the tracker.
@@ -82,7 +80,6 @@ class Fitted:
     """A fitted body.
 
     Attributes:
-        body: the fitted one.
         first_poses: of each take, for its first frame.
         poses: of each take, frame number to pose, of the frames that the shape was fitted to.
         frames: of each take, by number, those with a pose before or after.

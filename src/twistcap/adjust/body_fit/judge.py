@@ -26,8 +26,7 @@ class Agreement:
     """Of one body with one recording, over the frames of the fit.
 
     Attributes:
-        px, mm: (N,) distances from points of the silhouettes to clear edges in the images.
-        part: (N,) names of the segments of these points.
+        px, mm: (N,) distances from points of the silhouettes, on segments `part` (N,), to clear edges in the images.
         iou: overlap of silhouettes and the tracker's own segmentation, mean over views and frames.
         hull: overlap of the visual hulls of both, as volumes, mean over the frames.
     """
@@ -41,10 +40,8 @@ class Agreement:
     def by_part(self) -> dict[str, tuple[float, float]]:
         """Mean and 95th percentile, mm, of each kind of segment that is seen."""
         kinds = np.array([name.removesuffix("_r").removesuffix("_l") for name in self.part])
-        return {
-            str(kind): (float(self.mm[kinds == kind].mean()), float(np.percentile(self.mm[kinds == kind], 95)))
-            for kind in dict.fromkeys(kinds.tolist())
-        }
+        own = {str(kind): self.mm[kinds == kind] for kind in dict.fromkeys(kinds.tolist())}
+        return {kind: (float(mm.mean()), float(np.percentile(mm, 95))) for kind, mm in own.items()}
 
 
 def agreement(body: Body, rig: Rig, frames: Mapping[int, Frame], poses: Mapping[int, Pose]) -> Agreement:

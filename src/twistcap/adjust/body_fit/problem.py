@@ -140,12 +140,9 @@ class Sculpted:
 
 @dataclass(frozen=True)
 class FitProblem:
-    """Distances to the edges observed, Gaussians of the poses about the tracked ones, and the prior of the shape.
+    """Distances to the edges seen in each frame's views, Gaussians about the tracked poses, and the prior of the shape.
 
-    Attributes:
-        seen: of each frame, its views.
-        tracked: mean poses of the frames.
-        precision: (M + V, M + V) of the prior of the shape's values.
+    `precision` (M + V, M + V) is that of the prior of the shape's values.
     """
 
     seen: Sequence[Sequence[Observed]]

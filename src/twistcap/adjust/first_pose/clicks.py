@@ -45,7 +45,6 @@ class ClickedStart:
 
     Attributes:
         body: of the fitted dimensions.
-        state: of the body.
         proportions: factors of the body against the generic one.
         residual_px: (V, L) distance of each click from its landmark, NaN where there was none.
         covariance: (6 V + J, 6 V + J) of the state's step, with the uncertainty of the body's dimensions.

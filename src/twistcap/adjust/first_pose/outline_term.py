@@ -62,9 +62,7 @@ class OutlineTerm:
     """Matches of one view at one instant: Huber's loss of the distances along their normals.
 
     Attributes:
-        P: (3, 4) projection.
-        points: N samples on the body of `origin`.
-        origin: the girths of the samples, the same in all terms of a problem.
+        points: N samples on the body of `origin`, whose girths are the same in all terms of a problem.
         motion: of the rest pose with the log-girths; None where these are not free.
         normal: (N, 2) directions along which the distances count.
         target: (N, 2) px, on the outline or on its tangent.

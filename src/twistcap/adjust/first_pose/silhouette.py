@@ -24,14 +24,10 @@ Groups = Mapping[str, Sequence[str]]
 
 @dataclass(frozen=True)
 class Refined:
-    """Poses and girths refined on silhouettes.
+    """A body with its girths, and its pose at each of F instants, refined on silhouettes.
 
-    Attributes:
-        body: with the girths fitted.
-        poses: one for each instant.
-        girths: factor of each segment against the body given.
-        iou: (F, C) overlap of model and mask, NaN without mask.
-        covariances: (6 + J, 6 + J) of each pose step.
+    `girths` are factors of the segments against the body given, `iou` (F, C) is the overlap of model and mask, NaN
+    without mask, and `covariances` (6 + J, 6 + J) are those of the pose steps.
     """
 
     body: Body

@@ -15,12 +15,7 @@ def triangulate(rig: Rig, pixels: Float, confidence: Float, sigma_px: Float, rea
 
     Points are NaN where fewer than two views agree.
 
-    Args:
-        rig: C cameras.
-        pixels: (C, L, 2); NaN where nothing was seen.
-        confidence: (C, L), 0 where nothing was seen.
-        sigma_px: (C, L) standard deviation of the pixels.
-        reach: largest residual of a view that agrees, in standard deviations.
+    Pixels are (C, L, 2), NaN where nothing was seen; their confidence, 0 there, and standard deviation are (C, L).
     """
     weight = np.where(np.isfinite(pixels).all(axis=-1), confidence, 0.0)
     rays = [camera.rays(pixels[c]) for c, camera in enumerate(rig)]

@@ -56,7 +56,6 @@ class SequenceImages:
     Attributes:
         views: of each camera and frame, the image about the tracked body; None without an image.
         contour: the cue; None for the differential method.
-        colours: of each part in each camera.
     """
 
     def __init__(self, rig: Rig, config: RefineConfig, tracker: Settings, body: Body) -> None:
@@ -188,7 +187,6 @@ def design_effect(rounds: Sequence[CameraRound], posed: Sequence[Posed], varianc
 
     Args:
         rounds: of each camera.
-        posed: the body in each frame.
         variance: claimed variance of a residual times its information, for points that err independently.
     """
     parts = len(posed[0].body.segment_names)
