@@ -12,8 +12,7 @@ from reproduce.experiments.body_fit import girth_errors
 from support.commands import document, refusal, run
 from twistcap.adjust.body_fit import FitRule, Take, fit_body
 from twistcap.adjust.body_fit import fields as f
-from twistcap.adjust.body_fit.build import Stretches
-from twistcap.adjust.body_fit.fields import mirrored_vertices, symmetric
+from twistcap.adjust.body_fit.fields import Stretches, mirrored_vertices, symmetric
 from twistcap.adjust.body_fit.judge import agreement, inside_silhouette
 from twistcap.adjust.body_fit.observe import Observed, observe_masks, refined
 from twistcap.adjust.body_fit.problem import FitProblem, Freedom, Sculpted, rows

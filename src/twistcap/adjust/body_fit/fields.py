@@ -6,7 +6,9 @@ makes the step; the fields are then computed again on the new body.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -23,6 +25,9 @@ _ALIKE = 1.5  # knots, length of the correlation of two factors of cross-section
 _STEP = 1e-4  # of the difference quotients by log-factors
 _SIDES = (0.0, 0.5, 1.0, 1.5)  # directions about a segment's axis, in half turns, in which a cross-section is scaled
 _MIRROR = np.array([1.0, -1.0, 1.0])  # in the plane that parts left (+y) from right
+
+Motions = tuple[Float, Float, Float]
+"""Of vertices (V, 3), joint centres (S, 3) and landmarks (L, 3) in the rest pose, m."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +54,8 @@ class Fields:
         vertices, joints, landmarks = (np.concatenate(pair) for pair in pairs)
         return Fields((*self.names, *other.names), vertices, joints, landmarks, precision)
 
-    def __matmul__(self, amounts: Float) -> tuple[Float, Float, Float]:
-        """Motions of vertices (V, 3), joints (S, 3) and landmarks (L, 3) for amounts (M,)."""
+    def __matmul__(self, amounts: Float) -> Motions:
+        """For amounts (M,)."""
         a, b, c = (np.tensordot(amounts, field, 1) for field in self.motions)
         return a, b, c
 
@@ -259,3 +264,51 @@ def _partners(names: tuple[str, ...]) -> list[int]:
     other = {"_r": "_l", "_l": "_r"}
     mirrored = [name[:-2] + other.get(name[-2:], name[-2:]) for name in names]
     return [names.index(m) if m in names else n for n, m in enumerate(mirrored)]
+
+
+class Build(Protocol):
+    """Parameters of a body's build, all 0 at the start of the fit."""
+
+    @property
+    def rigid(self) -> bool:
+        """Whether its fields must not turn a segment's surface against the axes of its joint."""
+        ...
+
+    def fields(self, body: Body, amounts: Mapping[str, float]) -> Fields:
+        """Motions by each parameter, of the body at these amounts; an amount that is not named is 0."""
+        ...
+
+    def moved(self, fields: Fields, amounts: Float, change: Float) -> tuple[Float, Motions]:
+        """The change (M,) inside the bounds of amounts (M,), and its exact motions."""
+        ...
+
+    def summary(self, amounts: Mapping[str, float]) -> dict[str, float]:
+        """The amounts as a report shows them."""
+        ...
+
+
+@dataclass(frozen=True)
+class Stretches:
+    """The build of any body: stature, length and girth of each kind of segment, factors of its cross-sections.
+
+    All are standard deviations of log-factors, but for the `knots` of the sections along a segment, and `rigid`.
+    """
+
+    stature: float = 0.02
+    length: float = 0.01
+    girth: float = 0.12
+    section: float = 0.06
+    knots: int = 5
+    rigid: bool = True
+
+    def fields(self, body: Body, amounts: Mapping[str, float]) -> Fields:
+        del amounts
+        stretches = stretch_fields(body, self.stature, self.length, self.girth)
+        return stretches + profile_fields(body, self.section, self.knots)
+
+    def moved(self, fields: Fields, amounts: Float, change: Float) -> tuple[Float, Motions]:
+        del amounts
+        return change, fields @ change
+
+    def summary(self, amounts: Mapping[str, float]) -> dict[str, float]:
+        return {n: float(np.exp(a)) for n, a in amounts.items() if not n.startswith("section")}

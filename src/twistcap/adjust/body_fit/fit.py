@@ -10,8 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from twistcap.adjust.body_fit.build import Build, Stretches
-from twistcap.adjust.body_fit.fields import symmetric
+from twistcap.adjust.body_fit.fields import Build, Stretches, symmetric
 from twistcap.adjust.body_fit.observe import Observed, observe, observe_masks
 from twistcap.adjust.body_fit.problem import FitProblem, Freedom, Sculpted
 from twistcap.arrays import Bool

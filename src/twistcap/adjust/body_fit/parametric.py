@@ -8,8 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from twistcap.adjust.body_fit.build import Motions
-from twistcap.adjust.body_fit.fields import Fields, joint_centres
+from twistcap.adjust.body_fit.fields import Fields, Motions, joint_centres
 from twistcap.adjust.first_pose import fit_keypoints
 from twistcap.arrays import Float
 from twistcap.body import Body, Pose, Posed

@@ -10,8 +10,7 @@ import numpy as np
 from scipy import sparse
 
 from twistcap.adjust.body_fit import fields as f
-from twistcap.adjust.body_fit.build import Build
-from twistcap.adjust.body_fit.fields import Fields
+from twistcap.adjust.body_fit.fields import Build, Fields
 from twistcap.adjust.body_fit.observe import Observed
 from twistcap.arrays import Float, Int
 from twistcap.body import Body, Pose, Posed

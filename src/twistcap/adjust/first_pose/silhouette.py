@@ -15,6 +15,7 @@ from twistcap.body.kinematics import Posed
 from twistcap.body.shape import RestMotion
 from twistcap.camera import Camera, Rectifier, Rig
 from twistcap.errors import InputError
+from twistcap.region.compare import iou
 from twistcap.render import render, visible_contour
 from twistcap.solve import Arrow, BlockProblem, Dense, PoseTrack, Variables, minimise
 from twistcap.terms import BlockGaussian, BlockTerm, GaussianTerm, OnPose
@@ -60,8 +61,8 @@ def girth_groups(body: Body) -> dict[str, tuple[str, ...]]:
 
 
 def refine_on_silhouettes(
-    body: Body, rig: Rig, poses: Pose | Sequence[Pose],
-    masks: Sequence[AnyArray | None] | Sequence[Sequence[AnyArray | None]], *, groups: Groups | None = None,
+    body: Body, rig: Rig, poses: Sequence[Pose], masks: Sequence[Sequence[AnyArray | None]], *,
+    groups: Groups | None = None,
 ) -> Refined:  # fmt: skip
     """Move body and girths so that the model's contour lies on the outlines of the masks.
 
@@ -79,16 +80,12 @@ def refine_on_silhouettes(
     Raises:
         InputError: if the number or size of the masks does not fit the rig, or an instant has no mask.
     """
-    single = isinstance(poses, Pose)
-    starts: list[Pose] = [poses] if isinstance(poses, Pose) else list(poses)
-    many_masks: list[Sequence[AnyArray | None]] = [masks] if single else list(masks)  # type: ignore[list-item]
-    names = dict(groups or {})
-    instants = [_Instant.of(rig, m) for m in many_masks]
-    about = [GaussianTerm(pose, _information(body), "start") for pose in starts]
+    names, instants = dict(groups or {}), [_Instant.of(rig, of_instant) for of_instant in masks]
+    about = [GaussianTerm(pose, _information(body), "start") for pose in poses]
     priors: list[BlockTerm] = [OnPose(term, body, frame=f) for f, term in enumerate(about)]
     priors.append(BlockGaussian("girths", np.zeros(len(names)), np.full(len(names), _GIRTH), "girths"))
     blocks = {
-        "poses": PoseTrack(tuple(starts), np.arange(float(len(starts)))),
+        "poses": PoseTrack(tuple(poses), np.arange(float(len(poses)))),
         "girths": Girths(np.zeros(len(names)), generic=body, groups=names),
     }
     x, system = Variables(blocks, ("poses", "girths"), dict.fromkeys(blocks, _LONGEST)), None
@@ -101,8 +98,8 @@ def refine_on_silhouettes(
         x, system = _stepped(x, [*terms, *priors])
     assert isinstance(system, Arrow)
     refined, girths = x["poses"].poses, x["girths"]
-    iou = np.array([instant.overlaps(Posed(girths.body, p)) for instant, p in zip(instants, refined, strict=True)])
-    return Refined(girths.body, refined, girths.factors, iou, tuple(system.marginals().poses))
+    overlaps = [instant.overlaps(Posed(girths.body, p)) for instant, p in zip(instants, refined, strict=True)]
+    return Refined(girths.body, refined, girths.factors, np.array(overlaps), tuple(system.marginals().poses))
 
 
 def _stepped(x: Variables, terms: Sequence[BlockTerm]) -> tuple[Variables, Dense | Arrow]:
@@ -147,11 +144,8 @@ class _Instant:
 
     def overlaps(self, posed: Posed) -> list[float]:
         """Intersection over union in each view, NaN without mask."""
-        out: list[float] = []
-        for camera, mask in zip(self.cameras, self.masks, strict=True):
-            ours = render(posed, camera).mask
-            out.append(np.nan if mask is None else float((ours & mask).sum() / max((ours | mask).sum(), 1)))
-        return out
+        pairs = zip(self.cameras, self.masks, strict=True)
+        return [np.nan if mask is None else iou(render(posed, camera).mask, mask) for camera, mask in pairs]
 
 
 def _rectified(camera: Camera, mask: AnyArray) -> Bool:
