@@ -4,7 +4,7 @@
 
 Three kinds of libraries. "walks": gait-like motion, 20 phase-locked joints of many people whose cadence and style
 wander, 60 poses a second; the query is another person's. "wander": 20 joints that wander smoothly and independently,
-where no stretch resembles another. "noise": every pose independent, where no bound can help: no motion, the worst
+where no stretch resembles another. "noise": every pose independent, where bounds exclude little: no motion, the worst
 case. Times are medians over queries of different places; each must find what trying all places finds (checked on the
 smallest library of each kind here, and over random motion in tests/motion/test_motion_matching.py).
 """

@@ -19,9 +19,8 @@ from twistcap.body.simplify import angles_of
 from twistcap.camera import ScaledView
 from twistcap.differential.model import DifferentialModel
 from twistcap.differential.settings import DifferentialConfig, Rule
-from twistcap.differential.state import State
+from twistcap.differential.state import State, state_of, world_pose
 from twistcap.differential.step import track
-from twistcap.differential.world import state_of, world_pose
 from twistcap.estimate import Estimate
 from twistcap.evaluate import Row
 from twistcap.evaluate.metrics import JOINT_CENTRES, lost_frames

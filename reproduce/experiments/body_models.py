@@ -19,7 +19,7 @@ from reproduce.measures.surfaces import surface_distances
 from reproduce.running import Tell, over_seeds
 from reproduce.sequence import joint_errors_mm, noisy_keypoints
 from twistcap.adjust.body_fit import FitRule, Fitted, Take, fit_body
-from twistcap.adjust.body_fit.build import Build
+from twistcap.adjust.body_fit.fields import Build
 from twistcap.adjust.body_fit.parametric import carried_pose, matched
 from twistcap.adjust.first_pose import fit_keypoints
 from twistcap.arrays import Float

@@ -12,16 +12,15 @@ from reproduce.experiments.body_fit import girth_errors
 from support.commands import document, refusal, run
 from twistcap.adjust.body_fit import FitRule, Take, fit_body
 from twistcap.adjust.body_fit import fields as f
-from twistcap.adjust.body_fit.build import Stretches
-from twistcap.adjust.body_fit.judge import agreement, inside_silhouette, inside_silhouette_reference
-from twistcap.adjust.body_fit.observe import Observed, observe_masks
-from twistcap.adjust.body_fit.problem import FitProblem, Freedom, Sculpted
-from twistcap.adjust.body_fit.rows import rows
-from twistcap.adjust.body_fit.subpixel import refined
+from twistcap.adjust.body_fit.fields import Stretches
+from twistcap.adjust.body_fit.judge import agreement, inside_silhouette
+from twistcap.adjust.body_fit.observe import Observed, observe_masks, refined
+from twistcap.adjust.body_fit.problem import FitProblem, Freedom, Sculpted, rows
 from twistcap.adjust.body_fit.symmetry import alike, mirrored_vertices, symmetric
 from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.body.shape import segment_axes
+from twistcap.camera import pinhole
 from twistcap.errors import InputError
 from twistcap.io.calibration import write_rig
 from twistcap.io.recording import rig_of
@@ -269,8 +268,11 @@ def test_given_silhouettes_are_fitted_to() -> None:
 def test_points_inside_a_silhouette() -> None:
     rng, camera = np.random.default_rng(0), ring(2, 3.0, 1.0, np.zeros(3), (60, 50), 60.0)[0]
     points, mask = rng.uniform(-5.0, 5.0, (2000, 3)), rng.random((50, 60)) > 0.5
-    ours = inside_silhouette(camera.P, points, mask)
-    assert np.array_equal(ours, inside_silhouette_reference(camera.P, points, mask)) and 20 < ours.sum() < 1980
+    ours, (pixels, depth, _) = inside_silhouette(camera.P, points, mask), pinhole(camera.P, points)
+    x, y = np.rint(pixels).T.astype(int)
+    there = (depth > 0) & (x >= 0) & (x < 60) & (y >= 0) & (y < 50)
+    expected = [bool(ok and mask[v, u]) for ok, u, v in zip(there, x, y, strict=True)]
+    assert np.array_equal(ours, expected) and 20 < ours.sum() < 1980
 
 
 def test_bad_input_is_told() -> None:

@@ -130,10 +130,10 @@ def test_triangulation_outvotes_a_gross_error() -> None:
     points = rng.uniform(-0.5, 0.5, (6, 3)) + np.array([0, 0, 0.9])
     keypoints = seen(rig, points, tuple("abcdef"), 0.0, rng)
     keypoints.pixels[1, 2] += 40
-    found = triangulate(rig, keypoints.pixels, keypoints.confidence, np.full((4, 6), 2.0))
-    np.testing.assert_allclose(found.points, points, atol=1e-6)
-    assert not found.inliers[1, 2]
-    assert found.inliers.sum() == 23
+    found, inliers = triangulate(rig, keypoints.pixels, keypoints.confidence, np.full((4, 6), 2.0))
+    np.testing.assert_allclose(found, points, atol=1e-6)
+    assert not inliers[1, 2]
+    assert inliers.sum() == 23
 
 
 def test_rigid_fit_does_not_mirror() -> None:
@@ -235,7 +235,7 @@ def test_rows_of_an_outline_are_the_derivatives_of_its_energy(body: Body) -> Non
     """By the pose and by the girths, about the shape at which the samples were taken."""
     rng, camera = np.random.default_rng(13), ring(1)[0]
     groups = {"thigh": ("femur_r", "femur_l"), "trunk": ("torso", "pelvis")}
-    girths = Girths(body, groups, np.array([0.05, -0.03]))
+    girths = Girths(np.array([0.05, -0.03]), generic=body, groups=groups)
     pose = posed_like(body, "balance", rng)
     contour = visible_contour(render(Posed(girths.body, pose), camera), 3.0)
     target = contour.pixels + 4.0 * rng.standard_normal((len(contour), 2))
@@ -257,7 +257,7 @@ def test_refinement_on_silhouettes(body: Body) -> None:
     truth = Posed(body, posed_like(body, "balance", rng))
     fit = fit_keypoints(body, rig, seen(rig, truth.landmarks, body.landmarks.names, 3.0, rng), fit_lengths=False)
     masks = [render(truth, camera).mask for camera in rig]
-    refined = refine_on_silhouettes(body, rig, fit.pose, masks)
+    refined = refine_on_silhouettes(body, rig, [fit.pose], [masks])
     names = body.landmarks.names
     which = [i for i, n in enumerate(names) if stem(n) in JOINTS]
     error = 1000 * np.linalg.norm(Posed(refined.body, refined.poses[0]).landmarks - truth.landmarks, axis=1)[which]
@@ -270,7 +270,7 @@ def test_girths_from_silhouettes(body: Body) -> None:
     thick = rescaled(body, girths={"femur_r": 1.15, "femur_l": 1.15, "tibia_r": 0.9, "tibia_l": 0.9})
     truth = Posed(thick, posed_like(thick, "t", rng))
     masks = [render(truth, camera).mask for camera in rig]
-    found = refine_on_silhouettes(body, rig, truth.pose, masks, groups=girth_groups(body))
+    found = refine_on_silhouettes(body, rig, [truth.pose], [masks], groups=girth_groups(body))
     assert found.girths["femur_r"] == pytest.approx(1.15, abs=0.05)
     assert found.girths["tibia_l"] == pytest.approx(0.90, abs=0.05)
 
@@ -359,9 +359,9 @@ def test_bad_input_to_the_fit(body: Body) -> None:
     with pytest.raises(InputError, match="rig"):
         fit_keypoints_sequence(body, [rig], [good, good])
     with pytest.raises(InputError, match="not all None"):
-        refine_on_silhouettes(body, rig, truth.pose, [None] * 4)
+        refine_on_silhouettes(body, rig, [truth.pose], [[None] * 4])
     with pytest.raises(InputError, match="camera has"):
-        refine_on_silhouettes(body, rig, truth.pose, [np.ones((5, 5))] * 4)
+        refine_on_silhouettes(body, rig, [truth.pose], [[np.ones((5, 5))] * 4])
 
 
 # ---------------------------------------------------------------- real recordings
@@ -414,7 +414,7 @@ def test_leewalk_clicks_and_silhouettes(body: Body, shared_data: Path) -> None:
     fit = fit_keypoints(body, rig, read_clicks(clicks, rig.names, body.landmarks.names), sigma_px=4.0)
     noisy = [cv2.imread(str(folder / f"FG{c}" / "image0000.bmp"), cv2.IMREAD_GRAYSCALE) for c in range(1, 5)]
     masks = [person(m) for m in noisy]
-    found = refine_on_silhouettes(fit.body, rig, fit.pose, masks, groups=girth_groups(body))
+    found = refine_on_silhouettes(fit.body, rig, [fit.pose], [masks], groups=girth_groups(body))
     overlap: list[float] = []
     for camera, m in zip(rig, noisy, strict=True):
         theirs = Rectifier(camera)(m, nearest=True) > 0

@@ -15,11 +15,9 @@ from numpy.typing import NDArray
 from reproduce.scenes.subjects import limbering
 from support.finite_differences import check_jacobian
 from twistcap.adjust.refine import RefineConfig, refine
-from twistcap.adjust.refine.common_error import design_effect
 from twistcap.adjust.refine.evidence import BrightnessPair, reshaped
-from twistcap.adjust.refine.measure import CameraRound, followed_points
-from twistcap.adjust.refine.motion import accelerations
-from twistcap.adjust.refine.problem import RefineProblem, Standing, Track
+from twistcap.adjust.refine.measure import CameraRound, design_effect, followed_points
+from twistcap.adjust.refine.problem import RefineProblem, Standing, Track, accelerations
 from twistcap.adjust.refine.shape import Shape
 from twistcap.adjust.refine.sums import (
     Derivatives,

@@ -30,10 +30,10 @@ def test_scales_are_those_of_the_twin() -> None:
     part[part == 1] = 0
     part[:19] = 1  # too few for a scale of its own, and the last part has none at all
     residual[part == 2] *= 100.0
-    scales = check_twin(robust_scale, residual, part, S, weight, 0.008, 0.15, 20)
+    scales = check_twin(robust_scale, residual, part, S, weight)
     assert scales[2] == 0.15 and scales[1] == scales[S - 1] != scales[0]
-    check_twin(robust_scale, np.full(N, np.nan), part, S, weight, 0.008, 0.15, 20)
-    check_twin(robust_scale, 1e-6 * residual, part, S, weight, 0.008, 0.15, 20)
+    check_twin(robust_scale, np.full(N, np.nan), part, S, weight)
+    check_twin(robust_scale, 1e-6 * residual, part, S, weight)
 
 
 @pytest.mark.parametrize("count", [0, N])

@@ -16,10 +16,9 @@ from twistcap.cues.background import STILL, dominant_motion, under_motion
 from twistcap.differential.model import DifferentialModel
 from twistcap.differential.search import limbs_of, searched
 from twistcap.differential.settings import DifferentialConfig, Rule
-from twistcap.differential.state import State, Track
+from twistcap.differential.state import State, Track, state_of, world_pose
 from twistcap.differential.step import followed, track
 from twistcap.differential.support_maps import Neighbourhood, posterior, robust_scale
-from twistcap.differential.world import state_of, world_pose
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
 from twistcap.studio import StudioConfig

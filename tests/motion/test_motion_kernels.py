@@ -32,50 +32,20 @@ def asked(m: int, seed: int = 1) -> np.ndarray:
     return out
 
 
-@pytest.mark.parametrize("spoilt", [False, True])
-def test_queries_are_prepared_as_by_the_twin(spoilt: bool) -> None:
-    rng = np.random.default_rng(0)
-    query = rng.normal(0, 3.0, (9, 5)) + 40.0
-    if spoilt:
-        query[3, 2] = np.nan
-    out, finite = _search.prepared(query, np.arange(1.0, 6.0), 8)
-    assert finite is not spoilt
-    if not spoilt:
-        check_twin(_search.prepared, query, np.arange(1.0, 6.0), 8)
-        assert not out[:, 5:].any()
-
-
-def test_tubes_and_bounds_are_those_of_the_twins() -> None:
-    library, query, lags = matcher(2), asked(6).astype(np.float32), np.array([0, 2, 5], np.int32)
-    begin = np.array([0, 8, 40, 62], np.int32)
-    end = np.array([9, 17, 41, 66], np.int32)  # one tube of a single pose
-    check_twin(_search.tubes, library.base, begin, end, rtol=1e-4, atol=1e-5)
-    tubes = library.tubes
-    around = (tubes.middles, tubes.lines, tubes.halves, tubes.radii)
-    away = check_twin(_search.tube_distances, *around, query, lags, rtol=1e-3, atol=1e-3)
-    assert np.all(_search.tube_distances(*around, query, lags) <= away + 1e-6)  # rounded down
-    for slow, fast in ((0.5, 2.0), (0.9, 9.0)):
-        check_twin(_search.block_bounds, away.astype(np.float32), lags, slow, fast, tubes.first_block, rtol=1e-5)
-
-
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("m", [1, 5])
 def test_the_search_finds_what_the_twin_finds(seed: int, m: int) -> None:
     library, query = matcher(seed), asked(m, seed)
-    starts, tubes = library.library.starts, library.tubes
-    blocks = (tubes.nothing, tubes.first_block, tubes.clip_of)
+    starts = library.library.starts
     clips = (library.base, library.jumps, starts)
     nothing = (np.zeros(0, np.int32), np.zeros((0, 2)))
-    search = (clips, query, STEPS, blocks, 2.0)
+    search = (clips, query, STEPS, 2.0)
     best, clip, scale, j = check_twin(_search.search, *search, nothing, 1e300)
     place = j * STEPS[scale]
     around = (np.array([clip], np.int32), np.array([[place - 5.0, place + 5.0]]))
     assert check_twin(_search.search, *search, around, 1e300)[0] > best
     assert check_twin(_search.search, *search, nothing, 0.9 * best)[1] == -1
-    start, end = int(starts[clip]), int(starts[clip + 1])
-    found = check_twin(_search.nearby, library.base, query, STEPS, start, end, place - 1.0, place + 1.0, 2.0)
-    assert found[0] == pytest.approx(best)
-    check_twin(_search.nearby, library.base, query, STEPS, start, end, 1e3, 2e3, 2.0)
+    start = int(starts[clip])
     check_twin(_search.score, library.base, query, start, j, STEPS[scale], 1e300)
     assert _search.score(library.base, query, start, j, STEPS[scale], 0.5 * best) > 0.5 * best
 

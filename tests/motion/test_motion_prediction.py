@@ -12,9 +12,8 @@ from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.errors import InputError
 from twistcap.motion import FollowedMotion, FollowRule, MotionClip, MotionLibrary, PaperMotion
-from twistcap.motion.bridging import bridged
-from twistcap.motion.following import adapted, misplaced, placed
-from twistcap.motion.leverage import leverage
+from twistcap.motion.following import adapted, leverage, misplaced, placed
+from twistcap.motion.openloop import bridged
 from twistcap.motion.paper import root_speed, transferred
 from twistcap.predict import Moment
 from twistcap.studio.motion import gait
@@ -123,8 +122,8 @@ def test_the_covariance_is_learnt_from_the_library() -> None:
     drift = np.cumsum(rng.normal(0, 0.01, other.q.shape), axis=0)
     wavering = MotionClip("other", other.names, FPS, other.roots, other.q + drift - drift.mean(axis=0))
     sure, unsure = FollowedMotion(library(clock), BODY).spread, FollowedMotion(library(wavering), BODY).spread
-    assert np.all(sure.joints[-1] < np.radians(3.0))
-    assert np.mean(unsure.joints[-1]) > 1.5 * np.mean(sure.joints[-1])
+    assert np.all(sure.deviations[-1, 2:] < np.radians(3.0))
+    assert np.mean(unsure.deviations[-1, 2:]) > 1.5 * np.mean(sure.deviations[-1, 2:])
     close, far = sure.variances(10.0, sure.usual), sure.variances(10.0, 3.0 * sure.usual)
     np.testing.assert_allclose(far[2], 9.0 * close[2])
 

@@ -18,9 +18,8 @@ from twistcap.body.simplify import NINETEEN, angles_of, simplified
 from twistcap.cues.view import Picture
 from twistcap.differential.model import DifferentialModel
 from twistcap.differential.settings import Rule
-from twistcap.differential.state import State
+from twistcap.differential.state import State, state_of
 from twistcap.differential.step import track
-from twistcap.differential.world import state_of
 from twistcap.errors import InputError
 from twistcap.render import render
 from twistcap.studio import StudioConfig

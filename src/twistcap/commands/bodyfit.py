@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from twistcap.adjust.body_fit import FitRule, Fitted, Take, fit_body
-from twistcap.adjust.body_fit.build import Build
+from twistcap.adjust.body_fit.fields import Build
 from twistcap.adjust.body_fit.judge import Agreement, agreement
 from twistcap.adjust.body_fit.parametric import Model, carried_pose, matched
 from twistcap.body.gltf import save_glb

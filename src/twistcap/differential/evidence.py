@@ -140,16 +140,10 @@ def known(residual: Float) -> Float:
 def evidence(
     number: int, model: DifferentialModel, memory: Memory, level: int, picture: Picture, visible: Bool, motion: Float
 ) -> Evidence:  # fmt: skip
-    """The remembered points that are `visible` (N,), thinned at coarse levels.
+    """The remembered points that are `visible` (N,) at the present guess, thinned at coarse levels of the pyramid.
 
-    Args:
-        number: of the view.
-        model: body and settings.
-        memory: of the frame before.
-        level: of the pyramid.
-        picture: of the present frame.
-        visible: whether a point is seen at the present guess.
-        motion: (2, 3) of the layer behind, px of the finest level.
+    The memory is that of the frame before, the picture that of the present one; `motion` (2, 3) is that of the layer
+    behind, px of the finest level.
     """
     factor, (image, before) = 0.5**level, (p.level(level, model.config.colour) for p in (picture, memory.picture))
     which = _thinned(factor * memory.pixels / SPACING, visible)

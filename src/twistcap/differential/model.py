@@ -10,8 +10,7 @@ from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Rig, ScaledView
 from twistcap.cues.memory import Retention
 from twistcap.differential.settings import DifferentialConfig, Rule
-from twistcap.differential.state import State, Track
-from twistcap.differential.world import state_of
+from twistcap.differential.state import State, Track, state_of
 from twistcap.solve import Variables, Vector
 from twistcap.terms import BlockGaussian, BlockTerm
 from twistcap.terms.photometric import EXPOSURE
@@ -31,12 +30,8 @@ SPACING = 2
 class DifferentialModel:
     """A body that is followed by brightness alone.
 
-    Attributes:
-        body: whose surface gives the depth.
-        config: settings.
-        rule: of one frame.
-        rig: rectified cameras, from which the views' turns and scales start and which place the body in the world;
-            empty where none are known.
+    The body's surface gives the depth. From the rig, of rectified cameras, the views' turns and scales start, and it
+    places the body in the world; it is empty where no cameras are known.
     """
 
     body: Body

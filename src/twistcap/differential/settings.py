@@ -22,7 +22,7 @@ class DifferentialConfig:
         turns: "planar" holds the view's turns out of the image.
         stray_deg: how far joints stray from where they are expected in a frame.
         perspective: whether views that begin from calibrated cameras are those pinholes' own; otherwise they are the
-            scaled orthography nearest to them (`world.state_of`).
+            scaled orthography nearest to them (`state.state_of`).
         search_deg: how far about the guess limbs are searched before the gradients have their say; 0 searches none.
     """
 

@@ -21,8 +21,7 @@ from twistcap.cues.view import Picture
 from twistcap.differential.evidence import Evidence, evidence
 from twistcap.differential.model import DifferentialModel, exposure_block, posed_at, state_at, view_block, with_state
 from twistcap.differential.search import searched
-from twistcap.differential.state import ROOT, State, Track
-from twistcap.differential.world import world_pose
+from twistcap.differential.state import ROOT, State, Track, world_pose
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
 from twistcap.render import render
@@ -38,9 +37,7 @@ class Found:
     """The answer for one frame.
 
     Attributes:
-        state: views and joint angles.
         support: (V,) mean support of the body's pixels in each view, 0 where there was no image.
-        energy: of the solution.
         covariance: (6 V + J, 6 V + J) of the state's step; NaN where it could not be solved for.
         exposure: (V, 2) change of gain and offset from the frame before.
         steps: accepted solver steps.
@@ -92,9 +89,7 @@ def followed(
     """Follow the body into the next frame; a track that has not started takes its first frame as its state says.
 
     Args:
-        track: so far.
         images: one per view, grey (H, W) or RGB (H, W, 3), uint8 or in [0, 1]; None for a view that dropped it.
-        model: body and settings.
         expected: the state that is looked for about, such as an earlier pass over the sequence found; by default
             the last motion goes on, and limbs are searched where the settings ask for it.
 
@@ -104,12 +99,12 @@ def followed(
     _check(model.body, track.state, images)
     track = replace(track, state=track.state.sized(images))
     pictures = tuple(None if image is None else Picture(image) for image in images)
-    follow = Follow(model, track, pictures, expected)
+    follow = _Follow(model, track, pictures, expected)
     return follow.next() if track.started else follow.first()
 
 
 @dataclass(frozen=True)
-class Follow:
+class _Follow:
     """One frame of a track; see `followed`."""
 
     model: DifferentialModel
@@ -211,10 +206,8 @@ def misfit(seen: Sequence[Evidence], x: Variables) -> float:
 def _check(body: Body, state: State, images: Sequence[AnyArray | None]) -> None:
     if len(images) != len(state.views):
         raise InputError(f"differential: {len(images)} images for {len(state.views)} views; give one for each view.")
-    if len(state.q) != len(body.coordinate_names):
-        raise InputError(
-            f"differential: {len(state.q)} angles for {len(body.coordinate_names)} coordinates of the body."
-        )
+    if len(state.q) != (J := len(body.coordinate_names)):
+        raise InputError(f"differential: {len(state.q)} angles for {J} coordinates of the body.")
     for image in images:
         if image is not None and image.dtype != np.uint8 and not np.all(np.isfinite(image)):
             raise InputError("differential: an image holds a value that is not finite; repair or leave out the frame.")

@@ -16,30 +16,25 @@ from twistcap.arrays import Bool, Float, Float32, Int
 
 _FLOOR = 0.008  # brightness; least robust scale: sensor noise and sampling
 _CEILING = 0.15
+_FEWEST = 20  # residuals that a part must have; one with fewer has the scale of all together
+_WIDTH = 1.5  # px, standard deviation with which neighbours share their evidence
 _NEITHER = 0.05  # prior of pixels that move neither way times their density; residuals spread over [-1, 1]
 
 
 @dataclass(frozen=True)
 class Neighbourhood:
-    """Where the points of a view lie on its pixels, so that evidence can be shared by neighbours.
-
-    Attributes:
-        rows, columns: (N,) pixels.
-        size: (height, width).
-        width: px, standard deviation of the sharing.
-    """
+    """The pixels (N,) of the points of a view, of `size` (height, width), so that neighbours can share evidence."""
 
     rows: Int
     columns: Int
     size: tuple[int, int]
-    width: float = 1.5
 
     @staticmethod
-    def about(places: Float, width: float = 1.5) -> Neighbourhood:
+    def about(places: Float) -> Neighbourhood:
         """That of places (N, 2), (x, y); those off the image may be anywhere near the others."""
         pixels = np.rint(places[:, ::-1]).T.astype(np.int32)
         rows, columns = pixels - (pixels.min(axis=1, keepdims=True) if pixels.size else 0)
-        return Neighbourhood(rows, columns, (int(rows.max(initial=0)) + 1, int(columns.max(initial=0)) + 1), width)
+        return Neighbourhood(rows, columns, (int(rows.max(initial=0)) + 1, int(columns.max(initial=0)) + 1))
 
     def mean(self, values: Float) -> Float:
         """(N,) weighted mean about each point of values (N,) at all points; NaN takes no part."""
@@ -49,37 +44,25 @@ class Neighbourhood:
 
     def _image(self, values: Float) -> Float32:
         flat = np.bincount(self.rows * self.size[1] + self.columns, values, self.size[0] * self.size[1])
-        return np.asarray(cv2.GaussianBlur(flat.reshape(self.size).astype(np.float32), (0, 0), self.width), np.float32)
+        return np.asarray(cv2.GaussianBlur(flat.reshape(self.size).astype(np.float32), (0, 0), _WIDTH), np.float32)
 
 
 @njit(cache=True, nogil=True)
-def robust_scale(
-    residual: Float, part: Int, parts: int, weight: Float, floor: float = _FLOOR, ceiling: float = _CEILING,
-    fewest: int = 20,
-) -> Float:  # fmt: skip
+def robust_scale(residual: Float, part: Int, parts: int, weight: Float) -> Float:
     """(S,) scale of the residuals of each part: 1.48 times the weighted median of their size, within sane bounds.
 
-    Args:
-        residual: (N,) brightness, NaN for unknown.
-        part: (N,) part of each.
-        parts: S.
-        weight: (N,).
-        floor, ceiling: least and largest scale.
-        fewest: residuals that a part must have; one with fewer has the scale of all together.
+    Residuals (N,) are of brightness, NaN for unknown; part and weight are (N,), S = `parts`.
     """
     size, count = np.abs(residual), np.bincount(part, minlength=parts)
-    out = np.full(parts, _scale_of(size, weight, floor, ceiling))
+    out = np.full(parts, _scale_of(size, weight))
     for s in range(parts):
-        if count[s] >= fewest:
+        if count[s] >= _FEWEST:
             own = part == s
-            out[s] = _scale_of(size[own], weight[own], floor, ceiling)
+            out[s] = _scale_of(size[own], weight[own])
     return out
 
 
-def robust_scale_reference(
-    residual: Float, part: Int, parts: int, weight: Float, floor: float = _FLOOR, ceiling: float = _CEILING,
-    fewest: int = 20,
-) -> Float:  # fmt: skip
+def robust_scale_reference(residual: Float, part: Int, parts: int, weight: Float) -> Float:
     """Readable twin of `robust_scale`."""
 
     def scale(which: Bool) -> float:
@@ -87,35 +70,29 @@ def robust_scale_reference(
         order = np.argsort(np.abs(residual[known]))
         heaped = np.cumsum(weight[known][order])
         if not known.any():
-            return ceiling
+            return _CEILING
         median = np.abs(residual[known])[order][heaped >= 0.5 * heaped[-1]][0]
-        return float(np.clip(1.48 * median, floor, ceiling))
+        return float(np.clip(1.48 * median, _FLOOR, _CEILING))
 
     own = [part == s for s in range(parts)]
-    return np.array([scale(which if np.count_nonzero(which) >= fewest else np.ones_like(which)) for which in own])
+    return np.array([scale(which if np.count_nonzero(which) >= _FEWEST else np.ones_like(which)) for which in own])
 
 
 @njit(cache=True, nogil=True)
-def _scale_of(size: Float, weight: Float, floor: float, ceiling: float) -> float:
+def _scale_of(size: Float, weight: Float) -> float:
     known = np.isfinite(size) & (weight > 0)
     if not known.any():
-        return ceiling
+        return _CEILING
     size, weight = size[known], weight[known]
     order = np.argsort(size)
     heaped = np.cumsum(weight[order])
     median = size[order][np.searchsorted(heaped, 0.5 * heaped[-1])]
-    return float(min(max(1.48 * median, floor), ceiling))
+    return float(min(max(1.48 * median, _FLOOR), _CEILING))
 
 
 def posterior(
-    residual: Float,
-    behind: Float,
-    prior: Float,
-    sigma: Float,
-    sigma_behind: Float,
-    near: Neighbourhood,
-    neither: float = _NEITHER,
-) -> Float:
+    residual: Float, behind: Float, prior: Float, sigma: Float, sigma_behind: Float, near: Neighbourhood
+) -> Float:  # fmt: skip
     """(N,) probability that each pixel moves as the body does.
 
     Channels see much the same, so that their mean evidence counts as that of one.
@@ -127,12 +104,11 @@ def posterior(
         sigma: (N, C) robust scale of each pixel's segment.
         sigma_behind: (C,) that of the layer behind.
         near: neighbours share their evidence: squares are averaged.
-        neither: density of the residuals of what moves neither way, times its prior.
     """
     known = np.isfinite(behind).all(axis=1)
     body = prior * _density(residual, sigma, near)
     back = (1.0 - prior) * np.where(known, _density(behind, np.broadcast_to(sigma_behind, behind.shape), near), 0.0)
-    return np.where(np.isfinite(residual).all(axis=1), body / (body + back + neither), 0.0)
+    return np.where(np.isfinite(residual).all(axis=1), body / (body + back + _NEITHER), 0.0)
 
 
 def _density(residual: Float, sigma: Float, near: Neighbourhood) -> Float:

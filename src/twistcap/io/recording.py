@@ -156,7 +156,7 @@ def first_pose_of(session: Session, rig: Rig, body: Body, views: Views) -> tuple
     pose = start.at(first)
     if session.first_pose.masks is not None and session.first_pose.refine:
         masks = read_masks(session.first_pose.masks, rig, first)
-        pose = refine_on_silhouettes(start.body, rig, pose, masks).poses[0]
+        pose = refine_on_silhouettes(start.body, rig, [pose], [masks]).poses[0]
     check_first_pose(session, rig, start.body, pose)
     return start.body, pose
 

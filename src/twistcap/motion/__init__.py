@@ -13,25 +13,7 @@ from twistcap.motion.skeleton import SkeletonMotion, skeleton_of
 from twistcap.motion.table import SkeletonTable, body_table, read_table, table_for
 
 __all__ = [
-    "PAPER_SCALES",
-    "Expected",
-    "FollowRule",
-    "FollowedMotion",
-    "Match",
-    "Matcher",
-    "MotionClip",
-    "MotionKind",
-    "MotionLibrary",
-    "MotionPredictor",
-    "PaperMotion",
-    "RecurrenceRule",
-    "SkeletonMotion",
-    "SkeletonTable",
-    "body_table",
-    "grounded",
-    "motion_predictor",
-    "read_table",
-    "retarget",
-    "skeleton_of",
-    "table_for",
-]
+    "PAPER_SCALES", "Expected", "FollowRule", "FollowedMotion", "Match", "Matcher", "MotionClip", "MotionKind",
+    "MotionLibrary", "MotionPredictor", "PaperMotion", "RecurrenceRule", "SkeletonMotion", "SkeletonTable",
+    "body_table", "grounded", "motion_predictor", "read_table", "retarget", "skeleton_of", "table_for",
+]  # fmt: skip

@@ -22,15 +22,13 @@ class MotionClip:
     """A continuous recording of motion, in one body's coordinates.
 
     Attributes:
-        name: of the clip.
         names: J joint coordinates of the body.
         rate: poses per second.
         roots: (N, 4, 4) T_world_root.
         q: (N, J) joint coordinates, rad; without jumps by 2π.
 
     Raises:
-        InputError: for wrong shapes, values that are not finite, roots that are no rigid motions, or a rate that is
-            not positive.
+        InputError: for wrong shapes, values that are not finite, no rigid motions, or a rate that is not positive.
     """
 
     name: str
@@ -72,8 +70,7 @@ class MotionClip:
     def resampled(self, rate: float) -> MotionClip:
         """The same motion at another rate: joints are interpolated linearly, roots along the screw between neighbours.
 
-        Raises:
-            InputError: for a rate that is not positive.
+        Raises an InputError for a rate that is not positive.
         """
         self._expect(bool(0 < rate < np.inf), f"it cannot be resampled to {rate} poses per second")
         if rate == self.rate:
@@ -87,15 +84,10 @@ class MotionClip:
         """The mirrored motion: left and right exchanged, the world's y axis reversed.
 
         Coordinates ending in ``_r`` and ``_l`` change places, equal signs meaning equal movements (CONVENTIONS.md);
-        those of the trunk change sign where they bend sideways or turn.
-
-        Raises:
-            InputError: as `mirror_of`.
+        those of the trunk change sign where they bend sideways or turn. Errors are those of `mirror_of`.
         """
-        partner, sign = mirror_of(self.names)
-        return replace(
-            self, name=f"{self.name} (mirrored)", roots=_MIRROR @ self.roots @ _MIRROR, q=self.q[:, partner] * sign
-        )
+        (partner, sign), name = mirror_of(self.names), f"{self.name} (mirrored)"
+        return replace(self, name=name, roots=_MIRROR @ self.roots @ _MIRROR, q=self.q[:, partner] * sign)
 
     def _expect(self, holds: bool, message: str) -> None:
         if not holds:
@@ -118,10 +110,8 @@ def mirror_of(names: Sequence[str]) -> tuple[Int, Float]:
         elif name.endswith(_ODD):
             sign[k] = -1.0
         elif not name.endswith(_EVEN):
-            raise InputError(
-                f"motion: {name!r} cannot be mirrored (…_r, …_l, …_extension, …_bending, …_rotation can); "
-                "leave out mirrored copies."
-            )
+            known = "…_r, …_l, …_extension, …_bending, …_rotation can"
+            raise InputError(f"motion: {name!r} cannot be mirrored ({known}); leave out mirrored copies.")
     return partner, sign
 
 

@@ -15,9 +15,8 @@ from numba import njit
 
 from twistcap import se3
 from twistcap.arrays import Float, Int
-from twistcap.body import Body
+from twistcap.body import Body, Pose, Posed
 from twistcap.errors import InputError
-from twistcap.motion.leverage import leverage
 from twistcap.motion.library import PAPER_SCALES, MotionLibrary
 from twistcap.motion.matching import Interval, Match, Matcher
 from twistcap.motion.openloop import OpenLoop, PoseSequence
@@ -30,6 +29,10 @@ _FITTED = 60  # frames of history to which a match is fitted
 _SHARPNESS = 4.0  # how fast a match's weight falls with its distance, in units of the best one's
 _STIFFNESS = 0.3  # rad², summed square deviation below which a joint's range is not adapted
 _TRUST = 30.0  # frames of history that give an adaptation half its weight, for an angle of large leverage
+
+
+_Matched = tuple[Match, int]
+"""A match, its distance a mean over the poses (rad), and how many poses were matched."""
 
 
 @dataclass(frozen=True)
@@ -64,16 +67,7 @@ class FollowRule:
 
 
 class FollowedMotion(OpenLoop):
-    """Predicts by following the best matches.
-
-    Args:
-        library: training motion, at the frame rate of the recording.
-        body: that is tracked.
-        rule: how matches are found and followed.
-
-    Raises:
-        InputError: as `OpenLoop`.
-    """
+    """Predicts by following the best matches; arguments and errors are those of `OpenLoop`."""
 
     def __init__(self, library: MotionLibrary, body: Body, rule: FollowRule | None = None) -> None:
         super().__init__(library, body)
@@ -86,7 +80,7 @@ class FollowedMotion(OpenLoop):
     def _by_leverage(self) -> Float:
         """(K,) weight of a deviation of each compared coordinate, 0 … 1."""
         q = np.zeros(len(self.body.coordinate_names))
-        q[self._theirs] = self.library.q[:, self._known].mean(axis=0)
+        q[self._theirs] = self.library.q[:, self.compared].mean(axis=0)
         by_joint = leverage(self.body, q)[self._theirs]
         return by_joint / np.hypot(by_joint, self.rule.lever)
 
@@ -101,10 +95,8 @@ class FollowedMotion(OpenLoop):
         if not matches:
             return standard_step(past.since(max(0, len(past) - 5)))
         own = library is not self.library
-        guides = [
-            _Guide.fitted(library, past, match, poses, self.compared, self._weights, not own)
-            for match, poses in matches
-        ]
+        how = self.compared, self._weights, not own
+        guides = [_Guide.fitted(library, past, match, poses, *how) for match, poses in matches]
         lasting = [guide.lasting(library) for guide in guides]
         best = matches[0][0].distance
         alike = [guide.match.distance <= 1.5 * best + _ALIKE for guide in guides]
@@ -115,20 +107,19 @@ class FollowedMotion(OpenLoop):
         found = _blended([g.followed(library, past, count, self.rule.fading) for g in used], np.array(weights))
         return replace(found, match=replace(matches[0][0], clip=OWN)) if own else found
 
-    def _sources(
-        self, past: PoseSequence, excluded: Sequence[Interval]
-    ) -> tuple[MotionLibrary, list[tuple[Match, int]]]:
+    def _sources(self, past: PoseSequence, excluded: Sequence[Interval]) -> tuple[MotionLibrary, list[_Matched]]:
         """Motion to follow, the library or the person's own, and its matches as those of `_matches`."""
         rule, matches = self.rule.recurrence, self._matches(past, excluded)
         own = recurrences(past.q[:, self.compared] * self._weights, rule)
         if not own or (matches and own[0].distance > rule.lead * matches[0][0].distance):
             return self.library, matches
-        return _as_library(past, self.library), [(match, rule.poses) for match in own]
+        ends, q = np.array([0, len(past)], np.int32), past.q.astype(np.float32)
+        mine = MotionLibrary(self.library.names, self.library.rate, ("own",), ends, q, past.roots)
+        return mine, [(match, rule.poses) for match in own]
 
-    def _matches(self, past: PoseSequence, excluded: Sequence[Interval]) -> list[tuple[Match, int]]:
-        """The best matches, their distances by pose (rad), and the number of poses that were matched."""
-        out: list[tuple[Match, int]] = []
-        bar = np.inf
+    def _matches(self, past: PoseSequence, excluded: Sequence[Interval]) -> list[_Matched]:
+        """The best matches, their distances by pose."""
+        out, bar = list[_Matched](), np.inf
         for poses in sorted(self.rule.poses):
             if poses > len(past):
                 break
@@ -140,21 +131,26 @@ class FollowedMotion(OpenLoop):
         return out
 
 
-def _as_library(past: PoseSequence, like: MotionLibrary) -> MotionLibrary:
-    ends = np.array([0, len(past)], np.int32)
-    return MotionLibrary(like.names, like.rate, ("own",), ends, past.q.astype(np.float32), past.roots)
+def leverage(body: Body, q: Float) -> Float:
+    """(J,) root mean square motion of the body's vertices by each coordinate at q (J,), m/rad; the pelvis is fixed.
+
+    It weighs angles when poses are compared. A radian of the hip moves the whole leg, one of the forearm's rotation
+    hardly the hand. Images determine the first to a degree and the second to ten or twenty; with equal weights the
+    second would decide. Kovar, Gleicher and Pighin, "Motion Graphs" (DOI 10.1145/566654.566605), section 3, likewise
+    compare poses by points of the body. The vertices should lie about evenly on the surface.
+    """
+    posed = Posed(body, Pose(np.eye(4), q))
+    by_step = posed.point_jacobian(body.skin_segments, body.skin_weights, body.vertices)
+    return np.sqrt(np.square(by_step[:, :, 6:]).sum(axis=1).mean(axis=0))
 
 
 @dataclass(frozen=True)
 class _Guide:
-    """A match fitted exactly in time, and the person's differences from it.
+    """A match fitted exactly in time (that of the last pose), and the person's differences from it.
 
-    Attributes:
-        match: place of the last pose in the library, with the exact scale.
-        gain, offset: (J,) of the joints: ``q ≈ gain · sample + offset``.
-        heading: (3, 3) turn about the vertical from the sample's world to ours.
-        path: complex factor of its horizontal displacements, turned by `heading`.
-        lean: (3,) rotation vector from the sample's root to ours, in the root's frame.
+    The joints are ``q ≈ gain · sample + offset``. `heading` (3, 3) turns about the vertical from the sample's world to
+    ours, `path` is a complex factor of the horizontal displacements after that, and `lean` the rotation vector from the
+    sample's root to ours, in the root's frame.
     """
 
     match: Match
@@ -176,9 +172,8 @@ class _Guide:
         clip = library.q[library.starts[match.clip] : library.starts[match.clip + 1]]
         reached = min(len(past), _FITTED, int(match.position / match.step + 1e-6) + 1)
         query = np.ascontiguousarray(past.q[-max(poses, reached) :][:, columns]) * weights
-        position, step = placed(
-            np.ascontiguousarray(clip[:, columns]) * weights, query, match.position, match.step, any_pace
-        )
+        there = np.ascontiguousarray(clip[:, columns]) * weights
+        position, step = placed(there, query, match.position, match.step, any_pace)
         match = Match(match.clip, position, 1.0 / step, match.distance)
         length = min(len(past), _FITTED, int(position / step + 1e-6) + 1)
         where = np.array(position - step * np.arange(length)[::-1], dtype=np.float64)
@@ -211,17 +206,14 @@ class _Guide:
 
 
 def adapted(query: Float, sample: Float, stiffness: float, kept: float | Float) -> tuple[Float, Float]:
-    """Gain and offset (J,) from a sample (n, J) to a query (n, J), by ridge regression towards 1 and 0.
+    """Gain and offset (J,) from a sample (n, J) to a query (n, J), rad, by ridge regression towards 1 and 0.
 
-    Args:
-        query, sample: rad.
-        stiffness: rad², of the ridge.
-        kept: fraction of the differences from 1 and 0 that is kept, for all joints or for each (J,).
+    `stiffness` is that of the ridge, rad²; of the differences from 1 and 0 the fraction `kept` is kept, one for all
+    joints or for each (J,).
     """
     of_query, of_sample = query.mean(axis=0), sample.mean(axis=0)
     a, b = sample - of_sample, query - of_query
-    gain = ((a * b).sum(axis=0) + stiffness) / ((a * a).sum(axis=0) + stiffness)
-    gain = np.clip(gain, 0.3, 3.0)
+    gain = np.clip(((a * b).sum(axis=0) + stiffness) / ((a * a).sum(axis=0) + stiffness), 0.3, 3.0)
     return 1.0 + kept * (gain - 1.0), kept * (of_query - gain * of_sample)
 
 

@@ -31,11 +31,8 @@ _DECAY = 0.15  # s, decay time of the velocity
 class ForecastErrors:
     """Past errors of both predictors.
 
-    Attributes:
-        last: the last moment that was compared.
-        errors: (2, 2) squared, one and several frames ahead, of the library and of inertia; older ones count less.
-        spread: of inertia.
-        run: the library's prediction, to be extended.
+    `last` is the last moment compared, `spread` that of inertia, `run` the library's prediction, to be extended.
+    Squared errors (2, 2) are those one and several frames ahead, of the library and of inertia; older ones count less.
     """
 
     last: Moment
@@ -45,15 +42,10 @@ class ForecastErrors:
 
 
 class GuardedMotion:
-    """A predictor that is replaced by inertia where inertia has smaller errors.
+    """A predictor from training motion that is replaced by inertia where inertia has smaller errors."""
 
-    Args:
-        inner: predictor from training motion.
-        noise: of inertia.
-    """
-
-    def __init__(self, inner: OpenLoop, noise: MotionNoise | None = None) -> None:
-        self.inner, self._noise = inner, noise or MotionNoise()
+    def __init__(self, inner: OpenLoop) -> None:
+        self.inner = inner
 
     @property
     def memory_type(self) -> Any:
@@ -63,11 +55,7 @@ class GuardedMotion:
     def predict(
         self, history: Sequence[Moment], time: float, memory: ForecastErrors | None = None
     ) -> tuple[Expected, ForecastErrors]:
-        """The pose at `time`; see `MotionPredictor`.
-
-        Raises:
-            InputError: for a history without images.
-        """
+        """The pose at `time`; see `MotionPredictor`. A history without images is an InputError."""
         seen = [moment for moment in history if moment.seen]
         if memory is None or seen[-1].time != memory.last.time:
             memory = self._compared(seen, memory or self._fresh(seen))
@@ -80,7 +68,7 @@ class GuardedMotion:
     def _fresh(self, seen: Sequence[Moment]) -> ForecastErrors:
         if not seen:
             raise InputError("motion: a prediction needs at least one moment with images.")
-        return ForecastErrors(seen[-1], np.zeros((len(_AHEAD), 2)), MotionSpread.usual(self._noise))
+        return ForecastErrors(seen[-1], np.zeros((len(_AHEAD), 2)), MotionSpread.usual(MotionNoise()))
 
     def _compared(self, history: Sequence[Moment], memory: ForecastErrors) -> ForecastErrors:
         """The memory with the errors of the forecasts of the last moment."""

@@ -28,7 +28,6 @@ class MotionLibrary:
     Attributes:
         names: J joint coordinates.
         rate: poses per second, that of the tracked recording.
-        clip_names: C names.
         starts: (C + 1,) start of each clip, and end of the last one.
         q: (N, J) joint coordinates of all clips, one after the other, rad.
         roots: (N, 4, 4) T_world_root.
@@ -60,7 +59,6 @@ class MotionLibrary:
         """A library of clips, resampled to one rate.
 
         Args:
-            clips: training motion.
             rate: of the tracked recording, frames per second.
             names: coordinates to keep; by default those of the first clip that all clips have.
             mirrored: whether each clip's mirror image is added.
@@ -73,25 +71,17 @@ class MotionLibrary:
         if names is None:
             names = tuple(n for n in given[0].names if all(n in clip.names for clip in given))
         _expect(len(names) > 0, "its clips have no joint coordinate in common")
-        kept = [clip for given_clip in given for clip in _both(_at_rate(given_clip, names, rate), mirrored)]
-        return MotionLibrary(
-            names=tuple(names),
-            rate=float(rate),
-            clip_names=tuple(clip.name for clip in kept),
-            starts=np.cumsum([0, *(len(clip) for clip in kept)]).astype(np.int32),
-            q=np.concatenate([clip.q for clip in kept], dtype=np.float32),
-            roots=np.concatenate([clip.roots for clip in kept]),
-        )
+        kept = [_at_rate(clip, names, rate) for clip in given]
+        kept = [way for clip in kept for way in ((clip, clip.mirrored()) if mirrored else (clip,))]
+        starts = np.cumsum([0, *(len(clip) for clip in kept)]).astype(np.int32)
+        q = np.concatenate([clip.q for clip in kept], dtype=np.float32)
+        roots = np.concatenate([clip.roots for clip in kept])
+        return MotionLibrary(tuple(names), float(rate), tuple(clip.name for clip in kept), starts, q, roots)
 
     def resampled(self, rate: float) -> MotionLibrary:
-        """The same motion at another rate, poses per second; see `MotionClip.resampled`.
-
-        Raises:
-            InputError: for a rate that is not positive.
-        """
-        if rate == self.rate:
-            return self
-        return MotionLibrary.of((self.clip(k) for k in range(len(self.clip_names))), rate, self.names)
+        """The same motion at another rate, poses per second; see `MotionClip.resampled`, also for errors."""
+        clips = (self.clip(k) for k in range(len(self.clip_names)))
+        return self if rate == self.rate else MotionLibrary.of(clips, rate, self.names)
 
     def __len__(self) -> int:
         """Number of poses."""
@@ -118,11 +108,7 @@ class MotionLibrary:
         return interpolated_roots(part, np.clip(positions, 0, len(part) - 1))
 
     def columns(self, names: Sequence[str]) -> Int:
-        """(K,) indices of some coordinates in `names`.
-
-        Raises:
-            InputError: where the library lacks one.
-        """
+        """(K,) indices of some coordinates in `names`; an InputError where the library lacks one."""
         for name in names:
             _expect(name in self.names, f"it has no coordinate {name!r}; it has {', '.join(self.names)}")
         return np.array([self.names.index(name) for name in names], dtype=np.int32)
@@ -139,10 +125,6 @@ def _at_rate(clip: MotionClip, names: Sequence[str], rate: float) -> MotionClip:
     _expect(not missing, f"its clip {clip.name!r} lacks the coordinate {missing[0] if missing else ''!r}")
     q = unwrapped(clip.q[:, [clip.names.index(name) for name in names]])
     return MotionClip(clip.name, tuple(names), clip.rate, clip.roots, q).resampled(rate)
-
-
-def _both(clip: MotionClip, mirrored: bool) -> list[MotionClip]:
-    return [clip, clip.mirrored()] if mirrored else [clip]
 
 
 def _expect(holds: bool, message: str) -> None:

@@ -7,18 +7,15 @@ eq. 18; method.md 8: ``argmin_{s,j} Σ_{v<m} ‖Θ_{t−v} − Θ̃^s_{j−v}‖
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from twistcap.arrays import Float, Float32, Int
 from twistcap.errors import InputError
 from twistcap.motion import _search as kernels
-from twistcap.motion.library import PAPER_SCALES, MotionLibrary
-
-_BOUNDING_LAGS = 6  # poses of the query whose distances to the tubes are bounded
-
+from twistcap.motion.clip import interpolated_angles, interpolated_roots
+from twistcap.motion.library import PAPER_SCALES, MotionLibrary, unwrapped
 
 Interval = tuple[int, float, float]
 """A clip, and two positions in it."""
@@ -26,13 +23,10 @@ Interval = tuple[int, float, float]
 
 @dataclass(frozen=True)
 class Match:
-    """A place in the training motion.
+    """A place in the training motion, and the sum of norms there (`distance`, rad).
 
-    Attributes:
-        clip: index of the clip; −1 is the person's own past.
-        position: of the last pose, in poses from the clip's start; usually between two poses.
-        scale: s of the resampled motion; one frame of the query is 1/s poses of the clip.
-        distance: the sum of norms, rad.
+    Clip −1 is the person's own past. The position is that of the last pose, in poses from the clip's start, usually
+    between two poses. Of the motion resampled by `scale` s, one frame of the query is 1/s poses of the clip.
     """
 
     clip: int
@@ -50,6 +44,37 @@ class Match:
         return Match(self.clip, self.position + frames * self.step, self.scale, self.distance)
 
 
+@dataclass(frozen=True)
+class PoseSequence:
+    """Poses of the library's coordinates, one frame apart: q (n, J) rad, roots (n, 4, 4); and their last match."""
+
+    q: Float
+    roots: Float
+    match: Match | None = None
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def then(self, more: PoseSequence) -> PoseSequence:
+        """This sequence followed by another; the match is the later one's, its distance the larger of both.
+
+        A prediction matches its own source perfectly, so that the distance of its match has no meaning.
+        """
+        match = more.match
+        if match is not None and self.match is not None:
+            match = replace(match, distance=max(match.distance, self.match.distance))
+        return PoseSequence(np.concatenate([self.q, more.q]), np.concatenate([self.roots, more.roots]), match)
+
+    def since(self, start: int) -> PoseSequence:
+        """The poses from number `start` on."""
+        return PoseSequence(self.q[start:], self.roots[start:], self.match)
+
+    def at(self, position: float) -> tuple[Float, Float]:
+        """(J,) and (4, 4) interpolated between two poses."""
+        where = np.array([position])
+        return interpolated_angles(self.q, where)[0], interpolated_roots(self.roots, where)[0]
+
+
 class Matcher:
     """Exact search of a library, prepared once.
 
@@ -65,13 +90,9 @@ class Matcher:
     """
 
     def __init__(
-        self,
-        library: MotionLibrary,
-        columns: Sequence[int] | Int | None = None,
-        weights: Sequence[float] | Float | None = None,
-        scales: Sequence[float] = PAPER_SCALES,
-        ahead: float = 1.0,
-    ) -> None:
+        self, library: MotionLibrary, columns: Sequence[int] | Int | None = None,
+        weights: Sequence[float] | Float | None = None, scales: Sequence[float] = PAPER_SCALES, ahead: float = 1.0,
+    ) -> None:  # fmt: skip
         self.library, self.ahead = library, ahead
         chosen = range(len(library.names)) if columns is None else columns
         self.columns = np.array([int(c) for c in chosen], dtype=np.int32)
@@ -86,7 +107,6 @@ class Matcher:
         self._factors, self.steps = np.sqrt(given), 1.0 / self.scales
         self.base = _transposed(library.q, self.columns, self._factors)
         self.jumps = _jumps(self.base, library.starts)
-        self.tubes = _Tubes.of(self.base, library.starts)
 
     def best(self, query: Float, last: Match | None = None, excluded: Sequence[Interval] = ()) -> Match | None:
         """The best match of the last m poses.
@@ -102,132 +122,58 @@ class Matcher:
         Raises:
             InputError: for a query that is not (m, K), or not finite.
         """
-        found = self._ready(query)
-        near = None if last is None or excluded else found.near(last.after(1.0))
+        poses = self._ready(query)
+        near = None if last is None or excluded else self._near(poses, last.after(1.0))
         if near is None:
-            return found.best(excluded)
-        better = found.best(limit=near.distance * (1.0 - 1e-9) - 1e-9)
-        return near if better is None else better
+            return self._best(poses, excluded)
+        return self._best(poses, limit=near.distance * (1.0 - 1e-9) - 1e-9) or near
 
     def k_best(self, query: Float, count: int, apart: float, excluded: Sequence[Interval] = ()) -> list[Match]:
-        """The best match and the next best ones, each more than `apart` poses from those before it in its clip.
+        """The `count` best matches, each more than `apart` poses of the library from those before it in its clip.
 
-        Args:
-            query: as for `best`.
-            count: how many.
-            apart: poses of the library.
-            excluded: intervals in which no match may end.
-
-        Raises:
-            InputError: as `best`.
+        Query, excluded intervals and errors are as of `best`.
         """
-        found, taken = self._ready(query), list[Match]()
+        poses, taken = self._ready(query), list[Match]()
         while len(taken) < count:
             around = [(match.clip, match.position - apart, match.position + apart) for match in taken]
-            match = found.best([*excluded, *around])
+            match = self._best(poses, [*excluded, *around])
             if match is None:
                 break
             taken.append(match)
         return taken
 
-    def _ready(self, query: Float) -> _Query:
-        query = np.ascontiguousarray(query, dtype=float)
-        K = len(self.columns)
-        if query.ndim != 2 or len(query) == 0 or query.shape[1] != K:
-            raise InputError(f"motion matching: a query must be (m, {K}), K coordinates.")
-        poses, finite = kernels.prepared(query, self._factors, len(self.base))
-        _expect(finite, "a pose of the query is not finite")
-        return _Query(self, poses)
+    def _ready(self, query: Float) -> Float:
+        """The query unwrapped, weighted and padded as the library is, the latest pose first."""
+        query, K = np.ascontiguousarray(query, dtype=float), len(self.columns)
+        _expect(query.ndim == 2 and len(query) > 0 and query.shape[1] == K, f"a query must be (m, {K}), K coordinates")
+        _expect(bool(np.isfinite(query).all()), "a pose of the query is not finite")
+        poses = np.zeros((len(query), len(self.base)))
+        poses[:, :K] = unwrapped(query)[::-1] * self._factors
+        return poses
 
-
-class _Query:
-    """A query with its bounds, which are computed once for several searches."""
-
-    def __init__(self, matcher: Matcher, poses: Float) -> None:
-        self._matcher, self._poses = matcher, poses
-
-    @cached_property
-    def _bounds(self) -> Float32:
-        """(B,) lower bound of each block; zeros for libraries that are too small for bounds to save time."""
-        tubes, steps = self._matcher.tubes, self._matcher.steps
-        if len(tubes.radii) <= kernels.FEW:
-            return tubes.nothing
-        m = len(self._poses)
-        lags = np.unique(np.linspace(0, m - 1, min(m, _BOUNDING_LAGS)).astype(np.int32))
-        slow, fast = float(steps.min()), float(steps.max())
-        rounded = self._poses.astype(np.float32)
-        away = kernels.tube_distances(tubes.middles, tubes.lines, tubes.halves, tubes.radii, rounded, lags)
-        return kernels.block_bounds(away, lags, slow, fast, tubes.first_block)
-
-    def best(self, excluded: Sequence[Interval] = (), limit: float = 1e300) -> Match | None:
+    def _best(self, poses: Float, excluded: Sequence[Interval] = (), limit: float = 1e300) -> Match | None:
         """The best match below a limit that does not end in an excluded interval."""
-        matcher, tubes = self._matcher, self._matcher.tubes
-        clips = (matcher.base, matcher.jumps, matcher.library.starts)
-        blocks = (self._bounds, tubes.first_block, tubes.clip_of)
-        distance, clip, scale, pose = kernels.search(
-            clips,
-            self._poses,
-            matcher.steps,
-            blocks,
-            matcher.ahead,
-            _as_arrays(excluded) if excluded else _NOTHING,
-            limit,
-        )
-        return self._match(clip, scale, pose, distance)
+        clips = (self.base, self.jumps, self.library.starts)
+        windows = np.array([[low, high] for _, low, high in excluded]).reshape(-1, 2)
+        within = np.array([clip for clip, _, _ in excluded], np.int32), windows
+        distance, clip, scale, pose = kernels.search(clips, poses, self.steps, self.ahead, within, limit)
+        return None if scale < 0 else self._match(clip, scale, pose, distance)
 
-    def near(self, place: Match) -> Match | None:
+    def _near(self, poses: Float, place: Match) -> Match | None:
         """The best match within half a step of a place."""
-        matcher, reach = self._matcher, 0.5 * place.step
-        start, end = matcher.library.starts[place.clip : place.clip + 2]
-        low, high = place.position - reach, place.position + reach
-        distance, scale, pose = kernels.nearby(
-            matcher.base, self._poses, matcher.steps, start, end, low, high, matcher.ahead
-        )
-        return self._match(place.clip, scale, pose, distance)
+        start, end = map(int, self.library.starts[place.clip : place.clip + 2])
+        low, high = place.position - 0.5 * place.step - kernels.NEAR, place.position + 0.5 * place.step + kernels.NEAR
+        best, limit = None, np.inf
+        for scale, step in enumerate(self.steps):
+            last = min(high, end - start - 1 + kernels.NEAR - self.ahead * step)
+            for j in range(max(int(np.ceil(low / step)), len(poses) - 1), int(np.floor(last / step)) + 1):
+                value = kernels.score(self.base, poses, start, j, step, limit)
+                if value < limit:
+                    best, limit = self._match(place.clip, scale, j, value), value
+        return best
 
-    def _match(self, clip: int, scale: int, pose: int, distance: float) -> Match | None:
-        if scale < 0:
-            return None
-        s = float(self._matcher.scales[scale])
-        return Match(int(clip), float(pose * self._matcher.steps[scale]), s, float(distance))
-
-
-@dataclass(frozen=True)
-class _Tubes:
-    """Tubes around blocks of poses (`_search.tubes`), and the clip and first block of the clip (B,).
-
-    Each tube also holds the first pose of the next block, and so all interpolated poses.
-    """
-
-    middles: Float32
-    lines: Float32
-    halves: Float32
-    radii: Float32
-    clip_of: Int
-    first_block: Int
-
-    @cached_property
-    def nothing(self) -> Float32:
-        """(B,) bounds that exclude nothing."""
-        return np.zeros(len(self.radii), np.float32)
-
-    @staticmethod
-    def of(base: Float32, starts: Int) -> _Tubes:
-        counts = -(-np.diff(starts) // kernels.BLOCK)
-        clip_of = np.repeat(np.arange(len(counts), dtype=np.int32), counts)
-        first = np.repeat(np.cumsum(counts) - counts, counts).astype(np.int32)
-        begin = starts[clip_of] + (np.arange(len(first)) - first) * kernels.BLOCK
-        end = np.minimum(begin + kernels.BLOCK + 1, starts[clip_of + 1])
-        return _Tubes(*kernels.tubes(base, begin.astype(np.int32), end.astype(np.int32)), clip_of, first)
-
-
-def _as_arrays(excluded: Sequence[Interval]) -> tuple[Int, Float]:
-    """(E,) clips and (E, 2) positions in them."""
-    clips = np.array([clip for clip, _, _ in excluded], np.int32)
-    return clips, np.array([[low, high] for _, low, high in excluded]).reshape(-1, 2)
-
-
-_NOTHING = _as_arrays(())
+    def _match(self, clip: int, scale: int, pose: int, distance: float) -> Match:
+        return Match(int(clip), float(pose * self.steps[scale]), float(self.scales[scale]), float(distance))
 
 
 def _transposed(q: Float32, columns: Int, factors: Float) -> Float32:

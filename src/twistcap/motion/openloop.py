@@ -14,28 +14,24 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from twistcap.arrays import Float, Int
+from twistcap import se3
+from twistcap.arrays import Float
 from twistcap.body import Body, Pose
 from twistcap.errors import InputError
-from twistcap.motion.bridging import bridged
 from twistcap.motion.clip import interpolated_angles, interpolated_roots
 from twistcap.motion.library import MotionLibrary, unwrapped
-from twistcap.motion.matching import Interval, Match
+from twistcap.motion.matching import Interval, Match, PoseSequence
 from twistcap.motion.spread import Spread, learned_spread
-from twistcap.predict.history import Moment, covariance_about
+from twistcap.predict.history import Moment, constant_velocity, covariance_about
 
 _LONGEST = 10.0  # s of history that are used, at most
 
 
 @dataclass(frozen=True)
 class Expected:
-    """An expected pose.
+    """An expected pose, and its source in the training motion, None where nothing matched.
 
-    Attributes:
-        pose: the expected pose.
-        covariance: (6 + J, 6 + J) of the step from it to the true pose; see CONVENTIONS.md.
-        information: its inverse.
-        match: its source in the training motion; None where nothing matched.
+    `covariance` (6 + J, 6 + J) is that of the step to the true pose (CONVENTIONS.md), `information` its inverse.
     """
 
     pose: Pose
@@ -53,56 +49,18 @@ class MotionPredictor(Protocol):
         ...
 
     def predict(self, history: Sequence[Moment], time: float, memory: Any = None) -> tuple[Expected, Any]:
-        """The pose expected at `time`, s, and the memory for the next prediction.
+        """The pose expected at `time`, s, and the memory for the next prediction, which is None before the first.
 
-        Args:
-            history: at least one earlier moment with images, the latest last.
-            time: s.
-            memory: that of the previous prediction; None for none.
+        The history holds at least one earlier moment with images, the latest last.
         """
         ...
 
 
 @dataclass(frozen=True)
-class PoseSequence:
-    """Poses of the library's coordinates, one frame apart: q (n, J) rad, roots (n, 4, 4); and their last match."""
-
-    q: Float
-    roots: Float
-    match: Match | None = None
-
-    def __len__(self) -> int:
-        return len(self.q)
-
-    def then(self, more: PoseSequence) -> PoseSequence:
-        """This sequence followed by another; the match is the later one's, its distance the larger of both.
-
-        A prediction matches its own source perfectly, so that the distance of its match has no meaning.
-        """
-        match = more.match
-        if match is not None and self.match is not None:
-            match = replace(match, distance=max(match.distance, self.match.distance))
-        return PoseSequence(np.concatenate([self.q, more.q]), np.concatenate([self.roots, more.roots]), match)
-
-    def since(self, start: int) -> PoseSequence:
-        """The poses from number `start` on."""
-        return PoseSequence(self.q[start:], self.roots[start:], self.match)
-
-    def at(self, position: float) -> tuple[Float, Float]:
-        """(J,) and (4, 4) interpolated between two poses."""
-        where = np.array([position])
-        return interpolated_angles(self.q, where)[0], interpolated_roots(self.roots, where)[0]
-
-
-@dataclass(frozen=True)
 class Rollout:
-    """An open-loop prediction, to be extended.
+    """An open-loop prediction, to be extended: poses with images (`past`), and those predicted from the last one on.
 
-    Attributes:
-        last: the last moment with images, where it starts.
-        turns: (J,) rad, whole turns between the library's angles and the body's.
-        past: poses with images, one frame apart.
-        ahead: predicted poses, from that of `last` on.
+    `last` is the last moment with images; `turns` (J,) rad are whole turns between the library's angles and the body's.
     """
 
     last: Moment
@@ -128,11 +86,11 @@ class OpenLoop(ABC):
         self.library, self.body = library, body
         common = [name for name in library.names if name in body.coordinate_names]
         if not common:
-            raise InputError(
-                f"motion library: body {body.name!r} has none of its coordinates {', '.join(library.names)}."
-            )
-        self._known = library.columns(common)  # in the library, and
-        self._theirs = np.array([body.coordinate(name) for name in common], np.int32)  # in the body
+            names = ", ".join(library.names)
+            raise InputError(f"motion library: body {body.name!r} has none of its coordinates {names}.")
+        self.compared = library.columns(common)
+        """(K,) columns of the library that are matched: those that the body has."""
+        self._theirs = np.array([body.coordinate(name) for name in common], np.int32)  # the same in the body
 
     @property
     def memory_type(self) -> Any:
@@ -143,10 +101,7 @@ class OpenLoop(ABC):
     def next_poses(self, past: PoseSequence, count: int, excluded: Sequence[Interval] = ()) -> PoseSequence:
         """One to `count` poses that follow those of the past, which holds at least one.
 
-        Args:
-            past: poses of the library's coordinates, one frame apart.
-            count: wanted poses; fewer may come, but at least one.
-            excluded: intervals of the library that may not be matched.
+        They are poses of the library's coordinates, one frame apart; the excluded intervals may not be matched.
         """
 
     def roll(self, past: PoseSequence, count: int, excluded: Sequence[Interval] = ()) -> PoseSequence:
@@ -159,13 +114,7 @@ class OpenLoop(ABC):
     @cached_property
     def spread(self) -> Spread:
         """The predictor's standard deviations, learned from the library at the first use."""
-        return learned_spread(
-            self.library, self.history, lambda q, roots, count, excluded: self._trial(q, roots, count, excluded)
-        )
-
-    def _trial(self, q: Float, roots: Float, count: int, excluded: Sequence[Interval]) -> tuple[Float, Float, float]:
-        found = self.roll(PoseSequence(q, roots), count, excluded)
-        return found.q, found.roots, self.dissimilarity(found.match)
+        return learned_spread(self)
 
     def dissimilarity(self, match: Match | None) -> float:
         """Mean distance of the matched poses, rad per pose; NaN where a match is needed and there is none."""
@@ -177,10 +126,7 @@ class OpenLoop(ABC):
         """The pose at `time`, with its covariance; see `MotionPredictor`.
 
         Moments without images hold predictions: those after the last image are ignored, earlier ones fill gaps
-        (`bridged`).
-
-        Raises:
-            InputError: for a history without images.
+        (`bridged`). A history without images is an InputError.
         """
         last = next((moment for moment in reversed(history) if moment.seen), None)
         if last is None:
@@ -196,11 +142,11 @@ class OpenLoop(ABC):
     def _expected(self, run: Rollout, frames: float) -> Expected:
         known, root = run.ahead.at(min(frames, len(run.ahead) - 1.0))
         q = run.last.pose.q.copy()
-        q[self._theirs] = (known - run.turns)[self._known]
+        q[self._theirs] = (known - run.turns)[self.compared]
         match = run.ahead.match
         turn, shift, joints = self.spread.variances(frames, float(np.nan_to_num(self.dissimilarity(match))))
         variance = np.full(self.body.dof, self.spread.unknown(frames))
-        variance[:3], variance[3:6], variance[6 + self._theirs] = turn, shift, joints[self._known]
+        variance[:3], variance[3:6], variance[6 + self._theirs] = turn, shift, joints[self.compared]
         covariance, information = covariance_about(variance, root[:3, 3])
         return Expected(Pose(root, q), covariance, information, match)
 
@@ -214,13 +160,35 @@ class OpenLoop(ABC):
         # Time stamps are rounded: positions near a moment are moved to it.
         positions = np.where(np.abs(positions - np.round(positions)) < 0.01, np.round(positions), positions)
         q = np.zeros((len(history), len(self.library.names)))
-        q[:, self._known] = np.array([moment.pose.q for moment in history])[:, self._theirs]
+        q[:, self.compared] = np.array([moment.pose.q for moment in history])[:, self._theirs]
         roots = np.array([moment.pose.root for moment in history])
         smooth = unwrapped(q)  # as the library's clips are
         past = PoseSequence(interpolated_angles(smooth, positions), interpolated_roots(roots, positions))
         return Rollout(last, smooth[-1] - q[-1], past, past.since(len(past) - 1))
 
-    @property
-    def compared(self) -> Int:
-        """(K,) columns of the library that are matched: those that the body has."""
-        return self._known
+
+def bridged(history: Sequence[Moment]) -> list[Moment]:
+    """The moments from the first to the last with images, with corrected predictions between them.
+
+    A straight line across a gap of half a cycle matches nothing in a library. A prediction has the right form but has
+    drifted: its error at the end of the gap is spread over the gap, linear in time.
+    """
+    seen = np.flatnonzero([moment.seen for moment in history])
+    out = list(history[seen[0] : seen[-1] + 1])
+    for a, b in zip(seen[:-1] - seen[0], seen[1:] - seen[0], strict=True):
+        if b - a > 1:
+            out[a + 1 : b] = _corrected(out[a : b + 1])
+    return out
+
+
+def _corrected(moments: Sequence[Moment]) -> list[Moment]:
+    """The predicted moments between a first and a last one with images."""
+    first, *predicted, last = moments
+    end = constant_velocity(moments[:-1], last.time)  # of the prediction
+    turn = se3.log(se3.inverse(end.root) @ last.pose.root)
+    joints = np.remainder(last.pose.q - end.q + np.pi, 2.0 * np.pi) - np.pi
+    fractions = [(m.time - first.time) / (last.time - first.time) for m in predicted]
+    return [
+        replace(m, pose=Pose(m.pose.root @ se3.exp(f * turn), m.pose.q + f * joints))
+        for m, f in zip(predicted, fractions, strict=True)
+    ]

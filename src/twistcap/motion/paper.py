@@ -31,8 +31,7 @@ class PaperMotion(OpenLoop):
     the mean motion of the last frames, without the library.
 
     Args:
-        library: training motion, at the frame rate of the recording.
-        body: that is tracked.
+        library, body: as of `OpenLoop`.
         kind: which of them.
         poses: m, number of the last poses that are matched, or averaged.
         scales: time scales that are tried.
@@ -42,19 +41,14 @@ class PaperMotion(OpenLoop):
     """
 
     def __init__(
-        self,
-        library: MotionLibrary,
-        body: Body,
-        kind: PaperKind = "scaled",
-        poses: int = 5,
+        self, library: MotionLibrary, body: Body, kind: PaperKind = "scaled", poses: int = 5,
         scales: Sequence[float] = PAPER_SCALES,
-    ) -> None:
+    ) -> None:  # fmt: skip
         super().__init__(library, body)
         if poses < 2:
             raise InputError(f"motion prediction: {poses} pose(s) are to be matched; take 2 or more.")
         self.kind, self.poses, self.history = kind, poses, poses
-        chosen = scales if kind == "scaled" else (1.0,)
-        self._matcher = Matcher(library, self.compared, scales=chosen)
+        self._matcher = Matcher(library, self.compared, scales=scales if kind == "scaled" else (1.0,))
 
     def dissimilarity(self, match: Match | None) -> float:
         """Mean distance of the matched poses, rad."""
@@ -67,8 +61,7 @@ class PaperMotion(OpenLoop):
         recent = past.since(max(0, len(past) - self.poses))
         if self.kind == "standard" or len(recent) < 2:
             return standard_step(recent)
-        last = None if past.match is None else past.match
-        match = self._matcher.best(recent.q[:, self.compared], last, excluded)
+        match = self._matcher.best(recent.q[:, self.compared], past.match, excluded)
         if match is None:
             return standard_step(recent)
         where = np.array([match.position, match.after(1.0).position])
@@ -81,13 +74,8 @@ class PaperMotion(OpenLoop):
 def transferred(root: Float, before: Float, after: Float, speed: float | None, standing: float) -> Float:
     """A root (4, 4) after the motion of a sample: ``exp(ν/ν̃ · Ad_g log(M̃' M̃⁻¹)) M`` with ``g = M M̃⁻¹``.
 
-    Unscaled this is ``M M̃⁻¹ M̃'``, the sample's motion in its own frame.
-
-    Args:
-        root: M, to be moved.
-        before, after: (4, 4) the sample M̃, and M̃' one frame later.
-        speed: ν, m per frame; None for the sample's own.
-        standing: m per frame; a sample's speed ν̃ below it is kept.
+    M is the root, M̃ and M̃' are the sample before and one frame after. Without a speed ν (m per frame) this is
+    ``M M̃⁻¹ M̃'``, the sample's motion in its own frame; a sample's speed ν̃ below `standing` is kept too.
     """
     twist = se3.adjoint(root @ se3.inverse(before)) @ se3.log(after @ se3.inverse(before))
     if speed is not None:

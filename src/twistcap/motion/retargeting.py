@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 
 from twistcap import se3
 from twistcap.arrays import Bool, Float, Int
@@ -34,12 +33,9 @@ _STEPS, _TOLERANCE = 30, 1e-6
 
 @dataclass(frozen=True)
 class Targets:
-    """Wanted orientations of M segments of a body in N frames.
+    """Wanted orientations (N, M, 3, 3), from the rest pose to the world, of M segments of a body in N frames.
 
-    Attributes:
-        segments: (M,) of the body.
-        rotations: (N, M, 3, 3) from the rest pose to the world.
-        weights: (M, 3) of the directions of their three axes.
+    `weights` (M, 3) are those of the directions of their three axes.
     """
 
     segments: Int
@@ -62,16 +58,16 @@ def retarget(
         InputError: for a skeleton without a table, or that lacks a joint of it, or a body without our segments.
     """
     known = calibrated(motion, table or table_for(motion))
-    turned, mid_hip = _world_turn(motion, known), _mid_hip(body)
+    turned = _world_turn(motion, known)
+    mid_hip = 0.5 * (_origin(body, "femur_r") + _origin(body, "femur_l"))
     targets = _targets(motion, body, known, turned)
     pelvis = turned @ motion.rotations[:, known.joints["pelvis"]] @ known.axes["pelvis"]
     factor = leg_length(body) / _source_leg(motion, known) if scale is None else scale
     hips = [motion.positions[:, known.joints[f"femur_{side}"]] for side in "rl"]
     place = factor * 0.5 * (hips[0] + hips[1]) @ turned.T
     roots = se3.transform(pelvis, place - pelvis @ mid_hip)
-    return MotionClip(
-        motion.name, body.coordinate_names, motion.rate, roots, fitted_angles(body, roots, targets, motion.rate)
-    )
+    angles = _fitted_angles(body, roots, targets, motion.rate)
+    return MotionClip(motion.name, body.coordinate_names, motion.rate, roots, angles)
 
 
 def leg_length(body: Body) -> float:
@@ -101,10 +97,6 @@ def _origin(body: Body, segment: str) -> Float:
     return joint_origin(body, body.segment(segment))
 
 
-def _mid_hip(body: Body) -> Float:
-    return 0.5 * (_origin(body, "femur_r") + _origin(body, "femur_l"))
-
-
 def _world_turn(motion: SkeletonMotion, known: Calibration) -> Float:
     """(3, 3) from the file's axes to our world: z up, and the rest pose facing +x."""
     up = np.eye(3)["xyz".index(motion.up)]
@@ -117,24 +109,16 @@ def _world_turn(motion: SkeletonMotion, known: Calibration) -> Float:
 
 def _targets(motion: SkeletonMotion, body: Body, known: Calibration, turned: Float) -> Targets:
     names = {name: name for name in known.joints if name in body.segment_names}
-    if "thorax" in known.joints and "thorax" not in body.segment_names:
+    if "thorax" in known.joints and "thorax" not in names and "torso" in body.segment_names:
         names["thorax"] = "torso"  # the one trunk segment carries head and arms
-    names = {source: own for source, own in names.items() if own in body.segment_names}
     rotations = [turned @ motion.rotations[:, known.joints[source]] @ known.axes[source] for source in names]
     weights = [_WEIGHTS.get(own.partition("_")[0], _USUAL) for own in names.values()]
     segments = np.array([body.segment(own) for own in names.values()], dtype=np.int32)
     return Targets(segments, np.stack(rotations, axis=1), np.array(weights))
 
 
-def fitted_angles(body: Body, roots: Float, targets: Targets, rate: float) -> Float:
-    """(N, J) coordinates that fit the segments to their targets, each frame starting from the one before.
-
-    Args:
-        body: with J coordinates.
-        roots: (N, 4, 4) root motions.
-        targets: in the world.
-        rate: frames per second.
-    """
+def _fitted_angles(body: Body, roots: Float, targets: Targets, rate: float) -> Float:
+    """(N, J) coordinates that fit the segments to their targets, each frame starting from the one before."""
     out = np.zeros((len(roots), len(body.coordinate_names)))
     q = _swept(body, Pose(roots[0], out[0]), targets)
     for n, root in enumerate(roots):
@@ -195,40 +179,8 @@ def _equations(body: Body, pose: Pose, targets: Targets, n: int, limits: float) 
     return value, gradient, H + np.diag(limits**2 * (beyond != 0) + _REST**2)
 
 
-@njit(cache=True, nogil=True)
 def direction_sums(have: Float, want: Float, squares: Float, moves: Bool, twists: Float) -> tuple[float, Float, Float]:
-    """Normal equations of ``½ Σ w² |h − t|²`` over the axes of M segments; see `direction_sums_reference`."""
-    M, J = moves.shape
-    value, gradient, H = 0.0, np.zeros(J), np.zeros((J, J))
-    turn, spread, carried = np.zeros(3), np.zeros((3, 3)), np.zeros(3)
-    for m in range(M):
-        turn[:] = 0.0
-        spread[:] = 0.0
-        for a in range(3):
-            w, h, t = squares[m, a], have[m, :, a], want[m, :, a]
-            for i in range(3):
-                j, k = (i + 1) % 3, (i + 2) % 3
-                value += 0.5 * w * (h[i] - t[i]) ** 2
-                turn[i] += w * (t[j] * h[k] - t[k] * h[j])
-                spread[i, i] += w
-                for j in range(3):
-                    spread[i, j] -= w * h[i] * h[j]
-        for k in range(J):
-            if not moves[m, k]:
-                continue
-            for i in range(3):
-                gradient[k] += twists[k, i] * turn[i]
-                carried[i] = spread[i, 0] * twists[k, 0] + spread[i, 1] * twists[k, 1] + spread[i, 2] * twists[k, 2]
-            for l in range(J):
-                if moves[m, l]:
-                    H[k, l] += carried[0] * twists[l, 0] + carried[1] * twists[l, 1] + carried[2] * twists[l, 2]
-    return value, gradient, H
-
-
-def direction_sums_reference(
-    have: Float, want: Float, squares: Float, moves: Bool, twists: Float
-) -> tuple[float, Float, Float]:
-    """Readable twin of `direction_sums`.
+    """Normal equations of ``½ Σ w² |h − t|²`` over the axes of M segments: value, gradient (J,) and curvature (J, J).
 
     For the direction h of an axis, its target t and a coordinate that turns about ω, the derivative of h is ω × h: the
     gradient of ``½ w² |h − t|²`` is ``w² ω·(t × h)``, and the curvature of two coordinates ``w² ω·(I − h hᵀ) ω'``.
@@ -239,12 +191,14 @@ def direction_sums_reference(
         moves: (M, J) whether a coordinate moves a segment.
         twists: (J, 6) world twists.
     """
-    w2 = squares[:, None, :]
-    by_turn = np.sum(w2 * np.cross(want, have, axis=1), axis=2)
-    spread = np.sum(w2, axis=2)[..., None] * np.eye(3) - (w2 * have) @ np.swapaxes(have, 1, 2)
+    weighted = squares[:, None, :] * have
+    product = weighted @ want.mT  # Σ w² h tᵀ, whose antisymmetric part is Σ w² t × h
+    by_turn = (product - product.mT)[:, [2, 0, 1], [1, 2, 0]]
+    spread = np.sum(squares, axis=1)[:, None, None] * np.eye(3) - weighted @ have.mT
     turns = moves[..., None] * twists[:, :3]  # (M, J, 3)
     gradient = np.einsum("mji,mi->j", turns, by_turn)
-    return 0.5 * float(np.sum(w2 * (have - want) ** 2)), gradient, np.sum(turns @ spread @ turns.mT, axis=0)
+    value = 0.5 * float(np.sum(squares[:, None] * (have - want) ** 2))
+    return value, gradient, np.sum(turns @ spread @ turns.mT, axis=0)
 
 
 def grounded(clip: MotionClip, body: Body) -> MotionClip:

@@ -48,17 +48,17 @@ class SkeletonMotion:
 
     def __post_init__(self) -> None:
         N, S = len(self.rotations), len(self.joints)
-        if self.rotations.shape != (N, S, 3, 3) or self.positions.shape != (N, S, 3) or self.offsets.shape != (S, 3):
-            raise InputError(f"motion {self.name!r}: its arrays do not fit its {S} joints.")
-        if not N:
-            raise InputError(f"motion {self.name!r}: it has no frames.")
-        if not (np.isfinite(self.rate) and self.rate > 0):
-            raise InputError(f"motion {self.name!r}: its rate is {self.rate}; it must be positive.")
+        shapes = self.rotations.shape, self.positions.shape, self.offsets.shape
+        self._expect(shapes == ((N, S, 3, 3), (N, S, 3), (S, 3)), f"its arrays do not fit its {S} joints")
+        self._expect(N > 0, "it has no frames")
+        self._expect(0 < self.rate < np.inf, f"its rate is {self.rate}; it must be positive")
         for values in (self.rotations, self.positions):
-            bad = np.argwhere(~np.isfinite(values))
-            if len(bad):
-                frame, joint = int(bad[0][0]), self.joints[bad[0][1]]
-                raise InputError(f"motion {self.name!r}: {joint!r} is not finite in frame {frame}; fill or cut it.")
+            if len(bad := np.argwhere(~np.isfinite(values))):
+                self._expect(False, f"{self.joints[bad[0, 1]]!r} is not finite in frame {bad[0, 0]}; fill or cut it")
+
+    def _expect(self, holds: bool, message: str) -> None:
+        if not holds:
+            raise InputError(f"motion {self.name!r}: {message}.")
 
     def __len__(self) -> int:
         return len(self.rotations)
@@ -69,11 +69,9 @@ class SkeletonMotion:
     def resampled(self, rate: float) -> SkeletonMotion:
         """The same motion at another rate: rotations along geodesics, positions linear.
 
-        Raises:
-            InputError: for a rate that is not positive.
+        Raises an InputError for a rate that is not positive.
         """
-        if not (np.isfinite(rate) and rate > 0):
-            raise InputError(f"motion {self.name!r}: the new rate is {rate}; it must be positive.")
+        self._expect(0 < rate < np.inf, f"the new rate is {rate}; it must be positive")
         last = len(self) - 1
         at = np.arange(int(np.floor(last * rate / self.rate + 1e-6)) + 1) * self.rate / rate
         low = np.minimum(at.astype(int), max(last - 1, 0))
@@ -91,18 +89,11 @@ class SkeletonMotion:
                 out[s] += out[parent]
         return out
 
-    @classmethod
+    @staticmethod
     def from_local(
-        cls,
-        name: str,
-        joints: Sequence[str],
-        parents: Sequence[int],
-        offsets: Float,
-        local: Float,
-        places: Float,
-        rate: float,
-        up: Up,
-    ) -> SkeletonMotion:
+        name: str, joints: Sequence[str], parents: Sequence[int], offsets: Float, local: Float, places: Float,
+        rate: float, up: Up,
+    ) -> SkeletonMotion:  # fmt: skip
         """Forward kinematics.
 
         Args:
@@ -117,18 +108,11 @@ class SkeletonMotion:
             rotations[:, s] = rotations[:, parent] @ local[:, s]
             positions[:, s] = positions[:, parent] + rotations[:, parent] @ offsets[s]
         where = np.asarray(parents, dtype=np.int32)
-        return cls(name, tuple(joints), where, offsets, rotations, positions, rate, up)
+        return SkeletonMotion(name, tuple(joints), where, offsets, rotations, positions, rate, up)
 
 
 def skeleton_of(body: Body, poses: Sequence[Pose], rate: float, name: str = "motion") -> SkeletonMotion:
-    """The motion of a body as that of a skeleton: one joint per segment, z up, the body's rest pose.
-
-    Args:
-        body: of the poses.
-        poses: N poses.
-        rate: per second.
-        name: of the motion.
-    """
+    """The motion of a body, `rate` poses per second, as that of a skeleton: one joint per segment, z up."""
     origins = np.array([joint_origin(body, s) for s in range(len(body.segment_names))])
     above = body.segment_parent
     offsets = origins - np.where(above[:, None] >= 0, origins[above], 0.0)

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from twistcap import se3
 from twistcap.arrays import Float
 from twistcap.motion.library import MotionLibrary
-from twistcap.motion.matching import Interval
+from twistcap.motion.matching import PoseSequence
+
+if TYPE_CHECKING:
+    from twistcap.motion.openloop import OpenLoop
 
 _HORIZONS = np.array([1, 2, 4, 8, 16, 32, 48])
 _TRIALS = 48
@@ -21,29 +24,20 @@ _GUESS = (1.0, 0.5, 1.5)  # rad/s, m/s, rad/s: for libraries that are too small 
 _UNKNOWN = (2.0, 0.5)  # rad/s, and rad at most, of a coordinate that the library lacks
 _WORST = 4.0  # greatest factor by which a bad match widens the spread
 
-Trial = Callable[[Float, Float, int, Sequence[Interval]], tuple[Float, Float, float]]
-"""Past q (n, J), roots (n, 4, 4), a number of frames and excluded intervals to q, roots and dissimilarity of the match.
-
-The dissimilarity is NaN where nothing matched.
-"""
-
 
 @dataclass(frozen=True)
 class Spread:
     """Standard deviations of a prediction by the number of open-loop frames.
 
     Attributes:
-        frames: (H,) increasing.
-        turn, shift: (H,) of the root's rotation (rad) and place (m), about the root, along each axis.
-        joints: (H, J) rad.
+        frames: (H,) increasing; rate: of them, per second.
+        deviations: (H, 2 + J) of the root's rotation (rad) and place (m), about the root, along each axis, and of the
+            joints (rad).
         usual: usual dissimilarity of a match, rad per pose; worse matches widen the spread. 0 for no widening.
-        rate: frames per second.
     """
 
     frames: Float
-    turn: Float
-    shift: Float
-    joints: Float
+    deviations: Float
     usual: float
     rate: float
 
@@ -51,7 +45,7 @@ class Spread:
         """Variances of turn (rad²), shift (m²) and joints (J,) rad² after some frames."""
         wider = 1.0 if self.usual <= 0 else float(np.clip(dissimilarity / self.usual, 1.0, _WORST))
         wider *= max(1.0, frames / self.frames[-1])
-        at = [np.interp(frames, self.frames, s) for s in (self.turn, self.shift, *self.joints.T)]
+        at = [np.interp(frames, self.frames, s) for s in self.deviations.T]
         squares = (np.array(at) * wider) ** 2
         return float(squares[0]), float(squares[1]), squares[2:]
 
@@ -60,31 +54,32 @@ class Spread:
         return min(_UNKNOWN[1], _LEAST[2] + _UNKNOWN[0] * frames / self.rate) ** 2
 
 
-def learned_spread(library: MotionLibrary, history: int, trial: Trial) -> Spread:
+def learned_spread(predictor: OpenLoop) -> Spread:
     """The spread of a predictor on the library's own clips, by cross-validation.
 
     Intervals are predicted from the poses before them, with the library around them excluded. For a library that is too
     small the spread is a guess.
     """
-    longest = int(_HORIZONS[-1])
+    library, history, longest = predictor.library, predictor.history, int(_HORIZONS[-1])
     errors, dissimilarity = list[Float](), list[float]()
     for clip, end in _places(library, history, longest):
         motion = library.clip(clip)
         past = slice(max(0, end - history + 1), end + 1)
         excluded = [(clip, end - _AWAY * library.rate, end + _AWAY * library.rate)]
-        q, roots, distance = trial(motion.q[past], motion.roots[past], longest, excluded)
-        if np.isnan(distance):
-            continue
-        truth = slice(end + 1, end + 1 + longest)
-        errors.append(_errors(q, roots, motion.q[truth], motion.roots[truth])[_HORIZONS - 1])
-        dissimilarity.append(distance)
+        found = predictor.roll(PoseSequence(motion.q[past], motion.roots[past]), longest, excluded)
+        distance = predictor.dissimilarity(found.match)
+        if not np.isnan(distance):
+            truth = slice(end + 1, end + 1 + longest)
+            errors.append(_errors(found.q, found.roots, motion.q[truth], motion.roots[truth])[_HORIZONS - 1])
+            dissimilarity.append(distance)
     if len(errors) < _FEWEST:
-        return _guessed(library)
+        frames = _HORIZONS.astype(float)
+        growth = frames[:, None] / library.rate * _of_all(_GUESS, library) + _of_all(_LEAST, library)
+        return Spread(frames, growth, 0.0, library.rate)
     deviations = np.sqrt(np.mean(np.square(errors), axis=0))
-    least = np.array([_LEAST[0], _LEAST[1], *[_LEAST[2]] * len(library.names)])
+    least = _of_all(_LEAST, library)
     growing = np.maximum.accumulate(np.maximum(deviations, least), axis=0)
-    usual = float(np.median(dissimilarity))
-    return Spread(_HORIZONS.astype(float), growing[:, 0], growing[:, 1], growing[:, 2:], usual, library.rate)
+    return Spread(_HORIZONS.astype(float), growing, float(np.median(dissimilarity)), library.rate)
 
 
 def _places(library: MotionLibrary, history: int, longest: int) -> list[tuple[int, int]]:
@@ -106,8 +101,6 @@ def _errors(q: Float, roots: Float, true_q: Float, true_roots: Float) -> Float:
     return np.column_stack([*rms, q - true_q])
 
 
-def _guessed(library: MotionLibrary) -> Spread:
-    frames = _HORIZONS.astype(float)
-    growth = frames[:, None] / library.rate * np.array(_GUESS) + np.array(_LEAST)
-    joints = np.repeat(growth[:, 2:], len(library.names), axis=1)
-    return Spread(frames, growth[:, 0], growth[:, 1], joints, 0.0, library.rate)
+def _of_all(each: tuple[float, float, float], library: MotionLibrary) -> Float:
+    """(2 + J,) of turn, shift and all joints."""
+    return np.array([*each[:2], *[each[2]] * len(library.names)])

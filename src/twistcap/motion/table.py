@@ -88,10 +88,9 @@ class SkeletonTable(BaseModel):
 
 @dataclass(frozen=True)
 class Calibration:
-    """Those of our segments that a skeleton has.
+    """Those of our segments that a skeleton has: by name, the index of the skeleton's joint, and the axes.
 
-    `joints` by name are indices into the skeleton's; `axes` by name are (3, 3), whose columns are the segment's
-    forward, left and up in the skeleton's rest pose.
+    The columns of axes (3, 3) are the segment's forward, left and up in the skeleton's rest pose.
     """
 
     joints: Mapping[str, int]
@@ -112,8 +111,7 @@ def calibrated(motion: SkeletonMotion, table: SkeletonTable) -> Calibration:
     axes: dict[str, Float] = {}
     for segment in joints:
         row = table.segments[segment]
-        up = _direction(row.up, segment, joints, rest) if row.down is None else None
-        up = -_direction(row.down, segment, joints, rest) if up is None else up
+        up = _direction(row.up or row.down, segment, joints, rest) * (-1.0 if row.up is None else 1.0)
         axes[segment] = _frame(np.array(row.forward), up, f"{table.name!r}: {segment}")
     return Calibration(joints, axes)
 
@@ -145,17 +143,15 @@ def shipped_tables() -> tuple[SkeletonTable, ...]:
 def table_for(motion: SkeletonMotion) -> SkeletonTable:
     """The shipped table that fits a skeleton: of those whose required joints it has, the one with most joints.
 
-    Raises:
-        InputError: where there is none.
+    Raises an InputError where there is none.
     """
     fits = [(table, table.found(motion)) for table in shipped_tables()]
     fits = [(len(found), table) for table, found in fits if set(REQUIRED) <= found.keys()]
     if not fits:
         known = ", ".join(table.name for table in shipped_tables())
-        raise InputError(
-            f"motion {motion.name!r}: its skeleton ({', '.join(motion.joints[:4])}, …) is none of {known}; "
-            "give a table of its joints (docs/formats/motion-files.md)."
-        )
+        mend = "give a table of its joints (docs/formats/motion-files.md)"
+        first = ", ".join(motion.joints[:4])
+        raise InputError(f"motion {motion.name!r}: its skeleton ({first}, …) is none of {known}; {mend}.")
     return max(fits, key=lambda fit: fit[0])[1]
 
 
@@ -166,9 +162,5 @@ def body_table() -> SkeletonTable:
 
 
 def read_table(path: Path | str) -> SkeletonTable:
-    """A skeleton's table.
-
-    Raises:
-        InputError: if it is missing, no TOML, or has an unknown key or a wrong value.
-    """
+    """A skeleton's table; an InputError if it is missing, no TOML, or has an unknown key or a wrong value."""
     return parsed_toml(path, SkeletonTable)

@@ -113,8 +113,8 @@ def learned(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool)
     after = State(past, posterior, support, _occluded(model, fit), state.learned + 1, cues, predictors, state.searches)
     least = float(support.min())
     return after, Estimate(
-        frame.index, frame.time, fit.pose, problem.claimed(fit, posterior), fit.energies, fit.status, fit.steps, least < model.support.least,
-        least, prediction.name,
+        frame.index, frame.time, fit.pose, problem.claimed(fit, posterior), fit.energies, fit.status, fit.steps,
+        least < model.support.least, least, prediction.name,
     )  # fmt: skip
 
 

@@ -6,7 +6,9 @@ makes the step; the fields are then computed again on the new body.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -15,12 +17,15 @@ from twistcap import se3
 from twistcap.adjust.first_pose import girth_groups
 from twistcap.arrays import Float, Int
 from twistcap.body import Body
-from twistcap.body.kinematics import unit_vertex_normals
 from twistcap.body.model import Landmarks
 from twistcap.body.shape import joint_coordinates, joint_origin, marks_of, rescaled, segment_axes
 
+_ALIKE = 1.5  # knots, length of the correlation of two factors of cross-sections
 _STEP = 1e-4  # of the difference quotients by log-factors
 _SIDES = (0.0, 0.5, 1.0, 1.5)  # directions about a segment's axis, in half turns, in which a cross-section is scaled
+
+Motions = tuple[Float, Float, Float]
+"""Of vertices (V, 3), joint centres (S, 3) and landmarks (L, 3) in the rest pose, m."""
 
 
 @dataclass(frozen=True)
@@ -42,18 +47,20 @@ class Fields:
     precision: Float
 
     def __add__(self, other: Fields) -> Fields:
-        return Fields(
-            (*self.names, *other.names),
-            np.concatenate([self.vertices, other.vertices]),
-            np.concatenate([self.joints, other.joints]),
-            np.concatenate([self.landmarks, other.landmarks]),
-            np.asarray(block_diag(self.precision, other.precision), np.float64),
-        )
+        pairs = zip(self.motions, other.motions, strict=True)
+        precision = np.asarray(block_diag(self.precision, other.precision), np.float64)
+        vertices, joints, landmarks = (np.concatenate(pair) for pair in pairs)
+        return Fields((*self.names, *other.names), vertices, joints, landmarks, precision)
 
-    def __matmul__(self, amounts: Float) -> tuple[Float, Float, Float]:
-        """Motions of vertices (V, 3), joints (S, 3) and landmarks (L, 3) for amounts (M,)."""
-        a, b, c = (np.tensordot(amounts, field, 1) for field in (self.vertices, self.joints, self.landmarks))
+    def __matmul__(self, amounts: Float) -> Motions:
+        """For amounts (M,)."""
+        a, b, c = (np.tensordot(amounts, field, 1) for field in self.motions)
         return a, b, c
+
+    @property
+    def motions(self) -> tuple[Float, Float, Float]:
+        """Of vertices, joints and landmarks."""
+        return self.vertices, self.joints, self.landmarks
 
 
 def joint_centres(body: Body) -> Float:
@@ -74,10 +81,8 @@ def deformed(body: Body, vertices: Float, joints: Float, landmarks: Float) -> Bo
 def stretch_fields(body: Body, stature: float, length: float, girth: float) -> Fields:
     """Log-stature, and log-length and log-girth of each kind of segment, left and right alike.
 
-    The girths move the joints of a segment too (hips of the pelvis, shoulders of the torso).
-
-    Args:
-        stature, length, girth: standard deviations of the log-factors.
+    The girths move the joints of a segment too (hips of the pelvis, shoulders of the torso). `stature`, `length` and
+    `girth` are standard deviations.
     """
     kinds = girth_groups(body)
     out = [("stature", rescaled(body, stature=float(np.exp(_STEP))), stature)]
@@ -86,27 +91,21 @@ def stretch_fields(body: Body, stature: float, length: float, girth: float) -> F
         out.append((f"length {kind}", rescaled(body, lengths=factors), length))
         out.append((f"girth {kind}", rescaled(body, girths=factors), girth))
     centres = joint_centres(body)
-    return Fields(
-        tuple(name for name, _, _ in out),
-        np.array([(b.vertices - body.vertices) / _STEP for _, b, _ in out]),
-        np.array([(joint_centres(b) - centres) / _STEP for _, b, _ in out]),
-        np.array([(b.landmarks.points - body.landmarks.points) / _STEP for _, b, _ in out]),
-        np.diag([sigma**-2.0 for _, _, sigma in out]),
-    )
+    names, bodies, sigmas = zip(*out, strict=True)
+    vertices = np.array([b.vertices - body.vertices for b in bodies]) / _STEP
+    joints = np.array([joint_centres(b) - centres for b in bodies]) / _STEP
+    marks = np.array([b.landmarks.points - body.landmarks.points for b in bodies]) / _STEP
+    return Fields(names, vertices, joints, marks, np.diag(np.power(sigmas, -2.0)))
 
 
-def profile_fields(body: Body, sigma: float, knots: int, alike: float = 1.5) -> Fields:
+def profile_fields(body: Body, sigma: float, knots: int) -> Fields:
     """Factors of the cross-sections along each kind of segment, in four directions about its axis.
 
-    Hat functions interpolate between knots and directions; left is the mirror of right.
-
-    Args:
-        sigma: standard deviation of a factor less 1.
-        knots: along each segment.
-        alike: length of the correlation of two factors, in knots.
+    Hat functions interpolate between the knots along each segment and directions; left is the mirror of right. `sigma`
+    is the standard deviation of a factor less 1.
     """
     names, moved, precision = list[str](), list[Float](), list[Float]()
-    covariance = _alike(knots, alike)
+    covariance = _alike(knots)
     for kind, segments in girth_groups(body).items():
         sections = [_sections(body, body.segment(s), knots) for s in segments]
         for k in range(knots):
@@ -118,9 +117,9 @@ def profile_fields(body: Body, sigma: float, knots: int, alike: float = 1.5) -> 
     return Fields(tuple(names), np.array(moved), *still, np.asarray(block_diag(*precision), np.float64))
 
 
-def _alike(knots: int, reach: float) -> Float:
+def _alike(knots: int) -> Float:
     """(K 4, K 4) correlation of the factors of one segment's knots and directions."""
-    along = np.exp(-0.5 * ((np.arange(knots)[:, None] - np.arange(knots)) / reach) ** 2)
+    along = np.exp(-0.5 * ((np.arange(knots)[:, None] - np.arange(knots)) / _ALIKE) ** 2)
     turn = np.abs(np.subtract.outer(_SIDES, _SIDES))
     around = np.exp(-np.minimum(turn, 2.0 - turn))
     return np.kron(along, around) + 1e-3 * np.eye(knots * len(_SIDES))
@@ -159,9 +158,7 @@ def _cross_axes(body: Body, segment: int, axis: Float) -> Float:
 def joint_fields(body: Body, sigma: float, side: float) -> Fields:
     """Shifts of the joint centres with the surface at rest: of left and right together, mirrored, and of each alone.
 
-    Args:
-        sigma: m, standard deviation of the shift of both sides.
-        side: m, of the shift of each side alone.
+    Their standard deviations are `sigma` for both sides and `side` for each alone, m.
     """
     names, joints, sigmas = list[str](), list[Float](), list[float]()
     for kind, segments in girth_groups(body).items():
@@ -187,11 +184,6 @@ def _marks_with(body: Body, joints: Float) -> Float:
     for s in np.flatnonzero(body.segment_joint >= 0):
         out[:, marks_of(body, int(s))] += joints[:, s, None]
     return out
-
-
-def offset_directions(body: Body) -> Float:
-    """(V, 3) outward unit normals of the rest surface, directions of the per-vertex offsets."""
-    return unit_vertex_normals(body.vertices, body.faces)
 
 
 def offset_precision(body: Body, sigma: float, reach: float) -> Float:
@@ -237,3 +229,51 @@ def _finite_elements(vertices: Float, faces: Int) -> tuple[Float, Float]:
         for m, n, sign in ((i, j, -1.0), (j, i, -1.0), (i, i, 1.0), (j, j, 1.0)):
             np.add.at(stiffness, (m, n), sign * half)
     return area, stiffness
+
+
+class Build(Protocol):
+    """Parameters of a body's build, all 0 at the start of the fit."""
+
+    @property
+    def rigid(self) -> bool:
+        """Whether its fields must not turn a segment's surface against the axes of its joint."""
+        ...
+
+    def fields(self, body: Body, amounts: Mapping[str, float]) -> Fields:
+        """Motions by each parameter, of the body at these amounts; an amount that is not named is 0."""
+        ...
+
+    def moved(self, fields: Fields, amounts: Float, change: Float) -> tuple[Float, Motions]:
+        """The change (M,) inside the bounds of amounts (M,), and its exact motions."""
+        ...
+
+    def summary(self, amounts: Mapping[str, float]) -> dict[str, float]:
+        """The amounts as a report shows them."""
+        ...
+
+
+@dataclass(frozen=True)
+class Stretches:
+    """The build of any body: stature, length and girth of each kind of segment, factors of its cross-sections.
+
+    All are standard deviations of log-factors, but for the `knots` of the sections along a segment, and `rigid`.
+    """
+
+    stature: float = 0.02
+    length: float = 0.01
+    girth: float = 0.12
+    section: float = 0.06
+    knots: int = 5
+    rigid: bool = True
+
+    def fields(self, body: Body, amounts: Mapping[str, float]) -> Fields:
+        del amounts
+        stretches = stretch_fields(body, self.stature, self.length, self.girth)
+        return stretches + profile_fields(body, self.section, self.knots)
+
+    def moved(self, fields: Fields, amounts: Float, change: Float) -> tuple[Float, Motions]:
+        del amounts
+        return change, fields @ change
+
+    def summary(self, amounts: Mapping[str, float]) -> dict[str, float]:
+        return {n: float(np.exp(a)) for n, a in amounts.items() if not n.startswith("section")}

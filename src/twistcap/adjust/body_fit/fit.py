@@ -10,15 +10,14 @@ from typing import Protocol
 
 import numpy as np
 
-from twistcap.adjust.body_fit.build import Build, Stretches
+from twistcap.adjust.body_fit.fields import Build, Stretches
 from twistcap.adjust.body_fit.observe import Observed, observe, observe_masks
 from twistcap.adjust.body_fit.problem import FitProblem, Freedom, Sculpted
-from twistcap.adjust.body_fit.settings import FitRule
 from twistcap.adjust.body_fit.symmetry import symmetric
 from twistcap.arrays import Bool
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Rig
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check_numbers
 from twistcap.estimate import Frame
 from twistcap.settings import Settings
 from twistcap.solve import minimise
@@ -37,12 +36,30 @@ class Frames(Protocol):
 
 
 @dataclass(frozen=True)
+class FitRule:
+    """How much work a fit takes.
+
+    Attributes:
+        rounds: how often the recording is tracked with the body so far.
+        steps: Gauss-Newton steps in each round.
+        frames: greatest number of frames of each recording to which the shape is fitted, evenly spread.
+
+    A number below 1 is an InputError.
+    """
+
+    rounds: int = 3
+    steps: int = 4
+    frames: int = 20
+
+    def __post_init__(self) -> None:
+        check_numbers("body fit", self, ("rounds", "steps", "frames"))
+
+
+@dataclass(frozen=True)
 class Take:
     """One recording of the fit.
 
     Attributes:
-        rig: cameras of the images.
-        name: for messages.
         frames: in order; read in every round.
         first_pose: of the first frame.
         config: of the tracker.
@@ -63,7 +80,6 @@ class Fitted:
     """A fitted body.
 
     Attributes:
-        body: the fitted one.
         first_poses: of each take, for its first frame.
         poses: of each take, frame number to pose, of the frames that the shape was fitted to.
         frames: of each take, by number, those with a pose before or after.
@@ -84,12 +100,9 @@ class Fitted:
 
 
 def fit_body(
-    body: Body,
-    takes: Sequence[Take],
-    rule: FitRule | None = None,
-    report: Report = lambda note: None,
+    body: Body, takes: Sequence[Take], rule: FitRule | None = None, report: Report = lambda note: None,
     build: Build | None = None,
-) -> Fitted:
+) -> Fitted:  # fmt: skip
     """Fit a body to the contours in all views and frames of all takes.
 
     Args:
@@ -159,10 +172,8 @@ def _tracked(
                 out.append(_Moment(t, frame, estimate.pose, k == 0))
             report(f"{take.name}, frame {frame.index}")
         if 2 * lost > total or all(m.take != t for m in out):
-            raise InputError(
-                f"body fit: {take.name} is lost in {lost} of {total} frames, and a body cannot be fitted to it;"
-                " check its first pose and its cameras."
-            )
+            mend = "a body cannot be fitted to it; check its first pose and its cameras"
+            raise InputError(f"body fit: {take.name} is lost in {lost} of {total} frames, and {mend}.")
     return out
 
 
@@ -171,10 +182,8 @@ def _observed(moments: Sequence[_Moment], posed: Sequence[Posed], takes: Sequenc
 
     def one(moment: _Moment, at: Posed) -> list[Observed]:
         take = takes[moment.take]
-        masks = take.masks.get(moment.frame.index)
-        if masks is None:
-            return observe(moment.frame.images, take.rig, at)
-        return observe_masks(masks, take.rig, at)
+        masks, images = take.masks.get(moment.frame.index), moment.frame.images
+        return observe(images, take.rig, at) if masks is None else observe_masks(masks, take.rig, at)
 
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
         out = list(pool.map(one, moments, posed))

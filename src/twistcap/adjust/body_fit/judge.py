@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 
-from twistcap.adjust.body_fit.observe import CHANNELS, MARGIN, observe
+from twistcap.adjust.body_fit.observe import MARGIN, cropped, observe
 from twistcap.arrays import AnyArray, Bool, Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Camera, Rig
 from twistcap.cues.levelset import LevelSetContour
-from twistcap.cues.view import crop_view
 from twistcap.estimate import Frame
 from twistcap.region.compare import iou
 from twistcap.render import render, visible_contour
@@ -28,8 +26,7 @@ class Agreement:
     """Of one body with one recording, over the frames of the fit.
 
     Attributes:
-        px, mm: (N,) distances from points of the silhouettes to clear edges in the images.
-        part: (N,) names of the segments of these points.
+        px, mm: (N,) distances from points of the silhouettes, on segments `part` (N,), to clear edges in the images.
         iou: overlap of silhouettes and the tracker's own segmentation, mean over views and frames.
         hull: overlap of the visual hulls of both, as volumes, mean over the frames.
     """
@@ -43,10 +40,8 @@ class Agreement:
     def by_part(self) -> dict[str, tuple[float, float]]:
         """Mean and 95th percentile, mm, of each kind of segment that is seen."""
         kinds = np.array([name.removesuffix("_r").removesuffix("_l") for name in self.part])
-        return {
-            str(kind): (float(self.mm[kinds == kind].mean()), float(np.percentile(self.mm[kinds == kind], 95)))
-            for kind in dict.fromkeys(kinds.tolist())
-        }
+        own = {str(kind): self.mm[kinds == kind] for kind in dict.fromkeys(kinds.tolist())}
+        return {kind: (float(mm.mean()), float(np.percentile(mm, 95))) for kind, mm in own.items()}
 
 
 def agreement(body: Body, rig: Rig, frames: Mapping[int, Frame], poses: Mapping[int, Pose]) -> Agreement:
@@ -68,10 +63,7 @@ def agreement(body: Body, rig: Rig, frames: Mapping[int, Frame], poses: Mapping[
 def _segmented(images: Sequence[AnyArray | None], rig: Rig, posed: Posed) -> list[tuple[Camera, Bool, Bool]]:
     """Of each view the camera of its crop, the silhouette of the body and that of the level set."""
     out: list[tuple[Camera, Bool, Bool]] = []
-    for image, camera in zip(images, rig, strict=True):
-        view = None if image is None else crop_view(image, camera, posed, MARGIN, CHANNELS)
-        if view is None:
-            continue
+    for view in cropped(images, rig, posed):
         seen = render(posed, view.camera)
         nothing = np.zeros((len(posed.body.segment_names), 1 + 2 * view.features.shape[2]))
         kept, cue = dict[str, Any](), LevelSetContour()
@@ -92,24 +84,8 @@ def hull_overlap(posed: Posed, views: Sequence[tuple[Camera, Bool, Bool]]) -> fl
     return iou(ours, theirs)
 
 
-@njit(cache=True, nogil=True)
 def inside_silhouette(P: Float, points: Float, mask: Bool) -> Bool:
     """(N,) whether points (N, 3) are seen inside a silhouette (H, W)."""
-    height, width = mask.shape
-    out = np.zeros(len(points), dtype=np.bool_)
-    for n in range(len(points)):
-        x, y, z = points[n, 0], points[n, 1], points[n, 2]
-        depth = P[2, 0] * x + P[2, 1] * y + P[2, 2] * z + P[2, 3]
-        if depth <= 0.0:
-            continue
-        u = np.rint((P[0, 0] * x + P[0, 1] * y + P[0, 2] * z + P[0, 3]) / depth)
-        v = np.rint((P[1, 0] * x + P[1, 1] * y + P[1, 2] * z + P[1, 3]) / depth)
-        out[n] = 0.0 <= u < width and 0.0 <= v < height and mask[int(v), int(u)]
-    return out
-
-
-def inside_silhouette_reference(P: Float, points: Float, mask: Bool) -> Bool:
-    """Readable twin of `inside_silhouette`."""
     h = points @ P[:, :3].T + P[:, 3]
     pixel = np.rint(h[:, :2] / np.maximum(h[:, 2:], 1e-9)).astype(np.int64)
     height, width = mask.shape

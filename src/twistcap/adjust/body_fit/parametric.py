@@ -8,11 +8,11 @@ from typing import Protocol
 
 import numpy as np
 
-from twistcap.adjust.body_fit.build import Motions
-from twistcap.adjust.body_fit.fields import Fields, joint_centres
+from twistcap.adjust.body_fit.fields import Fields, Motions, joint_centres
 from twistcap.adjust.first_pose import fit_keypoints
 from twistcap.arrays import Float
 from twistcap.body import Body, Pose, Posed
+from twistcap.body.anny import Parameter
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
@@ -20,30 +20,10 @@ from twistcap.estimate import Keypoints
 _STEP = 0.02  # of the difference quotients
 _ROUNDS = 8  # of Gauss-Newton, to the lengths of another body
 _BREADTH = 0.06  # standard deviation of log-breadths: the joints of two bodies differ most in these
-_SIDES = ("r", "l")
-_LENGTHS = tuple(
-    (f"{a}_{s}", f"{b}_{s}")
-    for a, b in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
-    for s in _SIDES
-)
-_TRUNK = (("mid_hip", "neck"), ("mid_hip", "head_top"))
+_LIMBS = (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
+_LENGTHS = (*((f"{a}_{s}", f"{b}_{s}") for a, b in _LIMBS for s in "rl"), ("mid_hip", "neck"), ("mid_hip", "head_top"))
 _BREADTHS = (("hip_r", "hip_l"), ("shoulder_r", "shoulder_l"))
-_MEASURED = tuple(dict.fromkeys(name for pair in (*_LENGTHS, *_TRUNK, *_BREADTHS) for name in pair))
-
-
-class Parameter(Protocol):
-    """A parameter's name, mean and standard deviation over people, and bounds."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def usual(self) -> float: ...
-    @property
-    def spread(self) -> float: ...
-    @property
-    def low(self) -> float: ...
-    @property
-    def high(self) -> float: ...
+_PAIRS = (*_LENGTHS, *_BREADTHS)
 
 
 class Model(Protocol):
@@ -59,15 +39,10 @@ class Model(Protocol):
 
 @dataclass(frozen=True)
 class Parametric:
-    """A model's parameters as a `Build`; amounts are counted from `start`.
+    """A model's parameters as a `Build`; amounts are counted from `start` (M,), with which the fit begins.
 
-    Attributes:
-        model: of the body.
-        start: (M,) parameters of the body with which the fit begins.
-        length: standard deviation of the logarithms of limb lengths and stature about those of the start; contours
-            hardly show them.
-        rigid: whether a segment's surface must not turn against the axes of its joint. By default it may: a model
-            turns its surface as people do.
+    `length` is the standard deviation of the logarithms of limb lengths and stature about those of the start; contours
+    hardly show them. By default a segment's surface may turn against the axes of its joint, as a model's does.
     """
 
     model: Model
@@ -107,10 +82,8 @@ def rates_at(model: Model, values: Float) -> Motions:
     up, down = (_within(parameters, values + sign * steps) for sign in (1.0, -1.0))
     bodies = model.bodies(np.concatenate([up, down]))
     width = np.diagonal(up - down)[:, None, None]
-    vertices = np.array([b.vertices for b in bodies])
-    centres = np.array([joint_centres(b) for b in bodies])
-    marks = np.array([b.landmarks.points for b in bodies])
-    vertices, centres, marks = ((of[:M] - of[M:]) / width for of in (vertices, centres, marks))
+    places = zip(*((b.vertices, joint_centres(b), b.landmarks.points) for b in bodies), strict=True)
+    vertices, centres, marks = ((np.array(of[:M]) - np.array(of[M:])) / width for of in places)
     return vertices, centres, marks
 
 
@@ -120,12 +93,11 @@ def matched(model: Model, body: Body, length: float = 0.01) -> Parametric:
     Raises:
         InputError: where the body lacks a landmark that measures it, as ``humanoid("legs")`` does.
     """
-    missing = [name for name in _MEASURED if name not in body.landmarks.names]
+    measured = dict.fromkeys(name for pair in _PAIRS for name in pair)
+    missing = [name for name in measured if name not in body.landmarks.names]
     if missing:
-        raise InputError(
-            f"body {body.name!r} has no landmarks {', '.join(missing)}, which measure its lengths;"
-            " start with a whole body."
-        )
+        lacks = f"no landmarks {', '.join(missing)}, which measure its lengths"
+        raise InputError(f"body {body.name!r} has {lacks}; start with a whole body.")
     parameters = model.parameters
     usual, spread = np.array([p.usual for p in parameters]), np.array([p.spread for p in parameters])
     values, wanted, sigma = usual, _log_lengths(body), _sigmas(length)
@@ -156,29 +128,23 @@ def carried_pose(given: Body, pose: Pose, body: Body, rig: Rig) -> Pose:
 
 def _sigmas(length: float) -> Float:
     """(P,) of the logarithms of lengths and breadths."""
-    return np.array([length] * (len(_LENGTHS) + len(_TRUNK)) + [_BREADTH] * len(_BREADTHS))
+    return np.repeat([length, _BREADTH], [len(_LENGTHS), len(_BREADTHS)])
 
 
-def _pairs(body: Body) -> tuple[Float, Float]:
-    """Both ends (P, 3) of the lengths and breadths."""
-    marks = body.landmarks
-    pairs = (*_LENGTHS, *_TRUNK, *_BREADTHS)
-    a, b = (marks.points[[marks.index(pair[k]) for pair in pairs]] for k in (0, 1))
-    return a, b
+def _apart(body: Body, marks: Float) -> Float:
+    """(..., P, 3) differences of the two ends of lengths and breadths, of landmarks (..., L, 3)."""
+    a, b = ([body.landmarks.index(pair[k]) for pair in _PAIRS] for k in (0, 1))
+    return marks[..., a, :] - marks[..., b, :]
 
 
 def _log_lengths(body: Body) -> Float:
-    a, b = _pairs(body)
-    return np.log(np.linalg.norm(a - b, axis=1))
+    return np.log(np.linalg.norm(_apart(body, body.landmarks.points), axis=1))
 
 
 def _length_rates(body: Body, marks: Float) -> Float:
     """(P, M) derivatives of the logarithms of lengths and breadths, from those (M, L, 3) of the landmarks."""
-    a, b = _pairs(body)
-    pairs = (*_LENGTHS, *_TRUNK, *_BREADTHS)
-    first, second = (marks[:, [body.landmarks.index(pair[k]) for pair in pairs]] for k in (0, 1))
-    apart = a - b
-    return np.einsum("pi,mpi->pm", apart / np.sum(apart**2, axis=1)[:, None], first - second)
+    apart = _apart(body, body.landmarks.points)
+    return np.einsum("pi,mpi->pm", apart / np.sum(apart**2, axis=1)[:, None], _apart(body, marks))
 
 
 def _within(parameters: Sequence[Parameter], values: Float) -> Float:

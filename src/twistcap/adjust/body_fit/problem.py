@@ -10,13 +10,12 @@ import numpy as np
 from scipy import sparse
 
 from twistcap.adjust.body_fit import fields as f
-from twistcap.adjust.body_fit.build import Build, Motions
-from twistcap.adjust.body_fit.fields import Fields
+from twistcap.adjust.body_fit.fields import Build, Fields
 from twistcap.adjust.body_fit.observe import Observed
-from twistcap.adjust.body_fit.rows import Rows, rows
 from twistcap.adjust.body_fit.symmetry import alike
-from twistcap.arrays import Float
+from twistcap.arrays import Float, Int
 from twistcap.body import Body, Pose, Posed
+from twistcap.body.kinematics import unit_vertex_normals
 from twistcap.body.shape import carried
 from twistcap.render.view import surface_points
 from twistcap.solve import Arrow
@@ -38,13 +37,7 @@ _WORTH = 1.0
 
 @dataclass(frozen=True)
 class Freedom:
-    """What may change of a body: its build, joint centres, and with `offsets` every vertex.
-
-    Attributes:
-        given: the body at the start of the fit.
-        build: its free parameters.
-        offsets: whether every vertex is free along its normal.
-    """
+    """What may change of the body `given` at the start: its build, joint centres, and with `offsets` every vertex."""
 
     given: Body
     build: Build
@@ -70,8 +63,7 @@ class Sculpted:
     Attributes:
         freedom: what may change.
         body: with these amounts and offsets.
-        poses: of the frames.
-        amounts: (M,) of the fields, by `names`.
+        amounts: of the M fields, by their names.
         offsets: (V,) m of the vertices along their normals; empty where they are not free.
     """
 
@@ -98,8 +90,8 @@ class Sculpted:
 
     @cached_property
     def directions(self) -> Float:
-        """(V, 3) directions of the vertices' offsets, or (0, 3)."""
-        return f.offset_directions(self.body)[: len(self.offsets)]
+        """(V, 3) directions of the vertices' offsets, the outward normals at rest, or (0, 3)."""
+        return unit_vertex_normals(self.body.vertices, self.body.faces)[: len(self.offsets)]
 
     @cached_property
     def values(self) -> Float:
@@ -140,28 +132,20 @@ class Sculpted:
         names, K, M = self.fields.names, len(self.own.names), len(self.fields.names)
         change, built = self.freedom.build.moved(self.own, self.values[:K], step[:K])
         offsets = np.clip(self.offsets + step[M:], -_OFFSET_BOUND, _OFFSET_BOUND)
-        moved = _sum(built, self.fields @ np.concatenate([np.zeros(K), step[K:M]]))
-        vertices = moved[0]
+        joints = self.fields @ np.concatenate([np.zeros(K), step[K:M]])
+        vertices, *moved = (a + b for a, b in zip(built, joints, strict=True))
         if len(offsets):
             vertices = vertices + (offsets - self.offsets)[:, None] * self.directions
         amounts = self.values[:M] + np.concatenate([change, step[K:M]])
-        body = f.deformed(self.body, vertices, *moved[1:])
+        body = f.deformed(self.body, vertices, *moved)
         return replace(self, body=body, amounts=dict(zip(names, amounts.tolist(), strict=True)), offsets=offsets)
-
-
-def _sum(one: Motions, other: Motions) -> Motions:
-    a, b, c = (x + y for x, y in zip(one, other, strict=True))
-    return a, b, c
 
 
 @dataclass(frozen=True)
 class FitProblem:
-    """Distances to the edges observed, Gaussians of the poses about the tracked ones, and the prior of the shape.
+    """Distances to the edges seen in each frame's views, Gaussians about the tracked poses, and the prior of the shape.
 
-    Attributes:
-        seen: of each frame, its views.
-        tracked: mean poses of the frames.
-        precision: (M + V, M + V) of the prior of the shape's values.
+    `precision` (M + V, M + V) is that of the prior of the shape's values.
     """
 
     seen: Sequence[Sequence[Observed]]
@@ -184,7 +168,9 @@ class FitProblem:
         for t, (at, views) in enumerate(zip(x.posed, self.seen, strict=True)):
             arrow.add_pose(t, hold * at.pose.minus(self.tracked[t]), np.diag(hold))
             if views:
-                by, weight, distance = self._rows(at, views)
+                distances, by = [self._distance(at, view) for view in views], rows(at, views)
+                weight = np.concatenate([self._weight(*pair) for pair in zip(views, distances, strict=True)])
+                distance = np.concatenate(distances)
                 self._add_frame(arrow, t, x, by, (weight, distance))
                 squares += by.vertex.T @ (by.vertex * weight[:, None])
                 pull -= by.vertex.T @ (weight * distance)
@@ -222,12 +208,6 @@ class FitProblem:
         arrow.corner[:, :M] += crossed.T
         arrow.shared_pull[:M] += joints.T @ pull
 
-    def _rows(self, at: Posed, views: Sequence[Observed]) -> tuple[Rows, Float, Float]:
-        """Derivatives, weights and distances of all points of a frame."""
-        distances = [self._distance(at, view) for view in views]
-        weights = [self._weight(view, distance) for view, distance in zip(views, distances, strict=True)]
-        return rows(at, views), np.concatenate(weights), np.concatenate(distances)
-
     def _distance(self, at: Posed, view: Observed) -> Float:
         """(N,) px from the points outward to the edges."""
         points = surface_points(at.body, view.ends, view.shares)
@@ -249,3 +229,46 @@ def _hold(dof: int) -> Float:
     sigma = np.full(dof, np.deg2rad(_POSE_DEG))
     sigma[3:6] = _POSE_M
     return sigma**-2.0
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Derivatives of N distances along the image normals.
+
+    A distance changes with the twists of the segments that carry its point, and with the motions in the rest pose of
+    the two vertices of its edge. Skeleton and fields are applied once, to the sums of a frame.
+
+    Attributes:
+        twist: (N, 6 S) by the twist of each segment.
+        vertex: (N, 3 V) by the motion of each vertex in the rest pose.
+    """
+
+    twist: sparse.csr_array
+    vertex: sparse.csr_array
+
+
+def rows(posed: Posed, views: Sequence[Observed]) -> Rows:
+    """Of all views of one frame."""
+    twist, segments, turned, ends = zip(*(_of_view(posed, view) for view in views), strict=True)
+    by_twist = _sparse(np.concatenate(segments), np.concatenate(twist), len(posed.body.segment_names))
+    return Rows(by_twist, _sparse(np.concatenate(ends), np.concatenate(turned), len(posed.body.vertices)))
+
+
+def _of_view(posed: Posed, seen: Observed) -> tuple[Float, Int, Float, Int]:
+    """Derivatives (N, K, 6) by the twists of segments (N, K), and (N, 2, 3) by the motions of vertices (N, 2)."""
+    points = surface_points(posed.body, seen.ends, seen.shares)
+    _, gradient = projected_rows(seen.camera.P, points.at(posed), seen.contour.normals, seen.contour.pixels)
+    T = posed.segment_transforms[points.segments]
+    carried = np.einsum("nkij,nj->nki", T[..., :3, :3], points.local) + T[..., :3, 3]
+    pull = points.weights[..., None] * gradient[:, None]
+    turned = np.einsum("nki,nkij->nj", pull, T[..., :3, :3])
+    twist = np.concatenate([np.cross(carried, pull), pull], axis=2)
+    return twist, points.segments, seen.shares[..., None] * turned[:, None], seen.ends
+
+
+def _sparse(which: Int, values: Float, count: int) -> sparse.csr_array:
+    """(N, w count) of values (N, K, w) of items (N, K) out of `count`; values of one item are summed."""
+    N, K, w = values.shape
+    columns = which[..., None] * w + np.arange(w)
+    row = np.repeat(np.arange(N), K * w)
+    return sparse.coo_array((values.ravel(), (row, columns.ravel())), shape=(N, count * w)).tocsr()

@@ -5,13 +5,6 @@ from twistcap.adjust.first_pose.silhouette import Refined, girth_groups, refine_
 from twistcap.adjust.first_pose.skeleton import Proportions, Skeleton
 
 __all__ = [
-    "FirstPose",
-    "Proportions",
-    "Refined",
-    "Skeleton",
-    "fit_keypoints",
-    "fit_keypoints_sequence",
-    "girth_groups",
-    "pose_at",
-    "refine_on_silhouettes",
-]
+    "FirstPose", "Proportions", "Refined", "Skeleton", "fit_keypoints", "fit_keypoints_sequence", "girth_groups",
+    "pose_at", "refine_on_silhouettes",
+]  # fmt: skip

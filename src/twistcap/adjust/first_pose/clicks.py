@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -44,7 +45,6 @@ class ClickedStart:
 
     Attributes:
         body: of the fitted dimensions.
-        state: of the body.
         proportions: factors of the body against the generic one.
         residual_px: (V, L) distance of each click from its landmark, NaN where there was none.
         covariance: (6 V + J, 6 V + J) of the state's step, with the uncertainty of the body's dimensions.
@@ -67,12 +67,9 @@ class Clicks:
 
 
 def fit_clicks(
-    body: Body,
-    clicks: Sequence[Mapping[str, Sequence[float]]],
-    *,
-    facing_deg: Sequence[float] | None = None,
+    body: Body, clicks: Sequence[Mapping[str, Sequence[float]]], *, facing_deg: Sequence[float] | None = None,
     start: State | None = None,
-) -> ClickedStart:
+) -> ClickedStart:  # fmt: skip
     """The state and dimensions of a body whose joints were clicked.
 
     Args:
@@ -99,11 +96,7 @@ def fit_clicks(
 
 
 def gathered(body: Body, clicks: Sequence[Mapping[str, Sequence[float]]]) -> Clicks:
-    """The clicks as arrays.
-
-    Raises:
-        InputError: as `fit_clicks`.
-    """
+    """The clicks as arrays; errors as of `fit_clicks`."""
     names = list(dict.fromkeys(name for view in clicks for name in view))
     for name in names:
         if name not in body.landmarks.names:
@@ -128,9 +121,7 @@ def _starts(body: Body, clicks: Clicks, facing_deg: Sequence[float] | None) -> l
     points = Posed(body, Pose(np.eye(4), q)).landmarks[clicks.marks]
     states = [State(tuple(_placed(points, clicks, v, a) for v, a in enumerate(angles)), q) for angles in first]
     if facing_deg is None and V > 1:  # and the best direction of each view alone
-        best = [
-            min((s.views[v] for s in states), key=lambda view, v=v: _misfit(view, points, clicks, v)) for v in range(V)
-        ]
+        best = (min((s.views[v] for s in states), key=partial(_misfit, points, clicks, v)) for v in range(V))
         states.append(State(tuple(best), q))
     return states
 
@@ -146,7 +137,7 @@ def _placed(points: Float, clicks: Clicks, v: int, facing: float) -> ScaledView:
     return ScaledView(turn, scale, (there - scale * at).mean(axis=0))
 
 
-def _misfit(view: ScaledView, points: Float, clicks: Clicks, v: int) -> float:
+def _misfit(points: Float, clicks: Clicks, v: int, view: ScaledView) -> float:
     return float(np.sum((view.pixels(points) - clicks.pixels[v])[clicks.known[v]] ** 2))
 
 
@@ -163,7 +154,7 @@ def click_variables(skeleton: Skeleton, start: State) -> Variables:
     body, views = skeleton.body, view_blocks(start)
     reach = {name: _REACH * np.array([1, view.scale, view.scale, 1, 1, 1]) for name, view in views.items()}
     joints = Vector(np.clip(start.q, *body.limits.T), body.limits)
-    shape = Scaling(skeleton, np.zeros(skeleton.size))
+    shape = Scaling(np.zeros(skeleton.size), skeleton=skeleton)
     return Variables({**views, "joints": joints, "shape": shape}, (*views, "joints", "shape"), reach)
 
 
@@ -171,10 +162,9 @@ def click_problem(clicks: Clicks, start: Variables) -> BlockProblem:
     """``½ Σ |x − click|² / σ²`` and weak Gaussians on angles, log-factors and the views' rotations from the start's."""
     skeleton: Skeleton = start["shape"].skeleton
     J, lean = len(start["joints"].values), np.array([*[np.inf] * 3, *[np.deg2rad(_LEAN_DEG)] * 3])
-    sizes = [_STATURE, *[_LENGTH] * len(skeleton.length_groups), *[_GIRTH] * len(skeleton.girth_segments)]
     terms: list[BlockTerm] = [
         BlockGaussian("joints", np.zeros(J), np.full(J, np.deg2rad(_ANGLE_DEG)), "neutral"),
-        BlockGaussian("shape", np.zeros(len(sizes)), np.array(sizes)),
+        BlockGaussian("shape", np.zeros(skeleton.size), skeleton.sigmas(_STATURE, _LENGTH, _GIRTH)),
     ]
     for v in range(len(clicks.pixels)):
         own = np.flatnonzero(clicks.known[v])
@@ -185,14 +175,7 @@ def click_problem(clicks: Clicks, start: Variables) -> BlockProblem:
 
 @dataclass(frozen=True)
 class ClickTerm:
-    """N clicked landmarks in one view.
-
-    Attributes:
-        view: its block.
-        marks: (N,) landmarks.
-        pixels: (N, 2) px.
-        sigma: px.
-    """
+    """N clicked landmarks (`marks`) in one view, by its block, and their pixels (N, 2), of standard deviation sigma."""
 
     view: str
     marks: Int
@@ -210,9 +193,8 @@ class ClickTerm:
     def add_to(self, sums: Sums, x: Variables) -> None:
         posed, view, marks = self._posed(x), x[self.view], x["shape"].body.landmarks
         residual = self._residual(x, posed).ravel()
-        points = SurfacePoints(
-            marks.segments[self.marks, None], np.ones((len(self.marks), 1)), marks.points[self.marks]
-        )
+        ones = np.ones((len(self.marks), 1))
+        points = SurfacePoints(marks.segments[self.marks, None], ones, marks.points[self.marks])
         motion = image_motion(posed, view, points).reshape(len(residual), -1) / self.sigma
         slopes = [Slope(self.view, motion[:, :ROOT]), Slope("joints", motion[:, ROOT:])]
         by_point = pinhole(view.P, posed.landmarks[self.marks])[2] / self.sigma

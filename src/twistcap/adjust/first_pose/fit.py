@@ -9,7 +9,7 @@ import numpy as np
 
 from twistcap.adjust.first_pose.keypoints import Evidence, KeypointProblem, evidence, residuals
 from twistcap.adjust.first_pose.skeleton import Proportions, Skeleton
-from twistcap.adjust.first_pose.triangulate import Triangulated, rigid_fit, triangulate
+from twistcap.adjust.first_pose.triangulate import rigid_fit, triangulate
 from twistcap.arrays import Bool, Float
 from twistcap.body import Body, Pose
 from twistcap.body.kinematics import Posed
@@ -69,14 +69,9 @@ class FirstPose:
 
 
 def fit_keypoints(
-    body: Body,
-    rig: Rig,
-    keypoints: Keypoints,
-    *,
-    fit_lengths: bool = True,
-    sigma_px: float | None = None,
+    body: Body, rig: Rig, keypoints: Keypoints, *, fit_lengths: bool = True, sigma_px: float | None = None,
     start: Pose | None = None,
-) -> FirstPose:
+) -> FirstPose:  # fmt: skip
     """Pose and lengths of a person from 2D keypoints in two or more views.
 
     Landmarks are triangulated with a vote of all views; those of the trunk give the root. Levenberg-Marquardt on the
@@ -95,20 +90,14 @@ def fit_keypoints(
     Raises:
         InputError: for arrays of the wrong shape, fewer than two views, or too few joints seen by two views.
     """
-    return fit_keypoints_sequence(body, [rig], [keypoints], fit_lengths=fit_lengths, sigma_px=sigma_px, starts=[start])[
-        0
-    ]
+    fits = fit_keypoints_sequence(body, [rig], [keypoints], fit_lengths=fit_lengths, sigma_px=sigma_px, starts=[start])
+    return fits[0]
 
 
 def fit_keypoints_sequence(
-    body: Body,
-    rigs: Rig | Sequence[Rig],
-    keypoints: Sequence[Keypoints],
-    *,
-    fit_lengths: bool = True,
-    sigma_px: float | None = None,
-    starts: Sequence[Pose | None] | None = None,
-) -> tuple[FirstPose, ...]:
+    body: Body, rigs: Rig | Sequence[Rig], keypoints: Sequence[Keypoints], *, fit_lengths: bool = True,
+    sigma_px: float | None = None, starts: Sequence[Pose | None] | None = None,
+) -> tuple[FirstPose, ...]:  # fmt: skip
     """As `fit_keypoints`, for several instants that share their lengths (and `FirstPose.body`).
 
     Args:
@@ -149,30 +138,28 @@ def _first_fit(problem: KeypointProblem, extra: Pose | None, before: Variables |
 def _best_start(fine: KeypointProblem, extra: Pose | None) -> Variables:
     """The best of all starts: each first on the keypoints the views agree on, the best three then on all."""
     (frame,) = fine.frames
-    seen = triangulate(frame.rig, frame.pixels, frame.weights, frame.sigma)
-    trusted = replace(frame, weights=np.where(seen.inliers, 1.0, 0.1) * frame.weights)
+    points, inliers = triangulate(frame.rig, frame.pixels, frame.weights, frame.sigma)
+    trusted = replace(frame, weights=np.where(inliers, 1.0, 0.1) * frame.weights)
     coarse = replace(fine, frames=(trusted,), limit=_LOOSE, reach=10 * _REACH)
-    poses = [*_start_poses(fine.skeleton.body, frame, seen), *([] if extra is None else [extra])]
+    poses = [*_start_poses(fine.skeleton.body, frame, points), *([] if extra is None else [extra])]
     ends = [coarse.minimised(coarse.start([pose], np.zeros(fine.skeleton.size)), 15) for pose in poses]
     best = sorted(ends, key=lambda end: end.energy)[:3]
     return min((fine.minimised(end.x, 10) for end in best), key=lambda end: end.energy).x
 
 
-def _start_poses(body: Body, frame: Evidence, seen: Triangulated) -> list[Pose]:
+def _start_poses(body: Body, frame: Evidence, seen: Float) -> list[Pose]:
     """Start poses with the root fitted to the triangulated trunk."""
-    good = np.isfinite(seen.points).all(axis=1)
+    good = np.isfinite(seen).all(axis=1)
     if good.sum() < _FEWEST:
-        raise InputError(
-            f"keypoints: only {good.sum()} joints are seen by two views that agree; {_FEWEST} are needed, "
-            "so check calibration, pixel grids and which person was chosen."
-        )
+        mend = f"{_FEWEST} are needed, so check calibration, pixel grids and which person was chosen"
+        raise InputError(f"keypoints: only {good.sum()} joints are seen by two views that agree; {mend}.")
     trunk = good & _trunk(body, frame)
     used = trunk if trunk.sum() >= 3 else good
     poses: list[Pose] = []
     for angles in STARTS_DEG:
         q = np.clip(_coordinates(body, angles), *body.limits.T)
         points = Posed(body, Pose(np.eye(4), q)).landmarks[frame.marks]
-        poses.append(Pose(rigid_fit(points[used], seen.points[used], np.ones(used.sum())), q))
+        poses.append(Pose(rigid_fit(points[used], seen[used], np.ones(used.sum())), q))
     return poses
 
 
@@ -194,10 +181,8 @@ def _answers(
     skeleton, poses = problem.skeleton, x["poses"].poses
     proportions = skeleton.proportions(x["shape"].values)
     body = rescaled(skeleton.body, proportions.lengths, proportions.girths, proportions.stature)
-    errors = [
-        residuals(frame, Posed(body, pose).landmarks[frame.marks])
-        for frame, pose in zip(problem.frames, poses, strict=True)
-    ]
+    pairs = zip(problem.frames, poses, strict=True)
+    errors = [residuals(frame, Posed(body, pose).landmarks[frame.marks]) for frame, pose in pairs]
     covariance = _covariance(problem, x, errors)
     out: list[FirstPose] = []
     for f, (frame, pose) in enumerate(zip(problem.frames, poses, strict=True)):
@@ -232,19 +217,13 @@ def _covariance(problem: KeypointProblem, x: Variables, errors: Sequence[Float])
 def pose_at(poses: Sequence[Pose], times: Sequence[float], time: float) -> Pose:
     """The pose at a time by constant velocity: a straight line through the steps from the first pose.
 
-    Args:
-        poses: two or more, close together.
-        times: of them, s (or frames).
-        time: wanted, within or a little outside.
+    Times are s (or frames), the wanted one within those given or a little outside.
 
     Raises:
         InputError: for fewer than two poses, or times of another number.
     """
     if len(poses) < 2 or len(times) != len(poses):
-        raise InputError(
-            f"pose_at: {len(poses)} poses and {len(times)} times were given; two or more of each are needed."
-        )
+        given = f"{len(poses)} poses and {len(times)} times were given"
+        raise InputError(f"pose_at: {given}; two or more of each are needed.")
     steps = np.array([pose.minus(poses[0]) for pose in poses])
-    slope, offset = np.polyfit(np.asarray(times, float) - time, steps, 1)
-    del slope
-    return poses[0].retract(offset)
+    return poses[0].retract(np.polyfit(np.asarray(times, float) - time, steps, 1)[1])

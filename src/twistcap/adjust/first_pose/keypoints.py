@@ -38,15 +38,10 @@ _STATURE, _LENGTH, _GIRTH = 0.12, 0.06, 0.06  # standard deviations of the log-f
 
 @dataclass(frozen=True)
 class Evidence:
-    """Keypoints of one instant made ready: N landmarks of the body in C pinhole views.
+    """Keypoints of one instant made ready: N landmarks of the body (`marks`) in C pinhole views.
 
-    Attributes:
-        marks: (N,) landmark of the body.
-        columns: (N,) column of each in the keypoints as given.
-        rig: pinhole cameras.
-        pixels: (C, N, 2) undistorted, 0 where there is none.
-        weights: (C, N) confidence, 0 where there is none.
-        sigma: (C, N) standard deviation, pixels.
+    `columns` (N,) are those of the keypoints as given. Pixels (C, N, 2) are undistorted, with confidence `weights`
+    (C, N); both are 0 where there is none. `sigma` (C, N) is their standard deviation, pixels.
     """
 
     marks: Int
@@ -60,11 +55,7 @@ class Evidence:
 def evidence(body: Body, rig: Rig, keypoints: Keypoints, sigma_px: float | None = None) -> Evidence:
     """Check keypoints against body and rig, undistort them, and give each its standard deviation.
 
-    Args:
-        body: whose landmarks count.
-        rig: C cameras, with their distortion.
-        keypoints: in the rig's own pixels.
-        sigma_px: as in `fit_keypoints`.
+    Arguments are those of `fit_keypoints`.
 
     Raises:
         InputError: for arrays of the wrong shape, values that are not finite, or fewer than two views.
@@ -89,10 +80,8 @@ def evidence(body: Body, rig: Rig, keypoints: Keypoints, sigma_px: float | None 
 def _check(rig: Rig, keypoints: Keypoints) -> None:
     C, L = len(rig), len(keypoints.names)
     if keypoints.pixels.shape != (C, L, 2) or keypoints.confidence.shape != (C, L):
-        shapes = f"{keypoints.pixels.shape} and {keypoints.confidence.shape}"
-        raise InputError(
-            f"keypoints: pixels and confidence are {shapes}; {C} cameras and {L} names need {(C, L, 2)}, {(C, L)}."
-        )
+        shapes, need = f"{keypoints.pixels.shape} and {keypoints.confidence.shape}", f"{(C, L, 2)}, {(C, L)}"
+        raise InputError(f"keypoints: pixels and confidence are {shapes}; {C} cameras and {L} names need {need}.")
     seen = keypoints.confidence != 0
     if not np.all(np.isfinite(keypoints.confidence)) or not np.all(np.isfinite(keypoints.pixels[seen])):
         raise InputError(
@@ -139,7 +128,7 @@ class KeypointProblem:
         for f, frame in enumerate(self.frames):
             blocks |= {_camera(f, c): CameraBlock(camera) for c, camera in enumerate(frame.rig)}
         free = ("poses", "shape") if self.fit_lengths else ("poses",)
-        return Variables({**blocks, "shape": Scaling(self.skeleton, log_factors)}, free)
+        return Variables({**blocks, "shape": Scaling(log_factors, skeleton=self.skeleton)}, free)
 
     def minimised(self, x: Variables, steps: int = 30) -> Solution[Variables, Dense | Arrow]:
         """The minimum of the terms from there."""
@@ -174,9 +163,7 @@ class KeypointProblem:
         return [OnPose(term, body, frame=f) for f in range(len(self.frames)) for term in each]
 
     def _factors(self) -> BlockGaussian:
-        k = self.skeleton
-        sigma = np.array([_STATURE, *[_LENGTH] * len(k.length_groups), *[_GIRTH] * len(k.girth_segments)])
-        return BlockGaussian("shape", np.zeros(k.size), sigma)
+        return BlockGaussian("shape", np.zeros(self.skeleton.size), self.skeleton.sigmas(_STATURE, _LENGTH, _GIRTH))
 
 
 def truncated(limits: Float, sigma: float) -> tuple[Float, Float]:

@@ -11,6 +11,8 @@ from scipy.spatial import KDTree
 from twistcap.arrays import AnyArray, Float, Float32, Int
 from twistcap.render import ContourPoints
 
+_AGREE = 0.5  # least cosine between the normals of a match
+
 
 @dataclass(frozen=True)
 class Outline:
@@ -22,13 +24,9 @@ class Outline:
 
 @dataclass(frozen=True)
 class Matches:
-    """Contour samples of the model and their places on the outline of the mask.
+    """Contour samples (N,) of the model and their distances, px, along normals (N, 2) to the outline of the mask.
 
-    Attributes:
-        index: (N,) contour sample.
-        normals: (N, 2) direction along which the distance counts.
-        distance: (N,) px along the normal to the outline, signed.
-        weight: (N,) 1 over the square root of the number of outline points on the same sample.
+    The weight is 1 over the square root of the number of outline points on the same sample.
     """
 
     index: Int
@@ -66,22 +64,17 @@ def _signed_distance(inside: AnyArray) -> Float32:
     return np.where(inside, 0.5 - inward, outward - 0.5).astype(np.float32)
 
 
-def match(contour: ContourPoints, outline: Outline, reach: float, agree: float = 0.5) -> Matches:
-    """Every outer contour sample to the nearest outline point, and every outline point to the nearest sample.
+def match(contour: ContourPoints, outline: Outline, reach: float) -> Matches:
+    """Every outer contour sample to the nearest outline point within `reach` px, and every outline point to a sample.
 
     Without the second direction, an arm before the torso in the model would never reach its mask.
-
-    Args:
-        contour, outline: in pixels of the same image.
-        reach: greatest distance, px.
-        agree: least cosine between the two normals.
     """
     outer = np.flatnonzero(contour.outer)
     if not len(outer) or not len(outline.points):
         return Matches(np.zeros(0, np.int32), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
     ours, theirs = contour.pixels[outer], outline.points
-    near = _nearest(theirs, outline.normals, ours, contour.normals[outer], reach, agree)
-    back = _nearest(ours, contour.normals[outer], theirs, outline.normals, reach, agree)
+    near = _nearest(theirs, outline.normals, ours, contour.normals[outer], reach)
+    back = _nearest(ours, contour.normals[outer], theirs, outline.normals, reach)
     a, b = near >= 0, back >= 0
     index = np.concatenate([outer[a], outer[back[b]]]).astype(np.int32)
     normals = np.concatenate([outline.normals[near[a]], contour.normals[outer][back[b]]])
@@ -92,12 +85,12 @@ def match(contour: ContourPoints, outline: Outline, reach: float, agree: float =
     return Matches(index, normals, distance, weight)
 
 
-def _nearest(points: Float, normals: Float, queries: Float, query_normals: Float, reach: float, agree: float) -> Int:
+def _nearest(points: Float, normals: Float, queries: Float, query_normals: Float, reach: float) -> Int:
     """(Q,) index of the nearest point with a like normal, -1 for none; of 8 neighbours tried."""
     distance, index = KDTree(points).query(queries, k=min(8, len(points)), distance_upper_bound=reach)
     distance, index = distance.reshape(len(queries), -1), index.reshape(len(queries), -1)
     safe = np.minimum(index, len(points) - 1)
-    like = np.isfinite(distance) & (np.einsum("qki,qi->qk", normals[safe], query_normals) > agree)
+    like = np.isfinite(distance) & (np.einsum("qki,qi->qk", normals[safe], query_normals) > _AGREE)
     first = np.argmax(like, axis=1)
     found = np.take_along_axis(safe, first[:, None], axis=1)[:, 0]
     return np.where(like.any(axis=1), found, -1).astype(np.int32)

@@ -13,7 +13,7 @@ from twistcap.body import Body, Posed, rescaled
 from twistcap.body.kinematics import skin_points
 from twistcap.body.shape import RestMotion, rest_motion, stretch_maps
 from twistcap.render import SurfacePoints
-from twistcap.solve import Variables
+from twistcap.solve import Variables, Vector
 from twistcap.terms import Slope, Sums
 from twistcap.terms.points import projected_rows
 from twistcap.terms.robust import huber
@@ -21,29 +21,17 @@ from twistcap.terms.robust import huber
 _KNEE = 2.0  # standard deviations beyond which the loss is linear
 
 
-@dataclass(frozen=True)
-class Girths:
-    """Log-girths of groups of segments as a block of variables.
+@dataclass(frozen=True, kw_only=True)
+class Girths(Vector):
+    """Log-girths (G,) of groups of segments as a block of variables.
 
     Attributes:
         generic: the body at girths of 1.
         groups: segments that share a girth, by name.
-        values: (G,) log-girths.
     """
 
     generic: Body
     groups: Mapping[str, Sequence[str]]
-    values: Float
-
-    @property
-    def dof(self) -> int:
-        return len(self.values)
-
-    def retract(self, step: Float) -> Girths:
-        return replace(self, values=self.values + step)
-
-    def minus(self, other: Girths) -> Float:
-        return self.values - other.values
 
     @property
     def factors(self) -> dict[str, float]:
@@ -74,9 +62,7 @@ class OutlineTerm:
     """Matches of one view at one instant: Huber's loss of the distances along their normals.
 
     Attributes:
-        P: (3, 4) projection.
-        points: N samples on the body of `origin`.
-        origin: the girths of the samples, the same in all terms of a problem.
+        points: N samples on the body of `origin`, whose girths are the same in all terms of a problem.
         motion: of the rest pose with the log-girths; None where these are not free.
         normal: (N, 2) directions along which the distances count.
         target: (N, 2) px, on the outline or on its tangent.

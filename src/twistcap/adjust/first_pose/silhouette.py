@@ -15,6 +15,7 @@ from twistcap.body.kinematics import Posed
 from twistcap.body.shape import RestMotion
 from twistcap.camera import Camera, Rectifier, Rig
 from twistcap.errors import InputError
+from twistcap.region.compare import iou
 from twistcap.render import render, visible_contour
 from twistcap.solve import Arrow, BlockProblem, Dense, PoseTrack, Variables, minimise
 from twistcap.terms import BlockGaussian, BlockTerm, GaussianTerm, OnPose
@@ -24,14 +25,10 @@ Groups = Mapping[str, Sequence[str]]
 
 @dataclass(frozen=True)
 class Refined:
-    """Poses and girths refined on silhouettes.
+    """A body with its girths, and its pose at each of F instants, refined on silhouettes.
 
-    Attributes:
-        body: with the girths fitted.
-        poses: one for each instant.
-        girths: factor of each segment against the body given.
-        iou: (F, C) overlap of model and mask, NaN without mask.
-        covariances: (6 + J, 6 + J) of each pose step.
+    `girths` are factors of the segments against the body given, `iou` (F, C) is the overlap of model and mask, NaN
+    without mask, and `covariances` (6 + J, 6 + J) are those of the pose steps.
     """
 
     body: Body
@@ -64,13 +61,9 @@ def girth_groups(body: Body) -> dict[str, tuple[str, ...]]:
 
 
 def refine_on_silhouettes(
-    body: Body,
-    rig: Rig,
-    poses: Pose | Sequence[Pose],
-    masks: Sequence[AnyArray | None] | Sequence[Sequence[AnyArray | None]],
-    *,
+    body: Body, rig: Rig, poses: Sequence[Pose], masks: Sequence[Sequence[AnyArray | None]], *,
     groups: Groups | None = None,
-) -> Refined:
+) -> Refined:  # fmt: skip
     """Move body and girths so that the model's contour lies on the outlines of the masks.
 
     Each iteration matches model to mask and mask to model, with a reach that shrinks, and takes one step on the
@@ -87,18 +80,13 @@ def refine_on_silhouettes(
     Raises:
         InputError: if the number or size of the masks does not fit the rig, or an instant has no mask.
     """
-    single = isinstance(poses, Pose)
-    starts: list[Pose] = [poses] if isinstance(poses, Pose) else list(poses)
-    many_masks: list[Sequence[AnyArray | None]] = [masks] if single else list(masks)  # type: ignore[list-item]
-    names = dict(groups or {})
-    instants = [_Instant.of(rig, m) for m in many_masks]
-    priors: list[BlockTerm] = [
-        OnPose(GaussianTerm(pose, _information(body), "start"), body, frame=f) for f, pose in enumerate(starts)
-    ]
+    names, instants = dict(groups or {}), [_Instant.of(rig, of_instant) for of_instant in masks]
+    about = [GaussianTerm(pose, _information(body), "start") for pose in poses]
+    priors: list[BlockTerm] = [OnPose(term, body, frame=f) for f, term in enumerate(about)]
     priors.append(BlockGaussian("girths", np.zeros(len(names)), np.full(len(names), _GIRTH), "girths"))
     blocks = {
-        "poses": PoseTrack(tuple(starts), np.arange(float(len(starts)))),
-        "girths": Girths(body, names, np.zeros(len(names))),
+        "poses": PoseTrack(tuple(poses), np.arange(float(len(poses)))),
+        "girths": Girths(np.zeros(len(names)), generic=body, groups=names),
     }
     x, system = Variables(blocks, ("poses", "girths"), dict.fromkeys(blocks, _LONGEST)), None
     motion: RestMotion | None = None
@@ -110,8 +98,8 @@ def refine_on_silhouettes(
         x, system = _stepped(x, [*terms, *priors])
     assert isinstance(system, Arrow)
     refined, girths = x["poses"].poses, x["girths"]
-    iou = np.array([instant.overlaps(Posed(girths.body, p)) for instant, p in zip(instants, refined, strict=True)])
-    return Refined(girths.body, refined, girths.factors, iou, tuple(system.marginals().poses))
+    overlaps = [instant.overlaps(Posed(girths.body, p)) for instant, p in zip(instants, refined, strict=True)]
+    return Refined(girths.body, refined, girths.factors, np.array(overlaps), tuple(system.marginals().poses))
 
 
 def _stepped(x: Variables, terms: Sequence[BlockTerm]) -> tuple[Variables, Dense | Arrow]:
@@ -134,9 +122,8 @@ class _Instant:
     @staticmethod
     def of(rig: Rig, masks: Sequence[AnyArray | None]) -> _Instant:
         if len(masks) != len(rig) or all(m is None for m in masks):
-            raise InputError(
-                f"masks: {len(masks)} were given for {len(rig)} cameras; give one or None for each, not all None."
-            )
+            need = "give one or None for each, not all None"
+            raise InputError(f"masks: {len(masks)} were given for {len(rig)} cameras; {need}.")
         flat = [None if m is None else _rectified(c, m) for c, m in zip(rig, masks, strict=True)]
         heights = tuple(0.0 if m is None else _height(m) for m in flat)
         outlines = tuple(None if m is None else outline_of(m, _SPACING * h) for m, h in zip(flat, heights, strict=True))
@@ -157,18 +144,14 @@ class _Instant:
 
     def overlaps(self, posed: Posed) -> list[float]:
         """Intersection over union in each view, NaN without mask."""
-        out: list[float] = []
-        for camera, mask in zip(self.cameras, self.masks, strict=True):
-            ours = render(posed, camera).mask
-            out.append(np.nan if mask is None else float((ours & mask).sum() / max((ours | mask).sum(), 1)))
-        return out
+        pairs = zip(self.cameras, self.masks, strict=True)
+        return [np.nan if mask is None else iou(render(posed, camera).mask, mask) for camera, mask in pairs]
 
 
 def _rectified(camera: Camera, mask: AnyArray) -> Bool:
     if mask.shape != camera.size[::-1]:
-        raise InputError(
-            f"masks: that of camera {camera.name} is {mask.shape}, but the camera has {camera.size[::-1]}."
-        )
+        shapes = f"{mask.shape}, but the camera has {camera.size[::-1]}"
+        raise InputError(f"masks: that of camera {camera.name} is {shapes}.")
     return np.asarray(Rectifier(camera)(np.where(mask > 0, 255, 0).astype(np.uint8), nearest=True) > 127)
 
 

@@ -14,12 +14,12 @@ from functools import cached_property
 
 import numpy as np
 
-from twistcap import se3
 from twistcap.arrays import Float, Int
 from twistcap.body import Body
 from twistcap.body.kinematics import Posed
 from twistcap.body.model import Landmarks
-from twistcap.body.shape import segment_axes
+from twistcap.body.shape import joint_coordinates, segment_axes
+from twistcap.solve import Vector
 
 
 @dataclass(frozen=True)
@@ -33,9 +33,10 @@ class Proportions:
 
 @dataclass(frozen=True)
 class _Links:
-    """Landmarks as sums of links: one for each landmark and segment on its way to the root, E in all."""
+    """Landmarks, then joint centres, as sums of links: one for each of them and each segment on its way to the root."""
 
-    landmark: Int
+    roots: Float  # (L + S, 3) where each way ends
+    point: Int  # (E,) landmark or L + segment of the joint, ascending
     segment: Int
     along: Float  # (E, 3) part of the link along the segment's axis, rest pose
     across: Float  # (E, 3) the rest of it
@@ -52,150 +53,105 @@ class Skeleton:
     body: Body
 
     @cached_property
-    def length_groups(self) -> tuple[tuple[int, ...], ...]:
-        """Segments that share a length: left and right of the same name."""
-        groups: dict[str, list[int]] = {}
-        for s, name in enumerate(self.body.segment_names):
-            groups.setdefault(name.removesuffix("_r").removesuffix("_l"), []).append(s)
-        return tuple(tuple(group) for group in groups.values())
+    def _group(self) -> Int:
+        """(S,) length group of each segment: left and right of the same name share one."""
+        kinds = [name.removesuffix("_r").removesuffix("_l") for name in self.body.segment_names]
+        return np.array([list(dict.fromkeys(kinds)).index(kind) for kind in kinds], np.int32)
 
     @cached_property
-    def girth_segments(self) -> tuple[int, ...]:
-        """Segments with more than one joint below them."""
+    def _girth(self) -> Int:
+        """(S,) girth of each segment, -1 for none: those with more than one joint below them have one."""
         parents = self.body.segment_parent
-        children = np.bincount(parents[parents >= 0], minlength=len(parents))
-        return tuple(int(s) for s in np.flatnonzero(children > 1))
+        wide = np.bincount(parents[parents >= 0], minlength=len(parents)) > 1
+        return np.where(wide, np.cumsum(wide) - 1, -1).astype(np.int32)
+
+    @cached_property
+    def _groups(self) -> int:
+        return int(self._group.max()) + 1
 
     @property
     def size(self) -> int:
         """Number of log-factors."""
-        return 1 + len(self.length_groups) + len(self.girth_segments)
+        return 2 + self._groups + int(self._girth.max())
+
+    def sigmas(self, stature: float, length: float, girth: float) -> Float:
+        """(size,) standard deviations of the log-factors from those of each kind."""
+        return np.repeat([stature, length, girth], [1, self._groups, self.size - 1 - self._groups])
 
     def proportions(self, log_factors: Float) -> Proportions:
         """The factors by segment name."""
         along, across = self._factors(log_factors)
         stature, names = float(np.exp(log_factors[0])), self.body.segment_names
         lengths = {name: float(f) / stature for name, f in zip(names, along, strict=True)}
-        girths = {names[s]: float(across[s]) / stature for s in self.girth_segments}
+        girths = {names[s]: float(across[s]) / stature for s in np.flatnonzero(self._girth >= 0)}
         return Proportions(lengths, girths, stature)
 
     def scaled(self, log_factors: Float) -> Body:
         """The body of these proportions, without its skin."""
-        maps = self._maps(log_factors)
-        marks, centres = self.body.landmarks, np.einsum("sij,sj->si", maps[:, :3, :3], self._axes[0]) + maps[:, :3, 3]
-        T = maps[marks.segments]
-        points = np.einsum("nij,nj->ni", T[:, :3, :3], marks.points) + T[:, :3, 3]
+        (along, across), links, marks = self._factors(log_factors), self._links, self.body.landmarks
+        points = np.exp(log_factors[0]) * links.roots
+        moved = along[links.segment, None] * links.along + across[links.segment, None] * links.across
+        np.add.at(points, links.point, moved)
+        places, centres = points[: len(marks.names)], points[len(marks.names) :]
         twists, owner = self.body.twists.copy(), self._owner
         turning = (owner >= 0) & np.any(twists[:, :3] != 0, axis=1)
         twists[turning, 3:] = -np.cross(twists[turning, :3], centres[owner[turning]])
-        return replace(self._bare, twists=twists, landmarks=Landmarks(marks.names, marks.segments, points))
+        return replace(self._bare, twists=twists, landmarks=Landmarks(marks.names, marks.segments, places))
 
     def jacobian(self, posed: Posed, log_factors: Float) -> Float:
-        """(N, 3, size) derivative of the world landmarks of the `scaled` body by its log-factors."""
-        along, across = self._factors(log_factors)
-        links, groups = self._links, len(self.length_groups)
-        R = posed.segment_transforms[links.segment, :3, :3]
-        by_length = along[links.segment, None] * np.einsum("eij,ej->ei", R, links.along)
-        by_girth = across[links.segment, None] * np.einsum("eij,ej->ei", R, links.across)
-        out = np.zeros((len(self.body.landmarks.names), self.size, 3))
-        np.add.at(out, (links.landmark, 1 + self._group[links.segment]), by_length)
-        wide = self._girth[links.segment] >= 0
-        np.add.at(out, (links.landmark[wide], 1 + groups + self._girth[links.segment][wide]), by_girth[wide])
+        """(L, 3, size) derivative of the world landmarks of the `scaled` body by its log-factors."""
+        (along, across), links, L = self._factors(log_factors), self._links, len(self.body.landmarks.names)
+        own = slice(np.searchsorted(links.point, L))
+        mark, segment = links.point[own], links.segment[own]
+        R = posed.segment_transforms[segment, :3, :3]
+        by_length = along[segment, None] * np.einsum("eij,ej->ei", R, links.along[own])
+        by_girth = across[segment, None] * np.einsum("eij,ej->ei", R, links.across[own])
+        out = np.zeros((L, self.size, 3))
+        np.add.at(out, (mark, 1 + self._group[segment]), by_length)
+        wide = self._girth[segment] >= 0
+        np.add.at(out, (mark[wide], 1 + self._groups + self._girth[segment][wide]), by_girth[wide])
         out[:, 0] = posed.landmarks - posed.pose.root[:3, 3]  # the rest pose grows about its origin
         return np.swapaxes(out, 1, 2)
 
     def _factors(self, log_factors: Float) -> tuple[Float, Float]:
         """Factors along and across every segment, stature included, both (S,)."""
-        f, groups = np.exp(log_factors), len(self.length_groups)
-        across = np.ones(len(self.body.segment_names))
-        across[list(self.girth_segments)] = f[1 + groups :]
-        return f[0] * f[1 : 1 + groups][self._group], f[0] * across
-
-    def _maps(self, log_factors: Float) -> Float:
-        """(S, 4, 4) as `body.shape.stretch_maps`, with the axes found once."""
-        along, across = self._factors(log_factors)
-        origins, axes = self._axes
-        outer = axes[:, :, None] * axes[:, None, :]
-        A = across[:, None, None] * np.eye(3) + (along - across)[:, None, None] * outer
-        places = np.exp(log_factors[0]) * origins
-        for s, above in enumerate(self.body.segment_parent):
-            if above >= 0:
-                places[s] = places[above] + A[above] @ (origins[s] - origins[above])
-        return se3.transform(A, places - np.einsum("sij,sj->si", A, origins))
-
-    @cached_property
-    def _axes(self) -> tuple[Float, Float]:
-        return segment_axes(self.body)
-
-    @cached_property
-    def _group(self) -> Int:
-        """(S,) length group of each segment."""
-        out = np.zeros(len(self.body.segment_names), np.int32)
-        for g, group in enumerate(self.length_groups):
-            out[list(group)] = g
-        return out
-
-    @cached_property
-    def _girth(self) -> Int:
-        """(S,) girth of each segment, -1 for none."""
-        out = np.full(len(self.body.segment_names), -1, np.int32)
-        out[list(self.girth_segments)] = np.arange(len(self.girth_segments))
-        return out
+        f = np.exp(log_factors)
+        lengths, girths = f[1 : 1 + self._groups], np.r_[f[1 + self._groups :], 1.0]  # -1 is that of no girth
+        return f[0] * lengths[self._group], f[0] * girths[self._girth]
 
     @cached_property
     def _owner(self) -> Int:
         """(J,) the segment whose joint each coordinate belongs to, -1 for none."""
-        body = self.body
-        out = np.full(len(body.coordinate_names), -1, np.int32)
-        for s, k in enumerate(body.segment_joint):
-            while k >= 0 and out[k] < 0:  # up to the joint of the segment above, which comes before this one
-                out[k] = s
-                k = body.parent[k]
+        out = np.full(len(self.body.coordinate_names), -1, np.int32)
+        for s in np.flatnonzero(self.body.segment_joint >= 0):
+            out[joint_coordinates(self.body, int(s))] = s
         return out
 
     @cached_property
     def _bare(self) -> Body:
-        none = np.zeros((0, 3))
+        none, faces = np.zeros((0, 3)), np.zeros((0, 3), np.int32)
         binding = np.zeros((0, 1), np.int32), np.zeros((0, 1))
-        faces = np.zeros((0, 3), np.int32)
         return replace(self.body, vertices=none, faces=faces, skin_segments=binding[0], skin_weights=binding[1])
 
     @cached_property
     def _links(self) -> _Links:
-        (origins, axes), marks = self._axes, self.body.landmarks
-        rows: list[tuple[int, int, Float]] = []
-        for n, s in enumerate(marks.segments):
-            end = marks.points[n]
+        (origins, axes), marks, above = segment_axes(self.body), self.body.landmarks, self.body.segment_parent
+        ends, rows = np.concatenate([marks.points, origins]), list[tuple[int, int, Float]]()
+        for n, s in enumerate(np.concatenate([marks.segments, above])):
             while s >= 0:
-                rows.append((n, int(s), end - origins[s]))
-                end, s = origins[s], self.body.segment_parent[s]
-        landmark, segment = np.array([r[0] for r in rows], np.int32), np.array([r[1] for r in rows], np.int32)
-        link, a = np.array([r[2] for r in rows]).reshape(-1, 3), axes[segment]
+                rows.append((n, int(s), ends[n] - origins[s]))
+                ends[n], s = origins[s], above[s]
+        point, segment = (np.array([row[k] for row in rows], np.int32) for k in (0, 1))
+        link, a = np.array([row[2] for row in rows]).reshape(-1, 3), axes[segment]
         along = a * np.sum(a * link, axis=1, keepdims=True)
-        return _Links(landmark, segment, along, link - along)
+        return _Links(ends, point, segment, along, link - along)
 
 
-@dataclass(frozen=True)
-class Scaling:
-    """The log-factors of a skeleton as a block of variables; the body is without its skin.
-
-    Attributes:
-        skeleton: that they scale.
-        values: (K,) log-factors.
-    """
+@dataclass(frozen=True, kw_only=True)
+class Scaling(Vector):
+    """The log-factors of a skeleton as a block of variables; the body is without its skin."""
 
     skeleton: Skeleton
-    values: Float
-
-    @property
-    def dof(self) -> int:
-        return len(self.values)
-
-    def retract(self, step: Float) -> Scaling:
-        return Scaling(self.skeleton, self.values + step)
-
-    def minus(self, other: Scaling) -> Float:
-        return self.values - other.values
 
     @cached_property
     def body(self) -> Body:

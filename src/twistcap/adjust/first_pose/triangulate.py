@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -11,28 +10,12 @@ from twistcap.arrays import Bool, Float
 from twistcap.camera import Rig
 
 
-@dataclass(frozen=True)
-class Triangulated:
-    """Landmarks in the world.
+def triangulate(rig: Rig, pixels: Float, confidence: Float, sigma_px: Float, reach: float = 4.0) -> tuple[Float, Bool]:
+    """Points (L, 3) in the world seen by at least two views within `reach` standard deviations, and these views (C, L).
 
-    Attributes:
-        points: (L, 3) m, NaN where fewer than two views agree.
-        inliers: (C, L) the views that agree.
-    """
+    Points are NaN where fewer than two views agree.
 
-    points: Float
-    inliers: Bool
-
-
-def triangulate(rig: Rig, pixels: Float, confidence: Float, sigma_px: Float, reach: float = 4.0) -> Triangulated:
-    """Points seen by at least two views within `reach` standard deviations.
-
-    Args:
-        rig: C cameras.
-        pixels: (C, L, 2); NaN where nothing was seen.
-        confidence: (C, L), 0 where nothing was seen.
-        sigma_px: (C, L) standard deviation of the pixels.
-        reach: largest residual of a view that agrees, in standard deviations.
+    Pixels are (C, L, 2), NaN where nothing was seen; their confidence, 0 there, and standard deviation are (C, L).
     """
     weight = np.where(np.isfinite(pixels).all(axis=-1), confidence, 0.0)
     rays = [camera.rays(pixels[c]) for c, camera in enumerate(rig)]
@@ -49,7 +32,7 @@ def triangulate(rig: Rig, pixels: Float, confidence: Float, sigma_px: Float, rea
     for _ in range(2):
         best = nearest_points(centres, directions, weight * (_residuals(rig, pixels, best) < reach * sigma_px))
     inliers = (_residuals(rig, pixels, best) < reach * sigma_px) & (weight > 0)
-    return Triangulated(best, np.asarray(inliers))
+    return best, np.asarray(inliers)
 
 
 def nearest_points(centres: Float, directions: Float, weights: Float) -> Float:

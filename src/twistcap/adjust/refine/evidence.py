@@ -32,21 +32,12 @@ def reshaped(term: Term, maps: Float | None) -> Term:
     return replace(term, points=replace(points, local=moved))  # pyright: ignore[reportArgumentType]
 
 
-def contour_rows(posed: Posed, motion: RestMotion, term: PointTerm) -> tuple[float, Derivatives, Float, Float]:
-    """Energy, derivatives, weights (R N,) and residuals (R N,) of a contour."""
-    energy, points, rows = term.rows(posed)
-    return energy, Derivatives.of(posed, motion, points, rows.gradient), rows.weight, rows.residual
-
-
 @dataclass(frozen=True)
 class End:
     """One of the two frames between which brightness is compared: how N points' brightness changes as they move.
 
-    Attributes:
-        P: (3, 4) projection.
-        value: (N,) brightness where the points were seen.
-        slope: (N, 2) its gradient there, 1/px.
-        pixels: (N, 2) px, where that was.
+    Where the points were seen (`pixels`, under P) are their brightness `value` (N,) and its gradient `slope` (N, 2),
+    1/px.
     """
 
     P: Float
@@ -67,7 +58,6 @@ class End:
         return self.value + change, gradient
 
     def subset(self, which: Int) -> End:
-        """Of some of its points."""
         return End(self.P, self.value[which], self.slope[which], self.pixels[which])
 
 
@@ -77,12 +67,8 @@ class BrightnessPair:
 
     Bregler and Malik, DOI 10.1109/CVPR.1998.698581, eq. 17 ff., here in perspective.
 
-    Attributes:
-        first, second: numbers of the frames.
-        points: N places on the surface.
-        earlier, later: how each of the frames shows them.
-        information: of each difference.
-        scale: difference at which a point is down-weighted by half (Cauchy).
+    `first` and `second` are numbers of frames, `earlier` and `later` how these show the points. At a difference of
+    `scale` a point is down-weighted by half (Cauchy).
     """
 
     first: int
@@ -98,14 +84,10 @@ class BrightnessPair:
         frames: tuple[int, int], points: SurfacePoints, earlier: tuple[View, RenderedView],
         later: tuple[View, RenderedView], blur: float, noise: tuple[float, float, float],
     ) -> BrightnessPair:  # fmt: skip
-        """Of the points that both images show.
+        """Of those points of the earlier view that both show, in each the body as rendered.
 
-        Args:
-            frames: their numbers.
-            points: that the earlier one shows.
-            earlier, later: the views, and the body rendered into them.
-            blur: under which they are compared, m on the body.
-            noise: information of each difference, scale of the loss, and m by which a point may be behind the surface.
+        They are compared under a blur (m on the body). `noise` is the information of each difference, the scale of the
+        loss, and the depth (m) by which a point may be behind the surface.
         """
         points = points[later[1].visible(points, noise[2])[0]]
         a, b = End.of(*earlier, points, blur), End.of(*later, points, blur)
@@ -123,8 +105,5 @@ class BrightnessPair:
         """Energy, derivatives by either end, weights (N,) and residuals (N,)."""
         (a, by_a), (b, by_b) = self.earlier.at(earlier, self.points), self.later.at(later, self.points)
         energy, weight = weighted_cauchy(b - a, np.full(len(a), self.information), self.scale)
-        one, other = (
-            Derivatives.of(posed, motion, self.points, gradient)
-            for posed, gradient in ((earlier, -by_a), (later, by_b))
-        )
-        return energy, one, other, weight, b - a
+        one = Derivatives.of(earlier, motion, self.points, -by_a)
+        return energy, one, Derivatives.of(later, motion, self.points, by_b), weight, b - a

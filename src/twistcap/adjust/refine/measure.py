@@ -30,6 +30,7 @@ from twistcap.track.schedule import Schedule
 from twistcap.track.visibility import SupportRule
 
 _ROOM = 0.15  # m about the body, added to the tracker's margin, by which refining may move it
+_SIDES = 8  # octants of the direction in which a contour point's residual grows
 _COARSE = 2.0  # factor on the reach of the contours in coarse rounds
 
 Tally = tuple[Float, Float]
@@ -38,13 +39,9 @@ Tally = tuple[Float, Float]
 
 @dataclass(frozen=True)
 class CameraRound:
-    """What one camera shows in one round.
+    """What one camera shows in one round: of each frame contours, None without an image of the body, and tallies.
 
-    Attributes:
-        contours: of each frame; None without an image of the body.
-        pairs: brightness between two frames.
-        tallies: of each frame.
-        colours: of the parts, in all frames of this camera.
+    Further the brightness between pairs of frames, and the colours of the parts in all frames.
     """
 
     contours: Sequence[PointTerm | None]
@@ -59,7 +56,6 @@ class SequenceImages:
     Attributes:
         views: of each camera and frame, the image about the tracked body; None without an image.
         contour: the cue; None for the differential method.
-        colours: of each part in each camera.
     """
 
     def __init__(self, rig: Rig, config: RefineConfig, tracker: Settings, body: Body) -> None:
@@ -179,3 +175,31 @@ def support(rounds: Sequence[CameraRound]) -> Float:
         fraction[judged] += (1.0 - rule.memory) * good[judged] / points[judged]
         out[t] = fraction.min()
     return out
+
+
+def design_effect(rounds: Sequence[CameraRound], posed: Sequence[Posed], variance: float) -> float:
+    """Factor by which the information of contours about the shape is overcounted, 1 or more.
+
+    A surface that is not quite the person's shifts the same contour in the same direction in every frame. For a pose
+    this is the error of one frame. For the shape, which all frames share, n such points are worth ``n / d`` independent
+    ones, with the design effect ``d = E (Σ w r)² / Σ w`` (Kish, "Survey Sampling", 1965, section 5.4), over groups of
+    one part of the body in one camera, on one side.
+
+    Args:
+        rounds: of each camera.
+        variance: claimed variance of a residual times its information, for points that err independently.
+    """
+    parts = len(posed[0].body.segment_names)
+    squares, information = 0.0, 0.0
+    for of_camera in rounds:
+        pull, weight = np.zeros(parts * _SIDES), np.zeros(parts * _SIDES)
+        for term, at in zip(of_camera.contours, posed, strict=True):
+            if term is not None:
+                _, points, rows = term.rows(at)
+                group = np.resize(points.part, len(rows.residual)) * _SIDES + (rows.gradient > 0.0) @ [1, 2, 4]
+                pull += np.bincount(group, rows.weight * rows.residual, len(pull))
+                weight += np.bincount(group, rows.weight, len(weight))
+        known = weight > 0.0
+        squares += float(np.sum(pull[known] ** 2))  # of each group (Σ w r)² / Σ w, the mean weighted by Σ w
+        information += float(np.sum(weight[known]))
+    return max(1.0, squares / max(information, 1e-12) / variance)

@@ -8,17 +8,17 @@ from functools import cached_property
 
 import numpy as np
 
-from twistcap.adjust.refine.evidence import contour_rows, reshaped
+from twistcap import se3
+from twistcap.adjust.refine.evidence import reshaped
 from twistcap.adjust.refine.measure import CameraRound
-from twistcap.adjust.refine.motion import accelerations
 from twistcap.adjust.refine.shape import Shape
-from twistcap.adjust.refine.sums import WIDTH, FrameSums, add_products, flat, projection
+from twistcap.adjust.refine.sums import WIDTH, Derivatives, FrameSums, add_products, flat, projection
 from twistcap.arrays import Float
 from twistcap.body import Pose, Posed
 from twistcap.body.shape import RestMotion
-from twistcap.predict import MotionNoise
+from twistcap.predict import MotionNoise, covariance_about
 from twistcap.solve import Arrow
-from twistcap.terms import LimitTerm, PointTerm, RestTerm
+from twistcap.terms import LimitTerm, RestTerm
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,7 @@ class Standing:
     """What is known without the images.
 
     Attributes:
-        times: (F,) s.
-        noise: of the motion.
+        times: (F,) s; noise: of the motion.
         rest: rad, standard deviation of the joints from the rest pose.
         hinge: m, see `Shape.prior`.
         shape_weight: factor on the prior of the shape, which matches the way in which images are counted.
@@ -89,23 +88,30 @@ class RefineProblem:
         """The quadratic of all poses' steps and the shape's."""
         maps, motion, posed = x.shape.maps_since(self.measured.shape), x.shape.motion(), x.posed
         arrow = Arrow(len(posed), x.shape.body.dof, len(x.shape.sigma), self.reach)
-        arrow.longest, arrow.shared_longest = (
-            0.5,
-            0.1,
-        )  # rad in a joint; log-length or m: no linearisation holds beyond
+        arrow.longest, arrow.shared_longest = 0.5, 0.1  # rad, and log-length or m: no linearisation holds beyond
         own = [FrameSums(at, motion) for at in posed]
         self._add_pairs(arrow, own, maps, motion)
         for t, sums in enumerate(own):
             for term in self.contours[t]:
-                self._add_contour(arrow, sums, reshaped(term, maps), motion)
-            gradient, matrix = sums.projected()
-            add_whole(arrow, t, gradient, matrix)
+                energy, points, rows = reshaped(term, maps).rows(sums.posed)
+                arrow.value += self.standing.contour * energy
+                by = Derivatives.of(sums.posed, motion, points, rows.gradient)
+                sums.add(by, self.standing.contour * rows.weight, rows.residual)
+            gradient, matrix = sums.projected()  # of the pose's step and the shape's together
+            D = arrow.pull.shape[1]
+            arrow.add_pose(t, gradient[:D], matrix[:D, :D])
+            arrow.border[t] += matrix[:D, D:]
+            arrow.corner += matrix[D:, D:]
+            arrow.shared_pull += gradient[D:]
             for prior in self._priors():
                 quadratic = prior.linearize(posed[t])
                 arrow.value += quadratic.value
                 arrow.add_pose(t, quadratic.gradient, quadratic.hessian)
         arrow.value += accelerations(x.poses, self.standing.times, self.standing.noise, arrow)
-        self._add_shape(arrow, x.shape)
+        value, gradient, information = x.shape.prior(self.standing.hinge)
+        arrow.value += self.standing.shape_weight * value
+        arrow.shared_pull += self.standing.shape_weight * gradient
+        arrow.corner += self.standing.shape_weight * information
         return arrow
 
     def retract(self, x: Track, step: Float) -> Track:
@@ -116,11 +122,6 @@ class RefineProblem:
 
     def _priors(self) -> tuple[LimitTerm, RestTerm]:
         return LimitTerm(), RestTerm(self.standing.rest)
-
-    def _add_contour(self, arrow: Arrow, sums: FrameSums, term: PointTerm, motion: RestMotion) -> None:
-        energy, rows, weight, residual = contour_rows(sums.posed, motion, term)
-        arrow.value += self.standing.contour * energy
-        sums.add(rows, self.standing.contour * weight, residual)
 
     def _add_pairs(self, arrow: Arrow, own: Sequence[FrameSums], maps: Float | None, motion: RestMotion) -> None:
         """Add brightness: the rows of each end to its frame's sums, their products to the coupling of both frames."""
@@ -136,28 +137,45 @@ class RefineProblem:
             add_products(one.segments, one.by_segment, other.segments, other.by_segment, weight, blocks)
         ways = [projection(sums.posed, motion) for sums in own] if between else []
         for (a, b), blocks in between.items():
-            add_coupling(arrow, a, b, ways[a].T @ flat(blocks) @ ways[b])
-
-    def _add_shape(self, arrow: Arrow, shape: Shape) -> None:
-        value, gradient, information = shape.prior(self.standing.hinge)
-        arrow.value += self.standing.shape_weight * value
-        arrow.shared_pull += self.standing.shape_weight * gradient
-        arrow.corner += self.standing.shape_weight * information
-
-
-def add_whole(arrow: Arrow, t: int, gradient: Float, matrix: Float) -> None:
-    """Add a quadratic of one pose's step and the shape's together, (D + K,) and (D + K, D + K)."""
-    D = arrow.pull.shape[1]
-    arrow.add_pose(t, gradient[:D], matrix[:D, :D])
-    arrow.border[t] += matrix[:D, D:]
-    arrow.corner += matrix[D:, D:]
-    arrow.shared_pull += gradient[D:]
+            # xᵀ matrix y, x the steps of frame a's pose and the shape, y those of frame b's and the shape
+            matrix, D = ways[a].T @ flat(blocks) @ ways[b], arrow.pull.shape[1]
+            arrow.band[a, b - a] += matrix[:D, :D].T
+            arrow.border[a] += matrix[:D, D:]
+            arrow.border[b] += matrix[D:, :D].T
+            arrow.corner += matrix[D:, D:] + matrix[D:, D:].T
 
 
-def add_coupling(arrow: Arrow, a: int, b: int, matrix: Float) -> None:
-    """Add ``xᵀ matrix y``, x the steps of frame a's pose and the shape, y those of a later frame b's and the shape."""
-    D = arrow.pull.shape[1]
-    arrow.band[a, b - a] += matrix[:D, :D].T
-    arrow.border[a] += matrix[:D, D:]
-    arrow.border[b] += matrix[D:, :D].T
-    arrow.corner += matrix[D:, D:] + matrix[D:, D:].T
+def accelerations(
+    poses: Sequence[Pose], times: Sequence[float], noise: MotionNoise, system: Arrow | None = None
+) -> float:
+    """Energy of the change of velocity at every inner frame; its rows are added to a system if one is given.
+
+    Velocity from one frame to the next is ``log(M' M⁻¹) / Δt`` and ``Δq / Δt``; its change over the mean Δt is an
+    acceleration of the standard deviations of `noise`, the root's about the body.
+    """
+    energy = 0.0
+    for t in range(1, len(poses) - 1):
+        dt = times[t] - times[t - 1], times[t + 1] - times[t]
+        first, second = poses[t].minus(poses[t - 1]), poses[t + 1].minus(poses[t])
+        variance = (0.5 * (dt[0] + dt[1])) ** 2 * noise.variance(len(first), 1.0, "constant_velocity")
+        _, information = covariance_about(variance, poses[t].root[:3, 3])
+        root = np.linalg.cholesky(information).T  # rows that the unit weight fits
+        white = root @ (second / dt[1] - first / dt[0])
+        energy += 0.5 * float(white @ white)
+        if system is not None:
+            (from_a, to_b), (from_b, to_c) = _derivatives(first), _derivatives(second)
+            J = (-from_a / dt[0], from_b / dt[1] - to_b / dt[0], to_c / dt[1])
+            system.add_rows((t - 1, t, t + 1), tuple(root @ j for j in J), None, np.ones(len(white)), white)
+    return energy
+
+
+def _derivatives(step: Float) -> tuple[Float, Float]:
+    """(D, D) derivatives of the step between two poses by the steps of the one it starts from and of the other.
+
+    ``log(exp(δ') D exp(−δ))``: by δ' the inverse left Jacobian at the step, by δ minus the inverse right one.
+    """
+    D = len(step)
+    start, end = -np.eye(D), np.eye(D)
+    end[:6, :6] = se3.inverse_left_jacobian_one(step[:6])
+    start[:6, :6] = -se3.inverse_left_jacobian_one(-step[:6])
+    return start, end

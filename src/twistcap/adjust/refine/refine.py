@@ -14,8 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from twistcap.adjust.first_pose import girth_groups
-from twistcap.adjust.refine.common_error import design_effect
-from twistcap.adjust.refine.measure import SequenceImages, agreement, support
+from twistcap.adjust.refine.measure import SequenceImages, agreement, design_effect, support
 from twistcap.adjust.refine.problem import RefineProblem, Standing, Track
 from twistcap.adjust.refine.settings import RefineConfig
 from twistcap.adjust.refine.shape import Shape
@@ -62,8 +61,8 @@ class Refined:
         joint_shifts, joint_sigmas: (3,) m in the rest pose and standard deviations, by the segment below the joint.
         moved: m, mean motion of the landmarks in each round, over all frames.
         shape: where a refinement of another track with this body starts.
-        design_effect: how far contours of one part err together, 1 for not at all; see `common_error`. Beyond
-            `_ALIKE` lengths and joint centres were held.
+        design_effect: how far contours of one part err together, 1 for not at all. Beyond `_ALIKE` lengths and joint
+            centres were held.
         helped: whether the contours agree with the images at least as well as before; if not, this is the track given.
     """
 
@@ -118,19 +117,15 @@ def refine(
     all_frames = np.ones(count, dtype=np.bool_)
     before, after = (agreement(images.measure(x.posed, all_frames, coarse=False)) for x in (given, adjusted.solution.x))
     if after < before - _WORSE:
-        return _kept(given, estimates, adjusted)
+        return _refined(given.shape, given.shape.sigma, estimates, adjusted, False)
     return _answer(adjusted, estimates, tracker)
 
 
 @dataclass(frozen=True)
 class _Adjusted:
-    """How far the rounds have come.
+    """How far the rounds have come: the last one's solution, and whether it moved less than `_SETTLED`.
 
-    Attributes:
-        solution: of the last round; `problem` is what it solved.
-        moved: m, motion of the landmarks in each round.
-        settled: whether the last round moved less than `_SETTLED`.
-        design_effect: by which contours err together; 1 where no round was fine.
+    `moved` (m) is the motion of the landmarks in each round; the design effect is 1 where no round was fine.
     """
 
     solution: Solution[Track, Arrow]
@@ -144,14 +139,15 @@ def _adjusted(images: SequenceImages, given: Track, estimates: Sequence[Estimate
     """Rounds until one settles; only to the first fine round where contours err together too much."""
     config, x, moved, total = images.config, given, list[float](), len(estimates) * (1 + images.config.rounds)
     most = config.rounds if given.shape.moved else min(config.rounds, _HELD_ROUNDS)
-    inflation, standing = INFLATION**2, _standing(estimates, config)
+    inflation, rest, times = INFLATION**2, float(np.deg2rad(RestPose().sigma_deg)), [e.time for e in estimates]
     trusted = ~_bridged(estimates, _BRIDGE)
     while True:
         coarse = len(moved) < config.coarse_rounds
         rounds = images.measure(x.posed, trusted, coarse)
         effect = design_effect(rounds, x.posed, inflation)
         # Images are counted at their own noise, of which the claimed one is a multiple; so must the shape's prior be.
-        problem = RefineProblem(x, rounds, replace(standing, shape_weight=effect * inflation))
+        standing = Standing(times, MotionNoise(), rest, config.hinge, effect * inflation, config.contour)
+        problem = RefineProblem(x, rounds, standing)
         solution = minimise(problem, x, 1, _DAMPING)
         moved.append(_mean_move(x, solution.x))
         x, trusted = solution.x, np.ones(len(estimates), dtype=np.bool_)
@@ -164,12 +160,6 @@ def _adjusted(images: SequenceImages, given: Track, estimates: Sequence[Estimate
 
 def _silent(note: str, done: int = 0, total: int | None = None) -> None:
     """Report nothing."""
-
-
-def _standing(estimates: Sequence[Estimate], config: RefineConfig) -> Standing:
-    """Standing knowledge, of the weights of a configuration."""
-    rest = float(np.deg2rad(RestPose().sigma_deg))
-    return Standing([e.time for e in estimates], MotionNoise(), rest, config.hinge, 1.0, config.contour)
 
 
 def _check(body: Body, estimates: Sequence[Estimate]) -> None:
@@ -202,21 +192,17 @@ def _mean_move(before: Track, after: Track) -> float:
 def _answer(adjusted: _Adjusted, estimates: Sequence[Estimate], tracker: Settings) -> Refined:
     solution, effect = adjusted.solution, adjusted.design_effect
     shape, marginals = solution.x.shape, solution.system.marginals()
-    lengths, girths, joints = shape.parts(shape.total)
     # The shape's information was counted `effect` times; its covariance is that much larger.
-    sigmas = shape.parts(INFLATION * np.sqrt(effect * np.diagonal(marginals.shared)))
-    out = tuple(_estimates(adjusted, marginals.poses, estimates, tracker))
-    girth, joint = (_exp(girths), sigmas[1]), (joints, sigmas[2])
-    return Refined(shape.body, out, _exp(lengths), sigmas[0], *girth, *joint, adjusted.moved, shape, effect, True)
+    sigma = INFLATION * np.sqrt(effect * np.diagonal(marginals.shared))
+    return _refined(shape, sigma, _estimates(adjusted, marginals.poses, estimates, tracker), adjusted, True)
 
 
-def _kept(given: Track, estimates: Sequence[Estimate], adjusted: _Adjusted) -> Refined:
-    """The track given, where refining did not help."""
-    lengths, girths, joints = given.shape.parts(given.shape.total)
-    sigma = given.shape.parts(given.shape.sigma)
-    girth, joint = (_exp(girths), sigma[1]), (joints, sigma[2])
-    rest = (adjusted.moved, given.shape, adjusted.design_effect, False)
-    return Refined(given.shape.body, tuple(estimates), _exp(lengths), sigma[0], *girth, *joint, *rest)
+def _refined(shape: Shape, sigma: Float, estimates: Iterable[Estimate], adjusted: _Adjusted, helped: bool) -> Refined:
+    """With a shape and standard deviations of its parameters (K,)."""
+    (lengths, girths, joints), sigmas = shape.parts(shape.total), shape.parts(sigma)
+    factors = [{name: float(np.exp(value)) for name, value in logs.items()} for logs in (lengths, girths)]
+    out = tuple(estimates), factors[0], sigmas[0], factors[1], sigmas[1], joints, sigmas[2]
+    return Refined(shape.body, *out, adjusted.moved, shape, adjusted.design_effect, helped)
 
 
 def _estimates(
@@ -238,7 +224,3 @@ def _estimates(
             yield own
         else:
             yield replace(own, support=float(supported[t]), lost=bool(supported[t] < SupportRule().least))
-
-
-def _exp(logs: Mapping[str, float]) -> dict[str, float]:
-    return {name: float(np.exp(value)) for name, value in logs.items()}

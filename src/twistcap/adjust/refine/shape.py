@@ -63,9 +63,8 @@ class Shape:
 
     def motion(self) -> RestMotion:
         """How the rest pose moves with the parameters."""
-        stretched, widened = (
-            [dict.fromkeys(group, 1.0) for group in kind.values()] for kind in (self.stretched, self.widened)
-        )
+        kinds = (self.stretched, self.widened)
+        stretched, widened = ([dict.fromkeys(group, 1.0) for group in kind.values()] for kind in kinds)
         return rest_motion(self.body, stretched, widened, [self.body.segment(name) for name in self.moved])
 
     def prior(self, hinge: float) -> tuple[float, Float, Float]:

@@ -25,12 +25,7 @@ WIDTH = 11
 
 @dataclass(frozen=True)
 class Derivatives:
-    """Of N residuals, by the segments that carry their points.
-
-    Attributes:
-        segments: (N, K), -1 where there is none.
-        by_segment: (N, K, 11).
-    """
+    """Of N residuals by the segments (N, K) that carry their points, -1 where there is none: (N, K, 11)."""
 
     segments: Int
     by_segment: Float
