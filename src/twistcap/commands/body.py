@@ -75,11 +75,7 @@ def silhouettes(
 
 
 def cutting_of(path: Path) -> Any:
-    """What `silhouettes` serves.
-
-    Raises:
-        InputError: whatever is wrong with the file or its pictures.
-    """
+    """What `silhouettes` serves. Raises InputError: whatever is wrong with the file or its pictures."""
     from twistcap.io.keyviews import read_uncut
     from twistcap.pages.cutting import Cutting, CutView
 

@@ -102,8 +102,7 @@ def _session(result: Any, path: Path) -> Any:
 def _views(session: Any, rig: Any, indices: list[int], path: Path) -> Any:
     """The frames of the estimates.
 
-    Raises:
-        InputError: where there are none, some are missing between them, or the videos do not hold them.
+    Raises InputError where there are none, some are missing between them, or the videos do not hold them.
     """
     from twistcap.io.recording import views_of
 

@@ -83,11 +83,7 @@ def show_rows(title: str, rows: list[Any]) -> None:
 
 
 def output_folder(path: str | Path) -> Path:
-    """The folder, created if it does not exist.
-
-    Raises:
-        InputError: where it cannot be made.
-    """
+    """The folder, created if it does not exist. Raises InputError where it cannot be made."""
     folder = Path(path)
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -99,11 +95,7 @@ def output_folder(path: str | Path) -> Path:
 
 
 def frame_range(text: str | None) -> tuple[int, int] | None:
-    """``10:20`` as frames 10 to 20, both included.
-
-    Raises:
-        InputError: where it reads otherwise.
-    """
+    """``10:20`` as frames 10 to 20, both included. Raises InputError where it reads otherwise."""
     if text is None:
         return None
     first, colon, last = text.partition(":")

@@ -171,11 +171,7 @@ def tell(document: dict[str, Any]) -> None:
 
 
 def parsed_settings(settings: list[str]) -> dict[str, Any]:
-    """``key=value`` pairs, the values as TOML (bare words are strings).
-
-    Raises:
-        InputError: for one without ``=``.
-    """
+    """``key=value`` pairs, the values as TOML (bare words are strings). Raises InputError for one without ``=``."""
     out: dict[str, Any] = {}
     for text in settings:
         key, equals, value = text.partition("=")

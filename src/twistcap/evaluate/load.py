@@ -53,8 +53,7 @@ class Reference:
     def without(self, exclude: Sequence[str]) -> Reference:
         """The reference with flawed stretches unknown, each as ``NAME`` or ``NAME:FIRST-LAST`` (its own row numbers).
 
-        Raises:
-            InputError: for a name it does not have or a range that cannot be read.
+        Raises InputError for a name it does not have or a range that cannot be read.
         """
         points, angles = self.points.copy(), self.angles.copy()
         for text in exclude:
@@ -109,8 +108,7 @@ def load_reference(
         frame_times: times (M,) of the recording's frames 0 … M − 1, for files that have no clock of their own.
         axes: rotation of a TRC's world about the vertical, see `io.markers`.
 
-    Raises:
-        InputError: for a missing, unknown or unreadable file.
+    Raises InputError for a missing, unknown or unreadable file.
     """
     if not path.exists():
         raise InputError(f"the reference {path} does not exist; give a file or a folder of masks.")

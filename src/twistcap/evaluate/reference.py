@@ -129,8 +129,7 @@ def evaluate(
         case: name in the table; the reference's own name by default.
         axes: rotation of a TRC's world about the vertical, see `io.markers`.
 
-    Raises:
-        InputError: for a reference that is missing, unreadable, or has nothing in common with the result.
+    Raises InputError for a reference that is missing, unreadable, or has nothing in common with the result.
     """
     path = Path(reference)
     path = path / "truth.npz" if (path / "truth.npz").is_file() else path

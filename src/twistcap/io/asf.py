@@ -50,8 +50,7 @@ def read_amc(path: Path | str, skeleton: Path | str | None = None, rate: float =
         skeleton: its ASF; None takes `<stem>.asf` or `<subject>.asf` (08_02: 08.asf) beside it, or the only one there.
         rate: frames per second, which an AMC does not state.
 
-    Raises:
-        InputError: if a file is missing or broken, naming the line, or for a bone that the ASF does not have.
+    Raises InputError if a file is missing or broken, naming the line, or for a bone that the ASF does not have.
     """
     path = Path(path)
     if not path.is_file():
@@ -77,11 +76,7 @@ def read_amc(path: Path | str, skeleton: Path | str | None = None, rate: float =
 
 
 def read_asf(path: Path | str) -> AsfSkeleton:
-    """An ASF skeleton.
-
-    Raises:
-        InputError: if it cannot be read, or a line is broken, naming it.
-    """
+    """An ASF skeleton. Raises InputError if it cannot be read, or a line is broken, naming it."""
     path = Path(path)
     sections = _sections(path)
     for needed in ("bonedata", "hierarchy"):

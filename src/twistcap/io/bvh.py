@@ -43,9 +43,8 @@ def write_bvh(path: Path | str, body: Body, poses: Sequence[Pose], fps: float, s
         fps: frames per second.
         scale: file units per metre; 100 for software that reads centimetres.
 
-    Raises:
-        InputError: for a frame rate that is not positive, sliding coordinates, several root segments, or if the file
-            cannot be written.
+    Raises InputError for a frame rate that is not positive, sliding coordinates, several root segments, or if the file
+    cannot be written.
     """
     path = Path(path)
     if not fps > 0:

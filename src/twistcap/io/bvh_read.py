@@ -25,8 +25,8 @@ def read_bvh(path: Path | str, unit: float | None = None, up: Up | None = None) 
         unit: metres per unit of the file; None takes that of `UNITS` which makes an adult of the rest pose.
         up: the vertical axis; None takes the one along which the rest pose is drawn.
 
-    Raises:
-        InputError: if it cannot be read or is no BVH with three rotations a joint, or for numbers that are not finite.
+    Raises InputError if it cannot be read or is no BVH with three rotations a joint, or for numbers that are not
+    finite.
     """
     path = Path(path)
     try:

@@ -32,9 +32,8 @@ def read_rig(path: str | Path, unit: Unit | None = None) -> Rig:
         path: ``Calib.toml``.
         unit: of the translations; None takes ``unit`` in the file's ``[metadata]``, and metres where there is none.
 
-    Raises:
-        InputError: for a missing file, a missing, malformed, non-finite or impossible entry, or a fisheye lens; and
-            what `check_plausible` raises.
+    Raises InputError for a missing file, a missing, malformed, non-finite or impossible entry, or a fisheye lens; and
+    what `check_plausible` raises.
     """
     path = Path(path)
     tables = _load(path)

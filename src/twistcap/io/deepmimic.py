@@ -28,8 +28,7 @@ def read_deepmimic(path: Path | str, skeleton: Path | str | None = None) -> Skel
         path: the clip.
         skeleton: its skeleton; None takes `humanoid3d.txt` beside it.
 
-    Raises:
-        InputError: if a file is missing or no such JSON, a frame has the wrong length, or a number is not finite.
+    Raises InputError if a file is missing or no such JSON, a frame has the wrong length, or a number is not finite.
     """
     path = Path(path)
     content = _json(path)

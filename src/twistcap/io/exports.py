@@ -49,11 +49,7 @@ class ExportFormat:
 
 
 def format_of(name: str) -> ExportFormat:
-    """The format of a name.
-
-    Raises:
-        InputError: for a name that nobody has registered.
-    """
+    """The format of a name. Raises InputError for a name that nobody has registered."""
     return FORMATS.get(name)()
 
 
@@ -66,8 +62,7 @@ def export(result: Result, name: str, folder: Path, path: Path | None = None) ->
         folder: where the file gets its usual name.
         path: of the file, in place of that.
 
-    Raises:
-        InputError: for an unknown format, a result without frames, or a file that cannot be written.
+    Raises InputError for an unknown format, a result without frames, or a file that cannot be written.
     """
     chosen = format_of(name)
     if not len(result):

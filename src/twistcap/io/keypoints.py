@@ -62,9 +62,8 @@ def read_openpose(
         person: which entry of ``people``, for all cameras or by camera name; a file without people gives no keypoints.
         grids: pixel grid of the detector, by camera name, where it is not the video's.
 
-    Raises:
-        InputError: for an unknown layout or camera, a file that cannot be read, has another number of points, or has
-            fewer people.
+    Raises InputError for an unknown layout or camera, a file that cannot be read, has another number of points, or has
+    fewer people.
     """
     names = _layout(layout)
     _expect_cameras([*files, *(grids or {})], cameras, "the keypoints")
@@ -82,8 +81,7 @@ def read_openpose(
 def openpose_files(folders: Mapping[str, Path | str], frame: int) -> dict[str, Path]:
     """The JSON file of a frame in each camera's folder: number `frame` of its files in the order of their names.
 
-    Raises:
-        InputError: if a folder has fewer JSON files.
+    Raises InputError if a folder has fewer JSON files.
     """
     out: dict[str, Path] = {}
     for camera, folder in folders.items():
@@ -102,9 +100,8 @@ def read_clicks(path: Path | str, cameras: Sequence[str], joints: Sequence[str] 
         cameras: the rig's camera names, in order.
         joints: the names to accept (a body's landmarks); by default any.
 
-    Raises:
-        InputError: for a file that cannot be read, a missing column, an unknown camera or joint, a joint clicked twice
-            in one camera, or a coordinate that is no finite number.
+    Raises InputError for a file that cannot be read, a missing column, an unknown camera or joint, a joint clicked
+    twice in one camera, or a coordinate that is no finite number.
     """
     path = Path(path)
     rows = _json_rows(path) if path.suffix.lower() == ".json" else _csv_rows(path)

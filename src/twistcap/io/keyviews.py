@@ -66,8 +66,7 @@ class KeyViewsFile(BaseModel):
 def read_key_views(path: Path | str) -> tuple[dict[str, KeyView], float | None]:
     """The key views by role, rectified, and the body line, m, if one is given. Paths are relative to the file.
 
-    Raises:
-        InputError: for a file, a picture or a camera that is missing or does not fit.
+    Raises InputError for a file, a picture or a camera that is missing or does not fit.
     """
     path = Path(path)
     file = read_key_views_file(path)
@@ -77,11 +76,7 @@ def read_key_views(path: Path | str) -> tuple[dict[str, KeyView], float | None]:
 
 
 def read_key_views_file(path: Path) -> KeyViewsFile:
-    """The file as it stands, no picture opened.
-
-    Raises:
-        InputError: for a file that is missing or malformed.
-    """
+    """The file as it stands, no picture opened. Raises InputError for a file that is missing or malformed."""
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -111,9 +106,8 @@ class Uncut:
 def read_uncut(path: Path | str) -> dict[str, Uncut]:
     """The pictures of the key views by role; only pictures and cameras must be there.
 
-    Raises:
-        InputError: for a file, a picture or a camera that is missing or does not fit, no picture at all, or a mask
-            that would be written over another picture.
+    Raises InputError for a file, a picture or a camera that is missing or does not fit, no picture at all, or a mask
+    that would be written over another picture.
     """
     path = Path(path)
     file = read_key_views_file(path)

@@ -52,8 +52,7 @@ def write_trc(
         unit: of the numbers in the file, as its field Units names it.
         axes: rotation of the world, see the head of this module.
 
-    Raises:
-        InputError: for shapes that do not fit each other, or if the file cannot be written.
+    Raises InputError for shapes that do not fit each other, or if the file cannot be written.
     """
     check_choice("write_trc: unit", unit, ("m", "mm"))
     check_choice("write_trc: axes", axes, TO_FILE)
@@ -81,8 +80,7 @@ def write_trc(
 def read_trc(path: Path | str, axes: WorldAxes = "pose2sim") -> Markers:
     """The markers of a TRC in our world, z up, m. Units mm, cm and m are known.
 
-    Raises:
-        InputError: if it cannot be read, or a header field or a row is broken, naming it.
+    Raises InputError if it cannot be read, or a header field or a row is broken, naming it.
     """
     check_choice("read_trc: axes", axes, TO_FILE)
     path = Path(path)
@@ -130,8 +128,7 @@ def read_keypoints3d(
         times, fps: the clock, if the file has none; row n is at n / fps.
         names: of the P points, if the file has none; default OpenPose BODY_25B in the body's landmark names.
 
-    Raises:
-        InputError: if it cannot be read, lacks X or a clock, or shapes do not fit.
+    Raises InputError if it cannot be read, lacks X or a clock, or shapes do not fit.
     """
     path = Path(path)
     try:
@@ -167,11 +164,7 @@ def frame_rate(times: Float) -> float:
 
 
 def read_lines(path: Path) -> list[str]:
-    """Lines of a text file.
-
-    Raises:
-        InputError: if it cannot be read.
-    """
+    """Lines of a text file. Raises InputError if it cannot be read."""
     try:
         return path.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError as error:
@@ -179,11 +172,7 @@ def read_lines(path: Path) -> list[str]:
 
 
 def write_lines(path: Path, lines: Sequence[str]) -> None:
-    """Writes a text file.
-
-    Raises:
-        InputError: if it cannot be written.
-    """
+    """Writes a text file. Raises InputError if it cannot be written."""
     try:
         path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     except OSError as error:

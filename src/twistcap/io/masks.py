@@ -15,8 +15,7 @@ from twistcap.errors import InputError
 def read_masks(folder: str | Path, rig: Rig, frame: int) -> tuple[Bool | None, ...]:
     """One mask (H, W) per camera of the rig for a frame, in the camera's own pixels; None where there is none.
 
-    Raises:
-        InputError: if no camera has one, or one cannot be read or has another size than the calibration.
+    Raises InputError if no camera has one, or one cannot be read or has another size than the calibration.
     """
     files = [Path(folder) / camera.name / f"frame_{frame:04d}.png" for camera in rig]
     masks = tuple(_read(file, camera.size) if file.is_file() else None for file, camera in zip(files, rig, strict=True))

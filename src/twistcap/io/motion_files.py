@@ -52,8 +52,7 @@ def write_mot(path: Path | str, body: Body, times: Float, poses: Sequence[Pose],
         poses: N poses.
         axes: rotation of the world about the vertical, see `io.markers`.
 
-    Raises:
-        InputError: for unequal numbers, or if the file cannot be written.
+    Raises InputError for unequal numbers, or if the file cannot be written.
     """
     check_choice("write_mot: axes", axes, TO_FILE)
     path = Path(path)
@@ -76,8 +75,7 @@ def write_mot(path: Path | str, body: Body, times: Float, poses: Sequence[Pose],
 def read_mot(path: Path | str) -> MotionTable:
     """A MOT or STO table. Angles come in rad; columns of lengths and forces (_tx, force, …) stay as they are.
 
-    Raises:
-        InputError: if it cannot be read, has no endheader, no time column, or a broken row, naming it.
+    Raises InputError if it cannot be read, has no endheader, no time column, or a broken row, naming it.
     """
     path = Path(path)
     lines = [line.strip() for line in read_lines(path)]
@@ -128,8 +126,7 @@ def poses_from_mot(
     Returns:
         One pose per row, and the names of the columns that the body does not have.
 
-    Raises:
-        InputError: if a used column holds NaN, or none of the columns is known to the body.
+    Raises InputError if a used column holds NaN, or none of the columns is known to the body.
     """
     check_choice("poses_from_mot: axes", axes, TO_FILE)
     check_choice("poses_from_mot: knee", knee, ("auto", "positive", "negative"))
@@ -155,10 +152,7 @@ def write_csv(path: Path | str, body: Body, estimates: Sequence[Estimate]) -> No
     """One row per frame: time, root, coordinates, their standard deviations, status, support and the lost flag.
 
     Units stand in the column names: `_deg` and `_m`, standard deviations end in `_std_deg` and `_std_m`. The root is
-    its place in the world and its rotation vector.
-
-    Raises:
-        InputError: if the file cannot be written.
+    its place in the world and its rotation vector. Raises InputError if the file cannot be written.
     """
     units = ["deg" if np.any(twist[:3]) else "m" for twist in body.twists]
     named = [("root_" + axis, "m") for axis in ("x", "y", "z")] + [("root_r" + axis, "deg") for axis in ("x", "y", "z")]

@@ -17,8 +17,7 @@ _KEYS = ("names", "rate", "clip_names", "starts", "q", "roots")
 def write_library(path: str | Path, library: MotionLibrary) -> Path:
     """Write a library as NPZ: format, names, rate (1/s), clip_names, starts, q (rad, float32), roots (m).
 
-    Raises:
-        InputError: where the file cannot be written.
+    Raises InputError where the file cannot be written.
     """
     path = Path(path)
     try:
@@ -35,8 +34,7 @@ def write_library(path: str | Path, library: MotionLibrary) -> Path:
 def read_library(path: str | Path) -> MotionLibrary:
     """Read what `write_library` wrote.
 
-    Raises:
-        InputError: for a file that is missing, is no motion library, or holds what does not fit or is not finite.
+    Raises InputError for a file that is missing, is no motion library, or holds what does not fit or is not finite.
     """
     try:
         with np.load(path, allow_pickle=False) as file:

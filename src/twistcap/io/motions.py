@@ -48,8 +48,7 @@ def read_motion(
         scale: of the root's path when retargeted; None takes the ratio of the legs' lengths.
         axes: how the world of a MOT is turned about the vertical, see `io.markers`.
 
-    Raises:
-        InputError: if the file is missing, broken, of an unknown kind or skeleton, or a number is not finite.
+    Raises InputError if the file is missing, broken, of an unknown kind or skeleton, or a number is not finite.
     """
     path = Path(path)
     kind = path.suffix.lower()
@@ -73,8 +72,7 @@ def write_motion(path: Path | str, body: Body, clip: MotionClip, axes: WorldAxes
         clip: the motion.
         axes: how the world of a MOT is turned about the vertical, see `io.markers`.
 
-    Raises:
-        InputError: for another ending, a clip of other coordinates, or if the file cannot be written.
+    Raises InputError for another ending, a clip of other coordinates, or if the file cannot be written.
     """
     path = Path(path)
     if clip.names != body.coordinate_names:
@@ -91,8 +89,7 @@ def write_motion(path: Path | str, body: Body, clip: MotionClip, axes: WorldAxes
 def read_skeleton(path: Path | str, skeleton: Path | str | None = None, rate: float = AMC_RATE) -> SkeletonMotion:
     """The motion of a skeleton file as it stands: .bvh, .amc (frames per second: `rate`), .txt or .json of DeepMimic.
 
-    Raises:
-        InputError: as `read_motion`.
+    Raises InputError as `read_motion`.
     """
     path = Path(path)
     kind = path.suffix.lower()

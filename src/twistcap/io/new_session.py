@@ -59,9 +59,8 @@ def draft_session(videos: Sequence[str], calibration: Path, unit: Unit | None = 
         calibration: ``Calib.toml``.
         unit: of its translations.
 
-    Raises:
-        InputError: for a video that does not open, matches no camera or has another size than its calibration, cameras
-            that two videos claim, or frame rates that differ.
+    Raises InputError for a video that does not open, matches no camera or has another size than its calibration,
+    cameras that two videos claim, or frame rates that differ.
     """
     rig = read_rig(calibration, unit)
     paths = matched([path for text in videos for path in _expanded(text)], rig.names)
@@ -78,8 +77,7 @@ def draft_session(videos: Sequence[str], calibration: Path, unit: Unit | None = 
 def matched(videos: Sequence[tuple[str | None, str]], cameras: Sequence[str]) -> dict[str, str]:
     """Path by camera: as said, else the camera whose name the file's or folder's name is or holds.
 
-    Raises:
-        InputError: for a path that no camera or more than one fits, an unknown camera, or a camera taken twice.
+    Raises InputError for a path that no camera or more than one fits, an unknown camera, or a camera taken twice.
     """
     paths: dict[str, str] = {}
     for said, path in videos:

@@ -32,9 +32,8 @@ def check_plausible(
         floor: height of the floor, m; None where the world's z is not upward.
         source: named in messages.
 
-    Raises:
-        InputError: cameras inside each other, implausibly far apart, without a common view or all underground; a
-            person underground or outside every view.
+    Raises InputError: cameras inside each other, implausibly far apart, without a common view or all underground; a
+    person underground or outside every view.
     """
     check_distances(rig, source)
     check_common_view(rig, source)
@@ -98,8 +97,7 @@ def check_upright(landmarks: Mapping[str, ArrayLike], source: str = "the first p
         landmarks: world points (3,) m by name, e.g. ``nose`` and ``ankle_r``; those that are absent do not count.
         source: named in messages.
 
-    Raises:
-        InputError: for a person upside down.
+    Raises InputError for a person upside down.
     """
     high = [np.asarray(landmarks[name], float)[2] for name in _HIGH if name in landmarks]
     low = [np.asarray(landmarks[name], float)[2] for name in _LOW if name in landmarks]

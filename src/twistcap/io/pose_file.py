@@ -33,8 +33,7 @@ def write_pose(path: str | Path, body: Body, pose: Pose, proportions: Proportion
 def body_at(path: str | Path, body: Body) -> Body:
     """The generic body at the ``"proportions"`` that a pose file holds; as it is where it holds none.
 
-    Raises:
-        InputError: for proportions that are no positive numbers, or of segments that the body does not have.
+    Raises InputError for proportions that are no positive numbers, or of segments that the body does not have.
     """
     path = Path(path)
     if path.suffix.lower() != ".json" or not path.is_file():
@@ -65,8 +64,7 @@ def read_pose(path: str | Path, body: Body, frame: int | None = None) -> Pose:
         body: whose coordinates are meant.
         frame: which pose of an NPZ (row) or of a result (frame number); None takes the first.
 
-    Raises:
-        InputError: for a file that cannot be read, an unknown coordinate, or a root that is no motion.
+    Raises InputError for a file that cannot be read, an unknown coordinate, or a root that is no motion.
     """
     path = Path(path)
     readers = {".json": _from_json, ".npz": _from_npz, ".h5": _from_result, ".hdf5": _from_result}

@@ -24,8 +24,7 @@ Motion = tuple[tuple[str, ...], Float]
 def write_prior(path: str | Path, prior: ParzenPrior) -> Path:
     """Write a prior as NPZ: format, names, samples (rad), sigma, scale.
 
-    Raises:
-        InputError: where the file cannot be written.
+    Raises InputError where the file cannot be written.
     """
     path = Path(path)
     scale = np.ones(len(prior.names)) if prior.scale is None else prior.scale
@@ -42,8 +41,7 @@ def write_prior(path: str | Path, prior: ParzenPrior) -> Path:
 def read_prior(path: str | Path) -> ParzenPrior:
     """Read what `write_prior` wrote.
 
-    Raises:
-        InputError: for a file that is missing, is no prior, or holds numbers that are not finite.
+    Raises InputError for a file that is missing, is no prior, or holds numbers that are not finite.
     """
     data = _arrays(path, "prior")
     if str(data.get("format", "")) != FORMAT or not {"names", "samples", "sigma", "scale"} <= data.keys():
@@ -73,8 +71,7 @@ def trained_prior(
         sigma: kernel width, rad; by default the paper's rule.
         scale: by coordinate, divisor of its differences; 1 where it is not named.
 
-    Raises:
-        InputError: for a file that cannot be read, a value that is not finite, or a coordinate that a file lacks.
+    Raises InputError for a file that cannot be read, a value that is not finite, or a coordinate that a file lacks.
     """
     if not paths or every < 1:
         raise InputError("prior: give one motion file or more, and every how many frames to take (1 or more).")
@@ -89,8 +86,7 @@ def trained_prior(
 def adjusted(prior: ParzenPrior, sigma: float | None, scale: Mapping[str, float] | None) -> ParzenPrior:
     """A prior with another width or scales; new scales without a width take the paper's rule again.
 
-    Raises:
-        InputError: for a scale of a coordinate that the prior does not have.
+    Raises InputError for a scale of a coordinate that the prior does not have.
     """
     if sigma is None and not scale:
         return prior

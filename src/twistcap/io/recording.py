@@ -55,8 +55,7 @@ class Recording:
 def open_recording(session: Session) -> Recording:
     """Read everything a session names and check that it is possible.
 
-    Raises:
-        InputError: whatever is missing, malformed or impossible, in one sentence.
+    Raises InputError: whatever is missing, malformed or impossible, in one sentence.
     """
     rig = rig_of(session)
     views = views_of(session, rig)
@@ -67,8 +66,7 @@ def open_recording(session: Session) -> Recording:
 def open_together(sessions: Sequence[Session]) -> list[Recording]:
     """Recordings of one person: the body of the first, and its lengths, hold in all others.
 
-    Raises:
-        InputError: as `open_recording`, or where a later session has another kind of body.
+    Raises InputError as `open_recording`, or where a later session has another kind of body.
     """
     first = open_recording(sessions[0])
     out = [first]

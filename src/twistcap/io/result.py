@@ -120,8 +120,7 @@ class ResultWriter:
             config: anything JSON can hold.
             versions: of the programs; None asks `installed_versions`.
 
-        Raises:
-            InputError: where the file cannot be written.
+        Raises InputError where the file cannot be written.
         """
         self._file = _opened(path, "w")
         self._file.attrs.update(format=FORMAT, format_version=FORMAT_VERSION)
@@ -141,10 +140,8 @@ class ResultWriter:
     def resume(cls, path: str | Path, frames: int | None = None) -> ResultWriter:
         """Go on after the last complete frame of a file, or after its first `frames`.
 
-        Later frames stay in the file until they are overwritten.
-
-        Raises:
-            InputError: for a file that is missing or no result.
+        Later frames stay in the file until they are overwritten. Raises InputError for a file that is missing or no
+        result.
         """
         read_result(path)
         writer = cls.__new__(cls)
@@ -200,8 +197,7 @@ class ResultWriter:
 def read_result(path: str | Path) -> Result:
     """Read a result file, finished or not: all frames that are complete.
 
-    Raises:
-        InputError: for a file that is missing, no HDF5, no result or of a newer format.
+    Raises InputError for a file that is missing, no HDF5, no result or of a newer format.
     """
     with _opened(path, "r") as file:
         _check_format(path, file)
@@ -230,8 +226,7 @@ def read_result(path: str | Path) -> Result:
 def read_state(path: str | Path) -> tuple[int, UInt8] | None:
     """The latest state that is whole: how many frames had been written, and its bytes (N,); None where there is none.
 
-    Raises:
-        InputError: as `read_result`.
+    Raises InputError as `read_result`.
     """
     with _opened(path, "r") as file:
         _check_format(path, file)

@@ -233,8 +233,7 @@ class Session(Table):
     def pose_prior(self) -> ParzenPrior | None:
         """What ``[prior]`` names, read.
 
-        Raises:
-            InputError: for a file that is no prior, or a scale of a coordinate that it has not learnt.
+        Raises InputError for a file that is no prior, or a scale of a coordinate that it has not learnt.
         """
         if self.prior is None:
             return None
@@ -244,11 +243,7 @@ class Session(Table):
 
     @property
     def motion_library(self) -> MotionLibrary | None:
-        """What ``[motions]`` names, read, at its own rate.
-
-        Raises:
-            InputError: for a file that is no motion library.
-        """
+        """What ``[motions]`` names, read, at its own rate. Raises InputError for a file that is no motion library."""
         if self.motions is None:
             return None
         from twistcap.io.motion_library import read_library
@@ -263,9 +258,8 @@ def load_session(path: str | Path, overrides: Mapping[str, Any] | None = None) -
         path: the TOML.
         overrides: what the command line says, by dotted key (``tracker.method``); None values are passed over.
 
-    Raises:
-        InputError: for a file that cannot be read, an unknown key, a wrong value, a missing table, or a predictor or
-            method that does not fit ``[motions]`` and ``[prior]``.
+    Raises InputError for a file that cannot be read, an unknown key, a wrong value, a missing table, or a predictor or
+    method that does not fit ``[motions]`` and ``[prior]``.
     """
     path = Path(path)
     data = _expanded(_with_base(_load(path), path), path)
@@ -284,11 +278,7 @@ def load_session(path: str | Path, overrides: Mapping[str, Any] | None = None) -
 
 
 def tracker_settings(table: Mapping[str, Any], source: str) -> Settings:
-    """`Settings` from their table.
-
-    Raises:
-        InputError: for an unknown key or a wrong value.
-    """
+    """`Settings` from their table. Raises InputError for an unknown key or a wrong value."""
     from twistcap.settings import Settings
 
     return dataclass_from(Settings, table, source, "tracker")

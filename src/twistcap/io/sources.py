@@ -62,8 +62,7 @@ class VideoSource:
     def read(self, indices: Sequence[int]) -> Iterator[UInt8]:
         """RGB images (H, W, 3) of ascending frame numbers.
 
-        Raises:
-            InputError: at the first frame that cannot be decoded; frames before it have been given.
+        Raises InputError at the first frame that cannot be decoded; frames before it have been given.
         """
         if len(indices) == 0:
             return
@@ -150,8 +149,7 @@ class ImageSource:
     def read(self, indices: Sequence[int]) -> Iterator[UInt8 | None]:
         """RGB images (H, W, 3) by frame number; None where the file is absent.
 
-        Raises:
-            InputError: at the first image that cannot be read or has another size than the first.
+        Raises InputError at the first image that cannot be read or has another size than the first.
         """
         for index in indices:
             file = self._files[index]

@@ -26,8 +26,7 @@ def unknown_key(source: str, key: str, table: str, valid: Iterable[str]) -> Inpu
 def validated(model: type[BaseModel], data: Mapping[str, Any], source: str, context: Mapping[str, Any]) -> Any:
     """`model` made from `data`.
 
-    Raises:
-        InputError: for the first thing wrong, with the key, the file and what would be right.
+    Raises InputError for the first thing wrong, with the key, the file and what would be right.
     """
     try:
         return model.model_validate(data, context=dict(context))
@@ -43,8 +42,7 @@ def dataclass_from(kind: type[T], table: Mapping[str, Any], source: str, where: 
         table: its settings; absent keys keep their defaults.
         source, where: file and table, for messages.
 
-    Raises:
-        InputError: as `validated`; and what the dataclass itself raises.
+    Raises InputError as `validated`; and what the dataclass itself raises.
     """
     _check_keys(kind, table, source, where)
     try:

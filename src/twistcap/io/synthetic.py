@@ -47,9 +47,8 @@ def write_session(
     Returns:
         The path of ``session.toml``.
 
-    Raises:
-        InputError: where the folder cannot be written, for videos with dropped frames, or a first or last frame that
-            is dropped.
+    Raises InputError where the folder cannot be written, for videos with dropped frames, or a first or last frame that
+    is dropped.
     """
     folder, images = Path(folder), images or ("png" if capture.config.dropped else "video")
     check_choice("write_session: images", images, ("video", "png"))

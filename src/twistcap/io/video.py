@@ -41,8 +41,7 @@ class Source(Protocol):
 def open_source(path: str | Path) -> Source:
     """A video file, a printf pattern (``cam01/%04d.png``), a glob or a folder of images.
 
-    Raises:
-        InputError: where there is no such file or no image matches.
+    Raises InputError where there is no such file or no image matches.
     """
     text = str(path)
     if "%" in text or any(c in text for c in "*?") or Path(text).is_dir():
@@ -75,9 +74,8 @@ def open_views(
         fps: frames per second; None takes the videos' own, 60 where there is none.
         time_offset: s added to ``index / fps``.
 
-    Raises:
-        InputError: a missing video, a camera without one (or the other way round), a wrong size, unequal lengths,
-            fewer frames than asked.
+    Raises InputError: a missing video, a camera without one (or the other way round), a wrong size, unequal lengths,
+    fewer frames than asked.
     """
     _check_names(paths, rig)
     sources = tuple(open_source(paths[camera.name]) for camera in rig)

@@ -102,8 +102,7 @@ class Clicking:
     def fit(self, question: Mapping[str, Any]) -> dict[str, Any]:
         """Fit the body to ``{"clicks": {camera: {joint: [x, y]}}, "held": {coordinate: degrees}}``.
 
-        Raises:
-            InputError: for an unknown camera, joint or coordinate, a number that is not finite, or too few clicks.
+        Raises InputError for an unknown camera, joint or coordinate, a number that is not finite, or too few clicks.
         """
         self.clicks = self._checked_clicks(question.get("clicks"))
         held = self._checked_angles(question.get("held") or {})
@@ -116,8 +115,7 @@ class Clicking:
     def slide(self, question: Mapping[str, Any]) -> dict[str, Any]:
         """Set joint angles without a fit: ``{"held": {coordinate: degrees}}``.
 
-        Raises:
-            InputError: as `fit`; before a first fit.
+        Raises InputError as `fit`; before a first fit.
         """
         if self.shown is None:
             raise InputError("there is no pose to change yet; click a handful of joints in two views first.")
@@ -130,8 +128,7 @@ class Clicking:
     def save(self, question: Mapping[str, Any]) -> dict[str, Any]:
         """Write pose or clicks, after the checks that the tracker would make.
 
-        Raises:
-            InputError: before a first fit, for a pose that cannot be true, or a file that cannot be written.
+        Raises InputError before a first fit, for a pose that cannot be true, or a file that cannot be written.
         """
         if self.shown is None:
             raise InputError("there is nothing to save yet; click a handful of joints in two views first.")

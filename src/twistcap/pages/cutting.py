@@ -74,11 +74,8 @@ class Cutting:
     def cut(self, question: Mapping[str, Any]) -> dict[str, Any]:
         """Cut ``{"view": role, "rectangle": [x, y, x, y] | null, "strokes": [{"inside", "points", "width"}]}``.
 
-        A view without drawing is as at the beginning. A cut that fails leaves nothing to save.
-
-        Raises:
-            InputError: for an unknown view, a number that is not finite, a drawing without a person, or an empty
-                silhouette.
+        A view without drawing is as at the beginning. A cut that fails leaves nothing to save. Raises InputError for an
+        unknown view, a number that is not finite, a drawing without a person, or an empty silhouette.
         """
         role = self._role(question)
         view = self.views[role]
@@ -95,8 +92,7 @@ class Cutting:
     def save(self, question: Mapping[str, Any]) -> dict[str, Any]:
         """Write the masks of all views that were drawn on.
 
-        Raises:
-            InputError: where none was, or a file cannot be written.
+        Raises InputError where none was, or a file cannot be written.
         """
         del question
         with self._lock:

@@ -25,8 +25,7 @@ def page_server(page: str, answers: Mapping[str, Answer] | None = None, port: in
         answers: by path, such as ``/fit``: JSON object in, JSON object out.
         port: 0 takes a free one.
 
-    Raises:
-        InputError: for a port that cannot be had.
+    Raises InputError for a port that cannot be had.
     """
     content, known = page.encode(), dict(answers or {})
 

@@ -57,8 +57,7 @@ def view_page(
         title: heading.
         options: see `Options`.
 
-    Raises:
-        InputError: for no result, results without frames, or an image that cannot be read.
+    Raises InputError for no result, results without frames, or an image that cannot be read.
     """
     if not results or not any(len(result) for result in results.values()):
         raise InputError("no result has a frame; there is nothing to view.")
