@@ -278,7 +278,8 @@ def test_keypoints3d(tmp_path: Path) -> None:
     np.savez(tmp_path / "k.npz", X=X)
     with pytest.raises(InputError, match="clock"):
         read_keypoints3d(tmp_path / "k.npz")
-    markers = read_keypoints3d(tmp_path / "k.npz", fps=50.0)
+    np.savez(tmp_path / "k.npz", X=X, fps=50.0)
+    markers = read_keypoints3d(tmp_path / "k.npz")
     assert markers.names[0] == "nose" and markers.times[3] == pytest.approx(0.06)
     np.savez(tmp_path / "k.npz", X=X[:, :3], fps=10.0)
     with pytest.raises(InputError, match="3 points"):

@@ -103,17 +103,11 @@ def _known(session: Any, clicking: Any) -> Any:
 
 def _with_saved_pose(clicking: Any) -> None:
     """Start from the pose that was saved before, with its sliders."""
-    import json
-
-    from twistcap.adjust.first_pose import Proportions
     from twistcap.body import Posed
-    from twistcap.io.pose_file import body_at, read_pose
+    from twistcap.io.pose_file import body_at, read_pose, read_proportions
 
     path = clicking.target.path
-    if clicking.target.kind != "file" or not path.is_file():
-        return
-    body = body_at(path, clicking.generic)
-    clicking.shown = Posed(body, read_pose(path, body))
-    saved = json.loads(path.read_text(encoding="utf-8")).get("proportions")
-    if saved is not None:
-        clicking.proportions = Proportions(**saved)
+    if clicking.target.kind == "file" and path.is_file():
+        body = body_at(path, clicking.generic)
+        clicking.shown = Posed(body, read_pose(path, body))
+        clicking.proportions = read_proportions(path) or clicking.proportions

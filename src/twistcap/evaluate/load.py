@@ -9,17 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
-from twistcap.arrays import AnyArray, Float
+from twistcap.arrays import Float
 from twistcap.body import Body
 from twistcap.errors import InputError
-from twistcap.io.angles import shoulders_of
+from twistcap.io.angles import complete_coordinates
+from twistcap.io.files import read_npz
 from twistcap.io.markers import WorldAxes, read_keypoints3d, read_trc
 from twistcap.io.motion_files import poses_from_mot, read_mot
 
-_DETECTOR_NAMES: Mapping[str, str] = {
-    "hip": "hip", "knee": "knee", "ankle": "ankle", "shoulder": "shoulder", "elbow": "elbow", "wrist": "wrist",
-    "bigtoe": "toe", "smalltoe": "small_toe", "heel": "heel", "eye": "eye", "ear": "ear",
-}  # fmt: skip
+_SAME = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist", "heel", "eye", "ear")
+_DETECTOR_NAMES: Mapping[str, str] = {**{name: name for name in _SAME}, "bigtoe": "toe", "smalltoe": "small_toe"}
 _MIDDLE_NAMES: Mapping[str, str] = {"nose": "nose", "neck": "neck", "head": "head_top", "midhip": "mid_hip"}
 
 
@@ -63,9 +62,9 @@ class Reference:
             elif name in self.coordinate_names:
                 angles[rows, self.coordinate_names.index(name)] = np.nan
             else:
+                known = ", ".join((*self.names, *self.coordinate_names))
                 raise InputError(
-                    f"exclusion {text!r}: the reference has no point or coordinate {name!r}; "
-                    f"it has {', '.join((*self.names, *self.coordinate_names))}."
+                    f"exclusion {text!r}: the reference has no point or coordinate {name!r}; it has {known}."
                 )
         return replace(self, points=points, angles=angles)
 
@@ -130,11 +129,7 @@ def load_reference(
 
 
 def _from_npz(path: Path, frame_times: Callable[[int], Float]) -> Reference:
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            data = {key: archive[key] for key in archive.files}
-    except (OSError, ValueError) as error:
-        raise InputError(f"the reference {path} cannot be read as an npz file: {error}.") from error
+    data = read_npz(path, "the reference")
     if "X" in data:
         clock = {"times", "fps"} & set(data)
         markers = read_keypoints3d(path, None if clock else frame_times(len(data["X"])))
@@ -146,22 +141,13 @@ def _from_npz(path: Path, frame_times: Callable[[int], Float]) -> Reference:
             f"the reference {path} lacks {', '.join(missing)}; a studio truth has root, q, landmarks, names, "
             "coordinate_names and fps, a keypoint file has X."
         )
-    return _from_truth(data, frame_times)
-
-
-def _from_truth(data: Mapping[str, AnyArray], frame_times: Callable[[int], Float]) -> Reference:
     rows = len(data["q"])
     if "times" in data:
         times = data["times"].astype(float)
     else:
         times = np.arange(rows) / float(data["fps"]) if "fps" in data else frame_times(rows)
-    return Reference(
-        times=times,
-        names=tuple(str(name) for name in data["names"]),
-        points=data["landmarks"].astype(float),
-        coordinate_names=tuple(str(name) for name in data["coordinate_names"]),
-        angles=data["q"].astype(float),
-    )
+    names, coordinates = (tuple(map(str, data[key])) for key in ("names", "coordinate_names"))
+    return Reference(times, names, data["landmarks"].astype(float), coordinates, data["q"].astype(float))
 
 
 def landmark_name(marker: str) -> str:
@@ -178,21 +164,9 @@ def _from_mot(path: Path, body: Body) -> Reference:
     """Angles of a motion file in the body's own coordinates: knees bend to positive, shoulders turn in our order."""
     table = read_mot(path)
     poses, _ = poses_from_mot(table, body)
-    names = tuple(name for name in body.coordinate_names if _complete(name, table.columns, body))
+    names = complete_coordinates(body, table.columns)
     q = np.stack([pose.q for pose in poses])[:, [body.coordinate(name) for name in names]]
-    flipped = [
-        name
-        for k, name in enumerate(names)
-        if name.startswith("knee_angle") and np.allclose(q[:, k], -table.get(name)) and np.any(q[:, k])
-    ]
+    knees = {name: q[:, k] for k, name in enumerate(names) if name.startswith("knee_angle")}
+    flipped = [name for name, angle in knees.items() if np.allclose(angle, -table.get(name)) and np.any(angle)]
     notes = tuple(f"{name} was negative in flexion and has its sign changed" for name in flipped)
     return Reference(table.times, coordinate_names=names, angles=q, notes=notes)
-
-
-def _complete(name: str, columns: Sequence[str], body: Body) -> bool:
-    """Whether a coordinate is in the file, and if it is one of a shoulder's three, with the other two."""
-    together = {name}
-    for ours, _ in shoulders_of(body):
-        trio = {body.coordinate_names[k] for k in ours}
-        together |= trio if name in trio else set()
-    return together <= set(columns)

@@ -109,6 +109,13 @@ def shoulders_of(body: Body) -> list[tuple[list[int], list[int]]]:
     return groups
 
 
+def complete_coordinates(body: Body, names: Sequence[str]) -> tuple[str, ...]:
+    """The body's coordinates that a file in OpenSim's order has: those of a shoulder only where all three are there."""
+    ours = body.coordinate_names
+    torn = {ours[k] for trio, _ in shoulders_of(body) if not {ours[k] for k in trio} <= set(names) for k in trio}
+    return tuple(name for name in ours if name in names and name not in torn)
+
+
 def reordered(body: Body, q: Float, start: Sequence[int], end: Sequence[int]) -> Float:
     """Angles (T, J) with the three coordinates `start`, in their order, expressed in the order `end` instead."""
     axes = body.twists[:, :3]

@@ -7,9 +7,7 @@ BODY_25B (github.com/CMU-Perceptual-Computing-Lab, openpose and openpose_train),
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +16,8 @@ import numpy as np
 from twistcap.arrays import Float
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
+from twistcap.io.files import read_json
+from twistcap.io.session import Grid
 
 _FEET = ("toe_l", "small_toe_l", "heel_l", "toe_r", "small_toe_r", "heel_r")
 _COCO = (
@@ -32,18 +32,6 @@ LAYOUTS: Mapping[str, tuple[str, ...]] = {
     "body_25b": (*_COCO, "neck", "head_top", *_FEET),
     "coco_17": _COCO,
 }  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Grid:
-    """How the pixels of a detector relate to the video: ``detector = scale · video + offset``, per axis, in pixels."""
-
-    scale: tuple[float, float] = (1.0, 1.0)
-    offset: tuple[float, float] = (0.0, 0.0)
-
-    def to_video(self, pixels: Float) -> Float:
-        """Detector pixels (..., 2) to video pixels (..., 2)."""
-        return (pixels - np.array(self.offset)) / np.array(self.scale)
 
 
 def read_openpose(
@@ -65,7 +53,9 @@ def read_openpose(
     Raises InputError for an unknown layout or camera, a file that cannot be read, has another number of points, or has
     fewer people.
     """
-    names = _layout(layout)
+    if layout not in LAYOUTS:
+        raise InputError(f"keypoint layout {layout!r} is unknown; use one of {', '.join(LAYOUTS)}.")
+    names = LAYOUTS[layout]
     _expect_cameras([*files, *(grids or {})], cameras, "the keypoints")
     pixels, confidence = _blank(len(cameras), len(names))
     for c, camera in enumerate(cameras):
@@ -122,12 +112,6 @@ def read_clicks(path: Path | str, cameras: Sequence[str], joints: Sequence[str] 
     return Keypoints(names, pixels, confidence)
 
 
-def _layout(layout: str) -> tuple[str, ...]:
-    if layout not in LAYOUTS:
-        raise InputError(f"keypoint layout {layout!r} is unknown; use one of {', '.join(LAYOUTS)}.")
-    return LAYOUTS[layout]
-
-
 def _blank(C: int, L: int) -> tuple[Float, Float]:
     return np.full((C, L, 2), np.nan), np.zeros((C, L))
 
@@ -138,18 +122,9 @@ def _expect_cameras(named: Sequence[str], cameras: Sequence[str], where: str) ->
             raise InputError(f"{where}: camera {camera!r} has no calibration; the rig has {', '.join(cameras)}.")
 
 
-def _read_json(path: Path) -> Any:
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: the keypoint file cannot be read ({error.strerror}).") from error
-    except ValueError as error:
-        raise InputError(f"{path}: this is not valid JSON ({error}).") from error
-
-
 def _read_person(path: Path, L: int, person: int) -> Float:
     """(L, 3) x, y, confidence of one person; all zero without people."""
-    content = _read_json(path)
+    content = read_json(path)
     if not isinstance(content, dict) or not isinstance(content.get("people"), list):
         raise InputError(f"{path}: field 'people' (a list) is missing; an OpenPose keypoint file has one.")
     people: list[Any] = content["people"]
@@ -186,7 +161,7 @@ def _csv_rows(path: Path) -> list[tuple[str, str, Any, Any, Any]]:
 
 
 def _json_rows(path: Path) -> list[tuple[str, str, Any, Any, Any]]:
-    content = _read_json(path)
+    content = read_json(path)
     rows: list[tuple[str, str, Any, Any, Any]] = []
     for camera, joints in content.items() if isinstance(content, dict) else ():
         for joint, value in joints.items() if isinstance(joints, dict) else ():

@@ -8,8 +8,9 @@ import cv2
 import numpy as np
 
 from twistcap.arrays import Bool
-from twistcap.camera import Rectifier, Rig
+from twistcap.camera import Rig
 from twistcap.errors import InputError
+from twistcap.io.video import preparation
 
 
 def read_masks(folder: str | Path, rig: Rig, frame: int) -> tuple[Bool | None, ...]:
@@ -26,14 +27,10 @@ def read_masks(folder: str | Path, rig: Rig, frame: int) -> tuple[Bool | None, .
 
 def rectified_masks(folder: str | Path, rig: Rig, frame: int, scale: float) -> tuple[Bool | None, ...]:
     """`read_masks` in the pixels of the images that the tracker sees: those of `rig.scaled(scale).pinhole()`."""
-    out: list[Bool | None] = []
-    for camera, mask in zip(rig, read_masks(folder, rig, frame), strict=True):
-        small = camera.scaled(scale)
-        resized = (
-            None if mask is None else cv2.resize(255 * mask.astype(np.uint8), small.size, interpolation=cv2.INTER_AREA)
-        )
-        out.append(None if resized is None else Rectifier(small)(np.asarray(resized)) > 127)
-    return tuple(out)
+    masks = zip(rig, read_masks(folder, rig, frame), strict=True)
+    return tuple(
+        None if m is None else preparation(camera, scale)(255 * m.astype(np.uint8)) > 127 for camera, m in masks
+    )
 
 
 def _read(file: Path, size: tuple[int, int]) -> Bool:

@@ -18,7 +18,8 @@ from twistcap.errors import InputError, check_choice
 from twistcap.estimate import Estimate
 from twistcap.io import angles as convert
 from twistcap.io.bvh import write_bvh
-from twistcap.io.markers import TO_FILE, WorldAxes, read_lines, write_lines
+from twistcap.io.files import read_lines, write_lines
+from twistcap.io.markers import TO_FILE, WorldAxes
 
 __all__ = ["MotionTable", "poses_from_mot", "read_mot", "write_bvh", "write_csv", "write_mot"]
 

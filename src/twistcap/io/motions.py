@@ -12,7 +12,7 @@ from twistcap.body import Body
 from twistcap.body.humanoid import humanoid
 from twistcap.errors import InputError
 from twistcap.io.asf import AMC_RATE, read_amc
-from twistcap.io.bvh_read import read_bvh
+from twistcap.io.bvh import read_bvh
 from twistcap.io.deepmimic import read_deepmimic
 from twistcap.io.markers import WorldAxes, frame_rate
 from twistcap.io.motion_files import poses_from_mot, read_mot, write_bvh, write_mot

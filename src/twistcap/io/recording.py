@@ -21,7 +21,7 @@ from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
 from twistcap.io.calibration import read_rig
-from twistcap.io.keypoints import Grid, openpose_files, read_clicks, read_openpose
+from twistcap.io.keypoints import openpose_files, read_clicks, read_openpose
 from twistcap.io.masks import read_masks, rectified_masks
 from twistcap.io.plausible import check_plausible, check_upright
 from twistcap.io.pose_file import body_at, read_pose
@@ -223,11 +223,10 @@ def _with_girths(session: Session, rig: Rig, start: _Start) -> _Start:
 
 def keypoints_of(table: KeypointSet, rig: Rig) -> Sequence[Keypoints]:
     """The keypoints of every instant of a set."""
-    grids = {name: Grid(grid.scale, grid.offset) for name, grid in table.grid.items()}
-    for name in (*table.folders, *grids):
+    for name in (*table.folders, *table.grid):
         if name not in rig.names:
             raise InputError(f"[first_pose] keypoints name the camera {name!r}, which is not in use; remove it.")
     return [
-        read_openpose(openpose_files(table.folders, frame), rig.names, table.format, table.person, grids)
+        read_openpose(openpose_files(table.folders, frame), rig.names, table.format, table.person, table.grid)
         for frame in table.frames
     ]

@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import os
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, ValidationInfo, model_validator
 
+from twistcap.arrays import Float
 from twistcap.errors import InputError
+from twistcap.io.files import read_toml
 from twistcap.io.strict import dataclass_from, validated
 from twistcap.motion import MotionKind
 
@@ -86,36 +88,40 @@ class HumanoidBody(Table):
     wrists: bool = False
 
 
-class GlbBody(Table):
+class _Loaded(Table):
+    """A body of files, and the factors on its size."""
+
+    path: DataPath
+    rig: DataPath | None = None
+    stature: float = Field(default=1.0, gt=0)
+    lengths: Factors = {}
+    girths: Factors = {}
+
+
+class GlbBody(_Loaded):
     """``[body] kind = "glb"``: a skinned GLB or glTF and the TOML that describes its joints."""
 
     kind: Literal["glb"]
-    path: DataPath
-    rig: DataPath | None = None
-    stature: float = Field(default=1.0, gt=0)
-    lengths: Factors = {}
-    girths: Factors = {}
 
 
-class ObjBody(Table):
+class ObjBody(_Loaded):
     """``[body] kind = "obj"``: an OBJ with a MakeHuman-style rig and weights."""
 
     kind: Literal["obj"]
-    path: DataPath
-    rig: DataPath | None = None
     weights: DataPath | None = None
     spec: DataPath | None = None
     targets: dict[DataPath, float] = {}
-    stature: float = Field(default=1.0, gt=0)
-    lengths: Factors = {}
-    girths: Factors = {}
 
 
-class GridTable(Table):
-    """How a detector's pixels relate to the video's: ``detector = scale · video + offset``, per axis (x, y)."""
+class Grid(Table):
+    """How a detector's pixels relate to the video's: ``detector = scale · video + offset``, per axis (x, y), px."""
 
     scale: tuple[float, float] = (1.0, 1.0)
     offset: tuple[float, float] = (0.0, 0.0)
+
+    def to_video(self, pixels: Float) -> Float:
+        """Detector pixels (..., 2) to video pixels (..., 2)."""
+        return (pixels - np.array(self.offset)) / np.array(self.scale)
 
 
 class KeypointSet(Table):
@@ -129,7 +135,7 @@ class KeypointSet(Table):
     frames: tuple[Annotated[int, Field(ge=0)], ...] = (0,)
     offset: float = 0.0
     person: int | dict[str, int] = 0
-    grid: dict[str, GridTable] = {}
+    grid: dict[str, Grid] = {}
     calibration: DataPath | None = None
     unit: Literal["m", "mm"] | None = None
 
@@ -262,7 +268,7 @@ def load_session(path: str | Path, overrides: Mapping[str, Any] | None = None) -
     method that does not fit ``[motions]`` and ``[prior]``.
     """
     path = Path(path)
-    data = _expanded(_with_base(_load(path), path), path)
+    data = _expanded(_with_base(read_toml(path, "session"), path), path)
     for key, value in (overrides or {}).items():
         if value is not None:
             _set(data, key.split("."), value)
@@ -308,22 +314,12 @@ def _check_method(session: Session, source: str) -> None:
         )
 
 
-def _load(path: Path) -> dict[str, Any]:
-    try:
-        with path.open("rb") as file:
-            return tomllib.load(file)
-    except OSError as error:
-        raise InputError(f"session {path} cannot be read: {error.strerror}; check the path.") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"session {path} is not valid TOML: {error}.") from error
-
-
 def _with_base(data: dict[str, Any], path: Path) -> dict[str, Any]:
     """A session over the one that its `base` names, table by table; its paths stay relative to its own folder."""
     if "base" not in data:
         return data
     base = path.parent / str(data.pop("base"))
-    below = _load(base)
+    below = read_toml(base, "session")
     if "base" in below:
         raise InputError(f"session {path}: its base {base} has a base itself; name the last one.")
     below["data"] = os.path.relpath(base.parent / str(_expanded(below.get("data", "."), base)), path.parent)

@@ -155,7 +155,8 @@ class Clicking:
         lengths = self.session.first_pose.fit_lengths
         fit = fit_keypoints(body, self.rig, keypoints, fit_lengths=lengths, start=start)
         self.proportions = fit.proportions
-        self.shown = Posed(sized(self.generic, fit.proportions), fit.pose)
+        sized = rescaled(self.generic, fit.proportions.lengths, fit.proportions.girths, fit.proportions.stature)
+        self.shown = Posed(sized, fit.pose)
         return fit
 
     def _state(self) -> dict[str, Any]:
@@ -188,11 +189,6 @@ class Clicking:
             lower, upper = self.generic.limits[self.generic.coordinate(name)]
             angles[name] = float(np.clip(np.deg2rad(_numbers([value], 1, name)[0]), lower, upper))
         return angles
-
-
-def sized(body: Body, proportions: Proportions) -> Body:
-    """The generic body at fitted proportions."""
-    return rescaled(body, proportions.lengths, proportions.girths, proportions.stature)
 
 
 def clicks_beside(pose_file: Path) -> Path:

@@ -17,7 +17,7 @@ from twistcap.body.kinematics import unit_vertex_normals
 from twistcap.body.shape import joint_origin
 from twistcap.camera import Camera, Rig
 from twistcap.estimate import Frame
-from twistcap.io.videowriter import VideoWriter
+from twistcap.io.videowriter import VideoWriter, as_rgb
 from twistcap.render.raster import barycentric, rasterise
 
 Colour = tuple[int, int, int]
@@ -165,9 +165,7 @@ def visible_projection(camera: Camera, points: Float) -> tuple[Float, Float]:
 def _canvas(image: AnyArray | None, camera: Camera) -> AnyArray:
     if image is None:
         return np.full((camera.size[1], camera.size[0], 3), 40, np.uint8)
-    if image.dtype != np.uint8:
-        image = (np.clip(image, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
-    return np.repeat(image[..., None], 3, axis=-1) if image.ndim == 2 else image.copy()
+    return as_rgb(image).copy()
 
 
 def part_colours(body: Body) -> Float:
