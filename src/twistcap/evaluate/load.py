@@ -24,23 +24,14 @@ _MIDDLE_NAMES: Mapping[str, str] = {"nose": "nose", "neck": "neck", "head": "hea
 
 @dataclass(frozen=True)
 class Reference:
-    """Values to compare with, on their own time line.
+    """Values to compare with, on their own time line; NaN where unknown. P and C may be 0."""
 
-    Attributes:
-        times: (M,) s, rising, on the recording's clock.
-        names: P points, in the body's landmark names where they are known.
-        points: (M, P, 3) world, m; NaN where unknown. P may be 0.
-        coordinate_names: C joint coordinates.
-        angles: (M, C) rad; NaN where unknown. C may be 0.
-        notes: assumptions of the reader, for below the table.
-    """
-
-    times: Float
-    names: tuple[str, ...] = ()
-    points: Float = field(default_factory=lambda: np.zeros((0, 0, 3)))
-    coordinate_names: tuple[str, ...] = ()
-    angles: Float = field(default_factory=lambda: np.zeros((0, 0)))
-    notes: tuple[str, ...] = ()
+    times: Float  # (M,) s, rising, on the recording's clock
+    names: tuple[str, ...] = ()  # P points, in the body's landmark names where they are known
+    points: Float = field(default_factory=lambda: np.zeros((0, 0, 3)))  # (M, P, 3) world, m
+    coordinate_names: tuple[str, ...] = ()  # C joint coordinates
+    angles: Float = field(default_factory=lambda: np.zeros((0, 0)))  # (M, C) rad
+    notes: tuple[str, ...] = ()  # assumptions of the reader, for below the table
 
     def at(self, times: Float) -> tuple[Float, Float]:
         """Points (N, P, 3) and angles (N, C) at other times, linearly interpolated; NaN outside the time line."""
@@ -101,13 +92,9 @@ def load_reference(
 ) -> Reference:
     """Read a reference by its ending: ``.npz`` (studio truth or keypoints), ``.trc`` or ``.mot`` / ``.sto``.
 
-    Args:
-        path: the file.
-        body: whose coordinates a motion file is read into (OpenSim turns the shoulder in another order).
-        frame_times: times (M,) of the recording's frames 0 … M − 1, for files that have no clock of their own.
-        axes: rotation of a TRC's world about the vertical, see `io.markers`.
-
-    Raises InputError for a missing, unknown or unreadable file.
+    A motion file is read into the coordinates of `body` (OpenSim turns the shoulder in another order). Files without a
+    clock take `frame_times`: (M,) s of the recording's frames 0 … M − 1. `axes` is the rotation of a TRC's world about
+    the vertical, see `io.markers`. Raises InputError for a missing, unknown or unreadable file.
     """
     if not path.exists():
         raise InputError(f"the reference {path} does not exist; give a file or a folder of masks.")

@@ -42,19 +42,12 @@ class Tracked(Protocol):
 
 @dataclass(frozen=True)
 class Errors:
-    """Differences to a reference, frame by frame.
+    """Differences to a reference, frame by frame."""
 
-    Attributes:
-        names: K joints or coordinates.
-        reference: (N, K, 3) m or (N, K) rad, the reference at the result's times.
-        raw: (N, K) mm (distances) or degrees (signed).
-        offset_removed: (N, K) the same with the constant offset of each joint or coordinate removed.
-    """
-
-    names: tuple[str, ...]
-    reference: Float
-    raw: Float
-    offset_removed: Float
+    names: tuple[str, ...]  # K joints or coordinates
+    reference: Float  # (N, K, 3) m or (N, K) rad, the reference at the result's times
+    raw: Float  # (N, K) mm (distances) or degrees (signed)
+    offset_removed: Float  # (N, K) the same with the constant offset of each joint or coordinate removed
 
     def by_name(self) -> dict[str, dict[str, float | None]]:
         """Mean absolute error of each joint or coordinate, raw and with the offset removed."""
@@ -76,25 +69,15 @@ class Overlap:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """A comparison with a reference.
+    """A comparison with a reference."""
 
-    Attributes:
-        case: name of the comparison.
-        rows: the table.
-        joints: position errors, mm, where the reference has joints.
-        angles: angle errors, degrees, where it has coordinates.
-        overlaps: IoU by mask, where it is a folder of masks.
-        lost_frames: frame numbers lost by the reference (`metrics.lost_frames`).
-        notes: assumptions.
-    """
-
-    case: str
+    case: str  # its name
     rows: list[Row]
-    joints: Errors | None = None
-    angles: Errors | None = None
-    overlaps: list[Overlap] = field(default_factory=list[Overlap])
-    lost_frames: list[int] = field(default_factory=list[int])
-    notes: tuple[str, ...] = ()
+    joints: Errors | None = None  # position errors, mm, where the reference has joints
+    angles: Errors | None = None  # angle errors, degrees, where it has coordinates
+    overlaps: list[Overlap] = field(default_factory=list[Overlap])  # IoU by mask, where it is a folder of masks
+    lost_frames: list[int] = field(default_factory=list[int])  # by the reference (`metrics.lost_frames`)
+    notes: tuple[str, ...] = ()  # assumptions
 
     def as_dict(self) -> dict[str, Any]:
         """The whole as JSON-ready values."""

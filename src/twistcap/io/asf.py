@@ -48,12 +48,9 @@ class AsfSkeleton:
 def read_amc(path: Path | str, skeleton: Path | str | None = None, rate: float = AMC_RATE) -> SkeletonMotion:
     """The motion of an AMC; joints have the names of the bones that begin there, `<bone>_end` where the last ones end.
 
-    Args:
-        path: the file.
-        skeleton: its ASF; None takes `<stem>.asf` or `<subject>.asf` (08_02: 08.asf) beside it, or the only one there.
-        rate: frames per second, which an AMC does not state.
-
-    Raises InputError if a file is missing or broken, naming the line, or for a bone that the ASF does not have.
+    `skeleton` is its ASF; None takes `<stem>.asf` or `<subject>.asf` (08_02: 08.asf) beside it, or the only one there.
+    `rate` is in frames per second, which an AMC does not state. Raises InputError if a file is missing or broken,
+    naming the line, or for a bone that the ASF does not have.
     """
     path = Path(path)
     if not path.is_file():

@@ -34,13 +34,9 @@ _ADULT = 1.65  # m; both the height and the span of the arms are near it
 def read_bvh(path: Path | str, unit: float | None = None, up: Up | None = None) -> SkeletonMotion:
     """The motion of a BVH; end sites become joints named after theirs, `<joint>_end`.
 
-    Args:
-        path: the file.
-        unit: metres per unit of the file; None takes that of `UNITS` which makes an adult of the rest pose.
-        up: the vertical axis; None takes the one along which the rest pose is drawn.
-
-    Raises InputError if it cannot be read or is no BVH with three rotations a joint, or for numbers that are not
-    finite.
+    `unit` is in metres; None takes that of `UNITS` which makes an adult of the rest pose. `up` None takes the axis
+    along which the rest pose is drawn. Raises InputError if it cannot be read or is no BVH with three rotations a
+    joint, or for numbers that are not finite.
     """
     path = Path(path)
     try:
@@ -98,16 +94,8 @@ def write_bvh(path: Path | str, body: Body, poses: Sequence[Pose], fps: float, s
     """Writes skeleton and motion.
 
     Axes of one joint that do not meet in a point (ankle and subtalar) become two BVH joints, so that the file's forward
-    kinematics are the body's.
-
-    Args:
-        path: of the file.
-        body: that the poses are of.
-        poses: one per frame.
-        fps: frames per second.
-        scale: file units per metre; 100 for software that reads centimetres.
-
-    Raises InputError for a frame rate that is not positive, sliding coordinates, several root segments, or if the file
+    kinematics are the body's. `scale` is in file units per metre; 100 for software that reads centimetres. Raises
+    InputError for a frame rate (1/s) that is not positive, sliding coordinates, several root segments, or if the file
     cannot be written.
     """
     path = Path(path)

@@ -28,12 +28,9 @@ _FIELDS = ("size", "matrix", "rotation", "translation")  # a table with none of 
 def read_rig(path: str | Path, unit: Unit | None = None) -> Rig:
     """Read a calibration and check that it can be true.
 
-    Args:
-        path: ``Calib.toml``.
-        unit: of the translations; None takes ``unit`` in the file's ``[metadata]``, and metres where there is none.
-
-    Raises InputError for a missing file, a missing, malformed, non-finite or impossible entry, or a fisheye lens; and
-    what `check_plausible` raises.
+    `unit` is that of the translations; None takes ``unit`` in the file's ``[metadata]``, and metres where there is
+    none. Raises InputError for a missing file, a missing, malformed, non-finite or impossible entry, or a fisheye lens;
+    and what `check_plausible` raises.
     """
     path = Path(path)
     tables = read_toml(path, "calibration", "check [cameras] calibration")

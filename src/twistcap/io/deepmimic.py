@@ -24,12 +24,8 @@ def read_deepmimic(path: Path | str, skeleton: Path | str | None = None) -> Skel
 
     A frame is: its duration s, root position m, then quaternions (w x y z) of the root and the spherical joints, and
     angles rad of the revolute ones, which turn about z. Unequal durations are brought to their median by slerp.
-
-    Args:
-        path: the clip.
-        skeleton: its skeleton; None takes `humanoid3d.txt` beside it.
-
-    Raises InputError if a file is missing or no such JSON, a frame has the wrong length, or a number is not finite.
+    The skeleton None is `humanoid3d.txt` beside the clip. Raises InputError if a file is missing or no such JSON, a
+    frame has the wrong length, or a number is not finite.
     """
     path = Path(path)
     content = _table(path)

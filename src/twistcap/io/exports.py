@@ -25,26 +25,17 @@ from twistcap.io.motion_files import write_csv, write_mot
 from twistcap.io.result import Result
 from twistcap.registry import Registry
 
-FORMATS = Registry(
-    "export format",
-    "twistcap.exports",
-    {name: f"twistcap.io.exports:{name}" for name in ("trc", "mot", "bvh", "csv", "glb")},
-)
+_OWN = {name: f"twistcap.io.exports:{name}" for name in ("trc", "mot", "bvh", "csv", "glb")}
+FORMATS = Registry("export format", "twistcap.exports", _OWN)
 _ALONE_HZ = 60.0  # rate of a result of one frame, which has none
 
 
 @dataclass(frozen=True)
 class ExportFormat:
-    """How a result is written in one format.
+    """How a result of one frame or more is written; `write` raises OSError if the file cannot be written."""
 
-    Attributes:
-        file_name: usual name of the file, such as ``angles.csv``.
-        about: what is in it, in a few words for the report.
-        write: writes a result of one frame or more; raises OSError if the file cannot be written.
-    """
-
-    file_name: str
-    about: str
+    file_name: str  # usual name of the file, such as ``angles.csv``
+    about: str  # what is in it, in a few words for the report
     write: Callable[[Result, Path], Any]
 
 
@@ -54,13 +45,7 @@ def format_of(name: str) -> ExportFormat:
 
 
 def export(result: Result, name: str, folder: Path, path: Path | None = None) -> Path:
-    """Write a result in a format; returns the file.
-
-    Args:
-        result: of one frame or more.
-        name: of the format.
-        folder: where the file gets its usual name.
-        path: of the file, in place of that.
+    """Write a result in the format of a name; returns the file: `path`, or its usual name in the folder.
 
     Raises InputError for an unknown format, a result without frames, or a file that cannot be written.
     """
@@ -87,8 +72,9 @@ def trc() -> ExportFormat:
 
 def mot() -> ExportFormat:
     """Angles of OpenSim."""
-    about = "joint angles (OpenSim)"
-    return ExportFormat("angles.mot", about, lambda r, path: write_mot(path, r.body, r.times, r.poses))
+    return ExportFormat(
+        "angles.mot", "joint angles (OpenSim)", lambda r, path: write_mot(path, r.body, r.times, r.poses)
+    )
 
 
 def bvh() -> ExportFormat:

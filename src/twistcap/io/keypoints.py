@@ -85,13 +85,9 @@ def openpose_files(folders: Mapping[str, Path | str], frame: int) -> dict[str, P
 def read_clicks(path: Path | str, cameras: Sequence[str], joints: Sequence[str] | None = None) -> Keypoints:
     """Clicked joints: CSV with columns camera, joint, x, y[, confidence], or JSON ``{camera: {joint: [x, y]}}``.
 
-    Args:
-        path: ``.json``, or anything else for CSV.
-        cameras: the rig's camera names, in order.
-        joints: the names to accept (a body's landmarks); by default any.
-
-    Raises InputError for a file that cannot be read, a missing column, an unknown camera or joint, a joint clicked
-    twice in one camera, or a coordinate that is no finite number.
+    A file is JSON by its ending. `cameras` are the rig's, in order; `joints` the names to accept (a body's landmarks),
+    by default any. Raises InputError for a file that cannot be read, a missing column, an unknown camera or joint, a
+    joint clicked twice in one camera, or a coordinate that is no finite number.
     """
     path = Path(path)
     rows = _json_rows(path) if path.suffix.lower() == ".json" else _csv_rows(path)

@@ -78,19 +78,12 @@ def _opened(path: Path) -> tuple[KeyViewsFile, Rig]:
 
 @dataclass(frozen=True)
 class Uncut:
-    """A key view's picture, to be cut out by hand.
+    """A key view's picture, to be cut out by hand."""
 
-    Attributes:
-        image: (H, W, 3) RGB, as recorded.
-        target: file for its mask.
-        known: (H, W) the silhouette that mask or background give, if there is one.
-        named: whether the file names the target as this view's mask.
-    """
-
-    image: UInt8
-    target: Path
-    known: Bool | None
-    named: bool
+    image: UInt8  # (H, W, 3) RGB, as recorded
+    target: Path  # file for its mask
+    known: Bool | None  # (H, W) the silhouette that mask or background give, if there is one
+    named: bool  # whether the file names the target as this view's mask
 
 
 def read_uncut(path: Path | str) -> dict[str, Uncut]:

@@ -45,15 +45,8 @@ def write_trc(
 ) -> None:
     """Writes a TRC; NaN becomes an empty field.
 
-    Args:
-        path: of the file.
-        times: (N,) s.
-        names: M marker names.
-        points: (N, M, 3) world, z up, m.
-        unit: of the numbers in the file, as its field Units names it.
-        axes: rotation of the world, see the head of this module.
-
-    Raises InputError for shapes that do not fit each other, or if the file cannot be written.
+    `times` (N,) are in s, `points` (N, M, 3) in the world, z up, m; `unit` is that of the file. For `axes` see the head
+    of this module. Raises InputError for shapes that do not fit each other, or if the file cannot be written.
     """
     check_choice("write_trc: unit", unit, ("m", "mm"))
     check_choice("write_trc: axes", axes, TO_FILE)

@@ -44,15 +44,7 @@ def write_mot(path: Path | str, body: Body, times: Float, poses: Sequence[Pose],
     """Writes the poses in OpenSim's coordinates: inDegrees=yes, lengths in m.
 
     The root becomes pelvis_tilt, list, rotation, tx, ty, tz in OpenSim's order and frame, shoulders turn in OpenSim's
-    order (`io.angles`); all other coordinates keep their names.
-
-    Args:
-        path: of the file.
-        body: that the poses are of.
-        times: (N,) s.
-        poses: N poses.
-        axes: rotation of the world about the vertical, see `io.markers`.
-
+    order (`io.angles`); all other coordinates keep their names. `times` (N,) are in s; for `axes` see `io.markers`.
     Raises InputError for unequal numbers, or if the file cannot be written.
     """
     check_choice("write_mot: axes", axes, TO_FILE)
@@ -117,17 +109,11 @@ def poses_from_mot(
 ) -> tuple[list[Pose], list[str]]:
     """Poses of a body from a motion file, matched by coordinate names; missing coordinates are 0.
 
-    Args:
-        table: as `read_mot` gives it.
-        body: whose coordinates have OpenSim's names.
-        axes: rotation of the file's world about the vertical, see `io.markers`.
-        knee: sign of knee flexion in the file; gait2392 and others bend to negative angles. "auto" takes columns
-            as negative if their mean is below −5°.
+    `knee` is the sign of knee flexion in the file; gait2392 and others bend to negative angles. "auto" takes columns as
+    negative if their mean is below −5°. For `axes` see `io.markers`.
 
-    Returns:
-        One pose per row, and the names of the columns that the body does not have.
-
-    Raises InputError if a used column holds NaN, or none of the columns is known to the body.
+    Returns one pose per row, and the names of the columns that the body does not have. Raises InputError if a used
+    column holds NaN, or none of the columns is known to the body.
     """
     check_choice("poses_from_mot: axes", axes, TO_FILE)
     check_choice("poses_from_mot: knee", knee, ("auto", "positive", "negative"))

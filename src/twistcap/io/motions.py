@@ -66,13 +66,8 @@ def read_motion(
 def write_motion(path: Path | str, body: Body, clip: MotionClip, axes: WorldAxes = "opensim") -> None:
     """A clip as MOT, STO or BVH, by the file's ending; lengths in m.
 
-    Args:
-        path: .mot, .sto or .bvh.
-        body: whose coordinates the clip has.
-        clip: the motion.
-        axes: how the world of a MOT is turned about the vertical, see `io.markers`.
-
-    Raises InputError for another ending, a clip of other coordinates, or if the file cannot be written.
+    `axes` is how the world of a MOT is turned about the vertical, see `io.markers`. Raises InputError for another
+    ending, a clip of other coordinates, or if the file cannot be written.
     """
     path = Path(path)
     if clip.names != body.coordinate_names:

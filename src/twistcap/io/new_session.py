@@ -20,23 +20,14 @@ _IMAGES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
 
 @dataclass(frozen=True)
 class Draft:
-    """A session to be written.
+    """A session to be written."""
 
-    Attributes:
-        rig: cameras in use, as calibrated.
-        paths: video or images by camera, in the rig's order.
-        sources: the same, opened.
-        unit: of the calibration; None where the file names it or it is metres.
-        calibration: its file.
-        unused: calibrated cameras without a video.
-    """
-
-    rig: Rig
-    paths: Mapping[str, str]
-    sources: Mapping[str, Source]
-    unit: Unit | None
-    calibration: Path
-    unused: tuple[str, ...]
+    rig: Rig  # cameras in use, as calibrated
+    paths: Mapping[str, str]  # video or images by camera, in the rig's order
+    sources: Mapping[str, Source]  # the same, opened
+    unit: Unit | None  # of the calibration; None where the file names it or it is metres
+    calibration: Path  # its file
+    unused: tuple[str, ...]  # calibrated cameras without a video
 
     @property
     def frames(self) -> tuple[int, int]:
@@ -53,14 +44,10 @@ class Draft:
 def draft_session(videos: Sequence[str], calibration: Path, unit: Unit | None = None) -> Draft:
     """Open everything and check that it belongs together.
 
-    Args:
-        videos: files, folders, globs or printf patterns, each alone (its name then names the camera) or as
-            ``CAMERA=PATH``.
-        calibration: ``Calib.toml``.
-        unit: of its translations.
-
-    Raises InputError for a video that does not open, matches no camera or has another size than its calibration,
-    cameras that two videos claim, or frame rates that differ.
+    `videos` are files, folders, globs or printf patterns, each alone (its name then names the camera) or as
+    ``CAMERA=PATH``; `unit` is that of the calibration's translations. Raises InputError for a video that does not open,
+    matches no camera or has another size than its calibration, cameras that two videos claim, or frame rates that
+    differ.
     """
     rig = read_rig(calibration, unit)
     paths = matched([path for text in videos for path in _expanded(text)], rig.names)

@@ -26,14 +26,9 @@ def check_plausible(
 ) -> None:
     """Check that the places of the cameras are possible and that a person at `points` is above ground and seen.
 
-    Args:
-        rig: the cameras.
-        points: (N, 3) points of the person in the first frame, world, m; None checks the cameras alone.
-        floor: height of the floor, m; None where the world's z is not upward.
-        source: named in messages.
-
-    Raises InputError: cameras inside each other, implausibly far apart, without a common view or all underground; a
-    person underground or outside every view.
+    `points` (N, 3) are of the person in the first frame, world, m; None checks the cameras alone. `floor` is its
+    height, m; None where the world's z is not upward. Messages name the source. Raises InputError: cameras inside each
+    other, implausibly far apart, without a common view or all underground; a person underground or outside every view.
     """
     pairs = [(rig[i], rig[j]) for i in range(len(rig)) for j in range(i + 1, len(rig))]
     distances = [float(np.linalg.norm(a.centre - b.centre)) for a, b in pairs]

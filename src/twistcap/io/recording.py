@@ -31,20 +31,13 @@ from twistcap.io.video import Views, open_views
 
 @dataclass(frozen=True)
 class Recording:
-    """A session ready to be tracked.
+    """A session ready to be tracked."""
 
-    Attributes:
-        session: as read.
-        rig: cameras as calibrated, in use.
-        views: the frames; `views.image_rig` are the cameras of their images.
-        body, first_pose: at the fitted lengths; the pose of the first frame.
-    """
-
-    session: Session
-    rig: Rig
-    views: Views
-    body: Body
-    first_pose: Pose
+    session: Session  # as read
+    rig: Rig  # cameras as calibrated, in use
+    views: Views  # the frames; `views.image_rig` are the cameras of their images
+    body: Body  # at the fitted lengths
+    first_pose: Pose  # the pose of the first frame
 
     @property
     def first_time(self) -> float:

@@ -49,40 +49,23 @@ _NONE = -1  # frames of a slot that is empty or being written
 
 @dataclass(frozen=True)
 class Result:
-    """A result file in memory: N frames of a body with J coordinates, seen by a rig.
+    """A result file in memory: N frames of a body with J coordinates, seen by a rig."""
 
-    Attributes:
-        body, rig: the tracked body; the cameras as calibrated (full size, with distortion).
-        indices: (N,) frame numbers.
-        times: (N,) s.
-        roots: (N, 4, 4) root motions.
-        q: (N, J) joint coordinates, rad.
-        covariances: (N, 6 + J, 6 + J) of the pose step, rad and m.
-        energies: (N,) by term; NaN where the term was not there.
-        statuses: N words, see `Estimate`.
-        iterations: (N,) accepted solver steps.
-        lost: (N,) whether the evidence no longer supported the pose.
-        support: (N,) that evidence in [0, 1].
-        predicted: N words, the source of the pose that each frame started from; see `Estimate`.
-        config: what the run was configured with, as JSON data.
-        versions: of the programs, by name.
-    """
-
-    body: Body
-    rig: Rig
-    indices: Int
-    times: Float
-    roots: Float
-    q: Float
-    covariances: Float
-    energies: Mapping[str, Float]
-    statuses: tuple[str, ...]
-    iterations: Int
-    lost: Bool
-    support: Float
-    predicted: tuple[str, ...]
-    config: Mapping[str, Any]
-    versions: Mapping[str, str]
+    body: Body  # the tracked body
+    rig: Rig  # the cameras as calibrated (full size, with distortion)
+    indices: Int  # (N,) frame numbers
+    times: Float  # (N,) s
+    roots: Float  # (N, 4, 4) root motions
+    q: Float  # (N, J) joint coordinates, rad
+    covariances: Float  # (N, 6 + J, 6 + J) of the pose step, rad and m
+    energies: Mapping[str, Float]  # (N,) by term; NaN where the term was not there
+    statuses: tuple[str, ...]  # N words, see `Estimate`
+    iterations: Int  # (N,) accepted solver steps
+    lost: Bool  # (N,) whether the evidence no longer supported the pose
+    support: Float  # (N,) that evidence in [0, 1]
+    predicted: tuple[str, ...]  # N words, the source of the pose that each frame started from; see `Estimate`
+    config: Mapping[str, Any]  # what the run was configured with, as JSON data
+    versions: Mapping[str, str]  # of the programs, by name
 
     def __len__(self) -> int:
         return len(self.times)

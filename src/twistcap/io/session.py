@@ -260,11 +260,8 @@ class Session(Table):
 def load_session(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Session:
     """Read and check a session file.
 
-    Args:
-        path: the TOML.
-        overrides: what the command line says, by dotted key (``tracker.method``); None values are passed over.
-
-    Raises InputError for a file that cannot be read, an unknown key, a wrong value, a missing table, or a predictor or
+    `overrides` are what the command line says, by dotted key (``tracker.method``); None values are passed over. Raises
+    InputError for a file that cannot be read, an unknown key, a wrong value, a missing table, or a predictor or
     method that does not fit ``[motions]`` and ``[prior]``.
     """
     path = Path(path)

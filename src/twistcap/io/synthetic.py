@@ -36,19 +36,11 @@ def write_session(
     ``videos/cam01.mp4`` … or ``videos/cam01/0000.png`` …, and of the truth ``truth.npz`` and
     ``masks/cam01/frame_0000.png`` ….
 
-    Args:
-        capture: what to write.
-        folder: made if it does not exist.
-        images: "video" (H.264) or "png" (lossless); by default videos, and PNG where frames are dropped, since a video
-            has no way to say so.
-        masks: whether to write the true silhouettes.
-        progress: called with the number of frames done and of all.
+    Images are "video" (H.264) or "png" (lossless); by default videos, and PNG where frames are dropped, since a video
+    has no way to say so. `progress` is called with the number of frames done and of all.
 
-    Returns:
-        The path of ``session.toml``.
-
-    Raises InputError where the folder cannot be written, for videos with dropped frames, or a first or last frame that
-    is dropped.
+    Returns the path of ``session.toml``. Raises InputError where the folder cannot be written, for videos with dropped
+    frames, or a first or last frame that is dropped.
     """
     folder, images = Path(folder), images or ("png" if capture.config.dropped else "video")
     check_choice("write_session: images", images, ("video", "png"))

@@ -72,18 +72,12 @@ def open_views(
 
 @dataclass(frozen=True)
 class Views:
-    """The frames of a recording: iterable any number of times, each time from the start.
+    """The frames of a recording: iterable any number of times, each time from the start."""
 
-    Attributes:
-        sources, rig: one source per camera; `rig` as calibrated (with distortion, full size).
-        indices: frame numbers to read.
-        scale, fps, time_offset: as given to `open_views`.
-    """
-
-    sources: tuple[Source, ...]
-    rig: Rig
-    indices: range
-    scale: float
+    sources: tuple[Source, ...]  # one source per camera
+    rig: Rig  # as calibrated (with distortion, full size)
+    indices: range  # frame numbers to read
+    scale: float  # this and the next two as given to `open_views`
     fps: float
     time_offset: float = 0.0
 

@@ -49,10 +49,7 @@ def jpeg(image: AnyArray, width: int, quality: int = 80) -> str:
 def page(name: str, title: str, data: Mapping[str, Any]) -> str:
     """The HTML of ``assets/NAME.html`` with ``common.css``, ``NAME.js``, the libraries and `data` inside.
 
-    Args:
-        name: "view" or "init".
-        title: heading; escaped here.
-        data: what JSON can hold, finite numbers only; the script finds it in the element ``#data``.
+    The title is escaped here. `data` is what JSON can hold, finite numbers only; the script finds it in ``#data``.
     """
     parts = {
         "title": escape(title),

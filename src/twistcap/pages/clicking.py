@@ -28,43 +28,29 @@ from twistcap.pages.server import Answer
 _LIMBS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "toe")
 MAIN_JOINTS = ("head_top", "neck", *(f"{joint}_{side}" for side in "rl" for joint in _LIMBS))
 Clicks = dict[str, dict[str, tuple[float, float]]]
+"""Pixels by camera and joint."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """Where the pose is written.
+    """Where the pose is written."""
 
-    Attributes:
-        path: a pose file (JSON), or a file of clicks.
-        kind: "file" or "clicks", as in ``[first_pose]``; a file of clicks keeps no slider.
-        note: what the user still has to do so that the session reads it; empty where it does.
-    """
-
-    path: Path
-    kind: str
-    note: str = ""
+    path: Path  # a pose file (JSON), or a file of clicks
+    kind: str  # "file" or "clicks", as in ``[first_pose]``; a file of clicks keeps no slider
+    note: str = ""  # what the user still has to do so that the session reads it; empty where it does
 
 
 @dataclass
 class Clicking:
-    """One person's clicks and the body that follows them.
-
-    Attributes:
-        session, rig: of the recording; `rig` as calibrated, full size.
-        images: of the first frame, one per camera, RGB as recorded; None where it was dropped.
-        generic: body before any fit.
-        target: where to write.
-        clicks: pixels by camera and joint.
-        shown: body and pose at present; None before the first fit.
-    """
+    """One person's clicks and the body that follows them."""
 
     session: Session
-    rig: Rig
-    images: tuple[UInt8 | None, ...]
-    generic: Body
+    rig: Rig  # as calibrated, full size
+    images: tuple[UInt8 | None, ...]  # of the first frame, one per camera, RGB as recorded; None where it was dropped
+    generic: Body  # before any fit
     target: Target
     clicks: Clicks = field(default_factory=lambda: dict[str, dict[str, tuple[float, float]]]())
-    shown: Posed | None = None
+    shown: Posed | None = None  # body and pose at present; None before the first fit
     proportions: Proportions = field(default_factory=lambda: Proportions({}, {}))
     _lock: threading.Lock = field(default_factory=threading.Lock)
 

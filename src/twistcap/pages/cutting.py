@@ -23,32 +23,20 @@ _MOST = 20000  # numbers in one stroke
 
 @dataclass(frozen=True)
 class CutView:
-    """One image to be cut.
+    """One image to be cut."""
 
-    Attributes:
-        image: (H, W, 3) RGB, as recorded.
-        target: file of the mask.
-        known: (H, W) a silhouette that there is already.
-    """
-
-    image: UInt8
-    target: Path
-    known: Bool | None = None
+    image: UInt8  # (H, W, 3) RGB, as recorded
+    target: Path  # file of the mask
+    known: Bool | None = None  # (H, W) a silhouette that there is already
 
 
 @dataclass
 class Cutting:
-    """All images of one file, and what was drawn on them.
-
-    Attributes:
-        views: by role.
-        note: what the user still has to do so that the masks are read; by role, "" for nothing.
-        masks: (H, W) the last cut by role, where something is drawn; exactly these are saved.
-    """
+    """All images of one file by role, and what was drawn on them; exactly the `masks` are saved."""
 
     views: Mapping[str, CutView]
-    note: Mapping[str, str]
-    masks: dict[str, Bool] = field(default_factory=dict[str, Bool])
+    note: Mapping[str, str]  # what the user still has to do so that the masks are read; "" for nothing
+    masks: dict[str, Bool] = field(default_factory=dict[str, Bool])  # (H, W) the last cut, where something is drawn
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     @property

@@ -30,15 +30,10 @@ STICKS = (
 
 @dataclass(frozen=True)
 class Options:
-    """How much goes into a page.
+    """How much goes into a page."""
 
-    Attributes:
-        width: of the images at most, px.
-        images: frames that get images and outlines at most, spread evenly.
-    """
-
-    width: int = 360
-    images: int = 120
+    width: int = 360  # of the images at most, px
+    images: int = 120  # frames that get images and outlines at most, spread evenly
 
 
 def view_page(
@@ -50,14 +45,9 @@ def view_page(
 ) -> str:
     """The viewer as one HTML file.
 
-    Args:
-        results: one or more, by the name they are shown under; the first one's cameras are drawn.
-        sources: the recording's images by camera; cameras without one are drawn without images.
-        reference: shown with the results, at their times.
-        title: heading.
-        options: see `Options`.
-
-    Raises InputError for no result, results without frames, or an image that cannot be read.
+    Of `results`, by the name they are shown under, the first one's cameras are drawn; those without a source of images
+    are drawn without. The reference is shown at the results' times. Raises InputError for no result, results without
+    frames, or an image that cannot be read.
     """
     if not results or not any(len(result) for result in results.values()):
         raise InputError("no result has a frame; there is nothing to view.")

@@ -34,15 +34,10 @@ _CREASE = 0.02  # a jump by this fraction of the depth between neighbouring pixe
 
 @dataclass(frozen=True)
 class Style:
-    """How a body is drawn.
+    """How a body is drawn."""
 
-    Attributes:
-        opacity: of the surface, 0 to 1.
-        skeleton: whether bones and joints are drawn.
-    """
-
-    opacity: float = 0.5
-    skeleton: bool = True
+    opacity: float = 0.5  # of the surface, 0 to 1
+    skeleton: bool = True  # whether bones and joints are drawn
 
 
 class Shown(Protocol):
@@ -58,15 +53,10 @@ class Shown(Protocol):
 
 @dataclass(frozen=True)
 class Bones:
-    """The lines of a skeleton.
+    """The lines of a skeleton."""
 
-    Attributes:
-        segments: (B,) the segment that each bone moves with.
-        ends: (B, 2, 3) rest-pose end points, m.
-    """
-
-    segments: Int
-    ends: Float
+    segments: Int  # (B,) the segment that each bone moves with
+    ends: Float  # (B, 2, 3) rest-pose end points, m
 
     def at(self, posed: Posed) -> Float:
         """(B, 2, 3) world end points."""
@@ -107,8 +97,7 @@ def draw_overlay(
         style: see `Style`.
         bones: `bones_of` the body, to save their computation when many images are drawn.
 
-    Returns:
-        (H, W, 3) uint8 RGB.
+    Returns (H, W, 3) uint8 RGB.
     """
     style = style or Style()
     canvas = _canvas(image, camera)
@@ -253,20 +242,13 @@ def _as_colour(rgb: Float) -> Colour:
 
 @dataclass(frozen=True)
 class Mosaic:
-    """A grid of views under a heading.
+    """A grid of views under a heading."""
 
-    Attributes:
-        cell: (width, height) of one view, pixels.
-        columns, rows: of the grid.
-        cameras: each camera scaled to fit its cell.
-        heading: height of the heading in pixels.
-    """
-
-    cell: tuple[int, int]
+    cell: tuple[int, int]  # (width, height) of one view, pixels
     columns: int
     rows: int
-    cameras: tuple[Camera, ...]
-    heading: int = 40
+    cameras: tuple[Camera, ...]  # each camera scaled to fit its cell
+    heading: int = 40  # height of the heading in pixels
 
     @property
     def size(self) -> tuple[int, int]:
@@ -342,14 +324,8 @@ def overlay_video(
 ) -> Path:
     """Write an H.264 video of all views with the tracked body over them.
 
-    Args:
-        path: of the ``.mp4``.
-        frames: the recording; a camera that dropped a frame shows the body alone.
-        rig: the cameras of these images (`Rig.pinhole` when they have been rectified), at full size.
-        estimates: by frame index; frames without one are shown bare.
-        body: that was tracked.
-        fps: frames per second of the video.
-        title: heading.
+    A camera that dropped a frame shows the body alone, a frame without an estimate is shown bare. `rig` are the cameras
+    of these images (`Rig.pinhole` when they have been rectified), at full size.
     """
     mosaic, bones = mosaic_for(rig), bones_of(body)
     by_index: Mapping[int, Shown] = {int(e.index): e for e in estimates}

@@ -85,7 +85,7 @@ def write_report(
     """Write a stand-alone HTML page; every text is escaped, pictures are embedded, nothing is loaded from a network.
 
     Args:
-        folder: of the page, report.html; the video and the files are linked relative to it.
+        folder: of the page, report.html, whose path is returned; the video and the files are linked relative to it.
         title, lead: heading and the sentence under it.
         rows: table of measures.
         headlines: the few numbers that matter, in large type.
@@ -93,9 +93,6 @@ def write_report(
         video: of the overlay; linked, not embedded.
         files: other files, path to description.
         notes: remarks below the table.
-
-    Returns:
-        The path of the page.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)

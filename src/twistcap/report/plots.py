@@ -25,19 +25,12 @@ _LOST, _DROPPED = "#e5484d", "#9aa3ad"
 
 @dataclass(frozen=True)
 class AngleSeries:
-    """Joint angles over time.
+    """Joint angles over time."""
 
-    Attributes:
-        times: (N,) s.
-        names: J coordinates.
-        angles: (N, J) rad, NaN where there is none.
-        sigma: (N, J) standard deviations, rad; None where they are not known.
-    """
-
-    times: Float
-    names: tuple[str, ...]
-    angles: Float
-    sigma: Float | None = None
+    times: Float  # (N,) s
+    names: tuple[str, ...]  # J coordinates
+    angles: Float  # (N, J) rad, NaN where there is none
+    sigma: Float | None = None  # (N, J) standard deviations, rad; None where they are not known
 
 
 def split_side(name: str) -> tuple[str, str]:
@@ -53,14 +46,9 @@ def angle_plot(
     dropped: Bool | None = None,
     title: str = "",
 ) -> Path:
-    """Small multiples of joint angles, right and left in one panel, with bands of ± 2σ.
+    """A PNG of small multiples of joint angles, right and left in one panel, with bands of ± 2σ.
 
-    Args:
-        path: of the PNG.
-        estimate: of the tracker.
-        truth: drawn dashed, on its own times.
-        lost, dropped: (N,) frames to shade red and grey.
-        title: heading.
+    The truth is drawn dashed, on its own times; `lost` and `dropped` (N,) are frames to shade red and grey.
     """
     names = estimate.names
     panels = list(dict.fromkeys(split_side(name)[0] for name in names))
