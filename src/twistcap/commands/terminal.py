@@ -73,9 +73,8 @@ def show_rows(title: str, rows: list[Any]) -> None:
         table.add_column(name, justify="right" if right else "left", no_wrap=name == "case")
     for row in rows:
         colour = {True: "green", False: "red", None: ""}[row["holds"]]
-        value = (
-            "–" if row["value"] is None else f"{row['value']:.3g}" if abs(row["value"]) < 100 else f"{row['value']:.0f}"
-        )
+        number = row["value"]
+        value = "–" if number is None else f"{number:.3g}" if abs(number) < 100 else f"{number:.0f}"
         lost = "" if row["lost"] is None else str(row["lost"])
         shown = f"[{colour}]{value}[/]" if colour else value
         table.add_row(row["case"], row["metric"], shown, row["unit"], str(row["target"] or ""), lost)
@@ -88,9 +87,8 @@ def output_folder(path: str | Path) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(
-            f"output folder {folder} cannot be made: {error.strerror}; choose another with --out."
-        ) from error
+        mend = "choose another with --out"
+        raise InputError(f"output folder {folder} cannot be made: {error.strerror}; {mend}.") from error
     return folder
 
 

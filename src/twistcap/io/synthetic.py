@@ -120,9 +120,11 @@ def _write_images(
         }
         for frame in capture.frames():
             for name, image in zip(names, frame.images, strict=True):
+                if image is None:
+                    continue  # its number is left out
                 if name in videos:
                     videos[name].write(image)
-                elif image is not None:
+                else:
                     _write_image(folder / "videos" / name / f"{frame.index:04d}.png", image)
             if masks:
                 for name, mask in zip(names, capture.masks(frame.index), strict=True):

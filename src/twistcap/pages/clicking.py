@@ -7,6 +7,7 @@ import json
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -58,27 +59,23 @@ class Clicking:
     def answers(self) -> Mapping[str, Answer]:
         """Answers to the page's questions, by path; one at a time."""
 
-        def alone(answer: Answer) -> Answer:
-            def locked(question: Mapping[str, Any]) -> Mapping[str, Any]:
-                with self._lock:
-                    return answer(question)
+        def alone(answer: Answer, question: Mapping[str, Any]) -> Mapping[str, Any]:
+            with self._lock:
+                return answer(question)
 
-            return locked
-
-        return {"/fit": alone(self.fit), "/pose": alone(self.slide), "/save": alone(self.save)}
+        answers = {"/fit": self.fit, "/pose": self.slide, "/save": self.save}
+        return {path: partial(alone, answer) for path, answer in answers.items()}
 
     def document(self) -> dict[str, Any]:
         """What the page starts with, as JSON data."""
-        joints = self.generic.landmarks.names
+        joints, names = self.generic.landmarks.names, self.generic.coordinate_names
         main = [name for name in MAIN_JOINTS if name in joints]
         limits = np.rad2deg(self.generic.limits).round(1).tolist()
         return {
             "cameras": [_camera(c, image) for c, image in zip(self.rig, self.images, strict=True)],
             "joints": main,
             "more": [name for name in joints if name not in main],
-            "coordinates": [
-                {"name": name, "limits": pair} for name, pair in zip(self.generic.coordinate_names, limits, strict=True)
-            ],
+            "coordinates": [{"name": n, "limits": pair} for n, pair in zip(names, limits, strict=True)],
             "clicks": self.clicks,
             "sliders": self.target.kind == "file",
             "target": str(self.target.path),
@@ -96,7 +93,8 @@ class Clicking:
             self.shown = None
             raise InputError("no joint is clicked; click a handful of joints in two views.")
         fit = self._fitted(held, self.shown.pose if self.shown else None)
-        return {**self._state(), **_quality(fit)}
+        residual = round(float(np.median(fit.residual_px[np.isfinite(fit.residual_px)])), 2)
+        return {**self._state(), "residual_px": residual, "rejected": [list(pair) for pair in fit.rejected]}
 
     def slide(self, question: Mapping[str, Any]) -> dict[str, Any]:
         """Set joint angles without a fit: ``{"held": {coordinate: degrees}}``.
@@ -136,13 +134,10 @@ class Clicking:
         limits = self.generic.limits.copy()
         for name, angle in held.items():
             limits[self.generic.coordinate(name)] = angle
-        keypoints = _keypoints(self.clicks, self.rig)
-        body = replace(self.generic, limits=limits)
-        lengths = self.session.first_pose.fit_lengths
-        fit = fit_keypoints(body, self.rig, keypoints, fit_lengths=lengths, start=start)
-        self.proportions = fit.proportions
-        sized = rescaled(self.generic, fit.proportions.lengths, fit.proportions.girths, fit.proportions.stature)
-        self.shown = Posed(sized, fit.pose)
+        body, lengths = replace(self.generic, limits=limits), self.session.first_pose.fit_lengths
+        fit = fit_keypoints(body, self.rig, _keypoints(self.clicks, self.rig), fit_lengths=lengths, start=start)
+        self.proportions = made = fit.proportions
+        self.shown = Posed(rescaled(self.generic, made.lengths, made.girths, made.stature), fit.pose)
         return fit
 
     def _state(self) -> dict[str, Any]:
@@ -215,14 +210,6 @@ def _keypoints(clicks: Clicks, rig: Rig) -> Keypoints:
     return Keypoints(names, pixels, confidence)
 
 
-def _quality(fit: FirstPose) -> dict[str, Any]:
-    given = np.isfinite(fit.residual_px)
-    return {
-        "residual_px": round(float(np.median(fit.residual_px[given])), 2),
-        "rejected": [list(pair) for pair in fit.rejected],
-    }
-
-
 def _camera(camera: Camera, image: UInt8 | None) -> dict[str, Any]:
     picture = None if image is None else jpeg(image, 1920, 88)
     return {"name": camera.name, "size": list(camera.size), "image": picture}
@@ -230,11 +217,8 @@ def _camera(camera: Camera, image: UInt8 | None) -> dict[str, Any]:
 
 def _named_pixels(camera: Camera, names: tuple[str, ...], points: Any) -> dict[str, list[float]]:
     pixels, depth = camera.project(points)
-    return {
-        name: pixel.round(1).tolist()
-        for name, pixel, z in zip(names, pixels, depth, strict=True)
-        if z > 0 and np.isfinite(pixel).all()
-    }
+    seen = (depth > 0) & np.isfinite(pixels).all(axis=1)
+    return {name: pixel for name, pixel, s in zip(names, pixels.round(1).tolist(), seen, strict=True) if s}
 
 
 def _mapping(given: Any, what: str) -> Mapping[str, Any]:

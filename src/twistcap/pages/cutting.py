@@ -46,18 +46,17 @@ class Cutting:
 
     def document(self) -> dict[str, Any]:
         """What the page starts with."""
-        return {
-            "views": [
-                {
-                    "name": role,
-                    "size": [view.image.shape[1], view.image.shape[0]],
-                    "image": jpeg(view.image, 1920, 88),
-                    "target": str(view.target),
-                    "outline": [] if view.known is None else outline(view.known),
-                }
-                for role, view in self.views.items()
-            ]
-        }
+        views = [
+            {
+                "name": role,
+                "size": [view.image.shape[1], view.image.shape[0]],
+                "image": jpeg(view.image, 1920, 88),
+                "target": str(view.target),
+                "outline": [] if view.known is None else outline(view.known),
+            }
+            for role, view in self.views.items()
+        ]
+        return {"views": views}
 
     def cut(self, question: Mapping[str, Any]) -> dict[str, Any]:
         """Cut ``{"view": role, "rectangle": [x, y, x, y] | null, "strokes": [{"inside", "points", "width"}]}``.
@@ -65,7 +64,9 @@ class Cutting:
         A view without drawing is as at the beginning. A cut that fails leaves nothing to save. Raises InputError for an
         unknown view, a number that is not finite, a drawing without a person, or an empty silhouette.
         """
-        role = self._role(question)
+        role = question.get("view")
+        if not isinstance(role, str) or role not in self.views:
+            raise InputError(f"view {role!r} is unknown; there are {', '.join(self.views)}.")
         view = self.views[role]
         with self._lock:
             self.masks.pop(role, None)
@@ -73,7 +74,12 @@ class Cutting:
             if hints.rectangle is None and not hints.strokes:
                 mask = np.zeros(view.image.shape[:2], np.bool_) if view.known is None else view.known
             else:
-                mask = self.masks[role] = _person(view, hints)
+                mask = cut_out(view.image, hints, view.known)
+                if mask is None:
+                    raise InputError("draw a rectangle around the person first.")
+                if not mask.any():
+                    raise InputError("nothing of the person is left; paint some of it with Person.")
+                self.masks[role] = mask
         fraction = round(float(mask.mean()), 4)
         return {"view": role, "outline": outline(mask), "fraction": fraction, "cut": role in self.masks}
 
@@ -92,26 +98,11 @@ class Cutting:
         notes = " ".join(self.note[role] for role in masks if self.note[role])
         return {"saved": [str(self.views[role].target) for role in masks], "note": notes}
 
-    def _role(self, question: Mapping[str, Any]) -> str:
-        role = question.get("view")
-        if not isinstance(role, str) or role not in self.views:
-            raise InputError(f"view {role!r} is unknown; there are {', '.join(self.views)}.")
-        return role
-
 
 def outline(mask: Bool) -> list[list[float]]:
     """Polylines around a silhouette (H, W) and its holes: x, y, x, y, …, px."""
     curves, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     return flat([cv2.approxPolyDP(curve, 0.5, True)[:, 0].astype(np.float64) for curve in curves])
-
-
-def _person(view: CutView, hints: Hints) -> Bool:
-    mask = cut_out(view.image, hints, view.known)
-    if mask is None:
-        raise InputError("draw a rectangle around the person first.")
-    if not mask.any():
-        raise InputError("nothing of the person is left; paint some of it with Person.")
-    return mask
 
 
 def _write(path: Path, mask: Bool) -> None:
@@ -128,13 +119,13 @@ def _write(path: Path, mask: Bool) -> None:
 def _hints(question: Mapping[str, Any]) -> Hints:
     rectangle, strokes = question.get("rectangle"), question.get("strokes") or []
     corners = None if rectangle is None else _numbers(rectangle, "the rectangle")
-    if corners is not None and (
-        len(corners) != 4 or min(abs(corners[0] - corners[2]), abs(corners[1] - corners[3])) < 2
-    ):
-        raise InputError("the rectangle must be x, y, x, y of two corners, and larger than two pixels.")
+    found = None
+    if corners is not None:
+        if len(corners) != 4 or np.ptp(np.reshape(corners, (2, 2)), axis=0).min() < 2:
+            raise InputError("the rectangle must be x, y, x, y of two corners, and larger than two pixels.")
+        found = (corners[0], corners[1], corners[2], corners[3])
     if not isinstance(strokes, list):
         raise InputError("strokes must be a list.")
-    found = None if corners is None else (corners[0], corners[1], corners[2], corners[3])
     return Hints(found, tuple(_stroke(stroke) for stroke in strokes))
 
 

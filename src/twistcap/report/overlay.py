@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import cv2
 import numpy as np
 
 from twistcap.arrays import AnyArray, Bool, Float, Float32, Int
-from twistcap.body import Body, Pose, Posed
+from twistcap.body import Body, Posed
 from twistcap.body.kinematics import unit_vertex_normals
 from twistcap.body.shape import joint_origin
 from twistcap.camera import Camera, Rig
-from twistcap.estimate import Frame
+from twistcap.estimate import Estimate, Frame
 from twistcap.io.videowriter import VideoWriter, as_rgb
 from twistcap.render.raster import barycentric, rasterise
 
@@ -38,17 +37,6 @@ class Style:
 
     opacity: float = 0.5  # of the surface, 0 to 1
     skeleton: bool = True  # whether bones and joints are drawn
-
-
-class Shown(Protocol):
-    """Parts of an estimate that are drawn, such as `twistcap.estimate.Estimate`."""
-
-    @property
-    def index(self) -> int: ...
-    @property
-    def pose(self) -> Pose: ...
-    @property
-    def lost(self) -> bool: ...
 
 
 @dataclass(frozen=True)
@@ -119,12 +107,12 @@ def draw_overlay(
 Window = tuple[tuple[int, int], tuple[int, int]]  # (x, y) of the first pixel, (width, height)
 
 
-def _window(pixels: Float, size: tuple[int, int], margin: int = 4) -> Window | None:
-    """The part of the image that holds the pixels (N, 2) and a margin; None where there is none."""
+def _window(pixels: Float, size: tuple[int, int]) -> Window | None:
+    """The part of the image that holds the pixels (N, 2) and a margin of 4 px; None where there is none."""
     if not len(pixels):
         return None
-    low = np.clip(np.floor(pixels.min(axis=0)) - margin, 0, size)
-    high = np.clip(np.ceil(pixels.max(axis=0)) + margin + 1, 0, size)
+    low = np.clip(np.floor(pixels.min(axis=0)) - 4, 0, size)
+    high = np.clip(np.ceil(pixels.max(axis=0)) + 5, 0, size)
     if np.any(high <= low):
         return None
     return (int(low[0]), int(low[1])), (int(high[0] - low[0]), int(high[1] - low[1]))
@@ -214,12 +202,12 @@ def _draw_bones(
     ends = bones.at(posed)
     pixels, inverse_depth = visible_projection(camera, ends.reshape(-1, 3))
     pixels, inside = pixels.reshape(-1, 2, 2), np.all((inverse_depth > 0).reshape(-1, 2), axis=1)
-    colours = part_colours(posed.body)[bones.segments]
+    colours = part_colours(posed.body)[bones.segments].tolist()
     thick = max(1, round(width))
     for dark in (True, False):  # all dark borders first, so that no border cuts another bone
         for (a, b), own, visible in zip(pixels, colours, inside.tolist(), strict=True):
             if visible:
-                ink = _INK if dark else colour or _as_colour(own)
+                ink = _INK if dark else colour or own
                 cv2.line(canvas, _fixed(a), _fixed(b), ink, thick + 2 * dark, cv2.LINE_AA, _SHIFT)
     for a, visible in zip(pixels.reshape(-1, 2), np.repeat(inside, 2).tolist(), strict=True):
         if visible:
@@ -234,10 +222,6 @@ _SHIFT = 4  # OpenCV draws at sixteenths of a pixel
 def _fixed(pixel: Float) -> tuple[int, int]:
     clipped = np.clip(pixel, -1e4, 1e4) * 2**_SHIFT
     return round(float(clipped[0])), round(float(clipped[1]))
-
-
-def _as_colour(rgb: Float) -> Colour:
-    return int(rgb[0]), int(rgb[1]), int(rgb[2])
 
 
 @dataclass(frozen=True)
@@ -278,18 +262,16 @@ def mosaic_for(rig: Rig) -> Mosaic:
 
 
 def draw_mosaic(
-    frame: Frame, rig: Rig, body: Body, shown: Shown | None, mosaic: Mosaic, title: str = "", bones: Bones | None = None
+    frame: Frame, posed: Posed | None, mosaic: Mosaic, title: str = "", lost: bool = False, bones: Bones | None = None
 ) -> AnyArray:
     """All views of one frame (H, W, 3) uint8, with the body over them, camera names, frame number and time."""
     canvas = np.full((mosaic.size[1], mosaic.size[0], 3), _INK, np.uint8)
-    posed = Posed(body, shown.pose) if shown else None
-    lost = bool(shown and shown.lost)
     for k, (image, camera) in enumerate(zip(frame.images, mosaic.cameras, strict=True)):
         resized = None if image is None else _resized(image, camera.size)
         view = _canvas(resized, camera) if posed is None else draw_overlay(resized, camera, posed, lost, None, bones)
         x, y = mosaic.place(canvas, k, view)
         _label(canvas, camera.name + ("" if image is not None else ": no image"), (x + 8, y + 24))
-    state = "no pose" if shown is None else "lost" if lost else ""
+    state = "no pose" if posed is None else "lost" if lost else ""
     _label(canvas, title, (12, 27))
     _label(canvas, f"frame {frame.index}   {frame.time:.3f} s", (canvas.shape[1] - 12, 27), right=True)
     _label(canvas, state, (canvas.shape[1] - 260, 27), LOST, right=True)
@@ -317,7 +299,7 @@ def overlay_video(
     path: Path | str,
     frames: Iterable[Frame],
     rig: Rig,
-    estimates: Iterable[Shown],
+    estimates: Iterable[Estimate],
     body: Body,
     fps: float,
     title: str = "",
@@ -328,8 +310,10 @@ def overlay_video(
     of these images (`Rig.pinhole` when they have been rectified), at full size.
     """
     mosaic, bones = mosaic_for(rig), bones_of(body)
-    by_index: Mapping[int, Shown] = {int(e.index): e for e in estimates}
+    by_index = {int(e.index): e for e in estimates}
     with VideoWriter(path, fps) as writer:
         for frame in frames:
-            writer.write(draw_mosaic(frame, rig, body, by_index.get(frame.index), mosaic, title, bones))
+            shown = by_index.get(frame.index)
+            posed, lost = (Posed(body, shown.pose), shown.lost) if shown else (None, False)
+            writer.write(draw_mosaic(frame, posed, mosaic, title, lost, bones))
     return Path(path)

@@ -78,8 +78,8 @@ def write_report(
     lead: str = "",
     headlines: Sequence[Headline] = (),
     figures: Sequence[Figure] = (),
-    video: Path | str | None = None,
-    files: Mapping[Path | str, str] | None = None,
+    video: Path | None = None,
+    files: Mapping[Path, str] | None = None,
     notes: Sequence[str] = (),
 ) -> Path:
     """Write a stand-alone HTML page; every text is escaped, pictures are embedded, nothing is loaded from a network.
@@ -96,19 +96,29 @@ def write_report(
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
+    links = [
+        f'<a href="{_link(folder, path)}"><code>{escape(path.name)}</code></a> {escape(text)}'
+        for path, text in (files or {}).items()
+    ]
+    cite = "Made with twistcap. Please cite its repository and the methods that it follows:"
+    papers = "".join(f"<li>{escape(paper)}</li>" for paper in METHODS)
     parts = [
         f"<h1>{escape(title)}</h1>",
         f'<p class="lead">{escape(lead)}</p>',
         _cards(headlines),
         _video(folder, video),
-        _figures(figures),
+        "\n".join(map(_figure, figures)),
         _table(rows),
         _list("Notes", [escape(note) for note in notes]),
-        _list("Files", [_file(folder, Path(path), text) for path, text in (files or {}).items()]),
-        _footer(),
+        _list("Files", links),
+        f"<footer>{cite}<ul>{papers}</ul></footer>",
     ]
     path = folder / "report.html"
-    path.write_text(_page(title, "\n".join(part for part in parts if part)), encoding="utf-8")
+    head = '<meta charset="utf-8">\n<meta name="viewport" content="width=device-width, initial-scale=1">'
+    head += f"\n<title>{escape(title)}</title>\n<style>{_CSS}</style>"
+    body = "\n".join(part for part in parts if part)
+    text = f'<!doctype html>\n<html lang="en">\n<head>\n{head}\n</head>\n<body>\n{body}\n</body>\n</html>\n'
+    path.write_text(text, encoding="utf-8")
     return path
 
 
@@ -133,14 +143,6 @@ def unit(name: str) -> str:
     return {"deg": "°"}.get(name, escape(name))
 
 
-def _page(title: str, body: str) -> str:
-    return (
-        f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>{escape(title)}</title>\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<style>{_CSS}</style>\n</head>\n<body>\n{body}\n</body>\n</html>\n"
-    )
-
-
 def _cards(headlines: Sequence[Headline]) -> str:
     cards = [
         f'<div class="card{_verdict(h.good)}"><b>{escape(h.value)} <small>{unit(h.unit)}</small></b>'
@@ -154,27 +156,21 @@ def _verdict(good: bool | None) -> str:
     return "" if good is None else " good" if good else " bad"
 
 
-def _video(folder: Path, video: Path | str | None) -> str:
+def _video(folder: Path, video: Path | None) -> str:
     if video is None:
         return ""
-    link = _link(folder, Path(video))
+    link = _link(folder, video)
     return (
         f'<h2>Overlay</h2>\n<figure><video controls loop muted playsinline preload="auto" src="{link}"></video>'
         f"<figcaption>The tracked body over every view; right is orange, left is blue, and red means lost. "
-        f'<a href="{link}">{escape(Path(video).name)}</a></figcaption></figure>'
+        f'<a href="{link}">{escape(video.name)}</a></figcaption></figure>'
     )
 
 
-def _figures(figures: Sequence[Figure]) -> str:
-    return "\n".join(
-        f'<figure><img alt="{escape(figure.caption)}" src="data:image/png;base64,{_base64(figure.path)}">'
-        f"<figcaption>{escape(figure.caption)}</figcaption></figure>"
-        for figure in figures
-    )
-
-
-def _base64(path: Path) -> str:
-    return base64.b64encode(path.read_bytes()).decode("ascii")
+def _figure(figure: Figure) -> str:
+    content, caption = base64.b64encode(figure.path.read_bytes()).decode(), escape(figure.caption)
+    image = f'<img alt="{caption}" src="data:image/png;base64,{content}">'
+    return f"<figure>{image}<figcaption>{caption}</figcaption></figure>"
 
 
 def _table(rows: Sequence[Row]) -> str:
@@ -183,34 +179,21 @@ def _table(rows: Sequence[Row]) -> str:
     targets = any(line["target"] for line in rows)
     head = "<th>case</th><th>measure</th><th class=n>value</th><th>unit</th>"
     head += "<th class=n>to reach</th>" if targets else ""
-    lines = "\n".join(_table_line(line, targets) for line in rows)
-    return f'<h2>Measures</h2>\n<div class="scroll"><table><tr>{head}</tr>\n{lines}\n</table></div>'
-
-
-def _table_line(line: Row, targets: bool) -> str:
-    verdict = _verdict(line["holds"])
-    target = f'<td class="n">{escape(line["target"] or "")}</td>' if targets else ""
-    return (
+    lines = [
         f"<tr><td>{escape(line['case'])}</td><td>{escape(line['metric'])}</td>"
-        f'<td class="n{verdict}">{number(line["value"])}</td><td>{unit(line["unit"])}</td>{target}</tr>'
-    )
+        f'<td class="n{_verdict(line["holds"])}">{number(line["value"])}</td><td>{unit(line["unit"])}</td>'
+        + (f'<td class="n">{escape(line["target"] or "")}</td></tr>' if targets else "</tr>")
+        for line in rows
+    ]
+    lines = "\n".join(lines)
+    return f'<h2>Measures</h2>\n<div class="scroll"><table><tr>{head}</tr>\n{lines}\n</table></div>'
 
 
 def _list(title: str, items: Sequence[str]) -> str:
     return f"<h2>{title}</h2>\n<ul>{''.join(f'<li>{item}</li>' for item in items)}</ul>" if items else ""
 
 
-def _file(folder: Path, path: Path, text: str) -> str:
-    return f'<a href="{_link(folder, path)}"><code>{escape(path.name)}</code></a> {escape(text)}'
-
-
 def _link(folder: Path, path: Path) -> str:
     """Relative link from the page's folder, so that the folder can be moved or sent as it is."""
     absolute = path if path.is_absolute() or path.exists() else folder / path
     return escape(quote(Path(os.path.relpath(absolute.resolve(), folder.resolve())).as_posix()))
-
-
-def _footer() -> str:
-    papers = "".join(f"<li>{escape(paper)}</li>" for paper in METHODS)
-    text = "Made with twistcap. Please cite its repository and the methods that it follows:"
-    return f"<footer>{text}<ul>{papers}</ul></footer>"
