@@ -18,8 +18,9 @@ from twistcap.body.shape import joint_origin
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate
 from twistcap.io.angles import decomposed, product
+from twistcap.io.bvh import write_bvh
 from twistcap.io.markers import WorldAxes, read_keypoints3d, read_trc, write_trc
-from twistcap.io.motion_files import poses_from_mot, read_mot, write_bvh, write_csv, write_mot
+from twistcap.io.motion_files import poses_from_mot, read_mot, write_csv, write_mot
 
 AXES: tuple[WorldAxes, ...] = ("pose2sim", "opensim")
 

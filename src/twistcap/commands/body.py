@@ -71,7 +71,7 @@ def silhouettes(
     with words.status("reading the pictures"):
         cutting = cutting_of(views)
         html = page("cut", f"Silhouettes of {views.stem}", cutting.document())
-    serve(html, cutting.answers, port, "the page")
+    serve(html, cutting.answers, port)
 
 
 def cutting_of(path: Path) -> Any:

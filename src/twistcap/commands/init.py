@@ -35,7 +35,7 @@ def init(
         clicking = clicking_of(load_session(session), session, out, detector)
         html = page("init", f"First pose of {session.parent.resolve().name}", clicking.document())
     words.print(f"Save writes {clicking.target.path}.")
-    serve(html, clicking.answers, port, "the page")
+    serve(html, clicking.answers, port)
 
 
 def clicking_of(session: Any, path: Path, out: Path | None = None, detector: str | None = None) -> Any:

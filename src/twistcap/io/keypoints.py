@@ -57,13 +57,14 @@ def read_openpose(
         raise InputError(f"keypoint layout {layout!r} is unknown; use one of {', '.join(LAYOUTS)}.")
     names = LAYOUTS[layout]
     _expect_cameras([*files, *(grids or {})], cameras, "the keypoints")
-    pixels, confidence = _blank(len(cameras), len(names))
+    pixels, confidence = np.full((len(cameras), len(names), 2), np.nan), np.zeros((len(cameras), len(names)))
     for c, camera in enumerate(cameras):
         if camera in files:
             chosen = person if isinstance(person, int) else person.get(camera, 0)
             xyc = _read_person(Path(files[camera]), len(names), chosen)
             seen = xyc[:, 2] > 0
-            pixels[c, seen] = (grids or {}).get(camera, Grid()).to_video(xyc[seen, :2])
+            grid = (grids or {}).get(camera, Grid())
+            pixels[c, seen] = (xyc[seen, :2] - grid.offset) / grid.scale
             confidence[c, seen] = np.minimum(xyc[seen, 2], 1.0)
     return Keypoints(names, pixels, confidence)
 
@@ -92,24 +93,26 @@ def read_clicks(path: Path | str, cameras: Sequence[str], joints: Sequence[str] 
     path = Path(path)
     rows = _json_rows(path) if path.suffix.lower() == ".json" else _csv_rows(path)
     _expect_cameras([row[0] for row in rows], cameras, str(path))
-    names = tuple(dict.fromkeys(row[1] for row in rows))
-    for name in names:
-        if joints is not None and name not in joints:
-            raise InputError(f"{path}: joint {name!r} is unknown; the body has {', '.join(joints)}.")
-    pixels, confidence = _blank(len(cameras), len(names))
+    clicks: dict[tuple[str, str], tuple[float, float, float]] = {}
     for camera, joint, *values in rows:
-        at = cameras.index(camera), names.index(joint)
-        x, y, weight = (
-            _number(v, f"{path}: {what} of {joint} in {camera}") for v, what in zip(values, "xyc", strict=True)
-        )
-        if confidence[at] > 0:
+        if joints is not None and joint not in joints:
+            raise InputError(f"{path}: joint {joint!r} is unknown; the body has {', '.join(joints)}.")
+        where = f"of {joint} in {camera}"
+        x, y, weight = (_number(v, f"{path}: {what} {where}") for v, what in zip(values, "xyc", strict=True))
+        if clicks.get((camera, joint), (0, 0, 0))[2] > 0:
             raise InputError(f"{path}: joint {joint} is given twice for camera {camera}; keep one.")
+        clicks[camera, joint] = x, y, weight
+    return clicked(clicks, cameras)
+
+
+def clicked(clicks: Mapping[tuple[str, str], tuple[float, float, float]], cameras: Sequence[str]) -> Keypoints:
+    """x, y, px, and confidence by camera and joint as `Keypoints` of these cameras."""
+    names = tuple(dict.fromkeys(joint for _, joint in clicks))
+    pixels, confidence = np.full((len(cameras), len(names), 2), np.nan), np.zeros((len(cameras), len(names)))
+    for (camera, joint), (x, y, weight) in clicks.items():
+        at = cameras.index(camera), names.index(joint)
         pixels[at], confidence[at] = (x, y), weight
     return Keypoints(names, pixels, confidence)
-
-
-def _blank(C: int, L: int) -> tuple[Float, Float]:
-    return np.full((C, L, 2), np.nan), np.zeros((C, L))
 
 
 def _expect_cameras(named: Sequence[str], cameras: Sequence[str], where: str) -> None:
@@ -133,13 +136,11 @@ def _read_person(path: Path, L: int, person: int) -> Float:
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: person {person} has no list of numbers 'pose_keypoints_2d'.") from error
     if numbers.shape != (3 * L,):
-        raise InputError(
-            f"{path}: 'pose_keypoints_2d' has shape {numbers.shape}, but the layout needs {3 * L} numbers."
-        )
-    xyc = numbers.reshape(L, 3)
-    if not np.all(np.isfinite(xyc)):
+        need = f"the layout needs {3 * L} numbers"
+        raise InputError(f"{path}: 'pose_keypoints_2d' has shape {numbers.shape}, but {need}.")
+    if not np.all(np.isfinite(numbers)):
         raise InputError(f"{path}: 'pose_keypoints_2d' of person {person} has a value that is not a finite number.")
-    return xyc
+    return numbers.reshape(L, 3)
 
 
 def _csv_rows(path: Path) -> list[tuple[str, str, Any, Any, Any]]:
@@ -150,9 +151,8 @@ def _csv_rows(path: Path) -> list[tuple[str, str, Any, Any, Any]]:
         raise InputError(f"{path}: the file of clicked joints cannot be read ({error}).") from error
     for column in ("camera", "joint", "x", "y"):
         if not rows or column not in rows[0]:
-            raise InputError(
-                f"{path}: column {column!r} is missing; the first line must be camera,joint,x,y[,confidence]."
-            )
+            head = "camera,joint,x,y[,confidence]"
+            raise InputError(f"{path}: column {column!r} is missing; the first line must be {head}.")
     return [(r["camera"], r["joint"], r["x"], r["y"], r.get("confidence") or 1.0) for r in rows]
 
 

@@ -14,14 +14,12 @@ import numpy as np
 from twistcap import se3
 from twistcap.arrays import Float
 from twistcap.body import Body, Pose
+from twistcap.body.humanoid import humanoid
 from twistcap.errors import InputError, check_choice
 from twistcap.estimate import Estimate
 from twistcap.io import angles as convert
-from twistcap.io.bvh import write_bvh
 from twistcap.io.files import read_lines, write_lines
 from twistcap.io.markers import TO_FILE, WorldAxes
-
-__all__ = ["MotionTable", "poses_from_mot", "read_mot", "write_bvh", "write_csv", "write_mot"]
 
 _LENGTHS = re.compile(r"(_[tpv][xyz]|_beta_t[xyz])$|force|torque|moment", re.IGNORECASE)
 _NEGATIVE_KNEE = np.radians(-5.0)  # no walker has a mean knee angle below this
@@ -135,6 +133,15 @@ def poses_from_mot(
     return [Pose(root, row) for root, row in zip(roots, q, strict=True)], unknown
 
 
+def poses_of_file(path: Path, axes: WorldAxes = "opensim") -> tuple[Body, MotionTable, list[Pose]]:
+    """A MOT or STO in the coordinates of our body with all its joints; errors as of its parts, with the path."""
+    table, body = read_mot(path), humanoid(thorax=True, clavicles=True, wrists=True)
+    try:
+        return body, table, poses_from_mot(table, body, axes)[0]
+    except InputError as error:
+        raise InputError(f"motion {path}: {error}") from error
+
+
 def write_csv(path: Path | str, body: Body, estimates: Sequence[Estimate]) -> None:
     """One row per frame: time, root, coordinates, their standard deviations, status, support and the lost flag.
 
@@ -165,8 +172,7 @@ def _values(pose: Pose) -> Float:
 def _deviations(estimate: Estimate) -> Float:
     """Standard deviations (6 + J,) of `_values`: place of the root, its rotation, the coordinates."""
     C = estimate.covariance
-    by_place = np.hstack(
-        [-se3.hat(estimate.pose.root[:3, 3]), np.eye(3)]
-    )  # the root moves in the world, about its origin
+    moved = -se3.hat(estimate.pose.root[:3, 3])  # the root moves in the world, about its origin
+    by_place = np.hstack([moved, np.eye(3)])
     place = by_place @ C[:6, :6] @ by_place.T
     return np.sqrt(np.maximum(np.concatenate([np.diag(place), np.diag(C)[:3], np.diag(C)[6:]]), 0.0))

@@ -9,13 +9,12 @@ import numpy as np
 from twistcap import se3
 from twistcap.arrays import Bool, Float
 from twistcap.body import Body
-from twistcap.body.humanoid import humanoid
 from twistcap.errors import InputError
 from twistcap.io.asf import AMC_RATE, read_amc
-from twistcap.io.bvh import read_bvh
+from twistcap.io.bvh import read_bvh, write_bvh
 from twistcap.io.deepmimic import read_deepmimic
 from twistcap.io.markers import WorldAxes, frame_rate
-from twistcap.io.motion_files import poses_from_mot, read_mot, write_bvh, write_mot
+from twistcap.io.motion_files import poses_of_file, write_mot
 from twistcap.io.result import read_result
 from twistcap.motion import MotionClip, SkeletonMotion, SkeletonTable, body_table, read_table, retarget, skeleton_of
 
@@ -107,12 +106,7 @@ def without_rest_frame(motion: SkeletonMotion) -> SkeletonMotion:
 
 
 def _of_mot(path: Path, axes: WorldAxes) -> tuple[Body, MotionClip]:
-    table = read_mot(path)
-    body = humanoid(thorax=True, clavicles=True, wrists=True)
-    try:
-        poses, _ = poses_from_mot(table, body, axes)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+    body, table, poses = poses_of_file(path, axes)
     rate = _even_rate(path, table.times)
     q, roots = np.array([pose.q for pose in poses]), np.array([pose.root for pose in poses])
     return body, MotionClip(path.stem, body.coordinate_names, rate, roots, q)

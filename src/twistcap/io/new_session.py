@@ -12,7 +12,7 @@ from pathlib import Path
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.io.calibration import Unit, read_rig
-from twistcap.io.video import Source, open_source
+from twistcap.io.video import Source, check_size, open_source
 
 _VIDEOS = {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".mts"}
 _IMAGES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
@@ -56,8 +56,12 @@ def draft_session(videos: Sequence[str], calibration: Path, unit: Unit | None = 
     ordered = {name: paths[name] for name in used.names}
     unused = tuple(name for name in rig.names if name not in paths)
     draft = Draft(used, ordered, sources, unit, calibration, unused)
-    _check_sizes(draft)
-    _check_rates(draft)
+    for camera in used:
+        check_size(sources[camera.name], camera)
+    rates = draft.rates
+    if rates and max(rates.values()) - min(rates.values()) > 0.01 * max(rates.values()):
+        listed = ", ".join(f"{name} {rate:g}" for name, rate in rates.items())
+        raise InputError(f"the videos differ in frames per second ({listed}); convert them to one rate.")
     return draft
 
 
@@ -116,23 +120,6 @@ def _in_folder(path: Path) -> list[str]:
     if not videos:
         raise InputError(f"folder {path} holds neither videos nor images; check --videos.")
     return videos
-
-
-def _check_sizes(draft: Draft) -> None:
-    for camera in draft.rig:
-        size = draft.sources[camera.name].size
-        if size != camera.size:
-            raise InputError(
-                f"video {draft.paths[camera.name]} is {size[0]}×{size[1]} pixels, but the calibration of camera"
-                f" {camera.name!r} is for {camera.size[0]}×{camera.size[1]}; use the video that was calibrated."
-            )
-
-
-def _check_rates(draft: Draft) -> None:
-    rates = draft.rates
-    if rates and max(rates.values()) - min(rates.values()) > 0.01 * max(rates.values()):
-        listed = ", ".join(f"{name} {rate:g}" for name, rate in rates.items())
-        raise InputError(f"the videos differ in frames per second ({listed}); convert them to one rate.")
 
 
 def session_lines(draft: Draft, folder: Path, stature: float | None) -> str:

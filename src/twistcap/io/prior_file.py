@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from twistcap.arrays import Float
-from twistcap.body.humanoid import humanoid
 from twistcap.errors import InputError
 from twistcap.io.angles import complete_coordinates
 from twistcap.io.files import read_npz, write_npz
-from twistcap.io.motion_files import poses_from_mot, read_mot
+from twistcap.io.motion_files import poses_of_file
 from twistcap.io.result import read_result
 from twistcap.priors import ParzenPrior
 
@@ -109,12 +108,7 @@ def _motion(path: Path) -> Motion:
 
 def _of_mot(path: Path) -> Motion:
     """The file's own joint coordinates, in our signs and order."""
-    table = read_mot(path)
-    body = humanoid(thorax=True, clavicles=True, wrists=True)
-    try:
-        poses, _ = poses_from_mot(table, body)
-    except InputError as error:
-        raise InputError(f"motion {path}: {error}") from error
+    body, table, poses = poses_of_file(path)
     names = complete_coordinates(body, table.columns)
     return names, np.stack([pose.q for pose in poses])[:, [body.coordinate(name) for name in names]]
 

@@ -13,10 +13,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, ValidationInfo, model_validator
 
-from twistcap.arrays import Float
 from twistcap.errors import InputError
 from twistcap.io.files import read_toml
 from twistcap.io.strict import dataclass_from, validated
@@ -118,10 +116,6 @@ class Grid(Table):
 
     scale: tuple[float, float] = (1.0, 1.0)
     offset: tuple[float, float] = (0.0, 0.0)
-
-    def to_video(self, pixels: Float) -> Float:
-        """Detector pixels (..., 2) to video pixels (..., 2)."""
-        return (pixels - np.array(self.offset)) / np.array(self.scale)
 
 
 class KeypointSet(Table):

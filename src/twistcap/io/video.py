@@ -62,7 +62,7 @@ def open_views(
     _check_names(paths, rig)
     sources = tuple(open_source(paths[camera.name]) for camera in rig)
     for source, camera in zip(sources, rig, strict=True):
-        _check_size(source, camera)
+        check_size(source, camera)
     last = _checked_last(sources, first, last)
     if step < 1:
         raise InputError(f"step is {step}; it must be 1 or more.")
@@ -150,7 +150,8 @@ def _check_names(paths: Mapping[str, str | Path], rig: Rig) -> None:
             raise InputError(f"the camera {name!r} is calibrated but has no entry in [videos]; {mend}")
 
 
-def _check_size(source: Source, camera: Camera) -> None:
+def check_size(source: Source, camera: Camera) -> None:
+    """Raises InputError for images of another size than the camera's calibration."""
     if source.size != camera.size:
         raise InputError(
             f"video {source.name} is {source.size[0]}×{source.size[1]} pixels, but the calibration of"

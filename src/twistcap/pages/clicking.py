@@ -19,6 +19,7 @@ from twistcap.body import Body, Pose, Posed, rescaled
 from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
+from twistcap.io.keypoints import clicked
 from twistcap.io.pose_file import write_pose
 from twistcap.io.recording import check_first_pose
 from twistcap.io.session import Session
@@ -135,7 +136,8 @@ class Clicking:
         for name, angle in held.items():
             limits[self.generic.coordinate(name)] = angle
         body, lengths = replace(self.generic, limits=limits), self.session.first_pose.fit_lengths
-        fit = fit_keypoints(body, self.rig, _keypoints(self.clicks, self.rig), fit_lengths=lengths, start=start)
+        rows = {(name, joint): (x, y, 1.0) for name, its in self.clicks.items() for joint, (x, y) in its.items()}
+        fit = fit_keypoints(body, self.rig, clicked(rows, self.rig.names), fit_lengths=lengths, start=start)
         self.proportions = made = fit.proportions
         self.shown = Posed(rescaled(self.generic, made.lengths, made.girths, made.stature), fit.pose)
         return fit
@@ -198,16 +200,6 @@ def clicks_of(keypoints: Keypoints, rig: Rig, joints: tuple[str, ...]) -> Clicks
                 x, y = keypoints.pixels[c, k].tolist()
                 clicks.setdefault(name, {})[joint] = (x, y)
     return clicks
-
-
-def _keypoints(clicks: Clicks, rig: Rig) -> Keypoints:
-    names = tuple(dict.fromkeys(joint for joints in clicks.values() for joint in joints))
-    pixels, confidence = np.full((len(rig), len(names), 2), np.nan), np.zeros((len(rig), len(names)))
-    for camera, joints in clicks.items():
-        for joint, pixel in joints.items():
-            at = rig.names.index(camera), names.index(joint)
-            pixels[at], confidence[at] = pixel, 1.0
-    return Keypoints(names, pixels, confidence)
 
 
 def _camera(camera: Camera, image: UInt8 | None) -> dict[str, Any]:

@@ -32,14 +32,6 @@ _CREASE = 0.02  # a jump by this fraction of the depth between neighbouring pixe
 
 
 @dataclass(frozen=True)
-class Style:
-    """How a body is drawn."""
-
-    opacity: float = 0.5  # of the surface, 0 to 1
-    skeleton: bool = True  # whether bones and joints are drawn
-
-
-@dataclass(frozen=True)
 class Bones:
     """The lines of a skeleton."""
 
@@ -72,7 +64,7 @@ def draw_overlay(
     camera: Camera,
     posed: Posed,
     lost: bool = False,
-    style: Style | None = None,
+    opacity: float = 0.5,
     bones: Bones | None = None,
 ) -> AnyArray:
     """The body drawn over one image.
@@ -82,12 +74,11 @@ def draw_overlay(
         camera: of the image: with distortion for images as recorded, `pinhole()` for rectified ones.
         posed: the body at its pose.
         lost: draw it all in red.
-        style: see `Style`.
+        opacity: of the surface, 0 to 1.
         bones: `bones_of` the body, to save their computation when many images are drawn.
 
     Returns (H, W, 3) uint8 RGB.
     """
-    style = style or Style()
     canvas = _canvas(image, camera)
     pixels, inverse_depth = visible_projection(camera, posed.vertices)
     window = _window(pixels[inverse_depth > 0], camera.size)
@@ -97,10 +88,9 @@ def draw_overlay(
         colours = _shaded(posed, camera, pixels, inverse_depth, face_index, window[0], lost)
         part = _cut(canvas, *window)
         seen = face_index >= 0
-        part[seen] = (part[seen] * (1 - style.opacity) + colours * style.opacity).astype(np.uint8)
+        part[seen] = (part[seen] * (1 - opacity) + colours * opacity).astype(np.uint8)
         _draw_outline(canvas, seen, buffer, window, LOST if lost else _PAPER, width)
-    if style.skeleton:
-        _draw_bones(canvas, camera, bones or bones_of(posed.body), posed, LOST if lost else None, width)
+    _draw_bones(canvas, camera, bones or bones_of(posed.body), posed, LOST if lost else None, width)
     return canvas
 
 
@@ -268,7 +258,7 @@ def draw_mosaic(
     canvas = np.full((mosaic.size[1], mosaic.size[0], 3), _INK, np.uint8)
     for k, (image, camera) in enumerate(zip(frame.images, mosaic.cameras, strict=True)):
         resized = None if image is None else _resized(image, camera.size)
-        view = _canvas(resized, camera) if posed is None else draw_overlay(resized, camera, posed, lost, None, bones)
+        view = _canvas(resized, camera) if posed is None else draw_overlay(resized, camera, posed, lost, bones=bones)
         x, y = mosaic.place(canvas, k, view)
         _label(canvas, camera.name + ("" if image is not None else ": no image"), (x + 8, y + 24))
     state = "no pose" if posed is None else "lost" if lost else ""
