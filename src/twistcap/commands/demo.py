@@ -71,6 +71,7 @@ def _reported(scene: Any, pictures: list[Any], result: Any, folder: Path, timing
     from twistcap.commands import outputs
     from twistcap.evaluate.load import load_reference
     from twistcap.evaluate.reference import compare
+    from twistcap.io.exports import export
     from twistcap.io.synthetic import write_truth
     from twistcap.report import Headline, joint_error_plot
     from twistcap.report.page import headline_rows
@@ -79,7 +80,7 @@ def _reported(scene: Any, pictures: list[Any], result: Any, folder: Path, timing
         write_truth(scene, folder / "truth.npz")
         truth = load_reference(folder / "truth.npz", result.body, lambda rows: result.times[:rows])
         comparison = compare(result, truth, "studio walk")
-        exports = outputs.write_exports(result, ("trc", "csv"), folder)
+        exports = [export(result, kind, folder) for kind in ("trc", "csv")]
         plots = {outputs.write_angle_plot(result, folder, truth): "Joint angles (± 2σ) and the truth, dashed"}
         if errors := comparison.joints:
             plot = joint_error_plot(folder / "joint_errors.png", result.times, errors.names, errors.raw)

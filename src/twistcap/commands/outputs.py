@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +14,20 @@ from twistcap.estimate import Frame
 from twistcap.evaluate.load import Reference
 from twistcap.io.exports import FORMATS, export, format_of
 from twistcap.io.result import Result
+from twistcap.io.session import Session
+from twistcap.io.video import Views
 from twistcap.report import Figure, Headline, angle_plot, overlay_video, write_report
 from twistcap.report.plots import AngleSeries
 
 
-def write_exports(result: Result, kinds: Iterable[str], folder: Path) -> list[Path]:
-    """Each format under its usual name."""
-    return [export(result, kind, folder) for kind in kinds]
+def write_files(result: Result, session: Session, views: Views, folder: Path, title: str) -> list[Path]:
+    """Exports, angle plot and overlay, as the session wants them."""
+    files = [export(result, kind, folder) for kind in session.output.exports]
+    files.append(write_angle_plot(result, folder))
+    if session.output.overlay:
+        shown, fps = replace(views, indices=views.indices[: len(result)]), min(views.fps / session.step, 60.0)
+        files.append(write_overlay(result, shown, views.image_rig, folder, fps, title))
+    return files
 
 
 def write_angle_plot(result: Result, folder: Path, truth: Reference | None = None) -> Path:

@@ -99,9 +99,8 @@ def _session(result: Any, path: Path) -> Any:
 
 
 def _views(session: Any, rig: Any, indices: list[int], path: Path) -> Any:
-    """The frames of the estimates.
-
-    Raises InputError where there are none, some are missing between them, or the videos do not hold them.
+    """The frames of the estimates. Raises InputError where there are none, some are missing between them, or the videos
+    do not hold them.
     """
     from twistcap.io.recording import views_of
 
@@ -157,13 +156,8 @@ def _written(result: Any, refinement: Any, session: Any, views: Any, folder: Pat
         for estimate in refinement.estimates:
             writer.append(estimate)
     with words.status("writing plots, exports and the overlay"):
-        refined = read_result(path)
-        files = [path, *outputs.write_exports(refined, session.output.exports, folder)]
-        files.append(outputs.write_angle_plot(refined, folder))
-        if session.output.overlay:
-            fps, title = min(views.fps / session.step, 60.0), f"{session.title} refined"
-            files.append(outputs.write_overlay(refined, views, views.image_rig, folder, fps, title))
-    return files
+        title = f"{session.title} refined"
+        return [path, *outputs.write_files(read_result(path), session, views, folder, title)]
 
 
 def show(document: dict[str, Any]) -> None:

@@ -42,7 +42,6 @@ class Reference:
 
     def without(self, exclude: Sequence[str]) -> Reference:
         """The reference with flawed stretches unknown, each as ``NAME`` or ``NAME:FIRST-LAST`` (its own row numbers).
-
         Raises InputError for a name it does not have or a range that cannot be read.
         """
         points, angles = self.points.copy(), self.angles.copy()

@@ -263,8 +263,6 @@ def _read_mask(file: Path, camera: Camera) -> AnyArray:
     if (width, height) == camera.size:
         return mask
     if abs(width / height - camera.size[0] / camera.size[1]) > 0.01:
-        raise InputError(
-            f"the mask {file} is {width}×{height} pixels, camera {camera.name!r} {camera.size[0]}×{camera.size[1]}: "
-            "masks must have the shape of the video."
-        )
+        sizes = f"{width}×{height} pixels, camera {camera.name!r} {camera.size[0]}×{camera.size[1]}"
+        raise InputError(f"the mask {file} is {sizes}: masks must have the shape of the video.")
     return cv2.resize(mask, camera.size, interpolation=cv2.INTER_NEAREST)

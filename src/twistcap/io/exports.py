@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -45,9 +46,8 @@ def format_of(name: str) -> ExportFormat:
 
 
 def export(result: Result, name: str, folder: Path, path: Path | None = None) -> Path:
-    """Write a result in the format of a name; returns the file: `path`, or its usual name in the folder.
-
-    Raises InputError for an unknown format, a result without frames, or a file that cannot be written.
+    """Write a result in the format of a name; returns the file: `path`, or its usual name in the folder. Raises
+    InputError for an unknown format, a result without frames, or a file that cannot be written.
     """
     chosen = format_of(name)
     if not len(result):
@@ -60,41 +60,35 @@ def export(result: Result, name: str, folder: Path, path: Path | None = None) ->
     return path
 
 
-def trc() -> ExportFormat:
-    """Landmarks as markers."""
-
-    def write(result: Result, path: Path) -> None:
-        points = np.stack([Posed(result.body, pose).landmarks for pose in result.poses])
-        write_trc(path, result.times, result.body.landmarks.names, points)
-
-    return ExportFormat("joints.trc", "joint centres (OpenSim, Mokka)", write)
-
-
-def mot() -> ExportFormat:
-    """Angles of OpenSim."""
-    return ExportFormat(
-        "angles.mot", "joint angles (OpenSim)", lambda r, path: write_mot(path, r.body, r.times, r.poses)
-    )
-
-
-def bvh() -> ExportFormat:
-    """Skeleton and motion."""
-    about = "skeleton and motion (Blender, MotionBuilder)"
-    return ExportFormat("motion.bvh", about, lambda r, path: write_bvh(path, r.body, r.poses, _rate(r)))
-
-
-def csv() -> ExportFormat:
-    """A table of angles."""
-    about = "joint angles and their standard deviations"
-    return ExportFormat("angles.csv", about, lambda r, path: write_csv(path, r.body, r.estimates))
-
-
-def glb() -> ExportFormat:
-    """An animated skin."""
-    about = "skinned body and motion (any glTF viewer)"
-    return ExportFormat("motion.glb", about, lambda r, path: save_glb(r.body, path, r.poses, _rate(r)))
+def _write_landmarks(result: Result, path: Path) -> None:
+    points = np.stack([Posed(result.body, pose).landmarks for pose in result.poses])
+    write_trc(path, result.times, result.body.landmarks.names, points)
 
 
 def _rate(result: Result) -> float:
     """Frames per second; the median step, so that dropped frames do not count."""
     return float(1.0 / np.median(np.diff(result.times))) if len(result) > 1 else _ALONE_HZ
+
+
+trc = partial(ExportFormat, "joints.trc", "joint centres (OpenSim, Mokka)", _write_landmarks)
+mot = partial(
+    ExportFormat, "angles.mot", "joint angles (OpenSim)", lambda r, path: write_mot(path, r.body, r.times, r.poses)
+)
+bvh = partial(
+    ExportFormat,
+    "motion.bvh",
+    "skeleton and motion (Blender, MotionBuilder)",
+    lambda r, path: write_bvh(path, r.body, r.poses, _rate(r)),
+)
+csv = partial(
+    ExportFormat,
+    "angles.csv",
+    "joint angles and their standard deviations",
+    lambda r, path: write_csv(path, r.body, r.estimates),
+)
+glb = partial(
+    ExportFormat,
+    "motion.glb",
+    "skinned body and motion (any glTF viewer)",
+    lambda r, path: save_glb(r.body, path, r.poses, _rate(r)),
+)

@@ -70,9 +70,8 @@ def read_openpose(
 
 
 def openpose_files(folders: Mapping[str, Path | str], frame: int) -> dict[str, Path]:
-    """The JSON file of a frame in each camera's folder: number `frame` of its files in the order of their names.
-
-    Raises InputError if a folder has fewer JSON files.
+    """The JSON file of a frame in each camera's folder: number `frame` of its files in the order of their names. Raises
+    InputError if a folder has fewer JSON files.
     """
     out: dict[str, Path] = {}
     for camera, folder in folders.items():

@@ -61,9 +61,8 @@ class KeyViewsFile(Table):
 
 
 def read_key_views(path: Path | str) -> tuple[dict[str, KeyView], float | None]:
-    """The key views by role, rectified, and the body line, m, if one is given. Paths are relative to the file.
-
-    Raises InputError for a file, a picture or a camera that is missing or does not fit.
+    """The key views by role, rectified, and the body line, m, if one is given. Paths are relative to the file. Raises
+    InputError for a file, a picture or a camera that is missing or does not fit.
     """
     path = Path(path)
     file, rig = _opened(path)
@@ -87,10 +86,9 @@ class Uncut:
 
 
 def read_uncut(path: Path | str) -> dict[str, Uncut]:
-    """The pictures of the key views by role; only pictures and cameras must be there.
-
-    Raises InputError for a file, a picture or a camera that is missing or does not fit, no picture at all, or a mask
-    that would be written over another picture.
+    """The pictures of the key views by role; only pictures and cameras must be there. Raises InputError for a file, a
+    picture or a camera that is missing or does not fit, no picture at all, or a mask that would be written over another
+    picture.
     """
     path = Path(path)
     file, rig = _opened(path)
@@ -144,9 +142,8 @@ def _silhouette(role: str, entry: ViewEntry, camera: Camera, folder: Path) -> Bo
     if entry.mask is not None:
         return _picture(folder / entry.mask, camera).max(axis=2) > 127
     if entry.image is None or entry.background is None:
-        raise InputError(
-            f"[views.{role}]: give `image` and `background`, or a `mask` (twistcap body silhouettes makes one by hand)."
-        )
+        hint = "twistcap body silhouettes makes one by hand"
+        raise InputError(f"[views.{role}]: give `image` and `background`, or a `mask` ({hint}).")
     return difference_mask(_picture(folder / entry.image, camera), _picture(folder / entry.background, camera))
 
 
@@ -154,9 +151,8 @@ def _picture(path: Path, camera: Camera) -> UInt8:
     image = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if image is None:
         raise InputError(f"{path}: the picture cannot be read.")
-    if (image.shape[1], image.shape[0]) != camera.size:
-        raise InputError(
-            f"{path} is {image.shape[1]}×{image.shape[0]} pixels, but camera {camera.name!r} has"
-            f" {camera.size[0]}×{camera.size[1]}; use pictures of the calibrated size."
-        )
+    if image.shape[1::-1] != camera.size:
+        its, theirs = (f"{width}×{height}" for width, height in (image.shape[1::-1], camera.size))
+        mend = "use pictures of the calibrated size"
+        raise InputError(f"{path} is {its} pixels, but camera {camera.name!r} has {theirs}; {mend}.")
     return np.asarray(image, dtype=np.uint8)

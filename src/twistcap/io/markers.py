@@ -72,9 +72,8 @@ def write_trc(
 
 
 def read_trc(path: Path | str, axes: WorldAxes = "pose2sim") -> Markers:
-    """The markers of a TRC in our world, z up, m. Units mm, cm and m are known.
-
-    Raises InputError if it cannot be read, or a header field or a row is broken, naming it.
+    """The markers of a TRC in our world, z up, m. Units mm, cm and m are known. Raises InputError if it cannot be read,
+    or a header field or a row is broken, naming it.
     """
     check_choice("read_trc: axes", axes, TO_FILE)
     path = Path(path)

@@ -14,9 +14,8 @@ from twistcap.io.video import preparation
 
 
 def read_masks(folder: str | Path, rig: Rig, frame: int) -> tuple[Bool | None, ...]:
-    """One mask (H, W) per camera of the rig for a frame, in the camera's own pixels; None where there is none.
-
-    Raises InputError if no camera has one, or one cannot be read or has another size than the calibration.
+    """One mask (H, W) per camera of the rig for a frame, in the camera's own pixels; None where there is none. Raises
+    InputError if no camera has one, or one cannot be read or has another size than the calibration.
     """
     files = [Path(folder) / camera.name / f"frame_{frame:04d}.png" for camera in rig]
     masks = tuple(_read(file, camera.size) if file.is_file() else None for file, camera in zip(files, rig, strict=True))
@@ -37,8 +36,7 @@ def _read(file: Path, size: tuple[int, int]) -> Bool:
     image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
     if image is None:
         raise InputError(f"mask {file} cannot be read; replace or delete it.")
-    if (image.shape[1], image.shape[0]) != size:
-        raise InputError(
-            f"mask {file} is {image.shape[1]}×{image.shape[0]} pixels, but the calibration is for {size[0]}×{size[1]}."
-        )
+    if image.shape[::-1] != size:
+        its, theirs = (f"{width}×{height}" for width, height in (image.shape[::-1], size))
+        raise InputError(f"mask {file} is {its} pixels, but the calibration is for {theirs}.")
     return np.asarray(image) > 127

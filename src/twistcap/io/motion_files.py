@@ -64,9 +64,8 @@ def write_mot(path: Path | str, body: Body, times: Float, poses: Sequence[Pose],
 
 
 def read_mot(path: Path | str) -> MotionTable:
-    """A MOT or STO table. Angles come in rad; columns of lengths and forces (_tx, force, …) stay as they are.
-
-    Raises InputError if it cannot be read, has no endheader, no time column, or a broken row, naming it.
+    """A MOT or STO table. Angles come in rad; columns of lengths and forces (_tx, force, …) stay as they are. Raises
+    InputError if it cannot be read, has no endheader, no time column, or a broken row, naming it.
     """
     path = Path(path)
     lines = [line.strip() for line in read_lines(path)]

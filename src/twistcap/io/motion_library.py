@@ -20,9 +20,8 @@ def write_library(path: str | Path, library: MotionLibrary) -> Path:
 
 
 def read_library(path: str | Path) -> MotionLibrary:
-    """Read what `write_library` wrote.
-
-    Raises InputError for a file that is missing, is no motion library, or holds what does not fit or is not finite.
+    """Read what `write_library` wrote. Raises InputError for a file that is missing, is no motion library, or holds
+    what does not fit or is not finite.
     """
     data = read_npz(path, "motion library")
     if str(data.get("format", "")) != FORMAT or not data.keys() >= _KEYS:

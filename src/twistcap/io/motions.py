@@ -82,7 +82,6 @@ def write_motion(path: Path | str, body: Body, clip: MotionClip, axes: WorldAxes
 
 def read_skeleton(path: Path | str, skeleton: Path | str | None = None, rate: float = AMC_RATE) -> SkeletonMotion:
     """The motion of a skeleton file as it stands: .bvh, .amc (frames per second: `rate`), .txt or .json of DeepMimic.
-
     Raises InputError as `read_motion`.
     """
     path = Path(path)

@@ -66,9 +66,8 @@ def draft_session(videos: Sequence[str], calibration: Path, unit: Unit | None = 
 
 
 def matched(videos: Sequence[tuple[str | None, str]], cameras: Sequence[str]) -> dict[str, str]:
-    """Path by camera: as said, else the camera whose name the file's or folder's name is or holds.
-
-    Raises InputError for a path that no camera or more than one fits, an unknown camera, or a camera taken twice.
+    """Path by camera: as said, else the camera whose name the file's or folder's name is or holds. Raises InputError
+    for a path that no camera or more than one fits, an unknown camera, or a camera taken twice.
     """
     paths: dict[str, str] = {}
     for said, path in videos:

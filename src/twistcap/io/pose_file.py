@@ -31,9 +31,8 @@ def write_pose(path: str | Path, body: Body, pose: Pose, proportions: Proportion
 
 
 def read_proportions(path: str | Path) -> Proportions | None:
-    """The ``"proportions"`` that a pose file holds; None where it holds none or is no such file.
-
-    Raises InputError for proportions that are no finite numbers.
+    """The ``"proportions"`` that a pose file holds; None where it holds none or is no such file. Raises InputError for
+    proportions that are no finite numbers.
     """
     path = Path(path)
     if path.suffix.lower() != ".json" or not path.is_file():

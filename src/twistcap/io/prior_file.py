@@ -28,9 +28,8 @@ def write_prior(path: str | Path, prior: ParzenPrior) -> Path:
 
 
 def read_prior(path: str | Path) -> ParzenPrior:
-    """Read what `write_prior` wrote.
-
-    Raises InputError for a file that is missing, is no prior, or holds numbers that are not finite.
+    """Read what `write_prior` wrote. Raises InputError for a file that is missing, is no prior, or holds numbers that
+    are not finite.
     """
     data = read_npz(path, "prior")
     if str(data.get("format", "")) != FORMAT or not {"names", "samples", "sigma", "scale"} <= data.keys():
@@ -73,9 +72,8 @@ def trained_prior(
 
 
 def adjusted(prior: ParzenPrior, sigma: float | None, scale: Mapping[str, float] | None) -> ParzenPrior:
-    """A prior with another width or scales; new scales without a width take the paper's rule again.
-
-    Raises InputError for a scale of a coordinate that the prior does not have.
+    """A prior with another width or scales; new scales without a width take the paper's rule again. Raises InputError
+    for a scale of a coordinate that the prior does not have.
     """
     if sigma is None and not scale:
         return prior

@@ -25,7 +25,7 @@ from twistcap.io.keypoints import openpose_files, read_clicks, read_openpose
 from twistcap.io.masks import read_masks, rectified_masks
 from twistcap.io.plausible import check_plausible, check_upright
 from twistcap.io.pose_file import body_at, read_pose
-from twistcap.io.session import CameraGrid, FirstPoseTable, GlbBody, HumanoidBody, KeypointSet, Session
+from twistcap.io.session import CameraGrid, GlbBody, HumanoidBody, KeypointSet, Session
 from twistcap.io.video import Views, open_views
 
 
@@ -46,9 +46,8 @@ class Recording:
 
 
 def open_recording(session: Session) -> Recording:
-    """Read everything a session names and check that it is possible.
-
-    Raises InputError: whatever is missing, malformed or impossible, in one sentence.
+    """Read everything a session names and check that it is possible. Raises InputError: whatever is missing, malformed
+    or impossible, in one sentence.
     """
     rig = rig_of(session)
     views = views_of(session, rig)
@@ -57,9 +56,8 @@ def open_recording(session: Session) -> Recording:
 
 
 def open_together(sessions: Sequence[Session]) -> list[Recording]:
-    """Recordings of one person: the body of the first, and its lengths, hold in all others.
-
-    Raises InputError as `open_recording`, or where a later session has another kind of body.
+    """Recordings of one person: the body of the first, and its lengths, hold in all others. Raises InputError as
+    `open_recording`, or where a later session has another kind of body.
     """
     first = open_recording(sessions[0])
     out = [first]
@@ -86,10 +84,8 @@ def rig_of(session: Session) -> Rig:
     use = session.cameras.use or rig.names
     for name in use:
         if name not in rig.names:
-            raise InputError(
-                f"[cameras] use names {name!r}, which {session.cameras.calibration} does not hold;"
-                f" it has {', '.join(rig.names)}."
-            )
+            missing = f"which {session.cameras.calibration} does not hold; it has {', '.join(rig.names)}"
+            raise InputError(f"[cameras] use names {name!r}, {missing}.")
     for name in session.cameras.grid:
         if name not in use:
             raise InputError(f"[cameras.grid] names {name!r}, which is not in use; remove it.")
@@ -140,7 +136,7 @@ def body_of(session: Session) -> Body:
 
 def first_pose_of(session: Session, rig: Rig, body: Body, views: Views) -> tuple[Body, Pose]:
     """Body (at the fitted lengths and girths) and pose of the first frame, checked against floor and cameras."""
-    start = _Start.of(session, rig, body)
+    start = _start(session, rig, body)
     first = views.indices[0]
     check_first_pose(session, rig, start.body, start.at(first))
     start = _with_girths(session, rig, start)
@@ -173,28 +169,23 @@ class _Start:
     def at(self, frame: float) -> Pose:
         return self.poses[0] if len(self.poses) == 1 else pose_at(self.poses, self.frames, frame)
 
-    @staticmethod
-    def of(session: Session, rig: Rig, body: Body) -> _Start:
-        table, first = session.first_pose, float((session.frames or (0, 0))[0])
-        if table.file is not None:
-            body = body_at(table.file, body)
-            return _Start(body, (first,), (read_pose(table.file, body, table.frame),))
-        if table.clicks is not None:
-            fit = fit_keypoints(body, rig, read_clicks(table.clicks, rig.names), fit_lengths=table.fit_lengths)
-            return _Start(fit.body, (first,), (fit.pose,))
-        return _from_keypoints(table, rig, body)
 
-
-def _from_keypoints(table: FirstPoseTable, rig: Rig, body: Body) -> _Start:
-    """One fit over the instants near the first frame and those that only serve the lengths."""
+def _start(session: Session, rig: Rig, body: Body) -> _Start:
+    """From a file, from clicks, or one fit over instants near the first frame and those that only serve the lengths."""
+    table, first = session.first_pose, float((session.frames or (0, 0))[0])
+    if table.file is not None:
+        body = body_at(table.file, body)
+        return _Start(body, (first,), (read_pose(table.file, body, table.frame),))
+    if table.clicks is not None:
+        fit = fit_keypoints(body, rig, read_clicks(table.clicks, rig.names), fit_lengths=table.fit_lengths)
+        return _Start(fit.body, (first,), (fit.pose,))
     assert table.keypoints is not None
     own = keypoints_of(table.keypoints, rig)
     instants, rigs = list(own), [rig] * len(own)
     for extra in table.lengths_from:
-        their_rig = read_rig(extra.calibration, extra.unit) if extra.calibration else rig
-        more = keypoints_of(extra, their_rig)
-        instants += more
-        rigs += [their_rig] * len(more)
+        theirs = read_rig(extra.calibration, extra.unit) if extra.calibration else rig
+        instants += keypoints_of(extra, theirs)
+        rigs += [theirs] * (len(instants) - len(rigs))
     fits = fit_keypoints_sequence(body, rigs, instants, fit_lengths=table.fit_lengths)[: len(own)]
     frames = tuple(number + table.keypoints.offset for number in table.keypoints.frames)
     return _Start(fits[0].body, frames, tuple(fit.pose for fit in fits))

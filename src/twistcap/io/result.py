@@ -83,20 +83,20 @@ class Result:
     @cached_property
     def estimates(self) -> tuple[Estimate, ...]:
         """The frames as the tracker gave them."""
-        return tuple(self._estimate(n) for n in range(len(self)))
-
-    def _estimate(self, n: int) -> Estimate:
-        return Estimate(
-            index=int(self.indices[n]),
-            time=float(self.times[n]),
-            pose=self.poses[n],
-            covariance=self.covariances[n],
-            energies={k: float(v[n]) for k, v in self.energies.items() if np.isfinite(v[n])},
-            status=self.statuses[n],
-            iterations=int(self.iterations[n]),
-            lost=bool(self.lost[n]),
-            support=float(self.support[n]),
-            predicted=self.predicted[n],
+        return tuple(
+            Estimate(
+                index=int(self.indices[n]),
+                time=float(self.times[n]),
+                pose=pose,
+                covariance=self.covariances[n],
+                energies={k: float(v[n]) for k, v in self.energies.items() if np.isfinite(v[n])},
+                status=self.statuses[n],
+                iterations=int(self.iterations[n]),
+                lost=bool(self.lost[n]),
+                support=float(self.support[n]),
+                predicted=self.predicted[n],
+            )
+            for n, pose in enumerate(self.poses)
         )
 
 
@@ -189,9 +189,8 @@ class ResultWriter:
 
 
 def read_result(path: str | Path) -> Result:
-    """Read a result file, finished or not: all frames that are complete.
-
-    Raises InputError for a file that is missing, no HDF5, no result or of a newer format.
+    """Read a result file, finished or not: all frames that are complete. Raises InputError for a file that is missing,
+    no HDF5, no result or of a newer format.
     """
     with _opened(path, "r") as file:
         _check_format(path, file)
@@ -219,7 +218,6 @@ def read_result(path: str | Path) -> Result:
 
 def read_state(path: str | Path) -> tuple[int, UInt8] | None:
     """The latest state that is whole: how many frames had been written, and its bytes (N,); None where there is none.
-
     Raises InputError as `read_result`.
     """
     with _opened(path, "r") as file:

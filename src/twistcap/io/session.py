@@ -231,9 +231,8 @@ class Session(Table):
 
     @property
     def pose_prior(self) -> ParzenPrior | None:
-        """What ``[prior]`` names, read.
-
-        Raises InputError for a file that is no prior, or a scale of a coordinate that it has not learnt.
+        """What ``[prior]`` names, read. Raises InputError for a file that is no prior, or a scale of a coordinate that
+        it has not learnt.
         """
         if self.prior is None:
             return None
@@ -262,15 +261,18 @@ def load_session(path: str | Path, overrides: Mapping[str, Any] | None = None) -
     data = _expanded(_with_base(read_toml(path, "session"), path), path)
     for key, value in (overrides or {}).items():
         if value is not None:
-            _set(data, key.split("."), value)
+            *above, last = key.split(".")
+            table = data
+            for name in above:
+                table = table.setdefault(name, {})
+            table[last] = value
     if "body" in data and isinstance(data["body"], dict):
         data["body"].setdefault("kind", "humanoid")
     folder = path.parent / str(data.get("data", "."))
     session: Session = validated(Session, data, str(path), {"folder": folder})
     session.remember(str(path))
     tracker_settings(session.tracker, str(path))
-    _check_predictor(session, str(path))
-    _check_method(session, str(path))
+    _check_fitting(session, str(path))
     return session
 
 
@@ -281,28 +283,19 @@ def tracker_settings(table: Mapping[str, Any], source: str) -> Settings:
     return dataclass_from(Settings, table, source, "tracker")
 
 
-def _check_predictor(session: Session, source: str) -> None:
-    """Motion predicts where ``[motions]`` names a library, and only there."""
-    predictor = session.tracker.get("predictor")
+def _check_fitting(session: Session, source: str) -> None:
+    """Motion predicts where ``[motions]`` names a library, and only there; brightness alone takes nothing learnt."""
+    method, predictor = session.tracker.get("method"), session.tracker.get("predictor")
     if session.motions is not None and predictor not in (None, "motion"):
-        raise InputError(
-            f"{source}: [motions] makes motion the predictor, but tracker.predictor is {predictor!r}; remove one."
-        )
+        both = f"[motions] makes motion the predictor, but tracker.predictor is {predictor!r}"
+        raise InputError(f"{source}: {both}; remove one.")
     if session.motions is None and predictor == "motion":
-        raise InputError(
-            f"{source}: tracker.predictor is 'motion', but no [motions] names a library; give its path there, of"
-            " twistcap motions build."
-        )
-
-
-def _check_method(session: Session, source: str) -> None:
-    """The differential method takes neither a pose prior nor training motion."""
-    given = [name for name in ("prior", "motions") if getattr(session, name) is not None]
-    if session.tracker.get("method") == "differential" and given:
-        tables = " and ".join(f"[{name}]" for name in given)
-        raise InputError(
-            f"{source}: tracker.method 'differential' uses brightness alone; remove {tables}, or choose 'direct'."
-        )
+        lacks = "tracker.predictor is 'motion', but no [motions] names a library"
+        raise InputError(f"{source}: {lacks}; give its path there, of twistcap motions build.")
+    tables = " and ".join(f"[{name}]" for name in ("prior", "motions") if getattr(session, name) is not None)
+    if method == "differential" and tables:
+        alone = "tracker.method 'differential' uses brightness alone"
+        raise InputError(f"{source}: {alone}; remove {tables}, or choose 'direct'.")
 
 
 def _with_base(data: dict[str, Any], path: Path) -> dict[str, Any]:
@@ -321,15 +314,12 @@ def _without_replaced(below: dict[str, Any], above: dict[str, Any]) -> dict[str,
     """Less what the session above puts in its place: a body of another kind, another source of the first pose."""
     out = dict(below)
     body, pose = above.get("body"), above.get("first_pose")
-    if isinstance(body, dict) and isinstance(out.get("body"), dict) and _kind(body) != _kind(out["body"]):
+    kinds = {table.get("kind", "humanoid") for table in (body, out.get("body")) if isinstance(table, dict)}
+    if len(kinds) > 1:
         del out["body"]
     if isinstance(pose, dict) and isinstance(out.get("first_pose"), dict) and any(name in pose for name in _SOURCES):
         out["first_pose"] = {k: v for k, v in out["first_pose"].items() if k not in (*_SOURCES, "lengths_from")}
     return out
-
-
-def _kind(body: dict[str, Any]) -> Any:
-    return body.get("kind", "humanoid")
 
 
 def _merged(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
@@ -343,21 +333,14 @@ def _expanded(value: Any, path: Path) -> Any:
         return {key: _expanded(item, path) for key, item in value.items()}
     if isinstance(value, list):
         return [_expanded(item, path) for item in value]
-    return (
-        re.sub(r"\$\{(\w+)(?::-([^}]*))?\}", lambda m: _variable(m, path), value) if isinstance(value, str) else value
-    )
+    if isinstance(value, str):
+        return re.sub(r"\$\{(\w+)(?::-([^}]*))?\}", lambda match: _variable(match, path), value)
+    return value
 
 
 def _variable(match: re.Match[str], path: Path) -> str:
     value = os.environ.get(match[1]) or match[2]
     if value is None:
-        raise InputError(
-            f"{path}: the environment variable {match[1]} is not set; set it, or write ${{{match[1]}:-default}}."
-        )
+        mend = f"set it, or write ${{{match[1]}:-default}}"
+        raise InputError(f"{path}: the environment variable {match[1]} is not set; {mend}.")
     return value
-
-
-def _set(data: dict[str, Any], keys: list[str], value: Any) -> None:
-    for key in keys[:-1]:
-        data = data.setdefault(key, {})
-    data[keys[-1]] = value

@@ -53,9 +53,8 @@ class VideoSource:
         return image.shape[1], image.shape[0]
 
     def read(self, indices: Sequence[int]) -> Iterator[UInt8]:
-        """RGB images (H, W, 3) of ascending frame numbers.
-
-        Raises InputError at the first frame that cannot be decoded; frames before it have been given.
+        """RGB images (H, W, 3) of ascending frame numbers. Raises InputError at the first frame that cannot be decoded;
+        frames before it have been given.
         """
         if len(indices) == 0:
             return
@@ -136,9 +135,8 @@ class ImageSource:
         return image.shape[1], image.shape[0]
 
     def read(self, indices: Sequence[int]) -> Iterator[UInt8 | None]:
-        """RGB images (H, W, 3) by frame number; None where the file is absent.
-
-        Raises InputError at the first image that cannot be read or has another size than the first.
+        """RGB images (H, W, 3) by frame number; None where the file is absent. Raises InputError at the first image
+        that cannot be read or has another size than the first.
         """
         for index in indices:
             file = self._files[index]

@@ -24,9 +24,8 @@ def unknown_key(source: str, key: str, table: str, valid: Iterable[str]) -> Inpu
 
 
 def validated(model: type[BaseModel], data: Mapping[str, Any], source: str, context: Mapping[str, Any]) -> Any:
-    """`model` made from `data`.
-
-    Raises InputError for the first thing wrong, with the key, the file and what would be right.
+    """`model` made from `data`. Raises InputError for the first thing wrong, with the key, the file and what would be
+    right.
     """
     try:
         return model.model_validate(data, context=dict(context))

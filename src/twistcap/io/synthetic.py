@@ -100,8 +100,7 @@ def _pose_arrays(body: Body, poses: Sequence[Pose]) -> dict[str, AnyArray]:
 def _check_drops(config: StudioConfig, images: Images) -> None:
     if images == "video" and config.dropped:
         raise InputError("studio: a video cannot say which frames were dropped; write PNG images instead.")
-    ends = [config.is_dropped(k, c) for k in (0, config.frames - 1) for c in range(config.views)]
-    if any(ends):
+    if any(config.is_dropped(k, c) for k in (0, config.frames - 1) for c in range(config.views)):
         raise InputError("studio: a written session needs its first and last frame; drop frames between them.")
 
 

@@ -26,9 +26,8 @@ Source = VideoSource | ImageSource
 
 
 def open_source(path: str | Path) -> Source:
-    """A video file, a printf pattern (``cam01/%04d.png``), a glob or a folder of images.
-
-    Raises InputError where there is no such file or no image matches.
+    """A video file, a printf pattern (``cam01/%04d.png``), a glob or a folder of images. Raises InputError where there
+    is no such file or no image matches.
     """
     text = str(path)
     if "%" in text or any(c in text for c in "*?") or Path(text).is_dir():
@@ -153,11 +152,10 @@ def _check_names(paths: Mapping[str, str | Path], rig: Rig) -> None:
 def check_size(source: Source, camera: Camera) -> None:
     """Raises InputError for images of another size than the camera's calibration."""
     if source.size != camera.size:
-        raise InputError(
-            f"video {source.name} is {source.size[0]}×{source.size[1]} pixels, but the calibration of"
-            f" camera {camera.name!r} is for {camera.size[0]}×{camera.size[1]};"
-            " use the video that was calibrated, or calibrate for this size."
-        )
+        its, theirs = (f"{width}×{height}" for width, height in (source.size, camera.size))
+        mend = "use the video that was calibrated, or calibrate for this size"
+        is_for = f"but the calibration of camera {camera.name!r} is for {theirs}"
+        raise InputError(f"video {source.name} is {its} pixels, {is_for}; {mend}.")
 
 
 def _checked_last(sources: Sequence[Source], first: int, last: int | None) -> int:

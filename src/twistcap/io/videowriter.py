@@ -21,9 +21,8 @@ class VideoWriter:
     """
 
     def __init__(self, path: str | Path, fps: float, crf: int = 18) -> None:
-        """`crf` is x264's quality: 0 lossless in all but chroma, 18 hardly visible, 23 small.
-
-        Raises InputError where the file cannot be written.
+        """`crf` is x264's quality: 0 lossless in all but chroma, 18 hardly visible, 23 small. Raises InputError where
+        the file cannot be written.
         """
         self.path = Path(path)
         self._fps, self._crf = fps, crf

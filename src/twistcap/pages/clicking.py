@@ -84,9 +84,8 @@ class Clicking:
         }
 
     def fit(self, question: Mapping[str, Any]) -> dict[str, Any]:
-        """Fit the body to ``{"clicks": {camera: {joint: [x, y]}}, "held": {coordinate: degrees}}``.
-
-        Raises InputError for an unknown camera, joint or coordinate, a number that is not finite, or too few clicks.
+        """Fit the body to ``{"clicks": {camera: {joint: [x, y]}}, "held": {coordinate: degrees}}``. Raises InputError
+        for an unknown camera, joint or coordinate, a number that is not finite, or too few clicks.
         """
         self.clicks = self._checked_clicks(question.get("clicks"))
         held = self._checked_angles(question.get("held") or {})
@@ -98,9 +97,8 @@ class Clicking:
         return {**self._state(), "residual_px": residual, "rejected": [list(pair) for pair in fit.rejected]}
 
     def slide(self, question: Mapping[str, Any]) -> dict[str, Any]:
-        """Set joint angles without a fit: ``{"held": {coordinate: degrees}}``.
-
-        Raises InputError as `fit`; before a first fit.
+        """Set joint angles without a fit: ``{"held": {coordinate: degrees}}``. Raises InputError as `fit`; before a
+        first fit.
         """
         if self.shown is None:
             raise InputError("there is no pose to change yet; click a handful of joints in two views first.")
@@ -111,9 +109,8 @@ class Clicking:
         return self._state()
 
     def save(self, question: Mapping[str, Any]) -> dict[str, Any]:
-        """Write pose or clicks, after the checks that the tracker would make.
-
-        Raises InputError before a first fit, for a pose that cannot be true, or a file that cannot be written.
+        """Write pose or clicks, after the checks that the tracker would make. Raises InputError before a first fit, for
+        a pose that cannot be true, or a file that cannot be written.
         """
         if self.shown is None:
             raise InputError("there is nothing to save yet; click a handful of joints in two views first.")

@@ -84,9 +84,8 @@ class Cutting:
         return {"view": role, "outline": outline(mask), "fraction": fraction, "cut": role in self.masks}
 
     def save(self, question: Mapping[str, Any]) -> dict[str, Any]:
-        """Write the masks of all views that were drawn on.
-
-        Raises InputError where none was, or a file cannot be written.
+        """Write the masks of all views that were drawn on. Raises InputError where none was, or a file cannot be
+        written.
         """
         del question
         with self._lock:

@@ -38,9 +38,8 @@ def detector(name: str) -> Detector:
 
 
 def detected(name: str, images: Sequence[UInt8], rig: Rig) -> Keypoints:
-    """What a detector finds, its shapes and numbers checked.
-
-    Raises InputError as `detector`; for an answer that is no `Keypoints` of this rig.
+    """What a detector finds, its shapes and numbers checked. Raises InputError as `detector`; for an answer that is no
+    `Keypoints` of this rig.
     """
     offered = detector(name)(images, rig)
     if not isinstance(offered, Keypoints):

@@ -43,17 +43,15 @@ def write_page(
     after = {line["metric"] + line["unit"]: line for line in rows if line["case"] == f"{title}, after"}
     mean, iou = after["surface to silhouette, meanmm"], after["IoU with the segmentation"]
     changed = ", ".join(f"{name} {factor:.3f}" for name, factor in factors.items())
+    headlines = [
+        Headline("surface to silhouette, mean", number(mean["value"]), "mm"),
+        Headline("IoU with the tracker's segmentation", number(iou["value"])),
+    ]
+    lead = "Lengths, girths, cross-sections and a smooth offset of the surface, fitted to the edges in all views."
+    figures = [Figure(path, f"The body {path.stem} the fit.") for path in pictures]
     texts = ("the fitted body", "the pose of the first frame", "the session with both")
+    links, notes = dict(zip(files, texts, strict=False)), [f"Factors relative to the given body: {changed}."]
+    heading = f"Body fitted to {title}"
     return write_report(
-        folder,
-        f"Body fitted to {title}",
-        rows,
-        lead="Lengths, girths, cross-sections and a smooth offset of the surface, fitted to the edges in all views.",
-        headlines=[
-            Headline("surface to silhouette, mean", number(mean["value"]), "mm"),
-            Headline("IoU with the tracker's segmentation", number(iou["value"])),
-        ],
-        figures=[Figure(path, f"The body {path.stem} the fit.") for path in pictures],
-        files=dict(zip(files, texts, strict=False)),
-        notes=[f"Factors relative to the given body: {changed}."],
+        folder, heading, rows, lead=lead, headlines=headlines, figures=figures, files=links, notes=notes
     )

@@ -7,39 +7,11 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
+from importlib import resources
 from pathlib import Path
 from urllib.parse import quote
 
 from twistcap.evaluate.metrics import Row
-
-_CSS = """
-:root { --ink: #1b2430; --soft: #5d6875; --line: #e3e7ec; --good: #1a7f4b; --bad: #c62f35; --card: #f6f8fa; }
-* { box-sizing: border-box; }
-body { margin: 0 auto; max-width: 1180px; padding: 2.2rem 1.4rem 3rem; color: var(--ink); background: #fff;
-  font: 15px/1.55 system-ui, -apple-system, "Segoe UI", Roboto, "DejaVu Sans", sans-serif; }
-h1 { font-size: 1.7rem; line-height: 1.2; margin: 0; }
-h2 { font-size: 1.1rem; margin: 2.4rem 0 .8rem; }
-p.lead { color: var(--soft); margin: .4rem 0 1.6rem; max-width: 75ch; }
-.cards { display: grid; gap: .8rem; grid-template-columns: repeat(auto-fit, minmax(165px, 1fr)); }
-.card { background: var(--card); border: 1px solid var(--line); border-radius: 10px; padding: .8rem 1rem; }
-.card b { display: block; font-size: 1.6rem; line-height: 1.25; font-variant-numeric: tabular-nums; }
-.card b small { font-size: .95rem; font-weight: 500; color: var(--soft); }
-.card span { color: var(--soft); font-size: .88rem; }
-.good b, td.good { color: var(--good); } .bad b, td.bad { color: var(--bad); }
-video, img { display: block; width: 100%; height: auto; border-radius: 10px; border: 1px solid var(--line); }
-video { background: #14181f; }
-figure { margin: 0 0 1.4rem; } figcaption { color: var(--soft); font-size: .88rem; margin-top: .4rem; }
-.scroll { overflow-x: auto; }
-table { border-collapse: collapse; width: 100%; font-size: .92rem; }
-th { text-align: left; color: var(--soft); font-weight: 600; }
-th, td { padding: .35rem .7rem; border-bottom: 1px solid var(--line); vertical-align: top; }
-td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
-code { background: var(--card); border-radius: 4px; padding: .1em .35em; font-size: .88em; overflow-wrap: anywhere; }
-ul { padding-left: 1.2rem; } li { margin: .2rem 0; }
-footer { margin-top: 2.4rem; border-top: 1px solid var(--line); padding-top: 1rem; color: var(--soft);
-  font-size: .88rem; }
-@media print { body { max-width: none; padding: 0; } video { display: none; } }
-"""
 
 METHODS = (
     "T. Brox, B. Rosenhahn and D. Cremers: Contours, Optic Flow, and Prior Knowledge: Cues for Capturing 3D Human "
@@ -114,8 +86,9 @@ def write_report(
         f"<footer>{cite}<ul>{papers}</ul></footer>",
     ]
     path = folder / "report.html"
+    css = (resources.files("twistcap.report") / "report.css").read_text(encoding="utf-8")
     head = '<meta charset="utf-8">\n<meta name="viewport" content="width=device-width, initial-scale=1">'
-    head += f"\n<title>{escape(title)}</title>\n<style>{_CSS}</style>"
+    head += f"\n<title>{escape(title)}</title>\n<style>\n{css}</style>"
     body = "\n".join(part for part in parts if part)
     text = f'<!doctype html>\n<html lang="en">\n<head>\n{head}\n</head>\n<body>\n{body}\n</body>\n</html>\n'
     path.write_text(text, encoding="utf-8")
