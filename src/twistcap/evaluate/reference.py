@@ -127,7 +127,10 @@ def compare(result: Result, truth: Reference, case: str, source: str = "the refe
         rows += _angle_rows(case, coordinates) + _honesty_rows(case, result, coordinates)
     if joints:
         lost = [int(i) for i in np.asarray(result.indices)[metrics.lost_frames(joints.raw)]]
-        rows += _joint_rows(case, joints, len(lost))
+        rows += _summary(case, "joints", joints.raw, "", "mm")
+        rows += _summary(case, "joints", joints.offset_removed, ", offset removed", "mm")
+        rows.append(row(case, "lost frames, by the reference", float(len(lost)), "frames", lost=len(lost)))
+        rows.append(row(case, "lost sequence", float(metrics.lost_sequence(joints.raw)), "of 1"))
     rows.append(row(case, "lost frames, by the tracker itself", float(np.sum(result.lost)), "frames"))
     return Evaluation(case, rows, joints, coordinates, lost_frames=lost, notes=truth.notes)
 
@@ -182,15 +185,6 @@ def _angle_rows(case: str, errors: Errors) -> list[Row]:
             rows.append(row(case, f"KHE{what}", metrics.khe_deg(values, errors.names), "deg"))
         rows += _summary(case, "angles", np.abs(values), what, "deg")
     return rows
-
-
-def _joint_rows(case: str, errors: Errors, lost: int) -> list[Row]:
-    return [
-        *_summary(case, "joints", errors.raw, "", "mm"),
-        *_summary(case, "joints", errors.offset_removed, ", offset removed", "mm"),
-        row(case, "lost frames, by the reference", float(lost), "frames", lost=lost),
-        row(case, "lost sequence", float(metrics.lost_sequence(errors.raw)), "of 1"),
-    ]
 
 
 def _summary(case: str, noun: str, values: Float, what: str, unit: str) -> list[Row]:

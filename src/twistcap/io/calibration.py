@@ -34,9 +34,12 @@ def read_rig(path: str | Path, unit: Unit | None = None) -> Rig:
     """
     path = Path(path)
     tables = read_toml(path, "calibration", "check [cameras] calibration")
-    scale = _TO_METRES[_unit(path, tables, unit)]
+    metadata = tables.get("metadata", {})
+    given = unit or (metadata.get("unit") if isinstance(metadata, dict) else None) or "m"
+    if given not in _TO_METRES:
+        raise InputError(f"calibration {path}: the unit {given!r} is unknown; write 'm' or 'mm'.")
     cameras = tuple(
-        _camera(f"calibration {path}, camera {key!r}", key, table, scale)
+        _camera(f"calibration {path}, camera {key!r}", key, table, _TO_METRES[given])
         for key, table in tables.items()
         if key != "metadata" and isinstance(table, dict) and any(field in table for field in _FIELDS)
     )
@@ -55,14 +58,6 @@ def write_rig(rig: Rig, path: str | Path) -> None:
     """Write a rig so that `read_rig`, Pose2Sim and aniposelib read it; metres."""
     tables = [_table(camera) for camera in rig]
     Path(path).write_text("\n".join([*tables, '[metadata]\nunit = "m"\nadjusted = false\nerror = 0.0\n']))
-
-
-def _unit(path: Path, tables: Mapping[str, Any], asked: str | None) -> str:
-    metadata = tables.get("metadata", {})
-    unit = asked or (metadata.get("unit") if isinstance(metadata, dict) else None) or "m"
-    if unit not in _TO_METRES:
-        raise InputError(f"calibration {path}: the unit {unit!r} is unknown; write 'm' or 'mm'.")
-    return str(unit)
 
 
 def _camera(where: str, key: str, table: Mapping[str, Any], scale: float) -> Camera:

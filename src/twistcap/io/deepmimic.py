@@ -59,16 +59,13 @@ def _joints(path: Path) -> list[dict[str, Any]]:
     content = _table(path)
     try:
         joints: list[dict[str, Any]] = content["Skeleton"]["Joints"]
-        bad = next((j["Name"] for s, j in enumerate(joints) if s and not _fits(j, s)), None)
+        known = [j["Type"] in _WIDTHS and 0 <= int(j["Parent"]) < s for s, j in enumerate(joints[1:], start=1)]
+        bad = [j["Name"] for j, good in zip(joints[1:], known, strict=True) if not good]
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: not a DeepMimic skeleton (no Skeleton, Joints).") from error
-    if bad is not None:
-        raise InputError(f"{path}: joint {bad!r} has an unknown type or comes before its parent.")
+    if bad:
+        raise InputError(f"{path}: joint {bad[0]!r} has an unknown type or comes before its parent.")
     return joints
-
-
-def _fits(joint: dict[str, Any], number: int) -> bool:
-    return joint["Type"] in _WIDTHS and 0 <= int(joint["Parent"]) < number
 
 
 def _rows(path: Path, content: dict[str, Any], width: int) -> Float:

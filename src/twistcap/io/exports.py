@@ -71,24 +71,10 @@ def _rate(result: Result) -> float:
 
 
 trc = partial(ExportFormat, "joints.trc", "joint centres (OpenSim, Mokka)", _write_landmarks)
-mot = partial(
-    ExportFormat, "angles.mot", "joint angles (OpenSim)", lambda r, path: write_mot(path, r.body, r.times, r.poses)
-)
-bvh = partial(
-    ExportFormat,
-    "motion.bvh",
-    "skeleton and motion (Blender, MotionBuilder)",
-    lambda r, path: write_bvh(path, r.body, r.poses, _rate(r)),
-)
-csv = partial(
-    ExportFormat,
-    "angles.csv",
-    "joint angles and their standard deviations",
-    lambda r, path: write_csv(path, r.body, r.estimates),
-)
-glb = partial(
-    ExportFormat,
-    "motion.glb",
-    "skinned body and motion (any glTF viewer)",
-    lambda r, path: save_glb(r.body, path, r.poses, _rate(r)),
-)
+mot = partial(ExportFormat, "angles.mot", "joint angles (OpenSim)", lambda r, p: write_mot(p, r.body, r.times, r.poses))
+bvh = partial(ExportFormat, "motion.bvh", "skeleton and motion (Blender, MotionBuilder)",
+              lambda r, p: write_bvh(p, r.body, r.poses, _rate(r)))  # fmt: skip
+csv = partial(ExportFormat, "angles.csv", "joint angles and their standard deviations",
+              lambda r, p: write_csv(p, r.body, r.estimates))  # fmt: skip
+glb = partial(ExportFormat, "motion.glb", "skinned body and motion (any glTF viewer)",
+              lambda r, p: save_glb(r.body, p, r.poses, _rate(r)))  # fmt: skip

@@ -127,8 +127,14 @@ def _uncut(role: str, entry: ViewEntry, rig: Rig, path: Path) -> Uncut:
 
 def _view(role: str, entry: ViewEntry, rig: Rig, folder: Path) -> KeyView:
     camera = _camera(role, entry, rig)
-    rectify = Rectifier(camera)
-    mask = rectify(_silhouette(role, entry, camera, folder).astype("uint8"), nearest=True) > 0
+    if entry.mask is not None:
+        silhouette = _picture(folder / entry.mask, camera).max(axis=2) > 127
+    elif entry.image is not None and entry.background is not None:
+        silhouette = difference_mask(*(_picture(folder / path, camera) for path in (entry.image, entry.background)))
+    else:
+        hint = "twistcap body silhouettes makes one by hand"
+        raise InputError(f"[views.{role}]: give `image` and `background`, or a `mask` ({hint}).")
+    mask = Rectifier(camera)(silhouette.astype("uint8"), nearest=True) > 0
     return KeyView(role, camera.pinhole(), one_person(mask))
 
 
@@ -136,15 +142,6 @@ def _camera(role: str, entry: ViewEntry, rig: Rig) -> Camera:
     if entry.camera not in rig.names:
         raise InputError(f"[views.{role}]: camera {entry.camera!r} is not in the calibration ({', '.join(rig.names)}).")
     return rig[rig.names.index(entry.camera)]
-
-
-def _silhouette(role: str, entry: ViewEntry, camera: Camera, folder: Path) -> Bool:
-    if entry.mask is not None:
-        return _picture(folder / entry.mask, camera).max(axis=2) > 127
-    if entry.image is None or entry.background is None:
-        hint = "twistcap body silhouettes makes one by hand"
-        raise InputError(f"[views.{role}]: give `image` and `background`, or a `mask` ({hint}).")
-    return difference_mask(_picture(folder / entry.image, camera), _picture(folder / entry.background, camera))
 
 
 def _picture(path: Path, camera: Camera) -> UInt8:

@@ -139,7 +139,8 @@ def _even_rate(path: Path, times: Float) -> float:
 
 def _carried(source: Body, clip: MotionClip, body: Body, scale: float | None) -> MotionClip:
     """Coordinates as they are where the body has all that move, about the same axes; else by retargeting."""
-    moving = [k for k in range(len(clip.names)) if np.any(clip.q[:, k]) and _concerns(source, k, body)]
+    common = np.array([name in body.segment_names for name in source.segment_names])
+    moving = [k for k in range(len(clip.names)) if np.any(clip.q[:, k]) and np.any(common & (source.chain[:, k] != 0))]
     same = all(
         clip.names[k] in body.coordinate_names
         and np.allclose(source.twists[k, :3], body.twists[body.coordinate(clip.names[k]), :3], atol=1e-6)
@@ -152,9 +153,3 @@ def _carried(source: Body, clip: MotionClip, body: Body, scale: float | None) ->
     for k in moving:
         q[:, body.coordinate(clip.names[k])] = clip.q[:, k]
     return MotionClip(clip.name, body.coordinate_names, clip.rate, clip.roots, q)
-
-
-def _concerns(source: Body, coordinate: int, body: Body) -> bool:
-    """Whether a coordinate moves a segment that the body has too."""
-    moved = np.flatnonzero(source.chain[:, coordinate])
-    return any(source.segment_names[s] in body.segment_names for s in moved)

@@ -67,7 +67,12 @@ def trained_prior(
     names = tuple(coordinates or [n for n in motions[0][0] if all(n in known for known, _ in motions)])
     if not names:
         raise InputError(f"prior: {', '.join(map(str, paths))} have no joint coordinate in common.")
-    parts = [_columns(path, motion, names)[::every] for path, motion in zip(paths, motions, strict=True)]
+    parts: list[Float] = []
+    for path, (known, q) in zip(paths, motions, strict=True):
+        for name in names:
+            if name not in known:
+                raise InputError(f"motion {path} has no coordinate {name!r}; it has {', '.join(known)}.")
+        parts.append(q[::every, [known.index(name) for name in names]])
     return ParzenPrior.trained(names, np.concatenate(parts), sigma, scale_of(names, scale))
 
 
@@ -121,10 +126,3 @@ def _of_npz(path: Path) -> Motion:
     if not {"q", "coordinate_names"} <= data.keys():
         raise InputError(f"motion {path} must hold q and coordinate_names.")
     return tuple(map(str, data["coordinate_names"])), np.atleast_2d(np.asarray(data["q"], dtype=float))
-
-
-def _columns(path: str | Path, motion: Motion, names: Sequence[str]) -> Float:
-    for name in names:
-        if name not in motion[0]:
-            raise InputError(f"motion {path} has no coordinate {name!r}; it has {', '.join(motion[0])}.")
-    return motion[1][:, [motion[0].index(name) for name in names]]

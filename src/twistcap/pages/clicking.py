@@ -73,7 +73,10 @@ class Clicking:
         main = [name for name in MAIN_JOINTS if name in joints]
         limits = np.rad2deg(self.generic.limits).round(1).tolist()
         return {
-            "cameras": [_camera(c, image) for c, image in zip(self.rig, self.images, strict=True)],
+            "cameras": [
+                {"name": c.name, "size": list(c.size), "image": None if image is None else jpeg(image, 1920, 88)}
+                for c, image in zip(self.rig, self.images, strict=True)
+            ],
             "joints": main,
             "more": [name for name in joints if name not in main],
             "coordinates": [{"name": n, "limits": pair} for n, pair in zip(names, limits, strict=True)],
@@ -197,11 +200,6 @@ def clicks_of(keypoints: Keypoints, rig: Rig, joints: tuple[str, ...]) -> Clicks
                 x, y = keypoints.pixels[c, k].tolist()
                 clicks.setdefault(name, {})[joint] = (x, y)
     return clicks
-
-
-def _camera(camera: Camera, image: UInt8 | None) -> dict[str, Any]:
-    picture = None if image is None else jpeg(image, 1920, 88)
-    return {"name": camera.name, "size": list(camera.size), "image": picture}
 
 
 def _named_pixels(camera: Camera, names: tuple[str, ...], points: Any) -> dict[str, list[float]]:

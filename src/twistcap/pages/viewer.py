@@ -134,7 +134,11 @@ def _reference(reference: Reference, times: Float, rig: Rig, shown: Int, width: 
     points, angles = reference.at(times)
     names = reference.names
     seen = rig if len(shown) and names else ()
-    pixels = [_pixels(camera.scaled(_factor(camera, width)), points[shown]) for camera in seen] or [[] for _ in rig]
+    pixels: list[list[Any]] = [[] for _ in rig]
+    for k, camera in enumerate(seen):
+        places, depth = camera.scaled(_factor(camera, width)).project(points[shown])
+        places[depth <= 0] = np.nan  # the camera does not see them
+        pixels[k] = [_known(frame, 1) for frame in places]
     return {
         "points": [_known(frame, 4) for frame in points],
         "sticks": [[names.index(a), names.index(b)] for a, b in STICKS if a in names and b in names],
@@ -142,13 +146,6 @@ def _reference(reference: Reference, times: Float, rig: Rig, shown: Int, width: 
         "angles_deg": [[round(float(v), 3) if np.isfinite(v) else None for v in row] for row in np.rad2deg(angles)],
         "pixels": pixels,
     }
-
-
-def _pixels(camera: Camera, points: Float) -> list[Any]:
-    """(F, P) lists of x, y; null where the camera does not see the point."""
-    pixels, depth = camera.project(points)
-    pixels[depth <= 0] = np.nan
-    return [_known(frame, 1) for frame in pixels]
 
 
 def _known(points: AnyArray, digits: int) -> list[list[float] | None]:

@@ -257,7 +257,10 @@ def draw_mosaic(
     """All views of one frame (H, W, 3) uint8, with the body over them, camera names, frame number and time."""
     canvas = np.full((mosaic.size[1], mosaic.size[0], 3), _INK, np.uint8)
     for k, (image, camera) in enumerate(zip(frame.images, mosaic.cameras, strict=True)):
-        resized = None if image is None else _resized(image, camera.size)
+        resized = image
+        if image is not None:
+            mode = cv2.INTER_AREA if camera.size[0] < image.shape[1] else cv2.INTER_CUBIC
+            resized = cv2.resize(image, camera.size, interpolation=mode)
         view = _canvas(resized, camera) if posed is None else draw_overlay(resized, camera, posed, lost, bones=bones)
         x, y = mosaic.place(canvas, k, view)
         _label(canvas, camera.name + ("" if image is not None else ": no image"), (x + 8, y + 24))
@@ -266,11 +269,6 @@ def draw_mosaic(
     _label(canvas, f"frame {frame.index}   {frame.time:.3f} s", (canvas.shape[1] - 12, 27), right=True)
     _label(canvas, state, (canvas.shape[1] - 260, 27), LOST, right=True)
     return canvas
-
-
-def _resized(image: AnyArray, size: tuple[int, int]) -> AnyArray:
-    smaller = size[0] < image.shape[1]
-    return cv2.resize(image, size, interpolation=cv2.INTER_AREA if smaller else cv2.INTER_CUBIC)
 
 
 def _label(canvas: AnyArray, text: str, at: tuple[int, int], colour: Colour = _PAPER, right: bool = False) -> None:
