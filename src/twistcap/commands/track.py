@@ -62,15 +62,10 @@ def run_session(session: Any, folder: Path, resume: bool = False) -> dict[str, A
     path = folder / "result.h5"
     views, timing = _tracked(session, path, resume)
     result = read_result(path)
-    files = _outputs(session, views, result, folder, timing)
-    return {
-        "id": "track",
-        "result": path,
-        "frames": len(result),
-        "lost": [int(i) for i in result.indices[result.lost]],
-        "ms_per_frame": timing.median,
-        "files": [path, *files],
-    }
+    files = [path, *_outputs(session, views, result, folder, timing)]
+    lost = result.indices[result.lost].tolist()
+    return {"id": "track", "result": path, "frames": len(result), "lost": lost, "ms_per_frame": timing.median,
+            "files": files}  # fmt: skip
 
 
 def _tracked(session: Any, path: Path, resume: bool) -> tuple[Any, Timing]:

@@ -17,6 +17,9 @@ from twistcap.adjust.first_pose import (
 )
 from twistcap.arrays import Bool
 from twistcap.body import Body, Pose, Posed, rescaled
+from twistcap.body.gltf import load_glb
+from twistcap.body.humanoid import humanoid
+from twistcap.body.obj_rig import load_makehuman
 from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
@@ -119,16 +122,10 @@ def body_of(session: Session) -> Body:
     """The generic body of ``[body]``, before any fit."""
     body = session.body
     if isinstance(body, HumanoidBody):
-        from twistcap.body.humanoid import humanoid
-
         return humanoid(**body.model_dump(exclude={"kind"}))
     if isinstance(body, GlbBody):
-        from twistcap.body.gltf import load_glb
-
         loaded = load_glb(body.path, body.rig)
     else:
-        from twistcap.body.obj_rig import load_makehuman
-
         targets: dict[Path | str, float] = {Path(path): weight for path, weight in body.targets.items()}
         loaded = load_makehuman(body.path, body.rig, body.weights, targets, body.spec)
     return rescaled(loaded, body.lengths, body.girths, body.stature)
