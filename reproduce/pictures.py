@@ -10,10 +10,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from reproduce.arms import Experiment, Findings, Shot, Trace
-from twistcap.report.overlay import Style, draw_overlay
+from twistcap.report.overlay import draw_overlay
 
 _COLOURS = ("#e8790c", "#1780d6", "#3d8f6d", "#8a4fbf")
-_THIN = Style(opacity=0.3)
 
 
 def experiment_picture(path: Path | str, experiment: Experiment, findings: Findings) -> Path:
@@ -56,7 +55,7 @@ def seed_picture(path: Path | str, experiment: Experiment, findings: Findings, s
 
 
 def _shot(axis: Axes, shot: Shot) -> None:
-    axis.imshow(draw_overlay(shot.image, shot.camera, shot.posed, style=_THIN))
+    axis.imshow(draw_overlay(shot.image, shot.camera, shot.posed, opacity=0.3))
     axis.contour(shot.truth, levels=[0.5], colors="white", linewidths=0.8)
     axis.set_axis_off()
     axis.set_title(f"{shot.title}; white: true outline", fontsize=9)

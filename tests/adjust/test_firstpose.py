@@ -32,7 +32,8 @@ from twistcap.body.shape import rescaled
 from twistcap.camera import Camera, Rectifier, Rig, look_at
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
-from twistcap.io.keypoints import LAYOUTS, Grid, openpose_files, read_clicks, read_openpose
+from twistcap.io.keypoints import LAYOUTS, openpose_files, read_clicks, read_openpose
+from twistcap.io.session import Grid
 from twistcap.render import render, visible_contour
 from twistcap.solve import BlockProblem, PoseTrack, Variables
 
@@ -287,7 +288,7 @@ def test_openpose_names_grid_and_gaps(tmp_path: Path) -> None:
     xyc = np.stack([np.arange(25.0), np.arange(25.0) + 100, np.ones(25)], axis=1)
     xyc[16] = 0
     files = {"a": write_person(tmp_path / "a.json", xyc)}
-    grid = {"a": Grid((2.0, 4.0), (1.0, -8.0))}
+    grid = {"a": Grid(scale=(2.0, 4.0), offset=(1.0, -8.0))}
     for layout, knee in (("body_25b", 13), ("body_25", 13), ("coco_17", 13)):
         names = LAYOUTS[layout]
         if len(names) == 17:
@@ -366,7 +367,10 @@ def test_bad_input_to_the_fit(body: Body) -> None:
 
 # ---------------------------------------------------------------- real recordings
 
-BALANCE_GRIDS = {"cam01": Grid((1.0075, 1.0076), (-0.10, -7.29)), "cam02": Grid((1.0076, 1.0075), (-0.10, -7.25))}
+BALANCE_GRIDS = {
+    "cam01": Grid(scale=(1.0075, 1.0076), offset=(-0.10, -7.29)),
+    "cam02": Grid(scale=(1.0076, 1.0075), offset=(-0.10, -7.25)),
+}
 
 
 def balance_rig(folder: Path) -> Rig:

@@ -18,8 +18,9 @@ from twistcap.body.shape import joint_origin
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate
 from twistcap.io.angles import decomposed, product
+from twistcap.io.bvh import write_bvh
 from twistcap.io.markers import WorldAxes, read_keypoints3d, read_trc, write_trc
-from twistcap.io.motion_files import poses_from_mot, read_mot, write_bvh, write_csv, write_mot
+from twistcap.io.motion_files import poses_from_mot, read_mot, write_csv, write_mot
 
 AXES: tuple[WorldAxes, ...] = ("pose2sim", "opensim")
 
@@ -278,7 +279,8 @@ def test_keypoints3d(tmp_path: Path) -> None:
     np.savez(tmp_path / "k.npz", X=X)
     with pytest.raises(InputError, match="clock"):
         read_keypoints3d(tmp_path / "k.npz")
-    markers = read_keypoints3d(tmp_path / "k.npz", fps=50.0)
+    np.savez(tmp_path / "k.npz", X=X, fps=50.0)
+    markers = read_keypoints3d(tmp_path / "k.npz")
     assert markers.names[0] == "nose" and markers.times[3] == pytest.approx(0.06)
     np.savez(tmp_path / "k.npz", X=X[:, :3], fps=10.0)
     with pytest.raises(InputError, match="3 points"):

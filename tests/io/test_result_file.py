@@ -13,6 +13,7 @@ import h5py
 import numpy as np
 import pytest
 
+import twistcap
 from support.cameras import ring
 from support.results import estimate, two_links
 from twistcap.body import Body, Posed
@@ -21,7 +22,7 @@ from twistcap.io.result import ResultWriter, read_result
 
 
 def write(path: Path, count: int = 5) -> Path:
-    with ResultWriter(path, two_links(), ring(), {"tracker": {"method": "direct"}}, {"twistcap": "0.1"}) as writer:
+    with ResultWriter(path, two_links(), ring(), {"tracker": {"method": "direct"}}) as writer:
         for k in range(count):
             writer.append(estimate(k))
     return path
@@ -43,7 +44,7 @@ def test_round_trip(tmp_path: Path) -> None:
         assert (read.name, read.size) == (made.name, made.size)
         np.testing.assert_array_equal(read.P, made.P)
         np.testing.assert_array_equal(read.dist, made.dist)
-    assert result.config == {"tracker": {"method": "direct"}} and result.versions == {"twistcap": "0.1"}
+    assert result.config == {"tracker": {"method": "direct"}} and result.versions["twistcap"] == twistcap.__version__
     assert len(result) == 5 and list(result.lost) == [False, False, False, True, False]
     for read, made in zip(result.estimates, map(estimate, range(5)), strict=True):
         np.testing.assert_array_equal(read.pose.root, made.pose.root)

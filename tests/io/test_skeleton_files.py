@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from twistcap import se3
 from twistcap.errors import InputError
 from twistcap.io.asf import read_amc, read_asf
-from twistcap.io.bvh_read import read_bvh
+from twistcap.io.bvh import read_bvh
 from twistcap.io.deepmimic import read_deepmimic
 from twistcap.io.motions import read_skeleton, without_rest_frame
 from twistcap.motion import SkeletonMotion, table_for

@@ -14,7 +14,7 @@ from support.cameras import ring
 from support.videos import COUNT, corrupted, picture, write
 from twistcap.camera import Rectifier, Rig
 from twistcap.errors import InputError
-from twistcap.io.video import ImageSource, VideoSource, open_source, open_views, view_of
+from twistcap.io.video import ImageSource, VideoSource, open_source, open_views, preparation
 from twistcap.io.videowriter import VideoWriter
 
 
@@ -76,10 +76,10 @@ def test_views_are_those_of_the_image_rig(video: Path, rig: Rig) -> None:
     assert [f.time for f in frames] == pytest.approx([1 + i / 60 for i in (4, 6, 8, 10)])
     assert frames[0].images[0].shape == (140, 192, 3) and views.image_rig[0].size == (192, 140)  # type: ignore[union-attr]
     raw = next(VideoSource(video).read([4]))
-    np.testing.assert_array_equal(frames[0].images[0], view_of(rig[0], raw, 0.5))
+    np.testing.assert_array_equal(frames[0].images[0], preparation(rig[0], 0.5)(raw))
     full = Rectifier(rig[0])(raw)
     small = cv2.resize(full, (192, 140), interpolation=cv2.INTER_AREA)
-    inner = np.abs(view_of(rig[0], raw, 0.5).astype(float) - small)[30:-10, 10:-10]
+    inner = np.abs(preparation(rig[0], 0.5)(raw).astype(float) - small)[30:-10, 10:-10]
     assert inner.mean() < 1.0  # resize then rectify = rectify then resize
     assert [f.index for f in views.starting_at(7)] == [8, 10]
 

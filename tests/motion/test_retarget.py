@@ -19,7 +19,8 @@ from twistcap.body.humanoid import humanoid
 from twistcap.body.shape import joint_origin
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate
-from twistcap.io.motion_files import poses_from_mot, read_mot, write_bvh, write_mot
+from twistcap.io.bvh import write_bvh
+from twistcap.io.motion_files import poses_from_mot, read_mot, write_mot
 from twistcap.io.motions import read_motion, read_skeleton, write_motion
 from twistcap.io.result import ResultWriter
 from twistcap.motion import (

@@ -21,11 +21,14 @@ from twistcap.camera import Camera, Rig, look_at
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate.metrics import row
 from twistcap.report import Figure, angle_plot, draw_overlay, joint_error_plot, overlay_video, write_report
-from twistcap.report.overlay import LOST, Style, bones_of, mosaic_for, part_colours, visible_projection
+from twistcap.report.overlay import LOST, Bones, bones_of, mosaic_for, part_colours, visible_projection
 from twistcap.report.page import headline_rows, number
 from twistcap.report.plots import AngleSeries, spans, split_side
 
 CHROMIUM = Path("/usr/bin/chromium")
+
+
+NO_BONES = Bones(np.zeros(0, np.int32), np.zeros((0, 2, 3)))
 
 
 def camera(name: str = "cam01", dist: tuple[float, ...] = (0.0,) * 5, angle: float = 0.2) -> Camera:
@@ -42,7 +45,7 @@ def plain(camera_: Camera, value: int = 128) -> AnyArray:
 def test_overlay_lies_where_the_camera_sees_the_body(dist: tuple[float, ...]) -> None:
     body, cam = hinged_box(), camera(dist=dist)
     image = plain(cam)
-    out = draw_overlay(image, cam, Posed(body, Pose.rest(body)), style=Style(skeleton=False))
+    out = draw_overlay(image, cam, Posed(body, Pose.rest(body)), bones=NO_BONES)
     changed = np.argwhere((out != image).any(axis=-1))[:, ::-1]
     corners, _ = cam.project(BOX)
     reach = 4.0  # the dark rim outside the silhouette
@@ -55,8 +58,8 @@ def test_a_lost_body_is_red_and_a_dropped_frame_is_dark() -> None:
     body, cam = hinged_box(), camera()
     posed = Posed(body, Pose.rest(body))
     centre = (round(cam.project([0, 0, 0.2])[0][1]), round(cam.project([0, 0, 0.2])[0][0]))
-    fine = draw_overlay(plain(cam), cam, posed, style=Style(opacity=1, skeleton=False))[centre].astype(int)
-    lost = draw_overlay(plain(cam), cam, posed, True, Style(opacity=1, skeleton=False))[centre].astype(int)
+    fine = draw_overlay(plain(cam), cam, posed, opacity=1, bones=NO_BONES)[centre].astype(int)
+    lost = draw_overlay(plain(cam), cam, posed, True, opacity=1, bones=NO_BONES)[centre].astype(int)
     assert np.ptp(fine) < 20  # the pelvis is neutral
     np.testing.assert_allclose(lost / lost[0], np.array(LOST) / LOST[0], atol=0.02)
     dropped = draw_overlay(None, cam, posed)

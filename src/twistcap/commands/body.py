@@ -71,15 +71,11 @@ def silhouettes(
     with words.status("reading the pictures"):
         cutting = cutting_of(views)
         html = page("cut", f"Silhouettes of {views.stem}", cutting.document())
-    serve(html, cutting.answers, port, "the page")
+    serve(html, cutting.answers, port)
 
 
 def cutting_of(path: Path) -> Any:
-    """What `silhouettes` serves.
-
-    Raises:
-        InputError: whatever is wrong with the file or its pictures.
-    """
+    """What `silhouettes` serves. Raises InputError: whatever is wrong with the file or its pictures."""
     from twistcap.io.keyviews import read_uncut
     from twistcap.pages.cutting import Cutting, CutView
 

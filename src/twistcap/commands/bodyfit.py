@@ -27,9 +27,12 @@ def fit_sessions(
     """Fit the first session's body, or another model in its place, to all of them; what ``--json`` prints."""
     from twistcap.report.bodyfit import draw_fit, write_page
 
-    build = None
+    build, anny = None, None
+    if model == "anny":
+        from twistcap.body.anny import AnnyModel
+
+        anny = AnnyModel()
     with words.status("reading the sessions, fitting the first poses"):
-        anny = _anny() if model == "anny" else None
         recordings = open_together(sessions)
         if anny is not None:
             build, recordings = _with_model(anny, recordings)
@@ -48,12 +51,6 @@ def fit_sessions(
         pictures = draw_fit(fitted, takes, folder)
         page = write_page(folder, sessions[0].title, rows, fitted.factors, pictures, files)
     return {"id": "body fit", "rows": rows, "factors": fitted.factors, "files": [*files, *pictures, page]}
-
-
-def _anny() -> Model:
-    from twistcap.body.anny import AnnyModel
-
-    return AnnyModel()
 
 
 def _with_model(model: Model, recordings: Sequence[Recording]) -> tuple[Build, list[Recording]]:
@@ -75,8 +72,7 @@ def _take(recording: Recording) -> Take:
 
 def _rows(name: str, before: Agreement, after: Agreement) -> list[Row]:
     out: list[Row] = []
-    for when, result in (("before", before), ("after", after)):
-        case = f"{name}, {when}"
+    for case, result in ((f"{name}, before", before), (f"{name}, after", after)):
         for unit, values in (("px", result.px), ("mm", result.mm)):
             out.append(row(case, "surface to silhouette, mean", float(values.mean()), unit))
             out.append(row(case, "surface to silhouette, p95", percentile_known(values, 95), unit))
@@ -96,13 +92,9 @@ def _written(fitted: Fitted, recording: Recording, source: Path, folder: Path) -
     if "base" in tomllib.loads(source.read_text(encoding="utf-8")):
         return [body, pose]
     first = recording.views.indices[0]
-    session.write_text(
-        f"# {source.name} with the body of twistcap body fit. Its pose is that of frame {first}.\n"
-        f"base = {_quoted(source)}\n\n"
-        f'[body]\nkind = "glb"\npath = {_quoted(body)}\n\n'
-        f"[first_pose]\nfile = {_quoted(pose)}\n",
-        encoding="utf-8",
-    )
+    text = f"# {source.name} with the body of twistcap body fit. Its pose is that of frame {first}.\n"
+    text += f'base = {_quoted(source)}\n\n[body]\nkind = "glb"\npath = {_quoted(body)}\n\n'
+    session.write_text(text + f"[first_pose]\nfile = {_quoted(pose)}\n", encoding="utf-8")
     return [body, pose, session]
 
 

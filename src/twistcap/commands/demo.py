@@ -53,7 +53,11 @@ def run_demo(
 
     settings = tracker_settings({"method": method}, "the command line")
     scene = capture(StudioConfig(seed, views, frames=frames, condition="mismatch" if mismatch else "exact"))
-    pictures = _rendered(scene, frames)
+    pictures: list[Any] = []
+    with terminal.progress("rendering", frames) as advance:
+        for frame in scene.frames():
+            pictures.append(frame)
+            advance("")
     tracker = Tracker(build(scene.body, scene.rig, settings))
     tracker.start(scene.first_pose, pictures[0].time)
     path = folder / "result.h5"
@@ -63,36 +67,30 @@ def run_demo(
     return _reported(scene, pictures, read_result(path), folder, timing)
 
 
-def _rendered(scene: Any, count: int) -> list[Any]:
-    with terminal.progress("rendering", count) as advance:
-        pictures: list[Any] = []
-        for frame in scene.frames():
-            pictures.append(frame)
-            advance("")
-    return pictures
-
-
 def _reported(scene: Any, pictures: list[Any], result: Any, folder: Path, timing: Timing) -> dict[str, Any]:
     from twistcap.commands import outputs
     from twistcap.evaluate.load import load_reference
     from twistcap.evaluate.reference import compare
+    from twistcap.io.exports import export
     from twistcap.io.synthetic import write_truth
-    from twistcap.report import Headline
+    from twistcap.report import Headline, joint_error_plot
     from twistcap.report.page import headline_rows
 
     with words.status("writing plots, exports and the overlay"):
         write_truth(scene, folder / "truth.npz")
         truth = load_reference(folder / "truth.npz", result.body, lambda rows: result.times[:rows])
         comparison = compare(result, truth, "studio walk")
-        exports = outputs.write_exports(result, ("trc", "csv"), folder)
+        exports = [export(result, kind, folder) for kind in ("trc", "csv")]
         plots = {outputs.write_angle_plot(result, folder, truth): "Joint angles (± 2σ) and the truth, dashed"}
-        if comparison.joints is not None:
-            errors = comparison.joints
-            plots[outputs.write_error_plot(result.times, errors.names, errors.raw, folder)] = "Joint position errors"
+        if errors := comparison.joints:
+            plot = joint_error_plot(folder / "joint_errors.png", result.times, errors.names, errors.raw)
+            plots[plot] = "Joint position errors"
         video = outputs.write_overlay(result, pictures, scene.rig.pinhole(), folder, scene.config.fps, "twistcap demo")
+        units = {row["unit"]: row["metric"] for row in reversed(comparison.rows)}  # the first of each
+        wanted = {units[unit]: units[unit] for unit in ("deg", "mm", "frames") if unit in units}
         speed = Headline("per frame, without decoding", f"{timing.median:.0f}", "ms")
-        headlines = [*headline_rows(comparison.rows, _headlines(comparison.rows)), speed]
         lead = f"A synthetic walk in {len(scene.rig)} views, tracked from its first pose and compared with its truth."
+        headlines = [*headline_rows(comparison.rows, wanted), speed]
         page = outputs.write_page(folder, "twistcap demo", lead, headlines, comparison.rows, plots)
     return {
         "id": "demo",
@@ -102,13 +100,3 @@ def _reported(scene: Any, pictures: list[Any], result: Any, folder: Path, timing
         "report": page,
         "files": [folder / "result.h5", *exports, *plots, video, page],
     }
-
-
-def _headlines(rows: list[Any]) -> dict[str, str]:
-    """The first angle measure, the first position measure and the lost frames, under their own names."""
-    wanted: dict[str, str] = {}
-    for unit in ("deg", "°", "mm", "frames"):
-        first = next((row["metric"] for row in rows if row["unit"] == unit), None)
-        if first is not None:
-            wanted[first] = first
-    return wanted

@@ -1,4 +1,4 @@
-"""The loop that `demo` and `track` share: step, write, tell; and the files that are made of a result."""
+"""The loop that `demo` and `track` share: step, write, tell."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from twistcap.arrays import Float
 from twistcap.commands.terminal import progress
 from twistcap.errors import InputError
-from twistcap.estimate import Estimate, Frame
-from twistcap.io.result import Result, ResultWriter, read_state
+from twistcap.estimate import Frame
+from twistcap.io.result import ResultWriter, read_state
 from twistcap.io.state import from_bytes, to_bytes
 from twistcap.track import Tracker
 
@@ -35,10 +34,8 @@ class Timing:
 
 
 def follow(frames: Iterable[Frame], total: int, tracker: Tracker, writer: ResultWriter) -> Timing:
-    """Track all frames; each is in the file before the next is touched.
-
-    Raises:
-        InputError: where a frame cannot be read; says what has been kept.
+    """Track all frames; each is in the file before the next is touched. Raises InputError where a frame cannot be read;
+    says what has been kept.
     """
     timing = Timing()
     with progress("tracking", total) as advance:
@@ -46,7 +43,9 @@ def follow(frames: Iterable[Frame], total: int, tracker: Tracker, writer: Result
             for frame in frames:
                 if len(writer) % STATE_EVERY == 0:
                     writer.save_state(to_bytes(tracker.state))
-                estimate = _step(tracker, frame, timing)
+                start = time.perf_counter()
+                estimate = tracker.step(frame)
+                timing.ms.append(1000 * (time.perf_counter() - start))
                 writer.append(estimate)
                 advance(f"{timing.ms[-1]:.0f} ms{'  LOST' if estimate.lost else ''}")
         except InputError as error:
@@ -56,25 +55,11 @@ def follow(frames: Iterable[Frame], total: int, tracker: Tracker, writer: Result
 
 
 def resumed(tracker: Tracker, path: Path) -> int:
-    """Bring a tracker to the last saved state of a file; how many frames had been tracked by then.
-
-    Raises:
-        InputError: where there is no state, or it does not fit the tracker's settings.
+    """Bring a tracker to the last saved state of a file; how many frames had been tracked by then. Raises InputError
+    where there is no state, or it does not fit the tracker's settings.
     """
     saved = read_state(path)
     if saved is None:
         raise InputError(f"{path} holds no state to go on from; track anew without --resume.")
     tracker.state = from_bytes(saved[1], tracker.model)
     return saved[0]
-
-
-def _step(tracker: Tracker, frame: Frame, timing: Timing) -> Estimate:
-    start = time.perf_counter()
-    estimate = tracker.step(frame)
-    timing.ms.append(1000 * (time.perf_counter() - start))
-    return estimate
-
-
-def angle_sigmas(result: Result) -> Float:
-    """(N, J) standard deviations of the coordinates, rad."""
-    return np.sqrt(np.maximum(np.diagonal(result.covariances, axis1=1, axis2=2)[:, 6:], 0.0))

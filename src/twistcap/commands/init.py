@@ -35,14 +35,12 @@ def init(
         clicking = clicking_of(load_session(session), session, out, detector)
         html = page("init", f"First pose of {session.parent.resolve().name}", clicking.document())
     words.print(f"Save writes {clicking.target.path}.")
-    serve(html, clicking.answers, port, "the page")
+    serve(html, clicking.answers, port)
 
 
 def clicking_of(session: Any, path: Path, out: Path | None = None, detector: str | None = None) -> Any:
-    """What `init` serves, with the clicks or keypoints that exist.
-
-    Raises:
-        InputError: whatever is wrong with the session, its videos, the detector or `out`.
+    """What `init` serves, with the clicks or keypoints that exist. Raises InputError: whatever is wrong with the
+    session, its videos, the detector or `out`.
     """
     from twistcap.io.recording import body_of, rig_of, views_of
     from twistcap.pages.clicking import Clicking, clicks_of
@@ -104,17 +102,11 @@ def _known(session: Any, clicking: Any) -> Any:
 
 def _with_saved_pose(clicking: Any) -> None:
     """Start from the pose that was saved before, with its sliders."""
-    import json
-
-    from twistcap.adjust.first_pose import Proportions
     from twistcap.body import Posed
-    from twistcap.io.pose_file import body_at, read_pose
+    from twistcap.io.pose_file import body_at, read_pose, read_proportions
 
     path = clicking.target.path
-    if clicking.target.kind != "file" or not path.is_file():
-        return
-    body = body_at(path, clicking.generic)
-    clicking.shown = Posed(body, read_pose(path, body))
-    saved = json.loads(path.read_text(encoding="utf-8")).get("proportions")
-    if saved is not None:
-        clicking.proportions = Proportions(**saved)
+    if clicking.target.kind == "file" and path.is_file():
+        body = body_at(path, clicking.generic)
+        clicking.shown = Posed(body, read_pose(path, body))
+        clicking.proportions = read_proportions(path) or clicking.proportions

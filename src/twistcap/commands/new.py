@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, cast
 
 import typer
 
 from twistcap.commands import terminal
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check_choice
 
 
 def new(
@@ -35,6 +35,7 @@ def new(
 
       twistcap new walk --calibration Calib.toml --videos left=a.mp4 --videos right=b.mp4
     """
+    from twistcap.io.calibration import Unit
     from twistcap.io.new_session import draft_session, findings, missing, session_lines
     from twistcap.io.recording import rig_of, views_of
     from twistcap.io.session import load_session
@@ -44,7 +45,9 @@ def new(
         raise InputError(f"{path} exists; choose another folder, or overwrite it with --force.")
     if stature is not None and not 0.3 < stature < 3.0:
         raise InputError(f"--stature is {stature}; it is the person's height in metres, such as 1.75.")
-    draft = draft_session([*videos, *(more or [])], calibration, _unit(unit))
+    if unit is not None:
+        check_choice("--unit", unit, ("m", "mm"))
+    draft = draft_session([*videos, *(more or [])], calibration, cast(Unit | None, unit))
     terminal.output_folder(folder)
     path.write_text(session_lines(draft, folder, stature), encoding="utf-8")
     session = load_session(path)  # what was written must be what `track` reads
@@ -59,9 +62,3 @@ def new(
     typer.echo("Still missing:" if lacks else "Nothing is missing.", err=True)
     for sentence in lacks:
         typer.echo(f"- {sentence}", err=True)
-
-
-def _unit(text: str | None) -> Literal["m", "mm"] | None:
-    if text not in (None, "m", "mm"):
-        raise InputError(f"--unit is {text!r}; it must be m or mm.")
-    return text

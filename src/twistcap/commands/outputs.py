@@ -3,38 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from twistcap.camera import Rig
-from twistcap.commands.follow import angle_sigmas
 from twistcap.estimate import Frame
 from twistcap.evaluate.load import Reference
 from twistcap.io.exports import FORMATS, export, format_of
 from twistcap.io.result import Result
-from twistcap.report import Figure, Headline, angle_plot, joint_error_plot, overlay_video, write_report
+from twistcap.io.session import Session
+from twistcap.io.video import Views
+from twistcap.report import Figure, Headline, angle_plot, overlay_video, write_report
 from twistcap.report.plots import AngleSeries
 
 
-def write_exports(result: Result, kinds: Iterable[str], folder: Path) -> list[Path]:
-    """Each format under its usual name."""
-    return [export(result, kind, folder) for kind in kinds]
+def write_files(result: Result, session: Session, views: Views, folder: Path, title: str) -> list[Path]:
+    """Exports, angle plot and overlay, as the session wants them."""
+    files = [export(result, kind, folder) for kind in session.output.exports]
+    files.append(write_angle_plot(result, folder))
+    if session.output.overlay:
+        shown, fps = replace(views, indices=views.indices[: len(result)]), min(views.fps / session.step, 60.0)
+        files.append(write_overlay(result, shown, views.image_rig, folder, fps, title))
+    return files
 
 
 def write_angle_plot(result: Result, folder: Path, truth: Reference | None = None) -> Path:
     """``angles.png``: all joint angles with their uncertainty, and the truth where there is one."""
-    series = AngleSeries(result.times, result.body.coordinate_names, result.q, angle_sigmas(result))
+    series = AngleSeries(result.times, result.body.coordinate_names, result.q, result.sigmas)
     dropped = np.array([status == "no_images" for status in result.statuses])
-    known = truth is not None and bool(truth.coordinate_names)
+    known = truth is not None and truth.coordinate_names
     theirs = AngleSeries(truth.times, truth.coordinate_names, truth.angles) if truth is not None and known else None
     return angle_plot(folder / "angles.png", series, theirs, result.lost, dropped, "Joint angles")
-
-
-def write_error_plot(times: Any, names: Sequence[str], errors_mm: Any, folder: Path) -> Path:
-    """``joint_errors.png``."""
-    return joint_error_plot(folder / "joint_errors.png", times, names, errors_mm)
 
 
 def write_overlay(
@@ -51,13 +53,7 @@ def write_page(
     video = folder / "overlay.mp4"
     about = {"result.h5": "everything, see docs/formats/result-file.md", "angles.png": "joint angles"}
     about |= {found.file_name: found.about for found in map(format_of, FORMATS.names())}
-    return write_report(
-        folder,
-        title,
-        rows,
-        lead=lead,
-        headlines=headlines,
-        figures=[Figure(path, caption) for path, caption in plots.items()],
-        video=video if video.is_file() else None,
-        files={folder / name: words for name, words in about.items() if (folder / name).is_file()},
-    )
+    files = {folder / name: words for name, words in about.items() if (folder / name).is_file()}
+    figures = [Figure(path, caption) for path, caption in plots.items()]
+    shown = video if video.is_file() else None
+    return write_report(folder, title, rows, lead=lead, headlines=headlines, figures=figures, video=shown, files=files)

@@ -51,7 +51,7 @@ def refine(
 
 
 def _run(
-    path: Path, out: Path, span: tuple[int, int] | None, session_path: Path | None, settings: list[str], again: bool
+    path: Path, out: Path, span: tuple[int, int] | None, session_path: Path | None, said: list[str], again: bool
 ) -> dict[str, Any]:
     from twistcap.adjust.refine import RefineConfig
     from twistcap.adjust.refine import refine as refined
@@ -61,20 +61,19 @@ def _run(
     from twistcap.io.strict import dataclass_from
 
     result = read_result(path)
-    config = dataclass_from(RefineConfig, parsed_settings(settings), "--set", "refine")
+    config = dataclass_from(RefineConfig, parsed_settings(said), "--set", "refine")
     session = _session(result, path) if session_path is None else load_session(session_path)
     chosen = [e for e in result.estimates if span is None or span[0] <= e.index <= span[1]]
     views = _views(session, result.rig, [e.index for e in chosen], path)
     folder = terminal.output_folder(out)
+    settings, rig = session.tracker_settings, views.image_rig
     with terminal.status("refining") as report:
-        refinement = refined(views, result.body, views.image_rig, chosen, config, session.tracker_settings, report)
+        refinement = refined(views, result.body, rig, chosen, config, settings, report)
     if again:
         retracked = _tracked_again(session, refinement, views)
         with terminal.status("refining again") as report:
-            rig = views.image_rig
-            refinement = refined(
-                views, refinement.body, rig, retracked, config, session.tracker_settings, report, refinement.shape
-            )
+            body, shape = refinement.body, refinement.shape
+            refinement = refined(views, body, rig, retracked, config, settings, report, shape)
     return {
         "id": "refine",
         "result": folder / "refined.h5",
@@ -100,10 +99,8 @@ def _session(result: Any, path: Path) -> Any:
 
 
 def _views(session: Any, rig: Any, indices: list[int], path: Path) -> Any:
-    """The frames of the estimates.
-
-    Raises:
-        InputError: where there are none, some are missing between them, or the videos do not hold them.
+    """The frames of the estimates. Raises InputError where there are none, some are missing between them, or the videos
+    do not hold them.
     """
     from twistcap.io.recording import views_of
 
@@ -134,16 +131,13 @@ def _shape(before: Any, refinement: Any) -> dict[str, Any]:
     """How the body's shape changed: factors with their standard deviations, joint centres in mm."""
     from twistcap.body.shape import joint_distances
 
+    def factors(given: Any, sigmas: Any) -> list[dict[str, Any]]:
+        return [{"group": name, "factor": factor, "sigma": sigmas[name]} for name, factor in given.items()]
+
     old, new = joint_distances(before), joint_distances(refinement.body)
     return {
-        "lengths": [
-            {"group": name, "factor": factor, "sigma": refinement.length_sigmas[name]}
-            for name, factor in refinement.lengths.items()
-        ],
-        "girths": [
-            {"group": name, "factor": factor, "sigma": refinement.girth_sigmas[name]}
-            for name, factor in refinement.girths.items()
-        ],
+        "lengths": factors(refinement.lengths, refinement.length_sigmas),
+        "girths": factors(refinement.girths, refinement.girth_sigmas),
         "bones": [{"segment": n, "before_mm": 1000 * mm, "after_mm": 1000 * new[n]} for n, mm in old.items()],
         "joints": [
             {"segment": name, "shift_mm": 1000 * shift, "sigma_mm": 1000 * refinement.joint_sigmas[name]}
@@ -162,15 +156,8 @@ def _written(result: Any, refinement: Any, session: Any, views: Any, folder: Pat
         for estimate in refinement.estimates:
             writer.append(estimate)
     with words.status("writing plots, exports and the overlay"):
-        refined = read_result(path)
-        files = [path, *outputs.write_exports(refined, session.output.exports, folder)]
-        files.append(outputs.write_angle_plot(refined, folder))
-        if session.output.overlay:
-            fps = min(views.fps / session.step, 60.0)
-            files.append(
-                outputs.write_overlay(refined, views, views.image_rig, folder, fps, f"{session.title} refined")
-            )
-    return files
+        title = f"{session.title} refined"
+        return [path, *outputs.write_files(read_result(path), session, views, folder, title)]
 
 
 def show(document: dict[str, Any]) -> None:
@@ -187,10 +174,8 @@ def show(document: dict[str, Any]) -> None:
     moved = ", ".join(f"{step:.1f}" for step in document["moved_mm"])
     words.print(f"{document['frames']} frames; the landmarks moved {moved} mm from round to round")
     if document["joints_held"]:
-        words.print(
-            f"Contours err together (design effect {document['design_effect']:.1f}):"
-            " the surface is not quite the person's, so lengths and joint centres were held."
-        )
+        why = "the surface is not quite the person's, so lengths and joint centres were held."
+        words.print(f"Contours err together (design effect {document['design_effect']:.1f}): {why}")
     if not document["helped"]:
         words.print("The images agree less than before: refining did not help, and the track is kept as it was.")
     for path in document["files"]:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, cast
 
 import typer
 
 from twistcap.commands import terminal
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check_choice
 
 
 def studio(
@@ -42,19 +42,20 @@ def studio(
     """
     from twistcap.io.synthetic import write_session
     from twistcap.studio import StudioConfig, capture
+    from twistcap.studio.config import Condition
 
+    check_choice("--condition", condition, ("exact", "mismatch"))
     spans = [terminal.frame_range(text) for text in drop or []]
     config = StudioConfig(
-        seed=seed, views=views, size=_size(size), frames=frames, fps=fps, condition=_condition(condition), hard=hard,
-        one_colour=one_colour, colour=not grey, speed_factor=speed, dropped=tuple(s for s in spans if s),
+        seed=seed, views=views, size=_size(size), frames=frames, fps=fps, condition=cast(Condition, condition),
+        hard=hard, one_colour=one_colour, colour=not grey, speed_factor=speed, dropped=tuple(s for s in spans if s),
         uniform_noise=noise, rectangles=rectangles, occluders=occluders, motion_blur=blur,
     )  # fmt: skip
     with terminal.progress("rendering", frames) as advance:
         session = write_session(capture(config), out, progress=lambda done, total: advance(""))
     if json:
-        terminal.emit(
-            {"id": "studio", "session": session, "folder": out, "frames": frames, "views": views, "seed": seed}
-        )
+        said = {"folder": out, "frames": frames, "views": views, "seed": seed}
+        terminal.emit({"id": "studio", "session": session, **said})
     else:
         terminal.words.print(f"Now run: twistcap track {session}")
 
@@ -64,9 +65,3 @@ def _size(text: str) -> tuple[int, int]:
     if not (width.isdigit() and height.isdigit()):
         raise InputError(f"--size is {text!r}; write WIDTHxHEIGHT, such as 384x280.")
     return int(width), int(height)
-
-
-def _condition(text: str) -> Literal["exact", "mismatch"]:
-    if text not in ("exact", "mismatch"):
-        raise InputError(f"--condition is {text!r}; it must be exact or mismatch.")
-    return text

@@ -73,9 +73,8 @@ def show_rows(title: str, rows: list[Any]) -> None:
         table.add_column(name, justify="right" if right else "left", no_wrap=name == "case")
     for row in rows:
         colour = {True: "green", False: "red", None: ""}[row["holds"]]
-        value = (
-            "–" if row["value"] is None else f"{row['value']:.3g}" if abs(row["value"]) < 100 else f"{row['value']:.0f}"
-        )
+        number = row["value"]
+        value = "–" if number is None else f"{number:.3g}" if abs(number) < 100 else f"{number:.0f}"
         lost = "" if row["lost"] is None else str(row["lost"])
         shown = f"[{colour}]{value}[/]" if colour else value
         table.add_row(row["case"], row["metric"], shown, row["unit"], str(row["target"] or ""), lost)
@@ -83,27 +82,18 @@ def show_rows(title: str, rows: list[Any]) -> None:
 
 
 def output_folder(path: str | Path) -> Path:
-    """The folder, created if it does not exist.
-
-    Raises:
-        InputError: where it cannot be made.
-    """
+    """The folder, created if it does not exist. Raises InputError where it cannot be made."""
     folder = Path(path)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(
-            f"output folder {folder} cannot be made: {error.strerror}; choose another with --out."
-        ) from error
+        mend = "choose another with --out"
+        raise InputError(f"output folder {folder} cannot be made: {error.strerror}; {mend}.") from error
     return folder
 
 
 def frame_range(text: str | None) -> tuple[int, int] | None:
-    """``10:20`` as frames 10 to 20, both included.
-
-    Raises:
-        InputError: where it reads otherwise.
-    """
+    """``10:20`` as frames 10 to 20, both included. Raises InputError where it reads otherwise."""
     if text is None:
         return None
     first, colon, last = text.partition(":")

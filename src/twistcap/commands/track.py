@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tomllib
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -46,13 +45,8 @@ def track(
     """
     from twistcap.io.session import load_session
 
-    said = {
-        "tracker.method": method,
-        "frames": terminal.frame_range(frames),
-        "scale": scale,
-        **parsed_settings(set_ or []),
-    }
-    loaded = load_session(session, said)
+    said = {"tracker.method": method, "frames": terminal.frame_range(frames), "scale": scale}
+    loaded = load_session(session, said | parsed_settings(set_ or []))
     folder = terminal.output_folder(out or loaded.output.folder or Path("out") / session.stem)
     document = run_session(loaded, folder, resume)
     if json:
@@ -68,15 +62,10 @@ def run_session(session: Any, folder: Path, resume: bool = False) -> dict[str, A
     path = folder / "result.h5"
     views, timing = _tracked(session, path, resume)
     result = read_result(path)
-    files = _outputs(session, views, result, folder, timing)
-    return {
-        "id": "track",
-        "result": path,
-        "frames": len(result),
-        "lost": [int(i) for i in result.indices[result.lost]],
-        "ms_per_frame": timing.median,
-        "files": [path, *files],
-    }
+    files = [path, *_outputs(session, views, result, folder, timing)]
+    lost = result.indices[result.lost].tolist()
+    return {"id": "track", "result": path, "frames": len(result), "lost": lost, "ms_per_frame": timing.median,
+            "files": files}  # fmt: skip
 
 
 def _tracked(session: Any, path: Path, resume: bool) -> tuple[Any, Timing]:
@@ -131,32 +120,21 @@ def _kept(views: Any, tracker: Any, writer: Any, path: Path) -> Timing:
 
 def _outputs(session: Any, views: Any, result: Any, folder: Path, timing: Timing) -> list[Path]:
     from twistcap.commands import outputs
-
-    title = session.title
-    with words.status("writing plots, exports and the overlay"):
-        files = outputs.write_exports(result, session.output.exports, folder)
-        plot = outputs.write_angle_plot(result, folder)
-        files.append(plot)
-        if session.output.overlay:
-            shown = replace(views, indices=views.indices[: len(result)])
-            fps = min(views.fps / session.step, 60.0)
-            files.append(outputs.write_overlay(result, shown, views.image_rig, folder, fps, title))
-        if session.output.report:
-            lead = f"{len(views.rig)} cameras, {views.fps:g} fps, images at {session.scale:g} of their size."
-            plots = {plot: "Joint angles, ± 2σ"}
-            files.append(outputs.write_page(folder, title, lead, _headlines(result, timing), [], plots))
-    return files
-
-
-def _headlines(result: Any, timing: Timing) -> list[Any]:
     from twistcap.report import Headline
 
     lost = int(np.sum(result.lost))
-    return [
-        Headline("frames tracked", str(len(result))),
-        Headline("frames lost", str(lost), good=lost == 0),
-        Headline("per frame, decoding apart", f"{timing.median:.0f}" if timing.ms else "–", "ms"),
-    ]
+    with words.status("writing plots, exports and the overlay"):
+        files = outputs.write_files(result, session, views, folder, session.title)
+        if session.output.report:
+            headlines = [
+                Headline("frames tracked", str(len(result))),
+                Headline("frames lost", str(lost), good=lost == 0),
+                Headline("per frame, decoding apart", f"{timing.median:.0f}" if timing.ms else "–", "ms"),
+            ]
+            lead = f"{len(views.rig)} cameras, {views.fps:g} fps, images at {session.scale:g} of their size."
+            plots = {folder / "angles.png": "Joint angles, ± 2σ"}
+            files.append(outputs.write_page(folder, session.title, lead, headlines, [], plots))
+    return files
 
 
 def tell(document: dict[str, Any]) -> None:
@@ -171,11 +149,7 @@ def tell(document: dict[str, Any]) -> None:
 
 
 def parsed_settings(settings: list[str]) -> dict[str, Any]:
-    """``key=value`` pairs, the values as TOML (bare words are strings).
-
-    Raises:
-        InputError: for one without ``=``.
-    """
+    """``key=value`` pairs, the values as TOML (bare words are strings). Raises InputError for one without ``=``."""
     out: dict[str, Any] = {}
     for text in settings:
         key, equals, value = text.partition("=")

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
 
 from twistcap.commands import terminal
@@ -36,23 +36,26 @@ def view(
       twistcap view out/walk/result.h5 --save walk.html
     """
     page = _page(results, reference, session, width, images)
-    if save is not None:
-        _write(save, page)
-        if json:
-            terminal.emit({"id": "view", "file": save, "bytes": save.stat().st_size})
-        else:
-            typer.echo(save)
+    if save is None:
+        serve(page, {}, port)
         return
-    serve(page, {}, port, "the page")
+    try:
+        save.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"{save} cannot be written: {error.strerror}; choose another with --save.") from error
+    if json:
+        terminal.emit({"id": "view", "file": save, "bytes": save.stat().st_size})
+    else:
+        typer.echo(save)
 
 
-def serve(page: str, answers: Any, port: int, what: str) -> None:
+def serve(page: str, answers: Any, port: int) -> None:
     """Serve until Ctrl-C; the address goes to stdout."""
     from twistcap.pages.server import page_server
 
     with page_server(page, answers, port) as server:
         typer.echo(f"http://127.0.0.1:{server.server_address[1]}/")
-        words.print(f"Open {what} at this address. Ctrl-C ends. From another machine: ssh -L PORT:127.0.0.1:PORT HOST")
+        words.print("Open the page at this address. Ctrl-C ends. From another machine: ssh -L PORT:127.0.0.1:PORT HOST")
         try:
             server.serve_forever()
         except KeyboardInterrupt:
@@ -60,6 +63,8 @@ def serve(page: str, answers: Any, port: int, what: str) -> None:
 
 
 def _page(paths: list[Path], reference: Path | None, session: Path | None, width: int, images: int) -> str:
+    from twistcap.evaluate.load import load_reference
+    from twistcap.evaluate.reference import frame_times
     from twistcap.io.result import read_result
     from twistcap.pages.viewer import Options, view_page
 
@@ -67,7 +72,7 @@ def _page(paths: list[Path], reference: Path | None, session: Path | None, width
     first = next(iter(results.values()))
     with words.status("reading images, drawing outlines"):
         sources = _sources(first, session) if images else {}
-        truth = None if reference is None else _reference(reference, first)
+        truth = None if reference is None else load_reference(reference, first.body, partial(frame_times, first))
         title = next(iter(results)) if len(results) == 1 else "twistcap: " + ", ".join(results)
         return view_page(results, sources, truth, title, Options(width, images))
 
@@ -104,21 +109,3 @@ def _sources(result: Any, session: Path | None) -> dict[str, Any]:
         else:
             sources[camera.name] = source
     return sources
-
-
-def _reference(path: Path, result: Any) -> Any:
-    """The reference on the recording's clock, which the result's frames define."""
-    from twistcap.evaluate.load import load_reference
-
-    index, time = np.asarray(result.indices, float), result.times
-    frames: Any = np.arange
-    rate = float((time[-1] - time[0]) / (index[-1] - index[0])) if len(time) > 1 else 1 / 60
-    start = float(time[0] - rate * index[0]) if len(time) else 0.0
-    return load_reference(path, result.body, lambda rows: start + rate * frames(rows))
-
-
-def _write(path: Path, page: str) -> None:
-    try:
-        path.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path} cannot be written: {error.strerror}; choose another with --save.") from error

@@ -9,39 +9,29 @@ from pathlib import Path
 
 import numpy as np
 
-from twistcap.arrays import AnyArray, Float
+from twistcap.arrays import Float
 from twistcap.body import Body
 from twistcap.errors import InputError
-from twistcap.io.angles import shoulders_of
+from twistcap.io.angles import complete_coordinates
+from twistcap.io.files import read_npz
 from twistcap.io.markers import WorldAxes, read_keypoints3d, read_trc
 from twistcap.io.motion_files import poses_from_mot, read_mot
 
-_DETECTOR_NAMES: Mapping[str, str] = {
-    "hip": "hip", "knee": "knee", "ankle": "ankle", "shoulder": "shoulder", "elbow": "elbow", "wrist": "wrist",
-    "bigtoe": "toe", "smalltoe": "small_toe", "heel": "heel", "eye": "eye", "ear": "ear",
-}  # fmt: skip
+_SAME = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist", "heel", "eye", "ear")
+_DETECTOR_NAMES: Mapping[str, str] = {**{name: name for name in _SAME}, "bigtoe": "toe", "smalltoe": "small_toe"}
 _MIDDLE_NAMES: Mapping[str, str] = {"nose": "nose", "neck": "neck", "head": "head_top", "midhip": "mid_hip"}
 
 
 @dataclass(frozen=True)
 class Reference:
-    """Values to compare with, on their own time line.
+    """Values to compare with, on their own time line; NaN where unknown. P and C may be 0."""
 
-    Attributes:
-        times: (M,) s, rising, on the recording's clock.
-        names: P points, in the body's landmark names where they are known.
-        points: (M, P, 3) world, m; NaN where unknown. P may be 0.
-        coordinate_names: C joint coordinates.
-        angles: (M, C) rad; NaN where unknown. C may be 0.
-        notes: assumptions of the reader, for below the table.
-    """
-
-    times: Float
-    names: tuple[str, ...] = ()
-    points: Float = field(default_factory=lambda: np.zeros((0, 0, 3)))
-    coordinate_names: tuple[str, ...] = ()
-    angles: Float = field(default_factory=lambda: np.zeros((0, 0)))
-    notes: tuple[str, ...] = ()
+    times: Float  # (M,) s, rising, on the recording's clock
+    names: tuple[str, ...] = ()  # P points, in the body's landmark names where they are known
+    points: Float = field(default_factory=lambda: np.zeros((0, 0, 3)))  # (M, P, 3) world, m
+    coordinate_names: tuple[str, ...] = ()  # C joint coordinates
+    angles: Float = field(default_factory=lambda: np.zeros((0, 0)))  # (M, C) rad
+    notes: tuple[str, ...] = ()  # assumptions of the reader, for below the table
 
     def at(self, times: Float) -> tuple[Float, Float]:
         """Points (N, P, 3) and angles (N, C) at other times, linearly interpolated; NaN outside the time line."""
@@ -52,9 +42,7 @@ class Reference:
 
     def without(self, exclude: Sequence[str]) -> Reference:
         """The reference with flawed stretches unknown, each as ``NAME`` or ``NAME:FIRST-LAST`` (its own row numbers).
-
-        Raises:
-            InputError: for a name it does not have or a range that cannot be read.
+        Raises InputError for a name it does not have or a range that cannot be read.
         """
         points, angles = self.points.copy(), self.angles.copy()
         for text in exclude:
@@ -64,9 +52,9 @@ class Reference:
             elif name in self.coordinate_names:
                 angles[rows, self.coordinate_names.index(name)] = np.nan
             else:
+                known = ", ".join((*self.names, *self.coordinate_names))
                 raise InputError(
-                    f"exclusion {text!r}: the reference has no point or coordinate {name!r}; "
-                    f"it has {', '.join((*self.names, *self.coordinate_names))}."
+                    f"exclusion {text!r}: the reference has no point or coordinate {name!r}; it has {known}."
                 )
         return replace(self, points=points, angles=angles)
 
@@ -103,14 +91,9 @@ def load_reference(
 ) -> Reference:
     """Read a reference by its ending: ``.npz`` (studio truth or keypoints), ``.trc`` or ``.mot`` / ``.sto``.
 
-    Args:
-        path: the file.
-        body: whose coordinates a motion file is read into (OpenSim turns the shoulder in another order).
-        frame_times: times (M,) of the recording's frames 0 … M − 1, for files that have no clock of their own.
-        axes: rotation of a TRC's world about the vertical, see `io.markers`.
-
-    Raises:
-        InputError: for a missing, unknown or unreadable file.
+    A motion file is read into the coordinates of `body` (OpenSim turns the shoulder in another order). Files without a
+    clock take `frame_times`: (M,) s of the recording's frames 0 … M − 1. `axes` is the rotation of a TRC's world about
+    the vertical, see `io.markers`. Raises InputError for a missing, unknown or unreadable file.
     """
     if not path.exists():
         raise InputError(f"the reference {path} does not exist; give a file or a folder of masks.")
@@ -132,11 +115,7 @@ def load_reference(
 
 
 def _from_npz(path: Path, frame_times: Callable[[int], Float]) -> Reference:
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            data = {key: archive[key] for key in archive.files}
-    except (OSError, ValueError) as error:
-        raise InputError(f"the reference {path} cannot be read as an npz file: {error}.") from error
+    data = read_npz(path, "the reference")
     if "X" in data:
         clock = {"times", "fps"} & set(data)
         markers = read_keypoints3d(path, None if clock else frame_times(len(data["X"])))
@@ -148,22 +127,13 @@ def _from_npz(path: Path, frame_times: Callable[[int], Float]) -> Reference:
             f"the reference {path} lacks {', '.join(missing)}; a studio truth has root, q, landmarks, names, "
             "coordinate_names and fps, a keypoint file has X."
         )
-    return _from_truth(data, frame_times)
-
-
-def _from_truth(data: Mapping[str, AnyArray], frame_times: Callable[[int], Float]) -> Reference:
     rows = len(data["q"])
     if "times" in data:
         times = data["times"].astype(float)
     else:
         times = np.arange(rows) / float(data["fps"]) if "fps" in data else frame_times(rows)
-    return Reference(
-        times=times,
-        names=tuple(str(name) for name in data["names"]),
-        points=data["landmarks"].astype(float),
-        coordinate_names=tuple(str(name) for name in data["coordinate_names"]),
-        angles=data["q"].astype(float),
-    )
+    names, coordinates = (tuple(map(str, data[key])) for key in ("names", "coordinate_names"))
+    return Reference(times, names, data["landmarks"].astype(float), coordinates, data["q"].astype(float))
 
 
 def landmark_name(marker: str) -> str:
@@ -180,21 +150,9 @@ def _from_mot(path: Path, body: Body) -> Reference:
     """Angles of a motion file in the body's own coordinates: knees bend to positive, shoulders turn in our order."""
     table = read_mot(path)
     poses, _ = poses_from_mot(table, body)
-    names = tuple(name for name in body.coordinate_names if _complete(name, table.columns, body))
+    names = complete_coordinates(body, table.columns)
     q = np.stack([pose.q for pose in poses])[:, [body.coordinate(name) for name in names]]
-    flipped = [
-        name
-        for k, name in enumerate(names)
-        if name.startswith("knee_angle") and np.allclose(q[:, k], -table.get(name)) and np.any(q[:, k])
-    ]
+    knees = {name: q[:, k] for k, name in enumerate(names) if name.startswith("knee_angle")}
+    flipped = [name for name, angle in knees.items() if np.allclose(angle, -table.get(name)) and np.any(angle)]
     notes = tuple(f"{name} was negative in flexion and has its sign changed" for name in flipped)
     return Reference(table.times, coordinate_names=names, angles=q, notes=notes)
-
-
-def _complete(name: str, columns: Sequence[str], body: Body) -> bool:
-    """Whether a coordinate is in the file, and if it is one of a shoulder's three, with the other two."""
-    together = {name}
-    for ours, _ in shoulders_of(body):
-        trio = {body.coordinate_names[k] for k in ours}
-        together |= trio if name in trio else set()
-    return together <= set(columns)

@@ -96,16 +96,12 @@ def without_offset(difference: Float) -> Float:
     are not finite do not count in the mean and stay as they are.
     """
     finite = np.isfinite(difference)
-    count = np.maximum(finite.sum(axis=0), 1)
-    mean = np.where(finite, difference, 0.0).sum(axis=0) / count
-    return difference - mean
+    return difference - np.where(finite, difference, 0.0).sum(axis=0) / np.maximum(finite.sum(axis=0), 1)
 
 
 def distances_mm(difference: Float) -> Float:
     """Lengths (N, L) in mm of position differences (N, L, 3) in m; NaN where any component is unknown."""
-    unknown = np.isnan(difference).any(axis=-1)
-    squares = np.where(np.isnan(difference), 0.0, difference) ** 2
-    return np.where(unknown, np.nan, 1000.0 * np.sqrt(squares.sum(axis=-1)))
+    return 1000.0 * np.linalg.norm(difference, axis=-1)
 
 
 def mean_known(values: AnyArray) -> float:
@@ -132,7 +128,7 @@ def khe_deg(difference_deg: Float, names: Sequence[str]) -> float:
 
 def lost_frames(errors_mm: Float) -> Bool:
     """(N,) whether any joint of (N, L) is more than `LOST_FRAME_MM` off; unknown joints do not count."""
-    return np.any(np.where(np.isnan(errors_mm), 0.0, errors_mm) > LOST_FRAME_MM, axis=1)
+    return np.any(errors_mm > LOST_FRAME_MM, axis=1)
 
 
 def lost_sequence(errors_mm: Float) -> bool:

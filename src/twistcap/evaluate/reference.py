@@ -6,63 +6,36 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import cv2
 import numpy as np
 
-from twistcap.arrays import AnyArray, Bool, Float
-from twistcap.body import Body, Pose, Posed
-from twistcap.camera import Camera, Rectifier, Rig
+from twistcap.arrays import AnyArray, Float
+from twistcap.body import Posed
+from twistcap.camera import Camera, Rectifier
 from twistcap.errors import InputError
 from twistcap.evaluate import metrics
 from twistcap.evaluate.load import Reference, load_reference
 from twistcap.evaluate.metrics import Row, row
 from twistcap.io.markers import WorldAxes
-
-
-class Tracked(Protocol):
-    """Parts of a result that `evaluate` needs, such as `twistcap.io.result.Result`."""
-
-    @property
-    def body(self) -> Body: ...
-    @property
-    def rig(self) -> Rig: ...
-    @property
-    def times(self) -> AnyArray: ...
-    @property
-    def indices(self) -> AnyArray: ...
-    @property
-    def poses(self) -> Sequence[Pose]: ...
-    @property
-    def lost(self) -> AnyArray: ...
-    @property
-    def covariances(self) -> AnyArray: ...
+from twistcap.io.result import Result
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Differences to a reference, frame by frame.
+    """Differences to a reference, frame by frame."""
 
-    Attributes:
-        names: K joints or coordinates.
-        reference: (N, K, 3) m or (N, K) rad, the reference at the result's times.
-        raw: (N, K) mm (distances) or degrees (signed).
-        offset_removed: (N, K) the same with the constant offset of each joint or coordinate removed.
-    """
-
-    names: tuple[str, ...]
-    reference: Float
-    raw: Float
-    offset_removed: Float
+    names: tuple[str, ...]  # K joints or coordinates
+    reference: Float  # (N, K, 3) m or (N, K) rad, the reference at the result's times
+    raw: Float  # (N, K) mm (distances) or degrees (signed)
+    offset_removed: Float  # (N, K) the same with the constant offset of each joint or coordinate removed
 
     def by_name(self) -> dict[str, dict[str, float | None]]:
         """Mean absolute error of each joint or coordinate, raw and with the offset removed."""
-        out: dict[str, dict[str, float | None]] = {}
-        for k, name in enumerate(self.names):
-            raw, rest = np.abs(self.raw[:, k]), np.abs(self.offset_removed[:, k])
-            out[name] = {"raw": _json(metrics.mean_known(raw)), "offset_removed": _json(metrics.mean_known(rest))}
-        return out
+        means = [[metrics.mean_known(c) for c in np.abs(values).T] for values in (self.raw, self.offset_removed)]
+        known = [[mean if np.isfinite(mean) else None for mean in values] for values in means]
+        return {n: {"raw": raw, "offset_removed": rest} for n, raw, rest in zip(self.names, *known, strict=True)}
 
 
 @dataclass(frozen=True)
@@ -76,25 +49,15 @@ class Overlap:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """A comparison with a reference.
+    """A comparison with a reference."""
 
-    Attributes:
-        case: name of the comparison.
-        rows: the table.
-        joints: position errors, mm, where the reference has joints.
-        angles: angle errors, degrees, where it has coordinates.
-        overlaps: IoU by mask, where it is a folder of masks.
-        lost_frames: frame numbers lost by the reference (`metrics.lost_frames`).
-        notes: assumptions.
-    """
-
-    case: str
+    case: str  # its name
     rows: list[Row]
-    joints: Errors | None = None
-    angles: Errors | None = None
-    overlaps: list[Overlap] = field(default_factory=list[Overlap])
-    lost_frames: list[int] = field(default_factory=list[int])
-    notes: tuple[str, ...] = ()
+    joints: Errors | None = None  # position errors, mm, where the reference has joints
+    angles: Errors | None = None  # angle errors, degrees, where it has coordinates
+    overlaps: list[Overlap] = field(default_factory=list[Overlap])  # IoU by mask, where it is a folder of masks
+    lost_frames: list[int] = field(default_factory=list[int])  # by the reference (`metrics.lost_frames`)
+    notes: tuple[str, ...] = ()  # assumptions
 
     def as_dict(self) -> dict[str, Any]:
         """The whole as JSON-ready values."""
@@ -110,7 +73,7 @@ class Evaluation:
 
 
 def evaluate(
-    result: Tracked,
+    result: Result,
     reference: Path | str,
     time_offset: float = 0.0,
     *,
@@ -129,8 +92,7 @@ def evaluate(
         case: name in the table; the reference's own name by default.
         axes: rotation of a TRC's world about the vertical, see `io.markers`.
 
-    Raises:
-        InputError: for a reference that is missing, unreadable, or has nothing in common with the result.
+    Raises InputError for a reference that is missing, unreadable, or has nothing in common with the result.
     """
     path = Path(reference)
     path = path / "truth.npz" if (path / "truth.npz").is_file() else path
@@ -144,7 +106,7 @@ def evaluate(
     return compare(result, truth, case, str(path))
 
 
-def frame_times(result: Tracked, rows: int) -> Float:
+def frame_times(result: Result, rows: int) -> Float:
     """Times (rows,) s of frames 0 … rows − 1 on the result's own clock."""
     indices, times = np.asarray(result.indices, float), np.asarray(result.times, float)
     if len(times) < 2:
@@ -153,7 +115,7 @@ def frame_times(result: Tracked, rows: int) -> Float:
     return times[0] + (np.arange(rows) - indices[0]) * step
 
 
-def compare(result: Tracked, truth: Reference, case: str, source: str = "the reference") -> Evaluation:
+def compare(result: Result, truth: Reference, case: str, source: str = "the reference") -> Evaluation:
     """Compare a result with a reference already in memory (its clock the recording's); see `evaluate`."""
     times = np.asarray(result.times, float)
     points, angles = truth.at(times)
@@ -165,24 +127,24 @@ def compare(result: Tracked, truth: Reference, case: str, source: str = "the ref
         rows += _angle_rows(case, coordinates) + _honesty_rows(case, result, coordinates)
     if joints:
         lost = [int(i) for i in np.asarray(result.indices)[metrics.lost_frames(joints.raw)]]
-        rows += _joint_rows(case, joints, len(lost))
+        rows += _summary(case, "joints", joints.raw, "", "mm")
+        rows += _summary(case, "joints", joints.offset_removed, ", offset removed", "mm")
+        rows.append(row(case, "lost frames, by the reference", float(len(lost)), "frames", lost=len(lost)))
+        rows.append(row(case, "lost sequence", float(metrics.lost_sequence(joints.raw)), "of 1"))
     rows.append(row(case, "lost frames, by the tracker itself", float(np.sum(result.lost)), "frames"))
     return Evaluation(case, rows, joints, coordinates, lost_frames=lost, notes=truth.notes)
 
 
-def _expect_common(result: Tracked, truth: Reference, times: Float, source: str) -> None:
+def _expect_common(result: Result, truth: Reference, times: Float, source: str) -> None:
     first, last = truth.times[0], truth.times[-1]
     if not np.any((times >= first - 1e-6) & (times <= last + 1e-6)):
-        raise InputError(
-            f"{source} covers {first:.3f} to {last:.3f} s, the result {times[0]:.3f} to {times[-1]:.3f} s: "
-            "they have no frame in common; check the time offset."
-        )
+        both = f"covers {first:.3f} to {last:.3f} s, the result {times[0]:.3f} to {times[-1]:.3f} s"
+        raise InputError(f"{source} {both}: they have no frame in common; check the time offset.")
     ours = {*result.body.landmarks.names, *result.body.coordinate_names}
-    if not ours & {*truth.names, *truth.coordinate_names}:
-        raise InputError(
-            f"{source} has no point or coordinate name in common with body {result.body.name!r}; it has "
-            f"{', '.join((*truth.names, *truth.coordinate_names)[:12])} …, the body {', '.join(sorted(ours)[:12])} …."
-        )
+    theirs = (*truth.names, *truth.coordinate_names)
+    if not ours & set(theirs):
+        names = f"it has {', '.join(theirs[:12])} …, the body {', '.join(sorted(ours)[:12])} …."
+        raise InputError(f"{source} has no point or coordinate name in common with body {result.body.name!r}; {names}")
 
 
 def compared_landmarks(ours: Sequence[str], theirs: Sequence[str]) -> tuple[str, ...]:
@@ -191,7 +153,7 @@ def compared_landmarks(ours: Sequence[str], theirs: Sequence[str]) -> tuple[str,
     return joints or tuple(name for name in ours if name in theirs)
 
 
-def _joint_errors(result: Tracked, names: Sequence[str], points: Float) -> Errors | None:
+def _joint_errors(result: Result, names: Sequence[str], points: Float) -> Errors | None:
     marks = result.body.landmarks
     shared = compared_landmarks(marks.names, names)
     if not shared:
@@ -204,7 +166,7 @@ def _joint_errors(result: Tracked, names: Sequence[str], points: Float) -> Error
     return Errors(shared, theirs, raw, rest)
 
 
-def _angle_errors(result: Tracked, names: Sequence[str], angles: Float) -> Errors | None:
+def _angle_errors(result: Result, names: Sequence[str], angles: Float) -> Errors | None:
     body = result.body
     turning = np.any(body.twists[:, :3], axis=1)  # a sliding coordinate is no angle
     shared = tuple(n for n, turns in zip(body.coordinate_names, turning, strict=True) if turns and n in names)
@@ -219,27 +181,19 @@ def _angle_errors(result: Tracked, names: Sequence[str], angles: Float) -> Error
 def _angle_rows(case: str, errors: Errors) -> list[Row]:
     rows = list[Row]()
     for what, values in (("", errors.raw), (", offset removed", errors.offset_removed)):
-        size = np.abs(values)
         if any(name in metrics.KHE_COORDINATES for name in errors.names):
             rows.append(row(case, f"KHE{what}", metrics.khe_deg(values, errors.names), "deg"))
-        rows.append(row(case, f"angles, mean{what}", metrics.mean_known(size), "deg"))
-        rows.append(row(case, f"angles, median{what}", metrics.percentile_known(size, 50), "deg"))
-        rows.append(row(case, f"angles, p95{what}", metrics.percentile_known(size, 95), "deg"))
+        rows += _summary(case, "angles", np.abs(values), what, "deg")
     return rows
 
 
-def _joint_rows(case: str, errors: Errors, lost: int) -> list[Row]:
-    rows = list[Row]()
-    for what, values in (("", errors.raw), (", offset removed", errors.offset_removed)):
-        rows.append(row(case, f"joints, mean{what}", metrics.mean_known(values), "mm"))
-        rows.append(row(case, f"joints, median{what}", metrics.percentile_known(values, 50), "mm"))
-        rows.append(row(case, f"joints, p95{what}", metrics.percentile_known(values, 95), "mm"))
-    rows.append(row(case, "lost frames, by the reference", float(lost), "frames", lost=lost))
-    rows.append(row(case, "lost sequence", float(metrics.lost_sequence(errors.raw)), "of 1"))
-    return rows
+def _summary(case: str, noun: str, values: Float, what: str, unit: str) -> list[Row]:
+    median, p95 = (metrics.percentile_known(values, percent) for percent in (50, 95))
+    measures = (("mean", metrics.mean_known(values)), ("median", median), ("p95", p95))
+    return [row(case, f"{noun}, {name}{what}", value, unit) for name, value in measures]
 
 
-def _honesty_rows(case: str, result: Tracked, errors: Errors) -> list[Row]:
+def _honesty_rows(case: str, result: Result, errors: Errors) -> list[Row]:
     """How the angle errors compare with the standard deviations that the tracker claims."""
     columns = [6 + result.body.coordinate(name) for name in errors.names]
     covariance = np.asarray(result.covariances, float)[:, columns][:, :, columns]
@@ -253,7 +207,7 @@ def _honesty_rows(case: str, result: Tracked, errors: Errors) -> list[Row]:
     ]
 
 
-def _against_masks(result: Tracked, folder: Path, case: str) -> Evaluation:
+def _against_masks(result: Result, folder: Path, case: str) -> Evaluation:
     overlaps = list(_overlaps(result, folder))
     if not overlaps:
         raise InputError(f"no mask in {folder} belongs to a frame of the result; name them CAM/frame_XXXX.png.")
@@ -267,7 +221,7 @@ def _against_masks(result: Tracked, folder: Path, case: str) -> Evaluation:
     return Evaluation(case, rows, overlaps=overlaps)
 
 
-def _overlaps(result: Tracked, folder: Path) -> Iterator[Overlap]:
+def _overlaps(result: Result, folder: Path) -> Iterator[Overlap]:
     """IoU of every mask of the folder that belongs to a frame of the result."""
     frames = {int(index): k for k, index in enumerate(result.indices)}
     cameras = {camera.name: camera for camera in result.rig}
@@ -282,13 +236,9 @@ def _overlaps(result: Tracked, folder: Path) -> Iterator[Overlap]:
             k = frames.get(_frame_number(file))
             if k is not None:
                 mask = rectify(_read_mask(file, camera), nearest=True) > 127
-                seen = _silhouette(result, k, rectify.camera)
+                seen_by, vertices = rectify.camera, Posed(result.body, result.poses[k]).vertices
+                seen = metrics.silhouette(seen_by.P, vertices, result.body.faces, seen_by.size)
                 yield Overlap(camera.name, int(result.indices[k]), metrics.iou(seen, mask))
-
-
-def _silhouette(result: Tracked, k: int, camera: Camera) -> Bool:
-    vertices = Posed(result.body, result.poses[k]).vertices
-    return metrics.silhouette(camera.P, vertices, result.body.faces, camera.size)
 
 
 def _frame_number(file: Path) -> int:
@@ -307,12 +257,6 @@ def _read_mask(file: Path, camera: Camera) -> AnyArray:
     if (width, height) == camera.size:
         return mask
     if abs(width / height - camera.size[0] / camera.size[1]) > 0.01:
-        raise InputError(
-            f"the mask {file} is {width}×{height} pixels, camera {camera.name!r} {camera.size[0]}×{camera.size[1]}: "
-            "masks must have the shape of the video."
-        )
+        sizes = f"{width}×{height} pixels, camera {camera.name!r} {camera.size[0]}×{camera.size[1]}"
+        raise InputError(f"the mask {file} is {sizes}: masks must have the shape of the video.")
     return cv2.resize(mask, camera.size, interpolation=cv2.INTER_NEAREST)
-
-
-def _json(value: float) -> float | None:
-    return value if np.isfinite(value) else None

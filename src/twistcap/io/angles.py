@@ -30,12 +30,10 @@ def product(angles: Float, axes: Float) -> Float:
 
 
 def decomposed(rotations: Float, axes: Float, near: Float) -> Float:
-    """Angles (T, 3) with ``product(angles, axes) == rotations``, continuous in time.
+    """Angles (T, 3) with ``product(angles, axes) == rotations`` (T, 3, 3), continuous in time.
 
-    Args:
-        rotations: (T, 3, 3).
-        axes: (3, 3) orthonormal, one a row, right- or left-handed.
-        near: (3,) angles near which those of the first frame are chosen.
+    `axes` (3, 3) are orthonormal, one a row, right- or left-handed; those of the first frame are chosen near `near`
+    (3,).
     """
     hand = np.sign(np.linalg.det(axes))
     R = axes @ rotations @ axes.T  # about x, y, z now, backwards if left-handed
@@ -78,12 +76,9 @@ def pelvis_point(body: Body) -> Float:
 
 
 def pelvis_coordinates(roots: Float, point: Float, to_file: Float) -> tuple[Float, Float]:
-    """Tilt, list, rotation (T, 3) rad and place (T, 3) m of the pelvis.
+    """Tilt, list, rotation (T, 3) rad and place (T, 3) m of the pelvis, of root motions (T, 4, 4).
 
-    Args:
-        roots: (T, 4, 4) root motions.
-        point: (3,) of `pelvis_point`.
-        to_file: (3, 3) from our world's axes to the file's.
+    `point` (3,) is that of `pelvis_point`; `to_file` (3, 3) leads from our world's axes to the file's.
     """
     R = to_file @ roots[:, :3, :3] @ REST_TO_OPENSIM.T
     return decomposed(R, PELVIS_AXES, np.zeros(3)), se3.apply(roots, point[None])[:, 0] @ to_file.T
@@ -107,6 +102,13 @@ def shoulders_of(body: Body) -> list[tuple[list[int], list[int]]]:
         if np.allclose(axes @ axes.T, np.eye(3), atol=1e-6):
             groups.append((sorted(opensim), opensim))
     return groups
+
+
+def complete_coordinates(body: Body, names: Sequence[str]) -> tuple[str, ...]:
+    """The body's coordinates that a file in OpenSim's order has: those of a shoulder only where all three are there."""
+    ours = body.coordinate_names
+    torn = {ours[k] for trio, _ in shoulders_of(body) if not {ours[k] for k in trio} <= set(names) for k in trio}
+    return tuple(name for name in ours if name in names and name not in torn)
 
 
 def reordered(body: Body, q: Float, start: Sequence[int], end: Sequence[int]) -> Float:

@@ -7,7 +7,7 @@ one above, with C from the bone's `axis` and M the product of its degrees of fre
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,21 +15,24 @@ import numpy as np
 from twistcap import se3
 from twistcap.arrays import Float
 from twistcap.errors import InputError
-from twistcap.io.markers import read_lines
+from twistcap.io.files import read_lines
 from twistcap.motion.skeleton import SkeletonMotion
 
 AMC_RATE = 120.0  # Hz; the format has no field for it, CMU's library is recorded at this rate
 _INCH = 0.0254
 
 
-@dataclass
+Line = tuple[int, list[str]]
+"""Its number and its words."""
+
+
+@dataclass(frozen=True)
 class _Bone:
     """One bone of an ASF: `vector` (3,) from its start to its end, file units; `axis` (3, 3) is C; `dof` as written."""
 
-    name: str
-    vector: Float = field(default_factory=lambda: np.zeros(3))
-    axis: Float = field(default_factory=lambda: np.eye(3))
-    dof: tuple[str, ...] = ()
+    vector: Float
+    axis: Float
+    dof: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -45,13 +48,9 @@ class AsfSkeleton:
 def read_amc(path: Path | str, skeleton: Path | str | None = None, rate: float = AMC_RATE) -> SkeletonMotion:
     """The motion of an AMC; joints have the names of the bones that begin there, `<bone>_end` where the last ones end.
 
-    Args:
-        path: the file.
-        skeleton: its ASF; None takes `<stem>.asf` or `<subject>.asf` (08_02: 08.asf) beside it, or the only one there.
-        rate: frames per second, which an AMC does not state.
-
-    Raises:
-        InputError: if a file is missing or broken, naming the line, or for a bone that the ASF does not have.
+    `skeleton` is its ASF; None takes `<stem>.asf` or `<subject>.asf` (08_02: 08.asf) beside it, or the only one there.
+    `rate` is in frames per second, which an AMC does not state. Raises InputError if a file is missing or broken,
+    naming the line, or for a bone that the ASF does not have.
     """
     path = Path(path)
     if not path.is_file():
@@ -65,7 +64,7 @@ def read_amc(path: Path | str, skeleton: Path | str | None = None, rate: float =
         bone = asf.bones.get(name)
         if bone is None or not bone.dof:
             continue
-        values = _values(path, frames, bone)
+        values = _values(path, frames, name, len(bone.dof))
         C, turn = bone.axis, np.tile(np.eye(3), (len(frames), 1, 1))
         for k, channel in enumerate(bone.dof):
             if channel[0] == "r":
@@ -77,11 +76,7 @@ def read_amc(path: Path | str, skeleton: Path | str | None = None, rate: float =
 
 
 def read_asf(path: Path | str) -> AsfSkeleton:
-    """An ASF skeleton.
-
-    Raises:
-        InputError: if it cannot be read, or a line is broken, naming it.
-    """
+    """An ASF skeleton. Raises InputError if it cannot be read, or a line is broken, naming it."""
     path = Path(path)
     sections = _sections(path)
     for needed in ("bonedata", "hierarchy"):
@@ -92,9 +87,6 @@ def read_asf(path: Path | str) -> AsfSkeleton:
     unit = _INCH / _number(path, 0, units.get("length", "1"))
     bones = {"root": _root(path, sections.get("root", []), degree), **_bones(path, sections["bonedata"], degree)}
     return AsfSkeleton(bones, _parents(path, sections["hierarchy"], bones), unit, degree)
-
-
-Line = tuple[int, list[str]]
 
 
 def _sections(path: Path) -> dict[str, list[Line]]:
@@ -116,33 +108,32 @@ def _root(path: Path, lines: list[Line], degree: float) -> _Bone:
     number, order = rows.get("order", (0, ["TX", "TY", "TZ", "RX", "RY", "RZ"]))
     _, axis = rows.get("axis", (0, ["XYZ"]))
     _, angles = rows.get("orientation", (0, ["0", "0", "0"]))
-    dof = _dof(path, number, order)
-    return _Bone("root", axis=_axis(path, number, [*angles, *axis], degree), dof=dof)
+    return _Bone(np.zeros(3), _axis(path, number, [*angles, *axis], degree), _dof(path, number, order))
 
 
 def _bones(path: Path, lines: list[Line], degree: float) -> dict[str, _Bone]:
     bones: dict[str, _Bone] = {}
-    bone, length, direction = _Bone(""), 0.0, np.zeros(3)
+    block: dict[str, Line] = {}
     for number, words in lines:
-        key, rest = words[0].lower(), words[1:]
+        key = words[0].lower()
         if key == "begin":
-            bone, length, direction = _Bone(""), 0.0, np.zeros(3)
-        elif key == "name" and rest:
-            bone.name = rest[0]
-        elif key == "direction":
-            direction = _numbers(path, number, rest, 3)
-        elif key == "length":
-            length = float(_numbers(path, number, rest, 1)[0])
-        elif key == "axis":
-            bone.axis = _axis(path, number, rest, degree)
-        elif key == "dof":
-            bone.dof = _dof(path, number, rest)
-        elif key == "end":
-            if not bone.name or bone.name in bones:
+            block = {}
+        elif key != "end":
+            block[key] = (number, words[1:])
+        else:
+            name = next(iter(block.get("name", (0, []))[1]), "")
+            if not name or name in bones:
                 raise InputError(f"{path}: line {number}: the bone that ends here has no name, or one used before.")
-            bone.vector = length * direction
-            bones[bone.name] = bone
+            bones[name] = _bone(path, block, degree)
     return bones
+
+
+def _bone(path: Path, block: dict[str, Line], degree: float) -> _Bone:
+    """From the lines between begin and end, by their first words; what is not said is zero."""
+    direction = _numbers(path, *block["direction"], 3) if "direction" in block else np.zeros(3)
+    length = _numbers(path, *block["length"], 1) if "length" in block else 0.0
+    axis = _axis(path, *block["axis"], degree) if "axis" in block else np.eye(3)
+    return _Bone(length * direction, axis, _dof(path, *block["dof"]) if "dof" in block else ())
 
 
 def _dof(path: Path, number: int, words: list[str]) -> tuple[str, ...]:
@@ -205,15 +196,14 @@ def _asf_beside(path: Path) -> Path:
     others = sorted(path.parent.glob("*.asf"))
     if len(others) != 1:
         there = f"are several ({', '.join(p.name for p in others)})" if others else "is none"
-        raise InputError(
-            f"{path}: it needs its ASF skeleton, beside it there {there}; name it (--skeleton, in Python skeleton=…)."
-        )
+        mend = "name it (--skeleton, in Python skeleton=…)"
+        raise InputError(f"{path}: it needs its ASF skeleton, beside it there {there}; {mend}.")
     return others[0]
 
 
-def _frames(path: Path, asf: AsfSkeleton) -> list[dict[str, tuple[int, list[str]]]]:
+def _frames(path: Path, asf: AsfSkeleton) -> list[dict[str, Line]]:
     """For each frame, the line number and the words of each bone."""
-    frames: list[dict[str, tuple[int, list[str]]]] = []
+    frames: list[dict[str, Line]] = []
     for number, line in enumerate(read_lines(path), start=1):
         words = line.split("#")[0].split()
         if not words or words[0].startswith(":"):
@@ -231,17 +221,14 @@ def _frames(path: Path, asf: AsfSkeleton) -> list[dict[str, tuple[int, list[str]
     return frames
 
 
-def _values(path: Path, frames: list[dict[str, tuple[int, list[str]]]], bone: _Bone) -> Float:
+def _values(path: Path, frames: list[dict[str, Line]], name: str, dof: int) -> Float:
     """(N, dof) of a bone; a frame without it is an error, unless no frame has it."""
-    out = np.zeros((len(frames), len(bone.dof)))
-    if not any(bone.name in frame for frame in frames):
-        return out
+    if not any(name in frame for frame in frames):
+        return np.zeros((len(frames), dof))
     for n, frame in enumerate(frames):
-        if bone.name not in frame:
-            raise InputError(f"{path}: frame {n + 1} has no line for {bone.name!r}.")
-        number, words = frame[bone.name]
-        out[n] = _numbers(path, number, words, len(bone.dof))
-    return out
+        if name not in frame:
+            raise InputError(f"{path}: frame {n + 1} has no line for {name!r}.")
+    return np.array([_numbers(path, *frame[name], dof) for frame in frames])
 
 
 def _numbers(path: Path, number: int, words: list[str], count: int) -> Float:

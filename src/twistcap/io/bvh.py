@@ -1,12 +1,18 @@
-"""Poses as BVH: the format's y up, facing +z; one joint per segment, rotations Z Y X."""
+"""BVH in and out.
+
+Read by pybvh; what is ours is the unit, which the format does not state. Written with the format's y up, facing +z; one
+joint per segment, rotations Z Y X.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pybvh
 
 from twistcap import se3
 from twistcap.arrays import Float
@@ -14,10 +20,64 @@ from twistcap.body import Body, Pose, Posed
 from twistcap.body.shape import joint_origin
 from twistcap.errors import InputError
 from twistcap.io.angles import decomposed
-from twistcap.io.markers import TO_FILE, write_lines
+from twistcap.io.files import write_lines
+from twistcap.io.markers import TO_FILE
+from twistcap.motion.skeleton import SkeletonMotion, Up
 
 _TO_FILE = TO_FILE["pose2sim"]  # our (x, y, z) -> (y, z, x)
 _ZYX = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+# Metres per unit that BVH files come in: metres, CMU's (inches / 0.45), inches, centimetres, millimetres.
+UNITS = (1.0, 0.0254 / 0.45, 0.0254, 0.01, 0.001)
+_ADULT = 1.65  # m; both the height and the span of the arms are near it
+
+
+def read_bvh(path: Path | str, unit: float | None = None, up: Up | None = None) -> SkeletonMotion:
+    """The motion of a BVH; end sites become joints named after theirs, `<joint>_end`.
+
+    `unit` is in metres; None takes that of `UNITS` which makes an adult of the rest pose. `up` None takes the axis
+    along which the rest pose is drawn. Raises InputError if it cannot be read or is no BVH with three rotations a
+    joint, or for numbers that are not finite.
+    """
+    path = Path(path)
+    try:
+        bvh: Any = pybvh.read_bvh_file(path, warn_on_world_up_disagreement=False)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}).") from error
+    except Exception as error:  # pybvh raises what its parsing stumbles over: ValueError, IndexError, …
+        raise InputError(f"{path}: not a BVH that can be read ({error}).") from error
+    tree = bvh.fk_topology
+    offsets: Float = np.asarray(tree.offsets, dtype=float)
+    places, turns = bvh.to_rotmat()
+    moving = np.asarray(tree.joint_idx)
+    local = np.where(moving[:, None, None] >= 0, turns[:, moving], np.eye(3))
+    scale = unit if unit is not None else _unit(path, _rest(offsets, tree.parent_idx))
+    upright = up or ("z" if str(bvh.rest_up).endswith("z") else "y")
+    # The root's own offset is not added to its channels, as in Blender and pybvh.
+    return SkeletonMotion.from_local(
+        path.stem, _names(bvh, tree), list(tree.parent_idx), offsets * scale, local, places * scale, bvh.fps, upright
+    )
+
+
+def _names(bvh: Any, tree: Any) -> list[str]:
+    names = [str(node.name) for node in bvh.nodes]
+    for s, joint in enumerate(tree.joint_idx):
+        if joint < 0:
+            names[s] = f"{names[tree.parent_idx[s]]}_end"
+    return names
+
+
+def _rest(offsets: Float, parents: Any) -> Float:
+    out = offsets.copy()
+    for s in range(1, len(out)):
+        out[s] += out[parents[s]]
+    return out
+
+
+def _unit(path: Path, rest: Float) -> float:
+    size = float(np.ptp(rest, axis=0).max())
+    if not (np.isfinite(size) and size > 0):
+        raise InputError(f"{path}: its joints have no distances between them.")
+    return min(UNITS, key=lambda unit: abs(np.log(unit * size / _ADULT)))
 
 
 @dataclass(frozen=True)
@@ -34,18 +94,9 @@ def write_bvh(path: Path | str, body: Body, poses: Sequence[Pose], fps: float, s
     """Writes skeleton and motion.
 
     Axes of one joint that do not meet in a point (ankle and subtalar) become two BVH joints, so that the file's forward
-    kinematics are the body's.
-
-    Args:
-        path: of the file.
-        body: that the poses are of.
-        poses: one per frame.
-        fps: frames per second.
-        scale: file units per metre; 100 for software that reads centimetres.
-
-    Raises:
-        InputError: for a frame rate that is not positive, sliding coordinates, several root segments, or if the file
-            cannot be written.
+    kinematics are the body's. `scale` is in file units per metre; 100 for software that reads centimetres. Raises
+    InputError for a frame rate (1/s) that is not positive, sliding coordinates, several root segments, or if the file
+    cannot be written.
     """
     path = Path(path)
     if not fps > 0:

@@ -6,7 +6,6 @@ One TOML table per camera: ``name``, ``size`` [w, h] px, ``matrix`` (3, 3), ``di
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -18,6 +17,7 @@ from twistcap import se3
 from twistcap.arrays import Float
 from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError
+from twistcap.io.files import read_toml
 from twistcap.io.plausible import check_plausible
 
 Unit = Literal["m", "mm"]
@@ -28,25 +28,27 @@ _FIELDS = ("size", "matrix", "rotation", "translation")  # a table with none of 
 def read_rig(path: str | Path, unit: Unit | None = None) -> Rig:
     """Read a calibration and check that it can be true.
 
-    Args:
-        path: ``Calib.toml``.
-        unit: of the translations; None takes ``unit`` in the file's ``[metadata]``, and metres where there is none.
-
-    Raises:
-        InputError: for a missing file, a missing, malformed, non-finite or impossible entry, or a fisheye lens; and
-            what `check_plausible` raises.
+    `unit` is that of the translations; None takes ``unit`` in the file's ``[metadata]``, and metres where there is
+    none. Raises InputError for a missing file, a missing, malformed, non-finite or impossible entry, or a fisheye lens;
+    and what `check_plausible` raises.
     """
     path = Path(path)
-    tables = _load(path)
-    scale = _TO_METRES[_unit(path, tables, unit)]
+    tables = read_toml(path, "calibration", "check [cameras] calibration")
+    metadata = tables.get("metadata", {})
+    given = unit or (metadata.get("unit") if isinstance(metadata, dict) else None) or "m"
+    if given not in _TO_METRES:
+        raise InputError(f"calibration {path}: the unit {given!r} is unknown; write 'm' or 'mm'.")
     cameras = tuple(
-        _camera(f"calibration {path}, camera {key!r}", key, table, scale)
+        _camera(f"calibration {path}, camera {key!r}", key, table, _TO_METRES[given])
         for key, table in tables.items()
         if key != "metadata" and isinstance(table, dict) and any(field in table for field in _FIELDS)
     )
     if not cameras:
         raise InputError(f"calibration {path} holds no camera: it needs one table per camera, such as [cam01].")
-    _check_names(path, cameras)
+    names = [camera.name for camera in cameras]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"calibration {path}: two cameras are named {name!r}; give each its own name.")
     rig = Rig(cameras)
     check_plausible(rig, source=f"calibration {path}")
     return rig
@@ -58,43 +60,15 @@ def write_rig(rig: Rig, path: str | Path) -> None:
     Path(path).write_text("\n".join([*tables, '[metadata]\nunit = "m"\nadjusted = false\nerror = 0.0\n']))
 
 
-def _load(path: Path) -> dict[str, Any]:
-    try:
-        with path.open("rb") as file:
-            return tomllib.load(file)
-    except OSError as error:
-        raise InputError(
-            f"calibration {path} cannot be read: {error.strerror}; check [cameras] calibration."
-        ) from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"calibration {path} is not valid TOML: {error}.") from error
-
-
-def _unit(path: Path, tables: Mapping[str, Any], asked: str | None) -> str:
-    metadata = tables.get("metadata", {})
-    unit = asked or (metadata.get("unit") if isinstance(metadata, dict) else None) or "m"
-    if unit not in _TO_METRES:
-        raise InputError(f"calibration {path}: the unit {unit!r} is unknown; write 'm' or 'mm'.")
-    return str(unit)
-
-
-def _check_names(path: Path, cameras: tuple[Camera, ...]) -> None:
-    names = [camera.name for camera in cameras]
-    for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"calibration {path}: two cameras are named {name!r}; give each its own name.")
-
-
 def _camera(where: str, key: str, table: Mapping[str, Any], scale: float) -> Camera:
     if table.get("fisheye", False):
         raise InputError(f"{where}: fisheye lenses are not supported; undistort the video and set fisheye = false.")
     size = _numbers(where, table, "size", (2,))
     K = _numbers(where, table, "matrix", (3, 3))
     dist = _numbers(where, table, "distortions", None) if "distortions" in table else np.zeros(5)
-    if dist.size > 5 and np.any(dist[5:]):
-        raise InputError(
-            f"{where}: distortions has {dist.size} numbers; at most five (k1, k2, p1, p2, k3) are supported."
-        )
+    if np.any(dist[5:]):
+        most = "at most five (k1, k2, p1, p2, k3) are supported"
+        raise InputError(f"{where}: distortions has {dist.size} numbers; {most}.")
     dist = np.concatenate([dist, np.zeros(5)])[:5]
     R = _rotation(where, table)
     t = _numbers(where, table, "translation", (3,)) * scale
@@ -132,15 +106,13 @@ def _rotation(where: str, table: Mapping[str, Any]) -> Float:
 
 def _check_intrinsics(where: str, K: Float, size: Float) -> None:
     if K[0, 0] <= 0 or K[1, 1] <= 0:
-        raise InputError(
-            f"{where}: the focal lengths in 'matrix' are {K[0, 0]:g} and {K[1, 1]:g}; they must be positive."
-        )
+        given = f"{K[0, 0]:g} and {K[1, 1]:g}"
+        raise InputError(f"{where}: the focal lengths in 'matrix' are {given}; they must be positive.")
     if not np.allclose(K[2], [0, 0, 1], atol=1e-6) or abs(K[1, 0]) > 1e-6:
         raise InputError(f"{where}: 'matrix' must read [[fx, s, cx], [0, fy, cy], [0, 0, 1]]; it may be transposed.")
     if np.any(size < 1) or not np.allclose(size, np.round(size)):
         raise InputError(f"{where}: 'size' is {size.tolist()}; it must be [width, height] in whole pixels.")
-    off = np.abs(K[:2, 2] - 0.5 * size) / size
-    if np.any(off > 1.0):
+    if np.any(np.abs(K[:2, 2] - 0.5 * size) > size):
         raise InputError(
             f"{where}: the principal point ({K[0, 2]:g}, {K[1, 2]:g}) is far outside the image of {size.tolist()}"
             " pixels; check that 'matrix' and 'size' belong together."
@@ -148,23 +120,15 @@ def _check_intrinsics(where: str, K: Float, size: Float) -> None:
 
 
 def _table(camera: Camera) -> str:
+    name = '"' + camera.name.replace("\\", "\\\\").replace('"', '\\"') + '"'
     rvec = np.asarray(cv2.Rodrigues(camera.T_cam_world[:3, :3])[0], dtype=float).ravel()
-    dist = (
-        camera.dist if camera.dist[4] else camera.dist[:4]
-    )  # the family writes four; a fifth only where it says something
-    lines = [
-        f"[{_quoted(camera.name)}]",
-        f"name = {_quoted(camera.name)}",
-        f"size = {[float(s) for s in camera.size]}",
-        f"matrix = {camera.K.tolist()}",
-        f"distortions = {dist.tolist()}",
-        f"rotation = {rvec.tolist()}",
-        f"translation = {camera.T_cam_world[:3, 3].tolist()}",
-        "fisheye = false\n",
-    ]
-    return "\n".join(lines)
-
-
-def _quoted(name: str) -> str:
-    escaped = name.replace("\\", "\\\\").replace('"', '\\"')
-    return f'"{escaped}"'
+    values: dict[str, Any] = {
+        "size": [float(s) for s in camera.size],
+        "matrix": camera.K.tolist(),
+        # The family writes four; a fifth only where it says something.
+        "distortions": (camera.dist if camera.dist[4] else camera.dist[:4]).tolist(),
+        "rotation": rvec.tolist(),
+        "translation": camera.T_cam_world[:3, 3].tolist(),
+    }
+    lines = [f"{key} = {value}" for key, value in values.items()]
+    return "\n".join([f"[{name}]", f"name = {name}", *lines, "fisheye = false\n"])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from twistcap import se3
 from twistcap.arrays import Float
 from twistcap.errors import InputError
+from twistcap.io.files import read_json
 from twistcap.motion.skeleton import SkeletonMotion
 
 SKELETON = "humanoid3d.txt"
@@ -23,16 +24,11 @@ def read_deepmimic(path: Path | str, skeleton: Path | str | None = None) -> Skel
 
     A frame is: its duration s, root position m, then quaternions (w x y z) of the root and the spherical joints, and
     angles rad of the revolute ones, which turn about z. Unequal durations are brought to their median by slerp.
-
-    Args:
-        path: the clip.
-        skeleton: its skeleton; None takes `humanoid3d.txt` beside it.
-
-    Raises:
-        InputError: if a file is missing or no such JSON, a frame has the wrong length, or a number is not finite.
+    The skeleton None is `humanoid3d.txt` beside the clip. Raises InputError if a file is missing or no such JSON, a
+    frame has the wrong length, or a number is not finite.
     """
     path = Path(path)
-    content = _json(path)
+    content = _table(path)
     joints = _joints(Path(skeleton) if skeleton is not None else path.with_name(SKELETON))
     rows = _rows(path, content, 8 + sum(_WIDTHS[joint["Type"]] for joint in joints[1:]))
     local = np.tile(np.eye(3), (len(rows), len(joints), 1, 1))
@@ -50,13 +46,8 @@ def read_deepmimic(path: Path | str, skeleton: Path | str | None = None) -> Skel
     return SkeletonMotion.from_local(path.stem, names, parents, offsets, local, places, 1.0 / step, "y")
 
 
-def _json(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not a JSON file ({error}).") from error
+def _table(path: Path) -> dict[str, Any]:
+    content = read_json(path)
     if not isinstance(content, dict):
         raise InputError(f"{path}: not a DeepMimic file (no table at its top).")
     return content
@@ -65,32 +56,27 @@ def _json(path: Path) -> dict[str, Any]:
 def _joints(path: Path) -> list[dict[str, Any]]:
     if not path.is_file():
         raise InputError(f"{path}: DeepMimic's skeleton is not there; put it beside the clip or give skeleton=….")
+    content = _table(path)
     try:
-        joints: list[dict[str, Any]] = _json(path)["Skeleton"]["Joints"]
-        for s, joint in enumerate(joints[1:], start=1):
-            if joint["Type"] not in _WIDTHS or not 0 <= int(joint["Parent"]) < s:
-                raise InputError(f"{path}: joint {joint['Name']!r} has an unknown type or comes before its parent.")
+        joints: list[dict[str, Any]] = content["Skeleton"]["Joints"]
+        known = [j["Type"] in _WIDTHS and 0 <= int(j["Parent"]) < s for s, j in enumerate(joints[1:], start=1)]
+        bad = [j["Name"] for j, good in zip(joints[1:], known, strict=True) if not good]
     except (KeyError, TypeError, ValueError) as error:
-        raise (
-            error
-            if isinstance(error, InputError)
-            else InputError(f"{path}: not a DeepMimic skeleton (no Skeleton, Joints).")
-        ) from error
+        raise InputError(f"{path}: not a DeepMimic skeleton (no Skeleton, Joints).") from error
+    if bad:
+        raise InputError(f"{path}: joint {bad[0]!r} has an unknown type or comes before its parent.")
     return joints
 
 
 def _rows(path: Path, content: dict[str, Any], width: int) -> Float:
+    """(N, width) the frames, every number finite."""
     frames = content.get("Frames")
     if not isinstance(frames, list) or not frames:
         raise InputError(f"{path}: not a DeepMimic clip (no Frames).")
     for n, frame in enumerate(frames):
         if not isinstance(frame, list) or len(frame) != width:
             raise InputError(f"{path}: frame {n} must have {width} numbers.")
-        try:
-            finite = bool(np.all(np.isfinite(np.array(frame, dtype=float))))
-        except (TypeError, ValueError):
-            finite = False
-        if not finite:
+        if not all(isinstance(value, (int, float)) and isfinite(value) for value in frame):
             raise InputError(f"{path}: frame {n} holds something that is no finite number.")
     return np.array(frames, dtype=float)
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,49 +26,28 @@ from twistcap.io.motion_files import write_csv, write_mot
 from twistcap.io.result import Result
 from twistcap.registry import Registry
 
-FORMATS = Registry(
-    "export format",
-    "twistcap.exports",
-    {name: f"twistcap.io.exports:{name}" for name in ("trc", "mot", "bvh", "csv", "glb")},
-)
+_OWN = {name: f"twistcap.io.exports:{name}" for name in ("trc", "mot", "bvh", "csv", "glb")}
+FORMATS = Registry("export format", "twistcap.exports", _OWN)
 _ALONE_HZ = 60.0  # rate of a result of one frame, which has none
 
 
 @dataclass(frozen=True)
 class ExportFormat:
-    """How a result is written in one format.
+    """How a result of one frame or more is written; `write` raises OSError if the file cannot be written."""
 
-    Attributes:
-        file_name: usual name of the file, such as ``angles.csv``.
-        about: what is in it, in a few words for the report.
-        write: writes a result of one frame or more; raises OSError if the file cannot be written.
-    """
-
-    file_name: str
-    about: str
+    file_name: str  # usual name of the file, such as ``angles.csv``
+    about: str  # what is in it, in a few words for the report
     write: Callable[[Result, Path], Any]
 
 
 def format_of(name: str) -> ExportFormat:
-    """The format of a name.
-
-    Raises:
-        InputError: for a name that nobody has registered.
-    """
+    """The format of a name. Raises InputError for a name that nobody has registered."""
     return FORMATS.get(name)()
 
 
 def export(result: Result, name: str, folder: Path, path: Path | None = None) -> Path:
-    """Write a result in a format; returns the file.
-
-    Args:
-        result: of one frame or more.
-        name: of the format.
-        folder: where the file gets its usual name.
-        path: of the file, in place of that.
-
-    Raises:
-        InputError: for an unknown format, a result without frames, or a file that cannot be written.
+    """Write a result in the format of a name; returns the file: `path`, or its usual name in the folder. Raises
+    InputError for an unknown format, a result without frames, or a file that cannot be written.
     """
     chosen = format_of(name)
     if not len(result):
@@ -80,40 +60,21 @@ def export(result: Result, name: str, folder: Path, path: Path | None = None) ->
     return path
 
 
-def trc() -> ExportFormat:
-    """Landmarks as markers."""
-
-    def write(result: Result, path: Path) -> None:
-        points = np.stack([Posed(result.body, pose).landmarks for pose in result.poses])
-        write_trc(path, result.times, result.body.landmarks.names, points)
-
-    return ExportFormat("joints.trc", "joint centres (OpenSim, Mokka)", write)
-
-
-def mot() -> ExportFormat:
-    """Angles of OpenSim."""
-    about = "joint angles (OpenSim)"
-    return ExportFormat("angles.mot", about, lambda r, path: write_mot(path, r.body, r.times, r.poses))
-
-
-def bvh() -> ExportFormat:
-    """Skeleton and motion."""
-    about = "skeleton and motion (Blender, MotionBuilder)"
-    return ExportFormat("motion.bvh", about, lambda r, path: write_bvh(path, r.body, r.poses, _rate(r)))
-
-
-def csv() -> ExportFormat:
-    """A table of angles."""
-    about = "joint angles and their standard deviations"
-    return ExportFormat("angles.csv", about, lambda r, path: write_csv(path, r.body, r.estimates))
-
-
-def glb() -> ExportFormat:
-    """An animated skin."""
-    about = "skinned body and motion (any glTF viewer)"
-    return ExportFormat("motion.glb", about, lambda r, path: save_glb(r.body, path, r.poses, _rate(r)))
+def _write_landmarks(result: Result, path: Path) -> None:
+    points = np.stack([Posed(result.body, pose).landmarks for pose in result.poses])
+    write_trc(path, result.times, result.body.landmarks.names, points)
 
 
 def _rate(result: Result) -> float:
     """Frames per second; the median step, so that dropped frames do not count."""
     return float(1.0 / np.median(np.diff(result.times))) if len(result) > 1 else _ALONE_HZ
+
+
+trc = partial(ExportFormat, "joints.trc", "joint centres (OpenSim, Mokka)", _write_landmarks)
+mot = partial(ExportFormat, "angles.mot", "joint angles (OpenSim)", lambda r, p: write_mot(p, r.body, r.times, r.poses))
+bvh = partial(ExportFormat, "motion.bvh", "skeleton and motion (Blender, MotionBuilder)",
+              lambda r, p: write_bvh(p, r.body, r.poses, _rate(r)))  # fmt: skip
+csv = partial(ExportFormat, "angles.csv", "joint angles and their standard deviations",
+              lambda r, p: write_csv(p, r.body, r.estimates))  # fmt: skip
+glb = partial(ExportFormat, "motion.glb", "skinned body and motion (any glTF viewer)",
+              lambda r, p: save_glb(r.body, p, r.poses, _rate(r)))  # fmt: skip

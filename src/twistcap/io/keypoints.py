@@ -7,9 +7,7 @@ BODY_25B (github.com/CMU-Perceptual-Computing-Lab, openpose and openpose_train),
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +16,8 @@ import numpy as np
 from twistcap.arrays import Float
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
+from twistcap.io.files import read_json
+from twistcap.io.session import Grid
 
 _FEET = ("toe_l", "small_toe_l", "heel_l", "toe_r", "small_toe_r", "heel_r")
 _COCO = (
@@ -32,18 +32,6 @@ LAYOUTS: Mapping[str, tuple[str, ...]] = {
     "body_25b": (*_COCO, "neck", "head_top", *_FEET),
     "coco_17": _COCO,
 }  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Grid:
-    """How the pixels of a detector relate to the video: ``detector = scale · video + offset``, per axis, in pixels."""
-
-    scale: tuple[float, float] = (1.0, 1.0)
-    offset: tuple[float, float] = (0.0, 0.0)
-
-    def to_video(self, pixels: Float) -> Float:
-        """Detector pixels (..., 2) to video pixels (..., 2)."""
-        return (pixels - np.array(self.offset)) / np.array(self.scale)
 
 
 def read_openpose(
@@ -62,28 +50,28 @@ def read_openpose(
         person: which entry of ``people``, for all cameras or by camera name; a file without people gives no keypoints.
         grids: pixel grid of the detector, by camera name, where it is not the video's.
 
-    Raises:
-        InputError: for an unknown layout or camera, a file that cannot be read, has another number of points, or has
-            fewer people.
+    Raises InputError for an unknown layout or camera, a file that cannot be read, has another number of points, or has
+    fewer people.
     """
-    names = _layout(layout)
+    if layout not in LAYOUTS:
+        raise InputError(f"keypoint layout {layout!r} is unknown; use one of {', '.join(LAYOUTS)}.")
+    names = LAYOUTS[layout]
     _expect_cameras([*files, *(grids or {})], cameras, "the keypoints")
-    pixels, confidence = _blank(len(cameras), len(names))
+    pixels, confidence = np.full((len(cameras), len(names), 2), np.nan), np.zeros((len(cameras), len(names)))
     for c, camera in enumerate(cameras):
         if camera in files:
             chosen = person if isinstance(person, int) else person.get(camera, 0)
             xyc = _read_person(Path(files[camera]), len(names), chosen)
             seen = xyc[:, 2] > 0
-            pixels[c, seen] = (grids or {}).get(camera, Grid()).to_video(xyc[seen, :2])
+            grid = (grids or {}).get(camera, Grid())
+            pixels[c, seen] = (xyc[seen, :2] - grid.offset) / grid.scale
             confidence[c, seen] = np.minimum(xyc[seen, 2], 1.0)
     return Keypoints(names, pixels, confidence)
 
 
 def openpose_files(folders: Mapping[str, Path | str], frame: int) -> dict[str, Path]:
-    """The JSON file of a frame in each camera's folder: number `frame` of its files in the order of their names.
-
-    Raises:
-        InputError: if a folder has fewer JSON files.
+    """The JSON file of a frame in each camera's folder: number `frame` of its files in the order of their names. Raises
+    InputError if a folder has fewer JSON files.
     """
     out: dict[str, Path] = {}
     for camera, folder in folders.items():
@@ -97,42 +85,33 @@ def openpose_files(folders: Mapping[str, Path | str], frame: int) -> dict[str, P
 def read_clicks(path: Path | str, cameras: Sequence[str], joints: Sequence[str] | None = None) -> Keypoints:
     """Clicked joints: CSV with columns camera, joint, x, y[, confidence], or JSON ``{camera: {joint: [x, y]}}``.
 
-    Args:
-        path: ``.json``, or anything else for CSV.
-        cameras: the rig's camera names, in order.
-        joints: the names to accept (a body's landmarks); by default any.
-
-    Raises:
-        InputError: for a file that cannot be read, a missing column, an unknown camera or joint, a joint clicked twice
-            in one camera, or a coordinate that is no finite number.
+    A file is JSON by its ending. `cameras` are the rig's, in order; `joints` the names to accept (a body's landmarks),
+    by default any. Raises InputError for a file that cannot be read, a missing column, an unknown camera or joint, a
+    joint clicked twice in one camera, or a coordinate that is no finite number.
     """
     path = Path(path)
     rows = _json_rows(path) if path.suffix.lower() == ".json" else _csv_rows(path)
     _expect_cameras([row[0] for row in rows], cameras, str(path))
-    names = tuple(dict.fromkeys(row[1] for row in rows))
-    for name in names:
-        if joints is not None and name not in joints:
-            raise InputError(f"{path}: joint {name!r} is unknown; the body has {', '.join(joints)}.")
-    pixels, confidence = _blank(len(cameras), len(names))
+    clicks: dict[tuple[str, str], tuple[float, float, float]] = {}
     for camera, joint, *values in rows:
-        at = cameras.index(camera), names.index(joint)
-        x, y, weight = (
-            _number(v, f"{path}: {what} of {joint} in {camera}") for v, what in zip(values, "xyc", strict=True)
-        )
-        if confidence[at] > 0:
+        if joints is not None and joint not in joints:
+            raise InputError(f"{path}: joint {joint!r} is unknown; the body has {', '.join(joints)}.")
+        where = f"of {joint} in {camera}"
+        x, y, weight = (_number(v, f"{path}: {what} {where}") for v, what in zip(values, "xyc", strict=True))
+        if clicks.get((camera, joint), (0, 0, 0))[2] > 0:
             raise InputError(f"{path}: joint {joint} is given twice for camera {camera}; keep one.")
+        clicks[camera, joint] = x, y, weight
+    return clicked(clicks, cameras)
+
+
+def clicked(clicks: Mapping[tuple[str, str], tuple[float, float, float]], cameras: Sequence[str]) -> Keypoints:
+    """x, y, px, and confidence by camera and joint as `Keypoints` of these cameras."""
+    names = tuple(dict.fromkeys(joint for _, joint in clicks))
+    pixels, confidence = np.full((len(cameras), len(names), 2), np.nan), np.zeros((len(cameras), len(names)))
+    for (camera, joint), (x, y, weight) in clicks.items():
+        at = cameras.index(camera), names.index(joint)
         pixels[at], confidence[at] = (x, y), weight
     return Keypoints(names, pixels, confidence)
-
-
-def _layout(layout: str) -> tuple[str, ...]:
-    if layout not in LAYOUTS:
-        raise InputError(f"keypoint layout {layout!r} is unknown; use one of {', '.join(LAYOUTS)}.")
-    return LAYOUTS[layout]
-
-
-def _blank(C: int, L: int) -> tuple[Float, Float]:
-    return np.full((C, L, 2), np.nan), np.zeros((C, L))
 
 
 def _expect_cameras(named: Sequence[str], cameras: Sequence[str], where: str) -> None:
@@ -141,18 +120,9 @@ def _expect_cameras(named: Sequence[str], cameras: Sequence[str], where: str) ->
             raise InputError(f"{where}: camera {camera!r} has no calibration; the rig has {', '.join(cameras)}.")
 
 
-def _read_json(path: Path) -> Any:
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: the keypoint file cannot be read ({error.strerror}).") from error
-    except ValueError as error:
-        raise InputError(f"{path}: this is not valid JSON ({error}).") from error
-
-
 def _read_person(path: Path, L: int, person: int) -> Float:
     """(L, 3) x, y, confidence of one person; all zero without people."""
-    content = _read_json(path)
+    content = read_json(path)
     if not isinstance(content, dict) or not isinstance(content.get("people"), list):
         raise InputError(f"{path}: field 'people' (a list) is missing; an OpenPose keypoint file has one.")
     people: list[Any] = content["people"]
@@ -165,13 +135,11 @@ def _read_person(path: Path, L: int, person: int) -> Float:
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: person {person} has no list of numbers 'pose_keypoints_2d'.") from error
     if numbers.shape != (3 * L,):
-        raise InputError(
-            f"{path}: 'pose_keypoints_2d' has shape {numbers.shape}, but the layout needs {3 * L} numbers."
-        )
-    xyc = numbers.reshape(L, 3)
-    if not np.all(np.isfinite(xyc)):
+        need = f"the layout needs {3 * L} numbers"
+        raise InputError(f"{path}: 'pose_keypoints_2d' has shape {numbers.shape}, but {need}.")
+    if not np.all(np.isfinite(numbers)):
         raise InputError(f"{path}: 'pose_keypoints_2d' of person {person} has a value that is not a finite number.")
-    return xyc
+    return numbers.reshape(L, 3)
 
 
 def _csv_rows(path: Path) -> list[tuple[str, str, Any, Any, Any]]:
@@ -182,14 +150,13 @@ def _csv_rows(path: Path) -> list[tuple[str, str, Any, Any, Any]]:
         raise InputError(f"{path}: the file of clicked joints cannot be read ({error}).") from error
     for column in ("camera", "joint", "x", "y"):
         if not rows or column not in rows[0]:
-            raise InputError(
-                f"{path}: column {column!r} is missing; the first line must be camera,joint,x,y[,confidence]."
-            )
+            head = "camera,joint,x,y[,confidence]"
+            raise InputError(f"{path}: column {column!r} is missing; the first line must be {head}.")
     return [(r["camera"], r["joint"], r["x"], r["y"], r.get("confidence") or 1.0) for r in rows]
 
 
 def _json_rows(path: Path) -> list[tuple[str, str, Any, Any, Any]]:
-    content = _read_json(path)
+    content = read_json(path)
     rows: list[tuple[str, str, Any, Any, Any]] = []
     for camera, joints in content.items() if isinstance(content, dict) else ():
         for joint, value in joints.items() if isinstance(joints, dict) else ():

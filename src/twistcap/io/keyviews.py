@@ -11,113 +11,87 @@ background = "empty.png"             # the same camera without the person, or
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from twistcap.acquire.silhouette import KeyView, difference_mask, one_person
 from twistcap.arrays import Bool, UInt8
 from twistcap.camera import Camera, Rectifier, Rig
 from twistcap.errors import InputError
 from twistcap.io.calibration import read_rig
+from twistcap.io.files import read_toml
+from twistcap.io.session import Table
 from twistcap.io.strict import validated
 
 
-class ViewEntry(BaseModel):
+class ViewEntry(Table):
     """``[views.ROLE]``."""
 
-    model_config = ConfigDict(extra="forbid")
     camera: str
     image: Path | None = None
     background: Path | None = None
     mask: Path | None = None
 
 
-class ViewEntries(BaseModel):
+class ViewEntries(Table):
     """``[views]``; which of them are needed is judged by what builds the body."""
 
-    model_config = ConfigDict(extra="forbid")
     front: ViewEntry | None = None
     side: ViewEntry | None = None
     above: ViewEntry | None = None
     elbows: ViewEntry | None = None
 
 
-class KeyViewsFile(BaseModel):
+class KeyViewsFile(Table):
     """The file; see the module's head."""
 
-    model_config = ConfigDict(extra="forbid")
     calibration: Path
-    body_line: float | None = Field(default=None, gt=0, allow_inf_nan=False)
+    body_line: float | None = Field(default=None, gt=0)
     views: ViewEntries
 
     @property
     def entries(self) -> dict[str, ViewEntry]:
         """By role, those that there are."""
-        every = {role: getattr(self.views, role) for role in ViewEntries.model_fields}
-        return {role: entry for role, entry in every.items() if entry is not None}
+        return {role: entry for role, entry in self.views if entry is not None}
 
 
 def read_key_views(path: Path | str) -> tuple[dict[str, KeyView], float | None]:
-    """The key views by role, rectified, and the body line, m, if one is given. Paths are relative to the file.
-
-    Raises:
-        InputError: for a file, a picture or a camera that is missing or does not fit.
+    """The key views by role, rectified, and the body line, m, if one is given. Paths are relative to the file. Raises
+    InputError for a file, a picture or a camera that is missing or does not fit.
     """
     path = Path(path)
-    file = read_key_views_file(path)
-    rig = read_rig(path.parent / file.calibration)
+    file, rig = _opened(path)
     views = {role: _view(role, e, rig, path.parent) for role, e in file.entries.items()}
     return views, file.body_line
 
 
-def read_key_views_file(path: Path) -> KeyViewsFile:
-    """The file as it stands, no picture opened.
-
-    Raises:
-        InputError: for a file that is missing or malformed.
-    """
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not a TOML file ({error}).") from error
-    return validated(KeyViewsFile, data, str(path), {})
+def _opened(path: Path) -> tuple[KeyViewsFile, Rig]:
+    file: KeyViewsFile = validated(KeyViewsFile, read_toml(path, "key views"), str(path), {})
+    return file, read_rig(path.parent / file.calibration)
 
 
 @dataclass(frozen=True)
 class Uncut:
-    """A key view's picture, to be cut out by hand.
+    """A key view's picture, to be cut out by hand."""
 
-    Attributes:
-        image: (H, W, 3) RGB, as recorded.
-        target: file for its mask.
-        known: (H, W) the silhouette that mask or background give, if there is one.
-        named: whether the file names the target as this view's mask.
-    """
-
-    image: UInt8
-    target: Path
-    known: Bool | None
-    named: bool
+    image: UInt8  # (H, W, 3) RGB, as recorded
+    target: Path  # file for its mask
+    known: Bool | None  # (H, W) the silhouette that mask or background give, if there is one
+    named: bool  # whether the file names the target as this view's mask
 
 
 def read_uncut(path: Path | str) -> dict[str, Uncut]:
-    """The pictures of the key views by role; only pictures and cameras must be there.
-
-    Raises:
-        InputError: for a file, a picture or a camera that is missing or does not fit, no picture at all, or a mask
-            that would be written over another picture.
+    """The pictures of the key views by role; only pictures and cameras must be there. Raises InputError for a file, a
+    picture or a camera that is missing or does not fit, no picture at all, or a mask that would be written over another
+    picture.
     """
     path = Path(path)
-    file = read_key_views_file(path)
-    rig = read_rig(path.parent / file.calibration)
+    file, rig = _opened(path)
     uncut = {role: _uncut(role, e, rig, path) for role, e in file.entries.items() if e.image is not None}
     if not uncut:
         raise InputError(f'{path}: no view names an `image`; give [views.front] image = "front.png" and so on.')
@@ -127,11 +101,10 @@ def read_uncut(path: Path | str) -> dict[str, Uncut]:
 
 def _refuse_shared(uncut: Mapping[str, Uncut], entries: Mapping[str, ViewEntry], path: Path) -> None:
     """A mask must not overwrite any other picture."""
-    targets = {role: _target(role, e, path).resolve() for role, e in entries.items() if e.mask or role in uncut}
-    pictures = {(path.parent / p).resolve() for e in entries.values() for p in (e.image, e.background) if p}
+    masks = {role: _target(role, e, path).resolve() for role, e in entries.items() if e.mask or role in uncut}
+    pictures = [(path.parent / p).resolve() for e in entries.values() for p in (e.image, e.background) if p]
     for role, view in uncut.items():
-        others = {target for other, target in targets.items() if other != role}
-        if targets[role] in pictures | others:
+        if [*pictures, *masks.values()].count(masks[role]) > 1:
             raise InputError(f"[views.{role}]: `mask` {view.target} is another picture too; name a file of its own.")
 
 
@@ -154,8 +127,14 @@ def _uncut(role: str, entry: ViewEntry, rig: Rig, path: Path) -> Uncut:
 
 def _view(role: str, entry: ViewEntry, rig: Rig, folder: Path) -> KeyView:
     camera = _camera(role, entry, rig)
-    rectify = Rectifier(camera)
-    mask = rectify(_silhouette(role, entry, camera, folder).astype("uint8"), nearest=True) > 0
+    if entry.mask is not None:
+        silhouette = _picture(folder / entry.mask, camera).max(axis=2) > 127
+    elif entry.image is not None and entry.background is not None:
+        silhouette = difference_mask(*(_picture(folder / path, camera) for path in (entry.image, entry.background)))
+    else:
+        hint = "twistcap body silhouettes makes one by hand"
+        raise InputError(f"[views.{role}]: give `image` and `background`, or a `mask` ({hint}).")
+    mask = Rectifier(camera)(silhouette.astype("uint8"), nearest=True) > 0
     return KeyView(role, camera.pinhole(), one_person(mask))
 
 
@@ -165,23 +144,12 @@ def _camera(role: str, entry: ViewEntry, rig: Rig) -> Camera:
     return rig[rig.names.index(entry.camera)]
 
 
-def _silhouette(role: str, entry: ViewEntry, camera: Camera, folder: Path) -> Bool:
-    if entry.mask is not None:
-        return _picture(folder / entry.mask, camera).max(axis=2) > 127
-    if entry.image is None or entry.background is None:
-        raise InputError(
-            f"[views.{role}]: give `image` and `background`, or a `mask` (twistcap body silhouettes makes one by hand)."
-        )
-    return difference_mask(_picture(folder / entry.image, camera), _picture(folder / entry.background, camera))
-
-
 def _picture(path: Path, camera: Camera) -> UInt8:
     image = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if image is None:
         raise InputError(f"{path}: the picture cannot be read.")
-    if (image.shape[1], image.shape[0]) != camera.size:
-        raise InputError(
-            f"{path} is {image.shape[1]}×{image.shape[0]} pixels, but camera {camera.name!r} has"
-            f" {camera.size[0]}×{camera.size[1]}; use pictures of the calibrated size."
-        )
+    if image.shape[1::-1] != camera.size:
+        its, theirs = (f"{width}×{height}" for width, height in (image.shape[1::-1], camera.size))
+        mend = "use pictures of the calibrated size"
+        raise InputError(f"{path} is {its} pixels, but camera {camera.name!r} has {theirs}; {mend}.")
     return np.asarray(image, dtype=np.uint8)

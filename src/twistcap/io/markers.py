@@ -13,8 +13,9 @@ from typing import Literal
 
 import numpy as np
 
-from twistcap.arrays import AnyArray, Float
+from twistcap.arrays import Float
 from twistcap.errors import InputError, check_choice
+from twistcap.io.files import read_lines, read_npz, write_lines
 from twistcap.io.keypoints import LAYOUTS
 
 WorldAxes = Literal["pose2sim", "opensim"]
@@ -44,16 +45,8 @@ def write_trc(
 ) -> None:
     """Writes a TRC; NaN becomes an empty field.
 
-    Args:
-        path: of the file.
-        times: (N,) s.
-        names: M marker names.
-        points: (N, M, 3) world, z up, m.
-        unit: of the numbers in the file, as its field Units names it.
-        axes: rotation of the world, see the head of this module.
-
-    Raises:
-        InputError: for shapes that do not fit each other, or if the file cannot be written.
+    `times` (N,) are in s, `points` (N, M, 3) in the world, z up, m; `unit` is that of the file. For `axes` see the head
+    of this module. Raises InputError for shapes that do not fit each other, or if the file cannot be written.
     """
     check_choice("write_trc: unit", unit, ("m", "mm"))
     check_choice("write_trc: axes", axes, TO_FILE)
@@ -79,10 +72,8 @@ def write_trc(
 
 
 def read_trc(path: Path | str, axes: WorldAxes = "pose2sim") -> Markers:
-    """The markers of a TRC in our world, z up, m. Units mm, cm and m are known.
-
-    Raises:
-        InputError: if it cannot be read, or a header field or a row is broken, naming it.
+    """The markers of a TRC in our world, z up, m. Units mm, cm and m are known. Raises InputError if it cannot be read,
+    or a header field or a row is broken, naming it.
     """
     check_choice("read_trc: axes", axes, TO_FILE)
     path = Path(path)
@@ -120,71 +111,31 @@ def _trc_row(path: Path, number: int, line: str, markers: int) -> list[float]:
     return row
 
 
-def read_keypoints3d(
-    path: Path | str, times: Float | None = None, fps: float | None = None, names: Sequence[str] | None = None
-) -> Markers:
-    """3D keypoints of an npz: `X` (N, P, 3) world m, with `names` and `times` or `fps` if the file has them.
+def read_keypoints3d(path: Path | str, times: Float | None = None) -> Markers:
+    """3D keypoints of an npz: `X` (N, P, 3) world m, with `times`, s, or `fps`, and `names` of the points.
 
-    Args:
-        path: the file.
-        times, fps: the clock, if the file has none; row n is at n / fps.
-        names: of the P points, if the file has none; default OpenPose BODY_25B in the body's landmark names.
-
-    Raises:
-        InputError: if it cannot be read, lacks X or a clock, or shapes do not fit.
+    A file without a clock takes `times` (N,) s; without names its points are OpenPose BODY_25B in the body's landmark
+    names. Raises InputError if it cannot be read, lacks X or a clock, or shapes do not fit.
     """
-    path = Path(path)
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            data = {key: archive[key] for key in archive.files}
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: not a readable npz file ({error}).") from error
+    data = read_npz(path, "the keypoint file")
     if "X" not in data or data["X"].ndim != 3 or data["X"].shape[2] != 3:
         raise InputError(f"{path}: it needs an array X of shape (frames, points, 3).")
     X = data["X"].astype(float)
-    names = tuple(map(str, data["names"])) if "names" in data else tuple(names or LAYOUTS["body_25b"])
+    names = tuple(map(str, data.get("names", LAYOUTS["body_25b"])))
     if len(names) != X.shape[1]:
         raise InputError(f"{path}: X has {X.shape[1]} points, but there are {len(names)} names.")
-    clock = _clock(path, data, len(X), fps) if times is None else np.asarray(times, dtype=float)
-    if len(clock) != len(X):
-        raise InputError(f"{path}: X has {len(X)} frames, but there are {len(clock)} times.")
-    return Markers(tuple(names), clock, X)
-
-
-def _clock(path: Path, data: Mapping[str, AnyArray], frames: int, fps: float | None) -> Float:
-    if "times" in data:
-        return data["times"].astype(float)
-    fps = float(data["fps"]) if "fps" in data else fps
-    if not fps:
-        raise InputError(f"{path}: it has no clock; give times or fps.")
-    return np.arange(frames) / fps
+    if times is None and "times" in data:
+        times = data["times"].astype(float)
+    elif times is None and "fps" in data:
+        times = np.arange(len(X)) / float(data["fps"])
+    if times is None:
+        raise InputError(f"{path}: it has no clock; give it times or fps.")
+    if len(times) != len(X):
+        raise InputError(f"{path}: X has {len(X)} frames, but there are {len(times)} times.")
+    return Markers(names, np.asarray(times, dtype=float), X)
 
 
 def frame_rate(times: Float) -> float:
     """Frames per second of evenly spaced times (N,) s; 0 for a single one."""
     span = float(times[-1] - times[0]) if len(times) > 1 else 0.0
     return round((len(times) - 1) / span, 6) if span > 0 else 0.0
-
-
-def read_lines(path: Path) -> list[str]:
-    """Lines of a text file.
-
-    Raises:
-        InputError: if it cannot be read.
-    """
-    try:
-        return path.read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
-
-
-def write_lines(path: Path, lines: Sequence[str]) -> None:
-    """Writes a text file.
-
-    Raises:
-        InputError: if it cannot be written.
-    """
-    try:
-        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}).") from error

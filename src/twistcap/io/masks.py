@@ -8,15 +8,14 @@ import cv2
 import numpy as np
 
 from twistcap.arrays import Bool
-from twistcap.camera import Rectifier, Rig
+from twistcap.camera import Rig
 from twistcap.errors import InputError
+from twistcap.io.video import preparation
 
 
 def read_masks(folder: str | Path, rig: Rig, frame: int) -> tuple[Bool | None, ...]:
-    """One mask (H, W) per camera of the rig for a frame, in the camera's own pixels; None where there is none.
-
-    Raises:
-        InputError: if no camera has one, or one cannot be read or has another size than the calibration.
+    """One mask (H, W) per camera of the rig for a frame, in the camera's own pixels; None where there is none. Raises
+    InputError if no camera has one, or one cannot be read or has another size than the calibration.
     """
     files = [Path(folder) / camera.name / f"frame_{frame:04d}.png" for camera in rig]
     masks = tuple(_read(file, camera.size) if file.is_file() else None for file, camera in zip(files, rig, strict=True))
@@ -27,22 +26,17 @@ def read_masks(folder: str | Path, rig: Rig, frame: int) -> tuple[Bool | None, .
 
 def rectified_masks(folder: str | Path, rig: Rig, frame: int, scale: float) -> tuple[Bool | None, ...]:
     """`read_masks` in the pixels of the images that the tracker sees: those of `rig.scaled(scale).pinhole()`."""
-    out: list[Bool | None] = []
-    for camera, mask in zip(rig, read_masks(folder, rig, frame), strict=True):
-        small = camera.scaled(scale)
-        resized = (
-            None if mask is None else cv2.resize(255 * mask.astype(np.uint8), small.size, interpolation=cv2.INTER_AREA)
-        )
-        out.append(None if resized is None else Rectifier(small)(np.asarray(resized)) > 127)
-    return tuple(out)
+    masks = zip(rig, read_masks(folder, rig, frame), strict=True)
+    return tuple(
+        None if m is None else preparation(camera, scale)(255 * m.astype(np.uint8)) > 127 for camera, m in masks
+    )
 
 
 def _read(file: Path, size: tuple[int, int]) -> Bool:
     image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
     if image is None:
         raise InputError(f"mask {file} cannot be read; replace or delete it.")
-    if (image.shape[1], image.shape[0]) != size:
-        raise InputError(
-            f"mask {file} is {image.shape[1]}×{image.shape[0]} pixels, but the calibration is for {size[0]}×{size[1]}."
-        )
+    if image.shape[::-1] != size:
+        its, theirs = (f"{width}×{height}" for width, height in (image.shape[::-1], size))
+        raise InputError(f"mask {file} is {its} pixels, but the calibration is for {theirs}.")
     return np.asarray(image) > 127

@@ -14,13 +14,12 @@ import numpy as np
 from twistcap import se3
 from twistcap.arrays import Float
 from twistcap.body import Body, Pose
+from twistcap.body.humanoid import humanoid
 from twistcap.errors import InputError, check_choice
 from twistcap.estimate import Estimate
 from twistcap.io import angles as convert
-from twistcap.io.bvh import write_bvh
-from twistcap.io.markers import TO_FILE, WorldAxes, read_lines, write_lines
-
-__all__ = ["MotionTable", "poses_from_mot", "read_mot", "write_bvh", "write_csv", "write_mot"]
+from twistcap.io.files import read_lines, write_lines
+from twistcap.io.markers import TO_FILE, WorldAxes
 
 _LENGTHS = re.compile(r"(_[tpv][xyz]|_beta_t[xyz])$|force|torque|moment", re.IGNORECASE)
 _NEGATIVE_KNEE = np.radians(-5.0)  # no walker has a mean knee angle below this
@@ -43,17 +42,8 @@ def write_mot(path: Path | str, body: Body, times: Float, poses: Sequence[Pose],
     """Writes the poses in OpenSim's coordinates: inDegrees=yes, lengths in m.
 
     The root becomes pelvis_tilt, list, rotation, tx, ty, tz in OpenSim's order and frame, shoulders turn in OpenSim's
-    order (`io.angles`); all other coordinates keep their names.
-
-    Args:
-        path: of the file.
-        body: that the poses are of.
-        times: (N,) s.
-        poses: N poses.
-        axes: rotation of the world about the vertical, see `io.markers`.
-
-    Raises:
-        InputError: for unequal numbers, or if the file cannot be written.
+    order (`io.angles`); all other coordinates keep their names. `times` (N,) are in s; for `axes` see `io.markers`.
+    Raises InputError for unequal numbers, or if the file cannot be written.
     """
     check_choice("write_mot: axes", axes, TO_FILE)
     path = Path(path)
@@ -74,10 +64,8 @@ def write_mot(path: Path | str, body: Body, times: Float, poses: Sequence[Pose],
 
 
 def read_mot(path: Path | str) -> MotionTable:
-    """A MOT or STO table. Angles come in rad; columns of lengths and forces (_tx, force, …) stay as they are.
-
-    Raises:
-        InputError: if it cannot be read, has no endheader, no time column, or a broken row, naming it.
+    """A MOT or STO table. Angles come in rad; columns of lengths and forces (_tx, force, …) stay as they are. Raises
+    InputError if it cannot be read, has no endheader, no time column, or a broken row, naming it.
     """
     path = Path(path)
     lines = [line.strip() for line in read_lines(path)]
@@ -118,18 +106,11 @@ def poses_from_mot(
 ) -> tuple[list[Pose], list[str]]:
     """Poses of a body from a motion file, matched by coordinate names; missing coordinates are 0.
 
-    Args:
-        table: as `read_mot` gives it.
-        body: whose coordinates have OpenSim's names.
-        axes: rotation of the file's world about the vertical, see `io.markers`.
-        knee: sign of knee flexion in the file; gait2392 and others bend to negative angles. "auto" takes columns
-            as negative if their mean is below −5°.
+    `knee` is the sign of knee flexion in the file; gait2392 and others bend to negative angles. "auto" takes columns as
+    negative if their mean is below −5°. For `axes` see `io.markers`.
 
-    Returns:
-        One pose per row, and the names of the columns that the body does not have.
-
-    Raises:
-        InputError: if a used column holds NaN, or none of the columns is known to the body.
+    Returns one pose per row, and the names of the columns that the body does not have. Raises InputError if a used
+    column holds NaN, or none of the columns is known to the body.
     """
     check_choice("poses_from_mot: axes", axes, TO_FILE)
     check_choice("poses_from_mot: knee", knee, ("auto", "positive", "negative"))
@@ -151,14 +132,20 @@ def poses_from_mot(
     return [Pose(root, row) for root, row in zip(roots, q, strict=True)], unknown
 
 
+def poses_of_file(path: Path, axes: WorldAxes = "opensim") -> tuple[Body, MotionTable, list[Pose]]:
+    """A MOT or STO in the coordinates of our body with all its joints; errors as of its parts, with the path."""
+    table, body = read_mot(path), humanoid(thorax=True, clavicles=True, wrists=True)
+    try:
+        return body, table, poses_from_mot(table, body, axes)[0]
+    except InputError as error:
+        raise InputError(f"motion {path}: {error}") from error
+
+
 def write_csv(path: Path | str, body: Body, estimates: Sequence[Estimate]) -> None:
     """One row per frame: time, root, coordinates, their standard deviations, status, support and the lost flag.
 
     Units stand in the column names: `_deg` and `_m`, standard deviations end in `_std_deg` and `_std_m`. The root is
-    its place in the world and its rotation vector.
-
-    Raises:
-        InputError: if the file cannot be written.
+    its place in the world and its rotation vector. Raises InputError if the file cannot be written.
     """
     units = ["deg" if np.any(twist[:3]) else "m" for twist in body.twists]
     named = [("root_" + axis, "m") for axis in ("x", "y", "z")] + [("root_r" + axis, "deg") for axis in ("x", "y", "z")]
@@ -184,8 +171,7 @@ def _values(pose: Pose) -> Float:
 def _deviations(estimate: Estimate) -> Float:
     """Standard deviations (6 + J,) of `_values`: place of the root, its rotation, the coordinates."""
     C = estimate.covariance
-    by_place = np.hstack(
-        [-se3.hat(estimate.pose.root[:3, 3]), np.eye(3)]
-    )  # the root moves in the world, about its origin
+    moved = -se3.hat(estimate.pose.root[:3, 3])  # the root moves in the world, about its origin
+    by_place = np.hstack([moved, np.eye(3)])
     place = by_place @ C[:6, :6] @ by_place.T
     return np.sqrt(np.maximum(np.concatenate([np.diag(place), np.diag(C)[:3], np.diag(C)[6:]]), 0.0))

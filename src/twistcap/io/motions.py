@@ -9,13 +9,12 @@ import numpy as np
 from twistcap import se3
 from twistcap.arrays import Bool, Float
 from twistcap.body import Body
-from twistcap.body.humanoid import humanoid
 from twistcap.errors import InputError
 from twistcap.io.asf import AMC_RATE, read_amc
-from twistcap.io.bvh_read import read_bvh
+from twistcap.io.bvh import read_bvh, write_bvh
 from twistcap.io.deepmimic import read_deepmimic
 from twistcap.io.markers import WorldAxes, frame_rate
-from twistcap.io.motion_files import poses_from_mot, read_mot, write_bvh, write_mot
+from twistcap.io.motion_files import poses_of_file, write_mot
 from twistcap.io.result import read_result
 from twistcap.motion import MotionClip, SkeletonMotion, SkeletonTable, body_table, read_table, retarget, skeleton_of
 
@@ -48,8 +47,7 @@ def read_motion(
         scale: of the root's path when retargeted; None takes the ratio of the legs' lengths.
         axes: how the world of a MOT is turned about the vertical, see `io.markers`.
 
-    Raises:
-        InputError: if the file is missing, broken, of an unknown kind or skeleton, or a number is not finite.
+    Raises InputError if the file is missing, broken, of an unknown kind or skeleton, or a number is not finite.
     """
     path = Path(path)
     kind = path.suffix.lower()
@@ -67,14 +65,8 @@ def read_motion(
 def write_motion(path: Path | str, body: Body, clip: MotionClip, axes: WorldAxes = "opensim") -> None:
     """A clip as MOT, STO or BVH, by the file's ending; lengths in m.
 
-    Args:
-        path: .mot, .sto or .bvh.
-        body: whose coordinates the clip has.
-        clip: the motion.
-        axes: how the world of a MOT is turned about the vertical, see `io.markers`.
-
-    Raises:
-        InputError: for another ending, a clip of other coordinates, or if the file cannot be written.
+    `axes` is how the world of a MOT is turned about the vertical, see `io.markers`. Raises InputError for another
+    ending, a clip of other coordinates, or if the file cannot be written.
     """
     path = Path(path)
     if clip.names != body.coordinate_names:
@@ -90,9 +82,7 @@ def write_motion(path: Path | str, body: Body, clip: MotionClip, axes: WorldAxes
 
 def read_skeleton(path: Path | str, skeleton: Path | str | None = None, rate: float = AMC_RATE) -> SkeletonMotion:
     """The motion of a skeleton file as it stands: .bvh, .amc (frames per second: `rate`), .txt or .json of DeepMimic.
-
-    Raises:
-        InputError: as `read_motion`.
+    Raises InputError as `read_motion`.
     """
     path = Path(path)
     kind = path.suffix.lower()
@@ -115,12 +105,7 @@ def without_rest_frame(motion: SkeletonMotion) -> SkeletonMotion:
 
 
 def _of_mot(path: Path, axes: WorldAxes) -> tuple[Body, MotionClip]:
-    table = read_mot(path)
-    body = humanoid(thorax=True, clavicles=True, wrists=True)
-    try:
-        poses, _ = poses_from_mot(table, body, axes)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+    body, table, poses = poses_of_file(path, axes)
     rate = _even_rate(path, table.times)
     q, roots = np.array([pose.q for pose in poses]), np.array([pose.root for pose in poses])
     return body, MotionClip(path.stem, body.coordinate_names, rate, roots, q)
@@ -154,7 +139,8 @@ def _even_rate(path: Path, times: Float) -> float:
 
 def _carried(source: Body, clip: MotionClip, body: Body, scale: float | None) -> MotionClip:
     """Coordinates as they are where the body has all that move, about the same axes; else by retargeting."""
-    moving = [k for k in range(len(clip.names)) if np.any(clip.q[:, k]) and _concerns(source, k, body)]
+    common = np.array([name in body.segment_names for name in source.segment_names])
+    moving = [k for k in range(len(clip.names)) if np.any(clip.q[:, k]) and np.any(common & (source.chain[:, k] != 0))]
     same = all(
         clip.names[k] in body.coordinate_names
         and np.allclose(source.twists[k, :3], body.twists[body.coordinate(clip.names[k]), :3], atol=1e-6)
@@ -167,9 +153,3 @@ def _carried(source: Body, clip: MotionClip, body: Body, scale: float | None) ->
     for k in moving:
         q[:, body.coordinate(clip.names[k])] = clip.q[:, k]
     return MotionClip(clip.name, body.coordinate_names, clip.rate, clip.roots, q)
-
-
-def _concerns(source: Body, coordinate: int, body: Body) -> bool:
-    """Whether a coordinate moves a segment that the body has too."""
-    moved = np.flatnonzero(source.chain[:, coordinate])
-    return any(source.segment_names[s] in body.segment_names for s in moved)

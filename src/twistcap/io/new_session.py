@@ -12,7 +12,7 @@ from pathlib import Path
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.io.calibration import Unit, read_rig
-from twistcap.io.video import Source, open_source
+from twistcap.io.video import Source, check_size, open_source
 
 _VIDEOS = {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".mts"}
 _IMAGES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
@@ -20,23 +20,14 @@ _IMAGES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
 
 @dataclass(frozen=True)
 class Draft:
-    """A session to be written.
+    """A session to be written."""
 
-    Attributes:
-        rig: cameras in use, as calibrated.
-        paths: video or images by camera, in the rig's order.
-        sources: the same, opened.
-        unit: of the calibration; None where the file names it or it is metres.
-        calibration: its file.
-        unused: calibrated cameras without a video.
-    """
-
-    rig: Rig
-    paths: Mapping[str, str]
-    sources: Mapping[str, Source]
-    unit: Unit | None
-    calibration: Path
-    unused: tuple[str, ...]
+    rig: Rig  # cameras in use, as calibrated
+    paths: Mapping[str, str]  # video or images by camera, in the rig's order
+    sources: Mapping[str, Source]  # the same, opened
+    unit: Unit | None  # of the calibration; None where the file names it or it is metres
+    calibration: Path  # its file
+    unused: tuple[str, ...]  # calibrated cameras without a video
 
     @property
     def frames(self) -> tuple[int, int]:
@@ -53,15 +44,10 @@ class Draft:
 def draft_session(videos: Sequence[str], calibration: Path, unit: Unit | None = None) -> Draft:
     """Open everything and check that it belongs together.
 
-    Args:
-        videos: files, folders, globs or printf patterns, each alone (its name then names the camera) or as
-            ``CAMERA=PATH``.
-        calibration: ``Calib.toml``.
-        unit: of its translations.
-
-    Raises:
-        InputError: for a video that does not open, matches no camera or has another size than its calibration, cameras
-            that two videos claim, or frame rates that differ.
+    `videos` are files, folders, globs or printf patterns, each alone (its name then names the camera) or as
+    ``CAMERA=PATH``; `unit` is that of the calibration's translations. Raises InputError for a video that does not open,
+    matches no camera or has another size than its calibration, cameras that two videos claim, or frame rates that
+    differ.
     """
     rig = read_rig(calibration, unit)
     paths = matched([path for text in videos for path in _expanded(text)], rig.names)
@@ -70,16 +56,18 @@ def draft_session(videos: Sequence[str], calibration: Path, unit: Unit | None = 
     ordered = {name: paths[name] for name in used.names}
     unused = tuple(name for name in rig.names if name not in paths)
     draft = Draft(used, ordered, sources, unit, calibration, unused)
-    _check_sizes(draft)
-    _check_rates(draft)
+    for camera in used:
+        check_size(sources[camera.name], camera)
+    rates = draft.rates
+    if rates and max(rates.values()) - min(rates.values()) > 0.01 * max(rates.values()):
+        listed = ", ".join(f"{name} {rate:g}" for name, rate in rates.items())
+        raise InputError(f"the videos differ in frames per second ({listed}); convert them to one rate.")
     return draft
 
 
 def matched(videos: Sequence[tuple[str | None, str]], cameras: Sequence[str]) -> dict[str, str]:
-    """Path by camera: as said, else the camera whose name the file's or folder's name is or holds.
-
-    Raises:
-        InputError: for a path that no camera or more than one fits, an unknown camera, or a camera taken twice.
+    """Path by camera: as said, else the camera whose name the file's or folder's name is or holds. Raises InputError
+    for a path that no camera or more than one fits, an unknown camera, or a camera taken twice.
     """
     paths: dict[str, str] = {}
     for said, path in videos:
@@ -131,23 +119,6 @@ def _in_folder(path: Path) -> list[str]:
     if not videos:
         raise InputError(f"folder {path} holds neither videos nor images; check --videos.")
     return videos
-
-
-def _check_sizes(draft: Draft) -> None:
-    for camera in draft.rig:
-        size = draft.sources[camera.name].size
-        if size != camera.size:
-            raise InputError(
-                f"video {draft.paths[camera.name]} is {size[0]}×{size[1]} pixels, but the calibration of camera"
-                f" {camera.name!r} is for {camera.size[0]}×{camera.size[1]}; use the video that was calibrated."
-            )
-
-
-def _check_rates(draft: Draft) -> None:
-    rates = draft.rates
-    if rates and max(rates.values()) - min(rates.values()) > 0.01 * max(rates.values()):
-        listed = ", ".join(f"{name} {rate:g}" for name, rate in rates.items())
-        raise InputError(f"the videos differ in frames per second ({listed}); convert them to one rate.")
 
 
 def session_lines(draft: Draft, folder: Path, stature: float | None) -> str:

@@ -26,55 +26,51 @@ def check_plausible(
 ) -> None:
     """Check that the places of the cameras are possible and that a person at `points` is above ground and seen.
 
-    Args:
-        rig: the cameras.
-        points: (N, 3) points of the person in the first frame, world, m; None checks the cameras alone.
-        floor: height of the floor, m; None where the world's z is not upward.
-        source: named in messages.
-
-    Raises:
-        InputError: cameras inside each other, implausibly far apart, without a common view or all underground; a
-            person underground or outside every view.
+    `points` (N, 3) are of the person in the first frame, world, m; None checks the cameras alone. `floor` is its
+    height, m; None where the world's z is not upward. Messages name the source. Raises InputError: cameras inside each
+    other, implausibly far apart, without a common view or all underground; a person underground or outside every view.
     """
-    check_distances(rig, source)
-    check_common_view(rig, source)
-    if floor is not None:
-        _check_above(rig, floor, source)
+    pairs = [(rig[i], rig[j]) for i in range(len(rig)) for j in range(i + 1, len(rig))]
+    distances = [float(np.linalg.norm(a.centre - b.centre)) for a, b in pairs]
+    for (a, b), distance in zip(pairs, distances, strict=True):
+        _check_distance(f"{source}: cameras {a.name!r} and {b.name!r}", distance)
+    if len(rig) > 1:
+        _check_common_view(rig, max(distances), source)
+    heights = np.array([camera.centre[2] for camera in rig])
+    if floor is not None and heights.max() - floor < -_UNDERGROUND:
+        raise InputError(
+            f"{source}: every camera stands underground (the highest at z = {heights.max() - floor:.2f} m); the"
+            " calibration is mirrored or its z axis points down; the world must be z up with the floor at [cameras]"
+            " floor."
+        )
     if points is not None:
-        check_person_place(rig, np.asarray(points, float).reshape(-1, 3), floor, source)
+        _check_person(rig, np.asarray(points, float).reshape(-1, 3), floor, source)
 
 
-def check_distances(rig: Rig, source: str) -> None:
-    """No two cameras inside each other or implausibly far apart."""
-    for a, b in _pairs(rig):
-        distance = float(np.linalg.norm(a.centre - b.centre))
-        if distance < _NEAREST:
-            raise InputError(
-                f"{source}: cameras {a.name!r} and {b.name!r} stand inside each other ({1000 * distance:.0f} mm apart);"
-                " one was calibrated with the other's pictures, or the unit is 'm' and not 'mm'."
-            )
-        if distance > _FARTHEST:
-            raise InputError(
-                f"{source}: cameras {a.name!r} and {b.name!r} are {distance:.0f} m apart;"
-                ' the file is probably in millimetres: set unit = "mm".'
-            )
+def _check_distance(cameras: str, distance: float) -> None:
+    """Two cameras do not stand inside each other or implausibly far apart."""
+    if distance < _NEAREST:
+        raise InputError(
+            f"{cameras} stand inside each other ({1000 * distance:.0f} mm apart);"
+            " one was calibrated with the other's pictures, or the unit is 'm' and not 'mm'."
+        )
+    if distance > _FARTHEST:
+        mend = 'the file is probably in millimetres: set unit = "mm"'
+        raise InputError(f"{cameras} are {distance:.0f} m apart; {mend}.")
 
 
-def check_common_view(rig: Rig, source: str) -> None:
+def _check_common_view(rig: Rig, reach: float, source: str) -> None:
     """Every camera sees some place that another one sees too."""
-    if len(rig) < 2:
-        return
-    reach = max(float(np.linalg.norm(a.centre - b.centre)) for a, b in _pairs(rig))
     for camera in rig:
-        places = frustum_points(camera, reach)
-        if not any(np.any(sees(other, places)) for other in rig if other is not camera):
+        places = _frustum_points(camera, reach)
+        if not any(np.any(_sees(other, places)) for other in rig if other is not camera):
             raise InputError(
                 f"{source}: camera {camera.name!r} sees nothing that another camera sees (they look away from each"
                 " other); rotation and translation must lead from world to camera: invert them if they do not."
             )
 
 
-def check_person_place(rig: Rig, points: Float, floor: float | None, source: str) -> None:
+def _check_person(rig: Rig, points: Float, floor: float | None, source: str) -> None:
     """A person's points are finite, above ground and in view."""
     if not np.all(np.isfinite(points)):
         raise InputError(f"{source}: the first pose holds NaN; check the keypoints of the first frame.")
@@ -84,33 +80,29 @@ def check_person_place(rig: Rig, points: Float, floor: float | None, source: str
             " from the floor); the calibration is mirrored or its z axis points down; set [cameras] floor if the floor"
             " is elsewhere."
         )
-    if not any(np.any(sees(camera, points)) for camera in rig):
+    if not any(np.any(_sees(camera, points)) for camera in rig):
         raise InputError(
             f"{source}: no camera sees the person of the first pose; check the pose's unit and that it"
             " belongs to these cameras."
         )
 
 
-def check_upright(landmarks: Mapping[str, ArrayLike], source: str = "the first pose") -> None:
+def check_upright(landmarks: Mapping[str, ArrayLike]) -> None:
     """Head above feet; not for a first pose that is truly upside down ([first_pose] upright = false).
 
-    Args:
-        landmarks: world points (3,) m by name, e.g. ``nose`` and ``ankle_r``; those that are absent do not count.
-        source: named in messages.
-
-    Raises:
-        InputError: for a person upside down.
+    `landmarks` are world points (3,) m by name, e.g. ``nose`` and ``ankle_r``; those that are absent do not count.
+    Raises InputError for a person upside down.
     """
     high = [np.asarray(landmarks[name], float)[2] for name in _HIGH if name in landmarks]
     low = [np.asarray(landmarks[name], float)[2] for name in _LOW if name in landmarks]
     if high and low and max(high) < min(low):
         raise InputError(
-            f"{source}: the person stands on the head; the calibration is mirrored or its z axis points down"
+            "the first pose: the person stands on the head; the calibration is mirrored or its z axis points down"
             " (set [first_pose] upright = false if it is true)."
         )
 
 
-def frustum_points(camera: Camera, reach: float) -> Float:
+def _frustum_points(camera: Camera, reach: float) -> Float:
     """(N, 3) world points over the view of the camera, between 1/10 of and 3 × `reach` m away."""
     width, height = camera.size
     x, y = np.meshgrid(np.linspace(0, width - 1, 13), np.linspace(0, height - 1, 13))
@@ -121,21 +113,8 @@ def frustum_points(camera: Camera, reach: float) -> Float:
     return se3.apply(se3.inverse(camera.T_cam_world), (rays[None] * depths[:, None, None]).reshape(-1, 3))
 
 
-def sees(camera: Camera, points: Float) -> Bool:
+def _sees(camera: Camera, points: Float) -> Bool:
     """(N,) whether points (N, 3) fall inside the image, without distortion, whose polynomial folds back far outside."""
     pixels, depth = camera.pinhole().project(points)
     with np.errstate(invalid="ignore"):
         return (depth > 0) & np.all((pixels > -0.5) & (pixels < np.array(camera.size) - 0.5), axis=-1)
-
-
-def _check_above(rig: Rig, floor: float, source: str) -> None:
-    heights = np.array([camera.centre[2] for camera in rig]) - floor
-    if heights.max() < -_UNDERGROUND:
-        raise InputError(
-            f"{source}: every camera stands underground (the highest at z = {heights.max():.2f} m); the calibration is"
-            " mirrored or its z axis points down; the world must be z up with the floor at [cameras] floor."
-        )
-
-
-def _pairs(rig: Rig) -> list[tuple[Camera, Camera]]:
-    return [(rig[i], rig[j]) for i in range(len(rig)) for j in range(i + 1, len(rig))]

@@ -14,14 +14,14 @@ from twistcap.adjust.first_pose import Proportions
 from twistcap.arrays import Float
 from twistcap.body import Body, Pose, rescaled
 from twistcap.errors import InputError
+from twistcap.io.files import read_npz
 from twistcap.io.result import read_result
 
 
 def write_pose(path: str | Path, body: Body, pose: Pose, proportions: Proportions | None = None) -> None:
     """Write JSON ``{"root": 4×4, "q": {coordinate: rad}}`` and, where given, the body's ``"proportions"``.
 
-    Args:
-        proportions: the factors that made `body` from the generic one.
+    These are the factors that made `body` from the generic one.
     """
     content: dict[str, Any] = {"root": pose.root.tolist()}
     content["q"] = {name: float(value) for name, value in zip(body.coordinate_names, pose.q, strict=True)}
@@ -30,30 +30,34 @@ def write_pose(path: str | Path, body: Body, pose: Pose, proportions: Proportion
     Path(path).write_text(json.dumps(content, indent=1) + "\n")
 
 
-def body_at(path: str | Path, body: Body) -> Body:
-    """The generic body at the ``"proportions"`` that a pose file holds; as it is where it holds none.
-
-    Raises:
-        InputError: for proportions that are no positive numbers, or of segments that the body does not have.
+def read_proportions(path: str | Path) -> Proportions | None:
+    """The ``"proportions"`` that a pose file holds; None where it holds none or is no such file. Raises InputError for
+    proportions that are no finite numbers.
     """
     path = Path(path)
     if path.suffix.lower() != ".json" or not path.is_file():
-        return body
+        return None
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except ValueError:
-        return body  # `read_pose` raises
+        return None  # `read_pose` raises
     given = content.get("proportions") if isinstance(content, dict) else None
     if given is None:
-        return body
+        return None
     try:
-        lengths, girths = dict(given["lengths"]), dict(given["girths"])
-        factors = np.array([given["stature"], *lengths.values(), *girths.values()], float)
+        lengths, girths = ({k: float(v) for k, v in dict(given[key]).items()} for key in ("lengths", "girths"))
+        found = Proportions(lengths, girths, float(given["stature"]))
     except (TypeError, ValueError, KeyError) as error:
         raise InputError(f"pose file {path}: 'proportions' needs stature, lengths and girths.") from error
-    if not np.all(np.isfinite(factors)):
+    if not np.all(np.isfinite([found.stature, *lengths.values(), *girths.values()])):
         raise InputError(f"pose file {path}: a factor of 'proportions' is not a finite number.")
-    return rescaled(body, lengths, girths, float(given["stature"]))
+    return found
+
+
+def body_at(path: str | Path, body: Body) -> Body:
+    """The generic body at a pose file's `read_proportions`. Raises InputError for segments that it does not have."""
+    found = read_proportions(path)
+    return body if found is None else rescaled(body, found.lengths, found.girths, found.stature)
 
 
 def read_pose(path: str | Path, body: Body, frame: int | None = None) -> Pose:
@@ -65,8 +69,7 @@ def read_pose(path: str | Path, body: Body, frame: int | None = None) -> Pose:
         body: whose coordinates are meant.
         frame: which pose of an NPZ (row) or of a result (frame number); None takes the first.
 
-    Raises:
-        InputError: for a file that cannot be read, an unknown coordinate, or a root that is no motion.
+    Raises InputError for a file that cannot be read, an unknown coordinate, or a root that is no motion.
     """
     path = Path(path)
     readers = {".json": _from_json, ".npz": _from_npz, ".h5": _from_result, ".hdf5": _from_result}
@@ -84,24 +87,22 @@ def _from_json(path: Path, frame: int | None) -> tuple[Any, Mapping[str, Any]]:
         content = json.loads(path.read_text(encoding="utf-8"))
         return content["root"], dict(content["q"])
     except (ValueError, TypeError, KeyError) as error:
-        raise InputError(
-            f'pose file {path} must be JSON {{"root": 4×4, "q": {{coordinate: rad}}}} ({error}).'
-        ) from error
+        form = '{"root": 4×4, "q": {coordinate: rad}}'
+        raise InputError(f"pose file {path} must be JSON {form} ({error}).") from error
 
 
 def _from_npz(path: Path, frame: int | None) -> tuple[Any, Mapping[str, Any]]:
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            roots, q, names = data["root"], data["q"], [str(name) for name in data["coordinate_names"]]
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(f"pose file {path} must hold root, q and coordinate_names ({error}).") from error
+    data = read_npz(path, "pose file")
+    if not {"root", "q", "coordinate_names"} <= data.keys():
+        raise InputError(f"pose file {path} must hold root, q and coordinate_names.")
+    roots = data["root"]
     row = _row(path, np.arange(len(roots)), frame) if roots.ndim == 3 else ...
-    return roots[row], dict(zip(names, q[row], strict=True))
+    return roots[row], dict(zip(map(str, data["coordinate_names"]), data["q"][row], strict=True))
 
 
 def _from_result(path: Path, frame: int | None) -> tuple[Any, Mapping[str, Any]]:
     result = read_result(path)
-    pose = result.poses[_row(path, np.asarray(result.indices), frame)]
+    pose = result.poses[_row(path, result.indices, frame)]
     return pose.root, dict(zip(result.body.coordinate_names, pose.q, strict=True))
 
 

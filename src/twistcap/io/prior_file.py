@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from twistcap.arrays import Float
-from twistcap.body.humanoid import humanoid
 from twistcap.errors import InputError
-from twistcap.io.angles import shoulders_of
-from twistcap.io.motion_files import poses_from_mot, read_mot
+from twistcap.io.angles import complete_coordinates
+from twistcap.io.files import read_npz, write_npz
+from twistcap.io.motion_files import poses_of_file
 from twistcap.io.result import read_result
 from twistcap.priors import ParzenPrior
 
@@ -22,33 +21,20 @@ Motion = tuple[tuple[str, ...], Float]
 
 
 def write_prior(path: str | Path, prior: ParzenPrior) -> Path:
-    """Write a prior as NPZ: format, names, samples (rad), sigma, scale.
-
-    Raises:
-        InputError: where the file cannot be written.
-    """
-    path = Path(path)
+    """Write a prior as NPZ: format, names, samples (rad), sigma, scale."""
     scale = np.ones(len(prior.names)) if prior.scale is None else prior.scale
-    try:
-        with path.open("wb") as file:  # a path without .npz would be given one
-            np.savez_compressed(
-                file, format=FORMAT, names=np.array(prior.names), samples=prior.samples, sigma=prior.sigma, scale=scale
-            )
-    except OSError as error:
-        raise InputError(f"prior {path} cannot be written: {error.strerror}; choose another path.") from error
-    return path
+    arrays = {"names": prior.names, "samples": prior.samples, "sigma": prior.sigma, "scale": scale}
+    return write_npz(path, "prior", format=FORMAT, **arrays)
 
 
 def read_prior(path: str | Path) -> ParzenPrior:
-    """Read what `write_prior` wrote.
-
-    Raises:
-        InputError: for a file that is missing, is no prior, or holds numbers that are not finite.
+    """Read what `write_prior` wrote. Raises InputError for a file that is missing, is no prior, or holds numbers that
+    are not finite.
     """
-    data = _arrays(path, "prior")
+    data = read_npz(path, "prior")
     if str(data.get("format", "")) != FORMAT or not {"names", "samples", "sigma", "scale"} <= data.keys():
         raise InputError(f"prior {path} is no twistcap prior; make one with twistcap prior train.")
-    names = tuple(str(name) for name in np.atleast_1d(data["names"]))
+    names = tuple(map(str, np.atleast_1d(data["names"])))
     try:
         samples, scale = (np.asarray(data[key], dtype=float) for key in ("samples", "scale"))
         return ParzenPrior(names, samples, float(data["sigma"]), scale)
@@ -73,8 +59,7 @@ def trained_prior(
         sigma: kernel width, rad; by default the paper's rule.
         scale: by coordinate, divisor of its differences; 1 where it is not named.
 
-    Raises:
-        InputError: for a file that cannot be read, a value that is not finite, or a coordinate that a file lacks.
+    Raises InputError for a file that cannot be read, a value that is not finite, or a coordinate that a file lacks.
     """
     if not paths or every < 1:
         raise InputError("prior: give one motion file or more, and every how many frames to take (1 or more).")
@@ -82,15 +67,18 @@ def trained_prior(
     names = tuple(coordinates or [n for n in motions[0][0] if all(n in known for known, _ in motions)])
     if not names:
         raise InputError(f"prior: {', '.join(map(str, paths))} have no joint coordinate in common.")
-    parts = [_columns(path, motion, names)[::every] for path, motion in zip(paths, motions, strict=True)]
+    parts: list[Float] = []
+    for path, (known, q) in zip(paths, motions, strict=True):
+        for name in names:
+            if name not in known:
+                raise InputError(f"motion {path} has no coordinate {name!r}; it has {', '.join(known)}.")
+        parts.append(q[::every, [known.index(name) for name in names]])
     return ParzenPrior.trained(names, np.concatenate(parts), sigma, scale_of(names, scale))
 
 
 def adjusted(prior: ParzenPrior, sigma: float | None, scale: Mapping[str, float] | None) -> ParzenPrior:
-    """A prior with another width or scales; new scales without a width take the paper's rule again.
-
-    Raises:
-        InputError: for a scale of a coordinate that the prior does not have.
+    """A prior with another width or scales; new scales without a width take the paper's rule again. Raises InputError
+    for a scale of a coordinate that the prior does not have.
     """
     if sigma is None and not scale:
         return prior
@@ -122,20 +110,10 @@ def _motion(path: Path) -> Motion:
 
 
 def _of_mot(path: Path) -> Motion:
-    """The file's own joint coordinates, in our signs and order: a shoulder only where all three angles are there."""
-    table = read_mot(path)
-    body = humanoid(thorax=True, clavicles=True, wrists=True)
-    try:
-        poses, _ = poses_from_mot(table, body)
-    except InputError as error:
-        raise InputError(f"motion {path}: {error}") from error
-    known = [name in table.columns for name in body.coordinate_names]
-    for ours, _ in shoulders_of(body):
-        whole = all(known[k] for k in ours)
-        for k in ours:
-            known[k] = whole
-    names = tuple(name for name, there in zip(body.coordinate_names, known, strict=True) if there)
-    return names, np.stack([pose.q for pose in poses])[:, known]
+    """The file's own joint coordinates, in our signs and order."""
+    body, table, poses = poses_of_file(path)
+    names = complete_coordinates(body, table.columns)
+    return names, np.stack([pose.q for pose in poses])[:, [body.coordinate(name) for name in names]]
 
 
 def _of_result(path: Path) -> Motion:
@@ -144,24 +122,7 @@ def _of_result(path: Path) -> Motion:
 
 
 def _of_npz(path: Path) -> Motion:
-    data = _arrays(path, "motion")
+    data = read_npz(path, "motion")
     if not {"q", "coordinate_names"} <= data.keys():
         raise InputError(f"motion {path} must hold q and coordinate_names.")
-    return tuple(str(name) for name in data["coordinate_names"]), np.atleast_2d(np.asarray(data["q"], dtype=float))
-
-
-def _arrays(path: str | Path, what: str) -> dict[str, np.ndarray]:
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            return dict(data)
-    except FileNotFoundError as error:
-        raise InputError(f"{what} {path} does not exist; check its path.") from error
-    except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError(f"{what} {path} cannot be read as NPZ: it is another kind of file, or damaged.") from error
-
-
-def _columns(path: str | Path, motion: Motion, names: Sequence[str]) -> Float:
-    for name in names:
-        if name not in motion[0]:
-            raise InputError(f"motion {path} has no coordinate {name!r}; it has {', '.join(motion[0])}.")
-    return motion[1][:, [motion[0].index(name) for name in names]]
+    return tuple(map(str, data["coordinate_names"])), np.atleast_2d(np.asarray(data["q"], dtype=float))

@@ -17,34 +17,30 @@ from twistcap.adjust.first_pose import (
 )
 from twistcap.arrays import Bool
 from twistcap.body import Body, Pose, Posed, rescaled
+from twistcap.body.gltf import load_glb
+from twistcap.body.humanoid import humanoid
+from twistcap.body.obj_rig import load_makehuman
 from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
 from twistcap.io.calibration import read_rig
-from twistcap.io.keypoints import Grid, openpose_files, read_clicks, read_openpose
+from twistcap.io.keypoints import openpose_files, read_clicks, read_openpose
 from twistcap.io.masks import read_masks, rectified_masks
 from twistcap.io.plausible import check_plausible, check_upright
 from twistcap.io.pose_file import body_at, read_pose
-from twistcap.io.session import CameraGrid, FirstPoseTable, GlbBody, HumanoidBody, KeypointSet, Session
+from twistcap.io.session import CameraGrid, GlbBody, HumanoidBody, KeypointSet, Session
 from twistcap.io.video import Views, open_views
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A session ready to be tracked.
+    """A session ready to be tracked."""
 
-    Attributes:
-        session: as read.
-        rig: cameras as calibrated, in use.
-        views: the frames; `views.image_rig` are the cameras of their images.
-        body, first_pose: at the fitted lengths; the pose of the first frame.
-    """
-
-    session: Session
-    rig: Rig
-    views: Views
-    body: Body
-    first_pose: Pose
+    session: Session  # as read
+    rig: Rig  # cameras as calibrated, in use
+    views: Views  # the frames; `views.image_rig` are the cameras of their images
+    body: Body  # at the fitted lengths
+    first_pose: Pose  # the pose of the first frame
 
     @property
     def first_time(self) -> float:
@@ -53,10 +49,8 @@ class Recording:
 
 
 def open_recording(session: Session) -> Recording:
-    """Read everything a session names and check that it is possible.
-
-    Raises:
-        InputError: whatever is missing, malformed or impossible, in one sentence.
+    """Read everything a session names and check that it is possible. Raises InputError: whatever is missing, malformed
+    or impossible, in one sentence.
     """
     rig = rig_of(session)
     views = views_of(session, rig)
@@ -65,10 +59,8 @@ def open_recording(session: Session) -> Recording:
 
 
 def open_together(sessions: Sequence[Session]) -> list[Recording]:
-    """Recordings of one person: the body of the first, and its lengths, hold in all others.
-
-    Raises:
-        InputError: as `open_recording`, or where a later session has another kind of body.
+    """Recordings of one person: the body of the first, and its lengths, hold in all others. Raises InputError as
+    `open_recording`, or where a later session has another kind of body.
     """
     first = open_recording(sessions[0])
     out = [first]
@@ -95,10 +87,8 @@ def rig_of(session: Session) -> Rig:
     use = session.cameras.use or rig.names
     for name in use:
         if name not in rig.names:
-            raise InputError(
-                f"[cameras] use names {name!r}, which {session.cameras.calibration} does not hold;"
-                f" it has {', '.join(rig.names)}."
-            )
+            missing = f"which {session.cameras.calibration} does not hold; it has {', '.join(rig.names)}"
+            raise InputError(f"[cameras] use names {name!r}, {missing}.")
     for name in session.cameras.grid:
         if name not in use:
             raise InputError(f"[cameras.grid] names {name!r}, which is not in use; remove it.")
@@ -132,16 +122,10 @@ def body_of(session: Session) -> Body:
     """The generic body of ``[body]``, before any fit."""
     body = session.body
     if isinstance(body, HumanoidBody):
-        from twistcap.body.humanoid import humanoid
-
         return humanoid(**body.model_dump(exclude={"kind"}))
     if isinstance(body, GlbBody):
-        from twistcap.body.gltf import load_glb
-
         loaded = load_glb(body.path, body.rig)
     else:
-        from twistcap.body.obj_rig import load_makehuman
-
         targets: dict[Path | str, float] = {Path(path): weight for path, weight in body.targets.items()}
         loaded = load_makehuman(body.path, body.rig, body.weights, targets, body.spec)
     return rescaled(loaded, body.lengths, body.girths, body.stature)
@@ -149,7 +133,7 @@ def body_of(session: Session) -> Body:
 
 def first_pose_of(session: Session, rig: Rig, body: Body, views: Views) -> tuple[Body, Pose]:
     """Body (at the fitted lengths and girths) and pose of the first frame, checked against floor and cameras."""
-    start = _Start.of(session, rig, body)
+    start = _start(session, rig, body)
     first = views.indices[0]
     check_first_pose(session, rig, start.body, start.at(first))
     start = _with_girths(session, rig, start)
@@ -182,28 +166,23 @@ class _Start:
     def at(self, frame: float) -> Pose:
         return self.poses[0] if len(self.poses) == 1 else pose_at(self.poses, self.frames, frame)
 
-    @staticmethod
-    def of(session: Session, rig: Rig, body: Body) -> _Start:
-        table, first = session.first_pose, float((session.frames or (0, 0))[0])
-        if table.file is not None:
-            body = body_at(table.file, body)
-            return _Start(body, (first,), (read_pose(table.file, body, table.frame),))
-        if table.clicks is not None:
-            fit = fit_keypoints(body, rig, read_clicks(table.clicks, rig.names), fit_lengths=table.fit_lengths)
-            return _Start(fit.body, (first,), (fit.pose,))
-        return _from_keypoints(table, rig, body)
 
-
-def _from_keypoints(table: FirstPoseTable, rig: Rig, body: Body) -> _Start:
-    """One fit over the instants near the first frame and those that only serve the lengths."""
+def _start(session: Session, rig: Rig, body: Body) -> _Start:
+    """From a file, from clicks, or one fit over instants near the first frame and those that only serve the lengths."""
+    table, first = session.first_pose, float((session.frames or (0, 0))[0])
+    if table.file is not None:
+        body = body_at(table.file, body)
+        return _Start(body, (first,), (read_pose(table.file, body, table.frame),))
+    if table.clicks is not None:
+        fit = fit_keypoints(body, rig, read_clicks(table.clicks, rig.names), fit_lengths=table.fit_lengths)
+        return _Start(fit.body, (first,), (fit.pose,))
     assert table.keypoints is not None
     own = keypoints_of(table.keypoints, rig)
     instants, rigs = list(own), [rig] * len(own)
     for extra in table.lengths_from:
-        their_rig = read_rig(extra.calibration, extra.unit) if extra.calibration else rig
-        more = keypoints_of(extra, their_rig)
-        instants += more
-        rigs += [their_rig] * len(more)
+        theirs = read_rig(extra.calibration, extra.unit) if extra.calibration else rig
+        instants += keypoints_of(extra, theirs)
+        rigs += [theirs] * (len(instants) - len(rigs))
     fits = fit_keypoints_sequence(body, rigs, instants, fit_lengths=table.fit_lengths)[: len(own)]
     frames = tuple(number + table.keypoints.offset for number in table.keypoints.frames)
     return _Start(fits[0].body, frames, tuple(fit.pose for fit in fits))
@@ -225,11 +204,10 @@ def _with_girths(session: Session, rig: Rig, start: _Start) -> _Start:
 
 def keypoints_of(table: KeypointSet, rig: Rig) -> Sequence[Keypoints]:
     """The keypoints of every instant of a set."""
-    grids = {name: Grid(grid.scale, grid.offset) for name, grid in table.grid.items()}
-    for name in (*table.folders, *grids):
+    for name in (*table.folders, *table.grid):
         if name not in rig.names:
             raise InputError(f"[first_pose] keypoints name the camera {name!r}, which is not in use; remove it.")
     return [
-        read_openpose(openpose_files(table.folders, frame), rig.names, table.format, table.person, grids)
+        read_openpose(openpose_files(table.folders, frame), rig.names, table.format, table.person, table.grid)
         for frame in table.frames
     ]

@@ -7,132 +7,122 @@ files of ``libver="latest"`` cannot be opened after a kill.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+import zlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from importlib.metadata import version
+from operator import attrgetter
 from pathlib import Path
-from types import TracebackType
+from platform import python_version
 from typing import Any
 
 import h5py
 import numpy as np
 
-from twistcap.arrays import AnyArray, Bool, Float, Int, UInt8
+from twistcap.arrays import Bool, Float, Int, UInt8
 from twistcap.body import Body, Landmarks, Pose
 from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate
-from twistcap.io.state_slots import latest_state, put_state
 
 FORMAT = "twistcap-result"
 FORMAT_VERSION = 3
-_ARRAYS = (
-    "parent", "twists", "limits", "segment_joint", "vertices", "faces", "skin_segments", "skin_weights",
-)  # fmt: skip
+_ARRAYS = ("parent", "twists", "limits", "segment_joint", "vertices", "faces", "skin_segments", "skin_weights")
 _NAMES = ("coordinate_names", "segment_names")
+_RIG = ("K", "T_cam_world", "size", "dist")
+_FIELDS: Mapping[str, tuple[str, Any]] = {  # datasets of the frames: attribute of an estimate, type
+    "index": ("index", "i8"),
+    "time": ("time", "f8"),
+    "root": ("pose.root", "f8"),
+    "q": ("pose.q", "f8"),
+    "covariance": ("covariance", "f8"),
+    "status": ("status", h5py.string_dtype("ascii", 16)),
+    "iterations": ("iterations", "i4"),
+    "lost": ("lost", "bool"),
+    "support": ("support", "f8"),
+    "predicted": ("predicted", h5py.string_dtype("ascii", 20)),
+}
+_SLOTS = ("0", "1")
+_NONE = -1  # frames of a slot that is empty or being written
 
 
 @dataclass(frozen=True)
 class Result:
-    """A result file in memory: N frames of a body with J coordinates, seen by a rig.
+    """A result file in memory: N frames of a body with J coordinates, seen by a rig."""
 
-    Attributes:
-        body, rig: the tracked body; the cameras as calibrated (full size, with distortion).
-        indices: (N,) frame numbers.
-        times: (N,) s.
-        roots: (N, 4, 4) root motions.
-        q: (N, J) joint coordinates, rad.
-        covariances: (N, 6 + J, 6 + J) of the pose step, rad and m.
-        energies: (N,) by term; NaN where the term was not there.
-        statuses: N words, see `Estimate`.
-        iterations: (N,) accepted solver steps.
-        lost: (N,) whether the evidence no longer supported the pose.
-        support: (N,) that evidence in [0, 1].
-        predicted: N words, the source of the pose that each frame started from; see `Estimate`.
-        config: what the run was configured with, as JSON data.
-        versions: of the programs, by name.
-    """
-
-    body: Body
-    rig: Rig
-    indices: Int
-    times: Float
-    roots: Float
-    q: Float
-    covariances: Float
-    energies: Mapping[str, Float]
-    statuses: tuple[str, ...]
-    iterations: Int
-    lost: Bool
-    support: Float
-    predicted: tuple[str, ...]
-    config: Mapping[str, Any]
-    versions: Mapping[str, str]
+    body: Body  # the tracked body
+    rig: Rig  # the cameras as calibrated (full size, with distortion)
+    indices: Int  # (N,) frame numbers
+    times: Float  # (N,) s
+    roots: Float  # (N, 4, 4) root motions
+    q: Float  # (N, J) joint coordinates, rad
+    covariances: Float  # (N, 6 + J, 6 + J) of the pose step, rad and m
+    energies: Mapping[str, Float]  # (N,) by term; NaN where the term was not there
+    statuses: tuple[str, ...]  # N words, see `Estimate`
+    iterations: Int  # (N,) accepted solver steps
+    lost: Bool  # (N,) whether the evidence no longer supported the pose
+    support: Float  # (N,) that evidence in [0, 1]
+    predicted: tuple[str, ...]  # N words, the source of the pose that each frame started from; see `Estimate`
+    config: Mapping[str, Any]  # what the run was configured with, as JSON data
+    versions: Mapping[str, str]  # of the programs, by name
 
     def __len__(self) -> int:
         return len(self.times)
 
-    @property
+    @cached_property
     def poses(self) -> tuple[Pose, ...]:
         """N poses."""
-        return self._poses
+        return tuple(Pose(root, q) for root, q in zip(self.roots, self.q, strict=True))
 
     @cached_property
-    def _poses(self) -> tuple[Pose, ...]:
-        return tuple(Pose(root, q) for root, q in zip(self.roots, self.q, strict=True))
+    def sigmas(self) -> Float:
+        """(N, J) standard deviations of the coordinates, rad."""
+        return np.sqrt(np.maximum(np.diagonal(self.covariances, axis1=1, axis2=2)[:, 6:], 0.0))
 
     @cached_property
     def estimates(self) -> tuple[Estimate, ...]:
         """The frames as the tracker gave them."""
-        return tuple(self._estimate(n) for n in range(len(self)))
-
-    def _estimate(self, n: int) -> Estimate:
-        return Estimate(
-            index=int(self.indices[n]),
-            time=float(self.times[n]),
-            pose=self.poses[n],
-            covariance=self.covariances[n],
-            energies={k: float(v[n]) for k, v in self.energies.items() if np.isfinite(v[n])},
-            status=self.statuses[n],
-            iterations=int(self.iterations[n]),
-            lost=bool(self.lost[n]),
-            support=float(self.support[n]),
-            predicted=self.predicted[n],
+        return tuple(
+            Estimate(
+                index=int(self.indices[n]),
+                time=float(self.times[n]),
+                pose=pose,
+                covariance=self.covariances[n],
+                energies={k: float(v[n]) for k, v in self.energies.items() if np.isfinite(v[n])},
+                status=self.statuses[n],
+                iterations=int(self.iterations[n]),
+                lost=bool(self.lost[n]),
+                support=float(self.support[n]),
+                predicted=self.predicted[n],
+            )
+            for n, pose in enumerate(self.poses)
         )
 
 
 class ResultWriter:
     """Writes estimates one by one; what has been appended survives a kill. Use as a context manager."""
 
-    def __init__(
-        self,
-        path: str | Path,
-        body: Body,
-        rig: Rig,
-        config: Mapping[str, Any],
-        versions: Mapping[str, str] | None = None,
-    ) -> None:
-        """Start a new file, replacing an old one.
+    def __init__(self, path: str | Path, body: Body, rig: Rig, config: Mapping[str, Any]) -> None:
+        """Start a new file, replacing an old one; its folder must exist.
 
-        Args:
-            path: of the file; its folder must exist.
-            body, rig: as in `Result`.
-            config: anything JSON can hold.
-            versions: of the programs; None asks `installed_versions`.
-
-        Raises:
-            InputError: where the file cannot be written.
+        `body` and `rig` are as in `Result`, `config` is anything JSON can hold. Raises InputError where the file cannot
+        be written.
         """
         self._file = _opened(path, "w")
         self._file.attrs.update(format=FORMAT, format_version=FORMAT_VERSION)
         self._file.attrs["config"] = json.dumps(config, default=str)
-        for name, version in (versions if versions is not None else installed_versions()).items():
-            self._file.require_group("versions").attrs[name] = version
-        write_body(self._file.create_group("body"), body)
-        _write_rig(self._file.create_group("rig"), rig)
-        self._frames: h5py.Group = self._file.create_group("frames")
-        for name, shape, dtype in _frame_fields(len(body.coordinate_names)):
-            _create(self._frames, name, shape, dtype)
+        self._file.create_group("versions").attrs.update(installed_versions())
+        _write_body(self._file.create_group("body"), body)
+        rigs = self._file.create_group("rig")
+        _write_strings(rigs, "names", rig.names)
+        for name in _RIG:
+            rigs[name] = np.array([getattr(camera, name) for camera in rig])
+        self._frames: Any = self._file.create_group("frames")
+        J = len(body.coordinate_names)
+        shapes = {"root": (4, 4), "q": (J,), "covariance": (6 + J, 6 + J)}
+        for name, (_, dtype) in _FIELDS.items():
+            _create(self._frames, name, shapes.get(name, ()), dtype)
         self._frames.create_group("energies")
         self._count = 0
         self._file.flush()
@@ -141,17 +131,15 @@ class ResultWriter:
     def resume(cls, path: str | Path, frames: int | None = None) -> ResultWriter:
         """Go on after the last complete frame of a file, or after its first `frames`.
 
-        Later frames stay in the file until they are overwritten.
-
-        Raises:
-            InputError: for a file that is missing or no result.
+        Later frames stay in the file until they are overwritten. Raises InputError for a file that is missing or no
+        result.
         """
         read_result(path)
         writer = cls.__new__(cls)
         writer._file = _opened(path, "r+")
-        writer._frames = _group(writer._file, "frames")
+        writer._frames = writer._file["frames"]
         complete = _complete(writer._frames)
-        for dataset in _datasets(writer._frames):
+        for dataset in (*(writer._frames[name] for name in _FIELDS), *writer._frames["energies"].values()):
             dataset.resize(complete, axis=0)
         writer._count = complete if frames is None else min(frames, complete)
         return writer
@@ -161,7 +149,16 @@ class ResultWriter:
 
         Two slots are used in turn, so that a kill in the middle of a write leaves one whole.
         """
-        put_state(self._file.require_group("state"), data, self._count)
+        group: Any = self._file.require_group("state")
+        slot = min(_SLOTS, key=lambda name: _frames_of(group, name))
+        if slot not in group:
+            group.create_dataset(slot, (0,), np.uint8, maxshape=(None,), chunks=(1 << 16,))
+        dataset = group[slot]
+        dataset.attrs["frames"] = _NONE
+        dataset.resize(len(data), axis=0)
+        dataset[:] = data
+        dataset.attrs["crc32"] = zlib.crc32(data.tobytes())
+        dataset.attrs["frames"] = self._count
         self._file.flush()
 
     def __len__(self) -> int:
@@ -169,10 +166,14 @@ class ResultWriter:
 
     def append(self, estimate: Estimate) -> None:
         """Write one frame and flush."""
-        values: dict[str, Any] = {name: get(estimate) for name, get in _GETTERS.items()}
-        for name, value in values.items():
-            _put(_dataset(self._frames, name), self._count, value)
-        self._put_energies(estimate.energies)
+        for name, (attribute, _) in _FIELDS.items():
+            _put(self._frames[name], self._count, attrgetter(attribute)(estimate))
+        energies = self._frames["energies"]
+        for name in estimate.energies:
+            if name not in energies:
+                _create(energies, name, (), "f8", fillvalue=np.nan)
+        for name, dataset in energies.items():
+            _put(dataset, self._count, estimate.energies.get(name, np.nan))
         self._count += 1
         self._file.flush()
 
@@ -183,136 +184,96 @@ class ResultWriter:
     def __enter__(self) -> ResultWriter:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
-
-    def _put_energies(self, energies: Mapping[str, float]) -> None:
-        group = _group(self._frames, "energies")
-        for name in energies:
-            if name not in group:
-                _create(group, name, (), np.dtype(float), fillvalue=np.nan)
-        for dataset in _datasets(group):
-            _put(dataset, self._count, energies.get(str(dataset.name).rsplit("/", 1)[-1], np.nan))
 
 
 def read_result(path: str | Path) -> Result:
-    """Read a result file, finished or not: all frames that are complete.
-
-    Raises:
-        InputError: for a file that is missing, no HDF5, no result or of a newer format.
+    """Read a result file, finished or not: all frames that are complete. Raises InputError for a file that is missing,
+    no HDF5, no result or of a newer format.
     """
     with _opened(path, "r") as file:
         _check_format(path, file)
-        frames = _group(file, "frames")
+        frames: Any = file["frames"]
         n = _complete(frames)
-        get: Callable[[str], AnyArray] = lambda name: np.asarray(_dataset(frames, name)[:n])  # noqa: E731
+        rows = {name: np.asarray(frames[name][:n]) for name in _FIELDS}
         return Result(
-            body=read_body(_group(file, "body")),
-            rig=_read_rig(_group(file, "rig")),
-            indices=get("index").astype(np.int32),
-            times=get("time"),
-            roots=get("root"),
-            q=get("q"),
-            covariances=get("covariance"),
-            energies=_energies(frames, n),
-            statuses=tuple(s.decode() for s in get("status")),
-            iterations=get("iterations").astype(np.int32),
-            lost=get("lost").astype(bool),
-            support=get("support"),
-            predicted=tuple(s.decode() for s in get("predicted")),
+            body=_read_body(file["body"]),
+            rig=_read_rig(file["rig"]),
+            indices=rows["index"].astype(np.int32),
+            times=rows["time"],
+            roots=rows["root"],
+            q=rows["q"],
+            covariances=rows["covariance"],
+            energies={name: _padded(dataset, n) for name, dataset in frames["energies"].items()},
+            statuses=tuple(s.decode() for s in rows["status"]),
+            iterations=rows["iterations"].astype(np.int32),
+            lost=rows["lost"].astype(bool),
+            support=rows["support"],
+            predicted=tuple(s.decode() for s in rows["predicted"]),
             config=json.loads(str(file.attrs["config"])),
-            versions={k: str(v) for k, v in _group(file, "versions").attrs.items()} if "versions" in file else {},
+            versions={k: str(v) for k, v in file["versions"].attrs.items()} if "versions" in file else {},
         )
 
 
 def read_state(path: str | Path) -> tuple[int, UInt8] | None:
     """The latest state that is whole: how many frames had been written, and its bytes (N,); None where there is none.
-
-    Raises:
-        InputError: as `read_result`.
+    Raises InputError as `read_result`.
     """
     with _opened(path, "r") as file:
         _check_format(path, file)
-        complete = _complete(_group(file, "frames"))
-        return latest_state(_group(file, "state"), complete) if "state" in file else None
+        group: Any = file.get("state", {})
+        complete = _complete(file["frames"])
+        for slot in sorted(_SLOTS, key=lambda name: -_frames_of(group, name)):
+            if 0 <= (frames := _frames_of(group, slot)) <= complete:
+                data = np.asarray(group[slot][:], np.uint8)
+                if zlib.crc32(data.tobytes()) == group[slot].attrs.get("crc32"):
+                    return frames, data
+    return None
+
+
+def _frames_of(states: Any, slot: str) -> int:
+    """How many frames had been written when the state of a slot was."""
+    return int(states[slot].attrs.get("frames", _NONE)) if slot in states else _NONE
 
 
 def installed_versions() -> dict[str, str]:
     """Versions of this package and of those that shape its numbers."""
-    from importlib.metadata import version
-    from platform import python_version
-
     packages = ("twistcap", "numpy", "scipy", "numba", "opencv-python-headless", "av", "h5py")
     return {"python": python_version(), **{name: version(name) for name in packages}}
 
 
-def write_body(group: h5py.Group, body: Body) -> None:
-    """Store a body completely, as arrays."""
+def _write_body(group: h5py.Group, body: Body) -> None:
     group.attrs["name"] = body.name
     for name in _NAMES:
-        group.create_dataset(name, data=list(getattr(body, name)), dtype=h5py.string_dtype())
+        _write_strings(group, name, getattr(body, name))
     for name in _ARRAYS:
         group.create_dataset(name, data=getattr(body, name), compression="gzip")
     marks = group.create_group("landmarks")
-    marks.create_dataset("names", data=list(body.landmarks.names), dtype=h5py.string_dtype())
-    marks.create_dataset("segments", data=body.landmarks.segments)
-    marks.create_dataset("points", data=body.landmarks.points)
+    _write_strings(marks, "names", body.landmarks.names)
+    marks["segments"], marks["points"] = body.landmarks.segments, body.landmarks.points
 
 
-def read_body(group: h5py.Group) -> Body:
-    """The body that `write_body` stored."""
-    arrays: dict[str, Any] = {name: np.asarray(_dataset(group, name)[()]) for name in _ARRAYS}
-    marks = _group(group, "landmarks")
-    landmarks = Landmarks(
-        _strings(_dataset(marks, "names")),
-        np.asarray(_dataset(marks, "segments")[()]),
-        np.asarray(_dataset(marks, "points")[()]),
-    )
-    names: dict[str, Any] = {name: _strings(_dataset(group, name)) for name in _NAMES}
+def _read_body(group: Any) -> Body:
+    names: dict[str, Any] = {name: _strings(group[name]) for name in _NAMES}
+    arrays: dict[str, Any] = {name: np.asarray(group[name][()]) for name in _ARRAYS}
+    marks = group["landmarks"]
+    landmarks = Landmarks(_strings(marks["names"]), np.asarray(marks["segments"][()]), np.asarray(marks["points"][()]))
     return Body(name=str(group.attrs["name"]), landmarks=landmarks, **names, **arrays)
 
 
-def _write_rig(group: h5py.Group, rig: Rig) -> None:
-    group.create_dataset("names", data=list(rig.names), dtype=h5py.string_dtype())
-    for name in ("K", "T_cam_world", "size", "dist"):
-        group.create_dataset(name, data=np.array([getattr(camera, name) for camera in rig]))
-
-
-def _read_rig(group: h5py.Group) -> Rig:
-    K, T, size, dist = (np.asarray(_dataset(group, name)[()]) for name in ("K", "T_cam_world", "size", "dist"))
-    names = _strings(_dataset(group, "names"))
+def _read_rig(group: Any) -> Rig:
+    K, T, size, dist = (np.asarray(group[name][()]) for name in _RIG)
+    names = _strings(group["names"])
     return Rig(tuple(Camera(n, K[i], T[i], (int(size[i, 0]), int(size[i, 1])), dist[i]) for i, n in enumerate(names)))
 
 
-_GETTERS: Mapping[str, Callable[[Estimate], Any]] = {
-    "index": lambda e: e.index,
-    "time": lambda e: e.time,
-    "root": lambda e: e.pose.root,
-    "q": lambda e: e.pose.q,
-    "covariance": lambda e: e.covariance,
-    "status": lambda e: e.status,
-    "iterations": lambda e: e.iterations,
-    "lost": lambda e: e.lost,
-    "support": lambda e: e.support,
-    "predicted": lambda e: e.predicted,
-}
+def _write_strings(group: h5py.Group, name: str, values: tuple[str, ...]) -> None:
+    group.create_dataset(name, data=list(values), dtype=h5py.string_dtype())
 
 
-def _frame_fields(J: int) -> tuple[tuple[str, tuple[int, ...], Any], ...]:
-    return (
-        ("index", (), np.dtype("i8")),
-        ("time", (), np.dtype("f8")),
-        ("root", (4, 4), np.dtype("f8")),
-        ("q", (J,), np.dtype("f8")),
-        ("covariance", (6 + J, 6 + J), np.dtype("f8")),
-        ("status", (), h5py.string_dtype("ascii", 16)),
-        ("iterations", (), np.dtype("i4")),
-        ("lost", (), np.dtype("bool")),
-        ("support", (), np.dtype("f8")),
-        ("predicted", (), h5py.string_dtype("ascii", 20)),
-    )
+def _strings(dataset: Any) -> tuple[str, ...]:
+    return tuple(s.decode() for s in dataset[()])
 
 
 def _create(group: h5py.Group, name: str, shape: tuple[int, ...], dtype: Any, fillvalue: Any = None) -> None:
@@ -330,24 +291,15 @@ def _put(dataset: h5py.Dataset, row: int, value: Any) -> None:
         dataset[row] = value
 
 
-def _complete(frames: h5py.Group) -> int:
+def _complete(frames: Any) -> int:
     """Frames that all datasets hold: a kill may strike between two of them."""
-    return min(_dataset(frames, name).shape[0] for name in _GETTERS)
+    return min(frames[name].shape[0] for name in _FIELDS)
 
 
-def _energies(frames: h5py.Group, n: int) -> dict[str, Float]:
-    out: dict[str, Float] = {}
-    for name, dataset in _group(frames, "energies").items():
-        out[name] = np.full(n, np.nan)
-        held = np.asarray(dataset[:n])
-        out[name][: len(held)] = held
-    return out
-
-
-def _datasets(group: h5py.Group) -> list[h5py.Dataset]:
-    out: list[h5py.Dataset] = []
-    group.visititems(lambda _, item: out.append(item) if isinstance(item, h5py.Dataset) else None)
-    return out
+def _padded(dataset: Any, n: int) -> Float:
+    """(n,) values, NaN after the last one."""
+    held = np.asarray(dataset[:n])
+    return np.pad(held, (0, n - len(held)), constant_values=np.nan)
 
 
 def _opened(path: str | Path, mode: str) -> h5py.File:
@@ -370,19 +322,3 @@ def _check_format(path: str | Path, file: h5py.File) -> None:
         raise InputError(f"{path} was written by a newer twistcap (format {version}); update twistcap.")
     if version < FORMAT_VERSION:
         raise InputError(f"{path} was written by an older twistcap (format {version}); track the recording again.")
-
-
-def _group(parent: h5py.Group, name: str) -> h5py.Group:
-    item = parent[name]
-    assert isinstance(item, h5py.Group)
-    return item
-
-
-def _dataset(parent: h5py.Group, name: str) -> h5py.Dataset:
-    item = parent[name]
-    assert isinstance(item, h5py.Dataset)
-    return item
-
-
-def _strings(dataset: h5py.Dataset) -> tuple[str, ...]:
-    return tuple(s.decode() if isinstance(s, bytes) else str(s) for s in dataset[()])

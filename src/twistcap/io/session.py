@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, ValidationInfo, model_validator
 
 from twistcap.errors import InputError
+from twistcap.io.files import read_toml
 from twistcap.io.strict import dataclass_from, validated
 from twistcap.motion import MotionKind
 
@@ -86,33 +86,33 @@ class HumanoidBody(Table):
     wrists: bool = False
 
 
-class GlbBody(Table):
+class _Loaded(Table):
+    """A body of files, and the factors on its size."""
+
+    path: DataPath
+    rig: DataPath | None = None
+    stature: float = Field(default=1.0, gt=0)
+    lengths: Factors = {}
+    girths: Factors = {}
+
+
+class GlbBody(_Loaded):
     """``[body] kind = "glb"``: a skinned GLB or glTF and the TOML that describes its joints."""
 
     kind: Literal["glb"]
-    path: DataPath
-    rig: DataPath | None = None
-    stature: float = Field(default=1.0, gt=0)
-    lengths: Factors = {}
-    girths: Factors = {}
 
 
-class ObjBody(Table):
+class ObjBody(_Loaded):
     """``[body] kind = "obj"``: an OBJ with a MakeHuman-style rig and weights."""
 
     kind: Literal["obj"]
-    path: DataPath
-    rig: DataPath | None = None
     weights: DataPath | None = None
     spec: DataPath | None = None
     targets: dict[DataPath, float] = {}
-    stature: float = Field(default=1.0, gt=0)
-    lengths: Factors = {}
-    girths: Factors = {}
 
 
-class GridTable(Table):
-    """How a detector's pixels relate to the video's: ``detector = scale · video + offset``, per axis (x, y)."""
+class Grid(Table):
+    """How a detector's pixels relate to the video's: ``detector = scale · video + offset``, per axis (x, y), px."""
 
     scale: tuple[float, float] = (1.0, 1.0)
     offset: tuple[float, float] = (0.0, 0.0)
@@ -129,7 +129,7 @@ class KeypointSet(Table):
     frames: tuple[Annotated[int, Field(ge=0)], ...] = (0,)
     offset: float = 0.0
     person: int | dict[str, int] = 0
-    grid: dict[str, GridTable] = {}
+    grid: dict[str, Grid] = {}
     calibration: DataPath | None = None
     unit: Literal["m", "mm"] | None = None
 
@@ -231,10 +231,8 @@ class Session(Table):
 
     @property
     def pose_prior(self) -> ParzenPrior | None:
-        """What ``[prior]`` names, read.
-
-        Raises:
-            InputError: for a file that is no prior, or a scale of a coordinate that it has not learnt.
+        """What ``[prior]`` names, read. Raises InputError for a file that is no prior, or a scale of a coordinate that
+        it has not learnt.
         """
         if self.prior is None:
             return None
@@ -244,11 +242,7 @@ class Session(Table):
 
     @property
     def motion_library(self) -> MotionLibrary | None:
-        """What ``[motions]`` names, read, at its own rate.
-
-        Raises:
-            InputError: for a file that is no motion library.
-        """
+        """What ``[motions]`` names, read, at its own rate. Raises InputError for a file that is no motion library."""
         if self.motions is None:
             return None
         from twistcap.io.motion_library import read_library
@@ -259,73 +253,49 @@ class Session(Table):
 def load_session(path: str | Path, overrides: Mapping[str, Any] | None = None) -> Session:
     """Read and check a session file.
 
-    Args:
-        path: the TOML.
-        overrides: what the command line says, by dotted key (``tracker.method``); None values are passed over.
-
-    Raises:
-        InputError: for a file that cannot be read, an unknown key, a wrong value, a missing table, or a predictor or
-            method that does not fit ``[motions]`` and ``[prior]``.
+    `overrides` are what the command line says, by dotted key (``tracker.method``); None values are passed over. Raises
+    InputError for a file that cannot be read, an unknown key, a wrong value, a missing table, or a predictor or
+    method that does not fit ``[motions]`` and ``[prior]``.
     """
     path = Path(path)
-    data = _expanded(_with_base(_load(path), path), path)
+    data = _expanded(_with_base(read_toml(path, "session"), path), path)
     for key, value in (overrides or {}).items():
         if value is not None:
-            _set(data, key.split("."), value)
+            *above, last = key.split(".")
+            table = data
+            for name in above:
+                table = table.setdefault(name, {})
+            table[last] = value
     if "body" in data and isinstance(data["body"], dict):
         data["body"].setdefault("kind", "humanoid")
     folder = path.parent / str(data.get("data", "."))
     session: Session = validated(Session, data, str(path), {"folder": folder})
     session.remember(str(path))
     tracker_settings(session.tracker, str(path))
-    _check_predictor(session, str(path))
-    _check_method(session, str(path))
+    _check_fitting(session, str(path))
     return session
 
 
 def tracker_settings(table: Mapping[str, Any], source: str) -> Settings:
-    """`Settings` from their table.
-
-    Raises:
-        InputError: for an unknown key or a wrong value.
-    """
+    """`Settings` from their table. Raises InputError for an unknown key or a wrong value."""
     from twistcap.settings import Settings
 
     return dataclass_from(Settings, table, source, "tracker")
 
 
-def _check_predictor(session: Session, source: str) -> None:
-    """Motion predicts where ``[motions]`` names a library, and only there."""
-    predictor = session.tracker.get("predictor")
+def _check_fitting(session: Session, source: str) -> None:
+    """Motion predicts where ``[motions]`` names a library, and only there; brightness alone takes nothing learnt."""
+    method, predictor = session.tracker.get("method"), session.tracker.get("predictor")
     if session.motions is not None and predictor not in (None, "motion"):
-        raise InputError(
-            f"{source}: [motions] makes motion the predictor, but tracker.predictor is {predictor!r}; remove one."
-        )
+        both = f"[motions] makes motion the predictor, but tracker.predictor is {predictor!r}"
+        raise InputError(f"{source}: {both}; remove one.")
     if session.motions is None and predictor == "motion":
-        raise InputError(
-            f"{source}: tracker.predictor is 'motion', but no [motions] names a library; give its path there, of"
-            " twistcap motions build."
-        )
-
-
-def _check_method(session: Session, source: str) -> None:
-    """The differential method takes neither a pose prior nor training motion."""
-    given = [name for name in ("prior", "motions") if getattr(session, name) is not None]
-    if session.tracker.get("method") == "differential" and given:
-        tables = " and ".join(f"[{name}]" for name in given)
-        raise InputError(
-            f"{source}: tracker.method 'differential' uses brightness alone; remove {tables}, or choose 'direct'."
-        )
-
-
-def _load(path: Path) -> dict[str, Any]:
-    try:
-        with path.open("rb") as file:
-            return tomllib.load(file)
-    except OSError as error:
-        raise InputError(f"session {path} cannot be read: {error.strerror}; check the path.") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"session {path} is not valid TOML: {error}.") from error
+        lacks = "tracker.predictor is 'motion', but no [motions] names a library"
+        raise InputError(f"{source}: {lacks}; give its path there, of twistcap motions build.")
+    tables = " and ".join(f"[{name}]" for name in ("prior", "motions") if getattr(session, name) is not None)
+    if method == "differential" and tables:
+        alone = "tracker.method 'differential' uses brightness alone"
+        raise InputError(f"{source}: {alone}; remove {tables}, or choose 'direct'.")
 
 
 def _with_base(data: dict[str, Any], path: Path) -> dict[str, Any]:
@@ -333,7 +303,7 @@ def _with_base(data: dict[str, Any], path: Path) -> dict[str, Any]:
     if "base" not in data:
         return data
     base = path.parent / str(data.pop("base"))
-    below = _load(base)
+    below = read_toml(base, "session")
     if "base" in below:
         raise InputError(f"session {path}: its base {base} has a base itself; name the last one.")
     below["data"] = os.path.relpath(base.parent / str(_expanded(below.get("data", "."), base)), path.parent)
@@ -344,15 +314,12 @@ def _without_replaced(below: dict[str, Any], above: dict[str, Any]) -> dict[str,
     """Less what the session above puts in its place: a body of another kind, another source of the first pose."""
     out = dict(below)
     body, pose = above.get("body"), above.get("first_pose")
-    if isinstance(body, dict) and isinstance(out.get("body"), dict) and _kind(body) != _kind(out["body"]):
+    kinds = {table.get("kind", "humanoid") for table in (body, out.get("body")) if isinstance(table, dict)}
+    if len(kinds) > 1:
         del out["body"]
     if isinstance(pose, dict) and isinstance(out.get("first_pose"), dict) and any(name in pose for name in _SOURCES):
         out["first_pose"] = {k: v for k, v in out["first_pose"].items() if k not in (*_SOURCES, "lengths_from")}
     return out
-
-
-def _kind(body: dict[str, Any]) -> Any:
-    return body.get("kind", "humanoid")
 
 
 def _merged(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
@@ -366,21 +333,14 @@ def _expanded(value: Any, path: Path) -> Any:
         return {key: _expanded(item, path) for key, item in value.items()}
     if isinstance(value, list):
         return [_expanded(item, path) for item in value]
-    return (
-        re.sub(r"\$\{(\w+)(?::-([^}]*))?\}", lambda m: _variable(m, path), value) if isinstance(value, str) else value
-    )
+    if isinstance(value, str):
+        return re.sub(r"\$\{(\w+)(?::-([^}]*))?\}", lambda match: _variable(match, path), value)
+    return value
 
 
 def _variable(match: re.Match[str], path: Path) -> str:
     value = os.environ.get(match[1]) or match[2]
     if value is None:
-        raise InputError(
-            f"{path}: the environment variable {match[1]} is not set; set it, or write ${{{match[1]}:-default}}."
-        )
+        mend = f"set it, or write ${{{match[1]}:-default}}"
+        raise InputError(f"{path}: the environment variable {match[1]} is not set; {mend}.")
     return value
-
-
-def _set(data: dict[str, Any], keys: list[str], value: Any) -> None:
-    for key in keys[:-1]:
-        data = data.setdefault(key, {})
-    data[keys[-1]] = value

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from functools import cached_property
-from glob import glob
+from glob import escape, glob
 from pathlib import Path
 from typing import Any
 
@@ -32,38 +32,29 @@ class VideoSource:
     def __init__(self, path: str | Path) -> None:
         """Raises InputError where the file is missing or holds no video."""
         self.name = str(path)
+        self.fps: float | None
         if not Path(path).is_file():
             raise InputError(f"video {path} does not exist; check its path in [videos].")
         try:
             with av.open(self.name) as container:
                 self._stamps = _time_stamps(self.name, container)
                 stream = container.streams.video[0]
-                self._fps = float(stream.average_rate) if stream.average_rate else None
+                self.fps = float(stream.average_rate) if stream.average_rate else None
         except FFmpegError as error:
             raise InputError(f"video {path} cannot be opened ({error.strerror}); is it a video file?") from error
 
     def __len__(self) -> int:
         return len(self._stamps)
 
-    @property
-    def fps(self) -> float | None:
-        return self._fps
-
-    @property
+    @cached_property
     def size(self) -> tuple[int, int]:
         """(width, height) px as shown: the file's rotation is applied."""
-        return self._size
-
-    @cached_property
-    def _size(self) -> tuple[int, int]:
         image = next(self.read([0]))
         return image.shape[1], image.shape[0]
 
     def read(self, indices: Sequence[int]) -> Iterator[UInt8]:
-        """RGB images (H, W, 3) of ascending frame numbers.
-
-        Raises:
-            InputError: at the first frame that cannot be decoded; frames before it have been given.
+        """RGB images (H, W, 3) of ascending frame numbers. Raises InputError at the first frame that cannot be decoded;
+        frames before it have been given.
         """
         if len(indices) == 0:
             return
@@ -136,43 +127,30 @@ class ImageSource:
     def __len__(self) -> int:
         return len(self._files)
 
-    @property
+    @cached_property
     def size(self) -> tuple[int, int]:
         """(width, height) px of the first image."""
-        return self._size
-
-    @cached_property
-    def _size(self) -> tuple[int, int]:
-        first = next(i for i, file in enumerate(self._files) if file is not None)
-        image = _read_image(self.name, self._files[first], first)
+        first, file = next((i, file) for i, file in enumerate(self._files) if file is not None)
+        image = _read_image(file, first)
         return image.shape[1], image.shape[0]
 
     def read(self, indices: Sequence[int]) -> Iterator[UInt8 | None]:
-        """RGB images (H, W, 3) by frame number; None where the file is absent.
-
-        Raises:
-            InputError: at the first image that cannot be read or has another size than the first.
+        """RGB images (H, W, 3) by frame number; None where the file is absent. Raises InputError at the first image
+        that cannot be read or has another size than the first.
         """
         for index in indices:
             file = self._files[index]
-            yield None if file is None else self._checked(file, index)
-
-    def _checked(self, file: str, index: int) -> UInt8:
-        image = _read_image(self.name, file, index)
-        if (image.shape[1], image.shape[0]) != self.size:
-            raise InputError(
-                f"image {file} (frame {index}) is {image.shape[1]}×{image.shape[0]} pixels,"
-                f" the first is {self.size[0]}×{self.size[1]}."
-            )
-        return image
+            image = None if file is None else _read_image(file, index)
+            if image is not None and image.shape[1::-1] != self.size:
+                size, first = (f"{width}×{height}" for width, height in (image.shape[1::-1], self.size))
+                raise InputError(f"image {file} (frame {index}) is {size} pixels, the first is {first}.")
+            yield image
 
 
-def _read_image(name: str, file: str | None, index: int) -> UInt8:
-    image = None if file is None else cv2.imread(file, cv2.IMREAD_COLOR)
+def _read_image(file: str, index: int) -> UInt8:
+    image = cv2.imread(file, cv2.IMREAD_COLOR)
     if image is None:
-        raise InputError(
-            f"image {file or name} (frame {index}) is corrupt; replace it, or delete it to have it dropped."
-        )
+        raise InputError(f"image {file} (frame {index}) is corrupt; replace it, or delete it to have it dropped.")
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 
@@ -182,7 +160,7 @@ def _numbered(pattern: str) -> list[str | None]:
         raise InputError(f"image pattern {pattern} must hold one number field such as %04d.")
     head, tail = pattern[: field.start()], pattern[field.end() :]
     shape = re.compile(re.escape(head) + r"(\d+)" + re.escape(tail) + "$")
-    found = {int(m[1]): m.string for m in map(shape.match, glob(_escape(head) + "*" + _escape(tail))) if m}
+    found = {int(m[1]): m.string for m in map(shape.match, glob(escape(head) + "*" + escape(tail))) if m}
     return [found.get(i) for i in range(min(found), max(found) + 1)] if found else []
 
 
@@ -190,10 +168,6 @@ def _in_order(pattern: str) -> list[str | None]:
     files = glob(str(Path(pattern) / "*")) if Path(pattern).is_dir() else glob(pattern)
     images: list[str] = [file for file in files if Path(file).suffix.lower() in _IMAGES]
     return [*sorted(images, key=_natural)]
-
-
-def _escape(text: str) -> str:
-    return re.sub(r"([*?[])", r"[\1]", text)
 
 
 def _natural(file: str) -> list[tuple[int, str]]:

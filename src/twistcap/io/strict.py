@@ -24,10 +24,8 @@ def unknown_key(source: str, key: str, table: str, valid: Iterable[str]) -> Inpu
 
 
 def validated(model: type[BaseModel], data: Mapping[str, Any], source: str, context: Mapping[str, Any]) -> Any:
-    """`model` made from `data`.
-
-    Raises:
-        InputError: for the first thing wrong, with the key, the file and what would be right.
+    """`model` made from `data`. Raises InputError for the first thing wrong, with the key, the file and what would be
+    right.
     """
     try:
         return model.model_validate(data, context=dict(context))
@@ -38,13 +36,8 @@ def validated(model: type[BaseModel], data: Mapping[str, Any], source: str, cont
 def dataclass_from(kind: type[T], table: Mapping[str, Any], source: str, where: str) -> T:
     """A (nested) dataclass of plain settings from a table, unknown keys and wrong types being errors.
 
-    Args:
-        kind: the dataclass.
-        table: its settings; absent keys keep their defaults.
-        source, where: file and table, for messages.
-
-    Raises:
-        InputError: as `validated`; and what the dataclass itself raises.
+    Absent keys keep their defaults; messages name the file `source` and the table `where`. Raises InputError as
+    `validated`; and what the dataclass itself raises.
     """
     _check_keys(kind, table, source, where)
     try:

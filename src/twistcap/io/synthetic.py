@@ -36,20 +36,11 @@ def write_session(
     ``videos/cam01.mp4`` … or ``videos/cam01/0000.png`` …, and of the truth ``truth.npz`` and
     ``masks/cam01/frame_0000.png`` ….
 
-    Args:
-        capture: what to write.
-        folder: made if it does not exist.
-        images: "video" (H.264) or "png" (lossless); by default videos, and PNG where frames are dropped, since a video
-            has no way to say so.
-        masks: whether to write the true silhouettes.
-        progress: called with the number of frames done and of all.
+    Images are "video" (H.264) or "png" (lossless); by default videos, and PNG where frames are dropped, since a video
+    has no way to say so. `progress` is called with the number of frames done and of all.
 
-    Returns:
-        The path of ``session.toml``.
-
-    Raises:
-        InputError: where the folder cannot be written, for videos with dropped frames, or a first or last frame that
-            is dropped.
+    Returns the path of ``session.toml``. Raises InputError where the folder cannot be written, for videos with dropped
+    frames, or a first or last frame that is dropped.
     """
     folder, images = Path(folder), images or ("png" if capture.config.dropped else "video")
     check_choice("write_session: images", images, ("video", "png"))
@@ -109,52 +100,38 @@ def _pose_arrays(body: Body, poses: Sequence[Pose]) -> dict[str, AnyArray]:
 def _check_drops(config: StudioConfig, images: Images) -> None:
     if images == "video" and config.dropped:
         raise InputError("studio: a video cannot say which frames were dropped; write PNG images instead.")
-    ends = [config.is_dropped(k, c) for k in (0, config.frames - 1) for c in range(config.views)]
-    if any(ends):
+    if any(config.is_dropped(k, c) for k in (0, config.frames - 1) for c in range(config.views)):
         raise InputError("studio: a written session needs its first and last frame; drop frames between them.")
 
 
 def _write_images(
     capture: Capture, folder: Path, images: Images, masks: bool, progress: Callable[[int, int], None] | None
 ) -> None:
-    names, total = capture.rig.names, capture.config.frames
+    names, config = capture.rig.names, capture.config
+    made = [folder / "videos", *(folder / "videos" / name for name in names if images == "png")]
+    for path in (*made, *(folder / "masks" / name for name in names if masks)):
+        path.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
-        writers = [stack.enter_context(_ImageWriter(folder / "videos", n, capture.config.fps, images)) for n in names]
+        videos = {
+            name: stack.enter_context(VideoWriter(folder / "videos" / f"{name}.mp4", config.fps, crf=_CRF))
+            for name in names
+            if images == "video"
+        }
         for frame in capture.frames():
-            for writer, image in zip(writers, frame.images, strict=True):
-                writer.write(image)
+            for name, image in zip(names, frame.images, strict=True):
+                if image is None:
+                    continue  # its number is left out
+                if name in videos:
+                    videos[name].write(image)
+                else:
+                    _write_image(folder / "videos" / name / f"{frame.index:04d}.png", image)
             if masks:
-                _write_masks(capture, folder / "masks", frame.index)
+                for name, mask in zip(names, capture.masks(frame.index), strict=True):
+                    _write_image(folder / "masks" / name / f"frame_{frame.index:04d}.png", mask.astype(np.uint8) * 255)
             if progress is not None:
-                progress(frame.index + 1, total)
+                progress(frame.index + 1, config.frames)
 
 
-def _write_masks(capture: Capture, folder: Path, index: int) -> None:
-    for name, mask in zip(capture.rig.names, capture.masks(index), strict=True):
-        (folder / name).mkdir(parents=True, exist_ok=True)
-        cv2.imwrite(str(folder / name / f"frame_{index:04d}.png"), mask.astype(np.uint8) * 255)
-
-
-class _ImageWriter:
-    """One camera's images, as a video or as numbered PNG files."""
-
-    def __init__(self, folder: Path, name: str, fps: float, images: Images) -> None:
-        self._folder, self._count = folder / name, 0
-        (folder if images == "video" else self._folder).mkdir(parents=True, exist_ok=True)
-        self._video = VideoWriter(folder / f"{name}.mp4", fps, crf=_CRF) if images == "video" else None
-
-    def write(self, image: AnyArray | None) -> None:
-        """Append one image; None leaves its number out."""
-        if self._video is not None and image is not None:
-            self._video.write(image)
-        elif image is not None:
-            stored = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR)
-            cv2.imwrite(str(self._folder / f"{self._count:04d}.png"), stored)
-        self._count += 1
-
-    def __enter__(self) -> _ImageWriter:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._video is not None:
-            self._video.close()
+def _write_image(path: Path, image: AnyArray) -> None:
+    """A PNG (by the path's ending) of an RGB or grey uint8 image."""
+    cv2.imwrite(str(path), image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2BGR))

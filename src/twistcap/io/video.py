@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import queue
-import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -17,42 +17,22 @@ from twistcap.camera import Camera, Rectifier, Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
 from twistcap.io.sources import ImageSource, VideoSource
-from twistcap.io.videowriter import VideoWriter
-
-__all__ = ["ImageSource", "Source", "VideoSource", "VideoWriter", "Views", "open_source", "open_views", "view_of"]
 
 _PREFETCH = 3  # frames decoded ahead, per camera
-_WAIT = 0.1  # s between looks at the stop flag
 
 
-class Source(Protocol):
-    """Images of one camera by frame number."""
-
-    name: str
-
-    def __len__(self) -> int: ...
-    @property
-    def size(self) -> tuple[int, int]: ...
-    @property
-    def fps(self) -> float | None: ...
-    def read(self, indices: Sequence[int]) -> Iterator[UInt8 | None]: ...
+Source = VideoSource | ImageSource
+"""Images of one camera by frame number."""
 
 
 def open_source(path: str | Path) -> Source:
-    """A video file, a printf pattern (``cam01/%04d.png``), a glob or a folder of images.
-
-    Raises:
-        InputError: where there is no such file or no image matches.
+    """A video file, a printf pattern (``cam01/%04d.png``), a glob or a folder of images. Raises InputError where there
+    is no such file or no image matches.
     """
     text = str(path)
     if "%" in text or any(c in text for c in "*?") or Path(text).is_dir():
         return ImageSource(text)
     return VideoSource(text)
-
-
-def view_of(camera: Camera, image: AnyArray, scale: float = 1.0) -> AnyArray:
-    """One image (H, W[, C]) resized by `scale` and rectified: as `open_views` gives them."""
-    return _Preparation(camera, scale)(image)
 
 
 def open_views(
@@ -75,14 +55,13 @@ def open_views(
         fps: frames per second; None takes the videos' own, 60 where there is none.
         time_offset: s added to ``index / fps``.
 
-    Raises:
-        InputError: a missing video, a camera without one (or the other way round), a wrong size, unequal lengths,
-            fewer frames than asked.
+    Raises InputError: a missing video, a camera without one (or the other way round), a wrong size, unequal lengths,
+    fewer frames than asked.
     """
     _check_names(paths, rig)
     sources = tuple(open_source(paths[camera.name]) for camera in rig)
     for source, camera in zip(sources, rig, strict=True):
-        _check_size(source, camera)
+        check_size(source, camera)
     last = _checked_last(sources, first, last)
     if step < 1:
         raise InputError(f"step is {step}; it must be 1 or more.")
@@ -92,18 +71,12 @@ def open_views(
 
 @dataclass(frozen=True)
 class Views:
-    """The frames of a recording: iterable any number of times, each time from the start.
+    """The frames of a recording: iterable any number of times, each time from the start."""
 
-    Attributes:
-        sources, rig: one source per camera; `rig` as calibrated (with distortion, full size).
-        indices: frame numbers to read.
-        scale, fps, time_offset: as given to `open_views`.
-    """
-
-    sources: tuple[Source, ...]
-    rig: Rig
-    indices: range
-    scale: float
+    sources: tuple[Source, ...]  # one source per camera
+    rig: Rig  # as calibrated (with distortion, full size)
+    indices: range  # frame numbers to read
+    scale: float  # this and the next two as given to `open_views`
     fps: float
     time_offset: float = 0.0
 
@@ -123,111 +96,81 @@ class Views:
 
     def __iter__(self) -> Iterator[Frame]:
         """Frames in order; decoding, resizing and rectifying run ahead in one thread per camera."""
-        readers = [_Reader(s, c, self.indices, self.scale) for s, c in zip(self.sources, self.rig, strict=True)]
-        try:
+        with ExitStack() as stack:
+            cameras = zip(self.sources, self.rig, strict=True)
+            images = [stack.enter_context(_ahead(s.read(self.indices), preparation(c, self.scale))) for s, c in cameras]
             for index in self.indices:
-                images = tuple(reader.next() for reader in readers)
-                yield Frame(index, index / self.fps + self.time_offset, images)
-        finally:
-            for reader in readers:
-                reader.stop()
+                yield Frame(index, index / self.fps + self.time_offset, tuple(next(ready) for ready in images))
 
 
-class _Preparation:
-    """Recorded image to the image of `camera.scaled(scale).pinhole()`.
+def preparation(camera: Camera, scale: float = 1.0) -> Callable[[AnyArray], AnyArray]:
+    """What makes of a recorded image (H, W[, C]) that of `camera.scaled(scale).pinhole()`, as `Views` gives it.
 
     Resized first: that averages before the resampling, and leaves the rectifier fewer pixels.
     """
-
-    def __init__(self, camera: Camera, scale: float) -> None:
-        small = camera.scaled(scale)
-        self._size = small.size if small.size != camera.size else None
-        self._mode = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
-        self._rectify = Rectifier(small)
-
-    def __call__(self, image: AnyArray) -> AnyArray:
-        if self._size is not None:
-            image = np.asarray(cv2.resize(image, self._size, interpolation=self._mode))
-        return self._rectify(image)
+    small = camera.scaled(scale)
+    rectify, mode = Rectifier(small), cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+    if small.size == camera.size:
+        return rectify
+    return lambda image: rectify(np.asarray(cv2.resize(image, small.size, interpolation=mode)))
 
 
-class _Reader:
-    """One camera's frames, prepared ahead in a thread of its own."""
+@contextmanager
+def _ahead(
+    images: Iterator[UInt8 | None], prepare: Callable[[AnyArray], AnyArray]
+) -> Generator[Iterator[AnyArray | None]]:
+    """Images prepared ahead in a thread of their own; what fails is raised at its turn, after all images before it."""
 
-    def __init__(self, source: Source, camera: Camera, indices: range, scale: float) -> None:
-        self._queue: queue.Queue[AnyArray | Exception | None] = queue.Queue(_PREFETCH)
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, args=(source, camera, indices, scale), daemon=True)
-        self._thread.start()
+    def following() -> AnyArray | None:
+        image = next(images, None)
+        return None if image is None else prepare(image)
 
-    def next(self) -> AnyArray | None:
-        item = self._queue.get()
-        if isinstance(item, Exception):
-            raise item
-        return item
+    def ready() -> Iterator[AnyArray | None]:
+        while True:
+            waiting.append(pool.submit(following))
+            yield waiting.popleft().result()
 
-    def stop(self) -> None:
-        self._stop.set()
-        self._thread.join(timeout=5.0)
-
-    def _run(self, source: Source, camera: Camera, indices: range, scale: float) -> None:
-        try:
-            prepare = _Preparation(camera, scale)
-            for image in source.read(indices):
-                if not self._put(None if image is None else prepare(image)):
-                    return
-        except Exception as error:  # raised again at the frame's turn, after all frames before it
-            self._put(error)
-
-    def _put(self, item: AnyArray | Exception | None) -> bool:
-        while not self._stop.is_set():
-            try:
-                self._queue.put(item, timeout=_WAIT)
-                return True
-            except queue.Full:
-                continue
-        return False
+    pool = ThreadPoolExecutor(1)
+    waiting = deque(pool.submit(following) for _ in range(_PREFETCH))
+    try:
+        yield ready()
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def _check_names(paths: Mapping[str, str | Path], rig: Rig) -> None:
     for name in paths:
         if name not in rig.names:
-            raise InputError(
-                f"[videos] names the camera {name!r}, which has no calibration;"
-                f" the calibration holds {', '.join(rig.names)}: rename it or calibrate it."
-            )
+            known = f"the calibration holds {', '.join(rig.names)}: rename it or calibrate it."
+            raise InputError(f"[videos] names the camera {name!r}, which has no calibration; {known}")
     for name in rig.names:
         if name not in paths:
-            raise InputError(
-                f"the camera {name!r} is calibrated but has no entry in [videos]; add one, or list [cameras] use."
-            )
+            mend = "add one, or list [cameras] use."
+            raise InputError(f"the camera {name!r} is calibrated but has no entry in [videos]; {mend}")
 
 
-def _check_size(source: Source, camera: Camera) -> None:
+def check_size(source: Source, camera: Camera) -> None:
+    """Raises InputError for images of another size than the camera's calibration."""
     if source.size != camera.size:
-        raise InputError(
-            f"video {source.name} is {source.size[0]}×{source.size[1]} pixels, but the calibration of"
-            f" camera {camera.name!r} is for {camera.size[0]}×{camera.size[1]};"
-            " use the video that was calibrated, or calibrate for this size."
-        )
+        its, theirs = (f"{width}×{height}" for width, height in (source.size, camera.size))
+        mend = "use the video that was calibrated, or calibrate for this size"
+        is_for = f"but the calibration of camera {camera.name!r} is for {theirs}"
+        raise InputError(f"video {source.name} is {its} pixels, {is_for}; {mend}.")
 
 
 def _checked_last(sources: Sequence[Source], first: int, last: int | None) -> int:
-    shortest = min(sources, key=len)
-    longest = max(sources, key=len)
-    if last is None and len(shortest) != len(longest):
+    shortest, longest = min(sources, key=len), max(sources, key=len)
+    count, mend = len(shortest), f"set frames = [{first}, {len(shortest) - 1}]."
+    if last is None and count != len(longest):
         raise InputError(
-            f"videos are of unequal length: {shortest.name} has {len(shortest)} frames, {longest.name} has"
-            f" {len(longest)}; cut them to start together, or set frames = [{first}, {len(shortest) - 1}]."
+            f"videos are of unequal length: {shortest.name} has {count} frames, {longest.name} has"
+            f" {len(longest)}; cut them to start together, or {mend}"
         )
-    end = len(shortest) - 1 if last is None else last
-    if end >= len(shortest):
-        raise InputError(
-            f"frames asks for frame {end}, but {shortest.name} has only {len(shortest)} frames"
-            f" (0 to {len(shortest) - 1}); set frames = [{first}, {len(shortest) - 1}]."
-        )
+    end = count - 1 if last is None else last
+    if end >= count:
+        has = f"{shortest.name} has only {count} frames (0 to {count - 1})"
+        raise InputError(f"frames asks for frame {end}, but {has}; {mend}")
     if not 0 <= first <= end:
-        raise InputError(
-            f"frames = [{first}, {end}] is no range; the first frame must be 0 or more and not after the last."
-        )
+        must = "the first frame must be 0 or more and not after the last"
+        raise InputError(f"frames = [{first}, {end}] is no range; {must}.")
     return end

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from fractions import Fraction
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import av
@@ -22,9 +21,8 @@ class VideoWriter:
     """
 
     def __init__(self, path: str | Path, fps: float, crf: int = 18) -> None:
-        """`crf` is x264's quality: 0 lossless in all but chroma, 18 hardly visible, 23 small.
-
-        Raises InputError where the file cannot be written.
+        """`crf` is x264's quality: 0 lossless in all but chroma, 18 hardly visible, 23 small. Raises InputError where
+        the file cannot be written.
         """
         self.path = Path(path)
         self._fps, self._crf = fps, crf
@@ -36,9 +34,11 @@ class VideoWriter:
 
     def write(self, image: AnyArray) -> None:
         """Append one image (H, W) or (H, W, 3)."""
-        rgb = _even(_bytes(image))
+        rgb = as_rgb(image)[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2]
         if self._stream is None:
-            self._stream = self._new_stream(rgb.shape[1], rgb.shape[0])
+            rate, options = Fraction(self._fps).limit_denominator(1001), {"crf": str(self._crf), "preset": "veryfast"}
+            self._stream = self._container.add_stream("libx264", rate=rate, options=options)
+            self._stream.width, self._stream.height, self._stream.pix_fmt = rgb.shape[1], rgb.shape[0], "yuv420p"
         frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(rgb), format="rgb24")
         self._container.mux(self._stream.encode(frame))
 
@@ -54,23 +54,12 @@ class VideoWriter:
     def __enter__(self) -> VideoWriter:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _new_stream(self, width: int, height: int) -> Any:
-        rate = Fraction(self._fps).limit_denominator(1001)
-        stream = self._container.add_stream("libx264", rate=rate, options={"crf": str(self._crf), "preset": "veryfast"})
-        stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
-        return stream
 
-
-def _bytes(image: AnyArray) -> AnyArray:
+def as_rgb(image: AnyArray) -> AnyArray:
+    """(H, W, 3) uint8 of an image (H, W) or (H, W, 3), uint8 or float in [0, 1]."""
     if image.dtype != np.uint8:
         image = (np.clip(image, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
     return np.repeat(image[..., None], 3, axis=-1) if image.ndim == 2 else image
-
-
-def _even(image: AnyArray) -> AnyArray:
-    return image[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2]

@@ -49,11 +49,10 @@ def jpeg(image: AnyArray, width: int, quality: int = 80) -> str:
 def page(name: str, title: str, data: Mapping[str, Any]) -> str:
     """The HTML of ``assets/NAME.html`` with ``common.css``, ``NAME.js``, the libraries and `data` inside.
 
-    Args:
-        name: "view" or "init".
-        title: heading; escaped here.
-        data: what JSON can hold, finite numbers only; the script finds it in the element ``#data``.
+    The title is escaped here. `data` is what JSON can hold, finite numbers only; the script finds it in ``#data``.
     """
+    codes = {key: base64.b64encode(asset(f"vendor/{file}").encode()).decode() for key, file in _MODULES.items()}
+    modules = {key: f"data:text/javascript;base64,{code}" for key, code in codes.items()}
     parts = {
         "title": escape(title),
         "style": asset("common.css"),
@@ -61,10 +60,6 @@ def page(name: str, title: str, data: Mapping[str, Any]) -> str:
         "data": json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
         "plot_style": asset("vendor/uPlot.min.css"),
         "plot_script": asset("vendor/uPlot.iife.min.js"),
-        "modules": json.dumps({"imports": {key: _module(file) for key, file in _MODULES.items()}}),
+        "modules": json.dumps({"imports": modules}),
     }
     return re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], asset(f"{name}.html"))
-
-
-def _module(file: str) -> str:
-    return "data:text/javascript;base64," + base64.b64encode(asset(f"vendor/{file}").encode()).decode()

@@ -7,6 +7,7 @@ import json
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from twistcap.body import Body, Pose, Posed, rescaled
 from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
+from twistcap.io.keypoints import clicked
 from twistcap.io.pose_file import write_pose
 from twistcap.io.recording import check_first_pose
 from twistcap.io.session import Session
@@ -28,43 +30,29 @@ from twistcap.pages.server import Answer
 _LIMBS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "toe")
 MAIN_JOINTS = ("head_top", "neck", *(f"{joint}_{side}" for side in "rl" for joint in _LIMBS))
 Clicks = dict[str, dict[str, tuple[float, float]]]
+"""Pixels by camera and joint."""
 
 
 @dataclass(frozen=True)
 class Target:
-    """Where the pose is written.
+    """Where the pose is written."""
 
-    Attributes:
-        path: a pose file (JSON), or a file of clicks.
-        kind: "file" or "clicks", as in ``[first_pose]``; a file of clicks keeps no slider.
-        note: what the user still has to do so that the session reads it; empty where it does.
-    """
-
-    path: Path
-    kind: str
-    note: str = ""
+    path: Path  # a pose file (JSON), or a file of clicks
+    kind: str  # "file" or "clicks", as in ``[first_pose]``; a file of clicks keeps no slider
+    note: str = ""  # what the user still has to do so that the session reads it; empty where it does
 
 
 @dataclass
 class Clicking:
-    """One person's clicks and the body that follows them.
-
-    Attributes:
-        session, rig: of the recording; `rig` as calibrated, full size.
-        images: of the first frame, one per camera, RGB as recorded; None where it was dropped.
-        generic: body before any fit.
-        target: where to write.
-        clicks: pixels by camera and joint.
-        shown: body and pose at present; None before the first fit.
-    """
+    """One person's clicks and the body that follows them."""
 
     session: Session
-    rig: Rig
-    images: tuple[UInt8 | None, ...]
-    generic: Body
+    rig: Rig  # as calibrated, full size
+    images: tuple[UInt8 | None, ...]  # of the first frame, one per camera, RGB as recorded; None where it was dropped
+    generic: Body  # before any fit
     target: Target
     clicks: Clicks = field(default_factory=lambda: dict[str, dict[str, tuple[float, float]]]())
-    shown: Posed | None = None
+    shown: Posed | None = None  # body and pose at present; None before the first fit
     proportions: Proportions = field(default_factory=lambda: Proportions({}, {}))
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -72,27 +60,26 @@ class Clicking:
     def answers(self) -> Mapping[str, Answer]:
         """Answers to the page's questions, by path; one at a time."""
 
-        def alone(answer: Answer) -> Answer:
-            def locked(question: Mapping[str, Any]) -> Mapping[str, Any]:
-                with self._lock:
-                    return answer(question)
+        def alone(answer: Answer, question: Mapping[str, Any]) -> Mapping[str, Any]:
+            with self._lock:
+                return answer(question)
 
-            return locked
-
-        return {"/fit": alone(self.fit), "/pose": alone(self.slide), "/save": alone(self.save)}
+        answers = {"/fit": self.fit, "/pose": self.slide, "/save": self.save}
+        return {path: partial(alone, answer) for path, answer in answers.items()}
 
     def document(self) -> dict[str, Any]:
         """What the page starts with, as JSON data."""
-        joints = self.generic.landmarks.names
+        joints, names = self.generic.landmarks.names, self.generic.coordinate_names
         main = [name for name in MAIN_JOINTS if name in joints]
         limits = np.rad2deg(self.generic.limits).round(1).tolist()
         return {
-            "cameras": [_camera(c, image) for c, image in zip(self.rig, self.images, strict=True)],
+            "cameras": [
+                {"name": c.name, "size": list(c.size), "image": None if image is None else jpeg(image, 1920, 88)}
+                for c, image in zip(self.rig, self.images, strict=True)
+            ],
             "joints": main,
             "more": [name for name in joints if name not in main],
-            "coordinates": [
-                {"name": name, "limits": pair} for name, pair in zip(self.generic.coordinate_names, limits, strict=True)
-            ],
+            "coordinates": [{"name": n, "limits": pair} for n, pair in zip(names, limits, strict=True)],
             "clicks": self.clicks,
             "sliders": self.target.kind == "file",
             "target": str(self.target.path),
@@ -100,10 +87,8 @@ class Clicking:
         }
 
     def fit(self, question: Mapping[str, Any]) -> dict[str, Any]:
-        """Fit the body to ``{"clicks": {camera: {joint: [x, y]}}, "held": {coordinate: degrees}}``.
-
-        Raises:
-            InputError: for an unknown camera, joint or coordinate, a number that is not finite, or too few clicks.
+        """Fit the body to ``{"clicks": {camera: {joint: [x, y]}}, "held": {coordinate: degrees}}``. Raises InputError
+        for an unknown camera, joint or coordinate, a number that is not finite, or too few clicks.
         """
         self.clicks = self._checked_clicks(question.get("clicks"))
         held = self._checked_angles(question.get("held") or {})
@@ -111,13 +96,12 @@ class Clicking:
             self.shown = None
             raise InputError("no joint is clicked; click a handful of joints in two views.")
         fit = self._fitted(held, self.shown.pose if self.shown else None)
-        return {**self._state(), **_quality(fit)}
+        residual = round(float(np.median(fit.residual_px[np.isfinite(fit.residual_px)])), 2)
+        return {**self._state(), "residual_px": residual, "rejected": [list(pair) for pair in fit.rejected]}
 
     def slide(self, question: Mapping[str, Any]) -> dict[str, Any]:
-        """Set joint angles without a fit: ``{"held": {coordinate: degrees}}``.
-
-        Raises:
-            InputError: as `fit`; before a first fit.
+        """Set joint angles without a fit: ``{"held": {coordinate: degrees}}``. Raises InputError as `fit`; before a
+        first fit.
         """
         if self.shown is None:
             raise InputError("there is no pose to change yet; click a handful of joints in two views first.")
@@ -128,10 +112,8 @@ class Clicking:
         return self._state()
 
     def save(self, question: Mapping[str, Any]) -> dict[str, Any]:
-        """Write pose or clicks, after the checks that the tracker would make.
-
-        Raises:
-            InputError: before a first fit, for a pose that cannot be true, or a file that cannot be written.
+        """Write pose or clicks, after the checks that the tracker would make. Raises InputError before a first fit, for
+        a pose that cannot be true, or a file that cannot be written.
         """
         if self.shown is None:
             raise InputError("there is nothing to save yet; click a handful of joints in two views first.")
@@ -153,12 +135,11 @@ class Clicking:
         limits = self.generic.limits.copy()
         for name, angle in held.items():
             limits[self.generic.coordinate(name)] = angle
-        keypoints = _keypoints(self.clicks, self.rig)
-        body = replace(self.generic, limits=limits)
-        lengths = self.session.first_pose.fit_lengths
-        fit = fit_keypoints(body, self.rig, keypoints, fit_lengths=lengths, start=start)
-        self.proportions = fit.proportions
-        self.shown = Posed(sized(self.generic, fit.proportions), fit.pose)
+        body, lengths = replace(self.generic, limits=limits), self.session.first_pose.fit_lengths
+        rows = {(name, joint): (x, y, 1.0) for name, its in self.clicks.items() for joint, (x, y) in its.items()}
+        fit = fit_keypoints(body, self.rig, clicked(rows, self.rig.names), fit_lengths=lengths, start=start)
+        self.proportions = made = fit.proportions
+        self.shown = Posed(rescaled(self.generic, made.lengths, made.girths, made.stature), fit.pose)
         return fit
 
     def _state(self) -> dict[str, Any]:
@@ -193,11 +174,6 @@ class Clicking:
         return angles
 
 
-def sized(body: Body, proportions: Proportions) -> Body:
-    """The generic body at fitted proportions."""
-    return rescaled(body, proportions.lengths, proportions.girths, proportions.stature)
-
-
 def clicks_beside(pose_file: Path) -> Path:
     """The file of clicks that belongs to a pose file; the page opens with it next time."""
     return pose_file.with_suffix(".clicks.csv")
@@ -226,36 +202,10 @@ def clicks_of(keypoints: Keypoints, rig: Rig, joints: tuple[str, ...]) -> Clicks
     return clicks
 
 
-def _keypoints(clicks: Clicks, rig: Rig) -> Keypoints:
-    names = tuple(dict.fromkeys(joint for joints in clicks.values() for joint in joints))
-    pixels, confidence = np.full((len(rig), len(names), 2), np.nan), np.zeros((len(rig), len(names)))
-    for camera, joints in clicks.items():
-        for joint, pixel in joints.items():
-            at = rig.names.index(camera), names.index(joint)
-            pixels[at], confidence[at] = pixel, 1.0
-    return Keypoints(names, pixels, confidence)
-
-
-def _quality(fit: FirstPose) -> dict[str, Any]:
-    given = np.isfinite(fit.residual_px)
-    return {
-        "residual_px": round(float(np.median(fit.residual_px[given])), 2),
-        "rejected": [list(pair) for pair in fit.rejected],
-    }
-
-
-def _camera(camera: Camera, image: UInt8 | None) -> dict[str, Any]:
-    picture = None if image is None else jpeg(image, 1920, 88)
-    return {"name": camera.name, "size": list(camera.size), "image": picture}
-
-
 def _named_pixels(camera: Camera, names: tuple[str, ...], points: Any) -> dict[str, list[float]]:
     pixels, depth = camera.project(points)
-    return {
-        name: pixel.round(1).tolist()
-        for name, pixel, z in zip(names, pixels, depth, strict=True)
-        if z > 0 and np.isfinite(pixel).all()
-    }
+    seen = (depth > 0) & np.isfinite(pixels).all(axis=1)
+    return {name: pixel for name, pixel, s in zip(names, pixels.round(1).tolist(), seen, strict=True) if s}
 
 
 def _mapping(given: Any, what: str) -> Mapping[str, Any]:

@@ -23,32 +23,20 @@ _MOST = 20000  # numbers in one stroke
 
 @dataclass(frozen=True)
 class CutView:
-    """One image to be cut.
+    """One image to be cut."""
 
-    Attributes:
-        image: (H, W, 3) RGB, as recorded.
-        target: file of the mask.
-        known: (H, W) a silhouette that there is already.
-    """
-
-    image: UInt8
-    target: Path
-    known: Bool | None = None
+    image: UInt8  # (H, W, 3) RGB, as recorded
+    target: Path  # file of the mask
+    known: Bool | None = None  # (H, W) a silhouette that there is already
 
 
 @dataclass
 class Cutting:
-    """All images of one file, and what was drawn on them.
-
-    Attributes:
-        views: by role.
-        note: what the user still has to do so that the masks are read; by role, "" for nothing.
-        masks: (H, W) the last cut by role, where something is drawn; exactly these are saved.
-    """
+    """All images of one file by role, and what was drawn on them; exactly the `masks` are saved."""
 
     views: Mapping[str, CutView]
-    note: Mapping[str, str]
-    masks: dict[str, Bool] = field(default_factory=dict[str, Bool])
+    note: Mapping[str, str]  # what the user still has to do so that the masks are read; "" for nothing
+    masks: dict[str, Bool] = field(default_factory=dict[str, Bool])  # (H, W) the last cut, where something is drawn
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     @property
@@ -58,29 +46,27 @@ class Cutting:
 
     def document(self) -> dict[str, Any]:
         """What the page starts with."""
-        return {
-            "views": [
-                {
-                    "name": role,
-                    "size": [view.image.shape[1], view.image.shape[0]],
-                    "image": jpeg(view.image, 1920, 88),
-                    "target": str(view.target),
-                    "outline": [] if view.known is None else outline(view.known),
-                }
-                for role, view in self.views.items()
-            ]
-        }
+        views = [
+            {
+                "name": role,
+                "size": [view.image.shape[1], view.image.shape[0]],
+                "image": jpeg(view.image, 1920, 88),
+                "target": str(view.target),
+                "outline": [] if view.known is None else outline(view.known),
+            }
+            for role, view in self.views.items()
+        ]
+        return {"views": views}
 
     def cut(self, question: Mapping[str, Any]) -> dict[str, Any]:
         """Cut ``{"view": role, "rectangle": [x, y, x, y] | null, "strokes": [{"inside", "points", "width"}]}``.
 
-        A view without drawing is as at the beginning. A cut that fails leaves nothing to save.
-
-        Raises:
-            InputError: for an unknown view, a number that is not finite, a drawing without a person, or an empty
-                silhouette.
+        A view without drawing is as at the beginning. A cut that fails leaves nothing to save. Raises InputError for an
+        unknown view, a number that is not finite, a drawing without a person, or an empty silhouette.
         """
-        role = self._role(question)
+        role = question.get("view")
+        if not isinstance(role, str) or role not in self.views:
+            raise InputError(f"view {role!r} is unknown; there are {', '.join(self.views)}.")
         view = self.views[role]
         with self._lock:
             self.masks.pop(role, None)
@@ -88,15 +74,18 @@ class Cutting:
             if hints.rectangle is None and not hints.strokes:
                 mask = np.zeros(view.image.shape[:2], np.bool_) if view.known is None else view.known
             else:
-                mask = self.masks[role] = _person(view, hints)
+                mask = cut_out(view.image, hints, view.known)
+                if mask is None:
+                    raise InputError("draw a rectangle around the person first.")
+                if not mask.any():
+                    raise InputError("nothing of the person is left; paint some of it with Person.")
+                self.masks[role] = mask
         fraction = round(float(mask.mean()), 4)
         return {"view": role, "outline": outline(mask), "fraction": fraction, "cut": role in self.masks}
 
     def save(self, question: Mapping[str, Any]) -> dict[str, Any]:
-        """Write the masks of all views that were drawn on.
-
-        Raises:
-            InputError: where none was, or a file cannot be written.
+        """Write the masks of all views that were drawn on. Raises InputError where none was, or a file cannot be
+        written.
         """
         del question
         with self._lock:
@@ -108,26 +97,11 @@ class Cutting:
         notes = " ".join(self.note[role] for role in masks if self.note[role])
         return {"saved": [str(self.views[role].target) for role in masks], "note": notes}
 
-    def _role(self, question: Mapping[str, Any]) -> str:
-        role = question.get("view")
-        if not isinstance(role, str) or role not in self.views:
-            raise InputError(f"view {role!r} is unknown; there are {', '.join(self.views)}.")
-        return role
-
 
 def outline(mask: Bool) -> list[list[float]]:
     """Polylines around a silhouette (H, W) and its holes: x, y, x, y, …, px."""
     curves, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     return flat([cv2.approxPolyDP(curve, 0.5, True)[:, 0].astype(np.float64) for curve in curves])
-
-
-def _person(view: CutView, hints: Hints) -> Bool:
-    mask = cut_out(view.image, hints, view.known)
-    if mask is None:
-        raise InputError("draw a rectangle around the person first.")
-    if not mask.any():
-        raise InputError("nothing of the person is left; paint some of it with Person.")
-    return mask
 
 
 def _write(path: Path, mask: Bool) -> None:
@@ -144,13 +118,13 @@ def _write(path: Path, mask: Bool) -> None:
 def _hints(question: Mapping[str, Any]) -> Hints:
     rectangle, strokes = question.get("rectangle"), question.get("strokes") or []
     corners = None if rectangle is None else _numbers(rectangle, "the rectangle")
-    if corners is not None and (
-        len(corners) != 4 or min(abs(corners[0] - corners[2]), abs(corners[1] - corners[3])) < 2
-    ):
-        raise InputError("the rectangle must be x, y, x, y of two corners, and larger than two pixels.")
+    found = None
+    if corners is not None:
+        if len(corners) != 4 or np.ptp(np.reshape(corners, (2, 2)), axis=0).min() < 2:
+            raise InputError("the rectangle must be x, y, x, y of two corners, and larger than two pixels.")
+        found = (corners[0], corners[1], corners[2], corners[3])
     if not isinstance(strokes, list):
         raise InputError("strokes must be a list.")
-    found = None if corners is None else (corners[0], corners[1], corners[2], corners[3])
     return Hints(found, tuple(_stroke(stroke) for stroke in strokes))
 
 

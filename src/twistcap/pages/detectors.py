@@ -26,11 +26,7 @@ Detector = Callable[[Sequence[UInt8], Rig], Keypoints]
 
 
 def detector(name: str) -> Detector:
-    """The detector of a name.
-
-    Raises:
-        InputError: where nothing of that name is installed, or it cannot be imported.
-    """
+    """The detector of a name. Raises InputError where nothing of that name is installed, or it cannot be imported."""
     offered = entry_points(group=GROUP)
     if name not in offered.names:
         installed = ", ".join(sorted(offered.names)) or "none"
@@ -42,10 +38,8 @@ def detector(name: str) -> Detector:
 
 
 def detected(name: str, images: Sequence[UInt8], rig: Rig) -> Keypoints:
-    """What a detector finds, its shapes and numbers checked.
-
-    Raises:
-        InputError: as `detector`; for an answer that is no `Keypoints` of this rig.
+    """What a detector finds, its shapes and numbers checked. Raises InputError as `detector`; for an answer that is no
+    `Keypoints` of this rig.
     """
     offered = detector(name)(images, rig)
     if not isinstance(offered, Keypoints):

@@ -9,7 +9,7 @@ from typing import Any
 
 from twistcap.errors import InputError
 
-Answer = Callable[[Mapping[str, Any]], Mapping[str, Any]]
+Answer = Callable[[Mapping[str, Any]], Mapping[str, Any]]  # JSON object in, JSON object out
 _LOCAL = ("127.0.0.1", "localhost")
 _LARGEST = 1 << 22  # bytes of a question
 
@@ -18,15 +18,8 @@ def page_server(page: str, answers: Mapping[str, Answer] | None = None, port: in
     """A server on 127.0.0.1 that gives `page` at ``/`` and answers POSTs; call ``serve_forever``.
 
     An `InputError` of an answer goes to the page as ``{"error": sentence}``. Requests that name another host are
-    refused, so that no other page of the browser can reach it.
-
-    Args:
-        page: HTML.
-        answers: by path, such as ``/fit``: JSON object in, JSON object out.
-        port: 0 takes a free one.
-
-    Raises:
-        InputError: for a port that cannot be had.
+    refused, so that no other page of the browser can reach it. Port 0 takes a free one. Raises InputError for a port
+    that cannot be had.
     """
     content, known = page.encode(), dict(answers or {})
 

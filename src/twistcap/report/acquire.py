@@ -52,8 +52,8 @@ def draw_steps(views: Mapping[str, KeyView], acquired: Acquired, path: Path) -> 
 def _separation(axes: Any, mask: Bool, m: Measured) -> None:
     s = m.separation
     picture = np.ones((*mask.shape, 3))
-    for part, colour in ((s.trunk, (0.75, 0.75, 0.75)), *zip(s.arms, ((1, 0.6, 0.6), (0.6, 0.6, 1)), strict=True),
-                         *zip(s.legs, ((1, 0.8, 0.5), (0.5, 0.9, 0.9)), strict=True)):  # fmt: skip
+    colours = ((0.75, 0.75, 0.75), (1, 0.6, 0.6), (0.6, 0.6, 1), (1, 0.8, 0.5), (0.5, 0.9, 0.9))
+    for part, colour in zip((s.trunk, *s.arms, *s.legs), colours, strict=True):
         picture[part] = colour
     axes.imshow(picture)
     axes.axhline(s.body_line, color="k", lw=0.8, ls="--")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -11,18 +10,10 @@ import numpy as np
 
 from twistcap.adjust.body_fit.fit import Fitted, Take
 from twistcap.arrays import AnyArray
-from twistcap.body import Body, Pose
-from twistcap.estimate import Frame
+from twistcap.body import Posed
 from twistcap.evaluate.metrics import Row
 from twistcap.report.overlay import draw_mosaic, mosaic_for
 from twistcap.report.page import Figure, Headline, number, write_report
-
-
-@dataclass(frozen=True)
-class _Shown:
-    index: int
-    pose: Pose
-    lost: bool = False
 
 
 def draw_fit(fitted: Fitted, takes: Sequence[Take], folder: Path) -> list[Path]:
@@ -32,22 +23,16 @@ def draw_fit(fitted: Fitted, takes: Sequence[Take], folder: Path) -> list[Path]:
     arms = (("before", fitted.begun, fitted.begun_poses), ("after", fitted.body, fitted.poses))
     out: list[Path] = []
     for name, body, poses in arms:
-        pictures = [
-            _picture(take, frames[k], body, p.get(k), f"{take.name}, {name}")
-            for take, frames, k, p in zip(takes, fitted.frames, shown, poses, strict=True)
-        ]
+        pictures: list[AnyArray] = []
+        for take, frames, k, p in zip(takes, fitted.frames, shown, poses, strict=True):
+            posed = Posed(body, p[k]) if p.get(k) else None  # bare where it was lost
+            pictures.append(draw_mosaic(frames[k], posed, mosaic_for(take.rig), f"{take.name}, {name}"))
         width = max(p.shape[1] for p in pictures)
         padded = [cv2.copyMakeBorder(p, 0, 0, 0, width - p.shape[1], cv2.BORDER_CONSTANT) for p in pictures]
         path = folder / f"{name}.png"
         cv2.imwrite(str(path), np.concatenate(padded)[..., ::-1])
         out.append(path)
     return out
-
-
-def _picture(take: Take, frame: Frame, body: Body, pose: Pose | None, title: str) -> AnyArray:
-    """One frame of a take in all views; without the body where it was lost."""
-    shown = _Shown(frame.index, pose) if pose else None
-    return draw_mosaic(frame, take.rig, body, shown, mosaic_for(take.rig), title)
 
 
 def write_page(
@@ -58,17 +43,15 @@ def write_page(
     after = {line["metric"] + line["unit"]: line for line in rows if line["case"] == f"{title}, after"}
     mean, iou = after["surface to silhouette, meanmm"], after["IoU with the segmentation"]
     changed = ", ".join(f"{name} {factor:.3f}" for name, factor in factors.items())
+    headlines = [
+        Headline("surface to silhouette, mean", number(mean["value"]), "mm"),
+        Headline("IoU with the tracker's segmentation", number(iou["value"])),
+    ]
+    lead = "Lengths, girths, cross-sections and a smooth offset of the surface, fitted to the edges in all views."
+    figures = [Figure(path, f"The body {path.stem} the fit.") for path in pictures]
     texts = ("the fitted body", "the pose of the first frame", "the session with both")
+    links, notes = dict(zip(files, texts, strict=False)), [f"Factors relative to the given body: {changed}."]
+    heading = f"Body fitted to {title}"
     return write_report(
-        folder,
-        f"Body fitted to {title}",
-        rows,
-        lead="Lengths, girths, cross-sections and a smooth offset of the surface, fitted to the edges in all views.",
-        headlines=[
-            Headline("surface to silhouette, mean", number(mean["value"]), "mm"),
-            Headline("IoU with the tracker's segmentation", number(iou["value"])),
-        ],
-        figures=[Figure(path, f"The body {path.stem} the fit.") for path in pictures],
-        files=dict(zip(files, texts, strict=False)),
-        notes=[f"Factors relative to the given body: {changed}."],
+        folder, heading, rows, lead=lead, headlines=headlines, figures=figures, files=links, notes=notes
     )

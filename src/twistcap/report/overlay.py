@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import cv2
 import numpy as np
 
 from twistcap.arrays import AnyArray, Bool, Float, Float32, Int
-from twistcap.body import Body, Pose, Posed
+from twistcap.body import Body, Posed
 from twistcap.body.kinematics import unit_vertex_normals
 from twistcap.body.shape import joint_origin
 from twistcap.camera import Camera, Rig
-from twistcap.estimate import Frame
-from twistcap.io.videowriter import VideoWriter
+from twistcap.estimate import Estimate, Frame
+from twistcap.io.videowriter import VideoWriter, as_rgb
 from twistcap.render.raster import barycentric, rasterise
 
 Colour = tuple[int, int, int]
@@ -33,40 +32,11 @@ _CREASE = 0.02  # a jump by this fraction of the depth between neighbouring pixe
 
 
 @dataclass(frozen=True)
-class Style:
-    """How a body is drawn.
-
-    Attributes:
-        opacity: of the surface, 0 to 1.
-        skeleton: whether bones and joints are drawn.
-    """
-
-    opacity: float = 0.5
-    skeleton: bool = True
-
-
-class Shown(Protocol):
-    """Parts of an estimate that are drawn, such as `twistcap.estimate.Estimate`."""
-
-    @property
-    def index(self) -> int: ...
-    @property
-    def pose(self) -> Pose: ...
-    @property
-    def lost(self) -> bool: ...
-
-
-@dataclass(frozen=True)
 class Bones:
-    """The lines of a skeleton.
+    """The lines of a skeleton."""
 
-    Attributes:
-        segments: (B,) the segment that each bone moves with.
-        ends: (B, 2, 3) rest-pose end points, m.
-    """
-
-    segments: Int
-    ends: Float
+    segments: Int  # (B,) the segment that each bone moves with
+    ends: Float  # (B, 2, 3) rest-pose end points, m
 
     def at(self, posed: Posed) -> Float:
         """(B, 2, 3) world end points."""
@@ -94,7 +64,7 @@ def draw_overlay(
     camera: Camera,
     posed: Posed,
     lost: bool = False,
-    style: Style | None = None,
+    opacity: float = 0.5,
     bones: Bones | None = None,
 ) -> AnyArray:
     """The body drawn over one image.
@@ -104,13 +74,11 @@ def draw_overlay(
         camera: of the image: with distortion for images as recorded, `pinhole()` for rectified ones.
         posed: the body at its pose.
         lost: draw it all in red.
-        style: see `Style`.
+        opacity: of the surface, 0 to 1.
         bones: `bones_of` the body, to save their computation when many images are drawn.
 
-    Returns:
-        (H, W, 3) uint8 RGB.
+    Returns (H, W, 3) uint8 RGB.
     """
-    style = style or Style()
     canvas = _canvas(image, camera)
     pixels, inverse_depth = visible_projection(camera, posed.vertices)
     window = _window(pixels[inverse_depth > 0], camera.size)
@@ -120,22 +88,21 @@ def draw_overlay(
         colours = _shaded(posed, camera, pixels, inverse_depth, face_index, window[0], lost)
         part = _cut(canvas, *window)
         seen = face_index >= 0
-        part[seen] = (part[seen] * (1 - style.opacity) + colours * style.opacity).astype(np.uint8)
+        part[seen] = (part[seen] * (1 - opacity) + colours * opacity).astype(np.uint8)
         _draw_outline(canvas, seen, buffer, window, LOST if lost else _PAPER, width)
-    if style.skeleton:
-        _draw_bones(canvas, camera, bones or bones_of(posed.body), posed, LOST if lost else None, width)
+    _draw_bones(canvas, camera, bones or bones_of(posed.body), posed, LOST if lost else None, width)
     return canvas
 
 
 Window = tuple[tuple[int, int], tuple[int, int]]  # (x, y) of the first pixel, (width, height)
 
 
-def _window(pixels: Float, size: tuple[int, int], margin: int = 4) -> Window | None:
-    """The part of the image that holds the pixels (N, 2) and a margin; None where there is none."""
+def _window(pixels: Float, size: tuple[int, int]) -> Window | None:
+    """The part of the image that holds the pixels (N, 2) and a margin of 4 px; None where there is none."""
     if not len(pixels):
         return None
-    low = np.clip(np.floor(pixels.min(axis=0)) - margin, 0, size)
-    high = np.clip(np.ceil(pixels.max(axis=0)) + margin + 1, 0, size)
+    low = np.clip(np.floor(pixels.min(axis=0)) - 4, 0, size)
+    high = np.clip(np.ceil(pixels.max(axis=0)) + 5, 0, size)
     if np.any(high <= low):
         return None
     return (int(low[0]), int(low[1])), (int(high[0] - low[0]), int(high[1] - low[1]))
@@ -165,9 +132,7 @@ def visible_projection(camera: Camera, points: Float) -> tuple[Float, Float]:
 def _canvas(image: AnyArray | None, camera: Camera) -> AnyArray:
     if image is None:
         return np.full((camera.size[1], camera.size[0], 3), 40, np.uint8)
-    if image.dtype != np.uint8:
-        image = (np.clip(image, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
-    return np.repeat(image[..., None], 3, axis=-1) if image.ndim == 2 else image.copy()
+    return as_rgb(image).copy()
 
 
 def part_colours(body: Body) -> Float:
@@ -227,12 +192,12 @@ def _draw_bones(
     ends = bones.at(posed)
     pixels, inverse_depth = visible_projection(camera, ends.reshape(-1, 3))
     pixels, inside = pixels.reshape(-1, 2, 2), np.all((inverse_depth > 0).reshape(-1, 2), axis=1)
-    colours = part_colours(posed.body)[bones.segments]
+    colours = part_colours(posed.body)[bones.segments].tolist()
     thick = max(1, round(width))
     for dark in (True, False):  # all dark borders first, so that no border cuts another bone
         for (a, b), own, visible in zip(pixels, colours, inside.tolist(), strict=True):
             if visible:
-                ink = _INK if dark else colour or _as_colour(own)
+                ink = _INK if dark else colour or own
                 cv2.line(canvas, _fixed(a), _fixed(b), ink, thick + 2 * dark, cv2.LINE_AA, _SHIFT)
     for a, visible in zip(pixels.reshape(-1, 2), np.repeat(inside, 2).tolist(), strict=True):
         if visible:
@@ -249,26 +214,15 @@ def _fixed(pixel: Float) -> tuple[int, int]:
     return round(float(clipped[0])), round(float(clipped[1]))
 
 
-def _as_colour(rgb: Float) -> Colour:
-    return int(rgb[0]), int(rgb[1]), int(rgb[2])
-
-
 @dataclass(frozen=True)
 class Mosaic:
-    """A grid of views under a heading.
+    """A grid of views under a heading."""
 
-    Attributes:
-        cell: (width, height) of one view, pixels.
-        columns, rows: of the grid.
-        cameras: each camera scaled to fit its cell.
-        heading: height of the heading in pixels.
-    """
-
-    cell: tuple[int, int]
+    cell: tuple[int, int]  # (width, height) of one view, pixels
     columns: int
     rows: int
-    cameras: tuple[Camera, ...]
-    heading: int = 40
+    cameras: tuple[Camera, ...]  # each camera scaled to fit its cell
+    heading: int = 40  # height of the heading in pixels
 
     @property
     def size(self) -> tuple[int, int]:
@@ -298,27 +252,23 @@ def mosaic_for(rig: Rig) -> Mosaic:
 
 
 def draw_mosaic(
-    frame: Frame, rig: Rig, body: Body, shown: Shown | None, mosaic: Mosaic, title: str = "", bones: Bones | None = None
+    frame: Frame, posed: Posed | None, mosaic: Mosaic, title: str = "", lost: bool = False, bones: Bones | None = None
 ) -> AnyArray:
     """All views of one frame (H, W, 3) uint8, with the body over them, camera names, frame number and time."""
     canvas = np.full((mosaic.size[1], mosaic.size[0], 3), _INK, np.uint8)
-    posed = Posed(body, shown.pose) if shown else None
-    lost = bool(shown and shown.lost)
     for k, (image, camera) in enumerate(zip(frame.images, mosaic.cameras, strict=True)):
-        resized = None if image is None else _resized(image, camera.size)
-        view = _canvas(resized, camera) if posed is None else draw_overlay(resized, camera, posed, lost, None, bones)
+        resized = image
+        if image is not None:
+            mode = cv2.INTER_AREA if camera.size[0] < image.shape[1] else cv2.INTER_CUBIC
+            resized = cv2.resize(image, camera.size, interpolation=mode)
+        view = _canvas(resized, camera) if posed is None else draw_overlay(resized, camera, posed, lost, bones=bones)
         x, y = mosaic.place(canvas, k, view)
         _label(canvas, camera.name + ("" if image is not None else ": no image"), (x + 8, y + 24))
-    state = "no pose" if shown is None else "lost" if lost else ""
+    state = "no pose" if posed is None else "lost" if lost else ""
     _label(canvas, title, (12, 27))
     _label(canvas, f"frame {frame.index}   {frame.time:.3f} s", (canvas.shape[1] - 12, 27), right=True)
     _label(canvas, state, (canvas.shape[1] - 260, 27), LOST, right=True)
     return canvas
-
-
-def _resized(image: AnyArray, size: tuple[int, int]) -> AnyArray:
-    smaller = size[0] < image.shape[1]
-    return cv2.resize(image, size, interpolation=cv2.INTER_AREA if smaller else cv2.INTER_CUBIC)
 
 
 def _label(canvas: AnyArray, text: str, at: tuple[int, int], colour: Colour = _PAPER, right: bool = False) -> None:
@@ -337,25 +287,21 @@ def overlay_video(
     path: Path | str,
     frames: Iterable[Frame],
     rig: Rig,
-    estimates: Iterable[Shown],
+    estimates: Iterable[Estimate],
     body: Body,
     fps: float,
     title: str = "",
 ) -> Path:
     """Write an H.264 video of all views with the tracked body over them.
 
-    Args:
-        path: of the ``.mp4``.
-        frames: the recording; a camera that dropped a frame shows the body alone.
-        rig: the cameras of these images (`Rig.pinhole` when they have been rectified), at full size.
-        estimates: by frame index; frames without one are shown bare.
-        body: that was tracked.
-        fps: frames per second of the video.
-        title: heading.
+    A camera that dropped a frame shows the body alone, a frame without an estimate is shown bare. `rig` are the cameras
+    of these images (`Rig.pinhole` when they have been rectified), at full size.
     """
     mosaic, bones = mosaic_for(rig), bones_of(body)
-    by_index: Mapping[int, Shown] = {int(e.index): e for e in estimates}
+    by_index = {int(e.index): e for e in estimates}
     with VideoWriter(path, fps) as writer:
         for frame in frames:
-            writer.write(draw_mosaic(frame, rig, body, by_index.get(frame.index), mosaic, title, bones))
+            shown = by_index.get(frame.index)
+            posed, lost = (Posed(body, shown.pose), shown.lost) if shown else (None, False)
+            writer.write(draw_mosaic(frame, posed, mosaic, title, lost, bones))
     return Path(path)

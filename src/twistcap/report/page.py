@@ -7,39 +7,11 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
+from importlib import resources
 from pathlib import Path
 from urllib.parse import quote
 
 from twistcap.evaluate.metrics import Row
-
-_CSS = """
-:root { --ink: #1b2430; --soft: #5d6875; --line: #e3e7ec; --good: #1a7f4b; --bad: #c62f35; --card: #f6f8fa; }
-* { box-sizing: border-box; }
-body { margin: 0 auto; max-width: 1180px; padding: 2.2rem 1.4rem 3rem; color: var(--ink); background: #fff;
-  font: 15px/1.55 system-ui, -apple-system, "Segoe UI", Roboto, "DejaVu Sans", sans-serif; }
-h1 { font-size: 1.7rem; line-height: 1.2; margin: 0; }
-h2 { font-size: 1.1rem; margin: 2.4rem 0 .8rem; }
-p.lead { color: var(--soft); margin: .4rem 0 1.6rem; max-width: 75ch; }
-.cards { display: grid; gap: .8rem; grid-template-columns: repeat(auto-fit, minmax(165px, 1fr)); }
-.card { background: var(--card); border: 1px solid var(--line); border-radius: 10px; padding: .8rem 1rem; }
-.card b { display: block; font-size: 1.6rem; line-height: 1.25; font-variant-numeric: tabular-nums; }
-.card b small { font-size: .95rem; font-weight: 500; color: var(--soft); }
-.card span { color: var(--soft); font-size: .88rem; }
-.good b, td.good { color: var(--good); } .bad b, td.bad { color: var(--bad); }
-video, img { display: block; width: 100%; height: auto; border-radius: 10px; border: 1px solid var(--line); }
-video { background: #14181f; }
-figure { margin: 0 0 1.4rem; } figcaption { color: var(--soft); font-size: .88rem; margin-top: .4rem; }
-.scroll { overflow-x: auto; }
-table { border-collapse: collapse; width: 100%; font-size: .92rem; }
-th { text-align: left; color: var(--soft); font-weight: 600; }
-th, td { padding: .35rem .7rem; border-bottom: 1px solid var(--line); vertical-align: top; }
-td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; white-space: nowrap; }
-code { background: var(--card); border-radius: 4px; padding: .1em .35em; font-size: .88em; overflow-wrap: anywhere; }
-ul { padding-left: 1.2rem; } li { margin: .2rem 0; }
-footer { margin-top: 2.4rem; border-top: 1px solid var(--line); padding-top: 1rem; color: var(--soft);
-  font-size: .88rem; }
-@media print { body { max-width: none; padding: 0; } video { display: none; } }
-"""
 
 METHODS = (
     "T. Brox, B. Rosenhahn and D. Cremers: Contours, Optic Flow, and Prior Knowledge: Cues for Capturing 3D Human "
@@ -78,14 +50,14 @@ def write_report(
     lead: str = "",
     headlines: Sequence[Headline] = (),
     figures: Sequence[Figure] = (),
-    video: Path | str | None = None,
-    files: Mapping[Path | str, str] | None = None,
+    video: Path | None = None,
+    files: Mapping[Path, str] | None = None,
     notes: Sequence[str] = (),
 ) -> Path:
     """Write a stand-alone HTML page; every text is escaped, pictures are embedded, nothing is loaded from a network.
 
     Args:
-        folder: of the page, report.html; the video and the files are linked relative to it.
+        folder: of the page, report.html, whose path is returned; the video and the files are linked relative to it.
         title, lead: heading and the sentence under it.
         rows: table of measures.
         headlines: the few numbers that matter, in large type.
@@ -93,25 +65,33 @@ def write_report(
         video: of the overlay; linked, not embedded.
         files: other files, path to description.
         notes: remarks below the table.
-
-    Returns:
-        The path of the page.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
+    links = [
+        f'<a href="{_link(folder, path)}"><code>{escape(path.name)}</code></a> {escape(text)}'
+        for path, text in (files or {}).items()
+    ]
+    cite = "Made with twistcap. Please cite its repository and the methods that it follows:"
+    papers = "".join(f"<li>{escape(paper)}</li>" for paper in METHODS)
     parts = [
         f"<h1>{escape(title)}</h1>",
         f'<p class="lead">{escape(lead)}</p>',
         _cards(headlines),
         _video(folder, video),
-        _figures(figures),
+        "\n".join(map(_figure, figures)),
         _table(rows),
         _list("Notes", [escape(note) for note in notes]),
-        _list("Files", [_file(folder, Path(path), text) for path, text in (files or {}).items()]),
-        _footer(),
+        _list("Files", links),
+        f"<footer>{cite}<ul>{papers}</ul></footer>",
     ]
     path = folder / "report.html"
-    path.write_text(_page(title, "\n".join(part for part in parts if part)), encoding="utf-8")
+    css = (resources.files("twistcap.report") / "report.css").read_text(encoding="utf-8")
+    head = '<meta charset="utf-8">\n<meta name="viewport" content="width=device-width, initial-scale=1">'
+    head += f"\n<title>{escape(title)}</title>\n<style>\n{css}</style>"
+    body = "\n".join(part for part in parts if part)
+    text = f'<!doctype html>\n<html lang="en">\n<head>\n{head}\n</head>\n<body>\n{body}\n</body>\n</html>\n'
+    path.write_text(text, encoding="utf-8")
     return path
 
 
@@ -136,14 +116,6 @@ def unit(name: str) -> str:
     return {"deg": "°"}.get(name, escape(name))
 
 
-def _page(title: str, body: str) -> str:
-    return (
-        f'<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n<title>{escape(title)}</title>\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<style>{_CSS}</style>\n</head>\n<body>\n{body}\n</body>\n</html>\n"
-    )
-
-
 def _cards(headlines: Sequence[Headline]) -> str:
     cards = [
         f'<div class="card{_verdict(h.good)}"><b>{escape(h.value)} <small>{unit(h.unit)}</small></b>'
@@ -157,27 +129,21 @@ def _verdict(good: bool | None) -> str:
     return "" if good is None else " good" if good else " bad"
 
 
-def _video(folder: Path, video: Path | str | None) -> str:
+def _video(folder: Path, video: Path | None) -> str:
     if video is None:
         return ""
-    link = _link(folder, Path(video))
+    link = _link(folder, video)
     return (
         f'<h2>Overlay</h2>\n<figure><video controls loop muted playsinline preload="auto" src="{link}"></video>'
         f"<figcaption>The tracked body over every view; right is orange, left is blue, and red means lost. "
-        f'<a href="{link}">{escape(Path(video).name)}</a></figcaption></figure>'
+        f'<a href="{link}">{escape(video.name)}</a></figcaption></figure>'
     )
 
 
-def _figures(figures: Sequence[Figure]) -> str:
-    return "\n".join(
-        f'<figure><img alt="{escape(figure.caption)}" src="data:image/png;base64,{_base64(figure.path)}">'
-        f"<figcaption>{escape(figure.caption)}</figcaption></figure>"
-        for figure in figures
-    )
-
-
-def _base64(path: Path) -> str:
-    return base64.b64encode(path.read_bytes()).decode("ascii")
+def _figure(figure: Figure) -> str:
+    content, caption = base64.b64encode(figure.path.read_bytes()).decode(), escape(figure.caption)
+    image = f'<img alt="{caption}" src="data:image/png;base64,{content}">'
+    return f"<figure>{image}<figcaption>{caption}</figcaption></figure>"
 
 
 def _table(rows: Sequence[Row]) -> str:
@@ -186,34 +152,21 @@ def _table(rows: Sequence[Row]) -> str:
     targets = any(line["target"] for line in rows)
     head = "<th>case</th><th>measure</th><th class=n>value</th><th>unit</th>"
     head += "<th class=n>to reach</th>" if targets else ""
-    lines = "\n".join(_table_line(line, targets) for line in rows)
-    return f'<h2>Measures</h2>\n<div class="scroll"><table><tr>{head}</tr>\n{lines}\n</table></div>'
-
-
-def _table_line(line: Row, targets: bool) -> str:
-    verdict = _verdict(line["holds"])
-    target = f'<td class="n">{escape(line["target"] or "")}</td>' if targets else ""
-    return (
+    lines = [
         f"<tr><td>{escape(line['case'])}</td><td>{escape(line['metric'])}</td>"
-        f'<td class="n{verdict}">{number(line["value"])}</td><td>{unit(line["unit"])}</td>{target}</tr>'
-    )
+        f'<td class="n{_verdict(line["holds"])}">{number(line["value"])}</td><td>{unit(line["unit"])}</td>'
+        + (f'<td class="n">{escape(line["target"] or "")}</td></tr>' if targets else "</tr>")
+        for line in rows
+    ]
+    lines = "\n".join(lines)
+    return f'<h2>Measures</h2>\n<div class="scroll"><table><tr>{head}</tr>\n{lines}\n</table></div>'
 
 
 def _list(title: str, items: Sequence[str]) -> str:
     return f"<h2>{title}</h2>\n<ul>{''.join(f'<li>{item}</li>' for item in items)}</ul>" if items else ""
 
 
-def _file(folder: Path, path: Path, text: str) -> str:
-    return f'<a href="{_link(folder, path)}"><code>{escape(path.name)}</code></a> {escape(text)}'
-
-
 def _link(folder: Path, path: Path) -> str:
     """Relative link from the page's folder, so that the folder can be moved or sent as it is."""
     absolute = path if path.is_absolute() or path.exists() else folder / path
     return escape(quote(Path(os.path.relpath(absolute.resolve(), folder.resolve())).as_posix()))
-
-
-def _footer() -> str:
-    papers = "".join(f"<li>{escape(paper)}</li>" for paper in METHODS)
-    text = "Made with twistcap. Please cite its repository and the methods that it follows:"
-    return f"<footer>{text}<ul>{papers}</ul></footer>"

@@ -15,6 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from twistcap.arrays import AnyArray, Bool, Float
+from twistcap.evaluate.metrics import percentile_known
 
 _COLOURS = {"r": "#e8790c", "l": "#1780d6", "": "#3d8f6d"}
 _DARK = {"r": "#6e3500", "l": "#0a3a66", "": "#16452f"}
@@ -25,19 +26,12 @@ _LOST, _DROPPED = "#e5484d", "#9aa3ad"
 
 @dataclass(frozen=True)
 class AngleSeries:
-    """Joint angles over time.
+    """Joint angles over time."""
 
-    Attributes:
-        times: (N,) s.
-        names: J coordinates.
-        angles: (N, J) rad, NaN where there is none.
-        sigma: (N, J) standard deviations, rad; None where they are not known.
-    """
-
-    times: Float
-    names: tuple[str, ...]
-    angles: Float
-    sigma: Float | None = None
+    times: Float  # (N,) s
+    names: tuple[str, ...]  # J coordinates
+    angles: Float  # (N, J) rad, NaN where there is none
+    sigma: Float | None = None  # (N, J) standard deviations, rad; None where they are not known
 
 
 def split_side(name: str) -> tuple[str, str]:
@@ -53,38 +47,38 @@ def angle_plot(
     dropped: Bool | None = None,
     title: str = "",
 ) -> Path:
-    """Small multiples of joint angles, right and left in one panel, with bands of ± 2σ.
+    """A PNG of small multiples of joint angles, right and left in one panel, with bands of ± 2σ.
 
-    Args:
-        path: of the PNG.
-        estimate: of the tracker.
-        truth: drawn dashed, on its own times.
-        lost, dropped: (N,) frames to shade red and grey.
-        title: heading.
+    The truth is drawn dashed, on its own times; `lost` and `dropped` (N,) are frames to shade red and grey.
     """
     names = estimate.names
     panels = list(dict.fromkeys(split_side(name)[0] for name in names))
     figure, axes = _grid(len(panels), title)
     for axis, panel in zip(axes, panels, strict=True):
-        _shade(axis, estimate.times, lost, _LOST)
-        _shade(axis, estimate.times, dropped, _DROPPED)
+        for flags, colour in ((lost, _LOST), (dropped, _DROPPED)):
+            for start, end in spans(estimate.times, flags) if flags is not None else ():
+                axis.axvspan(start, end, color=colour, alpha=0.22, lw=0, zorder=0)
         for name in (name for name in names if split_side(name)[0] == panel):
             _draw_angle(axis, estimate, name)
             if truth is not None and name in truth.names:
                 colour = _DARK[split_side(name)[1]]
                 values = np.degrees(truth.angles[:, truth.names.index(name)])
                 axis.plot(truth.times, values, "--", color=colour, lw=1.1, dashes=(4, 2.5), zorder=4)
-        _widen(axis, _LEAST_SPAN_DEG)
+        low, high = axis.get_ylim()  # at least 10° high, so that a very small motion does not fill the panel
+        extra = max(0.0, _LEAST_SPAN_DEG - (high - low)) / 2
+        axis.set_ylim(low - extra, high + extra)
         axis.set_title(f"{panel.replace('_', ' ')} (°)", loc="left", fontsize=9, fontweight="bold")
-    _legend(figure, names, truth is not None, estimate.sigma is not None, lost, dropped)
-    return _saved(figure, path)
-
-
-def _widen(axis: Axes, least: float) -> None:
-    """Widen the range of a panel to at least `least`, so that a very small motion does not fill it."""
-    low, high = axis.get_ylim()
-    more = max(0.0, least - (high - low)) / 2
-    axis.set_ylim(low - more, high + more)
+    more: list[Line2D | Patch] = []
+    if estimate.sigma is not None:
+        more.append(Patch(color="#777777", alpha=0.25, label="± 2σ"))
+    if truth is not None:
+        more.append(Line2D([], [], color="#333333", ls="--", label="reference"))
+    for flags, colour, label in ((lost, _LOST, "lost"), (dropped, _DROPPED, "dropped")):
+        if flags is not None and np.any(flags):
+            more.append(Patch(color=colour, alpha=0.3, label=label))
+    _legend(figure, names, more)
+    figure.savefig(path, facecolor="white")
+    return Path(path)
 
 
 def _draw_angle(axis: Axes, series: AngleSeries, name: str) -> None:
@@ -101,22 +95,17 @@ def joint_error_plot(path: Path | str, times: Float, names: Sequence[str], error
     panels = list(dict.fromkeys(split_side(name)[0] for name in names))
     figure, axes = _grid(len(panels), "Joint position error (mm)")
     top = _ceiling(errors_mm)
+    median = [percentile_known(errors, 50) for errors in errors_mm]
     for axis, panel in zip(axes, panels, strict=True):
-        axis.plot(times, _median(errors_mm), color="#b9c0c8", lw=1.2, zorder=2)
+        axis.plot(times, median, color="#b9c0c8", lw=1.2, zorder=2)
         for k, name in enumerate(names):
             if split_side(name)[0] == panel:
                 axis.plot(times, errors_mm[:, k], color=_COLOURS[split_side(name)[1]], lw=1.5, zorder=3)
         axis.set_ylim(0, top)
         axis.set_title(panel.replace("_", " "), loc="left", fontsize=9, fontweight="bold")
-    _legend(figure, names, False, False, None, None, [Line2D([], [], color="#b9c0c8", label="median of all joints")])
-    return _saved(figure, path)
-
-
-def _median(errors: Float) -> Float:
-    known = ~np.isnan(errors).all(axis=1)
-    out = np.full(len(errors), np.nan)
-    out[known] = np.nanmedian(errors[known], axis=1)
-    return out
+    _legend(figure, names, [Line2D([], [], color="#b9c0c8", label="median of all joints")])
+    figure.savefig(path, facecolor="white")
+    return Path(path)
 
 
 def _ceiling(errors: Float) -> float:
@@ -154,34 +143,7 @@ def spans(times: Float, flags: AnyArray) -> list[tuple[float, float]]:
     return [(float(edges[a]), float(edges[b])) for a, b in zip(starts, ends, strict=True)]
 
 
-def _shade(axis: Axes, times: Float, flags: Bool | None, colour: str) -> None:
-    if flags is not None:
-        for start, end in spans(times, flags):
-            axis.axvspan(start, end, color=colour, alpha=0.22, lw=0, zorder=0)
-
-
-def _legend(
-    figure: Figure,
-    names: Sequence[str],
-    truth: bool,
-    bands: bool,
-    lost: Bool | None,
-    dropped: Bool | None,
-    more: Sequence[Line2D] = (),
-) -> None:
+def _legend(figure: Figure, names: Sequence[str], more: Sequence[Line2D | Patch]) -> None:
     sides = dict.fromkeys(split_side(name)[1] for name in names)
-    entries: list[Line2D | Patch] = [Line2D([], [], color=_COLOURS[s], lw=2, label=_SIDES[s]) for s in sides]
-    if bands:
-        entries.append(Patch(color="#777777", alpha=0.25, label="± 2σ"))
-    if truth:
-        entries.append(Line2D([], [], color="#333333", ls="--", label="reference"))
-    for flags, colour, label in ((lost, _LOST, "lost"), (dropped, _DROPPED, "dropped")):
-        if flags is not None and np.any(flags):
-            entries.append(Patch(color=colour, alpha=0.3, label=label))
-    entries += more
+    entries = [*(Line2D([], [], color=_COLOURS[s], lw=2, label=_SIDES[s]) for s in sides), *more]
     figure.legend(handles=entries, loc="outside upper right", ncols=len(entries), frameon=False, fontsize=9)
-
-
-def _saved(figure: Figure, path: Path | str) -> Path:
-    figure.savefig(path, facecolor="white")
-    return Path(path)
