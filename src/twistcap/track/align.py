@@ -99,11 +99,11 @@ class FrameProblem:
         return with_claims(self.model, fit.posed, self.posterior(fit))
 
     def claimed(self, fit: Fit, posterior: Float) -> Float:
-        """Covariance of the estimate, from that of the state: samples that err together, and what the priors claim."""
-        if fit.status != "failed" and self._known is not None:
-            images = fit.news_hessian - sum(term.linearize(fit.before).hessian for term in fit.fresh)
-            posterior = claimed(posterior, images, fit, self.trust)
-        return with_claims(self.model, fit.posed, posterior)
+        """Covariance that is claimed of a fit whose samples err together, from its posterior."""
+        if fit.status == "failed" or self._known is None:
+            return self.state.claimed + self.process_noise
+        images = fit.news_hessian - sum(term.linearize(fit.before).hessian for term in fit.fresh)
+        return claimed(posterior, images, fit, self.trust)
 
     def posterior(self, fit: Fit) -> Float:
         """Covariance of a fit: what this frame's images add to what was known, as a Kalman filter would have it.

@@ -102,7 +102,7 @@ class Model:
         lists = self.cues, self.predictors, self.searches
         cues, predictors, searches = ({one.name: one.start(body, self.rig) for one in ones} for ones in lists)
         zero = np.zeros((body.dof, body.dof))
-        return State(past, zero, np.ones(parts), np.zeros(parts, np.bool_), 0, cues, predictors, searches)
+        return State(past, zero, zero, np.ones(parts), np.zeros(parts, np.bool_), 0, cues, predictors, searches)
 
     def views(self, frame: Frame, pose: Pose, margin: float | None = None) -> Mapping[int, View]:
         """The images about a pose, by camera; a dropped image is simply not there."""

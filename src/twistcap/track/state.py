@@ -17,6 +17,7 @@ class State:
     Attributes:
         past: poses, and how far the body is from where it is predicted.
         covariance: (6 + J, 6 + J) of the last pose's step, of what images and motion say; no pose prior is in it.
+        claimed: (6 + J, 6 + J) the same as it is claimed, of samples that err together; no next frame depends on it.
         support: (S,) running fraction of each part's contour points that agree with the images.
         occluded: (S,) parts that no view shows.
         learned: frames that have been learned from.
@@ -25,6 +26,7 @@ class State:
 
     past: Past
     covariance: Float
+    claimed: Float
     support: Float
     occluded: Bool
     learned: int

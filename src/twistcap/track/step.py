@@ -16,7 +16,7 @@ from twistcap.predict import Prediction
 from twistcap.predict.history import Moment, Past, jumped
 from twistcap.stages import next_frame, stage
 from twistcap.threads import ahead
-from twistcap.track.align import FrameProblem, align
+from twistcap.track.align import FrameProblem, align, with_claims
 from twistcap.track.model import Model
 from twistcap.track.state import State
 
@@ -110,10 +110,13 @@ def learned(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool)
     past = _advanced(problem, fit, prediction, jump)
     predictors = {p.name: p.learn(state.predictors[p.name], fit, past, frame) for p in model.predictors}
     support = model.support.updated(state.support, fit.agreement)
-    after = State(past, posterior, support, _occluded(model, fit), state.learned + 1, cues, predictors, state.searches)
+    claimed = problem.claimed(fit, posterior)
+    after = State(
+        past, posterior, claimed, support, _occluded(model, fit), state.learned + 1, cues, predictors, state.searches
+    )  # fmt: skip
     least = float(support.min())
     return after, Estimate(
-        frame.index, frame.time, fit.pose, problem.claimed(fit, posterior), fit.energies, fit.status, fit.steps,
+        frame.index, frame.time, fit.pose, with_claims(model, fit.posed, claimed), fit.energies, fit.status, fit.steps,
         least < model.support.least, least, prediction.name,
     )  # fmt: skip
 
@@ -137,6 +140,7 @@ def unseen(problem: FrameProblem, prediction: Prediction) -> tuple[State, Estima
     """A frame that shows nothing: the estimate is the prediction."""
     frame, pose = problem.frame, prediction.pose
     after = problem.state.with_past(problem.past.advanced(Moment(frame.time, pose, seen=False)))
+    claimed = problem.state.claimed + problem.process_noise
     return after, Estimate(
-        frame.index, frame.time, pose, problem.spread, {}, "no_images", support=0.0, predicted=prediction.name
+        frame.index, frame.time, pose, claimed, {}, "no_images", support=0.0, predicted=prediction.name
     )
