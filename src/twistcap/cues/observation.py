@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -138,7 +137,7 @@ class Fit:
         status, steps, energies: of the solver; energies by name of term.
         quadratic: of all terms, about `before`.
         before: the body where the last step was taken from.
-        standing: terms that hold what was known without this frame's images.
+        standing: (6 + J, 6 + J) information that was known without this frame's images, or 0.
         fresh: terms of the priors that bring news of this frame, as keypoints.
         sights, measured: of each view.
         entered: evidence of surface points as it entered the fit, masked, with the rows of the last step.
@@ -154,7 +153,7 @@ class Fit:
     quadratic: Quadratic
     before: Posed
     visibility: Visibility
-    standing: Sequence[Term] = ()
+    standing: Float | float = 0.0
     fresh: Sequence[Term] = ()
     sights: Sequence[Sight] = ()
     measured: Sequence[Measured] = ()
@@ -172,13 +171,13 @@ class Fit:
         """The pose reached."""
         return self.posed.pose
 
-    @cached_property
-    def news_hessian(self) -> Float:
+    @property
+    def news(self) -> Float:
         """(6 + J, 6 + J) information of this frame.
 
         What stands in every frame is no news of this one: taken in anew in every frame it would add up.
         """
-        return self.quadratic.hessian - sum(term.linearize(self.before).hessian for term in self.standing)
+        return self.quadratic.hessian - self.standing
 
     def of(self, cue: str) -> Iterator[tuple[Sight, Evidence]]:
         """Each view and what a cue measured there."""

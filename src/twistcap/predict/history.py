@@ -97,9 +97,9 @@ class MotionSpread:
         if dt <= 0.0:
             return self
         step = found.minus(expected)
-        step[3:6] += np.cross(step[:3], expected.root[:3, 3])
+        step[3:6] -= se3.hat(expected.root[:3, 3]) @ step[:3]
         ratios = step**2 / self.noise.variance(len(step), dt, predictor)
-        means = np.array([part.mean() if len(part) else 0.0 for part in np.split(ratios, (3, 6))])
+        means = np.array([part.sum() / max(len(part), 1) for part in (ratios[:3], ratios[3:6], ratios[6:])])
         return replace(self, excess=self.excess + (1.0 - self.noise.memory) * (means - self.excess))
 
 

@@ -19,10 +19,12 @@ class PoseProblem:
     Attributes:
         terms: energies of the posed body.
         rows: points and rows of the point terms, by the terms' `id`, where the problem was linearised last.
+        quadratics: of all other terms there.
     """
 
     terms: Sequence[Term]
     rows: dict[int, tuple[SurfacePoints, Rows]] = field(default_factory=dict[int, "tuple[SurfacePoints, Rows]"])
+    quadratics: dict[int, Quadratic] = field(default_factory=dict[int, Quadratic])
 
     def energies(self, x: Posed) -> dict[str, float]:
         """Energies by name of term; terms of the same name are summed."""
@@ -40,7 +42,8 @@ class PoseProblem:
                 sums.add_rows(energy, points, rows)
                 self.rows[id(term)] = points, rows
             else:
-                total = total + term.linearize(x)
+                self.quadratics[id(term)] = term.linearize(x)
+                total = total + self.quadratics[id(term)]
         return Dense.of(total + sums.quadratic())
 
     def retract(self, x: Posed, step: Float) -> Posed:

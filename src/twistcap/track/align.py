@@ -102,7 +102,7 @@ class FrameProblem:
         """Covariance that is claimed of a fit whose samples err together, from its posterior."""
         if fit.status == "failed" or self._known is None:
             return self.state.claimed + self.process_noise
-        images = fit.news_hessian - sum(term.linearize(fit.before).hessian for term in fit.fresh)
+        images = fit.news - sum(term.linearize(fit.before).hessian for term in fit.fresh)
         return claimed(posterior, images, fit, self.trust)
 
     def posterior(self, fit: Fit) -> Float:
@@ -113,7 +113,7 @@ class FrameProblem:
         if fit.status == "failed" or (known := self._known) is None:
             return self.spread
         scale = INFLATION**2 / self.trust
-        return covariance(Quadratic(0.0, np.zeros(len(known)), fit.news_hessian / scale + known))
+        return covariance(Quadratic(0.0, np.zeros(len(known)), fit.news / scale + known))
 
     @property
     def spread(self) -> Float:
@@ -178,11 +178,12 @@ def alternated(problem: FrameProblem, fit: Fit, level: Level, steps: int = 1) ->
     system = PoseProblem([*standing, *news, *(evidence.term for evidence in masked)])
     with stage("solve"):
         result = minimise(system, posed, steps=steps)
+    known = sum(system.quadratics[id(term)].hessian for term in standing)
     entered = [(evidence, *system.rows[id(evidence.term)]) for evidence in masked if id(evidence.term) in system.rows]
     moved = contour_moved(sights, result.x)
     return Fit(
         result.x, result.status, fit.steps + result.steps, result.energies, result.system, posed,
-        fit.visibility, standing, news, sights, measured, entered, moved, moved if again else fit.drift + moved,
+        fit.visibility, known, news, sights, measured, entered, moved, moved if again else fit.drift + moved,
     )  # fmt: skip
 
 
