@@ -15,10 +15,11 @@ import numpy as np
 
 from twistcap import se3
 from twistcap.arrays import Float
+from twistcap.build import build
 from twistcap.evaluate.metrics import angle_differences_deg
 from twistcap.studio import StudioConfig, capture
 from twistcap.studio.config import Condition
-from twistcap.track import Settings, Tracker, build
+from twistcap.track import Settings, Tracker
 
 KINDS: Mapping[str, tuple[str, ...]] = {
     "hip flexion": ("hip_flexion",),

@@ -11,9 +11,10 @@ from time import perf_counter
 
 import numpy as np
 
+from twistcap.build import build
 from twistcap.estimate import Frame
 from twistcap.studio import Capture, StudioConfig, capture
-from twistcap.track import Settings, Tracker, build
+from twistcap.track import Settings, Tracker
 
 RUNS, SETTLED = 5, 5  # a first run compiles; frames at the start take coarse alternations
 

@@ -6,8 +6,9 @@ python examples/01_studio_walk.py
 import numpy as np
 
 from twistcap.body import Posed
+from twistcap.build import build
 from twistcap.studio import StudioConfig, capture
-from twistcap.track import build, track
+from twistcap.track import track
 
 
 def main(frames: int = 30, views: int = 4) -> float:

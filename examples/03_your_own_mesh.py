@@ -8,9 +8,10 @@ from pathlib import Path
 
 from twistcap.body.gltf import load_glb, save_glb
 from twistcap.body.humanoid import humanoid
+from twistcap.build import build
 from twistcap.studio import StudioConfig, capture
 from twistcap.studio.motion import gait
-from twistcap.track import build, track
+from twistcap.track import track
 
 
 def main(frames: int = 10) -> bool:

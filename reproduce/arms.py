@@ -15,13 +15,14 @@ from reproduce.running import Tell, over_seeds
 from reproduce.sequence import joint_errors_mm, prior_of
 from twistcap.arrays import AnyArray, Bool, Float
 from twistcap.body import Body, Pose, Posed
+from twistcap.build import build
 from twistcap.camera import Camera, Rig
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate.metrics import Row, lost_sequence
 from twistcap.motion import MotionLibrary
 from twistcap.priors import ParzenPrior
 from twistcap.studio import Capture
-from twistcap.track import Model, Settings, build, track
+from twistcap.track import Model, Settings, track
 
 
 @dataclass(frozen=True)

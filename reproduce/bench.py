@@ -12,11 +12,12 @@ import numpy as np
 
 from reproduce.running import Table, Tell, one_thread_processes
 from twistcap import stages
+from twistcap.build import build
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
 from twistcap.evaluate.metrics import Row, row
 from twistcap.studio import Capture, StudioConfig, capture
-from twistcap.track import Settings, Tracker, build
+from twistcap.track import Settings, Tracker
 
 ID = "bench"
 TOTAL = "total"

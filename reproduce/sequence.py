@@ -14,11 +14,12 @@ from twistcap.adjust.first_pose import fit_keypoints
 from twistcap.arrays import Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.humanoid import humanoid
+from twistcap.build import build
 from twistcap.estimate import Estimate, Frame, Keypoints
 from twistcap.evaluate import metrics
 from twistcap.priors import ParzenPrior
 from twistcap.studio import Capture, StudioConfig, capture
-from twistcap.track import Tracker, build
+from twistcap.track import Tracker
 
 
 @dataclass(frozen=True)

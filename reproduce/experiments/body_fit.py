@@ -21,6 +21,7 @@ from twistcap.adjust.first_pose import girth_groups
 from twistcap.arrays import Float
 from twistcap.body import Body
 from twistcap.body.shape import segment_axes
+from twistcap.build import build
 from twistcap.estimate import Frame
 from twistcap.evaluate.metrics import (
     Row,
@@ -29,7 +30,7 @@ from twistcap.evaluate.metrics import (
     row,
 )
 from twistcap.studio import Capture, StudioConfig, capture
-from twistcap.track import build, track
+from twistcap.track import track
 
 BONES = (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
 GIRTH, LENGTH, KHE = 2.0, 1.0, 0.2  # per cent, per cent, degrees

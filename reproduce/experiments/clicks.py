@@ -19,11 +19,12 @@ from reproduce.sequence import joint_errors_mm
 from twistcap.adjust.first_pose import fit_keypoints
 from twistcap.body import Posed
 from twistcap.body.humanoid import humanoid
+from twistcap.build import build
 from twistcap.estimate import Keypoints
 from twistcap.evaluate.metrics import Row, row
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.config import stream
-from twistcap.track import build, track
+from twistcap.track import track
 
 JOINTS = ("shoulder_r", "wrist_r", "wrist_l", "hip_l", "ankle_r", "ankle_l")
 VIEWS, NOISE_PX = (0, 1), 1.5  # clicked views, and how surely people click

@@ -17,6 +17,7 @@ from reproduce.contour_runs import Claim, arm_rows, both
 from reproduce.running import Tell
 from reproduce.segment import Evolution, segment
 from twistcap.arrays import Bool
+from twistcap.build import build
 from twistcap.camera import Camera, Rig
 from twistcap.cues.contour import Segmentation
 from twistcap.cues.levelset import LevelSetContour
@@ -28,7 +29,7 @@ from twistcap.region.levelset import signed_distance, zero_crossings
 from twistcap.region.models import region_model
 from twistcap.render import RenderedView
 from twistcap.studio import Capture, StudioConfig, capture
-from twistcap.track import Model, Settings, build
+from twistcap.track import Model, Settings
 
 SCENE = StudioConfig(views=2, frames=40)
 COUPLED = Settings(method="levelset")

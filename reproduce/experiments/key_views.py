@@ -30,13 +30,13 @@ from twistcap.acquire.silhouette import KeyView, difference_mask, one_person
 from twistcap.arrays import AnyArray, UInt8
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.obj_rig import load_makehuman
+from twistcap.build import build as model_of
 from twistcap.estimate import Frame
 from twistcap.evaluate.metrics import Row, mean_known, row
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.config import stream
 from twistcap.studio.mismatch import wrong_pose
 from twistcap.track import Settings, Tracker, track
-from twistcap.track import build as model_of
 
 TARGETS = (
     ("universal-male-young-averagemuscle-averageweight", "caucasian-male-young"),

@@ -16,9 +16,10 @@ import numpy as np
 from reproduce.contour_runs import Claim, arm_rows, both
 from reproduce.running import Tell
 from reproduce.scenes.elsewhere import elsewhere
+from twistcap.build import build
 from twistcap.evaluate import Row, row
 from twistcap.studio import Capture, StudioConfig
-from twistcap.track import Model, Settings, build
+from twistcap.track import Model, Settings
 
 SCENE = StudioConfig(views=4, frames=30)
 LOCAL = Settings(channels="grey", statistics="whole", brightness=False, density="local")

@@ -20,6 +20,7 @@ from reproduce.autoregressive import with_autoregression
 from reproduce.recorded import Recording, data_file
 from reproduce.running import Tell
 from twistcap.body import Body, Posed
+from twistcap.build import build
 from twistcap.camera import Rig
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate import Row, row
@@ -32,7 +33,7 @@ from twistcap.render import render
 from twistcap.search.gap import AfterGap
 from twistcap.search.slipped import SlippedLimbs
 from twistcap.search.uncertain import UncertainLimbs
-from twistcap.track import Model, Settings, build, track
+from twistcap.track import Model, Settings, track
 
 SESSION = Path(__file__).parents[2] / "examples" / "balance_4view.toml"
 GAP = (43, 57)  # first and last frame without images

@@ -24,12 +24,13 @@ import numpy as np
 from reproduce.arms import Findings
 from reproduce.recorded import data_file
 from reproduce.running import Tell
+from twistcap.build import build
 from twistcap.cues.levelset import LevelSetContour
 from twistcap.evaluate import Row, evaluate, row
 from twistcap.io.recording import open_recording, rig_of, views_of
 from twistcap.io.result import ResultWriter, read_result
 from twistcap.io.session import load_session
-from twistcap.track import Model, Tracker, build
+from twistcap.track import Model, Tracker
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 Settings = Mapping[str, Any]

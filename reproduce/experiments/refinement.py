@@ -23,13 +23,14 @@ from twistcap.adjust.first_pose import girth_groups
 from twistcap.adjust.refine import Refined, refine
 from twistcap.arrays import Float
 from twistcap.body import Body, Posed, rescaled
+from twistcap.build import build
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate.metrics import Row, row
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.config import stream
 from twistcap.studio.mismatch import with_joint_noise
 from twistcap.studio.scene import default_body
-from twistcap.track import build, track
+from twistcap.track import track
 
 # The wrong body: each kind of segment is longer or shorter by this fraction, each joint offset by so many metres.
 LENGTH, JOINT = 0.05, 0.015

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import entry_points
-from typing import Any
+from typing import Any, get_type_hints
 
 from twistcap.errors import InputError
 
@@ -42,3 +42,19 @@ class Registry:
             if point.name == name:
                 return point.load()
         raise InputError(f"there is no {self.kind} {name!r}; choose one of {', '.join(self.names()) or 'none'}.")
+
+
+def memory_type(owner: Any) -> Any:
+    """The type of the memory of a cue, predictor or search: what its `start` is annotated to return, or it says.
+
+    Raises:
+        InputError: where it is not annotated.
+    """
+    if hasattr(owner, "memory_type"):
+        return owner.memory_type
+    try:
+        return get_type_hints(type(owner).start)["return"]
+    except (KeyError, NameError) as error:
+        raise InputError(
+            f"model: {owner.name!r} does not say what its start returns; annotate it, since memories are saved."
+        ) from error

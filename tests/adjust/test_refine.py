@@ -40,6 +40,7 @@ from twistcap.body.shape import (
     rest_motion,
     stretch_maps,
 )
+from twistcap.build import build
 from twistcap.camera import Camera, Rig, look_at
 from twistcap.camera.projection import projected
 from twistcap.cli import main
@@ -53,7 +54,7 @@ from twistcap.solve import Arrow
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.terms import PointNormalTerm
 from twistcap.terms.photometric import sampled
-from twistcap.track import Settings, build, track
+from twistcap.track import Settings, track
 
 Array = NDArray[np.float64]
 BODY = humanoid("full")

@@ -7,14 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from twistcap.build import build
 from twistcap.cues.observation import Agreement
+from twistcap.cues.support import SupportRule
 from twistcap.errors import InputError
 from twistcap.motion import MotionClip, MotionLibrary, motion_predictor
 from twistcap.predict import Moment
 from twistcap.studio import StudioConfig, capture
 from twistcap.studio.motion import gait
-from twistcap.track import Settings, build, track
-from twistcap.track.visibility import SupportRule
+from twistcap.track import Settings, track
 
 FPS = 60.0
 

@@ -11,6 +11,7 @@ import pytest
 from support.twins import check_twin
 from twistcap.arrays import Float
 from twistcap.body import Posed
+from twistcap.build import build
 from twistcap.cues.observation import Agreement, Evidence, Fit, Visibility
 from twistcap.predict import claims
 from twistcap.predict.claims import OFFSET, claimed
@@ -21,7 +22,7 @@ from twistcap.studio import StudioConfig, capture
 from twistcap.studio.config import Condition
 from twistcap.terms import PointNormalTerm
 from twistcap.terms.offsets import add_offset_variance
-from twistcap.track import build, step
+from twistcap.track import step
 
 NOISE_PX, DRAWS = 0.5, 300
 

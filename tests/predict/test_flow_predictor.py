@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from twistcap.body import Pose, Posed
+from twistcap.build import build
 from twistcap.predict.flow import FlowPredictor
 from twistcap.predict.history import MotionNoise
 from twistcap.settings import PredictorName
 from twistcap.studio import Capture, StudioConfig, capture
-from twistcap.track import Settings, Tracker, build
+from twistcap.track import Settings, Tracker
 
 DT = 0.04
 

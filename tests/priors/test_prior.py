@@ -15,6 +15,7 @@ from reproduce.scenes.subjects import squats, walks_of_another
 from support.finite_differences import check_jacobian, numeric_jacobian
 from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
+from twistcap.build import build
 from twistcap.cli import main
 from twistcap.errors import InputError
 from twistcap.io.motion_files import write_mot
@@ -24,7 +25,7 @@ from twistcap.priors import ParzenPrior, PriorRule, kernel_width, matched
 from twistcap.solve import PoseProblem, minimise
 from twistcap.studio import StudioConfig, capture
 from twistcap.studio.motion import gait
-from twistcap.track import build, track
+from twistcap.track import track
 
 BODY = humanoid()
 NAMES = ("hip_flexion_r", "knee_angle_r", "elbow_flex_l")

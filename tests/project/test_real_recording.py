@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from twistcap.body import Posed
+from twistcap.build import build
 from twistcap.evaluate.metrics import iou
 from twistcap.io.masks import read_masks
 from twistcap.io.recording import open_recording
 from twistcap.io.session import load_session
 from twistcap.render import render
-from twistcap.track import build, track
+from twistcap.track import track
 
 SESSION = Path(__file__).parents[2] / "examples" / "balance_4view.toml"
 BODY_25B = {"shoulder_l": 5, "shoulder_r": 6, "elbow_l": 7, "elbow_r": 8, "knee_l": 13, "knee_r": 14, "ankle_r": 16}

@@ -10,6 +10,7 @@ import pytest
 from scipy.stats import gaussian_kde
 
 from twistcap.body import Posed
+from twistcap.build import build
 from twistcap.cues.direct import DirectContour
 from twistcap.cues.levelset import LevelSetContour
 from twistcap.cues.view import View, crop_view
@@ -32,7 +33,7 @@ from twistcap.region.parzen import parzen_densities, parzen_log_ratio
 from twistcap.render import RenderedView, render, visible_contour
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.terms import PointNormalTerm, PointRayTerm
-from twistcap.track import Settings, build, track
+from twistcap.track import Settings, track
 
 MODELS: tuple[RegionModel, ...] = (LocalGaussian(rho=8.0), GlobalGaussian(), GlobalParzen())
 DENSITIES: tuple[Density, ...] = ("local", "global", "parzen")

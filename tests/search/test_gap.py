@@ -10,11 +10,12 @@ import pytest
 from support.oracle import BODY, Oracle
 from twistcap.body import Pose, Posed
 from twistcap.body.limbs import branches
+from twistcap.build import build
 from twistcap.errors import InputError
 from twistcap.search.gap import AfterGap
 from twistcap.search.judge import JudgeRule
 from twistcap.studio import Capture, StudioConfig, capture
-from twistcap.track import Model, build, track
+from twistcap.track import Model, track
 
 GAP = range(6, 21)
 

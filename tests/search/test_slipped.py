@@ -12,13 +12,14 @@ from support.oracle import BODY, Oracle
 from twistcap.arrays import Bool
 from twistcap.body import Pose, Posed
 from twistcap.body.limbs import limbs
+from twistcap.build import build
 from twistcap.camera import Rig
 from twistcap.cues.observation import Agreement
 from twistcap.errors import InputError
 from twistcap.search.judge import JudgeRule
 from twistcap.search.slipped import LimbAgreement, SlippedLimbs
 from twistcap.studio import Capture, StudioConfig, capture
-from twistcap.track import build, track
+from twistcap.track import track
 
 PARTS = len(BODY.segment_names)
 ARM = ("arm_flex_r", "elbow_flex_r")

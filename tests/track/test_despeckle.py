@@ -8,10 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
+from twistcap.build import build
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
 from twistcap.studio import StudioConfig, capture
-from twistcap.track import Settings, build, track
+from twistcap.track import Settings, track
 
 SMALL = StudioConfig(seed=3, views=2, size=(192, 140), frames=4)
 

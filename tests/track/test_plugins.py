@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from support.mean_colour import LevelTerm, MeanColour
+from twistcap.build import CUES, build
 from twistcap.errors import InputError
 from twistcap.io.state import from_bytes, to_bytes
 from twistcap.studio import StudioConfig, capture
-from twistcap.track import Settings, build, step
-from twistcap.track.build import CUES
+from twistcap.track import Settings, step
 from twistcap.track.visibility import OcclusionRule
 
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from twistcap.body import Pose
+from twistcap.build import build
 from twistcap.studio import Capture, StudioConfig, capture
-from twistcap.track import Model, State, build, step
+from twistcap.track import Model, State, step
 from twistcap.track.align import FrameProblem
 from twistcap.track.step import posed_problem, predicted
 

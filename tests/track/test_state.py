@@ -12,6 +12,7 @@ import pytest
 
 from reproduce.scenes.subjects import walks_of_another
 from twistcap.body import Posed
+from twistcap.build import build
 from twistcap.differential.model import DifferentialModel
 from twistcap.differential.settings import DifferentialConfig
 from twistcap.errors import InputError
@@ -22,7 +23,7 @@ from twistcap.motion.library import unwrapped
 from twistcap.priors import ParzenPrior
 from twistcap.search.uncertain import UncertainLimbs
 from twistcap.studio import Capture, StudioConfig, capture
-from twistcap.track import Model, Settings, build, step
+from twistcap.track import Model, Settings, step
 
 
 def same(one: Any, other: Any) -> bool:

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from twistcap import threads
+from twistcap.build import build
 from twistcap.errors import InputError
 from twistcap.studio import StudioConfig, capture
-from twistcap.track import Tracker, build
+from twistcap.track import Tracker
 
 
 @pytest.fixture(autouse=True)

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 from twistcap.body import Pose, Posed
+from twistcap.build import build, of_method
 from twistcap.cues.direct import DirectContour
 from twistcap.cues.levelset import LevelSetContour
 from twistcap.differential.model import DifferentialModel
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame, Keypoints
 from twistcap.studio import Capture, StudioConfig, capture
-from twistcap.track import Model, Settings, build, of_method, track
+from twistcap.track import Model, Settings, track
 
 JOINTS = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
 

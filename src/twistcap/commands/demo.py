@@ -46,10 +46,11 @@ def run_demo(
     folder: Path, frames: int = 60, views: int = 4, seed: int = 0, mismatch: bool = False, method: str = "direct"
 ) -> dict[str, Any]:
     """The demo's files in a folder; what ``--json`` prints."""
+    from twistcap.build import build
     from twistcap.io.result import ResultWriter, read_result
     from twistcap.io.session import tracker_settings
     from twistcap.studio import StudioConfig, capture
-    from twistcap.track import Tracker, build
+    from twistcap.track import Tracker
 
     settings = tracker_settings({"method": method}, "the command line")
     scene = capture(StudioConfig(seed, views, frames=frames, condition="mismatch" if mismatch else "exact"))

@@ -103,7 +103,8 @@ def _resumed(session: Any, path: Path, done: Any) -> tuple[Any, Timing]:
 
 def session_tracker(session: Any, body: Any, views: Any) -> Any:
     """The session's tracker; training motion is brought to the rate of the frames that are read."""
-    from twistcap.track import Tracker, of_method
+    from twistcap.build import of_method
+    from twistcap.track import Tracker
 
     library = session.motion_library
     motions = None if library is None else library.resampled(views.fps / session.step)

@@ -20,7 +20,8 @@ from twistcap.arrays import AnyArray, UInt8
 from twistcap.body import Body, Pose, Posed
 from twistcap.differential.model import DifferentialModel
 from twistcap.errors import InputError
-from twistcap.track.model import Model, memory_type
+from twistcap.registry import memory_type
+from twistcap.track.model import Model
 
 _DAMAGE = (
     OSError, EOFError, ValueError, TypeError, KeyError, IndexError, AttributeError, zipfile.BadZipFile,

@@ -9,12 +9,11 @@ from twistcap.body import Pose
 from twistcap.differential.model import DifferentialModel
 from twistcap.estimate import Estimate, Frame
 from twistcap.settings import Settings
-from twistcap.track.build import build, of_method
 from twistcap.track.model import Model
 from twistcap.track.state import State
 from twistcap.track.step import step
 
-__all__ = ["Model", "Settings", "State", "Tracker", "build", "of_method", "step", "track"]
+__all__ = ["Model", "Settings", "State", "Tracker", "step", "track"]
 
 
 class Tracker:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, get_type_hints
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from twistcap.arrays import AnyArray
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Rig
 from twistcap.cues import Cue
+from twistcap.cues.support import SupportRule
 from twistcap.cues.view import View, crop_view
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
@@ -19,30 +19,15 @@ from twistcap.features import Channels
 from twistcap.predict import MotionNoise, MotionSpread, Predictor
 from twistcap.predict.history import Moment, Past
 from twistcap.priors import Prior
+from twistcap.registry import memory_type
 from twistcap.search import Search
 from twistcap.search.judge import JudgeRule
 from twistcap.track.schedule import Schedule
 from twistcap.track.state import State
-from twistcap.track.visibility import OcclusionRule, SupportRule
+from twistcap.track.visibility import OcclusionRule
 
 MARGIN = 0.15
 """m about the expected body within which images are looked at."""
-
-
-def memory_type(owner: Any) -> Any:
-    """The type of the memory of a cue, predictor or search: what its `start` is annotated to return, or it says.
-
-    Raises:
-        InputError: where it is not annotated.
-    """
-    if hasattr(owner, "memory_type"):
-        return owner.memory_type
-    try:
-        return get_type_hints(type(owner).start)["return"]
-    except (KeyError, NameError) as error:
-        raise InputError(
-            f"model: {owner.name!r} does not say what its start returns; annotate it, since memories are saved."
-        ) from error
 
 
 @dataclass(frozen=True)

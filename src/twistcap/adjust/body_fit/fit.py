@@ -16,13 +16,13 @@ from twistcap.adjust.body_fit.problem import FitProblem, Freedom, Sculpted
 from twistcap.adjust.body_fit.symmetry import symmetric
 from twistcap.arrays import Bool
 from twistcap.body import Body, Pose, Posed
+from twistcap.build import build as build_model
 from twistcap.camera import Rig
 from twistcap.errors import InputError, check_numbers
 from twistcap.estimate import Frame
 from twistcap.settings import Settings
 from twistcap.solve import minimise
 from twistcap.track import Tracker
-from twistcap.track import build as build_model
 
 Report = Callable[[str], None]
 

@@ -13,21 +13,21 @@ from twistcap.adjust.refine.evidence import BrightnessPair
 from twistcap.adjust.refine.settings import RefineConfig
 from twistcap.arrays import Bool, Float
 from twistcap.body import Body, Pose, Posed
+from twistcap.build import contour_of
 from twistcap.camera import Rig
 from twistcap.cues.appearance import Appearance, AppearanceRule
 from twistcap.cues.brightness import Brightness, cell_of
 from twistcap.cues.contour import ContourCue
 from twistcap.cues.memory import empty_grid, strongest_in_cells
+from twistcap.cues.support import SupportRule
 from twistcap.cues.view import View, crop_view, despeckled
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
 from twistcap.render import RenderedView, SurfacePoints, render, visible_contour
 from twistcap.settings import Settings
 from twistcap.terms import PointTerm
-from twistcap.track.build import contour_of
 from twistcap.track.model import MARGIN
 from twistcap.track.schedule import Schedule
-from twistcap.track.visibility import SupportRule
 
 _ROOM = 0.15  # m about the body, added to the tracker's margin, by which refining may move it
 _SIDES = 8  # octants of the direction in which a contour point's residual grows

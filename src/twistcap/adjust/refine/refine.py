@@ -21,6 +21,7 @@ from twistcap.adjust.refine.shape import Shape
 from twistcap.arrays import Bool, Float
 from twistcap.body import Body
 from twistcap.camera import Rig
+from twistcap.cues.support import SupportRule
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
 from twistcap.predict import MotionNoise
@@ -28,7 +29,6 @@ from twistcap.predict.inertia import INFLATION
 from twistcap.priors.standing import RestPose
 from twistcap.settings import Settings
 from twistcap.solve import Arrow, Solution, minimise
-from twistcap.track.visibility import SupportRule
 
 _LEAST_FRAMES = 3
 _WORSE = 0.01  # fraction of contour points: so many agree or not by chance

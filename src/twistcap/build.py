@@ -116,7 +116,7 @@ def contour_of(settings: Settings) -> ContourCue:
         InputError: for the method without contours.
     """
     if settings.method == "differential":
-        raise InputError('tracker: method "differential" has no contours; use track.of_method instead of build.')
+        raise InputError('tracker: method "differential" has no contours; use build.of_method instead of build.')
     kind = DirectContour if settings.method == "direct" else LevelSetContour
     return kind(density=settings.density, statistics=settings.statistics, surface_sigma=settings.surface_sigma)
 
