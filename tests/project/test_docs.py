@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 import typer
 
+from support.commands import run
 from twistcap.cli import app
 
 ROOT = Path(__file__).parents[2]
@@ -150,3 +151,14 @@ def test_names_that_examples_import_exist(path: Path) -> None:
     for module, names in re.findall(r"^from (twistcap[\w.]*) import (.+)$", "".join(blocks), flags=re.MULTILINE):
         for name in names.split(","):
             assert hasattr(importlib.import_module(module), name.strip()), f"{module} lacks {name}"
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/getting-started.md"])
+def test_the_python_that_a_newcomer_copies_runs(page: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    session = tmp_path / "walk"
+    run("studio", session, "--frames", 3, "--views", 2)
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)
+    (code,) = [block for block in blocks if "open_recording" in block]
+    capsys.readouterr()
+    exec(re.sub(r'"[^"]*session\.toml"', repr(str(session / "session.toml")), code), {})
+    assert len(capsys.readouterr().out.splitlines()) == 3
