@@ -167,6 +167,6 @@ T_EM = DifferentialTrial(
     "as T-1, the clothes loose and clutter moving behind: support maps on, against off",
     Walk((-90.0,), 8.0, replace(_SIDE_STUDIO, frames=61), disturbed=partial(loose, cloth=0.012, passers=4)),
     _planar,
-    ((WITH, _SIDE), (ROBUST, replace(_SIDE, support="robust")), (WITHOUT, replace(_SIDE, support="shape"))),
+    ((WITH, replace(_SIDE, support="em")), (ROBUST, _SIDE), (WITHOUT, replace(_SIDE, support="shape"))),
     _support_rows,
 )

@@ -15,7 +15,8 @@ class DifferentialConfig:
     """The ``[tracker.differential]`` table of a session.
 
     Attributes:
-        support: "em" for support maps by EM, "robust" for Cauchy weights, "shape" for the projected body as it is.
+        support: "robust" for Cauchy weights, "em" for the paper's support maps by EM, "shape" for the projected body as
+            it is.
         behind: the layer behind stands "still", or moves as the "dominant" motion off the body.
         exposure: whether each view's exposure may change from frame to frame.
         colour: whether RGB images count with their colours; False takes their grey alone.
@@ -26,7 +27,7 @@ class DifferentialConfig:
         search_deg: how far about the guess limbs are searched before the gradients have their say; 0 searches none.
     """
 
-    support: Literal["em", "robust", "shape"] = "em"
+    support: Literal["robust", "em", "shape"] = "robust"
     behind: Literal["still", "dominant"] = "still"
     exposure: bool = True
     colour: bool = True
