@@ -30,7 +30,8 @@ from twistcap.io.masks import read_masks
 from twistcap.io.session import load_session
 from twistcap.motion import MotionLibrary
 from twistcap.render import render
-from twistcap.search.gap import AfterGap
+from twistcap.search.lost import LostBody
+from twistcap.search.placing import PlacingRule
 from twistcap.search.slipped import SlippedLimbs
 from twistcap.search.uncertain import UncertainLimbs
 from twistcap.track import Model, Settings, track
@@ -58,7 +59,8 @@ ARMS = {
 
 def drawn(model: Model, seed: int) -> Model:
     """The model with the searches' draws of a seed."""
-    return replace(model, searches=(AfterGap(seed=seed), SlippedLimbs(seed=seed), UncertainLimbs()))
+    lost = LostBody(placing=PlacingRule(seed=seed))
+    return replace(model, searches=(SlippedLimbs(seed=seed), UncertainLimbs(), lost))
 
 
 @dataclass(frozen=True)

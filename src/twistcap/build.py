@@ -24,7 +24,7 @@ from twistcap.priors import ParzenPrior, PosePrior, Prior, PriorRule, matched
 from twistcap.priors.standing import Expectation, JointLimits, RestPose
 from twistcap.registry import Registry
 from twistcap.search import Search
-from twistcap.search.gap import AfterGap
+from twistcap.search.lost import LostBody
 from twistcap.search.slipped import SlippedLimbs
 from twistcap.search.uncertain import UncertainLimbs
 from twistcap.settings import Settings
@@ -85,7 +85,7 @@ def build(
     )  # fmt: skip
     if prior is not None:
         priors = (*priors, PosePrior(matched(prior, body), PriorRule(settings.prior_strength)))
-    searches = AfterGap(), SlippedLimbs(), UncertainLimbs()
+    searches = SlippedLimbs(), UncertainLimbs(), LostBody()
     return Model(
         body, rig.pinhole(), (contour, *brightness, *more.cues),
         (*more.predictors, *predictors_of(settings, body, rig, motions)), (*priors, *more.priors),

@@ -12,6 +12,7 @@ from twistcap.arrays import Bool, Float
 from twistcap.body import Pose
 from twistcap.errors import InputError
 
+_REST = 0.3  # s in which a body that is not seen is thought to come to rest
 _JUMP = np.deg2rad(2.0)  # of a joint: more than a fit wavers
 REMEMBERED = 128
 """Moments of the history."""
@@ -130,6 +131,8 @@ def constant_velocity(history: Sequence[Moment], time: float, decay: float = np.
     passed, between = time - last.time, last.time - history[-2].time
     step = last.pose.minus(history[-2].pose) * (passed / between)
     step[6:] *= np.exp(-passed / decay)
+    if not last.seen:
+        step[:6] *= np.exp(-passed / _REST)
     return last.pose.retract(step)
 
 

@@ -9,13 +9,14 @@ from typing import Any, Protocol
 from twistcap.arrays import Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Rig
-from twistcap.cues.observation import Fit
+from twistcap.cues.observation import Fit, Sight
 from twistcap.cues.view import View
 from twistcap.estimate import Frame
+from twistcap.features import Channels
 from twistcap.predict.history import Moment, Past
 from twistcap.search.judge import Judge
 
-__all__ = ["Judge", "Problem", "Revision", "Search"]
+__all__ = ["Beginning", "Judge", "Problem", "Revision", "Search"]
 
 Views = Mapping[int, View]
 """Views by camera."""
@@ -26,6 +27,15 @@ class Problem(Protocol):
 
     @property
     def body(self) -> Body: ...
+    @property
+    def rig(self) -> Rig: ...
+    @property
+    def left_out(self) -> frozenset[int]:
+        """Cameras that are not believed."""
+        ...
+
+    @property
+    def channels(self) -> Channels: ...
     @property
     def past(self) -> Past: ...
     @property
@@ -58,6 +68,26 @@ class Problem(Protocol):
         """The fit that starts from a pose; with `crop` the images are cropped anew about it."""
         ...
 
+    def afresh(self, pose: Pose, margin: float) -> Fit:
+        """The fit that starts from a pose as if no frame had been seen before, in images `margin` m about it."""
+        ...
+
+    def without(self, camera_index: int) -> Problem:
+        """The same, one more camera left out."""
+        ...
+
+    def excluding(self, left_out: frozenset[int]) -> Problem:
+        """The same with just these cameras left out; views that it does not have do not come back."""
+        ...
+
+    def look(self, camera_index: int, posed: Posed) -> Sight | None:
+        """A camera's sight of a posed body, left out or not; None where the body or the image is not there."""
+        ...
+
+    def colours(self, camera_index: int, channels: int) -> Float:
+        """(S, 1 + 2C) confidence, mean and mean square of each part's colours in a camera."""
+        ...
+
     def measured(self, pose: Pose) -> Fit:
         """What the images say of a pose as it is."""
         ...
@@ -66,9 +96,24 @@ class Problem(Protocol):
         """(6 + J, 6 + J) what is claimed of a fit."""
         ...
 
+    def support(self, fit: Fit) -> Float:
+        """(S,) running fraction of each part's contour points that agree, after a fit."""
+        ...
+
     def in_sight(self, fit: Fit) -> Float:
         """(S,) in [0, 1] how far each part is in sight."""
         ...
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """Where the fit is to start.
+
+    Attributes:
+        pose: of the body; None where the images show it nowhere.
+    """
+
+    pose: Pose | None
 
 
 @dataclass(frozen=True)
@@ -76,14 +121,16 @@ class Revision:
     """A fit that takes another one's place.
 
     Attributes:
-        fit: the new one.
+        fit: the new one; None where the body is nowhere in the images.
         last: the moment before, as it is to be remembered: the way to the new pose was no motion.
         jumped: whether the whole body was elsewhere, so that this frame says nothing of how bodies move.
+        left_out: cameras that are not believed from now on; None for no change.
     """
 
-    fit: Fit
+    fit: Fit | None
     last: Moment
     jumped: bool = False
+    left_out: frozenset[int] | None = None
 
 
 class Search(Protocol):
@@ -102,8 +149,8 @@ class Search(Protocol):
         """m about the expected body within which it wants to look before the fit; None where it does not."""
         ...
 
-    def begin(self, memory: Any, problem: Problem) -> Pose | None:
-        """Where the fit should start instead; None for where it is expected."""
+    def begin(self, memory: Any, problem: Problem) -> tuple[Beginning | None, Any]:
+        """Where the fit should start instead, None for where it is expected; and the memory after that."""
         ...
 
     def revise(self, memory: Any, problem: Problem, fit: Fit) -> tuple[Revision | None, Any]:

@@ -56,6 +56,7 @@ class SlippedLimbs:
             found is searched for again, and what is seldom seen well is left alone after a while.
         recent: fraction that the mean agreement of late keeps from frame to frame; the usual one is no less.
         least_points: contour points of a limb, over all views, below which it is not judged.
+        hardly: fraction of all contour points that agree below which the body is lost as a whole.
         near: rad, standard deviations of the draws about the best, one round after the other.
         draws: poses of each limb in each round, and as many anywhere within its limits.
         gain: nats by which the images must favour each limb where it is found.
@@ -68,6 +69,7 @@ class SlippedLimbs:
     memory: float = 0.99
     recent: float = 0.8
     least_points: int = 12
+    hardly: float = 0.25
     near: tuple[float, ...] = (0.5, 0.25, 0.125)
     draws: int = 64
     gain: float = 40.0
@@ -92,15 +94,17 @@ class SlippedLimbs:
     def wanted_margin(self, past: Past, time: float) -> float | None:
         """It looks for nothing before the fit."""
 
-    def begin(self, memory: LimbAgreement, problem: Problem) -> Pose | None:
+    def begin(self, memory: LimbAgreement, problem: Problem) -> tuple[None, LimbAgreement]:
         """The fit starts where it is expected."""
+        return None, memory
 
     def revise(self, memory: LimbAgreement, problem: Problem, fit: Fit) -> tuple[Revision | None, LimbAgreement]:
         """A fit with the slipped limbs elsewhere, where their contours agree better."""
         if not problem.past.started or not problem.views or not problem.trusted:
             return None, memory
         before, memory = memory.slipped, self.judged(memory, fit.agreement)
-        if not memory.slipped:
+        hardly = fit.agreement.agreeing.sum() < self.hardly * fit.agreement.points.sum()  # the body is lost as a whole
+        if not memory.slipped or hardly:
             return None, memory
         with stage("search"):
             judge = problem.judge(fit.posed, self.reach)

@@ -69,8 +69,9 @@ class UncertainLimbs:
     def wanted_margin(self, past: Past, time: float) -> float | None:
         """It looks for nothing before the fit."""
 
-    def begin(self, memory: Uncertainty, problem: Problem) -> Pose | None:
+    def begin(self, memory: Uncertainty, problem: Problem) -> tuple[None, Uncertainty]:
         """The fit starts where it is expected."""
+        return None, memory
 
     def revise(self, memory: Uncertainty, problem: Problem, fit: Fit) -> tuple[Revision | None, Uncertainty]:
         """A fit that two frames in turn clearly prefer."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from twistcap.arrays import Float
 from twistcap.body import Body, Pose, Posed
+from twistcap.camera import Rig
 from twistcap.cues.appearance import Appearance
 from twistcap.cues.observation import (
     Alternation,
@@ -23,6 +24,7 @@ from twistcap.cues.observation import (
 )
 from twistcap.cues.view import View
 from twistcap.estimate import Frame
+from twistcap.features import Channels
 from twistcap.predict.claims import claimed
 from twistcap.predict.history import Past
 from twistcap.predict.inertia import INFLATION
@@ -47,6 +49,7 @@ class FrameProblem:
         information: (6 + J, 6 + J) with which the pose is drawn there.
         views: the images about it, by camera.
         trust: how far the images are believed, 0 … 1.
+        left_out: cameras that are not believed.
     """
 
     model: Model
@@ -57,10 +60,19 @@ class FrameProblem:
     information: Float
     views: Mapping[int, View]
     trust: float = 1.0
+    left_out: frozenset[int] = frozenset()
 
     @property
     def body(self) -> Body:
         return self.model.body
+
+    @property
+    def rig(self) -> Rig:
+        return self.model.rig
+
+    @property
+    def channels(self) -> Channels:
+        return self.model.channels
 
     @property
     def past(self) -> Past:
@@ -73,10 +85,39 @@ class FrameProblem:
     def judge(self, posed: Posed, margin: float | None = None) -> Judge:
         """See `search.Problem`."""
         views = self.views if margin is None else self._around(posed.pose, margin)
+        colours = [self.colours(i, view.features.shape[2]) for i, view in views.items()]
+        return judge_of(self.model.judge, list(views.values()), colours, posed)
+
+    def colours(self, camera_index: int, channels: int) -> Float:
+        """See `search.Problem`."""
         known = self.state.cues["contour"]
         assert isinstance(known, Appearance)
-        colours = [known.of(i, view.features.shape[2]) for i, view in views.items()]
-        return judge_of(self.model.judge, list(views.values()), colours, posed)
+        return known.of(camera_index, channels)
+
+    def afresh(self, pose: Pose, margin: float) -> Fit:
+        """See `search.Problem`."""
+        model = replace(self.model, schedule=self.model.schedule.afresh)
+        state = self.state.with_past(replace(self.past, started=False))
+        other = self.at(pose, margin)
+        return align(replace(other, model=model, state=state, information=np.zeros_like(self.information)))
+
+    def at(self, pose: Pose, margin: float = MARGIN) -> FrameProblem:
+        """The problem with the body expected elsewhere, and the images about it."""
+        return replace(self, start=pose, views=self.model.views(self.frame, pose, margin, self.left_out))
+
+    def without(self, camera_index: int) -> FrameProblem:
+        """See `search.Problem`."""
+        return self.excluding(self.left_out | {camera_index})
+
+    def excluding(self, left_out: frozenset[int]) -> FrameProblem:
+        """The same without these cameras."""
+        return replace(self, left_out=left_out, views={i: v for i, v in self.views.items() if i not in left_out})
+
+    def look(self, camera_index: int, posed: Posed) -> Sight | None:
+        """See `search.Problem`."""
+        others = frozenset(range(len(self.rig))) - {camera_index}
+        views = self.model.views(self.frame, posed.pose, left_out=others)
+        return _sight(posed, camera_index, views[camera_index], self.model.schedule.contour_spacing) if views else None
 
     def align(self, pose: Pose, crop: bool = False) -> Fit:
         """See `search.Problem`."""
@@ -86,6 +127,10 @@ class FrameProblem:
     def measured(self, pose: Pose) -> Fit:
         """See `search.Problem`."""
         return alternated(replace(self, start=pose), self.unfitted(pose), self.model.schedule.fine_level, steps=0)
+
+    def support(self, fit: Fit) -> Float:
+        """See `search.Problem`."""
+        return self.model.support.updated(self.state.support, fit.agreement)
 
     def in_sight(self, fit: Fit) -> Float:
         """See `search.Problem`."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -87,13 +87,15 @@ class Model:
         lists = self.cues, self.predictors, self.searches
         cues, predictors, searches = ({one.name: one.start(body, self.rig) for one in ones} for ones in lists)
         zero = np.zeros((body.dof, body.dof))
-        return State(past, zero, zero, np.ones(parts), np.zeros(parts, np.bool_), 0, cues, predictors, searches)
+        return State(past, zero, zero, np.ones(parts), np.zeros(parts, np.bool_), (), 0, cues, predictors, searches)
 
-    def views(self, frame: Frame, pose: Pose, margin: float | None = None) -> Mapping[int, View]:
-        """The images about a pose, by camera; a dropped image is simply not there."""
+    def views(
+        self, frame: Frame, pose: Pose, margin: float | None = None, left_out: Collection[int] = ()
+    ) -> Mapping[int, View]:
+        """The images about a pose, by camera; a dropped image, or a camera that is left out, is simply not there."""
         posed, out = Posed(self.body, pose), dict[int, View]()
         for i, image in enumerate(frame.images):
-            view = None if image is None else self._view(image, i, posed, margin)
+            view = None if image is None or i in left_out else self._view(image, i, posed, margin)
             if view is not None:
                 out[i] = view
         return out

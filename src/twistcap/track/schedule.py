@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from twistcap.cues.observation import Level
 
@@ -32,6 +32,11 @@ class Schedule:
     settled: float = 0.006
     render_after: float = 0.008
     contour_spacing: float = 0.032
+
+    @property
+    def afresh(self) -> Schedule:
+        """For a hypothesis: no more looks than any frame has."""
+        return replace(self, first=self.fine + 1)
 
     @property
     def fine_level(self) -> Level:

@@ -20,6 +20,7 @@ class State:
         claimed: (6 + J, 6 + J) the same as it is claimed, of samples that err together; no next frame depends on it.
         support: (S,) running fraction of each part's contour points that agree with the images.
         occluded: (S,) parts that no view shows.
+        left_out: cameras that are not believed.
         learned: frames that have been learned from.
         cues, predictors, searches: their memories, by name.
     """
@@ -29,6 +30,7 @@ class State:
     claimed: Float
     support: Float
     occluded: Bool
+    left_out: tuple[int, ...]
     learned: int
     cues: Mapping[str, Any]
     predictors: Mapping[str, Any]

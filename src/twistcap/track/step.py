@@ -36,10 +36,9 @@ def step(state: Any, frame: Frame, model: Model | DifferentialModel) -> tuple[An
         return by_brightness(state, frame, model)
     frame = despeckled(frame, model.despeckle)
     prediction, state = predicted(state, frame, model)
-    problem = posed_problem(state, frame, model, prediction)
-    if not problem.views and frame.keypoints is None:
+    problem, nowhere = begun(posed_problem(state, frame, model, prediction), prediction)
+    if nowhere or (not problem.views and frame.keypoints is None):
         return unseen(problem, prediction)
-    problem = begun(problem, prediction)
     fit = align(problem)
     if prediction.name == "motion" and frame.keypoints is None:
         problem = doubted(problem, fit)
@@ -47,6 +46,8 @@ def step(state: Any, frame: Frame, model: Model | DifferentialModel) -> tuple[An
             return unseen(problem, prediction)
         fit = fit if problem.trusted else align(problem)
     problem, fit, jump = searched(problem, fit)
+    if fit is None:
+        return unseen(problem, prediction)
     return learned(problem, fit, prediction, jump)
 
 
@@ -63,22 +64,31 @@ def predicted(state: State, frame: Frame, model: Model) -> tuple[Prediction, Sta
 def posed_problem(state: State, frame: Frame, model: Model, prediction: Prediction) -> FrameProblem:
     """The frame as a problem, with the images about the expected body, or as far about it as a search wants to look."""
     wanted = [m for s in model.searches if (m := s.wanted_margin(state.past, frame.time)) is not None]
-    views = model.views(frame, prediction.pose, max(wanted, default=None))
+    left_out = frozenset(state.left_out)
+    views = model.views(frame, prediction.pose, max(wanted, default=None), left_out)
     ahead(lambda: [(view.grey, view.features) for view in list(views.values())[::-1]])
-    return FrameProblem(model, state, frame, prediction.pose, prediction.covariance, prediction.information, views)
+    return FrameProblem(
+        model, state, frame, prediction.pose, prediction.covariance, prediction.information, views, left_out=left_out
+    )
 
 
-def begun(problem: FrameProblem, prediction: Prediction) -> FrameProblem:
-    """The problem, starting where a search has found the body."""
-    for search in problem.model.searches:
-        pose = search.begin(problem.state.searches[search.name], problem)
-        if pose is not None:
-            found = replace(problem, start=pose)
-            if prediction.name == "motion":  # which bridges the gap itself
-                return found
-            last = jumped(problem.past.moments[-1], pose.minus(problem.start), pose)  # a jump is no velocity
-            return replace(found, state=problem.state.with_past(problem.past.with_last(last)))
-    return problem
+def begun(problem: FrameProblem, prediction: Prediction) -> tuple[FrameProblem, bool]:
+    """The problem, starting where a search has found the body; and whether it was found nowhere."""
+    memories, beginning = dict(problem.state.searches), None
+    for search in problem.model.searches if any(image is not None for image in problem.frame.images) else ():
+        beginning, memories[search.name] = search.begin(memories[search.name], problem)
+        if beginning is not None:
+            break
+    problem = replace(problem, state=replace(problem.state, searches=memories))
+    if beginning is None or (prediction.name == "motion" and beginning.pose is None):
+        return problem, False
+    if beginning.pose is None:
+        return problem, True
+    found, pose = problem.at(beginning.pose), beginning.pose
+    if prediction.name == "motion":  # which bridges the gap itself
+        return found, False
+    last = jumped(problem.past.moments[-1], pose.minus(problem.start), pose)  # a jump is no velocity
+    return replace(found, state=found.state.with_past(found.past.with_last(last))), False
 
 
 def doubted(problem: FrameProblem, fit: Fit) -> FrameProblem:
@@ -87,17 +97,21 @@ def doubted(problem: FrameProblem, fit: Fit) -> FrameProblem:
     return replace(problem, trust=trust, information=problem.information / (trust or 1.0))
 
 
-def searched(problem: FrameProblem, fit: Fit) -> tuple[FrameProblem, Fit, bool]:
-    """The best of the fit and what the searches find, and whether the body has jumped there."""
-    memories, jump = dict(problem.state.searches), False
+def searched(problem: FrameProblem, fit: Fit) -> tuple[FrameProblem, Fit | None, bool]:
+    """The best of the fit and what the searches find, None if that is nowhere; and whether it has jumped there."""
+    memories, jump, found = dict(problem.state.searches), False, fit
     for search in problem.model.searches:
         with stage("search"):
             revision, memories[search.name] = search.revise(memories[search.name], problem, fit)
         if revision is not None:
-            fit, jump = revision.fit, jump or revision.jumped
+            found, jump = revision.fit, jump or revision.jumped
             past = problem.past.with_last(revision.last)
             problem = replace(problem, state=problem.state.with_past(past))
-    return replace(problem, state=replace(problem.state, searches=memories)), fit, jump
+            problem = problem if revision.left_out is None else problem.excluding(revision.left_out)
+        if found is None:
+            break
+        fit = found
+    return replace(problem, state=replace(problem.state, searches=memories)), found, jump
 
 
 def learned(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool) -> tuple[State, Estimate]:
@@ -109,10 +123,11 @@ def learned(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool)
         cues = {cue.name: cue.learn(state.cues[cue.name], fit, lesson) for cue in model.cues}
     past = _advanced(problem, fit, prediction, jump)
     predictors = {p.name: p.learn(state.predictors[p.name], fit, past, frame) for p in model.predictors}
-    support = model.support.updated(state.support, fit.agreement)
+    support = problem.support(fit)
     claimed = problem.claimed(fit, posterior)
     after = State(
-        past, posterior, claimed, support, _occluded(model, fit), state.learned + 1, cues, predictors, state.searches
+        past, posterior, claimed, support, _occluded(model, fit), tuple(sorted(problem.left_out)),
+        state.learned + 1, cues, predictors, state.searches
     )  # fmt: skip
     least = float(support.min())
     return after, Estimate(

@@ -1,0 +1,118 @@
+"""What each camera sees where the body is not: the mean and the spread of every pixel, in small images.
+
+With it the evidence of a pose is absolute: it needs no other pose to be compared with, as a background that is gathered
+about a hypothesis does, and no body at all has evidence 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import cast
+
+import cv2
+import numpy as np
+
+from twistcap.arrays import AnyArray, Bool, Float, Float32
+from twistcap.camera import Camera
+from twistcap.features import Channels, feature_channels
+
+FLOOR = 4e-4
+"""Least variance of a pixel, brightness²."""
+PX_PER_M = 45.0
+"""Of the small images, where the body is."""
+_MOST = 400  # px across, of a small image
+_MEMORY = 30.0  # lessons that are remembered
+_BERTH = 0.08  # m about the body within which nothing is learned
+_PALETTE = 8  # colours by which pixels are described that were never seen without the body
+
+
+@dataclass(frozen=True)
+class Backdrop:
+    """The background of one camera.
+
+    Attributes:
+        sums: (h, w, 1 + 2C) number, sum and sum of squares of each pixel's values; (0, 0, 1) before the first lesson.
+    """
+
+    sums: Float32
+
+    @staticmethod
+    def blank() -> Backdrop:
+        """Nothing learnt yet."""
+        return Backdrop(np.zeros((0, 0, 1), np.float32))
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(w, h) of the small images, px."""
+        return self.sums.shape[1], self.sums.shape[0]
+
+    @cached_property
+    def known(self) -> Bool:
+        """(h, w) pixels that have been seen without the body."""
+        return np.asarray(self.sums[..., 0] > 0.5, np.bool_)
+
+    @cached_property
+    def moments(self) -> tuple[Float32, Float32]:
+        """(h, w, C) mean and variance of each pixel; what varies from pixel to pixel is variance as well."""
+        C = self.sums.shape[2] // 2
+        n = np.maximum(self.sums[..., :1], np.float32(1e-6))
+        mean, square = self.sums[..., 1 : 1 + C] / n, self.sums[..., 1 + C :] / n
+        near = [cv2.blur(np.ascontiguousarray(a), (3, 3)).reshape(a.shape) for a in (mean, mean * mean)]
+        variance = np.maximum(square - mean * mean, 0.0) + np.maximum(near[1] - near[0] ** 2, 0.0)
+        return np.ascontiguousarray(mean), np.ascontiguousarray(variance + np.float32(FLOOR))
+
+    @property
+    def background(self) -> tuple[Float32, Float32, Bool]:
+        """Mean and variance of each pixel, and where they are known."""
+        return (*self.moments, self.known)
+
+    @cached_property
+    def palette(self) -> tuple[Float, Float, Float]:
+        """Weights (K,), means and variances (K, C) of the colours that occur in it."""
+        values = np.ascontiguousarray(self.moments[0][self.known][:: max(1, int(self.known.sum()) // 2000)])
+        C, K = self.sums.shape[2] // 2, min(_PALETTE, len(values))
+        if K == 0:
+            return np.ones(1), np.full((1, C), 0.5), np.ones((1, C))
+        cv2.setRNGSeed(0)
+        stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 10, 1e-3)
+        _, labels, _ = cv2.kmeans(values, K, cast("AnyArray", None), stop, 1, cv2.KMEANS_PP_CENTERS)
+        members = np.eye(K)[labels.ravel()]
+        n = np.maximum(members.sum(axis=0), 1.0)[:, None]
+        means = members.T @ values / n
+        variances = np.maximum(members.T @ (values * values) / n - means * means, 0.0)
+        return n[:, 0] / n.sum(), means, variances + 4.0 * FLOOR
+
+    def learnt(self, features: Float32, body: Bool, px_per_m: float) -> Backdrop:
+        """With the values (h, w, C) of pixels that are away from a body, whose mask (h, w) is given."""
+        size = 2 * max(1, round(_BERTH * px_per_m)) + 1
+        off = cv2.dilate(body.astype(np.uint8), np.ones((size, size), np.uint8)) == 0
+        before = self.sums
+        if before.shape[:2] != features.shape[:2]:
+            before = np.zeros((*features.shape[:2], 1 + 2 * features.shape[2]), np.float32)
+        return Backdrop(_with_lesson(before, features, off, _MEMORY / (_MEMORY + 1.0)))
+
+
+def _with_lesson(sums: Float32, features: Float32, off: Bool, keep: float) -> Float32:
+    values = np.concatenate([np.ones_like(features[..., :1]), features, features * features], axis=2)
+    return np.where(off[..., None], np.float32(keep) * sums + values, sums)
+
+
+def small_camera(camera: Camera, backdrop: Backdrop, place: Float) -> Camera:
+    """The camera of the backdrop's small images; before the first lesson, of those in which a body at a place is seen
+    at the usual resolution.
+    """
+    if backdrop.size != (0, 0):
+        return camera.scaled(backdrop.size[0] / camera.size[0])
+    depth = max(float(camera.T_cam_world[2, :3] @ place + camera.T_cam_world[2, 3]), 0.1)
+    return camera.scaled(min(1.0, PX_PER_M * depth / camera.K[0, 0], _MOST / max(camera.size)))
+
+
+def colours_alone(channels: Channels) -> Channels:
+    """The channels without texture, which depends on how large an image is."""
+    return "lab" if channels.startswith("lab") else "grey"
+
+
+def small_features(image: AnyArray, size: tuple[int, int], channels: Channels) -> Float32:
+    """(h, w, C) colours of a whole image, made small first."""
+    return feature_channels(cv2.resize(image, size, interpolation=cv2.INTER_AREA), colours_alone(channels))

@@ -1,0 +1,246 @@
+"""The absolute evidence of a pose: what its pixels say for it, under the parts' colours and a learned background."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numba import njit
+
+from twistcap.arrays import AnyArray, Bool, Float, Float32, Int
+from twistcap.body import Body, Pose, Posed
+from twistcap.camera import Camera
+from twistcap.render import render
+from twistcap.search.backdrop import FLOOR
+
+_UNLIKE = -2.5
+"""Log density, up to the constant of Gaussians, that any colour has: one in fifty is like nothing that is known. So
+what is like neither body nor background speaks for neither."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One camera's small image as evidence.
+
+    Attributes:
+        index: of the camera in the rig.
+        camera: of the small image.
+        maps: (S, h, w) nats by which each pixel speaks for each part and against the background.
+    """
+
+    index: int
+    camera: Camera
+    maps: Float32
+
+    @cached_property
+    def anyone(self) -> Float32:
+        """(1, h, w) how each pixel and those about it speak for any part at all."""
+        return np.asarray(cv2.blur(self.maps.max(axis=0), (5, 5)), np.float32)[None]
+
+
+@dataclass(frozen=True)
+class Witness:
+    """All cameras together: the evidence of whole poses."""
+
+    body: Body
+    stages: Sequence[Stage]
+
+    def by_part(self, pose: Pose | Posed) -> tuple[Float, Float]:
+        """(cameras, S) nats for each part in each camera, and the number of its pixels."""
+        posed = pose if isinstance(pose, Posed) else Posed(self.body, pose)
+        found = [covered_evidence(stage.maps, render(posed, stage.camera).part) for stage in self.stages]
+        return np.array([f[0] for f in found]), np.array([f[1] for f in found])
+
+    def evidence(self, pose: Pose) -> float:
+        """Nats for a body at a pose; none at all has 0. A camera that contradicts has no less."""
+        posed = Posed(self.body, pose)
+        each = (float(covered_evidence(s.maps, render(posed, s.camera).part)[0].sum()) for s in self.stages)
+        return sum(max(nats, 0.0) for nats in each)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _nats_in_front(values: Float32, moments: Float) -> float:
+    """Log density, up to a constant, of a pixel (C,) under a part's mean and mean square (2C,)."""
+    C, distance, spread = len(moments) // 2, 0.0, 0.0
+    for k in range(C):
+        variance = max(moments[C + k] - moments[k] ** 2, 0.0) + FLOOR
+        distance += (values[k] - moments[k]) ** 2 / variance
+        spread += 0.5 * np.log(variance)
+    return max(-0.5 * distance - spread, _UNLIKE)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _distance_behind(values: Float32, mean: Float32, variance: Float32) -> tuple[float, float]:
+    """Squared distance of a pixel (C,) to what is behind, in variances, and half the log determinant of those."""
+    distance, spread = 0.0, 0.0
+    for k in range(len(mean)):
+        distance += (values[k] - mean[k]) ** 2 / variance[k]
+        spread += 0.5 * np.log(variance[k])
+    return distance, spread
+
+
+@njit(cache=True, nogil=True)
+def evidence_maps(
+    features: Float32, background: tuple[Float32, Float32, Bool], palette: tuple[Float, Float, Float], colours: Float,
+    clip: float,
+) -> Float32:  # fmt: skip
+    """(S, h, w) log-likelihood ratio, part over background, of each pixel, times the confidence in the part's colours.
+
+    Args:
+        features: (h, w, C).
+        background: (h, w, C) mean and variance of each pixel, and (h, w) where they are known.
+        palette: weights (K,), means and variances (K, C) of the background's colours, for all other pixels.
+        colours: (S, 1 + 2C) confidence, mean and mean square of each part.
+        clip: greatest contribution of one pixel, nats.
+    """
+    mean, variance, known = background
+    shares, means, variances = palette
+    height, width = known.shape
+    out = np.empty((len(colours), height, width), np.float32)
+    for r in range(height):
+        for c in range(width):
+            values = features[r, c]
+            if known[r, c]:
+                distance, spread = _distance_behind(values, mean[r, c], variance[r, c])
+                behind = max(-0.5 * distance - spread, _UNLIKE)
+            else:
+                total = 1e-12
+                for j in range(len(shares)):
+                    e = 0.0
+                    for k in range(len(values)):
+                        e -= 0.5 * (values[k] - means[j, k]) ** 2 / variances[j, k] + 0.5 * np.log(variances[j, k])
+                    total += shares[j] * np.exp(e)
+                behind = max(np.log(total), _UNLIKE)
+            for s in range(len(colours)):
+                ratio = _nats_in_front(values, colours[s, 1:]) - behind
+                out[s, r, c] = colours[s, 0] * min(max(ratio, -clip), clip)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def sampled_evidence(
+    features: Float32, part: Int, grid: tuple[int, int, float, int], background: tuple[Float32, Float32, Bool],
+    colours: Float, clip: float,
+) -> tuple[Float, Float]:  # fmt: skip
+    """(3, S) evidence of each part where it covers the image, number of pixels, and evidence where nothing covers it;
+    and (2,) pixels off the body that fit the background, and how many there are.
+
+    Args:
+        features: (H, W, ≥ C) of a crop, of which every `stride`-th pixel is looked at.
+        part: (H, W) segment at each pixel, or -1.
+        grid: (x, y) of the crop in the whole image, small pixels in a pixel, and the stride.
+        background: (h, w, C) mean and variance, (h, w) known, of the small image.
+        colours: (S, ≥ 1 + 2C) as `evidence_maps` takes them.
+        clip: greatest contribution of one pixel, nats.
+    """
+    mean, variance, known = background
+    x0, y0, factor, stride = grid
+    height, width = known.shape
+    out, fits = np.zeros((3, len(colours))), np.zeros(2)
+    for r in range(stride // 2, part.shape[0], stride):
+        for c in range(stride // 2, part.shape[1], stride):
+            i, j = int((r + y0 + 0.5) * factor), int((c + x0 + 0.5) * factor)
+            if i >= height or j >= width or not known[i, j]:
+                continue
+            values, s = features[r, c], part[r, c]
+            distance, spread = _distance_behind(values, mean[i, j], variance[i, j])
+            behind = max(-0.5 * distance - spread, _UNLIKE)
+            if s >= 0:
+                ratio = _nats_in_front(values, colours[s, 1:]) - behind
+                out[0, s] += colours[s, 0] * min(max(ratio, -clip), clip)
+                out[1, s] += colours[s, 0]
+                continue
+            fits[1] += 1.0
+            if distance < 4.0 * mean.shape[2]:
+                fits[0] += 1.0
+                continue
+            most, which = 0.0, -1
+            for t in range(len(colours)):
+                ratio = _nats_in_front(values, colours[t, 1:]) - behind
+                ratio = colours[t, 0] * min(ratio, clip)
+                if ratio > most:
+                    most, which = ratio, t
+            if which >= 0:
+                out[2, which] += most
+    return out, fits
+
+
+@njit(cache=True, nogil=True)
+def covered_evidence(maps: Float32, part: Int) -> tuple[Float, Float]:
+    """(S,) sum of the evidence (S, h, w) over the pixels that show each part, and their number."""
+    total, count = np.zeros(len(maps)), np.zeros(len(maps))
+    for r in range(part.shape[0]):
+        for c in range(part.shape[1]):
+            s = part[r, c]
+            if s >= 0:
+                total[s] += maps[s, r, c]
+                count[s] += 1.0
+    return total, count
+
+
+def covered_evidence_reference(maps: Float32, part: Int) -> tuple[Float, Float]:
+    """Readable twin of `covered_evidence`."""
+    shown = part == np.arange(len(maps))[:, None, None]
+    return np.where(shown, maps, 0.0).sum(axis=(1, 2)), shown.sum(axis=(1, 2)).astype(float)
+
+
+def evidence_maps_reference(
+    features: Float32, background: tuple[Float32, Float32, Bool], palette: tuple[Float, Float, Float], colours: Float,
+    clip: float,
+) -> Float:  # fmt: skip
+    """Readable twin of `evidence_maps`."""
+    mean, variance, known = background
+    shares, means, variances = palette
+    rest = np.log(
+        1e-12 + np.exp(-0.5 * _distance(features[..., None, :], means, variances)) @ _heights(shares, variances)
+    )
+    behind = np.where(known, _log_density(features, mean, variance), np.maximum(rest, _UNLIKE))
+    front = np.stack([_log_density(features, *_moments_of(c)) for c in colours])
+    return colours[:, 0, None, None] * np.clip(front - behind, -clip, clip)
+
+
+def sampled_evidence_reference(
+    features: Float32, part: Int, grid: tuple[int, int, float, int], background: tuple[Float32, Float32, Bool],
+    colours: Float, clip: float,
+) -> tuple[Float, Float]:  # fmt: skip
+    """Readable twin of `sampled_evidence`."""
+    mean, variance, known = background
+    x0, y0, factor, stride = grid
+    out, fits = np.zeros((3, len(colours))), np.zeros(2)
+    for r, c in np.ndindex(*part.shape):
+        i, j = int((r + y0 + 0.5) * factor), int((c + x0 + 0.5) * factor)
+        sampled = r % stride == stride // 2 and c % stride == stride // 2
+        if not sampled or i >= known.shape[0] or j >= known.shape[1] or not known[i, j]:
+            continue
+        values, s = features[r, c].astype(float), part[r, c]
+        ratios = np.array([_log_density(values, *_moments_of(k)) for k in colours])
+        ratios = colours[:, 0] * np.clip(ratios - _log_density(values, mean[i, j], variance[i, j]), -clip, clip)
+        fitting = _distance(values, mean[i, j], variance[i, j]) < 4.0 * len(values)
+        if s >= 0:
+            out[:2, s] += ratios[s], colours[s, 0]
+        else:
+            fits += fitting, 1.0
+            if not fitting and ratios.max() > 0.0:
+                out[2, ratios.argmax()] += ratios.max()
+    return out, fits
+
+
+def _distance(values: AnyArray, mean: AnyArray, variance: AnyArray) -> Float:
+    return ((values - mean) ** 2 / variance).sum(axis=-1)
+
+
+def _log_density(values: AnyArray, mean: AnyArray, variance: AnyArray) -> Float:
+    return np.maximum(-0.5 * _distance(values, mean, variance) - 0.5 * np.log(variance).sum(axis=-1), _UNLIKE)
+
+
+def _heights(shares: Float, variances: Float) -> Float:
+    return shares / np.sqrt(variances.prod(axis=1))
+
+
+def _moments_of(colours: Float) -> tuple[Float, Float]:
+    """Mean and variance (C,) of a part's colours (1 + 2C,)."""
+    C = len(colours) // 2
+    return colours[1 : 1 + C], np.maximum(colours[1 + C :] - colours[1 : 1 + C] ** 2, 0.0) + FLOOR

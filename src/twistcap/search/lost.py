@@ -1,0 +1,194 @@
+"""The body is looked for in the whole pictures where it was lost or has not been seen for a while.
+
+What the recording has taught tells it from everything else: its parts' colours in each camera, the background of each
+camera, and the stances that it has shown, whose mirror images it may show as well. It is found where the evidence is
+as strong as it usually is; else it is nowhere, and its pose is held.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from twistcap.arrays import Float
+from twistcap.body import Body, Pose
+from twistcap.camera import Rig
+from twistcap.cues.observation import Fit
+from twistcap.predict.history import Past, jumped
+from twistcap.search import Beginning, Problem, Revision
+from twistcap.search.contradiction import ContradictionRule, Suspicion, judged
+from twistcap.search.evidence import Witness
+from twistcap.search.flag import flag_groups, limb_signs
+from twistcap.search.placing import Hypothesis, Placing, PlacingRule, mirrored
+from twistcap.search.recollection import Check, Recollection
+from twistcap.stages import stage
+
+
+@dataclass(frozen=True)
+class Loss:
+    """What is remembered.
+
+    Attributes:
+        known: what the recording has taught.
+        suspicion: of cameras.
+        frames: counted.
+        failures: searches in turn that have found nothing better.
+        waiting: frames until the next one.
+        nowhere: whether the last one found the body nowhere.
+        ratio: evidence of the last fit, over what is usual.
+        signs: (G, SIGNS) of loss, of each limb and the rest of the body.
+    """
+
+    known: Recollection
+    suspicion: Suspicion = field(default_factory=lambda: Suspicion({}))
+    frames: int = 0
+    failures: int = 0
+    waiting: int = 0
+    nowhere: bool = False
+    ratio: float = 1.0
+    signs: Float | None = None
+
+
+@dataclass(frozen=True)
+class LostBody:
+    """When and how the whole body is looked for. Evidence is a ratio to what is usual for this body.
+
+    Attributes:
+        after: s without images from which on it is.
+        least: evidence below which a fit is lost.
+        none: evidence below which it is not the body at all.
+        learned: evidence from which on a fit is learned from.
+        accepted: evidence from which on a found body is believed.
+        better: evidence by which it must exceed that of the fit.
+        seen: fraction of the pixels that the body covered when it was seen last, below which too little of it is seen.
+        worth: evidence from which on a hypothesis is fitted.
+        reach, speed, farthest: m, m/s and m: how far away it is looked for, with the time since it was seen.
+        every, first: frames between lessons, and between the first ten.
+        again: frames between searches.
+        margin: m about a hypothesis within which images are looked at.
+    """
+
+    after: float = 0.1
+    least: float = 0.6
+    none: float = 0.3
+    learned: float = 0.8
+    accepted: float = 0.8
+    better: float = 0.1
+    worth: float = 0.35
+    seen: float = 0.4
+    reach: float = 1.0
+    speed: float = 2.5
+    farthest: float = 4.0
+    every: int = 10
+    first: int = 3
+    again: int = 3
+    margin: float = 0.3
+    placing: PlacingRule = field(default_factory=PlacingRule)
+    contradiction: ContradictionRule = field(default_factory=ContradictionRule)
+    name: str = field(default="lost body", init=False)
+
+    def start(self, body: Body, rig: Rig) -> Loss:
+        """Nothing is known."""
+        return Loss(Recollection.blank(body, rig))
+
+    def wanted_margin(self, past: Past, time: float) -> float | None:
+        """It looks at whole images itself."""
+
+    def begin(self, memory: Loss, problem: Problem) -> tuple[Beginning | None, Loss]:
+        """Where the images show the body, after a gap, or while it is nowhere."""
+        if not memory.known.lessons or not (memory.nowhere or self._gap(problem.past, problem.frame.time)):
+            return None, memory
+        if memory.waiting:
+            return Beginning(None) if memory.nowhere else None, replace(memory, waiting=memory.waiting - 1)
+        pose = self._searched(memory, problem, 0.0)
+        if pose is not None:
+            return Beginning(pose), replace(memory, failures=0, nowhere=False)
+        return Beginning(None), replace(memory, failures=memory.failures + 1, waiting=self.again - 1, nowhere=True)
+
+    def revise(self, memory: Loss, problem: Problem, fit: Fit) -> tuple[Revision | None, Loss]:
+        """The body elsewhere, where the fit is lost; else the fit is learned from."""
+        memory = replace(memory, frames=memory.frames + 1)
+        if not memory.known.pixels.any():
+            return None, self._learned(memory, problem, fit, memory.known.check(fit.posed, fit.sights, problem))
+        left_out, suspicion, fit = judged(self.contradiction, memory.suspicion, memory.known, fit, problem)
+        memory = replace(memory, suspicion=suspicion)
+        if left_out != problem.left_out:
+            problem = problem.excluding(left_out)
+        check = memory.known.check(fit.posed, fit.sights, problem)
+        signs = limb_signs(flag_groups(problem.body), memory.known, check, fit.agreement, problem.support(fit))
+        memory = replace(memory, ratio=memory.known.ratio(check.nats, check.pixels), signs=signs)
+        if memory.ratio < self.least:
+            revision, memory = self._elsewhere(memory, problem, memory.ratio)
+            if revision is not None:
+                return replace(revision, left_out=left_out), memory
+        else:
+            memory = self._learned(replace(memory, failures=0, waiting=0), problem, fit, check)
+        return Revision(fit, problem.past.moments[-1], left_out=left_out), memory
+
+    def _learned(self, memory: Loss, problem: Problem, fit: Fit, check: Check) -> Loss:
+        """With what a fit that is not lost teaches."""
+        known = memory.known.accustomed(check)
+        due = memory.frames % (self.every if known.lessons >= 10 else self.first) == 1
+        if due and memory.ratio >= self.learned:
+            known = known.taught(fit.posed, [sight.camera_index for sight in fit.sights], problem)
+        return replace(memory, known=known)
+
+    def _elsewhere(self, memory: Loss, problem: Problem, ratio: float) -> tuple[Revision | None, Loss]:
+        """The body found elsewhere; nowhere, if the fit is not on it either."""
+        last = problem.past.moments[-1]
+        pose = None if memory.waiting else self._searched(memory, problem, ratio + self.better)
+        if pose is not None:
+            fit = problem.afresh(pose, self.margin)
+            last = jumped(last, fit.pose.minus(problem.start), fit.pose)
+            return Revision(fit, last, jumped=True), replace(memory, failures=0, waiting=0, nowhere=False)
+        nowhere, waiting = ratio < self.none, (memory.waiting or self.again) - 1
+        memory = replace(memory, failures=memory.failures + 1, waiting=waiting, nowhere=nowhere)
+        return (Revision(None, last) if nowhere else None), memory
+
+    def _gap(self, past: Past, time: float) -> bool:
+        """Whether images have been missing for longer than they do at the recording's own rate."""
+        usual = past.moments[-1].time - past.moments[-2].time if past.moving else 0.0
+        return past.started and time - past.seen_time > max(self.after, 1.5 * usual)
+
+    def _searched(self, memory: Loss, problem: Problem, least: float) -> Pose | None:
+        with stage("search"):
+            witness = memory.known.witness(problem)
+            return self.found(memory.known, problem, witness, max(least, self.accepted)) if witness.stages else None
+
+    def found(self, known: Recollection, problem: Problem, witness: Witness, least: float) -> Pose | None:
+        """The pose that the images show; None where they show no body clearly enough."""
+        placing = Placing(witness, self.placing)
+        last = (problem.past.seen or problem.past.moments)[-1]
+        usually = float(witness.by_part(last.pose)[1].sum())
+        modes = self._modes(known, problem, placing)
+        fitted = [
+            self._fitted(problem, witness, h) for h in modes if self._ratio(known, witness, h, usually) >= self.worth
+        ]
+        if not fitted:
+            return None
+        best = max(fitted, key=lambda h: h.evidence)
+        refined = placing.refined(best)
+        if refined.evidence > best.evidence:
+            best = max(best, self._fitted(problem, witness, refined), key=lambda h: h.evidence)
+        return best.pose if self._ratio(known, witness, best, usually) >= least else None
+
+    def _modes(self, known: Recollection, problem: Problem, placing: Placing) -> list[Hypothesis]:
+        """What is worth a fit: where the body was or is expected, and where its stances fit the pictures."""
+        stances = [*known.stances, *(mirrored(problem.body, s) for s in known.stances)]
+        last = (problem.past.seen or problem.past.moments)[-1]
+        reach = min(self.reach + self.speed * (problem.frame.time - last.time), self.farthest)
+        places = placing.places(stances[:: max(1, len(stances) // 3)], last.pose.root[:2, 3], reach)
+        near = [placing.hypothesis(pose) for pose in (problem.start, problem.past.last, last.pose)]
+        return placing.distinct([*placing.standing(stances, places), *near])
+
+    def _ratio(self, known: Recollection, witness: Witness, h: Hypothesis, usually: float) -> float:
+        """Evidence over what is usual for a body that is seen like that; less where little of it is seen."""
+        each = np.zeros((2, *known.nats.shape))
+        each[:, [stage.index for stage in witness.stages]] = witness.by_part(h.pose)
+        return min(known.ratio(each[0], each[1]), each[1].sum() / (self.seen * max(usually, 1.0)))
+
+    def _fitted(self, problem: Problem, witness: Witness, h: Hypothesis) -> Hypothesis:
+        pose = problem.afresh(h.pose, self.margin).pose
+        value = witness.evidence(pose)
+        return Hypothesis(pose, value) if value > h.evidence else h

@@ -1,0 +1,234 @@
+"""Finding a body anywhere in the pictures: places first, then poses that the recording has shown, then the limbs.
+
+Roughly by surface points alone, thousands of hypotheses; then the best by rendering them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numba import njit
+
+from twistcap.arrays import Bool, Float, Float32, Int
+from twistcap.body import Body, Pose, Posed
+from twistcap.body.limbs import branches
+from twistcap.search.evidence import Witness
+
+_UP = np.array([0.0, 0.0, 1.0])
+_POINTS = 120  # of the surface, by which a hypothesis is judged roughly
+
+
+@dataclass(frozen=True)
+class Stance:
+    """A pose wherever it is: root turn (3, 3), height of the root (m) and joint coordinates (J,)."""
+
+    turn: Float
+    height: float
+    q: Float
+
+
+@dataclass(frozen=True)
+class PlacingRule:
+    """How widely and how finely a body is looked for.
+
+    Attributes:
+        grid: m between places.
+        headings, turns: headings that are tried at each place, and at the best places.
+        places, modes: that are kept.
+        draws: poses of each branch of the body in each round about the best.
+        near: rad, standard deviations of the rounds.
+        seed: of the draws, which are the same in every run.
+    """
+
+    grid: float = 0.22
+    headings: int = 8
+    turns: int = 16
+    places: int = 4
+    modes: int = 5
+    draws: int = 24
+    near: tuple[float, ...] = (0.5, 0.25)
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A pose and its evidence, nats."""
+
+    pose: Pose
+    evidence: float
+
+
+@dataclass(frozen=True)
+class Placing:
+    """The search in one frame.
+
+    Attributes:
+        witness: the evidence.
+        rule: how it is done.
+    """
+
+    witness: Witness
+    rule: PlacingRule
+
+    @property
+    def body(self) -> Body:
+        """That is looked for."""
+        return self.witness.body
+
+    @cached_property
+    def _sample(self) -> Int:
+        """Vertices that stand for the surface, spread evenly over it."""
+        return np.linspace(0, len(self.body.vertices) - 1, _POINTS).astype(np.int32)
+
+    def _rough(self, points: Float, offsets: Float) -> Float:
+        """(N,) evidence of a body's points (P, 3) at each of the offsets (N, 3)."""
+        part = self.body.vertex_part[self._sample]
+        out = np.zeros(len(offsets))
+        for stage in self.witness.stages:
+            out += moved_evidence(stage.maps, stage.camera.P, points, part, offsets)
+        return out
+
+    def _anywhere(self, points: Float, offsets: Float) -> Float:
+        """The same where any part may be anywhere on the body."""
+        out, part = np.zeros(len(offsets)), np.zeros(len(points), np.int32)
+        for stage in self.witness.stages:
+            out += moved_evidence(stage.anyone, stage.camera.P, points, part, offsets)
+        return out
+
+    def _points(self, turn: Float, height: float, q: Float) -> Float:
+        root = np.eye(4)
+        root[:3, :3], root[2, 3] = turn, height
+        return Posed(self.body, Pose(root, q)).vertices[self._sample]
+
+    def places(self, stances: Sequence[Stance], centre: Float, reach: float) -> Float:
+        """(P, 2) the best horizontal places within `reach` m of a centre (2,), the best first."""
+        n = int(np.ceil(reach / self.rule.grid))
+        steps = self.rule.grid * np.arange(-n, n + 1)
+        x, y = np.meshgrid(centre[0] + steps, centre[1] + steps)
+        offsets = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
+        best = np.full(len(offsets), -np.inf)
+        for stance in stances:
+            for angle in 2.0 * np.pi * np.arange(self.rule.headings) / self.rule.headings:
+                points = self._points(about_up(angle) @ stance.turn, stance.height, stance.q)
+                best = np.maximum(best, self._anywhere(points, offsets))
+        chosen = list[int]()
+        for k in np.argsort(-best):
+            if all(np.hypot(*(offsets[k] - offsets[j])[:2]) > 1.5 * self.rule.grid for j in chosen):
+                chosen.append(int(k))
+            if len(chosen) == self.rule.places:
+                break
+        return offsets[chosen, :2]
+
+    def standing(self, stances: Sequence[Stance], places: Float) -> list[Hypothesis]:
+        """The best of all stances in all headings at some places (P, 2), moved to where each fits; the best first."""
+        local = self.rule.grid * np.array([(x, y, z) for x in (-0.5, 0, 0.5) for y in (-0.5, 0, 0.5) for z in (0,)])
+        found = list[tuple[float, Pose]]()
+        for stance in stances:
+            for angle in 2.0 * np.pi * np.arange(self.rule.turns) / self.rule.turns:
+                turn = about_up(angle) @ stance.turn
+                points = self._points(turn, stance.height, stance.q)
+                for place in places:
+                    offsets = local + np.append(place, 0.0)
+                    values = self._rough(points, offsets)
+                    k = int(np.argmax(values))
+                    root = np.eye(4)
+                    root[:3, :3], root[:3, 3] = turn, offsets[k] + stance.height * _UP
+                    found.append((float(values[k]), Pose(root, stance.q)))
+        found.sort(key=lambda item: -item[0])
+        return [self.hypothesis(pose) for _, pose in found[: 8 * self.rule.modes]]
+
+    def hypothesis(self, pose: Pose) -> Hypothesis:
+        """A pose with its evidence."""
+        return Hypothesis(pose, self.witness.evidence(pose))
+
+    def distinct(self, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """The best, best first, each of which puts some part elsewhere than all before it; `modes` at most."""
+        kept, middles = list[Hypothesis](), list[Float]()
+        for h in sorted(hypotheses, key=lambda h: -h.evidence):
+            here = Posed(self.body, h.pose).segment_middles
+            if all(np.abs(here - there).max() > 0.12 for there in middles):
+                kept.append(h)
+                middles.append(here)
+            if len(kept) == self.rule.modes:
+                break
+        return kept
+
+    def refined(self, h: Hypothesis) -> Hypothesis:
+        """The best of draws about a hypothesis, one branch of the body after the other."""
+        rng = np.random.default_rng(self.rule.seed)
+        for near in self.rule.near:
+            for branch in branches(self.body):
+                for _ in range(self.rule.draws):
+                    pose = h.pose.retract(self._step(rng, branch, near, h.pose)).within(self.body.limits)
+                    value = self.witness.evidence(pose)
+                    if value > h.evidence:
+                        h = Hypothesis(pose, value)
+        return h
+
+    def _step(self, rng: np.random.Generator, branch: Bool, near: float, pose: Pose) -> Float:
+        """(6 + J,) a draw of one branch; of the root about the body's own middle."""
+        step = np.where(branch, near * rng.standard_normal(len(branch)), 0.0)
+        if branch[0]:
+            step[:6] *= 0.4
+            step[3:6] = 0.5 * step[3:6] - np.cross(step[:3], pose.root[:3, 3])
+        return step
+
+
+def about_up(angle: float) -> Float:
+    """(3, 3) turn about the vertical, rad."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+@njit(cache=True, nogil=True)
+def moved_evidence(maps: Float32, P: Float, points: Float, part: Int, offsets: Float) -> Float:
+    """(N,) sum of the evidence (S, h, w) at the projections of points (M, 3) of parts (M,), moved by offsets (N, 3)."""
+    height, width = maps.shape[1:]
+    out = np.zeros(len(offsets))
+    base = points @ np.ascontiguousarray(P[:, :3].T)
+    for n in range(len(offsets)):
+        d = offsets[n]
+        a = P[0, 0] * d[0] + P[0, 1] * d[1] + P[0, 2] * d[2] + P[0, 3]
+        b = P[1, 0] * d[0] + P[1, 1] * d[1] + P[1, 2] * d[2] + P[1, 3]
+        e = P[2, 0] * d[0] + P[2, 1] * d[1] + P[2, 2] * d[2] + P[2, 3]
+        for m in range(len(points)):
+            w = base[m, 2] + e
+            if w <= 0.0:
+                continue
+            c = int((base[m, 0] + a) / w + 0.5)
+            r = int((base[m, 1] + b) / w + 0.5)
+            if 0 <= c < width and 0 <= r < height:
+                out[n] += maps[part[m], r, c]
+    return out
+
+
+def moved_evidence_reference(maps: Float32, P: Float, points: Float, part: Int, offsets: Float) -> Float:
+    """Readable twin of `moved_evidence`."""
+    height, width = maps.shape[1:]
+    x, y, w = np.moveaxis((points + offsets[:, None]) @ P[:, :3].T + P[:, 3], -1, 0)
+    c, r = (np.trunc(a / np.where(w > 0.0, w, 1.0) + 0.5).astype(int) for a in (x, y))
+    inside = (w > 0.0) & (c >= 0) & (c < width) & (r >= 0) & (r < height)
+    return np.where(inside, maps[part, np.where(inside, r, 0), np.where(inside, c, 0)], 0.0).sum(axis=1)
+
+
+def mirrored(body: Body, stance: Stance) -> Stance:
+    """The stance of the mirror image, left for right."""
+    return Stance(_FLIP @ stance.turn @ _FLIP, stance.height, _mirror(body, stance.q))
+
+
+_FLIP = np.diag([1.0, -1.0, 1.0])
+
+
+def _mirror(body: Body, q: Float) -> Float:
+    """(J,) coordinates of the mirror image: sides change places; in the middle turns about x and z change sign."""
+    names, out = list(body.coordinate_names), q.copy()
+    for k, name in enumerate(names):
+        side, other = name[-2:], {"_r": "_l", "_l": "_r"}
+        if side in other and (twin := name[:-2] + other[side]) in names:
+            out[k] = q[names.index(twin)]
+        elif side not in other and abs(body.twists[k, 1]) < 0.7:
+            out[k] = -q[k]
+    return out

@@ -1,0 +1,163 @@
+"""What a recording has taught about a body: the backgrounds, the stances it has shown, and how clear it usually is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from twistcap.arrays import Float
+from twistcap.body import Body, Pose, Posed
+from twistcap.camera import Rig
+from twistcap.cues.observation import Sight
+from twistcap.render import render
+from twistcap.search import Problem
+from twistcap.search.backdrop import Backdrop, small_camera, small_features
+from twistcap.search.evidence import Stage, Witness, evidence_maps, sampled_evidence
+from twistcap.search.placing import Stance
+
+CLIP = 3.0
+"""Nats that one pixel can say."""
+_MANY = 24  # stances that are remembered
+_NEW = 0.3  # rad by which a stance must differ from all others in one joint
+_MEMORY = 0.95  # share of the usual evidence that is kept from frame to frame
+_SAMPLES = 36.0  # per m, pixels that are looked at in every frame
+
+
+@dataclass(frozen=True)
+class Check:
+    """How the pictures agree with a fit.
+
+    Attributes:
+        nats: (cameras, S) evidence of each part where it covers the picture.
+        pixels: (cameras, S) pixels that it covers, weighted by the confidence in its colours.
+        uncovered: (cameras, S) evidence for each part where nothing covers the picture.
+        fitting: (cameras,) fraction of the other pixels that fit the background; NaN where there are none.
+    """
+
+    nats: Float
+    pixels: Float
+    uncovered: Float
+    fitting: Float
+
+
+@dataclass(frozen=True)
+class Recollection:
+    """What the recording has taught.
+
+    Attributes:
+        backdrops: of each camera.
+        turns, heights, angles: (K, 3, 3), (K,), (K, J) stances that the body has shown.
+        nats, pixels, uncovered: (cameras, S) running means of what frames' checks said.
+        fitting: (cameras,) of what fraction fits the background.
+        lessons: taken so far.
+    """
+
+    backdrops: tuple[Backdrop, ...]
+    turns: Float
+    heights: Float
+    angles: Float
+    nats: Float
+    pixels: Float
+    uncovered: Float
+    fitting: Float
+    lessons: int = 0
+
+    @staticmethod
+    def blank(body: Body, rig: Rig) -> Recollection:
+        """Nothing is known."""
+        none = np.zeros((len(rig), len(body.segment_names)))
+        stances = np.zeros((0, 3, 3)), np.zeros(0), np.zeros((0, body.dof - 6))
+        return Recollection(tuple(Backdrop.blank() for _ in rig), *stances, none, none, none, np.full(len(rig), np.nan))
+
+    @property
+    def stances(self) -> list[Stance]:
+        """That the body has shown."""
+        return [Stance(*s) for s in zip(self.turns, self.heights, self.angles, strict=True)]
+
+    @property
+    def usual(self) -> Float:
+        """(cameras, S) nats for each pixel of a part; of all parts together where a camera has hardly seen it."""
+        own = self.nats / np.maximum(self.pixels, 1e-9)
+        return np.where(self.pixels < 1.0, self.nats.sum() / max(self.pixels.sum(), 1e-9), own)
+
+    def ratios(self, nats: Float, pixels: Float) -> Float:
+        """(cameras,) evidence (cameras, S) of a body that covers so many pixels (cameras, S), over what is usual for so
+        many; NaN in cameras that show nearly nothing of it.
+        """
+        usual = (self.usual * pixels).sum(axis=1)
+        enough = pixels.sum(axis=1) > 0.15 * self.pixels.sum(axis=1)
+        return np.where(enough & (usual > 0.0), nats.sum(axis=1) / np.maximum(usual, 1e-9), np.nan)
+
+    def ratio(self, nats: Float, pixels: Float) -> float:
+        """The same of all cameras together, of three or more without the one that contradicts most."""
+        usual, each = (self.usual * pixels).sum(axis=1), self.ratios(nats, pixels)
+        kept = ~np.isnan(each)
+        if kept.sum() >= 3:
+            kept[np.nanargmin(each)] = False
+        if not kept.any():
+            return 0.0
+        return float(nats[kept].sum() / usual[kept].sum())
+
+    def check(self, posed: Posed, sights: Sequence[Sight], problem: Problem) -> Check:
+        """How the pictures agree with a fit; nothing is said in cameras without a background."""
+        out, fitting = np.zeros((3, *self.nats.shape)), np.full(len(self.backdrops), np.nan)
+        for sight in sights:
+            i, view, backdrop = sight.camera_index, sight.view, self.backdrops[sight.camera_index]
+            if backdrop.size == (0, 0):
+                continue
+            stride = max(1, round(sight.seen.px_per_m / _SAMPLES))
+            x, y = view.origin
+            grid = (x, y, backdrop.size[0] / problem.rig[i].size[0], stride)
+            colours = problem.colours(i, view.features.shape[2])
+            found = sampled_evidence(view.features, sight.seen.part, grid, backdrop.background, colours, CLIP)
+            out[:, i], fits = found
+            fitting[i] = fits[0] / fits[1] if fits[1] else np.nan
+        return Check(out[0], out[1], out[2], fitting)
+
+    def accustomed(self, check: Check) -> Recollection:
+        """With a check as one more of what is usual."""
+        keep = np.where((self.pixels > 0.0) & (check.pixels > 0.0), _MEMORY, (check.pixels == 0.0) * 1.0)
+        means = (keep * a + (1.0 - keep) * b for a, b in zip(
+            (self.nats, self.pixels, self.uncovered), (check.nats, check.pixels, check.uncovered), strict=True
+        ))  # fmt: skip
+        before = np.where(np.isnan(self.fitting), check.fitting, self.fitting)
+        fitting = np.where(np.isnan(check.fitting), before, _MEMORY * before + (1.0 - _MEMORY) * check.fitting)
+        nats, pixels, uncovered = means
+        return replace(self, nats=nats, pixels=pixels, uncovered=uncovered, fitting=fitting)
+
+    def taught(self, posed: Posed, cameras: Sequence[int], problem: Problem) -> Recollection:
+        """With the backgrounds that these cameras see about a body, and its stance."""
+        backdrops = list(self.backdrops)
+        for i in cameras:
+            image = problem.frame.images[i]
+            assert image is not None
+            camera = small_camera(problem.rig[i], backdrops[i], posed.pose.root[:3, 3])
+            features = small_features(image, camera.size, problem.channels)
+            seen = render(posed, camera)
+            backdrops[i] = backdrops[i].learnt(features, seen.part >= 0, seen.px_per_m)
+        return replace(self._with_stance(posed.pose), backdrops=tuple(backdrops), lessons=self.lessons + 1)
+
+    def _with_stance(self, pose: Pose) -> Recollection:
+        if len(self.angles) and np.abs(self.angles - pose.q).max(axis=1).min() < _NEW:
+            return self
+        kept = slice(max(0, len(self.angles) + 1 - _MANY), None)
+        return replace(
+            self, turns=np.concatenate([self.turns[kept], pose.root[None, :3, :3]]),
+            heights=np.append(self.heights[kept], pose.root[2, 3]), angles=np.vstack([self.angles[kept], pose.q]),
+        )  # fmt: skip
+
+    def witness(self, problem: Problem) -> Witness:
+        """The evidence of a frame's whole pictures, in cameras whose background is known."""
+        stages = list[Stage]()
+        for i, (image, backdrop) in enumerate(zip(problem.frame.images, self.backdrops, strict=True)):
+            if image is None or backdrop.size == (0, 0) or i in problem.left_out:
+                continue
+            camera = small_camera(problem.rig[i], backdrop, problem.start.root[:3, 3])
+            features = small_features(image, camera.size, problem.channels)
+            colours = problem.colours(i, features.shape[2])
+            stages.append(
+                Stage(i, camera, evidence_maps(features, backdrop.background, backdrop.palette, colours, CLIP))
+            )
+        return Witness(problem.body, stages)

@@ -1,0 +1,92 @@
+"""Looking for the whole body where it was lost: after gaps, after it left, and with a camera that contradicts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+
+from twistcap.body import Pose, Posed
+from twistcap.body.humanoid import humanoid
+from twistcap.build import build
+from twistcap.estimate import Frame
+from twistcap.search.placing import Stance, mirrored
+from twistcap.studio import Capture, StudioConfig, capture
+from twistcap.track import Tracker
+
+FAULT = range(16, 34)
+
+
+@cache
+def _scene() -> tuple[Capture, list[Frame]]:
+    scene = capture(StudioConfig(seed=2, views=3, frames=40, fps=30.0, size=(320, 240)))
+    return scene, list(scene.frames())
+
+
+def _tracked(faulty: Callable[[Frame], Frame]) -> Iterator[tuple[float, Tracker]]:
+    """The greatest error of the landmarks (m) in each frame, and the tracker after it."""
+    scene, frames = _scene()
+    tracker = Tracker(build(scene.body, scene.rig))
+    tracker.start(scene.first_pose)
+    for k, frame in enumerate(frames):
+        pose = tracker.step(faulty(frame) if k in FAULT else frame).pose
+        yield float(np.linalg.norm(Posed(scene.body, pose).landmarks - scene.landmarks[k], axis=1).max()), tracker
+
+
+def _empty(frame: Frame) -> Frame:
+    rooms = [np.asarray(255 * room, np.uint8) for room in _scene()[0].rooms]
+    return replace(frame, images=tuple(rooms))
+
+
+def _black(frame: Frame) -> Frame:
+    return replace(frame, images=tuple(np.zeros_like(image) for image in frame.images))
+
+
+def _gone(frame: Frame) -> Frame:
+    return replace(frame, images=(None,) * len(frame.images))
+
+
+@pytest.mark.parametrize("faulty", [_empty, _black, _gone])
+def test_a_body_that_was_gone_is_found_where_it_is_now(faulty: Callable[[Frame], Frame]) -> None:
+    scene, _ = _scene()
+    walked = np.linalg.norm((scene.landmarks[FAULT[-1]] - scene.landmarks[FAULT[0]])[0])
+    assert walked > 0.4  # far beyond what a contour pulls
+    errors = [error for error, _ in _tracked(faulty)]
+    assert min(errors[FAULT[-1] + 1 :]) < 0.02
+    assert errors[-1] < 0.02
+
+
+def test_a_body_that_is_nowhere_is_held() -> None:
+    poses = [tracker.state.past.last for _, tracker in _tracked(_empty)]
+    roots = np.array([pose.root[:3, 3] for pose in poses])[FAULT]
+    assert np.linalg.norm(roots[-1] - roots[-4]) < 0.03
+
+
+def test_a_bumped_camera_is_left_out_and_taken_back() -> None:
+    def bumped(frame: Frame) -> Frame:
+        first = frame.images[0]
+        assert first is not None
+        moved = cv2.warpAffine(first, np.array([[1.0, 0.0, 14.0], [0.0, 1.0, 6.0]]), first.shape[1::-1])
+        return replace(frame, images=(np.asarray(moved, np.uint8), *frame.images[1:]))
+
+    track = [(error, tracker.state.left_out) for error, tracker in _tracked(bumped)]
+    assert max(error for error, _ in track) < 0.12  # which two cameras and a walk leave
+    out = [cameras for _, cameras in track]
+    assert all(cameras == () for cameras in out[: FAULT[0]])
+    assert all(cameras == (0,) for cameras in out[FAULT[0] + 4 : FAULT[-1]])
+    assert out[-1] == ()
+
+
+def test_a_mirror_image_has_its_landmarks_mirrored() -> None:
+    body = humanoid()
+    q = np.random.default_rng(0).uniform(-0.4, 0.4, body.dof - 6)
+    turned = mirrored(body, Stance(np.eye(3), 1.0, q))
+    np.testing.assert_allclose(mirrored(body, turned).q, q)
+    names = body.landmarks.names
+    twin = [names.index(n.replace("_r", "_?").replace("_l", "_r").replace("_?", "_l")) for n in names]
+    here, there = (Posed(body, Pose(np.eye(4), angles)).landmarks for angles in (q, turned.q))
+    np.testing.assert_allclose(there[twin], here * (1.0, -1.0, 1.0), atol=1e-6)
