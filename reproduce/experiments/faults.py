@@ -1,0 +1,38 @@
+"""The fault bench: captures with everyday faults, tracked, and whether the tracker says when it is lost.
+
+Each seed is one capture: person, room, motion, cameras, rate, and a kind of fault, somewhere in it. Kinds
+follow each other over the seeds.
+
+    python -m reproduce faults --seeds 0-54 --out out/faults
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from reproduce.arms import Findings
+from reproduce.faults.measures import rows, table
+from reproduce.faults.runs import run_seed
+from reproduce.running import Tell, jobs, over_seeds
+
+
+@dataclass(frozen=True)
+class FaultBench:
+    """The experiment; its folder gets `runs.json`, everything by frame."""
+
+    id: str = "faults"
+    says: str = "captures with everyday faults: is the body lost, does the tracker say so, is it found again"
+
+    def run(self, seeds: Sequence[int], progress: Tell, out: Path | None = None) -> Findings:
+        """Film and track every seed; as many at once as the environment variable JOBS says, by default 1."""
+        runs = over_seeds(run_seed, seeds, progress, self.id, jobs(1))
+        if out is not None:
+            (out / "runs.json").write_text(json.dumps([r.document() for r in runs]))
+            (out / "table.txt").write_text(table(runs) + "\n")
+        return Findings(rows(runs), "", (), text=table(runs))
+
+
+FAULTS = FaultBench()
