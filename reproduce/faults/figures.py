@@ -54,7 +54,7 @@ def together(figures: Sequence[Figure], camera: Camera, look: Look) -> Layer:
     starts = np.cumsum([0, *(len(f.vertices) for f in figures[:-1])])
     faces = np.concatenate([f.faces + start for f, start in zip(figures, starts, strict=True)]).astype(np.int32)
     clothes = Look(
-        block_diag(*(f.cover for f in figures)),
+        np.asarray(block_diag(*(f.cover for f in figures)), float),
         np.concatenate([f.albedo for f in figures]),
         np.concatenate([f.contrast for f in figures]),
         look.lattice,

@@ -50,7 +50,8 @@ def arms(body: Body, frames: int, fps: float, rng: np.random.Generator) -> list[
 def exercise(body: Body, frames: int, fps: float, rng: np.random.Generator) -> list[Pose]:
     """Every joint swung through much of its range."""
     period = round(_EXERCISE * fps)
-    poses, first = limbering(body, period), int(rng.integers(period))
+    lift = np.array([0.0, 0.0, -float(body.vertices[:, 2].min())])
+    poses, first = moved(limbering(body, period), 0.0, lift), int(rng.integers(period))
     return [poses[(first + k) % period] for k in range(frames)]
 
 
@@ -59,6 +60,32 @@ def bends(body: Body, frames: int, fps: float, rng: np.random.Generator) -> list
     period = round(_SQUAT * fps)
     q, first = squats(body, period, 1), int(rng.integers(period))
     return standing(body, q[(first + np.arange(frames)) % period])
+
+
+def reach(body: Body, frames: int, fps: float, rng: np.random.Generator) -> list[Pose]:
+    """Somebody stands and raises the arms above the head, one after the other, and lowers them."""
+    time, q = np.arange(frames) / fps, np.zeros((frames, len(body.coordinate_names)))
+    pace, phase = rng.uniform(0.25, 0.4), rng.uniform(0, 2 * np.pi)
+    for side, lag in (("r", 0.0), ("l", rng.uniform(1.0, np.pi))):
+        q[:, body.coordinate(f"arm_flex_{side}")] = np.deg2rad(90 + 75 * np.sin(2 * np.pi * pace * time + phase - lag))
+        q[:, body.coordinate(f"arm_add_{side}")], q[:, body.coordinate(f"elbow_flex_{side}")] = -0.25, 0.35
+    return standing(body, q)
+
+
+def sit(body: Body, frames: int, fps: float, rng: np.random.Generator) -> list[Pose]:
+    """Somebody sits, moves the arms, and leans and stretches the knees a little."""
+    moving = arms(body, frames, fps, rng)
+    time, pace, phase = np.arange(frames) / fps, rng.uniform(0.2, 0.4), rng.uniform(0, 2 * np.pi)
+    wave = np.sin(2 * np.pi * pace * time + phase)
+    out = np.stack([pose.q for pose in moving])
+    out[:, body.coordinate("lumbar_extension")] = np.deg2rad(-5 + 8 * wave)
+    for side, lift in (("r", wave), ("l", -wave)):
+        out[:, body.coordinate(f"hip_flexion_{side}")] = np.deg2rad(85)
+        out[:, body.coordinate(f"knee_angle_{side}")] = np.deg2rad(80 - 20 * np.maximum(lift, 0.0))
+        out[:, body.coordinate(f"arm_flex_{side}")] *= 0.7
+    low = float(Posed(body, Pose(np.eye(4), out[0])).vertices[:, 2].min())
+    root = se3.transform(np.eye(3), np.array([0.0, 0.0, 0.02 - low]))
+    return [Pose(root, q).within(body.limits) for q in out]
 
 
 MOTIONS: dict[str, Motion] = {"walk": walk, "run": run, "arms": arms, "exercise": exercise, "knee bends": bends}

@@ -38,8 +38,9 @@ def dropped(take: Take, rng: Rng) -> Take:
     """Single images are missing, 10 to 40 % of them."""
     source = take.source.copy()
     lacking = rng.random(source.shape[:2]) < rng.uniform(0.1, 0.4)
-    lacking[: take.span[0]] = False
-    source[lacking] = NONE
+    during = np.zeros(take.count, np.bool_)
+    during[take.during] = True
+    source[lacking & during[:, None]] = NONE
     return replace(take, source=source)
 
 
@@ -101,7 +102,7 @@ def grain(take: Take, rng: Rng) -> Take:
 
 def some_cameras(take: Take, rng: Rng, most: int) -> Int:
     """Between one and `most` of the cameras."""
-    return np.sort(rng.choice(take.views, int(rng.integers(1, most + 1)), replace=False))
+    return np.sort(rng.choice(take.views, int(rng.integers(1, most + 1)), replace=False)).astype(np.int32)
 
 
 def seeded(seed: int, purpose: str) -> Rng:

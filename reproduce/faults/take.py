@@ -79,7 +79,12 @@ class Take:
             frame, camera = self.source[k, c]
             dark = self.scene.exposure[frame, camera] == 0.0
             shown[k, c] = frame != NONE and not dark and inside[frame][camera] >= _SEEN
-        return ~shown.any(axis=1)
+        return np.asarray(~shown.any(axis=1), np.bool_)
+
+
+def own_pictures(frames: int, cameras: int) -> Int:
+    """(N, C, 2) each image from its own frame and camera."""
+    return np.moveaxis(np.indices((frames, cameras)), 0, -1).astype(np.int32)
 
 
 def in_images(posed: Posed, rig: Rig) -> Float:
