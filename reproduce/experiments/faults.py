@@ -13,7 +13,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from reproduce.arms import Findings
+from reproduce.faults.drawing import course_picture, error_picture, reliability_picture
 from reproduce.faults.measures import rows, table
 from reproduce.faults.runs import run_seed
 from reproduce.running import Tell, jobs, over_seeds
@@ -21,7 +24,7 @@ from reproduce.running import Tell, jobs, over_seeds
 
 @dataclass(frozen=True)
 class FaultBench:
-    """The experiment; its folder gets `runs.json`, everything by frame."""
+    """The experiment; its folder gets the table, `runs.json` with everything by frame, and pictures."""
 
     id: str = "faults"
     says: str = "captures with everyday faults: is the body lost, does the tracker say so, is it found again"
@@ -32,6 +35,10 @@ class FaultBench:
         if out is not None:
             (out / "runs.json").write_text(json.dumps([r.document() for r in runs]))
             (out / "table.txt").write_text(table(runs) + "\n")
+            course_picture(out / "courses.png", runs)
+            error_picture(out / "errors.png", runs)
+            if any(np.isfinite(r.probability).any() for r in runs):
+                reliability_picture(out / "reliability.png", runs)
         return Findings(rows(runs), "", (), text=table(runs))
 
 

@@ -14,6 +14,7 @@ from reproduce.faults.motions import MOTIONS, Motion, reach, sit
 from reproduce.faults.on_images import seeded
 from reproduce.faults.staged import staged
 from reproduce.faults.take import Take, own_pictures
+from twistcap.errors import InputError
 from twistcap.studio import StudioConfig, capture
 from twistcap.studio.scene import default_body
 
@@ -82,6 +83,18 @@ KINDS: tuple[Kind, ...] = (
 def kind_of(seed: int) -> Kind:
     """Kinds follow each other over the seeds."""
     return KINDS[seed % len(KINDS)]
+
+
+def kind_named(name: str) -> Kind:
+    """The kind of a name.
+
+    Raises:
+        InputError: where there is none.
+    """
+    for kind in KINDS:
+        if kind.id == name:
+            return kind
+    raise InputError(f"there is no kind of fault {name!r}; choose one of {', '.join(kind.id for kind in KINDS)}.")
 
 
 def take_of(seed: int, kind: Kind | None = None) -> Take:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from reproduce.faults.kinds import KINDS, kind_of, take_of
+from reproduce.faults.kinds import kind_named, kind_of, take_of
 from reproduce.faults.take import NONE, Take, landmarks_in_images
 from twistcap.arrays import Bool, Float, Int
 from twistcap.body import Body, Pose, Posed
@@ -96,8 +96,7 @@ def run_seed(seed: int, model_of: ModelOf = build, kind: str | None = None) -> R
         model_of: makes the model from body and cameras.
         kind: of the fault, by name; the seed's own by default.
     """
-    chosen = kind_of(seed) if kind is None else next(k for k in KINDS if k.id == kind)
-    return tracked(take_of(seed, chosen), model_of)
+    return tracked(take_of(seed, kind_of(seed) if kind is None else kind_named(kind)), model_of)
 
 
 def tracked(take: Take, model_of: ModelOf = build) -> Run:
@@ -146,13 +145,13 @@ def errors_mm(take: Take, poses: list[Pose], names: tuple[str, ...]) -> Float:
     scene = take.scene
     ours, theirs = ([b.landmarks.index(name) for name in names] for b in (scene.body, scene.true_body))
     found = np.stack([Posed(scene.body, pose).landmarks[ours] for pose in poses])
-    away = 1000.0 * np.linalg.norm(found - scene.landmarks[:, theirs], axis=-1)
+    away = 1000.0 * np.linalg.norm(found - scene.landmarks[: len(found), theirs], axis=-1)
     return np.where(np.isfinite(away), away, np.inf)
 
 
 def _in_images(take: Take) -> Int:
     scene, names = take.scene, take.scene.true_body.landmarks
-    counts = np.stack([landmarks_in_images(points, scene.true_rig) for points in scene.landmarks])
+    counts = np.stack([landmarks_in_images(points, scene.true_rig) for points in scene.landmarks[: take.count]])
     return np.stack([counts[:, [names.index(n) for n in part]].min(axis=1) for part in PARTS.values()], axis=1)
 
 
