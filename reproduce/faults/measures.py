@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from reproduce.faults.runs import Run
+from reproduce.faults.runs import PARTS, Run
 from twistcap.arrays import Bool, Float
-from twistcap.evaluate.metrics import Row, row
+from twistcap.cues.support import SupportRule
+from twistcap.evaluate.metrics import LOST_FRAME_MM, Row, row
 
 FOUND_MM = 20.0  # a body is found again when all joints are as near
 SOON = 10  # frames within which it should be
@@ -100,15 +101,42 @@ def recovery(run: Run) -> float:
     return float(found[0]) if len(found) else np.inf
 
 
+def tables(runs: Sequence[Run]) -> str:
+    """The tables by kind and by part, for people."""
+    return f"{table(runs)}\n\n{parts_table(runs)}"
+
+
 def table(runs: Sequence[Run]) -> str:
-    """The wide table by kind and over all, for people."""
+    """By kind and over all."""
     head = ("kind", "runs", "frames", "lost", "flagged", "prec.", "recall", "silent", "delay", "p95", "absent", "said",
             "found≤10", "median")  # fmt: skip
     named = [(kind, [r for r in runs if r.kind == kind]) for kind in dict.fromkeys(r.kind for r in runs)]
     lines = [head, *(_cells(kind, summary(some)) for kind, some in [*named, ("all", list(runs))])]
-    widths = [max(len(line[k]) for line in lines) for k in range(len(head))]
-    return "\n".join("  ".join(_padded(cell, w, k) for k, (cell, w) in enumerate(zip(line, widths, strict=True)))
-                     for line in lines)  # fmt: skip
+    return _aligned(lines)
+
+
+def parts_table(runs: Sequence[Run]) -> str:
+    """Lost frames of each part, how many of them the body's flag tells, and its own support as a flag, for people."""
+    here = ~np.concatenate([r.absent for r in runs])
+    flag, errors = np.concatenate([r.flagged for r in runs])[here], np.concatenate([r.parts_mm for r in runs])[here]
+    low = np.concatenate([r.parts_support for r in runs])[here] < SupportRule().least
+    lines: list[tuple[str, ...]] = [("part", "lost", "recall", "own prec.", "own recall")]
+    for k, part in enumerate(PARTS):
+        lost, own = errors[:, k] > LOST_FRAME_MM, low[:, k]
+        shares = _fraction(lost & flag, lost), _fraction(lost & own, own), _fraction(lost & own, lost)
+        lines.append((part, str(_count(lost)), *map(_decimal, shares)))
+    return _aligned(lines)
+
+
+def _fraction(some: Bool, of: Bool) -> float:
+    return _count(some) / _count(of) if _count(of) else np.nan
+
+
+def _aligned(lines: Sequence[Sequence[str]]) -> str:
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    return "\n".join(
+        "  ".join(_padded(cell, w, k) for k, (cell, w) in enumerate(zip(line, widths, strict=True))) for line in lines
+    )
 
 
 def _padded(cell: str, width: int, column: int) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -27,6 +27,9 @@ PARTS: dict[str, tuple[str, ...]] = {
 }
 """The landmarks by which each part is right or lost; the trunk has the head."""
 _SEGMENTS = {"arm": ("humerus", "ulna", "radius", "hand"), "leg": ("femur", "tibia", "foot")}
+
+_INFINITE = ("error_mm", "parts_mm")  # where they are not finite, they are infinite
+_REAL = (*_INFINITE, "support", "parts_support", "probability")
 
 ModelOf = Callable[[Body, Rig], Model]
 
@@ -73,12 +76,25 @@ class Run:
 
     @property
     def flagged(self) -> Bool:
-        """(N,) frames in which the tracker says that it is lost, or sees nothing."""
-        return self.lost | np.array([status in ("no_images", "failed") for status in self.status])
+        """(N,) frames in which the tracker says that it is lost, or, where nobody is in sight, sees nothing."""
+        return self.lost | (self.absent & np.array([status == "no_images" for status in self.status]))
 
     def document(self) -> dict[str, Any]:
         """It for a JSON file; what is not finite is None."""
         return {"parts": list(PARTS), **{f.name: _plain(getattr(self, f.name)) for f in fields(self)}}
+
+    @staticmethod
+    def of(document: Mapping[str, Any]) -> Run:
+        """The run of such a document."""
+        values: dict[str, Any] = {f.name: document[f.name] for f in fields(Run)}
+        for name in _REAL:
+            values[name] = np.array(values[name], float)
+        for name in _INFINITE:
+            values[name] = np.where(np.isnan(values[name]), np.inf, values[name])
+        for name in ("absent", "in_images", "images", "lost"):
+            values[name] = np.array(values[name], np.int32 if "images" in name else np.bool_)
+        values["span"], values["status"] = tuple(values["span"]), tuple(values["status"])
+        return Run(**values)
 
 
 def _plain(value: Any) -> Any:

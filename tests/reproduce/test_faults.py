@@ -166,6 +166,8 @@ def test_a_few_captures(kind: str, views: int, tmp_path: Path) -> None:
         assert not run.truly_lost.any()
     read = json.loads(json.dumps(run.document()))
     assert len(read["error_mm"]) == len(read["status"]) == count and len(read["parts_mm"][0]) == len(PARTS)
+    again = Run.of(read)
+    assert again.document() == run.document() and measures.table([again]) == measures.table([run])
     drawing.course_picture(tmp_path / "courses.png", [run])
     drawing.error_picture(tmp_path / "errors.png", [run])
     assert measures.table([run]).splitlines()[-1].startswith("all")
