@@ -28,7 +28,7 @@ PARTS: dict[str, tuple[str, ...]] = {
 """The landmarks by which each part is right or lost; the trunk has the head."""
 _SEGMENTS = {"arm": ("humerus", "ulna", "radius", "hand"), "leg": ("femur", "tibia", "foot")}
 
-_INFINITE = ("error_mm", "parts_mm")  # where they are not finite, they are infinite
+_INFINITE = ("error_mm", "mean_mm", "parts_mm")  # where they are not finite, they are infinite
 _REAL = (*_INFINITE, "support", "parts_support", "probability")
 
 ModelOf = Callable[[Body, Rig], Model]
@@ -40,7 +40,7 @@ class Run:
 
     Attributes:
         seed, kind, motion, views, fps, span: of the take.
-        error_mm: largest error of the joint centres.
+        error_mm, mean_mm: largest and mean error of the joint centres.
         parts_mm: (N, P) largest error in each of `PARTS`.
         absent: the person is in no image that arrives.
         in_images: (N, P) in how many pictures each part's landmarks lie; the least of them.
@@ -58,6 +58,7 @@ class Run:
     fps: float
     span: tuple[int, int | None]
     error_mm: Float
+    mean_mm: Float
     parts_mm: Float
     absent: Bool
     in_images: Int
@@ -122,7 +123,8 @@ def tracked(take: Take, model_of: ModelOf = build) -> Run:
     poses = [e.pose for e in estimates]
     joints = errors_mm(take, poses, JOINT_CENTRES)
     return Run(
-        scene.config.seed, take.kind, take.motion, take.views, scene.config.fps, take.span, joints.max(axis=1),
+        scene.config.seed, take.kind, take.motion, take.views, scene.config.fps, take.span,
+        joints.max(axis=1), joints.mean(axis=1),
         np.stack([errors_mm(take, poses, names).max(axis=1) for names in PARTS.values()], axis=1),
         take.absent, _in_images(take), np.count_nonzero(take.source[..., 0] != NONE, axis=1),
         np.array([e.lost for e in estimates]), tuple(e.status for e in estimates),
