@@ -22,6 +22,7 @@ Fault = Callable[[Take, np.random.Generator], Take]
 
 SIZE = (320, 240)  # px: small pictures, the person 160 px high
 VIEWS, RATES = (2, 3, 4), (15.0, 30.0, 60.0)
+_RUN_RATE = 30.0  # least frames per second of a runner
 BEFORE, AFTER = (12, 25), (30, 50)  # frames before and after the fault
 
 
@@ -125,6 +126,8 @@ def plain_take(seed: int, kind: Kind) -> Take:
         fps=float(rng.choice(kind.rates)),
     )
     config, motion = replace(config, **kind.studio), str(rng.choice(list(kind.motions)))
+    if motion == "run":  # at 15 per second the tracker loses a runner without any fault
+        config = replace(config, fps=max(config.fps, _RUN_RATE))
     body = default_body(config)
     poses = kind.motions[motion](body, config.frames, config.fps, rng)
     scene = staged(capture(config, body, poses))
