@@ -90,4 +90,7 @@ def _run_experiment(experiment: Experiment, seeds: Sequence[int], tell: Tell, ou
         experiment_picture(out / f"{experiment.id}.png", experiment, findings)
         for seed in dict.fromkeys(trace.seed for trace in findings.traces):
             seed_picture(out / f"{experiment.id}-seed-{seed}.png", experiment, findings, seed)
-    return {"id": experiment.id, "rows": findings.rows, **({"text": findings.text} if findings.text else {})}
+    table: Table = {"id": experiment.id, "rows": findings.rows}
+    if findings.text:
+        table["text"] = findings.text
+    return table
