@@ -24,7 +24,8 @@ app = typer.Typer(
 def reproduce(
     name: Annotated[str | None, typer.Argument(help="Table, line, experiment or timing to run.", metavar="ID")] = None,
     seeds: Annotated[
-        str | None, typer.Option(help="FIRST-LAST or a list such as 0,3,5.  [default: 0-7; 0 for timings]")
+        str | None,
+        typer.Option(help="FIRST-LAST or a list such as 0,3,5.  [default: 0-7; 0 for timings, 0-54 for faults]"),
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer cases, frames and seeds.")] = False,
     names: Annotated[bool, typer.Option("--list", help="Say what there is to run, and stop.")] = False,
@@ -56,7 +57,10 @@ def reproduce(
     if json:
         terminal.emit(table)
         return
-    terminal.show_rows(table["id"], table["rows"])
+    if "text" in table:
+        typer.echo(table["text"])
+    else:
+        terminal.show_rows(table["id"], table["rows"])
     if folder is not None:
         typer.echo(str(folder))
 

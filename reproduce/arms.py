@@ -101,6 +101,7 @@ class Findings:
         rows, quantity, traces: these.
         watched: what the traces' courses are; empty where they have none.
         span: first and last frame of what the curves are about, to be shaded.
+        text: a table of its own, shown to people instead of the rows.
     """
 
     rows: list[Row]
@@ -108,6 +109,7 @@ class Findings:
     traces: Sequence[Trace]
     watched: str = ""
     span: tuple[int, int] | None = None
+    text: str = ""
 
 
 class Experiment(Protocol):

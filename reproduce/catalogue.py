@@ -8,7 +8,7 @@ from typing import TypedDict
 
 from reproduce import bench, tables
 from reproduce.arms import Experiment
-from reproduce.experiments import EXPERIMENTS
+from reproduce.experiments import EXPERIMENTS, FAULTS
 from reproduce.pictures import experiment_picture, seed_picture
 from reproduce.running import Table, Tell
 from twistcap.errors import InputError
@@ -54,7 +54,7 @@ def check(name: str, pictures: bool = False) -> None:
 
 def default_seeds(name: str) -> str:
     """The seeds where none are asked for."""
-    return "0" if _is_timing(name) else "0-7"
+    return "0-54" if name == FAULTS.id else "0" if _is_timing(name) else "0-7"
 
 
 def _is_timing(name: str) -> bool:
@@ -90,4 +90,7 @@ def _run_experiment(experiment: Experiment, seeds: Sequence[int], tell: Tell, ou
         experiment_picture(out / f"{experiment.id}.png", experiment, findings)
         for seed in dict.fromkeys(trace.seed for trace in findings.traces):
             seed_picture(out / f"{experiment.id}-seed-{seed}.png", experiment, findings, seed)
-    return {"id": experiment.id, "rows": findings.rows}
+    table: Table = {"id": experiment.id, "rows": findings.rows}
+    if findings.text:
+        table["text"] = findings.text
+    return table

@@ -7,8 +7,9 @@ import os
 from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
-from typing import Protocol, TypedDict, TypeVar
+from typing import NotRequired, Protocol, TypedDict, TypeVar
 
+from twistcap.errors import InputError
 from twistcap.evaluate.metrics import Row
 
 _THREADS = ("TWISTCAP_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -17,10 +18,14 @@ _T = TypeVar("_T")
 
 
 class Table(TypedDict):
-    """What is printed as JSON; "seeds" of a row holds its value on every seed, in order."""
+    """What is printed as JSON; "seeds" of a row holds its value on every seed, in order.
+
+    A `text` is shown to people instead of the rows.
+    """
 
     id: str
     rows: list[Row]
+    text: NotRequired[str]
 
 
 class Tell(Protocol):
@@ -42,10 +47,22 @@ def one_thread_processes(workers: int) -> Generator[ProcessPoolExecutor]:
                 raise
 
 
-def over_seeds(work: Callable[[int], _T], seeds: Sequence[int], tell: Tell, id: str) -> list[_T]:
-    """What `work`, which other processes can import, finds on each seed, in their order; two at a time."""
+def jobs(usual: int) -> int:
+    """How many processes are to work at a time: the environment variable JOBS, or as usual.
+
+    Raises:
+        InputError: where JOBS is no number above 0.
+    """
+    given = os.environ.get("JOBS", str(usual))
+    if not given.isdecimal() or int(given) < 1:
+        raise InputError(f"the environment variable JOBS is {given!r}; it must be a number of processes, 1 or more.")
+    return int(given)
+
+
+def over_seeds(work: Callable[[int], _T], seeds: Sequence[int], tell: Tell, id: str, workers: int = 2) -> list[_T]:
+    """What `work`, which other processes can import, finds on each seed, in their order; `workers` at a time."""
     found: dict[int, _T] = {}
-    with one_thread_processes(min(2, len(seeds))) as pool:
+    with one_thread_processes(min(workers, len(seeds))) as pool:
         waiting = {pool.submit(work, seed): seed for seed in seeds}
         for done, future in enumerate(as_completed(waiting), 1):
             found[waiting[future]] = future.result()

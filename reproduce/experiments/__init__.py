@@ -9,6 +9,7 @@ from reproduce.experiments.clicks import CLICKS
 from reproduce.experiments.clutter import C5
 from reproduce.experiments.coupled_contour import C1
 from reproduce.experiments.fast_motion import C3
+from reproduce.experiments.faults import FAULTS
 from reproduce.experiments.gaps import D1, D1_OTHER, D1_SPEED, D2, D3, D3_OTHERS, D4, D5
 from reproduce.experiments.hidden_forearms import HIDDEN_FOREARMS
 from reproduce.experiments.hidden_leg import C4
@@ -27,7 +28,7 @@ from reproduce.experiments.texture import TEXTURE
 EXPERIMENTS: tuple[Experiment, ...] = (
     B1, B2, C1, C2, C3, C4, C5, C6, D1, D1_SPEED, D1_OTHER, D2, D3, D3_OTHERS, D4, D5, D6, D7, T1, T2, T3, T_EM,
     REFINE, REFINE_WALK, CLICKS, KEYVIEWS, FLOW, HIDDEN_FOREARMS, TEXTURE, MOTION_PREDICTION,
-    RECORDING, CHAPTER, REAL_GAP, SAGITTAL,
+    RECORDING, CHAPTER, REAL_GAP, SAGITTAL, FAULTS,
 )  # fmt: skip
 
-__all__ = ["EXPERIMENTS", "Arm", "Comparison", "Experiment", "Findings", "Shot", "Trace"]
+__all__ = ["EXPERIMENTS", "FAULTS", "Arm", "Comparison", "Experiment", "Findings", "Shot", "Trace"]
