@@ -44,11 +44,7 @@ class ScaledView:
     size: tuple[int, int] = (0, 0)
 
     def pixels(self, points: Float) -> Float:
-        """Points (..., 3) m of the body frame to pixels (..., 2).
-
-        Raises:
-            InputError: where a point is behind a pinhole.
-        """
+        """Pixels (..., 2) of points (..., 3) m of the body frame. Raises InputError where one is behind a pinhole."""
         P = self.P
         homogeneous = points @ P[:, :3].T + P[:, 3]
         if not np.all(homogeneous[..., 2] > 0.0):

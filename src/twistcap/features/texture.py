@@ -41,8 +41,7 @@ class Texture:
         steps, tau: steps of the joint smoothing, and their size, brightness · px.
         epsilon: gradient (brightness per px of the grid) below which TV flow turns into linear diffusion.
 
-    Raises:
-        InputError: for numbers that are not positive and finite, or structures of 1 px or less.
+    Raises InputError for numbers that are not positive and finite, or structures of 1 px or less.
     """
 
     resolution: int = 2

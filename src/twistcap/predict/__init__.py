@@ -10,29 +10,9 @@ from twistcap.body import Body, Pose
 from twistcap.camera import Rig
 from twistcap.cues.observation import Fit
 from twistcap.estimate import Frame
-from twistcap.predict.history import (
-    Moment,
-    MotionNoise,
-    MotionSpread,
-    Past,
-    constant_velocity,
-    covariance_about,
-    jumped,
-    rested,
-)
+from twistcap.predict.history import Moment, MotionNoise, MotionSpread, Past
 
-__all__ = [
-    "Moment",
-    "MotionNoise",
-    "MotionSpread",
-    "Past",
-    "Prediction",
-    "Predictor",
-    "constant_velocity",
-    "covariance_about",
-    "jumped",
-    "rested",
-]
+__all__ = ["Moment", "MotionNoise", "MotionSpread", "Past", "Prediction", "Predictor"]
 
 
 @dataclass(frozen=True)

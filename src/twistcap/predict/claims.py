@@ -27,8 +27,7 @@ def claimed(posterior: Float, images: Float, fit: Fit, trust: float = 1.0) -> Fl
 
     Args:
         posterior: (6 + J, 6 + J) as if samples were independent, times the square of `INFLATION`.
-        images: (6 + J, 6 + J) information of the evidence, as of independent samples.
-        fit: that it is of.
+        images: (6 + J, 6 + J) information of the fit's evidence, as of independent samples.
         trust: how far the images were believed, 0 … 1.
     """
     judging = [(evidence.term.name, rows) for evidence, _, rows in fit.entered if evidence.agreement is not None]

@@ -62,9 +62,7 @@ class MotionNoise:
             joint, turn, shift = (a * dt * dt for a in (self.joint, self.turn, self.shift))
         else:
             joint, turn, shift = (v * dt for v in (self.joint_speed, self.turn_speed, self.shift_speed))
-        variance = np.full(dof, joint**2)
-        variance[:3], variance[3:6] = turn**2, shift**2
-        return variance
+        return np.repeat([turn**2, shift**2, joint**2], (3, 3, dof - 6))
 
 
 @dataclass(frozen=True)
@@ -104,11 +102,8 @@ class MotionSpread:
 
 
 def covariance_about(variance: Float, centre: Float) -> tuple[Float, Float]:
-    """Covariance (dof, dof) of a pose step, and its inverse.
-
-    Args:
-        variance: (dof,) of turns about a point of the body (rad²), its shifts (m²) and the coordinates (rad²).
-        centre: (3,) the point, m.
+    """Covariance (dof, dof) of a pose step, and its inverse, from the variance (dof,) of turns about a point of the body
+    (rad²), at `centre` (3,) m, of its shifts (m²) and the coordinates (rad²).
     """
     # δξ acts about the world's origin: a turn about the body's centre is ω there, with −ω × centre as v.
     A, back, arm = np.eye(len(variance)), np.eye(len(variance)), se3.hat(centre)
@@ -117,12 +112,9 @@ def covariance_about(variance: Float, centre: Float) -> tuple[Float, Float]:
 
 
 def constant_velocity(history: Sequence[Moment], time: float, decay: float = np.inf) -> Pose:
-    """The motion between the last two moments goes on, scaled to the time that passes; hold where there is but one.
+    """The motion between the last two moments of the history goes on until `time` s; hold where there is but one.
 
-    Args:
-        history: at least one moment, the latest last.
-        time: s.
-        decay: time constant (s) with which joint velocities die away, so that a limb nobody sees comes to rest.
+    Joint velocities die away with the time constant `decay` s, so that a limb nobody sees comes to rest.
     """
     last = history[-1]
     if len(history) < 2 or time <= last.time or last.time <= history[-2].time:

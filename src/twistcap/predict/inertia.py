@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from twistcap.arrays import Float
 from twistcap.body import Body, Pose
 from twistcap.camera import Rig
 from twistcap.cues.observation import Fit
@@ -54,15 +53,13 @@ class Inertia:
         return "hold" if self.hold or not past.moving else "constant_velocity"
 
     def prediction(self, pose: Pose, past: Past, time: float, name: str) -> Prediction:
-        """A prediction at a pose, with the spread of this one."""
-        covariance, information = self._spread(pose, past, time)
-        return Prediction(pose, name, INFLATION**2 * covariance, information)
-
-    def _spread(self, pose: Pose, past: Past, time: float) -> tuple[Float, Float]:
-        """Covariance of the prediction, or of the given first pose, and its inverse."""
+        """A prediction at a pose, with the spread of this one, or of the given first pose."""
         dof, centre = 6 + len(pose.q), pose.root[:3, 3]
-        if not past.started:
+        if past.started:  # open-loop through gaps
+            found = past.spread.covariance(dof, time - past.seen_time, self.kind(past), centre)
+        else:
             turn = float(np.deg2rad(self.first_sigma_deg))
             given = MotionNoise(joint_speed=turn, turn_speed=turn, shift_speed=self.first_sigma_m)
-            return given.covariance(dof, 1.0, "hold", centre)
-        return past.spread.covariance(dof, time - past.seen_time, self.kind(past), centre)  # open-loop through gaps
+            found = given.covariance(dof, 1.0, "hold", centre)
+        covariance, information = found
+        return Prediction(pose, name, INFLATION**2 * covariance, information)

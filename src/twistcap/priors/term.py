@@ -10,7 +10,7 @@ import numpy as np
 from twistcap.arrays import Float, Int
 from twistcap.body import Body, Posed
 from twistcap.cues.observation import Alternation
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check_numbers
 from twistcap.priors.parzen import ParzenPrior
 from twistcap.terms import Quadratic
 
@@ -37,14 +37,11 @@ class PriorRule:
     step: float = 1.0
 
     def __post_init__(self) -> None:
-        for name, value, most in (
-            ("strength", self.strength, 1e6),
-            ("in_sight", self.in_sight, 1),
-            ("unseen", self.unseen, 1),
-            ("step", self.step, 1),
-        ):
-            _expect(name, value, 0 <= value <= most, f"from 0 to {most:g}")
-        _expect("step", self.step, self.step > 0, "above 0")
+        for name, most in {"strength": 1e6, "in_sight": 1, "unseen": 1, "step": 1}.items():
+            value = getattr(self, name)
+            if not 0 <= value <= most:
+                raise InputError(f"prior: {name} is {value}; it must be from 0 to {most:g}.")
+        check_numbers("prior", self, ("step",))
 
 
 @dataclass(frozen=True)
@@ -113,12 +110,7 @@ class PriorTerm:
 
 @dataclass(frozen=True)
 class PosePrior:
-    """A density of poses beside what the images show.
-
-    Attributes:
-        term: of the body's coordinates.
-        rule: how much it counts.
-    """
+    """A density of poses beside what the images show."""
 
     term: PriorTerm
     rule: PriorRule
@@ -136,10 +128,8 @@ class PosePrior:
 
 
 def matched(prior: ParzenPrior, body: Body) -> PriorTerm:
-    """The prior of those of its coordinates that a body has, matched by name; its weight is 1.
-
-    Raises:
-        InputError: where the body has none of them.
+    """The prior of those of its coordinates that a body has, matched by name; its weight is 1. Raises InputError where
+    the body has none of them.
     """
     names = [name for name in prior.names if name in body.coordinate_names]
     if not names:
@@ -149,8 +139,3 @@ def matched(prior: ParzenPrior, body: Body) -> PriorTerm:
         )
     columns = np.array([body.coordinate(name) for name in names], dtype=np.int32)
     return PriorTerm(prior if len(names) == len(prior.names) else prior.restricted(names), columns, 1.0)
-
-
-def _expect(name: str, value: float, holds: bool, wanted: str) -> None:
-    if not holds:
-        raise InputError(f"prior: {name} is {value}; it must be {wanted}.")

@@ -32,18 +32,21 @@ def heaviside_reference(phi: Float32, width: float) -> Float:
 
 
 def global_log_ratio(channels: Float32, inside: Float32, floor: float, outside: Float32 | None = None) -> Float32:
-    """(H, W) Σ_j log p₁/p₂ under one Gaussian per region and channel.
-
-    `inside` and `outside` (H, W) are the regions' memberships; `outside` is by default the complement.
-    """
+    """(H, W) Σ_j log p₁/p₂ under one Gaussian per region and channel; `outside` is by default 1 − `inside` (H, W)."""
     out = np.zeros(inside.shape, dtype=np.float32)
     outside = np.float32(1.0) - inside if outside is None else outside
-    for j in range(channels.shape[2]):
-        values = channels[..., j]
-        mu_in, var_in = _weighted_gaussian(values, inside, floor)
-        mu_out, var_out = _weighted_gaussian(values, outside, floor)
-        out += _log_ratio(values, mu_in, var_in, mu_out, var_out)
+    for values in np.moveaxis(channels, 2, 0):
+        (mu_in, var_in), (mu_out, var_out) = (_gaussian(values, weight, floor) for weight in (inside, outside))
+        difference = (values - mu_out) ** 2 / var_out - (values - mu_in) ** 2 / var_in
+        out += (0.5 * (difference + np.log(var_out / var_in))).astype(np.float32)
     return out
+
+
+def _gaussian(values: Float32, weight: Float32, floor: float) -> tuple[float, float]:
+    """Mean and variance of weighted values (H, W)."""
+    mass = float(weight.sum()) + 1e-6
+    mu = float((weight * values).sum()) / mass
+    return mu, float((weight * (values - mu) ** 2).sum()) / mass + floor
 
 
 def blockwise_log_ratio(
@@ -132,33 +135,3 @@ def _ratios_of_blocks(
                         ratio -= (channels[r, c, j] - mu[0, j]) ** 2 * within[0, j]
                     out[r, c] = 0.5 * ratio
     return out
-
-
-def blockwise_log_ratio_reference(
-    channels: Float32, inside: Float32, rho: float, floor: float, prior_mass: float
-) -> Float32:
-    """Readable twin of `blockwise_log_ratio` and its kernels, with statistics of pixels in place of blocks."""
-    size = max(3, 2 * round(rho * math.sqrt(3.0)) + 1)
-    values, gaussians = channels.astype(float), list[tuple[Float, Float]]()
-    for weight in (inside.astype(float), 1.0 - inside):
-        sums = weight[..., None] * np.concatenate([np.ones((*weight.shape, 1)), values, values**2], axis=2)
-        prior = prior_mass * sums.mean(axis=(0, 1)) / max(float(weight.mean()), 1e-6)
-        window = cv2.boxFilter(sums, -1, (size, size), borderType=cv2.BORDER_REFLECT_101) + prior
-        mean, second = np.split(window[..., 1:] / np.maximum(window[..., :1], 1e-6), 2, axis=2)
-        gaussians.append((mean, np.maximum(second - mean**2, 0.0) + floor))
-    (mu_in, var_in), (mu_out, var_out) = gaussians
-    ratio = (values - mu_out) ** 2 / var_out - (values - mu_in) ** 2 / var_in + np.log(var_out / var_in)
-    return (0.5 * ratio.sum(axis=2)).astype(np.float32)
-
-
-def _weighted_gaussian(values: Float32, weight: Float32, floor: float) -> tuple[float, float]:
-    mass = float(weight.sum()) + 1e-6
-    mu = float((weight * values).sum()) / mass
-    return mu, float((weight * (values - mu) ** 2).sum()) / mass + floor
-
-
-def _log_ratio(
-    values: Float32, mu_in: Float32 | float, var_in: Float32 | float, mu_out: Float32 | float, var_out: Float32 | float
-) -> Float32:
-    difference = (values - mu_out) ** 2 / var_out - (values - mu_in) ** 2 / var_in
-    return (0.5 * (difference + np.log(var_out / var_in))).astype(np.float32)

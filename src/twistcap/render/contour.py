@@ -51,14 +51,12 @@ class ContourPoints:
         return len(self.pixels)
 
     def __getitem__(self, which: Bool | Int) -> ContourPoints:
-        return ContourPoints(
-            self.points[which], self.pixels[which], self.normals[which], self.part[which], self.outer[which],
-            self.inverse_depth[which],
-        )  # fmt: skip
+        rest = (self.pixels, self.normals, self.part, self.outer, self.inverse_depth)
+        return ContourPoints(self.points[which], *(own[which] for own in rest))
 
     def moved_by(self, posed: Posed, P: Float) -> Float:
         """(N,) px by which the points move in the image when the body takes this pose."""
-        return _step_lengths(P, self.points.at(posed), self.pixels)
+        return np.hypot(*(project(P, self.points.at(posed))[0] - self.pixels).T)
 
 
 def reprojected(contour: ContourPoints, posed: Posed, P: Float) -> ContourPoints:
@@ -67,24 +65,8 @@ def reprojected(contour: ContourPoints, posed: Posed, P: Float) -> ContourPoints
     return replace(contour, pixels=pixels, inverse_depth=inverse_depth)
 
 
-@njit(cache=True, nogil=True)
-def _step_lengths(P: Float, world: Float, pixels: Float) -> Float:
-    """(N,) px between the projections of world points (N, 3) and `pixels` (N, 2)."""
-    now, _ = project(P, world)
-    out = np.empty(len(now))
-    for n in range(len(now)):
-        out[n] = np.hypot(now[n, 0] - pixels[n, 0], now[n, 1] - pixels[n, 1])
-    return out
-
-
 def visible_contour(view: RenderedView, spacing: float = 3.0, inner_gap: float = _INNER_GAP) -> ContourPoints:
-    """Contour points about `spacing` px apart along the outline.
-
-    Args:
-        view: the rendered body.
-        spacing: px between samples.
-        inner_gap: least distance (m) to another part behind a contour point for it to count.
-    """
+    """Contour points about `spacing` px apart along the outline, and where another part is `inner_gap` m behind."""
     return contour_on_edges(view, spacing, inner_gap)[0]
 
 
@@ -158,14 +140,10 @@ def contour_samples(
     P: Float, pixels: Float, inverse_depth: Float, normals: Float, mesh: MeshArrays, drawn: tuple[Int, Float32],
     spacing: float, inner_gap: float,
 ) -> Samples:  # fmt: skip
-    """Samples every `spacing` px along all contour edges.
+    """Samples every `spacing` px along all contour edges; see `visible_contour`.
 
-    Args:
-        P: (3, 4) projection.
-        pixels, inverse_depth, normals: (V, 2), (V,) and (V, 3) of the vertices.
-        mesh: faces, edges and parts.
-        drawn: (H, W) visible triangle and inverse depth of the rendered body.
-        spacing, inner_gap: as for `visible_contour`.
+    Pixels (V, 2), inverse depths (V,) and normals (V, 3) are those of the vertices, `drawn` (H, W) the visible triangle
+    and inverse depth at each pixel.
     """
     faces, edges, edge_faces, face_part, vertex_part = mesh
     face_index, buffer = drawn
@@ -219,7 +197,8 @@ def contour_samples_reference(
     """Readable twin of `contour_samples`: edge by edge."""
     faces, edges, edge_faces, face_part, vertex_part = mesh
     a, b, c = (pixels[faces[:, k]] for k in range(3))
-    front = np.where((inverse_depth[faces] == 0.0).any(axis=1), 0, -np.sign(_cross(b - a, c - a)))
+    areas = np.linalg.det(np.stack([b - a, c - a], axis=1))
+    front = np.where((inverse_depth[faces] == 0.0).any(axis=1), 0, -np.sign(areas))
     found, walked = list[tuple[Any, ...]](), 0.5 * spacing
     for (i, j), (f, g) in zip(edges, edge_faces, strict=True):
         way = pixels[j] - pixels[i]
@@ -259,8 +238,3 @@ def _visibility_reference(
     if outside < 0:
         return _OUTER
     return _INNER if 1.0 / buffer[r1, c1] > depth + inner_gap else _HIDDEN
-
-
-def _cross(a: Float, b: Float) -> Float:
-    """(N,) z of the cross products of plane vectors (N, 2)."""
-    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]

@@ -6,9 +6,9 @@ Madsen, Nielsen and Tingleff, "Methods for Non-Linear Least Squares Problems", 2
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Generic, Literal, Protocol, TypeVar
+from typing import Any, Generic, Literal, Protocol, TypeVar
 
 import numpy as np
 
@@ -58,6 +58,14 @@ class Problem(Protocol[X, S_co]):
         ...
 
 
+def energies_by_name(terms: Iterable[Any], x: Any) -> dict[str, float]:
+    """Energies of terms by name; those of the same name are summed."""
+    out: dict[str, float] = {}
+    for term in terms:
+        out[term.name] = out.get(term.name, 0.0) + term.energy(x)
+    return out
+
+
 @dataclass(frozen=True)
 class Solution(Generic[X, S]):
     """Outcome of `minimise`.
@@ -67,7 +75,7 @@ class Solution(Generic[X, S]):
         status: "converged" (step below tolerance, or gain too small), "max_iterations", "stalled" (no step lowered the
             energy) or "failed" (a number was not finite).
         steps: accepted steps.
-        energies: at that point, by name of term.
+        energies: there, by name of term.
         system: of all terms, at the point before the last step.
     """
 

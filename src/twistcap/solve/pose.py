@@ -9,6 +9,7 @@ from twistcap.arrays import Float
 from twistcap.body import Posed
 from twistcap.render import SurfacePoints
 from twistcap.solve.dense import Dense
+from twistcap.solve.minimise import energies_by_name
 from twistcap.terms import PointTerm, Quadratic, Rows, SegmentSums, Term
 
 
@@ -27,11 +28,8 @@ class PoseProblem:
     quadratics: dict[int, Quadratic] = field(default_factory=dict[int, Quadratic])
 
     def energies(self, x: Posed) -> dict[str, float]:
-        """Energies by name of term; terms of the same name are summed."""
-        out: dict[str, float] = {}
-        for term in self.terms:
-            out[term.name] = out.get(term.name, 0.0) + term.energy(x)
-        return out
+        """Energies by name of term."""
+        return energies_by_name(self.terms, x)
 
     def linearised(self, x: Posed) -> Dense:
         """Sum of the quadratics; point terms are summed by segment first and brought to the pose's step once."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -11,8 +12,11 @@ from twistcap.arrays import Float, Int
 from twistcap.solve.arrow import Arrow
 from twistcap.solve.blocks import Variables
 from twistcap.solve.dense import Dense, covariance
+from twistcap.solve.minimise import energies_by_name
 from twistcap.terms.quadratic import Quadratic
 from twistcap.terms.rows import BlockTerm, Place, Slope
+
+AnySums = TypeVar("AnySums", "DenseSums", "ArrowSums")
 
 
 class DenseSums:
@@ -64,10 +68,8 @@ class ArrowSums:
         poses = x[self.track]
         self.pose_dof = poses.pose_dof
         self.arrow = Arrow(len(poses.poses), self.pose_dof, x.dof - poses.dof, reach)
-        self.arrow.longest, self.arrow.shared_longest = (
-            x.longest_step(x.free[:1])[: self.pose_dof],
-            x.longest_step(x.free[1:]),
-        )
+        self.arrow.longest = x.longest_step(x.free[:1])[: self.pose_dof]
+        self.arrow.shared_longest = x.longest_step(x.free[1:])
 
     def add_rows(self, energy: float, slopes: Sequence[Slope], weight: Float, residual: Float) -> None:
         """See `terms.rows.Sums`; the rows of frames in ascending order."""
@@ -84,8 +86,7 @@ class ArrowSums:
     def add_quadratic(self, places: Sequence[Place], value: float, gradient: Float, hessian: Float) -> None:
         """See `terms.rows.Sums`; of one whole pose, of shared blocks, or both."""
         self.arrow.value += value
-        own, there = _free(self.x, places)
-        poses = self.arrow.pull.size
+        (own, there), poses = _free(self.x, places), self.arrow.pull.size
         pose, shared = own[there < poses], own[there >= poses]
         border = there[there >= poses] - poses
         if len(pose):
@@ -125,11 +126,8 @@ class BlockProblem:
     reach: int | None = None
 
     def energies(self, x: Variables) -> dict[str, float]:
-        """Energies by name of term; terms of the same name are summed."""
-        out: dict[str, float] = {}
-        for term in self.terms:
-            out[term.name] = out.get(term.name, 0.0) + term.energy(x)
-        return out
+        """Energies by name of term."""
+        return energies_by_name(self.terms, x)
 
     def linearised(self, x: Variables) -> Dense | Arrow:
         """Sum of the quadratics of the step of all free blocks."""
@@ -137,25 +135,21 @@ class BlockProblem:
 
     def dense(self, x: Variables) -> Dense:
         """The same in one matrix, whatever the reach."""
-        return self._dense_sums(x).system()
+        return self._summed(DenseSums(x)).system()
 
     def covariance(self, x: Variables) -> Float:
         """(dof, dof) marginal covariances of all free blocks, without limits."""
-        sums = self._dense_sums(x)
+        sums = self._summed(DenseSums(x))
         return covariance(Quadratic(sums.value, sums.gradient, sums.hessian))
-
-    def _dense_sums(self, x: Variables) -> DenseSums:
-        sums = DenseSums(x)
-        for term in self.terms:
-            term.add_to(sums, x)
-        return sums
 
     def arrow(self, x: Variables, reach: int) -> Arrow:
         """The same with the track's poses in a band."""
-        sums = ArrowSums(x, reach)
+        return self._summed(ArrowSums(x, reach)).arrow
+
+    def _summed(self, sums: AnySums) -> AnySums:
         for term in self.terms:
-            term.add_to(sums, x)
-        return sums.arrow
+            term.add_to(sums, sums.x)
+        return sums
 
     def retract(self, x: Variables, step: Float) -> Variables:
         """The blocks after a step."""

@@ -38,8 +38,7 @@ class StudioConfig:
         sensor_noise: standard deviation of Gaussian noise, in intensities of [0, 1].
         variant: of the built-in humanoid, when no body is given.
 
-    Raises:
-        InputError: for values out of range.
+    Raises InputError for values out of range.
     """
 
     seed: int = 0

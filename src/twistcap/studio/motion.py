@@ -67,8 +67,7 @@ def gait(
         start: where mid-hip begins on the floor, m.
         phase: of the first frame, in cycles; 0 is the right heel strike.
 
-    Raises:
-        InputError: for a rate, speed or cadence that is not positive.
+    Raises InputError for a rate, speed or cadence that is not positive.
     """
     for name, value in (("fps", fps), ("speed", speed), ("cadence", 1.0 if cadence is None else cadence)):
         if not value > 0:

@@ -127,8 +127,7 @@ def capture(config: StudioConfig, body: Body | None = None, poses: Sequence[Pose
         body: of the person; by default the built-in humanoid, of random stature by the seed.
         poses: one per frame; by default a walk.
 
-    Raises:
-        InputError: for fewer poses than frames.
+    Raises InputError for fewer poses than frames.
     """
     body = default_body(config) if body is None else body
     heading = float(stream(config.seed, "heading").uniform(0, 2 * np.pi)) if poses is None else 0.0

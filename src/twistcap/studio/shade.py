@@ -7,6 +7,7 @@ from numba import njit
 
 from twistcap.arrays import Float, Float32, Int
 from twistcap.render.raster import barycentric
+from twistcap.render.view import blended
 from twistcap.studio.look import LATTICE_BITS, Look
 
 OCTAVES = np.array([[0.018, 0.7], [0.034, 0.9], [0.070, 1.0]])  # lattice spacing (half a wave), m; amplitude
@@ -34,7 +35,7 @@ def shade(face_index: Int, origin: tuple[int, int], factor: int, drawn: DrawnMes
     f = face_index[rows, cols]
     weights = barycentric(f, faces, pixels, inverse_depth, np.stack([cols, rows], axis=1) + np.array(origin))
 
-    cover, place, normal = (_blended(values, faces[f], weights) for values in (look.cover, rest, normals))
+    cover, place, normal = (blended(values, faces[f], weights) for values in (look.cover, rest, normals))
     garment = np.argmax(cover, axis=1)
     texture = 1.0 + look.contrast[garment, None] * solid_noise(look.lattice, OCTAVES, place)
     samples = np.zeros((*face_index.shape, 4))
@@ -42,17 +43,6 @@ def shade(face_index: Int, origin: tuple[int, int], factor: int, drawn: DrawnMes
     samples[rows, cols, 3] = 1.0
     H, W = face_index.shape[0] // factor, face_index.shape[1] // factor
     return samples.reshape(H, factor, W, factor, 4).mean(axis=(1, 3)).astype(np.float32)
-
-
-@njit(cache=True, nogil=True)
-def _blended(values: Float, corners: Int, weights: Float) -> Float:
-    """(N, C) means of values (V, C) over corners (N, 3) with weights (N, 3)."""
-    out = np.zeros((len(corners), values.shape[1]))
-    for n in range(len(corners)):
-        for k in range(3):
-            for c in range(values.shape[1]):
-                out[n, c] += weights[n, k] * values[corners[n, k], c]
-    return out
 
 
 def _light(normals: Float, lights: Float) -> Float:

@@ -9,24 +9,7 @@ from twistcap.terms.reprojection import ReprojectionTerm
 from twistcap.terms.rows import BlockTerm, Place, Slope, Sums
 
 __all__ = [
-    "BlockGaussian",
-    "BlockTerm",
-    "GaussianTerm",
-    "KeypointTerm",
-    "LimitTerm",
-    "MaskableTerm",
-    "OnPose",
-    "PhotometricTerm",
-    "Place",
-    "PointNormalTerm",
-    "PointRayTerm",
-    "PointTerm",
-    "Quadratic",
-    "ReprojectionTerm",
-    "RestTerm",
-    "Rows",
-    "SegmentSums",
-    "Slope",
-    "Sums",
-    "Term",
-]
+    "BlockGaussian", "BlockTerm", "GaussianTerm", "KeypointTerm", "LimitTerm", "MaskableTerm", "OnPose",
+    "PhotometricTerm", "Place", "PointNormalTerm", "PointRayTerm", "PointTerm", "Quadratic", "ReprojectionTerm",
+    "RestTerm", "Rows", "SegmentSums", "Slope", "Sums", "Term",
+]  # fmt: skip

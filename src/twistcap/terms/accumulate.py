@@ -223,7 +223,7 @@ def accumulate_beside(surface: SurfaceArrays, gradient: Float, row_weight: Float
                 cross[s, 5, c] += f2 * by
 
 
-def _dense_rows(surface: SurfaceArrays, gradient: Float, used: Int) -> Float:
+def dense_rows(surface: SurfaceArrays, gradient: Float, used: Int) -> Float:
     """(U, S, 6) derivative by every segment's twist of the rows (U,) that are used."""
     transforms, segments, weights, local = surface
     n = used % len(local)
@@ -241,7 +241,7 @@ def accumulate_reference(
 ) -> None:
     """Readable twin of `accumulate`: dense rows."""
     used = np.flatnonzero(row_weight).astype(np.int32)
-    j, W, S = _dense_rows(surface, gradient, used), row_weight[used], len(vector)
+    j, W, S = dense_rows(surface, gradient, used), row_weight[used], len(vector)
     vector += np.einsum("r,rsi->si", W * residual[used], j)
     kept = np.triu(np.ones((S, S))) - 0.5 * np.eye(S)
     blocks[..., :6] += kept[:, :, None, None] * np.einsum("r,rai,rbj->abij", W, j, j)
@@ -252,7 +252,7 @@ def accumulate_beside_reference(
 ) -> None:
     """Readable twin of `accumulate_beside`."""
     used = np.flatnonzero(row_weight).astype(np.int32)
-    cross += np.einsum("r,rsi,rc->sic", row_weight[used], _dense_rows(surface, gradient, used), beside[used])
+    cross += np.einsum("r,rsi,rc->sic", row_weight[used], dense_rows(surface, gradient, used), beside[used])
 
 
 def skinned_point_reference(
@@ -269,14 +269,3 @@ def projected_point_reference(
     """Readable twin of `projected_point`."""
     x, y, depth = P @ np.array([*skinned_point_reference(transforms, segments, weights, local, n), 1.0])
     return (x / depth, y / depth, 1.0 / depth) if depth >= NEAR else (0.0, 0.0, 0.0)
-
-
-def normal_equations_reference(
-    posed: Posed, points: SurfacePoints, rows: Rows, beside: Float | None = None
-) -> tuple[Float, Float]:
-    """Readable twin of `normal_equations`: stacked rows."""
-    jacobian = posed.point_jacobian(points.segments, points.weights, points.local)
-    J = np.einsum("ni,nid->nd", rows.gradient, jacobian)
-    if beside is not None:
-        J = np.concatenate([J, beside], axis=1)
-    return J.T @ (rows.weight * rows.residual), J.T @ (rows.weight[:, None] * J)

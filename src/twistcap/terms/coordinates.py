@@ -34,9 +34,8 @@ class LimitTerm:
 
     def linearize(self, posed: Posed) -> Quadratic:
         excess, information = self._excess(posed), 1.0 / self.sigma**2
-        return _of_joints(
-            0.5 * float(excess @ excess) * information, excess * information, (excess != 0.0) * information
-        )
+        value = 0.5 * float(excess @ excess) * information
+        return _of_joints(value, excess * information, (excess != 0.0) * information)
 
 
 def _of_joints(value: float, gradient: Float, diagonal: Float | float) -> Quadratic:

@@ -7,6 +7,7 @@ from numba import njit
 
 from twistcap.arrays import Float
 from twistcap.render import SurfaceArrays
+from twistcap.terms.accumulate import dense_rows
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"}, error_model="numpy")
@@ -72,13 +73,9 @@ def add_offset_variance_reference(
 ) -> None:
     """Readable twin of `add_offset_variance`: the derivative of each row by the pose, times that by the offset."""
     transforms, segments, weights, local = surface
-    n = np.arange(len(row_weight)) % len(local)
-    T, w = transforms[segments[n]], weights[n]  # (R N, K, 4, 4), (R N, K)
-    places = np.einsum("nkij,nj->nki", T[..., :3, :3], local[n]) + T[..., :3, 3]
-    slope = np.broadcast_to(gradient[:, None], places.shape)
-    by_twist = w[..., None] * np.concatenate([np.cross(places, slope), slope], axis=-1)  # (R N, K, 6)
-    by_pose = np.einsum("nki,nkid->nd", by_twist, projector.reshape(-1, 6, projector.shape[1])[segments[n]])
+    rows = np.arange(len(row_weight), dtype=np.int32)
+    by_pose = dense_rows(surface, gradient, rows).reshape(len(rows), -1) @ projector
     for s in range(len(transforms)):
-        of_segment = row_weight * np.sum(w * (segments[n] == s), axis=1)
+        of_segment = row_weight * np.sum(weights * (segments == s), axis=1)[rows % len(local)]
         by_offset = by_pose.T @ (of_segment[:, None] * gradient)
         variance += by_offset @ by_offset.T

@@ -23,7 +23,7 @@ from twistcap.camera import pinhole
 from twistcap.camera.scaled import ROOT, ScaledView
 from twistcap.render import SurfacePoints
 from twistcap.terms import accumulate
-from twistcap.terms.photometric import EXPOSURE, Samples, sample
+from twistcap.terms.photometric import EXPOSURE, Samples
 from twistcap.terms.rows import Place, Sums
 
 if TYPE_CHECKING:
@@ -91,18 +91,3 @@ class ViewGaussian:
         D[3:, 3:] = se3.inverse_left_jacobian(np.append(step[3:], np.zeros(3)))[:3, :3]
         D, off = D / self.sigma[:, None], step / self.sigma
         sums.add_quadratic([Place(self.view, ROOT)], 0.5 * float(off @ off), D.T @ off, D.T @ D)
-
-
-def normal_equations_reference(
-    posed: Posed, view: ScaledView, samples: Samples, image: Float32, exposure: Float, weight: Float
-) -> tuple[Float, Float]:
-    """Readable twin of `normal_equations`: stacked rows."""
-    pixels = view.pixels(samples.points.at(posed))
-    here = [sample(image, x, y) for x, y in pixels]
-    value, slope = np.array([s[0] for s in here]), np.array([s[1:3] for s in here])
-    inside = np.array([s[3] for s in here])
-    motion = np.einsum("ni,nid->nd", 0.5 * (slope + samples.gradient), image_motion(posed, view, samples.points))
-    rows = np.concatenate([motion, -samples.value[:, None], -np.ones((len(motion), 1))], axis=1)
-    r = value - (1.0 + exposure[0]) * samples.value - exposure[1]
-    w = np.where(inside, weight, 0.0)
-    return rows.T @ (w * r), rows.T @ (w[:, None] * rows)
