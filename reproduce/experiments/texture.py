@@ -24,8 +24,7 @@ from reproduce.scenes.textures import DIFFERENCES, Difference, texture_scene
 from reproduce.segment import segment
 from twistcap.evaluate import Row, row
 from twistcap.evaluate.metrics import iou
-from twistcap.features import Texture, feature_channels
-from twistcap.features.channels import Channels
+from twistcap.features import Channels, Texture, feature_channels
 from twistcap.region.models import RegionModel
 
 MODEL = RegionModel("global")

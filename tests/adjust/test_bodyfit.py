@@ -31,7 +31,7 @@ from twistcap.render.contour import reprojected
 from twistcap.render.view import surface_points
 from twistcap.studio import StudioConfig, capture
 from twistcap.studio.mismatch import bumpy, fattened, with_joint_noise
-from twistcap.studio.ring import ring
+from twistcap.studio.scene import ring
 
 
 @pytest.fixture(scope="module")

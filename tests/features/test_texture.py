@@ -9,8 +9,7 @@ from reproduce.scenes.textures import DIFFERENCES, Difference, texture_scene
 from reproduce.segment import segment
 from support.readable import tv_step_reference
 from twistcap.errors import InputError
-from twistcap.features import Texture, feature_channels
-from twistcap.features.channels import Channels
+from twistcap.features import Channels, Texture, feature_channels
 from twistcap.features.texture import flow_speed, grid_planes, structure_tensor, structure_tensor_reference
 from twistcap.features.tvflow import tv_step
 from twistcap.region.models import RegionModel

@@ -16,12 +16,11 @@ from twistcap.cues.direct import DirectContour
 from twistcap.cues.levelset import LevelSetContour
 from twistcap.cues.view import View, crop_view
 from twistcap.errors import InputError
-from twistcap.features.channels import Channels
+from twistcap.features import Channels
 from twistcap.io.session import tracker_settings
-from twistcap.region.densities import heaviside
+from twistcap.region.densities import heaviside, parzen_densities, parzen_log_ratio
 from twistcap.region.lines import LineSettings, ratio_lines
 from twistcap.region.models import Density, RegionModel, log_ratio_by_part, nearest_part
-from twistcap.region.parzen import parzen_densities, parzen_log_ratio
 from twistcap.render import RenderedView, render, visible_contour
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.terms import PointNormalTerm, PointRayTerm

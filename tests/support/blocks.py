@@ -15,7 +15,7 @@ from twistcap.solve import Arrow, CameraBlock, PoseTrack, Variables, Vector
 
 @dataclass(frozen=True)
 class FixedShape:
-    """A body of known shape; see `terms.reprojection.Shaped`."""
+    """A body of known shape."""
 
     body: Body
 

@@ -88,7 +88,6 @@ class ScaledView:
 
     @property
     def dof(self) -> int:
-        """Numbers of its motion."""
         return ROOT
 
     def retract(self, phi: Float) -> ScaledView:

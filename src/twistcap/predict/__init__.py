@@ -42,7 +42,6 @@ class Predictor(Protocol):
 
     def start(self, body: Body, rig: Rig) -> Any:
         """The memory before the first frame; as a cue's."""
-        ...
 
     def predict(self, memory: Any, past: Past, frame: Frame) -> tuple[Prediction | None, Any]:
         """The prediction for a frame, None where there is none, and the memory after it."""
@@ -50,4 +49,3 @@ class Predictor(Protocol):
 
     def learn(self, memory: Any, fit: Fit, past: Past, frame: Frame) -> Any:
         """The memory after a frame that was tracked; `past` holds it already."""
-        ...

@@ -53,20 +53,15 @@ class FlowPredictor:
     """Settings of the flow predictor; lengths in metres are on the body.
 
     Attributes:
-        rig: (pinhole) cameras.
         inertia: what is expected without flow.
         always: whether flow predicts every frame; else only while there is one pose and so no velocity.
-        preset: of `optical_flow`.
-        points: how many pixels of the body are followed in each view.
-        margin: m about the body in which it is looked for in the next frame.
+        points, margin: how many pixels of the body are followed in each view, and how far (m).
         sigma: noise of a flow vector, px.
-        share: fraction of the points' information that counts (neighbours move alike, and err alike).
-        robust: m by which a point may disagree before it is down-weighted.
-        loosened: factors on `robust` of one solve after the other: a point that a limb has left far behind must count
-            at first.
-        channels: what flow looks at.
-        least_confidence: how well the flow back must undo a vector that counts.
-        least_share: fraction of all points that count below which the flow as a whole is not believed.
+        share: fraction of the points' information that counts (neighbours err alike).
+        robust: m by which a point may disagree before it is down-weighted; `loosened` are factors on it, of one solve
+            after the other: a point that a limb has left far behind must count at first.
+        least_confidence, least_share: how well the flow back must undo a vector that counts, and the fraction of all
+            points that must count, or else the flow as a whole is not believed.
     """
 
     rig: Rig = field(default_factory=lambda: Rig(()))

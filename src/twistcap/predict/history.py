@@ -34,8 +34,7 @@ class MotionNoise:
         joint, turn, shift: standard deviation of acceleration of joints (rad/s²), root rotation (rad/s²) and root
             translation (m/s²), for all predictors but hold.
         joint_speed, turn_speed, shift_speed: of velocity (rad/s, rad/s, m/s), for the hold predictor.
-        allowance: how many times the deviation seen of late is allowed for, where that is more than the usual one: a
-            somersault accelerates more than a walk. 0 stays with the usual one.
+        allowance: how many times the deviation seen of late is allowed for, where that is more than the usual one.
         memory: share that what was seen of late keeps from frame to frame.
     """
 
@@ -69,11 +68,8 @@ class MotionNoise:
 class MotionSpread:
     """How far one body may be from where it is predicted: as far as usual, farther while it moves more than that.
 
-    Turn, shift and joints each have one measure: a limb that goes astray alone is not given more room for it.
-
-    Attributes:
-        noise: what is usual.
-        excess: (3,) mean squares of late of turn, shift and joints, in units of the usual variance.
+    `excess` (3,) are mean squares of late of turn, shift and joints, in units of the usual variance. All joints
+    have one measure: a limb that goes astray alone is not given more room for it.
     """
 
     noise: MotionNoise
@@ -102,8 +98,8 @@ class MotionSpread:
 
 
 def covariance_about(variance: Float, centre: Float) -> tuple[Float, Float]:
-    """Covariance (dof, dof) of a pose step, and its inverse, from the variance (dof,) of turns about a point of the body
-    (rad²), at `centre` (3,) m, of its shifts (m²) and the coordinates (rad²).
+    """Covariance (dof, dof) of a pose step, and its inverse, from the `variance` (dof,) of turns (rad²) about a body's
+    point `centre` (3,) m, of its shifts (m²) and of the coordinates (rad²).
     """
     # δξ acts about the world's origin: a turn about the body's centre is ω there, with −ω × centre as v.
     A, back, arm = np.eye(len(variance)), np.eye(len(variance)), se3.hat(centre)
@@ -138,13 +134,8 @@ def rested(last: Moment, pose: Pose, which: Bool) -> Moment:
 
 @dataclass(frozen=True)
 class Past:
-    """What is known of the motion before a frame.
-
-    Attributes:
-        moments: poses, the latest last; before the first frame the given pose alone.
-        seen_time: s, when images last showed the body.
-        started: whether a frame has been tracked.
-        spread: how far the body is from where it is predicted.
+    """What is known of the motion before a frame: the moments, the latest last, at first of the given pose alone; when
+    images last showed the body, s; whether a frame has been tracked; how far the body is from where it is predicted.
     """
 
     moments: tuple[Moment, ...]

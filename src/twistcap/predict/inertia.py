@@ -22,11 +22,9 @@ captures with truth (docs/concepts/covariance.md)."""
 
 @dataclass(frozen=True)
 class Inertia:
-    """Constant velocity; it always answers.
+    """Constant velocity, or with `hold` none; it always answers.
 
-    Attributes:
-        hold: whether the body is expected to stay where it is instead.
-        first_sigma_deg, first_sigma_m: how far the given first pose may be off (joints and root turn; root place).
+    `first_sigma_deg` and `first_sigma_m` are how far the given first pose may be off (turns; root place).
     """
 
     hold: bool = False
@@ -38,7 +36,6 @@ class Inertia:
         """Nothing is remembered beside the past poses."""
 
     def predict(self, memory: None, past: Past, frame: Frame) -> tuple[Prediction, None]:
-        """The pose at the frame's time."""
         return self.prediction(self.pose(past, frame.time), past, frame.time, self.kind(past)), None
 
     def learn(self, memory: None, fit: Fit, past: Past, frame: Frame) -> None:

@@ -84,15 +84,10 @@ class ParzenPrior:
         return softmax(self._exponents(q, known))
 
     def mean(self, q: Float, known: Float | float = 1.0) -> Float:
-        """(J,) weighted mean of the samples: where the mean shift leads in one step, and where `energy` falls to.
-
-        Where some angles are not `known`, it is the regression of these on the others.
+        """(J,) weighted mean of the samples, where the mean shift leads in one step; less q, times `information`, it is
+        minus the derivative of `energy` (eq. 11.31). Angles that are not `known` are regressed on the others.
         """
         return self.weights(q, known) @ self.samples
-
-    def flow(self, q: Float) -> Float:
-        """``∂_t Θ = Σ w_i (Θ_i − Θ) / (σ² Σ w_i)`` (eq. 11.31), (J,): minus the derivative of `energy`."""
-        return (self.mean(q) - q) * self.information
 
     @property
     def median_distance(self) -> float:

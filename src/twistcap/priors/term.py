@@ -48,14 +48,11 @@ class PriorRule:
 class PriorTerm:
     """``weight · (−log p)`` of the coordinates that a prior knows; all others and the root stay free.
 
-    Its quadratic lies on the weighted mean of the samples. With step 1 its Hessian, that of a single kernel, is the
-    log-sum-exp's largest: the quadratic lies nowhere below the energy, so that a step never raises it.
+    Its quadratic lies on the weighted mean of the samples. With step 1 (see `PriorRule`) its Hessian, that of a single
+    kernel, is the log-sum-exp's largest: the quadratic lies nowhere below the energy, so that a step never raises it.
 
     Attributes:
-        prior: the density, of K coordinates.
-        columns: (K,) their indices among the body's.
-        weight: factor on ``−log p``.
-        step: see `PriorRule`.
+        columns: (K,) indices of the prior's coordinates among the body's.
         target: (K,) rad, a mean of the samples in which joints that are not known had no say; None for that of all
             joints, at every pose. It is the expectation of an EM step: the energy is then the quadratic about it.
     """
@@ -78,18 +75,9 @@ class PriorTerm:
         mean = self.prior.mean(q) if self.target is None else self.target
         gradient = np.zeros(posed.body.dof)
         gradient[6 + self.columns] = self.weight * self.prior.information * (q - mean)
-        return Quadratic(self.energy(posed), gradient, self.hessian(posed.body.dof))
-
-    def hessian(self, dof: int) -> Float:
-        """(dof, dof) of the quadratic, the same at every pose."""
-        out, at = np.zeros((dof, dof)), 6 + self.columns
-        out[at, at] = self.weight / self.step * self.prior.information
-        return out
-
-    def weighted(self, rule: PriorRule, points: int, hidden: float) -> PriorTerm:
-        """The term beside so many contour points, where the part that is hidden most is so by a share in [0, 1]."""
-        share = rule.in_sight + (1.0 - rule.in_sight) * hidden**2
-        return replace(self, weight=rule.strength * share * points, step=rule.step)
+        hessian = np.zeros((posed.body.dof, posed.body.dof))  # the same at every pose
+        hessian[6 + self.columns, 6 + self.columns] = self.weight / self.step * self.prior.information
+        return Quadratic(self.energy(posed), gradient, hessian)
 
     def given_joints(self, known: Float, rule: PriorRule, posed: Posed) -> PriorTerm:
         """The term whose samples are weighed by the joints that are known: (J,) in [0, 1], of all the body's."""
@@ -97,15 +85,6 @@ class PriorTerm:
         if np.all(believed == believed[0]):
             return self
         return replace(self, target=self.prior.mean(posed.pose.q[self.columns], believed / believed.max()))
-
-    def claimed(self, posed: Posed) -> Float:
-        """(6 + J, 6 + J) information of the density itself at a pose: of a Gaussian as wide as the kernels that count.
-
-        The weight is not in it: that makes up for what contour points claim too much.
-        """
-        out, at = np.zeros((posed.body.dof, posed.body.dof)), 6 + self.columns
-        out[np.ix_(at, at)] = np.linalg.inv(self.prior.spread(posed.pose.q[self.columns]))
-        return out
 
 
 @dataclass(frozen=True)
@@ -118,13 +97,19 @@ class PosePrior:
     news: bool = field(default=False, init=False)
 
     def terms(self, alternation: Alternation) -> Sequence[PriorTerm]:
-        """The term, weighed by what the images show and chosen by the joints that they show."""
-        term = self.term.weighted(self.rule, alternation.samples, alternation.concealed)
+        """The term beside so many contour points, weighed and chosen by what the images show of the joints."""
+        rule = self.rule
+        share = rule.in_sight + (1.0 - rule.in_sight) * alternation.concealed**2
+        term = replace(self.term, weight=rule.strength * share * alternation.samples, step=rule.step)
         return (term.given_joints(alternation.known, self.rule, alternation.posed),)
 
     def claimed(self, posed: Posed) -> Float:
-        """What the density itself knows of a pose."""
-        return self.term.claimed(posed)
+        """(6 + J, 6 + J) information of the density itself, without the weight that makes up for what contour points
+        claim too much: of a Gaussian as wide as the kernels that count.
+        """
+        out, at = np.zeros((posed.body.dof, posed.body.dof)), 6 + self.term.columns
+        out[np.ix_(at, at)] = np.linalg.inv(self.term.prior.spread(posed.pose.q[self.term.columns]))
+        return out
 
 
 def matched(prior: ParzenPrior, body: Body) -> PriorTerm:

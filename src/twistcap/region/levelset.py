@@ -16,10 +16,7 @@ _TABLE = 512  # entries of the table of H'
 
 
 def signed_distance(mask: Bool) -> Float32:
-    """(H, W) distance to the mask's outline in px, positive inside, to 2 %.
-
-    The outline is half a pixel outside the mask's pixel centres, which is corrected for.
-    """
+    """(H, W) distance to the mask's outline, half a pixel outside its pixel centres, in px, positive inside, to 2 %."""
     inside = mask.astype(np.uint8)
     to_outside = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_5)
     to_inside = cv2.distanceTransform(1 - inside, cv2.DIST_L2, cv2.DIST_MASK_5)

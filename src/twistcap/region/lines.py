@@ -45,15 +45,12 @@ def measured_lines(
     image: Float32, visible: VisibleParts, lines: Lines, group: Int, colours: Float, reach: float,
     settings: LineSettings,
 ) -> Measured:  # fmt: skip
-    """All lines of a view, by the four steps below.
+    """All lines of a view (H, W, C), by the four steps below.
 
     Args:
-        image: (H, W, C).
-        visible, lines: of the rendered body.
         group: (N,) lines of one number pool their statistics: the part, or 0 for the whole body.
         colours: (G, 1 + 2C) remembered confidence, mean and mean square of each group.
         reach: half length of the lines, px at 1 m from the camera.
-        settings: of the lines.
     """
     step = np.maximum(reach / settings.half * lines[4], 0.25)
     values, first, last = sample_lines(image, visible, lines, step, settings.half)

@@ -42,21 +42,13 @@ def _bilinear(field: Float32, x: Float32, y: Float32) -> Float32:
 
 @dataclass(frozen=True)
 class VariationalRule:
-    """Settings of displacement fields.
+    """Settings of displacement fields."""
 
-    Attributes:
-        alpha: weight of smoothness, in squared px of the image.
-        resolution: px of the image in each row and column of the grid; signed distances are smooth.
-        warps: linearisations.
-        iterations: of the linear solver in each.
-        reach: px from the contour within which the shapes are compared.
-    """
-
-    alpha: float = 100.0
-    resolution: int = 4
-    warps: int = 2
-    iterations: int = 8
-    reach: float = 12.0
+    alpha: float = 100.0  # weight of smoothness, in squared px of the image
+    resolution: int = 4  # px of the image in each row and column of the grid; signed distances are smooth
+    warps: int = 2  # linearisations
+    iterations: int = 8  # of the linear solver in each
+    reach: float = 12.0  # px from the contour within which the shapes are compared
 
 
 def displacement(phi0: Float32, phi: Float32, rule: VariationalRule) -> Displacement:

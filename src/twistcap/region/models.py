@@ -15,8 +15,7 @@ import numpy as np
 
 from twistcap.arrays import Bool, Float32, Int
 from twistcap.errors import check_choice
-from twistcap.region.densities import blockwise_log_ratio, global_log_ratio
-from twistcap.region.parzen import parzen_log_ratio
+from twistcap.region.densities import blockwise_log_ratio, global_log_ratio, parzen_log_ratio
 
 Density = Literal["local", "global", "parzen"]
 Statistics = Literal["part", "whole"]
@@ -59,10 +58,8 @@ class RegionModel:
     ) -> Float32:
         """(H, W) log p₁/p₂, nats, of channels (H, W, C) under the densities of the two regions.
 
-        Args:
-            inside, outside: (H, W) membership of each region, 0 … 1; pixels in neither are ignored.
-            px_per_m: scale of the image.
-            wanted: (H, W) where the ratio is needed; elsewhere it may be 0.
+        `inside` and `outside` (H, W) are memberships, 0 … 1; pixels in neither are ignored. The ratio is needed where
+        `wanted` (H, W); elsewhere it may be 0.
         """
         if self.density == "parzen":
             return parzen_log_ratio(features, inside, outside, self.sigma, _PARZEN_FLOOR)
@@ -78,11 +75,8 @@ def log_ratio_by_part(
 ) -> Float32:  # fmt: skip
     """(H, W) log p₁/p₂ with p₁ the density of the pixel's own part of the body.
 
-    Args:
-        model, features, inside, px_per_m: as for `RegionModel.log_ratio`; `inside` is of the whole body.
-        part: (H, W) part of each pixel, or the nearest part just outside the body; -1 for none.
-        wanted: (H, W) where the ratio is needed; elsewhere it is 0.
-        outside: (H, W) membership of the background; by default the complement of `inside`.
+    Arguments as for `RegionModel.log_ratio`, `inside` of the whole body, `outside` by default its complement; where the
+    ratio is not wanted it is 0. `part` (H, W) is that of each pixel, or the nearest just outside the body; -1 for none.
     """
     out = np.zeros(inside.shape, dtype=np.float32)
     outside = np.float32(1.0) - inside if outside is None else outside

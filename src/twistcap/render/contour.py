@@ -32,11 +32,9 @@ class ContourPoints:
     """Samples of a body's visible contour in one view.
 
     Attributes:
-        points: (N,) places on the surface.
-        pixels: (N, 2) image positions, px.
+        points, pixels: N places on the surface, and (N, 2) in the image, px.
         normals: (N, 2) unit image normals, outward of the part.
-        part: (N,) segment of the contour.
-        outer: (N,) True on the silhouette, False before another part of the body.
+        part, outer: (N,) segment; True on the silhouette, False before another part of the body.
         inverse_depth: (N,) 1/m.
     """
 
@@ -51,7 +49,7 @@ class ContourPoints:
         return len(self.pixels)
 
     def __getitem__(self, which: Bool | Int) -> ContourPoints:
-        rest = (self.pixels, self.normals, self.part, self.outer, self.inverse_depth)
+        rest: tuple[Any, ...] = (self.pixels, self.normals, self.part, self.outer, self.inverse_depth)
         return ContourPoints(self.points[which], *(own[which] for own in rest))
 
     def moved_by(self, posed: Posed, P: Float) -> Float:
@@ -213,7 +211,7 @@ def contour_samples_reference(
             t, at = s * inverse_depth[j] / w, pixels[i] + s * way
             normal = (P[:2, :3] - np.outer(at, P[2, :3])) @ ((1.0 - t) * normals[i] + t * normals[j])
             normal = normal / max(float(np.hypot(*normal)), 1e-12)
-            kind = _visibility_reference(at, normal, w, part, drawn, face_part, inner_gap)
+            kind = _visibility((at[0], at[1]), (normal[0], normal[1]), w, part, *drawn, face_part, inner_gap)
             if normal.any() and kind != _HIDDEN:
                 found.append(((i, j), (1.0 - t, t), vertex_part[i if t < 0.5 else j], kind == _OUTER, at, normal, w))
     ends, weights, parts, outer, places, directions, nearness = zip(*found, strict=True)
@@ -221,20 +219,3 @@ def contour_samples_reference(
         np.array(ends, np.int32), np.array(weights), np.array(parts, np.int32), np.array(outer), np.array(places),
         np.array(directions), np.array(nearness),
     )  # fmt: skip
-
-
-def _visibility_reference(
-    at: Float, normal: Float, w: float, part: int, drawn: tuple[Int, Float32], face_part: Int, inner_gap: float
-) -> int:
-    """Readable twin of `_visibility`."""
-    face_index, buffer = drawn
-    (c0, r0), (c1, r1) = np.rint(at - normal).astype(int), np.rint(at + 1.5 * normal).astype(int)
-    height, width = face_index.shape
-    if min(c0, r0, c1, r1) < 0 or max(c0, c1) >= width or max(r0, r1) >= height:
-        return _HIDDEN
-    inside, outside, depth = face_index[r0, c0], face_index[r1, c1], 1.0 / w
-    if inside >= 0 and face_part[inside] != part and 1.0 / buffer[r0, c0] < depth - 0.03:
-        return _HIDDEN
-    if outside < 0:
-        return _OUTER
-    return _INNER if 1.0 / buffer[r1, c1] > depth + inner_gap else _HIDDEN

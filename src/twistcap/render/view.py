@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -26,7 +27,7 @@ SurfaceArrays = tuple[Float, Int, Float, Float]
 
 @dataclass(frozen=True)
 class SurfacePoints:
-    """Points carried by the surface: `segments` and `weights` (N, K) of their binding, `local` (N, 3) rest places, m."""
+    """Points carried by the surface: `segments` and `weights` (N, K) of their binding, `local` (N, 3) rest places m."""
 
     segments: Int
     weights: Float
@@ -51,7 +52,7 @@ class SurfacePoints:
         return SurfacePoints(*(np.concatenate(pair) for pair in zip(self._arrays, other._arrays, strict=True)))
 
     @property
-    def _arrays(self) -> tuple[Int, Float, Float]:
+    def _arrays(self) -> tuple[Any, Any, Any]:
         return self.segments, self.weights, self.local
 
     def bound_to(self, posed: Posed) -> SurfaceArrays:
@@ -65,15 +66,11 @@ class SurfacePoints:
 
 @dataclass(frozen=True)
 class RenderedView:
-    """What one camera sees of a body.
+    """What one camera without distortion sees of a body.
 
     Attributes:
-        posed: the body at its pose.
-        camera: without distortion.
-        pixels: (V, 2) projected vertices.
-        nearness: (V,) of them (`camera.projection`): 1/m for a pinhole; 0 behind the camera.
-        face_index: (H, W) visible triangle, -1 for none.
-        nearness_image: (H, W) of what is seen, 0 for none.
+        pixels, nearness: (V, 2) and (V,) of the vertices (`camera.projection`): 1/m for a pinhole; 0 behind the camera.
+        face_index, nearness_image: (H, W) visible triangle, -1 for none, and its nearness, 0 for none.
     """
 
     posed: Posed
@@ -115,9 +112,8 @@ class RenderedView:
         return surface_points(body, body.faces[face], weights)
 
     def visible(self, points: SurfacePoints, tolerance: float, posed: Posed | None = None) -> tuple[Bool, Float]:
-        """Which points (N,) lie in the image no more than `tolerance` m behind what is seen; all pixels (N, 2).
-
-        With `posed` their places are those of another pose than the rendered one.
+        """Which points (N,) lie in the image no more than `tolerance` m behind what is seen, and all pixels (N, 2); at
+        another pose than the rendered one where that is given.
         """
         pixels, nearness = projected(self.camera, points.at(posed or self.posed))
         return in_sight(pixels, nearness, self.nearness_image, self.camera.inverse_depth, tolerance), pixels
@@ -189,27 +185,15 @@ def off_rims_reference(nearness: Float32, inverse: bool) -> AnyArray:
 
 def body_window(posed: Posed, camera: AnyCamera, margin: float) -> tuple[tuple[int, int], tuple[int, int]] | None:
     """Origin (x, y) and size (w, h) of the image window that holds the body and `margin` px about it; None off it."""
-    left, top, right, bottom = _bounds(camera.P, posed.vertices)
-    if left > right:
+    pixels, w = project(camera.P, posed.vertices)
+    if not np.any(w > 0.0):
         return None
     width, height = camera.size
-    left, top, right, bottom = left - margin, top - margin, right + margin, bottom + margin
+    (left, top), (right, bottom) = pixels[w > 0.0].min(axis=0) - margin, pixels[w > 0.0].max(axis=0) + margin
     if right <= 0 or bottom <= 0 or left >= width - 1 or top >= height - 1:
         return None
     x, y = max(math.floor(left), 0), max(math.floor(top), 0)
     return (x, y), (min(math.ceil(right), width - 1) - x + 1, min(math.ceil(bottom), height - 1) - y + 1)
-
-
-@njit(cache=True, nogil=True)
-def _bounds(P: Float, points: Float) -> tuple[float, float, float, float]:
-    """Least x, y and greatest x, y (px) of world points' (N, 3) projections; infinite where all are behind it."""
-    left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
-    pixels, w = project(P, points)
-    for n in range(len(points)):
-        if w[n] > 0.0:
-            left, right = min(left, pixels[n, 0]), max(right, pixels[n, 0])
-            top, bottom = min(top, pixels[n, 1]), max(bottom, pixels[n, 1])
-    return left, top, right, bottom
 
 
 def surface_points(body: Body, corners: Int, weights: Float, keep: int = _KEEP) -> SurfacePoints:

@@ -4,8 +4,7 @@ from twistcap.solve.arrow import Arrow, Marginals
 from twistcap.solve.blocks import CameraBlock, PoseTrack, Variables, Vector
 from twistcap.solve.dense import Dense, covariance, inverse
 from twistcap.solve.minimise import Problem, Solution, Status, System, minimise
-from twistcap.solve.pose import PoseProblem
-from twistcap.solve.problem import BlockProblem
+from twistcap.solve.problem import BlockProblem, PoseProblem
 
 __all__ = [
     "Arrow", "BlockProblem", "CameraBlock", "Dense", "Marginals", "PoseProblem", "PoseTrack", "Problem", "Solution",

@@ -25,15 +25,6 @@ class Marginals:
     shared: Float
 
 
-@dataclass(frozen=True)
-class _Factor:
-    """Cholesky factor of the band, ``A⁻¹ B`` (F D, K), and factor of the Schur complement ``C − Bᵀ A⁻¹ B``."""
-
-    band: Float
-    across: Float
-    complement: tuple[Float, bool]
-
-
 class Arrow:
     """Sum of quadratics of F poses and K shared parameters; rows couple poses at most `reach` frames apart.
 
@@ -89,9 +80,10 @@ class Arrow:
         if factor is None:
             return None
         F, D, _ = self.border.shape
-        free = np.asarray(cho_solve_banded((factor.band, True), -self.pull.ravel()))
-        shared = cho_solve(factor.complement, -self.shared_pull - self._border.T @ free)
-        poses = (free - factor.across @ shared).reshape(F, D)
+        band, across, complement = factor
+        free = np.asarray(cho_solve_banded((band, True), -self.pull.ravel()))
+        shared = cho_solve(complement, -self.shared_pull - self._border.T @ free)
+        poses = (free - across @ shared).reshape(F, D)
         poses /= np.maximum(1.0, np.abs(poses / self.longest).max(axis=1, initial=0.0, keepdims=True))
         shared /= max(1.0, float(np.abs(shared / self.shared_longest).max(initial=0.0)))
         return np.concatenate([poses.ravel(), shared])
@@ -101,16 +93,17 @@ class Arrow:
         factor = self._factored(0.0)
         if factor is None:
             raise InputError("adjust: the data do not determine a pose or a length; give more frames or views.")
-        F, D, K = self.border.shape
-        shared, lean = cho_solve(factor.complement, np.eye(K)), factor.across.reshape(F, D, K)
-        return Marginals(diagonal_blocks(factor.band, F, D) + lean @ shared @ lean.transpose(0, 2, 1), shared)
+        (F, D, K), (band, across, complement) = self.border.shape, factor
+        shared, lean = cho_solve(complement, np.eye(K)), across.reshape(F, D, K)
+        return Marginals(diagonal_blocks(band, F, D) + lean @ shared @ lean.transpose(0, 2, 1), shared)
 
     @property
     def _border(self) -> Float:
         """(F D, K)."""
         return self.border.reshape(self.pull.size, len(self.corner))
 
-    def _factored(self, damping: float) -> _Factor | None:
+    def _factored(self, damping: float) -> tuple[Float, Float, tuple[Float, bool]] | None:
+        """Cholesky factor of the band, ``A⁻¹ B`` (F D, K), and factor of the Schur complement ``C − Bᵀ A⁻¹ B``."""
         _, D, K = self.border.shape
         diagonal = np.arange(D)
         band, corner = self.band.copy(), self.corner.copy()
@@ -119,7 +112,7 @@ class Arrow:
         try:
             factor = cholesky_banded(_lower_form(band), lower=True, overwrite_ab=True)
             across = np.asarray(cho_solve_banded((factor, True), self._border))
-            return _Factor(factor, across, cho_factor(corner - self._border.T @ across))
+            return factor, across, cho_factor(corner - self._border.T @ across)
         except (LinAlgError, ValueError):
             return None
 

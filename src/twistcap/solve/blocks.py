@@ -43,12 +43,8 @@ class Vector:
 
 @dataclass(frozen=True)
 class Moment:
-    """A pose between two of a track, and its derivatives.
-
-    Attributes:
-        frames: numbers of the two poses.
-        by_frame: (D, D) derivative of the step of `pose` by the step of each of the two.
-        velocity: (D,) of `pose` (rad/s, m/s), which is its derivative by time.
+    """A pose between two frames of a track; `by_frame` (D, D) are the derivatives of its step by those of the two,
+    `velocity` (D,) (rad/s, m/s) that by time.
     """
 
     pose: Pose

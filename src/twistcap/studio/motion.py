@@ -59,8 +59,7 @@ def gait(
 
     Args:
         body: with OpenSim's coordinate names, rest pose facing +x, z up.
-        fps: frames per second.
-        frames: how many poses.
+        fps, frames: poses per second, and how many.
         speed: m/s, met exactly; the stride is widened or narrowed to it.
         cadence: steps per minute; by default that of adults at this speed.
         heading: direction of the walk, rad from +x towards +y.

@@ -18,17 +18,12 @@ DrawnMesh = tuple[Int, Float, Float, Float, Float]
 
 
 def shade(face_index: Int, origin: tuple[int, int], factor: int, drawn: DrawnMesh, look: Look) -> Float32:
-    """Lit and textured samples averaged over blocks of factor × factor.
+    """(H, W, 4) colour times coverage, and coverage in [0, 1], of lit and textured samples, averaged over blocks.
 
     Args:
-        face_index: (factor H, factor W) visible triangle of each sample, -1 for none.
-        origin: (x, y) of the first sample.
-        factor: samples per pixel and axis.
+        face_index: (factor H, factor W) visible triangle of each sample, -1 for none; `origin` (x, y) is the first.
         drawn: the posed body.
         look: its clothes, of which a sample shows the one with the largest fraction, and the lights.
-
-    Returns:
-        (H, W, 4) colour times coverage, and coverage in [0, 1].
     """
     faces, pixels, inverse_depth, rest, normals = drawn
     rows, cols = np.nonzero(face_index >= 0)

@@ -143,9 +143,7 @@ class PhotometricTerm(PointTerm):
     """Surface points against their template brightness in one view, Cauchy on the difference.
 
     Attributes:
-        P: (3, 4) projection.
-        samples: N points and their template brightness.
-        image: (H, W) float32, the current view (blurred as the template's was).
+        P, image: (3, 4) projection and (H, W) of the current view (blurred as the template's was).
         weight: (N,) information, 1/brightness².
         scale: (N,) brightness difference from which a point is down-weighted.
         exposure: (2,) relative gain and offset of the present image against the template's.
@@ -161,7 +159,6 @@ class PhotometricTerm(PointTerm):
 
     @property
     def points(self) -> SurfacePoints:
-        """The N places on the surface."""
         return self.samples.points
 
     def rows(self, posed: Posed) -> tuple[float, SurfacePoints, Rows]:

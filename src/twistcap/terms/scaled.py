@@ -24,7 +24,7 @@ from twistcap.camera.scaled import ROOT, ScaledView
 from twistcap.render import SurfacePoints
 from twistcap.terms import accumulate
 from twistcap.terms.photometric import EXPOSURE, Samples
-from twistcap.terms.rows import Place, Sums
+from twistcap.terms.protocols import Place, Sums
 
 if TYPE_CHECKING:
     from twistcap.solve.blocks import Variables
@@ -65,12 +65,9 @@ def _pose_step(view: ScaledView, joints: int) -> Float:
 
 @dataclass(frozen=True)
 class ViewGaussian:
-    """Independent Gaussians about a view's scale, place and turn.
+    """Independent Gaussians about the scale, place and turn of the view in a block.
 
-    Attributes:
-        view: its block.
-        mean: the view expected.
-        sigma: (6,) of the step from there: relative scale, px, rad; infinite where nothing is expected.
+    `sigma` (6,) is of the step from the mean (relative scale, px, rad), infinite where nothing is expected.
     """
 
     view: str
