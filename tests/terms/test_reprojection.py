@@ -71,7 +71,7 @@ def test_rows_are_the_derivatives_of_the_residuals(clock: str | None) -> None:
     J = np.zeros((2 * len(term.marks), x.dof))
 
     def residuals(x: Variables) -> Array:
-        pose = x["poses"].poses[1] if clock is None else x["poses"].at(0.1 + x["clock"].values[0]).pose
+        pose = x["poses"].poses[1] if clock is None else x["poses"].at(x["poses"].times[1] + x["clock"].values[0]).pose
         points = Posed(x["growth"].body, pose).landmarks[term.marks]
         return ((pinhole(x["camera"].camera.P, points)[0] - term.target) / term.sigma[:, None]).ravel()
 
