@@ -11,7 +11,7 @@ import pytest
 from support.twins import check_twin
 from twistcap.region import lines
 from twistcap.region.compare import BLOCK, background_moments, label_evidence
-from twistcap.region.densities import heaviside
+from twistcap.region.densities import add_interpolated, heaviside, histograms
 from twistcap.region.levelset import nearest_with_normal, signed_distance, zero_crossings
 from twistcap.region.matching import relax
 
@@ -126,3 +126,12 @@ def test_labels_are_compared_as_by_the_twins(size: tuple[int, int]) -> None:
     told = check_twin(label_evidence, features, background, colours, part, other, 4e-4, 3.0, rtol=1e-6)
     assert told != 0.0
     assert label_evidence(features, background, colours, part, part, 4e-4, 3.0) == 0.0
+
+
+def test_histograms_are_those_of_the_twins() -> None:
+    rng = np.random.default_rng(5)
+    values, inside, outside = rng.uniform(size=(3, 20, 30)).astype(np.float32)
+    values[0, :2] = 0.0, 1.0
+    check_twin(histograms, values, inside, outside, 0.0, 1.0 / 31, 32, rtol=1e-5, atol=1e-5)
+    table = rng.normal(size=32).astype(np.float32)
+    check_twin(add_interpolated, values, 0.0, 1.0 / 31, table, inside, rtol=1e-4, atol=1e-4)

@@ -87,15 +87,25 @@ def flow_speed(light: Float32, how: Texture) -> Float32:
     growth = _FLOW_GROWTH ** np.arange(_FLOW_STEPS)
     for tau in (how.flow_time / growth.sum() * growth).tolist():
         after = tv_step(before, tau, how.epsilon)
-        change = np.abs(after[0] - before[0])
-        moving = change > np.float32(slowest * tau)
-        moved += np.where(moving, change, np.float32(0.0))
-        time += np.float32(tau) * moving
+        _add_changes(before[0], after[0], tau, slowest, moved, time)
         before = after
     sums, sigma = grid_planes((moved, time), how.resolution), _WINDOW / how.resolution
     moved, time = (cv2.GaussianBlur(x, (0, 0), sigma, borderType=cv2.BORDER_REFLECT) for x in sums)
     rest = np.float32(1e-3 * how.flow_time)  # of the slowest change, added to every pixel
     return (moved + rest * np.float32(slowest)) / (time + rest)
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "arcp"})
+def _add_changes(before: Float32, after: Float32, tau: float, slowest: float, moved: Float32, time: Float32) -> None:
+    """Add each pixel's change in a step of `tau`, and the time, where it is faster than `slowest`."""
+    passed, zero, enough = np.float32(tau), np.float32(0.0), np.float32(slowest * tau)
+    for r in range(before.shape[0]):
+        old, new, way, spent = before[r], after[r], moved[r], time[r]
+        for c in range(len(old)):
+            change = abs(new[c] - old[c])
+            on = change > enough
+            way[c] += change if on else zero
+            spent[c] += passed if on else zero
 
 
 def grid_planes(channels: Sequence[AnyArray], block: int) -> Float32:

@@ -31,9 +31,8 @@ class MotionNoise:
     """How far motion strays from its prediction.
 
     Attributes:
-        joint, turn, shift: standard deviation of acceleration of joints (rad/s²), root rotation (rad/s²) and root
-            translation (m/s²), for all predictors but hold.
-        joint_speed, turn_speed, shift_speed: of velocity (rad/s, rad/s, m/s), for the hold predictor.
+        joint, turn, shift: standard deviation of acceleration of joints, root rotation (rad/s²) and root translation
+            (m/s²); joint_speed, turn_speed, shift_speed: of velocity (rad/s, m/s), for the hold predictor.
         allowance: how many times the deviation seen of late is allowed for, where that is more than the usual one.
         memory: share that what was seen of late keeps from frame to frame.
     """

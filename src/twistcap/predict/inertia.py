@@ -22,9 +22,8 @@ captures with truth (docs/concepts/covariance.md)."""
 
 @dataclass(frozen=True)
 class Inertia:
-    """Constant velocity, or with `hold` none; it always answers.
-
-    `first_sigma_deg` and `first_sigma_m` are how far the given first pose may be off (turns; root place).
+    """Constant velocity, or with `hold` none; it always answers. `first_sigma_deg` and `first_sigma_m` are how far the
+    given first pose may be off (turns; root place).
     """
 
     hold: bool = False

@@ -20,15 +20,12 @@ class PriorRule:
     """How much a pose prior counts.
 
     Attributes:
-        strength: weight of ``−log p`` per contour point, so that image and prior weigh alike however many there are.
-            Contour points are not independent, so that honest data would carry a fraction of their weight; the prior
-            is raised by as much instead. It counts in full while a part of the body is hidden from all views.
-        in_sight: share of the strength that counts while every part is in sight: the images know better than other
-            people's motion, and a prior that does not fit must do no harm.
-        unseen: how far the angle of a joint that no view shows counts when the samples are weighed, in [0, 1]: what is
-            seen chooses among them, and the past of what is not seen only where that leaves it open.
+        strength: weight of ``−log p`` per contour point while a part of the body is hidden from all views. These points
+            are not independent, and honest data would carry a fraction of their weight; the prior is raised instead.
+        in_sight: share of the strength that counts while every part is in sight: the images know better.
+        unseen: how far the angle of a joint that no view shows counts when the samples are weighed, in [0, 1].
         step: share of the way to the weighted mean of the samples that the prior alone would go in one solver step.
-            1 majorises and minimises; the paper's ``τ = 0.125 σ²`` is 0.125, which also holds against the images.
+            1 majorises and minimises; the paper's ``τ = 0.125 σ²`` is 0.125.
     """
 
     strength: float = 0.05
@@ -53,8 +50,8 @@ class PriorTerm:
 
     Attributes:
         columns: (K,) indices of the prior's coordinates among the body's.
-        target: (K,) rad, a mean of the samples in which joints that are not known had no say; None for that of all
-            joints, at every pose. It is the expectation of an EM step: the energy is then the quadratic about it.
+        target: (K,) rad, the mean of the samples by the joints that are known, as the expectation of an EM step: the
+            energy is then the quadratic about it. None for the mean by all joints, at every pose.
     """
 
     prior: ParzenPrior

@@ -28,8 +28,7 @@ def evolve(
     phi0: Float32, log_ratio: Float32, steps: int, tau: float, nu: float, lam: float, width: float, clip: float
 ) -> Float32:
     """Evolve from the shape Φ₀ (H, W) under a fixed log ratio (H, W), clipped to ±`clip`; reflecting borders.
-
-    `width` is the standard deviation of H' in px; Φ does not change where H' is below 1/3000 of its maximum.
+    `width` is the standard deviation of H' in px; beyond four of them Φ does not change.
     """
     height, width_px = phi0.shape
     band = 4.0 * width

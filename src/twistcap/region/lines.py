@@ -2,8 +2,7 @@
 
 The same two local Gaussian densities as the level set, inside and outside (Brox, Rosenhahn and Cremers, "Contours,
 Optic Flow, and Prior Knowledge", eq. 11.7-11.11), on lines across the projected contour only. Every place along a line
-is a hypothesis for the boundary; its log-likelihood is the sum of the log density ratios on its inner side. The
-posterior's mean is the displacement, its variance the uncertainty.
+is a hypothesis for the boundary, whose log-likelihood is the sum of the log density ratios on its inner side.
 """
 
 from __future__ import annotations
@@ -104,8 +103,8 @@ def sample_lines(
 ) -> tuple[Float32, Int, Int]:
     """Bilinear values (N, 2 half + 1, C) along the lines, and the first and last usable sample of each (N,).
 
-    Sample k of a line is ``(k − half) · step`` px outward. Inward a line is usable while it stays on its own part,
-    outward while it stays off the body (outer contours) or off the part (inner ones). Other values are 0.
+    Sample k is ``(k − half) · step`` px outward. Inward a line is usable while it stays on its own part, outward while
+    it stays off the body (outer contours) or off the part (inner ones). Other values are 0.
     """
     face_index, face_part = visible
     pixels, normals, part, outer, _ = lines
@@ -266,9 +265,8 @@ def boundary_posterior(
 ) -> tuple[Float, Float, Float]:
     """Mean (px, outward), variance (px²) and evidence of the contour's displacement along each line.
 
-    The boundary may be half a step before or behind any usable sample. A sample's log density ratio is clipped to
-    ±`clip` nats per px against outliers. Evidence is the log-likelihood (nats) of the best place minus that of no
-    boundary on the line (all inside or all outside).
+    The boundary may be half a step before or behind any usable sample. Log density ratios are clipped to ±`clip` nats
+    per px. Evidence is the log-likelihood (nats) of the best place minus that of no boundary on the line.
     """
     N, length, channels = values.shape
     half = length // 2

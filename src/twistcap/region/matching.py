@@ -1,9 +1,8 @@
 """Shape matching: corresponding points of the image's contour and the body's.
 
-Two ways (Brox, Rosenhahn and Cremers, "Contours, Optic Flow, and Prior Knowledge", section 11.3.3; B. Rosenhahn et al.,
-"A comparison of shape matching methods for contour based pose estimation", IWCIA 2006, LNCS 4040, 263-276): the nearest
-point (`nearest_with_normal`), and a smooth field of displacements between the two signed distances, which also moves
-points along the contour with their neighbours.
+Two ways (Brox, Rosenhahn and Cremers, section 11.3.3; B. Rosenhahn et al., "A comparison of shape matching methods for
+contour based pose estimation", IWCIA 2006, LNCS 4040, 263-276): the nearest point (`nearest_with_normal`), and a smooth
+field of displacements between the two signed distances, which also moves points along the contour.
 """
 
 from __future__ import annotations
@@ -129,8 +128,8 @@ def displaced_partners(
 ) -> tuple[Float, Float]:
     """Partner (N, 2) px of each point (N, 2) px by the field, and its distance (N,).
 
-    Since the field is coarse, partners are moved to the zero level of `phi` (H, W). Where that fails, or the outward
-    normal there does not agree with the point's own (N, 2), the distance is infinite.
+    Partners are moved to the zero level of `phi` (H, W). Where that fails, or the outward normal there does not agree
+    with the point's own (N, 2), the distance is infinite.
     """
     return _on_contour(points, normals, points + flow.at(points), phi, least_cosine)
 

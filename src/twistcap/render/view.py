@@ -93,7 +93,8 @@ class RenderedView:
     @cached
     def part(self) -> Int:
         """(H, W) visible segment, -1 off the body."""
-        return np.append(self.posed.body.face_part, np.int32(-1))[self.face_index]  # −1 picks the last one
+        table = np.append(self.posed.body.face_part, np.int32(-1))  # −1 picks the last one
+        return table.take(self.face_index, mode="wrap")
 
     @cached
     def inside(self) -> Float32:
@@ -185,15 +186,27 @@ def off_rims_reference(nearness: Float32, inverse: bool) -> AnyArray:
 
 def body_window(posed: Posed, camera: AnyCamera, margin: float) -> tuple[tuple[int, int], tuple[int, int]] | None:
     """Origin (x, y) and size (w, h) of the image window that holds the body and `margin` px about it; None off it."""
-    pixels, w = project(camera.P, posed.vertices)
-    if not np.any(w > 0.0):
+    left, top, right, bottom = _bounds(camera.P, posed.vertices)
+    if left > right:
         return None
     width, height = camera.size
-    (left, top), (right, bottom) = pixels[w > 0.0].min(axis=0) - margin, pixels[w > 0.0].max(axis=0) + margin
+    left, top, right, bottom = left - margin, top - margin, right + margin, bottom + margin
     if right <= 0 or bottom <= 0 or left >= width - 1 or top >= height - 1:
         return None
     x, y = max(math.floor(left), 0), max(math.floor(top), 0)
     return (x, y), (min(math.ceil(right), width - 1) - x + 1, min(math.ceil(bottom), height - 1) - y + 1)
+
+
+@njit(cache=True, nogil=True)
+def _bounds(P: Float, points: Float) -> tuple[float, float, float, float]:
+    """Least x, y and greatest x, y (px) of world points' (N, 3) projections; infinite where all are behind it."""
+    left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
+    pixels, w = project(P, points)
+    for n in range(len(points)):
+        if w[n] > 0.0:
+            left, right = min(left, pixels[n, 0]), max(right, pixels[n, 0])
+            top, bottom = min(top, pixels[n, 1]), max(bottom, pixels[n, 1])
+    return left, top, right, bottom
 
 
 def surface_points(body: Body, corners: Int, weights: Float, keep: int = _KEEP) -> SurfacePoints:

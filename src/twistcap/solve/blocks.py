@@ -92,10 +92,7 @@ class PoseTrack:
 
 @dataclass(frozen=True)
 class CameraBlock:
-    """A pinhole camera's pose, and with `focal` its focal length.
-
-    The step is the left twist of `T_cam_world` (ω rad, v m; in the camera's axes), then log f.
-    """
+    """A pinhole camera. The step is the left twist of `T_cam_world` (ω rad, v m; in its axes), then log f."""
 
     camera: Camera
     focal: bool = False
@@ -114,11 +111,9 @@ class CameraBlock:
 
 @dataclass(frozen=True)
 class Variables:
-    """Named blocks, of which some are free; the whole step is that of the free blocks in the order of `free`.
+    """Named blocks, of which those in `free` move; the whole step is that of these blocks, in this order.
 
     Attributes:
-        blocks: by name.
-        free: names of those that move.
         longest: by name, the largest entry of a block's step, a number or one for each entry; by default 1 (rad, m).
         fixed: by name, which numbers of a free block do not move.
     """

@@ -154,10 +154,8 @@ class BlockProblem:
 
 @dataclass(frozen=True)
 class PoseProblem:
-    """The sum of terms as a problem of the pose alone.
-
-    Where it was linearised last, `rows` are the points and rows of its point terms, by the terms' `id`, and
-    `quadratics` those of all others.
+    """The sum of terms as a problem of the pose alone; `rows` of point terms and `quadratics` of the others, by `id` of
+    the terms, are those where it was linearised last.
     """
 
     terms: Sequence[Term]

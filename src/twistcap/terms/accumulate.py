@@ -206,15 +206,10 @@ def accumulate_beside(surface: SurfaceArrays, gradient: Float, row_weight: Float
             Y = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
             Z = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
             f0, f1, f2 = w * gradient[row, 0], w * gradient[row, 1], w * gradient[row, 2]
-            a0, a1, a2 = Y * f2 - Z * f1, Z * f0 - X * f2, X * f1 - Y * f0
-            for c in range(beside.shape[1]):
-                by = beside[row, c]
-                cross[s, 0, c] += a0 * by
-                cross[s, 1, c] += a1 * by
-                cross[s, 2, c] += a2 * by
-                cross[s, 3, c] += f0 * by
-                cross[s, 4, c] += f1 * by
-                cross[s, 5, c] += f2 * by
+            by_twist = (Y * f2 - Z * f1, Z * f0 - X * f2, X * f1 - Y * f0, f0, f1, f2)
+            for p in range(6):
+                for c in range(beside.shape[1]):
+                    cross[s, p, c] += by_twist[p] * beside[row, c]
 
 
 def dense_rows(surface: SurfaceArrays, gradient: Float, used: Int) -> Float:

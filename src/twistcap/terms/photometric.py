@@ -146,7 +146,7 @@ class PhotometricTerm(PointTerm):
         P, image: (3, 4) projection and (H, W) of the current view (blurred as the template's was).
         weight: (N,) information, 1/brightness².
         scale: (N,) brightness difference from which a point is down-weighted.
-        exposure: (2,) relative gain and offset of the present image against the template's.
+        exposure: (2,) relative gain and offset against the template.
     """
 
     P: Float

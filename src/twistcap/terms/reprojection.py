@@ -32,8 +32,7 @@ class ReprojectionTerm:
     Attributes:
         marks: (N,) landmarks of the body.
         target: (N, 2) px of the pinhole camera.
-        weight: (N,) confidence, 0 for missing keypoints.
-        sigma: (N,) px, standard deviation.
+        weight, sigma: (N,) confidence, 0 for missing keypoints; standard deviation, px.
         reach: standard deviations from which a keypoint is down-weighted.
         camera, poses, shape: names of the blocks: a `CameraBlock`, a `PoseTrack`, and one with `body`, and
             `rates(posed)` (L, 3, K), the derivative of the landmarks by its step.
