@@ -128,7 +128,7 @@ class ScaledView:
 
     @staticmethod
     def of(camera: Camera, root: Float, perspective: bool = False) -> ScaledView:
-        """The view nearest to a pinhole camera's of a body at `root` (4, 4), exact at its origin or in `perspective`."""
+        """A pinhole camera's view of a body at `root` (4, 4), exact at its origin, with `perspective` everywhere."""
         at = se3.apply(camera.T_cam_world, root[None, :3, 3])[0]
         towards = _towards(at)
         scale = 0.5 * float(camera.K[0, 0] + camera.K[1, 1]) / float(np.linalg.norm(at))
