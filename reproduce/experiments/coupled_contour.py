@@ -26,7 +26,7 @@ from twistcap.errors import InputError
 from twistcap.evaluate import Row, row
 from twistcap.region.densities import heaviside
 from twistcap.region.levelset import signed_distance, zero_crossings
-from twistcap.region.models import region_model
+from twistcap.region.models import RegionModel
 from twistcap.render import RenderedView
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import Model, Settings
@@ -65,7 +65,7 @@ class FreeContour(LevelSetContour):
         height, across = seen.mask.shape
         whole = self.regions.setdefault(index, _on_canvas(seen.mask, (x, y), self._size(index)))
         before = whole[y : y + height, x : x + across]
-        model = region_model(self.density or "local", self.rho * seen.px_per_m, self.floor, self.prior_mass, 0.02)
+        model = RegionModel(self.density or "local", self.rho * seen.px_per_m, self.floor, self.prior_mass, 0.02)
         inside = before if before.all() or not before.any() else segment(view.features, before, model, self.evolution)
         whole[y : y + height, x : x + across] = inside
         phi = signed_distance(inside)

@@ -24,11 +24,10 @@ from reproduce.scenes.textures import DIFFERENCES, Difference, texture_scene
 from reproduce.segment import segment
 from twistcap.evaluate import Row, row
 from twistcap.evaluate.metrics import iou
-from twistcap.features import Texture, feature_channels
-from twistcap.features.channels import Channels
-from twistcap.region.models import GlobalGaussian
+from twistcap.features import Channels, Texture, feature_channels
+from twistcap.region.models import RegionModel
 
-MODEL = GlobalGaussian(floor=4e-4)
+MODEL = RegionModel("global")
 CROP = (250, 150)  # px, a person of the studio
 WITH, WITHOUT = "grey + texture", "grey"
 ARMS: tuple[tuple[str, Channels, Texture], ...] = (

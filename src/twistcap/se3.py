@@ -127,19 +127,18 @@ def adjoint(motion: ArrayLike) -> Float:
     """``Ad_g`` with ``g exp(ξ̂) g⁻¹ = exp((Ad_g ξ)^)`` for twists (ω, v). (..., 4, 4) -> (..., 6, 6)."""
     T = np.asarray(motion, dtype=np.float64)
     R = T[..., :3, :3]
-    out = np.zeros((*T.shape[:-2], 6, 6))
-    out[..., :3, :3] = out[..., 3:, 3:] = R
-    out[..., 3:, :3] = hat(T[..., :3, 3]) @ R
-    return out
+    return _block_triangular(R, hat(T[..., :3, 3]) @ R)
 
 
 def bracket_matrix(twist: ArrayLike) -> Float:
     """``ad_ξ``, the derivative of `adjoint` at the identity. (..., 6) -> (..., 6, 6)."""
     xi = np.asarray(twist, dtype=np.float64)
-    out = np.zeros((*xi.shape[:-1], 6, 6))
-    out[..., :3, :3] = out[..., 3:, 3:] = hat(xi[..., :3])
-    out[..., 3:, :3] = hat(xi[..., 3:])
-    return out
+    return _block_triangular(hat(xi[..., :3]), hat(xi[..., 3:]))
+
+
+def _block_triangular(on: Float, below: Float) -> Float:
+    """(..., 6, 6) of the same block (..., 3, 3) twice on the diagonal, and one below it."""
+    return np.block([[on, np.zeros_like(on)], [below, on]])
 
 
 def left_jacobian(twist: ArrayLike) -> Float:
@@ -243,10 +242,7 @@ def exp_one(twist: Float) -> Float:
 
 @njit(cache=True, nogil=True)
 def compose_one(A: Float, B: Float) -> Float:
-    """``A B`` of single motions (4, 4), orthonormalised by a Newton step of the polar decomposition.
-
-    The step ``R <- R (3 I - RᵀR) / 2`` squares the rounding error.
-    """
+    """``A B`` of single motions (4, 4), orthonormalised: ``R <- R (3 I - RᵀR) / 2`` squares the rounding error."""
     out = np.zeros((4, 4))
     R = np.empty((3, 3))
     for i in range(3):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from reproduce.experiments.body_fit import girth_errors
+from support.blocks import whole_matrix
 from support.commands import document, refusal, run
 from twistcap.adjust.body_fit import FitRule, Take, fit_body
 from twistcap.adjust.body_fit import fields as f
@@ -30,7 +31,7 @@ from twistcap.render.contour import reprojected
 from twistcap.render.view import surface_points
 from twistcap.studio import StudioConfig, capture
 from twistcap.studio.mismatch import bumpy, fattened, with_joint_noise
-from twistcap.studio.ring import ring
+from twistcap.studio.scene import ring
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +114,7 @@ def test_the_sums_are_those_of_stacked_rows(body) -> None:
         H += J.T @ (weight[:, None] * J)
         g -= J.T @ (weight * distance)
     np.testing.assert_allclose(np.concatenate([arrow.pull.ravel(), arrow.shared_pull]), g, atol=1e-6 * np.abs(g).max())
-    np.testing.assert_allclose(arrow.dense(), H, atol=1e-9 * np.abs(H).max())
+    np.testing.assert_allclose(whole_matrix(arrow), H, atol=1e-9 * np.abs(H).max())
     assert arrow.value == pytest.approx(sum(problem.energies(x).values()))
     for k in (3, D + 9, 2 * D + 4, 2 * D + 30, 2 * D + M - 200):
         step = 1e-6 * np.eye(len(g))[k]

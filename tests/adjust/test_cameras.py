@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from support.blocks import FixedShape, step_between
 from twistcap.camera import Camera
 from twistcap.solve import Arrow, BlockProblem, CameraBlock, PoseTrack, Variables, Vector, minimise
-from twistcap.solve.blocks import FixedShape
 from twistcap.studio import StudioConfig, capture
 from twistcap.terms import GaussianTerm, OnPose, ReprojectionTerm
 
@@ -39,7 +39,7 @@ def test_a_bumped_camera_and_a_late_clock_are_found(focal: bool) -> None:
     found = minimise(BlockProblem(terms, reach=1), x, steps=30, damping=1e-6, gain=1e-5)
     assert found.status == "converged"
 
-    off, late = found.x[f"camera {BUMPED}"].minus(there), found.x["clock"].values[0]
+    off, late = step_between(found.x[f"camera {BUMPED}"], there), found.x["clock"].values[0]
     if not focal:  # which a person in the middle of the ring hardly tells from the distance
         assert np.rad2deg(np.linalg.norm(off[:3])) < 0.15 and np.linalg.norm(off[3:6]) < 0.011
     shift = (

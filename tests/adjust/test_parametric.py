@@ -22,7 +22,7 @@ from twistcap.body.humanoid import humanoid
 from twistcap.camera import Camera, Rig, look_at
 from twistcap.errors import InputError
 from twistcap.studio import StudioConfig, capture
-from twistcap.studio.ring import ring
+from twistcap.studio.scene import ring
 
 needs_anny = pytest.mark.skipif(
     any(importlib.util.find_spec(name) is None for name in ("anny", "torch", "warp")),

@@ -7,16 +7,16 @@ import pytest
 
 from reproduce.scenes.textures import DIFFERENCES, Difference, texture_scene
 from reproduce.segment import segment
+from support.readable import tv_step_reference
 from twistcap.errors import InputError
-from twistcap.features import Texture, feature_channels
-from twistcap.features.channels import Channels
+from twistcap.features import Channels, Texture, feature_channels
 from twistcap.features.texture import flow_speed, grid_planes, structure_tensor, structure_tensor_reference
-from twistcap.features.tvflow import tv_step, tv_step_reference
-from twistcap.region.models import GlobalGaussian
+from twistcap.features.tvflow import tv_step
+from twistcap.region.models import RegionModel
 
 PAPERS = Texture(resolution=1, blend=True)
 COUNTS: dict[Channels, int] = {"grey": 1, "lab": 3, "grey+texture": 5, "lab+texture": 7}
-MODEL = GlobalGaussian(floor=4e-4)
+MODEL = RegionModel("global")
 
 
 def noise(seed: int, *shape: int) -> np.ndarray:

@@ -9,10 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
+from support.readable import blockwise_log_ratio_reference
 from twistcap.body import Posed
 from twistcap.cues.levelset import LevelSetContour, _contrast
 from twistcap.cues.view import View, crop_view
-from twistcap.region.densities import blockwise_log_ratio, blockwise_log_ratio_reference, global_log_ratio, heaviside
+from twistcap.region.densities import blockwise_log_ratio, global_log_ratio, heaviside
 from twistcap.region.levelset import (
     evolve,
     evolve_reference,

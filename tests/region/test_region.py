@@ -6,16 +6,15 @@ import cv2
 import numpy as np
 import pytest
 
-from twistcap.region.lines import (
-    boundary_posterior,
-    line_moments,
-    pooled_gaussians,
-    sample_lines,
-)
+from twistcap.region.lines import LineSettings, boundary_posterior, line_moments, pooled_gaussians, sample_lines
 from twistcap.region.lines_reference import boundary_posterior_reference
 
 HALF, FLOOR, CLIP = 12, 4e-4, 3.0
 UNKNOWN = np.zeros((8, 7))  # no colours are remembered of any part
+
+
+def how(rho: float, prior_mass: float, colour_mass: float) -> LineSettings:
+    return LineSettings(HALF, CLIP, 1.0, 1.0, 0.25, 0.0, rho, prior_mass, FLOOR, float(colour_mass))
 
 
 def edge_image(normal: np.ndarray, offset: float, noise: float, seed: int = 0) -> np.ndarray:
@@ -54,7 +53,7 @@ def measured(
     values, first, last = sample_lines(image, (part_at(normal, offset), np.arange(1)), lines, steps, HALF)
     assert np.all(first == 0) and np.all(last == 2 * HALF)
     mean, variance = pooled_gaussians(
-        line_moments(values, first, last, steps), pixels, part, 20.0, 3.0, FLOOR, UNKNOWN, 0.0
+        line_moments(values, first, last, steps), pixels, part, UNKNOWN, how(20.0, 3.0, 0.0)
     )
     return boundary_posterior(values, first, last, steps, mean, variance, CLIP)
 
@@ -178,7 +177,7 @@ def test_line_moments_and_pooled_gaussians_are_weighted_statistics() -> None:
     rng = np.random.default_rng(3)
     pixels, part = rng.uniform(0, 30, (n, 2)), rng.integers(0, 2, n).astype(np.int32)
     mean, variance = pooled_gaussians(
-        line_moments(values, first, last, step), pixels, part, rho, prior, FLOOR, UNKNOWN, 0.0
+        line_moments(values, first, last, step), pixels, part, UNKNOWN, how(rho, prior, 0.0)
     )
     for i in range(n):
         for side in range(2):
@@ -204,7 +203,7 @@ def test_a_part_without_samples_outside_takes_those_of_the_whole_body() -> None:
     part[0], last[0] = 1, HALF  # nothing usable outward
     pixels = np.random.default_rng(0).uniform(0, 30, (len(values), 2))
     moments = line_moments(values, first, last, step)
-    mean, variance = pooled_gaussians(moments, pixels, part, 9.0, 3.0, FLOOR, UNKNOWN, 0.0)
+    mean, variance = pooled_gaussians(moments, pixels, part, UNKNOWN, how(9.0, 3.0, 0.0))
     everything = moments[:, 1].sum(axis=0)
     np.testing.assert_allclose(mean[0, 1], everything[1:4] / everything[0], rtol=1e-9)
     assert np.all(np.isfinite(variance)) and variance.min() >= FLOOR
@@ -216,10 +215,10 @@ def test_remembered_colours_take_the_place_of_the_parts_own() -> None:
     moments = line_moments(values, first, last, step)
     colours = np.zeros((1, 7))
     colours[0] = [0.5, 0.1, 0.2, 0.3, 0.1**2 + 1e-3, 0.2**2 + 1e-3, 0.3**2 + 1e-3]
-    mean, variance = pooled_gaussians(moments, pixels, part, 9.0, 3.0, FLOOR, colours, 2e9)
+    mean, variance = pooled_gaussians(moments, pixels, part, colours, how(9.0, 3.0, 2e9))
     np.testing.assert_allclose(mean[:, 0], np.tile(colours[0, 1:4], (len(values), 1)), atol=1e-5)
     np.testing.assert_allclose(variance[:, 0], 1e-3 + FLOOR, atol=1e-5)
-    plain, _ = pooled_gaussians(moments, pixels, part, 9.0, 3.0, FLOOR, UNKNOWN, 0.0)
+    plain, _ = pooled_gaussians(moments, pixels, part, UNKNOWN, how(9.0, 3.0, 0.0))
     np.testing.assert_array_equal(mean[:, 1], plain[:, 1])  # the background has no memory
-    halved, _ = pooled_gaussians(moments, pixels, part, 1e-6, 3.0, FLOOR, colours, 2.0 * moments[0, 0, 0])
+    halved, _ = pooled_gaussians(moments, pixels, part, colours, how(1e-6, 3.0, 2.0 * moments[0, 0, 0]))
     np.testing.assert_allclose(halved[0, 0, 0], 0.5 * (moments[0, 0, 1] / moments[0, 0, 0] + 0.1), rtol=1e-6)

@@ -11,10 +11,9 @@ import pytest
 from support.twins import check_twin
 from twistcap.region import lines
 from twistcap.region.compare import BLOCK, background_moments, label_evidence
-from twistcap.region.densities import heaviside
+from twistcap.region.densities import add_interpolated, heaviside, histograms
 from twistcap.region.levelset import nearest_with_normal, signed_distance, zero_crossings
 from twistcap.region.matching import relax
-from twistcap.region.parzen import add_interpolated, histograms
 
 H, W, N, HALF = 50, 70, 60, 9
 SETTINGS = lines.LineSettings(
@@ -51,7 +50,7 @@ def test_lines_are_measured_as_by_the_twins(channels: int) -> None:
     colours[1] = 0.0
     pixels, part = view_lines[0], view_lines[2]
     for group in (part, np.zeros_like(part)):
-        check_twin(lines.pooled_gaussians, moments, pixels, group, 9.0, 3.0, 4e-4, colours, 20.0, rtol=1e-6)
+        check_twin(lines.pooled_gaussians, moments, pixels, group, colours, SETTINGS, rtol=1e-6)
         check_twin(
             lines.measured_lines, image, visible, view_lines, group, colours, 4.0, SETTINGS, rtol=0.02, atol=0.02
         )

@@ -9,33 +9,24 @@ import numpy as np
 import pytest
 from scipy.stats import gaussian_kde
 
+from support.readable import blockwise_log_ratio_reference
 from twistcap.body import Posed
 from twistcap.build import build
 from twistcap.cues.direct import DirectContour
 from twistcap.cues.levelset import LevelSetContour
 from twistcap.cues.view import View, crop_view
 from twistcap.errors import InputError
-from twistcap.features.channels import Channels
+from twistcap.features import Channels
 from twistcap.io.session import tracker_settings
-from twistcap.region.densities import blockwise_log_ratio_reference, heaviside
+from twistcap.region.densities import heaviside, parzen_densities, parzen_log_ratio
 from twistcap.region.lines import LineSettings, ratio_lines
-from twistcap.region.models import (
-    Density,
-    GlobalGaussian,
-    GlobalParzen,
-    LocalGaussian,
-    RegionModel,
-    log_ratio_by_part,
-    nearest_part,
-    region_model,
-)
-from twistcap.region.parzen import parzen_densities, parzen_log_ratio
+from twistcap.region.models import Density, RegionModel, log_ratio_by_part, nearest_part
 from twistcap.render import RenderedView, render, visible_contour
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.terms import PointNormalTerm, PointRayTerm
 from twistcap.track import Settings, track
 
-MODELS: tuple[RegionModel, ...] = (LocalGaussian(rho=8.0), GlobalGaussian(), GlobalParzen())
+MODELS = (RegionModel("local", rho=8.0), RegionModel("global"), RegionModel("parzen"))
 DENSITIES: tuple[Density, ...] = ("local", "global", "parzen")
 
 
@@ -81,7 +72,7 @@ def test_no_logarithm_of_nothing() -> None:
     for model in MODELS:
         for image, one in ((values, half), (two, half), (two, nothing)):
             assert np.all(np.isfinite(model.log_ratio(image, one, 1 - one, 1.0)))
-    ratio = GlobalParzen(sigma=0.02, floor=0.05).log_ratio(two, half, 1 - half, 1.0)
+    ratio = RegionModel("parzen").log_ratio(two, half, 1 - half, 1.0)
     top = np.log((1 / (0.02 * np.sqrt(2 * np.pi)) + 0.05) / 0.05)
     assert ratio[0, 0] == pytest.approx(top, rel=0.02) and ratio[19, 0] == pytest.approx(-top, rel=0.02)
 
@@ -105,7 +96,7 @@ def test_parzen_tells_two_humps_where_a_gaussian_cannot() -> None:
 
 
 @pytest.mark.parametrize("channels", [1, 3, 5, 7])
-@pytest.mark.parametrize("model", MODELS, ids=lambda m: type(m).__name__)
+@pytest.mark.parametrize("model", MODELS, ids=lambda m: m.density)
 def test_any_number_of_channels(model: RegionModel, channels: int) -> None:
     """Independent channels add up; those that say nothing add nothing."""
     rng = np.random.default_rng(channels)
@@ -120,7 +111,7 @@ def test_any_number_of_channels(model: RegionModel, channels: int) -> None:
 def test_local_model_is_the_pixelwise_one() -> None:
     values = cv2.GaussianBlur(samples(4)[0], (0, 0), 2.0)
     inside = heaviside(np.linspace(-10, 10, 2000, dtype=np.float32).reshape(40, 50), 2.0)
-    found = LocalGaussian(rho=0.05).log_ratio(values[..., None], inside, 1 - inside, 100.0)
+    found = RegionModel("local", rho=0.05).log_ratio(values[..., None], inside, 1 - inside, 100.0)
     exact = blockwise_log_ratio_reference(values[..., None], inside, 5.0, 4e-4, 0.02)
     assert np.corrcoef(found.ravel(), exact.ravel())[0, 1] > 0.97
 
@@ -134,7 +125,7 @@ def test_a_part_is_held_against_its_own_colours(density: Density) -> None:
     image = np.where(part == 0, 0.2, np.where(part == 1, 0.8, 0.5)) + 0.03 * rng.standard_normal(part.shape)
     features, inside = image.astype(np.float32)[..., None], (part >= 0).astype(np.float32)
     near, wanted = nearest_part(part), np.ones(part.shape, bool)
-    model = region_model(density, 0.06, 4e-4, 0.02, 0.03)
+    model = RegionModel(density, 0.06, 4e-4, 0.02, 0.03)
     ratio = log_ratio_by_part(model, features, inside, near, 100.0, wanted)
     assert np.mean((ratio > 0) == (part >= 0)) > 0.99
     one = model.log_ratio(features, (part == 0).astype(np.float32), 1 - inside, 100.0)
@@ -250,6 +241,6 @@ def test_one_line_of_a_session_chooses_the_model(method: str) -> None:
 def test_an_unknown_model_is_an_error_that_names_those_there_are() -> None:
     with pytest.raises(InputError, match=r"'tracker.density' is 'histogram'.*'local', 'global' or 'parzen'"):
         tracker_settings({"density": "histogram"}, "s.toml")
-    with pytest.raises(InputError, match="choose one of local, global, parzen"):
-        region_model("histogram", 1.0, 1.0, 1.0, 1.0)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="must be one of local, global, parzen"):
+        RegionModel("histogram", 1.0, 1.0, 1.0, 1.0)  # type: ignore[arg-type]
     assert Settings().density == "local"

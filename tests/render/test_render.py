@@ -7,6 +7,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from support.readable import blend_binding_reference
 from support.shapes import camera_at, outline, round_mesh, two_part_body
 from twistcap import se3
 from twistcap.body import Body, Pose, Posed
@@ -17,7 +18,7 @@ from twistcap.camera.projection import project, projected
 from twistcap.render import ContourPoints, RenderedView, render, visible_contour
 from twistcap.render.contour import reprojected
 from twistcap.render.raster import barycentric, rasterise, rasterise_reference
-from twistcap.render.view import blend_binding_reference, body_window, surface_points
+from twistcap.render.view import body_window, surface_points
 
 ORIGIN = np.zeros(3)
 EYE = (3.0, 0.4, 0.5)

@@ -6,7 +6,7 @@ import numpy as np
 
 from reproduce.scenes.elsewhere import HORIZON, elsewhere, tones_of
 from twistcap.features.colour import grey
-from twistcap.region.models import GlobalParzen, LocalGaussian
+from twistcap.region.models import RegionModel
 from twistcap.studio import StudioConfig
 
 
@@ -34,7 +34,7 @@ def test_a_local_density_tells_bare_arms_from_the_room_and_a_global_one_does_not
     keep = inside[pixels[:, 1], pixels[:, 0]] > 0
     ratios = [
         model.log_ratio(features, inside, np.float32(1.0) - inside, 110.0)[pixels[keep, 1], pixels[keep, 0]]
-        for model in (GlobalParzen(), LocalGaussian())
+        for model in (RegionModel("parzen"), RegionModel("local"))
     ]
     assert np.median(ratios[0]) < 0.5  # nats: it cannot tell
     assert np.median(ratios[1]) > 1.5

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from support.blocks import whole_matrix
 from twistcap.errors import InputError
 from twistcap.solve import Arrow
 
@@ -22,7 +23,7 @@ def test_the_arrow_is_solved_as_the_dense_matrix(frames: int, reach: int) -> Non
         arrow.add_rows(met, J, rng.normal(size=(N, K)), rng.uniform(0.1, 1, N), rng.normal(size=N))
         arrow.add_pose(t, rng.normal(size=D), np.eye(D))
     arrow.corner += np.eye(K)
-    marginals, inverse = arrow.marginals(), np.linalg.inv(arrow.dense())
+    marginals, inverse = arrow.marginals(), np.linalg.inv(whole_matrix(arrow))
     step = -inverse @ np.concatenate([arrow.pull.ravel(), arrow.shared_pull])
     arrow.longest = arrow.shared_longest = np.inf
     np.testing.assert_allclose(arrow.step(), step, atol=1e-12)

@@ -23,11 +23,9 @@ from twistcap.studio import Capture, StudioConfig, capture, ring
 from twistcap.studio import mismatch as M
 from twistcap.studio.config import stream
 from twistcap.studio.look import Look, look
-from twistcap.studio.marring import paint_rectangles, replace_pixels
 from twistcap.studio.motion import gait
-from twistcap.studio.picture import render_body
+from twistcap.studio.picture import OCTAVES, paint_rectangles, render_body, replace_pixels, solid_noise
 from twistcap.studio.scene import PERSON_HEIGHT
-from twistcap.studio.shade import OCTAVES, solid_noise
 
 SMALL = StudioConfig(seed=3, views=2, frames=3, size=(192, 140))
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from support.blocks import step_between, whole_matrix
 from support.finite_differences import check_jacobian
 from support.shapes import camera_at
 from twistcap import se3
@@ -14,7 +15,6 @@ from twistcap.body import Body, Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.camera import pinhole
 from twistcap.solve import BlockProblem, CameraBlock, PoseTrack, Variables, Vector
-from twistcap.solve.blocks import FixedShape
 from twistcap.solve.problem import ArrowSums, DenseSums
 from twistcap.terms import BlockGaussian, LimitTerm, OnPose, Place, ReprojectionTerm, Slope
 from twistcap.terms.reprojection import camera_rates
@@ -70,16 +70,21 @@ def test_rows_are_the_derivatives_of_the_residuals(clock: str | None) -> None:
     term = replace(a_term(x, clock), weight=np.ones(len(BODY.landmarks.names)), reach=1e9)
     J = np.zeros((2 * len(term.marks), x.dof))
 
+    def residuals(x: Variables) -> Array:
+        pose = x["poses"].poses[1] if clock is None else x["poses"].at(x["poses"].times[1] + x["clock"].values[0]).pose
+        points = Posed(x["growth"].body, pose).landmarks[term.marks]
+        return ((pinhole(x["camera"].camera.P, points)[0] - term.target) / term.sigma[:, None]).ravel()
+
     class Gathered:
         def add_rows(self, energy: float, slopes: list[Slope], weight: Array, residual: Array) -> None:
             np.testing.assert_allclose(weight, 1.0)
-            np.testing.assert_allclose(residual, term.residuals(x).ravel())
+            np.testing.assert_allclose(residual, residuals(x))
             for slope in slopes:
                 start = x.slices[slope.block].start + slope.first
                 J[:, start : start + slope.by.shape[1]] += slope.by
 
     term.add_to(Gathered(), x)
-    check_jacobian(lambda d: term.residuals(x.retract(d)).ravel(), J, np.zeros(x.dof), rtol=1e-5, atol=1e-5)
+    check_jacobian(lambda d: residuals(x.retract(d)), J, np.zeros(x.dof), rtol=1e-5, atol=1e-5)
     assert np.abs(J[:, x.slices["camera"]]).max() > 1 and np.abs(J[:, x.slices["poses"]]).max() > 1
     assert np.any(J[:, x.slices["clock"]]) == (clock is not None)
 
@@ -103,7 +108,7 @@ def test_arrow_and_dense_are_one_system() -> None:
     terms = [a_term(x), replace(a_term(x, None), frame=2), OnPose(LimitTerm(0.1), BODY, frame=2)]
     problem = BlockProblem([*terms, BlockGaussian("growth", np.zeros(1), np.array([0.1]))])
     dense, arrow = problem.dense(x), problem.arrow(x, reach=1)
-    np.testing.assert_allclose(arrow.dense(), dense.hessian, atol=1e-9 * np.abs(dense.hessian).max())
+    np.testing.assert_allclose(whole_matrix(arrow), dense.hessian, atol=1e-9 * np.abs(dense.hessian).max())
     np.testing.assert_allclose(np.r_[arrow.pull.ravel(), arrow.shared_pull], dense.gradient, rtol=1e-9, atol=1e-9)
     assert arrow.value == pytest.approx(dense.value)
     assert isinstance(ArrowSums(x, 1).arrow.shared_longest, np.ndarray) and DenseSums(x).value == 0.0
@@ -123,11 +128,11 @@ def test_a_quadratic_of_several_blocks_is_added_in_both_systems(free: tuple[str,
     for sums in (dense, arrow):
         sums.add_quadratic(places, 0.5, q, H)
     step = np.random.default_rng(5).normal(size=x.dof)
-    full = x.retract(step).minus(x)
+    full = step_between(x.retract(step), x)
     pick = lambda name, k: full[x.slices[name].start + k] if name in free else 0.0  # noqa: E731
     d = np.r_[pick("clock", 0), full[2 * D : 3 * D], pick("camera", 2), pick("growth", 0)]
     assert dense.gradient @ step == pytest.approx(q @ d) and step @ dense.hessian @ step == pytest.approx(d @ H @ d)
-    np.testing.assert_allclose(arrow.arrow.dense(), dense.hessian)
+    np.testing.assert_allclose(whole_matrix(arrow.arrow), dense.hessian)
     np.testing.assert_allclose(np.r_[arrow.arrow.pull.ravel(), arrow.arrow.shared_pull], dense.gradient)
     assert arrow.arrow.value == dense.value == 0.5
 
@@ -161,7 +166,3 @@ def test_behind_the_camera_a_keypoint_is_wrong_and_counts_for_nothing() -> None:
     system = problem.dense(x)
     assert np.isfinite(system.value) and not system.gradient.any()
     assert system.value == pytest.approx(0.5 * 9.0 * a_term(x).weight.sum(), rel=1e-6)
-
-
-def test_a_fixed_shape_has_no_rates() -> None:
-    assert FixedShape(BODY).rates(Posed(BODY, Pose.rest(BODY))).shape == (len(BODY.landmarks.names), 3, 0)

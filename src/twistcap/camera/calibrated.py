@@ -20,13 +20,11 @@ from twistcap.camera.projection import OF_W
 
 @dataclass(frozen=True)
 class Camera:
-    """One calibrated camera.
+    """One calibrated camera, its name as in the calibration file.
 
     Attributes:
-        name: as in the calibration file.
-        K: (3, 3) intrinsic matrix, pixels.
+        K, size: (3, 3) intrinsic matrix and (width, height), pixels.
         T_cam_world: (4, 4) world to camera, metres.
-        size: (width, height) in pixels.
         dist: (5,) OpenCV distortion k1, k2, p1, p2, k3.
     """
 
@@ -114,11 +112,7 @@ def pinhole(P: Float, points: Float) -> tuple[Float, Float, Float]:
     """Pixels (..., 2), depths (...,) m, and the derivative (..., 2, 3) of the pixels by the points (..., 3), m.
 
     ``π(X) = (h₁, h₂) / h₃`` with ``h = P (X, 1)``; its derivative is ``(P₁₂ − π P₃) / h₃``. Behind the camera (depth 0
-    or less) pixels have no meaning.
-
-    Args:
-        P: (..., 3, 4) projection matrices, one for all points or one for each set (N, 3) of them.
-        points: (..., N, 3).
+    or less) pixels have no meaning. P (..., 3, 4) is one for all points or one for each set (N, 3) of them.
     """
     h = points @ np.swapaxes(P[..., :3], -1, -2) + P[..., None, :, 3]
     depth = h[..., 2]

@@ -31,8 +31,7 @@ class ScaledView:
 
     Attributes:
         rotation: (3, 3) body frame to camera (x right, y down, z forward).
-        scale: px/m.
-        shift: (2,) image of the body frame's origin, px.
+        scale, shift: px/m, and the image (2,) of the body frame's origin, px.
         K: (3, 3) intrinsic matrix of a pinhole camera, px; None for scaled orthography.
         size: (width, height) of its image, px; (0, 0) where it is not known yet.
     """
@@ -44,11 +43,7 @@ class ScaledView:
     size: tuple[int, int] = (0, 0)
 
     def pixels(self, points: Float) -> Float:
-        """Points (..., 3) m of the body frame to pixels (..., 2).
-
-        Raises:
-            InputError: where a point is behind a pinhole.
-        """
+        """Pixels (..., 2) of points (..., 3) m of the body frame. Raises InputError where one is behind a pinhole."""
         P = self.P
         homogeneous = points @ P[:, :3].T + P[:, 3]
         if not np.all(homogeneous[..., 2] > 0.0):
@@ -76,10 +71,7 @@ class ScaledView:
 
     @cached_property
     def nearness_row(self) -> Float:
-        """(4,) for a nearness of `REACH` at the origin that falls by 1 per metre of depth.
-
-        For a pinhole it is linear in the inverse depth, with that slope at the origin's depth.
-        """
+        """(4,) for a nearness of `REACH` at the origin that falls, there or everywhere, by 1 per metre of depth."""
         if self.K is None:
             return np.append(-self.rotation[2], REACH)
         at = self.P[2, 3]
@@ -92,7 +84,6 @@ class ScaledView:
 
     @property
     def dof(self) -> int:
-        """Numbers of its motion."""
         return ROOT
 
     def retract(self, phi: Float) -> ScaledView:
@@ -101,10 +92,7 @@ class ScaledView:
         return replace(self, rotation=turned, scale=self.scale * float(np.exp(phi[0])), shift=self.shift + phi[1:3])
 
     def root_step(self) -> Float:
-        """(6, 6) derivative by φ of the body's twist (ω, v; about its origin, in its frame).
-
-        Without K the growth s' does not move the body: its column is 0.
-        """
+        """(6, 6) derivative by φ of the body's twist (ω, v; about its origin, in its frame); without K 0 by s'."""
         out = np.zeros((ROOT, ROOT))
         out[:3, 3:] = self.rotation.T
         if self.K is None:
@@ -140,10 +128,7 @@ class ScaledView:
 
     @staticmethod
     def of(camera: Camera, root: Float, perspective: bool = False) -> ScaledView:
-        """The view nearest to a pinhole camera's of a body at `root` (4, 4): exact at the body's origin.
-
-        With `perspective` it is the camera's own everywhere, distortion left out.
-        """
+        """A pinhole camera's view of a body at `root` (4, 4), exact at its origin, with `perspective` everywhere."""
         at = se3.apply(camera.T_cam_world, root[None, :3, 3])[0]
         towards = _towards(at)
         scale = 0.5 * float(camera.K[0, 0] + camera.K[1, 1]) / float(np.linalg.norm(at))

@@ -13,7 +13,7 @@ from twistcap.cues.contour import ContourCue, ContourEvidence, part_agreement
 from twistcap.cues.view import View
 from twistcap.region.levelset import signed_distance
 from twistcap.region.lines import Lines, LineSettings, Measured, measured_lines, ratio_lines
-from twistcap.region.models import Density, Statistics, log_ratio_by_part, nearest_part, region_model
+from twistcap.region.models import Density, RegionModel, Statistics, log_ratio_by_part, nearest_part
 from twistcap.render import ContourPoints, RenderedView
 from twistcap.terms import PointNormalTerm
 
@@ -107,7 +107,7 @@ class DirectContour(ContourCue):
     ) -> Measured:
         """Any region model, whose log ratio on the image is looked up along the lines."""
         longest = reach * float(contour.inverse_depth.max(initial=0.0))
-        model = region_model(self.density or "local", self.rho, self.floor, 0.0, self.parzen_sigma)
+        model = RegionModel(self.density or "local", self.rho, self.floor, 0.0, self.parzen_sigma)
         inside, wanted = seen.mask.astype(np.float32), np.abs(signed_distance(seen.mask)) <= longest + 2.0
         if self.statistics == "part":
             part = nearest_part(seen.part)

@@ -20,7 +20,7 @@ from twistcap.cues.view import View
 from twistcap.region.densities import heaviside
 from twistcap.region.levelset import evolve, nearest_with_normal, signed_distance, zero_crossings
 from twistcap.region.matching import VariationalRule, displaced_partners, displacement
-from twistcap.region.models import Density, Statistics, log_ratio_by_part, nearest_part, region_model
+from twistcap.region.models import Density, RegionModel, Statistics, log_ratio_by_part, nearest_part
 from twistcap.render import ContourPoints, RenderedView
 from twistcap.terms import PointRayTerm
 
@@ -143,9 +143,7 @@ class LevelSetContour(ContourCue):
 
     def _log_ratio(self, view: View, seen: RenderedView, phi: Float32, band: float, stretch: float) -> Float32:
         """The ratio within `band` px of the contour; beyond it nobody asks, and it is 0 or right."""
-        model = region_model(
-            self.density or "local", stretch * self.rho, self.floor, self.prior_mass, self.parzen_sigma
-        )
+        model = RegionModel(self.density or "local", stretch * self.rho, self.floor, self.prior_mass, self.parzen_sigma)
         inside, wanted = heaviside(phi, 0.7), np.abs(phi) <= band
         gap = self.gap * seen.px_per_m
         outside = np.float32(1.0) - (heaviside(phi + np.float32(gap), 0.7) if gap > 0.0 else inside)

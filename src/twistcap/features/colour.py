@@ -11,8 +11,6 @@ from twistcap.arrays import AnyArray, Float32
 _BYTE = np.arange(256, dtype=np.float32)
 _BYTE_TO_FLOAT = (_BYTE / 255.0)[None]
 _STEPS = 16384  # of the tabulated cube root; the error of CIELAB is then below that of half a byte
-
-
 _FIELD, _SUBSTEPS = 21, 64  # bits of each of the three packed numbers, and their unit: so many to a step
 
 
@@ -56,12 +54,7 @@ _OPPONENT = np.array([[0.299, 0.587, 0.114], [0.707, -0.707, 0.0], [0.408, 0.408
 
 
 def opponent(image: AnyArray, colour: bool = True) -> Float32:
-    """(C, H, W) grey in [0, 1], and for RGB images the opponent colours red-green and yellow-blue.
-
-    Args:
-        image: (H, W) or (H, W, 3), uint8 or in [0, 1].
-        colour: False gives grey only.
-    """
+    """(C, H, W) grey in [0, 1], and for RGB images (H, W, 3), where wanted, the colours red-green and yellow-blue."""
     values = image.astype(np.float32) / np.float32(255.0 if image.dtype == np.uint8 else 1.0)
     if values.ndim == 2:
         return values[None]

@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 
 from twistcap.arrays import AnyArray, Float, Float32
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check_numbers
 from twistcap.features.tvflow import tv_step
 
 _STRENGTH = 0.2  # largest value of the structure tensor's channels: their weight beside grey
@@ -30,10 +30,8 @@ class Texture:
     """How texture is measured. No value depends on the range of an image, so that crops and frames agree.
 
     Attributes:
-        resolution: px of the image in each row and column of the grid on which channels are smoothed; 1 is the
-            papers', 2 needs less than half the time.
-        blend: whether the grey or colour channels are smoothed too, as in the papers; otherwise they stay sharp and
-            only steer the smoothing.
+        resolution: px of the image in each step of the grid of smoothing: 1 in the papers; 2 takes half the time.
+        blend: whether grey or colours are smoothed too, as in the papers; otherwise they only steer the smoothing.
         knee: gradient (brightness/px) at which half the strength is reached; a lone strong edge is no strong texture.
         largest: size (px) of the structures at which the local scale is 1; those of 1 px have 0.
         flow_time: duration of the TV flow that measures the scale, brightness · px; a structure of size m and height h
@@ -41,8 +39,7 @@ class Texture:
         steps, tau: steps of the joint smoothing, and their size, brightness · px.
         epsilon: gradient (brightness per px of the grid) below which TV flow turns into linear diffusion.
 
-    Raises:
-        InputError: for numbers that are not positive and finite, or structures of 1 px or less.
+    Raises InputError for numbers that are not positive and finite, or structures of 1 px or less.
     """
 
     resolution: int = 2
@@ -55,9 +52,7 @@ class Texture:
     epsilon: float = 0.01
 
     def __post_init__(self) -> None:
-        numbers = (self.resolution, self.knee, self.flow_time, self.tau, self.epsilon)
-        if not all(math.isfinite(x) and x > 0 for x in numbers) or self.steps < 0:
-            raise InputError("texture: sizes, steps and weights must be positive and finite.")
+        check_numbers("texture", self, ("resolution", "knee", "flow_time", "tau", "epsilon"), ("steps",))
         if not (math.isfinite(self.largest) and self.largest > 1.0):
             raise InputError(f"texture: largest is {self.largest} px; it must be more than 1.")
 
@@ -76,23 +71,16 @@ def with_texture(colours: Float32, light: Float32, how: Texture) -> Float32:
     for _ in range(how.steps):
         planes = tv_step(planes, how.tau / how.resolution, how.epsilon)
     planes[-1] = np.log(2.0 / planes[-1]).clip(0.0, math.log(how.largest)) / math.log(how.largest)
-    if how.blend:
-        return _joined([], planes, how.resolution, (height, width))
-    return _joined(cv2.split(colours), planes[C:], how.resolution, (height, width))
-
-
-def _joined(sharp: Sequence[AnyArray], planes: Float32, block: int, shape: tuple[int, int]) -> Float32:
-    """(H, W, C) sharp channels and the planes (k, h, w) of the grid, enlarged to the image's `shape`."""
-    size = (block * planes.shape[2], block * planes.shape[1])
-    large = [cv2.resize(p, size, interpolation=cv2.INTER_LINEAR)[: shape[0], : shape[1]] for p in planes]
+    sharp, planes = ([], planes) if how.blend else (cv2.split(colours), planes[C:])
+    size = (how.resolution * planes.shape[2], how.resolution * planes.shape[1])
+    large = [cv2.resize(p, size, interpolation=cv2.INTER_LINEAR)[:height, :width] for p in planes]
     return np.asarray(cv2.merge([*sharp, *large]), dtype=np.float32)
 
 
 def flow_speed(light: Float32, how: Texture) -> Float32:
     """(h, w) mean speed |∂_t I| (1/px) of the pixels of `light` (H, W) under TV flow while they change, on the grid.
 
-    A bump or stripe of m px changes by 2/m, so that the local scale is 2 over the speed. Pixels slower than structures
-    of `largest` count as at rest; where all are, the speed is that of such structures.
+    A bump of m px changes by 2/m: the local scale is 2 over the speed, at least that of structures of `largest` px.
     """
     before, slowest = light[None], 2.0 / how.largest
     moved, time = np.zeros_like(light), np.zeros_like(light)

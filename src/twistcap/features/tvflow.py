@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numba import njit
 
-from twistcap.arrays import Float, Float32
+from twistcap.arrays import Float32
 
 
 def tv_step(channels: Float32, tau: float, epsilon: float) -> Float32:
@@ -71,25 +71,4 @@ def _implicit_down(u: Float32, tau: float, epsilon: float) -> Float32:
         for r in range(height - 2, -1, -1):
             for c in range(width):
                 out[k, r, c] += upper[r, c] * out[k, r + 1, c]
-    return out
-
-
-def tv_step_reference(channels: Float32, tau: float, epsilon: float) -> Float:
-    """Readable twin of `tv_step`, by dense matrices."""
-    u = channels.astype(float)
-    down = _implicit_down_reference(u, 2.0 * tau, epsilon)
-    along = _implicit_down_reference(u.transpose(0, 2, 1), 2.0 * tau, epsilon)
-    return 0.5 * (down + along.transpose(0, 2, 1))
-
-
-def _implicit_down_reference(u: Float, tau: float, epsilon: float) -> Float:
-    padded = np.pad(u, ((0, 0), (0, 0), (1, 1)), mode="edge")
-    central = (padded[:, :, 2:] - padded[:, :, :-2]) / 2
-    aside = (central[:, 1:] + central[:, :-1]) / 2
-    g = 1.0 / np.sqrt((np.diff(u, axis=1) ** 2 + aside**2).sum(axis=0) + epsilon**2)  # (H − 1, W), between rows
-    height, out = u.shape[1], np.empty_like(u)
-    difference = np.diff(np.eye(height), axis=0)
-    for c in range(u.shape[2]):
-        matrix = np.eye(height) + tau * difference.T @ np.diag(g[:, c]) @ difference
-        out[:, :, c] = np.linalg.solve(matrix, u[:, :, c].T).T
     return out

@@ -21,7 +21,6 @@ from twistcap.motion.skeleton import SkeletonMotion
 AMC_RATE = 120.0  # Hz; the format has no field for it, CMU's library is recorded at this rate
 _INCH = 0.0254
 
-
 Line = tuple[int, list[str]]
 """Its number and its words."""
 

@@ -1,10 +1,6 @@
 """Export formats by name: our own, and those that installed packages offer in the group ``twistcap.exports``.
 
-A format is a function that gives an `ExportFormat`. To add one, write that function and name it in `FORMATS` or, in a
-package of your own, as an entry point::
-
-    [project.entry-points."twistcap.exports"]
-    toy = "toy_format:toy"
+A format is a function that gives an `ExportFormat`, named in `FORMATS` or as an entry point (see ARCHITECTURE.md).
 """
 
 from __future__ import annotations

@@ -99,10 +99,7 @@ def _mot_row(path: Path, number: int, line: str, columns: list[str]) -> list[flo
 
 
 def poses_from_mot(
-    table: MotionTable,
-    body: Body,
-    axes: WorldAxes = "opensim",
-    knee: Literal["auto", "positive", "negative"] = "auto",
+    table: MotionTable, body: Body, axes: WorldAxes = "opensim", knee: Literal["auto", "positive", "negative"] = "auto"
 ) -> tuple[list[Pose], list[str]]:
     """Poses of a body from a motion file, matched by coordinate names; missing coordinates are 0.
 

@@ -40,7 +40,6 @@ def read_motion(
 
     Args:
         path: .bvh, .amc, .txt or .json (DeepMimic), .mot, .sto, .h5.
-        body: the coordinates are of.
         skeleton: the ASF of an AMC or DeepMimic's humanoid3d.txt, where it is not beside the motion.
         table: what the skeleton's joints mean, or its TOML (docs/formats/motion-files.md); None takes one of ours.
         rate: poses per second of the clip; None keeps the file's.

@@ -10,29 +10,9 @@ from twistcap.body import Body, Pose
 from twistcap.camera import Rig
 from twistcap.cues.observation import Fit
 from twistcap.estimate import Frame
-from twistcap.predict.history import (
-    Moment,
-    MotionNoise,
-    MotionSpread,
-    Past,
-    constant_velocity,
-    covariance_about,
-    jumped,
-    rested,
-)
+from twistcap.predict.history import Moment, MotionNoise, MotionSpread, Past
 
-__all__ = [
-    "Moment",
-    "MotionNoise",
-    "MotionSpread",
-    "Past",
-    "Prediction",
-    "Predictor",
-    "constant_velocity",
-    "covariance_about",
-    "jumped",
-    "rested",
-]
+__all__ = ["Moment", "MotionNoise", "MotionSpread", "Past", "Prediction", "Predictor"]
 
 
 @dataclass(frozen=True)
@@ -62,7 +42,6 @@ class Predictor(Protocol):
 
     def start(self, body: Body, rig: Rig) -> Any:
         """The memory before the first frame; as a cue's."""
-        ...
 
     def predict(self, memory: Any, past: Past, frame: Frame) -> tuple[Prediction | None, Any]:
         """The prediction for a frame, None where there is none, and the memory after it."""
@@ -70,4 +49,3 @@ class Predictor(Protocol):
 
     def learn(self, memory: Any, fit: Fit, past: Past, frame: Frame) -> Any:
         """The memory after a frame that was tracked; `past` holds it already."""
-        ...

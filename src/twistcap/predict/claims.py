@@ -13,7 +13,7 @@ import numpy as np
 from twistcap.arrays import Float
 from twistcap.cues.observation import Fit
 from twistcap.predict.inertia import INFLATION
-from twistcap.terms.offsets import add_offset_variance
+from twistcap.terms.accumulate import add_offset_variance
 
 OFFSET = 0.007
 """m, standard deviation of the offset of each segment in each view and cue, where residuals are as large as the noise
@@ -25,11 +25,8 @@ def claimed(posterior: Float, images: Float, fit: Fit, trust: float = 1.0) -> Fl
 
     What does not come from cues (the prediction, keypoints, priors) counts as in `posterior`.
 
-    Args:
-        posterior: (6 + J, 6 + J) as if samples were independent, times the square of `INFLATION`.
-        images: (6 + J, 6 + J) information of the evidence, as of independent samples.
-        fit: that it is of.
-        trust: how far the images were believed, 0 … 1.
+    `posterior` (6 + J, 6 + J) is as if samples were independent, times the square of `INFLATION`, `images` the
+    information of the fit's evidence, as of independent samples, `trust` how far the images were believed, 0 … 1.
     """
     judging = [(evidence.term.name, rows) for evidence, _, rows in fit.entered if evidence.agreement is not None]
     count = sum(np.count_nonzero(rows.weight) for _, rows in judging)

@@ -32,13 +32,7 @@ from twistcap.terms import GaussianTerm, KeypointTerm, LimitTerm
 
 @dataclass(frozen=True)
 class Glimpse:
-    """One camera's image about the body in the last frame.
-
-    Attributes:
-        camera_index: in the rig.
-        corner: (x, y) of the window in the image, px.
-        view: the window.
-    """
+    """One camera's image about the body in the last frame: a window of it, which begins at the `corner` (x, y) px."""
 
     camera_index: int
     corner: tuple[int, int]
@@ -59,20 +53,15 @@ class FlowPredictor:
     """Settings of the flow predictor; lengths in metres are on the body.
 
     Attributes:
-        rig: (pinhole) cameras.
         inertia: what is expected without flow.
         always: whether flow predicts every frame; else only while there is one pose and so no velocity.
-        preset: of `optical_flow`.
-        points: how many pixels of the body are followed in each view.
-        margin: m about the body in which it is looked for in the next frame.
+        points, margin: how many pixels of the body are followed in each view, and how far (m).
         sigma: noise of a flow vector, px.
-        share: fraction of the points' information that counts (neighbours move alike, and err alike).
-        robust: m by which a point may disagree before it is down-weighted.
-        loosened: factors on `robust` of one solve after the other: a point that a limb has left far behind must count
-            at first.
-        channels: what flow looks at.
-        least_confidence: how well the flow back must undo a vector that counts.
-        least_share: fraction of all points that count below which the flow as a whole is not believed.
+        share: fraction of the points' information that counts (neighbours err alike).
+        robust: m by which a point may disagree before it is down-weighted; `loosened` are factors on it, of one solve
+            after the other: a point that a limb has left far behind must count at first.
+        least_confidence, least_share: how well the flow back must undo a vector that counts, and the fraction of all
+            points that must count, or else the flow as a whole is not believed.
     """
 
     rig: Rig = field(default_factory=lambda: Rig(()))
@@ -117,22 +106,18 @@ class FlowPredictor:
             image, camera = frame.images[i], self.rig[i]
             window = view_window(camera, posed, self.margin)
             if image is not None and window is not None:
-                glimpses.append(Glimpse(i, window[0], _cut(image, camera, window[0], window[1], self.channels)))
+                glimpses.append(Glimpse(i, window[0], _cut(image, camera, *window, self.channels)))
         return LastFrame(posed, frame.time, tuple(glimpses))
 
     def followed(self, last: LastFrame, frame: Frame, guess: Pose, information: Float) -> Pose | None:
         """The pose to which flow leads from the last frame; None where too little of it can be believed.
 
-        Args:
-            last: that frame.
-            frame: the present one.
-            guess: what is expected without flow, with that `information` (6 + J, 6 + J); all that hidden limbs follow.
+        `guess` is what is expected without flow, with that `information` (6 + J, 6 + J); all that hidden limbs follow.
         """
         found: list[tuple[KeypointTerm, float]] = []
         for glimpse in last.glimpses:
             image, before = frame.images[glimpse.camera_index], glimpse.view
-            seen = None if image is None else render(last.posed, before.camera)
-            if image is not None and seen is not None and seen.mask.any():
+            if image is not None and (seen := render(last.posed, before.camera)).mask.any():
                 after = _cut(image, self.rig[glimpse.camera_index], glimpse.corner, before.camera.size, self.channels)
                 found.append(self.term(before, after, seen))
         if not found or np.mean([share for _, share in found]) < self.least_share:
@@ -149,9 +134,8 @@ class FlowPredictor:
     def term(self, before: View, after: View, seen: RenderedView) -> tuple[KeypointTerm, float]:
         """The surface points of one view where flow takes them, and the share of them that have a say.
 
-        Args:
-            before, after: one window of the last image and of the present one.
-            seen: the body at its last pose, rendered in that window; some of it must be in sight.
+        `before` and `after` are one window of the last image and of the present one, `seen` the body at its last pose,
+        rendered there; some of it must be in sight.
         """
         mask = seen.mask
         forward = optical_flow(before.features, after.features, mask=mask, preset=self.preset)

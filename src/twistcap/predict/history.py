@@ -32,11 +32,9 @@ class MotionNoise:
     """How far motion strays from its prediction.
 
     Attributes:
-        joint, turn, shift: standard deviation of acceleration of joints (rad/s²), root rotation (rad/s²) and root
-            translation (m/s²), for all predictors but hold.
-        joint_speed, turn_speed, shift_speed: of velocity (rad/s, rad/s, m/s), for the hold predictor.
-        allowance: how many times the deviation seen of late is allowed for, where that is more than the usual one: a
-            somersault accelerates more than a walk. 0 stays with the usual one.
+        joint, turn, shift: standard deviation of acceleration of joints, root rotation (rad/s²) and root translation
+            (m/s²); joint_speed, turn_speed, shift_speed: of velocity (rad/s, m/s), for the hold predictor.
+        allowance: how many times the deviation seen of late is allowed for, where that is more than the usual one.
         memory: share that what was seen of late keeps from frame to frame.
     """
 
@@ -63,20 +61,15 @@ class MotionNoise:
             joint, turn, shift = (a * dt * dt for a in (self.joint, self.turn, self.shift))
         else:
             joint, turn, shift = (v * dt for v in (self.joint_speed, self.turn_speed, self.shift_speed))
-        variance = np.full(dof, joint**2)
-        variance[:3], variance[3:6] = turn**2, shift**2
-        return variance
+        return np.repeat([turn**2, shift**2, joint**2], (3, 3, dof - 6))
 
 
 @dataclass(frozen=True)
 class MotionSpread:
     """How far one body may be from where it is predicted: as far as usual, farther while it moves more than that.
 
-    Turn, shift and joints each have one measure: a limb that goes astray alone is not given more room for it.
-
-    Attributes:
-        noise: what is usual.
-        excess: (3,) mean squares of late of turn, shift and joints, in units of the usual variance.
+    `excess` (3,) are mean squares of late of turn, shift and joints, in units of the usual variance. All joints
+    have one measure: a limb that goes astray alone is not given more room for it.
     """
 
     noise: MotionNoise
@@ -105,11 +98,8 @@ class MotionSpread:
 
 
 def covariance_about(variance: Float, centre: Float) -> tuple[Float, Float]:
-    """Covariance (dof, dof) of a pose step, and its inverse.
-
-    Args:
-        variance: (dof,) of turns about a point of the body (rad²), its shifts (m²) and the coordinates (rad²).
-        centre: (3,) the point, m.
+    """Covariance (dof, dof) of a pose step, and its inverse, from the `variance` (dof,) of turns (rad²) about a body's
+    point `centre` (3,) m, of its shifts (m²) and of the coordinates (rad²).
     """
     # δξ acts about the world's origin: a turn about the body's centre is ω there, with −ω × centre as v.
     A, back, arm = np.eye(len(variance)), np.eye(len(variance)), se3.hat(centre)
@@ -118,12 +108,9 @@ def covariance_about(variance: Float, centre: Float) -> tuple[Float, Float]:
 
 
 def constant_velocity(history: Sequence[Moment], time: float, decay: float = np.inf) -> Pose:
-    """The motion between the last two moments goes on, scaled to the time that passes; hold where there is but one.
+    """The motion between the last two moments of the history goes on until `time` s; hold where there is but one.
 
-    Args:
-        history: at least one moment, the latest last.
-        time: s.
-        decay: time constant (s) with which joint velocities die away, so that a limb nobody sees comes to rest.
+    Joint velocities die away with the time constant `decay` s, so that a limb nobody sees comes to rest.
     """
     last = history[-1]
     if len(history) < 2 or time <= last.time or last.time <= history[-2].time:
@@ -149,13 +136,8 @@ def rested(last: Moment, pose: Pose, which: Bool) -> Moment:
 
 @dataclass(frozen=True)
 class Past:
-    """What is known of the motion before a frame.
-
-    Attributes:
-        moments: poses, the latest last; before the first frame the given pose alone.
-        seen_time: s, when images last showed the body.
-        started: whether a frame has been tracked.
-        spread: how far the body is from where it is predicted.
+    """What is known of the motion before a frame: the moments, the latest last, at first of the given pose alone; when
+    images last showed the body, s; whether a frame has been tracked; how far the body is from where it is predicted.
     """
 
     moments: tuple[Moment, ...]

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from twistcap.arrays import Float
 from twistcap.body import Body, Pose
 from twistcap.camera import Rig
 from twistcap.cues.observation import Fit
@@ -23,11 +22,8 @@ captures with truth (docs/concepts/covariance.md)."""
 
 @dataclass(frozen=True)
 class Inertia:
-    """Constant velocity; it always answers.
-
-    Attributes:
-        hold: whether the body is expected to stay where it is instead.
-        first_sigma_deg, first_sigma_m: how far the given first pose may be off (joints and root turn; root place).
+    """Constant velocity, or with `hold` none; it always answers. `first_sigma_deg` and `first_sigma_m` are how far the
+    given first pose may be off (turns; root place).
     """
 
     hold: bool = False
@@ -39,7 +35,6 @@ class Inertia:
         """Nothing is remembered beside the past poses."""
 
     def predict(self, memory: None, past: Past, frame: Frame) -> tuple[Prediction, None]:
-        """The pose at the frame's time."""
         return self.prediction(self.pose(past, frame.time), past, frame.time, self.kind(past)), None
 
     def learn(self, memory: None, fit: Fit, past: Past, frame: Frame) -> None:
@@ -54,15 +49,13 @@ class Inertia:
         return "hold" if self.hold or not past.moving else "constant_velocity"
 
     def prediction(self, pose: Pose, past: Past, time: float, name: str) -> Prediction:
-        """A prediction at a pose, with the spread of this one."""
-        covariance, information = self._spread(pose, past, time)
-        return Prediction(pose, name, INFLATION**2 * covariance, information)
-
-    def _spread(self, pose: Pose, past: Past, time: float) -> tuple[Float, Float]:
-        """Covariance of the prediction, or of the given first pose, and its inverse."""
+        """A prediction at a pose, with the spread of this one, or of the given first pose."""
         dof, centre = 6 + len(pose.q), pose.root[:3, 3]
-        if not past.started:
+        if past.started:  # open-loop through gaps
+            found = past.spread.covariance(dof, time - past.seen_time, self.kind(past), centre)
+        else:
             turn = float(np.deg2rad(self.first_sigma_deg))
             given = MotionNoise(joint_speed=turn, turn_speed=turn, shift_speed=self.first_sigma_m)
-            return given.covariance(dof, 1.0, "hold", centre)
-        return past.spread.covariance(dof, time - past.seen_time, self.kind(past), centre)  # open-loop through gaps
+            found = given.covariance(dof, 1.0, "hold", centre)
+        covariance, information = found
+        return Prediction(pose, name, INFLATION**2 * covariance, information)

@@ -34,4 +34,3 @@ class Prior(Protocol):
 
     def claimed(self, posed: Posed) -> Float | None:
         """(6 + J, 6 + J) information that is added to what is reported, and to nothing else; None for none."""
-        ...

@@ -32,8 +32,7 @@ class ParzenPrior:
         sigma: kernel width σ, rad (of the scaled differences where there is a scale).
         scale: (J,) s, by which the differences are divided: a joint of a large scale may stray farther. None for 1.
 
-    Raises:
-        InputError: for shapes that do not fit, numbers that are not finite, or a width or scale that is not positive.
+    Raises InputError for shapes that do not fit, numbers that are not finite, or a width or scale that is not positive.
     """
 
     names: tuple[str, ...]
@@ -56,10 +55,8 @@ class ParzenPrior:
     def trained(
         names: Sequence[str], samples: Float, sigma: float | None = None, scale: Float | None = None
     ) -> ParzenPrior:
-        """A prior of samples (N, J); σ by the paper's rule (`kernel_width`) where none is given.
-
-        Raises:
-            InputError: as the prior itself, and where the rule finds no two different samples.
+        """A prior of samples (N, J); σ by the paper's rule (`kernel_width`) where none is given. Raises InputError as
+        the prior itself, and where the rule finds no two different samples.
         """
         given = ParzenPrior(tuple(names), np.asarray(samples, dtype=float), 1.0 if sigma is None else sigma, scale)
         return given if sigma is not None else replace(given, sigma=kernel_width(given._places))
@@ -83,22 +80,14 @@ class ParzenPrior:
         return float(np.log(len(self.samples)) - logsumexp(self._exponents(q)))
 
     def weights(self, q: Float, known: Float | float = 1.0) -> Float:
-        """(N,) ``w_i / Σ w_i`` (eq. 11.32), by log-sum-exp: far from all samples every w_i itself underflows.
-
-        `known` (J,) in [0, 1] says how far each angle is to be believed: at 0 the others alone choose the samples.
-        """
+        """(N,) ``w_i / Σ w_i`` (eq. 11.32), by log-sum-exp; `known` (J,) says how far each angle is believed, 0 … 1."""
         return softmax(self._exponents(q, known))
 
     def mean(self, q: Float, known: Float | float = 1.0) -> Float:
-        """(J,) weighted mean of the samples: where the mean shift leads in one step, and where `energy` falls to.
-
-        Where some angles are not `known`, it is the regression of these on the others.
+        """(J,) weighted mean of the samples, where the mean shift leads in one step; less q, times `information`, it is
+        minus the derivative of `energy` (eq. 11.31). Angles that are not `known` are regressed on the others.
         """
         return self.weights(q, known) @ self.samples
-
-    def flow(self, q: Float) -> Float:
-        """``∂_t Θ = Σ w_i (Θ_i − Θ) / (σ² Σ w_i)`` (eq. 11.31), (J,): minus the derivative of `energy`."""
-        return (self.mean(q) - q) * self.information
 
     @property
     def median_distance(self) -> float:
@@ -128,10 +117,8 @@ def kernel_width(samples: Float) -> float:
     """The paper's σ: the largest distance of a sample (N, J) from its nearest neighbour.
 
     It suits smooth sequences. Copies do not count as neighbours, or a file given twice would have the width 0; one
-    stray sample makes all kernels wide, and then the width is better given.
-
-    Raises:
-        InputError: where all samples are the same.
+    stray sample makes all kernels wide, and then the width is better given. Raises InputError where all samples are the
+    same.
     """
     different = _different(samples)
     if len(different) < 2:

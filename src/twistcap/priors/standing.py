@@ -27,23 +27,17 @@ class JointLimits(_Standing):
     name: str = field(default="limits", init=False)
 
     def terms(self, alternation: Alternation) -> Sequence[Term]:
-        """The one term."""
         return (LimitTerm(),)
 
 
 @dataclass(frozen=True)
 class RestPose(_Standing):
-    """A limb that nothing shows hangs as in the rest pose.
-
-    Attributes:
-        sigma_deg: standard deviation of the joints about it.
-    """
+    """A limb that nothing shows hangs as in the rest pose; `sigma_deg` is the joints' standard deviation about it."""
 
     sigma_deg: float = 30.0
     name: str = field(default="rest", init=False)
 
     def terms(self, alternation: Alternation) -> Sequence[Term]:
-        """The one term."""
         return (RestTerm(float(np.deg2rad(self.sigma_deg))),)
 
 
@@ -54,5 +48,4 @@ class Expectation(_Standing):
     name: str = field(default="temporal", init=False)
 
     def terms(self, alternation: Alternation) -> Sequence[Term]:
-        """The one term."""
         return (GaussianTerm(alternation.expected, alternation.information),)

@@ -13,12 +13,10 @@ _FALLBACK = 0.02  # fraction of a window at which the whole background has the w
 
 @njit(cache=True, nogil=True)
 def background_moments(features: Float32, off: Bool, reach: int) -> Float:
-    """(H', W', 2C) mean and mean square of the background about each block of pixels.
+    """(H', W', 2C) mean and mean square of the background about each block of pixels of an image (H, W, C).
 
-    Args:
-        features: (H, W, C).
-        off: (H, W) where it is surely background, without pixels that a limb covers or may cover.
-        reach: blocks about a block from which its background is gathered; if there is none, the whole one is used.
+    It is gathered from `reach` blocks about a block, where it is surely background: `off` (H, W), without pixels that a
+    limb covers or may cover. If there is none, the whole background is used.
     """
     height, width, C = features.shape
     sums = np.zeros(((height + BLOCK - 1) // BLOCK, (width + BLOCK - 1) // BLOCK, 1 + 2 * C))
@@ -55,14 +53,11 @@ def background_moments(features: Float32, off: Bool, reach: int) -> Float:
 def label_evidence(
     features: Float32, background: Float, colours: Float, part: Int, other: Int, floor: float, clip: float
 ) -> float:
-    """Log-likelihood (nats) of labels `other` (H, W) over labels `part`; -1 is background.
+    """Log-likelihood (nats) of labels `other` (H, W) over labels `part` of an image (H, W, C); -1 is background.
 
-    Args:
-        features: (H, W, C).
-        background: as `background_moments` gives it.
-        colours: (S, 1 + 2C) confidence, mean and mean square of each part; pixels of parts of confidence 0 are ignored.
-        floor: least variance.
-        clip: greatest contribution of one pixel, nats.
+    `background` is as `background_moments` gives it. `colours` (S, 1 + 2C) are confidence, mean and mean square of each
+    part; pixels of parts of confidence 0 are ignored. `floor` is the least variance, `clip` (nats) the greatest
+    contribution of one pixel.
     """
     total = 0.0
     for r in range(part.shape[0]):

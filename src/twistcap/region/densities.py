@@ -1,7 +1,7 @@
 """Region densities on the pixel grid: log-likelihood ratio of each pixel, inside to outside.
 
 Channels are taken as independent (Brox, Rosenhahn and Cremers, eq. 11.8); variances are those of the squared
-deviations, where the paper omits the square.
+deviations, where the paper omits the square. Histograms under a kernel are the model with which they compare (11.4).
 """
 
 from __future__ import annotations
@@ -13,6 +13,10 @@ import numpy as np
 from numba import njit
 
 from twistcap.arrays import Bool, Float, Float32
+from twistcap.errors import InputError
+
+_BINS_PER_SIGMA = 4.0
+_MOST_BINS = 4096
 
 
 @njit(cache=True, nogil=True)
@@ -32,30 +36,32 @@ def heaviside_reference(phi: Float32, width: float) -> Float:
 
 
 def global_log_ratio(channels: Float32, inside: Float32, floor: float, outside: Float32 | None = None) -> Float32:
-    """(H, W) Σ_j log p₁/p₂ under one Gaussian per region and channel.
-
-    `inside` and `outside` (H, W) are the regions' memberships; `outside` is by default the complement.
-    """
+    """(H, W) Σ_j log p₁/p₂ under one Gaussian per region and channel; `outside` is by default 1 − `inside` (H, W)."""
     out = np.zeros(inside.shape, dtype=np.float32)
     outside = np.float32(1.0) - inside if outside is None else outside
-    for j in range(channels.shape[2]):
-        values = channels[..., j]
-        mu_in, var_in = _weighted_gaussian(values, inside, floor)
-        mu_out, var_out = _weighted_gaussian(values, outside, floor)
-        out += _log_ratio(values, mu_in, var_in, mu_out, var_out)
+    for values in np.moveaxis(channels, 2, 0):
+        (mu_in, var_in), (mu_out, var_out) = (_gaussian(values, weight, floor) for weight in (inside, outside))
+        difference = (values - mu_out) ** 2 / var_out - (values - mu_in) ** 2 / var_in
+        out += (0.5 * (difference + np.log(var_out / var_in))).astype(np.float32)
     return out
+
+
+def _gaussian(values: Float32, weight: Float32, floor: float) -> tuple[float, float]:
+    """Mean and variance of weighted values (H, W)."""
+    mass = float(weight.sum()) + 1e-6
+    mu = float((weight * values).sum()) / mass
+    return mu, float((weight * (values - mu) ** 2).sum()) / mass + floor
 
 
 def blockwise_log_ratio(
     channels: Float32, inside: Float32, rho: float, floor: float, prior_mass: float, wanted: Bool | None = None,
     block: int = 2, outside: Float32 | None = None,
 ) -> Float32:  # fmt: skip
-    """(H, W) Σ_j log p₁/p₂ under Gaussians estimated in a window of standard deviation `rho` px about each pixel.
+    """(H, W) Σ_j log p₁/p₂ under Gaussians estimated in a box of standard deviation `rho` px about each pixel.
 
-    The window is a box of that deviation, which costs the same at any size; at the border the image is mirrored. A
-    region's global statistics are added with the weight of `prior_mass` (fraction of the window), for windows that the
-    region hardly reaches. Statistics are summed over blocks of `block`² pixels, since densities vary slowly; every
-    pixel has its own value. Off `wanted` (H, W) the ratio is 0. `outside` (H, W) is by default the complement.
+    At the border the image is mirrored. A region's global statistics are added with the weight of `prior_mass`
+    (fraction of the box). Statistics are summed over blocks of `block`² pixels, since densities vary slowly. Off
+    `wanted` (H, W) the ratio is 0. `outside` (H, W) is by default the complement.
     """
     outside = np.float32(1.0) - inside if outside is None else outside
     if wanted is None:
@@ -134,31 +140,79 @@ def _ratios_of_blocks(
     return out
 
 
-def blockwise_log_ratio_reference(
-    channels: Float32, inside: Float32, rho: float, floor: float, prior_mass: float
-) -> Float32:
-    """Readable twin of `blockwise_log_ratio` and its kernels, with statistics of pixels in place of blocks."""
-    size = max(3, 2 * round(rho * math.sqrt(3.0)) + 1)
-    values, gaussians = channels.astype(float), list[tuple[Float, Float]]()
-    for weight in (inside.astype(float), 1.0 - inside):
-        sums = weight[..., None] * np.concatenate([np.ones((*weight.shape, 1)), values, values**2], axis=2)
-        prior = prior_mass * sums.mean(axis=(0, 1)) / max(float(weight.mean()), 1e-6)
-        window = cv2.boxFilter(sums, -1, (size, size), borderType=cv2.BORDER_REFLECT_101) + prior
-        mean, second = np.split(window[..., 1:] / np.maximum(window[..., :1], 1e-6), 2, axis=2)
-        gaussians.append((mean, np.maximum(second - mean**2, 0.0) + floor))
-    (mu_in, var_in), (mu_out, var_out) = gaussians
-    ratio = (values - mu_out) ** 2 / var_out - (values - mu_in) ** 2 / var_in + np.log(var_out / var_in)
-    return (0.5 * ratio.sum(axis=2)).astype(np.float32)
+def parzen_log_ratio(channels: Float32, inside: Float32, outside: Float32, sigma: float, floor: float) -> Float32:
+    """(H, W) Σ_j log (p₁ + floor)/(p₂ + floor), nats, of channels (H, W, C) under both regions' Parzen densities.
+
+    `inside` and `outside` (H, W) are the weights of pixels in the regions, `sigma` the standard deviation of the kernel
+    in units of the channels. The floor is added to the densities, so that no value is impossible.
+    Raises InputError if sigma or floor is not positive and finite.
+    """
+    if not (0.0 < sigma < math.inf and 0.0 < floor < math.inf):
+        raise InputError(f"parzen: sigma is {sigma} and floor {floor}; both must be positive and finite.")
+    out = np.zeros(inside.shape, dtype=np.float32)
+    for j in range(channels.shape[2]):
+        values = np.ascontiguousarray(channels[..., j])
+        start, width, density = parzen_densities(values, inside, outside, sigma)
+        table = np.log((density[0] + floor) / (density[1] + floor)).astype(np.float32)
+        add_interpolated(values, start, width, table, out)
+    return out
 
 
-def _weighted_gaussian(values: Float32, weight: Float32, floor: float) -> tuple[float, float]:
-    mass = float(weight.sum()) + 1e-6
-    mu = float((weight * values).sum()) / mass
-    return mu, float((weight * (values - mu) ** 2).sum()) / mass + floor
+def parzen_densities(values: Float32, inside: Float32, outside: Float32, sigma: float) -> tuple[float, float, Float]:
+    """First place, spacing and densities (2, B) of the values (H, W) of both regions; 0 where a region is empty."""
+    low, high = float(values.min()) - 4.0 * sigma, float(values.max()) + 4.0 * sigma
+    bins = min(math.ceil((high - low) / sigma * _BINS_PER_SIGMA) + 1, _MOST_BINS)
+    width = (high - low) / (bins - 1)
+    histogram = histograms(values, inside, outside, low, width, bins)
+    reach = min(math.ceil(4.0 * sigma / width), (bins - 1) // 2)
+    at = np.arange(-reach, reach + 1) * width
+    kernel = np.exp(-0.5 * (at / sigma) ** 2)
+    kernel /= kernel.sum()
+    mass = np.maximum(histogram.sum(axis=1, keepdims=True), 1e-6)
+    smooth = np.stack([np.convolve(row, kernel, mode="same") for row in histogram])
+    return low, width, smooth / (mass * width)
 
 
-def _log_ratio(
-    values: Float32, mu_in: Float32 | float, var_in: Float32 | float, mu_out: Float32 | float, var_out: Float32 | float
-) -> Float32:
-    difference = (values - mu_out) ** 2 / var_out - (values - mu_in) ** 2 / var_in
-    return (0.5 * (difference + np.log(var_out / var_in))).astype(np.float32)
+@njit(cache=True, nogil=True)
+def histograms(values: Float32, inside: Float32, outside: Float32, low: float, width: float, bins: int) -> Float:
+    """(2, bins) weights of both regions, each pixel's split between the two bins nearest to its value."""
+    out = np.zeros((2, bins))
+    flat, one, other = values.ravel(), inside.ravel(), outside.ravel()
+    for n in range(len(flat)):
+        at = (flat[n] - low) / width
+        i = min(int(at), bins - 2)
+        t = at - i
+        out[0, i] += (1.0 - t) * one[n]
+        out[0, i + 1] += t * one[n]
+        out[1, i] += (1.0 - t) * other[n]
+        out[1, i + 1] += t * other[n]
+    return out
+
+
+def histograms_reference(
+    values: Float32, inside: Float32, outside: Float32, low: float, width: float, bins: int
+) -> Float:
+    """Readable twin of `histograms`."""
+    at = (values.ravel().astype(float) - low) / width
+    first = np.minimum(at.astype(int), bins - 2)
+    out, far = np.zeros((2, bins)), at - first
+    for row, weight in zip(out, (inside.ravel(), outside.ravel()), strict=True):
+        np.add.at(row, first, (1.0 - far) * weight)
+        np.add.at(row, first + 1, far * weight)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def add_interpolated(values: Float32, low: float, width: float, table: Float32, out: Float32) -> None:
+    """Add to each pixel of `out` (H, W) the interpolated table at its value."""
+    flat, sums = values.ravel(), out.ravel()
+    for n in range(len(flat)):
+        at = (flat[n] - low) / width
+        i = min(int(at), len(table) - 2)
+        t = at - i
+        sums[n] += (1.0 - t) * table[i] + t * table[i + 1]
+
+
+def add_interpolated_reference(values: Float32, low: float, width: float, table: Float32, out: Float32) -> None:
+    """Readable twin of `add_interpolated`."""
+    out += np.interp(values, low + width * np.arange(len(table)), table).astype(np.float32)

@@ -16,10 +16,7 @@ _TABLE = 512  # entries of the table of H'
 
 
 def signed_distance(mask: Bool) -> Float32:
-    """(H, W) distance to the mask's outline in px, positive inside, to 2 %.
-
-    The outline is half a pixel outside the mask's pixel centres, which is corrected for.
-    """
+    """(H, W) distance to the mask's outline, half a pixel outside its pixel centres, in px, positive inside, to 2 %."""
     inside = mask.astype(np.uint8)
     to_outside = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_5)
     to_inside = cv2.distanceTransform(1 - inside, cv2.DIST_L2, cv2.DIST_MASK_5)
@@ -31,8 +28,7 @@ def evolve(
     phi0: Float32, log_ratio: Float32, steps: int, tau: float, nu: float, lam: float, width: float, clip: float
 ) -> Float32:
     """Evolve from the shape Φ₀ (H, W) under a fixed log ratio (H, W), clipped to ±`clip`; reflecting borders.
-
-    `width` is the standard deviation of H' in px; Φ does not change where H' is below 1/3000 of its maximum.
+    `width` is the standard deviation of H' in px; beyond four of them Φ does not change.
     """
     height, width_px = phi0.shape
     band = 4.0 * width

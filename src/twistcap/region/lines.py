@@ -2,8 +2,7 @@
 
 The same two local Gaussian densities as the level set, inside and outside (Brox, Rosenhahn and Cremers, "Contours,
 Optic Flow, and Prior Knowledge", eq. 11.7-11.11), on lines across the projected contour only. Every place along a line
-is a hypothesis for the boundary; its log-likelihood is the sum of the log density ratios on its inner side. The
-posterior's mean is the displacement, its variance the uncertainty.
+is a hypothesis for the boundary, whose log-likelihood is the sum of the log density ratios on its inner side.
 """
 
 from __future__ import annotations
@@ -26,31 +25,18 @@ Measured = tuple[Float, Float, Float, Float]
 
 
 class LineSettings(NamedTuple):
-    """How lines are measured and weighted.
+    """How lines are measured and weighted."""
 
-    Attributes:
-        half: samples on each side of the contour.
-        clip: largest log density ratio, nats per px.
-        fraction: of each line's information that counts, since neighbours measure the same pixels.
-        inner: a further factor for contours before another part of the body.
-        least_sigma: standard deviation of the measurement, added, px.
-        surface_sigma: standard deviation of the body's surface, added, px at 1 m from the camera.
-        rho: width of the window in which lines of a group pool their statistics, px.
-        prior_mass: weight of a group's whole statistics, in samples.
-        floor: least variance.
-        colour_mass: weight of a group's remembered colours, in samples.
-    """
-
-    half: int
-    clip: float
-    fraction: float
-    inner: float
-    least_sigma: float
-    surface_sigma: float
-    rho: float
-    prior_mass: float
-    floor: float
-    colour_mass: float
+    half: int  # samples on each side of the contour
+    clip: float  # largest log density ratio, nats per px
+    fraction: float  # of each line's information that counts, since neighbours measure the same pixels
+    inner: float  # a further factor for contours before another part of the body
+    least_sigma: float  # standard deviation of the measurement, added, px
+    surface_sigma: float  # standard deviation of the body's surface, added, px at 1 m from the camera
+    rho: float  # width of the window in which lines of a group pool their statistics, px
+    prior_mass: float  # weight of a group's whole statistics, in samples
+    floor: float  # least variance
+    colour_mass: float  # weight of a group's remembered colours, in samples
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
@@ -58,26 +44,19 @@ def measured_lines(
     image: Float32, visible: VisibleParts, lines: Lines, group: Int, colours: Float, reach: float,
     settings: LineSettings,
 ) -> Measured:  # fmt: skip
-    """All lines of a view, by the four steps below.
+    """All lines of a view (H, W, C), by the four steps below.
 
     Args:
-        image: (H, W, C).
-        visible, lines: of the rendered body.
         group: (N,) lines of one number pool their statistics: the part, or 0 for the whole body.
         colours: (G, 1 + 2C) remembered confidence, mean and mean square of each group.
         reach: half length of the lines, px at 1 m from the camera.
-        settings: of the lines.
     """
-    pixels = lines[0]
     step = np.maximum(reach / settings.half * lines[4], 0.25)
     values, first, last = sample_lines(image, visible, lines, step, settings.half)
     moments = line_moments(values, first, last, step)
-    mean, variance = pooled_gaussians(
-        moments, pixels, group, settings.rho, settings.prior_mass, settings.floor, colours, settings.colour_mass
-    )
-    displacement, spread, evidence = boundary_posterior(values, first, last, step, mean, variance, settings.clip)
-    weight, target = _weighed(lines, displacement, spread, settings)
-    return displacement, weight, evidence, target
+    mean, variance = pooled_gaussians(moments, lines[0], group, colours, settings)
+    posterior = boundary_posterior(values, first, last, step, mean, variance, settings.clip)
+    return _weighed(lines, posterior, settings)
 
 
 @njit(cache=True, nogil=True)
@@ -89,15 +68,14 @@ def ratio_lines(ratio: Float32, visible: VisibleParts, lines: Lines, reach: floa
     mean = np.full((len(step), 2, 1), 0.5)  # of Gaussians of unit variance at ±½ a value is its own log ratio
     mean[:, 1] = -0.5
     variance = np.ones_like(mean)
-    displacement, spread, evidence = boundary_posterior(values, first, last, step, mean, variance, settings.clip)
-    weight, target = _weighed(lines, displacement, spread, settings)
-    return displacement, weight, evidence, target
+    posterior = boundary_posterior(values, first, last, step, mean, variance, settings.clip)
+    return _weighed(lines, posterior, settings)
 
 
 @njit(cache=True, nogil=True)
-def _weighed(lines: Lines, displacement: Float, spread: Float, settings: LineSettings) -> tuple[Float, Float]:
-    """Information (N,) and target (N, 2) of lines, from their posteriors."""
-    pixels, normals, _, outer, inverse_depth = lines
+def _weighed(lines: Lines, posterior: tuple[Float, Float, Float], settings: LineSettings) -> Measured:
+    """What lines measure, from the displacement (N,), spread (N,) and evidence (N,) of their posteriors."""
+    (pixels, normals, _, outer, inverse_depth), (displacement, spread, evidence) = lines, posterior
     weight, target = np.empty_like(spread), np.empty_like(pixels)
     for n in range(len(pixels)):
         surface = settings.surface_sigma * inverse_depth[n]
@@ -105,7 +83,7 @@ def _weighed(lines: Lines, displacement: Float, spread: Float, settings: LineSet
         weight[n] = counts / (spread[n] + settings.least_sigma**2 + surface * surface)
         target[n, 0] = pixels[n, 0] + displacement[n] * normals[n, 0]
         target[n, 1] = pixels[n, 1] + displacement[n] * normals[n, 1]
-    return weight, target
+    return displacement, weight, evidence, target
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST, inline="always")
@@ -125,8 +103,8 @@ def sample_lines(
 ) -> tuple[Float32, Int, Int]:
     """Bilinear values (N, 2 half + 1, C) along the lines, and the first and last usable sample of each (N,).
 
-    Sample k of a line is ``(k − half) · step`` px outward. Inward a line is usable while it stays on its own part,
-    outward while it stays off the body (outer contours) or off the part (inner ones). Other values are 0.
+    Sample k is ``(k − half) · step`` px outward. Inward a line is usable while it stays on its own part, outward while
+    it stays off the body (outer contours) or off the part (inner ones). Other values are 0.
     """
     face_index, face_part = visible
     pixels, normals, part, outer, _ = lines
@@ -187,7 +165,7 @@ def line_moments(values: Float32, first: Int, last: Int, step: Float) -> Float:
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def _pooled(moments: Float, pixels: Float, part: Int, rho: float) -> Float:
-    """(N, F) moments (N, F) of all lines of the same part under a window of `rho` px, each pair seen once."""
+    """(N, F) moments of all lines of the same part under a window of `rho` px, each pair seen once."""
     N, fields = moments.shape
     out = moments.copy()
     order = np.argsort(part, kind="mergesort")
@@ -222,26 +200,19 @@ def _add_both(out: Float, moments: Float, n: int, m: int, weight: float, fields:
 
 @njit(cache=True, nogil=True, fastmath=_FAST)
 def pooled_gaussians(
-    moments: Float,
-    pixels: Float,
-    part: Int,
-    rho: float,
-    prior_mass: float,
-    floor: float,
-    colours: Float,
-    colour_mass: float,
+    moments: Float, pixels: Float, part: Int, colours: Float, settings: LineSettings
 ) -> tuple[Float, Float]:
     """Local means and variances (N, 2, C) of both sides, pooled over the lines of the same part within about `rho` px.
 
     Neighbours are weighted by a window like a Gaussian of `rho` px. The part's whole statistics are added with the
-    weight of `prior_mass` samples, for lines without neighbours. `floor` is the least variance. Inside, remembered
-    `colours` (S, 1 + 2C: confidence, mean, mean square) replace the part's whole statistics, with the weight of
-    `colour_mass` samples times their confidence.
+    weight of `prior_mass` samples, for lines without neighbours. Inside, remembered `colours` (S, 1 + 2C) replace them,
+    with the weight of `colour_mass` samples times their confidence.
     """
     N, _, fields = moments.shape
+    prior_mass, floor, colour_mass = settings.prior_mass, settings.floor, settings.colour_mass
     channels = (fields - 1) // 2
     mean, variance = np.zeros((N, 2, channels)), np.zeros((N, 2, channels))
-    pooled = _pooled(moments.reshape(N, 2 * fields), pixels, part, rho).reshape(N, 2, fields)
+    pooled = _pooled(moments.reshape(N, 2 * fields), pixels, part, settings.rho).reshape(N, 2, fields)
     whole = np.zeros((part.max() + 1 if N else 1, 2, fields))
     for n in range(N):
         whole[part[n]] += moments[n]
@@ -294,9 +265,8 @@ def boundary_posterior(
 ) -> tuple[Float, Float, Float]:
     """Mean (px, outward), variance (px²) and evidence of the contour's displacement along each line.
 
-    The boundary may be half a step before or behind any usable sample. A sample's log density ratio is clipped to
-    ±`clip` nats per px against outliers. Evidence is the log-likelihood (nats) of the best place minus that of no
-    boundary on the line (all inside or all outside).
+    The boundary may be half a step before or behind any usable sample. Log density ratios are clipped to ±`clip` nats
+    per px. Evidence is the log-likelihood (nats) of the best place minus that of no boundary on the line.
     """
     N, length, channels = values.shape
     half = length // 2

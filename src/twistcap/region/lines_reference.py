@@ -16,9 +16,7 @@ def measured_lines_reference(
     s, step = settings, np.maximum(reach / settings.half * lines[4], 0.25)
     values, first, last = sample_lines_reference(image, visible, lines, step, s.half)
     moments = line_moments_reference(values, first, last, step)
-    mean, variance = pooled_gaussians_reference(
-        moments, lines[0], group, s.rho, s.prior_mass, s.floor, colours, s.colour_mass
-    )
+    mean, variance = pooled_gaussians_reference(moments, lines[0], group, colours, s)
     return _weighed(lines, *boundary_posterior_reference(values, first, last, step, mean, variance, s.clip), s)
 
 
@@ -76,22 +74,21 @@ def line_moments_reference(values: Float | Float32, first: Int, last: Int, step:
 
 
 def pooled_gaussians_reference(
-    moments: Float, pixels: Float, part: Int, rho: float, prior_mass: float, floor: float, colours: Float,
-    colour_mass: float,
-) -> tuple[Float, Float]:  # fmt: skip
+    moments: Float, pixels: Float, part: Int, colours: Float, s: LineSettings
+) -> tuple[Float, Float]:
     """Readable twin of `pooled_gaussians`."""
     channels, same = (moments.shape[2] - 1) // 2, part[:, None] == part
-    d2 = np.sum((pixels[:, None] - pixels) ** 2, axis=2) / rho**2
+    d2 = np.sum((pixels[:, None] - pixels) ** 2, axis=2) / s.rho**2
     sums = np.einsum("nm,msf->nsf", same * np.maximum(1.0 - d2 / 6.25, 0.0) ** 3, moments)
     whole = np.einsum("nm,msf->nsf", same, moments)
     whole = np.where(whole[..., :1] > 0.0, whole, moments.sum(axis=0))
-    prior = np.where(whole[..., :1] > 0.0, prior_mass * whole / np.maximum(whole[..., :1], 1e-300), 0.0)
+    prior = np.where(whole[..., :1] > 0.0, s.prior_mass * whole / np.maximum(whole[..., :1], 1e-300), 0.0)
     confidence = colours[part, :1]
     known = np.concatenate([np.ones_like(confidence), colours[part, 1:]], axis=1)
-    prior[:, 0] = np.where(confidence > 0.0, colour_mass * confidence * known, prior[:, 0])
+    prior[:, 0] = np.where(confidence > 0.0, s.colour_mass * confidence * known, prior[:, 0])
     mean_and_square = (sums + prior)[..., 1:] / np.maximum((sums + prior)[..., :1], 1e-9)
     mean = mean_and_square[..., :channels]
-    return mean, np.maximum(mean_and_square[..., channels:] - mean**2, 0.0) + floor
+    return mean, np.maximum(mean_and_square[..., channels:] - mean**2, 0.0) + s.floor
 
 
 def boundary_posterior_reference(

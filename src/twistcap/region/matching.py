@@ -1,9 +1,8 @@
 """Shape matching: corresponding points of the image's contour and the body's.
 
-Two ways (Brox, Rosenhahn and Cremers, "Contours, Optic Flow, and Prior Knowledge", section 11.3.3; B. Rosenhahn et al.,
-"A comparison of shape matching methods for contour based pose estimation", IWCIA 2006, LNCS 4040, 263-276): the nearest
-point (`nearest_with_normal`), and a smooth field of displacements between the two signed distances, which also moves
-points along the contour with their neighbours.
+Two ways (Brox, Rosenhahn and Cremers, section 11.3.3; B. Rosenhahn et al., "A comparison of shape matching methods for
+contour based pose estimation", IWCIA 2006, LNCS 4040, 263-276): the nearest point (`nearest_with_normal`), and a smooth
+field of displacements between the two signed distances, which also moves points along the contour.
 """
 
 from __future__ import annotations
@@ -23,12 +22,7 @@ _NEWTON_STEPS = 4
 
 @dataclass(frozen=True)
 class Displacement:
-    """A displacement field on a coarse grid.
-
-    Attributes:
-        field: (h, w, 2) px of the image, (x, y).
-        resolution: px of the image in each row and column of the grid.
-    """
+    """A displacement `field` (h, w, 2), px of the image, on a grid of `resolution` px of the image."""
 
     field: Float32
     resolution: int
@@ -36,78 +30,58 @@ class Displacement:
     def at(self, points: Float) -> Float:
         """(N, 2) px by which points (N, 2) px move; beyond the border as at it."""
         grid = ((points + 0.5) / self.resolution - 0.5).astype(np.float32)
-        if not len(grid):
-            return np.zeros((0, 2))
-        moved = cv2.remap(
-            self.field, grid[:, None, 0], grid[:, None, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-        )
-        return np.asarray(moved, dtype=np.float64).reshape(-1, 2)
+        moved = _bilinear(self.field, grid[:, None, 0], grid[:, None, 1]) if len(grid) else self.field[:0]
+        return moved.astype(np.float64).reshape(-1, 2)
+
+
+def _bilinear(field: Float32, x: Float32, y: Float32) -> Float32:
+    """The values of a field (h, w, C) at places (H, W); beyond the border as at it."""
+    return np.asarray(cv2.remap(field, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32)
 
 
 @dataclass(frozen=True)
 class VariationalRule:
-    """Settings of displacement fields.
+    """Settings of displacement fields."""
 
-    Attributes:
-        alpha: weight of smoothness, in squared px of the image.
-        resolution: px of the image in each row and column of the grid; signed distances are smooth.
-        warps: linearisations.
-        iterations: of the linear solver in each.
-        reach: px from the contour within which the shapes are compared.
-    """
-
-    alpha: float = 100.0
-    resolution: int = 4
-    warps: int = 2
-    iterations: int = 8
-    reach: float = 12.0
+    alpha: float = 100.0  # weight of smoothness, in squared px of the image
+    resolution: int = 4  # px of the image in each row and column of the grid; signed distances are smooth
+    warps: int = 2  # linearisations
+    iterations: int = 8  # of the linear solver in each
+    reach: float = 12.0  # px from the contour within which the shapes are compared
 
 
 def displacement(phi0: Float32, phi: Float32, rule: VariationalRule) -> Displacement:
     """The smooth field w that makes Φ(x + w) agree with Φ₀(x).
 
     Minimises ``∫ (Φ₀(x) − Φ(x + w))² + α (|∇u|² + |∇v|²)`` near the contour of Φ₀, by warping and successive
-    over-relaxation (eq. 11.15, with the two shapes exchanged, so that w starts on the body's contour).
-
-    Args:
-        phi0, phi: (H, W) signed distances px, positive inside; only the sign of `phi` is used.
-        rule: settings.
+    over-relaxation (eq. 11.15, with the two shapes exchanged, so that w starts on the body's contour). `phi0` and `phi`
+    are signed distances (H, W) px, positive inside; only the sign of `phi` is used.
     """
-    r = rule.resolution
-    scale = np.float32(r)
-    distances = (phi0, _distance(phi))
+    r, inside = rule.resolution, phi > 0.0
+    distances = (phi0, signed_distance(inside) if inside.any() and not inside.all() else phi)
     size = (max(phi.shape[1] // r, 2), max(phi.shape[0] // r, 2))
-    source, target = (cv2.resize(p, size, interpolation=cv2.INTER_AREA).astype(np.float32) / scale for p in distances)
+    small = (cv2.resize(p, size, interpolation=cv2.INTER_AREA) for p in distances)
+    source, target = (p.astype(np.float32) / np.float32(r) for p in small)
     slopes = np.gradient(target)
     packed = np.ascontiguousarray(np.stack([target, slopes[1], slopes[0]], axis=2), np.float32)
     weight = (np.abs(source) <= rule.reach / r).astype(np.float32)
     field = np.zeros((*size[::-1], 2), np.float32)
     x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in size))
     for _ in range(rule.warps):
-        warped = cv2.remap(
-            packed, x + field[..., 0], y + field[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-        )
-        relax(field, np.asarray(warped, np.float32), source, weight, rule.alpha / r**2, rule.iterations)
+        warped = _bilinear(packed, x + field[..., 0], y + field[..., 1])
+        relax(field, warped, source, weight, rule.alpha / r**2, rule.iterations)
     return Displacement(r * field, r)
-
-
-def _distance(phi: Float32) -> Float32:
-    """The signed distance of a level set; unchanged where it has one sign."""
-    inside = phi > 0.0
-    return signed_distance(inside) if inside.any() and not inside.all() else phi
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "arcp"})
 def relax(field: Float32, warped: Float32, source: Float32, weight: Float32, alpha: float, iterations: int) -> None:
-    """Improve a field (h, w, 2) in place on the system linearised about it, by successive over-relaxation.
+    """Improve a field (h, w, 2) in place on the system linearised about it, by sweeps of over-relaxation.
 
     Args:
-        field: u and v.
         warped: (h, w, 3) value and x and y slope of the target at x + w.
         source: (h, w) wanted value.
         weight: (h, w) of the data; 0 where only the smoothness counts.
         alpha: of the smoothness; borders reflect.
-        iterations: sweeps.
     """
     height, width = source.shape
     a, keep, relaxed = np.float32(alpha), np.float32(1.0 - _RELAXATION), np.float32(_RELAXATION)
@@ -154,16 +128,14 @@ def displaced_partners(
 ) -> tuple[Float, Float]:
     """Partner (N, 2) px of each point (N, 2) px by the field, and its distance (N,).
 
-    Since the field is coarse, partners are moved to the zero level of `phi` (H, W). Where that fails, or the outward
-    normal there does not agree with the point's own (N, 2), the distance is infinite.
+    Partners are moved to the zero level of `phi` (H, W). Where that fails, or the outward normal there does not agree
+    with the point's own (N, 2), the distance is infinite.
     """
     return _on_contour(points, normals, points + flow.at(points), phi, least_cosine)
 
 
 @njit(cache=True, nogil=True)
-def _on_contour(
-    points: Float, normals: Float, ends: Float, phi: Float32, least_cosine: float
-) -> tuple[Float, Float]:  # fmt: skip
+def _on_contour(points: Float, normals: Float, ends: Float, phi: Float32, least_cosine: float) -> tuple[Float, Float]:
     """Newton's steps from `ends` (N, 2) along the slope of Φ to its zero level."""
     height, width = phi.shape
     partner, distance = ends.copy(), np.full(len(points), np.inf)

@@ -1,4 +1,4 @@
-"""Appearance models of the two regions, behind one protocol: each pixel's log density ratio, inside to outside.
+"""Appearance models of the two regions: each pixel's log density ratio, inside to outside.
 
 After Brox, Rosenhahn and Cremers, "Contours, Optic Flow, and Prior Knowledge", section 11.2, which compares local
 Gaussians with a global Parzen estimate.
@@ -8,117 +8,65 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, Protocol, get_args
+from typing import Literal, get_args
 
 import cv2
 import numpy as np
 
 from twistcap.arrays import Bool, Float32, Int
-from twistcap.errors import InputError
-from twistcap.region.densities import blockwise_log_ratio, global_log_ratio
-from twistcap.region.parzen import parzen_log_ratio
+from twistcap.errors import check_choice
+from twistcap.region.densities import blockwise_log_ratio, global_log_ratio, parzen_log_ratio
 
 Density = Literal["local", "global", "parzen"]
 Statistics = Literal["part", "whole"]
 
 
-class RegionModel(Protocol):
-    """Densities of two regions."""
+_PARZEN_FLOOR = 0.05  # density per unit of brightness that is added everywhere
+
+
+@dataclass(frozen=True)
+class RegionModel:
+    """Densities of two regions.
+
+    Attributes:
+        density: "local": one Gaussian per region and channel in a window about each pixel; "global": one of the whole
+            region; "parzen": one smoothed histogram of it.
+        rho: standard deviation of the window, m.
+        floor: least variance of a Gaussian, brightness².
+        prior_mass: fraction of a window at which global statistics have the weight of local ones.
+        sigma: standard deviation of the Parzen kernel, brightness.
+
+    Raises InputError for an unknown density.
+    """
+
+    density: Density
+    rho: float = 0.04
+    floor: float = 4e-4
+    prior_mass: float = 0.02
+    sigma: float = 0.02
+
+    def __post_init__(self) -> None:
+        check_choice("density", self.density, get_args(Density))
 
     @property
     def window(self) -> float:
-        """Radius (m) about a pixel in which its densities are estimated; infinite for global models."""
-        ...
+        """Radius (m) about a pixel in which its densities are estimated; infinite for those of whole regions."""
+        return math.sqrt(3.0) * self.rho if self.density == "local" else math.inf
 
     def log_ratio(
         self, features: Float32, inside: Float32, outside: Float32, px_per_m: float, wanted: Bool | None = None
     ) -> Float32:
         """(H, W) log p₁/p₂, nats, of channels (H, W, C) under the densities of the two regions.
 
-        Args:
-            features: (H, W, C).
-            inside, outside: (H, W) membership of each region, 0 … 1; pixels in neither are ignored.
-            px_per_m: scale of the image.
-            wanted: (H, W) where the ratio is needed; elsewhere it may be 0.
+        `inside` and `outside` (H, W) are memberships, 0 … 1; pixels in neither are ignored. The ratio is needed where
+        `wanted` (H, W); elsewhere it may be 0.
         """
-        ...
-
-
-@dataclass(frozen=True)
-class LocalGaussian:
-    """One Gaussian per region and channel in a window about each pixel.
-
-    Attributes:
-        rho: standard deviation of the window, m.
-        floor: least variance, brightness².
-        prior_mass: fraction of a window at which global statistics have the weight of local ones.
-    """
-
-    rho: float = 0.04
-    floor: float = 4e-4
-    prior_mass: float = 0.02
-
-    @property
-    def window(self) -> float:
-        """Half width of the box of that deviation."""
-        return math.sqrt(3.0) * self.rho
-
-    def log_ratio(
-        self, features: Float32, inside: Float32, outside: Float32, px_per_m: float, wanted: Bool | None = None
-    ) -> Float32:
-        """See `RegionModel`."""
-        return blockwise_log_ratio(
-            features, inside, self.rho * px_per_m, self.floor, self.prior_mass, wanted, outside=outside
-        )
-
-
-@dataclass(frozen=True)
-class GlobalGaussian:
-    """One Gaussian per region and channel. `floor` is the least variance, brightness²."""
-
-    floor: float = 4e-4
-    window: float = math.inf
-
-    def log_ratio(
-        self, features: Float32, inside: Float32, outside: Float32, px_per_m: float, wanted: Bool | None = None
-    ) -> Float32:
-        """See `RegionModel`."""
-        return global_log_ratio(features, inside, self.floor, outside)
-
-
-@dataclass(frozen=True)
-class GlobalParzen:
-    """One smoothed histogram per region and channel.
-
-    Attributes:
-        sigma: standard deviation of the kernel, brightness.
-        floor: density per unit of brightness that is added everywhere.
-    """
-
-    sigma: float = 0.02
-    floor: float = 0.05
-    window: float = math.inf
-
-    def log_ratio(
-        self, features: Float32, inside: Float32, outside: Float32, px_per_m: float, wanted: Bool | None = None
-    ) -> Float32:
-        """See `RegionModel`."""
-        return parzen_log_ratio(features, inside, outside, self.sigma, self.floor)
-
-
-def region_model(density: Density, rho: float, floor: float, prior_mass: float, parzen_sigma: float) -> RegionModel:
-    """The model of a name, with those of the settings (see its class) that it has.
-
-    Raises:
-        InputError: for an unknown name.
-    """
-    if density == "local":
-        return LocalGaussian(rho, floor, prior_mass)
-    if density == "global":
-        return GlobalGaussian(floor)
-    if density == "parzen":
-        return GlobalParzen(parzen_sigma)
-    raise InputError(f"density is {density!r}; choose one of {', '.join(get_args(Density))}.")
+        if self.density == "parzen":
+            return parzen_log_ratio(features, inside, outside, self.sigma, _PARZEN_FLOOR)
+        if self.density == "global":
+            return global_log_ratio(features, inside, self.floor, outside)
+        rho = self.rho * px_per_m
+        return blockwise_log_ratio(features, inside, rho, self.floor, self.prior_mass, wanted, outside=outside)
 
 
 def log_ratio_by_part(
@@ -127,14 +75,8 @@ def log_ratio_by_part(
 ) -> Float32:  # fmt: skip
     """(H, W) log p₁/p₂ with p₁ the density of the pixel's own part of the body.
 
-    Args:
-        model: of the densities.
-        features: (H, W, C).
-        inside: (H, W) membership of the whole body.
-        part: (H, W) part of each pixel, or the nearest part just outside the body; -1 for none.
-        px_per_m: scale of the image.
-        wanted: (H, W) where the ratio is needed; elsewhere it is 0.
-        outside: (H, W) membership of the background; by default the complement of `inside`.
+    Arguments as for `RegionModel.log_ratio`, `inside` of the whole body, `outside` by default its complement; where the
+    ratio is not wanted it is 0. `part` (H, W) is that of each pixel, or the nearest just outside the body; -1 for none.
     """
     out = np.zeros(inside.shape, dtype=np.float32)
     outside = np.float32(1.0) - inside if outside is None else outside

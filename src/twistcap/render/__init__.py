@@ -4,13 +4,6 @@ from twistcap.render.contour import ContourPoints, contour_on_edges, reprojected
 from twistcap.render.view import RenderedView, SurfaceArrays, SurfacePoints, body_window, render
 
 __all__ = [
-    "ContourPoints",
-    "RenderedView",
-    "SurfaceArrays",
-    "SurfacePoints",
-    "body_window",
-    "contour_on_edges",
-    "render",
-    "reprojected",
-    "visible_contour",
-]
+    "ContourPoints", "RenderedView", "SurfaceArrays", "SurfacePoints", "body_window", "contour_on_edges", "render",
+    "reprojected", "visible_contour",
+]  # fmt: skip

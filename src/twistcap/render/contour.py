@@ -32,11 +32,9 @@ class ContourPoints:
     """Samples of a body's visible contour in one view.
 
     Attributes:
-        points: (N,) places on the surface.
-        pixels: (N, 2) image positions, px.
+        points, pixels: N places on the surface, and (N, 2) in the image, px.
         normals: (N, 2) unit image normals, outward of the part.
-        part: (N,) segment of the contour.
-        outer: (N,) True on the silhouette, False before another part of the body.
+        part, outer: (N,) segment; True on the silhouette, False before another part of the body.
         inverse_depth: (N,) 1/m.
     """
 
@@ -51,14 +49,12 @@ class ContourPoints:
         return len(self.pixels)
 
     def __getitem__(self, which: Bool | Int) -> ContourPoints:
-        return ContourPoints(
-            self.points[which], self.pixels[which], self.normals[which], self.part[which], self.outer[which],
-            self.inverse_depth[which],
-        )  # fmt: skip
+        rest: tuple[Any, ...] = (self.pixels, self.normals, self.part, self.outer, self.inverse_depth)
+        return ContourPoints(self.points[which], *(own[which] for own in rest))
 
     def moved_by(self, posed: Posed, P: Float) -> Float:
         """(N,) px by which the points move in the image when the body takes this pose."""
-        return _step_lengths(P, self.points.at(posed), self.pixels)
+        return np.hypot(*(project(P, self.points.at(posed))[0] - self.pixels).T)
 
 
 def reprojected(contour: ContourPoints, posed: Posed, P: Float) -> ContourPoints:
@@ -67,24 +63,8 @@ def reprojected(contour: ContourPoints, posed: Posed, P: Float) -> ContourPoints
     return replace(contour, pixels=pixels, inverse_depth=inverse_depth)
 
 
-@njit(cache=True, nogil=True)
-def _step_lengths(P: Float, world: Float, pixels: Float) -> Float:
-    """(N,) px between the projections of world points (N, 3) and `pixels` (N, 2)."""
-    now, _ = project(P, world)
-    out = np.empty(len(now))
-    for n in range(len(now)):
-        out[n] = np.hypot(now[n, 0] - pixels[n, 0], now[n, 1] - pixels[n, 1])
-    return out
-
-
 def visible_contour(view: RenderedView, spacing: float = 3.0, inner_gap: float = _INNER_GAP) -> ContourPoints:
-    """Contour points about `spacing` px apart along the outline.
-
-    Args:
-        view: the rendered body.
-        spacing: px between samples.
-        inner_gap: least distance (m) to another part behind a contour point for it to count.
-    """
+    """Contour points about `spacing` px apart along the outline, and where another part is `inner_gap` m behind."""
     return contour_on_edges(view, spacing, inner_gap)[0]
 
 
@@ -158,14 +138,10 @@ def contour_samples(
     P: Float, pixels: Float, inverse_depth: Float, normals: Float, mesh: MeshArrays, drawn: tuple[Int, Float32],
     spacing: float, inner_gap: float,
 ) -> Samples:  # fmt: skip
-    """Samples every `spacing` px along all contour edges.
+    """Samples every `spacing` px along all contour edges; see `visible_contour`.
 
-    Args:
-        P: (3, 4) projection.
-        pixels, inverse_depth, normals: (V, 2), (V,) and (V, 3) of the vertices.
-        mesh: faces, edges and parts.
-        drawn: (H, W) visible triangle and inverse depth of the rendered body.
-        spacing, inner_gap: as for `visible_contour`.
+    Pixels (V, 2), inverse depths (V,) and normals (V, 3) are those of the vertices, `drawn` (H, W) the visible triangle
+    and inverse depth at each pixel.
     """
     faces, edges, edge_faces, face_part, vertex_part = mesh
     face_index, buffer = drawn
@@ -219,7 +195,8 @@ def contour_samples_reference(
     """Readable twin of `contour_samples`: edge by edge."""
     faces, edges, edge_faces, face_part, vertex_part = mesh
     a, b, c = (pixels[faces[:, k]] for k in range(3))
-    front = np.where((inverse_depth[faces] == 0.0).any(axis=1), 0, -np.sign(_cross(b - a, c - a)))
+    areas = np.linalg.det(np.stack([b - a, c - a], axis=1))
+    front = np.where((inverse_depth[faces] == 0.0).any(axis=1), 0, -np.sign(areas))
     found, walked = list[tuple[Any, ...]](), 0.5 * spacing
     for (i, j), (f, g) in zip(edges, edge_faces, strict=True):
         way = pixels[j] - pixels[i]
@@ -234,7 +211,7 @@ def contour_samples_reference(
             t, at = s * inverse_depth[j] / w, pixels[i] + s * way
             normal = (P[:2, :3] - np.outer(at, P[2, :3])) @ ((1.0 - t) * normals[i] + t * normals[j])
             normal = normal / max(float(np.hypot(*normal)), 1e-12)
-            kind = _visibility_reference(at, normal, w, part, drawn, face_part, inner_gap)
+            kind = _visibility((at[0], at[1]), (normal[0], normal[1]), w, part, *drawn, face_part, inner_gap)
             if normal.any() and kind != _HIDDEN:
                 found.append(((i, j), (1.0 - t, t), vertex_part[i if t < 0.5 else j], kind == _OUTER, at, normal, w))
     ends, weights, parts, outer, places, directions, nearness = zip(*found, strict=True)
@@ -242,25 +219,3 @@ def contour_samples_reference(
         np.array(ends, np.int32), np.array(weights), np.array(parts, np.int32), np.array(outer), np.array(places),
         np.array(directions), np.array(nearness),
     )  # fmt: skip
-
-
-def _visibility_reference(
-    at: Float, normal: Float, w: float, part: int, drawn: tuple[Int, Float32], face_part: Int, inner_gap: float
-) -> int:
-    """Readable twin of `_visibility`."""
-    face_index, buffer = drawn
-    (c0, r0), (c1, r1) = np.rint(at - normal).astype(int), np.rint(at + 1.5 * normal).astype(int)
-    height, width = face_index.shape
-    if min(c0, r0, c1, r1) < 0 or max(c0, c1) >= width or max(r0, r1) >= height:
-        return _HIDDEN
-    inside, outside, depth = face_index[r0, c0], face_index[r1, c1], 1.0 / w
-    if inside >= 0 and face_part[inside] != part and 1.0 / buffer[r0, c0] < depth - 0.03:
-        return _HIDDEN
-    if outside < 0:
-        return _OUTER
-    return _INNER if 1.0 / buffer[r1, c1] > depth + inner_gap else _HIDDEN
-
-
-def _cross(a: Float, b: Float) -> Float:
-    """(N,) z of the cross products of plane vectors (N, 2)."""
-    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]

@@ -14,17 +14,12 @@ _EDGE = 1e-9  # triangles overlap by this much, so that rounding leaves no crack
 def rasterise(
     pixels: Float, nearness: Float, faces: Int, origin: tuple[int, int], size: tuple[int, int]
 ) -> tuple[Int, Float32]:
-    """Visible triangle and nearness at each pixel centre of a window of the image.
+    """(H, W) visible triangle, -1 for none, and its nearness, 0 there, at the pixel centres of a window of the image.
 
     Args:
-        pixels: (V, 2) projected vertices, pixel centres at integers.
-        nearness: (V,) `camera.projection`'s, 0 for vertices behind the camera (their triangles are skipped).
+        pixels, nearness: (V, 2) and (V,) of the vertices (`camera.projection`); those of nearness 0 are not drawn.
         faces: (F, 3), counter-clockwise seen from outside; back faces are culled.
-        origin: (x, y) of the window's first pixel.
-        size: (width, height) of the window.
-
-    Returns:
-        (H, W) triangle index, -1 where there is none, and (H, W) nearness, 0 there.
+        origin, size: (x, y) of the window's first pixel; its (width, height).
     """
     width, height = size
     face_index = np.full((height, width), -1, dtype=np.int32)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -26,12 +27,7 @@ SurfaceArrays = tuple[Float, Int, Float, Float]
 
 @dataclass(frozen=True)
 class SurfacePoints:
-    """Points fixed to the surface, carried by linear-blend skinning.
-
-    Attributes:
-        segments, weights: (N, K) binding.
-        local: (N, 3) rest-pose positions, m.
-    """
+    """Points carried by the surface: `segments` and `weights` (N, K) of their binding, `local` (N, 3) rest places m."""
 
     segments: Int
     weights: Float
@@ -49,16 +45,15 @@ class SurfacePoints:
     def __getitem__(self, which: Bool | Int) -> SurfacePoints:
         if which.dtype == np.bool_:
             which = np.flatnonzero(which).astype(np.int32)
-        take = np.take  # much faster than indexing
-        return SurfacePoints(
-            take(self.segments, which, axis=0), take(self.weights, which, axis=0), take(self.local, which, axis=0)
-        )
+        taken = (np.take(own, which, axis=0) for own in self._arrays)  # much faster than indexing
+        return SurfacePoints(*taken)
 
     def __add__(self, other: SurfacePoints) -> SurfacePoints:
-        return SurfacePoints(
-            np.concatenate([self.segments, other.segments]), np.concatenate([self.weights, other.weights]),
-            np.concatenate([self.local, other.local]),
-        )  # fmt: skip
+        return SurfacePoints(*(np.concatenate(pair) for pair in zip(self._arrays, other._arrays, strict=True)))
+
+    @property
+    def _arrays(self) -> tuple[Any, Any, Any]:
+        return self.segments, self.weights, self.local
 
     def bound_to(self, posed: Posed) -> SurfaceArrays:
         """The points at a pose, for kernels."""
@@ -71,15 +66,11 @@ class SurfacePoints:
 
 @dataclass(frozen=True)
 class RenderedView:
-    """What one camera sees of a body.
+    """What one camera without distortion sees of a body.
 
     Attributes:
-        posed: the body at its pose.
-        camera: without distortion.
-        pixels: (V, 2) projected vertices.
-        nearness: (V,) of them (`camera.projection`): 1/m for a pinhole; 0 behind the camera.
-        face_index: (H, W) visible triangle, -1 for none.
-        nearness_image: (H, W) of what is seen, 0 for none.
+        pixels, nearness: (V, 2) and (V,) of the vertices (`camera.projection`): 1/m for a pinhole; 0 behind the camera.
+        face_index, nearness_image: (H, W) visible triangle, -1 for none, and its nearness, 0 for none.
     """
 
     posed: Posed
@@ -102,7 +93,8 @@ class RenderedView:
     @cached
     def part(self) -> Int:
         """(H, W) visible segment, -1 off the body."""
-        return _part_image(self.face_index, self.posed.body.face_part)
+        table = np.append(self.posed.body.face_part, np.int32(-1))  # −1 picks the last one
+        return table.take(self.face_index, mode="wrap")
 
     @cached
     def inside(self) -> Float32:
@@ -121,9 +113,8 @@ class RenderedView:
         return surface_points(body, body.faces[face], weights)
 
     def visible(self, points: SurfacePoints, tolerance: float, posed: Posed | None = None) -> tuple[Bool, Float]:
-        """Which points (N,) lie in the image no more than `tolerance` m behind what is seen; all pixels (N, 2).
-
-        With `posed` their places are those of another pose than the rendered one.
+        """Which points (N,) lie in the image no more than `tolerance` m behind what is seen, and all pixels (N, 2); at
+        another pose than the rendered one where that is given.
         """
         pixels, nearness = projected(self.camera, points.at(posed or self.posed))
         return in_sight(pixels, nearness, self.nearness_image, self.camera.inverse_depth, tolerance), pixels
@@ -218,39 +209,33 @@ def _bounds(P: Float, points: Float) -> tuple[float, float, float, float]:
     return left, top, right, bottom
 
 
-@njit(cache=True, nogil=True)
-def _part_image(face_index: Int, face_part: Int) -> Int:
-    out = np.full(face_index.shape, -1, dtype=np.int32)
-    for r in range(face_index.shape[0]):
-        for c in range(face_index.shape[1]):
-            if face_index[r, c] >= 0:
-                out[r, c] = face_part[face_index[r, c]]
-    return out
-
-
 def surface_points(body: Body, corners: Int, weights: Float, keep: int = _KEEP) -> SurfacePoints:
     """Surface points from vertex indices (N, M) and their weights (N, M), bound to their `keep` strongest segments."""
     segments, skin = _blend_binding(body.skin_segments, body.skin_weights, corners, weights, keep)
-    local = _blend_places(body.vertices, corners, weights)
-    return SurfacePoints(segments, skin, local)
+    return SurfacePoints(segments, skin, blended(body.vertices, corners, weights))
 
 
 @njit(cache=True, nogil=True)
-def _blend_places(vertices: Float, corners: Int, weights: Float) -> Float:
-    """(N, 3) weighted means of vertices."""
-    out = np.zeros((len(corners), 3))
+def blended(values: Float, corners: Int, weights: Float) -> Float:
+    """(N, C) means of values (V, C) over corners (N, M) with weights (N, M)."""
+    out = np.zeros((len(corners), values.shape[1]))
     for n in range(len(corners)):
         for m in range(corners.shape[1]):
-            for i in range(3):
-                out[n, i] += weights[n, m] * vertices[corners[n, m], i]
+            for c in range(values.shape[1]):
+                out[n, c] += weights[n, m] * values[corners[n, m], c]
     return out
+
+
+def blended_reference(values: Float, corners: Int, weights: Float) -> Float:
+    """Readable twin of `blended`."""
+    return np.einsum("nm,nmc->nc", weights, values[corners])
 
 
 @njit(cache=True, nogil=True)
 def _blend_binding(
     skin_segments: Int, skin_weights: Float, corners: Int, weights: Float, keep: int
 ) -> tuple[Int, Float]:
-    """Merged bindings of several vertices; unused places have weight 0. See `blend_binding_reference`."""
+    """Segments and weights (N, keep) of several vertices together; unused places have weight 0."""
     N, M = corners.shape
     K = skin_segments.shape[1]
     segments, out = np.zeros((N, keep), dtype=np.int32), np.zeros((N, keep))
@@ -284,14 +269,3 @@ def _blend_binding(
         for place in range(min(keep, count)):
             out[n, place] /= total
     return segments, out
-
-
-def blend_binding_reference(body: Body, corners: Int, weights: Float, keep: int = _KEEP) -> Float:
-    """Readable twin of the binding kernel, as dense weights (N, S)."""
-    dense = np.zeros((len(body.vertices), len(body.segment_names)))
-    rows = np.repeat(np.arange(len(body.vertices)), body.skin_segments.shape[1])
-    np.add.at(dense, (rows, body.skin_segments.ravel()), body.skin_weights.ravel())
-    blended = np.einsum("nm,nms->ns", weights, dense[corners])
-    threshold = -np.sort(-blended, axis=1)[:, min(keep, blended.shape[1]) - 1 :][:, :1]
-    kept = np.where(blended >= threshold, blended, 0.0)
-    return kept / kept.sum(axis=1, keepdims=True)

@@ -19,24 +19,10 @@ from twistcap.errors import InputError
 
 @dataclass(frozen=True)
 class Marginals:
-    """Marginal covariances of all unknowns.
-
-    Attributes:
-        poses: (F, D, D) of each pose.
-        shared: (K, K) of the shared parameters.
-    """
+    """Marginal covariances of all unknowns: (F, D, D) of each pose, (K, K) of the shared parameters."""
 
     poses: Float
     shared: Float
-
-
-@dataclass(frozen=True)
-class _Factor:
-    """Cholesky factor of the band, ``A⁻¹ B`` (F D, K), and factor of the Schur complement ``C − Bᵀ A⁻¹ B``."""
-
-    band: Float
-    across: Float
-    complement: tuple[Float, bool]
 
 
 class Arrow:
@@ -44,11 +30,10 @@ class Arrow:
 
     Attributes:
         band: (F, reach + 1, D, D), block (t, j) is that of frames t + j (rows) and t (columns).
-        border: (F, D, K); corner: (K, K).
+        border, corner: (F, D, K) and (K, K).
         pull, shared_pull: (F, D) and (K,) gradients.
         value: energy at the linearisation point.
-        longest: largest entry (rad, m) of a pose's step, a number or (D,); `shared_longest`, a number or (K,), of the
-            shared parameters' step.
+        longest, shared_longest: largest entry (rad, m) of a step, a number or (D,) of a pose's, or (K,).
     """
 
     def __init__(self, frames: int, dof: int, shared: int, reach: int) -> None:
@@ -64,11 +49,11 @@ class Arrow:
         self, frames: tuple[int, ...], J: tuple[Float, ...], S: Float | None, weight: Float, residual: Float
     ) -> None:
         """Add ½ Σ weight (residual + Σ_i J_i δ_i + S s)²; frames in ascending order, J_i (N, D), S (N, K) or None."""
-        Wr = weight * residual
-        for i, (t, first) in enumerate(zip(frames, J, strict=True)):
+        Wr, met = weight * residual, list(zip(frames, J, strict=True))
+        for i, (t, first) in enumerate(met):
             weighted = weight[:, None] * first
             self.pull[t] += first.T @ Wr
-            for u, second in list(zip(frames, J, strict=True))[i:]:
+            for u, second in met[i:]:
                 self.band[t, u - t] += second.T @ weighted
             if S is not None:
                 self.border[t] += weighted.T @ S
@@ -95,32 +80,30 @@ class Arrow:
         if factor is None:
             return None
         F, D, _ = self.border.shape
-        free = np.asarray(cho_solve_banded((factor.band, True), -self.pull.ravel()))
-        shared = cho_solve(factor.complement, -self.shared_pull - self._border.T @ free)
-        poses = (free - factor.across @ shared).reshape(F, D)
+        band, across, complement = factor
+        free = np.asarray(cho_solve_banded((band, True), -self.pull.ravel()))
+        shared = cho_solve(complement, -self.shared_pull - self._border.T @ free)
+        poses = (free - across @ shared).reshape(F, D)
         poses /= np.maximum(1.0, np.abs(poses / self.longest).max(axis=1, initial=0.0, keepdims=True))
         shared /= max(1.0, float(np.abs(shared / self.shared_longest).max(initial=0.0)))
         return np.concatenate([poses.ravel(), shared])
 
     def marginals(self) -> Marginals:
-        """Exact marginal covariances (of unit weight).
-
-        Raises:
-            InputError: where the equations do not determine an unknown, or a number is not finite.
-        """
+        """Exact marginal covariances (of unit weight). Raises InputError where the equations do not determine them."""
         factor = self._factored(0.0)
         if factor is None:
             raise InputError("adjust: the data do not determine a pose or a length; give more frames or views.")
-        F, D, K = self.border.shape
-        shared, lean = cho_solve(factor.complement, np.eye(K)), factor.across.reshape(F, D, K)
-        return Marginals(diagonal_blocks(factor.band, F, D) + lean @ shared @ lean.transpose(0, 2, 1), shared)
+        (F, D, K), (band, across, complement) = self.border.shape, factor
+        shared, lean = cho_solve(complement, np.eye(K)), across.reshape(F, D, K)
+        return Marginals(diagonal_blocks(band, F, D) + lean @ shared @ lean.transpose(0, 2, 1), shared)
 
     @property
     def _border(self) -> Float:
         """(F D, K)."""
         return self.border.reshape(self.pull.size, len(self.corner))
 
-    def _factored(self, damping: float) -> _Factor | None:
+    def _factored(self, damping: float) -> tuple[Float, Float, tuple[Float, bool]] | None:
+        """Cholesky factor of the band, ``A⁻¹ B`` (F D, K), and factor of the Schur complement ``C − Bᵀ A⁻¹ B``."""
         _, D, K = self.border.shape
         diagonal = np.arange(D)
         band, corner = self.band.copy(), self.corner.copy()
@@ -129,23 +112,9 @@ class Arrow:
         try:
             factor = cholesky_banded(_lower_form(band), lower=True, overwrite_ab=True)
             across = np.asarray(cho_solve_banded((factor, True), self._border))
-            return _Factor(factor, across, cho_factor(corner - self._border.T @ across))
+            return factor, across, cho_factor(corner - self._border.T @ across)
         except (LinAlgError, ValueError):
             return None
-
-    def dense(self) -> Float:
-        """((F D + K), (F D + K)) the whole matrix, for tests."""
-        F, D, K = self.border.shape
-        out = np.zeros((F * D + K, F * D + K))
-        for t in range(F):
-            for j in range(min(self.reach + 1, F - t)):
-                rows, columns = slice((t + j) * D, (t + j + 1) * D), slice(t * D, (t + 1) * D)
-                out[rows, columns] = self.band[t, j]
-                out[columns, rows] = self.band[t, j].T
-        out[: F * D, F * D :] = self.border.reshape(F * D, K)
-        out[F * D :, : F * D] = out[: F * D, F * D :].T
-        out[F * D :, F * D :] = self.corner
-        return out
 
 
 def _lower_form(band: Float) -> Float:

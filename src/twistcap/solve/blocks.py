@@ -1,6 +1,6 @@
 """Blocks of variables that know how to take a step, and named sets of them of which some are free.
 
-A block is anything with `dof`, `retract` and `minus`, such as a pose.
+A block is any value with `dof`, the numbers of its step, and `retract(step)`, the value after that step.
 """
 
 from __future__ import annotations
@@ -8,41 +8,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Protocol, Self
+from typing import Any
 
 import numpy as np
 
 from twistcap import se3
 from twistcap.arrays import Bool, Float
-from twistcap.body import Body, Pose, Posed
+from twistcap.body import Pose
 from twistcap.camera import Camera
-
-
-class Block(Protocol):
-    """A value that is moved by a step of `dof` numbers."""
-
-    @property
-    def dof(self) -> int:
-        """Numbers of a step."""
-        ...
-
-    def retract(self, step: Float) -> Self:
-        """The value after a step."""
-        ...
-
-    def minus(self, other: Self) -> Float:
-        """The step that `retract` needs to come from `other` to this value."""
-        ...
 
 
 @dataclass(frozen=True)
 class Vector:
-    """Numbers whose step is added, inside their limits: an exposure, log-factors of lengths, a clock.
-
-    Attributes:
-        values: (n,) in their own unit.
-        limits: (n, 2) or None for none.
-    """
+    """Numbers (n,) whose step is added, inside `limits` (n, 2): an exposure, log-factors of lengths, a clock."""
 
     values: Float
     limits: Float | None = None
@@ -55,9 +33,6 @@ class Vector:
         values = self.values + step
         return replace(self, values=values if self.limits is None else np.clip(values, *self.limits.T))
 
-    def minus(self, other: Vector) -> Float:
-        return self.values - other.values
-
     def pressed(self, gradient: Float) -> Bool:
         """(n,) which numbers are at a limit that a step against the gradient would cross."""
         if self.limits is None:
@@ -68,13 +43,8 @@ class Vector:
 
 @dataclass(frozen=True)
 class Moment:
-    """A pose between two of a track, and its derivatives.
-
-    Attributes:
-        pose: the interpolated pose.
-        frames: numbers of the two poses.
-        by_frame: (D, D) derivative of the step of `pose` by the step of each of the two.
-        velocity: (D,) of `pose` (rad/s, m/s), which is its derivative by time.
+    """A pose between two frames of a track; `by_frame` (D, D) are the derivatives of its step by those of the two,
+    `velocity` (D,) (rad/s, m/s) that by time.
     """
 
     pose: Pose
@@ -85,12 +55,7 @@ class Moment:
 
 @dataclass(frozen=True)
 class PoseTrack:
-    """Poses of F frames as one block: the step is that of the first pose, then of the second, and so on.
-
-    Attributes:
-        poses: F of them.
-        times: (F,) s, ascending.
-    """
+    """Poses at F ascending `times` (F,) s as one block: the step is that of the first pose, then of the second …"""
 
     poses: tuple[Pose, ...]
     times: Float
@@ -107,9 +72,6 @@ class PoseTrack:
     def retract(self, step: Float) -> PoseTrack:
         steps = step.reshape(len(self.poses), -1)
         return replace(self, poses=tuple(p.retract(s) for p, s in zip(self.poses, steps, strict=True)))
-
-    def minus(self, other: PoseTrack) -> Float:
-        return np.concatenate([p.minus(o) for p, o in zip(self.poses, other.poses, strict=True)])
 
     def at(self, time: float) -> Moment:
         """The pose at a time (s), by the constant velocity of the two frames next to it; it extrapolates outside.
@@ -130,14 +92,7 @@ class PoseTrack:
 
 @dataclass(frozen=True)
 class CameraBlock:
-    """A camera's pose, and optionally its focal length.
-
-    The step is the left twist of `T_cam_world` (ω rad, v m; in the camera's axes), then log f.
-
-    Attributes:
-        camera: a pinhole.
-        focal: whether the focal length is part of the step.
-    """
+    """A pinhole camera. The step is the left twist of `T_cam_world` (ω rad, v m; in its axes), then log f."""
 
     camera: Camera
     focal: bool = False
@@ -153,30 +108,12 @@ class CameraBlock:
         T = se3.compose_one(se3.exp_one(step[:6]), self.camera.T_cam_world)
         return replace(self, camera=replace(self.camera, K=K, T_cam_world=T))
 
-    def minus(self, other: CameraBlock) -> Float:
-        turn = se3.difference_one(self.camera.T_cam_world, other.camera.T_cam_world)
-        growth = np.log(self.camera.K[0, 0] / other.camera.K[0, 0])
-        return np.concatenate([turn, [growth]])[: self.dof]
-
-
-@dataclass(frozen=True)
-class FixedShape:
-    """A body of known shape; see `terms.reprojection.Shaped`."""
-
-    body: Body
-
-    def rates(self, posed: Posed) -> Float:
-        """(L, 3, 0)."""
-        return np.zeros((*posed.landmarks.shape, 0))
-
 
 @dataclass(frozen=True)
 class Variables:
-    """Named blocks, of which some are free; the whole step is that of the free blocks in the order of `free`.
+    """Named blocks, of which those in `free` move; the whole step is that of these blocks, in this order.
 
     Attributes:
-        blocks: by name.
-        free: names of those that move.
         longest: by name, the largest entry of a block's step, a number or one for each entry; by default 1 (rad, m).
         fixed: by name, which numbers of a free block do not move.
     """
@@ -203,7 +140,8 @@ class Variables:
     def longest_step(self, names: Sequence[str] | None = None) -> Float:
         """(n,) `longest` of every number of the step of these blocks, by default all free ones."""
         names = self.free if names is None else names
-        return stacked([np.broadcast_to(self.longest.get(name, 1.0), self.blocks[name].dof) for name in names])
+        steps = [np.broadcast_to(self.longest.get(name, 1.0), self.blocks[name].dof) for name in names]
+        return np.concatenate([np.zeros(0), *steps])
 
     def retract(self, step: Float) -> Variables:
         """All blocks after a step (dof,) of the free ones."""
@@ -225,12 +163,3 @@ class Variables:
     def memo(self) -> dict[Any, Any]:
         """Results of terms at these values that other terms may use."""
         return {}
-
-    def minus(self, other: Variables) -> Float:
-        """(dof,) the step that `retract` needs to come from `other` to these."""
-        return stacked([self.blocks[name].minus(other.blocks[name]) for name in self.free])
-
-
-def stacked(steps: Sequence[Float]) -> Float:
-    """Steps of free blocks one after the other."""
-    return np.concatenate(steps) if steps else np.zeros(0)

@@ -19,16 +19,15 @@ _posv, _potrf, _potri = get_lapack_funcs(("posv", "potrf", "potri"), dtype=np.fl
 class Dense(Quadratic):
     """A quadratic over the stacked step of all free blocks, as a system that `minimise` solves.
 
-    Attributes:
-        longest: largest entry of a step, a number (1 rad or m for a pose) or (n,).
+    `longest` is the largest entry of a step, a number (1 rad or m for a pose) or (n,).
     """
 
     longest: Float | float = 1.0
 
     @staticmethod
-    def of(quadratic: Quadratic, longest: Float | float = 1.0) -> Dense:
+    def of(quadratic: Quadratic) -> Dense:
         """The system of a quadratic."""
-        return Dense(quadratic.value, quadratic.gradient, quadratic.hessian, longest)
+        return Dense(quadratic.value, quadratic.gradient, quadratic.hessian)
 
     def finite(self) -> bool:
         # A sum is finite only if every number is.
@@ -49,10 +48,6 @@ class Dense(Quadratic):
         gradient, hessian = np.where(held, 0.0, self.gradient), np.where(held[:, None] | held, 0.0, self.hessian)
         hessian[held, held] = 1.0
         return replace(self, gradient=gradient, hessian=hessian)
-
-    def covariance(self) -> Float:
-        """(n, n) marginal covariances of all unknowns; see `covariance`."""
-        return covariance(self)
 
 
 def covariance(quadratic: Quadratic) -> Float:

@@ -6,9 +6,9 @@ Madsen, Nielsen and Tingleff, "Methods for Non-Linear Least Squares Problems", 2
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Generic, Literal, Protocol, TypeVar
+from typing import Any, Generic, Literal, Protocol, TypeVar
 
 import numpy as np
 
@@ -39,7 +39,6 @@ class System(Protocol):
 
     def step(self, damping: float) -> Float | None:
         """Minimiser with the diagonal raised by the fraction `damping`, shortened; None if it cannot be solved."""
-        ...
 
 
 class Problem(Protocol[X, S_co]):
@@ -58,6 +57,14 @@ class Problem(Protocol[X, S_co]):
         ...
 
 
+def energies_by_name(terms: Iterable[Any], x: Any) -> dict[str, float]:
+    """Energies of terms by name; those of the same name are summed."""
+    out: dict[str, float] = {}
+    for term in terms:
+        out[term.name] = out.get(term.name, 0.0) + term.energy(x)
+    return out
+
+
 @dataclass(frozen=True)
 class Solution(Generic[X, S]):
     """Outcome of `minimise`.
@@ -66,8 +73,7 @@ class Solution(Generic[X, S]):
         x: the best point reached; the first one if none was better.
         status: "converged" (step below tolerance, or gain too small), "max_iterations", "stalled" (no step lowered the
             energy) or "failed" (a number was not finite).
-        steps: accepted steps.
-        energies: at that point, by name of term.
+        steps, energies: accepted steps, and energies at that point, by name of term.
         system: of all terms, at the point before the last step.
     """
 
@@ -83,29 +89,12 @@ class Solution(Generic[X, S]):
         return sum(self.energies.values())
 
 
-@dataclass(frozen=True)
-class _Step(Generic[X]):
-    """An accepted step: the new point, the step's size and damping, and the fraction by which the energy fell."""
-
-    x: X
-    energies: Mapping[str, float]
-    size: float
-    damping: float
-    gain: float
-
-
 def minimise(problem: Problem[X, S], x: X, steps: int = 1, damping: float = 1e-3, gain: float = 0.0) -> Solution[X, S]:
-    """Minimise the energy of a problem from a point on.
+    """Minimise the energy of a problem from a point on, by at most so many accepted steps.
 
     A step that does not lower the energy is damped ten times more and tried again. The next step begins with a tenth
-    of the damping that was needed, but not below `damping`.
-
-    Args:
-        problem: energy, quadratic and retraction.
-        x: the starting point.
-        steps: greatest number of accepted steps.
-        damping: least factor on the diagonal.
-        gain: fraction by which the energy must fall for another step to be taken.
+    of the damping that was needed, but not below `damping`, the least factor on the diagonal. The energy must fall by
+    the fraction `gain` for another step to be taken.
     """
     system, energies = problem.linearised(x), None
     status: Status = "max_iterations"
@@ -123,16 +112,20 @@ def minimise(problem: Problem[X, S], x: X, steps: int = 1, damping: float = 1e-3
         if accepted is None:
             status = "stalled"
             break
-        x, energies, taken = accepted.x, accepted.energies, taken + 1
-        damping = max(0.1 * accepted.damping, least)
-        if accepted.size < _TOLERANCE or accepted.gain < gain:
+        (x, energies, size, used, gained), taken = accepted, taken + 1
+        damping = max(0.1 * used, least)
+        if size < _TOLERANCE or gained < gain:
             status = "converged"
             break
     return Solution(x, status, taken, energies or problem.energies(x), system)
 
 
-def _downhill(problem: Problem[X, S], x: X, system: S, damping: float) -> _Step[X] | None:
-    """The first damped step that lowers the energy."""
+def _downhill(
+    problem: Problem[X, S], x: X, system: S, damping: float
+) -> tuple[X, Mapping[str, float], float, float, float] | None:
+    """The first damped step that lowers the energy: the new point, its energies, the step's size and damping, and the
+    fraction by which the energy fell.
+    """
     before = system.value
     for _ in range(_TRIES):
         step = system.step(damping)
@@ -142,6 +135,6 @@ def _downhill(problem: Problem[X, S], x: X, system: S, damping: float) -> _Step[
             energy = sum(energies.values())
             if math.isfinite(energy) and energy <= before + _ROUNDING * abs(before):
                 gain = (before - energy) / max(abs(before), 1e-300)
-                return _Step(candidate, energies, float(np.abs(step).max(initial=0.0)), damping, gain)
+                return candidate, energies, float(np.abs(step).max(initial=0.0)), damping, gain
         damping = max(10.0 * damping, 1e-3)
     return None

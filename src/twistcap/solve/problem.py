@@ -1,18 +1,24 @@
-"""The problem of named blocks: the free blocks, the terms, and the system that sums them."""
+"""The two problems: one pose, the tracker's terms; named blocks, with the systems that sum terms over them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 
 from twistcap.arrays import Float, Int
+from twistcap.body import Posed
+from twistcap.render import SurfacePoints
 from twistcap.solve.arrow import Arrow
 from twistcap.solve.blocks import Variables
 from twistcap.solve.dense import Dense, covariance
-from twistcap.terms.quadratic import Quadratic
-from twistcap.terms.rows import BlockTerm, Place, Slope
+from twistcap.solve.minimise import energies_by_name
+from twistcap.terms import PointTerm, Quadratic, Rows, SegmentSums, Term
+from twistcap.terms.protocols import BlockTerm, Place, Slope
+
+AnySums = TypeVar("AnySums", "DenseSums", "ArrowSums")
 
 
 class DenseSums:
@@ -23,9 +29,8 @@ class DenseSums:
         self.gradient, self.hessian = np.zeros(x.dof), np.zeros((x.dof, x.dof))
 
     def add_rows(self, energy: float, slopes: Sequence[Slope], weight: Float, residual: Float) -> None:
-        """See `terms.rows.Sums`."""
         self.value += energy
-        placed = [(self._place(s.block, s.first, s.by.shape[1]), s.by) for s in slopes if s.block in self.x.slices]
+        placed = [(_place(self.x, s), s.by) for s in slopes if s.block in self.x.slices]
         for i, (rows, first) in enumerate(placed):
             weighted = first.T * weight
             self.gradient[rows] += weighted @ residual
@@ -36,7 +41,6 @@ class DenseSums:
                     self.hessian[columns, rows] += block.T
 
     def add_quadratic(self, places: Sequence[Place], value: float, gradient: Float, hessian: Float) -> None:
-        """See `terms.rows.Sums`."""
         self.value += value
         own, there = _free(self.x, places)
         self.gradient[there] += gradient[own]
@@ -47,10 +51,6 @@ class DenseSums:
         dense = Dense(self.value, self.gradient, self.hessian, self.x.longest_step())
         held = self.x.held(self.gradient)
         return dense.holding(held) if held.any() else dense
-
-    def _place(self, block: str, first: int, size: int) -> slice:
-        start = self.x.slices[block].start + first
-        return slice(start, start + size)
 
 
 class ArrowSums:
@@ -64,28 +64,25 @@ class ArrowSums:
         poses = x[self.track]
         self.pose_dof = poses.pose_dof
         self.arrow = Arrow(len(poses.poses), self.pose_dof, x.dof - poses.dof, reach)
-        self.arrow.longest, self.arrow.shared_longest = (
-            x.longest_step(x.free[:1])[: self.pose_dof],
-            x.longest_step(x.free[1:]),
-        )
+        self.arrow.longest = x.longest_step(x.free[:1])[: self.pose_dof]
+        self.arrow.shared_longest = x.longest_step(x.free[1:])
 
     def add_rows(self, energy: float, slopes: Sequence[Slope], weight: Float, residual: Float) -> None:
-        """See `terms.rows.Sums`; the rows of frames in ascending order."""
+        """The rows of frames in ascending order."""
         self.arrow.value += energy
         frames = [(s.first // self.pose_dof, s.by) for s in slopes if s.block == self.track]
         shared = [s for s in slopes if s.block != self.track and s.block in self.x.slices]
         border = np.zeros((len(residual), len(self.arrow.corner))) if shared else None
         for slope in shared:
             assert border is not None
-            border[:, self._place(slope)] += slope.by
+            border[:, _place(self.x, slope, self.arrow.pull.size)] += slope.by
         J = tuple(by for _, by in frames)
         self.arrow.add_rows(tuple(t for t, _ in frames), J, border, weight, residual)
 
     def add_quadratic(self, places: Sequence[Place], value: float, gradient: Float, hessian: Float) -> None:
-        """See `terms.rows.Sums`; of one whole pose, of shared blocks, or both."""
+        """Of one whole pose, of shared blocks, or both."""
         self.arrow.value += value
-        own, there = _free(self.x, places)
-        poses = self.arrow.pull.size
+        (own, there), poses = _free(self.x, places), self.arrow.pull.size
         pose, shared = own[there < poses], own[there >= poses]
         border = there[there >= poses] - poses
         if len(pose):
@@ -95,9 +92,11 @@ class ArrowSums:
         self.arrow.shared_pull[border] += gradient[shared]
         self.arrow.corner[np.ix_(border, border)] += hessian[np.ix_(shared, shared)]
 
-    def _place(self, slope: Slope) -> slice:
-        start = self.x.slices[slope.block].start - self.x[self.track].dof + slope.first
-        return slice(start, start + slope.by.shape[1])
+
+def _place(x: Variables, slope: Slope, before: int = 0) -> slice:
+    """Place of a slope in the step of all free blocks less the numbers `before`."""
+    start = x.slices[slope.block].start + slope.first - before
+    return slice(start, start + slope.by.shape[1])
 
 
 def _free(x: Variables, places: Sequence[Place]) -> tuple[Int, Int]:
@@ -115,21 +114,16 @@ def _free(x: Variables, places: Sequence[Place]) -> tuple[Int, Int]:
 class BlockProblem:
     """A sum of terms over named blocks.
 
-    Attributes:
-        terms: summed.
-        reach: None for a dense system; else how many frames apart the rows of a term may be, for an `Arrow` whose
-            track is the first free block.
+    `reach` None is for a dense system; else it is how many frames apart the rows of a term may be, for an `Arrow` whose
+    track is the first free block.
     """
 
     terms: Sequence[BlockTerm]
     reach: int | None = None
 
     def energies(self, x: Variables) -> dict[str, float]:
-        """Energies by name of term; terms of the same name are summed."""
-        out: dict[str, float] = {}
-        for term in self.terms:
-            out[term.name] = out.get(term.name, 0.0) + term.energy(x)
-        return out
+        """Energies by name of term."""
+        return energies_by_name(self.terms, x)
 
     def linearised(self, x: Variables) -> Dense | Arrow:
         """Sum of the quadratics of the step of all free blocks."""
@@ -137,26 +131,54 @@ class BlockProblem:
 
     def dense(self, x: Variables) -> Dense:
         """The same in one matrix, whatever the reach."""
-        return self._dense_sums(x).system()
+        return self._summed(DenseSums(x)).system()
 
     def covariance(self, x: Variables) -> Float:
         """(dof, dof) marginal covariances of all free blocks, without limits."""
-        sums = self._dense_sums(x)
+        sums = self._summed(DenseSums(x))
         return covariance(Quadratic(sums.value, sums.gradient, sums.hessian))
-
-    def _dense_sums(self, x: Variables) -> DenseSums:
-        sums = DenseSums(x)
-        for term in self.terms:
-            term.add_to(sums, x)
-        return sums
 
     def arrow(self, x: Variables, reach: int) -> Arrow:
         """The same with the track's poses in a band."""
-        sums = ArrowSums(x, reach)
+        return self._summed(ArrowSums(x, reach)).arrow
+
+    def _summed(self, sums: AnySums) -> AnySums:
         for term in self.terms:
-            term.add_to(sums, x)
-        return sums.arrow
+            term.add_to(sums, sums.x)
+        return sums
 
     def retract(self, x: Variables, step: Float) -> Variables:
         """The blocks after a step."""
         return x.retract(step)
+
+
+@dataclass(frozen=True)
+class PoseProblem:
+    """The sum of terms as a problem of the pose alone; `rows` of point terms and `quadratics` of the others, by `id` of
+    the terms, are those where it was linearised last.
+    """
+
+    terms: Sequence[Term]
+    rows: dict[int, tuple[SurfacePoints, Rows]] = field(default_factory=dict[int, "tuple[SurfacePoints, Rows]"])
+    quadratics: dict[int, Quadratic] = field(default_factory=dict[int, Quadratic])
+
+    def energies(self, x: Posed) -> dict[str, float]:
+        """Energies by name of term."""
+        return energies_by_name(self.terms, x)
+
+    def linearised(self, x: Posed) -> Dense:
+        """Sum of the quadratics; point terms are summed by segment first and brought to the pose's step once."""
+        sums, total = SegmentSums(x), Quadratic.zero(x.body.dof)
+        for term in self.terms:
+            if isinstance(term, PointTerm):
+                energy, points, rows = term.rows(x)
+                sums.add_rows(energy, points, rows)
+                self.rows[id(term)] = points, rows
+            else:
+                self.quadratics[id(term)] = term.linearize(x)
+                total = total + self.quadratics[id(term)]
+        return Dense.of(total + sums.quadratic())
+
+    def retract(self, x: Posed, step: Float) -> Posed:
+        """The body after a step (6 + J,) of its pose."""
+        return Posed(x.body, x.pose.retract(step))

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from twistcap.body.humanoid import Variant
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check_numbers
 
 Condition = Literal["exact", "mismatch"]
 
@@ -19,27 +19,22 @@ class StudioConfig:
     """A synthetic capture.
 
     Attributes:
-        seed: of clothes, texture, background, lights, stature, gait and camera angles.
-        views: number of cameras on the ring, 1-8.
+        seed, views: of all that is random; number of cameras on the ring, 1-8.
         size: (width, height) of the images, px. The person fills about 0.68 of the height.
-        frames: number of frames.
-        fps: frames per second.
+        frames, fps: number of frames, and how many per second.
         condition: "exact", or "mismatch": body, cameras and first pose of the tracker differ from the truth.
-        hard: person and background have nearly the same greys and colours.
-        one_colour: the whole body has one colour and no texture, only shading.
+        hard, one_colour: person and background have nearly the same colours; the whole body has one, only shaded.
         colour: RGB images; otherwise grey ones.
         speed_factor: playback speed of the motion.
         dropped: spans (first, last) of frames, both included, without images, or (first, last, camera).
         uniform_noise: fraction of pixels in [0, 1] replaced by uniform noise, or its knots, evenly spaced over the
             sequence: (0, 1, 0) rises from none to all and falls again.
-        rectangles: number of rectangles of random place, size and colour in each image.
-        occluders: number of occluders in each view, the same in all frames.
+        rectangles, occluders: numbers of painted rectangles in each image, and of occluders, the same in all frames.
         motion_blur: number of sub-frames averaged over the open time of the shutter, half the frame interval; 1: sharp.
         sensor_noise: standard deviation of Gaussian noise, in intensities of [0, 1].
         variant: of the built-in humanoid, when no body is given.
 
-    Raises:
-        InputError: for values out of range.
+    Raises InputError for values out of range.
     """
 
     seed: int = 0
@@ -61,16 +56,13 @@ class StudioConfig:
     variant: Variant = "full"
 
     def __post_init__(self) -> None:
-        _expect(self.seed >= 0, "seed", self.seed, "0 or more")
+        not_negative = ("seed", "rectangles", "occluders", "sensor_noise")
+        check_numbers("studio", self, ("fps", "speed_factor"), not_negative)
         _expect(1 <= self.views <= 8, "views", self.views, "1 to 8")
         _expect(min(self.size) >= 16, "size", self.size, "at least 16 pixels each way")
         _expect(self.frames >= 1, "frames", self.frames, "1 or more")
-        _expect(self.fps > 0, "fps", self.fps, "positive")
-        _expect(self.speed_factor > 0, "speed_factor", self.speed_factor, "positive")
         _expect(self.condition in ("exact", "mismatch"), "condition", self.condition, "'exact' or 'mismatch'")
-        _expect(self.rectangles >= 0 and self.occluders >= 0, "rectangles and occluders", "negative", "0 or more")
         _expect(self.motion_blur >= 1, "motion_blur", self.motion_blur, "1 or more")
-        _expect(self.sensor_noise >= 0, "sensor_noise", self.sensor_noise, "0 or more")
         knots = np.atleast_1d(self.uniform_noise)
         _expect(bool(np.all((knots >= 0) & (knots <= 1))), "uniform_noise", self.uniform_noise, "in [0, 1]")
         shaped = all(len(span) in (2, 3) and span[0] <= span[1] for span in self.dropped)

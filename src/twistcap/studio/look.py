@@ -22,7 +22,7 @@ _HAIR = np.array([[0.12, 0.09, 0.08], [0.35, 0.22, 0.13], [0.70, 0.55, 0.33], [0
 
 @dataclass(frozen=True)
 class Look:
-    """What shading takes beside the geometry; see `shade.shade`.
+    """What shading takes beside the geometry; see `picture.shade`.
 
     Attributes:
         cover: (V, G) fraction of each garment in each vertex.

@@ -59,16 +59,14 @@ def gait(
 
     Args:
         body: with OpenSim's coordinate names, rest pose facing +x, z up.
-        fps: frames per second.
-        frames: how many poses.
+        fps, frames: poses per second, and how many.
         speed: m/s, met exactly; the stride is widened or narrowed to it.
         cadence: steps per minute; by default that of adults at this speed.
         heading: direction of the walk, rad from +x towards +y.
         start: where mid-hip begins on the floor, m.
         phase: of the first frame, in cycles; 0 is the right heel strike.
 
-    Raises:
-        InputError: for a rate, speed or cadence that is not positive.
+    Raises InputError for a rate, speed or cadence that is not positive.
     """
     for name, value in (("fps", fps), ("speed", speed), ("cadence", 1.0 if cadence is None else cadence)):
         if not value > 0:

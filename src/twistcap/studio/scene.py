@@ -4,25 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from twistcap.arrays import Bool, Float, Float32, UInt8
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.humanoid import humanoid
-from twistcap.camera import Rig
+from twistcap.camera import Camera, Rig, look_at
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
 from twistcap.studio.background import background, occluder_layer
 from twistcap.studio.config import StudioConfig, stream
 from twistcap.studio.look import GREY, Look, look
-from twistcap.studio.marring import marred
 from twistcap.studio.mismatch import wrong_body, wrong_pose, wrong_rig
 from twistcap.studio.motion import gait
-from twistcap.studio.picture import Layer, between, picture_of, render_body
-from twistcap.studio.ring import ring, zoom_to_fit
+from twistcap.studio.picture import Layer, between, marred, picture_of, render_body
 
 PERSON_HEIGHT = 0.68  # fraction of the image's height, for a person in the middle of the ring: 190 px of 280
 RADIUS = 2.9  # of the ring, in statures
@@ -30,17 +29,15 @@ _SHUTTER = 0.5  # open time as a fraction of the frame interval, centred on the 
 # Direction of the first camera from the walking direction, deg, by number of views. Two cameras are at the front left
 # and right, so that each arm is visible in one of them.
 FIRST_CAMERA_DEG = {1: 60.0, 2: -67.5}
+STEREO_ANGLE_DEG = 135.0  # between two cameras; 90° and 160° were measured to be worse
+_MARGIN = 0.03  # of the image, on each side
 
 
 @dataclass(frozen=True)
 class Capture:
     """A synthetic recording. A tracker may see `frames()`, `body`, `rig` and `first_pose`; the rest is the truth.
 
-    Attributes:
-        config: of the capture.
-        true_body, true_rig, true_poses: the truth, with one pose per frame.
-        body, rig, first_pose: the tracker's input; equal to the truth in `exact` scenes.
-        look: clothes, texture, lights.
+    In `exact` scenes these equal the truth; else they are as wrong as in a laboratory (`studio.mismatch`).
     """
 
     config: StudioConfig
@@ -120,15 +117,8 @@ class Capture:
 
 
 def capture(config: StudioConfig, body: Body | None = None, poses: Sequence[Pose] | None = None) -> Capture:
-    """A synthetic capture.
-
-    Args:
-        config: what to render.
-        body: of the person; by default the built-in humanoid, of random stature by the seed.
-        poses: one per frame; by default a walk.
-
-    Raises:
-        InputError: for fewer poses than frames.
+    """A synthetic capture of a body, by default the built-in humanoid of random stature by the seed, in poses, one per
+    frame, by default a walk. Raises InputError for fewer poses than frames.
     """
     body = default_body(config) if body is None else body
     heading = float(stream(config.seed, "heading").uniform(0, 2 * np.pi)) if poses is None else 0.0
@@ -168,3 +158,40 @@ def ring_around(config: StudioConfig, body: Body, poses: Sequence[Pose], heading
     focal = PERSON_HEIGHT * config.size[1] * RADIUS
     rig = ring(config.views, RADIUS * stature, target[2] - 0.5 * stature + heights, target, config.size, focal, offset)
     return zoom_to_fit(rig, cloud)
+
+
+def ring(
+    views: int, radius: float, height: ArrayLike, target: ArrayLike, size: tuple[int, int], focal: float | None = None,
+    offset_deg: float = 0.0,
+) -> Rig:  # fmt: skip
+    """Cameras cam01 … evenly spaced on a circle, all looking at one point; two are 135° apart.
+
+    Args:
+        radius, height: horizontal distance from the target, and height above z = 0 (one for all or one each), m.
+        target: (3,) point at the principal point of all, m.
+        size, focal: of the images, px; by default 1.75 m at the target fill 0.68 of their height.
+        offset_deg: direction from the target to the first camera, from x towards y.
+    """
+    target = np.asarray(target, float)
+    heights = np.broadcast_to(np.asarray(height, float), (views,))
+    focal = 0.68 * size[1] * radius / 1.75 if focal is None else focal
+    K = np.array([[focal, 0.0, (size[0] - 1) / 2], [0.0, focal, (size[1] - 1) / 2], [0.0, 0.0, 1.0]])
+    step = STEREO_ANGLE_DEG if views == 2 else 360.0 / views
+    cameras: list[Camera] = []
+    for k in range(views):
+        angle = np.deg2rad(offset_deg + k * step)
+        eye = [target[0] + radius * np.cos(angle), target[1] + radius * np.sin(angle), heights[k]]
+        cameras.append(Camera(f"cam{k + 1:02d}", K, look_at(eye, target), size))
+    return Rig(tuple(cameras))
+
+
+def zoom_to_fit(rig: Rig, points: Float) -> Rig:
+    """The rig zoomed out, if needed, until all points (N, 3) are inside every image with a margin."""
+    reach = 0.0
+    for camera in rig:
+        half = (np.array(camera.size) - 1) / 2
+        pixels, _ = camera.project(points)
+        reach = max(reach, float(np.max(np.abs(pixels - half) / half)))
+    factor = min(1.0, (1.0 - 2 * _MARGIN) / reach)
+    zoom = np.array([[factor, factor, 1.0], [factor, factor, 1.0], [1.0, 1.0, 1.0]])
+    return Rig(tuple(replace(camera, K=camera.K * zoom) for camera in rig))

@@ -4,29 +4,11 @@ from twistcap.terms.accumulate import PointTerm, Rows, SegmentSums
 from twistcap.terms.coordinates import BlockGaussian, GaussianTerm, LimitTerm, OnPose, RestTerm
 from twistcap.terms.photometric import PhotometricTerm
 from twistcap.terms.points import KeypointTerm, PointNormalTerm, PointRayTerm
-from twistcap.terms.quadratic import MaskableTerm, Quadratic, Term
+from twistcap.terms.protocols import BlockTerm, MaskableTerm, Place, Quadratic, Slope, Sums, Term
 from twistcap.terms.reprojection import ReprojectionTerm
-from twistcap.terms.rows import BlockTerm, Place, Slope, Sums
 
 __all__ = [
-    "BlockGaussian",
-    "BlockTerm",
-    "GaussianTerm",
-    "KeypointTerm",
-    "LimitTerm",
-    "MaskableTerm",
-    "OnPose",
-    "PhotometricTerm",
-    "Place",
-    "PointNormalTerm",
-    "PointRayTerm",
-    "PointTerm",
-    "Quadratic",
-    "ReprojectionTerm",
-    "RestTerm",
-    "Rows",
-    "SegmentSums",
-    "Slope",
-    "Sums",
-    "Term",
-]
+    "BlockGaussian", "BlockTerm", "GaussianTerm", "KeypointTerm", "LimitTerm", "MaskableTerm", "OnPose",
+    "PhotometricTerm", "Place", "PointNormalTerm", "PointRayTerm", "PointTerm", "Quadratic", "ReprojectionTerm",
+    "RestTerm", "Rows", "SegmentSums", "Slope", "Sums", "Term",
+]  # fmt: skip

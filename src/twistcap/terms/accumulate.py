@@ -2,7 +2,8 @@
 
 A row is a residual r of a surface point x with gradient g = ∂r/∂x. Its derivative by the twist of segment s, to which
 the point is bound with weight w_s, is ``w_s [x_s × g, g]``. So rows are summed into 6×6 blocks, and
-``posed.projector`` takes segment twists to pose coordinates once.
+``posed.projector`` takes segment twists to pose coordinates once. Segments that lie off as a whole add to the variance
+of the gradient.
 """
 
 from __future__ import annotations
@@ -17,19 +18,15 @@ from twistcap.arrays import Float, Int
 from twistcap.body import Posed
 from twistcap.camera.projection import NEAR
 from twistcap.render import SurfaceArrays, SurfacePoints
-from twistcap.terms.quadratic import Quadratic
+from twistcap.terms.protocols import Quadratic
 
 TWIST_WIDTH = 8  # twists padded from 6, to align the rows of a block with vector registers
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Residual rows of N surface points, R for each: row n belongs to point n mod N.
-
-    Attributes:
-        gradient: (R N, 3) derivative of each residual by its world point.
-        residual: (R N,) in the term's own unit.
-        weight: (R N,) information, 1/unit², times the robust weights.
+    """Residuals (R N,) of N surface points, R for each: row n belongs to point n mod N. `gradient` (R N, 3) is their
+    derivative by the world points, `weight` (R N,) their information, 1/unit², times the robust weights.
     """
 
     gradient: Float
@@ -46,7 +43,6 @@ class SegmentSums:
         self.blocks, self.vector = np.zeros((S, S, 6, TWIST_WIDTH)), np.zeros((S, 6))
 
     def add_rows(self, energy: float, points: SurfacePoints, rows: Rows) -> None:
-        """Add a term's rows."""
         self.value += energy
         surface = points.bound_to(self.posed)
         accumulate(surface, rows.gradient, rows.residual, rows.weight, self.blocks, self.vector)
@@ -85,11 +81,9 @@ class PointTerm:
 def normal_equations(
     posed: Posed, points: SurfacePoints, rows: Rows, beside: Float | None = None
 ) -> tuple[Float, Float]:
-    """Gradient (6 + J + C,) and Gauss-Newton Hessian of ½ Σ weight · residual², C = 0 by default.
+    """Gradient (6 + J + C,) and Gauss-Newton Hessian of ½ Σ weight · residual² by the pose's step and C more unknowns.
 
-    Args:
-        posed, points, rows: of the pose's step.
-        beside: (R N, C) derivatives of the residuals by C more unknowns; NaN is allowed in rows of weight 0.
+    `beside` (R N, C) are the derivatives of the residuals by these; NaN is allowed in rows of weight 0.
     """
     sums = SegmentSums(posed)
     sums.add_rows(0.0, points, rows)
@@ -212,18 +206,13 @@ def accumulate_beside(surface: SurfaceArrays, gradient: Float, row_weight: Float
             Y = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
             Z = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
             f0, f1, f2 = w * gradient[row, 0], w * gradient[row, 1], w * gradient[row, 2]
-            a0, a1, a2 = Y * f2 - Z * f1, Z * f0 - X * f2, X * f1 - Y * f0
-            for c in range(beside.shape[1]):
-                by = beside[row, c]
-                cross[s, 0, c] += a0 * by
-                cross[s, 1, c] += a1 * by
-                cross[s, 2, c] += a2 * by
-                cross[s, 3, c] += f0 * by
-                cross[s, 4, c] += f1 * by
-                cross[s, 5, c] += f2 * by
+            by_twist = (Y * f2 - Z * f1, Z * f0 - X * f2, X * f1 - Y * f0, f0, f1, f2)
+            for p in range(6):
+                for c in range(beside.shape[1]):
+                    cross[s, p, c] += by_twist[p] * beside[row, c]
 
 
-def _dense_rows(surface: SurfaceArrays, gradient: Float, used: Int) -> Float:
+def dense_rows(surface: SurfaceArrays, gradient: Float, used: Int) -> Float:
     """(U, S, 6) derivative by every segment's twist of the rows (U,) that are used."""
     transforms, segments, weights, local = surface
     n = used % len(local)
@@ -241,7 +230,7 @@ def accumulate_reference(
 ) -> None:
     """Readable twin of `accumulate`: dense rows."""
     used = np.flatnonzero(row_weight).astype(np.int32)
-    j, W, S = _dense_rows(surface, gradient, used), row_weight[used], len(vector)
+    j, W, S = dense_rows(surface, gradient, used), row_weight[used], len(vector)
     vector += np.einsum("r,rsi->si", W * residual[used], j)
     kept = np.triu(np.ones((S, S))) - 0.5 * np.eye(S)
     blocks[..., :6] += kept[:, :, None, None] * np.einsum("r,rai,rbj->abij", W, j, j)
@@ -252,7 +241,75 @@ def accumulate_beside_reference(
 ) -> None:
     """Readable twin of `accumulate_beside`."""
     used = np.flatnonzero(row_weight).astype(np.int32)
-    cross += np.einsum("r,rsi,rc->sic", row_weight[used], _dense_rows(surface, gradient, used), beside[used])
+    cross += np.einsum("r,rsi,rc->sic", row_weight[used], dense_rows(surface, gradient, used), beside[used])
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "reassoc"}, error_model="numpy")
+def add_offset_variance(
+    surface: SurfaceArrays, gradient: Float, row_weight: Float, projector: Float, variance: Float
+) -> None:
+    """Add to `variance` (6 + J, 6 + J) that of the gradient of a term's rows in which each segment has an offset.
+
+    Offsets have 1 m standard deviation in all directions; a blended point has a mean of them. `projector`
+    (6 S, 6 + J) leads from a pose step to the twists of all segments.
+    """
+    transforms, segments, weights, local = surface
+    N, K = segments.shape
+    S, D = len(transforms), projector.shape[1]
+    blocks, touched = np.zeros((S, S, 6, 3)), np.zeros((S, S), dtype=np.bool_)  # [offset of b, twist of a]
+    j, n = np.zeros(6), -1
+    for row in range(len(row_weight)):
+        n = n + 1 if n + 1 < N else 0
+        W = row_weight[row]
+        if W == 0.0:
+            continue
+        g0, g1, g2 = gradient[row, 0], gradient[row, 1], gradient[row, 2]
+        for k in range(K):
+            w, a = weights[n, k], segments[n, k]
+            if w == 0.0:
+                continue
+            T, x, y, z = transforms[a], local[n, 0], local[n, 1], local[n, 2]
+            X = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
+            Y = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
+            Z = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+            j[0], j[1], j[2] = Y * g2 - Z * g1, Z * g0 - X * g2, X * g1 - Y * g0
+            j[3], j[4], j[5] = g0, g1, g2
+            for m in range(K):
+                shared, b = W * w * weights[n, m], segments[n, m]
+                if shared == 0.0:
+                    continue
+                touched[b, a] = True
+                out = blocks[b, a]
+                for p in range(6):
+                    out[p, 0] += shared * j[p] * g0
+                    out[p, 1] += shared * j[p] * g1
+                    out[p, 2] += shared * j[p] * g2
+    for b in range(S):
+        by_offset = np.zeros((3, D))
+        for a in range(S):
+            if touched[b, a]:
+                for p in range(6):
+                    for i in range(3):
+                        for d in range(D):
+                            by_offset[i, d] += blocks[b, a, p, i] * projector[6 * a + p, d]
+        for i in range(3):
+            for c in range(D):
+                if by_offset[i, c] != 0.0:
+                    for d in range(D):
+                        variance[c, d] += by_offset[i, c] * by_offset[i, d]
+
+
+def add_offset_variance_reference(
+    surface: SurfaceArrays, gradient: Float, row_weight: Float, projector: Float, variance: Float
+) -> None:
+    """Readable twin of `add_offset_variance`: the derivative of each row by the pose, times that by the offset."""
+    transforms, segments, weights, local = surface
+    rows = np.arange(len(row_weight), dtype=np.int32)
+    by_pose = dense_rows(surface, gradient, rows).reshape(len(rows), -1) @ projector
+    for s in range(len(transforms)):
+        of_segment = row_weight * np.sum(weights * (segments == s), axis=1)[rows % len(local)]
+        by_offset = by_pose.T @ (of_segment[:, None] * gradient)
+        variance += by_offset @ by_offset.T
 
 
 def skinned_point_reference(
@@ -269,14 +326,3 @@ def projected_point_reference(
     """Readable twin of `projected_point`."""
     x, y, depth = P @ np.array([*skinned_point_reference(transforms, segments, weights, local, n), 1.0])
     return (x / depth, y / depth, 1.0 / depth) if depth >= NEAR else (0.0, 0.0, 0.0)
-
-
-def normal_equations_reference(
-    posed: Posed, points: SurfacePoints, rows: Rows, beside: Float | None = None
-) -> tuple[Float, Float]:
-    """Readable twin of `normal_equations`: stacked rows."""
-    jacobian = posed.point_jacobian(points.segments, points.weights, points.local)
-    J = np.einsum("ni,nid->nd", rows.gradient, jacobian)
-    if beside is not None:
-        J = np.concatenate([J, beside], axis=1)
-    return J.T @ (rows.weight * rows.residual), J.T @ (rows.weight[:, None] * J)

@@ -10,8 +10,7 @@ import numpy as np
 from twistcap import se3
 from twistcap.arrays import Float
 from twistcap.body import Body, Pose, Posed
-from twistcap.terms.quadratic import Quadratic, Term
-from twistcap.terms.rows import Place, Sums
+from twistcap.terms.protocols import Place, Quadratic, Sums, Term
 
 if TYPE_CHECKING:
     from twistcap.solve.blocks import Variables
@@ -34,9 +33,8 @@ class LimitTerm:
 
     def linearize(self, posed: Posed) -> Quadratic:
         excess, information = self._excess(posed), 1.0 / self.sigma**2
-        return _of_joints(
-            0.5 * float(excess @ excess) * information, excess * information, (excess != 0.0) * information
-        )
+        value = 0.5 * float(excess @ excess) * information
+        return _of_joints(value, excess * information, (excess != 0.0) * information)
 
 
 def _of_joints(value: float, gradient: Float, diagonal: Float | float) -> Quadratic:
@@ -64,13 +62,9 @@ class RestTerm:
 
 @dataclass(frozen=True)
 class GaussianTerm:
-    """A Gaussian around a pose: ``½ dᵀ information d`` with d the step from `mean` to the pose.
+    """A Gaussian around the pose expected: ``½ dᵀ information d`` with d (6 + J,) the step (rad, m) from `mean` to it.
 
     Source: Rosenhahn, Brox and Seidel, eq. 17-22 (DOI 10.1109/CVPR.2007.383128).
-
-    Attributes:
-        mean: the pose expected.
-        information: (6 + J, 6 + J) inverse covariance of the step (rad, m).
     """
 
     mean: Pose
@@ -96,13 +90,9 @@ class GaussianTerm:
 
 @dataclass(frozen=True)
 class OnPose:
-    """A term of one pose (limits, a Gaussian, a prior) at one frame of a track, among other blocks.
+    """A term of one pose (limits, a Gaussian, a prior) at one frame of the track in the block `poses`, among others.
 
-    Attributes:
-        term: of the pose.
-        body: of the poses; its shape does not matter.
-        poses: name of the track's block.
-        frame: of the track.
+    The shape of the `body` does not matter.
     """
 
     term: Term
@@ -131,12 +121,7 @@ class OnPose:
 
 @dataclass(frozen=True)
 class BlockGaussian:
-    """Independent Gaussians about the numbers of a `Vector`.
-
-    Attributes:
-        block: its name.
-        mean, sigma: (n,) in the block's own units.
-    """
+    """Independent Gaussians about the numbers (n,) of a `Vector`, in its own units."""
 
     block: str
     mean: Float

@@ -69,30 +69,14 @@ def sampled(image: Float32, pixels: Float) -> tuple[Float, Float]:
 
 
 def sampled_reference(image: Float32, pixels: Float) -> tuple[Float, Float]:
-    """Readable twin of `sampled`: bilinear, and central differences of that."""
-    height, width = image.shape
-    x, y = pixels.T
-    inside = (x >= 1.0) & (y >= 1.0) & (x < width - 2) & (y < height - 2)
-
-    def at(dx: int, dy: int) -> Float:
-        u, v = np.where(inside, x, 1.0) + dx, np.where(inside, y, 1.0) + dy
-        c, r = np.floor(u).astype(int), np.floor(v).astype(int)
-        rows = [(1 - u + c) * image[r + k, c] + (u - c) * image[r + k, np.minimum(c + 1, width - 1)] for k in (0, 1)]
-        return (1 - v + r) * rows[0] + (v - r) * rows[1]
-
-    gradient = 0.5 * np.stack([at(1, 0) - at(-1, 0), at(0, 1) - at(0, -1)], axis=1)
-    return np.where(inside, at(0, 0), np.nan), np.where(inside[:, None], gradient, 0.0)
+    """Readable twin of `sampled`."""
+    here = np.array([sample_reference(image, x, y) for x, y in pixels]).reshape(-1, 4)
+    return np.where(here[:, 3] > 0.0, here[:, 0], np.nan), here[:, 1:3]
 
 
 @dataclass(frozen=True)
 class Samples:
-    """Surface points of one view and their template brightness.
-
-    Attributes:
-        points: N places on the surface.
-        value: (N,) brightness in earlier frames.
-        gradient: (N, 2) image gradient there, 1/px.
-    """
+    """Surface points of one view, their brightness in earlier frames (N,), and its image gradient (N, 2), 1/px."""
 
     points: SurfacePoints
     value: Float
@@ -106,14 +90,7 @@ class Samples:
         return Samples(self.points + other.points, *both)
 
     def residuals(self, posed: Posed, P: Float, image: Float32, exposure: Float) -> Float:
-        """(N,) ``I(π(x)) − (1 + a) value − b`` at a pose; NaN off the image.
-
-        Args:
-            posed: the body.
-            P: (3, 4) projection.
-            image: (H, W).
-            exposure: (2,) a and b.
-        """
+        """(N,) ``I(π(x)) − (1 + a) value − b`` in an image (H, W) of projection P, exposure (a, b); NaN off it."""
         return photometric_residuals(self.points.bound_to(posed), P, image, self.value, exposure)
 
     def rows(self, posed: Posed, P: Float, image: Float32, exposure: Float, weight: Float) -> Rows:
@@ -166,12 +143,10 @@ class PhotometricTerm(PointTerm):
     """Surface points against their template brightness in one view, Cauchy on the difference.
 
     Attributes:
-        P: (3, 4) projection.
-        samples: N points and their template brightness.
-        image: (H, W) float32, the current view (blurred as the template's was).
+        P, image: (3, 4) projection and (H, W) of the current view (blurred as the template's was).
         weight: (N,) information, 1/brightness².
         scale: (N,) brightness difference from which a point is down-weighted.
-        exposure: (2,) relative gain and offset of the present image against the template's.
+        exposure: (2,) relative gain and offset against the template.
     """
 
     P: Float
@@ -184,7 +159,6 @@ class PhotometricTerm(PointTerm):
 
     @property
     def points(self) -> SurfacePoints:
-        """The N places on the surface."""
         return self.samples.points
 
     def rows(self, posed: Posed) -> tuple[float, SurfacePoints, Rows]:

@@ -10,6 +10,7 @@ from numba import njit
 from twistcap.arrays import Float
 from twistcap.body import Posed
 from twistcap.body.kinematics import skin_points_reference
+from twistcap.camera import pinhole
 from twistcap.camera.projection import NEAR, along
 from twistcap.render import SurfaceArrays, SurfacePoints
 from twistcap.terms.accumulate import PointTerm, Rows, projected_point, skinned_point
@@ -39,11 +40,10 @@ def projected_rows(P: Float, world: Float, direction: Float, target: Float) -> t
 
 def projected_rows_reference(P: Float, world: Float, direction: Float, target: Float) -> tuple[Float, Float]:
     """Readable twin of `projected_rows`."""
-    homogeneous = world @ P[:, :3].T + P[:, 3]
-    before = homogeneous[:, 2:] >= NEAR
-    depth = np.where(before, homogeneous[:, 2:], 1.0)
-    pixels, facing = homogeneous[:, :2] / depth, np.where(before, direction, 0.0)
-    by_point = (P[None, :2, :3] - pixels[:, :, None] * P[2, :3]) / depth[:, :, None]
+    pixels, depth, by_point = pinhole(P, world)
+    before = depth[:, None] >= NEAR
+    pixels, by_point = np.where(before, pixels, 0.0), np.where(before[..., None], by_point, 0.0)
+    facing = np.where(before, direction, 0.0)
     return np.sum(facing * (pixels - target), axis=1), np.einsum("ni,nij->nj", facing, by_point)
 
 
@@ -53,9 +53,7 @@ class PointNormalTerm(PointTerm):
 
     Attributes:
         P: (3, 4) projection of the view.
-        points: N places on the surface.
-        target: (N, 2) px, measured places of the contour.
-        normal: (N, 2) unit image normals.
+        target, normal: (N, 2) measured places of the contour, px, and unit image normals.
         weight: (N,) information of each measurement, 1/px².
         scale_px: residual from which a point is down-weighted.
     """
@@ -170,7 +168,6 @@ class PointRayTerm(PointTerm):
     along two directions across the ray.
 
     Attributes:
-        points: N places on the surface.
         direction, moment: (N, 3) rays (n, m), world, m.
         scale: (N,) f/z, px/m.
         weight: (N,) information, 1/px².
@@ -223,8 +220,7 @@ class KeypointTerm(PointTerm):
 
     Attributes:
         P: (3, 4) projection.
-        points: N landmarks as surface points (rigid on their segments).
-        target: (N, 2) px.
+        points, target: N landmarks as surface points (rigid on their segments), and (N, 2) px.
         weight: (N,) information, 1/px² (0 for missing ones).
         scale_px: residual from which a keypoint is down-weighted.
     """
@@ -237,9 +233,8 @@ class KeypointTerm(PointTerm):
     name: str = "keypoints"
 
     def rows(self, posed: Posed) -> tuple[float, SurfacePoints, Rows]:
-        world = self.points.at(posed)
-        both = np.concatenate([world, world])
-        axes = np.repeat(np.eye(2), len(world), axis=0)
-        residual, gradient = projected_rows(self.P, both, axes, np.concatenate([self.target, self.target]))
+        axes = np.repeat(np.eye(2), len(self.points), axis=0)
+        both, target = np.tile(self.points.at(posed), (2, 1)), np.tile(self.target, (2, 1))
+        residual, gradient = projected_rows(self.P, both, axes, target)
         energy, weight = weighted_cauchy(residual, np.tile(self.weight, 2), self.scale_px)
         return energy, self.points, Rows(gradient, residual, weight)

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from twistcap import se3
 from twistcap.arrays import Float, Int
-from twistcap.body import Body, Posed
+from twistcap.body import Posed
 from twistcap.camera import Camera, pinhole
+from twistcap.terms.protocols import Slope, Sums
 from twistcap.terms.robust import geman_mcclure
-from twistcap.terms.rows import Slope, Sums
 
 if TYPE_CHECKING:
     from twistcap.solve.blocks import Moment, Variables
@@ -22,22 +22,9 @@ _NEAREST = 0.05  # m before the camera; nearer points get the residual _WRONG
 _WRONG = 1e6  # standard deviations
 
 
-class Shaped(Protocol):
-    """A block of a body's shape."""
-
-    @property
-    def body(self) -> Body:
-        """The body of that shape."""
-        ...
-
-    def rates(self, posed: Posed) -> Float:
-        """(L, 3, K) derivative of the world's landmarks by the K numbers of the block's step."""
-        ...
-
-
 @dataclass(frozen=True)
 class ReprojectionTerm:
-    """N landmarks at one frame against keypoints in one view: Geman and McClure's loss of each distance.
+    """N landmarks at one frame of the track against keypoints in one view: Geman and McClure's loss of each distance.
 
     A camera whose clock has an offset of τ s shows the pose at τ after (below 0, before) the frame's time, interpolated
     between two frames of the track.
@@ -45,11 +32,10 @@ class ReprojectionTerm:
     Attributes:
         marks: (N,) landmarks of the body.
         target: (N, 2) px of the pinhole camera.
-        weight: (N,) confidence, 0 for missing keypoints.
-        sigma: (N,) px, standard deviation.
+        weight, sigma: (N,) confidence, 0 for missing keypoints; standard deviation, px.
         reach: standard deviations from which a keypoint is down-weighted.
-        camera, poses, shape: names of the blocks: a `CameraBlock`, a `PoseTrack`, a `Shaped`.
-        frame: of the track.
+        camera, poses, shape: names of the blocks: a `CameraBlock`, a `PoseTrack`, and one with `body`, and
+            `rates(posed)` (L, 3, K), the derivative of the landmarks by its step.
         clock: name of the block of the clock's offset, a `Vector` of τ (s) alone; None for an offset of 0.
     """
 
@@ -67,22 +53,13 @@ class ReprojectionTerm:
 
     @property
     def blocks(self) -> tuple[str, ...]:
-        """Names of the blocks on which it has rows."""
         return (self.poses, self.shape, self.camera, *([] if self.clock is None else [self.clock]))
 
     def energy(self, x: Variables) -> float:
-        """Energy at these values."""
         pixels, depth, _ = pinhole(x[self.camera].camera.P, self._posed(x).landmarks[self.marks])
         return float(np.sum(self.weight * geman_mcclure(self._squares(pixels, depth), self.reach)[0]))
 
-    def residuals(self, x: Variables) -> Float:
-        """(N, 2) distances in standard deviations; far too large behind the camera."""
-        pixels, depth, _ = pinhole(x[self.camera].camera.P, self._posed(x).landmarks[self.marks])
-        offset = (pixels - self.target) / self.sigma[:, None]
-        return np.where(depth[:, None] > _NEAREST, offset, _WRONG)
-
     def add_to(self, sums: Sums, x: Variables) -> None:
-        """Add the rows, two for each landmark."""
         camera, points = x[self.camera].camera, self._posed(x).landmarks[self.marks]
         pixels, depth, by_point = pinhole(camera.P, points)
         squares, before = self._squares(pixels, depth), depth > _NEAREST

@@ -23,8 +23,8 @@ from twistcap.camera import pinhole
 from twistcap.camera.scaled import ROOT, ScaledView
 from twistcap.render import SurfacePoints
 from twistcap.terms import accumulate
-from twistcap.terms.photometric import EXPOSURE, Samples, sample
-from twistcap.terms.rows import Place, Sums
+from twistcap.terms.photometric import EXPOSURE, Samples
+from twistcap.terms.protocols import Place, Sums
 
 if TYPE_CHECKING:
     from twistcap.solve.blocks import Variables
@@ -65,12 +65,9 @@ def _pose_step(view: ScaledView, joints: int) -> Float:
 
 @dataclass(frozen=True)
 class ViewGaussian:
-    """Independent Gaussians about a view's scale, place and turn.
+    """Independent Gaussians about the scale, place and turn of the view in a block.
 
-    Attributes:
-        view: its block.
-        mean: the view expected.
-        sigma: (6,) of the step from there: relative scale, px, rad; infinite where nothing is expected.
+    `sigma` (6,) is of the step from the mean (relative scale, px, rad), infinite where nothing is expected.
     """
 
     view: str
@@ -91,18 +88,3 @@ class ViewGaussian:
         D[3:, 3:] = se3.inverse_left_jacobian(np.append(step[3:], np.zeros(3)))[:3, :3]
         D, off = D / self.sigma[:, None], step / self.sigma
         sums.add_quadratic([Place(self.view, ROOT)], 0.5 * float(off @ off), D.T @ off, D.T @ D)
-
-
-def normal_equations_reference(
-    posed: Posed, view: ScaledView, samples: Samples, image: Float32, exposure: Float, weight: Float
-) -> tuple[Float, Float]:
-    """Readable twin of `normal_equations`: stacked rows."""
-    pixels = view.pixels(samples.points.at(posed))
-    here = [sample(image, x, y) for x, y in pixels]
-    value, slope = np.array([s[0] for s in here]), np.array([s[1:3] for s in here])
-    inside = np.array([s[3] for s in here])
-    motion = np.einsum("ni,nid->nd", 0.5 * (slope + samples.gradient), image_motion(posed, view, samples.points))
-    rows = np.concatenate([motion, -samples.value[:, None], -np.ones((len(motion), 1))], axis=1)
-    r = value - (1.0 + exposure[0]) * samples.value - exposure[1]
-    w = np.where(inside, weight, 0.0)
-    return rows.T @ (w * r), rows.T @ (w[:, None] * rows)

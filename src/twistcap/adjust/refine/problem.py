@@ -16,7 +16,8 @@ from twistcap.adjust.refine.sums import WIDTH, Derivatives, FrameSums, add_produ
 from twistcap.arrays import Float
 from twistcap.body import Pose, Posed
 from twistcap.body.shape import RestMotion
-from twistcap.predict import MotionNoise, covariance_about
+from twistcap.predict import MotionNoise
+from twistcap.predict.history import covariance_about
 from twistcap.solve import Arrow
 from twistcap.terms import LimitTerm, RestTerm
 
