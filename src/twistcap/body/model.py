@@ -158,6 +158,11 @@ class Body:
         _expect(self, bool(np.allclose(self.skin_weights.sum(axis=1), 1.0, atol=1e-5)), "weights must sum to 1")
 
 
+def unsided(name: str) -> str:
+    """The name of a segment, coordinate or landmark without its side, ``_r`` or ``_l``."""
+    return name.removesuffix("_r").removesuffix("_l")
+
+
 def edges_of(faces: Int) -> tuple[Int, Int]:
     """Unique edges (E, 2) of triangles and the two faces (E, 2) at each; -1 for edges of one face."""
     corners = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])

@@ -40,8 +40,13 @@ def rescaled(
 
 def segment_axes(body: Body) -> tuple[Float, Float]:
     """Origin (S, 3) and unit axis (S, 3) of each segment in the rest pose: from its joint to the next one below."""
-    origins = np.array([joint_origin(body, s) for s in range(len(body.segment_names))]).reshape(-1, 3)
+    origins = joint_origins(body)
     return origins, np.array([_axis_from(body, s, origins) for s in range(len(origins))]).reshape(-1, 3)
+
+
+def joint_origins(body: Body) -> Float:
+    """(S, 3) rest-pose positions of all segments' proximal joints, m, see `joint_origin`."""
+    return np.array([joint_origin(body, s) for s in range(len(body.segment_names))]).reshape(-1, 3)
 
 
 def joint_origin(body: Body, segment: int) -> Float:
@@ -200,6 +205,15 @@ def rest_motion(
     return RestMotion(origins, axes, shifts, stretches, joints)
 
 
+def joints_shifted(body: Body, shifts: Mapping[int, Float]) -> Float:
+    """(J, 6) twists with the joints of some segments (by number) shifted by (3,) m; axes keep their directions."""
+    twists = body.twists.copy()
+    for s, shift in shifts.items():
+        for k in joint_coordinates(body, s):
+            twists[k, 3:] -= np.cross(twists[k, :3], shift)
+    return twists
+
+
 def joints_moved(body: Body, shifts: Mapping[str, Float]) -> Body:
     """Joint centres and their landmarks moved by (3,) m in the rest pose, by the name of the segment below.
 
@@ -208,14 +222,12 @@ def joints_moved(body: Body, shifts: Mapping[str, Float]) -> Body:
     Raises:
         InputError: for an unknown segment, or one without a joint.
     """
-    twists, points = body.twists.copy(), body.landmarks.points.copy()
+    points = body.landmarks.points.copy()
     for name, shift in shifts.items():
         if name not in body.segment_names or body.segment_joint[body.segment(name)] < 0:
             raise InputError(f"body {body.name!r} has no segment {name!r} with a joint; check the name.")
-        s = body.segment(name)
-        for k in joint_coordinates(body, s):
-            twists[k, 3:] -= np.cross(twists[k, :3], shift)
-        points[marks_of(body, s)] += shift
+        points[marks_of(body, body.segment(name))] += shift
+    twists = joints_shifted(body, {body.segment(name): shift for name, shift in shifts.items()})
     return replace(body, twists=twists, landmarks=Landmarks(body.landmarks.names, body.landmarks.segments, points))
 
 

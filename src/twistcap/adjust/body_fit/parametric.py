@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from twistcap.adjust.body_fit.fields import Fields, Motions, joint_centres
+from twistcap.adjust.body_fit.fields import Fields, Motions, places_of
 from twistcap.adjust.first_pose import fit_keypoints
 from twistcap.arrays import Float
 from twistcap.body import Body, Pose, Posed
@@ -52,8 +52,7 @@ class Parametric:
 
     def fields(self, body: Body, amounts: Mapping[str, float]) -> Fields:
         parameters = self.model.parameters
-        values = self.start + [amounts.get(p.name, 0.0) for p in parameters]
-        rates = rates_at(self.model, values)
+        rates = rates_at(self.model, self.start + [amounts.get(p.name, 0.0) for p in parameters])
         spread = np.array([p.spread for p in parameters])
         bones, sigma = _length_rates(body, rates[2]), _sigmas(self.length)
         precision = np.diag(spread**-2.0) + (bones.T / sigma**2) @ bones
@@ -64,8 +63,8 @@ class Parametric:
         before = self.start + amounts
         after = _within(self.model.parameters, before + change)
         old, new = self.model.bodies(np.stack([before, after]))
-        motions = new.vertices - old.vertices, joint_centres(new) - joint_centres(old)
-        return after - before, (*motions, new.landmarks.points - old.landmarks.points)
+        vertices, joints, marks = (b - a for a, b in zip(places_of(old), places_of(new), strict=True))
+        return after - before, (vertices, joints, marks)
 
     def summary(self, amounts: Mapping[str, float]) -> dict[str, float]:
         pairs = zip(self.model.parameters, self.start, strict=True)
@@ -82,7 +81,7 @@ def rates_at(model: Model, values: Float) -> Motions:
     up, down = (_within(parameters, values + sign * steps) for sign in (1.0, -1.0))
     bodies = model.bodies(np.concatenate([up, down]))
     width = np.diagonal(up - down)[:, None, None]
-    places = zip(*((b.vertices, joint_centres(b), b.landmarks.points) for b in bodies), strict=True)
+    places = zip(*map(places_of, bodies), strict=True)
     vertices, centres, marks = ((np.array(of[:M]) - np.array(of[M:])) / width for of in places)
     return vertices, centres, marks
 

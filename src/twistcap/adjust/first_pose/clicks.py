@@ -23,7 +23,7 @@ from twistcap.differential.model import state_at, view_block, view_blocks
 from twistcap.differential.state import State
 from twistcap.errors import InputError
 from twistcap.render import SurfacePoints
-from twistcap.solve import BlockProblem, Variables, Vector, minimise
+from twistcap.solve import Arrow, BlockProblem, Dense, Solution, Variables, Vector, minimise
 from twistcap.terms import BlockGaussian, BlockTerm, Slope, Sums
 from twistcap.terms.scaled import ViewGaussian, image_motion
 
@@ -41,13 +41,10 @@ _UPRIGHT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])  # z 
 
 @dataclass(frozen=True)
 class ClickedStart:
-    """A state fitted to clicks.
+    """A state fitted to clicks, with the body of the fitted dimensions and its factors against the generic one.
 
-    Attributes:
-        body: of the fitted dimensions.
-        proportions: factors of the body against the generic one.
-        residual_px: (V, L) distance of each click from its landmark, NaN where there was none.
-        covariance: (6 V + J, 6 V + J) of the state's step, with the uncertainty of the body's dimensions.
+    `residual_px` (V, L) is the distance of each click from its landmark, NaN where there was none; the covariance
+    (6 V + J, 6 V + J) is that of the state's step, with the uncertainty of the body's dimensions.
     """
 
     body: Body
@@ -73,7 +70,7 @@ def fit_clicks(
     """The state and dimensions of a body whose joints were clicked.
 
     Args:
-        body: with landmarks; the clicks' names are theirs.
+        body: whose landmarks have the clicks' names.
         clicks: of each view, (x, y) px by landmark name; a view may lack some.
         facing_deg: of each view, the direction the body faces: 0 towards the camera, 90 to the image's right; by
             default several are tried.
@@ -84,7 +81,7 @@ def fit_clicks(
     """
     skeleton, known = Skeleton(body), gathered(body, clicks)
     starts = [start] if start is not None else _starts(body, known, facing_deg)
-    x, _ = min((_minimised(skeleton, known, begin) for begin in starts), key=lambda end: end[1])
+    x = min((_minimised(skeleton, known, begin) for begin in starts), key=lambda end: end.energy).x
     proportions, state = skeleton.proportions(x["shape"].values), state_at(x)
     fitted = rescaled(body, proportions.lengths, proportions.girths, proportions.stature)
     at = Posed(fitted, Pose(np.eye(4), state.q)).landmarks[known.marks]
@@ -128,11 +125,8 @@ def _starts(body: Body, clicks: Clicks, facing_deg: Sequence[float] | None) -> l
 
 def _placed(points: Float, clicks: Clicks, v: int, facing: float) -> ScaledView:
     """The view of a direction, its scale and shift from the heights and means of body and clicks."""
-    a = np.deg2rad(facing)
-    turn = _UPRIGHT @ se3.exp_rotation(np.array([0.0, 0.0, a]))
-    known = clicks.known[v]
-    at = (points[known] @ turn.T)[:, :2]
-    there = clicks.pixels[v][known]
+    turn, known = _UPRIGHT @ se3.exp_rotation(np.array([0.0, 0.0, np.deg2rad(facing)])), clicks.known[v]
+    at, there = (points[known] @ turn.T)[:, :2], clicks.pixels[v][known]
     scale = float(np.ptp(there[:, 1]) / max(np.ptp(at[:, 1]), 1e-6))
     return ScaledView(turn, scale, (there - scale * at).mean(axis=0))
 
@@ -141,12 +135,11 @@ def _misfit(points: Float, clicks: Clicks, v: int, view: ScaledView) -> float:
     return float(np.sum((view.pixels(points) - clicks.pixels[v])[clicks.known[v]] ** 2))
 
 
-def _minimised(skeleton: Skeleton, clicks: Clicks, start: State) -> tuple[Variables, float]:
-    """The blocks and their energy from one start; the second solve takes the rotations of the first as its start."""
+def _minimised(skeleton: Skeleton, clicks: Clicks, start: State) -> Solution[Variables, Dense | Arrow]:
+    """From one start; the second solve takes the rotations of the first as its start."""
     x = click_variables(skeleton, start)
-    first = minimise(click_problem(clicks, x), x, _STEPS, damping=_DAMPING, gain=_GAIN)
-    again = minimise(click_problem(clicks, first.x), first.x, _STEPS, damping=_DAMPING, gain=_GAIN)
-    return again.x, again.energy
+    x = minimise(click_problem(clicks, x), x, _STEPS, damping=_DAMPING, gain=_GAIN).x
+    return minimise(click_problem(clicks, x), x, _STEPS, damping=_DAMPING, gain=_GAIN)
 
 
 def click_variables(skeleton: Skeleton, start: State) -> Variables:
@@ -192,8 +185,7 @@ class ClickTerm:
 
     def add_to(self, sums: Sums, x: Variables) -> None:
         posed, view, marks = self._posed(x), x[self.view], x["shape"].body.landmarks
-        residual = self._residual(x, posed).ravel()
-        ones = np.ones((len(self.marks), 1))
+        residual, ones = self._residual(x, posed).ravel(), np.ones((len(self.marks), 1))
         points = SurfacePoints(marks.segments[self.marks, None], ones, marks.points[self.marks])
         motion = image_motion(posed, view, points).reshape(len(residual), -1) / self.sigma
         slopes = [Slope(self.view, motion[:, :ROOT]), Slope("joints", motion[:, ROOT:])]

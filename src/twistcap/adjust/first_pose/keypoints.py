@@ -13,6 +13,7 @@ from scipy.special import ndtr
 from twistcap.adjust.first_pose.skeleton import Scaling, Skeleton
 from twistcap.arrays import Float, Int
 from twistcap.body import Body, Pose
+from twistcap.body.model import unsided
 from twistcap.camera import Rig, pinhole
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
@@ -70,9 +71,12 @@ def evidence(body: Body, rig: Rig, keypoints: Keypoints, sigma_px: float | None 
         raise InputError(
             "keypoints: at least two cameras must see three or more known joints each; add views or joints."
         )
-    height = np.array([_extent(p[w > 0]) for p, w in zip(pixels, weights, strict=True)])
+    extents = [
+        np.ptp(p[w > 0], axis=0).max() if np.sum(w > 0) > 1 else 0.0 for p, w in zip(pixels, weights, strict=True)
+    ]
+    height = np.array(extents)
     base = np.maximum(_BLUR * height, 0.5) if sigma_px is None else np.full(len(rig), sigma_px)
-    sigma = base[:, None] * np.array([_looseness(n) for n in names])
+    sigma = base[:, None] * np.array([_LOOSENESS.get(unsided(name), 1.0) for name in names])
     marks = np.array([known[n] for n in names], np.int32)
     return Evidence(marks, columns, rig.pinhole(), np.nan_to_num(pixels), weights, sigma)
 
@@ -96,24 +100,12 @@ def _undistorted(rig: Rig, c: int, pixels: Float) -> Float:
     return rig[c].normalised(pixels) @ K[:2, :2].T + K[:2, 2]
 
 
-def _extent(pixels: Float) -> float:
-    return float(np.ptp(pixels, axis=0).max()) if len(pixels) > 1 else 0.0
-
-
-def _looseness(name: str) -> float:
-    return _LOOSENESS.get(name.removesuffix("_r").removesuffix("_l"), 1.0)
-
-
 @dataclass(frozen=True)
 class KeypointProblem:
     """Which blocks are free and which terms are summed: poses of F instants, and the log-factors that they share.
 
-    Attributes:
-        skeleton: the scalable body.
-        frames: evidence of each instant.
-        reach: of the robust function, standard deviations.
-        fit_lengths: whether the log-factors are free.
-        limit: rad beyond a limit of a joint, standard deviation.
+    `reach` is that of the robust function, in standard deviations; `fit_lengths` says whether the log-factors are free,
+    and `limit` (rad) is the standard deviation beyond a limit of a joint.
     """
 
     skeleton: Skeleton
@@ -141,7 +133,9 @@ class KeypointProblem:
     @cached_property
     def problem(self) -> BlockProblem:
         """Keypoints, limits and weak priors."""
-        return BlockProblem([*self.keypoints, *self._poses(), self._factors()])
+        sigmas = self.skeleton.sigmas(_STATURE, _LENGTH, _GIRTH)
+        factors = BlockGaussian("shape", np.zeros(self.skeleton.size), sigmas)
+        return BlockProblem([*self.keypoints, *self._poses(), factors])
 
     @cached_property
     def keypoints(self) -> list[ReprojectionTerm]:
@@ -161,9 +155,6 @@ class KeypointProblem:
         neutral, joints = Pose(np.eye(4), mean), np.diag(np.r_[np.zeros(6), sigma**-2.0])
         each = (GaussianTerm(neutral, joints, "neutral"), LimitTerm(self.limit))
         return [OnPose(term, body, frame=f) for f in range(len(self.frames)) for term in each]
-
-    def _factors(self) -> BlockGaussian:
-        return BlockGaussian("shape", np.zeros(self.skeleton.size), self.skeleton.sigmas(_STATURE, _LENGTH, _GIRTH))
 
 
 def truncated(limits: Float, sigma: float) -> tuple[Float, Float]:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from scipy.spatial import KDTree
 
-from twistcap.arrays import AnyArray, Float, Float32, Int
+from twistcap.arrays import AnyArray, Float, Int
 from twistcap.render import ContourPoints
 
 _AGREE = 0.5  # least cosine between the normals of a match
@@ -42,26 +42,18 @@ class Matches:
 def outline_of(mask: AnyArray, spacing: float) -> Outline:
     """Outline of a mask (H, W) between its pixels, about `spacing` px apart; the edge of the image is no outline."""
     inside = np.asarray(mask) > 0
-    distance = _signed_distance(inside)
+    outward, inward = (cv2.distanceTransform(a.astype(np.uint8), cv2.DIST_L2, 5) for a in (~inside, inside))
+    distance = np.where(inside, 0.5 - inward, outward - 0.5).astype(np.float32)  # to midway between pixel centres
     smooth = cv2.GaussianBlur(distance, (0, 0), 1.5)
     gx, gy = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, ksize=3), cv2.Sobel(smooth, cv2.CV_32F, 0, 1, ksize=3)
     curves, _ = cv2.findContours(inside.astype(np.uint8), cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     pixels = np.concatenate([c[:: max(1, round(spacing)), 0] for c in curves if len(c) > 20] or [np.zeros((0, 2), int)])
-    x, y = pixels.T
-    height, width = inside.shape
-    pixels = pixels[(x > 1) & (y > 1) & (x < width - 2) & (y < height - 2)]
+    pixels = pixels[np.all((pixels > 1) & (pixels < np.subtract(inside.shape[::-1], 2)), axis=1)]
     x, y = pixels.T
     normals = np.stack([gx[y, x], gy[y, x]], axis=1).astype(np.float64)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
     # Pixel centres of the border are half a pixel inside the outline.
     return Outline(pixels - normals * distance[y, x, None], normals)
-
-
-def _signed_distance(inside: AnyArray) -> Float32:
-    """Distance to the outline, negative inside; the outline runs midway between pixel centres."""
-    outward = cv2.distanceTransform((~inside).astype(np.uint8), cv2.DIST_L2, 5)
-    inward = cv2.distanceTransform(inside.astype(np.uint8), cv2.DIST_L2, 5)
-    return np.where(inside, 0.5 - inward, outward - 0.5).astype(np.float32)
 
 
 def match(contour: ContourPoints, outline: Outline, reach: float) -> Matches:

@@ -23,12 +23,7 @@ _KNEE = 2.0  # standard deviations beyond which the loss is linear
 
 @dataclass(frozen=True, kw_only=True)
 class Girths(Vector):
-    """Log-girths (G,) of groups of segments as a block of variables.
-
-    Attributes:
-        generic: the body at girths of 1.
-        groups: segments that share a girth, by name.
-    """
+    """Log-girths (G,) of groups of segments of the `generic` body, by name, as a block of variables."""
 
     generic: Body
     groups: Mapping[str, Sequence[str]]
@@ -59,16 +54,13 @@ class Girths(Vector):
 
 @dataclass(frozen=True)
 class OutlineTerm:
-    """Matches of one view at one instant: Huber's loss of the distances along their normals.
+    """Matches of one view at one instant, in a `frame` of the track: Huber's loss of the distances along their normals.
 
     Attributes:
         points: N samples on the body of `origin`, whose girths are the same in all terms of a problem.
         motion: of the rest pose with the log-girths; None where these are not free.
-        normal: (N, 2) directions along which the distances count.
-        target: (N, 2) px, on the outline or on its tangent.
-        sigma: px, standard deviation.
-        weight: (N,) of each match.
-        frame: of the track.
+        normal, target: (N, 2) directions along which the distances count, and px on the outline or on its tangent.
+        sigma, weight: px, standard deviation; (N,) of each match.
     """
 
     P: Float
