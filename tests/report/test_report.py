@@ -21,14 +21,14 @@ from twistcap.camera import Camera, Rig, look_at
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate.metrics import row
 from twistcap.report import Figure, angle_plot, draw_overlay, joint_error_plot, overlay_video, write_report
-from twistcap.report.overlay import LOST, Bones, bones_of, mosaic_for, part_colours, visible_projection
+from twistcap.report.overlay import LOST, bones_of, mosaic_for, part_colours, visible_projection
 from twistcap.report.page import headline_rows, number
 from twistcap.report.plots import AngleSeries, spans, split_side
 
 CHROMIUM = Path("/usr/bin/chromium")
 
 
-NO_BONES = Bones(np.zeros(0, np.int32), np.zeros((0, 2, 3)))
+NO_BONES = (np.zeros(0, np.int32), np.zeros((0, 2, 3)))
 
 
 def camera(name: str = "cam01", dist: tuple[float, ...] = (0.0,) * 5, angle: float = 0.2) -> Camera:

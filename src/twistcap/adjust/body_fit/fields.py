@@ -147,9 +147,7 @@ def _cross_axes(body: Body, segment: int, axis: Float) -> Float:
 
 def joint_fields(body: Body, sigma: float, side: float) -> Fields:
     """Shifts of the joint centres with the surface at rest: of left and right together, mirrored, and of each alone.
-
-    Their standard deviations are `sigma` for both sides and `side` for each alone, m.
-    """
+    Their standard deviations are `sigma` for both sides and `side` for each alone, m."""
     names, joints, sigmas = list[str](), list[Float](), list[float]()
     for kind, segments in girth_groups(body).items():
         jointed = [body.segment(s) for s in segments if body.segment_joint[body.segment(s)] >= 0]
@@ -191,9 +189,7 @@ def offset_precision(body: Body, sigma: float, reach: float) -> Float:
 
 def turns(body: Body) -> Float:
     """(3 S, V, 3) rotation (rad) of each segment's surface as a whole, per motion of each vertex (least squares).
-
-    Images do not separate a surface that turns against the axes of its joint from a joint that turns; a prior must.
-    """
+    Images do not separate a surface that turns against the axes of its joint from a joint that turns; a prior must."""
     out = np.zeros((len(body.segment_names), 3, *body.vertices.shape))
     for s in range(len(body.segment_names)):
         own = body.vertex_part == s
@@ -244,10 +240,8 @@ class Build(Protocol):
 
 @dataclass(frozen=True)
 class Stretches:
-    """The build of any body: stature, length and girth of each kind of segment, factors of its cross-sections.
-
-    All are standard deviations of log-factors, but for the `knots` of the sections along a segment, and `rigid`.
-    """
+    """The build of any body: stature, length and girth of each kind of segment, factors of its cross-sections. All are
+    standard deviations of log-factors, but for the `knots` of the sections along a segment, and `rigid`."""
 
     stature: float = 0.02
     length: float = 0.01
@@ -257,12 +251,10 @@ class Stretches:
     rigid: bool = True
 
     def fields(self, body: Body, amounts: Mapping[str, float]) -> Fields:
-        del amounts
         stretches = stretch_fields(body, self.stature, self.length, self.girth)
         return stretches + profile_fields(body, self.section, self.knots)
 
     def moved(self, fields: Fields, amounts: Float, change: Float) -> tuple[Float, Motions]:
-        del amounts
         return change, fields @ change
 
     def summary(self, amounts: Mapping[str, float]) -> dict[str, float]:

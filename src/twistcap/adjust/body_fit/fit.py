@@ -37,14 +37,10 @@ class Frames(Protocol):
 
 @dataclass(frozen=True)
 class FitRule:
-    """How much work a fit takes.
+    """How much work a fit takes; a number below 1 is an InputError.
 
-    Attributes:
-        rounds: how often the recording is tracked with the body so far.
-        steps: Gauss-Newton steps in each round.
-        frames: greatest number of frames of each recording to which the shape is fitted, evenly spread.
-
-    A number below 1 is an InputError.
+    In each of the `rounds` the recording is tracked with the body so far; Gauss-Newton `steps` follow. Of each
+    recording the shape is fitted to `frames` frames at most, evenly spread.
     """
 
     rounds: int = 3
@@ -101,10 +97,8 @@ def fit_body(
     """Fit a body to the contours in all views and frames of all takes.
 
     The fit starts from the mean of the body and its mirror image; tree and binding stay. `report` is called after each
-    piece of work, `build` are the body's free parameters, by default lengths, girths and cross-sections.
-
-    Raises:
-        InputError: where there is no frame, a take is lost, or nothing of the body is seen.
+    piece of work, `build` are the body's free parameters, by default lengths, girths and cross-sections. Raises
+    InputError where there is no frame, a take is lost, or nothing of the body is seen.
     """
     rule = rule or FitRule()
     if not takes or any(not len(take.frames) for take in takes):

@@ -36,8 +36,8 @@ _HALF, _FAR = 1.75, 4.0  # px: half the window in which the edge lies; where the
 class Observed:
     """N contour points of one view of one frame, and their distances to the edge in the image.
 
-    The contour is of the body as it was rendered, `ends` and `shares` (N, 2) are vertices of the mesh edge of each point
-    and their weights, `distance` (N,) px is outward along the image normal, `weight` (N,) its information, 1/px², and
+    The contour is of the body as rendered, `ends` and `shares` (N, 2) are vertices of the mesh edge of each point and
+    their weights, `distance` (N,) px is outward along the image normal, `weight` (N,) its information, 1/px², and
     `px_per_m` the scale of the image at the body.
     """
 

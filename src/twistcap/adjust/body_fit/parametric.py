@@ -59,7 +59,7 @@ class Parametric:
         return Fields(tuple(p.name for p in parameters), *rates, precision)
 
     def moved(self, fields: Fields, amounts: Float, change: Float) -> tuple[Float, Motions]:
-        del fields
+
         before = self.start + amounts
         after = _within(self.model.parameters, before + change)
         old, new = self.model.bodies(np.stack([before, after]))
@@ -72,10 +72,8 @@ class Parametric:
 
 
 def rates_at(model: Model, values: Float) -> Motions:
-    """Derivatives by the parameters (M,): of vertices (M, V, 3), joint centres (M, S, 3), landmarks (M, L, 3).
-
-    Central differences, one-sided at a bound.
-    """
+    """Derivatives by the parameters (M,): of vertices (M, V, 3), joint centres (M, S, 3), landmarks (M, L, 3). Central
+    differences, one-sided at a bound."""
     M, parameters = len(values), model.parameters
     steps = _STEP * np.eye(M)
     up, down = (_within(parameters, values + sign * steps) for sign in (1.0, -1.0))
@@ -87,11 +85,8 @@ def rates_at(model: Model, values: Float) -> Motions:
 
 
 def matched(model: Model, body: Body, length: float = 0.01) -> Parametric:
-    """The mean person with the limb lengths, trunk and stature of another body, as a build to start a fit with.
-
-    Raises:
-        InputError: where the body lacks a landmark that measures it, as ``humanoid("legs")`` does.
-    """
+    """The mean person with the limb lengths, trunk and stature of another body, as a build to start a fit with. Raises
+    InputError where the body lacks a landmark that measures it, as ``humanoid("legs")`` does."""
     measured = dict.fromkeys(name for pair in _PAIRS for name in pair)
     missing = [name for name in measured if name not in body.landmarks.names]
     if missing:
@@ -111,11 +106,8 @@ def matched(model: Model, body: Body, length: float = 0.01) -> Parametric:
 
 
 def carried_pose(given: Body, pose: Pose, body: Body, rig: Rig) -> Pose:
-    """The pose of another body whose landmarks project to those of the given one.
-
-    Raises:
-        InputError: for fewer than two cameras, or too few landmarks before two of them.
-    """
+    """The pose of another body whose landmarks project to those of the given one. Raises InputError for fewer than two
+    cameras, or too few landmarks before two of them."""
     names = tuple(name for name in body.landmarks.names if name in given.landmarks.names)
     points = Posed(given, pose).landmarks[[given.landmarks.index(name) for name in names]]
     pixels = np.stack([camera.project(points)[0] for camera in rig])

@@ -68,10 +68,8 @@ def _assigned(points: Float, others: Float) -> Int:
         return nearest
     alone = np.flatnonzero(back[nearest] != np.arange(len(points)))
     free = np.flatnonzero(nearest[back] != np.arange(len(others)))
-    chosen = linear_sum_assignment(cdist(points[alone], others[free], "sqeuclidean"))[1]
-    out = nearest.copy()
-    out[alone] = free[chosen]
-    return out
+    nearest[alone] = free[linear_sum_assignment(cdist(points[alone], others[free], "sqeuclidean"))[1]]
+    return nearest
 
 
 def _partners(names: tuple[str, ...]) -> list[int]:

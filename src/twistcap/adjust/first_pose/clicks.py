@@ -21,7 +21,7 @@ from twistcap.camera import pinhole
 from twistcap.camera.scaled import ROOT, ScaledView
 from twistcap.differential.model import state_at, view_block, view_blocks
 from twistcap.differential.state import State
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 from twistcap.render import SurfacePoints
 from twistcap.solve import Arrow, BlockProblem, Dense, Solution, Variables, Vector, minimise
 from twistcap.terms import BlockGaussian, BlockTerm, Slope, Sums
@@ -69,15 +69,11 @@ def fit_clicks(
 ) -> ClickedStart:  # fmt: skip
     """The state and dimensions of a body whose joints were clicked.
 
-    Args:
-        body: whose landmarks have the clicks' names.
-        clicks: of each view, (x, y) px by landmark name; a view may lack some.
-        facing_deg: of each view, the direction the body faces: 0 towards the camera, 90 to the image's right; by
-            default several are tried.
-        start: of the solve; by default upright bodies.
+    Clicks are (x, y) px of each view by landmark name; a view may lack some. `facing_deg` is the direction that the
+    body faces in each: 0 towards the camera, 90 to the image's right; by default several are tried, from upright
+    bodies.
 
-    Raises:
-        InputError: for an unknown name, fewer than four clicks in a view, or numbers that are not finite.
+    Raises InputError for an unknown name, fewer than four clicks in a view, or numbers that are not finite.
     """
     skeleton, known = Skeleton(body), gathered(body, clicks)
     starts = [start] if start is not None else _starts(body, known, facing_deg)
@@ -100,10 +96,8 @@ def gathered(body: Body, clicks: Sequence[Mapping[str, Sequence[float]]]) -> Cli
             raise InputError(f"clicks: {name!r} is no landmark of the body; it has {', '.join(body.landmarks.names)}.")
     pixels = np.array([[view.get(name, (np.nan, np.nan)) for name in names] for view in clicks], dtype=np.float64)
     given = np.array([[name in view for name in names] for view in clicks], dtype=bool)
-    if not clicks or given.sum(axis=1).min() < _FEWEST:
-        raise InputError(f"clicks: every view needs {_FEWEST} clicked joints or more.")
-    if not np.all(np.isfinite(pixels[given])):
-        raise InputError("clicks: a pixel is not a finite number; leave that joint out.")
+    check("clicks", clicks and given.sum(axis=1).min() >= _FEWEST, f"every view needs {_FEWEST} clicked joints or more")
+    check("clicks", np.all(np.isfinite(pixels[given])), "a pixel is not a finite number; leave that joint out")
     return Clicks(np.array([body.landmarks.index(name) for name in names], np.int32), np.nan_to_num(pixels), given)
 
 

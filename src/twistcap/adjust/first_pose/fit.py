@@ -43,11 +43,9 @@ STARTS_DEG: tuple[Mapping[str, float], ...] = (
 class FirstPose:
     """A pose fitted to keypoints, and the body at the fitted lengths.
 
-    Attributes:
-        proportions: the factors that made `body` from the generic one.
-        residual_px: (C, L) distance between keypoint and landmark, undistorted pixels, NaN where there is none.
-        used: (C, L) the keypoints that counted; `names` and `cameras` are theirs.
-        covariance: (6 + J, 6 + J) of the pose step (rad, m), from the solve, scaled to the residuals.
+    The proportions made the body from the generic one. `residual_px` (C, L) is the distance between keypoint and
+    landmark, undistorted pixels, NaN where there is none; `used` (C, L) are the keypoints that counted. The covariance
+    (6 + J, 6 + J) of the pose step (rad, m) is that of the solve, scaled to the residuals.
     """
 
     body: Body
@@ -83,8 +81,7 @@ def fit_keypoints(
         sigma_px: standard deviation of a wrist keypoint, pixels; by default 1.5 % of the person's height in the image.
         start: one more start pose.
 
-    Raises:
-        InputError: for arrays of the wrong shape, fewer than two views, or too few joints seen by two views.
+    Raises InputError for arrays of the wrong shape, fewer than two views, or too few joints seen by two views.
     """
     fits = fit_keypoints_sequence(body, [rig], [keypoints], fit_lengths=fit_lengths, sigma_px=sigma_px, starts=[start])
     return fits[0]
@@ -97,10 +94,8 @@ def fit_keypoints_sequence(
     """As `fit_keypoints`, for several instants that share their lengths (and `FirstPose.body`).
 
     `rigs` are one for all, or one for each instant: two trials may differ in cameras and grids. `starts` may give each
-    instant one more start pose.
-
-    Raises:
-        InputError: as `fit_keypoints`, or if there is no instant, or not one rig for each.
+    instant one more start pose. Raises InputError as `fit_keypoints`, or if there is no instant, or not one rig for
+    each.
     """
     rigs = [rigs] * len(keypoints) if isinstance(rigs, Rig) else list(rigs)
     if not keypoints or len(rigs) != len(keypoints):
@@ -197,10 +192,7 @@ def _covariance(problem: KeypointProblem, x: Variables, errors: Sequence[Float])
 
 def pose_at(poses: Sequence[Pose], times: Sequence[float], time: float) -> Pose:
     """The pose at a time (s or frames, about those given) by a straight line through the steps from the first pose.
-
-    Raises:
-        InputError: for fewer than two poses, or times of another number.
-    """
+    Raises InputError for fewer than two poses, or times of another number."""
     if len(poses) < 2 or len(times) != len(poses):
         given = f"{len(poses)} poses and {len(times)} times were given"
         raise InputError(f"pose_at: {given}; two or more of each are needed.")

@@ -15,7 +15,7 @@ from twistcap.arrays import Float, Int
 from twistcap.body import Body, Pose
 from twistcap.body.model import unsided
 from twistcap.camera import Rig, pinhole
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 from twistcap.estimate import Keypoints
 from twistcap.solve import Arrow, BlockProblem, CameraBlock, Dense, PoseTrack, Solution, Variables, minimise
 from twistcap.terms import BlockGaussian, GaussianTerm, LimitTerm, OnPose, ReprojectionTerm
@@ -56,10 +56,8 @@ class Evidence:
 def evidence(body: Body, rig: Rig, keypoints: Keypoints, sigma_px: float | None = None) -> Evidence:
     """Check keypoints against body and rig, undistort them, and give each its standard deviation.
 
-    Arguments are those of `fit_keypoints`.
-
-    Raises:
-        InputError: for arrays of the wrong shape, values that are not finite, or fewer than two views.
+    Arguments are those of `fit_keypoints`. Raises InputError for arrays of the wrong shape, values that are not finite,
+    or fewer than two views.
     """
     _check(rig, keypoints)
     known = {name: i for i, name in enumerate(body.landmarks.names)}
@@ -67,10 +65,8 @@ def evidence(body: Body, rig: Rig, keypoints: Keypoints, sigma_px: float | None 
     names = [keypoints.names[i] for i in columns]
     pixels = np.stack([_undistorted(rig, c, keypoints.pixels[c, columns]) for c in range(len(rig))])
     weights = np.where(np.isfinite(pixels).all(axis=-1), keypoints.confidence[:, columns], 0.0)
-    if np.count_nonzero((weights > 0).sum(axis=1) >= 3) < 2:
-        raise InputError(
-            "keypoints: at least two cameras must see three or more known joints each; add views or joints."
-        )
+    enough = np.count_nonzero((weights > 0).sum(axis=1) >= 3) >= 2
+    check("keypoints", enough, "two cameras must see three or more known joints each; add views or joints")
     extents = [
         np.ptp(p[w > 0], axis=0).max() if np.sum(w > 0) > 1 else 0.0 for p, w in zip(pixels, weights, strict=True)
     ]
@@ -88,11 +84,8 @@ def _check(rig: Rig, keypoints: Keypoints) -> None:
         raise InputError(f"keypoints: pixels and confidence are {shapes}; {C} cameras and {L} names need {need}.")
     seen = keypoints.confidence != 0
     if not np.all(np.isfinite(keypoints.confidence)) or not np.all(np.isfinite(keypoints.pixels[seen])):
-        raise InputError(
-            "keypoints: a pixel with confidence, or a confidence, is not a finite number; give it weight 0."
-        )
-    if np.any(keypoints.confidence < 0):
-        raise InputError("keypoints: a confidence is negative; it must lie between 0 and 1.")
+        raise InputError("keypoints: a pixel or a confidence is not a finite number; give it weight 0.")
+    check("keypoints", not np.any(keypoints.confidence < 0), "a confidence is negative; it must lie between 0 and 1")
 
 
 def _undistorted(rig: Rig, c: int, pixels: Float) -> Float:

@@ -7,15 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twistcap.adjust.first_pose.outline import Outline, match, outline_of
-from twistcap.adjust.first_pose.outline_term import Girths, OutlineTerm
+from twistcap.adjust.first_pose.outline import Girths, Outline, OutlineTerm, match, outline_of
 from twistcap.arrays import AnyArray, Bool, Float
 from twistcap.body import Body, Pose
 from twistcap.body.kinematics import Posed
 from twistcap.body.model import unsided
 from twistcap.body.shape import RestMotion
 from twistcap.camera import Camera, Rectifier, Rig
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 from twistcap.region.compare import iou
 from twistcap.render import render, visible_contour
 from twistcap.solve import Arrow, BlockProblem, Dense, PoseTrack, Variables, minimise
@@ -75,8 +74,7 @@ def refine_on_silhouettes(
         masks: for each instant one mask (H, W) per camera, 0 off the person, or None; in the cameras' own pixels.
         groups: segments that share a girth factor; None keeps the girths, `girth_groups` gives one for each kind.
 
-    Raises:
-        InputError: if the number or size of the masks does not fit the rig, or an instant has no mask.
+    Raises InputError if the number or size of the masks does not fit the rig, or an instant has no mask.
     """
     names, instants = dict(groups or {}), [_Instant.of(rig, of_instant) for of_instant in masks]
     sigma = np.full(body.dof, np.deg2rad(10.0))
@@ -157,6 +155,5 @@ def _rectified(camera: Camera, mask: AnyArray) -> Bool:
 
 def _height(mask: Bool) -> float:
     rows, columns = np.nonzero(mask)
-    if not len(rows):
-        raise InputError("masks: one is empty; give None for a camera that does not see the person.")
+    check("masks", len(rows), "one is empty; give None for a camera that does not see the person")
     return float(max(np.ptp(rows), np.ptp(columns), 1))

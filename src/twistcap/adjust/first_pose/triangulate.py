@@ -35,10 +35,8 @@ def triangulate(rig: Rig, pixels: Float, confidence: Float, sigma_px: Float, rea
 
 
 def nearest_points(centres: Float, directions: Float, weights: Float) -> Float:
-    """Points (L, 3) nearest to weighted rays: centres (C, 3), unit directions (C, L, 3), weights (C, L).
-
-    NaN where fewer than two rays count, or all are parallel.
-    """
+    """Points (L, 3) nearest to weighted rays: centres (C, 3), unit directions (C, L, 3), weights (C, L). NaN where
+    fewer than two rays count, or all are parallel."""
     across = np.eye(3) - directions[..., :, None] * directions[..., None, :]
     A = np.einsum("cl,clij->lij", weights, across)
     b = np.einsum("cl,clij,cj->li", weights, across, centres)

@@ -34,10 +34,8 @@ def reshaped(term: Term, maps: Float | None) -> Term:
 
 @dataclass(frozen=True)
 class End:
-    """One of the two frames between which brightness is compared, by N points.
-
-    Where they were seen (`pixels`, under P): their brightness `value` (N,) and its gradient `slope` (N, 2), 1/px.
-    """
+    """One of the two frames between which brightness is compared, by N points. Where they were seen (`pixels`, under
+    P): their brightness `value` (N,) and its gradient `slope` (N, 2), 1/px."""
 
     P: Float
     value: Float

@@ -50,10 +50,8 @@ class CameraRound:
 
 
 class SequenceImages:
-    """The images of a sequence, cropped about the body, and the colours of its S parts over the whole sequence.
-
-    `views` are of each camera and frame, None without an image; the cue `contour` is None for the differential method.
-    """
+    """The images of a sequence, cropped about the body, and the colours of its S parts over the whole sequence. `views`
+    are of each camera and frame, None without an image; the cue `contour` is None for the differential method."""
 
     def __init__(self, rig: Rig, config: RefineConfig, tracker: Settings, body: Body) -> None:
         self.config, self.tracker, self.cameras, self.parts = config, tracker, len(rig), len(body.segment_names)
@@ -63,11 +61,8 @@ class SequenceImages:
         self.colours = self._blank()
 
     def read(self, frames: Iterable[Frame], estimates: Sequence[Estimate]) -> Iterable[int]:
-        """Keep the surroundings of the body in each frame; yields how many are read.
-
-        Raises:
-            InputError: where the frames are not those of the estimates.
-        """
+        """Keep the surroundings of the body in each frame; yields how many are read. Raises InputError where the frames
+        are not those of the estimates."""
         for count, (frame, estimate) in enumerate(zip_longest(frames, estimates), start=1):
             if frame is None or estimate is None or frame.index != estimate.index:
                 raise InputError("refine: the frames are not those of the estimates; give those that were tracked.")

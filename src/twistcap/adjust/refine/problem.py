@@ -36,14 +36,10 @@ class Track:
 
 @dataclass(frozen=True)
 class Standing:
-    """What is known without the images.
+    """What is known without the images: times (F,) s, noise of the motion, and settings as in `RefineConfig`.
 
-    Attributes:
-        times: (F,) s; noise: of the motion.
-        rest: rad, standard deviation of the joints from the rest pose.
-        hinge: m, see `Shape.prior`.
-        shape_weight: factor on the prior of the shape, which matches the way in which images are counted.
-        contour: factor on the information of contours.
+    `rest` (rad) is the standard deviation of the joints from the rest pose, `shape_weight` a factor on the prior of the
+    shape, which matches the way in which images are counted.
     """
 
     times: Sequence[float]
@@ -108,12 +104,10 @@ class RefineProblem:
                 arrow.value += quadratic.value
                 arrow.add_pose(t, quadratic.gradient, quadratic.hessian)
         arrow.value += accelerations(x.poses, self.standing.times, self.standing.noise, arrow)
-        value, gradient, information = (
-            self.standing.shape_weight * part for part in x.shape.prior(self.standing.hinge)
-        )
-        arrow.value += value
-        arrow.shared_pull += gradient
-        arrow.corner += information
+        value, gradient, information = x.shape.prior(self.standing.hinge)
+        arrow.value += self.standing.shape_weight * value
+        arrow.shared_pull += self.standing.shape_weight * gradient
+        arrow.corner += self.standing.shape_weight * information
         return arrow
 
     def retract(self, x: Track, step: Float) -> Track:
@@ -173,9 +167,7 @@ def accelerations(
 
 def _derivatives(step: Float) -> tuple[Float, Float]:
     """(D, D) derivatives of the step between two poses by the steps of the one it starts from and of the other.
-
-    ``log(exp(δ') D exp(−δ))``: by δ' the inverse left Jacobian at the step, by δ minus the inverse right one.
-    """
+    ``log(exp(δ') D exp(−δ))``: by δ' the inverse left Jacobian at the step, by δ minus the inverse right one."""
     start, end = -np.eye(len(step)), np.eye(len(step))
     end[:6, :6] = se3.inverse_left_jacobian_one(step[:6])
     start[:6, :6] = -se3.inverse_left_jacobian_one(-step[:6])

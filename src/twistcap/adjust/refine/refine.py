@@ -21,7 +21,7 @@ from twistcap.arrays import Bool, Float
 from twistcap.body import Body
 from twistcap.camera import Rig
 from twistcap.cues.support import SupportRule
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 from twistcap.estimate import Estimate, Frame
 from twistcap.predict import MotionNoise
 from twistcap.predict.inertia import INFLATION
@@ -91,9 +91,8 @@ def refine(
         report: is called with the progress.
         shape: to begin with, that of an earlier refinement; by default that of `body`.
 
-    Raises:
-        InputError: for fewer than three frames, frames that are not those of the estimates, poses that are not
-            finite, or images that do not determine a number.
+    Raises InputError for fewer than three frames, frames that are not those of the estimates, poses that are not
+    finite, or images that do not determine a number.
     """
     config, tracker = config or RefineConfig(), tracker or Settings()
     _check(body, estimates)
@@ -148,8 +147,8 @@ def _adjusted(images: SequenceImages, given: Track, estimates: Sequence[Estimate
 
 
 def _check(body: Body, estimates: Sequence[Estimate]) -> None:
-    if len(estimates) < _LEAST_FRAMES:
-        raise InputError(f"refine: {len(estimates)} frames are given; give at least {_LEAST_FRAMES}.")
+    given = len(estimates)
+    check("refine", given >= _LEAST_FRAMES, f"{given} frames are given; give at least {_LEAST_FRAMES}")
     for e in estimates:
         if len(e.pose.q) != len(body.coordinate_names):
             raise InputError(f"refine: frame {e.index} has {len(e.pose.q)} joint coordinates; give the body tracked.")
