@@ -82,9 +82,10 @@ def test_points_beyond_the_fold_of_the_distortion_are_unseen() -> None:
 
 def test_bones_join_the_joints_and_move_with_the_body() -> None:
     body = hinged_box()
-    bones = bones_of(body)
+    segments, ends = bones_of(body)
     knee = Posed(body, Pose(np.eye(4), np.array([np.pi / 2])))
-    tips = [end.round(6).tolist() for _, end in bones.at(knee)]
+    moved = se3.apply(knee.segment_transforms[segments], ends)
+    tips = [end.round(6).tolist() for _, end in moved]
     assert [-0.6, 0.0, 0.0] in tips  # the toe, 0.6 m below the hinge, swings back
     assert len(part_colours(body)) == 2
 
