@@ -11,11 +11,11 @@ import numpy as np
 
 from reproduce.arms import Findings, Shot, Trace
 from reproduce.passes import SequenceConfig, track_sequence
+from reproduce.plates import angles_of
 from reproduce.running import Tell, over_seeds
 from reproduce.scenes.walks import Walk
 from twistcap.arrays import Float
 from twistcap.body import Body, Posed
-from twistcap.body.simplify import angles_of
 from twistcap.camera import ScaledView
 from twistcap.differential.model import DifferentialModel
 from twistcap.differential.settings import DifferentialConfig, Rule

@@ -19,11 +19,12 @@ from reproduce.brightness_trials import DifferentialTrial, Tracked
 from reproduce.ellipsoids import ellipsoid_body
 from reproduce.norm_picture import norm_picture
 from reproduce.passes import Limb, SequenceConfig
+from reproduce.plates import NINETEEN
 from reproduce.reanimated import reanimated
 from reproduce.scenes.disturbed import loose, plates
 from reproduce.scenes.walks import Walk
 from twistcap.body import Body
-from twistcap.body.simplify import NINETEEN, SIDE_VIEW, side_view, simplified
+from twistcap.body.simplify import SIDE_VIEW, side_view, simplified
 from twistcap.camera import ScaledView
 from twistcap.differential.settings import DifferentialConfig, Rule
 from twistcap.evaluate import Row, row

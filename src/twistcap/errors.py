@@ -13,6 +13,12 @@ class InputError(ValueError):
     """
 
 
+def check(where: str, holds: object, message: str) -> None:
+    """Raise an InputError of a place and a message, without its full stop, where something does not hold."""
+    if not holds:
+        raise InputError(f"{where}: {message}.")
+
+
 def check_numbers(
     where: str, settings: object, positive: tuple[str, ...] = (), not_negative: tuple[str, ...] = ()
 ) -> None:

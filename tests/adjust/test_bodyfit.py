@@ -20,7 +20,7 @@ from twistcap.adjust.body_fit.problem import FitProblem, Freedom, Sculpted, rows
 from twistcap.adjust.body_fit.symmetry import alike, mirrored_vertices, symmetric
 from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
-from twistcap.body.shape import segment_axes
+from twistcap.body.shape import joint_origins, segment_axes
 from twistcap.camera import pinhole
 from twistcap.errors import InputError
 from twistcap.io.calibration import write_rig
@@ -49,8 +49,8 @@ def sculpted(body, poses, offsets=True):
 
 def by_values(x, posed, found):
     """(N, M + V) rows by all values of the shape."""
-    out = (found.vertex @ x.motions).toarray()
-    out[:, : len(x.fields.names)] += found.twist @ x.joint_motions(posed)
+    out = (found[1] @ x.motions).toarray()
+    out[:, : len(x.fields.names)] += found[0] @ x.joint_motions(posed)
     return out
 
 
@@ -66,7 +66,7 @@ def test_rows_are_the_derivatives_of_the_projected_points(body) -> None:
     seen = looked_at(Posed(body, pose), camera, np.random.default_rng(2), 3.0)
     x = sculpted(body, [pose])
     found = rows(x.posed[0], [seen])
-    by_pose = found.twist @ x.posed[0].projector
+    by_pose = found[0] @ x.posed[0].projector
     by_value = by_values(x, x.posed[0], found)
 
     def along(x):
@@ -105,8 +105,8 @@ def test_the_sums_are_those_of_stacked_rows(body) -> None:
         H[own, own] += np.diag(hold)
         g[own] += hold * p.pose.minus(tracked[k])
         by = rows(p, views)
-        J = np.zeros((by.twist.shape[0], len(g)))
-        J[:, own] = by.twist @ p.projector
+        J = np.zeros((by[0].shape[0], len(g)))
+        J[:, own] = by[0] @ p.projector
         J[:, 2 * D :] = by_values(x, p, by)
         distance, scale = (np.concatenate(of) for of in (
             [v.distance for v in views], [np.full(len(v.distance), 0.012 * v.px_per_m) for v in views]))  # fmt: skip
@@ -180,7 +180,7 @@ def test_a_bumpy_body_becomes_its_mirrored_mean(body) -> None:
     assert np.abs(mean.vertices - mean.vertices[partner] * [1, -1, 1]).max() < 1e-12
     error = [np.linalg.norm(b.vertices - body.vertices, axis=1).mean() for b in (rough, mean)]
     assert error[1] < 0.85 * error[0]
-    centres = f.joint_centres(mean)
+    centres = joint_origins(mean)
     right, left = (centres[body.segment(f"tibia_{s}")] for s in "rl")
     assert np.allclose(right * [1, -1, 1], left)
 

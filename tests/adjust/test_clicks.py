@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from reproduce.plates import NINETEEN
 from support.finite_differences import numeric_jacobian
 from twistcap import se3
 from twistcap.adjust.first_pose.clicks import click_problem, click_variables, fit_clicks, gathered
 from twistcap.adjust.first_pose.skeleton import Skeleton
 from twistcap.body import rescaled
 from twistcap.body.humanoid import humanoid
-from twistcap.body.simplify import NINETEEN, side_view, simplified
+from twistcap.body.simplify import side_view, simplified
 from twistcap.camera import ScaledView
 from twistcap.differential.state import State
 from twistcap.errors import InputError

@@ -22,8 +22,7 @@ from twistcap.adjust.first_pose import (
     refine_on_silhouettes,
 )
 from twistcap.adjust.first_pose.keypoints import COORDINATE, KeypointProblem, evidence, truncated
-from twistcap.adjust.first_pose.outline import outline_of
-from twistcap.adjust.first_pose.outline_term import Girths, OutlineTerm
+from twistcap.adjust.first_pose.outline import Girths, OutlineTerm, outline_of
 from twistcap.adjust.first_pose.triangulate import rigid_fit, triangulate
 from twistcap.body import Body, Pose
 from twistcap.body.humanoid import humanoid

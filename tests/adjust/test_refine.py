@@ -20,9 +20,9 @@ from twistcap.adjust.refine.measure import CameraRound, design_effect, followed_
 from twistcap.adjust.refine.problem import RefineProblem, Standing, Track, accelerations
 from twistcap.adjust.refine.shape import Shape
 from twistcap.adjust.refine.sums import (
-    Derivatives,
     FrameSums,
     add_products,
+    derivatives,
     flat,
     projection,
     stacked,
@@ -104,8 +104,8 @@ def test_derivatives_by_pose_and_shape() -> None:
 
     motion = rest_motion(BODY, *groups, [BODY.segment(name) for name in moved])
     posed = Posed(BODY, pose)
-    rows = Derivatives.of(posed, motion, points, gradient)
-    J = stacked(rows, len(BODY.segment_names)) @ projection(posed, motion)
+    rows = derivatives(posed, motion, points, gradient)
+    J = stacked(*rows, len(BODY.segment_names)) @ projection(posed, motion)
     check_jacobian(residual, J, np.zeros(D + 12), rtol=1e-5, atol=1e-5)
     np.testing.assert_allclose(J, row_reference(posed, motion, points, gradient), atol=1e-12)
 
@@ -114,15 +114,15 @@ def test_sums_by_segment_are_those_of_the_rows() -> None:
     rng, motion, S = np.random.default_rng(2), rest_motion(BODY, [{"femur_r": 1.0}], [], [1]), len(BODY.segment_names)
     posed, points, weight = Posed(BODY, a_pose(3)), some_points(100), rng.uniform(0.0, 2.0, 200)
     weight[::5] = 0.0
-    one, other = (Derivatives.of(posed, motion, points, rng.normal(size=(200, 3))) for _ in range(2))
+    one, other = (derivatives(posed, motion, points, rng.normal(size=(200, 3))) for _ in range(2))
     blocks = np.zeros((S, S, 11, 11))
-    add_products(one.segments, one.by_segment, other.segments, other.by_segment, weight, blocks)
-    expected = stacked(one, S).T @ (weight[:, None] * stacked(other, S))
+    add_products(*one, *other, weight, blocks)
+    expected = stacked(*one, S).T @ (weight[:, None] * stacked(*other, S))
     np.testing.assert_allclose(flat(blocks), expected, atol=1e-9)
     sums, residual = FrameSums(posed, motion), rng.normal(size=200)
     sums.add(one, weight, residual)
     gradient, matrix = sums.projected()
-    J = stacked(one, S) @ projection(posed, motion)
+    J = stacked(*one, S) @ projection(posed, motion)
     np.testing.assert_allclose(gradient, J.T @ (weight * residual), atol=1e-9)
     np.testing.assert_allclose(matrix, J.T @ (weight[:, None] * J), atol=1e-9)
 
@@ -195,7 +195,7 @@ def test_brightness_is_what_the_images_show() -> None:
     _, one, other, _, residual = pair.rows(*at, rest_motion(BODY, [], [], []))
     np.testing.assert_allclose(residual, difference(np.zeros((2, BODY.dof))), atol=1e-6)
     for t, rows in enumerate((one, other)):
-        J = stacked(rows, len(BODY.segment_names)) @ projection(at[t], rest_motion(BODY, [], [], []))
+        J = stacked(*rows, len(BODY.segment_names)) @ projection(at[t], rest_motion(BODY, [], [], []))
         for k in (1, 4, 6 + BODY.coordinate("knee_angle_r"), 6 + BODY.coordinate("lumbar_rotation")):
             x = np.zeros((2, BODY.dof))
             x[t, k] = 1e-3

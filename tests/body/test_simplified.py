@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from reproduce.plates import NINETEEN, angles_of
 from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
-from twistcap.body.simplify import NINETEEN, angles_of, side_view, simplified
+from twistcap.body.simplify import side_view, simplified
 from twistcap.errors import InputError
 
 BODY = humanoid()

@@ -9,8 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
+from reproduce.plates import NINETEEN, angles_of
 from reproduce.scenes.walks import Walk
-from twistcap.body.simplify import NINETEEN, angles_of, simplified
+from twistcap.body.simplify import simplified
 from twistcap.camera import ScaledView
 from twistcap.cues.background import STILL, dominant_motion, under_motion
 from twistcap.differential.model import DifferentialModel

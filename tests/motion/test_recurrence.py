@@ -9,8 +9,8 @@ from support.motion import ahead
 from twistcap.body.humanoid import humanoid
 from twistcap.errors import InputError
 from twistcap.motion import FollowedMotion, FollowRule, MotionClip, MotionLibrary, RecurrenceRule
+from twistcap.motion.following import OWN, recurrences
 from twistcap.motion.openloop import PoseSequence
-from twistcap.motion.recurrence import OWN, recurrences
 from twistcap.predict import Moment
 from twistcap.studio.motion import gait
 

@@ -21,14 +21,14 @@ from twistcap.camera import Camera, Rig, look_at
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate.metrics import row
 from twistcap.report import Figure, angle_plot, draw_overlay, joint_error_plot, overlay_video, write_report
-from twistcap.report.overlay import LOST, Bones, bones_of, mosaic_for, part_colours, visible_projection
+from twistcap.report.overlay import LOST, bones_of, mosaic_for, part_colours, visible_projection
 from twistcap.report.page import headline_rows, number
 from twistcap.report.plots import AngleSeries, spans, split_side
 
 CHROMIUM = Path("/usr/bin/chromium")
 
 
-NO_BONES = Bones(np.zeros(0, np.int32), np.zeros((0, 2, 3)))
+NO_BONES = (np.zeros(0, np.int32), np.zeros((0, 2, 3)))
 
 
 def camera(name: str = "cam01", dist: tuple[float, ...] = (0.0,) * 5, angle: float = 0.2) -> Camera:
@@ -82,9 +82,10 @@ def test_points_beyond_the_fold_of_the_distortion_are_unseen() -> None:
 
 def test_bones_join_the_joints_and_move_with_the_body() -> None:
     body = hinged_box()
-    bones = bones_of(body)
+    segments, ends = bones_of(body)
     knee = Posed(body, Pose(np.eye(4), np.array([np.pi / 2])))
-    tips = [end.round(6).tolist() for _, end in bones.at(knee)]
+    moved = se3.apply(knee.segment_transforms[segments], ends)
+    tips = [end.round(6).tolist() for _, end in moved]
     assert [-0.6, 0.0, 0.0] in tips  # the toe, 0.6 m below the hinge, swings back
     assert len(part_colours(body)) == 2
 

@@ -12,9 +12,10 @@ import pytest
 from reproduce.experiments.brightness_walks import T2
 from reproduce.layers import LimbCost, learnt
 from reproduce.passes import LIMBS, SequenceConfig, cheapest_path, chosen, nearest_first, track_sequence
+from reproduce.plates import NINETEEN, angles_of
 from reproduce.scenes.disturbed import plates
 from reproduce.scenes.walks import Walk
-from twistcap.body.simplify import NINETEEN, angles_of, simplified
+from twistcap.body.simplify import simplified
 from twistcap.cues.view import Picture
 from twistcap.differential.model import DifferentialModel
 from twistcap.differential.settings import Rule

@@ -15,7 +15,7 @@ from twistcap.body import Body, Landmarks
 from twistcap.body.binding import Binding, ramp, strongest, unposed
 from twistcap.body.humanoid import humanoid
 from twistcap.body.rig import turn_between
-from twistcap.body.shape import joint_coordinates, joint_origin
+from twistcap.body.shape import joint_origins, joints_at
 
 _RING = 24  # vertices of a slice
 _DOWN = np.array([0.0, 0.0, -1.0])
@@ -28,13 +28,8 @@ _FOLD, _GROIN = 0.085, 0.015  # m below the hip, at 1.75 m: the fold of the butt
 
 @dataclass(frozen=True)
 class Acquired:
-    """A body from key views.
-
-    Attributes:
-        body: rest pose and skeleton of the built-in humanoid, the person's own surface and joint centres.
-        measured: its slices and joints.
-        surface: (V, 3) the body's vertices as the person stood in the front view, in the body's axes, m.
-    """
+    """A body from key views, with skeleton and rest pose of the humanoid, and what was measured. `surface` (V, 3) are
+    its vertices as the person stood in the front view, in the body's axes, m."""
 
     body: Body
     measured: Measured
@@ -65,13 +60,10 @@ def _motions(skeleton: Body, measured: Measured) -> tuple[Float, Float]:
     centres[skeleton.segment("torso")] = _LUMBAR * measured.stature
     centres[skeleton.segment("head")] = J["neck"] - mid_hip
     for side in SIDES:
-        for names, marks in (
-            (("humerus", "ulna", "radius"), ("shoulder", "elbow", "wrist")),
-            (("femur", "tibia", "foot"), ("hip", "knee", "ankle")),
-        ):
-            at = [J[f"{m}_{side}"] for m in marks]
-            own = [skeleton.segment(f"{n}_{side}") for n in names]
-            motions[own], centres[own] = _straightened(at, mid_hip, flat_end=names[2] == "foot")
+        for names, marks in (("humerus ulna radius", "shoulder elbow wrist"), ("femur tibia foot", "hip knee ankle")):
+            at = [J[f"{m}_{side}"] for m in marks.split()]
+            own = [skeleton.segment(f"{n}_{side}") for n in names.split()]
+            motions[own], centres[own] = _straightened(at, mid_hip, flat_end=names.endswith("foot"))
     return motions, centres
 
 
@@ -115,10 +107,9 @@ def _joined(measured: Measured) -> dict[str, Float]:
 def _loft(rings: Float) -> tuple[Float, Int]:
     """Closed surface through rings (n, m, 3): vertices (n m + 2, 3) and outward triangles."""
     n, m = rings.shape[:2]
-    k, i = np.meshgrid(np.arange(n - 1), np.arange(m), indexing="ij")
-    a, b = k * m + i, k * m + (i + 1) % m
-    sides = np.concatenate([np.stack([a, b, b + m], axis=-1), np.stack([a, b + m, a + m], axis=-1)]).reshape(-1, 3)
     ring, after = np.arange(m), (np.arange(m) + 1) % m
+    a, b = (m * np.arange(n - 1)[:, None] + around for around in (ring, after))
+    sides = np.concatenate([np.stack([a, b, b + m], axis=-1), np.stack([a, b + m, a + m], axis=-1)]).reshape(-1, 3)
     first = np.stack([np.full(m, n * m), after, ring], axis=1)
     last = np.stack([np.full(m, n * m + 1), (n - 1) * m + ring, (n - 1) * m + after], axis=1)
     points = np.concatenate([rings.reshape(-1, 3), rings[0].mean(axis=0)[None], rings[-1].mean(axis=0)[None]])
@@ -171,22 +162,17 @@ def _limb_fractions(J: Mapping[str, Float], points: Float, part: Int, side: str,
 
 def _rejointed(skeleton: Body, centres: Float) -> Body:
     """The skeleton with its joints at new centres (S, 3); landmarks move with their segment's joint."""
-    twists, marks = skeleton.twists.copy(), skeleton.landmarks
-    old = np.array([joint_origin(skeleton, s) for s in range(len(centres))])
+    old, marks = joint_origins(skeleton), skeleton.landmarks
     old[skeleton.segment_joint < 0] = 0.0
-    for s in np.flatnonzero(skeleton.segment_joint >= 0).tolist():
-        for k in joint_coordinates(skeleton, s):
-            twists[k, 3:] = -np.cross(twists[k, :3], centres[s])
-    points = marks.points + (centres - old)[marks.segments]
-    return replace(skeleton, twists=twists, landmarks=Landmarks(marks.names, marks.segments, points))
+    marks = Landmarks(marks.names, marks.segments, marks.points + (centres - old)[marks.segments])
+    return replace(skeleton, twists=joints_at(skeleton, dict(enumerate(centres))), landmarks=marks)
 
 
 def _with_feet(body: Body) -> Body:
     """The body with landmarks of toes, heels and the top of the head on its surface."""
     marks, points = body.landmarks, body.landmarks.points.copy()
-    part = body.vertex_part
     for side in SIDES:
-        foot = body.vertices[part == body.segment(f"foot_{side}")]
+        foot = body.vertices[body.vertex_part == body.segment(f"foot_{side}")]
         points[marks.index(f"heel_{side}")][0] = foot[:, 0].min()
         points[marks.index(f"toe_{side}")][0] = foot[:, 0].max()
     points[marks.index("head_top")][2] = body.vertices[:, 2].max()

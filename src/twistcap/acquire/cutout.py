@@ -31,25 +31,16 @@ class Stroke:
 
 @dataclass(frozen=True)
 class Hints:
-    """The user's drawing on one image, in its pixels.
-
-    Attributes:
-        rectangle: x and y of two corners around the person; None where an earlier silhouette is mended.
-        strokes: in the order drawn; later ones paint over earlier ones.
-    """
+    """The user's drawing on one image, in its pixels: x and y of two corners of a rectangle around the person (None
+    where an earlier silhouette is mended), and strokes in the order drawn; later ones paint over earlier ones."""
 
     rectangle: tuple[float, float, float, float] | None = None
     strokes: Sequence[Stroke] = field(default_factory=tuple)
 
 
 def cut_out(image: UInt8, hints: Hints, known: Bool | None = None) -> Bool | None:
-    """The person's silhouette (H, W), one piece without small holes; None without any hint.
-
-    Args:
-        image: (H, W, 3).
-        hints: the drawing.
-        known: (H, W) an earlier silhouette, which counts where there is no rectangle.
-    """
+    """The person's silhouette (H, W) in an image (H, W, 3), one piece without small holes; None without any hint. An
+    earlier silhouette `known` (H, W) counts where there is no rectangle."""
     height, width = image.shape[:2]
     factor = min(1.0, _LARGEST / max(height, width))
     size = max(1, round(width * factor)), max(1, round(height * factor))
@@ -91,8 +82,7 @@ def _labels(size: tuple[int, int], hints: Hints, known: Bool | None, factor: flo
 def _doubted(mask: Bool) -> UInt8:
     """Labels of an earlier silhouette: its edge is open, the rest is not."""
     reach = max(2.0, _SURE * mask.shape[0])
-    within = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 3)
-    without = cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 3)
+    within, without = (cv2.distanceTransform(a.astype(np.uint8), cv2.DIST_L2, 3) for a in (mask, ~mask))
     labels = np.where(mask, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
     labels[within > reach] = cv2.GC_FGD
     labels[without > reach] = cv2.GC_BGD

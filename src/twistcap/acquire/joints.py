@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from twistcap.acquire.outline import corners, skeleton
 from twistcap.arrays import Bool, Float
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 
 
 @dataclass(frozen=True)
@@ -24,15 +24,9 @@ class ArmCorner:
 def arm_corner(arm: Bool, trunk_side: Float, height: float) -> ArmCorner:
     """The elbow of a bent arm (H, W): the corner of its skeleton, moved to where the lines of both limbs meet.
 
-    A skeleton cuts its corners inside a bend; the lines that it follows farther away do not.
-
-    Args:
-        arm: mask of one arm.
-        trunk_side: (2,) pixel (x, y) near which the arm leaves the trunk.
-        height: of the person, px.
-
-    Raises:
-        InputError: if the arm is not bent enough for a corner.
+    A skeleton cuts its corners inside a bend; the lines that it follows farther away do not. The arm leaves the trunk
+    near the pixel `trunk_side` (2,), of a person of a `height`, px. Raises InputError if the arm is not bent enough for
+    a corner.
     """
     path = _longest_path(skeleton(arm), trunk_side)
     smooth = gaussian_filter1d(path, 0.008 * height, axis=0, mode="nearest")
@@ -71,15 +65,11 @@ def _longest_path(pixels: Bool, start_near: Float) -> Float:
 
 
 def narrowest(control: Float, along: Float, between: tuple[float, float]) -> float:
-    """Place along a limb, m, of the least girth of its slices (n, 4, 3), within a range of `along` (n,).
-
-    Raises:
-        InputError: where no slice is in the range.
-    """
+    """Place along a limb, m, of the least girth of its slices (n, 4, 3), within a range of `along` (n,). Raises
+    InputError where no slice is in the range."""
     a = np.linalg.norm(control[:, 1] - control[:, 0] + control[:, 2] - control[:, 3], axis=1) / 2
     b = np.linalg.norm(control[:, 3] - control[:, 0] + control[:, 2] - control[:, 1], axis=1) / 2
     area = gaussian_filter1d(a * b, 1.0, mode="nearest")
     inside = np.flatnonzero((along >= between[0]) & (along <= between[1]))
-    if len(inside) == 0:
-        raise InputError("key views: a limb is too short to find its narrowest place; check the silhouettes.")
+    check("key views", len(inside), "a limb is too short to find its narrowest place; check the silhouettes")
     return float(along[inside[np.argmin(area[inside])]])

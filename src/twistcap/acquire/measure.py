@@ -16,7 +16,8 @@ from twistcap.acquire.sections import Cut, sections
 from twistcap.acquire.silhouette import KeyView, check_views, middle_of, middle_pixel, nearest_point
 from twistcap.arrays import Bool, Float
 from twistcap.body import proportions as P
-from twistcap.errors import InputError
+from twistcap.body.model import unsided
+from twistcap.errors import InputError, check
 
 SIDES = ("r", "l")
 _STEP = 0.012  # m between slices
@@ -34,13 +35,9 @@ SHIFT: dict[str, tuple[float, float, float]] = {
 class Measured:
     """Measurements from the views, in the body's axes: x forward, y left, z up, m; the origin is on the floor.
 
-    Attributes:
-        to_world: (4, 4) from these axes to the world.
-        stature: height, m.
-        slices: control points (n, 4, 3) by part: trunk, arm_r, arm_l, leg_r, leg_l.
-        joints: centres (3,) by landmark name, in the pose of the front view.
-        separation, corners: of the front view and of the joint view, px.
-        parts: separation of the joint view.
+    `to_world` (4, 4) leads to the world. Slices are control points (n, 4, 3) by part (trunk, arm_r, arm_l, leg_r,
+    leg_l), joints are centres (3,) by landmark name, in the pose of the front view. The separation is that of the front
+    view, corners and parts those of the joint view, px.
     """
 
     to_world: Float
@@ -55,19 +52,13 @@ class Measured:
 def measure(views: Mapping[str, KeyView], body_line: float | None = None) -> Measured:
     """Slices and joints from the key views front, side, above and elbows.
 
-    Args:
-        views: by role.
-        body_line: height above the floor, m, above which the arm pits are searched for.
-
-    Raises:
-        InputError: for views that are not enough for a body, naming view and reason.
+    Arm pits are searched for above `body_line`, a height above the floor, m. Raises InputError for views that are not
+    enough for a body, naming view and reason.
     """
     check_views(dict(views))
     to_world = _axes(views["front"], views["side"], views["above"])
-    views = {
-        role: replace(view, camera=replace(view.camera, T_cam_world=view.camera.T_cam_world @ to_world))
-        for role, view in views.items()
-    }  # in the body's axes
+    cameras = {role: replace(v.camera, T_cam_world=v.camera.T_cam_world @ to_world) for role, v in views.items()}
+    views = {role: replace(view, camera=cameras[role]) for role, view in views.items()}  # in the body's axes
     line = None if body_line is None else float(_pixel(views["front"], np.array([0.0, 0.0, body_line]))[1])
     front = separate(views["front"].mask, line)
     elbows = separate(views["elbows"].mask, line, "elbows")
@@ -76,8 +67,8 @@ def measure(views: Mapping[str, KeyView], body_line: float | None = None) -> Mea
         slices[f"leg_{s}"] = _leg_slices(views, front.legs[k])
         slices[f"arm_{s}"] = _arm_slices(views, front.arms[k], 2 * k - 1)
     for part, control in slices.items():
-        if len(control) < 8:
-            raise InputError(f"key views: {part} is seen in {len(control)} slices; check silhouettes and calibration.")
+        n = len(control)
+        check("key views", n >= 8, f"{part} is seen in {n} slices; check silhouettes and calibration")
     floor, top = _heights(views["front"], slices)
     slices |= _mended(slices, views["side"], floor)
     stature = top - floor
@@ -94,10 +85,8 @@ def measure(views: Mapping[str, KeyView], body_line: float | None = None) -> Mea
 
 
 def _even_shoulders(joints: dict[str, Float]) -> dict[str, Float]:
-    """Both shoulders equally far from the neck: an arm pit is a blunt corner, sometimes 20 mm off, and hardly on
-    both sides at once."""
-    half = 0.5 * (joints["shoulder_l"][1] - joints["shoulder_r"][1])
-    out = dict(joints)
+    """Both shoulders equally far from the neck: an arm pit is a blunt corner, sometimes 20 mm off, hardly both."""
+    half, out = 0.5 * (joints["shoulder_l"][1] - joints["shoulder_r"][1]), dict(joints)
     for side, sign in (("r", -1.0), ("l", 1.0)):
         x, _, z = joints[f"shoulder_{side}"]
         out[f"shoulder_{side}"] = np.array([x, joints["neck"][1] + sign * half, z])
@@ -105,8 +94,7 @@ def _even_shoulders(joints: dict[str, Float]) -> dict[str, Float]:
 
 
 def _straight(joints: dict[str, Float]) -> dict[str, Float]:
-    """Elbows and knees moved onto the line of their neighbours: arms and legs are straight, which is the zero of their
-    angles. 10 mm off the line would be an error of 5° in every tracked frame."""
+    """Elbows and knees on the line of their neighbours, the zero of their angles; 10 mm off it would be 5° wrong."""
     out = dict(joints)
     for side in SIDES:
         for above, joint, below in (("shoulder", "elbow", "wrist"), ("hip", "knee", "ankle")):
@@ -117,23 +105,17 @@ def _straight(joints: dict[str, Float]) -> dict[str, Float]:
 
 def _shifted(joints: dict[str, Float], stature: float) -> dict[str, Float]:
     """Joints moved from their places in the silhouettes to those in anatomy."""
-    out: dict[str, Float] = {}
-    for name, point in joints.items():
-        joint, _, side = name.partition("_")
-        out[name] = point + stature * np.array(SHIFT[joint]) * [1.0, -1.0 if side == "r" else 1.0, 1.0]
-    return out
+    shifts = {n: np.array(SHIFT[unsided(n)]) * [1.0, -1.0 if n.endswith("_r") else 1.0, 1.0] for n in joints}
+    return {name: point + stature * shifts[name] for name, point in joints.items()}
 
 
 def _axes(front: KeyView, side: KeyView, above: KeyView) -> Float:
-    """(4, 4) body axes in the world: z up, x away from the back, y from the right to the left fingertip.
-
-    The origin is on the vertical through the middle of the silhouettes, at the height of the lowest pixel.
-    """
+    """(4, 4) body axes in the world: z up, x away from the back, y from the right to the left fingertip. The origin is
+    on the vertical through the middle of the silhouettes, at the height of the lowest pixel."""
     middle, up = middle_of(front, side), np.array([0.0, 0.0, 1.0])
     across = np.cross(up, (front.camera.centre - middle) * [1.0, 1.0, 0.0])
-    right, left = (
-        nearest_point([(v.camera, _farthest(v, middle, way)) for v in (front, above)]) for way in (-across, across)
-    )  # fingertips
+    both = (front, above)
+    right, left = (nearest_point([(v.camera, _farthest(v, middle, w)) for v in both]) for w in (-across, across))
     left = (left - right) * [1.0, 1.0, 0.0]
     left /= np.linalg.norm(left)
     R = np.stack([np.cross(left, up), left, up], axis=1)
@@ -200,10 +182,8 @@ def _arm_slices(views: Mapping[str, KeyView], arm: Bool, sign: int) -> Float:
 
 
 def _beside_trunk(arm: Float) -> Float:
-    """The slices (n, 4, 3) of an arm, from its pit outward, without the trunk in the view from above.
-
-    Breast and shoulder blade are 30 to 70 mm before or behind the first slices; the arm itself widens smoothly.
-    """
+    """The slices (n, 4, 3) of an arm, from its pit outward, without the trunk in the view from above. Breast and
+    shoulder blade are 30 to 70 mm before or behind the first slices; the arm itself widens smoothly."""
     out, y = arm.copy(), np.abs(arm.mean(axis=1)[:, 1])
     near = np.flatnonzero(y < y.min(initial=np.inf) + _NEAR_PIT)
     edges = arm[:, :, 0].reshape(-1, 2, 2).mean(axis=2)
@@ -237,11 +217,8 @@ def _mended(slices: Mapping[str, Float], side: KeyView, floor: float) -> dict[st
 
 
 def _as_deep(leg: Float, other: Float) -> Float:
-    """The slices (n, 4, 3) of a leg no deeper than both views of it allow.
-
-    From the side, one leg hides behind the other, and the silhouette is that of both. As they stand side by side,
-    the depth of each is what its own and the other's slices at this height have in common.
-    """
+    """The slices (n, 4, 3) of a leg as deep as its own and the other's slices at this height have in common. From the
+    side, one leg hides behind the other, and the silhouette is that of both."""
     z, other_z = leg.mean(axis=1)[:, 2], other.mean(axis=1)[::-1, 2]
     out, pairs = leg.copy(), ([0, 1], [2, 3])
     own = np.array([leg[:, p, 0].mean(axis=1) for p in pairs])
@@ -286,10 +263,8 @@ def _mid_depth(trunk: Float, z: float) -> float:
 def _leg_joints(
     view: KeyView, leg: Float, front: Separation, side: str, floor: float, stature: float
 ) -> dict[str, Float]:
-    """Hip, knee and ankle of a leg: from the front on the line its slices follow, from the side on the plumb line.
-
-    A straight leg shows neither knee nor ankle: their heights are those of Winter (2009), fig. 4.1.
-    """
+    """Hip, knee and ankle of a leg: from the front on the line its slices follow, from the side on the plumb line. A
+    straight leg shows neither knee nor ankle: their heights are those of Winter (2009), fig. 4.1."""
     centres = leg.mean(axis=1)
     crotch = float(_frontal(view, front.crotch)[2])
     hip_z = crotch + SHIFT["hip"][2] * stature

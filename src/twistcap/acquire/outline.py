@@ -36,14 +36,9 @@ class Separation:
 def separate(mask: Bool, body_line: float | None = None, role: str = "front") -> Separation:
     """Arms, legs and trunk of a front silhouette (H, W), cut at the arm pits and the crotch.
 
-    Args:
-        mask: of the person facing the camera.
-        body_line: row that bounds the search for arm pits from below; by default 0.42 of the person's height from
-            the top.
-        role: of the view, for messages.
-
-    Raises:
-        InputError: if an arm pit or the gap between the legs is not to be seen.
+    `body_line` is the row that bounds the search for arm pits from below, by default 0.42 of the person's height from
+    the top; `role` that of the view, for messages. Raises InputError if an arm pit or the gap between the legs is not
+    to be seen.
     """
     rows = np.flatnonzero(mask.any(axis=1))
     top, height = int(rows[0]), int(rows[-1] - rows[0])
@@ -72,8 +67,8 @@ def corners(curve: Float, reach: tuple[int, int], angle: float, closed: bool) ->
     """Corners of a curve (N, 2): indices and opening angles, rad; negative where the corner is concave (closed curves).
 
     At each point the sharpest triangle with both arms `reach` points long is taken; of corners nearer to each other
-    than the shorter reach the sharpest stays. Source: Chetverikov and Szabó, "A simple and efficient algorithm for
-    detection of high curvature points in planar curves", 23rd Workshop of the Austrian Pattern Recognition Group, 1999.
+    than the shorter reach the sharpest stays (Chetverikov and Szabó, "A simple and efficient algorithm for detection of
+    high curvature points in planar curves", Austrian Pattern Recognition Group, 1999).
     """
     n = len(curve)
     opening, turn = np.full(n, np.pi), np.zeros(n)
@@ -109,10 +104,8 @@ def _arm_pits(mask: Bool, line: float, height: int, role: str) -> Float:
     for side, name in ((-1, "right"), (1, "left")):
         own = concave[side * (concave[:, 0] - middle) > 0.03 * height]
         if len(own) == 0:
-            raise InputError(
-                f"key view {role!r}: the {name} arm pit is not to be seen; hold the arms out sideways, or set body_line"
-                " below the arm pits."
-            )
+            mend = "hold the arms out sideways, or set body_line below the arm pits"
+            raise InputError(f"key view {role!r}: the {name} arm pit is not to be seen; {mend}.")
         pits.append(own[np.argmax(own[:, 1])])
     return np.array(pits)
 
@@ -152,11 +145,7 @@ def _neck(trunk: Bool, height: int, pits: float) -> Float:
 
 
 def skeleton(mask: Bool) -> Bool:
-    """The one pixel wide skeleton of a mask (H, W).
-
-    Source: Zhang and Suen, "A fast parallel algorithm for thinning digital patterns", CACM 27(3), 1984,
-    DOI 10.1145/357994.358023.
-    """
+    """The one pixel wide skeleton of a mask (H, W): Zhang and Suen, CACM 27(3), 1984, DOI 10.1145/357994.358023."""
     image = np.pad(mask, 1).astype(np.uint8)
     while True:
         before = int(image.sum())

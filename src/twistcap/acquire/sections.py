@@ -89,9 +89,8 @@ def closed_spline(control: Float, count: int, fullness: float = 1.0) -> Float:
     """(…, count, 3) points of the closed quadratic B-spline of control points (…, n, 3); n divides `count`.
 
     It touches each edge of the control polygon in its middle: with four points, the four rays of the silhouettes are
-    its tangents. (A cubic one would keep away from them.) `fullness` is the weight that the control points have
-    against these middles, as in NURBS: with 1 it is the B-spline, 5/6 of the polygon's area where that is a
-    parallelogram; with 1/√2 an ellipse, π/4 of it.
+    its tangents. `fullness` is the weight of the control points against these middles, as in NURBS: with 1 it is the
+    B-spline, 5/6 of the polygon's area where that is a parallelogram; with 1/√2 an ellipse, π/4 of it.
     """
     n = control.shape[-2]
     t = np.arange(count // n)[:, None] * n / count

@@ -37,11 +37,8 @@ class KeyView:
 
 
 def difference_mask(image: AnyArray, plate: AnyArray) -> Bool:
-    """(H, W) where an image differs from the empty plate by more than four times the median difference.
-
-    Raises:
-        InputError: if image and plate are not of one shape.
-    """
+    """(H, W) where an image differs from the empty plate by more than four times the median difference. Raises
+    InputError if image and plate are not of one shape."""
     if image.shape != plate.shape:
         raise InputError(f"the image is {image.shape[1::-1]} and its background {plate.shape[1::-1]}; take both alike.")
     change = np.abs(cv2.GaussianBlur(image, (0, 0), 1.0).astype(float) - cv2.GaussianBlur(plate, (0, 0), 1.0))
@@ -53,10 +50,8 @@ def difference_mask(image: AnyArray, plate: AnyArray) -> Bool:
 
 
 def _at_half_contrast(change: Float, mask: AnyArray, rim: int = 4) -> Bool:
-    """The mask (H, W) eroded by the median depth at which the change reaches half of its value farther inside.
-
-    Noise is small, so that a mask of all above noise contains the outer blur of the edge.
-    """
+    """The mask (H, W) eroded by the median depth at which the change reaches half of its value farther inside. Noise is
+    small, so that a mask of all above noise contains the outer blur of the edge."""
     near, far = (cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (n * rim + 1,) * 2) for n in (2, 4))
     core = cv2.erode(mask, near)
     inner = cv2.dilate(np.where(core > 0, change, 0.0), far)
@@ -78,11 +73,8 @@ def one_person(mask: Bool) -> Bool:
 
 
 def check_views(views: dict[str, KeyView]) -> None:
-    """Check that a body can be built from the views.
-
-    Raises:
-        InputError: for a view that is missing, empty, cut off by the image's border, or not near-orthogonal.
-    """
+    """Check that a body can be built from the views. Raises InputError for a view that is missing, empty, cut off by
+    the image's border, or not near-orthogonal."""
     for role, needs in ROLES.items():
         if role not in views:
             raise InputError(f"key view {role!r} is missing ({needs}); add [views.{role}].")
@@ -92,10 +84,8 @@ def check_views(views: dict[str, KeyView]) -> None:
         a, b = (views[role].camera.centre - middle for role in ("front", second))
         angle = float(np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1.0, 1.0)))
         if abs(angle - np.pi / 2) > _TILT:
-            raise InputError(
-                f"key views 'front' and {second!r} look at the person {np.rad2deg(angle):.0f}° apart; they must be"
-                " near 90° (60° to 120°): move a camera."
-            )
+            both = f"'front' and {second!r} look at the person {np.rad2deg(angle):.0f}° apart"
+            raise InputError(f"key views {both}; they must be near 90° (60° to 120°): move a camera.")
 
 
 def _check_silhouette(view: KeyView) -> None:
@@ -104,10 +94,8 @@ def _check_silhouette(view: KeyView) -> None:
         raise InputError(f"key view {view.role!r}: no person stands out; check its image, background or mask.")
     for name, line in {"top": mask[0], "bottom": mask[-1], "left": mask[:, 0], "right": mask[:, -1]}.items():
         if line.any():
-            raise InputError(
-                f"key view {view.role!r}: the silhouette touches the {name} border of the image; take the view again"
-                " with the whole person inside it."
-            )
+            what = f"the silhouette touches the {name} border of the image"
+            raise InputError(f"key view {view.role!r}: {what}; take the view again with the whole person inside it.")
 
 
 def middle_of(front: KeyView, side: KeyView) -> Float:

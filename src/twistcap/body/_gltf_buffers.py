@@ -13,7 +13,7 @@ from pygltflib import GLTF2, Accessor, BufferView
 
 from twistcap.arrays import AnyArray, Float
 from twistcap.body.rig_spec import RigSpec
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 
 _TYPES: dict[int, type[np.generic]] = {
     5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32,
@@ -51,8 +51,7 @@ class Buffers:
         if start + (entry.count - 1) * stride + kind.itemsize * width > len(data):
             raise InputError(f"{self.path}: {where}: accessor {number} runs past the end of its buffer.")
         raw = np.ndarray((entry.count, width), kind, data, start, (stride, kind.itemsize)).astype(np.float64)
-        if not np.all(np.isfinite(raw)):
-            raise InputError(f"{self.path}: {where}: a value is not finite.")
+        check(f"{self.path}: {where}", np.all(np.isfinite(raw)), "a value is not finite")
         return np.maximum(raw / np.iinfo(kind.name).max, -1.0) if entry.normalized else raw
 
     def _buffer(self, number: int, where: str) -> bytes:

@@ -59,11 +59,8 @@ class Parameter:
 
 
 class AnnyModel:
-    """The loaded model. The first time in an environment this takes some minutes; later it reads a cache.
-
-    Raises:
-        InputError: where the extra is not installed, or its surface is not the one of our landmarks.
-    """
+    """The loaded model. The first time in an environment this takes some minutes; later it reads a cache. Raises
+    InputError where the extra is not installed, or its surface is not the one of our landmarks."""
 
     def __init__(self) -> None:
         try:
@@ -127,10 +124,8 @@ class AnnyModel:
 
 def _check_surface(count: int) -> None:
     if count != _VERTICES:
-        raise InputError(
-            f"this release of anny has a surface of {count} vertices instead of {_VERTICES}; install the supported one"
-            " with: pip install 'twistcap[anny]'."
-        )
+        mend = "install the supported one with: pip install 'twistcap[anny]'"
+        raise InputError(f"this release of anny has a surface of {count} vertices instead of {_VERTICES}; {mend}.")
 
 
 def _groups(names: Sequence[str]) -> dict[str, list[str]]:

@@ -29,9 +29,9 @@ def ramp(x: Float, centre: float, half_width: float) -> Float:
     return t * t * (3 - 2 * t)
 
 
-def strongest(weights: Float, least: float = 0.0) -> tuple[Int, Float]:
-    """The 4 strongest segments (V, 4) of each vertex and their weights, which sum to 1; those below `least` are 0."""
-    segments = np.argsort(-weights, axis=1, kind="stable")[:, :4]
+def strongest(weights: Float, count: int = 4, least: float = 0.0) -> tuple[Int, Float]:
+    """The strongest segments (V, count) of each vertex and their weights, which sum to 1; those below `least` are 0."""
+    segments = np.argsort(-weights, axis=1, kind="stable")[:, :count]
     kept = np.take_along_axis(weights, segments, axis=1)
     kept[kept < least] = 0.0
     return segments.astype(np.int32), kept / kept.sum(axis=1, keepdims=True)

@@ -19,11 +19,12 @@ from pygltflib import GLTF2
 from twistcap import se3
 from twistcap.arrays import Float, Int
 from twistcap.body._gltf_buffers import EXTRAS, TO_REST, Buffers
+from twistcap.body.binding import strongest
 from twistcap.body.gltf_write import save_glb
 from twistcap.body.model import Body, Landmarks
 from twistcap.body.rig import SkinnedMesh, build_body, in_tree_order, welded
 from twistcap.body.rig_spec import RigSpec, read_rig
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 
 __all__ = ["load_glb", "save_glb"]
 
@@ -32,16 +33,12 @@ _INFLUENCES = 8  # segments of one vertex, at most
 
 
 def load_glb(path: Path | str, rig: Path | str | RigSpec | None = None) -> Body:
-    """The skinned mesh of a GLB or glTF as a body.
+    """The skinned mesh of a GLB or glTF as a body; a file of `save_glb` gives the same body.
 
-    Args:
-        path: the file. One written by `save_glb` gives the same body (`rig` is read only if given).
-        rig: meaning of the joints (`rig_spec`). Default: <name>.rig.toml beside the file if there is one, else every
-            joint is a ball joint without limits.
-
-    Raises:
-        InputError: if the file cannot be read or has no skin, for primitives that are not triangles, buffers that are
-            missing, compressed or too short, and for what `build_body` refuses.
+    `rig` is the meaning of the joints (`rig_spec`), by default <name>.rig.toml beside the file if there is one, else
+    every joint is a ball joint without limits. Raises InputError if the file cannot be read or has no skin, for
+    primitives that are not triangles, buffers that are missing, compressed or too short, and for what `build_body`
+    refuses.
     """
     path = Path(path)
     gltf = _open(path)
@@ -62,8 +59,7 @@ def load_glb(path: Path | str, rig: Path | str | RigSpec | None = None) -> Body:
 
 
 def _open(path: Path) -> GLTF2:
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such file.")
+    check(str(path), path.is_file(), "there is no such file")
     try:
         gltf = GLTF2().load(str(path))
     except Exception as error:  # pygltflib passes on any exception of its parsers
@@ -71,10 +67,8 @@ def _open(path: Path) -> GLTF2:
     if gltf is None:
         raise InputError(f"{path}: not a glTF file.")
     wanted = [name for name in gltf.extensionsRequired or [] if "compression" in name or "quantization" in name]
-    if wanted:
-        raise InputError(f"{path}: needs {', '.join(wanted)}; export it without compression.")
-    if not gltf.skins:
-        raise InputError(f"{path}: it has no skin (skins is empty); export the mesh together with its armature.")
+    check(str(path), not wanted, f"needs {', '.join(wanted)}; export it without compression")
+    check(str(path), gltf.skins, "it has no skin (skins is empty); export the mesh together with its armature")
     return gltf
 
 
@@ -96,9 +90,9 @@ class _Scene:
         for number, node in enumerate(self.gltf.nodes):
             for child in node.children or []:
                 there = 0 <= child < len(parents)
-                _expect(there, self.path, f"node {number} has the child {child}, which is not there")
+                check(str(self.path), there, f"node {number} has the child {child}, which is not there")
                 parents[child] = number
-        _expect(len(in_tree_order(parents)) == len(parents), self.path, "its nodes form a ring instead of a tree")
+        check(str(self.path), len(in_tree_order(parents)) == len(parents), "its nodes form a ring instead of a tree")
         return parents
 
     @cached_property
@@ -148,7 +142,7 @@ class _Scene:
         binds = self.buffers.accessor(skin.inverseBindMatrices, f"skin {number}: inverseBindMatrices")
         binds = binds.reshape(-1, 4, 4).transpose(0, 2, 1)
         invertible = len(binds) == len(nodes) and bool(np.all(np.abs(np.linalg.det(binds)) > 1e-18))
-        _expect(invertible, self.path, f"skin {number}: inverseBindMatrices must be one invertible matrix per joint")
+        check(str(self.path), invertible, f"skin {number}: inverseBindMatrices must be one invertible matrix per joint")
         root = int(np.argmin([self.column[joint] for joint in joints]))
         motion = nodes[root] @ binds[root]
         return np.tile(motion, (len(nodes), 1, 1)), motion @ np.linalg.inv(binds)
@@ -183,7 +177,7 @@ def _parts(scene: _Scene, binds: list[tuple[Float, Float]]) -> list[tuple[Float,
             weights = np.zeros((len(vertices), len(scene.joints)))
             weights[:, columns] = by_joint
             parts.append((*_in_scene(vertices, faces, by_joint, binds[node.skin][0]), weights))
-    _expect(bool(parts), scene.path, "no mesh uses its skin")
+    check(str(scene.path), bool(parts), "no mesh uses its skin")
     return parts
 
 
@@ -200,17 +194,17 @@ def _node_matrix(node: Any) -> Float:
 def _primitive(scene: _Scene, primitive: Any, where: str, joint_count: int) -> tuple[Float, Int, Float]:
     """Vertices (V, 3), triangles (F, 3) and weights (V, B) by the skin's joints."""
     path, mode = scene.path, _TRIANGLES if primitive.mode is None else primitive.mode
-    _expect(mode == _TRIANGLES, path, f"{where}: its mode is {mode}, only triangles (4) can be read; triangulate it")
+    check(str(path), mode == _TRIANGLES, f"{where}: its mode is {mode}, only triangles (4) can be read; triangulate it")
     attributes: dict[str, Any] = vars(primitive.attributes)
     for name in ("POSITION", "JOINTS_0", "WEIGHTS_0"):
-        _expect(attributes.get(name) is not None, path, f"{where}: it has a skin but no {name}")
+        check(str(path), attributes.get(name) is not None, f"{where}: it has a skin but no {name}")
     vertices = scene.buffers.accessor(attributes["POSITION"], f"{where}: POSITION")
     if primitive.indices is None:
         corners = np.arange(len(vertices))
     else:
         corners = scene.buffers.accessor(primitive.indices, f"{where}: indices").astype(int).ravel()
-    _expect(len(corners) % 3 == 0, path, f"{where}: its indices are no whole number of triangles")
-    _expect(int(corners.max(initial=0)) < len(vertices), path, f"{where}: indices name a vertex that is not there")
+    check(str(path), len(corners) % 3 == 0, f"{where}: its indices are no whole number of triangles")
+    check(str(path), int(corners.max(initial=0)) < len(vertices), f"{where}: indices name a vertex that is not there")
     weights = _weights(scene, attributes, where, (len(vertices), joint_count))
     return vertices, corners.reshape(-1, 3).astype(np.int32), weights
 
@@ -222,9 +216,9 @@ def _weights(scene: _Scene, attributes: dict[str, Any], where: str, shape: tuple
         held = scene.buffers.accessor(attributes[name], f"{where}: {name}").astype(int)
         number = attributes.get(name.replace("JOINTS", "WEIGHTS"), -1)
         weight = scene.buffers.accessor(number, f"{where}: {name} weights")
-        _expect(len(held) == len(weight) == len(rows), scene.path, f"{where}: {name} and POSITION differ in length")
+        check(str(scene.path), len(held) == len(weight) == len(rows), f"{where}: {name} and POSITION differ in length")
         known = int(held.max(initial=0)) < shape[1]
-        _expect(known, scene.path, f"{where}: {name} names a joint that the skin does not have")
+        check(str(scene.path), known, f"{where}: {name} names a joint that the skin does not have")
         for k in range(held.shape[1]):
             np.add.at(out, (rows, held[:, k]), weight[:, k])
     return out
@@ -250,28 +244,16 @@ def _joined(parts: list[tuple[Float, Int, Float]]) -> tuple[Float, Int, Float]:
 
 def _own_body(mesh: SkinnedMesh, own: dict[str, Any], path: Path) -> Body:
     """The body of a file of `save_glb`."""
-
-    def numbers(value: Any, width: int) -> Float:
-        return np.array(value, dtype=float).reshape(-1, width)
-
-    def indices(value: Any) -> Int:
-        return np.array(value, dtype=np.int32)
-
     try:
-        order = np.argsort(-mesh.weights, axis=1, kind="stable")[:, : own["influences"]].astype(np.int32)
-        weights = np.take_along_axis(mesh.weights, order, axis=1)
-        marks = own["landmarks"]
+        (order, weights), marks = strongest(mesh.weights, own["influences"]), own["landmarks"]
+        parent, joint, owner = (np.array(n, np.int32) for n in (own["parent"], own["segment_joint"], marks["segments"]))
+        sized = ((own["twists"], 6), (own["limits"], 2), (marks["points"], 3))
+        twists, limits, points = (np.array(rows, dtype=float).reshape(-1, width) for rows, width in sized)
         return Body(
-            own["name"], tuple(own["coordinates"]), indices(own["parent"]), numbers(own["twists"], 6),
-            numbers(own["limits"], 2), tuple(own["segments"]), indices(own["segment_joint"]), mesh.vertices @ TO_REST.T,
-            mesh.faces, order, weights / weights.sum(axis=1, keepdims=True),
-            Landmarks(tuple(marks["names"]), indices(marks["segments"]), numbers(marks["points"], 3)),
+            own["name"], tuple(own["coordinates"]), parent, twists, limits, tuple(own["segments"]), joint,
+            mesh.vertices @ TO_REST.T, mesh.faces, order, weights,
+            Landmarks(tuple(marks["names"]), owner, points),
         )  # fmt: skip
     except (KeyError, TypeError, ValueError) as error:
         message = f"asset.extras.{EXTRAS} is broken ({error}); pass a rig TOML to read it without."
         raise InputError(f"{path}: {message}") from error
-
-
-def _expect(holds: bool, path: Path, message: str) -> None:
-    if not holds:
-        raise InputError(f"{path}: {message}.")

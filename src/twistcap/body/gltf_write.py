@@ -15,29 +15,22 @@ from twistcap.arrays import Float
 from twistcap.body._gltf_buffers import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, EXTRAS, TO_REST, Packer
 from twistcap.body.kinematics import Pose, Posed, vertex_normals
 from twistcap.body.model import Body
-from twistcap.body.shape import joint_origin
+from twistcap.body.shape import joint_origins
 from twistcap.errors import InputError
 
 
 def save_glb(body: Body, path: Path | str, poses: Sequence[Pose] | None = None, fps: float | None = None) -> None:
-    """Write skin, surface and (with `poses`) an animation, with our own coordinates in `asset.extras`.
+    """Write skin, surface (float32) and (with `poses`, `fps` per second) an animation.
 
-    There is one joint node per segment, at the segment's proximal joint; the skinned mesh is at the root.
-
-    Args:
-        body: to be written, surface and weights as float32.
-        path: of the GLB.
-        poses: one per frame.
-        fps: frames per second of `poses`.
-
-    Raises:
-        InputError: for poses without a frame rate, or if the file cannot be written.
+    There is one joint node per segment, at the segment's proximal joint; the skinned mesh is at the root. Our own
+    coordinates are in `asset.extras`. Raises InputError for poses without a frame rate, or if the file cannot be
+    written.
     """
     if poses and not (fps and fps > 0):
         raise InputError(f"{path}: an animation needs a frame rate; fps is {fps}.")
     gltf = gl.GLTF2(asset=gl.Asset(version="2.0", generator="twistcap", extras={EXTRAS: _extras(body)}), scene=0)
     pack = Packer(gltf)
-    origins = np.array([joint_origin(body, s) for s in range(len(body.segment_names))]).reshape(-1, 3)
+    origins = joint_origins(body)
     _add_nodes(gltf, body, origins)
     _add_skin(gltf, pack, origins)
     _add_mesh(gltf, pack, body)
@@ -63,8 +56,7 @@ def _extras(body: Body) -> dict[str, Any]:
 
 def _add_nodes(gltf: gl.GLTF2, body: Body, origins: Float) -> None:
     """Node s is segment s; then come the armature above them and the mesh."""
-    S = len(origins)
-    above = body.segment_parent
+    S, above = len(origins), body.segment_parent
     for s, name in enumerate(body.segment_names):
         offset = TO_REST.T @ (origins[s] - (origins[above[s]] if above[s] >= 0 else 0.0))
         children = [int(c) for c in np.flatnonzero(above == s)]
@@ -82,8 +74,7 @@ def _add_skin(gltf: gl.GLTF2, pack: Packer, origins: Float) -> None:
 
 
 def _add_mesh(gltf: gl.GLTF2, pack: Packer, body: Body) -> None:
-    attributes = gl.Attributes()
-    vertices = body.vertices @ TO_REST
+    attributes, vertices = gl.Attributes(), body.vertices @ TO_REST
     normals = vertex_normals(vertices, body.faces)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     normals = np.where(length > 0, normals / np.where(length > 0, length, 1.0), [0.0, 1.0, 0.0])
@@ -119,10 +110,8 @@ def _add_animation(gltf: gl.GLTF2, pack: Packer, body: Body, origins: Float, pos
 
 
 def local_motions(body: Body, origins: Float, poses: Sequence[Pose]) -> tuple[Float, Float]:
-    """Quaternions (T, S, 4; x y z w, continuous in time) and translations (T, S, 3) of each segment in its parent.
-
-    In glTF's axes; a segment's frame is at its origin (S, 3), without rotation in the rest pose.
-    """
+    """Quaternions (T, S, 4; x y z w, continuous in time) and translations (T, S, 3) of each segment in its parent. In
+    glTF's axes; a segment's frame is at its origin (S, 3), without rotation in the rest pose."""
     motions = np.array([Posed(body, pose).segment_transforms for pose in poses])
     C = se3.transform(TO_REST.T, np.zeros(3))
     frames = C @ motions @ se3.transform(np.eye(3), origins) @ C.T

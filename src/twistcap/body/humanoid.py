@@ -23,7 +23,7 @@ from twistcap.body.binding import Binding, ramp, strongest, unposed
 from twistcap.body.kinematics import Pose, Posed
 from twistcap.body.model import Body, Landmarks, edges_of
 from twistcap.body.shape import rescaled
-from twistcap.errors import InputError
+from twistcap.errors import check
 
 Variant = Literal["full", "legs"]
 Vector = tuple[float, float, float]
@@ -66,17 +66,12 @@ def humanoid(
         variant: "full", or "legs" (pelvis and two legs, closed at the waist).
         stature: body height, m.
         lengths, girths: factors by segment name, see `body.shape.rescaled`.
-        thorax: a second spine joint between the lumbar joint and the neck.
-        neck: whether the head moves.
-        clavicles, wrists: whether those joints have coordinates.
+        thorax, neck, clavicles, wrists: whether those joints move; the thorax is a second one of the spine.
 
-    Raises:
-        InputError: for an unknown variant or segment, or a size that is not positive.
+    Raises InputError for an unknown variant or segment, or a size that is not positive.
     """
-    if variant not in ("full", "legs"):
-        raise InputError(f"humanoid: variant {variant!r} is unknown; it is 'full' or 'legs'.")
-    if not stature > 0:
-        raise InputError(f"humanoid: stature is {stature}; it must be positive, in metres.")
+    check("humanoid", variant in ("full", "legs"), f"variant {variant!r} is unknown; it is 'full' or 'legs'")
+    check("humanoid", stature > 0, f"stature is {stature}; it must be positive, in metres")
     body = _reference(variant, thorax, neck, clavicles, wrists)
     if stature == P.H and not lengths and not girths:
         return body
@@ -144,9 +139,8 @@ class _Skeleton:
         marks = Landmarks(tuple(self.marks), owners, np.array([at for _, at in self.marks.values()], dtype=np.float64))
         return Body(
             f"humanoid-{variant}", tuple(self.names), np.array(self.parent, np.int32), np.array(self.twists),
-            np.asarray(limits, np.float64), names, np.array(list(self.segments.values()), np.int32),
-            vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), np.int32), skin_segments=np.zeros((0, 1), np.int32),
-            skin_weights=np.zeros((0, 1)), landmarks=marks,
+            np.asarray(limits, np.float64), names, np.array(list(self.segments.values()), np.int32), np.zeros((0, 3)),
+            np.zeros((0, 3), np.int32), np.zeros((0, 1), np.int32), np.zeros((0, 1)), marks,
         )  # fmt: skip
 
 

@@ -56,7 +56,7 @@ class Posed:
     @cached_property
     def segment_transforms(self) -> Float:
         """(S, 4, 4) motion of each segment, rest to world."""
-        return _picked(self.joint_transforms, self.pose.root, self.body.segment_joint)
+        return np.concatenate([self.joint_transforms, self.pose.root[None]])[self.body.segment_joint]  # -1: the root's
 
     @cached_property
     def world_twists(self) -> Float:
@@ -120,15 +120,6 @@ def _chain(root: Float, twists: Float, parent: Int, q: Float) -> Float:
                 out[k, i, j] = before[i, 0] * g[0, j] + before[i, 1] * g[1, j] + before[i, 2] * g[2, j]
             out[k, i, 3] += before[i, 3]
         out[k, 3, 3] = 1.0
-    return out
-
-
-@njit(cache=True, nogil=True)
-def _picked(motions: Float, root: Float, which: Int) -> Float:
-    """(S, 4, 4) motion of each segment's last coordinate, or the root's."""
-    out = np.empty((len(which), 4, 4))
-    for s in range(len(which)):
-        out[s] = root if which[s] < 0 else motions[which[s]]
     return out
 
 

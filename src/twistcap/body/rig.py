@@ -9,10 +9,11 @@ import numpy as np
 
 from twistcap import se3
 from twistcap.arrays import Float, Int
+from twistcap.body.binding import strongest
 from twistcap.body.kinematics import skin_points
 from twistcap.body.model import Body, Landmarks
 from twistcap.body.rig_spec import JointSpec, LandmarkSpec, RigSpec
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 
 _AXES_OF = {"revolute": 1, "universal": 2, "ball": 3}
 
@@ -22,15 +23,12 @@ class SkinnedMesh:
     """A skinned mesh in its file's units and axes.
 
     Attributes:
-        name: of the body.
-        source: the file's name, for messages.
-        joints: B names.
-        parents: (B,) index of the parent joint, -1 for the top; parents come before their children.
+        name, source: of the body, and the file's for messages.
+        joints, parents: B names and (B,) index of the parent joint, -1 for the top; parents come before their children.
         frames: (B, 4, 4) joint to mesh, rest pose.
         vertices, faces: (V, 3) and (F, 3), counter-clockwise seen from outside.
         weights: (V, B), not yet normalised.
-        points: named points (3,), for landmarks.
-        numbered: (N, 3) vertices in the file's numbering, for landmarks.
+        points, numbered: for landmarks, named points (3,), and (N, 3) vertices in the file's numbering.
     """
 
     name: str
@@ -46,15 +44,10 @@ class SkinnedMesh:
 
 
 def build_body(mesh: SkinnedMesh, spec: RigSpec, influences: int = 4) -> Body:
-    """The body of a skinned mesh and its rig description.
+    """The body of a skinned mesh and its rig description; of more than `influences` segments of a vertex the weakest
+    are dropped.
 
-    Args:
-        mesh: as read from the file.
-        spec: meaning of its joints.
-        influences: greatest number of segments of a vertex; the weakest are dropped.
-
-    Raises:
-        InputError: for joints that do not exist, wrong numbers of axes, names or limits, vertices without weights.
+    Raises InputError for joints that do not exist, wrong numbers of axes, names or limits, vertices without weights.
     """
     _check_names(mesh, spec)
     marks = _landmarks(mesh, spec)
@@ -78,10 +71,8 @@ def compact_binding(weights: Float, influences: int, source: str = "mesh") -> tu
     if len(bare):
         raise InputError(f"{source}: {len(bare)} vertices (first: {bare[0]}) have no weight; bind them to a joint.")
     K = min(influences, int((weights > 0).sum(axis=1).max(initial=1)))
-    order = np.argsort(-weights, axis=1, kind="stable")[:, :K]
-    strongest = np.take_along_axis(weights, order, axis=1)
-    order = np.where(strongest > 0, order, 0)
-    return order.astype(np.int32), strongest / strongest.sum(axis=1, keepdims=True)
+    segments, kept = strongest(weights, K)
+    return np.where(kept > 0, segments, 0).astype(np.int32), kept
 
 
 def in_tree_order(parents: Sequence[int]) -> list[int]:
@@ -162,11 +153,9 @@ def _coordinates(name: str, joint: JointSpec, where: str) -> tuple[Float, list[s
     names = joint.names or [name + suffix for suffix in suffixes[:count]]
     limits = joint.limits_deg or [(-180.0, 180.0)] * count
     for what, given in (("axes", axes), ("names", names), ("limits_deg", limits)):
-        if len(given) != count:
-            raise InputError(f"{where}: {what} has {len(given)} entries, a {joint.kind} joint needs {count}.")
+        check(where, len(given) == count, f"{what} has {len(given)} entries, a {joint.kind} joint needs {count}")
     length = np.linalg.norm(axes, axis=1, keepdims=True)
-    if not np.all(length > 1e-9):
-        raise InputError(f"{where}: an axis has no length.")
+    check(where, np.all(length > 1e-9), "an axis has no length")
     return axes / length, names, limits
 
 
@@ -189,8 +178,7 @@ def _check_names(mesh: SkinnedMesh, spec: RigSpec) -> None:
     named += [(f"landmarks.{m}", s if isinstance(s, str) else s.joint) for m, s in (spec.landmarks or {}).items()]
     named += [("root", spec.root)] if spec.root is not None else []
     for key, name in named:
-        if name not in mesh.joints:
-            raise InputError(f"{mesh.source}: {key} names the joint {name!r}, which is not in the file.")
+        check(mesh.source, name in mesh.joints, f"{key} names the joint {name!r}, which is not in the file")
 
 
 def _landmarks(mesh: SkinnedMesh, spec: RigSpec) -> Landmarks:
@@ -210,8 +198,7 @@ def _landmark_point(mesh: SkinnedMesh, spec: RigSpec, name: str, mark: str | Lan
     if mark.at is not None:
         return np.array(mark.at) @ spec.to_rest() / spec.scale**2  # the rows are orthogonal, of length `scale`
     if mark.point is not None:
-        if mark.point not in mesh.points:
-            raise InputError(f"{where}: the file has no point {mark.point!r}.")
+        check(where, mark.point in mesh.points, f"the file has no point {mark.point!r}")
         return mesh.points[mark.point]
     chosen = mark.vertices or []
     if mesh.numbered is None or not chosen or not 0 <= min(chosen) <= max(chosen) < len(mesh.numbered):
@@ -249,14 +236,10 @@ def _aimed(mesh: SkinnedMesh, marks: Landmarks, spec: RigSpec) -> tuple[SkinnedM
 
 
 def turn_between(start: Float, end: Float, where: str = "") -> Float:
-    """(3, 3) the smallest rotation that takes one direction (3,) into another.
-
-    Raises:
-        InputError: for a direction without a length; `where` begins the message.
-    """
+    """(3, 3) the smallest rotation that takes one direction (3,) into another. Raises InputError for a direction
+    without a length; `where` begins the message."""
     lengths = float(np.linalg.norm(start)), float(np.linalg.norm(end))
-    if min(lengths) < 1e-9:
-        raise InputError(f"{where}: the two joints coincide, or `along` has no length.")
+    check(where, min(lengths) >= 1e-9, "the two joints coincide, or `along` has no length")
     a, b = start / lengths[0], end / lengths[1]
     axis, cosine = np.cross(a, b), float(a @ b)
     sine = float(np.linalg.norm(axis))

@@ -41,10 +41,8 @@ _Model = TypeVar("_Model", bound=BaseModel)
 
 
 class Aim(BaseModel):
-    """Turn of the rest pose so that the line from the joint to joint `at` has a direction of the rest frame.
-
-    "file" restores the joint's orientation in the file, whatever the joints above it did.
-    """
+    """Turn of the rest pose so that the line from the joint to joint `at` has a direction of the rest frame. "file"
+    restores the joint's orientation in the file, whatever the joints above it did."""
 
     model_config = ConfigDict(extra="forbid")
     at: str
@@ -101,20 +99,14 @@ class RigSpec(BaseModel):
 
 
 def read_rig(path: Path | str) -> RigSpec:
-    """The rig description of a TOML file.
-
-    Raises:
-        InputError: if it is missing, no TOML, or has an unknown key or a wrong value.
-    """
+    """The rig description of a TOML file. Raises InputError if it is missing, no TOML, or has an unknown key or a wrong
+    value."""
     return parsed_toml(path, RigSpec)
 
 
 def parsed_toml(path: Path | str, model: type[_Model]) -> _Model:
-    """A TOML file as a pydantic model.
-
-    Raises:
-        InputError: if it is missing, no TOML, or has an unknown key or a wrong value.
-    """
+    """A TOML file as a pydantic model. Raises InputError if it is missing, no TOML, or has an unknown key or a wrong
+    value."""
     path = Path(path)
     try:
         return model.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))

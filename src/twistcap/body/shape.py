@@ -11,7 +11,7 @@ from twistcap import se3
 from twistcap.arrays import Float, Int
 from twistcap.body.kinematics import Posed, skin_points
 from twistcap.body.model import Body, Landmarks
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 
 _AT_CENTRE = 0.01  # m from a joint's centre, within which a landmark marks it
 _CROSSWISE = 0.7  # greatest cosine between a hinge's axis and its segment that counts as across
@@ -25,30 +25,30 @@ def rescaled(
 
     A segment is stretched about its joint, along the line to the next joint (or landmark) down the chain; segments
     below it move along. Offsets across the axis (hips on the pelvis, shoulders on the chest) grow with the girth.
-
-    Raises:
-        InputError: for an unknown segment or a factor that is not positive.
+    Raises InputError for an unknown segment or a factor that is not positive.
     """
     lengths, girths = dict(lengths or {}), dict(girths or {})
     for name, factor in [*lengths.items(), *girths.items(), ("stature", stature)]:
         if name != "stature" and name not in body.segment_names:
             raise InputError(f"body {body.name!r} has no segment {name!r}; it has {', '.join(body.segment_names)}.")
-        if not factor > 0:
-            raise InputError(f"body {body.name!r}: the factor of {name!r} is {factor}; it must be positive.")
+        check(f"body {body.name!r}", factor > 0, f"the factor of {name!r} is {factor}; it must be positive")
     return warped(body, stretch_maps(body, lengths, girths, stature))
 
 
 def segment_axes(body: Body) -> tuple[Float, Float]:
     """Origin (S, 3) and unit axis (S, 3) of each segment in the rest pose: from its joint to the next one below."""
-    origins = np.array([joint_origin(body, s) for s in range(len(body.segment_names))]).reshape(-1, 3)
+    origins = joint_origins(body)
     return origins, np.array([_axis_from(body, s, origins) for s in range(len(origins))]).reshape(-1, 3)
 
 
-def joint_origin(body: Body, segment: int) -> Float:
-    """(3,) rest-pose position of a segment's proximal joint, m, the intersection of the joint's axes.
+def joint_origins(body: Body) -> Float:
+    """(S, 3) rest-pose positions of all segments' proximal joints, m, see `joint_origin`."""
+    return np.array([joint_origin(body, s) for s in range(len(body.segment_names))]).reshape(-1, 3)
 
-    For root segments it is the centre of their own surface.
-    """
+
+def joint_origin(body: Body, segment: int) -> Float:
+    """(3,) rest-pose position of a segment's proximal joint, m, the intersection of the joint's axes. For root segments
+    it is the centre of their own surface."""
     if int(body.segment_joint[segment]) < 0:
         return _centroid(body, segment)
     axes = body.twists[joint_coordinates(body, segment)]
@@ -116,26 +116,30 @@ def warped(body: Body, maps: Float) -> Body:
     vertices = skin_points(np.ascontiguousarray(maps), body.skin_segments, body.skin_weights, body.vertices)
     marks = body.landmarks
     points = se3.apply(maps[marks.segments], marks.points[:, None])[:, 0]
+    jointed = np.flatnonzero(body.segment_joint >= 0).tolist()
+    moved = {s: se3.apply(maps[body.segment_parent[s]], joint_origin(body, s)[None])[0] for s in jointed}
+    marks = Landmarks(marks.names, marks.segments, points)
+    return replace(body, vertices=vertices, twists=joints_at(body, moved), landmarks=marks)
+
+
+def joints_at(body: Body, centres: Mapping[int, Float]) -> Float:
+    """(J, 6) twists with the joints of some segments (by number) at new centres (3,) m; axes keep their directions."""
     twists = body.twists.copy()
-    for s in np.flatnonzero(body.segment_joint >= 0).tolist():
-        moved = se3.apply(maps[int(body.segment_parent[s])], joint_origin(body, s)[None])[0]
-        for k in joint_coordinates(body, s):  # every axis moves with the joint's centre, directions stay
+    for s, centre in centres.items():
+        for k in joint_coordinates(body, s):
             if np.any(twists[k, :3]):
-                twists[k, 3:] = -np.cross(twists[k, :3], moved)
-    return replace(body, vertices=vertices, twists=twists, landmarks=Landmarks(marks.names, marks.segments, points))
+                twists[k, 3:] = -np.cross(twists[k, :3], centre)
+    return twists
 
 
 @dataclass(frozen=True)
 class RestMotion:
-    """How a body's rest pose changes with each of K shape parameters, to first order.
+    """How a body's rest pose changes with each of K shape parameters, to first order, per unit of the parameter.
 
     A point l from a segment's origin moves by the segment's shift and by ``along (a·l) a + across (l − (a·l) a)``.
 
-    Attributes:
-        origins, axes: (S, 3) of the segments, as `segment_axes` gives them.
-        shifts: (K, S, 3) of each segment's surface, m per unit of the parameter.
-        stretches: (K, S, 2) of its surface, along and across its axis, per unit.
-        joints: (K, S, 3) of each segment's proximal joint centre, in the rest pose, m per unit.
+    Origins and axes (S, 3) are those of `segment_axes`; shifts (K, S, 3) m and stretches (K, S, 2), along and across
+    the axis, of each segment's surface; joints (K, S, 3) m of its proximal joint centre in the rest pose.
     """
 
     origins: Float
@@ -153,9 +157,7 @@ class RestMotion:
 
     def rates(self, posed: Posed, segments: Int, weights: Float, local: Float, gradient: Float) -> Float:
         """(N, K) derivative by the parameters of residuals whose gradients by their skinned world points are (N, 3).
-
-        The surface moves in the rest pose and is then skinned; joint centres move the segments below them.
-        """
+        The surface moves in the rest pose and is then skinned; joint centres move the segments below them."""
         rotations = posed.segment_transforms[segments][..., :3, :3]
         turned = np.einsum("nb,nbji,nj->ni", weights, rotations, gradient)
         moved = np.take_along_axis(self.velocities(local), segments[..., None, None].astype(np.int64), axis=1)
@@ -177,12 +179,8 @@ def carried(posed: Posed, joints: Float) -> Float:
 def rest_motion(
     body: Body, stretched: Sequence[Mapping[str, float]], widened: Sequence[Mapping[str, float]], moved: Sequence[int]
 ) -> RestMotion:
-    """`RestMotion` by the logarithms of lengths and girths of groups of segments, then by x, y, z of joint centres.
-
-    Args:
-        stretched, widened: by parameter, the rate of each segment's log-length or log-girth.
-        moved: segments whose proximal joint moves; three parameters (m) each.
-    """
+    """`RestMotion` by log-lengths and log-girths of groups of segments, then by x, y, z (m) of `moved` joint centres.
+    Of each parameter the rate of each segment's log-length (`stretched`) or log-girth (`widened`) is given."""
     (origins, axes), G = segment_axes(body), len(stretched) + len(widened)
     K, S = G + 3 * len(moved), len(body.segment_names)
     shifts, stretches = np.zeros((K, S, 3)), np.zeros((K, S, 2))
@@ -200,22 +198,27 @@ def rest_motion(
     return RestMotion(origins, axes, shifts, stretches, joints)
 
 
+def joints_shifted(body: Body, shifts: Mapping[int, Float]) -> Float:
+    """(J, 6) twists with the joints of some segments (by number) shifted by (3,) m; axes keep their directions."""
+    twists = body.twists.copy()
+    for s, shift in shifts.items():
+        for k in joint_coordinates(body, s):
+            twists[k, 3:] -= np.cross(twists[k, :3], shift)
+    return twists
+
+
 def joints_moved(body: Body, shifts: Mapping[str, Float]) -> Body:
     """Joint centres and their landmarks moved by (3,) m in the rest pose, by the name of the segment below.
 
-    The axes keep their directions and the surface its place, so that angles keep their meaning.
-
-    Raises:
-        InputError: for an unknown segment, or one without a joint.
+    The axes keep their directions and the surface its place, so that angles keep their meaning. Raises InputError for
+    an unknown segment, or one without a joint.
     """
-    twists, points = body.twists.copy(), body.landmarks.points.copy()
+    points = body.landmarks.points.copy()
     for name, shift in shifts.items():
         if name not in body.segment_names or body.segment_joint[body.segment(name)] < 0:
             raise InputError(f"body {body.name!r} has no segment {name!r} with a joint; check the name.")
-        s = body.segment(name)
-        for k in joint_coordinates(body, s):
-            twists[k, 3:] -= np.cross(twists[k, :3], shift)
-        points[marks_of(body, s)] += shift
+        points[marks_of(body, body.segment(name))] += shift
+    twists = joints_shifted(body, {body.segment(name): shift for name, shift in shifts.items()})
     return replace(body, twists=twists, landmarks=Landmarks(body.landmarks.names, body.landmarks.segments, points))
 
 
@@ -255,9 +258,9 @@ def _line_crossings(triangles: Float, origin: Float, direction: Float) -> Float:
 
 def joint_distances(body: Body) -> dict[str, float]:
     """Distance (m) from a segment's joint to that of its child, for segments with one child."""
-    out: dict[str, float] = {}
+    out, origins = dict[str, float](), joint_origins(body)
     for s, name in enumerate(body.segment_names):
         children = np.flatnonzero(body.segment_parent == s)
         if body.segment_joint[s] >= 0 and len(children) == 1:
-            out[name] = float(np.linalg.norm(joint_origin(body, int(children[0])) - joint_origin(body, s)))
+            out[name] = float(np.linalg.norm(origins[children[0]] - origins[s]))
     return out

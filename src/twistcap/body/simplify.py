@@ -9,16 +9,10 @@ import numpy as np
 from twistcap.arrays import Bool, Float
 from twistcap.body.kinematics import Pose, Posed
 from twistcap.body.model import Body, Landmarks
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 
 SIDE_VIEW = ("neck_extension", "arm_flex", "elbow_flex", "hip_flexion", "knee_angle", "ankle_angle")
 """Joints of the planar model: head, one arm and one leg on the trunk."""
-
-NINETEEN = ("neck_extension", "neck_bending", "neck_rotation", *(
-    f"{joint}_{side}" for side in "rl" for joint in (
-        "arm_add", "arm_flex", "arm_rot", "elbow_flex", "hip_flexion", "hip_adduction", "hip_rotation", "knee_angle")
-))  # fmt: skip
-"""Hips, shoulders and neck of three axes, knees and elbows of one: the 19 joint angles of the photographic plates."""
 
 
 def simplified(
@@ -28,14 +22,12 @@ def simplified(
     """The body with some of its joints only, the others fixed.
 
     Args:
-        body: with more coordinates.
         kept: names of the coordinates that stay; the segments between them are merged.
         at: (J,) angles of the fixed joints; by default rest.
         without: names of segments whose surface and landmarks are left out.
         axis: (3,) in the body's frame; all axes are turned parallel to it, in the nearer direction. A planar model.
 
-    Raises:
-        InputError: for a coordinate or segment that the body lacks.
+    Raises InputError for a coordinate or segment that the body lacks.
     """
     unknown = [n for n in kept if n not in body.coordinate_names] + [n for n in without if n not in body.segment_names]
     if unknown:
@@ -67,25 +59,15 @@ def simplified(
 def side_view(body: Body, side: str, *, at: Float | None = None, axis: Float | None = None) -> Body:
     """The planar model of a person seen from one side: trunk, head, and the arm and leg nearer to the camera.
 
-    Args:
-        body: with OpenSim's coordinate names.
-        side: "r" or "l".
-        at: angles of the other joints.
-        axis: (3,) of all joints, in the body's frame; by default its y axis.
+    The body has OpenSim's coordinate names, the side is "r" or "l", `at` are angles of the other joints, and the axis
+    (3,) of all joints is in the body's frame, by default its y axis.
 
-    Raises:
-        InputError: for another side, or a body without these joints.
+    Raises InputError for another side, or a body without these joints.
     """
-    if side not in ("r", "l"):
-        raise InputError(f"side_view: side is {side!r}; it is 'r' or 'l'.")
+    check("side_view", side in ("r", "l"), f"side is {side!r}; it is 'r' or 'l'")
     own = [name if name.startswith("neck") else f"{name}_{side}" for name in SIDE_VIEW]
     other = [name for name in body.segment_names if name.endswith("_l" if side == "r" else "_r")]
     return simplified(body, own, at=at, without=other, axis=np.array([0.0, 1.0, 0.0]) if axis is None else axis)
-
-
-def angles_of(model: Body, body: Body, q: Float) -> Float:
-    """The angles (..., J') of a simplified model among those (..., J) of its full body."""
-    return q[..., [body.coordinate(name) for name in model.coordinate_names]]
 
 
 def _last(body: Body, stays: Bool, k: int) -> int:

@@ -71,17 +71,15 @@ def _take(recording: Recording) -> Take:
 
 
 def _rows(name: str, before: Agreement, after: Agreement) -> list[Row]:
-    out: list[Row] = []
+    out: list[tuple[str, str, float, str]] = []
     for case, result in ((f"{name}, before", before), (f"{name}, after", after)):
         for unit, values in (("px", result.px), ("mm", result.mm)):
-            out.append(row(case, "surface to silhouette, mean", float(values.mean()), unit))
-            out.append(row(case, "surface to silhouette, p95", percentile_known(values, 95), unit))
-        out.append(row(case, "IoU with the segmentation", result.iou, ""))
-        out.append(row(case, "IoU of the visual hulls", result.hull, ""))
-    for part, (mean, p95) in after.by_part().items():
-        out.append(row(f"{name}, after", f"{part}, mean", mean, "mm"))
-        out.append(row(f"{name}, after", f"{part}, p95", p95, "mm"))
-    return out
+            out.append((case, "surface to silhouette, mean", float(values.mean()), unit))
+            out.append((case, "surface to silhouette, p95", percentile_known(values, 95), unit))
+        out += [(case, "IoU with the segmentation", result.iou, ""), (case, "IoU of the visual hulls", result.hull, "")]
+    for part, sizes in after.by_part().items():
+        out += [(f"{name}, after", f"{part}, {m}", mm, "mm") for m, mm in zip(("mean", "p95"), sizes, strict=True)]
+    return [row(*line) for line in out]
 
 
 def _written(fitted: Fitted, recording: Recording, source: Path, folder: Path) -> list[Path]:

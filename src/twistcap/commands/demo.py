@@ -93,11 +93,6 @@ def _reported(scene: Any, pictures: list[Any], result: Any, folder: Path, timing
         lead = f"A synthetic walk in {len(scene.rig)} views, tracked from its first pose and compared with its truth."
         headlines = [*headline_rows(comparison.rows, wanted), speed]
         page = outputs.write_page(folder, "twistcap demo", lead, headlines, comparison.rows, plots)
-    return {
-        "id": "demo",
-        "rows": comparison.rows,
-        "ms_per_frame": timing.median,
-        "result": folder / "result.h5",
-        "report": page,
-        "files": [folder / "result.h5", *exports, *plots, video, page],
-    }
+    path = folder / "result.h5"
+    about = {"id": "demo", "rows": comparison.rows, "ms_per_frame": timing.median, "result": path, "report": page}
+    return about | {"files": [path, *exports, *plots, video, page]}

@@ -34,9 +34,7 @@ class Timing:
 
 
 def follow(frames: Iterable[Frame], total: int, tracker: Tracker, writer: ResultWriter) -> Timing:
-    """Track all frames; each is in the file before the next is touched. Raises InputError where a frame cannot be read;
-    says what has been kept.
-    """
+    """Track all frames; each is in the file before the next is touched. The InputError of a bad frame says so."""
     timing = Timing()
     with progress("tracking", total) as advance:
         try:
@@ -55,9 +53,7 @@ def follow(frames: Iterable[Frame], total: int, tracker: Tracker, writer: Result
 
 
 def resumed(tracker: Tracker, path: Path) -> int:
-    """Bring a tracker to the last saved state of a file; how many frames had been tracked by then. Raises InputError
-    where there is no state, or it does not fit the tracker's settings.
-    """
+    """Bring a tracker to the last saved state of a file, if it fits its settings; frames that were tracked by then."""
     saved = read_state(path)
     if saved is None:
         raise InputError(f"{path} holds no state to go on from; track anew without --resume.")

@@ -39,9 +39,7 @@ def init(
 
 
 def clicking_of(session: Any, path: Path, out: Path | None = None, detector: str | None = None) -> Any:
-    """What `init` serves, with the clicks or keypoints that exist. Raises InputError: whatever is wrong with the
-    session, its videos, the detector or `out`.
-    """
+    """What `init` serves, with existing clicks or keypoints; InputError for session, videos, detector or `out`."""
     from twistcap.io.recording import body_of, rig_of, views_of
     from twistcap.pages.clicking import Clicking, clicks_of
     from twistcap.pages.detectors import detected

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal, cast
+from typing import Annotated, Any, Literal, cast
 
 import typer
 
@@ -66,10 +66,7 @@ def show(
     _tell(path, read_library(path), json)
 
 
-def _tell(path: Path, library: object, json: bool) -> None:
-    from twistcap.motion import MotionLibrary
-
-    assert isinstance(library, MotionLibrary)
+def _tell(path: Path, library: Any, json: bool) -> None:
     clips = [
         {"name": name, "poses": int(n), "seconds": round((int(n) - 1) / library.rate, 3)}
         for name, n in zip(library.clip_names, library.lengths, strict=True)

@@ -50,19 +50,14 @@ def train(
     names = [name.strip() for name in coordinates.split(",")] if coordinates else None
     sigma = None if sigma_deg is None else float(np.radians(sigma_deg))
     made = trained_prior(files, every, names, sigma, _factors(scale or []))
-    document = {
-        "id": "prior",
-        "prior": write_prior(out, made),
-        "samples": len(made.samples),
-        "sigma_deg": float(np.degrees(made.sigma)),
-        "median_distance_deg": float(np.degrees(made.median_distance)),
-        "coordinates": list(made.names),
-    }
+    width, median = (float(np.degrees(angle)) for angle in (made.sigma, made.median_distance))
+    document = {"id": "prior", "prior": write_prior(out, made), "samples": len(made.samples)}
+    document |= {"sigma_deg": width, "median_distance_deg": median, "coordinates": list(made.names)}
     if json:
         terminal.emit(document)
         return
-    width = f"sigma {document['sigma_deg']:.2f} deg (median neighbour {document['median_distance_deg']:.2f} deg)"
-    terminal.words.print(f"{document['samples']} samples of {len(made.names)} coordinates, {width}")
+    spread = f"sigma {width:.2f} deg (median neighbour {median:.2f} deg)"
+    terminal.words.print(f"{len(made.samples)} samples of {len(made.names)} coordinates, {spread}")
     terminal.words.print(", ".join(made.names))
     typer.echo(out)
 

@@ -74,17 +74,11 @@ def _run(
         with terminal.status("refining again") as report:
             body, shape = refinement.body, refinement.shape
             refinement = refined(views, body, rig, retracked, config, settings, report, shape)
-    return {
-        "id": "refine",
-        "result": folder / "refined.h5",
-        "frames": len(chosen),
-        "moved_mm": [1000.0 * step for step in refinement.moved],
-        "helped": refinement.helped,
-        "design_effect": refinement.design_effect,
-        "joints_held": not refinement.joint_shifts,
-        **_shape(result.body, refinement),
-        "files": _written(result, refinement, session, views, folder),
-    }
+    about = {"id": "refine", "result": folder / "refined.h5", "frames": len(chosen)}
+    about |= {"moved_mm": [1000.0 * step for step in refinement.moved], "helped": refinement.helped}
+    about |= {"design_effect": refinement.design_effect, "joints_held": not refinement.joint_shifts}
+    about |= _shape(result.body, refinement)
+    return about | {"files": _written(result, refinement, session, views, folder)}
 
 
 def _session(result: Any, path: Path) -> Any:
@@ -99,9 +93,7 @@ def _session(result: Any, path: Path) -> Any:
 
 
 def _views(session: Any, rig: Any, indices: list[int], path: Path) -> Any:
-    """The frames of the estimates. Raises InputError where there are none, some are missing between them, or the videos
-    do not hold them.
-    """
+    """The frames of the estimates; InputError where there are few, or some are missing between them or in videos."""
     from twistcap.io.recording import views_of
 
     if len(indices) < 3:
@@ -134,15 +126,13 @@ def _shape(before: Any, refinement: Any) -> dict[str, Any]:
     def factors(given: Any, sigmas: Any) -> list[dict[str, Any]]:
         return [{"group": name, "factor": factor, "sigma": sigmas[name]} for name, factor in given.items()]
 
-    old, new = joint_distances(before), joint_distances(refinement.body)
+    new, shifts, sigmas = joint_distances(refinement.body), refinement.joint_shifts, refinement.joint_sigmas
+    bones = [(name, 1000 * old, 1000 * new[name]) for name, old in joint_distances(before).items()]
     return {
         "lengths": factors(refinement.lengths, refinement.length_sigmas),
         "girths": factors(refinement.girths, refinement.girth_sigmas),
-        "bones": [{"segment": n, "before_mm": 1000 * mm, "after_mm": 1000 * new[n]} for n, mm in old.items()],
-        "joints": [
-            {"segment": name, "shift_mm": 1000 * shift, "sigma_mm": 1000 * refinement.joint_sigmas[name]}
-            for name, shift in refinement.joint_shifts.items()
-        ],
+        "bones": [{"segment": name, "before_mm": old, "after_mm": now} for name, old, now in bones],
+        "joints": [{"segment": n, "shift_mm": 1000 * s, "sigma_mm": 1000 * sigmas[n]} for n, s in shifts.items()],
     }
 
 

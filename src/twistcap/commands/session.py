@@ -30,9 +30,7 @@ def session(
       twistcap session --explain
     """
     if explain:
-        from twistcap.settings import Settings
-
-        _print_settings(explained(Settings), json)
+        _print_settings(json)
         return
     if session is None:
         raise InputError("session: no file is named; give a session.toml, or --explain.")
@@ -76,13 +74,16 @@ def _default(item: Field[Any]) -> str:
     return "by method" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def _print_settings(rows: list[dict[str, str]], json: bool) -> None:
-    if json:
-        terminal.emit({"id": "settings", "settings": rows})
-        return
+def _print_settings(json: bool) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from twistcap.settings import Settings
+
+    rows = explained(Settings)
+    if json:
+        terminal.emit({"id": "settings", "settings": rows})
+        return
     table = Table("key", "default", "what it is")
     for row in rows:
         table.add_row(row["key"], row["default"], row["meaning"])

@@ -64,8 +64,8 @@ def run_session(session: Any, folder: Path, resume: bool = False) -> dict[str, A
     result = read_result(path)
     files = [path, *_outputs(session, views, result, folder, timing)]
     lost = result.indices[result.lost].tolist()
-    return {"id": "track", "result": path, "frames": len(result), "lost": lost, "ms_per_frame": timing.median,
-            "files": files}  # fmt: skip
+    about = {"id": "track", "result": path, "frames": len(result), "lost": lost}
+    return about | {"ms_per_frame": timing.median, "files": files}
 
 
 def _tracked(session: Any, path: Path, resume: bool) -> tuple[Any, Timing]:

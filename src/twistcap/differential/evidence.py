@@ -31,16 +31,12 @@ class Evidence:
     """Points of one view at one level, as an energy of its motion, the joints and its exposure.
 
     Attributes:
-        number: of the view.
-        body: in it.
-        samples: N points, once for each channel (C).
-        which: (N,) their numbers in the memory.
-        image: (C, H, W) of the level.
-        factor: its size against the finest.
-        prior: (N,) of the support maps.
+        number, body: of the view, and the body in it.
+        samples, which: N points, once for each channel (C), and their numbers (N,) in the memory.
+        image, factor: (C, H, W) of the level, and its size against the finest.
+        prior, support: (N,) of the support maps, before and after the last E step.
         behind: (N, C) residuals under the motion of the layer behind.
         near: where the points are.
-        support: (N,) of the last E step; it begins as the prior.
         weight: (N, C) information, 1/brightness², of the last E step.
     """
 

@@ -40,8 +40,7 @@ class DifferentialModel:
     rig: Rig = field(default_factory=lambda: Rig(()))
 
     def start(self, pose: Pose, time: float = 0.0) -> Track:
-        """The track before the first frame, which shows the body at a pose."""
-        del time  # nothing is predicted into the first frame
+        """The track before the first frame, which shows the body at a pose; nothing is predicted into it."""
         return Track.of(state_of(pose, self.rig, self.config.perspective))
 
     def variables(self, state: State) -> Variables:

@@ -29,13 +29,10 @@ def limbs_of(body: Body) -> list[tuple[int, int]]:
 
 
 def searched(body: Body, state: State, misfit: Callable[[State, Bool], float], reach: float, spread: float) -> State:
-    """The state with each limb at the best of the angles tried.
+    """The state with each limb at the best of the angles tried, by the mean `misfit` on the pixels of segments (S,).
 
-    Args:
-        misfit: mean cost of a state on the pixels of some segments (S,).
-        reach: rad; lower joints are tried up to one and a half of it, upper ones up to it.
-        spread: rad, how far angles stray from the guess: a candidate pays half the square of its distance in these,
-            in hundredths of the cost's own unit.
+    Lower joints are tried up to one and a half of the reach (rad), upper ones up to it. A candidate pays half the
+    square of its distance in `spread` (rad), in hundredths of the cost's own unit.
     """
     for limb in limbs_of(body):
         trials = np.tile(state.q, (len(_UPPER) * len(_LOWER), 1))

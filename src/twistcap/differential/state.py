@@ -23,12 +23,7 @@ _DEPTH = 1e-3
 
 @dataclass(frozen=True)
 class State:
-    """A body in all views: what the differential tracker follows.
-
-    Attributes:
-        views: one per camera.
-        q: (J,) joint coordinates, rad, shared by all views.
-    """
+    """A body in all views, one per camera, which share the joint coordinates q (J,) rad: what is followed."""
 
     views: tuple[ScaledView, ...]
     q: Float
@@ -59,10 +54,8 @@ class State:
 class Track:
     """A track between two frames: everything that the next one depends on.
 
-    Attributes:
-        state: in the last frame; before the first, where the body is in that.
-        velocity: (6 V + J,) the last step of the state.
-        memories: of the V views; None before a view's first image.
+    These are the state in the last frame (before the first, in that), its last step (6 V + J,), and the memories of the
+    V views, None before a view's first image.
     """
 
     state: State
@@ -82,10 +75,8 @@ class Track:
 
 
 def state_of(pose: Pose, cameras: Iterable[Camera], perspective: bool = False) -> State:
-    """The state of a body at a pose before calibrated cameras, distortion left out.
-
-    With `perspective` the views are those of the pinholes, else scaled orthography.
-    """
+    """The state of a body at a pose before calibrated cameras, distortion left out. With `perspective` the views are
+    those of the pinholes, else scaled orthography."""
     return State(tuple(ScaledView.of(camera, pose.root, perspective) for camera in cameras), pose.q)
 
 

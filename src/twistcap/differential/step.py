@@ -22,7 +22,7 @@ from twistcap.differential.evidence import Evidence, evidence
 from twistcap.differential.model import DifferentialModel, exposure_block, posed_at, state_at, view_block, with_state
 from twistcap.differential.search import searched
 from twistcap.differential.state import ROOT, State, Track, world_pose
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 from twistcap.estimate import Estimate, Frame
 from twistcap.render import render
 from twistcap.solve import BlockProblem, Dense, Variables, inverse, minimise
@@ -34,13 +34,11 @@ _GAIN = 1e-3  # of the energy; a step that gains less is the last one of its lev
 
 @dataclass(frozen=True)
 class Found:
-    """The answer for one frame.
+    """The answer for one frame, after some accepted solver steps.
 
-    Attributes:
-        support: (V,) mean support of the body's pixels in each view, 0 where there was no image.
-        covariance: (6 V + J, 6 V + J) of the state's step; NaN where it could not be solved for.
-        exposure: (V, 2) change of gain and offset from the frame before.
-        steps: accepted solver steps.
+    `support` (V,) is the mean support of the body's pixels in each view, 0 without an image; the covariance
+    (6 V + J, 6 V + J) that of the state's step, NaN where it could not be solved for; `exposure` (V, 2) the change of
+    gain and offset from the frame before.
     """
 
     state: State
@@ -64,11 +62,8 @@ class Found:
 
 
 def step(track: Track, frame: Frame, model: DifferentialModel) -> tuple[Track, Estimate]:
-    """Track one frame behind calibrated cameras; the pose in the first one is given.
-
-    Raises:
-        InputError: for images that do not fit, or a value that is not finite.
-    """
+    """Track one frame behind calibrated cameras; the pose in the first one is given. Raises InputError for images that
+    do not fit, or a value that is not finite."""
     after, found = followed(track, frame.images, model)
     pose = world_pose(found.state, list(model.rig))
     if not track.started:
@@ -88,13 +83,9 @@ def followed(
 ) -> tuple[Track, Found]:
     """Follow the body into the next frame; a track that has not started takes its first frame as its state says.
 
-    Args:
-        images: one per view, grey (H, W) or RGB (H, W, 3), uint8 or in [0, 1]; None for a view that dropped it.
-        expected: the state that is looked for about, such as an earlier pass over the sequence found; by default
-            the last motion goes on, and limbs are searched where the settings ask for it.
-
-    Raises:
-        InputError: for a wrong number of images or angles, or values that are not finite.
+    Images are one per view, grey (H, W) or RGB (H, W, 3), uint8 or in [0, 1]; None for a view that dropped it. Without
+    an `expected` state, such as an earlier pass found, the last motion goes on, and limbs are searched as the settings
+    say. Raises InputError for a wrong number of images or angles, or values that are not finite.
     """
     _check(model.body, track.state, images)
     track = replace(track, state=track.state.sized(images))
@@ -211,18 +202,15 @@ def _check(body: Body, state: State, images: Sequence[AnyArray | None]) -> None:
     for image in images:
         if image is not None and image.dtype != np.uint8 and not np.all(np.isfinite(image)):
             raise InputError("differential: an image holds a value that is not finite; repair or leave out the frame.")
-    if not np.all(np.isfinite(state.q)):
-        raise InputError("differential: an angle of the first state is not finite.")
+    check("differential", np.all(np.isfinite(state.q)), "an angle of the first state is not finite")
 
 
 def track(
     model: DifferentialModel, state: State, frames: Sequence[Sequence[AnyArray | None]],
     expected: Sequence[State] | None = None,
 ) -> list[Found]:  # fmt: skip
-    """Follow a body through frames of one image per view; `state` is that of the first, whose answer is left out.
-
-    Where states are `expected`, one per frame, each frame is looked at about its own.
-    """
+    """Follow a body through frames of one image per view; `state` is that of the first, whose answer is left out. Where
+    states are `expected`, one per frame, each frame is looked at about its own."""
     about, out, so_far = [None] * len(frames) if expected is None else expected, list[Found](), Track.of(state)
     for images, near in zip(frames, about, strict=True):
         so_far, found = followed(so_far, images, model, near)

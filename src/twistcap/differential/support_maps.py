@@ -50,9 +50,7 @@ class Neighbourhood:
 @njit(cache=True, nogil=True)
 def robust_scale(residual: Float, part: Int, parts: int, weight: Float) -> Float:
     """(S,) scale of the residuals of each part: 1.48 times the weighted median of their size, within sane bounds.
-
-    Residuals (N,) are of brightness, NaN for unknown; part and weight are (N,), S = `parts`.
-    """
+    Residuals (N,) are of brightness, NaN for unknown; part and weight are (N,), S = `parts`."""
     size, count = np.abs(residual), np.bincount(part, minlength=parts)
     out = np.full(parts, _scale_of(size, weight))
     for s in range(parts):
@@ -95,15 +93,9 @@ def posterior(
 ) -> Float:  # fmt: skip
     """(N,) probability that each pixel moves as the body does.
 
-    Channels see much the same, so that their mean evidence counts as that of one.
-
-    Args:
-        residual: (N, C) differences under the body's motion, NaN for unknown (probability 0).
-        behind: (N, C) the same under the motion of the layer behind; NaN where that is unknown.
-        prior: (N,) from the projected shape.
-        sigma: (N, C) robust scale of each pixel's segment.
-        sigma_behind: (C,) that of the layer behind.
-        near: neighbours share their evidence: squares are averaged.
+    Channels see much the same, so that their mean evidence counts as that of one; neighbours share theirs. Of
+    differences under the body's motion (N, C), NaN for unknown (probability 0), those of the layer `behind` (N, C), a
+    prior (N,) from the projected shape, and the scales sigma (N, C) and sigma_behind (C,).
     """
     known = np.isfinite(behind).all(axis=1)
     body = prior * _density(residual, sigma, near)

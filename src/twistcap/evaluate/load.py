@@ -52,18 +52,14 @@ class Reference:
             elif name in self.coordinate_names:
                 angles[rows, self.coordinate_names.index(name)] = np.nan
             else:
-                known = ", ".join((*self.names, *self.coordinate_names))
-                raise InputError(
-                    f"exclusion {text!r}: the reference has no point or coordinate {name!r}; it has {known}."
-                )
+                had = f"no point or coordinate {name!r}; it has {', '.join((*self.names, *self.coordinate_names))}"
+                raise InputError(f"exclusion {text!r}: the reference has {had}.")
         return replace(self, points=points, angles=angles)
 
 
 def interpolated(times: Float, values: Float, at: Float) -> Float:
-    """Values (M, ...) given at rising `times` (M,), linearly interpolated at other times (N,); NaN outside.
-
-    A time that is given needs only its own sample; its neighbours may be NaN.
-    """
+    """Values (M, ...) given at rising `times` (M,), linearly interpolated at other times (N,); NaN outside. A time that
+    is given needs only its own sample; its neighbours may be NaN."""
     tolerance = 1e-9 + 1e-6 * (times[-1] - times[0])  # times that came through a text file still hit the ends
     after = np.clip(np.searchsorted(times, at - tolerance), 0, len(times) - 1)
     before = np.where(np.abs(times[after] - at) <= tolerance, after, np.maximum(after - 1, 0))
@@ -106,9 +102,8 @@ def load_reference(
     elif ending in (".mot", ".sto"):
         reference = _from_mot(path, body)
     else:
-        raise InputError(
-            f"the reference {path} has an unknown ending; give .npz, .trc, .mot, .sto or a folder of masks."
-        )
+        mend = "give .npz, .trc, .mot, .sto or a folder of masks"
+        raise InputError(f"the reference {path} has an unknown ending; {mend}.")
     if not np.all(np.diff(reference.times) > 0):
         raise InputError(f"the reference {path} needs times that rise from row to row.")
     return reference
@@ -123,10 +118,8 @@ def _from_npz(path: Path, frame_times: Callable[[int], Float]) -> Reference:
         return Reference(markers.times, markers.names, markers.points, notes=notes)
     missing = [key for key in ("q", "landmarks", "names", "coordinate_names") if key not in data]
     if missing:
-        raise InputError(
-            f"the reference {path} lacks {', '.join(missing)}; a studio truth has root, q, landmarks, names, "
-            "coordinate_names and fps, a keypoint file has X."
-        )
+        has = "a studio truth has root, q, landmarks, names, coordinate_names and fps, a keypoint file has X"
+        raise InputError(f"the reference {path} lacks {', '.join(missing)}; {has}.")
     rows = len(data["q"])
     if "times" in data:
         times = data["times"].astype(float)

@@ -21,9 +21,8 @@ SIDES = ("r", "l")
 JOINT_CENTRES = tuple(f"{joint}_{s}" for s in SIDES for joint in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist"))
 """Landmarks that count as joints; toes, heels and the face do not."""
 
-KHE_COORDINATES = tuple(
-    f"{name}_{s}" for s in SIDES for name in ("knee_angle", "hip_flexion", "hip_adduction", "elbow_flex")
-)
+_KHE = ("knee_angle", "hip_flexion", "hip_adduction", "elbow_flex")
+KHE_COORDINATES = tuple(f"{name}_{s}" for s in SIDES for name in _KHE)
 """Coordinates of the knee-hip-elbow error, the one number by which the project compares trackers."""
 
 LOST_FRAME_MM = 150.0  # a frame is lost when any joint has a larger error than this
@@ -44,36 +43,20 @@ class Row(TypedDict):
 
 
 def row(
-    case: str,
-    metric: str,
-    value: float,
-    unit: str,
-    *,
-    at_most: float | None = None,
-    at_least: float | None = None,
-    seeds: Sequence[float] | None = None,
-    lost: int | None = None,
-) -> Row:
-    """A table line; its target is `at_most` or `at_least`, and a value that is not finite never holds.
-
-    `seeds` are the values on every seed that `value` sums up, `lost` how many of those sequences were lost.
-    """
+    case: str, metric: str, value: float, unit: str, *, at_most: float | None = None, at_least: float | None = None,
+    seeds: Sequence[float] | None = None, lost: int | None = None,
+) -> Row:  # fmt: skip
+    """A table line; its target is `at_most` or `at_least`, and a value that is not finite never holds. `seeds` are the
+    values on every seed that `value` sums up, `lost` how many of those sequences were lost."""
     finite = math.isfinite(value)
     target, holds = None, None
     if at_most is not None:
         target, holds = f"≤ {at_most:g}", finite and value <= at_most
     elif at_least is not None:
         target, holds = f"≥ {at_least:g}", finite and value >= at_least
-    return Row(
-        case=case,
-        metric=metric,
-        value=float(value) if finite else None,  # JSON knows neither NaN nor infinity
-        unit=unit,
-        target=target,
-        holds=holds,
-        seeds=None if seeds is None else [seed if math.isfinite(seed) else None for seed in seeds],
-        lost=lost,
-    )
+    known = None if seeds is None else [seed if math.isfinite(seed) else None for seed in seeds]
+    number = float(value) if finite else None  # JSON knows neither NaN nor infinity
+    return Row(case=case, metric=metric, value=number, unit=unit, target=target, holds=holds, seeds=known, lost=lost)
 
 
 def differences(estimate: Float, reference: Float) -> Float:
@@ -90,11 +73,8 @@ def angle_differences_deg(estimate: Float, reference: Float) -> Float:
 
 
 def without_offset(difference: Float) -> Float:
-    """Differences (N, ...) less their mean over the frames, as if the two frames of reference agreed.
-
-    For positions (N, L, 3) that is one 3D vector per joint, for angles (N, J) one number per coordinate. Frames that
-    are not finite do not count in the mean and stay as they are.
-    """
+    """Differences (N, ...) less their mean over the frames, as if the two frames of reference agreed. Frames that are
+    not finite do not count in the mean and stay as they are."""
     finite = np.isfinite(difference)
     return difference - np.where(finite, difference, 0.0).sum(axis=0) / np.maximum(finite.sum(axis=0), 1)
 
@@ -144,10 +124,8 @@ def silhouette(P: Float, vertices: Float, faces: Int, size: tuple[int, int]) -> 
 
 
 def z_scores(error: Float, covariance: Float) -> Float:
-    """Errors (N, D) in units of their own standard deviation, from covariances (N, D, D).
-
-    Coordinates of zero variance (held fixed) give NaN. Well calibrated estimates have a root mean square of 1.
-    """
+    """Errors (N, D) in units of their own standard deviation, from covariances (N, D, D). Coordinates of zero variance
+    (held fixed) give NaN."""
     variance = np.diagonal(covariance, axis1=-2, axis2=-1)
     known = variance > 0
     return np.where(known, error / np.sqrt(np.where(known, variance, 1.0)), np.nan)

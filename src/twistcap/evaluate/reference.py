@@ -61,30 +61,20 @@ class Evaluation:
 
     def as_dict(self) -> dict[str, Any]:
         """The whole as JSON-ready values."""
-        return {
-            "case": self.case,
-            "rows": self.rows,
-            "joints_mm": self.joints.by_name() if self.joints else {},
-            "angles_deg": self.angles.by_name() if self.angles else {},
-            "masks": [vars(overlap) for overlap in self.overlaps],
-            "lost_frames": self.lost_frames,
-            "notes": list(self.notes),
-        }
+        errors = {"joints_mm": self.joints, "angles_deg": self.angles}
+        by_name = {key: found.by_name() if found else {} for key, found in errors.items()}
+        masks = [vars(overlap) for overlap in self.overlaps]
+        rest = {"masks": masks, "lost_frames": self.lost_frames, "notes": list(self.notes)}
+        return {"case": self.case, "rows": self.rows, **by_name, **rest}
 
 
 def evaluate(
-    result: Result,
-    reference: Path | str,
-    time_offset: float = 0.0,
-    *,
-    exclude: Sequence[str] = (),
-    case: str | None = None,
-    axes: WorldAxes = "pose2sim",
-) -> Evaluation:
+    result: Result, reference: Path | str, time_offset: float = 0.0, *, exclude: Sequence[str] = (),
+    case: str | None = None, axes: WorldAxes = "pose2sim",
+) -> Evaluation:  # fmt: skip
     """Compare a result with a reference.
 
     Args:
-        result: the tracker's poses with their body and cameras.
         reference: studio truth (``truth.npz`` or its folder), ``.trc``, ``.mot``, ``.sto``, 3D keypoints (``.npz`` with
             ``X`` (N, 25, 3) m) or a folder of masks ``CAM/frame_XXXX.png``.
         time_offset: seconds to add to the reference's clock to get the recording's.
@@ -211,13 +201,12 @@ def _against_masks(result: Result, folder: Path, case: str) -> Evaluation:
     overlaps = list(_overlaps(result, folder))
     if not overlaps:
         raise InputError(f"no mask in {folder} belongs to a frame of the result; name them CAM/frame_XXXX.png.")
-    rows = list[Row]()
+    measures = dict[str, Any]()
     for camera in dict.fromkeys(overlap.camera for overlap in overlaps):
-        own = [overlap.iou for overlap in overlaps if overlap.camera == camera]
-        rows.append(row(case, f"IoU, {camera}", float(np.mean(own)), ""))
-    values = np.array([overlap.iou for overlap in overlaps])
-    rows.append(row(case, "IoU, mean", float(values.mean()), ""))
-    rows.append(row(case, "IoU, least", float(values.min()), ""))
+        measures[camera] = np.mean([overlap.iou for overlap in overlaps if overlap.camera == camera])
+    values = [overlap.iou for overlap in overlaps]
+    measures |= {"mean": np.mean(values), "least": np.min(values)}
+    rows = [row(case, f"IoU, {name}", float(value), "") for name, value in measures.items()]
     return Evaluation(case, rows, overlaps=overlaps)
 
 

@@ -42,16 +42,9 @@ def motion_tensors(
 ) -> Float32:  # fmt: skip
     """(H, 12, W) motion tensors of brightness (6 entries) and gradient, summed over the channels.
 
-    0 off the mask, and where the flow leaves the image.
-
-    Args:
-        first: (C, H, W, 6) `derivative_maps` of a window of the first image.
-        second: (C, H', W', 6) of the whole second image.
-        corner: first row and column of the window.
-        u, v: (H, W) flow, px, at which the second image is looked up by Catmull-Rom interpolation.
-        mask: (H, W) where tensors are wanted.
-        zeta: noise floor (intensity per px) of the normalisation; 0 leaves the constraints as they are.
-        blend: fraction of the first image's derivatives in the constraint.
+    Of `derivative_maps` (C, H, W, 6) of a window at a corner (row, column) of the first image and of the whole second
+    image, which is looked up at the flow u, v (H, W) px by Catmull-Rom interpolation. 0 off the mask (H, W), and where
+    the flow leaves the image. For zeta and blend see `FlowSettings`.
     """
     (C, H, W, _), (top, left) = first.shape, corner
     rows_there, columns_there = second.shape[1:3]

@@ -39,13 +39,9 @@ def expand(
 ) -> int:  # fmt: skip
     """Propose the motions `proposed` (h, w, 4) of the nodes in `order` (N, 2), one after the other.
 
-    Args:
-        images, nodes, rule: as for `match_blocks`.
-        labels, cost: (h, w, 4) present motions and (h, w) their block costs; both change in place.
-        move: nodes each way to which a motion is proposed, and the least difference (px) from the node's present one.
-
-    Returns:
-        Number of motions that some nodes accepted.
+    Present motions (`labels`, h, w, 4) and their block costs (h, w) change in place. `move` holds the nodes each way to
+    which a motion is proposed, and the least difference (px) from the node's present one. The rest is as for
+    `match_blocks`. Returns the number of motions that some nodes accepted.
     """
     (reach, least), parting = move, (rule.step, rule.apart, rule.most_apart)
     h, w, _ = labels.shape
@@ -128,10 +124,8 @@ def _belief(field: Float32, messages: Float32, a: int, b: int) -> np.float32:
 
 @njit(cache=True, nogil=True, fastmath=FAST)
 def _propagate(field: Float32, edges: Float32, window: Window, messages: Float32) -> None:
-    """Sequential min-sum belief propagation; messages (from left, above, right, below) above 0 favour no change.
-
-    The message of a node whose change costs h goes right and down in one sweep, left and up in the next.
-    """
+    """Sequential min-sum belief propagation; messages (from left, above, right, below) above 0 favour no change. The
+    message of a node whose change costs h goes right and down in one sweep, left and up in the next."""
     messages[:] = 0.0
     for sweep in range(_SWEEPS):
         ahead = sweep % 2 == 0

@@ -47,13 +47,8 @@ def match_blocks(
 ) -> tuple[Float32, Float32]:
     """Rigid motion (h, w, 4) of the block at each node (step i, step j): u, v (px), cos θ - 1, sin θ; and its cost.
 
-    Args:
-        images: two, and the mask of the pixels that are compared.
-        nodes: (h, w) which nodes are matched; the others keep their start.
-        start: (h, w, 4).
-        table: (N, 3) random numbers: places in the unit disc, turns in [-1, 1].
-        rule: how blocks are compared and varied.
-        rounds: passes through all nodes.
+    Nodes (h, w) are matched in some passes (`rounds`), the others keep their `start` (h, w, 4). The `table` (N, 3) is
+    of random numbers: places in the unit disc, turns in [-1, 1].
     """
     (first, second, mask), step, radius, turn = images, rule.step, rule.radius, rule.turn
     parting_rule, block = (step, rule.apart, rule.most_apart), (rule.half, rule.spacing, rule.ceiling)
@@ -108,13 +103,9 @@ def block_cost(
 ) -> np.float32:  # fmt: skip
     """Root mean square difference over a block without most of its mean, since light changes as limbs turn.
 
-    Pixels off the mask count as equal, pixels outside the image as different by the ceiling.
-
-    Args:
-        first, second: (H, W, C); mask: (H, W).
-        at: row and column of its middle; label: (4,) its motion.
-        block: samples each way from the middle, their spacing (px), and the ceiling of a difference.
-        limit: cost beyond which the sum is broken off.
+    Of images (H, W, C), a mask (H, W), the row and column of its middle and its motion (4,). Pixels off the mask count
+    as equal, pixels outside the image as different by the ceiling. `block` holds samples each way from the middle,
+    their spacing (px) and that ceiling; beyond the cost `limit` the sum is broken off.
     """
     (r, c), (half, spacing, ceiling) = at, block
     H, W, C = first.shape

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from twistcap.arrays import AnyArray, Bool, Float32
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check, check_numbers
 from twistcap.features import to_float
 from twistcap.flow.settings import PRESETS, FlowSettings, Preset
 from twistcap.flow.variational import coarse_to_fine
@@ -29,9 +29,8 @@ def optical_flow(
         preset: "accurate" (some tenths of a second for a person) or "fast" (some milliseconds).
         settings: used instead of the preset's; `BROX_2004` is the published form.
 
-    Raises:
-        InputError: for images that differ in size or channels, are empty or not finite, a mask of another size or
-            without a pixel, an unknown preset, or settings out of range.
+    Raises InputError for images that differ in size or channels, are empty or not finite, a mask of another size or
+    without a pixel, an unknown preset, or settings out of range.
     """
     chosen = _chosen(preset, settings)
     first, second = _channels(image1, "first"), _channels(image2, "second")
@@ -46,13 +45,10 @@ def optical_flow(
 def flow_confidence(forward: Float32, backward: Float32) -> Float32:
     """(H, W) in [0, 1]: forward-backward consistency of flows (H, W, 2) px; 0 where the flow leaves the image.
 
-    ``exp(-d² / 2b)`` for the distance d (px) between a point and its place after the forward and the backward flow.
-    b is 0.5 px² plus 1 % of both squared lengths, the bound of Sundaram, Brox and Keutzer 2010 ("Dense point
-    trajectories by GPU-accelerated large displacement optical flow", DOI 10.1007/978-3-642-15549-9_32). A vector
-    below exp(-1/2) = 0.61 fails their test; most points that are occluded in the second image do.
-
-    Raises:
-        InputError: if the two differ in size.
+    ``exp(-d² / 2b)`` for the distance d (px) between a point and its place after the forward and the backward flow. b
+    is 0.5 px² plus 1 % of both squared lengths, the bound of Sundaram, Brox and Keutzer 2010
+    (DOI 10.1007/978-3-642-15549-9_32). A vector below exp(-1/2) = 0.61 fails their test; most points that are occluded
+    in the second image do. Raises InputError if the two differ in size.
     """
     if forward.shape != backward.shape or forward.ndim != 3 or forward.shape[2] != 2:
         sizes = f"{forward.shape} and {backward.shape}"
@@ -82,18 +78,14 @@ def _chosen(preset: str, settings: FlowSettings | None) -> FlowSettings:
     if preset not in PRESETS:
         raise InputError(f"optical_flow: preset is {preset!r}; it must be one of {', '.join(map(repr, PRESETS))}.")
     s = PRESETS[preset] if settings is None else settings
+    check_numbers("optical_flow", s, ("alpha", "warps", "inner", "sweeps"), ("gamma", "zeta"))
     for name, holds, wanted in (
-        ("alpha", s.alpha > 0, "positive"),
-        ("gamma", s.gamma >= 0, "0 or more"),
-        ("zeta", s.zeta >= 0, "0 or more"),
         ("factor", 0 < s.factor < 1, "between 0 and 1"),
         ("finest", 0 < s.finest <= 1, "above 0 and at most 1"),
         ("omega", 0 < s.omega < 2, "between 0 and 2"),
         ("median", s.median in (0, 3, 5), "0, 3 or 5"),
-        ("warps", s.warps >= 1 and s.inner >= 1 and s.sweeps >= 1, "with inner and sweeps 1 or more"),
     ):
-        if not holds:
-            raise InputError(f"optical_flow: {name} is {getattr(s, name)!r}; it must be {wanted}.")
+        check("optical_flow", holds, f"{name} is {getattr(s, name)!r}; it must be {wanted}")
     return s
 
 
@@ -111,6 +103,5 @@ def _mask(mask: AnyArray, shape: tuple[int, int]) -> Bool:
     if mask.shape != shape:
         raise InputError(f"optical_flow: the mask has size {mask.shape}, the images {shape}; give one of their size.")
     inside = np.ascontiguousarray(mask, dtype=bool)
-    if not inside.any():
-        raise InputError("optical_flow: the mask has no pixel; leave it out for the flow of the whole image.")
+    check("optical_flow", inside.any(), "the mask has no pixel; leave it out for the flow of the whole image")
     return inside

@@ -71,11 +71,9 @@ def _resized(image: Float32, shape: Shape) -> Float32:
 
 def box_of(mask: Bool, margin: int) -> tuple[slice, slice]:
     """Rows and columns that hold a mask (H, W) and a margin (px) about it."""
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    return (
-        slice(max(int(rows[0]) - margin, 0), int(rows[-1]) + margin + 1),
-        slice(max(int(columns[0]) - margin, 0), int(columns[-1]) + margin + 1),
-    )
+    places = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    rows, columns = (slice(max(int(at[0]) - margin, 0), int(at[-1]) + margin + 1) for at in places)
+    return rows, columns
 
 
 def filled(flow: Float32, mask: Bool) -> Float32:

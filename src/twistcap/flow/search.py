@@ -22,14 +22,8 @@ _WINDOW = 40.0  # px each way to which a motion is proposed
 def large_displacements(
     first: Float32, second: Float32, mask: Bool, flow: Float32, settings: SearchSettings
 ) -> Float32:
-    """(H, W, 2) px: the flow, with limbs moved where the images then agree better.
-
-    Args:
-        first, second: (H, W, C).
-        mask: (H, W); only its pixels are compared.
-        flow: (h, w, 2) px of its own size, from which the search starts.
-        settings: of the search.
-    """
+    """(H, W, 2) px: a flow (h, w, 2) px of its own size, with limbs moved where the images then agree better. Of the
+    images (H, W, C) only pixels on the mask (H, W) are compared."""
     s = settings
     a, b = (smoothed(image, _PRESMOOTH) for image in (first, second))
     nodes = np.ascontiguousarray(cv2.dilate(mask.astype(np.uint8), np.ones((3, 3), np.uint8))[:: s.step, :: s.step] > 0)

@@ -20,9 +20,7 @@ _COEFFICIENTS = 9  # of a pixel's two equations: right sides, inverse block (11,
 
 def diffusivity(u: Float32, v: Float32, mask: Bool, epsilon: float) -> Float32:
     """(H, W) Ψ'(|∇u|² + |∇v|²) for Ψ(s²) = sqrt(s² + ε²); |∇u|² is half the sum of the squared steps to 4 neighbours.
-
-    Steps across the mask's edge do not exist: the boundary reflects.
-    """
+    Steps across the mask's edge do not exist: the boundary reflects."""
     s2 = np.zeros(mask.shape, np.float32)
     for near, far in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
         square = (np.square(u[far] - u[near]) + np.square(v[far] - v[near])) * (mask[far] & mask[near])
@@ -32,14 +30,8 @@ def diffusivity(u: Float32, v: Float32, mask: Bool, epsilon: float) -> Float32:
 
 
 def data_weights(tensors: Float32, du: Float32, dv: Float32, gamma: float, epsilon: float) -> Float32:
-    """(H, 5, W) weighted data term ψ'₁J₁ + γψ'₂J₂ of the increment: entries 11, 12, 22, 13, 23.
-
-    Args:
-        tensors: (H, 12, W) motion tensors of the brightness and of the gradient.
-        du, dv: (H, W) increment at which the weights are lagged, px.
-        gamma: weight of the gradient's constancy.
-        epsilon: of Ψ(s²) = sqrt(s² + ε²).
-    """
+    """(H, 5, W) weighted data term ψ'₁J₁ + γψ'₂J₂ of the increment: entries 11, 12, 22, 13, 23. Of motion tensors (H,
+    12, W), with weights lagged at an increment du, dv (H, W) px and Ψ(s²) = sqrt(s² + ε²)."""
     out = np.zeros((len(du), TENSOR - 1, du.shape[1]), np.float32)
     for J, factor in ((tensors[:, :TENSOR], 1.0), (tensors[:, TENSOR:], gamma)):
         if factor > 0.0:
@@ -52,14 +44,9 @@ def data_weights(tensors: Float32, du: Float32, dv: Float32, gamma: float, epsil
 
 @njit(cache=True, nogil=True, fastmath=FAST)
 def assemble(data: Float32, u0: Float32, v0: Float32, g: Float32, alpha: float, mask: Bool) -> Float32:
-    """(2, H, 9, K) coefficients of every pixel's equations, red and black pixels apart; 0 outside the mask.
+    """(2, H, 9, K) coefficients of every pixel's equations, red and black pixels apart; 0 outside the mask (H, W).
 
-    Args:
-        data: (H, 5, W) as `data_weights` gives it.
-        u0, v0: (H, W) flow at which the images were warped, px.
-        g: (H, W) diffusivity Ψ'.
-        alpha: weight of the smoothness.
-        mask: (H, W).
+    Of `data_weights` (H, 5, W), the flow u0, v0 (H, W) px at which images were warped, and the diffusivity g (H, W).
     """
     H, W = mask.shape
     out = np.zeros((2, H, _COEFFICIENTS, (W + 1) // 2), dtype=np.float32)

@@ -61,16 +61,8 @@ def _at_level(first: Float32, second: Float32, mask: Bool, flow: Float32, s: Flo
 def refined(
     first: Float32, second: Float32, mask: Bool, flow: Float32, corner: tuple[int, int], settings: FlowSettings
 ) -> Float32:
-    """(H, W, 2) flow after `warps` outer fixed points on one level; off the mask it has no meaning.
-
-    Args:
-        first: (C, H, W, 6) `derivative_maps` of a window of the first image.
-        second: (C, H', W', 6) of the second image.
-        mask: (H, W).
-        flow: (H, W, 2) px.
-        corner: row and column of the window's first pixel.
-        settings: of the model.
-    """
+    """(H, W, 2) px flow after `warps` outer fixed points on one level; off the mask it has no meaning. Maps, mask and
+    corner are as for `motion_tensors`, the flow (H, W, 2) px."""
     s = settings
     u, v = (np.ascontiguousarray(flow[..., k]) for k in range(2))
     for _ in range(s.warps):

@@ -44,10 +44,8 @@ def _distances(
     base: Float32, query: Float32, jumps: Float32, clip: tuple[int, int], first: int, width: int, squares: Float32,
     bounds: Float32,
 ) -> None:  # fmt: skip
-    """Squared distances (m, W) of the query poses to `width` poses from `first` on, and bound 1 of each.
-
-    Base is (K, N), jumps (N,) the lengths from pose to pose. Outside the clip, start … end − 1, both are infinite.
-    """
+    """Squared distances (m, W) of the query poses to `width` poses from `first` on, and bound 1 of each. Base is (K,
+    N), jumps (N,) the lengths from pose to pose. Outside the clip, start … end − 1, both are infinite."""
     start, end = clip
     low, high = max(0, start - first), min(width, end - first)
     squares[:, :width] = np.inf
@@ -137,14 +135,9 @@ def _stretch(
 ) -> tuple[float, int, int]:  # fmt: skip
     """The best match that ends at poses low … high of one clip, if it is better than `best`: score, scale and pose j.
 
-    Args:
-        poses: base (K, N) and jumps (N,); asked: the query in float64 and in float32.
-        steps: (S,).
-        span: start and end of the clip (its poses are start … end − 1), and low and high, counted from its start.
-        ahead: frames that the clip must go on after a match.
-        excluded: the clip's number, and intervals as for `search`.
-        room: for squares and bounds of (m, halo + _TILE + 2) values.
-        limit: the best so far, and the slack of the bounds.
+    Poses are base (K, N) and jumps (N,); the query is asked in float64 and in float32. The span is start and end of the
+    clip, its last pose not included, and low and high, counted from its start. Excluded are the clip's number, and
+    intervals as for `search`. There is room for squares and bounds; the limit is the best so far, and their slack.
     """
     (base, jumps), (query, rounded), (squares, bounds) = poses, asked, room
     (start, end, low, high), (clip, clips, windows), (best, slack) = span, excluded, limit
@@ -181,13 +174,8 @@ def search(
 ) -> tuple[float, int, int, int]:  # fmt: skip
     """The least sum of norms below a limit, its clip, scale and pose j of the scaled clip; clip −1 if there is none.
 
-    Args:
-        clips: the library.
-        query: (m, K) weighted, the latest first.
-        steps: (S,) poses per frame of the query, 1/s.
-        ahead: frames that the clip must go on after a match.
-        excluded: (E,) clips, and (E, 2) positions in them between which no match may end.
-        limit: worse matches are not searched.
+    The query (m, K) is weighted, the latest first, with `steps` (S,) poses per frame of it, 1/s; `ahead` frames a clip
+    must go on after a match; `excluded` are clips (E,), and positions (E, 2) in them between which no match may end.
     """
     (base, jumps, starts), m = clips, len(query)
     asked = (query, query.astype(np.float32))

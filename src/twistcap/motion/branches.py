@@ -35,8 +35,7 @@ def square_joints(body: Body) -> list[list[int]]:
 def within_limits(body: Body, q: Float, rate: float) -> tuple[Float, Bool]:
     """The same poses q (N, J) rad, joints of three axes within their limits where their other set of angles is.
 
-    Given are `rate` poses per second, continuous in time. With them (N,) whether a frame is on a bridge, where some
-    joint's rotation changed.
+    They are continuous in time, `rate` per second. With them (N,) whether a frame is on a bridge and has changed.
     """
     q, bridged = q.copy(), np.zeros(len(q), dtype=bool)
     for joint in square_joints(body):

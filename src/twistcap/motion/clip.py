@@ -10,7 +10,7 @@ import numpy as np
 from twistcap import se3
 from twistcap.arrays import Float, Float32, Int
 from twistcap.body import Pose
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 
 _ODD = ("bending", "rotation", "list", "twist")  # last words of trunk coordinates that change sign in a mirror
 _EVEN = ("extension", "flexion", "tilt")
@@ -19,16 +19,11 @@ _MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 
 @dataclass(frozen=True)
 class MotionClip:
-    """A continuous recording of motion, in one body's coordinates.
+    """A continuous recording of motion at a rate, poses per second, in the J joint coordinates of one body.
 
-    Attributes:
-        names: J joint coordinates of the body.
-        rate: poses per second.
-        roots: (N, 4, 4) T_world_root.
-        q: (N, J) joint coordinates, rad; without jumps by 2π.
+    `roots` (N, 4, 4) are T_world_root; q (N, J) are joint coordinates, rad, without jumps by 2π.
 
-    Raises:
-        InputError: for wrong shapes, values that are not finite, no rigid motions, or a rate that is not positive.
+    Raises InputError for wrong shapes, values that are not finite, no rigid motions, or a rate that is not positive.
     """
 
     name: str
@@ -38,18 +33,19 @@ class MotionClip:
     q: Float
 
     def __post_init__(self) -> None:
+        where = f"motion {self.name!r}"
         J, N = len(self.names), len(self.q)
-        self._expect(J > 0 and len(set(self.names)) == J, "its coordinate names must be given, each once")
-        self._expect(bool(0 < self.rate < np.inf), f"its rate is {self.rate}; it must be positive, in poses per second")
-        self._expect(N > 0, "it has no poses")
-        self._expect(self.q.shape == (N, J), f"its q must be (N, {J}), one column for each name")
-        self._expect(self.roots.shape == (N, 4, 4), f"its roots must be ({N}, 4, 4), one for each pose")
+        check(where, J > 0 and len(set(self.names)) == J, "its coordinate names must be given, each once")
+        check(where, bool(0 < self.rate < np.inf), f"its rate is {self.rate}; it must be positive, in poses per second")
+        check(where, N > 0, "it has no poses")
+        check(where, self.q.shape == (N, J), f"its q must be (N, {J}), one column for each name")
+        check(where, self.roots.shape == (N, 4, 4), f"its roots must be ({N}, 4, 4), one for each pose")
         for what, values in (("coordinate", self.q), ("root", self.roots.reshape(N, 16))):
             bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
-            self._expect(not len(bad), f"a {what} of pose {bad[0] if len(bad) else 0} is not finite; cut or fill it")
+            check(where, not len(bad), f"a {what} of pose {bad[0] if len(bad) else 0} is not finite; cut or fill it")
         R = self.roots[:, :3, :3]
         rigid = np.allclose(R @ np.swapaxes(R, 1, 2), np.eye(3), atol=1e-5) and bool(np.all(np.linalg.det(R) > 0))
-        self._expect(rigid, "a root is no rigid motion; give rotations, in metres")
+        check(where, rigid, "a root is no rigid motion; give rotations, in metres")
 
     def __len__(self) -> int:
         return len(self.q)
@@ -69,10 +65,8 @@ class MotionClip:
 
     def resampled(self, rate: float) -> MotionClip:
         """The same motion at another rate: joints are interpolated linearly, roots along the screw between neighbours.
-
-        Raises an InputError for a rate that is not positive.
-        """
-        self._expect(bool(0 < rate < np.inf), f"it cannot be resampled to {rate} poses per second")
+        Raises an InputError for a rate that is not positive."""
+        check(f"motion {self.name!r}", bool(0 < rate < np.inf), f"it cannot be resampled to {rate} poses per second")
         if rate == self.rate:
             return self
         count = int(np.floor(self.duration * rate + 1e-9)) + 1
@@ -89,23 +83,15 @@ class MotionClip:
         (partner, sign), name = mirror_of(self.names), f"{self.name} (mirrored)"
         return replace(self, name=name, roots=_MIRROR @ self.roots @ _MIRROR, q=self.q[:, partner] * sign)
 
-    def _expect(self, holds: bool, message: str) -> None:
-        if not holds:
-            raise InputError(f"motion {self.name!r}: {message}.")
-
 
 def mirror_of(names: Sequence[str]) -> tuple[Int, Float]:
-    """The partner (J,) of each coordinate in a mirrored motion, and its sign (J,).
-
-    Raises:
-        InputError: for a name without a partner, or whose direction of movement is not known.
-    """
+    """The partner (J,) of each coordinate in a mirrored motion, and its sign (J,). Raises InputError for a name without
+    a partner, or whose direction of movement is not known."""
     partner, sign = np.arange(len(names), dtype=np.int32), np.ones(len(names))
     for k, name in enumerate(names):
         if name[-2:] in ("_r", "_l"):
             other = name[:-1] + ("l" if name[-1] == "r" else "r")
-            if other not in names:
-                raise InputError(f"motion: {name!r} has no partner {other!r}; leave out mirrored copies.")
+            check("motion", other in names, f"{name!r} has no partner {other!r}; leave out mirrored copies")
             partner[k] = names.index(other)
         elif name.endswith(_ODD):
             sign[k] = -1.0

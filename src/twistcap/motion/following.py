@@ -21,7 +21,6 @@ from twistcap.motion.library import PAPER_SCALES, MotionLibrary
 from twistcap.motion.matching import Interval, Match, Matcher
 from twistcap.motion.openloop import OpenLoop, PoseSequence
 from twistcap.motion.paper import standard_step
-from twistcap.motion.recurrence import LOOK_BACK, OWN, RecurrenceRule, recurrences
 
 _ALIKE = 0.05  # rad per pose, of all joints together: smaller differences are no evidence
 _WORSE = 2.5  # factor by which the mean distance of a longer history may be larger than that of a shorter one
@@ -30,9 +29,49 @@ _SHARPNESS = 4.0  # how fast a match's weight falls with its distance, in units 
 _STIFFNESS = 0.3  # rad², summed square deviation below which a joint's range is not adapted
 _TRUST = 30.0  # frames of history that give an adaptation half its weight, for an angle of large leverage
 
+OWN = -1
+"""The clip of a match in the person's own past."""
+
+LOOK_BACK = 120  # frames of the past that are searched
+_SHORTEST = 12  # frames of a cycle, at least
+_RATIO, _MARGIN = 3.0, 0.1  # in between, distances must exceed this multiple plus this margin (rad per pose)
 
 _Matched = tuple[Match, int]
 """A match, its distance a mean over the poses (rad), and how many poses were matched."""
+
+
+@dataclass(frozen=True)
+class RecurrenceRule:
+    """What counts as a recurrence: poses that are compared, and cycles that are blended, at most.
+
+    A recurrence has the person's own pace and style: it is followed up to the distance of the library's best match
+    times `lead`; 0 never follows one. Raises InputError for numbers out of range.
+    """
+
+    lead: float = 1.5
+    poses: int = 15
+    count: int = 3
+
+    def __post_init__(self) -> None:
+        if not (1 <= self.poses < LOOK_BACK and self.count >= 1 and self.lead >= 0.0):
+            raise InputError(f"recurrence: poses must be 1 to {LOOK_BACK - 1}, count 1 or more, and lead not negative.")
+
+
+def recurrences(q: Float, rule: RecurrenceRule) -> list[Match]:
+    """Earlier places in q (n, K) rad whose poses are like the last ones, as matches in clip 0, the best first.
+    Distances are means over the poses, rad."""
+    poses = q[max(0, len(q) - LOOK_BACK) :]
+    last = len(poses) - rule.poses - 1  # the longest lag with neighbours on both sides
+    if rule.lead <= 0 or last < _SHORTEST:
+        return []
+    windows = np.lib.stride_tricks.sliding_window_view(poses, rule.poses, axis=0)[::-1]  # by lag
+    apart = np.linalg.norm(windows - windows[0], axis=1).mean(axis=1)
+    farthest = np.maximum.accumulate(apart)
+    lags = np.arange(_SHORTEST, last + 1)
+    returned = farthest[lags] >= _RATIO * apart[lags] + _MARGIN
+    nearest = (apart[lags] <= apart[lags - 1]) & (apart[lags] <= apart[lags + 1])
+    found = sorted(lags[returned & nearest], key=lambda lag: float(apart[lag]))
+    return [Match(0, float(len(q) - 1 - lag), 1.0, float(apart[lag])) for lag in found[: rule.count]]
 
 
 @dataclass(frozen=True)
@@ -41,16 +80,14 @@ class FollowRule:
 
     Attributes:
         poses: lengths of history that are matched; the longest with matches about as good as the shorter ones counts.
-        count: matches that are blended, at most.
-        apart: frames between them.
+        count, apart: matches that are blended, at most, and frames between them.
         fading: factor per frame of the last pose's offset from the match.
         scales: time scales that are tried before the exact one is fitted.
         lever: m/rad, leverage at which an angle has weight 1/√2. Angles that move the body less have less weight, since
             images determine them worse.
         recurrence: when the person's own past is followed.
 
-    Raises:
-        InputError: for numbers out of range.
+    Raises InputError for numbers out of range.
     """
 
     poses: tuple[int, ...] = (10, 20, 40)
@@ -73,16 +110,12 @@ class FollowedMotion(OpenLoop):
         super().__init__(library, body)
         self.rule = rule or FollowRule()
         self.history = max(_FITTED, LOOK_BACK, *self.rule.poses)
-        self._weights = self._by_leverage()
+        q = np.zeros(len(body.coordinate_names))
+        q[self._theirs] = library.q[:, self.compared].mean(axis=0)
+        by_joint = leverage(body, q)[self._theirs]
+        self._weights = by_joint / np.hypot(by_joint, self.rule.lever)  # of a deviation of each compared coordinate
         ahead = float(min(self.rule.poses))
         self._matcher = Matcher(library, self.compared, self._weights**2, self.rule.scales, ahead)
-
-    def _by_leverage(self) -> Float:
-        """(K,) weight of a deviation of each compared coordinate, 0 … 1."""
-        q = np.zeros(len(self.body.coordinate_names))
-        q[self._theirs] = self.library.q[:, self.compared].mean(axis=0)
-        by_joint = leverage(self.body, q)[self._theirs]
-        return by_joint / np.hypot(by_joint, self.rule.lever)
 
     def dissimilarity(self, match: Match | None) -> float:
         """Mean distance of the matched poses, rad."""
@@ -134,10 +167,9 @@ class FollowedMotion(OpenLoop):
 def leverage(body: Body, q: Float) -> Float:
     """(J,) root mean square motion of the body's vertices by each coordinate at q (J,), m/rad; the pelvis is fixed.
 
-    It weighs angles when poses are compared. A radian of the hip moves the whole leg, one of the forearm's rotation
-    hardly the hand. Images determine the first to a degree and the second to ten or twenty; with equal weights the
-    second would decide. Kovar, Gleicher and Pighin, "Motion Graphs" (DOI 10.1145/566654.566605), section 3, likewise
-    compare poses by points of the body. The vertices should lie about evenly on the surface.
+    It weighs angles when poses are compared: images determine a hip, which moves the whole leg, to a degree, and the
+    forearm's rotation to ten or twenty. Kovar, Gleicher and Pighin, "Motion Graphs" (DOI 10.1145/566654.566605),
+    section 3, likewise compare poses by points of the body. The vertices should lie about evenly on the surface.
     """
     posed = Posed(body, Pose(np.eye(4), q))
     by_step = posed.point_jacobian(body.skin_segments, body.skin_weights, body.vertices)
@@ -166,9 +198,7 @@ class _Guide:
         any_pace: bool,
     ) -> _Guide:  # fmt: skip
         """The guide of a match of the last `poses` poses, by the columns (K,), each deviation times its weight (K,).
-
-        Without `any_pace` the scale of the match stays.
-        """
+        Without `any_pace` the scale of the match stays."""
         clip = library.q[library.starts[match.clip] : library.starts[match.clip + 1]]
         reached = min(len(past), _FITTED, int(match.position / match.step + 1e-6) + 1)
         query = np.ascontiguousarray(past.q[-max(poses, reached) :][:, columns]) * weights
@@ -206,11 +236,8 @@ class _Guide:
 
 
 def adapted(query: Float, sample: Float, stiffness: float, kept: float | Float) -> tuple[Float, Float]:
-    """Gain and offset (J,) from a sample (n, J) to a query (n, J), rad, by ridge regression towards 1 and 0.
-
-    `stiffness` is that of the ridge, rad²; of the differences from 1 and 0 the fraction `kept` is kept, one for all
-    joints or for each (J,).
-    """
+    """Gain and offset (J,) from a sample (n, J) to a query (n, J), rad, by ridge regression towards 1 and 0. The ridge
+    has a `stiffness`, rad²; of the differences from 1 and 0 the fraction `kept` is kept, one for all or (J,)."""
     of_query, of_sample = query.mean(axis=0), sample.mean(axis=0)
     a, b = sample - of_sample, query - of_query
     gain = np.clip(((a * b).sum(axis=0) + stiffness) / ((a * a).sum(axis=0) + stiffness), 0.3, 3.0)
@@ -250,9 +277,7 @@ _SPACING = 0.05  # half the distance of neighbouring scales; steps are 1/s, so t
 @njit(cache=True, nogil=True)
 def misplaced(clip: np.ndarray, query: Float, position: float, step: float) -> float:
     """Sum of the norms of the differences of a query (m, K) from a clip (N, K), without most of their constant offset.
-
-    Position and step are in poses; infinite where the query would leave the clip.
-    """
+    Position and step are in poses; infinite where the query would leave the clip."""
     m, K = query.shape
     if position - (m - 1) * step < 0.0 or position > len(clip) - 1:
         return np.inf

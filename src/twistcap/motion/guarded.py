@@ -16,7 +16,7 @@ import numpy as np
 from twistcap import se3
 from twistcap.arrays import Float
 from twistcap.body import Pose
-from twistcap.errors import InputError
+from twistcap.errors import check
 from twistcap.motion.openloop import Expected, OpenLoop, Rollout
 from twistcap.predict.history import Moment, MotionNoise, MotionSpread, constant_velocity
 
@@ -58,17 +58,14 @@ class GuardedMotion:
         """The pose at `time`; see `MotionPredictor`. A history without images is an InputError."""
         seen = [moment for moment in history if moment.seen]
         if memory is None or seen[-1].time != memory.last.time:
-            memory = self._compared(seen, memory or self._fresh(seen))
+            check("motion", seen, "a prediction needs at least one moment with images")
+            fresh = ForecastErrors(seen[-1], np.zeros((len(_AHEAD), 2)), MotionSpread.usual(MotionNoise()))
+            memory = self._compared(seen, memory or fresh)
         ahead = (time - seen[-1].time) * self.inner.library.rate
         if len(seen) > 1 and not trusts(memory.errors, ahead):
             return self._inert(seen, time, memory.spread), memory
         expected, run = self.inner.predict(history, time, memory.run)
         return expected, replace(memory, run=run)
-
-    def _fresh(self, seen: Sequence[Moment]) -> ForecastErrors:
-        if not seen:
-            raise InputError("motion: a prediction needs at least one moment with images.")
-        return ForecastErrors(seen[-1], np.zeros((len(_AHEAD), 2)), MotionSpread.usual(MotionNoise()))
 
     def _compared(self, history: Sequence[Moment], memory: ForecastErrors) -> ForecastErrors:
         """The memory with the errors of the forecasts of the last moment."""

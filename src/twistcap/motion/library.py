@@ -13,9 +13,10 @@ from functools import cached_property
 import numpy as np
 
 from twistcap.arrays import Float, Float32, Int
-from twistcap.errors import InputError
+from twistcap.errors import check
 from twistcap.motion.clip import MotionClip, interpolated_angles, interpolated_roots
 
+_WHERE = "motion library"
 PAPER_SCALES: tuple[float, ...] = tuple(round(0.5 + 0.1 * k, 1) for k in range(16))
 
 
@@ -25,15 +26,10 @@ class MotionLibrary:
 
     The paper's resampled copies ``P^s`` are not stored: pose j of ``P^s`` is at position j/s of its clip, interpolated.
 
-    Attributes:
-        names: J joint coordinates.
-        rate: poses per second, that of the tracked recording.
-        starts: (C + 1,) start of each clip, and end of the last one.
-        q: (N, J) joint coordinates of all clips, one after the other, rad.
-        roots: (N, 4, 4) T_world_root.
+    The rate (poses per second) is that of the tracked recording. Joint coordinates q (N, J), rad, and roots (N, 4, 4),
+    T_world_root, are those of all clips, one after the other; `starts` (C + 1,) their starts, and the last one's end.
 
-    Raises:
-        InputError: for wrong shapes, or values that are not finite.
+    Raises InputError for wrong shapes, or values that are not finite.
     """
 
     names: tuple[str, ...]
@@ -45,32 +41,27 @@ class MotionLibrary:
 
     def __post_init__(self) -> None:
         N, J, C = len(self.q), len(self.names), len(self.clip_names)
-        _expect(J > 0 and self.q.shape == (N, J), f"its q must be (N, {J}), one column for each coordinate name")
-        _expect(self.roots.shape == (N, 4, 4), f"its roots must be ({N}, 4, 4), one for each pose")
+        check(_WHERE, J > 0 and self.q.shape == (N, J), f"its q must be (N, {J}), one column for each coordinate name")
+        check(_WHERE, self.roots.shape == (N, 4, 4), f"its roots must be ({N}, 4, 4), one for each pose")
         seams_fit = self.starts.shape == (C + 1,) and self.starts[0] == 0 and self.starts[-1] == N
-        _expect(C > 0 and seams_fit and bool(np.all(np.diff(self.starts) > 0)), "its clips do not fill its poses")
-        _expect(bool(np.isfinite(self.q).all() and np.isfinite(self.roots).all()), "a pose is not finite")
-        _expect(bool(0 < self.rate < np.inf), f"its rate is {self.rate}; it must be positive, in poses per second")
+        check(_WHERE, C > 0 and seams_fit and bool(np.all(np.diff(self.starts) > 0)), "its clips do not fill its poses")
+        check(_WHERE, np.isfinite(self.q).all() and np.isfinite(self.roots).all(), "a pose is not finite")
+        check(_WHERE, 0 < self.rate < np.inf, f"its rate is {self.rate}; it must be positive, in poses per second")
 
     @staticmethod
     def of(
         clips: Iterable[MotionClip], rate: float, names: Sequence[str] | None = None, mirrored: bool = False
     ) -> MotionLibrary:
-        """A library of clips, resampled to one rate.
+        """A library of clips, resampled to the rate of the tracked recording, frames per second.
 
-        Args:
-            rate: of the tracked recording, frames per second.
-            names: coordinates to keep; by default those of the first clip that all clips have.
-            mirrored: whether each clip's mirror image is added.
-
-        Raises:
-            InputError: where there is no clip, or a clip lacks a coordinate.
+        The coordinates of `names` are kept, by default those of the first clip that all clips have; `mirrored` adds
+        each clip's mirror image. Raises InputError where there is no clip, or a clip lacks a coordinate.
         """
         given = list(clips)
-        _expect(bool(given), "it has no clips; give one or more")
+        check(_WHERE, bool(given), "it has no clips; give one or more")
         if names is None:
             names = tuple(n for n in given[0].names if all(n in clip.names for clip in given))
-        _expect(len(names) > 0, "its clips have no joint coordinate in common")
+        check(_WHERE, len(names) > 0, "its clips have no joint coordinate in common")
         kept = [_at_rate(clip, names, rate) for clip in given]
         kept = [way for clip in kept for way in ((clip, clip.mirrored()) if mirrored else (clip,))]
         starts = np.cumsum([0, *(len(clip) for clip in kept)]).astype(np.int32)
@@ -110,7 +101,7 @@ class MotionLibrary:
     def columns(self, names: Sequence[str]) -> Int:
         """(K,) indices of some coordinates in `names`; an InputError where the library lacks one."""
         for name in names:
-            _expect(name in self.names, f"it has no coordinate {name!r}; it has {', '.join(self.names)}")
+            check(_WHERE, name in self.names, f"it has no coordinate {name!r}; it has {', '.join(self.names)}")
         return np.array([self.names.index(name) for name in names], dtype=np.int32)
 
 
@@ -122,11 +113,6 @@ def unwrapped(q: Float) -> Float:
 
 def _at_rate(clip: MotionClip, names: Sequence[str], rate: float) -> MotionClip:
     missing = [name for name in names if name not in clip.names]
-    _expect(not missing, f"its clip {clip.name!r} lacks the coordinate {missing[0] if missing else ''!r}")
+    check(_WHERE, not missing, f"its clip {clip.name!r} lacks the coordinate {missing[0] if missing else ''!r}")
     q = unwrapped(clip.q[:, [clip.names.index(name) for name in names]])
     return MotionClip(clip.name, tuple(names), clip.rate, clip.roots, q).resampled(rate)
-
-
-def _expect(holds: bool, message: str) -> None:
-    if not holds:
-        raise InputError(f"motion library: {message}.")

@@ -12,11 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twistcap.arrays import Float, Float32, Int
-from twistcap.errors import InputError
+from twistcap.errors import check
 from twistcap.motion import _search as kernels
 from twistcap.motion.clip import interpolated_angles, interpolated_roots
 from twistcap.motion.library import PAPER_SCALES, MotionLibrary, unwrapped
 
+_WHERE = "motion matching"
 Interval = tuple[int, float, float]
 """A clip, and two positions in it."""
 
@@ -56,10 +57,8 @@ class PoseSequence:
         return len(self.q)
 
     def then(self, more: PoseSequence) -> PoseSequence:
-        """This sequence followed by another; the match is the later one's, its distance the larger of both.
-
-        A prediction matches its own source perfectly, so that the distance of its match has no meaning.
-        """
+        """This sequence followed by another; the match is the later one's, its distance the larger of both. A
+        prediction matches its own source perfectly, so that the distance of its match has no meaning."""
         match = more.match
         if match is not None and self.match is not None:
             match = replace(match, distance=max(match.distance, self.match.distance))
@@ -78,15 +77,11 @@ class PoseSequence:
 class Matcher:
     """Exact search of a library, prepared once.
 
-    Args:
-        library: training motion.
-        columns: of the library's coordinates that are compared; by default all.
-        weights: one per column, by which its squared difference counts; by default 1, as in the paper.
-        scales: time scales s; one frame of the query is 1/s poses of the library.
-        ahead: frames by which a clip must go on after a match.
+    By default all coordinates of the library are compared; weights, one per column, count for its squared difference
+    and are 1 by default, as in the paper. At the time scale s one frame of the query is 1/s poses of the library; after
+    a match a clip must go on for `ahead` frames.
 
-    Raises:
-        InputError: for weights or scales that are not positive, or a column that does not exist.
+    Raises InputError for weights or scales that are not positive, or a column that does not exist.
     """
 
     def __init__(
@@ -96,31 +91,28 @@ class Matcher:
         self.library, self.ahead = library, ahead
         chosen = range(len(library.names)) if columns is None else columns
         self.columns = np.array([int(c) for c in chosen], dtype=np.int32)
-        _expect(len(self.columns) > 0, "no coordinates are given to compare")
+        check(_WHERE, len(self.columns) > 0, "no coordinates are given to compare")
         known = np.all((self.columns >= 0) & (self.columns < len(library.names)))
-        _expect(bool(known), f"a column is none of the library's {len(library.names)} coordinates")
+        check(_WHERE, known, f"a column is none of the library's {len(library.names)} coordinates")
         given = np.ones(len(self.columns)) if weights is None else np.asarray(weights, dtype=float)
-        _expect(given.shape == self.columns.shape, f"{len(self.columns)} weights are needed, one for each coordinate")
-        _expect(bool(np.all((given > 0) & (given < np.inf))), "its weights must be positive")
+        check(_WHERE, given.shape == self.columns.shape, f"{len(self.columns)} coordinates need as many weights")
+        check(_WHERE, np.all((given > 0) & (given < np.inf)), "its weights must be positive")
         self.scales = np.array(scales, dtype=float)
-        _expect(len(self.scales) > 0 and bool(np.all((self.scales > 0) & (self.scales < np.inf))), "bad time scales")
+        in_range = (self.scales > 0) & (self.scales < np.inf)
+        check(_WHERE, len(in_range) > 0 and np.all(in_range), "bad time scales")
         self._factors, self.steps = np.sqrt(given), 1.0 / self.scales
         self.base = _transposed(library.q, self.columns, self._factors)
         self.jumps = _jumps(self.base, library.starts)
 
     def best(self, query: Float, last: Match | None = None, excluded: Sequence[Interval] = ()) -> Match | None:
-        """The best match of the last m poses.
+        """The best match of the last m poses; None where no clip is long enough.
 
         Args:
             query: (m, K) compared coordinates, rad, the latest last, one frame apart.
             last: match of the previous frame; of equal matches the one that continues it is taken.
             excluded: intervals in which no match may end.
 
-        Returns:
-            The match, or None where no clip is long enough.
-
-        Raises:
-            InputError: for a query that is not (m, K), or not finite.
+        Raises InputError for a query that is not (m, K), or not finite.
         """
         poses = self._ready(query)
         near = None if last is None or excluded else self._near(poses, last.after(1.0))
@@ -130,9 +122,7 @@ class Matcher:
 
     def k_best(self, query: Float, count: int, apart: float, excluded: Sequence[Interval] = ()) -> list[Match]:
         """The `count` best matches, each more than `apart` poses of the library from those before it in its clip.
-
-        Query, excluded intervals and errors are as of `best`.
-        """
+        Query, excluded intervals and errors are as of `best`."""
         poses, taken = self._ready(query), list[Match]()
         while len(taken) < count:
             around = [(match.clip, match.position - apart, match.position + apart) for match in taken]
@@ -145,8 +135,9 @@ class Matcher:
     def _ready(self, query: Float) -> Float:
         """The query unwrapped, weighted and padded as the library is, the latest pose first."""
         query, K = np.ascontiguousarray(query, dtype=float), len(self.columns)
-        _expect(query.ndim == 2 and len(query) > 0 and query.shape[1] == K, f"a query must be (m, {K}), K coordinates")
-        _expect(bool(np.isfinite(query).all()), "a pose of the query is not finite")
+        fits = query.ndim == 2 and len(query) > 0 and query.shape[1] == K
+        check(_WHERE, fits, f"a query must be (m, {K}), K coordinates")
+        check(_WHERE, np.isfinite(query).all(), "a pose of the query is not finite")
         poses = np.zeros((len(query), len(self.base)))
         poses[:, :K] = unwrapped(query)[::-1] * self._factors
         return poses
@@ -179,8 +170,7 @@ class Matcher:
 def _transposed(q: Float32, columns: Int, factors: Float) -> Float32:
     """(K, N) the compared coordinates, weighted; K is padded with zeros to a multiple of four."""
     out = np.zeros((-(-len(columns) // 4) * 4, len(q)), np.float32)
-    for k, (column, factor) in enumerate(zip(columns, factors, strict=True)):
-        out[k] = q[:, column] * np.float32(factor)
+    out[: len(columns)] = (q[:, columns] * factors.astype(np.float32)).T
     return out
 
 
@@ -191,8 +181,3 @@ def _jumps(base: Float32, starts: Int) -> Float32:
         squares[:-1] += np.diff(row.astype(float)) ** 2
     squares[starts[1:] - 1] = 0.0
     return (np.sqrt(squares) * (1.0 + 1e-6)).astype(np.float32)
-
-
-def _expect(holds: bool, message: str) -> None:
-    if not holds:
-        raise InputError(f"motion matching: {message}.")

@@ -29,10 +29,8 @@ _LONGEST = 10.0  # s of history that are used, at most
 
 @dataclass(frozen=True)
 class Expected:
-    """An expected pose, and its source in the training motion, None where nothing matched.
-
-    `covariance` (6 + J, 6 + J) is that of the step to the true pose (CONVENTIONS.md), `information` its inverse.
-    """
+    """An expected pose, and its source in the training motion, None where nothing matched. `covariance` (6 + J, 6 + J)
+    is that of the step to the true pose (CONVENTIONS.md), `information` its inverse."""
 
     pose: Pose
     covariance: Float
@@ -41,18 +39,14 @@ class Expected:
 
 
 class MotionPredictor(Protocol):
-    """Predicts the pose at a time from the moments before."""
+    """Predicts the pose at a time from the moments before; `memory_type` is the type of the memory that it gives."""
 
     @property
-    def memory_type(self) -> Any:
-        """Type of the memory that `predict` gives."""
-        ...
+    def memory_type(self) -> Any: ...
 
     def predict(self, history: Sequence[Moment], time: float, memory: Any = None) -> tuple[Expected, Any]:
-        """The pose expected at `time`, s, and the memory for the next prediction, which is None before the first.
-
-        The history holds at least one earlier moment with images, the latest last.
-        """
+        """The pose expected at `time`, s, and the memory for the next prediction, which is None before the first. The
+        history holds at least one earlier moment with images, the latest last."""
         ...
 
 
@@ -72,12 +66,8 @@ class Rollout:
 class OpenLoop(ABC):
     """A predictor that extends the last poses frame by frame.
 
-    Args:
-        library: training motion, at the frame rate of the recording.
-        body: that is tracked; coordinates that the library lacks keep their values.
-
-    Raises:
-        InputError: where body and library have no coordinate in common.
+    The library is at the frame rate of the recording; coordinates of the body that it lacks keep their values. Raises
+    InputError where body and library have no coordinate in common.
     """
 
     history: int  # frames that are used
@@ -99,10 +89,8 @@ class OpenLoop(ABC):
 
     @abstractmethod
     def next_poses(self, past: PoseSequence, count: int, excluded: Sequence[Interval] = ()) -> PoseSequence:
-        """One to `count` poses that follow those of the past, which holds at least one.
-
-        They are poses of the library's coordinates, one frame apart; the excluded intervals may not be matched.
-        """
+        """One to `count` poses that follow those of the past, which holds at least one. They are poses of the library's
+        coordinates, one frame apart; the excluded intervals may not be matched."""
 
     def roll(self, past: PoseSequence, count: int, excluded: Sequence[Interval] = ()) -> PoseSequence:
         """`count` poses that follow those of the past, open-loop."""

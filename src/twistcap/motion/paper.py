@@ -13,7 +13,7 @@ import numpy as np
 from twistcap import se3
 from twistcap.arrays import Float
 from twistcap.body import Body
-from twistcap.errors import InputError
+from twistcap.errors import check
 from twistcap.motion.library import PAPER_SCALES, MotionLibrary
 from twistcap.motion.matching import Interval, Match, Matcher
 from twistcap.motion.openloop import OpenLoop, PoseSequence
@@ -28,16 +28,8 @@ class PaperMotion(OpenLoop):
 
     "scaled": the best match over all time scales; joints by the sample's increment, the root by its twist, transformed
     by the adjoint and scaled by the ratio of the speeds. "unscaled": the same at the sample's own speed. "standard":
-    the mean motion of the last frames, without the library.
-
-    Args:
-        library, body: as of `OpenLoop`.
-        kind: which of them.
-        poses: m, number of the last poses that are matched, or averaged.
-        scales: time scales that are tried.
-
-    Raises:
-        InputError: as `OpenLoop`, and for fewer than two poses.
+    the mean motion of the last frames, without the library. The last m = `poses` are matched, or averaged. Raises
+    InputError as `OpenLoop`, and for fewer than two poses.
     """
 
     def __init__(
@@ -45,8 +37,7 @@ class PaperMotion(OpenLoop):
         scales: Sequence[float] = PAPER_SCALES,
     ) -> None:  # fmt: skip
         super().__init__(library, body)
-        if poses < 2:
-            raise InputError(f"motion prediction: {poses} pose(s) are to be matched; take 2 or more.")
+        check("motion prediction", poses >= 2, f"{poses} pose(s) are to be matched; take 2 or more")
         self.kind, self.poses, self.history = kind, poses, poses
         self._matcher = Matcher(library, self.compared, scales=scales if kind == "scaled" else (1.0,))
 

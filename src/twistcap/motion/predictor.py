@@ -1,18 +1,32 @@
-"""Prediction from training motion, as a predictor of the tracker."""
+"""Predictors from training motion by name, and any of them as a predictor of the tracker."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 from twistcap.body import Body
 from twistcap.camera import Rig
 from twistcap.cues.observation import Fit
 from twistcap.estimate import Frame
+from twistcap.motion.following import FollowedMotion
+from twistcap.motion.guarded import GuardedMotion
+from twistcap.motion.library import MotionLibrary
 from twistcap.motion.openloop import MotionPredictor
+from twistcap.motion.paper import PaperMotion
 from twistcap.predict import Prediction
 from twistcap.predict.history import Past
 from twistcap.stages import stage
+
+MotionKind = Literal["followed", "scaled", "unscaled", "standard", "guarded"]
+
+
+def motion_predictor(kind: MotionKind, library: MotionLibrary, body: Body) -> MotionPredictor:
+    """A predictor: "followed", the default (`FollowedMotion`), "guarded" (`GuardedMotion`), or a `PaperMotion`. Raises
+    InputError where body and library have no coordinate in common, or the library is too small."""
+    if kind == "guarded":
+        return GuardedMotion(FollowedMotion(library, body))
+    return FollowedMotion(library, body) if kind == "followed" else PaperMotion(library, body, kind)
 
 
 @dataclass(frozen=True)

@@ -33,10 +33,8 @@ _STEPS, _TOLERANCE = 30, 1e-6
 
 @dataclass(frozen=True)
 class Targets:
-    """Wanted orientations (N, M, 3, 3), from the rest pose to the world, of M segments of a body in N frames.
-
-    `weights` (M, 3) are those of the directions of their three axes.
-    """
+    """Wanted orientations (N, M, 3, 3), from the rest pose to the world, of M segments of a body in N frames. `weights`
+    (M, 3) are those of the directions of their three axes."""
 
     segments: Int
     rotations: Float
@@ -46,16 +44,11 @@ class Targets:
 def retarget(
     motion: SkeletonMotion, body: Body, table: SkeletonTable | None = None, scale: float | None = None
 ) -> MotionClip:
-    """The motion in a body's coordinates.
+    """The motion in the coordinates of a body with our segment names (`motion.table.SEGMENTS`).
 
-    Args:
-        motion: of a skeleton.
-        body: with our segment names (`motion.table.SEGMENTS`).
-        table: of the skeleton; by default the shipped one that fits.
-        scale: of the root's path; by default the ratio of the leg lengths, so that feet do not slide.
-
-    Raises:
-        InputError: for a skeleton without a table, or that lacks a joint of it, or a body without our segments.
+    The skeleton's table is by default the shipped one that fits, the scale of the root's path the ratio of the leg
+    lengths, so that feet do not slide. Raises InputError for a skeleton without a table, or that lacks a joint of it,
+    or a body without our segments.
     """
     known = calibrated(motion, table or table_for(motion))
     turned = _world_turn(motion, known)
@@ -130,10 +123,8 @@ def _fitted_angles(body: Body, roots: Float, targets: Targets, rate: float) -> F
 
 
 def _swept(body: Body, pose: Pose, targets: Targets) -> Float:
-    """A start for the first frame, by coordinate descent.
-
-    With all others fixed Σ w t·(R e) is A cos δ + B sin δ of a coordinate's change δ, greatest at atan2(B, A).
-    """
+    """A start for the first frame, by coordinate descent. With all others fixed Σ w t·(R e) is A cos δ + B sin δ of a
+    coordinate's change δ, greatest at atan2(B, A)."""
     moves, q = body.chain[targets.segments], pose.q.copy()
     want = np.swapaxes(targets.rotations[0], 1, 2) * targets.weights[:, :, None] ** 2  # (M, axis, xyz)
     for _ in range(_SWEEPS):
@@ -183,13 +174,9 @@ def direction_sums(have: Float, want: Float, squares: Float, moves: Bool, twists
     """Normal equations of ``½ Σ w² |h − t|²`` over the axes of M segments: value, gradient (J,) and curvature (J, J).
 
     For the direction h of an axis, its target t and a coordinate that turns about ω, the derivative of h is ω × h: the
-    gradient of ``½ w² |h − t|²`` is ``w² ω·(t × h)``, and the curvature of two coordinates ``w² ω·(I − h hᵀ) ω'``.
-
-    Args:
-        have, want: (M, 3, 3) rotations, whose columns are the axes.
-        squares: (M, 3) their w².
-        moves: (M, J) whether a coordinate moves a segment.
-        twists: (J, 6) world twists.
+    gradient of ``½ w² |h − t|²`` is ``w² ω·(t × h)``, and the curvature of two coordinates ``w² ω·(I − h hᵀ) ω'``. The
+    columns of `have` and `want` (M, 3, 3) are axes, `squares` (M, 3) their w², `moves` (M, J) says whether a coordinate
+    moves a segment, twists (J, 6) are those of the world.
     """
     weighted = squares[:, None, :] * have
     product = weighted @ want.mT  # Σ w² h tᵀ, whose antisymmetric part is Σ w² t × h
@@ -203,9 +190,7 @@ def direction_sums(have: Float, want: Float, squares: Float, moves: Bool, twists
 
 def grounded(clip: MotionClip, body: Body) -> MotionClip:
     """The clip moved up or down as a whole, so that the 5 % percentile of its lowest points is on the floor z = 0.
-
-    After retargeting feet may be too high or low, since their thickness differs from the source's.
-    """
+    After retargeting feet may be too high or low, since their thickness differs from the source's."""
     every = max(1, len(clip) // 60)
     lowest = [Posed(body, pose).vertices[:, 2].min() for pose in clip.poses()[::every]]
     roots = clip.roots.copy()

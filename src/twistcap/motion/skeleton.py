@@ -11,8 +11,8 @@ import numpy as np
 from twistcap import se3
 from twistcap.arrays import Float, Int
 from twistcap.body import Body, Pose, Posed
-from twistcap.body.shape import joint_origin
-from twistcap.errors import InputError
+from twistcap.body.shape import joint_origins
+from twistcap.errors import check
 
 Up = Literal["y", "z"]
 
@@ -24,17 +24,13 @@ class SkeletonMotion:
     All is in the file's axes, in metres. In the rest pose every rotation is the identity.
 
     Attributes:
-        name: of the motion, e.g. its file's stem.
-        joints: S names; parents stand before their children.
-        parents: (S,) index of the joint above, -1 for the root.
+        joints, parents: S names and (S,) index of the joint above, -1 for the root; parents stand before children.
         offsets: (S, 3) from the parent joint in the rest pose, m; of the root, its place there.
         rotations: (N, S, 3, 3) world rotation of each segment from the rest pose.
         positions: (N, S, 3) world position of each joint, m.
-        rate: frames per second.
-        up: the file's vertical axis.
+        rate, up: frames per second, and the file's vertical axis.
 
-    Raises:
-        InputError: for wrong shapes, no frames, a bad rate, or values that are not finite.
+    Raises InputError for wrong shapes, no frames, a bad rate, or values that are not finite.
     """
 
     name: str
@@ -47,18 +43,15 @@ class SkeletonMotion:
     up: Up
 
     def __post_init__(self) -> None:
+        where = f"motion {self.name!r}"
         N, S = len(self.rotations), len(self.joints)
         shapes = self.rotations.shape, self.positions.shape, self.offsets.shape
-        self._expect(shapes == ((N, S, 3, 3), (N, S, 3), (S, 3)), f"its arrays do not fit its {S} joints")
-        self._expect(N > 0, "it has no frames")
-        self._expect(0 < self.rate < np.inf, f"its rate is {self.rate}; it must be positive")
+        check(where, shapes == ((N, S, 3, 3), (N, S, 3), (S, 3)), f"its arrays do not fit its {S} joints")
+        check(where, N > 0, "it has no frames")
+        check(where, 0 < self.rate < np.inf, f"its rate is {self.rate}; it must be positive")
         for values in (self.rotations, self.positions):
             if len(bad := np.argwhere(~np.isfinite(values))):
-                self._expect(False, f"{self.joints[bad[0, 1]]!r} is not finite in frame {bad[0, 0]}; fill or cut it")
-
-    def _expect(self, holds: bool, message: str) -> None:
-        if not holds:
-            raise InputError(f"motion {self.name!r}: {message}.")
+                check(where, False, f"{self.joints[bad[0, 1]]!r} is not finite in frame {bad[0, 0]}; fill or cut it")
 
     def __len__(self) -> int:
         return len(self.rotations)
@@ -67,11 +60,9 @@ class SkeletonMotion:
         return replace(self, rotations=self.rotations[frames], positions=self.positions[frames])
 
     def resampled(self, rate: float) -> SkeletonMotion:
-        """The same motion at another rate: rotations along geodesics, positions linear.
-
-        Raises an InputError for a rate that is not positive.
-        """
-        self._expect(0 < rate < np.inf, f"the new rate is {rate}; it must be positive")
+        """The same motion at another rate: rotations along geodesics, positions linear. Raises an InputError for a rate
+        that is not positive."""
+        check(f"motion {self.name!r}", 0 < rate < np.inf, f"the new rate is {rate}; it must be positive")
         last = len(self) - 1
         at = np.arange(int(np.floor(last * rate / self.rate + 1e-6)) + 1) * self.rate / rate
         low = np.minimum(at.astype(int), max(last - 1, 0))
@@ -94,17 +85,11 @@ class SkeletonMotion:
         name: str, joints: Sequence[str], parents: Sequence[int], offsets: Float, local: Float, places: Float,
         rate: float, up: Up,
     ) -> SkeletonMotion:  # fmt: skip
-        """Forward kinematics.
-
-        Args:
-            name, joints, parents, offsets, rate, up: as in the class.
-            local: (N, S, 3, 3) rotation of each segment in its parent; the identity in the rest pose.
-            places: (N, 3) of the root joint, m.
-        """
+        """Forward kinematics of each segment's rotation in its parent (`local`, N, S, 3, 3), the identity in the rest
+        pose, and the root joint's places (N, 3), m."""
         rotations, positions = local.copy(), np.zeros(local.shape[:3])
         positions[:, 0] = places
-        for s in range(1, len(joints)):
-            parent = parents[s]
+        for s, parent in list(enumerate(parents))[1:]:
             rotations[:, s] = rotations[:, parent] @ local[:, s]
             positions[:, s] = positions[:, parent] + rotations[:, parent] @ offsets[s]
         where = np.asarray(parents, dtype=np.int32)
@@ -113,8 +98,7 @@ class SkeletonMotion:
 
 def skeleton_of(body: Body, poses: Sequence[Pose], rate: float, name: str = "motion") -> SkeletonMotion:
     """The motion of a body, `rate` poses per second, as that of a skeleton: one joint per segment, z up."""
-    origins = np.array([joint_origin(body, s) for s in range(len(body.segment_names))])
-    above = body.segment_parent
+    origins, above = joint_origins(body), body.segment_parent
     offsets = origins - np.where(above[:, None] >= 0, origins[above], 0.0)
     T = np.array([Posed(body, pose).segment_transforms for pose in poses])
     positions = (T[..., :3, :3] @ origins[..., None])[..., 0] + T[..., :3, 3]

@@ -27,13 +27,10 @@ _WORST = 4.0  # greatest factor by which a bad match widens the spread
 
 @dataclass(frozen=True)
 class Spread:
-    """Standard deviations of a prediction by the number of open-loop frames.
+    """Standard deviations of a prediction by the number of open-loop frames (H,), `rate` per second.
 
-    Attributes:
-        frames: (H,) increasing; rate: of them, per second.
-        deviations: (H, 2 + J) of the root's rotation (rad) and place (m), about the root, along each axis, and of the
-            joints (rad).
-        usual: usual dissimilarity of a match, rad per pose; worse matches widen the spread. 0 for no widening.
+    `deviations` (H, 2 + J) are those of the root's rotation (rad) and place (m), about the root, along each axis, and
+    of the joints (rad). Worse matches than of the dissimilarity `usual`, rad per pose, widen the spread; 0 for none do.
     """
 
     frames: Float
@@ -72,14 +69,13 @@ def learned_spread(predictor: OpenLoop) -> Spread:
             truth = slice(end + 1, end + 1 + longest)
             errors.append(_errors(found.q, found.roots, motion.q[truth], motion.roots[truth])[_HORIZONS - 1])
             dissimilarity.append(distance)
+    frames, least = _HORIZONS.astype(float), _of_all(_LEAST, library)
     if len(errors) < _FEWEST:
-        frames = _HORIZONS.astype(float)
-        growth = frames[:, None] / library.rate * _of_all(_GUESS, library) + _of_all(_LEAST, library)
+        growth = frames[:, None] / library.rate * _of_all(_GUESS, library) + least
         return Spread(frames, growth, 0.0, library.rate)
     deviations = np.sqrt(np.mean(np.square(errors), axis=0))
-    least = _of_all(_LEAST, library)
     growing = np.maximum.accumulate(np.maximum(deviations, least), axis=0)
-    return Spread(_HORIZONS.astype(float), growing, float(np.median(dissimilarity)), library.rate)
+    return Spread(frames, growing, float(np.median(dissimilarity)), library.rate)
 
 
 def _places(library: MotionLibrary, history: int, longest: int) -> list[tuple[int, int]]:

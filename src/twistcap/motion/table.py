@@ -30,7 +30,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from twistcap.arrays import Float
 from twistcap.body.rig_spec import parsed_toml
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 from twistcap.motion.skeleton import SkeletonMotion
 
 _SIDED = ("clavicle", "humerus", "ulna", "radius", "hand", "femur", "tibia", "foot")
@@ -88,21 +88,16 @@ class SkeletonTable(BaseModel):
 
 @dataclass(frozen=True)
 class Calibration:
-    """Those of our segments that a skeleton has: by name, the index of the skeleton's joint, and the axes.
-
-    The columns of axes (3, 3) are the segment's forward, left and up in the skeleton's rest pose.
-    """
+    """Those of our segments that a skeleton has: by name, the index of the skeleton's joint, and the axes. The columns
+    of axes (3, 3) are the segment's forward, left and up in the skeleton's rest pose."""
 
     joints: Mapping[str, int]
     axes: Mapping[str, Float]
 
 
 def calibrated(motion: SkeletonMotion, table: SkeletonTable) -> Calibration:
-    """Anatomical axes of a skeleton's segments in its rest pose.
-
-    Raises:
-        InputError: where the skeleton lacks a required joint, or an axis has no direction.
-    """
+    """Anatomical axes of a skeleton's segments in its rest pose. Raises InputError where the skeleton lacks a required
+    joint, or an axis has no direction."""
     joints, rest = table.found(motion), motion.rest_positions()
     for segment in REQUIRED:
         if segment not in joints:
@@ -119,8 +114,7 @@ def calibrated(motion: SkeletonMotion, table: SkeletonTable) -> Calibration:
 def _direction(towards: Vector | str | None, segment: str, joints: Mapping[str, int], rest: Float) -> Float:
     if not isinstance(towards, str):
         return np.array(towards, dtype=float)
-    if towards not in joints:
-        raise InputError(f"skeleton table: {segment} points to {towards!r}, whose joint the skeleton lacks.")
+    check("skeleton table", towards in joints, f"{segment} points to {towards!r}, whose joint the skeleton lacks")
     return rest[joints[towards]] - rest[joints[segment]]
 
 
@@ -141,10 +135,8 @@ def shipped_tables() -> tuple[SkeletonTable, ...]:
 
 
 def table_for(motion: SkeletonMotion) -> SkeletonTable:
-    """The shipped table that fits a skeleton: of those whose required joints it has, the one with most joints.
-
-    Raises an InputError where there is none.
-    """
+    """The shipped table that fits a skeleton: of those whose required joints it has, the one with most joints. Raises
+    an InputError where there is none."""
     fits = [(table, table.found(motion)) for table in shipped_tables()]
     fits = [(len(found), table) for table, found in fits if set(REQUIRED) <= found.keys()]
     if not fits:

@@ -77,10 +77,9 @@ def _slices(axes: Any, view: KeyView, m: Measured, role: str) -> None:
         return view.camera.project(points @ m.to_world[:3, :3].T + m.to_world[:3, 3])[0]
 
     for part, control in m.slices.items():
-        if role == "above" and not part.startswith("arm"):
-            continue
-        for ring in seen(closed_spline(control[::3], 24, fullness(part))):
-            axes.plot(*np.vstack([ring, ring[:1]]).T, color=_PARTS[part], lw=0.6)
+        if role != "above" or part.startswith("arm"):
+            for ring in seen(closed_spline(control[::3], 24, fullness(part))):
+                axes.plot(*np.vstack([ring, ring[:1]]).T, color=_PARTS[part], lw=0.6)
     joints = seen(np.array(list(m.joints.values())))
     axes.plot(*joints.T, "ko", ms=4, mfc="y")
     number = {"front": 3, "side": 4, "above": 5}[role]

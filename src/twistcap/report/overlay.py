@@ -10,10 +10,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from twistcap import se3
 from twistcap.arrays import AnyArray, Bool, Float, Float32, Int
 from twistcap.body import Body, Posed
 from twistcap.body.kinematics import unit_vertex_normals
-from twistcap.body.shape import joint_origin
+from twistcap.body.shape import joint_origins
 from twistcap.camera import Camera, Rig
 from twistcap.estimate import Estimate, Frame
 from twistcap.io.videowriter import VideoWriter, as_rgb
@@ -31,22 +32,13 @@ _PAPER: Colour = (245, 246, 248)
 _CREASE = 0.02  # a jump by this fraction of the depth between neighbouring pixels is drawn as a line
 
 
-@dataclass(frozen=True)
-class Bones:
-    """The lines of a skeleton."""
-
-    segments: Int  # (B,) the segment that each bone moves with
-    ends: Float  # (B, 2, 3) rest-pose end points, m
-
-    def at(self, posed: Posed) -> Float:
-        """(B, 2, 3) world end points."""
-        T = posed.segment_transforms[self.segments]
-        return self.ends @ np.swapaxes(T[:, :3, :3], 1, 2) + T[:, None, :3, 3]
+Bones = tuple[Int, Float]
+"""The lines of a skeleton: segments (B,) that bones move with, and their rest-pose end points (B, 2, 3), m."""
 
 
 def bones_of(body: Body) -> Bones:
     """A bone from every segment's joint to each joint below it, or to the segment's farthest landmark at the ends."""
-    origins = [joint_origin(body, s) for s in range(len(body.segment_names))]
+    origins = joint_origins(body)
     bones: list[tuple[int, Float, Float]] = []
     for s, above in enumerate(body.segment_parent):
         if above >= 0:
@@ -56,28 +48,21 @@ def bones_of(body: Body) -> Bones:
             if len(own):
                 bones.append((s, origins[s], own[np.argmax(np.linalg.norm(own - origins[s], axis=1))]))
     ends = np.array([[a, b] for _, a, b in bones]).reshape(-1, 2, 3)
-    return Bones(np.array([s for s, _, _ in bones], dtype=np.int32), ends)
+    return np.array([s for s, _, _ in bones], dtype=np.int32), ends
 
 
 def draw_overlay(
-    image: AnyArray | None,
-    camera: Camera,
-    posed: Posed,
-    lost: bool = False,
-    opacity: float = 0.5,
+    image: AnyArray | None, camera: Camera, posed: Posed, lost: bool = False, opacity: float = 0.5,
     bones: Bones | None = None,
-) -> AnyArray:
-    """The body drawn over one image.
+) -> AnyArray:  # fmt: skip
+    """The body drawn over one image: (H, W, 3) uint8 RGB.
 
     Args:
         image: (H, W) or (H, W, 3), uint8 or float in [0, 1]; None for a dropped frame (drawn on a dark ground).
         camera: of the image: with distortion for images as recorded, `pinhole()` for rectified ones.
-        posed: the body at its pose.
-        lost: draw it all in red.
+        posed, lost: the body at its pose, all in red where it is lost.
         opacity: of the surface, 0 to 1.
         bones: `bones_of` the body, to save their computation when many images are drawn.
-
-    Returns (H, W, 3) uint8 RGB.
     """
     canvas = _canvas(image, camera)
     pixels, inverse_depth = visible_projection(camera, posed.vertices)
@@ -101,11 +86,9 @@ def _window(pixels: Float, size: tuple[int, int]) -> Window | None:
     """The part of the image that holds the pixels (N, 2) and a margin of 4 px; None where there is none."""
     if not len(pixels):
         return None
-    low = np.clip(np.floor(pixels.min(axis=0)) - 4, 0, size)
-    high = np.clip(np.ceil(pixels.max(axis=0)) + 5, 0, size)
-    if np.any(high <= low):
-        return None
-    return (int(low[0]), int(low[1])), (int(high[0] - low[0]), int(high[1] - low[1]))
+    x, y = np.clip(np.floor(pixels.min(axis=0)) - 4, 0, size).astype(int).tolist()
+    right, bottom = np.clip(np.ceil(pixels.max(axis=0)) + 5, 0, size).astype(int).tolist()
+    return ((x, y), (right - x, bottom - y)) if right > x and bottom > y else None
 
 
 def _cut(canvas: AnyArray, origin: tuple[int, int], size: tuple[int, int]) -> AnyArray:
@@ -130,9 +113,7 @@ def visible_projection(camera: Camera, points: Float) -> tuple[Float, Float]:
 
 
 def _canvas(image: AnyArray | None, camera: Camera) -> AnyArray:
-    if image is None:
-        return np.full((camera.size[1], camera.size[0], 3), 40, np.uint8)
-    return as_rgb(image).copy()
+    return np.full((*camera.size[::-1], 3), 40, np.uint8) if image is None else as_rgb(image).copy()
 
 
 def part_colours(body: Body) -> Float:
@@ -142,17 +123,11 @@ def part_colours(body: Body) -> Float:
 
 
 def _shaded(
-    posed: Posed,
-    camera: Camera,
-    pixels: Float,
-    inverse_depth: Float,
-    face_index: Int,
-    origin: tuple[int, int],
+    posed: Posed, camera: Camera, pixels: Float, inverse_depth: Float, face_index: Int, origin: tuple[int, int],
     lost: bool,
-) -> Float:
+) -> Float:  # fmt: skip
     """(n, 3) colours of the covered pixels, lit from the camera's upper left."""
-    body = posed.body
-    y, x = np.nonzero(face_index >= 0)
+    body, (y, x) = posed.body, np.nonzero(face_index >= 0)
     faces_seen = face_index[y, x]
     at = np.stack([x + origin[0], y + origin[1]], axis=1)
     weights = barycentric(faces_seen, body.faces, pixels, inverse_depth, at)
@@ -178,21 +153,19 @@ def _draw_outline(
 
 def _creases(inverse_depth: Float32) -> Bool:
     """(H, W) the farther pixels of every depth jump inside the silhouette."""
-    out = np.zeros(inverse_depth.shape, bool)
-    for axis in (0, 1):
-        for shift in (1, -1):
-            other = np.roll(inverse_depth, shift, axis=axis)
-            out |= (inverse_depth > 0) & (other > inverse_depth * (1 + _CREASE))
-    return out
+    others = (np.roll(inverse_depth, shift, axis=axis) for axis in (0, 1) for shift in (1, -1))
+    jumps = np.any([other > inverse_depth * (1 + _CREASE) for other in others], axis=0)
+    return (inverse_depth > 0) & jumps
 
 
 def _draw_bones(
     canvas: AnyArray, camera: Camera, bones: Bones, posed: Posed, colour: Colour | None, width: float
 ) -> None:
-    ends = bones.at(posed)
+    segments, ends = bones
+    ends = se3.apply(posed.segment_transforms[segments], ends)
     pixels, inverse_depth = visible_projection(camera, ends.reshape(-1, 3))
     pixels, inside = pixels.reshape(-1, 2, 2), np.all((inverse_depth > 0).reshape(-1, 2), axis=1)
-    colours = part_colours(posed.body)[bones.segments].tolist()
+    colours = part_colours(posed.body)[segments].tolist()
     thick = max(1, round(width))
     for dark in (True, False):  # all dark borders first, so that no border cuts another bone
         for (a, b), own, visible in zip(pixels, colours, inside.tolist(), strict=True):
@@ -216,13 +189,13 @@ def _fixed(pixel: Float) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class Mosaic:
-    """A grid of views under a heading."""
+    """A grid of views under a heading: (width, height) px of a cell, and each camera scaled to fit its cell."""
 
-    cell: tuple[int, int]  # (width, height) of one view, pixels
+    cell: tuple[int, int]
     columns: int
     rows: int
-    cameras: tuple[Camera, ...]  # each camera scaled to fit its cell
-    heading: int = 40  # height of the heading in pixels
+    cameras: tuple[Camera, ...]
+    heading: int = 40  # px
 
     @property
     def size(self) -> tuple[int, int]:
@@ -284,14 +257,9 @@ def _label(canvas: AnyArray, text: str, at: tuple[int, int], colour: Colour = _P
 
 
 def overlay_video(
-    path: Path | str,
-    frames: Iterable[Frame],
-    rig: Rig,
-    estimates: Iterable[Estimate],
-    body: Body,
-    fps: float,
+    path: Path | str, frames: Iterable[Frame], rig: Rig, estimates: Iterable[Estimate], body: Body, fps: float,
     title: str = "",
-) -> Path:
+) -> Path:  # fmt: skip
     """Write an H.264 video of all views with the tracked body over them.
 
     A camera that dropped a frame shows the body alone, a frame without an estimate is shown bare. `rig` are the cameras

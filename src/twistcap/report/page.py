@@ -43,26 +43,17 @@ class Figure:
 
 
 def write_report(
-    folder: Path | str,
-    title: str,
-    rows: Sequence[Row],
-    *,
-    lead: str = "",
-    headlines: Sequence[Headline] = (),
-    figures: Sequence[Figure] = (),
-    video: Path | None = None,
-    files: Mapping[Path, str] | None = None,
+    folder: Path | str, title: str, rows: Sequence[Row], *, lead: str = "", headlines: Sequence[Headline] = (),
+    figures: Sequence[Figure] = (), video: Path | None = None, files: Mapping[Path, str] | None = None,
     notes: Sequence[str] = (),
-) -> Path:
+) -> Path:  # fmt: skip
     """Write a stand-alone HTML page; every text is escaped, pictures are embedded, nothing is loaded from a network.
 
     Args:
         folder: of the page, report.html, whose path is returned; the video and the files are linked relative to it.
-        title, lead: heading and the sentence under it.
-        rows: table of measures.
+        title, lead, rows: heading, the sentence under it, and table of measures.
         headlines: the few numbers that matter, in large type.
-        figures: PNG files to embed.
-        video: of the overlay; linked, not embedded.
+        figures, video: PNG files to embed, and the overlay, which is linked.
         files: other files, path to description.
         notes: remarks below the table.
     """

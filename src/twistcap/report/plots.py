@@ -40,21 +40,14 @@ def split_side(name: str) -> tuple[str, str]:
 
 
 def angle_plot(
-    path: Path | str,
-    estimate: AngleSeries,
-    truth: AngleSeries | None = None,
-    lost: Bool | None = None,
-    dropped: Bool | None = None,
-    title: str = "",
-) -> Path:
-    """A PNG of small multiples of joint angles, right and left in one panel, with bands of ± 2σ.
-
-    The truth is drawn dashed, on its own times; `lost` and `dropped` (N,) are frames to shade red and grey.
-    """
+    path: Path | str, estimate: AngleSeries, truth: AngleSeries | None = None, lost: Bool | None = None,
+    dropped: Bool | None = None, title: str = "",
+) -> Path:  # fmt: skip
+    """A PNG of small multiples of joint angles, right and left in one panel, with bands of ± 2σ. The truth is drawn
+    dashed, on its own times; `lost` and `dropped` (N,) are frames to shade red and grey."""
     names = estimate.names
-    panels = list(dict.fromkeys(split_side(name)[0] for name in names))
-    figure, axes = _grid(len(panels), title)
-    for axis, panel in zip(axes, panels, strict=True):
+    figure, panels = _grid(names, title)
+    for panel, axis in panels.items():
         for flags, colour in ((lost, _LOST), (dropped, _DROPPED)):
             for start, end in spans(estimate.times, flags) if flags is not None else ():
                 axis.axvspan(start, end, color=colour, alpha=0.22, lw=0, zorder=0)
@@ -76,9 +69,7 @@ def angle_plot(
     for flags, colour, label in ((lost, _LOST, "lost"), (dropped, _DROPPED, "dropped")):
         if flags is not None and np.any(flags):
             more.append(Patch(color=colour, alpha=0.3, label=label))
-    _legend(figure, names, more)
-    figure.savefig(path, facecolor="white")
-    return Path(path)
+    return _saved(path, figure, names, more)
 
 
 def _draw_angle(axis: Axes, series: AngleSeries, name: str) -> None:
@@ -92,20 +83,16 @@ def _draw_angle(axis: Axes, series: AngleSeries, name: str) -> None:
 
 def joint_error_plot(path: Path | str, times: Float, names: Sequence[str], errors_mm: Float) -> Path:
     """Position error of each joint (N, L) in mm over time, one panel per joint; in grey the median of all."""
-    panels = list(dict.fromkeys(split_side(name)[0] for name in names))
-    figure, axes = _grid(len(panels), "Joint position error (mm)")
-    top = _ceiling(errors_mm)
-    median = [percentile_known(errors, 50) for errors in errors_mm]
-    for axis, panel in zip(axes, panels, strict=True):
+    figure, panels = _grid(names, "Joint position error (mm)")
+    top, median = _ceiling(errors_mm), [percentile_known(errors, 50) for errors in errors_mm]
+    for panel, axis in panels.items():
         axis.plot(times, median, color="#b9c0c8", lw=1.2, zorder=2)
         for k, name in enumerate(names):
             if split_side(name)[0] == panel:
                 axis.plot(times, errors_mm[:, k], color=_COLOURS[split_side(name)[1]], lw=1.5, zorder=3)
         axis.set_ylim(0, top)
         axis.set_title(panel.replace("_", " "), loc="left", fontsize=9, fontweight="bold")
-    _legend(figure, names, [Line2D([], [], color="#b9c0c8", label="median of all joints")])
-    figure.savefig(path, facecolor="white")
-    return Path(path)
+    return _saved(path, figure, names, [Line2D([], [], color="#b9c0c8", label="median of all joints")])
 
 
 def _ceiling(errors: Float) -> float:
@@ -116,8 +103,10 @@ def _ceiling(errors: Float) -> float:
     return 1.08 * float(min(known.max(), max(5.0 * np.percentile(known, 90), 1.0))) or 1.0
 
 
-def _grid(panels: int, title: str) -> tuple[Figure, list[Axes]]:
-    columns = min(4, max(1, math.ceil(math.sqrt(panels))))
+def _grid(names: Sequence[str], title: str) -> tuple[Figure, dict[str, Axes]]:
+    """A figure and one panel for both sides of a name."""
+    stems = list(dict.fromkeys(split_side(name)[0] for name in names))
+    panels, columns = len(stems), min(4, max(1, math.ceil(math.sqrt(len(stems)))))
     rows = math.ceil(panels / columns)
     figure = Figure(figsize=(3.2 * columns, 1.9 * rows + 0.9), dpi=130, layout="constrained")
     FigureCanvasAgg(figure)
@@ -132,7 +121,7 @@ def _grid(panels: int, title: str) -> tuple[Figure, list[Axes]]:
         axis.spines[["left", "bottom"]].set_color("#9aa3ad")
         if k + columns >= panels:
             axis.set_xlabel("time (s)", fontsize=8)
-    return figure, cells[:panels]
+    return figure, dict(zip(stems, cells, strict=False))
 
 
 def spans(times: Float, flags: AnyArray) -> list[tuple[float, float]]:
@@ -143,7 +132,10 @@ def spans(times: Float, flags: AnyArray) -> list[tuple[float, float]]:
     return [(float(edges[a]), float(edges[b])) for a, b in zip(starts, ends, strict=True)]
 
 
-def _legend(figure: Figure, names: Sequence[str], more: Sequence[Line2D | Patch]) -> None:
+def _saved(path: Path | str, figure: Figure, names: Sequence[str], more: Sequence[Line2D | Patch]) -> Path:
+    """The figure in a file, with a legend."""
     sides = dict.fromkeys(split_side(name)[1] for name in names)
     entries = [*(Line2D([], [], color=_COLOURS[s], lw=2, label=_SIDES[s]) for s in sides), *more]
     figure.legend(handles=entries, loc="outside upper right", ncols=len(entries), frameon=False, fontsize=9)
+    figure.savefig(path, facecolor="white")
+    return Path(path)

@@ -18,7 +18,7 @@ from twistcap.adjust.first_pose import girth_groups
 from twistcap.arrays import Float, Int
 from twistcap.body import Body
 from twistcap.body.model import Landmarks
-from twistcap.body.shape import joint_coordinates, joint_origin, marks_of, rescaled, segment_axes
+from twistcap.body.shape import joint_origins, joints_shifted, marks_of, rescaled, segment_axes
 
 _ALIKE = 1.5  # knots, length of the correlation of two factors of cross-sections
 _STEP = 1e-4  # of the difference quotients by log-factors
@@ -30,14 +30,10 @@ Motions = tuple[Float, Float, Float]
 
 @dataclass(frozen=True)
 class Fields:
-    """M shape parameters and their motions per unit, m in the rest pose.
+    """M shape parameters, by name such as ``length femur``, and their motions per unit, m in the rest pose.
 
-    Attributes:
-        names: of the parameters, such as ``length femur``.
-        vertices: (M, V, 3).
-        joints: (M, S, 3) of the centre of each segment's joint; those of root segments do not count.
-        landmarks: (M, L, 3).
-        precision: (M, M) inverse covariance of the prior, about the body at the start of the fit.
+    They are those of vertices (M, V, 3), joint centres (M, S, 3; those of root segments do not count) and landmarks
+    (M, L, 3). `precision` (M, M) is that of the prior, about the body at the start of the fit.
     """
 
     names: tuple[str, ...]
@@ -58,23 +54,20 @@ class Fields:
         return a, b, c
 
     @property
-    def motions(self) -> tuple[Float, Float, Float]:
+    def motions(self) -> Motions:
         """Of vertices, joints and landmarks."""
         return self.vertices, self.joints, self.landmarks
 
 
-def joint_centres(body: Body) -> Float:
-    """(S, 3) rest-pose centre of each segment's joint, m."""
-    return np.array([joint_origin(body, s) for s in range(len(body.segment_names))])
+def places_of(body: Body) -> Motions:
+    """Vertices, joint centres and landmarks in the rest pose."""
+    return body.vertices, joint_origins(body), body.landmarks.points
 
 
 def deformed(body: Body, vertices: Float, joints: Float, landmarks: Float) -> Body:
     """The body with its vertices (V, 3), joint centres (S, 3) and landmarks (L, 3) moved, m; axes stay parallel."""
-    twists = body.twists.copy()
-    for s in np.flatnonzero(body.segment_joint >= 0):
-        for k in joint_coordinates(body, int(s)):
-            twists[k, 3:] -= np.cross(twists[k, :3], joints[s])
-    marks = Landmarks(body.landmarks.names, body.landmarks.segments, body.landmarks.points + landmarks)
+    twists, marks = joints_shifted(body, dict(enumerate(joints))), body.landmarks
+    marks = Landmarks(marks.names, marks.segments, marks.points + landmarks)
     return replace(body, vertices=body.vertices + vertices, twists=twists, landmarks=marks)
 
 
@@ -84,17 +77,15 @@ def stretch_fields(body: Body, stature: float, length: float, girth: float) -> F
     The girths move the joints of a segment too (hips of the pelvis, shoulders of the torso). `stature`, `length` and
     `girth` are standard deviations.
     """
-    kinds = girth_groups(body)
-    out = [("stature", rescaled(body, stature=float(np.exp(_STEP))), stature)]
-    for kind, segments in kinds.items():
-        factors = dict.fromkeys(segments, float(np.exp(_STEP)))
+    step = float(np.exp(_STEP))
+    out = [("stature", rescaled(body, stature=step), stature)]
+    for kind, segments in girth_groups(body).items():
+        factors = dict.fromkeys(segments, step)
         out.append((f"length {kind}", rescaled(body, lengths=factors), length))
         out.append((f"girth {kind}", rescaled(body, girths=factors), girth))
-    centres = joint_centres(body)
     names, bodies, sigmas = zip(*out, strict=True)
-    vertices = np.array([b.vertices - body.vertices for b in bodies]) / _STEP
-    joints = np.array([joint_centres(b) - centres for b in bodies]) / _STEP
-    marks = np.array([b.landmarks.points - body.landmarks.points for b in bodies]) / _STEP
+    pairs = zip(places_of(body), zip(*map(places_of, bodies), strict=True), strict=True)
+    vertices, joints, marks = (np.array([there - here for there in moved]) / _STEP for here, moved in pairs)
     return Fields(names, vertices, joints, marks, np.diag(np.power(sigmas, -2.0)))
 
 
@@ -105,14 +96,13 @@ def profile_fields(body: Body, sigma: float, knots: int) -> Fields:
     is the standard deviation of a factor less 1.
     """
     names, moved, precision = list[str](), list[Float](), list[Float]()
-    covariance = _alike(knots)
+    inverse = np.asarray(np.linalg.inv(sigma**2 * _alike(knots)), np.float64)
     for kind, segments in girth_groups(body).items():
         sections = [_sections(body, body.segment(s), knots) for s in segments]
-        for k in range(knots):
-            for side in range(len(_SIDES)):
-                names.append(f"section {kind} {k} {side}")
-                moved.append(np.sum([section[k, side] for section in sections], axis=0))
-        precision.append(np.asarray(np.linalg.inv(sigma**2 * covariance), np.float64))
+        for k, side in np.ndindex(knots, len(_SIDES)):
+            names.append(f"section {kind} {k} {side}")
+            moved.append(np.sum([section[k, side] for section in sections], axis=0))
+        precision.append(inverse)
     still = np.zeros((len(names), len(body.segment_names), 3)), np.zeros((len(names), *body.landmarks.points.shape))
     return Fields(tuple(names), np.array(moved), *still, np.asarray(block_diag(*precision), np.float64))
 
@@ -157,9 +147,7 @@ def _cross_axes(body: Body, segment: int, axis: Float) -> Float:
 
 def joint_fields(body: Body, sigma: float, side: float) -> Fields:
     """Shifts of the joint centres with the surface at rest: of left and right together, mirrored, and of each alone.
-
-    Their standard deviations are `sigma` for both sides and `side` for each alone, m.
-    """
+    Their standard deviations are `sigma` for both sides and `side` for each alone, m."""
     names, joints, sigmas = list[str](), list[Float](), list[float]()
     for kind, segments in girth_groups(body).items():
         jointed = [body.segment(s) for s in segments if body.segment_joint[body.segment(s)] >= 0]
@@ -201,9 +189,7 @@ def offset_precision(body: Body, sigma: float, reach: float) -> Float:
 
 def turns(body: Body) -> Float:
     """(3 S, V, 3) rotation (rad) of each segment's surface as a whole, per motion of each vertex (least squares).
-
-    Images do not separate a surface that turns against the axes of its joint from a joint that turns; a prior must.
-    """
+    Images do not separate a surface that turns against the axes of its joint from a joint that turns; a prior must."""
     out = np.zeros((len(body.segment_names), 3, *body.vertices.shape))
     for s in range(len(body.segment_names)):
         own = body.vertex_part == s
@@ -254,10 +240,8 @@ class Build(Protocol):
 
 @dataclass(frozen=True)
 class Stretches:
-    """The build of any body: stature, length and girth of each kind of segment, factors of its cross-sections.
-
-    All are standard deviations of log-factors, but for the `knots` of the sections along a segment, and `rigid`.
-    """
+    """The build of any body: stature, length and girth of each kind of segment, factors of its cross-sections. All are
+    standard deviations of log-factors, but for the `knots` of the sections along a segment, and `rigid`."""
 
     stature: float = 0.02
     length: float = 0.01
@@ -267,12 +251,10 @@ class Stretches:
     rigid: bool = True
 
     def fields(self, body: Body, amounts: Mapping[str, float]) -> Fields:
-        del amounts
         stretches = stretch_fields(body, self.stature, self.length, self.girth)
         return stretches + profile_fields(body, self.section, self.knots)
 
     def moved(self, fields: Fields, amounts: Float, change: Float) -> tuple[Float, Motions]:
-        del amounts
         return change, fields @ change
 
     def summary(self, amounts: Mapping[str, float]) -> dict[str, float]:

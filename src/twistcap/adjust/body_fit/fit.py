@@ -37,14 +37,10 @@ class Frames(Protocol):
 
 @dataclass(frozen=True)
 class FitRule:
-    """How much work a fit takes.
+    """How much work a fit takes; a number below 1 is an InputError.
 
-    Attributes:
-        rounds: how often the recording is tracked with the body so far.
-        steps: Gauss-Newton steps in each round.
-        frames: greatest number of frames of each recording to which the shape is fitted, evenly spread.
-
-    A number below 1 is an InputError.
+    In each of the `rounds` the recording is tracked with the body so far; Gauss-Newton `steps` follow. Of each
+    recording the shape is fitted to `frames` frames at most, evenly spread.
     """
 
     rounds: int = 3
@@ -57,14 +53,10 @@ class FitRule:
 
 @dataclass(frozen=True)
 class Take:
-    """One recording of the fit.
+    """One recording of the fit: frames in order, read in every round, and the pose of the first.
 
-    Attributes:
-        frames: in order; read in every round.
-        first_pose: of the first frame.
-        config: of the tracker.
-        masks: silhouettes (H, W) of some frames by number, one per camera or None, in the images' pixels. These frames
-            are fitted to them, all others to the images.
+    `config` is that of the tracker. Frames that have `masks` by number, (H, W) for each camera or None in the images'
+    pixels, are fitted to these silhouettes, all others to the images.
     """
 
     rig: Rig
@@ -83,8 +75,7 @@ class Fitted:
         first_poses: of each take, for its first frame.
         poses: of each take, frame number to pose, of the frames that the shape was fitted to.
         frames: of each take, by number, those with a pose before or after.
-        begun: the body at the start of the fit.
-        begun_poses: of that body, as tracked in those frames.
+        begun, begun_poses: the body at the start of the fit, as tracked in those frames.
         factors: stature, lengths and girths against the body given, or a model's parameters.
         errors_px: root mean square distance to the edges before every step.
     """
@@ -105,15 +96,9 @@ def fit_body(
 ) -> Fitted:  # fmt: skip
     """Fit a body to the contours in all views and frames of all takes.
 
-    Args:
-        body: to start with; its tree and binding stay. The fit starts from the mean of it and its mirror image.
-        takes: the recordings.
-        rule: how much work it takes.
-        report: is called with a few words after each piece of work.
-        build: free parameters of the body; by default its lengths, girths and cross-sections.
-
-    Raises:
-        InputError: where there is no frame, a take is lost, or nothing of the body is seen.
+    The fit starts from the mean of the body and its mirror image; tree and binding stay. `report` is called after each
+    piece of work, `build` are the body's free parameters, by default lengths, girths and cross-sections. Raises
+    InputError where there is no frame, a take is lost, or nothing of the body is seen.
     """
     rule = rule or FitRule()
     if not takes or any(not len(take.frames) for take in takes):
@@ -132,7 +117,8 @@ def fit_body(
             errors.append(error)
             report(f"{error:.2f} px to the edges")
         moments = [replace(m, pose=pose) for m, pose in zip(moments, x.poses, strict=True)]
-        first_poses = _first_poses(first_poses, moments)
+        known = {m.take: m.pose for m in moments if m.first}  # a first frame that was not chosen keeps its pose
+        first_poses = tuple(known.get(t, pose) for t, pose in enumerate(first_poses))
     factors = build.summary({name: amount for name, amount in x.amounts.items() if not name.startswith("joint ")})
     poses, begun = (tuple({m.frame.index: m.pose for m in of} for of in _by_take(some, len(takes)))
                     for some in (moments, first))  # fmt: skip
@@ -197,9 +183,3 @@ def _shaped(x: Sculpted, takes: Sequence[Take], moments: Sequence[_Moment]) -> t
     seen, tracked = _observed(moments, x.posed, takes), [m.pose for m in moments]
     problem = FitProblem(seen, tracked, x.precision)
     return minimise(problem, x, 1, 0.0).x, problem.error_px()
-
-
-def _first_poses(before: Sequence[Pose], moments: Sequence[_Moment]) -> tuple[Pose, ...]:
-    """The present poses of the first frames; of a first frame that was not chosen, the pose before."""
-    now = {m.take: m.pose for m in moments if m.first}
-    return tuple(now.get(t, pose) for t, pose in enumerate(before))

@@ -25,10 +25,8 @@ _VOXEL = 0.02  # m
 class Agreement:
     """Of one body with one recording, over the frames of the fit.
 
-    Attributes:
-        px, mm: (N,) distances from points of the silhouettes, on segments `part` (N,), to clear edges in the images.
-        iou: overlap of silhouettes and the tracker's own segmentation, mean over views and frames.
-        hull: overlap of the visual hulls of both, as volumes, mean over the frames.
+    `px` and `mm` (N,) are distances from points of the silhouettes, on segments `part`, to clear edges in the images;
+    `iou` is the mean overlap with the tracker's own segmentation, `hull` that of the visual hulls, as volumes.
     """
 
     px: Float
@@ -88,7 +86,6 @@ def inside_silhouette(P: Float, points: Float, mask: Bool) -> Bool:
     """(N,) whether points (N, 3) are seen inside a silhouette (H, W)."""
     h = points @ P[:, :3].T + P[:, 3]
     pixel = np.rint(h[:, :2] / np.maximum(h[:, 2:], 1e-9)).astype(np.int64)
-    height, width = mask.shape
-    inside = (h[:, 2] > 0) & np.all((pixel >= 0) & (pixel < (width, height)), axis=1)
+    inside = (h[:, 2] > 0) & np.all((pixel >= 0) & (pixel < mask.shape[::-1]), axis=1)
     x, y = np.where(inside[:, None], pixel, 0).T
     return inside & mask[y, x]

@@ -36,13 +36,9 @@ _HALF, _FAR = 1.75, 4.0  # px: half the window in which the edge lies; where the
 class Observed:
     """N contour points of one view of one frame, and their distances to the edge in the image.
 
-    Attributes:
-        camera: the pinhole camera.
-        contour: points of the body, posed as it was rendered.
-        ends, shares: (N, 2) vertices of the mesh edge of each point, and their weights.
-        distance: (N,) px outward along the image normal.
-        weight: (N,) information, 1/px².
-        px_per_m: scale of the image at the body.
+    The contour is of the body as rendered, `ends` and `shares` (N, 2) are vertices of the mesh edge of each point and
+    their weights, `distance` (N,) px is outward along the image normal, `weight` (N,) its information, 1/px², and
+    `px_per_m` the scale of the image at the body.
     """
 
     camera: Camera
@@ -99,14 +95,10 @@ def refined(image: AnyArray, pixels: Float, normals: Float, distance: Float) -> 
 
     They are exact to a small fraction of a pixel: along a line across an edge, the integral of the inside's coverage is
     the length inside. A blur that is alike on both sides preserves it (moments: Tabatabai and Mitchell,
-    DOI 10.1109/TPAMI.1984.4767502). It takes the colours of both sides nearby.
-
-    The image (H, W[, 3]) is nearly linear in light. Points and unit directions (N, 2) lead from the inside outward, and
-    `distance` (N,) px to the edge is known to about a pixel.
+    DOI 10.1109/TPAMI.1984.4767502). The image (H, W[, 3]) is nearly linear in light. Points and unit directions (N, 2)
+    lead from the inside outward, and `distance` (N,) px to the edge is known to about a pixel.
     """
-    values = np.ascontiguousarray(image, dtype=np.float32)
-    contrast = np.zeros(len(pixels))
-    start = distance
+    values, contrast, start = np.ascontiguousarray(image, dtype=np.float32), np.zeros(len(pixels)), distance
     for _ in range(2 if len(pixels) else 0):
         shift, contrast = _shift(values, pixels + distance[:, None] * normals, normals)
         distance = start + np.clip(distance + shift - start, -_HALF, _HALF)

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from twistcap.adjust.body_fit.fields import Fields, Motions, joint_centres
+from twistcap.adjust.body_fit.fields import Fields, Motions, places_of
 from twistcap.adjust.first_pose import fit_keypoints
 from twistcap.arrays import Float
 from twistcap.body import Body, Pose, Posed
@@ -52,20 +52,19 @@ class Parametric:
 
     def fields(self, body: Body, amounts: Mapping[str, float]) -> Fields:
         parameters = self.model.parameters
-        values = self.start + [amounts.get(p.name, 0.0) for p in parameters]
-        rates = rates_at(self.model, values)
+        rates = rates_at(self.model, self.start + [amounts.get(p.name, 0.0) for p in parameters])
         spread = np.array([p.spread for p in parameters])
         bones, sigma = _length_rates(body, rates[2]), _sigmas(self.length)
         precision = np.diag(spread**-2.0) + (bones.T / sigma**2) @ bones
         return Fields(tuple(p.name for p in parameters), *rates, precision)
 
     def moved(self, fields: Fields, amounts: Float, change: Float) -> tuple[Float, Motions]:
-        del fields
+
         before = self.start + amounts
         after = _within(self.model.parameters, before + change)
         old, new = self.model.bodies(np.stack([before, after]))
-        motions = new.vertices - old.vertices, joint_centres(new) - joint_centres(old)
-        return after - before, (*motions, new.landmarks.points - old.landmarks.points)
+        vertices, joints, marks = (b - a for a, b in zip(places_of(old), places_of(new), strict=True))
+        return after - before, (vertices, joints, marks)
 
     def summary(self, amounts: Mapping[str, float]) -> dict[str, float]:
         pairs = zip(self.model.parameters, self.start, strict=True)
@@ -73,26 +72,21 @@ class Parametric:
 
 
 def rates_at(model: Model, values: Float) -> Motions:
-    """Derivatives by the parameters (M,): of vertices (M, V, 3), joint centres (M, S, 3), landmarks (M, L, 3).
-
-    Central differences, one-sided at a bound.
-    """
+    """Derivatives by the parameters (M,): of vertices (M, V, 3), joint centres (M, S, 3), landmarks (M, L, 3). Central
+    differences, one-sided at a bound."""
     M, parameters = len(values), model.parameters
     steps = _STEP * np.eye(M)
     up, down = (_within(parameters, values + sign * steps) for sign in (1.0, -1.0))
     bodies = model.bodies(np.concatenate([up, down]))
     width = np.diagonal(up - down)[:, None, None]
-    places = zip(*((b.vertices, joint_centres(b), b.landmarks.points) for b in bodies), strict=True)
+    places = zip(*map(places_of, bodies), strict=True)
     vertices, centres, marks = ((np.array(of[:M]) - np.array(of[M:])) / width for of in places)
     return vertices, centres, marks
 
 
 def matched(model: Model, body: Body, length: float = 0.01) -> Parametric:
-    """The mean person with the limb lengths, trunk and stature of another body, as a build to start a fit with.
-
-    Raises:
-        InputError: where the body lacks a landmark that measures it, as ``humanoid("legs")`` does.
-    """
+    """The mean person with the limb lengths, trunk and stature of another body, as a build to start a fit with. Raises
+    InputError where the body lacks a landmark that measures it, as ``humanoid("legs")`` does."""
     measured = dict.fromkeys(name for pair in _PAIRS for name in pair)
     missing = [name for name in measured if name not in body.landmarks.names]
     if missing:
@@ -112,11 +106,8 @@ def matched(model: Model, body: Body, length: float = 0.01) -> Parametric:
 
 
 def carried_pose(given: Body, pose: Pose, body: Body, rig: Rig) -> Pose:
-    """The pose of another body whose landmarks project to those of the given one.
-
-    Raises:
-        InputError: for fewer than two cameras, or too few landmarks before two of them.
-    """
+    """The pose of another body whose landmarks project to those of the given one. Raises InputError for fewer than two
+    cameras, or too few landmarks before two of them."""
     names = tuple(name for name in body.landmarks.names if name in given.landmarks.names)
     points = Posed(given, pose).landmarks[[given.landmarks.index(name) for name in names]]
     pixels = np.stack([camera.project(points)[0] for camera in rig])

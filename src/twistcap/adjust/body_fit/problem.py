@@ -60,11 +60,8 @@ class Freedom:
 class Sculpted:
     """The variables: the poses of all frames, and the body with its parameters.
 
-    Attributes:
-        freedom: what may change.
-        body: with these amounts and offsets.
-        amounts: of the M fields, by their names.
-        offsets: (V,) m of the vertices along their normals; empty where they are not free.
+    These are `amounts` of the M fields by their names, and `offsets` (V,) m of the vertices along their normals, empty
+    where they are not free.
     """
 
     freedom: Freedom
@@ -114,9 +111,8 @@ class Sculpted:
     def motions(self) -> sparse.csr_array:
         """(3 V, M + V) of the vertices by all values."""
         by_field = sparse.csr_array(self.fields.vertices.reshape(len(self.fields.names), -1).T)
-        if not len(self.offsets):
+        if not (V := len(self.offsets)):
             return by_field
-        V = len(self.offsets)
         where = np.arange(3 * V), np.repeat(np.arange(V), 3)
         along = sparse.coo_array((self.directions.ravel(), where), shape=(3 * V, V))
         return sparse.csr_array(sparse.hstack([by_field, along]))
@@ -143,10 +139,8 @@ class Sculpted:
 
 @dataclass(frozen=True)
 class FitProblem:
-    """Distances to the edges seen in each frame's views, Gaussians about the tracked poses, and the prior of the shape.
-
-    `precision` (M + V, M + V) is that of the prior of the shape's values.
-    """
+    """Distances to the edges seen in each frame's views, Gaussians about the tracked poses, and the prior of the shape
+    of a `precision` (M + V, M + V)."""
 
     seen: Sequence[Sequence[Observed]]
     tracked: Sequence[Pose]
@@ -172,8 +166,8 @@ class FitProblem:
                 weight = np.concatenate([self._weight(*pair) for pair in zip(views, distances, strict=True)])
                 distance = np.concatenate(distances)
                 self._add_frame(arrow, t, x, by, (weight, distance))
-                squares += by.vertex.T @ (by.vertex * weight[:, None])
-                pull -= by.vertex.T @ (weight * distance)
+                squares += by[1].T @ (by[1] * weight[:, None])
+                pull -= by[1].T @ (weight * distance)
         arrow.corner += (x.motions.T @ (squares @ x.motions)).toarray() + self.precision
         arrow.shared_pull += x.motions.T @ pull + self.precision @ x.values
         return arrow
@@ -194,15 +188,15 @@ class FitProblem:
 
     def _add_frame(self, arrow: Arrow, t: int, x: Sculpted, by: Rows, weighing: tuple[Float, Float]) -> None:
         """Add all products except those of the vertices with themselves, which are the same in all frames."""
-        (weight, distance), at = weighing, x.posed[t]
-        weighted = by.twist * weight[:, None]
-        twists, pull = (weighted.T @ by.twist).toarray(), -(weighted.T @ distance)
+        (weight, distance), (by_twist, by_vertex), at = weighing, by, x.posed[t]
+        weighted = by_twist * weight[:, None]
+        twists, pull = (weighted.T @ by_twist).toarray(), -(weighted.T @ distance)
         P, joints, M = at.projector, x.joint_motions(at), len(x.fields.names)
-        by_vertex = (weighted.T @ by.vertex @ x.motions).toarray()
+        by_value = (weighted.T @ by_vertex @ x.motions).toarray()
         arrow.add_pose(t, P.T @ pull, P.T @ twists @ P)
-        arrow.border[t] += P.T @ by_vertex
+        arrow.border[t] += P.T @ by_value
         arrow.border[t, :, :M] += P.T @ (twists @ joints)
-        crossed = joints.T @ by_vertex
+        crossed = joints.T @ by_value
         arrow.corner[:M, :M] += joints.T @ twists @ joints
         arrow.corner[:M] += crossed
         arrow.corner[:, :M] += crossed.T
@@ -231,27 +225,18 @@ def _hold(dof: int) -> Float:
     return sigma**-2.0
 
 
-@dataclass(frozen=True)
-class Rows:
-    """Derivatives of N distances along the image normals.
-
-    A distance changes with the twists of the segments that carry its point, and with the motions in the rest pose of
-    the two vertices of its edge. Skeleton and fields are applied once, to the sums of a frame.
-
-    Attributes:
-        twist: (N, 6 S) by the twist of each segment.
-        vertex: (N, 3 V) by the motion of each vertex in the rest pose.
-    """
-
-    twist: sparse.csr_array
-    vertex: sparse.csr_array
+Rows = tuple[sparse.csr_array, sparse.csr_array]
 
 
 def rows(posed: Posed, views: Sequence[Observed]) -> Rows:
-    """Of all views of one frame."""
+    """Derivatives of the N distances along the image normals in all views of one frame.
+
+    They are (N, 6 S) by the twists of the segments that carry a point, and (N, 3 V) by the motions in the rest pose of
+    the two vertices of its edge. Skeleton and fields are applied once, to the sums of a frame.
+    """
     twist, segments, turned, ends = zip(*(_of_view(posed, view) for view in views), strict=True)
     by_twist = _sparse(np.concatenate(segments), np.concatenate(twist), len(posed.body.segment_names))
-    return Rows(by_twist, _sparse(np.concatenate(ends), np.concatenate(turned), len(posed.body.vertices)))
+    return by_twist, _sparse(np.concatenate(ends), np.concatenate(turned), len(posed.body.vertices))
 
 
 def _of_view(posed: Posed, seen: Observed) -> tuple[Float, Int, Float, Int]:

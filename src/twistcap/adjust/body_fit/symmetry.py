@@ -7,26 +7,23 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
-from twistcap.adjust.body_fit.fields import deformed, joint_centres
+from twistcap.adjust.body_fit.fields import deformed
 from twistcap.adjust.first_pose import girth_groups
 from twistcap.arrays import Float, Int
 from twistcap.body import Body
+from twistcap.body.shape import joint_origins
 
 _MIRROR = np.array([1.0, -1.0, 1.0])  # in the plane that parts left (+y) from right
 
 
 def symmetric(body: Body, tolerance: float = 0.015) -> Body:
-    """The mean of a body and its mirror image; the body itself where its mesh has no mirrored pairs.
-
-    Args:
-        body: of any mesh.
-        tolerance: m, greatest mean distance between mirrored vertices.
-    """
+    """The mean of a body and its mirror image; the body itself where its mesh has no mirrored pairs within a mean
+    distance (`tolerance`, m)."""
     partner = mirrored_vertices(body)
     mirrored = body.vertices[partner] * _MIRROR
     if not _in_pairs(partner) or np.linalg.norm(mirrored - body.vertices, axis=1).mean() > tolerance:
         return body
-    centres, marks = joint_centres(body), body.landmarks.points
+    centres, marks = joint_origins(body), body.landmarks.points
     joints = centres[_partners(body.segment_names)] * _MIRROR
     landmarks = marks[_partners(body.landmarks.names)] * _MIRROR
     return deformed(body, 0.5 * (mirrored - body.vertices), 0.5 * (joints - centres), 0.5 * (landmarks - marks))
@@ -50,12 +47,8 @@ def mirrored_vertices(body: Body) -> Int:
 def alike(precision: Float, body: Body, apart: float) -> Float:
     """(V, V) precision of offsets whose difference between the sides is held; the same where nothing is paired.
 
-    Offsets are the sum of a part that both sides have in common and of one that they have with opposite signs.
-
-    Args:
-        precision: (V, V) of offsets that know nothing of sides.
-        body: whose vertices they move.
-        apart: factor on the standard deviation of the opposite part.
+    Offsets are the sum of a part that both sides have in common and of one with opposite signs, whose standard
+    deviation has the factor `apart` against that of the `precision` (V, V) given.
     """
     partner = mirrored_vertices(body)
     if not _in_pairs(partner):
@@ -75,10 +68,8 @@ def _assigned(points: Float, others: Float) -> Int:
         return nearest
     alone = np.flatnonzero(back[nearest] != np.arange(len(points)))
     free = np.flatnonzero(nearest[back] != np.arange(len(others)))
-    chosen = linear_sum_assignment(cdist(points[alone], others[free], "sqeuclidean"))[1]
-    out = nearest.copy()
-    out[alone] = free[chosen]
-    return out
+    nearest[alone] = free[linear_sum_assignment(cdist(points[alone], others[free], "sqeuclidean"))[1]]
+    return nearest
 
 
 def _partners(names: tuple[str, ...]) -> list[int]:

@@ -21,9 +21,9 @@ from twistcap.camera import pinhole
 from twistcap.camera.scaled import ROOT, ScaledView
 from twistcap.differential.model import state_at, view_block, view_blocks
 from twistcap.differential.state import State
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 from twistcap.render import SurfacePoints
-from twistcap.solve import BlockProblem, Variables, Vector, minimise
+from twistcap.solve import Arrow, BlockProblem, Dense, Solution, Variables, Vector, minimise
 from twistcap.terms import BlockGaussian, BlockTerm, Slope, Sums
 from twistcap.terms.scaled import ViewGaussian, image_motion
 
@@ -41,13 +41,10 @@ _UPRIGHT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])  # z 
 
 @dataclass(frozen=True)
 class ClickedStart:
-    """A state fitted to clicks.
+    """A state fitted to clicks, with the body of the fitted dimensions and its factors against the generic one.
 
-    Attributes:
-        body: of the fitted dimensions.
-        proportions: factors of the body against the generic one.
-        residual_px: (V, L) distance of each click from its landmark, NaN where there was none.
-        covariance: (6 V + J, 6 V + J) of the state's step, with the uncertainty of the body's dimensions.
+    `residual_px` (V, L) is the distance of each click from its landmark, NaN where there was none; the covariance
+    (6 V + J, 6 V + J) is that of the state's step, with the uncertainty of the body's dimensions.
     """
 
     body: Body
@@ -72,19 +69,15 @@ def fit_clicks(
 ) -> ClickedStart:  # fmt: skip
     """The state and dimensions of a body whose joints were clicked.
 
-    Args:
-        body: with landmarks; the clicks' names are theirs.
-        clicks: of each view, (x, y) px by landmark name; a view may lack some.
-        facing_deg: of each view, the direction the body faces: 0 towards the camera, 90 to the image's right; by
-            default several are tried.
-        start: of the solve; by default upright bodies.
+    Clicks are (x, y) px of each view by landmark name; a view may lack some. `facing_deg` is the direction that the
+    body faces in each: 0 towards the camera, 90 to the image's right; by default several are tried, from upright
+    bodies.
 
-    Raises:
-        InputError: for an unknown name, fewer than four clicks in a view, or numbers that are not finite.
+    Raises InputError for an unknown name, fewer than four clicks in a view, or numbers that are not finite.
     """
     skeleton, known = Skeleton(body), gathered(body, clicks)
     starts = [start] if start is not None else _starts(body, known, facing_deg)
-    x, _ = min((_minimised(skeleton, known, begin) for begin in starts), key=lambda end: end[1])
+    x = min((_minimised(skeleton, known, begin) for begin in starts), key=lambda end: end.energy).x
     proportions, state = skeleton.proportions(x["shape"].values), state_at(x)
     fitted = rescaled(body, proportions.lengths, proportions.girths, proportions.stature)
     at = Posed(fitted, Pose(np.eye(4), state.q)).landmarks[known.marks]
@@ -103,10 +96,8 @@ def gathered(body: Body, clicks: Sequence[Mapping[str, Sequence[float]]]) -> Cli
             raise InputError(f"clicks: {name!r} is no landmark of the body; it has {', '.join(body.landmarks.names)}.")
     pixels = np.array([[view.get(name, (np.nan, np.nan)) for name in names] for view in clicks], dtype=np.float64)
     given = np.array([[name in view for name in names] for view in clicks], dtype=bool)
-    if not clicks or given.sum(axis=1).min() < _FEWEST:
-        raise InputError(f"clicks: every view needs {_FEWEST} clicked joints or more.")
-    if not np.all(np.isfinite(pixels[given])):
-        raise InputError("clicks: a pixel is not a finite number; leave that joint out.")
+    check("clicks", clicks and given.sum(axis=1).min() >= _FEWEST, f"every view needs {_FEWEST} clicked joints or more")
+    check("clicks", np.all(np.isfinite(pixels[given])), "a pixel is not a finite number; leave that joint out")
     return Clicks(np.array([body.landmarks.index(name) for name in names], np.int32), np.nan_to_num(pixels), given)
 
 
@@ -128,11 +119,8 @@ def _starts(body: Body, clicks: Clicks, facing_deg: Sequence[float] | None) -> l
 
 def _placed(points: Float, clicks: Clicks, v: int, facing: float) -> ScaledView:
     """The view of a direction, its scale and shift from the heights and means of body and clicks."""
-    a = np.deg2rad(facing)
-    turn = _UPRIGHT @ se3.exp_rotation(np.array([0.0, 0.0, a]))
-    known = clicks.known[v]
-    at = (points[known] @ turn.T)[:, :2]
-    there = clicks.pixels[v][known]
+    turn, known = _UPRIGHT @ se3.exp_rotation(np.array([0.0, 0.0, np.deg2rad(facing)])), clicks.known[v]
+    at, there = (points[known] @ turn.T)[:, :2], clicks.pixels[v][known]
     scale = float(np.ptp(there[:, 1]) / max(np.ptp(at[:, 1]), 1e-6))
     return ScaledView(turn, scale, (there - scale * at).mean(axis=0))
 
@@ -141,12 +129,11 @@ def _misfit(points: Float, clicks: Clicks, v: int, view: ScaledView) -> float:
     return float(np.sum((view.pixels(points) - clicks.pixels[v])[clicks.known[v]] ** 2))
 
 
-def _minimised(skeleton: Skeleton, clicks: Clicks, start: State) -> tuple[Variables, float]:
-    """The blocks and their energy from one start; the second solve takes the rotations of the first as its start."""
+def _minimised(skeleton: Skeleton, clicks: Clicks, start: State) -> Solution[Variables, Dense | Arrow]:
+    """From one start; the second solve takes the rotations of the first as its start."""
     x = click_variables(skeleton, start)
-    first = minimise(click_problem(clicks, x), x, _STEPS, damping=_DAMPING, gain=_GAIN)
-    again = minimise(click_problem(clicks, first.x), first.x, _STEPS, damping=_DAMPING, gain=_GAIN)
-    return again.x, again.energy
+    x = minimise(click_problem(clicks, x), x, _STEPS, damping=_DAMPING, gain=_GAIN).x
+    return minimise(click_problem(clicks, x), x, _STEPS, damping=_DAMPING, gain=_GAIN)
 
 
 def click_variables(skeleton: Skeleton, start: State) -> Variables:
@@ -192,8 +179,7 @@ class ClickTerm:
 
     def add_to(self, sums: Sums, x: Variables) -> None:
         posed, view, marks = self._posed(x), x[self.view], x["shape"].body.landmarks
-        residual = self._residual(x, posed).ravel()
-        ones = np.ones((len(self.marks), 1))
+        residual, ones = self._residual(x, posed).ravel(), np.ones((len(self.marks), 1))
         points = SurfacePoints(marks.segments[self.marks, None], ones, marks.points[self.marks])
         motion = image_motion(posed, view, points).reshape(len(residual), -1) / self.sigma
         slopes = [Slope(self.view, motion[:, :ROOT]), Slope("joints", motion[:, ROOT:])]

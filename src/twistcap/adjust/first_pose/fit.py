@@ -13,6 +13,7 @@ from twistcap.adjust.first_pose.triangulate import rigid_fit, triangulate
 from twistcap.arrays import Bool, Float
 from twistcap.body import Body, Pose
 from twistcap.body.kinematics import Posed
+from twistcap.body.model import unsided
 from twistcap.body.shape import rescaled
 from twistcap.camera import Rig
 from twistcap.errors import InputError
@@ -23,6 +24,7 @@ from twistcap.terms.robust import geman_mcclure
 _FEWEST = 5  # triangulated joints, at least
 _REACH = 4.0  # final scale of the robust function, standard deviations
 _USED = 0.2  # robust weight above which a keypoint counts as used
+_TRUNK = ("hip", "shoulder", "mid_hip", "neck")  # landmarks that hardly move with limbs
 _LOOSE = 0.2  # rad, standard deviation beyond a limit while starts are compared
 
 # Start poses in degrees, both sides alike; coordinates that the body lacks do not count.
@@ -39,17 +41,11 @@ STARTS_DEG: tuple[Mapping[str, float], ...] = (
 
 @dataclass(frozen=True)
 class FirstPose:
-    """A pose fitted to keypoints.
+    """A pose fitted to keypoints, and the body at the fitted lengths.
 
-    Attributes:
-        body: the body at the fitted lengths.
-        pose: of it.
-        proportions: the factors that made `body` from the generic one.
-        residual_px: (C, L) distance between keypoint and landmark, undistorted pixels, NaN where there is none.
-        used: (C, L) the keypoints that counted.
-        names: L keypoint names.
-        cameras: C camera names.
-        covariance: (6 + J, 6 + J) of the pose step (rad, m), from the solve, scaled to the residuals.
+    The proportions made the body from the generic one. `residual_px` (C, L) is the distance between keypoint and
+    landmark, undistorted pixels, NaN where there is none; `used` (C, L) are the keypoints that counted. The covariance
+    (6 + J, 6 + J) of the pose step (rad, m) is that of the solve, scaled to the residuals.
     """
 
     body: Body
@@ -76,19 +72,16 @@ def fit_keypoints(
 
     Landmarks are triangulated with a vote of all views; those of the trunk give the root. Levenberg-Marquardt on the
     reprojection errors gives the rest, from each of a few start poses; the result of least energy is kept. The loss is
-    that of Geman and McClure (1987), its scale lowered in stages. Limits hold; joints that are not seen stay near
-    neutral.
+    that of Geman and McClure (1987), its scale lowered in stages. Limits hold; joints not seen stay near neutral.
 
     Args:
         body: the generic body; its landmark names say which keypoints count.
-        rig: cameras, with their distortion.
-        keypoints: in the rig's own pixels.
+        rig, keypoints: cameras, with their distortion, and keypoints in their own pixels.
         fit_lengths: whether stature, segment lengths and the breadth of pelvis and torso are fitted too.
         sigma_px: standard deviation of a wrist keypoint, pixels; by default 1.5 % of the person's height in the image.
         start: one more start pose.
 
-    Raises:
-        InputError: for arrays of the wrong shape, fewer than two views, or too few joints seen by two views.
+    Raises InputError for arrays of the wrong shape, fewer than two views, or too few joints seen by two views.
     """
     fits = fit_keypoints_sequence(body, [rig], [keypoints], fit_lengths=fit_lengths, sigma_px=sigma_px, starts=[start])
     return fits[0]
@@ -100,14 +93,9 @@ def fit_keypoints_sequence(
 ) -> tuple[FirstPose, ...]:  # fmt: skip
     """As `fit_keypoints`, for several instants that share their lengths (and `FirstPose.body`).
 
-    Args:
-        body, fit_lengths, sigma_px: as in `fit_keypoints`.
-        rigs: one for all, or one for each instant: two trials may differ in cameras and grids.
-        keypoints: of each instant.
-        starts: of each instant, one more start pose or None.
-
-    Raises:
-        InputError: as `fit_keypoints`, or if there is no instant, or not one rig for each.
+    `rigs` are one for all, or one for each instant: two trials may differ in cameras and grids. `starts` may give each
+    instant one more start pose. Raises InputError as `fit_keypoints`, or if there is no instant, or not one rig for
+    each.
     """
     rigs = [rigs] * len(keypoints) if isinstance(rigs, Rig) else list(rigs)
     if not keypoints or len(rigs) != len(keypoints):
@@ -153,26 +141,14 @@ def _start_poses(body: Body, frame: Evidence, seen: Float) -> list[Pose]:
     if good.sum() < _FEWEST:
         mend = f"{_FEWEST} are needed, so check calibration, pixel grids and which person was chosen"
         raise InputError(f"keypoints: only {good.sum()} joints are seen by two views that agree; {mend}.")
-    trunk = good & _trunk(body, frame)
+    trunk = good & np.array([unsided(body.landmarks.names[m]) in _TRUNK for m in frame.marks])
     used = trunk if trunk.sum() >= 3 else good
     poses: list[Pose] = []
     for angles in STARTS_DEG:
-        q = np.clip(_coordinates(body, angles), *body.limits.T)
+        q = np.clip(np.deg2rad([angles.get(unsided(n), 0.0) for n in body.coordinate_names]), *body.limits.T)
         points = Posed(body, Pose(np.eye(4), q)).landmarks[frame.marks]
         poses.append(Pose(rigid_fit(points[used], seen[used], np.ones(used.sum())), q))
     return poses
-
-
-def _trunk(body: Body, frame: Evidence) -> Bool:
-    """(N,) which landmarks hardly move with limbs: those named hip, shoulder, neck, mid_hip."""
-    stems = ("hip", "shoulder", "mid_hip", "neck")
-    names = [body.landmarks.names[m].removesuffix("_r").removesuffix("_l") for m in frame.marks]
-    return np.array([name in stems for name in names])
-
-
-def _coordinates(body: Body, angles_deg: Mapping[str, float]) -> Float:
-    names = [name.removesuffix("_r").removesuffix("_l") for name in body.coordinate_names]
-    return np.deg2rad([angles_deg.get(name, 0.0) for name in names])
 
 
 def _answers(
@@ -215,13 +191,8 @@ def _covariance(problem: KeypointProblem, x: Variables, errors: Sequence[Float])
 
 
 def pose_at(poses: Sequence[Pose], times: Sequence[float], time: float) -> Pose:
-    """The pose at a time by constant velocity: a straight line through the steps from the first pose.
-
-    Times are s (or frames), the wanted one within those given or a little outside.
-
-    Raises:
-        InputError: for fewer than two poses, or times of another number.
-    """
+    """The pose at a time (s or frames, about those given) by a straight line through the steps from the first pose.
+    Raises InputError for fewer than two poses, or times of another number."""
     if len(poses) < 2 or len(times) != len(poses):
         given = f"{len(poses)} poses and {len(times)} times were given"
         raise InputError(f"pose_at: {given}; two or more of each are needed.")

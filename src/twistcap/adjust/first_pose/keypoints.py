@@ -13,8 +13,9 @@ from scipy.special import ndtr
 from twistcap.adjust.first_pose.skeleton import Scaling, Skeleton
 from twistcap.arrays import Float, Int
 from twistcap.body import Body, Pose
+from twistcap.body.model import unsided
 from twistcap.camera import Rig, pinhole
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 from twistcap.estimate import Keypoints
 from twistcap.solve import Arrow, BlockProblem, CameraBlock, Dense, PoseTrack, Solution, Variables, minimise
 from twistcap.terms import BlockGaussian, GaussianTerm, LimitTerm, OnPose, ReprojectionTerm
@@ -55,10 +56,8 @@ class Evidence:
 def evidence(body: Body, rig: Rig, keypoints: Keypoints, sigma_px: float | None = None) -> Evidence:
     """Check keypoints against body and rig, undistort them, and give each its standard deviation.
 
-    Arguments are those of `fit_keypoints`.
-
-    Raises:
-        InputError: for arrays of the wrong shape, values that are not finite, or fewer than two views.
+    Arguments are those of `fit_keypoints`. Raises InputError for arrays of the wrong shape, values that are not finite,
+    or fewer than two views.
     """
     _check(rig, keypoints)
     known = {name: i for i, name in enumerate(body.landmarks.names)}
@@ -66,13 +65,14 @@ def evidence(body: Body, rig: Rig, keypoints: Keypoints, sigma_px: float | None 
     names = [keypoints.names[i] for i in columns]
     pixels = np.stack([_undistorted(rig, c, keypoints.pixels[c, columns]) for c in range(len(rig))])
     weights = np.where(np.isfinite(pixels).all(axis=-1), keypoints.confidence[:, columns], 0.0)
-    if np.count_nonzero((weights > 0).sum(axis=1) >= 3) < 2:
-        raise InputError(
-            "keypoints: at least two cameras must see three or more known joints each; add views or joints."
-        )
-    height = np.array([_extent(p[w > 0]) for p, w in zip(pixels, weights, strict=True)])
+    enough = np.count_nonzero((weights > 0).sum(axis=1) >= 3) >= 2
+    check("keypoints", enough, "two cameras must see three or more known joints each; add views or joints")
+    extents = [
+        np.ptp(p[w > 0], axis=0).max() if np.sum(w > 0) > 1 else 0.0 for p, w in zip(pixels, weights, strict=True)
+    ]
+    height = np.array(extents)
     base = np.maximum(_BLUR * height, 0.5) if sigma_px is None else np.full(len(rig), sigma_px)
-    sigma = base[:, None] * np.array([_looseness(n) for n in names])
+    sigma = base[:, None] * np.array([_LOOSENESS.get(unsided(name), 1.0) for name in names])
     marks = np.array([known[n] for n in names], np.int32)
     return Evidence(marks, columns, rig.pinhole(), np.nan_to_num(pixels), weights, sigma)
 
@@ -84,11 +84,8 @@ def _check(rig: Rig, keypoints: Keypoints) -> None:
         raise InputError(f"keypoints: pixels and confidence are {shapes}; {C} cameras and {L} names need {need}.")
     seen = keypoints.confidence != 0
     if not np.all(np.isfinite(keypoints.confidence)) or not np.all(np.isfinite(keypoints.pixels[seen])):
-        raise InputError(
-            "keypoints: a pixel with confidence, or a confidence, is not a finite number; give it weight 0."
-        )
-    if np.any(keypoints.confidence < 0):
-        raise InputError("keypoints: a confidence is negative; it must lie between 0 and 1.")
+        raise InputError("keypoints: a pixel or a confidence is not a finite number; give it weight 0.")
+    check("keypoints", not np.any(keypoints.confidence < 0), "a confidence is negative; it must lie between 0 and 1")
 
 
 def _undistorted(rig: Rig, c: int, pixels: Float) -> Float:
@@ -96,24 +93,12 @@ def _undistorted(rig: Rig, c: int, pixels: Float) -> Float:
     return rig[c].normalised(pixels) @ K[:2, :2].T + K[:2, 2]
 
 
-def _extent(pixels: Float) -> float:
-    return float(np.ptp(pixels, axis=0).max()) if len(pixels) > 1 else 0.0
-
-
-def _looseness(name: str) -> float:
-    return _LOOSENESS.get(name.removesuffix("_r").removesuffix("_l"), 1.0)
-
-
 @dataclass(frozen=True)
 class KeypointProblem:
     """Which blocks are free and which terms are summed: poses of F instants, and the log-factors that they share.
 
-    Attributes:
-        skeleton: the scalable body.
-        frames: evidence of each instant.
-        reach: of the robust function, standard deviations.
-        fit_lengths: whether the log-factors are free.
-        limit: rad beyond a limit of a joint, standard deviation.
+    `reach` is that of the robust function, in standard deviations; `fit_lengths` says whether the log-factors are free,
+    and `limit` (rad) is the standard deviation beyond a limit of a joint.
     """
 
     skeleton: Skeleton
@@ -141,7 +126,9 @@ class KeypointProblem:
     @cached_property
     def problem(self) -> BlockProblem:
         """Keypoints, limits and weak priors."""
-        return BlockProblem([*self.keypoints, *self._poses(), self._factors()])
+        sigmas = self.skeleton.sigmas(_STATURE, _LENGTH, _GIRTH)
+        factors = BlockGaussian("shape", np.zeros(self.skeleton.size), sigmas)
+        return BlockProblem([*self.keypoints, *self._poses(), factors])
 
     @cached_property
     def keypoints(self) -> list[ReprojectionTerm]:
@@ -161,9 +148,6 @@ class KeypointProblem:
         neutral, joints = Pose(np.eye(4), mean), np.diag(np.r_[np.zeros(6), sigma**-2.0])
         each = (GaussianTerm(neutral, joints, "neutral"), LimitTerm(self.limit))
         return [OnPose(term, body, frame=f) for f in range(len(self.frames)) for term in each]
-
-    def _factors(self) -> BlockGaussian:
-        return BlockGaussian("shape", np.zeros(self.skeleton.size), self.skeleton.sigmas(_STATURE, _LENGTH, _GIRTH))
 
 
 def truncated(limits: Float, sigma: float) -> tuple[Float, Float]:

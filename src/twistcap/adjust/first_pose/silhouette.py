@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twistcap.adjust.first_pose.outline import Outline, match, outline_of
-from twistcap.adjust.first_pose.outline_term import Girths, OutlineTerm
+from twistcap.adjust.first_pose.outline import Girths, Outline, OutlineTerm, match, outline_of
 from twistcap.arrays import AnyArray, Bool, Float
 from twistcap.body import Body, Pose
 from twistcap.body.kinematics import Posed
+from twistcap.body.model import unsided
 from twistcap.body.shape import RestMotion
 from twistcap.camera import Camera, Rectifier, Rig
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 from twistcap.region.compare import iou
 from twistcap.render import render, visible_contour
 from twistcap.solve import Arrow, BlockProblem, Dense, PoseTrack, Variables, minimise
@@ -55,8 +55,7 @@ def girth_groups(body: Body) -> dict[str, tuple[str, ...]]:
     """One group for each kind of segment, left and right together."""
     out: dict[str, tuple[str, ...]] = {}
     for name in body.segment_names:
-        stem = name.removesuffix("_r").removesuffix("_l")
-        out[stem] = (*out.get(stem, ()), name)
+        out[unsided(name)] = (*out.get(unsided(name), ()), name)
     return out
 
 
@@ -71,17 +70,16 @@ def refine_on_silhouettes(
     its start, of 10 degrees and 5 cm.
 
     Args:
-        body: whose girths are fitted.
-        rig: cameras, with their distortion.
-        poses: of one or more instants, which share their girths.
+        body, rig, poses: of one or more instants, which share their girths; cameras with their distortion.
         masks: for each instant one mask (H, W) per camera, 0 off the person, or None; in the cameras' own pixels.
         groups: segments that share a girth factor; None keeps the girths, `girth_groups` gives one for each kind.
 
-    Raises:
-        InputError: if the number or size of the masks does not fit the rig, or an instant has no mask.
+    Raises InputError if the number or size of the masks does not fit the rig, or an instant has no mask.
     """
     names, instants = dict(groups or {}), [_Instant.of(rig, of_instant) for of_instant in masks]
-    about = [GaussianTerm(pose, _information(body), "start") for pose in poses]
+    sigma = np.full(body.dof, np.deg2rad(10.0))
+    sigma[3:6] = 0.05
+    about = [GaussianTerm(pose, np.diag(sigma**-2.0), "start") for pose in poses]
     priors: list[BlockTerm] = [OnPose(term, body, frame=f) for f, term in enumerate(about)]
     priors.append(BlockGaussian("girths", np.zeros(len(names)), np.full(len(names), _GIRTH), "girths"))
     blocks = {
@@ -124,10 +122,10 @@ class _Instant:
         if len(masks) != len(rig) or all(m is None for m in masks):
             need = "give one or None for each, not all None"
             raise InputError(f"masks: {len(masks)} were given for {len(rig)} cameras; {need}.")
-        flat = [None if m is None else _rectified(c, m) for c, m in zip(rig, masks, strict=True)]
+        flat = tuple(None if m is None else _rectified(c, m) for c, m in zip(rig, masks, strict=True))
         heights = tuple(0.0 if m is None else _height(m) for m in flat)
         outlines = tuple(None if m is None else outline_of(m, _SPACING * h) for m, h in zip(flat, heights, strict=True))
-        return _Instant(tuple(rig.pinhole()), tuple(flat), outlines, heights)
+        return _Instant(tuple(rig.pinhole()), flat, outlines, heights)
 
     def terms(self, x: Variables, motion: RestMotion | None, f: int, reach: float) -> list[OutlineTerm]:
         """The outlines of this instant, number `f` of the track, matched with the model as it is."""
@@ -157,13 +155,5 @@ def _rectified(camera: Camera, mask: AnyArray) -> Bool:
 
 def _height(mask: Bool) -> float:
     rows, columns = np.nonzero(mask)
-    if not len(rows):
-        raise InputError("masks: one is empty; give None for a camera that does not see the person.")
+    check("masks", len(rows), "one is empty; give None for a camera that does not see the person")
     return float(max(np.ptp(rows), np.ptp(columns), 1))
-
-
-def _information(body: Body) -> Float:
-    """(6 + J, 6 + J) information of a pose at the start."""
-    sigma = np.full(body.dof, np.deg2rad(10.0))
-    sigma[3:6] = 0.05
-    return np.diag(sigma**-2.0)

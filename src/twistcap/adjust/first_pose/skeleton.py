@@ -17,7 +17,7 @@ import numpy as np
 from twistcap.arrays import Float, Int
 from twistcap.body import Body
 from twistcap.body.kinematics import Posed
-from twistcap.body.model import Landmarks
+from twistcap.body.model import Landmarks, unsided
 from twistcap.body.shape import joint_coordinates, segment_axes
 from twistcap.solve import Vector
 
@@ -55,7 +55,7 @@ class Skeleton:
     @cached_property
     def _group(self) -> Int:
         """(S,) length group of each segment: left and right of the same name share one."""
-        kinds = [name.removesuffix("_r").removesuffix("_l") for name in self.body.segment_names]
+        kinds = list(map(unsided, self.body.segment_names))
         return np.array([list(dict.fromkeys(kinds)).index(kind) for kind in kinds], np.int32)
 
     @cached_property
@@ -129,9 +129,8 @@ class Skeleton:
 
     @cached_property
     def _bare(self) -> Body:
-        none, faces = np.zeros((0, 3)), np.zeros((0, 3), np.int32)
-        binding = np.zeros((0, 1), np.int32), np.zeros((0, 1))
-        return replace(self.body, vertices=none, faces=faces, skin_segments=binding[0], skin_weights=binding[1])
+        none, faces, bound = np.zeros((0, 3)), np.zeros((0, 3), np.int32), np.zeros((0, 1), np.int32)
+        return replace(self.body, vertices=none, faces=faces, skin_segments=bound, skin_weights=np.zeros((0, 1)))
 
     @cached_property
     def _links(self) -> _Links:

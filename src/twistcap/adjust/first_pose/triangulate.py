@@ -13,9 +13,8 @@ from twistcap.camera import Rig
 def triangulate(rig: Rig, pixels: Float, confidence: Float, sigma_px: Float, reach: float = 4.0) -> tuple[Float, Bool]:
     """Points (L, 3) in the world seen by at least two views within `reach` standard deviations, and these views (C, L).
 
-    Points are NaN where fewer than two views agree.
-
-    Pixels are (C, L, 2), NaN where nothing was seen; their confidence, 0 there, and standard deviation are (C, L).
+    Points are NaN where fewer than two views agree. Pixels are (C, L, 2), NaN where nothing was seen; their confidence,
+    0 there, and standard deviation are (C, L).
     """
     weight = np.where(np.isfinite(pixels).all(axis=-1), confidence, 0.0)
     rays = [camera.rays(pixels[c]) for c, camera in enumerate(rig)]
@@ -36,10 +35,8 @@ def triangulate(rig: Rig, pixels: Float, confidence: Float, sigma_px: Float, rea
 
 
 def nearest_points(centres: Float, directions: Float, weights: Float) -> Float:
-    """Points (L, 3) nearest to weighted rays: centres (C, 3), unit directions (C, L, 3), weights (C, L).
-
-    NaN where fewer than two rays count, or all are parallel.
-    """
+    """Points (L, 3) nearest to weighted rays: centres (C, 3), unit directions (C, L, 3), weights (C, L). NaN where
+    fewer than two rays count, or all are parallel."""
     across = np.eye(3) - directions[..., :, None] * directions[..., None, :]
     A = np.einsum("cl,clij->lij", weights, across)
     b = np.einsum("cl,clij,cj->li", weights, across, centres)

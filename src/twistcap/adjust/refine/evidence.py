@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from twistcap.adjust.refine.sums import Derivatives
+from twistcap.adjust.refine.sums import Derivatives, derivatives
 from twistcap.arrays import Float, Int
 from twistcap.body import Posed
 from twistcap.body.kinematics import skin_points
@@ -34,11 +34,8 @@ def reshaped(term: Term, maps: Float | None) -> Term:
 
 @dataclass(frozen=True)
 class End:
-    """One of the two frames between which brightness is compared: how N points' brightness changes as they move.
-
-    Where the points were seen (`pixels`, under P) are their brightness `value` (N,) and its gradient `slope` (N, 2),
-    1/px.
-    """
+    """One of the two frames between which brightness is compared, by N points. Where they were seen (`pixels`, under
+    P): their brightness `value` (N,) and its gradient `slope` (N, 2), 1/px."""
 
     P: Float
     value: Float
@@ -65,10 +62,8 @@ class End:
 class BrightnessPair:
     """Brightness constancy of N points between two frames, ``I_b(π(x_b)) − I_a(π(x_a))``, both poses free.
 
-    Bregler and Malik, DOI 10.1109/CVPR.1998.698581, eq. 17 ff., here in perspective.
-
-    `first` and `second` are numbers of frames, `earlier` and `later` how these show the points. At a difference of
-    `scale` a point is down-weighted by half (Cauchy).
+    Bregler and Malik, DOI 10.1109/CVPR.1998.698581, eq. 17 ff., here in perspective. `first` and `second` are numbers
+    of frames, `earlier` and `later` how these show the points. A difference of `scale` counts by half (Cauchy).
     """
 
     first: int
@@ -105,5 +100,5 @@ class BrightnessPair:
         """Energy, derivatives by either end, weights (N,) and residuals (N,)."""
         (a, by_a), (b, by_b) = self.earlier.at(earlier, self.points), self.later.at(later, self.points)
         energy, weight = weighted_cauchy(b - a, np.full(len(a), self.information), self.scale)
-        one = Derivatives.of(earlier, motion, self.points, -by_a)
-        return energy, one, Derivatives.of(later, motion, self.points, by_b), weight, b - a
+        one = derivatives(earlier, motion, self.points, -by_a)
+        return energy, one, derivatives(later, motion, self.points, by_b), weight, b - a

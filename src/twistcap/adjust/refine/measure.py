@@ -6,13 +6,14 @@ import os
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import zip_longest
 
 import numpy as np
 
 from twistcap.adjust.refine.evidence import BrightnessPair
 from twistcap.adjust.refine.settings import RefineConfig
 from twistcap.arrays import Bool, Float
-from twistcap.body import Body, Pose, Posed
+from twistcap.body import Body, Posed
 from twistcap.build import contour_of
 from twistcap.camera import Rig
 from twistcap.cues.appearance import Appearance, AppearanceRule
@@ -39,10 +40,8 @@ Tally = tuple[Float, Float]
 
 @dataclass(frozen=True)
 class CameraRound:
-    """What one camera shows in one round: of each frame contours, None without an image of the body, and tallies.
-
-    Further the brightness between pairs of frames, and the colours of the parts in all frames.
-    """
+    """What one camera shows in one round: contours (None without an image of the body) and tallies of each frame,
+    brightness between pairs of frames, and colours of the parts in all frames."""
 
     contours: Sequence[PointTerm | None]
     pairs: Sequence[BrightnessPair]
@@ -51,12 +50,8 @@ class CameraRound:
 
 
 class SequenceImages:
-    """The images of a sequence, cropped about the body, and the colours of its S parts over the whole sequence.
-
-    Attributes:
-        views: of each camera and frame, the image about the tracked body; None without an image.
-        contour: the cue; None for the differential method.
-    """
+    """The images of a sequence, cropped about the body, and the colours of its S parts over the whole sequence. `views`
+    are of each camera and frame, None without an image; the cue `contour` is None for the differential method."""
 
     def __init__(self, rig: Rig, config: RefineConfig, tracker: Settings, body: Body) -> None:
         self.config, self.tracker, self.cameras, self.parts = config, tracker, len(rig), len(body.segment_names)
@@ -66,27 +61,16 @@ class SequenceImages:
         self.colours = self._blank()
 
     def read(self, frames: Iterable[Frame], estimates: Sequence[Estimate]) -> Iterable[int]:
-        """Keep the surroundings of the body in each frame; yields how many are read.
-
-        Raises:
-            InputError: where the frames are not those of the estimates.
-        """
-        count = 0
-        for frame in frames:
-            if count >= len(estimates) or frame.index != estimates[count].index:
-                count = 0
-                break
-            self._keep(despeckled(frame, self.tracker.despeckle), estimates[count].pose)
-            count += 1
+        """Keep the surroundings of the body in each frame; yields how many are read. Raises InputError where the frames
+        are not those of the estimates."""
+        for count, (frame, estimate) in enumerate(zip_longest(frames, estimates), start=1):
+            if frame is None or estimate is None or frame.index != estimate.index:
+                raise InputError("refine: the frames are not those of the estimates; give those that were tracked.")
+            posed, margin = Posed(self._body, estimate.pose), MARGIN + _ROOM
+            for i, image in enumerate(despeckled(frame, self.tracker.despeckle).images):
+                seen = None if image is None else crop_view(image, self._rig[i], posed, margin, self.tracker.channels)
+                self.views[i].append(seen)
             yield count
-        if count != len(estimates):
-            raise InputError("refine: the frames are not those of the estimates; give the frames that were tracked.")
-
-    def _keep(self, frame: Frame, pose: Pose) -> None:
-        posed, margin = Posed(self._body, pose), MARGIN + _ROOM
-        for i, image in enumerate(frame.images):
-            seen = None if image is None else crop_view(image, self._rig[i], posed, margin, self.tracker.channels)
-            self.views[i].append(seen)
 
     def _blank(self) -> Appearance:
         """No colours yet. None of them fades: all frames of a sequence count alike."""
@@ -104,33 +88,28 @@ class SequenceImages:
     def _one_camera(self, i: int, posed: Sequence[Posed], trusted: Bool, coarse: bool) -> CameraRound:
         learnt, recent = self._blank(), list[tuple[int, View, RenderedView, SurfacePoints]]()
         contours, pairs, tallies = list[PointTerm | None](), list[BrightnessPair](), list[Tally]()
+        nothing = np.zeros(self.parts), np.zeros(self.parts)
         for t, at in enumerate(posed):
-            view = self._view(i, t, at) if trusted[t] else None
+            kept = self.views[i][t] if trusted[t] else None
+            view = kept and crop_view(kept.image, kept.camera, at, MARGIN, kept.channels)
+            contours.append(None)
+            tallies.append(nothing)
             if view is None:
-                contours.append(None)
-                tallies.append((np.zeros(self.parts), np.zeros(self.parts)))
                 continue
             seen = render(at, view.camera)
-            term, tally, learnt = self._contour(i, view, seen, coarse, learnt)
-            contours.append(term)
-            tallies.append(tally)
+            if self.contour is not None:
+                contours[-1], tallies[-1], learnt = self._contour(self.contour, i, view, seen, coarse, learnt)
             pairs += self._pairs(recent, (t, view, seen), coarse)
             recent = [r for r in recent if t - r[0] < max(self.config.strides)]
             recent.append((t, view, seen, followed_points(view, seen, self.config.points)))
         return CameraRound(contours, pairs, tallies, learnt)
 
-    def _view(self, i: int, t: int, posed: Posed) -> View | None:
-        kept = self.views[i][t]
-        return None if kept is None else crop_view(kept.image, kept.camera, posed, MARGIN, kept.channels)
-
     def _contour(
-        self, i: int, view: View, seen: RenderedView, coarse: bool, learnt: Appearance
-    ) -> tuple[PointTerm | None, Tally, Appearance]:
-        if self.contour is None:
-            return None, (np.zeros(self.parts), np.zeros(self.parts)), learnt
+        self, cue: ContourCue, i: int, view: View, seen: RenderedView, coarse: bool, learnt: Appearance
+    ) -> tuple[PointTerm, Tally, Appearance]:
         contour = visible_contour(seen, max(1.0, Schedule().contour_spacing * seen.px_per_m))
         colours = self.colours.of(i, view.features.shape[2])
-        evidence = self.contour.locate(view, seen, contour, _COARSE if coarse else 1.0, colours)
+        evidence = cue.locate(view, seen, contour, _COARSE if coarse else 1.0, colours)
         assert isinstance(evidence.term, PointTerm) and evidence.agreement is not None
         agreeing, points = evidence.agreement.agreeing, evidence.agreement.points
         learnt = learnt.learnt(i, view, seen, agreeing / np.maximum(points, 1), 1)
@@ -180,14 +159,10 @@ def support(rounds: Sequence[CameraRound]) -> Float:
 def design_effect(rounds: Sequence[CameraRound], posed: Sequence[Posed], variance: float) -> float:
     """Factor by which the information of contours about the shape is overcounted, 1 or more.
 
-    A surface that is not quite the person's shifts the same contour in the same direction in every frame. For a pose
-    this is the error of one frame. For the shape, which all frames share, n such points are worth ``n / d`` independent
-    ones, with the design effect ``d = E (Σ w r)² / Σ w`` (Kish, "Survey Sampling", 1965, section 5.4), over groups of
-    one part of the body in one camera, on one side.
-
-    Args:
-        rounds: of each camera.
-        variance: claimed variance of a residual times its information, for points that err independently.
+    A surface that is not quite the person's shifts the same contour in the same direction in every frame. For the
+    shape, which all frames share, n such points are worth ``n / d`` independent ones, with the design effect
+    ``d = E (Σ w r)² / Σ w`` (Kish, "Survey Sampling", 1965, section 5.4), over groups of one part of the body in one
+    camera, on one side. `variance` is the claimed one of a residual times its information, for independent points.
     """
     parts = len(posed[0].body.segment_names)
     squares, information = 0.0, 0.0

@@ -12,7 +12,7 @@ from twistcap import se3
 from twistcap.adjust.refine.evidence import reshaped
 from twistcap.adjust.refine.measure import CameraRound
 from twistcap.adjust.refine.shape import Shape
-from twistcap.adjust.refine.sums import WIDTH, Derivatives, FrameSums, add_products, flat, projection
+from twistcap.adjust.refine.sums import WIDTH, FrameSums, add_products, derivatives, flat, projection
 from twistcap.arrays import Float
 from twistcap.body import Pose, Posed
 from twistcap.body.shape import RestMotion
@@ -37,14 +37,10 @@ class Track:
 
 @dataclass(frozen=True)
 class Standing:
-    """What is known without the images.
+    """What is known without the images: times (F,) s, noise of the motion, and settings as in `RefineConfig`.
 
-    Attributes:
-        times: (F,) s; noise: of the motion.
-        rest: rad, standard deviation of the joints from the rest pose.
-        hinge: m, see `Shape.prior`.
-        shape_weight: factor on the prior of the shape, which matches the way in which images are counted.
-        contour: factor on the information of contours.
+    `rest` (rad) is the standard deviation of the joints from the rest pose, `shape_weight` a factor on the prior of the
+    shape, which matches the way in which images are counted.
     """
 
     times: Sequence[float]
@@ -96,7 +92,7 @@ class RefineProblem:
             for term in self.contours[t]:
                 energy, points, rows = reshaped(term, maps).rows(sums.posed)
                 arrow.value += self.standing.contour * energy
-                by = Derivatives.of(sums.posed, motion, points, rows.gradient)
+                by = derivatives(sums.posed, motion, points, rows.gradient)
                 sums.add(by, self.standing.contour * rows.weight, rows.residual)
             gradient, matrix = sums.projected()  # of the pose's step and the shape's together
             D = arrow.pull.shape[1]
@@ -135,7 +131,7 @@ class RefineProblem:
             own[b].add(other, weight, residual)
             S = len(own[a].vector)
             blocks = between.setdefault((a, b), np.zeros((S, S, WIDTH, WIDTH)))
-            add_products(one.segments, one.by_segment, other.segments, other.by_segment, weight, blocks)
+            add_products(*one, *other, weight, blocks)
         ways = [projection(sums.posed, motion) for sums in own] if between else []
         for (a, b), blocks in between.items():
             # xᵀ matrix y, x the steps of frame a's pose and the shape, y those of frame b's and the shape
@@ -149,10 +145,10 @@ class RefineProblem:
 def accelerations(
     poses: Sequence[Pose], times: Sequence[float], noise: MotionNoise, system: Arrow | None = None
 ) -> float:
-    """Energy of the change of velocity at every inner frame; its rows are added to a system if one is given.
+    """Energy of the change of velocity, ``log(M' M⁻¹) / Δt`` and ``Δq / Δt``, at every inner frame.
 
-    Velocity from one frame to the next is ``log(M' M⁻¹) / Δt`` and ``Δq / Δt``; its change over the mean Δt is an
-    acceleration of the standard deviations of `noise`, the root's about the body.
+    Over the mean Δt it is an acceleration of the standard deviations of `noise`, the root's about the body. Its rows
+    are added to a system if one is given.
     """
     energy = 0.0
     for t in range(1, len(poses) - 1):
@@ -172,11 +168,8 @@ def accelerations(
 
 def _derivatives(step: Float) -> tuple[Float, Float]:
     """(D, D) derivatives of the step between two poses by the steps of the one it starts from and of the other.
-
-    ``log(exp(δ') D exp(−δ))``: by δ' the inverse left Jacobian at the step, by δ minus the inverse right one.
-    """
-    D = len(step)
-    start, end = -np.eye(D), np.eye(D)
+    ``log(exp(δ') D exp(−δ))``: by δ' the inverse left Jacobian at the step, by δ minus the inverse right one."""
+    start, end = -np.eye(len(step)), np.eye(len(step))
     end[:6, :6] = se3.inverse_left_jacobian_one(step[:6])
     start[:6, :6] = -se3.inverse_left_jacobian_one(-step[:6])
     return start, end

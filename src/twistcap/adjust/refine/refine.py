@@ -6,10 +6,9 @@ perspective and joint centres are added.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Protocol
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from twistcap.arrays import Bool, Float
 from twistcap.body import Body
 from twistcap.camera import Rig
 from twistcap.cues.support import SupportRule
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 from twistcap.estimate import Estimate, Frame
 from twistcap.predict import MotionNoise
 from twistcap.predict.inertia import INFLATION
@@ -42,11 +41,8 @@ _DAMPING = 1e-3  # fraction by which the diagonal of the equations is raised in 
 # studio it is 1.0 to two digits, on `balance_4view` with a fitted body 2.6 of 30 frames and 5 of 100.
 _ALIKE = 1.5
 
-
-class Report(Protocol):
-    """Takes a few words on the work in progress, how much is done, and of how much."""
-
-    def __call__(self, note: str, done: int = 0, total: int | None = None) -> None: ...
+Report = Callable[[str, int, int], None]
+"""Takes a few words on the work in progress, how much is done, and of how much."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +57,7 @@ class Refined:
         joint_shifts, joint_sigmas: (3,) m in the rest pose and standard deviations, by the segment below the joint.
         moved: m, mean motion of the landmarks in each round, over all frames.
         shape: where a refinement of another track with this body starts.
-        design_effect: how far contours of one part err together, 1 for not at all. Beyond `_ALIKE` lengths and joint
-            centres were held.
+        design_effect: how far contours of one part err together; beyond `_ALIKE` lengths and joint centres were held.
         helped: whether the contours agree with the images at least as well as before; if not, this is the track given.
     """
 
@@ -90,24 +85,20 @@ def refine(
     those estimates with the refined `shape`: the prior of the shape stays about the first body.
 
     Args:
-        frames: those of the estimates, in order; read once. The surroundings of the body are kept, some 0.3 MB for
-            each image at half of full HD.
-        body, rig: of the track; where a `shape` is given, only the coordinates of the body are used.
-        estimates: of the track, one per frame.
-        config: settings of the refinement.
-        tracker: settings of the cues and of the claimed covariance.
+        frames: those of the estimates, in order; read once, some 0.3 MB are kept of each image at half of full HD.
+        body, rig, estimates: of the track; where a `shape` is given, only the coordinates of the body are used.
+        config, tracker: settings of the refinement, and of cues and claimed covariance.
         report: is called with the progress.
         shape: to begin with, that of an earlier refinement; by default that of `body`.
 
-    Raises:
-        InputError: for fewer than three frames, frames that are not those of the estimates, poses that are not
-            finite, or images that do not determine a number.
+    Raises InputError for fewer than three frames, frames that are not those of the estimates, poses that are not
+    finite, or images that do not determine a number.
     """
     config, tracker = config or RefineConfig(), tracker or Settings()
     _check(body, estimates)
     given = Track(tuple(e.pose for e in estimates), shape or Shape.of(body, girth_groups(body), config))
     images = SequenceImages(rig.pinhole(), config, tracker, given.shape.body)
-    report, count = report or _silent, len(estimates)
+    report, count = report or (lambda note, done, total: None), len(estimates)
     for done in images.read(frames, estimates):
         report("reading", done, count * (1 + config.rounds))
     adjusted = _adjusted(images, given, estimates, report)
@@ -123,10 +114,7 @@ def refine(
 
 @dataclass(frozen=True)
 class _Adjusted:
-    """How far the rounds have come: the last one's solution, and whether it moved less than `_SETTLED`.
-
-    `moved` (m) is the motion of the landmarks in each round; the design effect is 1 where no round was fine.
-    """
+    """The last round, whether it moved less than `_SETTLED`, and m moved in each; effect 1 where no round was fine."""
 
     solution: Solution[Track, Arrow]
     problem: RefineProblem
@@ -140,7 +128,7 @@ def _adjusted(images: SequenceImages, given: Track, estimates: Sequence[Estimate
     config, x, moved, total = images.config, given, list[float](), len(estimates) * (1 + images.config.rounds)
     most = config.rounds if given.shape.moved else min(config.rounds, _HELD_ROUNDS)
     inflation, rest, times = INFLATION**2, float(np.deg2rad(RestPose().sigma_deg)), [e.time for e in estimates]
-    trusted = ~_bridged(estimates, _BRIDGE)
+    trusted = ~_bridged(estimates)
     while True:
         coarse = len(moved) < config.coarse_rounds
         rounds = images.measure(x.posed, trusted, coarse)
@@ -158,13 +146,9 @@ def _adjusted(images: SequenceImages, given: Track, estimates: Sequence[Estimate
             return _Adjusted(solution, problem, tuple(moved), settled, 1.0 if coarse else effect)
 
 
-def _silent(note: str, done: int = 0, total: int | None = None) -> None:
-    """Report nothing."""
-
-
 def _check(body: Body, estimates: Sequence[Estimate]) -> None:
-    if len(estimates) < _LEAST_FRAMES:
-        raise InputError(f"refine: {len(estimates)} frames are given; give at least {_LEAST_FRAMES}.")
+    given = len(estimates)
+    check("refine", given >= _LEAST_FRAMES, f"{given} frames are given; give at least {_LEAST_FRAMES}")
     for e in estimates:
         if len(e.pose.q) != len(body.coordinate_names):
             raise InputError(f"refine: frame {e.index} has {len(e.pose.q)} joint coordinates; give the body tracked.")
@@ -172,12 +156,12 @@ def _check(body: Body, estimates: Sequence[Estimate]) -> None:
             raise InputError(f"refine: the pose of frame {e.index} is not finite; leave the frame out with --frames.")
 
 
-def _bridged(estimates: Sequence[Estimate], longest: float) -> Bool:
-    """(F,) whether a frame is in a lost span of at most `longest` seconds between tracked frames."""
+def _bridged(estimates: Sequence[Estimate]) -> Bool:
+    """(F,) whether a frame is in a lost span of at most `_BRIDGE` seconds between tracked frames."""
     out = np.zeros(len(estimates), dtype=np.bool_)
     kept = [t for t, e in enumerate(estimates) if not e.lost]
     for before, after in pairwise(kept):
-        if estimates[after].time - estimates[before].time <= longest:
+        if estimates[after].time - estimates[before].time <= _BRIDGE:
             out[before + 1 : after] = True
     return out
 
@@ -199,9 +183,10 @@ def _answer(adjusted: _Adjusted, estimates: Sequence[Estimate], tracker: Setting
 
 def _refined(shape: Shape, sigma: Float, estimates: Iterable[Estimate], adjusted: _Adjusted, helped: bool) -> Refined:
     """With a shape and standard deviations of its parameters (K,)."""
-    (lengths, girths, joints), sigmas = shape.parts(shape.total), shape.parts(sigma)
-    factors = [{name: float(np.exp(value)) for name, value in logs.items()} for logs in (lengths, girths)]
-    out = tuple(estimates), factors[0], sigmas[0], factors[1], sigmas[1], joints, sigmas[2]
+    *logs, joints = shape.parts(shape.total)
+    lengths, girths = ({name: float(np.exp(value)) for name, value in log.items()} for log in logs)
+    by_length, by_girth, by_joint = shape.parts(sigma)
+    out = tuple(estimates), lengths, by_length, girths, by_girth, joints, by_joint
     return Refined(shape.body, *out, adjusted.moved, shape, adjusted.design_effect, helped)
 
 

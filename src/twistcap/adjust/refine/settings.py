@@ -13,8 +13,7 @@ class RefineConfig:
 
     Attributes:
         rounds: greatest number of rounds; each measures the images and solves once.
-        coarse_rounds: how many of the first rounds search for contours farther off and compare brightness under a wide
-            blur.
+        coarse_rounds: how many of the first search for contours farther off and compare brightness under a wide blur.
         strides: distances in frames between which brightness is compared.
         points: surface points whose brightness is compared, in each view.
         length, girth: standard deviations of the log-lengths and log-girths; 0 holds them.
@@ -25,8 +24,7 @@ class RefineConfig:
         brightness: fraction of the information of the brightness differences that counts.
         sigma: noise of the brightness differences, of brightness in [0, 1].
 
-    Raises:
-        InputError: for a number that is not finite or out of its range.
+    Raises InputError for a number that is not finite or out of its range.
     """
 
     rounds: int = 14

@@ -18,14 +18,10 @@ Groups = Mapping[str, tuple[str, ...]]
 
 @dataclass(frozen=True)
 class Shape:
-    """The free parameters of a body's shape, and their change since the body given.
+    """The free parameters of a shape (`body` has them): groups that are stretched and widened, moved proximal joints.
 
-    Attributes:
-        body: with these parameters.
-        stretched, widened: groups of segments, left and right alike, by name.
-        moved: segments whose proximal joint moves.
-        sigma: (K,) prior standard deviation of each parameter.
-        total: (K,) change since the body given: log-lengths, log-girths, then x, y, z (m) of joints.
+    `sigma` (K,) are their prior standard deviations, `total` (K,) their change since the body given: log-lengths,
+    log-girths, then x, y, z (m) of joints.
     """
 
     body: Body
@@ -68,11 +64,7 @@ class Shape:
         return rest_motion(self.body, stretched, widened, [self.body.segment(name) for name in self.moved])
 
     def prior(self, hinge: float) -> tuple[float, Float, Float]:
-        """Energy, gradient (K,) and information (K, K) of the prior, at this shape.
-
-        Args:
-            hinge: m, standard deviation of a hinge's centre from the middle of its limb, along its axis; 0: no prior.
-        """
+        """Energy, gradient (K,) and information (K, K) of the prior, at this shape; for `hinge` see `RefineConfig`."""
         information, gradient = np.diag(self.sigma**-2.0), self.total / self.sigma**2
         energy = 0.5 * float(gradient @ self.total)
         middles = hinge_middles(self.body) if hinge > 0 else {}

@@ -9,8 +9,6 @@ shape parameter; one projection of each frame's sums gives both.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numba import njit
 
@@ -23,17 +21,13 @@ WIDTH = 11
 """Derivatives by each segment: twist (6), shift (3), stretch along and across (2)."""
 
 
-@dataclass(frozen=True)
-class Derivatives:
-    """Of N residuals by the segments (N, K) that carry their points, -1 where there is none: (N, K, 11)."""
+Derivatives = tuple[Int, Float]
+"""Segments (N, K) that carry the points of N residuals, -1 where there is none; derivatives by them (N, K, 11)."""
 
-    segments: Int
-    by_segment: Float
 
-    @staticmethod
-    def of(posed: Posed, motion: RestMotion, points: SurfacePoints, gradient: Float) -> Derivatives:
-        """Of N points whose residuals have gradients (R N, 3) by them, row n of point n mod N."""
-        return Derivatives(*segment_rows(*points.bound_to(posed), motion.origins, motion.axes, gradient))
+def derivatives(posed: Posed, motion: RestMotion, points: SurfacePoints, gradient: Float) -> Derivatives:
+    """Of N points whose residuals have gradients (R N, 3) by them, row n of point n mod N."""
+    return segment_rows(*points.bound_to(posed), motion.origins, motion.axes, gradient)
 
 
 class FrameSums:
@@ -46,8 +40,8 @@ class FrameSums:
 
     def add(self, rows: Derivatives, weight: Float, residual: Float) -> None:
         """Add rows of weights (N,) and residuals (N,)."""
-        add_products(rows.segments, rows.by_segment, rows.segments, rows.by_segment, weight, self.blocks)
-        add_pulls(rows.segments, rows.by_segment, weight * residual, self.vector)
+        add_products(*rows, *rows, weight, self.blocks)
+        add_pulls(*rows, weight * residual, self.vector)
 
     def projected(self) -> tuple[Float, Float]:
         """Gradient (6 + J + K,) and matrix by the pose step and the K shape parameters."""
@@ -160,19 +154,18 @@ def add_products_reference(
 ) -> None:
     """Readable twin of `add_products`."""
     S = len(blocks)
-    a, b = stacked(Derivatives(segments, one), S), stacked(Derivatives(other_segments, other), S)
+    a, b = stacked(segments, one, S), stacked(other_segments, other, S)
     blocks += (a.T @ (weight[:, None] * b)).reshape(S, WIDTH, S, WIDTH).transpose(0, 2, 1, 3)
 
 
 def add_pulls_reference(segments: Int, rows: Float, weighted: Float, vector: Float) -> None:
     """Readable twin of `add_pulls`."""
-    vector += (weighted @ stacked(Derivatives(segments, rows), len(vector))).reshape(vector.shape)
+    vector += (weighted @ stacked(segments, rows, len(vector))).reshape(vector.shape)
 
 
-def stacked(rows: Derivatives, S: int) -> Float:
+def stacked(segments: Int, rows: Float, S: int) -> Float:
     """(N, 11 S) the rows with all their zeros."""
-    out = np.zeros((len(rows.segments), S, WIDTH))
-    for k in range(rows.segments.shape[1]):
-        used = np.flatnonzero(rows.segments[:, k] >= 0)
-        np.add.at(out, (used, rows.segments[used, k]), rows.by_segment[used, k])
+    out = np.zeros((len(segments), S, WIDTH))
+    used = np.nonzero(segments >= 0)
+    np.add.at(out, (used[0], segments[used]), rows[used])
     return out.reshape(len(out), S * WIDTH)
