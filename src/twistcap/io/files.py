@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import tomllib
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,29 @@ import numpy as np
 
 from twistcap.arrays import AnyArray
 from twistcap.errors import InputError
+
+
+@contextmanager
+def replacing(path: str | Path) -> Generator[Path]:
+    """A path beside, to be written; it takes the place of `path` when it is whole. If not, an older file stays."""
+    path = Path(os.path.realpath(path))
+    if path.exists() and not path.is_file():  # such as /dev/stdout
+        yield path
+        return
+    part = path.with_name(f".{path.stem}.part{path.suffix}")
+    try:
+        yield part
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def write_at(descriptor: int, data: bytes | memoryview, offset: int) -> None:
+    """Write all of it at a place of an open file. Raises OSError."""
+    left = memoryview(data)
+    while left:
+        done = os.pwrite(descriptor, left, offset)
+        left, offset = left[done:], offset + done
 
 
 def read_lines(path: Path) -> list[str]:
@@ -26,7 +51,8 @@ def read_lines(path: Path) -> list[str]:
 def write_lines(path: Path, lines: Sequence[str]) -> None:
     """A text file, each line ended."""
     try:
-        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        with replacing(path) as part:
+            part.write_text("\n".join(lines) + "\n", encoding="utf-8")
     except OSError as error:
         raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
 
@@ -66,7 +92,7 @@ def write_npz(path: str | Path, what: str, **arrays: Any) -> Path:
     """A compressed NPZ at that very path; `what` it is stands in messages."""
     path = Path(path)
     try:
-        with path.open("wb") as file:  # a path without .npz would be given one
+        with replacing(path) as part, part.open("wb") as file:  # a path without .npz would be given one
             np.savez_compressed(file, **arrays)
     except OSError as error:
         raise InputError(f"{what} {path} cannot be written: {error.strerror}; choose another path.") from error
