@@ -64,7 +64,9 @@ class Result:
     predicted: tuple[str, ...]  # N words, the source of the pose that each frame started from; see `Estimate`
     config: Mapping[str, Any]  # what the run was configured with, as JSON data
     versions: Mapping[str, str]  # of the programs, by name
-    recording: Mapping[str, Any] = field(default_factory=dict[str, Any])  # what it was tracked in, see `made_of`
+    recording: Mapping[str, Any] = field(
+        default_factory=dict[str, Any]
+    )  # what it was tracked in, see `provenance.made_of`
 
     @staticmethod
     def without_frames(
@@ -137,7 +139,7 @@ class ResultWriter:
             path: of the file.
             body, rig: as in `Result`.
             config: anything JSON can hold.
-            recording: what `made_of` says.
+            recording: what `provenance.made_of` says.
             room: frames that will be written, as far as it is known; the disk must have room for them.
             lock: of the file, where it has been taken already.
 

@@ -92,12 +92,22 @@ def image_of(result: Result, capacity: int, energies: Sequence[str], state: tupl
         state: how many frames had been written when it was saved (`NONE` where there is none), and its bytes (n,).
         slot: bytes of each slot for states, at least those of the state.
     """
-    buffer = io.BytesIO()
+    buffer = _Bytes()
     with h5py.File(buffer, "w", libver="earliest") as file:
         _write_head(file, result)
         places = _write_frames(file.create_group("frames"), result, capacity, energies)
         places |= _write_states(file.create_group("state"), state, slot)
     return Image(buffer.getbuffer(), places)
+
+
+class _Bytes(io.BytesIO):
+    """A file in memory that is as long as it is told to be: HDF5 does not write what lies at its end and is not set."""
+
+    def truncate(self, size: int | None = None, /) -> int:
+        if size is not None and size > (length := self.getbuffer().nbytes):
+            self.seek(length)
+            self.write(bytes(size - length))
+        return super().truncate(size)
 
 
 def state_row(frames: int, data: UInt8) -> AnyArray:
