@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, fields
@@ -30,7 +31,7 @@ def made_of(session: Session, views: Views) -> dict[str, Any]:
     Files are told by digests. Raises InputError for one that cannot be read.
     """
     tables = {"prior": session.prior, "motions": session.motions}
-    return {
+    made: dict[str, Any] = {
         "first frame": views.indices[0],
         "step": session.step,
         "rate": views.fps,
@@ -43,6 +44,7 @@ def made_of(session: Session, views: Views) -> dict[str, Any]:
         **_flat("tracker", asdict(session.tracker_settings)),
         **_flat("prior", {} if session.prior is None else session.prior.model_dump(mode="json", exclude={"path"})),
     }
+    return json.loads(json.dumps(made))  # as it will be read again
 
 
 def check_same(path: Path, before: Mapping[str, Any], now: Mapping[str, Any], videos_changed: bool = False) -> None:
@@ -117,4 +119,4 @@ def _flat(name: str, value: Any) -> dict[str, Any]:
     """Numbers and words by dotted key."""
     if isinstance(value, Mapping):
         return {key: found for k, v in value.items() for key, found in _flat(f"{name}.{k}", v).items()}
-    return {name: list(value) if isinstance(value, tuple) else value}
+    return {name: value}
