@@ -5,7 +5,6 @@ Every frame is in the file before the next is tracked, and the file is whole at 
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import zlib
@@ -27,7 +26,7 @@ from twistcap.body import Body, Landmarks, Pose
 from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate
-from twistcap.io.files import replacing, write_at
+from twistcap.io.files import replacing, unwritable, write_at
 from twistcap.io.lock import WriteLock
 from twistcap.io.result_image import (
     BODY_ARRAYS,
@@ -231,17 +230,14 @@ class ResultWriter:
         state = state or (NONE, np.zeros(0, np.uint8))
         slot = len(state[1]) * 5 // 4
         image = image_of(result, capacity, tuple(energies), state, slot)
-        try:
-            with replacing(self.path) as part:
-                descriptor = os.open(part, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o666)
-                try:
-                    write_at(descriptor, image.data, 0)
-                    os.fsync(descriptor)
-                except BaseException:
-                    os.close(descriptor)
-                    raise
-        except OSError as error:
-            raise self._refusal(error) from error
+        with replacing(self.path, "result file") as part:
+            descriptor = os.open(part, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o666)
+            try:
+                write_at(descriptor, image.data, 0)
+                os.fsync(descriptor)
+            except BaseException:
+                os.close(descriptor)
+                raise
         if self._descriptor is not None:
             os.close(self._descriptor)
         self._descriptor, self._places = descriptor, image.places
@@ -257,11 +253,7 @@ class ResultWriter:
         try:
             write_at(self._descriptor, data, offset)
         except OSError as error:
-            raise self._refusal(error) from error
-
-    def _refusal(self, error: OSError) -> InputError:
-        mend = "make room" if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG) else "choose another folder"
-        return InputError(f"result file {self.path} cannot be written: {error.strerror}; {mend}.")
+            raise unwritable(self.path, error, "result file") from error
 
 
 def read_result(path: str | Path) -> Result:

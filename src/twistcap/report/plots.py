@@ -16,6 +16,7 @@ from matplotlib.patches import Patch
 
 from twistcap.arrays import AnyArray, Bool, Float
 from twistcap.evaluate.metrics import percentile_known
+from twistcap.io.files import replacing
 
 _COLOURS = {"r": "#e8790c", "l": "#1780d6", "": "#3d8f6d"}
 _DARK = {"r": "#6e3500", "l": "#0a3a66", "": "#16452f"}
@@ -77,8 +78,7 @@ def angle_plot(
         if flags is not None and np.any(flags):
             more.append(Patch(color=colour, alpha=0.3, label=label))
     _legend(figure, names, more)
-    figure.savefig(path, facecolor="white")
-    return Path(path)
+    return _saved(figure, path)
 
 
 def _draw_angle(axis: Axes, series: AngleSeries, name: str) -> None:
@@ -104,7 +104,12 @@ def joint_error_plot(path: Path | str, times: Float, names: Sequence[str], error
         axis.set_ylim(0, top)
         axis.set_title(panel.replace("_", " "), loc="left", fontsize=9, fontweight="bold")
     _legend(figure, names, [Line2D([], [], color="#b9c0c8", label="median of all joints")])
-    figure.savefig(path, facecolor="white")
+    return _saved(figure, path)
+
+
+def _saved(figure: Figure, path: Path | str) -> Path:
+    with replacing(path) as part:
+        figure.savefig(part, facecolor="white")
     return Path(path)
 
 
