@@ -1,7 +1,7 @@
 """Kill `twistcap track` again and again; nothing that was acknowledged may be lost, and a resumed track is the same.
 
 A child of this process tracks a small studio recording and tells each frame that `append` has returned from. It is
-killed (SIGKILL) at a random time, every third track within 0.2 s of the creation of its result file. At once the file is
+killed (SIGKILL) about a random frame, every third track within 0.2 s of the creation of its result file. At once the file is
 read with plain h5py: all frames that were told must be there, equal to the undisturbed run. Then it is resumed, some
 are killed again, and in the end every dataset must equal the undisturbed run's, bit for bit.
 """
@@ -20,6 +20,7 @@ from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import BinaryIO
 
 os.environ |= {"OPENBLAS_NUM_THREADS": "1", "TWISTCAP_THREADS": "1"}  # threads do not survive a fork
 
@@ -33,6 +34,7 @@ from twistcap.io.result import ResultWriter, read_state
 
 FRAMES = 24
 SOON = 0.2  # s after the creation of the result file
+JITTER = 0.02  # s after a frame
 AGAIN = 0.3  # share of resumed runs that are killed too
 
 
@@ -57,7 +59,7 @@ def child(arguments: list[str], told: int) -> None:
         os._exit(code)
 
 
-def run(arguments: list[str], wait: Callable[[], None] | None) -> tuple[int, int]:
+def run(arguments: list[str], wait: Callable[[BinaryIO], bytes] | None) -> tuple[int, int]:
     """Status of a child that is killed after `wait` (None: left alone), and how many frames it has told of."""
     reading, told = os.pipe()
     process = os.fork()
@@ -65,24 +67,39 @@ def run(arguments: list[str], wait: Callable[[], None] | None) -> tuple[int, int
         os.close(reading)
         child(arguments, told)
     os.close(told)
-    if wait is not None:
-        wait()
-        os.kill(process, signal.SIGKILL)
-    _, status = os.waitpid(process, 0)
-    with os.fdopen(reading, "rb") as pipe:
-        data = pipe.read()
+    with os.fdopen(reading, "rb", buffering=0) as pipe:
+        data = b""
+        if wait is not None:
+            data = wait(pipe)
+            os.kill(process, signal.SIGKILL)
+        _, status = os.waitpid(process, 0)
+        data += pipe.read()
     indices = np.frombuffer(data, "<u2")
     return status, 1 + int(indices.max()) if len(indices) else 0
 
 
-def soon_after(path: Path, delay: float) -> Callable[[], None]:
+def soon_after(path: Path, delay: float) -> Callable[[BinaryIO], bytes]:
     """Waits until a file is there, and a little longer."""
 
-    def wait() -> None:
+    def wait(_: BinaryIO) -> bytes:
         end = time.monotonic() + 30.0
         while not path.exists() and time.monotonic() < end:
             time.sleep(0.0005)
         time.sleep(delay)
+        return b""
+
+    return wait
+
+
+def after_frames(count: int, delay: float) -> Callable[[BinaryIO], bytes]:
+    """Waits until so many frames have been told of, and a little longer; gives what has been told."""
+
+    def wait(pipe: BinaryIO) -> bytes:
+        data = b""
+        while len(data) < 2 * count and (more := pipe.read(2)):
+            data += more
+        time.sleep(delay)
+        return data
 
     return wait
 
@@ -104,16 +121,14 @@ def same(found: dict[str, np.ndarray], whole: dict[str, np.ndarray], count: int)
     return all(held.tobytes() == whole[name][:count].tobytes() for name, held in found.items())
 
 
-def trial(
-    number: int, arguments: list[str], folder: Path, whole: dict[str, np.ndarray], duration: float
-) -> Counter[str]:
+def trial(number: int, arguments: list[str], folder: Path, whole: dict[str, np.ndarray]) -> Counter[str]:
     """One track that is killed, once or more, and resumed to its end."""
     rng, counts, path, kept = random.Random(number), Counter[str](), folder / "result.h5", 0
     resume: list[str] = []
     while True:
         early = number % 3 == 0 and not resume
-        delay = rng.uniform(0.0, SOON if early else duration)
-        wait = soon_after(path, delay) if early else lambda delay=delay: time.sleep(delay)
+        frames = rng.randrange(FRAMES - (len(frames_of(path)["index"]) if path.exists() else 0) + 1)
+        wait = soon_after(path, rng.uniform(0.0, SOON)) if early else after_frames(frames, rng.uniform(0.0, JITTER))
         status, told = run([*arguments, *resume], wait)
         kept = max(kept, told)
         counts["killed" if os.WIFSIGNALED(status) else "ended before"] += 1
@@ -147,17 +162,14 @@ def bench(kills: int, folder: Path) -> Counter[str]:
     assert run(made, None)[0] == 0
     with suppress(SystemExit):  # here, so that all children find all modules and kernels loaded
         main([*session, str(folder / "warm")])
-    start = time.monotonic()
     status, told = run([*session, str(folder / "whole")], None)
-    duration = time.monotonic() - start
     assert status == 0 and told == FRAMES and read_state(folder / "whole" / "result.h5") is not None
     whole, total = frames_of(folder / "whole" / "result.h5"), Counter[str]()
-    print(f"the undisturbed run takes {duration:.2f} s", file=sys.stderr)
     number = 0
     while total["killed"] < kills:
         out = folder / "out"
         out.mkdir()
-        total += trial(number, [*session, str(out)], out, whole, duration)
+        total += trial(number, [*session, str(out)], out, whole)
         shutil.rmtree(out)
         number += 1
         if number % 25 == 0:

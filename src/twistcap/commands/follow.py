@@ -49,6 +49,8 @@ def follow(frames: Iterable[Frame], total: int, tracker: Tracker, writer: Result
                 writer.append(estimate)
                 advance(f"{timing.ms[-1]:.0f} ms{'  LOST' if estimate.lost else ''}")
         except InputError as error:
+            if not len(writer):
+                raise
             kept = f"the {len(writer)} frames before it are kept in the result file (go on with --resume)"
             raise InputError(f"{str(error).rstrip('.')}; {kept}.") from error
     return timing
