@@ -1,9 +1,9 @@
 """Kill `twistcap track` again and again; nothing that was acknowledged may be lost, and a resumed track is the same.
 
 A child of this process tracks a small studio recording and tells each frame that `append` has returned from. It is
-killed (SIGKILL) about a random frame, every third track within 0.2 s of the creation of its result file. At once the file is
-read with plain h5py: all frames that were told must be there, equal to the undisturbed run. Then it is resumed, some
-are killed again, and in the end every dataset must equal the undisturbed run's, bit for bit.
+killed (SIGKILL) about a random frame, every third track within 0.2 s of the creation of its result file. At once the
+file is read with plain h5py: all frames that were told must be there, equal to the undisturbed run. Then it is resumed,
+some are killed again, and in the end every dataset must equal the undisturbed run's, bit for bit.
 """
 
 from __future__ import annotations
