@@ -16,7 +16,7 @@ from importlib.metadata import version
 from operator import attrgetter
 from pathlib import Path
 from platform import python_version
-from typing import Any
+from typing import Any, cast
 
 import h5py
 import numpy as np
@@ -291,14 +291,14 @@ def read_state(path: str | Path) -> tuple[int, UInt8] | None:
     """
     with _opened(path) as file:
         _check_format(path, file)
-        complete, states = _complete(file["frames"]), file["state"]
-        for slot, (frames, size, checksum) in sorted(
-            zip(SLOTS, states["about"][:], strict=True), key=lambda s: -s[1][0]
-        ):
+        complete, states = _complete(file["frames"]), cast("Any", file["state"])
+        about = np.asarray(states["about"][:])
+        for slot in np.argsort(-about[:, 0]):
+            frames, size, checksum = map(int, about[slot])
             if 0 <= frames <= complete:
-                data = np.asarray(states[slot][:size], np.uint8)
+                data = np.asarray(states[SLOTS[slot]][:size], np.uint8)
                 if zlib.crc32(data.tobytes()) == checksum:
-                    return int(frames), data
+                    return frames, data
     return None
 
 
