@@ -64,7 +64,8 @@ class VideoWriter:
             self.close()
             return
         with suppress(FFmpegError):
-            self._finish()
+            self._container.close()  # nothing is encoded after an error of writing: FFmpeg crashes on it
+        self._container = None
         self._replaced.__exit__(*raised)
 
 
