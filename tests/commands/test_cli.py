@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import signal
 import subprocess
@@ -15,11 +16,14 @@ import numpy as np
 import pytest
 
 from support.commands import document, refusal, run
+from support.results import estimate, two_links
 from support.videos import corrupted, write
 from twistcap.body.humanoid import humanoid
 from twistcap.errors import InputError
+from twistcap.io.calibration import read_rig
+from twistcap.io.lock import WriteLock
 from twistcap.io.motion_files import write_mot
-from twistcap.io.result import read_result
+from twistcap.io.result import ResultWriter, read_result
 from twistcap.io.video import VideoSource
 from twistcap.studio.motion import gait
 
@@ -144,6 +148,117 @@ def test_resume_refuses_other_cameras(session: Path, tracked: Path, capsys: pyte
     assert "was tracked with cameras cam01, cam02" in refusal(capsys, "track", session, "--out", tracked, "--resume")
 
 
+@pytest.mark.parametrize(
+    ("changed", "named"),
+    [
+        (("--set", "step=2"), "step was 1, is 2"),
+        (("--set", "fps=30"), "rate was 60.0, is 30.0"),
+        (("--method", "levelset"), "tracker.method was direct, is levelset"),
+        (("--scale", "0.5"), "scale was 1.0, is 0.5"),
+        (("--frames", "2:7"), "first frame was 0, is 2"),
+        (("--set", "body.girths.torso=1.2"), "body differs"),
+    ],
+)
+def test_resume_names_what_differs(
+    changed: tuple[str, ...], named: str, made: Path, tracked: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = (tracked / "result.h5").read_bytes()
+    sentence = refusal(capsys, "track", made / "session.toml", "--out", tracked, "--resume", *changed)
+    assert f"result.h5 was tracked otherwise ({named}); resume with what it was begun with" in sentence
+    assert (tracked / "result.h5").read_bytes() == before
+
+
+def test_resume_knows_calibration_and_videos(
+    session: Path, tracked: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A copied file has another time; another recording has another first picture; a moved camera is another."""
+    copied = session.parent / "videos" / "cam02.mp4"
+    shutil.copyfile(copied, session.parent / "copy.mp4")
+    replace(session, "videos/cam02.mp4", "copy.mp4")
+    sentence = refusal(capsys, "track", session, "--out", tracked, "--resume")
+    assert "(video of cam02, time of change differs); if the videos show the same, add --videos-changed" in sentence
+    assert run("track", session, "--out", shutil.copytree(tracked, tmp_path / "o"), "--resume", "--videos-changed") == 0
+    shutil.copyfile(session.parent / "videos" / "cam01.mp4", session.parent / "copy.mp4")
+    sentence = refusal(capsys, "track", session, "--out", tracked, "--resume")
+    assert "video of cam02, bytes was" in sentence and "video of cam02, first picture differs" in sentence
+    replace(session, "copy.mp4", "videos/cam02.mp4")
+    calib = session.parent / "Calib.toml"
+    line = next(line for line in calib.read_text().splitlines() if line.startswith("distortions"))
+    replace(calib, line, "distortions = [0.001, 0.0, 0.0, 0.0]")
+    assert "(calibration of cam01 differs)" in refusal(capsys, "track", session, "--out", tracked, "--resume")
+
+
+def test_frames_are_not_overwritten_unasked(
+    made: Path, tracked: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, before = Path(shutil.copytree(tracked, tmp_path / "o")), (tracked / "result.h5").read_bytes()
+    sentence = refusal(capsys, "track", made / "session.toml", "--out", out)
+    assert "holds 8 tracked frames; go on with --resume, replace them with --overwrite, or choose" in sentence
+    assert "exclude each other" in refusal(
+        capsys, "track", made / "session.toml", "--out", out, "--resume", "--overwrite"
+    )
+    assert "holds 8 tracked frames; choose another folder" in refusal(capsys, "demo", "--out", out)
+    assert (out / "result.h5").read_bytes() == before
+    assert run("track", made / "session.toml", "--out", out, "--overwrite", "--frames", "0:1") == 0
+    assert len(read_result(out / "result.h5")) == 2
+    (out / "result.h5").write_text("something else")
+    assert "no HDF5 file, or damaged; replace it with --overwrite" in refusal(
+        capsys, "track", made / "session.toml", "--out", out
+    )
+
+
+def test_a_second_track_is_refused(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with WriteLock(tmp_path / "result.h5"):
+        for more in ((), ("--resume",), ("--overwrite",)):
+            sentence = refusal(capsys, "track", made / "session.toml", "--out", tmp_path, *more)
+            assert "result.h5 is being written by another process" in sentence
+        assert "is being written" in refusal(capsys, "demo", "--out", tmp_path)
+
+
+def test_a_result_of_no_session_is_not_resumed(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig = read_rig(made / "Calib.toml", "m")
+    with ResultWriter(tmp_path / "result.h5", two_links(), rig, {}) as writer:
+        writer.append(estimate(0))
+    assert "was not tracked from a session" in refusal(
+        capsys, "track", made / "session.toml", "--out", tmp_path, "--resume"
+    )
+
+
+def test_full_disk(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The disk is full from some frame on; what was written is kept, and the track goes on when there is room."""
+    original, calls = os.pwrite, list[int]()
+
+    def pwrite(*arguments: Any) -> int:
+        calls.append(1)
+        if len(calls) > 100:
+            raise OSError(28, "No space left on device")
+        return original(*arguments)
+
+    quick = ("--set", "output.overlay=false", "--set", "output.report=false")
+    with monkeypatch.context() as full:
+        full.setattr(os, "pwrite", pwrite)
+        sentence = refusal(capsys, "track", made / "session.toml", "--out", tmp_path, *quick)
+    kept = len(read_result(tmp_path / "result.h5"))
+    assert kept >= 3 and "cannot be written: No space left on device; make room" in sentence
+    assert f"the {kept} frames before it are kept" in sentence
+    assert run("track", made / "session.toml", "--out", tmp_path, "--resume", *quick) == 0
+    assert len(read_result(tmp_path / "result.h5")) == 8
+
+
+def test_read_only_folder(made: Path, tmp_path: Path) -> None:
+    """Not even root may write there."""
+    mount = ["unshare", "-rm", "sh", "-c", 'mount -t tmpfs -o ro none "$0" && exec "$@"']
+    tried = subprocess.run([*mount, tmp_path, "true"], capture_output=True, check=False)
+    if tried.returncode:
+        pytest.skip("a read-only file system cannot be mounted here")
+    command = [sys.executable, "-m", "twistcap.cli", "track", made / "session.toml", "--out", tmp_path]
+    done = subprocess.run([*mount, tmp_path, *command], capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1
+    assert "result.h5 cannot be written: Read-only file system; choose another folder." in done.stderr
+
+
 def test_killed_run_keeps_its_frames_and_goes_on(made: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "twistcap.cli", "track", str(made / "session.toml"), "--out", str(tmp_path)]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as child:
@@ -173,7 +288,8 @@ def test_corrupt_frame_loses_nothing(session: Path, tmp_path: Path, capsys: pyte
     kept = len(read_result(tmp_path / "out" / "result.h5"))
     assert kept >= 1 and f"the {kept} frames before it are kept" in sentence
     replace(session, "bad.mp4", "cam02.mp4")
-    assert run("track", session, "--out", tmp_path / "out", "--resume", "--set", "output.overlay=false") == 0
+    again = ("--resume", "--videos-changed", "--set", "output.overlay=false")
+    assert run("track", session, "--out", tmp_path / "out", *again) == 0
     assert len(read_result(tmp_path / "out" / "result.h5")) == 8
 
 

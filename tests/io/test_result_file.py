@@ -18,6 +18,7 @@ from support.cameras import ring
 from support.results import estimate, two_links
 from twistcap.body import Body, Posed
 from twistcap.errors import InputError
+from twistcap.io.lock import WriteLock
 from twistcap.io.result import ResultWriter, read_result
 
 
@@ -75,7 +76,7 @@ def test_survives_kill_and_resumes(tmp_path: Path) -> None:
         assert child.stdout is not None and child.stdout.readline() == "go\n"
         child.send_signal(signal.SIGKILL)
     result = read_result(path)
-    assert len(result) > 30
+    assert len(result) > 30  # calls
     np.testing.assert_array_equal(result.q[:31], [estimate(k).pose.q for k in range(31)])
     with ResultWriter.resume(path) as writer:
         start = len(writer)
@@ -86,17 +87,183 @@ def test_survives_kill_and_resumes(tmp_path: Path) -> None:
     np.testing.assert_array_equal(after.roots[-1], estimate(start).pose.root)
 
 
-def test_half_written_frame_is_left_out(tmp_path: Path) -> None:
-    """A kill between two datasets of one frame: the incomplete row is neither read nor kept."""
+def test_a_frame_without_its_index_is_left_out(tmp_path: Path) -> None:
+    """The index is written last: what has none is neither read nor kept."""
     path = write(tmp_path / "r.h5")
     with h5py.File(path, "r+") as file:
-        file["frames/index"].resize(6, axis=0)
-        file["frames/energies/late"].resize(6, axis=0)
-        file["frames/energies/contour"].resize(4, axis=0)
-    assert len(read_result(path)) == 5 and np.isnan(read_result(path).energies["contour"][4])
+        file["frames/index"][3:] = -1
+    assert len(read_result(path)) == 3
     with ResultWriter.resume(path) as writer:
         writer.append(estimate(7))
-    assert list(read_result(path).indices) == [0, 1, 2, 3, 4, 7]
+    assert list(read_result(path).indices) == [0, 1, 2, 7]
+
+
+FAULTS = """
+import os, signal, sys
+sys.path.insert(0, {tests!r})
+import h5py
+import numpy as np
+from support.cameras import ring
+from support.results import estimate, two_links
+from twistcap.errors import InputError
+from twistcap.io.result import ResultWriter, read_result, read_state
+
+path, kind = {path!r}, {kind!r}
+os.fsync = lambda descriptor: None  # it takes its time, and a kill does not ask for it
+
+def write(told, resume):  # frames 0 to 5, a state before each third one
+    with ResultWriter.resume(path) if resume else ResultWriter(path, two_links(), ring(), {{}}, room=4) as writer:
+        for k in range(len(writer), 6):
+            if k % 3 == 0:
+                writer.save_state(np.full(40 * (k + 1), k, np.uint8))
+            writer.append(estimate(k))
+            told.append(k)
+
+def faulty(nth, calls=[0]):
+    def wrap(call):
+        def called(*arguments, **named):
+            calls[0] += 1
+            if calls[0] < nth:
+                return call(*arguments, **named)
+            if call is pwrite:  # half of it
+                call(arguments[0], bytes(arguments[1])[: len(arguments[1]) // 2], arguments[2])
+            if kind == "kill":
+                os.kill(os.getpid(), signal.SIGKILL)
+            raise OSError(28, "No space left on device")
+        return called
+    pwrite = os.pwrite
+    for name in ("pwrite", "fsync", "open", "rename", "replace", "unlink", "ftruncate"):
+        if kind == "kill" or name in ("pwrite", "fsync"):
+            setattr(os, name, wrap(getattr(os, name)))
+
+def child(nth, resume, out):
+    faulty(nth)
+    told = []
+    try:
+        write(told, resume)
+        answer = "whole"
+    except InputError as error:
+        answer = "refused" if "No space left on device; make room" in str(error) else "wrong"
+    finally:
+        pass
+    os.write(out, (answer + " " + str(len(told))).encode())
+    os._exit(0)
+
+def checked(least):
+    if not os.path.exists(path):
+        assert least == 0
+        return 0
+    with h5py.File(path) as file:
+        index = file["frames/index"][:]
+        count = int((index >= 0).sum())
+        assert count >= least and list(index[:count]) == list(range(count)), (index, least)
+        for k in range(count):
+            assert file["frames/covariance"][k].tobytes() == estimate(k).covariance.tobytes()
+            assert file["frames/energies/contour"][k] == estimate(k).energies["contour"]
+    result, state = read_result(path), read_state(path)
+    assert len(result) == count and (count == 0 or state is not None)
+    assert state is None or (state[1] == state[0]).all() and len(state[1]) == 40 * (state[0] + 1) and state[0] % 3 == 0
+    return count
+
+for resume in (False, True):
+    nth, answer = 0, ""
+    while answer != "whole":
+        nth += 1 if nth < 10 else 9
+        for name in os.listdir(os.path.dirname(path)):
+            os.unlink(os.path.join(os.path.dirname(path), name))
+        least = 0
+        if resume:
+            with ResultWriter(path, two_links(), ring(), {{}}) as writer:
+                writer.save_state(np.full(40, 0, np.uint8))
+                writer.append(estimate(0)), writer.append(estimate(1))
+            least = 2
+        reading, out = os.pipe()
+        if (pid := os.fork()) == 0:
+            child(nth, resume, out)
+        os.close(out)
+        status = os.waitpid(pid, 0)[1]
+        answer, _, told = os.read(reading, 99).decode().partition(" ")
+        os.close(reading)
+        assert answer in ("whole", "refused") if kind == "full" else answer in ("", "whole"), answer
+        assert status == (9 if answer == "" else 0), status
+        count = checked(max(least, least + int(told or 0) if answer else 0))
+        if count:
+            write([], True)
+            assert checked(6) == 6
+            assert sorted(os.listdir(os.path.dirname(path))) == [os.path.basename(path)]
+    print(nth)
+"""
+
+
+@pytest.mark.parametrize("kind", ["kill", "full"])
+def test_no_fault_at_any_write_loses_a_frame(kind: str, tmp_path: Path) -> None:
+    """Killed at, or out of room from, each single call that changes the disk, half of its bytes written."""
+    code = FAULTS.format(tests=str(Path(__file__).parents[1]), path=str(tmp_path / "r.h5"), kind=kind)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert min(map(int, done.stdout.split())) > 30  # calls
+
+
+def test_a_file_that_may_not_grow(tmp_path: Path) -> None:
+    """A real limit of the kernel's: one sentence, no signal, all frames readable."""
+    code = f"""
+import resource, sys
+sys.path.insert(0, {str(Path(__file__).parents[1])!r})
+from support.cameras import ring
+from support.results import estimate, two_links
+from twistcap.errors import InputError
+from twistcap.io.result import ResultWriter
+resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
+try:
+    with ResultWriter({str(tmp_path / "r.h5")!r}, two_links(), ring(), {{}}) as writer:
+        for k in range(10**6):
+            writer.append(estimate(k))
+except InputError as error:
+    print(len(writer), error)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    kept, _, sentence = done.stdout.partition(" ")
+    assert "r.h5 cannot be written: File too large; make room" in sentence
+    with h5py.File(tmp_path / "r.h5") as file:
+        assert file["frames/index"].shape == (int(kept),) and int(kept) >= 64
+    assert [path.name for path in tmp_path.iterdir()] == ["r.h5"]
+
+
+def test_a_second_writer_is_refused_and_the_first_goes_on(tmp_path: Path) -> None:
+    path = tmp_path / "r.h5"
+    with ResultWriter(path, two_links(), ring(), {}) as writer:
+        writer.append(estimate(0))
+        with pytest.raises(InputError, match=r"is being written by another process \(\d+\)"):
+            ResultWriter(path, two_links(), ring(), {})
+        with pytest.raises(InputError, match="is being written"):
+            ResultWriter.resume(path)
+        writer.append(estimate(1))
+    with ResultWriter.resume(path) as writer:
+        writer.append(estimate(2))
+    assert list(read_result(path).indices) == [0, 1, 2] and [p.name for p in tmp_path.iterdir()] == ["r.h5"]
+
+
+def test_the_lock_of_the_dead_is_taken(tmp_path: Path) -> None:
+    """A killed holder leaves its file, not its lock."""
+    code = "import os, sys; from twistcap.io.lock import WriteLock; WriteLock(sys.argv[1]); os._exit(0)"
+    subprocess.run([sys.executable, "-c", code, tmp_path / "r.h5"], check=True)
+    assert [p.name for p in tmp_path.iterdir()] == [".r.h5.lock"]
+    WriteLock(tmp_path / "r.h5").release()
+    assert not list(tmp_path.iterdir())
+
+
+def test_room_that_was_not_used_is_given_back(tmp_path: Path) -> None:
+    """A running file has room for what is expected, a closed one has none; what came unforeseen has its place."""
+    path = tmp_path / "r.h5"
+    with ResultWriter(path, two_links(), ring(), {}, room=10) as writer:
+        for k in range(4):
+            writer.append(estimate(k))
+        with h5py.File(path) as file:  # any program may look
+            assert list(file["frames/index"][:]) == [0, 1, 2, 3] + [-1] * 6
+            np.testing.assert_array_equal(file["frames/energies/late"][:4], [np.nan, np.nan, np.nan, 2.0])
+    with h5py.File(path) as file:
+        assert all(file["frames"][name].shape[0] == 4 for name in ("index", "q", "covariance", "energies/late"))
 
 
 def test_layout_is_as_documented(tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 from itertools import pairwise
 from pathlib import Path
@@ -147,3 +149,28 @@ def test_corrupt_image_is_told(tmp_path: Path) -> None:
 def test_real_recording_has_the_calibrated_size(shared_data: Path) -> None:
     source = VideoSource(shared_data / "balance_4view" / "videos" / "cam03.mp4")
     assert (len(source), source.size, source.fps) == (100, (1088, 1920), 60.0)
+
+
+@pytest.mark.parametrize("room", [0, 20_000, 200_000])
+def test_no_room_for_a_video(room: int, tmp_path: Path) -> None:
+    """One sentence, an older file kept, no crash of FFmpeg's, wherever the room ends."""
+    (tmp_path / "v.mp4").write_text("older")
+    code = f"""
+import resource
+import numpy as np
+from twistcap.errors import InputError
+from twistcap.io.videowriter import VideoWriter
+resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}))
+noise = np.random.default_rng(0)
+for _ in range(3):
+    try:
+        with VideoWriter({str(tmp_path / "v.mp4")!r}, 30) as writer:
+            for _ in range(60):
+                writer.write(noise.integers(0, 255, (100, 100, 3), dtype=np.uint8))
+    except InputError as error:
+        print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("v.mp4 cannot be written: File too large; make room") == 3
+    assert [p.name for p in tmp_path.iterdir()] == ["v.mp4"] and (tmp_path / "v.mp4").read_text() == "older"

@@ -8,8 +8,9 @@ from typing import Annotated, Any
 import typer
 
 from twistcap.commands import terminal
-from twistcap.commands.follow import Timing, follow
+from twistcap.commands.follow import Timing, follow, held
 from twistcap.commands.terminal import words
+from twistcap.errors import InputError
 
 
 def demo(
@@ -47,25 +48,29 @@ def run_demo(
 ) -> dict[str, Any]:
     """The demo's files in a folder; what ``--json`` prints."""
     from twistcap.build import build
+    from twistcap.io.lock import WriteLock
     from twistcap.io.result import ResultWriter, read_result
     from twistcap.io.session import tracker_settings
     from twistcap.studio import StudioConfig, capture
     from twistcap.track import Tracker
 
     settings = tracker_settings({"method": method}, "the command line")
-    scene = capture(StudioConfig(seed, views, frames=frames, condition="mismatch" if mismatch else "exact"))
-    pictures: list[Any] = []
-    with terminal.progress("rendering", frames) as advance:
-        for frame in scene.frames():
-            pictures.append(frame)
-            advance("")
-    tracker = Tracker(build(scene.body, scene.rig, settings))
-    tracker.start(scene.first_pose, pictures[0].time)
     path = folder / "result.h5"
-    recorded = {"demo": {"seed": seed, "views": views, "mismatch": mismatch}, "tracker": {"method": method}}
-    with ResultWriter(path, scene.body, scene.rig, recorded) as writer:
-        timing = follow(pictures, frames, tracker, writer)
-    return _reported(scene, pictures, read_result(path), folder, timing)
+    with WriteLock(path) as lock:
+        if (done := held(path)) is not None and "demo" not in done.config:
+            raise InputError(f"{path} holds {len(done)} tracked frames; choose another folder with --out.")
+        scene = capture(StudioConfig(seed, views, frames=frames, condition="mismatch" if mismatch else "exact"))
+        pictures: list[Any] = []
+        with terminal.progress("rendering", frames) as advance:
+            for frame in scene.frames():
+                pictures.append(frame)
+                advance("")
+        tracker = Tracker(build(scene.body, scene.rig, settings))
+        tracker.start(scene.first_pose, pictures[0].time)
+        recorded = {"demo": {"seed": seed, "views": views, "mismatch": mismatch}, "tracker": {"method": method}}
+        with ResultWriter(path, scene.body, scene.rig, recorded, room=frames, lock=lock) as writer:
+            timing = follow(pictures, frames, tracker, writer)
+        return _reported(scene, pictures, read_result(path), folder, timing)
 
 
 def _reported(scene: Any, pictures: list[Any], result: Any, folder: Path, timing: Timing) -> dict[str, Any]:

@@ -12,7 +12,7 @@ import numpy as np
 from twistcap.commands.terminal import progress
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
-from twistcap.io.result import ResultWriter, read_state
+from twistcap.io.result import Result, ResultWriter, read_result, read_state
 from twistcap.io.state import from_bytes, to_bytes
 from twistcap.track import Tracker
 
@@ -47,9 +47,30 @@ def follow(frames: Iterable[Frame], total: int, tracker: Tracker, writer: Result
                 writer.append(estimate)
                 advance(f"{timing.ms[-1]:.0f} ms{'  LOST' if estimate.lost else ''}")
         except InputError as error:
+            if not len(writer):
+                raise
             kept = f"the {len(writer)} frames before it are kept in the result file (go on with --resume)"
             raise InputError(f"{str(error).rstrip('.')}; {kept}.") from error
     return timing
+
+
+def held(path: Path, overwrite: bool = False) -> Result | None:
+    """The result that is there and holds frames, if it is not to be overwritten. Raises InputError for a file that
+    cannot be read.
+    """
+    if overwrite or not path.exists():
+        return None
+    try:
+        done = read_result(path)
+    except InputError as error:
+        raise InputError(f"{str(error).rstrip('.')}; replace it with --overwrite, or choose another --out.") from error
+    return done if len(done) else None
+
+
+def in_use(path: Path, frames: int) -> InputError:
+    """The refusal to write where frames are."""
+    mend = "go on with --resume, replace them with --overwrite, or choose another --out"
+    return InputError(f"{path} holds {frames} tracked frames; {mend}.")
 
 
 def resumed(tracker: Tracker, path: Path) -> int:

@@ -142,7 +142,7 @@ def _written(result: Any, refinement: Any, session: Any, views: Any, folder: Pat
 
     path = folder / "refined.h5"
     kept = {**result.config, "refined": {"moved_m": list(refinement.moved), "lengths": dict(refinement.lengths)}}
-    with ResultWriter(path, refinement.body, result.rig, kept) as writer:
+    with ResultWriter(path, refinement.body, result.rig, kept, room=len(refinement.estimates)) as writer:
         for estimate in refinement.estimates:
             writer.append(estimate)
     with words.status("writing plots, exports and the overlay"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,7 +11,7 @@ import numpy as np
 import typer
 
 from twistcap.commands import terminal
-from twistcap.commands.follow import Timing, follow, resumed
+from twistcap.commands.follow import Timing, follow, held, in_use, resumed
 from twistcap.commands.terminal import words
 from twistcap.errors import InputError
 
@@ -23,6 +24,12 @@ def track(
     scale: Annotated[float | None, typer.Option(help="Resize the images by this factor.")] = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on after the last frame of OUT/result.h5, with its body.")
+    ] = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace the frames of an older OUT/result.h5.")
+    ] = False,
+    videos_changed: Annotated[
+        bool, typer.Option("--videos-changed", help="With --resume: videos that were copied or mended show the same.")
     ] = False,
     set_: Annotated[
         list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Any key of the session.")
@@ -41,6 +48,8 @@ def track(
 
       twistcap track walk.toml --out out/walk --resume
 
+      twistcap track walk.toml --out out/walk --overwrite
+
       twistcap track walk.toml --set tracker.surface_sigma=0.006 --set 'body.girths.torso=1.1'
     """
     from twistcap.io.session import load_session
@@ -48,56 +57,84 @@ def track(
     said = {"tracker.method": method, "frames": terminal.frame_range(frames), "scale": scale}
     loaded = load_session(session, said | parsed_settings(set_ or []))
     folder = terminal.output_folder(out or loaded.output.folder or Path("out") / session.stem)
-    document = run_session(loaded, folder, resume)
+    document = run_session(loaded, folder, Begin(resume, overwrite, videos_changed))
     if json:
         terminal.emit(document)
     else:
         tell(document)
 
 
-def run_session(session: Any, folder: Path, resume: bool = False) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Begin:
+    """What to do with a result that is there; by default it is left alone.
+
+    Attributes:
+        resume: go on with it.
+        overwrite: replace it.
+        videos_changed: go on, although the videos' files are others.
+    """
+
+    resume: bool = False
+    overwrite: bool = False
+    videos_changed: bool = False
+
+    def __post_init__(self) -> None:
+        if self.resume and self.overwrite:
+            raise InputError("--resume and --overwrite exclude each other; give one.")
+
+
+def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str, Any]:
     """Track a session into a folder; what ``--json`` prints."""
+    from twistcap.io.lock import WriteLock
     from twistcap.io.result import read_result
 
     path = folder / "result.h5"
-    views, timing = _tracked(session, path, resume)
-    result = read_result(path)
-    files = [path, *_outputs(session, views, result, folder, timing)]
+    with WriteLock(path) as lock:
+        views, timing = _tracked(session, path, begin, lock)
+        result = read_result(path)
+        files = [path, *_outputs(session, views, result, folder, timing)]
     lost = result.indices[result.lost].tolist()
     about = {"id": "track", "result": path, "frames": len(result), "lost": lost}
     return about | {"ms_per_frame": timing.median, "files": files}
 
 
-def _tracked(session: Any, path: Path, resume: bool) -> tuple[Any, Timing]:
+def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Timing]:
+    from twistcap.io.provenance import made_of
     from twistcap.io.recording import open_recording
-    from twistcap.io.result import ResultWriter, read_result
+    from twistcap.io.result import ResultWriter
 
-    done = read_result(path) if resume and path.is_file() else None
-    if done is not None and len(done):
-        return _resumed(session, path, done)
+    done = held(path, begin.overwrite)
+    if done is not None and begin.resume:
+        return _resumed(session, path, done, begin, lock)
+    if done is not None:
+        raise in_use(path, len(done))
     with words.status("reading the session, fitting the first pose"):
         recording = open_recording(session)
-    tracker = session_tracker(session, recording.body, recording.views)
+        views, made = recording.views, made_of(session, recording.views)
+    tracker = session_tracker(session, recording.body, views)
     tracker.start(recording.first_pose, recording.first_time)
-    with ResultWriter(path, recording.body, recording.rig, session.model_dump(mode="json")) as writer:
-        return recording.views, _kept(recording.views, tracker, writer, path)
+    config = session.model_dump(mode="json")
+    with ResultWriter(path, recording.body, recording.rig, config, made, len(views), lock) as writer:
+        return views, _kept(views, tracker, writer, path)
 
 
-def _resumed(session: Any, path: Path, done: Any) -> tuple[Any, Timing]:
+def _resumed(session: Any, path: Path, done: Any, begin: Begin, lock: Any) -> tuple[Any, Timing]:
     """Go on with the body of the file: a resumed track is one track."""
+    from twistcap.io.provenance import check_same, made_of
     from twistcap.io.recording import rig_of, views_of
     from twistcap.io.result import ResultWriter
 
     rig = rig_of(session)
     if rig.names != done.rig.names:
         had, has = ", ".join(done.rig.names), ", ".join(rig.names)
-        raise InputError(f"{path} was tracked with cameras {had}, the session has {has}; track anew without --resume.")
+        raise InputError(f"{path} was tracked with cameras {had}, the session has {has}; track anew with --overwrite.")
     views = views_of(session, rig)
+    check_same(path, done.recording, made_of(session, views), begin.videos_changed)
     tracker = session_tracker(session, done.body, views)
     count = resumed(tracker, path)
     rest = views.starting_at(int(done.indices[count - 1]) + 1) if count else views
     words.print(f"going on after {count} frames: {len(rest)} frames to go")
-    with ResultWriter.resume(path, count) as writer:
+    with ResultWriter.resume(path, count, len(views), lock) as writer:
         return views, _kept(rest, tracker, writer, path)
 
 

@@ -35,14 +35,14 @@ def view(
 
       twistcap view out/walk/result.h5 --save walk.html
     """
+    from twistcap.io.files import replacing
+
     page = _page(results, reference, session, width, images)
     if save is None:
         serve(page, {}, port)
         return
-    try:
-        save.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{save} cannot be written: {error.strerror}; choose another with --save.") from error
+    with replacing(save) as part:
+        part.write_text(page, encoding="utf-8")
     if json:
         terminal.emit({"id": "view", "file": save, "bytes": save.stat().st_size})
     else:

@@ -17,6 +17,7 @@ from twistcap.body import Posed
 from twistcap.body.gltf_write import save_glb
 from twistcap.errors import InputError
 from twistcap.io.bvh import write_bvh
+from twistcap.io.files import replacing, unwritable
 from twistcap.io.markers import write_trc
 from twistcap.io.motion_files import write_csv, write_mot
 from twistcap.io.result import Result
@@ -51,9 +52,14 @@ def export(result: Result, name: str, folder: Path, path: Path | None = None) ->
     path = path or folder / chosen.file_name
     try:
         chosen.write(result, path)
-    except OSError as error:
-        raise InputError(f"{path} cannot be written: {error.strerror}; choose another with --out.") from error
+    except OSError as error:  # of an installed format; ours raise InputError
+        raise unwritable(path, error) from error
     return path
+
+
+def _write_glb(result: Result, path: Path) -> None:
+    with replacing(path) as part:
+        save_glb(result.body, part, result.poses, _rate(result))
 
 
 def _write_landmarks(result: Result, path: Path) -> None:
@@ -72,5 +78,4 @@ bvh = partial(ExportFormat, "motion.bvh", "skeleton and motion (Blender, MotionB
               lambda r, p: write_bvh(p, r.body, r.poses, _rate(r)))  # fmt: skip
 csv = partial(ExportFormat, "angles.csv", "joint angles and their standard deviations",
               lambda r, p: write_csv(p, r.body, r.estimates))  # fmt: skip
-glb = partial(ExportFormat, "motion.glb", "skinned body and motion (any glTF viewer)",
-              lambda r, p: save_glb(r.body, p, r.poses, _rate(r)))  # fmt: skip
+glb = partial(ExportFormat, "motion.glb", "skinned body and motion (any glTF viewer)", _write_glb)

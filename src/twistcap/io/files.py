@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import tomllib
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +16,42 @@ import numpy as np
 
 from twistcap.arrays import AnyArray
 from twistcap.errors import InputError
+
+
+@contextmanager
+def replacing(path: str | Path, what: str = "") -> Generator[Path]:
+    """A path beside, to be written; it takes the place of `path` when it is whole. If not, an older file stays.
+
+    Raises InputError, which says `what` it is, instead of any OSError of its writing.
+    """
+    goal = Path(os.path.realpath(path))
+    special = goal.exists() and not goal.is_file()  # such as /dev/stdout
+    part = goal if special else goal.with_name(f".{goal.stem}.part{goal.suffix}")
+    try:
+        yield part
+        if not special:
+            part.replace(goal)
+    except OSError as error:
+        raise unwritable(path, error, what) from error
+    finally:
+        if not special:
+            with suppress(OSError):
+                part.unlink()
+
+
+def unwritable(path: str | Path, error: OSError, what: str = "") -> InputError:
+    """The sentence for a file that cannot be written."""
+    full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+    mend = "make room, or choose another place" if full else "choose another place"
+    return InputError(f"{what} {path} cannot be written: {error.strerror or error}; {mend}.".lstrip())
+
+
+def write_at(descriptor: int, data: bytes | memoryview, offset: int) -> None:
+    """Write all of it at a place of an open file. Raises OSError."""
+    left = memoryview(data)
+    while left:
+        done = os.pwrite(descriptor, left, offset)
+        left, offset = left[done:], offset + done
 
 
 def read_lines(path: Path) -> list[str]:
@@ -24,11 +63,9 @@ def read_lines(path: Path) -> list[str]:
 
 
 def write_lines(path: Path, lines: Sequence[str]) -> None:
-    """A text file, each line ended."""
-    try:
-        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
+    """A text file, each line ended. Raises InputError if it cannot be written."""
+    with replacing(path) as part:
+        part.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def read_json(path: Path) -> Any:
@@ -64,10 +101,6 @@ def read_npz(path: str | Path, what: str) -> dict[str, AnyArray]:
 
 def write_npz(path: str | Path, what: str, **arrays: Any) -> Path:
     """A compressed NPZ at that very path; `what` it is stands in messages."""
-    path = Path(path)
-    try:
-        with path.open("wb") as file:  # a path without .npz would be given one
-            np.savez_compressed(file, **arrays)
-    except OSError as error:
-        raise InputError(f"{what} {path} cannot be written: {error.strerror}; choose another path.") from error
-    return path
+    with replacing(path, what) as part, part.open("wb") as file:  # a path without .npz would be given one
+        np.savez_compressed(file, **arrays)
+    return Path(path)

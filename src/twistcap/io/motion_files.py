@@ -18,7 +18,7 @@ from twistcap.body.humanoid import humanoid
 from twistcap.errors import InputError, check_choice
 from twistcap.estimate import Estimate
 from twistcap.io import angles as convert
-from twistcap.io.files import read_lines, write_lines
+from twistcap.io.files import read_lines, replacing, write_lines
 from twistcap.io.markers import TO_FILE, WorldAxes
 
 _LENGTHS = re.compile(r"(_[tpv][xyz]|_beta_t[xyz])$|force|torque|moment", re.IGNORECASE)
@@ -149,16 +149,13 @@ def write_csv(path: Path | str, body: Body, estimates: Sequence[Estimate]) -> No
     named += list(zip(body.coordinate_names, units, strict=True))
     head = ["frame", "time", *(f"{n}_{u}" for n, u in named), *(f"{n}_std_{u}" for n, u in named)]
     scale = np.array([np.degrees(1.0) if unit == "deg" else 1.0 for _, unit in named])
-    try:
-        with Path(path).open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file)
-            writer.writerow([*head, "status", "support", "lost"])
-            for e in estimates:
-                cells = np.concatenate([_values(e.pose) * scale, _deviations(e) * scale])
-                ends = [e.status, f"{e.support:.4f}", int(e.lost)]
-                writer.writerow([e.index, f"{e.time:.6f}", *(f"{v:.6f}" for v in cells), *ends])
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
+    with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow([*head, "status", "support", "lost"])
+        for e in estimates:
+            cells = np.concatenate([_values(e.pose) * scale, _deviations(e) * scale])
+            ends = [e.status, f"{e.support:.4f}", int(e.lost)]
+            writer.writerow([e.index, f"{e.time:.6f}", *(f"{v:.6f}" for v in cells), *ends])
 
 
 def _values(pose: Pose) -> Float:

@@ -1,50 +1,47 @@
 """The result file: one HDF5 with everything a track produced; its layout is in ``docs/formats/result-file.md``.
 
-Every frame is flushed, so that a killed run keeps what it had. Made with HDF5's oldest format (``libver`` default):
-files of ``libver="latest"`` cannot be opened after a kill.
+Every frame is in the file before the next is tracked, and the file is whole at any time; see `result_image`.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import zlib
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.metadata import version
 from operator import attrgetter
 from pathlib import Path
 from platform import python_version
-from typing import Any
+from typing import Any, cast
 
 import h5py
 import numpy as np
 
-from twistcap.arrays import Bool, Float, Int, UInt8
+from twistcap.arrays import AnyArray, Bool, Float, Int, UInt8
 from twistcap.body import Body, Landmarks, Pose
 from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate
+from twistcap.io.files import replacing, unwritable, write_at
+from twistcap.io.lock import WriteLock
+from twistcap.io.result_image import (
+    BODY_ARRAYS,
+    BODY_NAMES,
+    FIELDS,
+    FORMAT,
+    FORMAT_VERSION,
+    NONE,
+    RIG_ARRAYS,
+    SLOTS,
+    image_of,
+    state_row,
+)
 
-FORMAT = "twistcap-result"
-FORMAT_VERSION = 3
-_ARRAYS = ("parent", "twists", "limits", "segment_joint", "vertices", "faces", "skin_segments", "skin_weights")
-_NAMES = ("coordinate_names", "segment_names")
-_RIG = ("K", "T_cam_world", "size", "dist")
-_FIELDS: Mapping[str, tuple[str, Any]] = {  # datasets of the frames: attribute of an estimate, type
-    "index": ("index", "i8"),
-    "time": ("time", "f8"),
-    "root": ("pose.root", "f8"),
-    "q": ("pose.q", "f8"),
-    "covariance": ("covariance", "f8"),
-    "status": ("status", h5py.string_dtype("ascii", 16)),
-    "iterations": ("iterations", "i4"),
-    "lost": ("lost", "bool"),
-    "support": ("support", "f8"),
-    "predicted": ("predicted", h5py.string_dtype("ascii", 20)),
-}
-_SLOTS = ("0", "1")
-_NONE = -1  # frames of a slot that is empty or being written
+_LEAST_ROOM = 64  # frames, where nobody has said how many will come
 
 
 @dataclass(frozen=True)
@@ -66,6 +63,30 @@ class Result:
     predicted: tuple[str, ...]  # N words, the source of the pose that each frame started from; see `Estimate`
     config: Mapping[str, Any]  # what the run was configured with, as JSON data
     versions: Mapping[str, str]  # of the programs, by name
+    recording: Mapping[str, Any] = field(
+        default_factory=dict[str, Any]
+    )  # what it was tracked in, see `provenance.made_of`
+
+    @staticmethod
+    def without_frames(
+        body: Body, rig: Rig, config: Mapping[str, Any], versions: Mapping[str, str], recording: Mapping[str, Any]
+    ) -> Result:
+        """Before the first frame."""
+        J, none = len(body.coordinate_names), np.zeros(0)
+        roots, covariances = np.zeros((0, 4, 4)), np.zeros((0, 6 + J, 6 + J))
+        return Result(
+            body, rig, none.astype(np.int32), none, roots, np.zeros((0, J)), covariances, {}, (), none.astype(np.int32),
+            none.astype(np.bool_), none, (), config, versions, recording,
+        )  # fmt: skip
+
+    @property
+    def rows(self) -> Mapping[str, AnyArray]:
+        """N rows of each dataset of the frames, without the energies."""
+        words = {"status": np.array(self.statuses, "S16"), "predicted": np.array(self.predicted, "S20")}
+        return words | {
+            "index": self.indices, "time": self.times, "root": self.roots, "q": self.q,
+            "covariance": self.covariances, "iterations": self.iterations, "lost": self.lost, "support": self.support,
+        }  # fmt: skip
 
     def __len__(self) -> int:
         return len(self.times)
@@ -101,85 +122,102 @@ class Result:
 
 
 class ResultWriter:
-    """Writes estimates one by one; what has been appended survives a kill. Use as a context manager."""
+    """Writes estimates one by one; what has been appended survives a kill and a full disk. Use as a context manager.
 
-    def __init__(self, path: str | Path, body: Body, rig: Rig, config: Mapping[str, Any]) -> None:
+    The file always is a whole HDF5 file: a frame is written in its place, its index last. Where there is no room for
+    it, a file with more room is made beside and takes its place.
+    """
+
+    def __init__(
+        self, path: str | Path, body: Body, rig: Rig, config: Mapping[str, Any],
+        recording: Mapping[str, Any] | None = None, room: int = 0, lock: WriteLock | None = None,
+    ) -> None:  # fmt: skip
         """Start a new file, replacing an old one; its folder must exist.
 
-        `body` and `rig` are as in `Result`, `config` is anything JSON can hold. Raises InputError where the file cannot
-        be written.
+        Args:
+            path: of the file.
+            body, rig: as in `Result`.
+            config: anything JSON can hold.
+            recording: what `provenance.made_of` says.
+            room: frames that will be written, as far as it is known; the disk must have room for them.
+            lock: of the file, where it has been taken already.
+
+        Raises InputError where the file cannot be written, or another process is writing it.
         """
-        self._file = _opened(path, "w")
-        self._file.attrs.update(format=FORMAT, format_version=FORMAT_VERSION)
-        self._file.attrs["config"] = json.dumps(config, default=str)
-        self._file.create_group("versions").attrs.update(installed_versions())
-        _write_body(self._file.create_group("body"), body)
-        rigs = self._file.create_group("rig")
-        _write_strings(rigs, "names", rig.names)
-        for name in _RIG:
-            rigs[name] = np.array([getattr(camera, name) for camera in rig])
-        self._frames: Any = self._file.create_group("frames")
-        J = len(body.coordinate_names)
-        shapes = {"root": (4, 4), "q": (J,), "covariance": (6 + J, 6 + J)}
-        for name, (_, dtype) in _FIELDS.items():
-            _create(self._frames, name, shapes.get(name, ()), dtype)
-        self._frames.create_group("energies")
-        self._count = 0
-        self._file.flush()
+        result = Result.without_frames(body, rig, config, installed_versions(), recording or {})
+        self._begin(path, result, None, None, room, lock)
 
     @classmethod
-    def resume(cls, path: str | Path, frames: int | None = None) -> ResultWriter:
+    def resume(
+        cls, path: str | Path, frames: int | None = None, room: int = 0, lock: WriteLock | None = None
+    ) -> ResultWriter:
         """Go on after the last complete frame of a file, or after its first `frames`.
 
         Later frames stay in the file until they are overwritten. Raises InputError for a file that is missing or no
-        result.
+        result, or that another process is writing.
         """
-        read_result(path)
         writer = cls.__new__(cls)
-        writer._file = _opened(path, "r+")
-        writer._frames = writer._file["frames"]
-        complete = _complete(writer._frames)
-        for dataset in (*(writer._frames[name] for name in _FIELDS), *writer._frames["energies"].values()):
-            dataset.resize(complete, axis=0)
-        writer._count = complete if frames is None else min(frames, complete)
+        writer._begin(path, read_result(path), read_state(path), frames, room, lock)
         return writer
 
-    def save_state(self, data: UInt8) -> None:
-        """Write what the next frame depends on (N,) bytes, and flush.
-
-        Two slots are used in turn, so that a kill in the middle of a write leaves one whole.
-        """
-        group: Any = self._file.require_group("state")
-        slot = min(_SLOTS, key=lambda name: _frames_of(group, name))
-        if slot not in group:
-            group.create_dataset(slot, (0,), np.uint8, maxshape=(None,), chunks=(1 << 16,))
-        dataset = group[slot]
-        dataset.attrs["frames"] = _NONE
-        dataset.resize(len(data), axis=0)
-        dataset[:] = data
-        dataset.attrs["crc32"] = zlib.crc32(data.tobytes())
-        dataset.attrs["frames"] = self._count
-        self._file.flush()
+    def _begin(
+        self, path: str | Path, result: Result, state: tuple[int, UInt8] | None, frames: int | None, room: int,
+        lock: WriteLock | None,
+    ) -> None:  # fmt: skip
+        self.path, self._room, self._descriptor = Path(path), room, None
+        self._held = len(result)  # frames in the file; after `resume` some of them are overwritten by the same
+        self._count = self._held if frames is None else min(frames, self._held)
+        self._own_lock = WriteLock(path) if lock is None else None
+        try:
+            self._rebuild(result, state, self._held and max(self._held, room), result.energies)
+        except InputError:
+            self.close()
+            raise
 
     def __len__(self) -> int:
         return self._count
 
+    def save_state(self, data: UInt8) -> None:
+        """Write what the next frame depends on (N,) bytes.
+
+        Two slots are used in turn, so that a kill in the middle of a write leaves one whole.
+        """
+        if len(data) > self._slot_bytes:
+            self._rebuild(read_result(self.path), (self._count, data), self._capacity, self._energies)
+            return
+        slot, self._slot = self._slot, 1 - self._slot
+        self._put("state/about", slot, state_row(NONE, data))
+        self._write(data.tobytes(), self._places[f"state/{SLOTS[slot]}"].offset)
+        self._put("state/about", slot, state_row(self._count, data))
+
     def append(self, estimate: Estimate) -> None:
-        """Write one frame and flush."""
-        for name, (attribute, _) in _FIELDS.items():
-            _put(self._frames[name], self._count, attrgetter(attribute)(estimate))
-        energies = self._frames["energies"]
-        for name in estimate.energies:
-            if name not in energies:
-                _create(energies, name, (), "f8", fillvalue=np.nan)
-        for name, dataset in energies.items():
-            _put(dataset, self._count, estimate.energies.get(name, np.nan))
+        """Write one frame. Raises InputError where the disk is full."""
+        if self._count == self._capacity or not estimate.energies.keys() <= set(self._energies):
+            names = dict.fromkeys((*self._energies, *estimate.energies))
+            self._rebuild(read_result(self.path), read_state(self.path), self._wanted_room(), names)
+        for name in self._energies:
+            self._put(f"frames/energies/{name}", self._count, estimate.energies.get(name, np.nan))
+        for name, (attribute, _) in FIELDS.items():
+            self._put(f"frames/{name}", self._count, attrgetter(attribute)(estimate))
         self._count += 1
-        self._file.flush()
+        self._held = max(self._held, self._count)
+
+    def _wanted_room(self) -> int:
+        """Frames that have room from now on."""
+        if self._count < self._capacity:
+            return self._capacity
+        return self._room if self._count < self._room else max(2 * self._capacity, _LEAST_ROOM)
 
     def close(self) -> None:
-        """Safe to call twice."""
-        self._file.close()
+        """Without room that was not used. Safe to call twice."""
+        if self._descriptor is not None:
+            if self._held < self._capacity:
+                with suppress(InputError):  # on a full disk the file stays as it is, which is as good
+                    self._rebuild(read_result(self.path), read_state(self.path), self._held, self._energies)
+            os.close(self._descriptor)
+            self._descriptor = None
+        if self._own_lock is not None:
+            self._own_lock.release()
 
     def __enter__(self) -> ResultWriter:
         return self
@@ -187,16 +225,46 @@ class ResultWriter:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def _rebuild(self, result: Result, state: tuple[int, UInt8] | None, capacity: int, energies: Iterable[str]) -> None:
+        """A file of the same, with another capacity, and room for the state to grow, in the place of the old one."""
+        state = state or (NONE, np.zeros(0, np.uint8))
+        slot = len(state[1]) * 5 // 4
+        image = image_of(result, capacity, tuple(energies), state, slot)
+        with replacing(self.path, "result file") as part:
+            descriptor = os.open(part, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o666)
+            try:
+                write_at(descriptor, image.data, 0)
+                os.fsync(descriptor)
+            except BaseException:
+                os.close(descriptor)
+                raise
+        if self._descriptor is not None:
+            os.close(self._descriptor)
+        self._descriptor, self._places = descriptor, image.places
+        self._capacity, self._energies, self._slot_bytes = capacity, tuple(energies), slot
+        self._slot = 1 if state[0] >= 0 else 0
+
+    def _put(self, name: str, row: int, value: Any) -> None:
+        place = self._places[name]
+        self._write(place.bytes_of(value), place.of(row))
+
+    def _write(self, data: bytes, offset: int) -> None:
+        assert self._descriptor is not None, "the writer is closed"
+        try:
+            write_at(self._descriptor, data, offset)
+        except OSError as error:
+            raise unwritable(self.path, error, "result file") from error
+
 
 def read_result(path: str | Path) -> Result:
     """Read a result file, finished or not: all frames that are complete. Raises InputError for a file that is missing,
     no HDF5, no result or of a newer format.
     """
-    with _opened(path, "r") as file:
+    with _opened(path) as file:
         _check_format(path, file)
         frames: Any = file["frames"]
         n = _complete(frames)
-        rows = {name: np.asarray(frames[name][:n]) for name in _FIELDS}
+        rows = {name: np.asarray(frames[name][:n]) for name in FIELDS}
         return Result(
             body=_read_body(file["body"]),
             rig=_read_rig(file["rig"]),
@@ -213,6 +281,7 @@ def read_result(path: str | Path) -> Result:
             predicted=tuple(s.decode() for s in rows["predicted"]),
             config=json.loads(str(file.attrs["config"])),
             versions={k: str(v) for k, v in file["versions"].attrs.items()} if "versions" in file else {},
+            recording=json.loads(str(file.attrs.get("recording", "{}"))),
         )
 
 
@@ -220,21 +289,17 @@ def read_state(path: str | Path) -> tuple[int, UInt8] | None:
     """The latest state that is whole: how many frames had been written, and its bytes (N,); None where there is none.
     Raises InputError as `read_result`.
     """
-    with _opened(path, "r") as file:
+    with _opened(path) as file:
         _check_format(path, file)
-        group: Any = file.get("state", {})
-        complete = _complete(file["frames"])
-        for slot in sorted(_SLOTS, key=lambda name: -_frames_of(group, name)):
-            if 0 <= (frames := _frames_of(group, slot)) <= complete:
-                data = np.asarray(group[slot][:], np.uint8)
-                if zlib.crc32(data.tobytes()) == group[slot].attrs.get("crc32"):
+        complete, states = _complete(file["frames"]), cast("Any", file["state"])
+        about = np.asarray(states["about"][:])
+        for slot in np.argsort(-about[:, 0]):
+            frames, size, checksum = map(int, about[slot])
+            if 0 <= frames <= complete:
+                data = np.asarray(states[SLOTS[slot]][:size], np.uint8)
+                if zlib.crc32(data.tobytes()) == checksum:
                     return frames, data
     return None
-
-
-def _frames_of(states: Any, slot: str) -> int:
-    """How many frames had been written when the state of a slot was."""
-    return int(states[slot].attrs.get("frames", _NONE)) if slot in states else _NONE
 
 
 def installed_versions() -> dict[str, str]:
@@ -243,57 +308,28 @@ def installed_versions() -> dict[str, str]:
     return {"python": python_version(), **{name: version(name) for name in packages}}
 
 
-def _write_body(group: h5py.Group, body: Body) -> None:
-    group.attrs["name"] = body.name
-    for name in _NAMES:
-        _write_strings(group, name, getattr(body, name))
-    for name in _ARRAYS:
-        group.create_dataset(name, data=getattr(body, name), compression="gzip")
-    marks = group.create_group("landmarks")
-    _write_strings(marks, "names", body.landmarks.names)
-    marks["segments"], marks["points"] = body.landmarks.segments, body.landmarks.points
-
-
 def _read_body(group: Any) -> Body:
-    names: dict[str, Any] = {name: _strings(group[name]) for name in _NAMES}
-    arrays: dict[str, Any] = {name: np.asarray(group[name][()]) for name in _ARRAYS}
+    names: dict[str, Any] = {name: _strings(group[name]) for name in BODY_NAMES}
+    arrays: dict[str, Any] = {name: np.asarray(group[name][()]) for name in BODY_ARRAYS}
     marks = group["landmarks"]
     landmarks = Landmarks(_strings(marks["names"]), np.asarray(marks["segments"][()]), np.asarray(marks["points"][()]))
     return Body(name=str(group.attrs["name"]), landmarks=landmarks, **names, **arrays)
 
 
 def _read_rig(group: Any) -> Rig:
-    K, T, size, dist = (np.asarray(group[name][()]) for name in _RIG)
+    K, T, size, dist = (np.asarray(group[name][()]) for name in RIG_ARRAYS)
     names = _strings(group["names"])
     return Rig(tuple(Camera(n, K[i], T[i], (int(size[i, 0]), int(size[i, 1])), dist[i]) for i, n in enumerate(names)))
-
-
-def _write_strings(group: h5py.Group, name: str, values: tuple[str, ...]) -> None:
-    group.create_dataset(name, data=list(values), dtype=h5py.string_dtype())
 
 
 def _strings(dataset: Any) -> tuple[str, ...]:
     return tuple(s.decode() for s in dataset[()])
 
 
-def _create(group: h5py.Group, name: str, shape: tuple[int, ...], dtype: Any, fillvalue: Any = None) -> None:
-    rows = 1 if int(np.prod(shape)) > 256 else 64  # a chunk of about 10 kB
-    group.create_dataset(
-        name, (0, *shape), maxshape=(None, *shape), chunks=(rows, *(max(s, 1) for s in shape)), dtype=dtype,
-        fillvalue=fillvalue,
-    )  # fmt: skip
-
-
-def _put(dataset: h5py.Dataset, row: int, value: Any) -> None:
-    if dataset.shape[0] <= row:
-        dataset.resize(row + 1, axis=0)
-    if 0 not in dataset.shape[1:]:  # a body without joints
-        dataset[row] = value
-
-
 def _complete(frames: Any) -> int:
-    """Frames that all datasets hold: a kill may strike between two of them."""
-    return min(frames[name].shape[0] for name in _FIELDS)
+    """Frames that have been written, from the first on."""
+    written = np.asarray(frames["index"][:]) >= 0
+    return len(written) if written.all() else int(np.argmin(written))
 
 
 def _padded(dataset: Any, n: int) -> Float:
@@ -302,16 +338,13 @@ def _padded(dataset: Any, n: int) -> Float:
     return np.pad(held, (0, n - len(held)), constant_values=np.nan)
 
 
-def _opened(path: str | Path, mode: str) -> h5py.File:
+def _opened(path: str | Path) -> h5py.File:
     try:
-        # Reading does not lock: a running track may be looked at.
-        return h5py.File(path, mode, locking=False) if mode == "r" else h5py.File(path, mode)
+        return h5py.File(path, "r", locking=False)  # a running track may be looked at
     except FileNotFoundError as error:
-        missing = "its folder does not exist" if mode == "w" else "it does not exist"
-        raise InputError(f"result file {path} cannot be opened: {missing}; check its path.") from error
+        raise InputError(f"result file {path} cannot be opened: it does not exist; check its path.") from error
     except OSError as error:
-        action = "read" if mode == "r" else "written"
-        raise InputError(f"result file {path} cannot be {action}: it is no HDF5 file, damaged, or in use.") from error
+        raise InputError(f"result file {path} cannot be read: it is no HDF5 file, or damaged.") from error
 
 
 def _check_format(path: str | Path, file: h5py.File) -> None:

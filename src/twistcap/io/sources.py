@@ -127,6 +127,11 @@ class ImageSource:
     def __len__(self) -> int:
         return len(self._files)
 
+    @property
+    def files(self) -> list[str]:
+        """Those that are there."""
+        return [file for file in self._files if file is not None]
+
     @cached_property
     def size(self) -> tuple[int, int]:
         """(width, height) px of the first image."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack, suppress
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 from av.error import FFmpegError
 
 from twistcap.arrays import AnyArray
-from twistcap.errors import InputError
+from twistcap.io.files import replacing
 
 
 class VideoWriter:
@@ -27,10 +28,10 @@ class VideoWriter:
         self.path = Path(path)
         self._fps, self._crf = fps, crf
         self._stream: Any = None
-        try:
-            self._container: Any = av.open(str(path), "w", options={"movflags": "faststart"})
-        except (FFmpegError, OSError) as error:
-            raise InputError(f"video {path} cannot be written: {error.strerror}.") from error
+        with ExitStack() as stack:
+            part = stack.enter_context(replacing(path, "video"))
+            self._container: Any = av.open(str(part), "w", options={"movflags": "faststart"})
+            self._replaced = stack.pop_all()  # takes the video's place when it is whole
 
     def write(self, image: AnyArray) -> None:
         """Append one image (H, W) or (H, W, 3)."""
@@ -44,18 +45,28 @@ class VideoWriter:
 
     def close(self) -> None:
         """Write what the encoder holds back; safe to call twice."""
+        with self._replaced:
+            self._finish()
+
+    def _finish(self) -> None:
         if self._container is None:
             return
+        container, self._container = self._container, None
         if self._stream is not None:
-            self._container.mux(self._stream.encode())
-        self._container.close()
-        self._container = None
+            container.mux(self._stream.encode())
+        container.close()
 
     def __enter__(self) -> VideoWriter:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.close()
+    def __exit__(self, *raised: Any) -> None:
+        if raised[0] is None:
+            self.close()
+            return
+        with suppress(FFmpegError):
+            self._container.close()  # nothing is encoded after an error of writing: FFmpeg crashes on it
+        self._container = None
+        self._replaced.__exit__(*raised)
 
 
 def as_rgb(image: AnyArray) -> AnyArray:

@@ -12,6 +12,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from twistcap.evaluate.metrics import Row
+from twistcap.io.files import replacing
 
 METHODS = (
     "T. Brox, B. Rosenhahn and D. Cremers: Contours, Optic Flow, and Prior Knowledge: Cues for Capturing 3D Human "
@@ -82,7 +83,8 @@ def write_report(
     head += f"\n<title>{escape(title)}</title>\n<style>\n{css}</style>"
     body = "\n".join(part for part in parts if part)
     text = f'<!doctype html>\n<html lang="en">\n<head>\n{head}\n</head>\n<body>\n{body}\n</body>\n</html>\n'
-    path.write_text(text, encoding="utf-8")
+    with replacing(path) as part:
+        part.write_text(text, encoding="utf-8")
     return path
 
 

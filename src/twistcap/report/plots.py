@@ -16,6 +16,7 @@ from matplotlib.patches import Patch
 
 from twistcap.arrays import AnyArray, Bool, Float
 from twistcap.evaluate.metrics import percentile_known
+from twistcap.io.files import replacing
 
 _COLOURS = {"r": "#e8790c", "l": "#1780d6", "": "#3d8f6d"}
 _DARK = {"r": "#6e3500", "l": "#0a3a66", "": "#16452f"}
@@ -137,5 +138,6 @@ def _saved(path: Path | str, figure: Figure, names: Sequence[str], more: Sequenc
     sides = dict.fromkeys(split_side(name)[1] for name in names)
     entries = [*(Line2D([], [], color=_COLOURS[s], lw=2, label=_SIDES[s]) for s in sides), *more]
     figure.legend(handles=entries, loc="outside upper right", ncols=len(entries), frameon=False, fontsize=9)
-    figure.savefig(path, facecolor="white")
+    with replacing(path) as part:
+        figure.savefig(part, facecolor="white")
     return Path(path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 from typing import Any, overload
 
@@ -11,6 +12,7 @@ from twistcap.cues.view import despeckled
 from twistcap.differential.model import DifferentialModel
 from twistcap.differential.state import Track
 from twistcap.differential.step import step as by_brightness
+from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
 from twistcap.predict import Prediction
 from twistcap.predict.history import Moment, Past, jumped
@@ -20,18 +22,33 @@ from twistcap.track.align import FrameProblem, align, with_claims
 from twistcap.track.model import Model
 from twistcap.track.state import State
 
+_log = logging.getLogger(__name__)
+
 
 @overload
 def step(state: State, frame: Frame, model: Model) -> tuple[State, Estimate]: ...
 @overload
 def step(state: Track, frame: Frame, model: DifferentialModel) -> tuple[Track, Estimate]: ...
 def step(state: Any, frame: Frame, model: Model | DifferentialModel) -> tuple[Any, Estimate]:
-    """Track one frame.
+    """Track one frame. Where its numbers cannot be computed, it has failed: it is lost, as if it had no image.
 
     Raises:
         InputError: for an image with a value that is not finite.
     """
     next_frame()
+    try:
+        return _stepped(state, frame, model)
+    except InputError:
+        raise
+    except (ArithmeticError, ValueError) as error:  # LinAlgError is a ValueError
+        _log.warning("frame %d failed (%s: %s); the pose is predicted.", frame.index, type(error).__name__, error)
+    if isinstance(model, Model):
+        model = replace(model, predictors=model.predictors[-1:])  # it always answers; another may be what failed
+    after, blind = _stepped(state, replace(frame, images=(None,) * len(frame.images), keypoints=None), model)
+    return after, replace(blind, status="failed", lost=True, support=0.0)
+
+
+def _stepped(state: Any, frame: Frame, model: Model | DifferentialModel) -> tuple[Any, Estimate]:
     if isinstance(model, DifferentialModel):
         return by_brightness(state, frame, model)
     frame = despeckled(frame, model.despeckle)

@@ -1,0 +1,177 @@
+"""The bytes of a result file with room for more frames.
+
+HDF5 makes them in memory, once. All frames lie in datasets of fixed size and place, so that frames are written into
+the finished file with plain writes: nothing of HDF5's own tables changes any more, and a kill or a full disk cannot
+damage them.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import h5py
+import numpy as np
+
+from twistcap.arrays import AnyArray, UInt8
+from twistcap.body import Body
+
+if TYPE_CHECKING:
+    from twistcap.io.result import Result
+
+FORMAT = "twistcap-result"
+FORMAT_VERSION = 4
+BODY_ARRAYS = ("parent", "twists", "limits", "segment_joint", "vertices", "faces", "skin_segments", "skin_weights")
+BODY_NAMES = ("coordinate_names", "segment_names")
+RIG_ARRAYS = ("K", "T_cam_world", "size", "dist")
+FIELDS: Mapping[str, tuple[str, Any]] = {  # datasets of the frames: attribute of an estimate, type
+    "time": ("time", "f8"),
+    "root": ("pose.root", "f8"),
+    "q": ("pose.q", "f8"),
+    "covariance": ("covariance", "f8"),
+    "status": ("status", h5py.string_dtype("ascii", 16)),
+    "iterations": ("iterations", "i4"),
+    "lost": ("lost", "bool"),
+    "support": ("support", "f8"),
+    "predicted": ("predicted", h5py.string_dtype("ascii", 20)),
+    "index": ("index", "i8"),  # the last one to be written: it says that the frame is whole
+}
+SLOTS = ("0", "1")
+NONE = -1
+"""The index of a frame, and the frames of a state, that have not been written."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the rows of a dataset lie in the file."""
+
+    offset: int
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...]  # of a row
+
+    @property
+    def row_bytes(self) -> int:
+        return self.dtype.itemsize * int(np.prod(self.shape))
+
+    def of(self, row: int) -> int:
+        """Where a row begins."""
+        return self.offset + row * self.row_bytes
+
+    def bytes_of(self, value: Any) -> bytes:
+        """A row. Raises ValueError for a value of another shape."""
+        array = np.asarray(value, self.dtype)
+        if array.shape != self.shape:
+            raise ValueError(f"a row of shape {array.shape} does not fit one of shape {self.shape}.")
+        return array.tobytes()
+
+
+@dataclass(frozen=True)
+class Image:
+    """A whole result file.
+
+    Attributes:
+        data: its bytes.
+        places: of what is written later, by dataset (``frames/q``).
+    """
+
+    data: memoryview
+    places: Mapping[str, Place]
+
+
+def image_of(result: Result, capacity: int, energies: Sequence[str], state: tuple[int, UInt8], slot: int) -> Image:
+    """A file of a result.
+
+    Args:
+        result: head and frames.
+        capacity: frames that have room; at least those of the result.
+        energies: names of all terms.
+        state: how many frames had been written when it was saved (`NONE` where there is none), and its bytes (n,).
+        slot: bytes of each slot for states, at least those of the state.
+    """
+    buffer = _Bytes()
+    with h5py.File(buffer, "w", libver="earliest") as file:
+        _write_head(file, result)
+        places = _write_frames(file.create_group("frames"), result, capacity, energies)
+        places |= _write_states(file.create_group("state"), state, slot)
+    return Image(buffer.getbuffer(), places)
+
+
+class _Bytes(io.BytesIO):
+    """A file in memory that is as long as it is told to be: HDF5 does not write what lies at its end and is not set."""
+
+    def truncate(self, size: int | None = None, /) -> int:
+        if size is not None and size > (length := self.getbuffer().nbytes):
+            self.seek(length)
+            self.write(bytes(size - length))
+        return super().truncate(size)
+
+
+def state_row(frames: int, data: UInt8) -> AnyArray:
+    """(3,) what is told of a state beside it: frames written until then, bytes, CRC-32."""
+    return np.array([frames, len(data), zlib.crc32(data.tobytes())], np.int64)
+
+
+def _write_head(file: h5py.File, result: Result) -> None:
+    file.attrs.update(format=FORMAT, format_version=FORMAT_VERSION)
+    file.attrs["config"] = json.dumps(result.config, default=str)
+    file.attrs["recording"] = json.dumps(result.recording)
+    file.create_group("versions").attrs.update(result.versions)
+    _write_body(file.create_group("body"), result.body)
+    rig = file.create_group("rig")
+    _write_strings(rig, "names", result.rig.names)
+    for name in RIG_ARRAYS:
+        rig[name] = np.array([getattr(camera, name) for camera in result.rig])
+
+
+def _write_body(group: h5py.Group, body: Body) -> None:
+    group.attrs["name"] = body.name
+    for name in BODY_NAMES:
+        _write_strings(group, name, getattr(body, name))
+    for name in BODY_ARRAYS:
+        group.create_dataset(name, data=getattr(body, name), compression="gzip")
+    marks = group.create_group("landmarks")
+    _write_strings(marks, "names", body.landmarks.names)
+    marks["segments"], marks["points"] = body.landmarks.segments, body.landmarks.points
+
+
+def _write_strings(group: h5py.Group, name: str, values: tuple[str, ...]) -> None:
+    group.create_dataset(name, data=list(values), dtype=h5py.string_dtype())
+
+
+def _write_frames(group: h5py.Group, result: Result, capacity: int, energies: Sequence[str]) -> dict[str, Place]:
+    rows, n = result.rows, len(result)
+    places: dict[str, Place] = {}
+    for name, (_, dtype) in FIELDS.items():
+        held = rows[name]
+        fill = NONE if name == "index" else None
+        places[f"frames/{name}"] = _fixed(group, name, (capacity, *held.shape[1:]), dtype, held, fill)
+    terms = group.create_group("energies")
+    for name in energies:
+        held = result.energies.get(name, np.full(n, np.nan))
+        places[f"frames/energies/{name}"] = _fixed(terms, name, (capacity,), "f8", held, np.nan)
+    return places
+
+
+def _write_states(group: h5py.Group, state: tuple[int, UInt8], slot: int) -> dict[str, Place]:
+    """The state goes to the first slot, the second is empty."""
+    about = np.stack([state_row(*state), state_row(NONE, state[1][:0])])
+    places = {"state/about": _fixed(group, "about", about.shape, "i8", about)}
+    for name, held in zip(SLOTS, (state[1], state[1][:0]), strict=True):
+        places[f"state/{name}"] = _fixed(group, name, (slot,), "u1", held)
+    return places
+
+
+def _fixed(group: h5py.Group, name: str, shape: tuple[int, ...], dtype: Any, held: AnyArray, fill: Any = None) -> Place:
+    """A dataset in one piece whose first rows are given."""
+    settings = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    settings.set_layout(h5py.h5d.CONTIGUOUS)
+    settings.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
+    dataset = group.create_dataset(name, shape, dtype, dcpl=settings, fillvalue=fill)
+    if held.size:
+        dataset[: len(held)] = held
+    offset = dataset.id.get_offset() if dataset.size else 0
+    return Place(offset, dataset.dtype, shape[1:])
