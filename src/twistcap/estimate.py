@@ -53,9 +53,11 @@ class Estimate:
         energies: energy by term.
         status: "converged" | "max_iterations" | "no_images" | "stalled" (no step lowered the energy) | "failed".
         iterations: accepted solver steps.
-        lost: whether the evidence no longer supports the pose.
-        support: evidence for the pose in [0, 1], by which `lost` is decided.
+        lost: whether it is more probable than not that a joint is more than 150 mm off.
+        support: fraction of contour points that agree with the images, of the part with fewest.
         predicted: what told the pose that the frame was started from: "motion", "flow", "constant_velocity" or "hold".
+        probability: that a joint is more than 150 mm off, calibrated on captures with truth.
+        part_probability: (S,) the same of each segment's limb; None where nothing was seen of the body.
     """
 
     index: int
@@ -68,3 +70,5 @@ class Estimate:
     lost: bool = False
     support: float = 1.0
     predicted: str = "hold"
+    probability: float = 0.0
+    part_probability: Float | None = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from twistcap.arrays import Bool, Float, Float32, Int
 from twistcap.search.evidence import (
     covered_evidence,
     covered_evidence_reference,
@@ -15,7 +16,7 @@ from twistcap.search.evidence import (
 from twistcap.search.placing import moved_evidence, moved_evidence_reference
 
 
-def _scene(rng: np.random.Generator) -> tuple:
+def _scene(rng: np.random.Generator) -> tuple[Float32, tuple[Float32, Float32, Bool], Float, Int]:
     features = rng.random((14, 18, 3)).astype(np.float32)
     mean, variance = rng.random((7, 9, 3)).astype(np.float32), rng.uniform(0.001, 0.1, (7, 9, 3)).astype(np.float32)
     known = rng.random((7, 9)) < 0.7

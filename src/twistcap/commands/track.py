@@ -181,9 +181,16 @@ def tell(document: dict[str, Any]) -> None:
     speed = document["ms_per_frame"]
     pace = "nothing left to track" if np.isnan(speed) else f"{speed:.1f} ms each (median)"
     words.print(f"{document['frames']} frames, {pace}; ", end="")
-    words.print(f"lost: {', '.join(map(str, lost))}" if lost else "none lost")
+    words.print(f"{len(lost)} lost: {_spans(lost)}" if lost else "none lost")
     for path in document["files"]:
         typer.echo(path)
+
+
+def _spans(frames: list[int]) -> str:
+    """Frame numbers with runs as `211–222`."""
+    starts = [k for k in frames if k - 1 not in frames]
+    ends = [k for k in frames if k + 1 not in frames]
+    return ", ".join(str(a) if a == b else f"{a}–{b}" for a, b in zip(starts, ends, strict=True))
 
 
 def parsed_settings(settings: list[str]) -> dict[str, Any]:

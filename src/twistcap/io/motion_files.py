@@ -151,10 +151,10 @@ def write_csv(path: Path | str, body: Body, estimates: Sequence[Estimate]) -> No
     scale = np.array([np.degrees(1.0) if unit == "deg" else 1.0 for _, unit in named])
     with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow([*head, "status", "support", "lost"])
+        writer.writerow([*head, "status", "support", "probability_lost", "lost"])
         for e in estimates:
             cells = np.concatenate([_values(e.pose) * scale, _deviations(e) * scale])
-            ends = [e.status, f"{e.support:.4f}", int(e.lost)]
+            ends = [e.status, f"{e.support:.4f}", f"{e.probability:.4f}", int(e.lost)]
             writer.writerow([e.index, f"{e.time:.6f}", *(f"{v:.6f}" for v in cells), *ends])
 
 

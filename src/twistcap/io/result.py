@@ -60,6 +60,7 @@ class Result:
     iterations: Int  # (N,) accepted solver steps
     lost: Bool  # (N,) whether the evidence no longer supported the pose
     support: Float  # (N,) that evidence in [0, 1]
+    probability: Float  # (N,) of being lost
     predicted: tuple[str, ...]  # N words, the source of the pose that each frame started from; see `Estimate`
     config: Mapping[str, Any]  # what the run was configured with, as JSON data
     versions: Mapping[str, str]  # of the programs, by name
@@ -76,7 +77,7 @@ class Result:
         roots, covariances = np.zeros((0, 4, 4)), np.zeros((0, 6 + J, 6 + J))
         return Result(
             body, rig, none.astype(np.int32), none, roots, np.zeros((0, J)), covariances, {}, (), none.astype(np.int32),
-            none.astype(np.bool_), none, (), config, versions, recording,
+            none.astype(np.bool_), none, none, (), config, versions, recording,
         )  # fmt: skip
 
     @property
@@ -86,6 +87,7 @@ class Result:
         return words | {
             "index": self.indices, "time": self.times, "root": self.roots, "q": self.q,
             "covariance": self.covariances, "iterations": self.iterations, "lost": self.lost, "support": self.support,
+            "probability": self.probability,
         }  # fmt: skip
 
     def __len__(self) -> int:
@@ -116,6 +118,7 @@ class Result:
                 lost=bool(self.lost[n]),
                 support=float(self.support[n]),
                 predicted=self.predicted[n],
+                probability=float(self.probability[n]),
             )
             for n, pose in enumerate(self.poses)
         )
@@ -278,6 +281,7 @@ def read_result(path: str | Path) -> Result:
             iterations=rows["iterations"].astype(np.int32),
             lost=rows["lost"].astype(bool),
             support=rows["support"],
+            probability=rows["probability"],
             predicted=tuple(s.decode() for s in rows["predicted"]),
             config=json.loads(str(file.attrs["config"])),
             versions={k: str(v) for k, v in file["versions"].attrs.items()} if "versions" in file else {},

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from twistcap.io.result import Result
 
 FORMAT = "twistcap-result"
-FORMAT_VERSION = 4
+FORMAT_VERSION = 5
 BODY_ARRAYS = ("parent", "twists", "limits", "segment_joint", "vertices", "faces", "skin_segments", "skin_weights")
 BODY_NAMES = ("coordinate_names", "segment_names")
 RIG_ARRAYS = ("K", "T_cam_world", "size", "dist")
@@ -37,6 +37,7 @@ FIELDS: Mapping[str, tuple[str, Any]] = {  # datasets of the frames: attribute o
     "iterations": ("iterations", "i4"),
     "lost": ("lost", "bool"),
     "support": ("support", "f8"),
+    "probability": ("probability", "f8"),
     "predicted": ("predicted", h5py.string_dtype("ascii", 20)),
     "index": ("index", "i8"),  # the last one to be written: it says that the frame is whole
 }

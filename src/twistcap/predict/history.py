@@ -12,6 +12,7 @@ from twistcap.arrays import Bool, Float
 from twistcap.body import Pose
 from twistcap.errors import InputError
 
+_SHIFT = 0.004  # m, the same of the root
 _REST = 0.3  # s in which a body that is not seen is thought to come to rest
 _JUMP = np.deg2rad(2.0)  # of a joint: more than a fit wavers
 REMEMBERED = 128
@@ -154,6 +155,15 @@ class Past:
     def moving(self) -> bool:
         """Whether there are two poses, which give a velocity."""
         return len(self.moments) > 1
+
+    @property
+    def in_motion(self) -> bool:
+        """Whether the body has moved between the last two moments by more than a fit wavers."""
+        if not self.moving:
+            return False
+        step = self.last.minus(self.moments[-2].pose)
+        shift = self.last.root[:3, 3] - self.moments[-2].pose.root[:3, 3]
+        return bool(np.abs(step[6:]).max(initial=0.0) > 0.5 * _JUMP or np.abs(shift).max() > _SHIFT)
 
     @property
     def seen(self) -> tuple[Moment, ...]:

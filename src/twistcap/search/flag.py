@@ -1,9 +1,11 @@
 """How probable it is that a part, or the body, is lost: signs in the images, weighed as captures with known truth say.
 
-`benchmarks/fit_flag.py` fits the weights on captures of the fault bench; others judge them.
+`benchmarks/fit_flag.py` fits the weights on captures of the fault bench; other captures judge them.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,6 +17,14 @@ from twistcap.search.recollection import Check, Recollection
 
 _FEWEST = 8.0  # contour points or covered pixels below which nothing is said of a limb
 SIGNS = 7
+
+# Fitted on 50 captures of `python -m reproduce faults`, seeds 1000–1050.
+LIMB = (
+    -4.102, 2.033, -0.8702, -1.066, 5.762, 8.804, -0.4825, 0.5928, 3.704, -2.169, -1.889, -2.614, -4.413, -2.905, 1.309,
+    -0.02719, 1.992, -0.7982, 0.3332, 0.404, 0.7894,
+)  # fmt: skip
+BODY = (0.7321, 0.127, 0.985)
+UNSEEN = (4.085, 3.521)
 
 
 def flag_groups(body: Body) -> Bool:
@@ -48,3 +58,60 @@ def limb_signs(groups: Bool, known: Recollection, check: Check, agreement: Agree
         1.0 - check.pixels.sum(axis=0) @ weights / np.maximum(known.pixels.sum(axis=0) @ weights, 1.0), 0, 1
     )
     return np.stack([clear, in_view, np.minimum(bare, 3.0), off, late, silent, unseen], axis=1)
+
+
+def lateness(groups: Bool, support: Float) -> Float:
+    """(G, SIGNS) signs where only the running support (S,) is known."""
+    signs = np.zeros((len(groups), SIGNS))
+    signs[:, 4] = [(1.0 - support[group]).max() for group in groups]
+    return signs
+
+
+@dataclass(frozen=True)
+class FlagRule:
+    """Logistic weights: of a limb's features, of the two most doubtful limbs for the body, and of the time unseen.
+
+    Attributes:
+        limb: constant, then a weight of each of `features`.
+        body: constant, weights of the logits of the second most and the most doubtful limb.
+        unseen: constant and weight of log₁₀ of the seconds since images last showed the body.
+        lost: probability from which on it counts as lost.
+    """
+
+    limb: tuple[float, ...] = LIMB
+    body: tuple[float, float, float] = BODY
+    unseen: tuple[float, float] = UNSEEN
+    lost: float = 0.5
+
+    def limbs(self, signs: Float, deviation: Float) -> Float:
+        """(G,) probability that each limb is lost, from its signs (G, SIGNS) and the standard deviation (G,) m that is
+        claimed of its place.
+        """
+        return _logistic(self.limb[0] + features(signs, deviation) @ np.array(self.limb[1:]))
+
+    def whole(self, limbs: Float) -> float:
+        """Probability that any joint is lost, from that of each limb (G,)."""
+        clipped = np.clip(limbs, 1e-9, 1.0 - 1e-9)
+        most = np.sort(np.concatenate([[1e-9], clipped]))[-2:]
+        return float(_logistic(self.body[0] + np.log(most / (1.0 - most)) @ np.array(self.body[1:])))
+
+    def blind(self, seconds: float) -> float:
+        """Probability that a body is lost that no image has shown for some time."""
+        return float(_logistic(self.unseen[0] + self.unseen[1] * np.log10(max(seconds, 1e-3))))
+
+
+def features(signs: Float, deviation: Float) -> Float:
+    """(G, F) features of the logistic model: the signs, what is claimed, products, and how the other limbs are."""
+    clear, in_view, bare = np.clip(signs[:, :3], 0.0, 1.0).T
+    off, late, silent, unseen = signs[:, 3:].T
+    spread = np.log10(np.clip(deviation, 1e-3, 10.0) / 0.05)
+    own = [
+        clear, in_view, bare, off, late, silent, unseen, spread, np.maximum(spread, 0.0),
+        off * late, silent * late, late * late, spread * late, spread * silent, clear * late,
+    ]  # fmt: skip
+    others = [late.mean(), late.max(), spread.max(), clear.max(), silent.mean()]
+    return np.stack([*own, *(np.full(len(signs), value) for value in others)], axis=1)
+
+
+def _logistic(value: Float) -> Float:
+    return 1.0 / (1.0 + np.exp(-value))

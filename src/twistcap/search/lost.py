@@ -104,12 +104,14 @@ class LostBody:
         pose = self._searched(memory, problem, 0.0)
         if pose is not None:
             return Beginning(pose), replace(memory, failures=0, nowhere=False)
+        if not memory.known.sure:
+            return None, memory
         return Beginning(None), replace(memory, failures=memory.failures + 1, waiting=self.again - 1, nowhere=True)
 
     def revise(self, memory: Loss, problem: Problem, fit: Fit) -> tuple[Revision | None, Loss]:
         """The body elsewhere, where the fit is lost; else the fit is learned from."""
         memory = replace(memory, frames=memory.frames + 1)
-        if not memory.known.pixels.any():
+        if not memory.known.sure:
             return None, self._learned(memory, problem, fit, memory.known.check(fit.posed, fit.sights, problem))
         left_out, suspicion, fit = judged(self.contradiction, memory.suspicion, memory.known, fit, problem)
         memory = replace(memory, suspicion=suspicion)
@@ -117,7 +119,8 @@ class LostBody:
             problem = problem.excluding(left_out)
         check = memory.known.check(fit.posed, fit.sights, problem)
         signs = limb_signs(flag_groups(problem.body), memory.known, check, fit.agreement, problem.support(fit))
-        memory = replace(memory, ratio=memory.known.ratio(check.nats, check.pixels), signs=signs)
+        ratio = memory.known.ratio(check.nats, check.pixels)
+        memory = replace(memory, ratio=1.0 if np.isnan(ratio) else ratio, signs=signs)
         if memory.ratio < self.least:
             revision, memory = self._elsewhere(memory, problem, memory.ratio)
             if revision is not None:
@@ -186,7 +189,7 @@ class LostBody:
         """Evidence over what is usual for a body that is seen like that; less where little of it is seen."""
         each = np.zeros((2, *known.nats.shape))
         each[:, [stage.index for stage in witness.stages]] = witness.by_part(h.pose)
-        return min(known.ratio(each[0], each[1]), each[1].sum() / (self.seen * max(usually, 1.0)))
+        return min(float(np.nan_to_num(known.ratio(each[0], each[1]))), each[1].sum() / (self.seen * max(usually, 1.0)))
 
     def _fitted(self, problem: Problem, witness: Witness, h: Hypothesis) -> Hypothesis:
         pose = problem.afresh(h.pose, self.margin).pose

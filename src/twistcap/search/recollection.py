@@ -22,6 +22,8 @@ CLIP = 3.0
 _MANY = 24  # stances that are remembered
 _NEW = 0.3  # rad by which a stance must differ from all others in one joint
 _MEMORY = 0.95  # share of the usual evidence that is kept from frame to frame
+_CLEAR = 2.0  # nats for each pixel of a body of which nothing else is known
+_FEW, _ENOUGH = 20.0, 150.0  # pixels below which nothing is said of a camera or part, and of the body
 _SAMPLES = 36.0  # per m, pixels that are looked at in every frame
 
 
@@ -80,24 +82,30 @@ class Recollection:
     def usual(self) -> Float:
         """(cameras, S) nats for each pixel of a part; of all parts together where a camera has hardly seen it."""
         own = self.nats / np.maximum(self.pixels, 1e-9)
-        return np.where(self.pixels < 1.0, self.nats.sum() / max(self.pixels.sum(), 1e-9), own)
+        every = self.nats.sum() / self.pixels.sum() if self.sure else _CLEAR
+        return np.where(self.pixels < _FEW, every, own)
+
+    @property
+    def sure(self) -> bool:
+        """Whether the body has been seen before known background often enough to judge by it."""
+        return float(self.pixels.sum()) >= _ENOUGH
 
     def ratios(self, nats: Float, pixels: Float) -> Float:
         """(cameras,) evidence (cameras, S) of a body that covers so many pixels (cameras, S), over what is usual for so
         many; NaN in cameras that show nearly nothing of it.
         """
         usual = (self.usual * pixels).sum(axis=1)
-        enough = pixels.sum(axis=1) > 0.15 * self.pixels.sum(axis=1)
+        enough = pixels.sum(axis=1) > np.maximum(0.15 * self.pixels.sum(axis=1), _FEW)
         return np.where(enough & (usual > 0.0), nats.sum(axis=1) / np.maximum(usual, 1e-9), np.nan)
 
     def ratio(self, nats: Float, pixels: Float) -> float:
-        """The same of all cameras together, of three or more without the one that contradicts most."""
+        """The same of all cameras together, of three or more without the one that contradicts most; NaN of none."""
         usual, each = (self.usual * pixels).sum(axis=1), self.ratios(nats, pixels)
         kept = ~np.isnan(each)
         if kept.sum() >= 3:
             kept[np.nanargmin(each)] = False
         if not kept.any():
-            return 0.0
+            return np.nan
         return float(nats[kept].sum() / usual[kept].sum())
 
     def check(self, posed: Posed, sights: Sequence[Sight], problem: Problem) -> Check:

@@ -21,6 +21,7 @@ from twistcap.predict.history import Moment, Past
 from twistcap.priors import Prior
 from twistcap.registry import memory_type
 from twistcap.search import Search
+from twistcap.search.flag import FlagRule
 from twistcap.search.judge import JudgeRule
 from twistcap.track.schedule import Schedule
 from twistcap.track.state import State
@@ -43,7 +44,8 @@ class Model:
         searches: where else the body may be.
         schedule: how often the images are looked at, and how coarsely.
         occlusion: when the information about a part that is not in sight is taken out; None: never.
-        support: when a track counts as lost.
+        support: how far the images are believed.
+        flag: how probable it is that a part is lost.
         judge: how searches compare poses.
         noise: how far bodies are from where they are predicted.
         channels: what region statistics look at.
@@ -60,6 +62,7 @@ class Model:
     schedule: Schedule = field(default_factory=Schedule)
     occlusion: OcclusionRule | None = None
     support: SupportRule = field(default_factory=SupportRule)
+    flag: FlagRule = field(default_factory=FlagRule)
     judge: JudgeRule = field(default_factory=JudgeRule)
     noise: MotionNoise = field(default_factory=MotionNoise)
     channels: Channels = "lab"
@@ -87,7 +90,7 @@ class Model:
         lists = self.cues, self.predictors, self.searches
         cues, predictors, searches = ({one.name: one.start(body, self.rig) for one in ones} for ones in lists)
         zero = np.zeros((body.dof, body.dof))
-        return State(past, zero, zero, np.ones(parts), np.zeros(parts, np.bool_), (), 0, cues, predictors, searches)
+        return State(past, zero, zero, np.ones(parts), np.zeros(parts, np.bool_), (), (), 0, cues, predictors, searches)
 
     def views(
         self, frame: Frame, pose: Pose, margin: float | None = None, left_out: Collection[int] = ()

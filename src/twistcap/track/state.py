@@ -21,6 +21,7 @@ class State:
         support: (S,) running fraction of each part's contour points that agree with the images.
         occluded: (S,) parts that no view shows.
         left_out: cameras that are not believed.
+        prints: fingerprints of the last frame's pictures.
         learned: frames that have been learned from.
         cues, predictors, searches: their memories, by name.
     """
@@ -31,6 +32,7 @@ class State:
     support: Float
     occluded: Bool
     left_out: tuple[int, ...]
+    prints: tuple[int, ...]
     learned: int
     cues: Mapping[str, Any]
     predictors: Mapping[str, Any]

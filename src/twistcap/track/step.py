@@ -6,9 +6,12 @@ import logging
 from dataclasses import replace
 from typing import Any, overload
 
-from twistcap.arrays import Bool
+import numpy as np
+
+from twistcap.arrays import Bool, Float
+from twistcap.body import Posed
 from twistcap.cues.observation import Fit
-from twistcap.cues.view import despeckled
+from twistcap.cues.view import despeckled, with_news
 from twistcap.differential.model import DifferentialModel
 from twistcap.differential.state import Track
 from twistcap.differential.step import step as by_brightness
@@ -16,6 +19,9 @@ from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
 from twistcap.predict import Prediction
 from twistcap.predict.history import Moment, Past, jumped
+from twistcap.search.flag import flag_groups, lateness
+from twistcap.search.lost import Loss
+from twistcap.search.uncertain import segment_deviations
 from twistcap.stages import next_frame, stage
 from twistcap.threads import ahead
 from twistcap.track.align import FrameProblem, align, with_claims
@@ -51,7 +57,8 @@ def step(state: Any, frame: Frame, model: Model | DifferentialModel) -> tuple[An
 def _stepped(state: Any, frame: Frame, model: Model | DifferentialModel) -> tuple[Any, Estimate]:
     if isinstance(model, DifferentialModel):
         return by_brightness(state, frame, model)
-    frame = despeckled(frame, model.despeckle)
+    frame, prints = with_news(frame, state.prints, state.past.in_motion)
+    frame, state = despeckled(frame, model.despeckle), replace(state, prints=prints)
     prediction, state = predicted(state, frame, model)
     problem, nowhere = begun(posed_problem(state, frame, model, prediction), prediction)
     if nowhere or (not problem.views and frame.keypoints is None):
@@ -144,13 +151,24 @@ def learned(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool)
     claimed = problem.claimed(fit, posterior)
     after = State(
         past, posterior, claimed, support, _occluded(model, fit), tuple(sorted(problem.left_out)),
-        state.learned + 1, cues, predictors, state.searches
+        state.prints, state.learned + 1, cues, predictors, state.searches
     )  # fmt: skip
-    least = float(support.min())
+    claims = with_claims(model, fit.posed, claimed)
+    by_part, probability = _loss(after, model, fit.posed, claims)
     return after, Estimate(
-        frame.index, frame.time, fit.pose, with_claims(model, fit.posed, claimed), fit.energies, fit.status, fit.steps,
-        least < model.support.least, least, prediction.name,
+        frame.index, frame.time, fit.pose, claims, fit.energies, fit.status, fit.steps,
+        probability >= model.flag.lost, float(support.min()), prediction.name, probability, by_part,
     )  # fmt: skip
+
+
+def _loss(state: State, model: Model, posed: Posed, covariance: Float) -> tuple[Float, float]:
+    """(S,) probability that each part is lost, and that any is."""
+    groups = flag_groups(model.body)
+    told = next((m.signs for m in state.searches.values() if isinstance(m, Loss) and m.signs is not None), None)
+    signs = lateness(groups, state.support) if told is None else told
+    deviation, _ = segment_deviations(posed, covariance)
+    limbs = model.flag.limbs(signs, np.array([deviation[group].max() for group in groups]))
+    return limbs @ groups, model.flag.whole(limbs)
 
 
 def _advanced(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool) -> Past:
@@ -170,9 +188,21 @@ def _occluded(model: Model, fit: Fit) -> Bool:
 
 def unseen(problem: FrameProblem, prediction: Prediction) -> tuple[State, Estimate]:
     """A frame that shows nothing: the estimate is the prediction."""
-    frame, pose = problem.frame, prediction.pose
+    model, frame, pose = problem.model, problem.frame, prediction.pose
     after = problem.state.with_past(problem.past.advanced(Moment(frame.time, pose, seen=False)))
     claimed = problem.state.claimed + problem.process_noise
+    probability = model.flag.blind(frame.time - problem.past.seen_time)
+    status = "no_images" if all(image is None for image in frame.images) else "not_found"
     return after, Estimate(
-        frame.index, frame.time, pose, claimed, {}, "no_images", support=0.0, predicted=prediction.name
+        frame.index,
+        frame.time,
+        pose,
+        claimed,
+        {},
+        status,
+        0,
+        probability >= model.flag.lost,
+        0.0,
+        prediction.name,
+        probability,
     )
