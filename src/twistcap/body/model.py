@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from twistcap.arrays import Bool, Float, Int
+from twistcap.arrays import AnyArray, Bool, Float, Int
 from twistcap.errors import InputError
 
 
@@ -142,20 +142,32 @@ class Body:
         _expect(self, self.parent.shape == (J,), "parent must have one entry per coordinate")
         _expect(self, self.twists.shape == (J, 6), "twists must be (J, 6)")
         _expect(self, self.limits.shape == (J, 2), "limits must be (J, 2)")
-        _expect(self, bool(np.all(self.parent < np.arange(J))), "parents must stand before their children")
+        _expect(self, _within(self.parent, -1, np.arange(J)), "parents must stand before their children")
         _expect(self, self.segment_joint.shape == (S,), "segment_joint must have one entry per segment")
+        _expect(self, S > 0 and _within(self.segment_joint, -1, J), "a segment names a joint that does not exist")
         _expect(self, bool(np.all(self.limits[:, 0] <= self.limits[:, 1])), "a lower limit lies above its upper limit")
         _expect(self, bool(np.all(np.isfinite(self.twists))), "a twist is not finite")
         _expect_unique(self, self.coordinate_names, "coordinate")
         _expect_unique(self, self.segment_names, "segment")
 
     def _check_surface(self) -> None:
-        V = len(self.vertices)
+        V, S, marks = len(self.vertices), len(self.segment_names), self.landmarks
+        _expect(self, self.vertices.shape == (V, 3), "vertices must be (V, 3)")
         _expect(self, bool(np.all(np.isfinite(self.vertices))), "a vertex is not finite")
-        _expect(self, self.faces.size == 0 or int(self.faces.max()) < V, "a face names a vertex that does not exist")
+        _expect(self, self.faces.shape == (len(self.faces), 3), "faces must be (F, 3)")
+        _expect(self, _within(self.faces, 0, V), "a face names a vertex that does not exist")
         _expect(self, self.skin_segments.shape == self.skin_weights.shape, "binding arrays must have equal shape")
-        _expect(self, len(self.skin_weights) == V, "every vertex needs a binding")
+        _expect(self, self.skin_weights.ndim == 2 and len(self.skin_weights) == V, "every vertex needs a binding")
+        _expect(self, _within(self.skin_segments, 0, S), "a vertex is bound to a segment that does not exist")
         _expect(self, bool(np.allclose(self.skin_weights.sum(axis=1), 1.0, atol=1e-5)), "weights must sum to 1")
+        L = len(marks.names)
+        fits = marks.segments.shape == (L,) and marks.points.shape == (L, 3) and bool(np.all(np.isfinite(marks.points)))
+        _expect(self, fits and _within(marks.segments, 0, S), "its landmarks must be finite points of its segments")
+        _expect_unique(self, marks.names, "landmark")
+
+
+def _within(indices: Int, least: int, below: int | AnyArray) -> bool:
+    return bool(np.all((indices >= least) & (indices < below)))
 
 
 def edges_of(faces: Int) -> tuple[Int, Int]:

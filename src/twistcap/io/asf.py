@@ -14,8 +14,8 @@ import numpy as np
 
 from twistcap import se3
 from twistcap.arrays import Float
+from twistcap.doors.text import finite_number, read_lines
 from twistcap.errors import InputError
-from twistcap.io.files import read_lines
 from twistcap.motion.skeleton import SkeletonMotion
 
 AMC_RATE = 120.0  # Hz; the format has no field for it, CMU's library is recorded at this rate
@@ -237,11 +237,5 @@ def _numbers(path: Path, number: int, words: list[str], count: int) -> Float:
     return np.array([_number(path, number, word) for word in words])
 
 
-def _number(path: Path, number: int, word: str) -> float:
-    try:
-        value = float(word)
-    except ValueError as error:
-        raise InputError(f"{path}: line {number}: {word!r} is no number.") from error
-    if not np.isfinite(value):
-        raise InputError(f"{path}: line {number}: {word} is not finite.")
-    return value
+def _number(path: Path, at: int, word: str) -> float:
+    return finite_number(word, f"{path}: line {at}")

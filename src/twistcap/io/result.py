@@ -23,8 +23,13 @@ import numpy as np
 from twistcap.arrays import Bool, Float, Int, UInt8
 from twistcap.body import Body, Landmarks, Pose
 from twistcap.camera import Camera, Rig
-from twistcap.errors import InputError
+from twistcap.doors.hdf5 import read_hdf5, trust
+from twistcap.doors.text import parsed_json
+from twistcap.errors import InputError, naming
 from twistcap.estimate import Estimate
+from twistcap.io.calibration import check_camera
+from twistcap.io.result_schema import BODY, HEAD, RIG, frames_of, of_group
+from twistcap.se3 import is_motion
 
 FORMAT = "twistcap-result"
 FORMAT_VERSION = 3
@@ -44,6 +49,7 @@ _FIELDS: Mapping[str, tuple[str, Any]] = {  # datasets of the frames: attribute 
     "predicted": ("predicted", h5py.string_dtype("ascii", 20)),
 }
 _SLOTS = ("0", "1")
+_COUNTS = ("ii", "iu", "ui", "uu")  # kinds of two whole numbers
 _NONE = -1  # frames of a slot that is empty or being written
 
 
@@ -179,7 +185,10 @@ class ResultWriter:
 
     def close(self) -> None:
         """Safe to call twice."""
-        self._file.close()
+        if self._file:
+            path = self._file.filename
+            self._file.close()
+            trust(path)
 
     def __enter__(self) -> ResultWriter:
         return self
@@ -190,29 +199,30 @@ class ResultWriter:
 
 def read_result(path: str | Path) -> Result:
     """Read a result file, finished or not: all frames that are complete. Raises InputError for a file that is missing,
-    no HDF5, no result or of a newer format.
+    no HDF5, no result, of another format, or holds what no track writes.
     """
-    with _opened(path, "r") as file:
-        _check_format(path, file)
-        frames: Any = file["frames"]
-        n = _complete(frames)
-        rows = {name: np.asarray(frames[name][:n]) for name in _FIELDS}
+    held, source = _held(path), f"result file {path}"
+    rows, rig = frames_of(held, source), of_group(held, "rig", RIG, source)
+    with naming(path):
+        _check_frames(rows)
         return Result(
-            body=_read_body(file["body"]),
-            rig=_read_rig(file["rig"]),
-            indices=rows["index"].astype(np.int32),
+            body=_body_of(of_group(held, "body", BODY, source)),
+            rig=Rig(tuple(_camera_of(source, rig, i) for i in range(len(rig["names"])))),
+            indices=rows["index"],
             times=rows["time"],
             roots=rows["root"],
             q=rows["q"],
             covariances=rows["covariance"],
-            energies={name: _padded(dataset, n) for name, dataset in frames["energies"].items()},
-            statuses=tuple(s.decode() for s in rows["status"]),
-            iterations=rows["iterations"].astype(np.int32),
-            lost=rows["lost"].astype(bool),
+            energies={
+                name.removeprefix("energies/"): row for name, row in rows.items() if name.startswith("energies/")
+            },
+            statuses=tuple(rows["status"].tolist()),
+            iterations=rows["iterations"],
+            lost=rows["lost"],
             support=rows["support"],
-            predicted=tuple(s.decode() for s in rows["predicted"]),
-            config=json.loads(str(file.attrs["config"])),
-            versions={k: str(v) for k, v in file["versions"].attrs.items()} if "versions" in file else {},
+            predicted=tuple(rows["predicted"].tolist()),
+            config=_config_of(held, source),
+            versions={k.removeprefix("versions@"): str(v) for k, v in held.items() if k.startswith("versions@")},
         )
 
 
@@ -220,16 +230,34 @@ def read_state(path: str | Path) -> tuple[int, UInt8] | None:
     """The latest state that is whole: how many frames had been written, and its bytes (N,); None where there is none.
     Raises InputError as `read_result`.
     """
-    with _opened(path, "r") as file:
-        _check_format(path, file)
-        group: Any = file.get("state", {})
-        complete = _complete(file["frames"])
-        for slot in sorted(_SLOTS, key=lambda name: -_frames_of(group, name)):
-            if 0 <= (frames := _frames_of(group, slot)) <= complete:
-                data = np.asarray(group[slot][:], np.uint8)
-                if zlib.crc32(data.tobytes()) == group[slot].attrs.get("crc32"):
-                    return frames, data
+    held = _held(path)
+    complete = len(frames_of(held, f"result file {path}")["index"])
+    slots = [slot for slot in (_slot(held, name) for name in _SLOTS) if slot is not None and 0 <= slot[0] <= complete]
+    for frames, crc, data in sorted(slots, key=lambda slot: -slot[0]):
+        if zlib.crc32(data.tobytes()) == crc:
+            return frames, data
     return None
+
+
+def _held(path: str | Path) -> dict[str, Any]:
+    """All arrays of a file that is a result of this format."""
+    held, source = read_hdf5(path, "result file"), f"result file {path}"
+    if str(held.get("@format", "")) != FORMAT:
+        raise InputError(f"{path} is an HDF5 file, but no twistcap result; give the result.h5 that track wrote.")
+    version = int(of_group(held, "", HEAD, source)["@format_version"])
+    if version > FORMAT_VERSION:
+        raise InputError(f"{path} was written by a newer twistcap (format {version}); update twistcap.")
+    if version < FORMAT_VERSION:
+        raise InputError(f"{path} was written by an older twistcap (format {version}); track the recording again.")
+    return held
+
+
+def _slot(held: Mapping[str, Any], name: str) -> tuple[int, int, UInt8] | None:
+    """Frames, checksum and bytes of a state; None for a slot that is empty or no state."""
+    data, frames, crc = (held.get(f"state/{name}{key}") for key in ("", "@frames", "@crc32"))
+    if data is None or frames is None or crc is None or data.ndim != 1 or data.dtype != np.uint8:
+        return None
+    return (int(frames), int(crc), data) if frames.dtype.kind + crc.dtype.kind in _COUNTS and not crc.ndim else None
 
 
 def _frames_of(states: Any, slot: str) -> int:
@@ -254,26 +282,36 @@ def _write_body(group: h5py.Group, body: Body) -> None:
     marks["segments"], marks["points"] = body.landmarks.segments, body.landmarks.points
 
 
-def _read_body(group: Any) -> Body:
-    names: dict[str, Any] = {name: _strings(group[name]) for name in _NAMES}
-    arrays: dict[str, Any] = {name: np.asarray(group[name][()]) for name in _ARRAYS}
-    marks = group["landmarks"]
-    landmarks = Landmarks(_strings(marks["names"]), np.asarray(marks["segments"][()]), np.asarray(marks["points"][()]))
-    return Body(name=str(group.attrs["name"]), landmarks=landmarks, **names, **arrays)
+def _body_of(held: Mapping[str, Any]) -> Body:
+    names: dict[str, Any] = {name: tuple(held[name].tolist()) for name in _NAMES}
+    arrays: dict[str, Any] = {name: held[name] for name in _ARRAYS}
+    marks = tuple(held["landmarks/names"].tolist()), held["landmarks/segments"], held["landmarks/points"]
+    return Body(name=str(held["@name"]), landmarks=Landmarks(*marks), **names, **arrays)
 
 
-def _read_rig(group: Any) -> Rig:
-    K, T, size, dist = (np.asarray(group[name][()]) for name in _RIG)
-    names = _strings(group["names"])
-    return Rig(tuple(Camera(n, K[i], T[i], (int(size[i, 0]), int(size[i, 1])), dist[i]) for i, n in enumerate(names)))
+def _camera_of(source: str, held: Mapping[str, Any], i: int) -> Camera:
+    size = (int(held["size"][i, 0]), int(held["size"][i, 1]))
+    camera = Camera(str(held["names"][i]), held["K"][i], held["T_cam_world"][i], size, held["dist"][i])
+    check_camera(f"{source}, camera {camera.name!r}", camera)
+    return camera
+
+
+def _check_frames(rows: Mapping[str, Any]) -> None:
+    if np.any(np.diff(rows["index"]) <= 0) or np.any(np.diff(rows["time"]) <= 0):
+        raise InputError("frames: their numbers or times do not rise; track the recording again.")
+    if not np.all(is_motion(rows["root"])):
+        raise InputError("frames: a root is no rigid motion; track the recording again.")
+
+
+def _config_of(held: Mapping[str, Any], source: str) -> dict[str, Any]:
+    config = parsed_json(str(held.get("@config", "")), f"{source}, config")
+    if not isinstance(config, dict):
+        raise InputError(f"{source}: its config is no table; track the recording again.")
+    return config
 
 
 def _write_strings(group: h5py.Group, name: str, values: tuple[str, ...]) -> None:
     group.create_dataset(name, data=list(values), dtype=h5py.string_dtype())
-
-
-def _strings(dataset: Any) -> tuple[str, ...]:
-    return tuple(s.decode() for s in dataset[()])
 
 
 def _create(group: h5py.Group, name: str, shape: tuple[int, ...], dtype: Any, fillvalue: Any = None) -> None:
@@ -296,12 +334,6 @@ def _complete(frames: Any) -> int:
     return min(frames[name].shape[0] for name in _FIELDS)
 
 
-def _padded(dataset: Any, n: int) -> Float:
-    """(n,) values, NaN after the last one."""
-    held = np.asarray(dataset[:n])
-    return np.pad(held, (0, n - len(held)), constant_values=np.nan)
-
-
 def _opened(path: str | Path, mode: str) -> h5py.File:
     try:
         # Reading does not lock: a running track may be looked at.
@@ -312,13 +344,3 @@ def _opened(path: str | Path, mode: str) -> h5py.File:
     except OSError as error:
         action = "read" if mode == "r" else "written"
         raise InputError(f"result file {path} cannot be {action}: it is no HDF5 file, damaged, or in use.") from error
-
-
-def _check_format(path: str | Path, file: h5py.File) -> None:
-    if file.attrs.get("format") != FORMAT or "frames" not in file:
-        raise InputError(f"{path} is an HDF5 file, but no twistcap result; give the result.h5 that track wrote.")
-    version = int(str(file.attrs["format_version"]))
-    if version > FORMAT_VERSION:
-        raise InputError(f"{path} was written by a newer twistcap (format {version}); update twistcap.")
-    if version < FORMAT_VERSION:
-        raise InputError(f"{path} was written by an older twistcap (format {version}); track the recording again.")

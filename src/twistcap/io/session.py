@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, ValidationInfo, model_validator
 
+from twistcap.doors.text import read_toml
 from twistcap.errors import InputError
-from twistcap.io.files import read_toml
 from twistcap.io.strict import dataclass_from, validated
 from twistcap.motion import MotionKind
 
