@@ -19,6 +19,7 @@ from numba import njit
 from twistcap.arrays import AnyArray, Float, Float32
 from twistcap.errors import InputError
 from twistcap.features.tvflow import tv_step
+from twistcap.ranges import Checked, Count, Positive
 
 _STRENGTH = 0.2  # largest value of the structure tensor's channels: their weight beside grey
 _FLOW_STEPS, _FLOW_GROWTH = 6, 1.25  # of the TV flow, and from each to the next: fine structures need short steps
@@ -26,7 +27,7 @@ _WINDOW = 4.0  # px, standard deviation over which the flow's changes and their 
 
 
 @dataclass(frozen=True)
-class Texture:
+class Texture(Checked):
     """How texture is measured. No value depends on the range of an image, so that crops and frames agree.
 
     Attributes:
@@ -47,14 +48,15 @@ class Texture:
 
     resolution: int = 2
     blend: bool = False
-    knee: float = 0.1
+    knee: Positive = 0.1
     largest: float = 16.0
-    flow_time: float = 0.5
-    steps: int = 3
-    tau: float = 0.12
-    epsilon: float = 0.01
+    flow_time: Positive = 0.5
+    steps: Count = 3
+    tau: Positive = 0.12
+    epsilon: Positive = 0.01
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         numbers = (self.resolution, self.knee, self.flow_time, self.tau, self.epsilon)
         if not all(math.isfinite(x) and x > 0 for x in numbers) or self.steps < 0:
             raise InputError("texture: sizes, steps and weights must be positive and finite.")

@@ -16,7 +16,7 @@ import numpy as np
 from av.error import FFmpegError
 
 from twistcap.arrays import UInt8
-from twistcap.doors.images import read_image
+from twistcap.doors.images import MOST_PIXELS, read_image
 from twistcap.errors import InputError
 
 _IMAGES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm"}

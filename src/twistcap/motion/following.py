@@ -22,6 +22,7 @@ from twistcap.motion.matching import Interval, Match, Matcher
 from twistcap.motion.openloop import OpenLoop, PoseSequence
 from twistcap.motion.paper import standard_step
 from twistcap.motion.recurrence import LOOK_BACK, OWN, RecurrenceRule, recurrences
+from twistcap.ranges import Checked, Count, Share
 
 _ALIKE = 0.05  # rad per pose, of all joints together: smaller differences are no evidence
 _WORSE = 2.5  # factor by which the mean distance of a longer history may be larger than that of a shorter one
@@ -36,7 +37,7 @@ _Matched = tuple[Match, int]
 
 
 @dataclass(frozen=True)
-class FollowRule:
+class FollowRule(Checked):
     """How matches are found and followed.
 
     Attributes:
@@ -54,14 +55,15 @@ class FollowRule:
     """
 
     poses: tuple[int, ...] = (10, 20, 40)
-    count: int = 3
+    count: Count = 3
     apart: int = 20
-    fading: float = 0.9
+    fading: Share = 0.9
     scales: tuple[float, ...] = PAPER_SCALES
     lever: float = 0.1
     recurrence: RecurrenceRule = field(default_factory=RecurrenceRule)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if len(self.poses) == 0 or min(self.poses) < 2 or self.count < 1 or not 0 <= self.fading < 1:
             raise InputError("motion prediction: take 2 poses or more, 1 match or more, and a fading in [0, 1).")
 

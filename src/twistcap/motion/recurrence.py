@@ -9,6 +9,7 @@ import numpy as np
 from twistcap.arrays import Float
 from twistcap.errors import InputError
 from twistcap.motion.matching import Match
+from twistcap.ranges import Checked, Count
 
 OWN = -1
 """The clip of a match in the person's own past."""
@@ -19,7 +20,7 @@ _RATIO, _MARGIN = 3.0, 0.1  # in between, distances must exceed this multiple pl
 
 
 @dataclass(frozen=True)
-class RecurrenceRule:
+class RecurrenceRule(Checked):
     """What counts as a recurrence.
 
     Attributes:
@@ -34,9 +35,10 @@ class RecurrenceRule:
 
     lead: float = 1.5
     poses: int = 15
-    count: int = 3
+    count: Count = 3
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not (1 <= self.poses < LOOK_BACK and self.count >= 1 and self.lead >= 0.0):
             raise InputError(f"recurrence: poses must be 1 to {LOOK_BACK - 1}, count 1 or more, and lead not negative.")
 

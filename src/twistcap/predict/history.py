@@ -11,6 +11,7 @@ from twistcap import se3
 from twistcap.arrays import Bool, Float
 from twistcap.body import Pose
 from twistcap.errors import InputError
+from twistcap.ranges import Checked, Share
 
 _JUMP = np.deg2rad(2.0)  # of a joint: more than a fit wavers
 REMEMBERED = 128
@@ -27,7 +28,7 @@ class Moment:
 
 
 @dataclass(frozen=True)
-class MotionNoise:
+class MotionNoise(Checked):
     """How far motion strays from its prediction.
 
     Attributes:
@@ -46,9 +47,10 @@ class MotionNoise:
     turn_speed: float = 2.0
     shift_speed: float = 1.5
     allowance: float = 3.0
-    memory: float = 0.85
+    memory: Share = 0.85
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not (self.allowance >= 0.0 and 0.0 <= self.memory <= 1.0):
             raise InputError("noise: allowance must be 0 or more, and memory from 0 to 1.")
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from twistcap.body import Posed
 from twistcap.cues.observation import Alternation
+from twistcap.ranges import Checked, Positive
 from twistcap.terms import GaussianTerm, LimitTerm, RestTerm, Term
 
 
@@ -32,14 +33,14 @@ class JointLimits(_Standing):
 
 
 @dataclass(frozen=True)
-class RestPose(_Standing):
+class RestPose(Checked, _Standing):
     """A limb that nothing shows hangs as in the rest pose.
 
     Attributes:
         sigma_deg: standard deviation of the joints about it.
     """
 
-    sigma_deg: float = 30.0
+    sigma_deg: Positive = 30.0
     name: str = field(default="rest", init=False)
 
     def terms(self, alternation: Alternation) -> Sequence[Term]:

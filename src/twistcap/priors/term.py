@@ -12,11 +12,12 @@ from twistcap.body import Body, Posed
 from twistcap.cues.observation import Alternation
 from twistcap.errors import InputError
 from twistcap.priors.parzen import ParzenPrior
+from twistcap.ranges import Checked, Positive, Share
 from twistcap.terms import Quadratic
 
 
 @dataclass(frozen=True)
-class PriorRule:
+class PriorRule(Checked):
     """How much a pose prior counts.
 
     Attributes:
@@ -32,11 +33,12 @@ class PriorRule:
     """
 
     strength: float = 0.05
-    in_sight: float = 0.1
-    unseen: float = 0.02
-    step: float = 1.0
+    in_sight: Share = 0.1
+    unseen: Share = 0.02
+    step: Positive = 1.0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name, value, most in (
             ("strength", self.strength, 1e6),
             ("in_sight", self.in_sight, 1),

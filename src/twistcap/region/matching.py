@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 
 from twistcap.arrays import Float, Float32
+from twistcap.ranges import Checked, Count, Positive
 from twistcap.region.levelset import signed_distance
 
 _RELAXATION = 1.8
@@ -45,7 +46,7 @@ class Displacement:
 
 
 @dataclass(frozen=True)
-class VariationalRule:
+class VariationalRule(Checked):
     """Settings of displacement fields.
 
     Attributes:
@@ -56,10 +57,10 @@ class VariationalRule:
         reach: px from the contour within which the shapes are compared.
     """
 
-    alpha: float = 100.0
+    alpha: Positive = 100.0
     resolution: int = 4
-    warps: int = 2
-    iterations: int = 8
+    warps: Count = 2
+    iterations: Count = 8
     reach: float = 12.0
 
 

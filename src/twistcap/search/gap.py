@@ -20,13 +20,14 @@ from twistcap.camera import Rig
 from twistcap.cues.observation import Fit
 from twistcap.errors import InputError
 from twistcap.predict.history import Past
+from twistcap.ranges import Checked, Count
 from twistcap.search import Problem, Revision
 from twistcap.search.judge import Judge, best_of
 from twistcap.stages import stage
 
 
 @dataclass(frozen=True)
-class AfterGap:
+class AfterGap(Checked):
     """When and how the body is searched for after frames without images.
 
     Attributes:
@@ -42,7 +43,7 @@ class AfterGap:
 
     after: float = 0.1
     passes: tuple[tuple[float, ...], ...] = ((1.0, 0.5, 0.25), (0.5, 0.25))
-    draws: int = 40
+    draws: Count = 40
     gain: float = 40.0
     reach: float = 0.5
     widest: float = 0.6
@@ -50,6 +51,7 @@ class AfterGap:
     name: str = field(default="after a gap", init=False)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.draws < 1 or not self.passes or not all(self.passes):
             raise InputError("search after a gap: draws must be 1 or more, and passes must name one layer each.")
 
