@@ -2,6 +2,6 @@
 
 import os
 
-os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 26))  # before OpenCV is loaded: `doors.images` says why
+os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(1 << 25))  # before OpenCV is loaded: `doors.images` says why
 
 __version__ = "0.1.0"

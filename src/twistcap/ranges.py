@@ -86,5 +86,6 @@ def _fault(value: Any, hint: Any) -> str | None:
         return "left out"
     bounds, plain = (hint.__metadata__[0], arguments[0]) if origin is Annotated else (Range(), hint)
     kind, told = (Integral, "a whole number") if plain is int else (Real, "a finite number")
-    good = isinstance(value, kind) and not isinstance(value, bool) and bounds.least <= value <= bounds.most
+    number: Any = value if isinstance(value, kind) and not isinstance(value, bool) else float("nan")
+    good = bounds.least <= number <= bounds.most
     return None if good else f"{told} {bounds}"

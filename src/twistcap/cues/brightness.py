@@ -12,7 +12,6 @@ from twistcap.camera import Rig
 from twistcap.cues.memory import Look, Memory, Retention, remember
 from twistcap.cues.observation import Evidence, Fit, Level, Sight
 from twistcap.cues.view import View
-from twistcap.errors import InputError
 from twistcap.ranges import Checked, Count, Positive, Share
 from twistcap.render import RenderedView
 from twistcap.stages import stage
@@ -46,11 +45,6 @@ class Brightness(Checked):
     update: Share = 0.2
     depth_tolerance: float = 0.012
     name: str = field(default="photometric", init=False)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not all(value > 0.0 for value in (self.sigma, self.scale, self.jump, self.share)):
-            raise InputError("brightness: sigma, scale, jump and share must be positive.")
 
     def start(self, body: Body, rig: Rig) -> Memories:
         """No view remembers anything."""

@@ -12,7 +12,7 @@ from twistcap.arrays import UInt8
 from twistcap.doors.text import read_bytes
 from twistcap.errors import InputError
 
-MOST_PIXELS = 1 << 26  # of a picture or a frame of a video
+MOST_PIXELS = 1 << 25  # of a picture or a frame of a video
 _LARGEST = 1 << 28  # bytes of a file
 _SIGNATURES = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"BM", b"II*\0", b"MM\0*", *(b"P%d" % k for k in range(1, 8)))
 

@@ -7,6 +7,7 @@ import zlib
 from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
+from tokenize import TokenError
 from typing import IO, Any
 
 import numpy as np
@@ -25,7 +26,7 @@ _HEADERS: dict[tuple[int, int], Callable[[IO[bytes]], Any]] = {
     (1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0,
 }  # fmt: skip
 _DAMAGE = (OSError, ValueError, TypeError, EOFError, KeyError, SyntaxError, NotImplementedError, RuntimeError,
-           RecursionError, OverflowError, zipfile.BadZipFile, zlib.error)  # fmt: skip
+           RecursionError, OverflowError, TokenError, zipfile.BadZipFile, zlib.error)  # fmt: skip
 
 
 def read_npz(path: str | Path, what: str, schema: Schema, mend: str = "give another file") -> dict[str, Any]:

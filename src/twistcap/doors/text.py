@@ -108,7 +108,7 @@ def read_toml(path: Path, what: str, mend: str = "check the path") -> dict[str, 
     """The tables of a TOML file; `what` it is and how to `mend` its absence stand in messages. Raises InputError."""
     if not path.is_file():
         why = "it is no file" if path.exists() else "No such file or directory"
-        raise InputError(f"{what} {path} cannot be read: {why}; {mend}.")
+        raise InputError(f"{what} {path} cannot be read: {why}; {mend}.".lstrip())
     return parsed_toml(read_text(path), f"{what} {path}".strip())
 
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from twistcap import se3
 from twistcap.arrays import Float
 from twistcap.doors.text import number_array, read_json_table
-from twistcap.errors import InputError
+from twistcap.errors import InputError, naming
 from twistcap.io.strict import validated
 from twistcap.motion.skeleton import SkeletonMotion
 
@@ -61,7 +61,8 @@ def read_deepmimic(path: Path | str, skeleton: Path | str | None = None) -> Skel
     offsets = np.array([(joint.AttachX, joint.AttachY, joint.AttachZ) for joint in joints])
     step, places, local = _even(path, rows[:-1, 0], rows[:, 1:4], local)
     names, parents = [joint.Name for joint in joints], [joint.Parent for joint in joints]
-    return SkeletonMotion.from_local(path.stem, names, parents, offsets, local, places, 1.0 / step, "y")
+    with naming(path):
+        return SkeletonMotion.from_local(path.stem, names, parents, offsets, local, places, 1.0 / step, "y")
 
 
 def _joints(path: Path) -> tuple[_Joint, ...]:

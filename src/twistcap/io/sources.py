@@ -109,7 +109,10 @@ def _opened(name: str) -> Any:
 def _time_stamps(name: str, container: Any) -> list[int]:
     if not container.streams.video:
         raise InputError(f"video {name} holds no video stream; is it a video file?")
-    width, height = container.streams.video[0].width, container.streams.video[0].height
+    codec = container.streams.video[0].codec_context
+    if codec is None:
+        raise InputError(f"video {name} is coded in a way that is not known; re-encode it.")
+    width, height = codec.width, codec.height
     if width * height > MOST_PIXELS:
         raise InputError(f"video {name} is {width}×{height} pixels; at most {MOST_PIXELS >> 20} megapixels are read.")
     packets = container.demux(container.streams.video[0])

@@ -10,7 +10,6 @@ import numpy as np
 from twistcap import se3
 from twistcap.arrays import Bool, Float
 from twistcap.body import Pose
-from twistcap.errors import InputError
 from twistcap.ranges import Checked, Share
 
 _JUMP = np.deg2rad(2.0)  # of a joint: more than a fit wavers
@@ -48,11 +47,6 @@ class MotionNoise(Checked):
     shift_speed: float = 1.5
     allowance: float = 3.0
     memory: Share = 0.85
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not (self.allowance >= 0.0 and 0.0 <= self.memory <= 1.0):
-            raise InputError("noise: allowance must be 0 or more, and memory from 0 to 1.")
 
     def covariance(self, dof: int, dt: float, predictor: str, centre: Float) -> tuple[Float, Float]:
         """(dof, dof) covariance of a prediction over dt seconds, and its inverse; the root turns about `centre`."""

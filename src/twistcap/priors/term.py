@@ -37,17 +37,6 @@ class PriorRule(Checked):
     unseen: Share = 0.02
     step: Positive = 1.0
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name, value, most in (
-            ("strength", self.strength, 1e6),
-            ("in_sight", self.in_sight, 1),
-            ("unseen", self.unseen, 1),
-            ("step", self.step, 1),
-        ):
-            _expect(name, value, 0 <= value <= most, f"from 0 to {most:g}")
-        _expect("step", self.step, self.step > 0, "above 0")
-
 
 @dataclass(frozen=True)
 class PriorTerm:
@@ -151,8 +140,3 @@ def matched(prior: ParzenPrior, body: Body) -> PriorTerm:
         )
     columns = np.array([body.coordinate(name) for name in names], dtype=np.int32)
     return PriorTerm(prior if len(names) == len(prior.names) else prior.restricted(names), columns, 1.0)
-
-
-def _expect(name: str, value: float, holds: bool, wanted: str) -> None:
-    if not holds:
-        raise InputError(f"prior: {name} is {value}; it must be {wanted}.")

@@ -52,8 +52,8 @@ class AfterGap(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.draws < 1 or not self.passes or not all(self.passes):
-            raise InputError("search after a gap: draws must be 1 or more, and passes must name one layer each.")
+        if not self.passes or not all(self.passes):
+            raise InputError("search after a gap: passes must name one layer each.")
 
     def start(self, body: Body, rig: Rig) -> None:
         """It remembers nothing."""

@@ -79,12 +79,8 @@ class SlippedLimbs(Checked):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.draws < 1 or self.least_points < 1 or self.seed < 0 or not self.near:
-            raise InputError("limb search: draws and least_points must be 1 or more, seed 0 or more, near not empty.")
-        if not all(0.0 <= value <= 1.0 for value in (self.drop, self.memory, self.recent, self.better)):
-            raise InputError("limb search: drop, memory, recent and better must be from 0 to 1.")
-        if not all(0.0 <= value < np.inf for value in (*self.near, self.gain, self.reach)):
-            raise InputError("limb search: near, gain and reach must be 0 or more, and finite.")
+        if not self.near:
+            raise InputError("limb search: near is empty; give one reach or more, m.")
 
     def start(self, body: Body, rig: Rig) -> LimbAgreement:
         """No limb has been judged."""
