@@ -23,9 +23,10 @@ COMMANDS = ("view", "export", "evaluate", "refine", "resume")
 def command(name: str, result: Path, walk: Path) -> list[str]:
     """The command line of one command on a damaged result."""
     folder, session = result.parent, str(walk / "session.toml")
+    kind = random.Random(str(result)).choice(("trc", "mot", "bvh", "csv", "glb"))
     return {
         "view": ["view", str(result), "--save", str(folder / "page.html"), "--session", session, "--width", "64"],
-        "export": ["export", str(result), "--to", random.Random(str(result)).choice(("trc", "mot", "bvh", "csv", "glb"))],
+        "export": ["export", str(result), "--to", kind],
         "evaluate": ["evaluate", str(result), "--reference", str(walk / "truth.npz"), "--json"],
         "refine": ["refine", str(result), "--session", session, "--set", "rounds=1", "--set", "points=20",
                    "--out", str(folder / "refined")],

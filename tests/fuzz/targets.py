@@ -41,6 +41,7 @@ from twistcap.priors import ParzenPrior
 
 SMALL = two_links()
 RIG = ring()
+_MESH = ("m.obj", "r.json", "w.json")
 ASF = """:units
   length 0.45
 :root
@@ -131,7 +132,7 @@ def targets(folder: Path) -> Mapping[str, Target]:
         "obj": ("m.obj", lambda p: load_makehuman(p, folder / "r.json", folder / "w.json")),
         "obj rig": ("r.json", lambda p: load_makehuman(folder / "m.obj", p, folder / "w.json")),
         "obj weights": ("w.json", lambda p: load_makehuman(folder / "m.obj", folder / "r.json", p)),
-        "obj target": ("t.target", lambda p: load_makehuman(folder / "m.obj", folder / "r.json", folder / "w.json", {p: 0.5})),
+        "obj target": ("t.target", lambda p: load_makehuman(*(folder / f for f in _MESH), {p: 0.5})),
         **{f"image {e}": (f"0001.{e}", _image) for e in ("png", "jpg", "bmp", "tif", "ppm")},
         "mask": ("mask.png", _mask),
         "video": ("a.mp4", lambda p: (len(s := open_source(p)), s.size, list(s.read(range(min(len(s), 6)))))),
@@ -168,7 +169,7 @@ def _write(folder: Path) -> None:
         ("t.target", "0 0.1 0 0\n3 0 0.2 0\n"),
         ("a.amc", "1\nroot 0 0 0 0 0 0\nupper 4 5 6\n2\nroot 0 1 0 0 0 0\nupper 40 50 60\n"),
         ("clicks.csv", f"camera,joint,x,y\n{RIG.names[0]},knee_r,3,4\n"),
-        ("table.toml", '[segments]\npelvis = {joint="a", forward=[0,0,1], up=[0,1,0]}\nname = "x"\n'),
+        ("table.toml", 'name = "x"\n[segments]\npelvis = {joint="a", forward=[0,0,1], up=[0,1,0]}\n'),
         ("hinge.rig.toml", 'root = "low"\n[joints.high]\nkind = "revolute"\naxes = [[0, 1, 0]]\n'),
     ):
         (folder / name).write_text(text)

@@ -28,7 +28,7 @@ def read_image(path: str | Path, what: str, grey: bool = False, mend: str = "rep
     if width * height > MOST_PIXELS:
         raise InputError(f"{what} {path} is {width}×{height} pixels; at most {MOST_PIXELS >> 20} megapixels are read.")
     image = None
-    if data.startswith(_SIGNATURES):
+    if data.startswith(_SIGNATURES) and (data[:4] != b"\x89PNG" or _is_whole_png(data)):
         try:
             mode = cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR
             image = cv2.imdecode(np.frombuffer(data, np.uint8), mode)
@@ -56,6 +56,17 @@ def _declared_size(data: bytes) -> tuple[int, int]:
     except (struct.error, ValueError, LookupError):
         pass
     return 0, 0
+
+
+def _is_whole_png(data: bytes) -> bool:
+    """Whether its chunks lie in the file; OpenCV allocates what they declare."""
+    at = 8
+    while at + 12 <= len(data):
+        length, kind = int.from_bytes(data[at : at + 4], "big"), data[at + 4 : at + 8]
+        at += 12 + length
+        if kind == b"IEND":
+            return at <= len(data)
+    return False
 
 
 def _jpeg_size(data: bytes) -> tuple[int, int]:
