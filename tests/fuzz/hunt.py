@@ -109,7 +109,7 @@ def _child(name: str, target: Target, numbers: range, seed: int, folder: Path, q
 
 
 def _worked() -> float:
-    """Seconds of the processor that this process and its children have had: other work of the machine does not count."""
+    """Seconds of the processor for this process and its children; other work of the machine does not count."""
     return time.process_time() + sum(resource.getrusage(resource.RUSAGE_CHILDREN)[:2])
 
 

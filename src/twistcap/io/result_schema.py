@@ -62,6 +62,9 @@ def frames_of(held: Mapping[str, AnyArray], source: str) -> dict[str, Any]:
     """
     lengths = [len(array) for name in FRAMES if (array := held.get(f"frames/{name}")) is not None and array.ndim]
     n = min(lengths, default=0)
+    index = held.get("frames/index")
+    if index is not None and index.ndim == 1 and index.dtype.kind == "i" and np.any(index[:n] < 0):
+        n = int(np.argmax(index[:n] < 0))  # rows that wait for their frame
     energies = {name: array for name, array in held.items() if name.startswith("frames/energies/")}
     cut = {name: array[:n] for name, array in held.items() if _is_in(name, "frames") and array.ndim}
     for name, array in energies.items():
