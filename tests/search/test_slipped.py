@@ -109,7 +109,7 @@ def test_joints_without_limits_are_drawn_within_half_a_turn() -> None:
     ("wrong", "message"),
     [
         (lambda: SlippedLimbs(draws=0), "draws is 0"),
-        (lambda: SlippedLimbs(near=()), "near not empty"),
+        (lambda: SlippedLimbs(near=()), "near is empty"),
         (lambda: SlippedLimbs(memory=1.5), "memory is 1.5"),
         (lambda: SlippedLimbs(gain=float("nan")), "gain is nan"),
     ],

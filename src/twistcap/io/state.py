@@ -50,7 +50,7 @@ def from_bytes(data: UInt8, model: Model | DifferentialModel) -> Any:
         InputError: for bytes that are damaged, or of a model with other cues, predictors or searches.
     """
     try:
-        file = npz_arrays(data.tobytes(), "the stored state")
+        file = npz_arrays(data.tobytes(), "the stored state of the track")
         layout = json.loads(file["layout"].tobytes())
         arrays = [file[str(k)] for k in range(len(file) - 1)]
         state = _Reader(arrays, model.body).state(layout, model)

@@ -59,7 +59,7 @@ class UncertainLimbs(Checked):
     memory: Share = 0.9
     steps: tuple[Signed, ...] = (-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0)
     every: Count = 3
-    promising: float = 0.0
+    promising: Signed = 0.0
     margin: float = 40.0
     name: str = field(default="uncertain limbs", init=False)
 
