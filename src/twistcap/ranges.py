@@ -29,11 +29,12 @@ class Range:
     def __str__(self) -> str:
         if self.most == _GREATEST:
             return "above 0" if self.least == _LEAST else f"from {self.least:g} on, and not huge"
-        return f"from {self.least:g} to {self.most:g}"
+        return f"above 0, at most {self.most:g}" if self.least == _LEAST else f"from {self.least:g} to {self.most:g}"
 
 
 Positive = Annotated[float, Range(_LEAST)]
 Share = Annotated[float, Range(0.0, 1.0)]
+PartOfOne = Annotated[float, Range(_LEAST, 1.0)]
 Signed = Annotated[float, Range(-_GREATEST)]
 Count = Annotated[int, Range(1, 1e5)]
 

@@ -233,4 +233,7 @@ def mutate(source: Path, target: Path, rng: random.Random) -> None:
     damage = STRUCTURED.get(source.suffix, of_bytes)
     if rng.random() < 0.3:
         damage = of_bytes
-    target.write_bytes(damage(data, rng))
+    try:
+        target.write_bytes(damage(data, rng))
+    except RecursionError:  # deeper than JSON can be written; a deep text is among the WORDS
+        target.write_bytes(of_bytes(data, rng))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -154,7 +155,7 @@ def _image(path: Path) -> Any:
 def _mask(path: Path) -> Any:
     folder = path.parent / RIG.names[0]
     folder.mkdir(exist_ok=True)
-    path.replace(folder / "frame_0000.png")
+    shutil.copyfile(path, folder / "frame_0000.png")
     return read_masks(path.parent, Rig(RIG.cameras[:1]), 0)
 
 

@@ -57,6 +57,13 @@ def test_a_bone_that_hangs_on_itself(tmp_path: Path) -> None:
         read_asf(tmp_path / "a.asf")
 
 
+def test_an_asf_without_a_unit(tmp_path: Path) -> None:
+    targets(tmp_path)
+    (tmp_path / "a.asf").write_text((tmp_path / "a.asf").read_text().replace("length 0.45", "length 0"))
+    with pytest.raises(InputError, match="length in :units is 0"):
+        read_asf(tmp_path / "a.asf")
+
+
 def test_a_header_of_an_array_that_is_no_python(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", a=np.zeros(3))
     data = (tmp_path / "a.npz").read_bytes().replace(b"'shape': (3,), }", b"'shape': ((((((( ")

@@ -85,7 +85,10 @@ def read_asf(path: Path | str) -> AsfSkeleton:
             raise InputError(f"{path}: not an ASF skeleton (no section :{needed}).")
     units = {words[0].lower(): words[-1].lower() for _, words in sections.get("units", []) if words}
     degree = 1.0 if units.get("angle", "deg").startswith("rad") else np.pi / 180.0
-    unit = _INCH / _number(path, 0, units.get("length", "1"))
+    length = _number(path, 0, units.get("length", "1"))
+    if not 1e-4 < length < 1e4:
+        raise InputError(f"{path}: the length in :units is {length:g}; it must be above 0, such as 0.45.")
+    unit = _INCH / length
     bones = {"root": _root(path, sections.get("root", []), degree), **_bones(path, sections["bonedata"], degree)}
     return AsfSkeleton(bones, _parents(path, sections["hierarchy"], bones), unit, degree)
 

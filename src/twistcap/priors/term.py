@@ -12,7 +12,7 @@ from twistcap.body import Body, Posed
 from twistcap.cues.observation import Alternation
 from twistcap.errors import InputError
 from twistcap.priors.parzen import ParzenPrior
-from twistcap.ranges import Checked, Positive, Share
+from twistcap.ranges import Checked, PartOfOne, Share
 from twistcap.terms import Quadratic
 
 
@@ -32,7 +32,7 @@ class PriorRule(Checked):
     strength: float = 0.05
     in_sight: Share = 0.1
     unseen: Share = 0.02
-    step: Positive = 1.0
+    step: PartOfOne = 1.0
 
 
 @dataclass(frozen=True)
