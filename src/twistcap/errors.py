@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from math import inf
+from collections.abc import Generator, Iterable
+from contextlib import contextmanager
+from os import PathLike
+
+_LONGEST = 299  # characters of a sentence
+_TAIL = 100  # of them that are kept of the end of a longer one: its mend
 
 
 class InputError(ValueError):
     """Bad input, described in one sentence that names the file, the field and what to do.
 
-    The command line prints the sentence alone and exits with code 2.
+    The command line prints the sentence alone and exits with code 2. What a stranger's file has put into it can neither
+    make it long nor steer a terminal.
     """
+
+    def __init__(self, message: str) -> None:
+        text = "".join(c if c.isprintable() else " " for c in message)
+        super().__init__(text if len(text) <= _LONGEST else f"{text[: _LONGEST - _TAIL - 3]} … {text[-_TAIL:]}")
 
 
 def check(where: str, holds: object, message: str) -> None:
@@ -19,25 +28,15 @@ def check(where: str, holds: object, message: str) -> None:
         raise InputError(f"{where}: {message}.")
 
 
-def check_numbers(
-    where: str, settings: object, positive: tuple[str, ...] = (), not_negative: tuple[str, ...] = ()
-) -> None:
-    """Check fields of settings when these are made.
-
-    Args:
-        where: what they are settings of, for the message.
-        settings: their holder.
-        positive: names of fields that must be finite and above 0.
-        not_negative: names of fields that must be finite and 0 or more.
-
-    Raises:
-        InputError: for the first field that is not; NaN never is.
-    """
-    for name in (*positive, *not_negative):
-        value = getattr(settings, name)
-        if not (0 <= value < inf) or (value == 0 and name in positive):
-            bound = "above 0" if name in positive else "of 0 or more"
-            raise InputError(f"{where}: {name} is {value}; it must be a finite number {bound}.")
+@contextmanager
+def naming(source: str | PathLike[str]) -> Generator[None]:
+    """Whatever `InputError` is raised inside names the file `source`."""
+    try:
+        yield
+    except InputError as error:
+        if str(source) in str(error):
+            raise
+        raise InputError(f"{source}: {error}") from error
 
 
 def check_choice(where: str, value: object, choices: Iterable[object]) -> None:

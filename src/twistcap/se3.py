@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike
 
-from twistcap.arrays import Float
+from twistcap.arrays import Bool, Float
 
 _SMALL = 1e-4  # below this angle (rad) the trigonometric quotients are replaced by their series
 
@@ -174,6 +174,15 @@ def inverse_left_jacobian(twist: ArrayLike) -> Float:
         ad2 = ad @ ad
         return np.eye(6) - 0.5 * ad + ad2 / 12.0 - (ad2 @ ad2) / 720.0 + (ad2 @ ad2 @ ad2) / 30240.0
     return np.asarray(np.linalg.inv(left_jacobian(xi)), dtype=np.float64)
+
+
+def is_motion(matrix: ArrayLike, tolerance: float = 1e-4) -> Bool:
+    """(...,) whether matrices (..., 4, 4) are rigid motions: rotation, finite translation, last row 0 0 0 1."""
+    T = np.asarray(matrix, float)
+    R = np.where(np.isfinite(T[..., :3, :3]), T[..., :3, :3], 0.0)
+    square = np.all(np.abs(R @ np.swapaxes(R, -1, -2) - np.eye(3)) < tolerance, axis=(-1, -2))
+    last = np.all(np.abs(T[..., 3, :] - [0.0, 0.0, 0.0, 1.0]) < tolerance, axis=-1)
+    return square & last & (np.linalg.det(R) > 0) & np.all(np.isfinite(T), axis=(-1, -2))
 
 
 def orthonormalised(motion: ArrayLike) -> Float:

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import inf
 from typing import Literal
 
 from twistcap.differential.settings import DifferentialConfig
 from twistcap.errors import InputError
 from twistcap.features import Channels
 from twistcap.motion import MotionKind
+from twistcap.ranges import Checked, Positive
 from twistcap.region.models import Density, Statistics
 
 PredictorName = Literal["constant_velocity", "hold", "flow", "motion"]
 
 
 @dataclass(frozen=True)
-class Settings:
+class Settings(Checked, where="tracker"):
     """The ``[tracker]`` table of a session.
 
     Attributes:
@@ -54,24 +54,16 @@ class Settings:
     brightness: bool = True
     predictor: PredictorName = "constant_velocity"
     motion: MotionKind = "followed"
-    keypoint_sigma: float = 0.03
+    keypoint_sigma: Positive = 0.03
     prior_strength: float = 0.05
-    first_sigma_deg: float = 1.0
-    first_sigma_m: float = 0.005
+    first_sigma_deg: Positive = 1.0
+    first_sigma_m: Positive = 0.005
     plugins: tuple[str, ...] = ()
     differential: DifferentialConfig = field(default_factory=DifferentialConfig)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if isinstance(self.plugins, str) or len(set(self.plugins)) < len(self.plugins):
             raise InputError(f"tracker: plugins is {self.plugins!r}; give a list of names, each once.")
         if self.despeckle not in (1, 3, 5):
             raise InputError(f"tracker: despeckle is {self.despeckle}; it must be 1, 3 or 5.")
-        self._expect_positive("keypoint_sigma", "first_sigma_deg", "first_sigma_m")
-        for name in ("surface_sigma", "prior_strength"):
-            if not 0.0 <= getattr(self, name) < inf:
-                raise InputError(f"tracker: {name} is {getattr(self, name)}; it must be a finite number, 0 or more.")
-
-    def _expect_positive(self, *names: str) -> None:
-        for name in names:
-            if not 0.0 < getattr(self, name) < inf:
-                raise InputError(f"tracker: {name} is {getattr(self, name)}; it must be a finite number above 0.")

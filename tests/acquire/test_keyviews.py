@@ -238,7 +238,7 @@ def test_files_that_do_not_fit(scene: KeyViewScene, tmp_path: Path) -> None:
     good = path.read_text()
     for old, new, message in (
         ('camera = "side"', 'camera = "sid"', r"camera 'sid' is not in the calibration"),
-        ("side_image.png", "nothing.png", r"nothing.png: the picture cannot be read"),
+        ("side_image.png", "nothing.png", r"nothing.png cannot be read"),
         ('background = "side_plate.png"', "", r"\[views.side\]: give `image` and `background`, or a `mask`"),
         ("background", "plate", r"unknown key 'plate'"),
     ):

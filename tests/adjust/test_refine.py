@@ -385,7 +385,7 @@ def test_bad_input(scene: Capture, wrong: tuple[list[Frame], Body, list[Estimate
     for value in (np.nan, np.inf, -0.1):
         with pytest.raises(InputError, match="finite number"):
             RefineConfig(joint=value)
-    with pytest.raises(InputError, match="rounds is 0; it must be a finite number above 0"):
+    with pytest.raises(InputError, match="rounds is 0; it must be a whole number"):
         RefineConfig(rounds=0)
 
 

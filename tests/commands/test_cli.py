@@ -324,7 +324,7 @@ def test_bad_sessions(session: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
         (session, "cam02.mp4", short, f"unequal length: {session.parent / 'videos' / short} has 5 frames"),
         (session, "fps =", "fsp =", "unknown key 'fsp' at the top; did you mean 'fps'?"),
         (session, "frame = 0", "frame = 3", "has no frame 3"),
-        (calib, translations[0], "translation = [nan, 0.0, 1.0]", "'cam01': the field 'translation' holds NaN"),
+        (calib, translations[0], "translation = [nan, 0.0, 1.0]", "'cam01.translation.0' is nan"),
         (calib, rotations[0], "rotation = [[1, 0, 0], [0, 1, 0], [0, 0, -1]]", "mirrored"),
         (calib, f"{rotations[1]}\n{translations[1]}", f"{rotations[0]}\n{translations[0]}", "stand inside each other"),
     ]

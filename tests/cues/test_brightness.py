@@ -175,5 +175,5 @@ def test_templates_follow_the_image_slowly_and_fill_up_again() -> None:
 
 def test_bad_settings_are_told() -> None:
     for wrong in ({"sigma": 0.0}, {"share": float("nan")}):
-        with pytest.raises(InputError, match="brightness: sigma, scale, jump and share must be positive"):
+        with pytest.raises(InputError, match=r"Brightness: .* is "):
             Brightness(**wrong)

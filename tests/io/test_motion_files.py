@@ -90,7 +90,7 @@ def test_trc_axes_as_pose2sim_writes_them(tmp_path: Path) -> None:
 TRC_ERRORS = {
     "Units is 'km'": ("\tm\t", "\tkm\t"),
     "NumMarkers is 2": ("\t1\tm", "\t2\tm"),
-    "line 7: could not convert": ("2.000000", "two"),
+    "line 7: 'two' is no number": ("2.000000", "two"),
     "line 7 has more than 5 fields": ("2.000000", "2.0\t3.0"),
     "not a TRC file": ("PathFileType", "Path"),
     "Time is missing": ("1\t0.000000", "1\t"),
@@ -187,7 +187,7 @@ MOT_ERRORS = {
     "endheader": ("endheader\n", ""),
     "must be time": ("time\t", "frame\t"),
     "line 8 has 2 fields": ("0\t3\t1", "0\t3"),
-    "line 8: could not convert": ("0\t3\t1", "0\t3\tone"),
+    "line 8: 'one' is no number": ("0\t3\t1", "0\t3\tone"),
 }
 
 

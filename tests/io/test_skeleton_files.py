@@ -224,7 +224,7 @@ def test_a_motion_keeps_its_first_frame_unless_it_is_a_rest_pose(tmp_path: Path)
     [
         ("upper 40 50", "upper 40", "line 5: 2 numbers"),
         ("upper 40 50", "upper 40 forty", "line 5: 'forty' is no number"),
-        ("upper 40 50", "upper 40 nan", "line 5: nan is not finite"),
+        ("upper 40 50", "upper 40 nan", "line 5: 'nan' is not a finite"),
         ("upper 40 50", "tail 40 50", "line 5: the ASF skeleton has no bone 'tail'"),
         ("upper 40 50\n", "", "frame 1 has no line for 'upper'"),
         ("1\nroot", "root", "line 3: a frame must start with its number"),
@@ -287,8 +287,8 @@ def test_bvh_that_is_not_finite_or_missing(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("[0.1, 1,", "[0.1,", "frame 1 must have 13 numbers"),
-        ("[0.1, 1,", "[0.1, NaN,", "frame 1 holds something that is no finite number"),
+        ("[0.1, 1,", "[0.1,", "frame 1 must hold 13 numbers"),
+        ("[0.1, 1,", "[0.1, NaN,", "'Frames.1.1' is nan"),
         ("[0.1, 1,", "[-0.1, 1,", "duration of a frame is not positive"),
         ('"Frames"', '"Pictures"', "no Frames"),
         ("{", "", "not a JSON file"),
@@ -307,7 +307,7 @@ def test_deepmimic_without_its_skeleton(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="skeleton is not there"):
         read_deepmimic(path)
     assert len(read_deepmimic(path, tmp_path / "other.txt")) == 3
-    with pytest.raises(InputError, match="not a DeepMimic skeleton"):
+    with pytest.raises(InputError, match="the key 'Skeleton' is missing"):
         read_deepmimic(path, path)
 
 

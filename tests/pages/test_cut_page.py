@@ -211,7 +211,7 @@ def on_screen(browser: Browser, x: float, y: float) -> tuple[float, float]:
 @needs_browser
 def test_drawing_cuts_and_saves(keyviews: Path, tmp_path: Path) -> None:
     cutting = cutting_of(keyviews)
-    with served(page("cut", "test", cutting.document()), cutting.answers) as port, Browser() as browser:
+    with served(page("cut", "test", cutting.document()), cutting.answers) as url, Browser() as browser:
 
         def drawn(start: tuple[float, float], end: tuple[float, float]) -> list[float]:
             before = int(browser.run("document.body.dataset.cuts ?? 0"))
@@ -219,7 +219,7 @@ def test_drawing_cuts_and_saves(keyviews: Path, tmp_path: Path) -> None:
             browser.wait(f"+document.body.dataset.cuts > {before} && document.body.dataset.busy === 'no'")
             return browser.run("twistcapCut.view('front').outline[0]")
 
-        browser.open(f"http://127.0.0.1:{port}/")
+        browser.open(url)
         first = drawn((50, 20), (150, 245))
         assert len(first) > 20
         box = browser.run("twistcapCut.view('front').rectangle")
@@ -257,12 +257,12 @@ def test_questions_wait_for_their_turn(keyviews: Path) -> None:
         asked.append(("", 0))
         return cutting.save(question)
 
-    with served(page("cut", "test", cutting.document()), {"/cut": cut, "/save": save}) as port, Browser() as browser:
+    with served(page("cut", "test", cutting.document()), {"/cut": cut, "/save": save}) as url, Browser() as browser:
 
         def drag(*ends: float) -> None:
             browser.drag(on_screen(browser, *ends[:2]), on_screen(browser, *ends[2:]))
 
-        browser.open(f"http://127.0.0.1:{port}/")
+        browser.open(url)
         drag(50, 20, 150, 245)  # asked at once, and answered when the gate opens
         drag(100, 50, 100, 150)
         drag(100, 60, 100, 160)  # in place of the stroke before

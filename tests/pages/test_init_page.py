@@ -60,14 +60,14 @@ def clicked(made: Path, clicking: Any, joints: tuple[str, ...] = SIX) -> dict[st
 def test_clicking_moves_the_body_and_saves_it(made: Path, session: Path, tmp_path: Path) -> None:
     clicking = clicking_of(load_session(session), session)
     clicks = clicked(made, clicking)
-    with served(page("init", "test", clicking.document()), clicking.answers) as port, Browser() as browser:
+    with served(page("init", "test", clicking.document()), clicking.answers) as url, Browser() as browser:
 
         def on_screen(camera: str, x: float, y: float) -> tuple[float, float]:
             matrix = f"document.querySelector('[data-camera={camera}]').getScreenCTM()"
             at = browser.run(f"(p => [p.x, p.y])(new DOMPoint({x} + 0.5, {y} + 0.5).matrixTransform({matrix}))")
             return at[0], at[1]
 
-        browser.open(f"http://127.0.0.1:{port}/")
+        browser.open(url)
         for camera, joints in clicks.items():
             for joint, (x, y) in joints.items():
                 browser.run(f"document.querySelector('[data-name={joint}]').click()")
@@ -192,7 +192,7 @@ def test_poor_proportions_in_a_pose_file_are_told(tmp_path: Path) -> None:
     assert body_at(path, body) is body
     for poor, words in (
         (Proportions({"tail": 1.0}, {}), "tail"),
-        (Proportions({"tibia_r": -1.0}, {}), "positive"),
+        (Proportions({"tibia_r": -1.0}, {}), "between 0.1 and 10"),
         (Proportions({"tibia_r": float("nan")}, {}), "finite"),
     ):
         write_pose(path, body, Pose.rest(body), poor)
@@ -220,8 +220,8 @@ def test_a_page_is_served_until_interrupted(command: str, made: Path, session: P
     try:
         assert process.stdout is not None
         address = process.stdout.readline().strip()
-        assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", address)
-        status, text = asked(int(address.rsplit(":", 1)[1].strip("/")), "/")
+        assert re.fullmatch(r"http://127\.0\.0\.1:\d+/[\w-]{22}/", address)
+        status, text = asked(address)
         assert status == 200 and 'id="data"' in text
         process.send_signal(signal.SIGINT)
         assert process.wait(timeout=60) == 0

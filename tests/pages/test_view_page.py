@@ -7,6 +7,7 @@ import json
 import re
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import cv2
 import numpy as np
@@ -67,16 +68,16 @@ def test_the_server_answers_this_machine_alone() -> None:
             raise InputError("one clear sentence.")
         return {"twice": 2 * question["n"]}
 
-    with served("<p>page", {"/double": answer}) as port:
-        assert asked(port, "/") == (200, "<p>page")
-        assert json.loads(asked(port, "/double", '{"n": 4}')[1]) == {"twice": 8}
-        assert json.loads(asked(port, "/double", '{"bad": 1}')[1]) == {"error": "one clear sentence."}
-        assert "error" in json.loads(asked(port, "/double", "[1")[1])
-        assert asked(port, "/else")[0] == 404
-        assert asked(port, "/double", "n=1", **{"Content-Type": "text/plain"})[0] == 404  # what a foreign form can send
-        assert asked(port, "/", Host="evil.example")[0] == 403
+    with served("<p>page", {"/double": answer}) as url:
+        assert asked(url, "/") == (200, "<p>page")
+        assert json.loads(asked(url, "/double", '{"n": 4}')[1]) == {"twice": 8}
+        assert json.loads(asked(url, "/double", '{"bad": 1}')[1]) == {"error": "one clear sentence."}
+        assert "error" in json.loads(asked(url, "/double", "[1")[1])
+        assert asked(url, "/else")[0] == 404
+        assert asked(url, "/double", "n=1", **{"Content-Type": "text/plain"})[0] == 404  # what a foreign form can send
+        assert asked(url, "/", Host="evil.example")[0] == 404
         with pytest.raises(InputError, match="--port"):
-            page_server("", port=port)
+            page_server("", port=urlsplit(url).port or 0)
 
 
 # ---- viewer ----
@@ -86,7 +87,7 @@ def test_the_server_answers_this_machine_alone() -> None:
 def saved(made: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("view") / "both.html"
     results = [made / name / "result.h5" for name in ("one", "two")]
-    assert run("view", *results, "--reference", made / "truth.npz", "--save", out) == 0
+    assert run("view", *results, "--reference", made / "truth.npz", "--save", out, "--images", 120) == 0
     return out
 
 
@@ -143,6 +144,17 @@ def test_the_viewer_draws_bodies_lost_frames_and_the_reference(saved: Path, tmp_
         assert browser.problems == []
 
 
+def test_images_that_only_the_result_names_are_shown_when_asked_for(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A stranger's result may name any file of this machine."""
+    out = tmp_path / "a.html"
+    assert run("view", made / "one" / "result.h5", "--save", out) == 0
+    assert "image/jpeg" not in out.read_text() and "no images: the result names" in capsys.readouterr().err
+    assert run("view", made / "one" / "result.h5", "--save", out, "--session", made / "session.toml") == 0
+    assert "image/jpeg" in out.read_text() and "camera cam02: images of" in capsys.readouterr().err
+
+
 def test_a_result_without_videos_is_shown_without_images(
     made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -151,7 +163,7 @@ def test_a_result_without_videos_is_shown_without_images(
         with ResultWriter(path, result.body, result.rig, {}) as writer:
             for estimate in estimates:
                 writer.append(estimate)
-    assert run("view", bare, empty, "--save", tmp_path / "bare.html") == 0
+    assert run("view", bare, empty, "--save", tmp_path / "bare.html", "--images", 9) == 0
     assert "cam02: its video  is not found" in capsys.readouterr().err
     found = re.search(r'id="data">(.*?)</script>', (tmp_path / "bare.html").read_text(), re.S)
     assert found is not None

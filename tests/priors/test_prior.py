@@ -207,7 +207,7 @@ def test_training_takes_what_all_files_have(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="scale names 'tail'"):
         trained_prior([tmp_path / "a.npz"], scale={"tail": 2.0})
     np.savez(tmp_path / "c.npz", q=np.full((2, 3), np.inf), coordinate_names=np.array(NAMES))
-    with pytest.raises(InputError, match="not finite in row 0"):
+    with pytest.raises(InputError, match="q holds a value that is not finite"):
         trained_prior([tmp_path / "c.npz"])
     with pytest.raises(InputError, match="ending"):
         trained_prior([tmp_path / "walk.xyz"])

@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).parents[2] / "src" / "twistcap"
 
 # From the ground up; a room may import from its own floor and from those before it.
 FLOORS: tuple[tuple[str, ...], ...] = (
-    ("errors", "arrays", "_cached", "stages", "threads", "registry"),
+    ("errors", "ranges", "arrays", "doors", "_cached", "stages", "threads", "registry"),
     ("se3",),
     ("camera",),
     ("body",),

@@ -108,10 +108,10 @@ def test_joints_without_limits_are_drawn_within_half_a_turn() -> None:
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        (lambda: SlippedLimbs(draws=0), "draws and least_points must be 1 or more"),
-        (lambda: SlippedLimbs(near=()), "near not empty"),
-        (lambda: SlippedLimbs(memory=1.5), "memory, recent and better must be from 0 to 1"),
-        (lambda: SlippedLimbs(gain=float("nan")), "near, gain and reach must be 0 or more, and finite"),
+        (lambda: SlippedLimbs(draws=0), "draws is 0"),
+        (lambda: SlippedLimbs(near=()), "near is empty"),
+        (lambda: SlippedLimbs(memory=1.5), "memory is 1.5"),
+        (lambda: SlippedLimbs(gain=float("nan")), "gain is nan"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(wrong: Callable[[], SlippedLimbs], message: str) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import cv2
 import numpy as np
@@ -48,24 +49,25 @@ def run(*arguments: object) -> int:
 
 
 @contextmanager
-def served(text: str, answers: Any) -> Generator[int]:
-    """The port on which a page is served meanwhile."""
+def served(text: str, answers: Any) -> Generator[str]:
+    """The address at which a page is served meanwhile."""
     server = page_server(text, answers)
     thread = threading.Thread(target=server.serve_forever, daemon=True)
     thread.start()
     try:
-        yield int(server.server_address[1])
+        yield server.url
     finally:
         server.shutdown()
         server.server_close()
         thread.join()
 
 
-def asked(port: int, path: str, body: str | None = None, **headers: str) -> tuple[int, str]:
-    """Status and text of an answer on a port of this machine."""
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
+def asked(url: str, path: str = "/", body: str | None = None, **headers: str) -> tuple[int, str]:
+    """Status and text of an answer below an address of this machine."""
+    address = urlsplit(url)
+    connection = http.client.HTTPConnection("127.0.0.1", address.port, timeout=20)
     sent = {"Content-Type": "application/json", **headers}
-    connection.request("GET" if body is None else "POST", path, body, sent)
+    connection.request("GET" if body is None else "POST", address.path.rstrip("/") + path, body, sent)
     reply = connection.getresponse()
     return reply.status, reply.read().decode()
 

@@ -13,6 +13,7 @@ from pygltflib import GLTF2, Accessor, BufferView
 
 from twistcap.arrays import AnyArray, Float
 from twistcap.body.rig_spec import RigSpec
+from twistcap.doors.text import brief, read_bytes
 from twistcap.errors import InputError, check
 
 _TYPES: dict[int, type[np.generic]] = {
@@ -22,6 +23,8 @@ _CODES = {np.dtype(kind): code for code, kind in _TYPES.items()}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 TO_REST = RigSpec().to_rest()  # (3, 3) from glTF's axes to ours: a cyclic permutation, exact
 EXTRAS = "twistcap"  # key of our own data in extras
+LARGEST_BUFFER = 1 << 29  # bytes
+_GREATEST = 1e9  # of a value: a place in any unit, or an index
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 
 
@@ -42,17 +45,19 @@ class Buffers:
             entry = dict(enumerate(self.gltf.accessors))[number]  # no negative numbers here
             if entry.sparse is not None or entry.bufferView is None:
                 raise InputError(f"{self.path}: {where}: sparse accessors cannot be read; export it without.")
-            view = self.gltf.bufferViews[entry.bufferView]
+            view = dict(enumerate(self.gltf.bufferViews))[entry.bufferView]
             kind, width = np.dtype(_TYPES[entry.componentType]).newbyteorder("<"), _WIDTHS[entry.type]
-        except (IndexError, KeyError, TypeError) as error:
+        except (KeyError, TypeError) as error:
             raise InputError(f"{self.path}: {where}: accessor {number} is missing or of an unknown type.") from error
         start, stride = (view.byteOffset or 0) + (entry.byteOffset or 0), view.byteStride or kind.itemsize * width
         data = self._buffer(view.buffer, where)
-        if start + (entry.count - 1) * stride + kind.itemsize * width > len(data):
+        whole = all(isinstance(n, int) and n >= 0 for n in (start, stride, entry.count))
+        if not whole or start + (entry.count - 1) * stride + kind.itemsize * width > len(data):
             raise InputError(f"{self.path}: {where}: accessor {number} runs past the end of its buffer.")
         raw = np.ndarray((entry.count, width), kind, data, start, (stride, kind.itemsize)).astype(np.float64)
-        check(f"{self.path}: {where}", np.all(np.isfinite(raw)), "a value is not finite")
-        return np.maximum(raw / np.iinfo(kind.name).max, -1.0) if entry.normalized else raw
+        within = np.all(np.abs(raw) < _GREATEST)
+        check(f"{self.path}: {where}", within, f"a value is not finite, or beyond {_GREATEST:g}")
+        return np.maximum(raw / np.iinfo(kind.name).max, -1.0) if entry.normalized and kind.kind != "f" else raw
 
     def _buffer(self, number: int, where: str) -> bytes:
         if number not in self._data:
@@ -60,7 +65,7 @@ class Buffers:
         return self._data[number]
 
     def _read(self, number: int, where: str) -> bytes:
-        uri = self.gltf.buffers[number].uri if number < len(self.gltf.buffers) else ""
+        uri = self.gltf.buffers[number].uri if 0 <= number < len(self.gltf.buffers) else ""
         if uri is None:
             blob: Any = self.gltf.binary_blob()
             if blob is None:
@@ -69,9 +74,12 @@ class Buffers:
         try:
             if uri.startswith("data:"):
                 return base64.b64decode(uri.partition(",")[2])
-            return (self.path.parent / unquote(uri)).read_bytes()
-        except (OSError, binascii.Error) as error:
-            raise InputError(f"{self.path}: {where}: buffer {number} ({uri[:60]!r}) cannot be read.") from error
+        except binascii.Error as error:
+            raise InputError(f"{self.path}: {where}: buffer {number} cannot be read ({error}).") from error
+        beside = (self.path.parent / unquote(uri)).resolve()
+        if not uri or not beside.is_relative_to(self.path.parent.resolve()) or not beside.is_file():
+            raise InputError(f"{self.path}: {where}: buffer {number} ({brief(uri)}) is no file beside it.")
+        return read_bytes(beside, LARGEST_BUFFER)
 
 
 class Packer:

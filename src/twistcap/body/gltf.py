@@ -8,6 +8,7 @@ while a viewer shows skin and animation.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -18,13 +19,14 @@ from pygltflib import GLTF2
 
 from twistcap import se3
 from twistcap.arrays import Float, Int
-from twistcap.body._gltf_buffers import EXTRAS, TO_REST, Buffers
+from twistcap.body._gltf_buffers import EXTRAS, LARGEST_BUFFER, TO_REST, Buffers
 from twistcap.body.binding import strongest
 from twistcap.body.gltf_write import save_glb
 from twistcap.body.model import Body, Landmarks
-from twistcap.body.rig import SkinnedMesh, build_body, in_tree_order, welded
+from twistcap.body.rig import SkinnedMesh, build_body, in_tree_order, weights_matrix, welded
 from twistcap.body.rig_spec import RigSpec, read_rig
-from twistcap.errors import InputError, check
+from twistcap.doors.text import number_array, parsed_json, read_bytes
+from twistcap.errors import InputError, check, naming
 
 __all__ = ["load_glb", "save_glb"]
 
@@ -42,30 +44,36 @@ def load_glb(path: Path | str, rig: Path | str | RigSpec | None = None) -> Body:
     """
     path = Path(path)
     gltf = _open(path)
-    own = (gltf.asset.extras or {}).get(EXTRAS)
-    try:
-        mesh = _read_mesh(_Scene(gltf, path), own is not None)
-    except InputError:
-        raise
-    except (IndexError, KeyError, TypeError, AttributeError, ValueError) as error:
-        raise InputError(f"{path}: broken glTF, a value is missing or has no meaning ({error}).") from error
-    if own is not None and rig is None:
-        return _own_body(mesh, own, path)
+    own: Any = (gltf.asset.extras or {}).get(EXTRAS)
     beside = path.with_name(path.stem + ".rig.toml")
-    if rig is None and beside.is_file():
+    if rig is None and own is None and beside.is_file():
         rig = beside
     spec = rig if isinstance(rig, RigSpec) else read_rig(rig) if rig is not None else RigSpec()
-    return build_body(mesh, spec, _INFLUENCES)
+    try:
+        with naming(path), np.errstate(all="ignore"):
+            mesh = _read_mesh(_Scene(gltf, path), own is not None)
+            return (
+                _own_body(mesh, own, path) if own is not None and rig is None else build_body(mesh, spec, _INFLUENCES)
+            )
+    except InputError:
+        raise
+    except (LookupError, TypeError, AttributeError, ValueError, OverflowError) as error:
+        raise InputError(f"{path}: broken glTF, a value is missing or has no meaning ({error}).") from error
 
 
 def _open(path: Path) -> GLTF2:
-    check(str(path), path.is_file(), "there is no such file")
+    """pygltflib takes whatever JSON it is given, so that is checked first."""
+    data = read_bytes(path, LARGEST_BUFFER)
+    binary = data[:4] == b"glTF"
+    length = int.from_bytes(data[12:16], "little")
+    if binary and (len(data) < 20 or data[16:20] != b"JSON" or 20 + length > len(data)):
+        raise InputError(f"{path}: not a glTF file (its first chunk is no JSON, or cut off).")
+    parsed_json(data[20 : 20 + length] if binary else data, str(path))
     try:
-        gltf = GLTF2().load(str(path))
+        with warnings.catch_warnings(action="ignore"):  # of values that have another type; we look ourselves
+            gltf: Any = GLTF2.load_from_bytes(data) if binary else GLTF2.gltf_from_json(data.decode())
     except Exception as error:  # pygltflib passes on any exception of its parsers
         raise InputError(f"{path}: not a glTF file ({type(error).__name__}: {error}).") from error
-    if gltf is None:
-        raise InputError(f"{path}: not a glTF file.")
     wanted = [name for name in gltf.extensionsRequired or [] if "compression" in name or "quantization" in name]
     check(str(path), not wanted, f"needs {', '.join(wanted)}; export it without compression")
     check(str(path), gltf.skins, "it has no skin (skins is empty); export the mesh together with its armature")
@@ -174,7 +182,7 @@ def _parts(scene: _Scene, binds: list[tuple[Float, Float]]) -> list[tuple[Float,
         for number, primitive in enumerate(mesh.primitives):
             where = f"mesh {mesh.name or node.mesh!r}, primitive {number}"
             vertices, faces, by_joint = _primitive(scene, primitive, where, len(columns))
-            weights = np.zeros((len(vertices), len(scene.joints)))
+            weights = weights_matrix(len(vertices), len(scene.joints), str(scene.path))
             weights[:, columns] = by_joint
             parts.append((*_in_scene(vertices, faces, by_joint, binds[node.skin][0]), weights))
     check(str(scene.path), bool(parts), "no mesh uses its skin")
@@ -211,7 +219,7 @@ def _primitive(scene: _Scene, primitive: Any, where: str, joint_count: int) -> t
 
 def _weights(scene: _Scene, attributes: dict[str, Any], where: str, shape: tuple[int, int]) -> Float:
     """(V, B) weights of the skin's joints, from all sets JOINTS_n and WEIGHTS_n."""
-    out, rows = np.zeros(shape), np.arange(shape[0])
+    out, rows = weights_matrix(*shape, str(scene.path)), np.arange(shape[0])
     for name in sorted(n for n, at in attributes.items() if n.startswith("JOINTS_") and at is not None):
         held = scene.buffers.accessor(attributes[name], f"{where}: {name}").astype(int)
         number = attributes.get(name.replace("JOINTS", "WEIGHTS"), -1)
@@ -244,11 +252,17 @@ def _joined(parts: list[tuple[Float, Int, Float]]) -> tuple[Float, Int, Float]:
 
 def _own_body(mesh: SkinnedMesh, own: dict[str, Any], path: Path) -> Body:
     """The body of a file of `save_glb`."""
+
+    def numbers(value: Any, width: int) -> Float:
+        return number_array(value, (None, width), f"{path}: a number") if value else np.zeros((0, width))
+
+    def indices(value: Any) -> Int:
+        return number_array(value, (None,), f"{path}: an index").astype(np.int32)
+
     try:
         (order, weights), marks = strongest(mesh.weights, own["influences"]), own["landmarks"]
-        parent, joint, owner = (np.array(n, np.int32) for n in (own["parent"], own["segment_joint"], marks["segments"]))
-        sized = ((own["twists"], 6), (own["limits"], 2), (marks["points"], 3))
-        twists, limits, points = (np.array(rows, dtype=float).reshape(-1, width) for rows, width in sized)
+        parent, joint, owner = map(indices, (own["parent"], own["segment_joint"], marks["segments"]))
+        twists, limits, points = numbers(own["twists"], 6), numbers(own["limits"], 2), numbers(marks["points"], 3)
         return Body(
             own["name"], tuple(own["coordinates"]), parent, twists, limits, tuple(own["segments"]), joint,
             mesh.vertices @ TO_REST.T, mesh.faces, order, weights,

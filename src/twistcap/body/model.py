@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from twistcap.arrays import Bool, Float, Int
+from twistcap.arrays import AnyArray, Bool, Float, Int
 from twistcap.errors import check
 
 
@@ -62,21 +62,29 @@ class Body:
     def __post_init__(self) -> None:
         where = f"body {self.name!r}"
         J, S, V = len(self.coordinate_names), len(self.segment_names), len(self.vertices)
+        L, marks = len(self.landmarks.names), self.landmarks
         check(where, self.parent.shape == (J,), "parent must have one entry per coordinate")
         check(where, self.twists.shape == (J, 6), "twists must be (J, 6)")
         check(where, self.limits.shape == (J, 2), "limits must be (J, 2)")
-        check(where, np.all(self.parent < np.arange(J)), "parents must stand before their children")
+        check(where, _within(self.parent, -1, np.arange(J)), "parents must stand before their children")
         check(where, self.segment_joint.shape == (S,), "segment_joint must have one entry per segment")
+        check(where, S > 0 and _within(self.segment_joint, -1, J), "a segment names a joint that does not exist")
         check(where, np.all(self.limits[:, 0] <= self.limits[:, 1]), "a lower limit lies above its upper limit")
         check(where, np.all(np.isfinite(self.twists)), "a twist is not finite")
-        for names, what in ((self.coordinate_names, "coordinate"), (self.segment_names, "segment")):
+        listed = {"coordinate": self.coordinate_names, "segment": self.segment_names, "landmark": marks.names}
+        for what, names in listed.items():
             twice = next((name for k, name in enumerate(names) if name in names[:k]), None)
             check(where, twice is None, f"{what} name {twice!r} is used twice")
+        check(where, self.vertices.shape == (V, 3), "vertices must be (V, 3)")
         check(where, np.all(np.isfinite(self.vertices)), "a vertex is not finite")
-        check(where, self.faces.size == 0 or int(self.faces.max()) < V, "a face names a vertex that does not exist")
+        check(where, self.faces.shape == (len(self.faces), 3), "faces must be (F, 3)")
+        check(where, _within(self.faces, 0, V), "a face names a vertex that does not exist")
         check(where, self.skin_segments.shape == self.skin_weights.shape, "binding arrays must have equal shape")
-        check(where, len(self.skin_weights) == V, "every vertex needs a binding")
+        check(where, self.skin_weights.ndim == 2 and len(self.skin_weights) == V, "every vertex needs a binding")
+        check(where, _within(self.skin_segments, 0, S), "a vertex is bound to a segment that does not exist")
         check(where, np.allclose(self.skin_weights.sum(axis=1), 1.0, atol=1e-5), "weights must sum to 1")
+        fits = marks.segments.shape == (L,) and marks.points.shape == (L, 3) and np.all(np.isfinite(marks.points))
+        check(where, fits and _within(marks.segments, 0, S), "its landmarks must be finite points of its segments")
 
     @property
     def dof(self) -> int:
@@ -140,6 +148,10 @@ class Body:
 def unsided(name: str) -> str:
     """The name of a segment, coordinate or landmark without its side, ``_r`` or ``_l``."""
     return name.removesuffix("_r").removesuffix("_l")
+
+
+def _within(indices: Int, least: int, below: int | AnyArray) -> bool:
+    return bool(np.all((indices >= least) & (indices < below)))
 
 
 def edges_of(faces: Int) -> tuple[Int, Int]:

@@ -7,8 +7,6 @@ is the mean of listed vertices, most of them the corners of a small cube, a grou
 
 from __future__ import annotations
 
-import gzip
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import resources
@@ -17,13 +15,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel
 
 from twistcap import se3
 from twistcap.arrays import Float, Int
 from twistcap.body.model import Body
-from twistcap.body.rig import SkinnedMesh, build_body, in_tree_order
-from twistcap.body.rig_spec import RigSpec, read_rig
-from twistcap.errors import InputError, check
+from twistcap.body.rig import SkinnedMesh, build_body, in_tree_order, weights_matrix
+from twistcap.body.rig_spec import RigSpec, read_rig, validated_model
+from twistcap.doors.text import finite_number, number_array, read_json_table, read_text
+from twistcap.errors import InputError, check, naming
 
 _GROUP = "body"  # of the OBJ, with the body's surface
 _SHIPPED = {"default": "makehuman_default.toml", "cmu_mb": "anny_cmu_mb.toml"}
@@ -64,8 +64,9 @@ def load_makehuman(
         obj, rig, weights = obj / "base.obj", rig or obj / "default.mhskel", weights or obj / "default_weights.mhw"
     if rig is None or weights is None:
         raise InputError(f"{obj}: an OBJ needs rig and weights; name both files, or a folder with them.")
-    skinned = _skinned(_targeted(read_obj(obj), targets or {}), Path(rig), Path(weights))
-    return build_body(skinned, spec if isinstance(spec, RigSpec) else _find_spec(Path(rig), spec))
+    with naming(rig):
+        skinned = _skinned(_targeted(read_obj(obj), targets or {}), Path(rig), Path(weights))
+        return build_body(skinned, spec if isinstance(spec, RigSpec) else _find_spec(Path(rig), spec))
 
 
 def read_obj(path: Path | str) -> ObjMesh:
@@ -73,18 +74,20 @@ def read_obj(path: Path | str) -> ObjMesh:
     InputError if it cannot be read, a line is broken, or a face names a vertex that does not exist."""
     path = Path(path)
     vertices, faces, group = list[tuple[float, ...]](), dict[str, list[tuple[int, int, int]]](), "default"
-    for number, line in enumerate(_text(path).splitlines(), start=1):
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
         key, *values = line.split() or [""]
         try:
             if key == "v":
-                x, y, z = map(float, values[:3])
+                x, y, z = (finite_number(word, f"{path}: line {number}") for word in values[:3])
                 vertices.append((x, y, z))
             elif key in ("g", "o"):
                 group = " ".join(values)
             elif key == "f":
                 corners = [_corner(v, len(vertices)) for v in values]
                 faces.setdefault(group, []).extend((corners[0], b, c) for b, c in pairwise(corners[1:]))
-        except ValueError as error:
+        except (ValueError, IndexError) as error:
+            if isinstance(error, InputError):
+                raise
             raise InputError(f"{path}: line {number} is broken ({line.strip()!r}).") from error
     return ObjMesh(np.array(vertices).reshape(-1, 3), {g: np.array(f, dtype=np.int32) for g, f in faces.items()})
 
@@ -100,76 +103,102 @@ def _corner(text: str, count: int) -> int:
 def _targeted(mesh: ObjMesh, targets: Mapping[Path | str, float]) -> ObjMesh:
     vertices = mesh.vertices.copy()
     for path, weight in targets.items():
-        rows = [line.split() for line in _text(Path(path)).splitlines() if line.strip() and not line.startswith("#")]
-        try:
-            table = np.array(rows, dtype=float).reshape(-1, 4)
-            vertices[table[:, 0].astype(int)] += weight * table[:, 1:]  # a target names each vertex once
-        except (ValueError, IndexError) as error:
-            raise InputError(f"{path}: not a target for this mesh (rows of `index dx dy dz`): {error}.") from error
+        lines = read_text(Path(path)).splitlines()
+        rows = [line.split() for line in lines if line.strip() and not line.startswith("#")]
+        if any(len(row) != 4 for row in rows):
+            raise InputError(f"{path}: not a target for this mesh (rows of `index dx dy dz`).")
+        table = np.array([[finite_number(word, str(path)) for word in row] for row in rows]).reshape(-1, 4)
+        vertices[_indices(table[:, 0], mesh, str(path))] += weight * table[:, 1:]  # a target names each vertex once
     return ObjMesh(vertices, mesh.triangles)
 
 
-def _skinned(mesh: ObjMesh, rig: Path, weights: Path) -> SkinnedMesh:
-    bones = _json(rig)
-    listed, bones = bones.get("joints", {}), bones.get("bones", bones)
-    names = list(bones)
-    parents = [_parent(names, name, bones[name], rig) for name in names]
+def _indices(given: Any, mesh: ObjMesh, where: str) -> Int:
+    """(N,) numbers of vertices of a mesh; at least one."""
+    numbers = number_array(given, (None,), where) if isinstance(given, list) else np.asarray(given)
+    known = (numbers >= 0) & (numbers < len(mesh.vertices)) & (numbers % 1 == 0)
+    check(where, np.all(known), "it names a vertex that this mesh does not have")
+    return numbers.astype(np.int32)
+
+
+class _Place(BaseModel):
+    """Where a bone of MPFB begins or ends."""
+
+    strategy: str = "MEAN"
+    cube_name: str = ""
+    vertex_indices: list[int] = []
+
+
+class _Bone(BaseModel):
+    parent: str | None = None
+    head: str | _Place
+    tail: str | _Place | None = None
+
+
+class _Rig(BaseModel):
+    """A rig of MakeHuman, or one of MPFB under the key "bones"."""
+
+    joints: dict[str, list[int]] = {}
+    bones: dict[str, _Bone]
+
+
+def _skinned(mesh: ObjMesh, path: Path, weights: Path) -> SkinnedMesh:
+    content = read_json_table(path)
+    rig = validated_model(content if "bones" in content else {"bones": content}, _Rig, path)
+    names = list(rig.bones)
+    parents = [_parent(names, name, rig.bones[name], path) for name in names]
     order = in_tree_order(parents)
+    check(str(path), order and len(order) == len(parents), "its bones form no tree")
     rank = {b: n for n, b in enumerate(order)} | {-1: -1}
     names = [names[b] for b in order]
-    heads = [_end(mesh, bones[name], "head", listed, f"{rig}: bone {name!r}") for name in names]
+    heads = [_end(mesh, rig, rig.bones[name].head, f"{path}: bone {name!r}, head") for name in names]
     if _GROUP not in mesh.triangles:
         raise InputError(f"the OBJ has no group {_GROUP!r}; it has {', '.join(list(mesh.triangles)[:8])} …")
     used = mesh.group_vertices(_GROUP)
     renumber = np.full(len(mesh.vertices), -1, dtype=np.int32)
     renumber[used] = np.arange(len(used))
-    bound = _weights(weights, names, len(mesh.vertices))[used]
+    bound = _weights(weights, names, mesh)[used]
     return SkinnedMesh(
-        rig.stem, rig.name, tuple(names), np.array([rank[parents[b]] for b in order], dtype=np.int32),
+        path.stem, path.name, tuple(names), np.array([rank[parents[b]] for b in order], dtype=np.int32),
         se3.transform(np.eye(3), np.array(heads)), mesh.vertices[used], renumber[mesh.triangles[_GROUP]], bound,
-        points=_points(mesh, bones, listed, rig), numbered=mesh.vertices,
+        points=_points(mesh, rig, names, path), numbered=mesh.vertices,
     )  # fmt: skip
 
 
-def _parent(names: list[str], name: str, bone: Mapping[str, Any], rig: Path) -> int:
-    parent = bone.get("parent")
-    if not parent:
+def _parent(names: list[str], name: str, bone: _Bone, rig: Path) -> int:
+    if not bone.parent:
         return -1
-    check(str(rig), parent in names, f"bone {name!r} has the parent {parent!r}, which is not a bone")
-    return names.index(parent)
+    check(str(rig), bone.parent in names, f"bone {name!r} has the parent {bone.parent!r}, which is not a bone")
+    return names.index(bone.parent)
 
 
-def _end(mesh: ObjMesh, bone: Mapping[str, Any], end: str, listed: Mapping[str, list[int]], where: str) -> Float:
+def _end(mesh: ObjMesh, rig: _Rig, place: str | _Place, where: str) -> Float:
     """Head or tail of a bone: a key into `joints` (mhskel), or a strategy CUBE or MEAN (MPFB)."""
-    try:
-        place = bone[end]
-        if isinstance(place, str):
-            return mesh.vertices[listed[place]].mean(axis=0)
-        if place["strategy"] == "CUBE":
-            return mesh.group_centre(place["cube_name"])
-        return mesh.vertices[place["vertex_indices"]].mean(axis=0)
-    except (KeyError, IndexError, TypeError) as error:
-        raise InputError(f"{where}: its {end} cannot be placed on this mesh ({error}).") from error
+    if isinstance(place, _Place) and place.strategy == "CUBE":
+        known = place.cube_name in mesh.triangles
+        check(where, known, f"it cannot be placed, this mesh has no group {place.cube_name!r}")
+        return mesh.group_centre(place.cube_name)
+    listed = rig.joints.get(place, []) if isinstance(place, str) else place.vertex_indices
+    check(where, listed, "it cannot be placed on this mesh, no vertices are named")
+    return mesh.vertices[_indices(listed, mesh, where)].mean(axis=0)
 
 
-def _points(mesh: ObjMesh, bones: Mapping[str, Any], listed: Mapping[str, list[int]], rig: Path) -> dict[str, Float]:
+def _points(mesh: ObjMesh, rig: _Rig, names: list[str], path: Path) -> dict[str, Float]:
     """Named points for landmarks: the centre of each joint cube, and each bone's tail as `<bone>.tail`."""
-    cubes = [g for g in mesh.triangles if g.startswith("joint-")]
-    points, tailed = {g: mesh.group_centre(g) for g in cubes}, [n for n, bone in bones.items() if "tail" in bone]
-    return points | {f"{n}.tail": _end(mesh, bones[n], "tail", listed, f"{rig}: bone {n!r}") for n in tailed}
+    points = {g: mesh.group_centre(g) for g in mesh.triangles if g.startswith("joint-")}
+    tails = {name: tail for name in names if (tail := rig.bones[name].tail) is not None}
+    return points | {f"{n}.tail": _end(mesh, rig, tail, f"{path}: bone {n!r}, tail") for n, tail in tails.items()}
 
 
-def _weights(path: Path, names: list[str], count: int) -> Float:
-    table = _json(path)
+def _weights(path: Path, names: list[str], mesh: ObjMesh) -> Float:
+    table = read_json_table(path)
     table = table.get("weights", table)
-    out = np.zeros((count, len(names)))
+    check(str(path), isinstance(table, dict), "its weights are no table by bone")
+    out = weights_matrix(len(mesh.vertices), len(names), str(path))
     for name, pairs in table.items():
         check(str(path), name in names, f"weights for {name!r}, which is not in the rig")
-        try:
-            index, weight = np.array(pairs, dtype=float).reshape(-1, 2).T
-            out[index.astype(int), names.index(name)] = weight
-        except (ValueError, IndexError) as error:
-            raise InputError(f"{path}: the weights of {name!r} do not fit this mesh ({error}).") from error
+        where = f"{path}: the weights of {name!r}"
+        rows = number_array(pairs, (None, 2), where) if pairs else np.zeros((0, 2))
+        out[_indices(rows[:, 0], mesh, where), names.index(name)] = rows[:, 1]
     return out
 
 
@@ -182,23 +211,3 @@ def _find_spec(rig: Path, given: Path | str | None) -> RigSpec:
         with resources.as_file(resources.files("twistcap.body") / "rigs" / _SHIPPED[kind]) as path:
             return read_rig(path)
     return RigSpec(scale=0.1, origin="ground")
-
-
-def _json(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(_text(path))
-    except json.JSONDecodeError as error:
-        raise InputError(f"{path}: not a JSON file ({error}).") from error
-    if not isinstance(content, dict):
-        raise InputError(f"{path}: not a rig or weights file (no table at its top).")
-    return content
-
-
-def _text(path: Path) -> str:
-    try:
-        data = path.read_bytes()
-        return (gzip.decompress(data) if path.suffix == ".gz" else data).decode("utf-8")
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error}).") from error
-    except (UnicodeDecodeError, EOFError) as error:
-        raise InputError(f"{path}: not a text file ({error}).") from error

@@ -15,6 +15,7 @@ from twistcap.body.model import Body, Landmarks
 from twistcap.body.rig_spec import JointSpec, LandmarkSpec, RigSpec
 from twistcap.errors import InputError, check
 
+_MOST_WEIGHTS = 25_000_000  # numbers of a dense binding
 _AXES_OF = {"revolute": 1, "universal": 2, "ball": 3}
 
 
@@ -73,6 +74,13 @@ def compact_binding(weights: Float, influences: int, source: str = "mesh") -> tu
     K = min(influences, int((weights > 0).sum(axis=1).max(initial=1)))
     segments, kept = strongest(weights, K)
     return np.where(kept > 0, segments, 0).astype(np.int32), kept
+
+
+def weights_matrix(vertices: int, joints: int, source: str) -> Float:
+    """(V, B) zeros for weights; an InputError for a mesh too large to be tracked."""
+    if vertices * joints > _MOST_WEIGHTS:
+        raise InputError(f"{source}: {vertices} vertices with {joints} joints are too many; simplify the mesh.")
+    return np.zeros((vertices, joints))
 
 
 def in_tree_order(parents: Sequence[int]) -> list[int]:

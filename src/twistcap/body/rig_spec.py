@@ -25,14 +25,15 @@ Coordinates of one joint turn about their axes one after the other, the first in
 
 from __future__ import annotations
 
-import tomllib
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from twistcap.arrays import Float
+from twistcap.doors.text import read_toml
 from twistcap.errors import InputError
 
 Vector = tuple[float, float, float]
@@ -79,7 +80,7 @@ class RigSpec(BaseModel):
     root: str | None = None
     up: Literal["y", "z"] = "y"
     forward: Axis | None = None
-    scale: float = Field(default=1.0, gt=0, allow_inf_nan=False)
+    scale: float = Field(default=1.0, ge=1e-5, le=1e3)
     origin: str = "file"
     keep: list[str] | None = None
     joints: dict[str, JointSpec] = Field(default_factory=dict[str, JointSpec])
@@ -107,13 +108,13 @@ def read_rig(path: Path | str) -> RigSpec:
 def parsed_toml(path: Path | str, model: type[_Model]) -> _Model:
     """A TOML file as a pydantic model. Raises InputError if it is missing, no TOML, or has an unknown key or a wrong
     value."""
-    path = Path(path)
+    return validated_model(read_toml(Path(path), ""), model, path)
+
+
+def validated_model(content: Mapping[str, Any], model: type[_Model], path: Path | str) -> _Model:
+    """The tables of a file as a pydantic model. Raises InputError for an unknown key or a wrong value."""
     try:
-        return model.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}).") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not a TOML file ({error}).") from error
+        return model.model_validate(content)
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(part) for part in first["loc"]) or "table"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +14,7 @@ from twistcap.adjust.body_fit.parametric import Model, carried_pose, matched
 from twistcap.body.gltf import save_glb
 from twistcap.commands.body import BodyModel
 from twistcap.commands.terminal import status, words
+from twistcap.doors.text import read_toml
 from twistcap.evaluate.metrics import Row, percentile_known, row
 from twistcap.io.pose_file import write_pose
 from twistcap.io.recording import Recording, image_masks, open_together
@@ -87,7 +87,7 @@ def _written(fitted: Fitted, recording: Recording, source: Path, folder: Path) -
     body, pose, session = folder / "body.glb", folder / "first_pose.json", folder / "session.toml"
     save_glb(fitted.body, body)
     write_pose(pose, fitted.body, fitted.first_poses[0])
-    if "base" in tomllib.loads(source.read_text(encoding="utf-8")):
+    if "base" in read_toml(source, "session"):
         return [body, pose]
     first = recording.views.indices[0]
     text = f"# {source.name} with the body of twistcap body fit. Its pose is that of frame {first}.\n"

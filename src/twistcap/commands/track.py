@@ -202,6 +202,6 @@ def parsed_settings(settings: list[str]) -> dict[str, Any]:
             raise InputError(f"--set is {text!r}; write KEY=VALUE, such as tracker.surface_sigma=0.006.")
         try:
             out[key.strip()] = tomllib.loads(f"value = {value}")["value"]
-        except tomllib.TOMLDecodeError:
+        except (ValueError, RecursionError):
             out[key.strip()] = value
     return out

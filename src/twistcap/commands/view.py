@@ -12,6 +12,8 @@ from twistcap.commands import terminal
 from twistcap.commands.terminal import words
 from twistcap.errors import InputError
 
+_FRAMES = 120  # with images
+
 
 def view(
     results: Annotated[list[Path], typer.Argument(help="One or more result.h5.", metavar="RESULT...")],
@@ -21,7 +23,9 @@ def view(
     ] = None,
     session: Annotated[Path | None, typer.Option(help="Session that names the videos, if they have moved.")] = None,
     width: Annotated[int, typer.Option(min=32, help="Largest width of the images, px.")] = 360,
-    images: Annotated[int, typer.Option(min=0, help="Most frames with images; 0 for none.")] = 120,
+    images: Annotated[
+        int | None, typer.Option(min=0, help="Most frames with images. Default: 120 with --session, else none.")
+    ] = None,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port on 127.0.0.1; 0 chooses a free one.")] = 0,
     json: terminal.Json = False,
 ) -> None:
@@ -54,7 +58,7 @@ def serve(page: str, answers: Any, port: int) -> None:
     from twistcap.pages.server import page_server
 
     with page_server(page, answers, port) as server:
-        typer.echo(f"http://127.0.0.1:{server.server_address[1]}/")
+        typer.echo(server.url)
         words.print("Open the page at this address. Ctrl-C ends. From another machine: ssh -L PORT:127.0.0.1:PORT HOST")
         try:
             server.serve_forever()
@@ -62,7 +66,7 @@ def serve(page: str, answers: Any, port: int) -> None:
             words.print("closed")
 
 
-def _page(paths: list[Path], reference: Path | None, session: Path | None, width: int, images: int) -> str:
+def _page(paths: list[Path], reference: Path | None, session: Path | None, width: int, images: int | None) -> str:
     from twistcap.evaluate.load import load_reference
     from twistcap.evaluate.reference import frame_times
     from twistcap.io.result import read_result
@@ -71,10 +75,10 @@ def _page(paths: list[Path], reference: Path | None, session: Path | None, width
     results = dict(zip(_names(paths), map(read_result, paths), strict=True))
     first = next(iter(results.values()))
     with words.status("reading images, drawing outlines"):
-        sources = _sources(first, session) if images else {}
+        sources = _sources(first, session, images)
         truth = None if reference is None else load_reference(reference, first.body, partial(frame_times, first))
         title = next(iter(results)) if len(results) == 1 else "twistcap: " + ", ".join(results)
-        return view_page(results, sources, truth, title, Options(width, images))
+        return view_page(results, sources, truth, title, Options(width, _FRAMES if images is None else images))
 
 
 def _names(paths: list[Path]) -> list[str]:
@@ -86,26 +90,37 @@ def _names(paths: list[Path]) -> list[str]:
     return names
 
 
-def _sources(result: Any, session: Path | None) -> dict[str, Any]:
-    """The recording's images by camera, as the session or the result itself names them; those that exist."""
-    from twistcap.io.session import load_session
-    from twistcap.io.video import open_source
+def _sources(result: Any, session: Path | None, images: int | None) -> dict[str, Any]:
+    """The recording's images by camera, as the given session names them; those that exist.
 
-    videos = load_session(session).videos if session is not None else result.config.get("videos", {})
-    sources: dict[str, Any] = {}
-    for camera in result.rig:
-        path = videos.get(camera.name)
-        try:
-            source = None if path is None else open_source(path)
-        except InputError:
-            if session is not None:
-                raise
-            source = None
-        if source is None:
-            words.print(f"camera {camera.name}: its video {path or ''} is not found: no images; give --session.")
-        elif source.size != camera.size:
-            had = f"camera {camera.name!r} had {camera.size}"
-            raise InputError(f"video {path} is {source.size} px, but {had}; give the original video.")
-        else:
-            sources[camera.name] = source
-    return sources
+    What a result names itself is only read where images are asked for: it may be a stranger's, and name any file.
+    """
+    from twistcap.io.session import load_session
+
+    named = result.config.get("videos") if session is None else load_session(session).videos
+    videos = {name: path for name, path in named.items() if isinstance(path, str)} if isinstance(named, dict) else {}
+    if images == 0 or (session is None and images is None):
+        if images is None and videos:
+            told = f"{', '.join(videos.values())[:200]}; --session SESSION or --images {_FRAMES} shows them"
+            words.print(f"no images: the result names {told}.", markup=False)
+        return {}
+    return {camera.name: source for camera in result.rig if (source := _source(camera, videos, session)) is not None}
+
+
+def _source(camera: Any, videos: dict[str, str], session: Path | None) -> Any:
+    from twistcap.io.video import check_size, open_source
+
+    path = videos.get(camera.name)
+    try:
+        source = None if path is None else open_source(path)
+    except InputError:
+        if session is not None:
+            raise
+        source = None
+    if source is None:
+        told = f"its video {path or ''} is not found: no images; give --session"
+        words.print(f"camera {camera.name}: {told}.", markup=False)
+        return None
+    check_size(source, camera)
+    words.print(f"camera {camera.name}: images of {path}", markup=False)
+    return source

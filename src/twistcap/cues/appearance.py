@@ -14,11 +14,12 @@ from numba import njit
 
 from twistcap.arrays import Bool, Float, Float32, Int
 from twistcap.cues.view import View
+from twistcap.ranges import Checked, Share
 from twistcap.render import RenderedView
 
 
 @dataclass(frozen=True)
-class AppearanceRule:
+class AppearanceRule(Checked):
     """How colours are remembered.
 
     Attributes:
@@ -30,9 +31,9 @@ class AppearanceRule:
         trusted: pixels, over all frames remembered, at which colours are trusted by half.
     """
 
-    memory: float = 0.9
-    least_share: float = 0.7
-    other_cameras: float = 0.3
+    memory: Share = 0.9
+    least_share: Share = 0.7
+    other_cameras: Share = 0.3
     shading: float = 0.3
     trusted: float = 100.0
 

@@ -12,7 +12,7 @@ from twistcap.camera import Rig
 from twistcap.cues.memory import Look, Memory, Retention, remember
 from twistcap.cues.observation import Evidence, Fit, Level, Sight
 from twistcap.cues.view import View
-from twistcap.errors import InputError
+from twistcap.ranges import Checked, Count, Positive, Share
 from twistcap.render import RenderedView
 from twistcap.stages import stage
 from twistcap.terms import PhotometricTerm
@@ -22,7 +22,7 @@ Memories = tuple[Memory | None, ...]
 
 
 @dataclass(frozen=True)
-class Brightness:
+class Brightness(Checked):
     """Settings of the brightness cue.
 
     Attributes:
@@ -36,19 +36,15 @@ class Brightness:
         depth_tolerance: m that a point may lie behind the rendered surface and still count as seen.
     """
 
-    points: int = 500
+    points: Count = 500
     blurs: tuple[float, ...] = (0.020, 0.005)
-    sigma: float = 0.015
-    scale: float = 2.0
-    jump: float = 0.06
-    share: float = 0.8
-    update: float = 0.2
+    sigma: Positive = 0.015
+    scale: Positive = 2.0
+    jump: Positive = 0.06
+    share: Share = 0.8
+    update: Share = 0.2
     depth_tolerance: float = 0.012
     name: str = field(default="photometric", init=False)
-
-    def __post_init__(self) -> None:
-        if not all(value > 0.0 for value in (self.sigma, self.scale, self.jump, self.share)):
-            raise InputError("brightness: sigma, scale, jump and share must be positive.")
 
     def start(self, body: Body, rig: Rig) -> Memories:
         """No view remembers anything."""

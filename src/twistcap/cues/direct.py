@@ -11,6 +11,7 @@ from twistcap.arrays import Float
 from twistcap.cues.appearance import AppearanceRule
 from twistcap.cues.contour import ContourCue, ContourEvidence, part_agreement
 from twistcap.cues.view import View
+from twistcap.ranges import Checked, Count, Positive, Share
 from twistcap.region.levelset import signed_distance
 from twistcap.region.lines import Lines, LineSettings, Measured, measured_lines, ratio_lines
 from twistcap.region.models import Density, RegionModel, Statistics, log_ratio_by_part, nearest_part
@@ -19,7 +20,7 @@ from twistcap.terms import PointNormalTerm
 
 
 @dataclass(frozen=True)
-class DirectContour(ContourCue):
+class DirectContour(Checked, ContourCue):
     """Settings of the direct contour cue; lengths are on the body, so that they scale with the person's size.
 
     Attributes:
@@ -50,20 +51,20 @@ class DirectContour(ContourCue):
 
     density: Density | None = None
     statistics: Statistics | None = None
-    parzen_sigma: float = 0.02
+    parzen_sigma: Positive = 0.02
     search: float = 0.035
-    rho: float = 0.06
-    samples: int = 8
+    rho: Positive = 0.06
+    samples: Count = 8
     prior_mass: float = 3.0
-    floor: float = 4e-4
-    clip: float = 3.0
-    least_sigma: float = 0.25
+    floor: Positive = 4e-4
+    clip: Positive = 3.0
+    least_sigma: Positive = 0.25
     surface_sigma: float | None = None
-    share: float = 1.0
-    robust: float = 0.01
+    share: Share = 1.0
+    robust: Positive = 0.01
     inner: float = 0.3
     colour_mass: float = 20.0
-    alternations: int = 1
+    alternations: Count = 1
     slip: float = 0.7
     appearance: AppearanceRule = field(default_factory=AppearanceRule)
     name: str = field(default="contour", init=False)

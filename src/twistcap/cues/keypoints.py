@@ -11,12 +11,13 @@ from twistcap.body import Body, Posed
 from twistcap.camera import Rig
 from twistcap.cues.observation import Alternation
 from twistcap.estimate import Keypoints
+from twistcap.ranges import Checked, Positive
 from twistcap.render import SurfacePoints
 from twistcap.terms import KeypointTerm
 
 
 @dataclass(frozen=True)
-class Keypoints2D:
+class Keypoints2D(Checked):
     """Settings of the keypoint cue; lengths are on the body.
 
     Attributes:
@@ -25,8 +26,8 @@ class Keypoints2D:
         rig: the cameras as calibrated, in whose pixels keypoints come.
     """
 
-    sigma: float = 0.03
-    robust: float = 0.09
+    sigma: Positive = 0.03
+    robust: Positive = 0.09
     rig: Rig | None = None
     name: str = field(default="keypoints", init=False)
     news: bool = field(default=True, init=False)

@@ -17,6 +17,7 @@ from twistcap.arrays import Bool, Float, Float32
 from twistcap.cues.appearance import AppearanceRule
 from twistcap.cues.contour import ContourCue, ContourEvidence, Segmentation, part_agreement
 from twistcap.cues.view import View
+from twistcap.ranges import Checked, Count, Positive, Share
 from twistcap.region.densities import heaviside
 from twistcap.region.levelset import evolve, nearest_with_normal, signed_distance, zero_crossings
 from twistcap.region.matching import VariationalRule, displaced_partners, displacement
@@ -28,7 +29,7 @@ Matching = Literal["icp", "variational", "both"]
 
 
 @dataclass(frozen=True)
-class LevelSetContour(ContourCue):
+class LevelSetContour(Checked, ContourCue):
     """Settings of the level-set cue; lengths in metres are on the body.
 
     Attributes:
@@ -64,27 +65,27 @@ class LevelSetContour(ContourCue):
 
     density: Density | None = None
     statistics: Statistics | None = None
-    parzen_sigma: float = 0.02
-    rho: float = 0.04
-    floor: float = 4e-4
+    parzen_sigma: Positive = 0.02
+    rho: Positive = 0.04
+    floor: Positive = 4e-4
     prior_mass: float = 0.02
     gap: float = 0.0
-    rounds: int = 1
+    rounds: Count = 1
     continuation: float = 1.0
-    steps: int = 3
-    tau: float = 2.4
+    steps: Count = 3
+    tau: Positive = 2.4
     nu: float = 0.5
     lam: float = 0.05
-    width: float = 0.015
-    clip: float = 3.0
+    width: Positive = 0.015
+    clip: Positive = 3.0
     matching: Matching = "icp"
     variational: VariationalRule = field(default_factory=VariationalRule)
     least_cosine: float = 0.5
-    sigma: float = 0.5
+    sigma: Positive = 0.5
     surface_sigma: float | None = None
-    share: float = 1.0
-    robust: float = 0.01
-    alternations: int = 3
+    share: Share = 1.0
+    robust: Positive = 0.01
+    alternations: Count = 3
     slip: float = 0.0
     appearance: AppearanceRule = field(default_factory=AppearanceRule)
     name: str = field(default="contour", init=False)

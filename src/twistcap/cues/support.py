@@ -8,10 +8,11 @@ import numpy as np
 
 from twistcap.arrays import Float
 from twistcap.cues.observation import Agreement
+from twistcap.ranges import Checked, Count, Share
 
 
 @dataclass(frozen=True)
-class SupportRule:
+class SupportRule(Checked):
     """When a track counts as lost.
 
     A part whose points do not agree with the image is off the person; the body is lost while any part that is seen well
@@ -25,11 +26,11 @@ class SupportRule:
         sure: fraction of a body's points from which the images are believed entirely.
     """
 
-    least_points: int = 12
-    least: float = 0.35
-    memory: float = 0.8
-    chance: float = 0.12
-    sure: float = 0.5
+    least_points: Count = 12
+    least: Share = 0.35
+    memory: Share = 0.8
+    chance: Share = 0.12
+    sure: Share = 0.5
 
     def trust(self, agreement: Agreement) -> float:
         """How far the images are believed, 0 … 1.

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
-from twistcap.errors import InputError
+from twistcap.ranges import Checked, Count, Positive, Share
 
 
 @dataclass(frozen=True)
-class DifferentialConfig:
+class DifferentialConfig(Checked, where="tracker.differential"):
     """The ``[tracker.differential]`` table of a session.
 
     Attributes:
@@ -32,17 +30,13 @@ class DifferentialConfig:
     exposure: bool = True
     colour: bool = True
     turns: Literal["all", "planar"] = "all"
-    stray_deg: float = 6.0
+    stray_deg: Positive = 6.0
     perspective: bool = False
     search_deg: float = 0.0
 
-    def __post_init__(self) -> None:
-        if not (0.0 < self.stray_deg < np.inf and 0.0 <= self.search_deg < np.inf):
-            raise InputError("differential: stray_deg must be positive, and search_deg 0 or more.")
-
 
 @dataclass(frozen=True)
-class Rule:
+class Rule(Checked):
     """What no user can know better; experiments alone choose another.
 
     Attributes:
@@ -53,10 +47,10 @@ class Rule:
         turn_deg, scale, shift_px: how far the views' turns, scales and places stray from the guess in a frame.
     """
 
-    levels: int = 4
-    iterations: int = 6
-    update: float = 0.2
-    carry: float = 1.0
-    turn_deg: float = 3.0
-    scale: float = 0.01
-    shift_px: float = 8.0
+    levels: Count = 4
+    iterations: Count = 6
+    update: Share = 0.2
+    carry: Share = 1.0
+    turn_deg: Positive = 3.0
+    scale: Positive = 0.01
+    shift_px: Positive = 8.0

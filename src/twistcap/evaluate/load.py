@@ -11,15 +11,21 @@ import numpy as np
 
 from twistcap.arrays import Float
 from twistcap.body import Body
+from twistcap.doors.npz import read_npz
+from twistcap.doors.schema import Schema, real, word
 from twistcap.errors import InputError
 from twistcap.io.angles import complete_coordinates
-from twistcap.io.files import read_npz
-from twistcap.io.markers import WorldAxes, read_keypoints3d, read_trc
+from twistcap.io.markers import CLOCK, WorldAxes, read_keypoints3d, read_trc
 from twistcap.io.motion_files import poses_from_mot, read_mot
 
 _SAME = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist", "heel", "eye", "ear")
 _DETECTOR_NAMES: Mapping[str, str] = {**{name: name for name in _SAME}, "bigtoe": "toe", "smalltoe": "small_toe"}
 _MIDDLE_NAMES: Mapping[str, str] = {"nose": "nose", "neck": "neck", "head": "head_top", "midhip": "mid_hip"}
+_CLOCKED: Schema = {"X": real("N", "P", 3, gaps=True, needed=False), "names": word("M", needed=False), **CLOCK}
+_TRUTH: Schema = {
+    "q": real("N", "J", gaps=True), "landmarks": real("N", "P", 3, gaps=True), "names": word("P"),
+    "coordinate_names": word("J"), **CLOCK,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -110,23 +116,16 @@ def load_reference(
 
 
 def _from_npz(path: Path, frame_times: Callable[[int], Float]) -> Reference:
-    data = read_npz(path, "the reference")
-    if "X" in data:
-        clock = {"times", "fps"} & set(data)
-        markers = read_keypoints3d(path, None if clock else frame_times(len(data["X"])))
-        notes = () if "names" in data else ("keypoints read in BODY_25B order",)
+    form = "a keypoint file has X, a studio truth landmarks, names, q, coordinate_names and fps"
+    if "X" in (head := read_npz(path, "the reference", _CLOCKED, form)):
+        markers = read_keypoints3d(path, None if CLOCK.keys() & head.keys() else frame_times(len(head["X"])))
+        notes = () if "names" in head else ("keypoints read in BODY_25B order",)
         return Reference(markers.times, markers.names, markers.points, notes=notes)
-    missing = [key for key in ("q", "landmarks", "names", "coordinate_names") if key not in data]
-    if missing:
-        has = "a studio truth has root, q, landmarks, names, coordinate_names and fps, a keypoint file has X"
-        raise InputError(f"the reference {path} lacks {', '.join(missing)}; {has}.")
+    data = read_npz(path, "the reference", _TRUTH, form)
     rows = len(data["q"])
-    if "times" in data:
-        times = data["times"].astype(float)
-    else:
-        times = np.arange(rows) / float(data["fps"]) if "fps" in data else frame_times(rows)
-    names, coordinates = (tuple(map(str, data[key])) for key in ("names", "coordinate_names"))
-    return Reference(times, names, data["landmarks"].astype(float), coordinates, data["q"].astype(float))
+    times = data.get("times", np.arange(rows) / float(data["fps"]) if "fps" in data else None)
+    names, coordinates = (tuple(data[key].tolist()) for key in ("names", "coordinate_names"))
+    return Reference(frame_times(rows) if times is None else times, names, data["landmarks"], coordinates, data["q"])
 
 
 def landmark_name(marker: str) -> str:

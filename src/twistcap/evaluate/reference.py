@@ -14,6 +14,7 @@ import numpy as np
 from twistcap.arrays import AnyArray, Float
 from twistcap.body import Posed
 from twistcap.camera import Camera, Rectifier
+from twistcap.doors.images import read_image
 from twistcap.errors import InputError
 from twistcap.evaluate import metrics
 from twistcap.evaluate.load import Reference, load_reference
@@ -239,9 +240,7 @@ def _frame_number(file: Path) -> int:
 
 def _read_mask(file: Path, camera: Camera) -> AnyArray:
     """(H, W) uint8 mask of a camera's full size; a mask of the same shape in another size is scaled to it."""
-    mask = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
-    if mask is None:
-        raise InputError(f"the mask {file} cannot be read as an image.")
+    mask = read_image(file, "the mask", grey=True)
     height, width = mask.shape
     if (width, height) == camera.size:
         return mask

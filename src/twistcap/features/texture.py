@@ -17,8 +17,9 @@ import numpy as np
 from numba import njit
 
 from twistcap.arrays import AnyArray, Float, Float32
-from twistcap.errors import InputError, check_numbers
+from twistcap.errors import InputError
 from twistcap.features.tvflow import tv_step
+from twistcap.ranges import Checked, Count, Positive
 
 _STRENGTH = 0.2  # largest value of the structure tensor's channels: their weight beside grey
 _FLOW_STEPS, _FLOW_GROWTH = 6, 1.25  # of the TV flow, and from each to the next: fine structures need short steps
@@ -26,7 +27,7 @@ _WINDOW = 4.0  # px, standard deviation over which the flow's changes and their 
 
 
 @dataclass(frozen=True)
-class Texture:
+class Texture(Checked):
     """How texture is measured. No value depends on the range of an image, so that crops and frames agree.
 
     Attributes:
@@ -42,17 +43,17 @@ class Texture:
     Raises InputError for numbers that are not positive and finite, or structures of 1 px or less.
     """
 
-    resolution: int = 2
+    resolution: Count = 2
     blend: bool = False
-    knee: float = 0.1
+    knee: Positive = 0.1
     largest: float = 16.0
-    flow_time: float = 0.5
+    flow_time: Positive = 0.5
     steps: int = 3
-    tau: float = 0.12
-    epsilon: float = 0.01
+    tau: Positive = 0.12
+    epsilon: Positive = 0.01
 
     def __post_init__(self) -> None:
-        check_numbers("texture", self, ("resolution", "knee", "flow_time", "tau", "epsilon"), ("steps",))
+        super().__post_init__()
         if not (math.isfinite(self.largest) and self.largest > 1.0):
             raise InputError(f"texture: largest is {self.largest} px; it must be more than 1.")
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from twistcap.arrays import AnyArray, Bool, Float32
-from twistcap.errors import InputError, check, check_numbers
+from twistcap.errors import InputError, check
 from twistcap.features import to_float
 from twistcap.flow.settings import PRESETS, FlowSettings, Preset
 from twistcap.flow.variational import coarse_to_fine
@@ -78,7 +78,6 @@ def _chosen(preset: str, settings: FlowSettings | None) -> FlowSettings:
     if preset not in PRESETS:
         raise InputError(f"optical_flow: preset is {preset!r}; it must be one of {', '.join(map(repr, PRESETS))}.")
     s = PRESETS[preset] if settings is None else settings
-    check_numbers("optical_flow", s, ("alpha", "warps", "inner", "sweeps"), ("gamma", "zeta"))
     for name, holds, wanted in (
         ("factor", 0 < s.factor < 1, "between 0 and 1"),
         ("finest", 0 < s.finest <= 1, "above 0 and at most 1"),

@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from twistcap.ranges import Checked, Count, Positive, Share
+
 Preset = Literal["accurate", "fast"]
 
 
 @dataclass(frozen=True)
-class SearchSettings:
+class SearchSettings(Checked):
     """The search for displacements that coarse-to-fine warping loses: `matching`, `expansion`.
 
     Attributes:
@@ -26,7 +28,7 @@ class SearchSettings:
         every: one node in `every` proposes its motion to those around it.
     """
 
-    radius: float = 40.0
+    radius: Positive = 40.0
     step: int = 4
     half: int = 3
     spacing: int = 2
@@ -34,15 +36,15 @@ class SearchSettings:
     ceiling: float = 0.25
     apart: float = 0.01
     most_apart: float = 10.0
-    rounds: int = 3
+    rounds: Count = 3
     polish: int = 2
-    draws: int = 8
-    loops: int = 4
-    every: int = 2
+    draws: Count = 8
+    loops: Count = 4
+    every: Count = 2
 
 
 @dataclass(frozen=True)
-class FlowSettings:
+class FlowSettings(Checked):
     """The model and its numerical scheme; the smoothness is flow-driven and isotropic (Brox et al. 2004).
 
     Attributes:
@@ -60,16 +62,16 @@ class FlowSettings:
         search: of large displacements within the mask; None for none. Without a mask there is none.
     """
 
-    alpha: float = 1.7
+    alpha: Positive = 1.7
     gamma: float = 2.0
     zeta: float = 0.005
-    blend: float = 0.5
-    factor: float = 0.8
-    least_size: int = 16
-    finest: float = 1.0
-    warps: int = 5
-    inner: int = 3
-    sweeps: int = 8
+    blend: Share = 0.5
+    factor: Positive = 0.8
+    least_size: Count = 16
+    finest: Positive = 1.0
+    warps: Count = 5
+    inner: Count = 3
+    sweeps: Count = 8
     omega: float = 1.9
     median: int = 5
     search: SearchSettings | None = SearchSettings()

@@ -14,10 +14,11 @@ import numpy as np
 
 from twistcap import se3
 from twistcap.arrays import Float
-from twistcap.errors import InputError
-from twistcap.io.files import read_lines
+from twistcap.doors.text import finite_number, read_lines
+from twistcap.errors import InputError, naming
 from twistcap.motion.skeleton import SkeletonMotion
 
+_DEEPEST = 200  # bones in a row
 AMC_RATE = 120.0  # Hz; the format has no field for it, CMU's library is recorded at this rate
 _INCH = 0.0254
 
@@ -71,7 +72,8 @@ def read_amc(path: Path | str, skeleton: Path | str | None = None, rate: float =
             elif s == 0:
                 places[:, "xyz".index(channel[1])] = values[:, k] * asf.unit
         local[:, s] = C @ turn @ C.T
-    return SkeletonMotion.from_local(path.stem, names, parents, offsets * asf.unit, local, places, rate, "y")
+    with naming(path):
+        return SkeletonMotion.from_local(path.stem, names, parents, offsets * asf.unit, local, places, rate, "y")
 
 
 def read_asf(path: Path | str) -> AsfSkeleton:
@@ -83,7 +85,10 @@ def read_asf(path: Path | str) -> AsfSkeleton:
             raise InputError(f"{path}: not an ASF skeleton (no section :{needed}).")
     units = {words[0].lower(): words[-1].lower() for _, words in sections.get("units", []) if words}
     degree = 1.0 if units.get("angle", "deg").startswith("rad") else np.pi / 180.0
-    unit = _INCH / _number(path, 0, units.get("length", "1"))
+    length = _number(path, 0, units.get("length", "1"))
+    if not 1e-4 < length < 1e4:
+        raise InputError(f"{path}: the length in :units is {length:g}; it must be above 0, such as 0.45.")
+    unit = _INCH / length
     bones = {"root": _root(path, sections.get("root", []), degree), **_bones(path, sections["bonedata"], degree)}
     return AsfSkeleton(bones, _parents(path, sections["hierarchy"], bones), unit, degree)
 
@@ -168,6 +173,12 @@ def _parents(path: Path, lines: list[Line], bones: dict[str, _Bone]) -> dict[str
             if name not in bones:
                 raise InputError(f"{path}: line {number}: no bone is called {name!r}.")
         parents.update(dict.fromkeys(words[1:], words[0]))
+    for name in parents:
+        above, steps = name, 0
+        while (above := parents.get(above, "")) and steps <= len(parents):
+            steps += 1
+        if steps > min(len(parents), _DEEPEST):
+            raise InputError(f"{path}: the bone {name!r} hangs on itself, or on too many others.")
     return parents
 
 
@@ -236,11 +247,5 @@ def _numbers(path: Path, number: int, words: list[str], count: int) -> Float:
     return np.array([_number(path, number, word) for word in words])
 
 
-def _number(path: Path, number: int, word: str) -> float:
-    try:
-        value = float(word)
-    except ValueError as error:
-        raise InputError(f"{path}: line {number}: {word!r} is no number.") from error
-    if not np.isfinite(value):
-        raise InputError(f"{path}: line {number}: {word} is not finite.")
-    return value
+def _number(path: Path, at: int, word: str) -> float:
+    return finite_number(word, f"{path}: line {at}")

@@ -18,7 +18,7 @@ from twistcap import se3
 from twistcap.arrays import Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.shape import joint_origin
-from twistcap.errors import InputError
+from twistcap.errors import InputError, naming
 from twistcap.io.angles import decomposed
 from twistcap.io.files import write_lines
 from twistcap.io.markers import TO_FILE
@@ -53,9 +53,17 @@ def read_bvh(path: Path | str, unit: float | None = None, up: Up | None = None) 
     scale = unit if unit is not None else _unit(path, _rest(offsets, tree.parent_idx))
     upright = up or ("z" if str(bvh.rest_up).endswith("z") else "y")
     # The root's own offset is not added to its channels, as in Blender and pybvh.
-    return SkeletonMotion.from_local(
-        path.stem, _names(bvh, tree), list(tree.parent_idx), offsets * scale, local, places * scale, bvh.fps, upright
-    )
+    with naming(path):
+        return SkeletonMotion.from_local(
+            path.stem,
+            _names(bvh, tree),
+            list(tree.parent_idx),
+            offsets * scale,
+            local,
+            places * scale,
+            bvh.fps,
+            upright,
+        )
 
 
 def _names(bvh: Any, tree: Any) -> list[str]:

@@ -16,12 +16,14 @@ import numpy as np
 from twistcap import se3
 from twistcap.arrays import Float
 from twistcap.camera import Camera, Rig
+from twistcap.doors.images import MOST_PIXELS
+from twistcap.doors.text import number_array, read_toml
 from twistcap.errors import InputError
-from twistcap.io.files import read_toml
 from twistcap.io.plausible import check_plausible
 
 Unit = Literal["m", "mm"]
 _TO_METRES: dict[str, float] = {"m": 1.0, "mm": 1e-3}
+_GREATEST, _WIDEST = 1e6, 1 << 15  # of a number of a camera: px, m; of a side of its images, px
 _FIELDS = ("size", "matrix", "rotation", "translation")  # a table with none of them is no camera
 
 
@@ -36,7 +38,7 @@ def read_rig(path: str | Path, unit: Unit | None = None) -> Rig:
     tables = read_toml(path, "calibration", "check [cameras] calibration")
     metadata = tables.get("metadata", {})
     given = unit or (metadata.get("unit") if isinstance(metadata, dict) else None) or "m"
-    if given not in _TO_METRES:
+    if not isinstance(given, str) or given not in _TO_METRES:
         raise InputError(f"calibration {path}: the unit {given!r} is unknown; write 'm' or 'mm'.")
     cameras = tuple(
         _camera(f"calibration {path}, camera {key!r}", key, table, _TO_METRES[given])
@@ -65,31 +67,28 @@ def _camera(where: str, key: str, table: Mapping[str, Any], scale: float) -> Cam
         raise InputError(f"{where}: fisheye lenses are not supported; undistort the video and set fisheye = false.")
     size = _numbers(where, table, "size", (2,))
     K = _numbers(where, table, "matrix", (3, 3))
-    dist = _numbers(where, table, "distortions", None) if "distortions" in table else np.zeros(5)
+    dist = _numbers(where, table, "distortions", (None,)) if "distortions" in table else np.zeros(5)
     if np.any(dist[5:]):
         most = "at most five (k1, k2, p1, p2, k3) are supported"
         raise InputError(f"{where}: distortions has {dist.size} numbers; {most}.")
     dist = np.concatenate([dist, np.zeros(5)])[:5]
     R = _rotation(where, table)
     t = _numbers(where, table, "translation", (3,)) * scale
-    _check_intrinsics(where, K, size)
+    if np.any(size < 1) or not np.allclose(size, np.round(size)):
+        raise InputError(f"{where}: 'size' is {size.tolist()}; it must be [width, height] in whole pixels.")
     name = str(table.get("name", key))
-    return Camera(name, K, se3.transform(R, t), (round(size[0]), round(size[1])), dist)
+    camera = Camera(name, K, se3.transform(R, t), (round(size[0]), round(size[1])), dist)
+    check_camera(where, camera)
+    return camera
 
 
-def _numbers(where: str, table: Mapping[str, Any], field: str, shape: tuple[int, ...] | None) -> Float:
+def _numbers(where: str, table: Mapping[str, Any], field: str, shape: tuple[int | None, ...]) -> Float:
     if field not in table:
         raise InputError(f"{where}: the field '{field}' is missing; add it to the file.")
-    try:
-        out = np.asarray(table[field], dtype=float)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{where}: the field '{field}' holds something that is no number.") from error
-    out = out.reshape(-1) if shape is None or len(shape) == 1 else out
-    if shape is not None and out.shape != shape:
-        raise InputError(f"{where}: the field '{field}' has shape {out.shape}; it must be {shape}.")
-    if not np.all(np.isfinite(out)):
-        raise InputError(f"{where}: the field '{field}' holds NaN or infinity; calibrate this camera again.")
-    return out
+    value = table[field]
+    if len(shape) == 1 and isinstance(value, list) and all(isinstance(row, list) for row in value):
+        value = [item for row in value for item in row]  # a column
+    return number_array(value, shape, f"{where}: the field '{field}'")
 
 
 def _rotation(where: str, table: Mapping[str, Any]) -> Float:
@@ -104,19 +103,30 @@ def _rotation(where: str, table: Mapping[str, Any]) -> Float:
     return se3.orthonormalised(se3.transform(given, np.zeros(3)))[:3, :3]
 
 
-def _check_intrinsics(where: str, K: Float, size: Float) -> None:
+def check_camera(where: str, camera: Camera) -> None:
+    """Check that a camera can be true; `where` it is from begins the message.
+
+    Raises:
+        InputError: for a matrix, lens, place or size that no camera has.
+    """
+    K, size = camera.K, np.array(camera.size, float)
+    numbers = np.concatenate([K.ravel(), camera.dist, camera.T_cam_world.ravel()])
+    if not np.all(np.abs(numbers) < _GREATEST):
+        raise InputError(f"{where}: a number of it is not finite, or beyond {_GREATEST:g}; calibrate it again.")
     if K[0, 0] <= 0 or K[1, 1] <= 0:
         given = f"{K[0, 0]:g} and {K[1, 1]:g}"
         raise InputError(f"{where}: the focal lengths in 'matrix' are {given}; they must be positive.")
     if not np.allclose(K[2], [0, 0, 1], atol=1e-6) or abs(K[1, 0]) > 1e-6:
         raise InputError(f"{where}: 'matrix' must read [[fx, s, cx], [0, fy, cy], [0, 0, 1]]; it may be transposed.")
-    if np.any(size < 1) or not np.allclose(size, np.round(size)):
-        raise InputError(f"{where}: 'size' is {size.tolist()}; it must be [width, height] in whole pixels.")
+    if size.max() > _WIDEST or size.prod() > MOST_PIXELS:
+        raise InputError(f"{where}: its images are {camera.size[0]}×{camera.size[1]} pixels; that is too large.")
     if np.any(np.abs(K[:2, 2] - 0.5 * size) > size):
         raise InputError(
-            f"{where}: the principal point ({K[0, 2]:g}, {K[1, 2]:g}) is far outside the image of {size.tolist()}"
-            " pixels; check that 'matrix' and 'size' belong together."
+            f"{where}: the principal point ({K[0, 2]:g}, {K[1, 2]:g}) is far outside the image of"
+            f" {[int(n) for n in size]} pixels; check that 'matrix' and 'size' belong together."
         )
+    if not se3.is_motion(camera.T_cam_world, 1e-3):
+        raise InputError(f"{where}: its place is no rigid motion; calibrate it again.")
 
 
 def _table(camera: Camera) -> str:

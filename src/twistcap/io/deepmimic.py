@@ -2,21 +2,39 @@
 
 from __future__ import annotations
 
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel, Field
 from scipy.spatial.transform import Rotation, Slerp
 
 from twistcap import se3
 from twistcap.arrays import Float
-from twistcap.errors import InputError
-from twistcap.io.files import read_json
+from twistcap.doors.text import number_array, read_json_table
+from twistcap.errors import InputError, naming
+from twistcap.io.strict import validated
 from twistcap.motion.skeleton import SkeletonMotion
 
 SKELETON = "humanoid3d.txt"
 _WIDTHS = {"spherical": 4, "revolute": 1, "fixed": 0}
+
+
+class _Joint(BaseModel):
+    Name: str
+    Type: str
+    Parent: int
+    AttachX: float = Field(ge=-1e3, le=1e3)
+    AttachY: float = Field(ge=-1e3, le=1e3)
+    AttachZ: float = Field(ge=-1e3, le=1e3)
+
+
+class _Skeleton(BaseModel):
+    Joints: tuple[_Joint, ...] = Field(min_length=1)
+
+
+class _SkeletonFile(BaseModel):
+    Skeleton: _Skeleton
 
 
 def read_deepmimic(path: Path | str, skeleton: Path | str | None = None) -> SkeletonMotion:
@@ -28,44 +46,33 @@ def read_deepmimic(path: Path | str, skeleton: Path | str | None = None) -> Skel
     frame has the wrong length, or a number is not finite.
     """
     path = Path(path)
-    content = _table(path)
+    content = read_json_table(path)
     joints = _joints(Path(skeleton) if skeleton is not None else path.with_name(SKELETON))
-    rows = _rows(path, content, 8 + sum(_WIDTHS[joint["Type"]] for joint in joints[1:]))
+    rows = _rows(path, content, 8 + sum(_WIDTHS[joint.Type] for joint in joints[1:]))
     local = np.tile(np.eye(3), (len(rows), len(joints), 1, 1))
     local[:, 0], at = _of_quaternions(path, rows[:, 4:8]), 8
     for s, joint in enumerate(joints[1:], start=1):
-        values = rows[:, at : at + _WIDTHS[joint["Type"]]]
+        values = rows[:, at : at + _WIDTHS[joint.Type]]
         at += values.shape[1]
-        if joint["Type"] == "spherical":
+        if joint.Type == "spherical":
             local[:, s] = _of_quaternions(path, values)
-        elif joint["Type"] == "revolute":
+        elif joint.Type == "revolute":
             local[:, s] = se3.exp_rotation(values * np.array([0.0, 0.0, 1.0]))
-    offsets = np.array([[float(joint[f"Attach{axis}"]) for axis in "XYZ"] for joint in joints])
+    offsets = np.array([(joint.AttachX, joint.AttachY, joint.AttachZ) for joint in joints])
     step, places, local = _even(path, rows[:-1, 0], rows[:, 1:4], local)
-    names, parents = [str(joint["Name"]) for joint in joints], [int(joint["Parent"]) for joint in joints]
-    return SkeletonMotion.from_local(path.stem, names, parents, offsets, local, places, 1.0 / step, "y")
+    names, parents = [joint.Name for joint in joints], [joint.Parent for joint in joints]
+    with naming(path):
+        return SkeletonMotion.from_local(path.stem, names, parents, offsets, local, places, 1.0 / step, "y")
 
 
-def _table(path: Path) -> dict[str, Any]:
-    content = read_json(path)
-    if not isinstance(content, dict):
-        raise InputError(f"{path}: not a DeepMimic file (no table at its top).")
-    return content
-
-
-def _joints(path: Path) -> list[dict[str, Any]]:
+def _joints(path: Path) -> tuple[_Joint, ...]:
     if not path.is_file():
         raise InputError(f"{path}: DeepMimic's skeleton is not there; put it beside the clip or give skeleton=….")
-    content = _table(path)
-    try:
-        joints: list[dict[str, Any]] = content["Skeleton"]["Joints"]
-        known = [j["Type"] in _WIDTHS and 0 <= int(j["Parent"]) < s for s, j in enumerate(joints[1:], start=1)]
-        bad = [j["Name"] for j, good in zip(joints[1:], known, strict=True) if not good]
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: not a DeepMimic skeleton (no Skeleton, Joints).") from error
-    if bad:
-        raise InputError(f"{path}: joint {bad[0]!r} has an unknown type or comes before its parent.")
-    return joints
+    skeleton: _Skeleton = validated(_SkeletonFile, read_json_table(path), str(path), {}).Skeleton
+    for s, joint in enumerate(skeleton.Joints[1:], start=1):
+        if joint.Type not in _WIDTHS or not 0 <= joint.Parent < s:
+            raise InputError(f"{path}: joint {joint.Name!r} has an unknown type or comes before its parent.")
+    return skeleton.Joints
 
 
 def _rows(path: Path, content: dict[str, Any], width: int) -> Float:
@@ -73,12 +80,7 @@ def _rows(path: Path, content: dict[str, Any], width: int) -> Float:
     frames = content.get("Frames")
     if not isinstance(frames, list) or not frames:
         raise InputError(f"{path}: not a DeepMimic clip (no Frames).")
-    for n, frame in enumerate(frames):
-        if not isinstance(frame, list) or len(frame) != width:
-            raise InputError(f"{path}: frame {n} must have {width} numbers.")
-        if not all(isinstance(value, (int, float)) and isfinite(value) for value in frame):
-            raise InputError(f"{path}: frame {n} holds something that is no finite number.")
-    return np.array(frames, dtype=float)
+    return np.array([number_array(frame, (width,), f"{path}: frame {n}") for n, frame in enumerate(frames)])
 
 
 def _of_quaternions(path: Path, values: Float) -> Float:

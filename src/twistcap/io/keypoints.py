@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from twistcap.arrays import Float
+from twistcap.doors.text import finite_number, number_array, read_json_table, read_text
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
-from twistcap.io.files import read_json
 from twistcap.io.session import Grid
 
 _FEET = ("toe_l", "small_toe_l", "heel_l", "toe_r", "small_toe_r", "heel_r")
@@ -97,7 +97,7 @@ def read_clicks(path: Path | str, cameras: Sequence[str], joints: Sequence[str] 
         if joints is not None and joint not in joints:
             raise InputError(f"{path}: joint {joint!r} is unknown; the body has {', '.join(joints)}.")
         where = f"of {joint} in {camera}"
-        x, y, weight = (_number(v, f"{path}: {what} {where}") for v, what in zip(values, "xyc", strict=True))
+        x, y, weight = (finite_number(v, f"{path}: {what} {where}") for v, what in zip(values, "xyc", strict=True))
         if clicks.get((camera, joint), (0, 0, 0))[2] > 0:
             raise InputError(f"{path}: joint {joint} is given twice for camera {camera}; keep one.")
         clicks[camera, joint] = x, y, weight
@@ -122,31 +122,23 @@ def _expect_cameras(named: Sequence[str], cameras: Sequence[str], where: str) ->
 
 def _read_person(path: Path, L: int, person: int) -> Float:
     """(L, 3) x, y, confidence of one person; all zero without people."""
-    content = read_json(path)
-    if not isinstance(content, dict) or not isinstance(content.get("people"), list):
+    content = read_json_table(path)
+    if not isinstance(content.get("people"), list):
         raise InputError(f"{path}: field 'people' (a list) is missing; an OpenPose keypoint file has one.")
     people: list[Any] = content["people"]
     if not people:
         return np.zeros((L, 3))
     if not 0 <= person < len(people):
         raise InputError(f"{path}: person {person} is needed, but the file holds {len(people)} (counted from 0).")
-    try:
-        numbers = np.asarray(people[person]["pose_keypoints_2d"], dtype=float)
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: person {person} has no list of numbers 'pose_keypoints_2d'.") from error
-    if numbers.shape != (3 * L,):
-        need = f"the layout needs {3 * L} numbers"
-        raise InputError(f"{path}: 'pose_keypoints_2d' has shape {numbers.shape}, but {need}.")
-    if not np.all(np.isfinite(numbers)):
-        raise InputError(f"{path}: 'pose_keypoints_2d' of person {person} has a value that is not a finite number.")
-    return numbers.reshape(L, 3)
+    where = f"{path}: 'pose_keypoints_2d' of person {person}"
+    given = people[person].get("pose_keypoints_2d") if isinstance(people[person], dict) else None
+    return number_array(given, (3 * L,), where).reshape(L, 3)
 
 
 def _csv_rows(path: Path) -> list[tuple[str, str, Any, Any, Any]]:
     try:
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
-    except (OSError, UnicodeDecodeError) as error:
+        rows = list(csv.DictReader(line for line in read_text(path).splitlines() if not line.startswith("#")))
+    except csv.Error as error:
         raise InputError(f"{path}: the file of clicked joints cannot be read ({error}).") from error
     for column in ("camera", "joint", "x", "y"):
         if not rows or column not in rows[0]:
@@ -156,9 +148,8 @@ def _csv_rows(path: Path) -> list[tuple[str, str, Any, Any, Any]]:
 
 
 def _json_rows(path: Path) -> list[tuple[str, str, Any, Any, Any]]:
-    content = read_json(path)
     rows: list[tuple[str, str, Any, Any, Any]] = []
-    for camera, joints in content.items() if isinstance(content, dict) else ():
+    for camera, joints in read_json_table(path).items():
         for joint, value in joints.items() if isinstance(joints, dict) else ():
             if not isinstance(value, list) or len(value) not in (2, 3):
                 raise InputError(f"{path}: {camera}.{joint} must be [x, y] or [x, y, confidence], not {value!r}.")
@@ -166,13 +157,3 @@ def _json_rows(path: Path) -> list[tuple[str, str, Any, Any, Any]]:
     if not rows:
         raise InputError(f"{path}: no joint is given; the file must be {{camera: {{joint: [x, y]}}}}.")
     return rows
-
-
-def _number(value: Any, what: str) -> float:
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        number = float("nan")
-    if not np.isfinite(number):
-        raise InputError(f"{what} is {value!r}; it must be a finite number.")
-    return number

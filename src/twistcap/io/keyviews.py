@@ -15,16 +15,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from pydantic import Field
 
 from twistcap.acquire.silhouette import KeyView, difference_mask, one_person
 from twistcap.arrays import Bool, UInt8
 from twistcap.camera import Camera, Rectifier, Rig
+from twistcap.doors.images import read_image
+from twistcap.doors.text import read_toml
 from twistcap.errors import InputError
 from twistcap.io.calibration import read_rig
-from twistcap.io.files import read_toml
 from twistcap.io.session import Table
 from twistcap.io.strict import validated
 
@@ -145,11 +145,9 @@ def _camera(role: str, entry: ViewEntry, rig: Rig) -> Camera:
 
 
 def _picture(path: Path, camera: Camera) -> UInt8:
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if image is None:
-        raise InputError(f"{path}: the picture cannot be read.")
+    image = read_image(path, "picture")
     if image.shape[1::-1] != camera.size:
         its, theirs = (f"{width}×{height}" for width, height in (image.shape[1::-1], camera.size))
         mend = "use pictures of the calibrated size"
         raise InputError(f"{path} is {its} pixels, but camera {camera.name!r} has {theirs}; {mend}.")
-    return np.asarray(image, dtype=np.uint8)
+    return image

@@ -14,8 +14,11 @@ from typing import Literal
 import numpy as np
 
 from twistcap.arrays import Float
+from twistcap.doors.npz import read_npz
+from twistcap.doors.schema import Schema, real, word
+from twistcap.doors.text import finite_number, read_lines
 from twistcap.errors import InputError, check_choice
-from twistcap.io.files import read_lines, read_npz, write_lines
+from twistcap.io.files import write_lines
 from twistcap.io.keypoints import LAYOUTS
 
 WorldAxes = Literal["pose2sim", "opensim"]
@@ -23,6 +26,8 @@ TO_FILE: Mapping[str, Float] = {  # (3, 3) from our world (z up) to the file's a
     "pose2sim": np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
     "opensim": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
 }
+CLOCK: Schema = {"times": real("N", least=-1e11, most=1e11, needed=False), "fps": real(least=1e-3, needed=False)}
+_POINTS: Schema = {"X": real("N", "P", 3, gaps=True), "names": word("P", needed=False), **CLOCK}
 _UNITS: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
 
@@ -95,20 +100,17 @@ def read_trc(path: Path | str, axes: WorldAxes = "pose2sim") -> Markers:
     return Markers(names, table[:, 1], points @ TO_FILE[axes])
 
 
-def _trc_row(path: Path, number: int, line: str, markers: int) -> list[float]:
+def _trc_row(path: Path, at: int, line: str, markers: int) -> list[float]:
     """Frame, time and coordinates; empty and missing fields are NaN."""
     fields = [field.strip() for field in line.split("\t")]
     width = 2 + 3 * markers
     if any(fields[width:]):
-        raise InputError(f"{path}: line {number} has more than {width} fields, 3 for each of {markers} markers.")
+        raise InputError(f"{path}: line {at} has more than {width} fields, 3 for each of {markers} markers.")
     fields = (fields + [""] * width)[:width]
-    try:
-        row = [float(field) if field else np.nan for field in fields]
-    except ValueError as error:
-        raise InputError(f"{path}: line {number}: {error}.") from error
-    if not np.isfinite(row[1]):
-        raise InputError(f"{path}: line {number}: Time is missing.")
-    return row
+    if not fields[1]:
+        raise InputError(f"{path}: line {at}: Time is missing.")
+    blank = ("", "nan")
+    return [np.nan if field.lower() in blank else finite_number(field, f"{path}: line {at}") for field in fields]
 
 
 def read_keypoints3d(path: Path | str, times: Float | None = None) -> Markers:
@@ -117,15 +119,13 @@ def read_keypoints3d(path: Path | str, times: Float | None = None) -> Markers:
     A file without a clock takes `times` (N,) s; without names its points are OpenPose BODY_25B in the body's landmark
     names. Raises InputError if it cannot be read, lacks X or a clock, or shapes do not fit.
     """
-    data = read_npz(path, "the keypoint file")
-    if "X" not in data or data["X"].ndim != 3 or data["X"].shape[2] != 3:
-        raise InputError(f"{path}: it needs an array X of shape (frames, points, 3).")
-    X = data["X"].astype(float)
+    data = read_npz(path, "the keypoint file", _POINTS, "it needs an array X of shape (frames, points, 3)")
+    X = data["X"]
     names = tuple(map(str, data.get("names", LAYOUTS["body_25b"])))
     if len(names) != X.shape[1]:
         raise InputError(f"{path}: X has {X.shape[1]} points, but there are {len(names)} names.")
     if times is None and "times" in data:
-        times = data["times"].astype(float)
+        times = data["times"]
     elif times is None and "fps" in data:
         times = np.arange(len(X)) / float(data["fps"])
     if times is None:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from twistcap.arrays import Bool
 from twistcap.camera import Rig
+from twistcap.doors.images import read_image
 from twistcap.errors import InputError
 from twistcap.io.video import preparation
 
@@ -33,10 +33,8 @@ def rectified_masks(folder: str | Path, rig: Rig, frame: int, scale: float) -> t
 
 
 def _read(file: Path, size: tuple[int, int]) -> Bool:
-    image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
-    if image is None:
-        raise InputError(f"mask {file} cannot be read; replace or delete it.")
+    image = read_image(file, "mask", grey=True, mend="replace or delete it")
     if image.shape[::-1] != size:
         its, theirs = (f"{width}×{height}" for width, height in (image.shape[::-1], size))
         raise InputError(f"mask {file} is {its} pixels, but the calibration is for {theirs}.")
-    return np.asarray(image) > 127
+    return image > 127

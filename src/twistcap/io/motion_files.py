@@ -15,10 +15,11 @@ from twistcap import se3
 from twistcap.arrays import Float
 from twistcap.body import Body, Pose
 from twistcap.body.humanoid import humanoid
+from twistcap.doors.text import finite_number, read_lines
 from twistcap.errors import InputError, check_choice
 from twistcap.estimate import Estimate
 from twistcap.io import angles as convert
-from twistcap.io.files import read_lines, replacing, write_lines
+from twistcap.io.files import replacing, write_lines
 from twistcap.io.markers import TO_FILE, WorldAxes
 
 _LENGTHS = re.compile(r"(_[tpv][xyz]|_beta_t[xyz])$|force|torque|moment", re.IGNORECASE)
@@ -88,14 +89,11 @@ def read_mot(path: Path | str) -> MotionTable:
     return MotionTable(tuple(columns[1:]), table[:, 0], values)
 
 
-def _mot_row(path: Path, number: int, line: str, columns: list[str]) -> list[float]:
+def _mot_row(path: Path, at: int, line: str, columns: list[str]) -> list[float]:
     fields = line.split()
     if len(fields) != len(columns):
-        raise InputError(f"{path}: line {number} has {len(fields)} fields, the head names {len(columns)} columns.")
-    try:
-        return [float(field) for field in fields]
-    except ValueError as error:
-        raise InputError(f"{path}: line {number}: {error}.") from error
+        raise InputError(f"{path}: line {at} has {len(fields)} fields, the head names {len(columns)} columns.")
+    return [np.nan if field.lower() == "nan" else finite_number(field, f"{path}: line {at}") for field in fields]
 
 
 def poses_from_mot(

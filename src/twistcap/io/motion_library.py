@@ -6,12 +6,17 @@ from pathlib import Path
 
 import numpy as np
 
-from twistcap.errors import InputError
-from twistcap.io.files import read_npz, write_npz
+from twistcap.doors.npz import read_npz
+from twistcap.doors.schema import Schema, real, whole, word
+from twistcap.errors import InputError, naming
+from twistcap.io.files import write_npz
 from twistcap.motion import MotionLibrary
 
 FORMAT = "twistcap-motions"
-_KEYS = {"names", "rate", "clip_names", "starts", "q", "roots"}
+_KEYS: Schema = {
+    "names": word("J"), "rate": real(), "clip_names": word("C"), "starts": whole("1+C", least=0, most=1 << 30),
+    "q": real("N", "J"), "roots": real("N", 4, 4),
+}  # fmt: skip
 
 
 def write_library(path: str | Path, library: MotionLibrary) -> Path:
@@ -23,17 +28,16 @@ def read_library(path: str | Path) -> MotionLibrary:
     """Read what `write_library` wrote. Raises InputError for a file that is missing, is no motion library, or holds
     what does not fit or is not finite.
     """
-    data = read_npz(path, "motion library")
-    if str(data.get("format", "")) != FORMAT or not data.keys() >= _KEYS:
-        raise InputError(f"{path} is no motion library; make one with twistcap motions build.")
-    try:
+    mend = "it is no motion library; make one with twistcap motions build"
+    data = read_npz(path, "motion library", {"format": word(), **_KEYS}, mend)
+    if str(data["format"]) != FORMAT:
+        raise InputError(f"{path}: {mend}.")
+    with naming(path):
         return MotionLibrary(
-            names=tuple(map(str, np.atleast_1d(data["names"]))),
+            names=tuple(data["names"].tolist()),
             rate=float(data["rate"]),
-            clip_names=tuple(map(str, np.atleast_1d(data["clip_names"]))),
-            starts=np.asarray(data["starts"], dtype=np.int32),
-            q=np.asarray(data["q"], dtype=np.float32),
-            roots=np.asarray(data["roots"], dtype=float),
+            clip_names=tuple(data["clip_names"].tolist()),
+            starts=data["starts"],
+            q=data["q"].astype(np.float32),
+            roots=data["roots"],
         )
-    except (InputError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: {error}") from error

@@ -13,9 +13,16 @@ import numpy as np
 from twistcap.adjust.first_pose import Proportions
 from twistcap.arrays import Float
 from twistcap.body import Body, Pose, rescaled
+from twistcap.doors.npz import read_npz
+from twistcap.doors.schema import Schema, real, word
+from twistcap.doors.text import finite_number, number_array, read_json_table
 from twistcap.errors import InputError
-from twistcap.io.files import read_npz
 from twistcap.io.result import read_result
+from twistcap.se3 import is_motion
+
+_ONE: Schema = {"root": real(4, 4), "q": real("J"), "coordinate_names": word("J")}
+_MANY: Schema = {"root": real("N", 4, 4), "q": real("N", "J"), "coordinate_names": word("J")}
+_FARTHEST = 1e3  # m or rad
 
 
 def write_pose(path: str | Path, body: Body, pose: Pose, proportions: Proportions | None = None) -> None:
@@ -37,20 +44,16 @@ def read_proportions(path: str | Path) -> Proportions | None:
     path = Path(path)
     if path.suffix.lower() != ".json" or not path.is_file():
         return None
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError:
-        return None  # `read_pose` raises
-    given = content.get("proportions") if isinstance(content, dict) else None
+    given = read_json_table(path).get("proportions")
     if given is None:
         return None
-    try:
-        lengths, girths = ({k: float(v) for k, v in dict(given[key]).items()} for key in ("lengths", "girths"))
-        found = Proportions(lengths, girths, float(given["stature"]))
-    except (TypeError, ValueError, KeyError) as error:
-        raise InputError(f"pose file {path}: 'proportions' needs stature, lengths and girths.") from error
-    if not np.all(np.isfinite([found.stature, *lengths.values(), *girths.values()])):
-        raise InputError(f"pose file {path}: a factor of 'proportions' is not a finite number.")
+    where, kinds = f"pose file {path}: 'proportions'", ("lengths", "girths")
+    if not isinstance(given, dict) or not all(isinstance(given.get(kind), dict) for kind in kinds):
+        raise InputError(f"{where} needs stature, lengths and girths.")
+    lengths, girths = ({k: finite_number(v, f"{where}, {k}") for k, v in given[kind].items()} for kind in kinds)
+    found = Proportions(lengths, girths, finite_number(given.get("stature"), f"{where}, stature"))
+    if not all(0.1 <= factor <= 10 for factor in (found.stature, *lengths.values(), *girths.values())):
+        raise InputError(f"{where}: a factor is not between 0.1 and 10.")
     return found
 
 
@@ -82,28 +85,27 @@ def read_pose(path: str | Path, body: Body, frame: int | None = None) -> Pose:
     return Pose(_motion(path, root), _by_name(path, body, q))
 
 
-def _from_json(path: Path, frame: int | None) -> tuple[Any, Mapping[str, Any]]:
+def _from_json(path: Path, frame: int | None) -> tuple[Float, Mapping[str, Any]]:
+    content = read_json_table(path)
+    if "root" not in content or not isinstance(content.get("q"), dict):
+        raise InputError(f'pose file {path} must be JSON {{"root": 4×4, "q": {{coordinate: rad}}}}.')
+    return number_array(content["root"], (4, 4), f"pose file {path}: root"), content["q"]
+
+
+def _from_npz(path: Path, frame: int | None) -> tuple[Float, Mapping[str, Any]]:
+    mend = "it must hold root, q and coordinate_names, of one pose or many"
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        return content["root"], dict(content["q"])
-    except (ValueError, TypeError, KeyError) as error:
-        form = '{"root": 4×4, "q": {coordinate: rad}}'
-        raise InputError(f"pose file {path} must be JSON {form} ({error}).") from error
+        data, row = read_npz(path, "pose file", _ONE, mend), ...
+    except InputError:
+        data = read_npz(path, "pose file", _MANY, mend)
+        row = _row(path, np.arange(len(data["root"])), frame)
+    return data["root"][row], dict(zip(data["coordinate_names"].tolist(), data["q"][row].tolist(), strict=True))
 
 
-def _from_npz(path: Path, frame: int | None) -> tuple[Any, Mapping[str, Any]]:
-    data = read_npz(path, "pose file")
-    if not {"root", "q", "coordinate_names"} <= data.keys():
-        raise InputError(f"pose file {path} must hold root, q and coordinate_names.")
-    roots = data["root"]
-    row = _row(path, np.arange(len(roots)), frame) if roots.ndim == 3 else ...
-    return roots[row], dict(zip(map(str, data["coordinate_names"]), data["q"][row], strict=True))
-
-
-def _from_result(path: Path, frame: int | None) -> tuple[Any, Mapping[str, Any]]:
+def _from_result(path: Path, frame: int | None) -> tuple[Float, Mapping[str, Any]]:
     result = read_result(path)
     pose = result.poses[_row(path, result.indices, frame)]
-    return pose.root, dict(zip(result.body.coordinate_names, pose.q, strict=True))
+    return pose.root, dict(zip(result.body.coordinate_names, pose.q.tolist(), strict=True))
 
 
 def _row(path: Path, numbers: Any, frame: int | None) -> int:
@@ -116,15 +118,10 @@ def _row(path: Path, numbers: Any, frame: int | None) -> int:
     return int(np.flatnonzero(numbers == frame)[0])
 
 
-def _motion(path: Path, root: Any) -> Float:
-    try:
-        T = np.asarray(root, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"pose file {path}: root must be 4×4 numbers.") from error
-    rotation = T.shape == (4, 4) and np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-4)
-    if not rotation or np.linalg.det(T[:3, :3]) < 0 or not np.all(np.isfinite(T)):
+def _motion(path: Path, root: Float) -> Float:
+    if not is_motion(root) or np.abs(root).max() > _FARTHEST:
         raise InputError(f"pose file {path}: root must be a 4×4 rigid motion, rest pose to world, in metres.")
-    return T
+    return root
 
 
 def _by_name(path: Path, body: Body, q: Mapping[str, Any]) -> Float:
@@ -132,7 +129,8 @@ def _by_name(path: Path, body: Body, q: Mapping[str, Any]) -> Float:
     for name, value in q.items():
         if name not in body.coordinate_names:
             raise InputError(f"pose file {path}: body {body.name!r} has no coordinate {name!r}; check [body].")
-        if not isinstance(value, (int, float)) or not np.isfinite(value):
-            raise InputError(f"pose file {path}: coordinate {name!r} is {value!r}; it must be a finite number, rad.")
-        out[body.coordinate(name)] = value
+        angle = finite_number(value, f"pose file {path}: coordinate {name!r}")
+        if abs(angle) > _FARTHEST:
+            raise InputError(f"pose file {path}: coordinate {name!r} is {angle:g}; it must be an angle, rad.")
+        out[body.coordinate(name)] = angle
     return out

@@ -8,14 +8,20 @@ from pathlib import Path
 import numpy as np
 
 from twistcap.arrays import Float
-from twistcap.errors import InputError
+from twistcap.doors.npz import read_npz
+from twistcap.doors.schema import Schema, real, word
+from twistcap.errors import InputError, naming
 from twistcap.io.angles import complete_coordinates
-from twistcap.io.files import read_npz, write_npz
+from twistcap.io.files import write_npz
 from twistcap.io.motion_files import poses_of_file
 from twistcap.io.result import read_result
 from twistcap.priors import ParzenPrior
 
 FORMAT = "twistcap-prior"
+_PRIOR: Schema = {
+    "format": word(), "names": word("J"), "samples": real("N", "J"), "sigma": real(), "scale": real("J"),
+}  # fmt: skip
+_POSES: Schema = {"q": real("N", "J"), "coordinate_names": word("J")}
 Motion = tuple[tuple[str, ...], Float]
 """Names of J joint coordinates, and samples (N, J) of them, rad."""
 
@@ -31,15 +37,11 @@ def read_prior(path: str | Path) -> ParzenPrior:
     """Read what `write_prior` wrote. Raises InputError for a file that is missing, is no prior, or holds numbers that
     are not finite.
     """
-    data = read_npz(path, "prior")
-    if str(data.get("format", "")) != FORMAT or not {"names", "samples", "sigma", "scale"} <= data.keys():
+    data = read_npz(path, "prior", _PRIOR, "it is no twistcap prior; make one with twistcap prior train")
+    if str(data["format"]) != FORMAT:
         raise InputError(f"prior {path} is no twistcap prior; make one with twistcap prior train.")
-    names = tuple(map(str, np.atleast_1d(data["names"])))
-    try:
-        samples, scale = (np.asarray(data[key], dtype=float) for key in ("samples", "scale"))
-        return ParzenPrior(names, samples, float(data["sigma"]), scale)
-    except (InputError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: {error}") from error
+    with naming(path):
+        return ParzenPrior(tuple(data["names"].tolist()), data["samples"], float(data["sigma"]), data["scale"])
 
 
 def trained_prior(
@@ -102,10 +104,6 @@ def _motion(path: Path) -> Motion:
     names, q = reader(path)
     if q.shape != (len(q), len(names)) or not len(q):
         raise InputError(f"motion {path}: it holds no joint angles, or not one for each of its coordinate names.")
-    bad = np.argwhere(~np.isfinite(q))
-    if len(bad):
-        row, column = bad[0]
-        raise InputError(f"motion {path}: {names[column]!r} is not finite in row {row}; fill or cut such rows.")
     return names, q
 
 
@@ -122,7 +120,5 @@ def _of_result(path: Path) -> Motion:
 
 
 def _of_npz(path: Path) -> Motion:
-    data = read_npz(path, "motion")
-    if not {"q", "coordinate_names"} <= data.keys():
-        raise InputError(f"motion {path} must hold q and coordinate_names.")
-    return tuple(map(str, data["coordinate_names"])), np.atleast_2d(np.asarray(data["q"], dtype=float))
+    data = read_npz(path, "motion", _POSES, "it must hold q (poses, coordinates), rad, and coordinate_names")
+    return tuple(data["coordinate_names"].tolist()), data["q"]

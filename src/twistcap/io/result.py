@@ -5,7 +5,6 @@ Every frame is in the file before the next is tracked, and the file is whole at 
 
 from __future__ import annotations
 
-import json
 import os
 import zlib
 from collections.abc import Iterable, Mapping
@@ -16,16 +15,18 @@ from importlib.metadata import version
 from operator import attrgetter
 from pathlib import Path
 from platform import python_version
-from typing import Any, cast
+from typing import Any
 
-import h5py
 import numpy as np
 
 from twistcap.arrays import AnyArray, Bool, Float, Int, UInt8
 from twistcap.body import Body, Landmarks, Pose
 from twistcap.camera import Camera, Rig
-from twistcap.errors import InputError
+from twistcap.doors.hdf5 import read_hdf5, trust
+from twistcap.doors.text import parsed_json
+from twistcap.errors import InputError, naming
 from twistcap.estimate import Estimate
+from twistcap.io.calibration import check_camera
 from twistcap.io.files import replacing, unwritable, write_at
 from twistcap.io.lock import WriteLock
 from twistcap.io.result_image import (
@@ -35,11 +36,12 @@ from twistcap.io.result_image import (
     FORMAT,
     FORMAT_VERSION,
     NONE,
-    RIG_ARRAYS,
     SLOTS,
     image_of,
     state_row,
 )
+from twistcap.io.result_schema import BODY, HEAD, RIG, STATE, frames_of, of_group
+from twistcap.se3 import is_motion
 
 _LEAST_ROOM = 64  # frames, where nobody has said how many will come
 
@@ -186,7 +188,7 @@ class ResultWriter:
         Two slots are used in turn, so that a kill in the middle of a write leaves one whole.
         """
         if len(data) > self._slot_bytes:
-            self._rebuild(read_result(self.path), (self._count, data), self._capacity, self._energies)
+            self._rebuild(self._written()[0], (self._count, data), self._capacity, self._energies)
             return
         slot, self._slot = self._slot, 1 - self._slot
         self._put("state/about", slot, state_row(NONE, data))
@@ -197,7 +199,7 @@ class ResultWriter:
         """Write one frame. Raises InputError where the disk is full."""
         if self._count == self._capacity or not estimate.energies.keys() <= set(self._energies):
             names = dict.fromkeys((*self._energies, *estimate.energies))
-            self._rebuild(read_result(self.path), read_state(self.path), self._wanted_room(), names)
+            self._rebuild(*self._written(), self._wanted_room(), names)
         for name in self._energies:
             self._put(f"frames/energies/{name}", self._count, estimate.energies.get(name, np.nan))
         for name, (attribute, _) in FIELDS.items():
@@ -216,9 +218,10 @@ class ResultWriter:
         if self._descriptor is not None:
             if self._held < self._capacity:
                 with suppress(InputError):  # on a full disk the file stays as it is, which is as good
-                    self._rebuild(read_result(self.path), read_state(self.path), self._held, self._energies)
+                    self._rebuild(*self._written(), self._held, self._energies)
             os.close(self._descriptor)
             self._descriptor = None
+            self._trust()
         if self._own_lock is not None:
             self._own_lock.release()
 
@@ -227,6 +230,15 @@ class ResultWriter:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _trust(self) -> None:
+        with suppress(OSError):  # somebody has removed it
+            trust(self.path)
+
+    def _written(self) -> tuple[Result, tuple[int, UInt8] | None]:
+        """What this writer has written so far."""
+        self._trust()
+        return read_result(self.path), read_state(self.path)
 
     def _rebuild(self, result: Result, state: tuple[int, UInt8] | None, capacity: int, energies: Iterable[str]) -> None:
         """A file of the same, with another capacity, and room for the state to grow, in the place of the old one."""
@@ -261,31 +273,30 @@ class ResultWriter:
 
 def read_result(path: str | Path) -> Result:
     """Read a result file, finished or not: all frames that are complete. Raises InputError for a file that is missing,
-    no HDF5, no result or of a newer format.
+    no HDF5, no result, of another format, or holds what no track writes.
     """
-    with _opened(path) as file:
-        _check_format(path, file)
-        frames: Any = file["frames"]
-        n = _complete(frames)
-        rows = {name: np.asarray(frames[name][:n]) for name in FIELDS}
+    held, source = _held(path, ("body", "rig", "frames", "versions")), f"result file {path}"
+    rows, rig = frames_of(held, source), of_group(held, "rig", RIG, source)
+    with naming(path):
+        _check_frames(rows)
         return Result(
-            body=_read_body(file["body"]),
-            rig=_read_rig(file["rig"]),
-            indices=rows["index"].astype(np.int32),
+            body=_body_of(of_group(held, "body", BODY, source)),
+            rig=Rig(tuple(_camera_of(source, rig, i) for i in range(len(rig["names"])))),
+            indices=rows["index"],
             times=rows["time"],
             roots=rows["root"],
             q=rows["q"],
             covariances=rows["covariance"],
-            energies={name: _padded(dataset, n) for name, dataset in frames["energies"].items()},
-            statuses=tuple(s.decode() for s in rows["status"]),
-            iterations=rows["iterations"].astype(np.int32),
-            lost=rows["lost"].astype(bool),
+            energies={k.removeprefix("energies/"): row for k, row in rows.items() if k.startswith("energies/")},
+            statuses=tuple(rows["status"].tolist()),
+            iterations=rows["iterations"],
+            lost=rows["lost"],
             support=rows["support"],
             probability=rows["probability"],
-            predicted=tuple(s.decode() for s in rows["predicted"]),
-            config=json.loads(str(file.attrs["config"])),
-            versions={k: str(v) for k, v in file["versions"].attrs.items()} if "versions" in file else {},
-            recording=json.loads(str(file.attrs.get("recording", "{}"))),
+            predicted=tuple(rows["predicted"].tolist()),
+            config=_table_of(held, "config", source),
+            versions={k.removeprefix("versions@"): str(v) for k, v in held.items() if k.startswith("versions@")},
+            recording=_table_of(held, "recording", source),
         )
 
 
@@ -293,17 +304,27 @@ def read_state(path: str | Path) -> tuple[int, UInt8] | None:
     """The latest state that is whole: how many frames had been written, and its bytes (N,); None where there is none.
     Raises InputError as `read_result`.
     """
-    with _opened(path) as file:
-        _check_format(path, file)
-        complete, states = _complete(file["frames"]), cast("Any", file["state"])
-        about = np.asarray(states["about"][:])
-        for slot in np.argsort(-about[:, 0]):
-            frames, size, checksum = map(int, about[slot])
-            if 0 <= frames <= complete:
-                data = np.asarray(states[SLOTS[slot]][:size], np.uint8)
-                if zlib.crc32(data.tobytes()) == checksum:
-                    return frames, data
+    held, source = _held(path, ("frames", "state")), f"result file {path}"
+    complete, about = len(frames_of(held, source)["index"]), of_group(held, "state", STATE, source)["about"]
+    for slot in np.argsort(-about[:, 0]):
+        frames, size, checksum = map(int, about[slot])
+        data = np.ravel(held.get(f"state/{SLOTS[slot]}", np.zeros(0)))[:size]
+        if 0 <= frames <= complete and data.dtype == np.uint8 and zlib.crc32(data.tobytes()) == checksum:
+            return frames, data
     return None
+
+
+def _held(path: str | Path, tops: tuple[str, ...]) -> dict[str, Any]:
+    """Those groups of a file that is a result of this format."""
+    held, source = read_hdf5(path, "result file", tops), f"result file {path}"
+    if str(held.get("@format", "")) != FORMAT:
+        raise InputError(f"{path} is an HDF5 file, but no twistcap result; give the result.h5 that track wrote.")
+    version = int(of_group(held, "", HEAD, source)["@format_version"])
+    if version > FORMAT_VERSION:
+        raise InputError(f"{path} was written by a newer twistcap (format {version}); update twistcap.")
+    if version < FORMAT_VERSION:
+        raise InputError(f"{path} was written by an older twistcap (format {version}); track the recording again.")
+    return held
 
 
 def installed_versions() -> dict[str, str]:
@@ -312,50 +333,29 @@ def installed_versions() -> dict[str, str]:
     return {"python": python_version(), **{name: version(name) for name in packages}}
 
 
-def _read_body(group: Any) -> Body:
-    names: dict[str, Any] = {name: _strings(group[name]) for name in BODY_NAMES}
-    arrays: dict[str, Any] = {name: np.asarray(group[name][()]) for name in BODY_ARRAYS}
-    marks = group["landmarks"]
-    landmarks = Landmarks(_strings(marks["names"]), np.asarray(marks["segments"][()]), np.asarray(marks["points"][()]))
-    return Body(name=str(group.attrs["name"]), landmarks=landmarks, **names, **arrays)
+def _body_of(held: Mapping[str, Any]) -> Body:
+    names: dict[str, Any] = {name: tuple(held[name].tolist()) for name in BODY_NAMES}
+    arrays: dict[str, Any] = {name: held[name] for name in BODY_ARRAYS}
+    marks = tuple(held["landmarks/names"].tolist()), held["landmarks/segments"], held["landmarks/points"]
+    return Body(name=str(held["@name"]), landmarks=Landmarks(*marks), **names, **arrays)
 
 
-def _read_rig(group: Any) -> Rig:
-    K, T, size, dist = (np.asarray(group[name][()]) for name in RIG_ARRAYS)
-    names = _strings(group["names"])
-    return Rig(tuple(Camera(n, K[i], T[i], (int(size[i, 0]), int(size[i, 1])), dist[i]) for i, n in enumerate(names)))
+def _camera_of(source: str, held: Mapping[str, Any], i: int) -> Camera:
+    size = (int(held["size"][i, 0]), int(held["size"][i, 1]))
+    camera = Camera(str(held["names"][i]), held["K"][i], held["T_cam_world"][i], size, held["dist"][i])
+    check_camera(f"{source}, camera {camera.name!r}", camera)
+    return camera
 
 
-def _strings(dataset: Any) -> tuple[str, ...]:
-    return tuple(s.decode() for s in dataset[()])
+def _check_frames(rows: Mapping[str, Any]) -> None:
+    if np.any(np.diff(rows["index"]) <= 0) or np.any(np.diff(rows["time"]) <= 0):
+        raise InputError("frames: their numbers or times do not rise; track the recording again.")
+    if not np.all(is_motion(rows["root"])):
+        raise InputError("frames: a root is no rigid motion; track the recording again.")
 
 
-def _complete(frames: Any) -> int:
-    """Frames that have been written, from the first on."""
-    written = np.asarray(frames["index"][:]) >= 0
-    return len(written) if written.all() else int(np.argmin(written))
-
-
-def _padded(dataset: Any, n: int) -> Float:
-    """(n,) values, NaN after the last one."""
-    held = np.asarray(dataset[:n])
-    return np.pad(held, (0, n - len(held)), constant_values=np.nan)
-
-
-def _opened(path: str | Path) -> h5py.File:
-    try:
-        return h5py.File(path, "r", locking=False)  # a running track may be looked at
-    except FileNotFoundError as error:
-        raise InputError(f"result file {path} cannot be opened: it does not exist; check its path.") from error
-    except OSError as error:
-        raise InputError(f"result file {path} cannot be read: it is no HDF5 file, or damaged.") from error
-
-
-def _check_format(path: str | Path, file: h5py.File) -> None:
-    if file.attrs.get("format") != FORMAT or "frames" not in file:
-        raise InputError(f"{path} is an HDF5 file, but no twistcap result; give the result.h5 that track wrote.")
-    version = int(str(file.attrs["format_version"]))
-    if version > FORMAT_VERSION:
-        raise InputError(f"{path} was written by a newer twistcap (format {version}); update twistcap.")
-    if version < FORMAT_VERSION:
-        raise InputError(f"{path} was written by an older twistcap (format {version}); track the recording again.")
+def _table_of(held: Mapping[str, Any], name: str, source: str) -> dict[str, Any]:
+    table = parsed_json(str(held.get(f"@{name}", "{}")), f"{source}, {name}")
+    if not isinstance(table, dict):
+        raise InputError(f"{source}: its {name} is no table; track the recording again.")
+    return table

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, ValidationInfo, model_validator
 
+from twistcap.doors.text import read_toml
 from twistcap.errors import InputError
-from twistcap.io.files import read_toml
 from twistcap.io.strict import dataclass_from, validated
 from twistcap.motion import MotionKind
 
@@ -195,10 +195,10 @@ class Session(Table):
 
     data: str = "."
     frames: tuple[Annotated[int, Field(ge=0)], int] | None = None
-    step: int = Field(1, ge=1)
-    fps: float | None = Field(None, gt=0)
+    step: int = Field(1, ge=1, le=100_000)
+    fps: float | None = Field(None, ge=0.01, le=100_000)
     time_offset: float = 0.0
-    scale: float = Field(1.0, gt=0, le=4)
+    scale: float = Field(1.0, ge=0.02, le=4)
     cameras: Cameras
     videos: dict[str, DataPath]
     body: Annotated[HumanoidBody | GlbBody | ObjBody, Field(discriminator="kind", default_factory=HumanoidBody)]

@@ -16,9 +16,14 @@ import numpy as np
 from av.error import FFmpegError
 
 from twistcap.arrays import UInt8
+from twistcap.doors.images import MOST_PIXELS, read_image
 from twistcap.errors import InputError
 
 _IMAGES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm"}
+_FORMATS = (
+    "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpeg,mpegts,mpegvideo,asf,flv,ogg,dv,h264,hevc,m4v,mjpeg,gif,nut,"
+    "yuv4mpegpipe,mxf,ivf,obu"
+)
 _MEND = "re-encode the video, or end [frames] before it"
 
 
@@ -36,12 +41,15 @@ class VideoSource:
         if not Path(path).is_file():
             raise InputError(f"video {path} does not exist; check its path in [videos].")
         try:
-            with av.open(self.name) as container:
+            with _opened(self.name) as container:
                 self._stamps = _time_stamps(self.name, container)
                 stream = container.streams.video[0]
                 self.fps = float(stream.average_rate) if stream.average_rate else None
-        except FFmpegError as error:
-            raise InputError(f"video {path} cannot be opened ({error.strerror}); is it a video file?") from error
+        except (FFmpegError, ValueError, UnicodeError) as error:
+            if isinstance(error, InputError):
+                raise
+            why = getattr(error, "strerror", None) or error
+            raise InputError(f"video {path} cannot be opened ({why}); is it a video file?") from error
 
     def __len__(self) -> int:
         return len(self._stamps)
@@ -58,9 +66,10 @@ class VideoSource:
         """
         if len(indices) == 0:
             return
-        with av.open(self.name) as container:
+        with _opened(self.name) as container:
             stream = container.streams.video[0]
-            stream.codec_context.options = {"err_detect": "explode"}  # a broken frame is an error, not a grey smear
+            # A broken frame is an error, not a grey smear; a frame that grows on the way is one too.
+            stream.codec_context.options = {"err_detect": "explode", "max_pixels": str(MOST_PIXELS)}
             if indices[0] > 0:
                 container.seek(self._stamps[indices[0]], stream=stream, backward=True, any_frame=False)
             decoded = self._decoded(container)
@@ -92,9 +101,20 @@ class VideoSource:
                 raise error
 
 
+def _opened(name: str) -> Any:
+    """The container of a video; it may neither lead to other files, as a playlist would, nor to other machines."""
+    return av.open(name, options={"protocol_whitelist": "file", "format_whitelist": _FORMATS})
+
+
 def _time_stamps(name: str, container: Any) -> list[int]:
     if not container.streams.video:
         raise InputError(f"video {name} holds no video stream; is it a video file?")
+    codec = container.streams.video[0].codec_context
+    if codec is None:
+        raise InputError(f"video {name} is coded in a way that is not known; re-encode it.")
+    width, height = codec.width, codec.height
+    if width * height > MOST_PIXELS:
+        raise InputError(f"video {name} is {width}×{height} pixels; at most {MOST_PIXELS >> 20} megapixels are read.")
     packets = container.demux(container.streams.video[0])
     stamps = sorted(int(p.pts) for p in packets if p.pts is not None and not p.is_discard and p.size)
     if not stamps:
@@ -153,9 +173,7 @@ class ImageSource:
 
 
 def _read_image(file: str, index: int) -> UInt8:
-    image = cv2.imread(file, cv2.IMREAD_COLOR)
-    if image is None:
-        raise InputError(f"image {file} (frame {index}) is corrupt; replace it, or delete it to have it dropped.")
+    image = read_image(file, "image", mend=f"replace it, or delete it to have frame {index} dropped")
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 

@@ -19,12 +19,15 @@ import numpy as np
 from twistcap.arrays import AnyArray, UInt8
 from twistcap.body import Body, Pose, Posed
 from twistcap.differential.model import DifferentialModel
+from twistcap.doors.npz import npz_arrays
 from twistcap.errors import InputError
 from twistcap.registry import memory_type
+from twistcap.se3 import is_motion
 from twistcap.track.model import Model
 
 _DAMAGE = (
-    OSError, EOFError, ValueError, TypeError, KeyError, IndexError, AttributeError, zipfile.BadZipFile,
+    OSError, EOFError, RecursionError, OverflowError, ValueError, TypeError,
+    KeyError, IndexError, AttributeError, zipfile.BadZipFile,
 )  # fmt: skip
 _MEMORIES = ("cues", "predictors", "searches")
 
@@ -47,14 +50,30 @@ def from_bytes(data: UInt8, model: Model | DifferentialModel) -> Any:
         InputError: for bytes that are damaged, or of a model with other cues, predictors or searches.
     """
     try:
-        with np.load(io.BytesIO(data.tobytes()), allow_pickle=False) as file:
-            layout = json.loads(file["layout"].tobytes())
-            arrays = [file[str(k)] for k in range(len(file.files) - 1)]
-        return _Reader(arrays, model.body).state(layout, model)
+        file = npz_arrays(data.tobytes(), "the stored state of the track")
+        layout = json.loads(file["layout"].tobytes())
+        arrays = [file[str(k)] for k in range(len(file) - 1)]
+        state = _Reader(arrays, model.body).state(layout, model)
+        _check_sizes(state, model)
+        return state
     except InputError:
         raise
     except _DAMAGE as error:
         raise InputError("the stored state of the track is damaged; track anew.") from error
+
+
+def _check_sizes(state: Any, model: Model | DifferentialModel) -> None:
+    """Raises ValueError for arrays of another body; kernels would read past their ends."""
+    if not isinstance(model, Model):
+        return
+    rest = Pose.rest(model.body)
+    fresh = model.start(rest)
+    for item in fields(fresh):
+        given, usual = getattr(state, item.name), getattr(fresh, item.name)
+        if isinstance(usual, np.ndarray) and (given.shape, given.dtype) != (usual.shape, usual.dtype):
+            raise ValueError(item.name)
+    if any(m.pose.q.shape != rest.q.shape or not is_motion(m.pose.root, 1e-3) for m in state.past.moments):
+        raise ValueError("past")
 
 
 def _packed(value: Any, arrays: list[AnyArray]) -> Any:

@@ -9,6 +9,7 @@ from typing import Any, TypeVar, cast, get_args, get_type_hints
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
+from twistcap.doors.text import brief
 from twistcap.errors import InputError
 
 T = TypeVar("T")
@@ -80,7 +81,7 @@ def _wrong_value(source: str, key: str, error: Any) -> InputError:
     message = str(error["msg"]).removeprefix("Value error, ").rstrip(".")
     if error["type"] == "value_error":
         return InputError(f"{source}: {key or 'the session'}: {message}.")
-    return InputError(f"{source}: {key!r} is {error['input']!r}; {message[0].lower()}{message[1:]}.")
+    return InputError(f"{source}: {key!r} is {brief(error['input'])}; {message[0].lower()}{message[1:]}.")
 
 
 def _walk(model: type[BaseModel], loc: Sequence[int | str]) -> tuple[type[BaseModel] | None, list[str]]:

@@ -21,6 +21,7 @@ from twistcap.motion.library import PAPER_SCALES, MotionLibrary
 from twistcap.motion.matching import Interval, Match, Matcher
 from twistcap.motion.openloop import OpenLoop, PoseSequence
 from twistcap.motion.paper import standard_step
+from twistcap.ranges import Checked, Count, Share
 
 _ALIKE = 0.05  # rad per pose, of all joints together: smaller differences are no evidence
 _WORSE = 2.5  # factor by which the mean distance of a longer history may be larger than that of a shorter one
@@ -41,7 +42,7 @@ _Matched = tuple[Match, int]
 
 
 @dataclass(frozen=True)
-class RecurrenceRule:
+class RecurrenceRule(Checked):
     """What counts as a recurrence: poses that are compared, and cycles that are blended, at most.
 
     A recurrence has the person's own pace and style: it is followed up to the distance of the library's best match
@@ -50,9 +51,10 @@ class RecurrenceRule:
 
     lead: float = 1.5
     poses: int = 15
-    count: int = 3
+    count: Count = 3
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not (1 <= self.poses < LOOK_BACK and self.count >= 1 and self.lead >= 0.0):
             raise InputError(f"recurrence: poses must be 1 to {LOOK_BACK - 1}, count 1 or more, and lead not negative.")
 
@@ -75,7 +77,7 @@ def recurrences(q: Float, rule: RecurrenceRule) -> list[Match]:
 
 
 @dataclass(frozen=True)
-class FollowRule:
+class FollowRule(Checked):
     """How matches are found and followed.
 
     Attributes:
@@ -91,14 +93,15 @@ class FollowRule:
     """
 
     poses: tuple[int, ...] = (10, 20, 40)
-    count: int = 3
+    count: Count = 3
     apart: int = 20
-    fading: float = 0.9
+    fading: Share = 0.9
     scales: tuple[float, ...] = PAPER_SCALES
     lever: float = 0.1
     recurrence: RecurrenceRule = field(default_factory=RecurrenceRule)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if len(self.poses) == 0 or min(self.poses) < 2 or self.count < 1 or not 0 <= self.fading < 1:
             raise InputError("motion prediction: take 2 poses or more, 1 match or more, and a fading in [0, 1).")
 

@@ -24,6 +24,7 @@ from twistcap.flow import Preset, flow_confidence, moved_mask, optical_flow
 from twistcap.predict import Prediction
 from twistcap.predict.history import Past
 from twistcap.predict.inertia import Inertia
+from twistcap.ranges import Checked, Count, Positive, Share
 from twistcap.render import RenderedView, render
 from twistcap.solve import PoseProblem, minimise
 from twistcap.stages import stage
@@ -49,7 +50,7 @@ class LastFrame:
 
 
 @dataclass(frozen=True)
-class FlowPredictor:
+class FlowPredictor(Checked):
     """Settings of the flow predictor; lengths in metres are on the body.
 
     Attributes:
@@ -68,15 +69,15 @@ class FlowPredictor:
     inertia: Inertia = field(default_factory=Inertia)
     always: bool = False
     preset: Preset = "fast"
-    points: int = 500
+    points: Count = 500
     margin: float = 0.3
-    sigma: float = 1.0
-    share: float = 0.3
-    robust: float = 0.02
+    sigma: Positive = 1.0
+    share: Share = 0.3
+    robust: Positive = 0.02
     loosened: tuple[float, ...] = (30.0, 8.0, 2.0)
     channels: Channels = "lab"
-    least_confidence: float = 0.6
-    least_share: float = 0.3
+    least_confidence: Share = 0.6
+    least_share: Share = 0.3
     name: str = field(default="flow", init=False)
 
     def start(self, body: Body, rig: Rig) -> LastFrame | None:

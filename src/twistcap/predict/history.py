@@ -10,7 +10,7 @@ import numpy as np
 from twistcap import se3
 from twistcap.arrays import Bool, Float
 from twistcap.body import Pose
-from twistcap.errors import InputError
+from twistcap.ranges import Checked, Share
 
 _SHIFT = 0.004  # m, the same of the root
 _REST = 0.3  # s in which a body that is not seen is thought to come to rest
@@ -29,7 +29,7 @@ class Moment:
 
 
 @dataclass(frozen=True)
-class MotionNoise:
+class MotionNoise(Checked):
     """How far motion strays from its prediction.
 
     Attributes:
@@ -46,11 +46,7 @@ class MotionNoise:
     turn_speed: float = 2.0
     shift_speed: float = 1.5
     allowance: float = 3.0
-    memory: float = 0.85
-
-    def __post_init__(self) -> None:
-        if not (self.allowance >= 0.0 and 0.0 <= self.memory <= 1.0):
-            raise InputError("noise: allowance must be 0 or more, and memory from 0 to 1.")
+    memory: Share = 0.85
 
     def covariance(self, dof: int, dt: float, predictor: str, centre: Float) -> tuple[Float, Float]:
         """(dof, dof) covariance of a prediction over dt seconds, and its inverse; the root turns about `centre`."""

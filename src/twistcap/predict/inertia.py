@@ -12,6 +12,7 @@ from twistcap.cues.observation import Fit
 from twistcap.estimate import Frame
 from twistcap.predict import Prediction
 from twistcap.predict.history import MotionNoise, Past, constant_velocity
+from twistcap.ranges import Checked, Positive
 
 DECAY = 0.2
 """s in which joint velocities die away, so that a limb that nothing shows comes to rest."""
@@ -21,14 +22,14 @@ captures with truth (docs/concepts/covariance.md)."""
 
 
 @dataclass(frozen=True)
-class Inertia:
+class Inertia(Checked):
     """Constant velocity, or with `hold` none; it always answers. `first_sigma_deg` and `first_sigma_m` are how far the
     given first pose may be off (turns; root place).
     """
 
     hold: bool = False
-    first_sigma_deg: float = 1.0
-    first_sigma_m: float = 0.005
+    first_sigma_deg: Positive = 1.0
+    first_sigma_m: Positive = 0.005
     name: str = field(default="inertia", init=False)
 
     def start(self, body: Body, rig: Rig) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from twistcap.body import Posed
 from twistcap.cues.observation import Alternation
+from twistcap.ranges import Checked, Positive
 from twistcap.terms import GaussianTerm, LimitTerm, RestTerm, Term
 
 
@@ -31,10 +32,10 @@ class JointLimits(_Standing):
 
 
 @dataclass(frozen=True)
-class RestPose(_Standing):
+class RestPose(Checked, _Standing):
     """A limb that nothing shows hangs as in the rest pose; `sigma_deg` is the joints' standard deviation about it."""
 
-    sigma_deg: float = 30.0
+    sigma_deg: Positive = 30.0
     name: str = field(default="rest", init=False)
 
     def terms(self, alternation: Alternation) -> Sequence[Term]:

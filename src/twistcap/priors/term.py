@@ -10,13 +10,14 @@ import numpy as np
 from twistcap.arrays import Float, Int
 from twistcap.body import Body, Posed
 from twistcap.cues.observation import Alternation
-from twistcap.errors import InputError, check_numbers
+from twistcap.errors import InputError
 from twistcap.priors.parzen import ParzenPrior
+from twistcap.ranges import Checked, PartOfOne, Share
 from twistcap.terms import Quadratic
 
 
 @dataclass(frozen=True)
-class PriorRule:
+class PriorRule(Checked):
     """How much a pose prior counts.
 
     Attributes:
@@ -29,16 +30,9 @@ class PriorRule:
     """
 
     strength: float = 0.05
-    in_sight: float = 0.1
-    unseen: float = 0.02
-    step: float = 1.0
-
-    def __post_init__(self) -> None:
-        for name, most in {"strength": 1e6, "in_sight": 1, "unseen": 1, "step": 1}.items():
-            value = getattr(self, name)
-            if not 0 <= value <= most:
-                raise InputError(f"prior: {name} is {value}; it must be from 0 to {most:g}.")
-        check_numbers("prior", self, ("step",))
+    in_sight: Share = 0.1
+    unseen: Share = 0.02
+    step: PartOfOne = 1.0
 
 
 @dataclass(frozen=True)

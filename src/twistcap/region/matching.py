@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 
 from twistcap.arrays import Float, Float32
+from twistcap.ranges import Checked, Count, Positive
 from twistcap.region.levelset import signed_distance
 
 _RELAXATION = 1.8
@@ -40,13 +41,13 @@ def _bilinear(field: Float32, x: Float32, y: Float32) -> Float32:
 
 
 @dataclass(frozen=True)
-class VariationalRule:
+class VariationalRule(Checked):
     """Settings of displacement fields."""
 
-    alpha: float = 100.0  # weight of smoothness, in squared px of the image
-    resolution: int = 4  # px of the image in each row and column of the grid; signed distances are smooth
-    warps: int = 2  # linearisations
-    iterations: int = 8  # of the linear solver in each
+    alpha: Positive = 100.0  # weight of smoothness, in squared px of the image
+    resolution: Count = 4  # px of the image in each row and column of the grid; signed distances are smooth
+    warps: Count = 2  # linearisations
+    iterations: Count = 8  # of the linear solver in each
     reach: float = 12.0  # px from the contour within which the shapes are compared
 
 

@@ -14,12 +14,13 @@ import numpy as np
 
 from twistcap.arrays import Float
 from twistcap.cues.observation import Fit
+from twistcap.ranges import Checked, Count
 from twistcap.search import Problem
 from twistcap.search.recollection import Check, Recollection
 
 
 @dataclass(frozen=True)
-class ContradictionRule:
+class ContradictionRule(Checked):
     """When a camera is left out. Evidence is a ratio to what is usual for this body in this camera.
 
     Attributes:
@@ -37,8 +38,8 @@ class ContradictionRule:
     wrong: float = 0.6
     right: float = 0.8
     background: float = 0.5
-    every: int = 3
-    twice: int = 2
+    every: Count = 3
+    twice: Count = 2
 
 
 @dataclass(frozen=True)

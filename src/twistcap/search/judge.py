@@ -15,12 +15,13 @@ from twistcap.arrays import Bool, Float, Float32, Int
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Camera
 from twistcap.cues.view import View
+from twistcap.ranges import Checked, Positive
 from twistcap.region.compare import BLOCK, background_moments, label_evidence
 from twistcap.render import render
 
 
 @dataclass(frozen=True)
-class JudgeRule:
+class JudgeRule(Checked):
     """How poses are compared.
 
     Attributes:
@@ -31,11 +32,11 @@ class JudgeRule:
         clip: most that one pixel can say, nats.
     """
 
-    px_per_m: float = 60.0
-    radius: float = 0.1
-    berth: float = 0.05
-    floor: float = 4e-4
-    clip: float = 3.0
+    px_per_m: Positive = 60.0
+    radius: Positive = 0.1
+    berth: Positive = 0.05
+    floor: Positive = 4e-4
+    clip: Positive = 3.0
 
 
 def judge_of(rule: JudgeRule, views: Sequence[View], colours: Sequence[Float], posed: Posed) -> Judge:

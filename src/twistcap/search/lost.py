@@ -8,6 +8,7 @@ as strong as it usually is; else it is nowhere, and its pose is held.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from twistcap.body import Body, Pose
 from twistcap.camera import Rig
 from twistcap.cues.observation import Fit
 from twistcap.predict.history import Past, jumped
+from twistcap.ranges import Checked, Count, Range, Share
 from twistcap.search import Beginning, Problem, Revision
 from twistcap.search.contradiction import ContradictionRule, Suspicion, judged
 from twistcap.search.evidence import Witness
@@ -51,7 +53,7 @@ class Loss:
 
 
 @dataclass(frozen=True)
-class LostBody:
+class LostBody(Checked):
     """When and how the whole body is looked for. Evidence is a ratio to what is usual for this body.
 
     Attributes:
@@ -76,13 +78,13 @@ class LostBody:
     accepted: float = 0.8
     better: float = 0.1
     worth: float = 0.35
-    seen: float = 0.4
+    seen: Share = 0.4
     reach: float = 1.0
     speed: float = 2.5
-    farthest: float = 4.0
-    every: int = 10
-    first: int = 3
-    again: int = 3
+    farthest: Annotated[float, Range(0.0, 50.0)] = 4.0
+    every: Count = 10
+    first: Count = 3
+    again: Count = 3
     margin: float = 0.3
     placing: PlacingRule = field(default_factory=PlacingRule)
     contradiction: ContradictionRule = field(default_factory=ContradictionRule)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 from numba import njit
@@ -15,6 +16,7 @@ from numba import njit
 from twistcap.arrays import Bool, Float, Float32, Int
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.limbs import branches
+from twistcap.ranges import Checked, Count, Range
 from twistcap.search.evidence import Witness
 
 _UP = np.array([0.0, 0.0, 1.0])
@@ -31,7 +33,7 @@ class Stance:
 
 
 @dataclass(frozen=True)
-class PlacingRule:
+class PlacingRule(Checked):
     """How widely and how finely a body is looked for.
 
     Attributes:
@@ -43,12 +45,12 @@ class PlacingRule:
         seed: of the draws, which are the same in every run.
     """
 
-    grid: float = 0.22
-    headings: int = 8
-    turns: int = 16
-    places: int = 4
-    modes: int = 5
-    draws: int = 24
+    grid: Annotated[float, Range(0.05)] = 0.22
+    headings: Count = 8
+    turns: Count = 16
+    places: Count = 4
+    modes: Count = 5
+    draws: Count = 24
     near: tuple[float, ...] = (0.5, 0.25)
     seed: int = 0
 

@@ -20,6 +20,7 @@ from twistcap.camera import Rig
 from twistcap.cues.observation import Agreement, Fit
 from twistcap.errors import InputError
 from twistcap.predict.history import Past, rested
+from twistcap.ranges import Checked, Count, Share
 from twistcap.search import Problem, Revision
 from twistcap.search.judge import Judge, best_of
 from twistcap.stages import stage
@@ -47,7 +48,7 @@ class LimbAgreement:
 
 
 @dataclass(frozen=True)
-class SlippedLimbs:
+class SlippedLimbs(Checked):
     """When and how a limb is searched for.
 
     Attributes:
@@ -65,26 +66,23 @@ class SlippedLimbs:
         seed: of the draws, which are the same in every run.
     """
 
-    drop: float = 0.8
-    memory: float = 0.99
-    recent: float = 0.8
-    least_points: int = 12
-    hardly: float = 0.25
+    drop: Share = 0.8
+    memory: Share = 0.99
+    recent: Share = 0.8
+    least_points: Count = 12
+    hardly: Share = 0.25
     near: tuple[float, ...] = (0.5, 0.25, 0.125)
-    draws: int = 64
+    draws: Count = 64
     gain: float = 40.0
-    better: float = 0.1
+    better: Share = 0.1
     reach: float = 0.6
     seed: int = 0
     name: str = field(default="slipped limbs", init=False)
 
     def __post_init__(self) -> None:
-        if self.draws < 1 or self.least_points < 1 or self.seed < 0 or not self.near:
-            raise InputError("limb search: draws and least_points must be 1 or more, seed 0 or more, near not empty.")
-        if not all(0.0 <= value <= 1.0 for value in (self.drop, self.memory, self.recent, self.better)):
-            raise InputError("limb search: drop, memory, recent and better must be from 0 to 1.")
-        if not all(0.0 <= value < np.inf for value in (*self.near, self.gain, self.reach)):
-            raise InputError("limb search: near, gain and reach must be 0 or more, and finite.")
+        super().__post_init__()
+        if not self.near:
+            raise InputError("limb search: near is empty; give one reach or more, m.")
 
     def start(self, body: Body, rig: Rig) -> LimbAgreement:
         """No limb has been judged."""

@@ -17,6 +17,7 @@ from twistcap.body.limbs import same_limb
 from twistcap.camera import Rig
 from twistcap.cues.observation import Fit
 from twistcap.predict.history import Past, jumped
+from twistcap.ranges import Checked, Count, Positive, Share, Signed
 from twistcap.search import Problem, Revision
 
 
@@ -36,7 +37,7 @@ class Uncertainty:
 
 
 @dataclass(frozen=True)
-class UncertainLimbs:
+class UncertainLimbs(Checked):
     """When and how hypotheses are tried.
 
     A jump must be worth its risk. Neighbouring pixels err together, by texture, by shading and where the body is not
@@ -54,11 +55,11 @@ class UncertainLimbs:
         margin: nats by which one, fitted or not, must explain the images better, in this frame and in the next.
     """
 
-    least_sd: float = 0.015
-    memory: float = 0.9
-    steps: tuple[float, ...] = (-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0)
-    every: int = 3
-    promising: float = 0.0
+    least_sd: Positive = 0.015
+    memory: Share = 0.9
+    steps: tuple[Signed, ...] = (-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0)
+    every: Count = 3
+    promising: Signed = 0.0
     margin: float = 40.0
     name: str = field(default="uncertain limbs", init=False)
 

@@ -9,13 +9,14 @@ from typing import Literal
 import numpy as np
 
 from twistcap.body.humanoid import Variant
-from twistcap.errors import InputError, check_numbers
+from twistcap.errors import InputError
+from twistcap.ranges import Checked, Count, Positive
 
 Condition = Literal["exact", "mismatch"]
 
 
 @dataclass(frozen=True)
-class StudioConfig:
+class StudioConfig(Checked):
     """A synthetic capture.
 
     Attributes:
@@ -38,26 +39,25 @@ class StudioConfig:
     """
 
     seed: int = 0
-    views: int = 4
+    views: Count = 4
     size: tuple[int, int] = (384, 280)
-    frames: int = 60
-    fps: float = 60.0
+    frames: Count = 60
+    fps: Positive = 60.0
     condition: Condition = "exact"
     hard: bool = False
     one_colour: bool = False
     colour: bool = True
-    speed_factor: float = 1.0
+    speed_factor: Positive = 1.0
     dropped: tuple[tuple[int, ...], ...] = ()
     uniform_noise: float | tuple[float, ...] = 0.0
     rectangles: int = 0
     occluders: int = 0
-    motion_blur: int = 1
+    motion_blur: Count = 1
     sensor_noise: float = 0.012
     variant: Variant = "full"
 
     def __post_init__(self) -> None:
-        not_negative = ("seed", "rectangles", "occluders", "sensor_noise")
-        check_numbers("studio", self, ("fps", "speed_factor"), not_negative)
+        super().__post_init__()
         _expect(1 <= self.views <= 8, "views", self.views, "1 to 8")
         _expect(min(self.size) >= 16, "size", self.size, "at least 16 pixels each way")
         _expect(self.frames >= 1, "frames", self.frames, "1 or more")

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from twistcap.cues.observation import Level
+from twistcap.ranges import Checked, Count, Positive
 
 
 @dataclass(frozen=True)
-class Schedule:
+class Schedule(Checked):
     """Fine where the prediction was good; where it was not, coarse until the body has settled, then fine again.
 
     Attributes:
@@ -23,10 +24,10 @@ class Schedule:
         contour_spacing: m on the body between contour samples.
     """
 
-    first: int = 10
+    first: Count = 10
     fine: int = 1
     slip: float = 0.7
-    coarse: float = 3.0
+    coarse: Positive = 3.0
     coarse_rounds: int = 5
     surprise: float = 0.0085
     settled: float = 0.006

@@ -11,10 +11,11 @@ from twistcap.arrays import Bool, Float
 from twistcap.body import Body
 from twistcap.body.limbs import segments_above
 from twistcap.cues.observation import Agreement, Evidence, Measured, Visibility, total_agreement
+from twistcap.ranges import Checked, Count, Share
 
 
 @dataclass(frozen=True)
-class OcclusionRule:
+class OcclusionRule(Checked):
     """When a part counts as occluded, so that a pose prior or the prediction decides instead of what hides it.
 
     On a part in sight nearly all contour points tell inside from outside; behind something hardly any do. But a leg
@@ -29,11 +30,11 @@ class OcclusionRule:
         least_points: contour points over all views below which no part counts as occluded.
     """
 
-    hidden: float = 0.6
-    shown: float = 0.9
-    occluded: float = 0.25
-    clear: float = 0.75
-    least_points: int = 12
+    hidden: Share = 0.6
+    shown: Share = 0.9
+    occluded: Share = 0.25
+    clear: Share = 0.75
+    least_points: Count = 12
 
     def in_sight(self, agreement: Agreement, occluded: Bool) -> Float:
         """(S,) in [0, 1] how far each part is in sight, those that are `occluded` (S,) not at all.

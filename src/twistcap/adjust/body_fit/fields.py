@@ -19,6 +19,7 @@ from twistcap.arrays import Float, Int
 from twistcap.body import Body
 from twistcap.body.model import Landmarks
 from twistcap.body.shape import joint_origins, joints_shifted, marks_of, rescaled, segment_axes
+from twistcap.ranges import Checked, Count, Positive
 
 _ALIKE = 1.5  # knots, length of the correlation of two factors of cross-sections
 _STEP = 1e-4  # of the difference quotients by log-factors
@@ -239,15 +240,15 @@ class Build(Protocol):
 
 
 @dataclass(frozen=True)
-class Stretches:
+class Stretches(Checked):
     """The build of any body: stature, length and girth of each kind of segment, factors of its cross-sections. All are
     standard deviations of log-factors, but for the `knots` of the sections along a segment, and `rigid`."""
 
-    stature: float = 0.02
-    length: float = 0.01
-    girth: float = 0.12
-    section: float = 0.06
-    knots: int = 5
+    stature: Positive = 0.02
+    length: Positive = 0.01
+    girth: Positive = 0.12
+    section: Positive = 0.06
+    knots: Count = 5
     rigid: bool = True
 
     def fields(self, body: Body, amounts: Mapping[str, float]) -> Fields:

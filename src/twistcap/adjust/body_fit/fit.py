@@ -18,8 +18,9 @@ from twistcap.arrays import Bool
 from twistcap.body import Body, Pose, Posed
 from twistcap.build import build as build_model
 from twistcap.camera import Rig
-from twistcap.errors import InputError, check_numbers
+from twistcap.errors import InputError
 from twistcap.estimate import Frame
+from twistcap.ranges import Checked, Count
 from twistcap.settings import Settings
 from twistcap.solve import minimise
 from twistcap.track import Tracker
@@ -36,19 +37,17 @@ class Frames(Protocol):
 
 
 @dataclass(frozen=True)
-class FitRule:
-    """How much work a fit takes; a number below 1 is an InputError.
+class FitRule(Checked, where="body fit"):
+    """How much work a fit takes.
+
 
     In each of the `rounds` the recording is tracked with the body so far; Gauss-Newton `steps` follow. Of each
     recording the shape is fitted to `frames` frames at most, evenly spread.
     """
 
-    rounds: int = 3
-    steps: int = 4
-    frames: int = 20
-
-    def __post_init__(self) -> None:
-        check_numbers("body fit", self, ("rounds", "steps", "frames"))
+    rounds: Count = 3
+    steps: Count = 4
+    frames: Count = 20
 
 
 @dataclass(frozen=True)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from twistcap.errors import InputError, check_numbers
+from twistcap.errors import InputError
+from twistcap.ranges import Checked, Count, Positive
 
 
 @dataclass(frozen=True)
-class RefineConfig:
+class RefineConfig(Checked, where="refine"):
     """How a track is refined.
 
     Attributes:
@@ -27,20 +28,19 @@ class RefineConfig:
     Raises InputError for a number that is not finite or out of its range.
     """
 
-    rounds: int = 14
+    rounds: Count = 14
     coarse_rounds: int = 2
-    strides: tuple[int, ...] = (1, 3, 6)
-    points: int = 400
+    strides: tuple[Count, ...] = (1, 3, 6)
+    points: Count = 400
     length: float = 0.05
     girth: float = 0.04
     joint: float = 0.012
     hinge: float = 0.004
     contour: float = 1.0
     brightness: float = 0.32
-    sigma: float = 0.015
+    sigma: Positive = 0.015
 
     def __post_init__(self) -> None:
-        spreads = ("length", "girth", "joint", "hinge", "contour", "brightness", "coarse_rounds")
-        check_numbers("refine", self, ("rounds", "points", "sigma"), spreads)
-        if min(self.strides, default=0) < 1:
-            raise InputError(f"refine: strides are {list(self.strides)}; give one or more, each 1 or more.")
+        super().__post_init__()
+        if not self.strides:
+            raise InputError("refine: strides are empty; give one or more, each 1 or more.")

@@ -9,7 +9,7 @@ const waiting = [];  // questions, in the order in which they are asked
 function tell(text, kind = "soft") { message.textContent = text; message.className = kind; }
 
 async function post(path, question) {
-  const reply = await fetch(path, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(question) });
+  const reply = await fetch("." + path, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(question) });
   return reply.json();
 }
 

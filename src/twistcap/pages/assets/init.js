@@ -8,7 +8,7 @@ const clickOf = (camera, joint) => clicks[camera]?.[joint];
 function tell(text, kind = "soft") { message.textContent = text; message.className = kind; }
 
 async function post(path, question) {
-  const reply = await fetch(path, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(question) });
+  const reply = await fetch("." + path, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(question) });
   return reply.json();
 }
 

@@ -1,0 +1,82 @@
+"""The door for HDF5: a file that this process has not written itself is read in a child process.
+
+HDF5 is C, and a forged file can crash it, fill the memory or keep it busy for ever. The child has limits of time and
+memory, and hands plain arrays back; here they are checked like those of an NPZ.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from twistcap.arrays import AnyArray
+from twistcap.doors import _hdf5_dump
+from twistcap.doors.npz import npz_arrays
+from twistcap.errors import InputError
+
+_SECONDS = 6  # of the child's processor time; more for large files
+_RATE = 30 << 20  # bytes that it reads in one more
+_MEMORY = 700 << 20  # bytes of address space; more for large files
+_own: set[tuple[int, ...]] = set()
+
+
+def trust(path: str | Path) -> None:
+    """This process has just written this file: as long as nobody changes it, it is read without a child."""
+    _own.add(_stamp(path))
+
+
+def read_hdf5(path: str | Path, what: str, tops: Sequence[str] = ()) -> dict[str, AnyArray]:
+    """Arrays by path ("frames/q") and attributes by path and name ("body@name"); `tops` are the groups to read, all
+    where there are none.
+
+    Raises InputError for a file that is missing, damaged, or holds what no result holds.
+    """
+    source = f"{what} {path}"
+    try:
+        if not Path(path).is_file():
+            raise InputError(f"{source} cannot be opened: it {_absence(path)}; check its path.")
+        with open(path, "rb"):
+            pass
+        if _stamp(path) in _own:
+            return _hdf5_dump.dumped(str(path), tops)
+        return _by_child(Path(path), source, tops)
+    except OSError as error:
+        raise InputError(f"{source} cannot be read: {error.strerror or 'it is damaged'}.") from error
+    except ValueError as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(f"{source} cannot be read: {error}.") from error
+
+
+def _by_child(path: Path, source: str, tops: Sequence[str]) -> dict[str, AnyArray]:
+    size = path.stat().st_size
+    seconds, memory = _SECONDS + size // _RATE, _MEMORY + 4 * size
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "arrays.npz"
+        command = [sys.executable, "-P", _hdf5_dump.__file__, str(path.resolve()), str(out), str(seconds), str(memory)]
+        limits = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "HDF5_PLUGIN_PRELOAD": "::"}
+        environment = {key: value for key, value in os.environ.items() if not key.startswith("HDF5_")} | limits
+        try:
+            done = subprocess.run(
+                [*command, *tops], env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True,
+                errors="replace", timeout=10 * seconds, check=False,
+            )  # fmt: skip
+        except subprocess.TimeoutExpired as error:
+            raise InputError(f"{source} cannot be read: it keeps the reader busy without end.") from error
+        if done.returncode:
+            why = done.stderr.strip().splitlines()[-1:] if done.returncode == 2 else ["it is damaged"]
+            raise InputError(f"{source} cannot be read: {''.join(why) or 'it is damaged'}.")
+        return npz_arrays(out.read_bytes(), source)
+
+
+def _absence(path: str | Path) -> str:
+    return "is no file" if Path(path).exists() else "does not exist"
+
+
+def _stamp(path: str | Path) -> tuple[int, ...]:
+    found = os.stat(path)
+    return found.st_dev, found.st_ino, found.st_mtime_ns, found.st_size
