@@ -19,7 +19,7 @@ from numba import njit
 from twistcap.arrays import AnyArray, Float, Float32
 from twistcap.errors import InputError
 from twistcap.features.tvflow import tv_step
-from twistcap.ranges import Checked, Positive
+from twistcap.ranges import Checked, Count, Positive
 
 _STRENGTH = 0.2  # largest value of the structure tensor's channels: their weight beside grey
 _FLOW_STEPS, _FLOW_GROWTH = 6, 1.25  # of the TV flow, and from each to the next: fine structures need short steps

@@ -60,7 +60,7 @@ class Backdrop:
         mean, square = self.sums[..., 1 : 1 + C] / n, self.sums[..., 1 + C :] / n
         near = [cv2.blur(np.ascontiguousarray(a), (3, 3)).reshape(a.shape) for a in (mean, mean * mean)]
         variance = np.maximum(square - mean * mean, 0.0) + np.maximum(near[1] - near[0] ** 2, 0.0)
-        return np.ascontiguousarray(mean), np.ascontiguousarray(variance + np.float32(FLOOR))
+        return np.ascontiguousarray(mean, np.float32), np.ascontiguousarray(variance + FLOOR, np.float32)
 
     @property
     def background(self) -> tuple[Float32, Float32, Bool]:
@@ -77,7 +77,7 @@ class Backdrop:
         cv2.setRNGSeed(0)
         stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 10, 1e-3)
         _, labels, _ = cv2.kmeans(values, K, cast("AnyArray", None), stop, 1, cv2.KMEANS_PP_CENTERS)
-        members = np.eye(K)[labels.ravel()]
+        members = np.eye(K)[labels.ravel().astype(np.int32)]
         n = np.maximum(members.sum(axis=0), 1.0)[:, None]
         means = members.T @ values / n
         variances = np.maximum(members.T @ (values * values) / n - means * means, 0.0)

@@ -222,7 +222,7 @@ def sampled_evidence_reference(
         if s >= 0:
             out[:2, s] += ratios[s], colours[s, 0]
         else:
-            fits += fitting, 1.0
+            fits += np.array([float(fitting), 1.0])
             if not fitting and ratios.max() > 0.0:
                 out[2, ratios.argmax()] += ratios.max()
     return out, fits
