@@ -275,7 +275,7 @@ def read_result(path: str | Path) -> Result:
     """Read a result file, finished or not: all frames that are complete. Raises InputError for a file that is missing,
     no HDF5, no result, of another format, or holds what no track writes.
     """
-    held, source = _held(path, ("body", "rig", "frames", "versions")), f"result file {path}"
+    held, source = _held(path), f"result file {path}"
     rows, rig = frames_of(held, source), of_group(held, "rig", RIG, source)
     with naming(path):
         _check_frames(rows)
@@ -304,7 +304,7 @@ def read_state(path: str | Path) -> tuple[int, UInt8] | None:
     """The latest state that is whole: how many frames had been written, and its bytes (N,); None where there is none.
     Raises InputError as `read_result`.
     """
-    held, source = _held(path, ("frames", "state")), f"result file {path}"
+    held, source = _held(path), f"result file {path}"
     complete, about = len(frames_of(held, source)["index"]), of_group(held, "state", STATE, source)["about"]
     for slot in np.argsort(-about[:, 0]):
         frames, size, checksum = map(int, about[slot])
@@ -314,9 +314,9 @@ def read_state(path: str | Path) -> tuple[int, UInt8] | None:
     return None
 
 
-def _held(path: str | Path, tops: tuple[str, ...]) -> dict[str, Any]:
-    """Those groups of a file that is a result of this format."""
-    held, source = read_hdf5(path, "result file", tops), f"result file {path}"
+def _held(path: str | Path) -> dict[str, Any]:
+    """All arrays of a file that is a result of this format."""
+    held, source = read_hdf5(path, "result file"), f"result file {path}"
     if str(held.get("@format", "")) != FORMAT:
         raise InputError(f"{path} is an HDF5 file, but no twistcap result; give the result.h5 that track wrote.")
     version = int(of_group(held, "", HEAD, source)["@format_version"])
