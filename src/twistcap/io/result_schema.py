@@ -46,6 +46,7 @@ FRAMES: Schema = {
     "iterations": whole("N", least=0),
     "lost": flag("N"),
     "support": real("N", least=0.0, most=1.0, gaps=True),
+    "probability": real("N", least=0.0, most=1.0),
     "predicted": word("N"),
 }
 
