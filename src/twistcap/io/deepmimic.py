@@ -60,7 +60,7 @@ def read_deepmimic(path: Path | str, skeleton: Path | str | None = None) -> Skel
             local[:, s] = se3.exp_rotation(values * np.array([0.0, 0.0, 1.0]))
     offsets = np.array([(joint.AttachX, joint.AttachY, joint.AttachZ) for joint in joints])
     step, places, local = _even(path, rows[:-1, 0], rows[:, 1:4], local)
-    names, parents = [joint.Name for joint in joints], [joint.Parent for joint in joints]
+    names, parents = [joint.Name for joint in joints], [-1, *(joint.Parent for joint in joints[1:])]
     with naming(path):
         return SkeletonMotion.from_local(path.stem, names, parents, offsets, local, places, 1.0 / step, "y")
 
