@@ -141,3 +141,13 @@ def test_a_reference_with_an_angle_that_is_not_known(tmp_path: Path) -> None:
     (tmp_path / "walk.mot").write_text("\n".join([*lines[:-1], lines[-1].rpartition("\t")[0] + "\tnan"]))
     with pytest.raises(InputError, match=r"walk\.mot.*NaN"):
         seeds["mot reference"].read(tmp_path / "walk.mot")
+
+
+def test_durations_of_deepmimic_that_no_clock_can_add(tmp_path: Path) -> None:
+    seeds = targets(tmp_path)
+    clip = tmp_path / "clip.json"
+    for duration in ("1e-300", "1e300", "0", "-1", "9999"):
+        clip.write_text(seeds["deepmimic"].seed.read_text().replace("[[0.1,", f"[[{duration},", 1))
+        with pytest.raises(InputError, match=r"clip\.json: .*duration"):
+            seeds["deepmimic"].read(clip)
+        targets(tmp_path)

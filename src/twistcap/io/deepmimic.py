@@ -17,6 +17,7 @@ from twistcap.io.strict import validated
 from twistcap.motion.skeleton import SkeletonMotion
 
 SKELETON = "humanoid3d.txt"
+_UNEVEN = 5.0  # log of the greatest ratio of a duration to the usual one
 _WIDTHS = {"spherical": 4, "revolute": 1, "fixed": 0}
 
 
@@ -93,9 +94,9 @@ def _even(path: Path, durations: Float, places: Float, local: Float) -> tuple[fl
     """Time step, places and rotations at even times."""
     if not len(durations):
         raise InputError(f"{path}: one frame is no motion.")
-    if not np.all(durations > 0):
-        raise InputError(f"{path}: the duration of a frame is not positive.")
     step = float(np.median(durations))
+    if not (np.all(durations > 0) and 1e-4 < step < 10.0 and np.all(np.abs(np.log(durations / step)) < _UNEVEN)):
+        raise InputError(f"{path}: the duration of a frame is not positive, or far from that of the others.")
     if np.allclose(durations, step, rtol=0.01):
         return step, places, local
     times = np.concatenate([[0.0], np.cumsum(durations)])
