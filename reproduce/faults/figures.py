@@ -15,8 +15,7 @@ from twistcap.camera import Camera
 from twistcap.camera.projection import project
 from twistcap.render.raster import rasterise
 from twistcap.studio.look import Look
-from twistcap.studio.picture import SAMPLES, Layer
-from twistcap.studio.shade import shade
+from twistcap.studio.picture import SAMPLES, Layer, shade
 
 
 @dataclass(frozen=True)

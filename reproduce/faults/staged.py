@@ -17,7 +17,7 @@ from twistcap.camera import Camera
 from twistcap.studio import Capture
 from twistcap.studio.config import stream
 from twistcap.studio.look import Look
-from twistcap.studio.marring import marred, replace_pixels
+from twistcap.studio.picture import marred, replace_pixels
 
 
 @dataclass(frozen=True)
