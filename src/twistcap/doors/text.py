@@ -17,7 +17,7 @@ from twistcap.errors import InputError
 
 LARGEST = 1 << 26  # bytes of a text file, unpacked
 _DEEPEST = 40  # tables and lists in one another
-_GREATEST = 1 << 62  # whole numbers beyond it are none that we count or measure; nanoseconds stay below
+_GREATEST = 1 << 53  # whole numbers beyond it are none that we count or measure
 
 
 def read_bytes(path: Path, most: int = LARGEST) -> bytes:

@@ -87,7 +87,8 @@ def _video(name: str, source: Source) -> Iterable[tuple[str, Any]]:
         ) from error
     first = next(image for image in source.read(range(len(source))) if image is not None)
     yield f"video of {name}, bytes", sum(one.st_size for one in found)
-    yield f"video of {name}, time of change", max(one.st_mtime_ns for one in found)
+    changed = max(one.st_mtime_ns for one in found) // 1000  # µs: JSON holds them exactly
+    yield f"video of {name}, time of change", changed
     yield f"video of {name}, first picture", _digest(first)
 
 
