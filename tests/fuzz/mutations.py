@@ -10,6 +10,7 @@ import shutil
 import struct
 import zipfile
 from collections.abc import Callable
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -81,13 +82,13 @@ def of_tree(content: Any, rng: random.Random) -> Any:
     for _ in range(rng.choice((1, 1, 2, 3))):
         places = list(_places(content))
         if not places:
-            return rng.choice(OTHERS)
+            return deepcopy(rng.choice(OTHERS))
         holder, key = rng.choice(places)
         kind = rng.randrange(8)
         if kind < 3:
             holder[key] = rng.choice(NUMBERS)
         elif kind < 5:
-            holder[key] = rng.choice(OTHERS)
+            holder[key] = deepcopy(rng.choice(OTHERS))
         elif kind == 5:
             del holder[key]
         elif kind == 6:

@@ -6,7 +6,7 @@ import json
 import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib.resources import files
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -171,7 +171,7 @@ def _write(folder: Path) -> None:
         ("t.target", "0 0.1 0 0\n3 0 0.2 0\n"),
         ("a.amc", "1\nroot 0 0 0 0 0 0\nupper 4 5 6\n2\nroot 0 1 0 0 0 0\nupper 40 50 60\n"),
         ("clicks.csv", f"camera,joint,x,y\n{RIG.names[0]},knee_r,3,4\n"),
-        ("table.toml", (files("twistcap.motion") / "tables" / "humanoid.toml").read_text("utf-8")),
+        ("table.toml", (resources.files("twistcap.motion") / "tables" / "cmu.toml").read_text("utf-8")),
         ("hinge.rig.toml", 'root = "low"\n[joints.high]\nkind = "revolute"\naxes = [[0, 1, 0]]\n'),
     ):
         (folder / name).write_text(text)

@@ -125,3 +125,29 @@ def test_a_result_may_lead_nowhere_else(tmp_path: Path) -> None:
             forge(file)
         with pytest.raises(InputError, match=rf"{number}\.h5.*{told}"):
             read_result(path)
+
+
+def test_a_root_of_deepmimic_with_a_parent(tmp_path: Path) -> None:
+    """The first joint is the root, whatever its parent is said to be."""
+    seeds = targets(tmp_path)
+    skeleton = tmp_path / "skeleton.json"
+    skeleton.write_text(skeleton.read_text().replace('"Parent": -1', '"Parent": 2147483648'))
+    assert seeds["deepmimic skeleton"].read(skeleton).parents[0] == -1
+
+
+def test_a_reference_with_an_angle_that_is_not_known(tmp_path: Path) -> None:
+    seeds = targets(tmp_path)
+    lines = (tmp_path / "walk.mot").read_text().splitlines()
+    (tmp_path / "walk.mot").write_text("\n".join([*lines[:-1], lines[-1].rpartition("\t")[0] + "\tnan"]))
+    with pytest.raises(InputError, match=r"walk\.mot.*NaN"):
+        seeds["mot reference"].read(tmp_path / "walk.mot")
+
+
+def test_durations_of_deepmimic_that_no_clock_can_add(tmp_path: Path) -> None:
+    seeds = targets(tmp_path)
+    clip = tmp_path / "clip.json"
+    for duration in ("1e-300", "1e300", "0", "-1", "9999"):
+        clip.write_text(seeds["deepmimic"].seed.read_text().replace("[[0.1,", f"[[{duration},", 1))
+        with pytest.raises(InputError, match=r"clip\.json: .*duration"):
+            seeds["deepmimic"].read(clip)
+        targets(tmp_path)

@@ -13,7 +13,7 @@ from twistcap.arrays import Float
 from twistcap.body import Body
 from twistcap.doors.npz import read_npz
 from twistcap.doors.schema import Schema, real, word
-from twistcap.errors import InputError
+from twistcap.errors import InputError, naming
 from twistcap.io.angles import complete_coordinates
 from twistcap.io.markers import CLOCK, WorldAxes, read_keypoints3d, read_trc
 from twistcap.io.motion_files import poses_from_mot, read_mot
@@ -141,7 +141,8 @@ def landmark_name(marker: str) -> str:
 def _from_mot(path: Path, body: Body) -> Reference:
     """Angles of a motion file in the body's own coordinates: knees bend to positive, shoulders turn in our order."""
     table = read_mot(path)
-    poses, _ = poses_from_mot(table, body)
+    with naming(path):
+        poses, _ = poses_from_mot(table, body)
     names = complete_coordinates(body, table.columns)
     q = np.stack([pose.q for pose in poses])[:, [body.coordinate(name) for name in names]]
     knees = {name: q[:, k] for k, name in enumerate(names) if name.startswith("knee_angle")}

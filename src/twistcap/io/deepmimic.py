@@ -17,6 +17,7 @@ from twistcap.io.strict import validated
 from twistcap.motion.skeleton import SkeletonMotion
 
 SKELETON = "humanoid3d.txt"
+_UNEVEN = 5.0  # log of the greatest ratio of a duration to the usual one
 _WIDTHS = {"spherical": 4, "revolute": 1, "fixed": 0}
 
 
@@ -60,7 +61,7 @@ def read_deepmimic(path: Path | str, skeleton: Path | str | None = None) -> Skel
             local[:, s] = se3.exp_rotation(values * np.array([0.0, 0.0, 1.0]))
     offsets = np.array([(joint.AttachX, joint.AttachY, joint.AttachZ) for joint in joints])
     step, places, local = _even(path, rows[:-1, 0], rows[:, 1:4], local)
-    names, parents = [joint.Name for joint in joints], [joint.Parent for joint in joints]
+    names, parents = [joint.Name for joint in joints], [-1, *(joint.Parent for joint in joints[1:])]
     with naming(path):
         return SkeletonMotion.from_local(path.stem, names, parents, offsets, local, places, 1.0 / step, "y")
 
@@ -93,9 +94,9 @@ def _even(path: Path, durations: Float, places: Float, local: Float) -> tuple[fl
     """Time step, places and rotations at even times."""
     if not len(durations):
         raise InputError(f"{path}: one frame is no motion.")
-    if not np.all(durations > 0):
-        raise InputError(f"{path}: the duration of a frame is not positive.")
     step = float(np.median(durations))
+    if not (np.all(durations > 0) and 1e-4 < step < 10.0 and np.all(np.abs(np.log(durations / step)) < _UNEVEN)):
+        raise InputError(f"{path}: the duration of a frame is not positive, or far from that of the others.")
     if np.allclose(durations, step, rtol=0.01):
         return step, places, local
     times = np.concatenate([[0.0], np.cumsum(durations)])
