@@ -14,7 +14,7 @@ from twistcap.camera.projection import along, depth_at, project
 from twistcap.render import render
 from twistcap.render.contour import contour_samples
 from twistcap.render.raster import barycentric
-from twistcap.render.view import in_sight, off_rims
+from twistcap.render.view import blended, in_sight, off_rims
 
 BODY = humanoid()
 
@@ -47,7 +47,8 @@ def test_projections_and_barycentric_coordinates_are_those_of_the_twins() -> Non
     faces = np.arange(30, dtype=np.int32).reshape(10, 3)
     which = rng.integers(0, 10, 25).astype(np.int32)
     inside = np.einsum("nk,nki->ni", rng.dirichlet(np.ones(3), 25), pixels[faces[which]])
-    check_twin(barycentric, which, faces, pixels, nearness, inside, rtol=1e-7, atol=1e-7)
+    weights = check_twin(barycentric, which, faces, pixels, nearness, inside, rtol=1e-7, atol=1e-7)
+    check_twin(blended, rng.normal(size=(30, 4)), faces[which], weights)
 
 
 @pytest.mark.parametrize("inverse", [True, False])

@@ -113,9 +113,7 @@ class RenderedView:
         return surface_points(body, body.faces[face], weights)
 
     def visible(self, points: SurfacePoints, tolerance: float, posed: Posed | None = None) -> tuple[Bool, Float]:
-        """Which points (N,) lie in the image no more than `tolerance` m behind what is seen, and all pixels (N, 2); at
-        another pose than the rendered one where that is given.
-        """
+        """Which points (N,), at this or another pose, are at most `tolerance` m behind what is seen; all pixels."""
         pixels, nearness = projected(self.camera, points.at(posed or self.posed))
         return in_sight(pixels, nearness, self.nearness_image, self.camera.inverse_depth, tolerance), pixels
 

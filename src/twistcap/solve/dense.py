@@ -24,11 +24,6 @@ class Dense(Quadratic):
 
     longest: Float | float = 1.0
 
-    @staticmethod
-    def of(quadratic: Quadratic) -> Dense:
-        """The system of a quadratic."""
-        return Dense(quadratic.value, quadratic.gradient, quadratic.hessian)
-
     def finite(self) -> bool:
         # A sum is finite only if every number is.
         return math.isfinite(self.value + float(self.gradient.sum()) + float(self.hessian.sum()))
@@ -48,6 +43,10 @@ class Dense(Quadratic):
         gradient, hessian = np.where(held, 0.0, self.gradient), np.where(held[:, None] | held, 0.0, self.hessian)
         hessian[held, held] = 1.0
         return replace(self, gradient=gradient, hessian=hessian)
+
+    def covariance(self) -> Float:
+        """(n, n) marginal covariances of all unknowns; see `covariance`."""
+        return covariance(self)
 
 
 def covariance(quadratic: Quadratic) -> Float:

@@ -177,7 +177,8 @@ class PoseProblem:
             else:
                 self.quadratics[id(term)] = term.linearize(x)
                 total = total + self.quadratics[id(term)]
-        return Dense.of(total + sums.quadratic())
+        total = total + sums.quadratic()
+        return Dense(total.value, total.gradient, total.hessian)
 
     def retract(self, x: Posed, step: Float) -> Posed:
         """The body after a step (6 + J,) of its pose."""
