@@ -51,9 +51,10 @@ class Estimate:
         pose: root motion and joint coordinates (rad).
         covariance: (6 + J, 6 + J) of the step δ that `Pose.retract` takes (rad, m), from the solve.
         energies: energy by term.
-        status: "converged" | "max_iterations" | "no_images" | "stalled" (no step lowered the energy) | "failed".
+        status: "converged" | "max_iterations" | "no_images" | "not_found" (images, but no body in them) |
+            "stalled" (no step lowered the energy) | "failed".
         iterations: accepted solver steps.
-        lost: whether it is more probable than not that a joint is more than 150 mm off.
+        lost: whether it is likely that a joint is more than 150 mm off: by `probability`, or by `support` below 0.35.
         support: fraction of contour points that agree with the images, of the part with fewest.
         predicted: what told the pose that the frame was started from: "motion", "flow", "constant_velocity" or "hold".
         probability: that a joint is more than 150 mm off, calibrated on captures with truth.

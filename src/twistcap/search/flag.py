@@ -13,6 +13,7 @@ from twistcap.arrays import Bool, Float
 from twistcap.body import Body
 from twistcap.body.limbs import limb_parts, limbs
 from twistcap.cues.observation import Agreement
+from twistcap.ranges import Checked, Share, Signed
 from twistcap.search.recollection import Check, Recollection
 
 _FEWEST = 8.0  # contour points or covered pixels below which nothing is said of a limb
@@ -68,20 +69,21 @@ def lateness(groups: Bool, support: Float) -> Float:
 
 
 @dataclass(frozen=True)
-class FlagRule:
+class FlagRule(Checked):
     """Logistic weights: of a limb's features, of the two most doubtful limbs for the body, and of the time unseen.
 
     Attributes:
         limb: constant, then a weight of each of `features`.
         body: constant, weights of the logits of the second most and the most doubtful limb.
         unseen: constant and weight of log₁₀ of the seconds since images last showed the body.
-        lost: probability from which on it counts as lost.
+        lost: probability from which on it counts as lost. Real pictures of bodies that are not exact look more doubtful
+            than they are: at 0.5 a third of a good track (balance_4view) would be flagged.
     """
 
-    limb: tuple[float, ...] = LIMB
-    body: tuple[float, float, float] = BODY
-    unseen: tuple[float, float] = UNSEEN
-    lost: float = 0.5
+    limb: tuple[Signed, ...] = LIMB
+    body: tuple[Signed, Signed, Signed] = BODY
+    unseen: tuple[Signed, Signed] = UNSEEN
+    lost: Share = 0.75
 
     def limbs(self, signs: Float, deviation: Float) -> Float:
         """(G,) probability that each limb is lost, from its signs (G, SIGNS) and the standard deviation (G,) m that is

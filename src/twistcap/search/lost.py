@@ -134,7 +134,7 @@ class LostBody(Checked):
     def _learned(self, memory: Loss, problem: Problem, fit: Fit, check: Check) -> Loss:
         """With what a fit that is not lost teaches."""
         known = memory.known.accustomed(check)
-        due = memory.frames % (self.every if known.lessons >= 10 else self.first) == 1
+        due = (memory.frames - 1) % (self.every if known.lessons >= 10 else self.first) == 0
         if due and memory.ratio >= self.learned:
             known = known.taught(fit.posed, [sight.camera_index for sight in fit.sights], problem)
         return replace(memory, known=known)

@@ -44,7 +44,7 @@ class Model:
         searches: where else the body may be.
         schedule: how often the images are looked at, and how coarsely.
         occlusion: when the information about a part that is not in sight is taken out; None: never.
-        support: how far the images are believed.
+        support: how far the images are believed, and when a part is lost.
         flag: how probable it is that a part is lost.
         judge: how searches compare poses.
         noise: how far bodies are from where they are predicted.

@@ -153,11 +153,12 @@ def learned(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool)
         past, posterior, claimed, support, _occluded(model, fit), tuple(sorted(problem.left_out)),
         state.prints, state.learned + 1, cues, predictors, state.searches
     )  # fmt: skip
-    claims = with_claims(model, fit.posed, claimed)
+    claims, least = with_claims(model, fit.posed, claimed), float(support.min())
     by_part, probability = _loss(after, model, fit.posed, claims)
+    lost = probability >= model.flag.lost or least < model.support.least
     return after, Estimate(
         frame.index, frame.time, fit.pose, claims, fit.energies, fit.status, fit.steps,
-        probability >= model.flag.lost, float(support.min()), prediction.name, probability, by_part,
+        lost, least, prediction.name, probability, by_part,
     )  # fmt: skip
 
 
