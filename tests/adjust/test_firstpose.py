@@ -330,7 +330,7 @@ def test_bad_openpose(tmp_path: Path) -> None:
     good = write_person(tmp_path / "good.json", np.ones((25, 3)))
     for path, kwargs, says in (
         (write_person(tmp_path / "short.json", np.ones((17, 3))), {}, "75 numbers"),
-        (write_person(tmp_path / "nan.json", np.full((25, 3), np.nan)), {}, "not a finite number"),
+        (write_person(tmp_path / "nan.json", np.full((25, 3), np.nan)), {}, "write a finite number"),
         (tmp_path / "none.json", {}, "cannot be read"),
         (good, {"person": 3}, "holds 1"),
         (good, {"layout": "body_99"}, "unknown"),
