@@ -130,20 +130,20 @@ def main() -> None:
     options = parser.parse_args()
     first, _, last = options.seeds.partition("-")
     runs = list(captures(range(int(first), int(last or first) + 1), options.keep))
-    told, truth = list[Float](), list[Bool]()
+    probabilities, truth = list[Float](), list[Bool]()
     for fold in range(FOLDS):
         limb, body = fitted([run for k, run in enumerate(runs) if k % FOLDS != fold])
         for run in runs[fold::FOLDS]:
             z = body[0] + two_most(limb, run.features) @ body[1:]
-            told.append(1.0 / (1.0 + np.exp(-z[run.unseen == 0.0])))
+            probabilities.append(1.0 / (1.0 + np.exp(-z[run.unseen == 0.0])))
             truth.append(run.body[run.unseen == 0.0])
-    p, lost = np.concatenate(told), np.concatenate(truth)
+    p, lost = np.concatenate(probabilities), np.concatenate(truth)
     flag = p >= 0.5
     print(f"{len(runs)} captures, {len(p)} frames seen, {lost.sum()} lost")
     print(f"precision {(flag & lost).sum() / max(flag.sum(), 1):.3f}, recall {(flag & lost).sum() / lost.sum():.3f}")
     for k in range(10):
         within = (10 * p).astype(int).clip(0, 9) == k
-        print(f"  told {k / 10:.1f}-{k / 10 + 0.1:.1f}: {within.sum():6d} frames, lost {lost[within].mean():.2f}")
+        print(f"  {k / 10:.1f}-{k / 10 + 0.1:.1f}: {within.sum():6d} frames, lost {lost[within].mean():.2f}")
     limb, body = fitted(runs)
     gaps, gone = (np.concatenate(a) for a in ([r.unseen for r in runs], [r.body for r in runs]))
     blind = logistic(np.log10(gaps[gaps > 0.0])[:, None], gone[gaps > 0.0], 1.0)

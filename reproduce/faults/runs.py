@@ -14,7 +14,7 @@ from twistcap.arrays import Bool, Float, Int
 from twistcap.body import Body, Pose, Posed
 from twistcap.build import build
 from twistcap.camera import Rig
-from twistcap.estimate import Estimate
+from twistcap.estimate import UNSEEN, Estimate
 from twistcap.evaluate.metrics import JOINT_CENTRES, LOST_FRAME_MM
 from twistcap.track import Model, Tracker
 
@@ -78,7 +78,7 @@ class Run:
     @property
     def flagged(self) -> Bool:
         """(N,) frames in which the tracker says that it is lost, or, where nobody is in sight, sees nothing."""
-        return self.lost | (self.absent & np.array([status == "no_images" for status in self.status]))
+        return self.lost | (self.absent & np.array([status in UNSEEN for status in self.status]))
 
     def document(self) -> dict[str, Any]:
         """It for a JSON file; what is not finite is None."""

@@ -42,6 +42,10 @@ class Frame:
     keypoints: Keypoints | None = None
 
 
+UNSEEN = ("no_images", "not_found")
+"""Statuses of frames whose pose is a prediction."""
+
+
 @dataclass(frozen=True)
 class Estimate:
     """The tracker's answer for one frame.
@@ -73,3 +77,8 @@ class Estimate:
     predicted: str = "hold"
     probability: float = 0.0
     part_probability: Float | None = None
+
+    @property
+    def seen(self) -> bool:
+        """Whether images showed the body."""
+        return self.status not in UNSEEN

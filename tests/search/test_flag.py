@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from twistcap.body.humanoid import humanoid
-from twistcap.search.flag import SIGNS, FlagRule, features, flag_groups, lateness
+from twistcap.search.flag import SIGNS, FlagRule, features, flag_groups, support_signs
 
 
 def test_groups_part_the_segments() -> None:
@@ -17,9 +17,9 @@ def test_groups_part_the_segments() -> None:
 def test_a_quiet_body_is_not_lost_and_a_contradicted_one_is() -> None:
     rule, groups = FlagRule(), flag_groups(humanoid())
     good = np.full(len(groups), 0.01)
-    quiet = rule.limbs(lateness(groups, np.ones(groups.shape[1])), good)
+    quiet = rule.limbs(support_signs(groups, np.ones(groups.shape[1])), good)
     assert rule.whole(quiet) < 0.02
-    signs = lateness(groups, np.ones(groups.shape[1]))
+    signs = support_signs(groups, np.ones(groups.shape[1]))
     signs[1] = [1.0, 1.0, 0.5, 0.9, 0.9, 0.3, 0.2]
     lost = rule.limbs(signs, np.where(np.arange(len(groups)) == 1, 0.2, good))
     assert lost.argmax() == 1

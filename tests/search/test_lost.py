@@ -14,7 +14,7 @@ from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.build import build
 from twistcap.estimate import Frame
-from twistcap.search.placing import Stance, mirrored
+from twistcap.search.placing import Stance
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import Tracker
 
@@ -84,8 +84,8 @@ def test_a_bumped_camera_is_left_out_and_taken_back() -> None:
 def test_a_mirror_image_has_its_landmarks_mirrored() -> None:
     body = humanoid()
     q = np.random.default_rng(0).uniform(-0.4, 0.4, body.dof - 6)
-    turned = mirrored(body, Stance(np.eye(3), 1.0, q))
-    np.testing.assert_allclose(mirrored(body, turned).q, q)
+    turned = Stance(np.eye(3), 1.0, q).mirrored(body)
+    np.testing.assert_allclose(turned.mirrored(body).q, q)
     names = body.landmarks.names
     twin = [names.index(n.replace("_r", "_?").replace("_l", "_r").replace("_?", "_l")) for n in names]
     here, there = (Posed(body, Pose(np.eye(4), angles)).landmarks for angles in (q, turned.q))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -148,6 +149,13 @@ class Body:
 def unsided(name: str) -> str:
     """The name of a segment, coordinate or landmark without its side, ``_r`` or ``_l``."""
     return name.removesuffix("_r").removesuffix("_l")
+
+
+def partners(names: Sequence[str]) -> list[int]:
+    """The index of each name's other side, ``_r`` for ``_l``; its own where there is none."""
+    other = {"_r": "_l", "_l": "_r"}
+    mirrored = [name[:-2] + other.get(name[-2:], name[-2:]) for name in names]
+    return [names.index(m) if m in names else n for n, m in enumerate(mirrored)]
 
 
 def _within(indices: Int, least: int, below: int | AnyArray) -> bool:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from twistcap.camera import Rig
-from twistcap.estimate import Frame
+from twistcap.estimate import UNSEEN, Frame
 from twistcap.evaluate.load import Reference
 from twistcap.io.exports import FORMATS, export, format_of
 from twistcap.io.result import Result
@@ -33,7 +33,7 @@ def write_files(result: Result, session: Session, views: Views, folder: Path, ti
 def write_angle_plot(result: Result, folder: Path, truth: Reference | None = None) -> Path:
     """``angles.png``: all joint angles with their uncertainty, and the truth where there is one."""
     series = AngleSeries(result.times, result.body.coordinate_names, result.q, result.sigmas)
-    dropped = np.array([status == "no_images" for status in result.statuses])
+    dropped = np.array([status in UNSEEN for status in result.statuses])
     known = truth is not None and truth.coordinate_names
     theirs = AngleSeries(truth.times, truth.coordinate_names, truth.angles) if truth is not None and known else None
     return angle_plot(folder / "angles.png", series, theirs, result.lost, dropped, "Joint angles")

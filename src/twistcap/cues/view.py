@@ -154,14 +154,17 @@ def with_news(frame: Frame, before: tuple[int, ...], moving: bool) -> tuple[Fram
         before: fingerprints of the frame before.
         moving: whether the body has moved of late.
     """
-    samples = [None if image is None else image[::_SAMPLED, ::_SAMPLED] for image in frame.images]
-    prints = tuple(0 if sample is None else zlib.crc32(sample.tobytes()) or 1 for sample in samples)
+    samples = [None if i is None else np.ascontiguousarray(i[::_SAMPLED, ::_SAMPLED]) for i in frame.images]
+    prints = tuple(0 if sample is None else zlib.crc32(sample.data) or 1 for sample in samples)
     again = [now == then != 0 for now, then in zip(prints, before, strict=False)] or [False] * len(prints)
     stopped = moving or any(now and not same for now, same in zip(prints, again, strict=True))
-    blank = [s is not None and float(s.std()) < _BLANK * (255.0 if s.dtype == np.uint8 else 1.0) for s in samples]
-    told = [not (b or (a and stopped)) for a, b in zip(again, blank, strict=True)]
-    images = tuple(image if tells else None for image, tells in zip(frame.images, told, strict=True))
-    return (frame if all(told) else replace(frame, images=images)), prints
+    news = [not ((a and stopped) or (s is not None and _blank(s))) for a, s in zip(again, samples, strict=True)]
+    images = tuple(image if new else None for image, new in zip(frame.images, news, strict=True))
+    return (frame if all(news) else replace(frame, images=images)), prints
+
+
+def _blank(image: AnyArray) -> bool:
+    return float(cv2.meanStdDev(image)[1].max()) < _BLANK * (255.0 if image.dtype == np.uint8 else 1.0)
 
 
 def despeckled(frame: Frame, size: int) -> Frame:

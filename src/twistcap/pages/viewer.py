@@ -13,6 +13,7 @@ from twistcap.body import Posed
 from twistcap.body.kinematics import unit_vertex_normals
 from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError
+from twistcap.estimate import UNSEEN
 from twistcap.evaluate.load import Reference
 from twistcap.io.result import Result
 from twistcap.io.video import Source
@@ -122,7 +123,7 @@ def _run(name: str, result: Result, indices: Int, shown: Int, rig: Rig, width: i
         },
         "transforms": packed(transforms),
         "lost": result.lost.astype(int).tolist(),
-        "dropped": [int(status == "no_images") for status in result.statuses],
+        "dropped": [int(status in UNSEEN) for status in result.statuses],
         "coordinates": list(body.coordinate_names),
         "angles_deg": packed(np.rad2deg(result.q)),
         "sigma_deg": packed(np.rad2deg(np.nan_to_num(result.sigmas))),

@@ -55,50 +55,56 @@ class Suspicion:
     waiting: int = 0
 
 
-def judged(
-    rule: ContradictionRule, memory: Suspicion, known: Recollection, fit: Fit, problem: Problem
-) -> tuple[frozenset[int], Suspicion, Fit]:
-    """The cameras that are left out from now on, what is remembered, and the fit without them."""
+@dataclass(frozen=True)
+class Judged:
+    """A frame's problem, its fit, and how its pictures agree with that."""
+
+    problem: Problem
+    fit: Fit
+    check: Check
+
+
+def judged(rule: ContradictionRule, memory: Suspicion, known: Recollection, now: Judged) -> tuple[Judged, Suspicion]:
+    """The frame without the cameras that are left out from now on, and what is remembered."""
     if memory.waiting:
-        return problem.left_out, replace(memory, waiting=memory.waiting - 1), fit
-    if problem.left_out:
-        left_out, memory = _taken_back(rule, memory, known, fit, problem)
-        problem, memory = problem.excluding(left_out), replace(memory, waiting=rule.every - 1)
-    each = known.ratios(*_pair(known.check(fit.posed, fit.sights, problem)))
+        return now, replace(memory, waiting=memory.waiting - 1)
+    if now.problem.left_out:
+        left_out, memory = _taken_back(rule, memory, known, now)
+        now = replace(now, problem=now.problem.excluding(left_out))
+        memory = replace(memory, waiting=rule.every - 1)
+    each = known.ratios(now.check)
     if np.nan_to_num(each, nan=1.0).min() >= rule.suspect:
-        return problem.left_out, memory, fit
-    found = _contradicting(rule, known, each, fit, problem)
-    memory = replace(memory, waiting=rule.every - 1)
-    return (problem.left_out, memory, fit) if found is None else (problem.left_out | {found[0]}, memory, found[1])
+        return now, memory
+    return _without_contradicting(rule, known, each, now) or now, replace(memory, waiting=rule.every - 1)
 
 
-def _contradicting(
-    rule: ContradictionRule, known: Recollection, each: Float, fit: Fit, problem: Problem
-) -> tuple[int, Fit] | None:
-    """A camera that contradicts all others, and the fit without it; None where there is none."""
+def _without_contradicting(rule: ContradictionRule, known: Recollection, each: Float, now: Judged) -> Judged | None:
+    """The frame without a camera that contradicts all others; None where there is none."""
     cameras = [int(c) for c in np.flatnonzero(~np.isnan(each))]
     if len(cameras) == 2:
-        moved = _moved(rule, known, known.check(fit.posed, fit.sights, problem), cameras)
-        return None if moved is None else (moved, problem.without(moved).align(problem.start))
+        moved = _moved(rule, known, now.check, cameras)
+        return None if moved is None else _without(moved, known, now.problem)
     for camera in sorted(cameras, key=lambda c: each[c])[: 2 if len(cameras) > 2 else 0]:
         if each[camera] >= rule.suspect:
             break
-        other = problem.without(camera).align(problem.start)
-        here = known.ratio(*_pair(known.check(other.posed, other.sights, problem)))
-        if here >= rule.agreeing and _there(known, camera, other, problem) < rule.wrong:
-            return camera, other
+        other = _without(camera, known, now.problem)
+        if known.ratio(other.check) >= rule.agreeing and _there(known, camera, other) < rule.wrong:
+            return other
     return None
 
 
-def _there(known: Recollection, camera: int, fit: Fit, problem: Problem) -> float:
+def _without(camera: int, known: Recollection, problem: Problem) -> Judged:
+    """The frame fitted without a camera."""
+    problem = problem.without(camera)
+    fit = problem.align(problem.start)
+    return Judged(problem, fit, known.check(fit.posed, fit.sights, problem))
+
+
+def _there(known: Recollection, camera: int, others: Judged) -> float:
     """Evidence in a camera where the others see the body; 0 where it is not in its picture."""
-    sight = problem.look(camera, fit.posed)
-    check = known.check(fit.posed, [] if sight is None else [sight], problem)
-    return float(np.nan_to_num(known.ratios(*_pair(check))[camera]))
-
-
-def _pair(check: Check) -> tuple[Float, Float]:
-    return check.nats, check.pixels
+    sight = others.problem.look(camera, others.fit.posed)
+    check = known.check(others.fit.posed, [] if sight is None else [sight], others.problem)
+    return float(np.nan_to_num(known.ratios(check)[camera]))
 
 
 def _moved(rule: ContradictionRule, known: Recollection, check: Check, cameras: Sequence[int]) -> int | None:
@@ -109,12 +115,12 @@ def _moved(rule: ContradictionRule, known: Recollection, check: Check, cameras: 
 
 
 def _taken_back(
-    rule: ContradictionRule, memory: Suspicion, known: Recollection, fit: Fit, problem: Problem
+    rule: ContradictionRule, memory: Suspicion, known: Recollection, now: Judged
 ) -> tuple[frozenset[int], Suspicion]:
     """Cameras that are still left out, after a look at what each shows where the others see the body."""
-    agreed = {camera: memory.agreed.get(camera, 0) for camera in problem.left_out}
-    for camera in problem.left_out:
-        if problem.frame.images[camera] is not None:
-            agrees = _there(known, camera, fit, problem) >= rule.right
+    agreed = {camera: memory.agreed.get(camera, 0) for camera in now.problem.left_out}
+    for camera in agreed:
+        if now.problem.frame.images[camera] is not None:
+            agrees = _there(known, camera, now) >= rule.right
             agreed[camera] = agreed[camera] + 1 if agrees else 0
     return frozenset(c for c in agreed if agreed[c] < rule.twice), replace(memory, agreed=agreed)

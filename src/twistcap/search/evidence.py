@@ -22,7 +22,7 @@ what is like neither body nor background speaks for neither."""
 
 
 @dataclass(frozen=True)
-class Stage:
+class EvidenceView:
     """One camera's small image as evidence.
 
     Attributes:
@@ -36,28 +36,28 @@ class Stage:
     maps: Float32
 
     @cached_property
-    def anyone(self) -> Float32:
+    def any_part(self) -> Float32:
         """(1, h, w) how each pixel and those about it speak for any part at all."""
         return np.asarray(cv2.blur(self.maps.max(axis=0), (5, 5)), np.float32)[None]
 
 
 @dataclass(frozen=True)
-class Witness:
+class Evidence:
     """All cameras together: the evidence of whole poses."""
 
     body: Body
-    stages: Sequence[Stage]
+    views: Sequence[EvidenceView]
 
     def by_part(self, pose: Pose | Posed) -> tuple[Float, Float]:
         """(cameras, S) nats for each part in each camera, and the number of its pixels."""
         posed = pose if isinstance(pose, Posed) else Posed(self.body, pose)
-        found = [covered_evidence(stage.maps, render(posed, stage.camera).part) for stage in self.stages]
+        found = [covered_evidence(view.maps, render(posed, view.camera).part) for view in self.views]
         return np.array([f[0] for f in found]), np.array([f[1] for f in found])
 
-    def evidence(self, pose: Pose) -> float:
+    def of(self, pose: Pose) -> float:
         """Nats for a body at a pose; none at all has 0. A camera that contradicts has no less."""
         posed = Posed(self.body, pose)
-        each = (float(covered_evidence(s.maps, render(posed, s.camera).part)[0].sum()) for s in self.stages)
+        each = (float(covered_evidence(view.maps, render(posed, view.camera).part)[0].sum()) for view in self.views)
         return sum(max(nats, 0.0) for nats in each)
 
 

@@ -61,7 +61,7 @@ def limb_signs(groups: Bool, known: Recollection, check: Check, agreement: Agree
     return np.stack([clear, in_view, np.minimum(bare, 3.0), off, late, silent, unseen], axis=1)
 
 
-def lateness(groups: Bool, support: Float) -> Float:
+def support_signs(groups: Bool, support: Float) -> Float:
     """(G, SIGNS) signs where only the running support (S,) is known."""
     signs = np.zeros((len(groups), SIGNS))
     signs[:, 4] = [(1.0 - support[group]).max() for group in groups]

@@ -12,43 +12,41 @@ from typing import Annotated
 
 import numpy as np
 
-from twistcap.arrays import Float
+from twistcap.arrays import Bool, Float
 from twistcap.body import Body, Pose
 from twistcap.camera import Rig
 from twistcap.cues.observation import Fit
-from twistcap.predict.history import Past, jumped
+from twistcap.predict.history import Moment, Past, jumped
 from twistcap.ranges import Checked, Count, Range, Share
 from twistcap.search import Beginning, Problem, Revision
-from twistcap.search.contradiction import ContradictionRule, Suspicion, judged
-from twistcap.search.evidence import Witness
+from twistcap.search.contradiction import ContradictionRule, Judged, Suspicion, judged
+from twistcap.search.evidence import Evidence
 from twistcap.search.flag import flag_groups, limb_signs
-from twistcap.search.placing import Hypothesis, Placing, PlacingRule, mirrored
-from twistcap.search.recollection import Check, Recollection
+from twistcap.search.placing import Hypothesis, Placing, PlacingRule
+from twistcap.search.recollection import Covered, Recollection
 from twistcap.stages import stage
 
 
 @dataclass(frozen=True)
-class Loss:
+class LostMemory:
     """What is remembered.
 
     Attributes:
         known: what the recording has taught.
+        groups: (G, S) segments of each limb and of the rest of the body.
         suspicion: of cameras.
         frames: counted.
-        failures: searches in turn that have found nothing better.
         waiting: frames until the next one.
         nowhere: whether the last one found the body nowhere.
-        ratio: evidence of the last fit, over what is usual.
         signs: (G, SIGNS) of loss, of each limb and the rest of the body.
     """
 
     known: Recollection
+    groups: Bool
     suspicion: Suspicion = field(default_factory=lambda: Suspicion({}))
     frames: int = 0
-    failures: int = 0
     waiting: int = 0
     nowhere: bool = False
-    ratio: float = 1.0
     signs: Float | None = None
 
 
@@ -90,14 +88,14 @@ class LostBody(Checked):
     contradiction: ContradictionRule = field(default_factory=ContradictionRule)
     name: str = field(default="lost body", init=False)
 
-    def start(self, body: Body, rig: Rig) -> Loss:
+    def start(self, body: Body, rig: Rig) -> LostMemory:
         """Nothing is known."""
-        return Loss(Recollection.blank(body, rig))
+        return LostMemory(Recollection.blank(body, rig), flag_groups(body))
 
     def wanted_margin(self, past: Past, time: float) -> float | None:
         """It looks at whole images itself."""
 
-    def begin(self, memory: Loss, problem: Problem) -> tuple[Beginning | None, Loss]:
+    def begin(self, memory: LostMemory, problem: Problem) -> tuple[Beginning | None, LostMemory]:
         """Where the images show the body, after a gap, or while it is nowhere."""
         if not memory.known.lessons or not (memory.nowhere or self._gap(problem.past, problem.frame.time)):
             return None, memory
@@ -105,50 +103,47 @@ class LostBody(Checked):
             return Beginning(None) if memory.nowhere else None, replace(memory, waiting=memory.waiting - 1)
         pose = self._searched(memory, problem, 0.0)
         if pose is not None:
-            return Beginning(pose), replace(memory, failures=0, nowhere=False)
+            return Beginning(pose), replace(memory, nowhere=False)
         if not memory.known.sure:
             return None, memory
-        return Beginning(None), replace(memory, failures=memory.failures + 1, waiting=self.again - 1, nowhere=True)
+        return Beginning(None), replace(memory, waiting=self.again - 1, nowhere=True)
 
-    def revise(self, memory: Loss, problem: Problem, fit: Fit) -> tuple[Revision | None, Loss]:
+    def revise(self, memory: LostMemory, problem: Problem, fit: Fit) -> tuple[Revision | None, LostMemory]:
         """The body elsewhere, where the fit is lost; else the fit is learned from."""
-        memory = replace(memory, frames=memory.frames + 1)
-        if not memory.known.sure:
-            return None, self._learned(memory, problem, fit, memory.known.check(fit.posed, fit.sights, problem))
-        left_out, suspicion, fit = judged(self.contradiction, memory.suspicion, memory.known, fit, problem)
-        memory = replace(memory, suspicion=suspicion)
-        if left_out != problem.left_out:
-            problem = problem.excluding(left_out)
-        check = memory.known.check(fit.posed, fit.sights, problem)
-        signs = limb_signs(flag_groups(problem.body), memory.known, check, fit.agreement, problem.support(fit))
-        ratio = memory.known.ratio(check.nats, check.pixels)
-        memory = replace(memory, ratio=1.0 if np.isnan(ratio) else ratio, signs=signs)
-        if memory.ratio < self.least:
-            revision, memory = self._elsewhere(memory, problem, memory.ratio)
-            if revision is not None:
-                return replace(revision, left_out=left_out), memory
-        else:
-            memory = self._learned(replace(memory, failures=0, waiting=0), problem, fit, check)
-        return Revision(fit, problem.past.moments[-1], left_out=left_out), memory
+        known, memory = memory.known, replace(memory, frames=memory.frames + 1)
+        now = Judged(problem, fit, known.check(fit.posed, fit.sights, problem))
+        if not known.sure:
+            return None, self._learned(memory, now, 1.0)
+        now, suspicion = judged(self.contradiction, memory.suspicion, known, now)
+        signs = limb_signs(memory.groups, known, now.check, now.fit.agreement, problem.support(now.fit))
+        memory = replace(memory, suspicion=suspicion, signs=signs)
+        ratio = known.ratio(now.check)
+        revision = None
+        if ratio < self.least:
+            revision, memory = self._elsewhere(memory, now.problem, ratio)
+        else:  # or nothing can be said
+            memory = self._learned(replace(memory, waiting=0), now, float(np.nan_to_num(ratio, nan=1.0)))
+        revision = revision or Revision(now.fit, problem.past.moments[-1])
+        return replace(revision, left_out=now.problem.left_out), memory
 
-    def _learned(self, memory: Loss, problem: Problem, fit: Fit, check: Check) -> Loss:
+    def _learned(self, memory: LostMemory, now: Judged, ratio: float) -> LostMemory:
         """With what a fit that is not lost teaches."""
-        known = memory.known.accustomed(check)
+        known = memory.known.accustomed(now.check)
         due = (memory.frames - 1) % (self.every if known.lessons >= 10 else self.first) == 0
-        if due and memory.ratio >= self.learned:
-            known = known.taught(fit.posed, [sight.camera_index for sight in fit.sights], problem)
+        if due and ratio >= self.learned:
+            known = known.taught(now.fit.posed, [sight.camera_index for sight in now.fit.sights], now.problem)
         return replace(memory, known=known)
 
-    def _elsewhere(self, memory: Loss, problem: Problem, ratio: float) -> tuple[Revision | None, Loss]:
+    def _elsewhere(self, memory: LostMemory, problem: Problem, ratio: float) -> tuple[Revision | None, LostMemory]:
         """The body found elsewhere; nowhere, if the fit is not on it either."""
         last = problem.past.moments[-1]
         pose = None if memory.waiting else self._searched(memory, problem, ratio + self.better)
         if pose is not None:
             fit = problem.afresh(pose, self.margin)
             last = jumped(last, fit.pose.minus(problem.start), fit.pose)
-            return Revision(fit, last, jumped=True), replace(memory, failures=0, waiting=0, nowhere=False)
-        nowhere, waiting = ratio < self.none, (memory.waiting or self.again) - 1
-        memory = replace(memory, failures=memory.failures + 1, waiting=waiting, nowhere=nowhere)
+            return Revision(fit, last, jumped=True), replace(memory, waiting=0, nowhere=False)
+        nowhere = ratio < self.none
+        memory = replace(memory, waiting=(memory.waiting or self.again) - 1, nowhere=nowhere)
         return (Revision(None, last) if nowhere else None), memory
 
     def _gap(self, past: Past, time: float) -> bool:
@@ -156,44 +151,44 @@ class LostBody(Checked):
         usual = past.moments[-1].time - past.moments[-2].time if past.moving else 0.0
         return past.started and time - past.seen_time > max(self.after, 1.5 * usual)
 
-    def _searched(self, memory: Loss, problem: Problem, least: float) -> Pose | None:
+    def _searched(self, memory: LostMemory, problem: Problem, least: float) -> Pose | None:
         with stage("search"):
-            witness = memory.known.witness(problem)
-            return self.found(memory.known, problem, witness, max(least, self.accepted)) if witness.stages else None
+            evidence = memory.known.evidence(problem)
+            return self.found(memory.known, problem, evidence, max(least, self.accepted)) if evidence.views else None
 
-    def found(self, known: Recollection, problem: Problem, witness: Witness, least: float) -> Pose | None:
+    def found(self, known: Recollection, problem: Problem, evidence: Evidence, least: float) -> Pose | None:
         """The pose that the images show; None where they show no body clearly enough."""
-        placing = Placing(witness, self.placing)
+        placing = Placing(evidence, self.placing)
         last = (problem.past.seen or problem.past.moments)[-1]
-        usually = float(witness.by_part(last.pose)[1].sum())
-        modes = self._modes(known, problem, placing)
+        usually = float(evidence.by_part(last.pose)[1].sum())
+        modes = self._modes(known, problem, placing, last)
         fitted = [
-            self._fitted(problem, witness, h) for h in modes if self._ratio(known, witness, h, usually) >= self.worth
+            self._fitted(problem, evidence, h) for h in modes if self._ratio(known, evidence, h, usually) >= self.worth
         ]
         if not fitted:
             return None
-        best = max(fitted, key=lambda h: h.evidence)
+        best = max(fitted, key=lambda h: h.nats)
         refined = placing.refined(best)
-        if refined.evidence > best.evidence:
-            best = max(best, self._fitted(problem, witness, refined), key=lambda h: h.evidence)
-        return best.pose if self._ratio(known, witness, best, usually) >= least else None
+        if refined.nats > best.nats:
+            best = max(best, self._fitted(problem, evidence, refined), key=lambda h: h.nats)
+        return best.pose if self._ratio(known, evidence, best, usually) >= least else None
 
-    def _modes(self, known: Recollection, problem: Problem, placing: Placing) -> list[Hypothesis]:
+    def _modes(self, known: Recollection, problem: Problem, placing: Placing, last: Moment) -> list[Hypothesis]:
         """What is worth a fit: where the body was or is expected, and where its stances fit the pictures."""
-        stances = [*known.stances, *(mirrored(problem.body, s) for s in known.stances)]
-        last = (problem.past.seen or problem.past.moments)[-1]
+        stances = [*known.stances, *(stance.mirrored(problem.body) for stance in known.stances)]
         reach = min(self.reach + self.speed * (problem.frame.time - last.time), self.farthest)
         places = placing.places(stances[:: max(1, len(stances) // 3)], last.pose.root[:2, 3], reach)
         near = [placing.hypothesis(pose) for pose in (problem.start, problem.past.last, last.pose)]
         return placing.distinct([*placing.standing(stances, places), *near])
 
-    def _ratio(self, known: Recollection, witness: Witness, h: Hypothesis, usually: float) -> float:
+    def _ratio(self, known: Recollection, evidence: Evidence, h: Hypothesis, usually: float) -> float:
         """Evidence over what is usual for a body that is seen like that; less where little of it is seen."""
         each = np.zeros((2, *known.nats.shape))
-        each[:, [stage.index for stage in witness.stages]] = witness.by_part(h.pose)
-        return min(float(np.nan_to_num(known.ratio(each[0], each[1]))), each[1].sum() / (self.seen * max(usually, 1.0)))
+        each[:, [view.index for view in evidence.views]] = evidence.by_part(h.pose)
+        ratio = float(np.nan_to_num(known.ratio(Covered(each[0], each[1]))))
+        return min(ratio, each[1].sum() / (self.seen * max(usually, 1.0)))
 
-    def _fitted(self, problem: Problem, witness: Witness, h: Hypothesis) -> Hypothesis:
+    def _fitted(self, problem: Problem, evidence: Evidence, h: Hypothesis) -> Hypothesis:
         pose = problem.afresh(h.pose, self.margin).pose
-        value = witness.evidence(pose)
-        return Hypothesis(pose, value) if value > h.evidence else h
+        value = evidence.of(pose)
+        return Hypothesis(pose, value) if value > h.nats else h

@@ -13,13 +13,16 @@ from typing import Annotated
 import numpy as np
 from numba import njit
 
+from twistcap import se3
 from twistcap.arrays import Bool, Float, Float32, Int
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.limbs import branches
+from twistcap.body.model import partners, unsided
 from twistcap.ranges import Checked, Count, Range
-from twistcap.search.evidence import Witness
+from twistcap.search.evidence import Evidence
 
 _UP = np.array([0.0, 0.0, 1.0])
+_FLIP = np.diag([1.0, -1.0, 1.0])
 _POINTS = 120  # of the surface, by which a hypothesis is judged roughly
 
 
@@ -30,6 +33,17 @@ class Stance:
     turn: Float
     height: float
     q: Float
+
+    def facing(self, heading: Float) -> Pose:
+        """It over the origin, turned by a heading (3, 3)."""
+        return Pose(se3.transform(heading @ self.turn, self.height * _UP), self.q)
+
+    def mirrored(self, body: Body) -> Stance:
+        """Its mirror image, left for right: turns about x and z change sign in the middle of the body."""
+        names = body.coordinate_names
+        partner = partners(names)
+        turned = np.array([unsided(name) == name for name in names]) & (np.abs(body.twists[:, 1]) < 0.7)
+        return Stance(_FLIP @ self.turn @ _FLIP, self.height, np.where(turned, -self.q, self.q[partner]))
 
 
 @dataclass(frozen=True)
@@ -60,7 +74,7 @@ class Hypothesis:
     """A pose and its evidence, nats."""
 
     pose: Pose
-    evidence: float
+    nats: float
 
 
 @dataclass(frozen=True)
@@ -68,88 +82,77 @@ class Placing:
     """The search in one frame.
 
     Attributes:
-        witness: the evidence.
+        evidence: of the frame's pictures.
         rule: how it is done.
     """
 
-    witness: Witness
+    evidence: Evidence
     rule: PlacingRule
 
     @property
     def body(self) -> Body:
         """That is looked for."""
-        return self.witness.body
+        return self.evidence.body
 
     @cached_property
     def _sample(self) -> Int:
         """Vertices that stand for the surface, spread evenly over it."""
         return np.linspace(0, len(self.body.vertices) - 1, _POINTS).astype(np.int32)
 
-    def _rough(self, points: Float, offsets: Float) -> Float:
-        """(N,) evidence of a body's points (P, 3) at each of the offsets (N, 3)."""
-        part = self.body.vertex_part[self._sample]
+    def _rough(self, points: Float, offsets: Float, any_part: bool = False) -> Float:
+        """(N,) evidence of a body's points (P, 3) at each of the offsets (N, 3); with `any_part`, where any part may be
+        anywhere on the body.
+        """
+        part = np.zeros(len(points), np.int32) if any_part else self.body.vertex_part[self._sample]
         out = np.zeros(len(offsets))
-        for stage in self.witness.stages:
-            out += moved_evidence(stage.maps, stage.camera.P, points, part, offsets)
+        for view in self.evidence.views:
+            out += moved_evidence(view.any_part if any_part else view.maps, view.camera.P, points, part, offsets)
         return out
 
-    def _anywhere(self, points: Float, offsets: Float) -> Float:
-        """The same where any part may be anywhere on the body."""
-        out, part = np.zeros(len(offsets)), np.zeros(len(points), np.int32)
-        for stage in self.witness.stages:
-            out += moved_evidence(stage.anyone, stage.camera.P, points, part, offsets)
-        return out
-
-    def _points(self, turn: Float, height: float, q: Float) -> Float:
-        root = np.eye(4)
-        root[:3, :3], root[2, 3] = turn, height
-        return Posed(self.body, Pose(root, q)).vertices[self._sample]
+    def _points(self, pose: Pose) -> Float:
+        return Posed(self.body, pose).vertices[self._sample]
 
     def places(self, stances: Sequence[Stance], centre: Float, reach: float) -> Float:
-        """(P, 2) the best horizontal places within `reach` m of a centre (2,), the best first."""
+        """(P, 3) the best horizontal places within `reach` m of a centre (2,), the best first; their height is 0."""
         n = int(np.ceil(reach / self.rule.grid))
-        steps = self.rule.grid * np.arange(-n, n + 1)
-        x, y = np.meshgrid(centre[0] + steps, centre[1] + steps)
-        offsets = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
+        steps = self.rule.grid * np.linspace(-n, n, 2 * n + 1)
+        offsets = np.append(centre, 0.0) + _grid(steps)
         best = np.full(len(offsets), -np.inf)
         for stance in stances:
-            for angle in 2.0 * np.pi * np.arange(self.rule.headings) / self.rule.headings:
-                points = self._points(about_up(angle) @ stance.turn, stance.height, stance.q)
-                best = np.maximum(best, self._anywhere(points, offsets))
+            for heading in _headings(self.rule.headings):
+                best = np.maximum(best, self._rough(self._points(stance.facing(heading)), offsets, any_part=True))
         chosen = list[int]()
         for k in np.argsort(-best):
             if all(np.hypot(*(offsets[k] - offsets[j])[:2]) > 1.5 * self.rule.grid for j in chosen):
                 chosen.append(int(k))
             if len(chosen) == self.rule.places:
                 break
-        return offsets[chosen, :2]
+        return offsets[chosen]
 
     def standing(self, stances: Sequence[Stance], places: Float) -> list[Hypothesis]:
-        """The best of all stances in all headings at some places (P, 2), moved to where each fits; the best first."""
-        local = self.rule.grid * np.array([(x, y, z) for x in (-0.5, 0, 0.5) for y in (-0.5, 0, 0.5) for z in (0,)])
+        """The roughly best of all stances in all headings at some places (P, 3), moved to where each fits."""
+        about = _grid(self.rule.grid * np.linspace(-0.5, 0.5, 3))
         found = list[tuple[float, Pose]]()
         for stance in stances:
-            for angle in 2.0 * np.pi * np.arange(self.rule.turns) / self.rule.turns:
-                turn = about_up(angle) @ stance.turn
-                points = self._points(turn, stance.height, stance.q)
+            for heading in _headings(self.rule.turns):
+                pose = stance.facing(heading)
+                points = self._points(pose)
                 for place in places:
-                    offsets = local + np.append(place, 0.0)
-                    values = self._rough(points, offsets)
+                    values = self._rough(points, place + about)
                     k = int(np.argmax(values))
-                    root = np.eye(4)
-                    root[:3, :3], root[:3, 3] = turn, offsets[k] + stance.height * _UP
-                    found.append((float(values[k]), Pose(root, stance.q)))
+                    root = se3.transform(pose.root[:3, :3], pose.root[:3, 3] + place + about[k])
+                    found.append((float(values[k]), Pose(root, pose.q)))
         found.sort(key=lambda item: -item[0])
         return [self.hypothesis(pose) for _, pose in found[: 8 * self.rule.modes]]
 
     def hypothesis(self, pose: Pose) -> Hypothesis:
         """A pose with its evidence."""
-        return Hypothesis(pose, self.witness.evidence(pose))
+        return Hypothesis(pose, self.evidence.of(pose))
 
     def distinct(self, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
         """The best, best first, each of which puts some part elsewhere than all before it; `modes` at most."""
         kept, middles = list[Hypothesis](), list[Float]()
-        for h in sorted(hypotheses, key=lambda h: -h.evidence):
+        for h in sorted(hypotheses, key=lambda h: -h.nats):
             here = Posed(self.body, h.pose).segment_middles
             if all(np.abs(here - there).max() > 0.12 for there in middles):
                 kept.append(h)
@@ -165,8 +168,8 @@ class Placing:
             for branch in branches(self.body):
                 for _ in range(self.rule.draws):
                     pose = h.pose.retract(self._step(rng, branch, near, h.pose)).within(self.body.limits)
-                    value = self.witness.evidence(pose)
-                    if value > h.evidence:
+                    value = self.evidence.of(pose)
+                    if value > h.nats:
                         h = Hypothesis(pose, value)
         return h
 
@@ -179,10 +182,15 @@ class Placing:
         return step
 
 
-def about_up(angle: float) -> Float:
-    """(3, 3) turn about the vertical, rad."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+def _headings(count: int) -> Float:
+    """(count, 3, 3) turns about the vertical, evenly spread."""
+    return se3.exp_rotation(np.outer(2.0 * np.pi * np.arange(count) / count, _UP))
+
+
+def _grid(steps: Float) -> Float:
+    """(N·N, 3) horizontal offsets of a square grid."""
+    x, y = np.meshgrid(steps, steps)
+    return np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
 
 
 @njit(cache=True, nogil=True)
@@ -214,23 +222,3 @@ def moved_evidence_reference(maps: Float32, P: Float, points: Float, part: Int, 
     c, r = (np.trunc(a / np.where(w > 0.0, w, 1.0) + 0.5).astype(int) for a in (x, y))
     inside = (w > 0.0) & (c >= 0) & (c < width) & (r >= 0) & (r < height)
     return np.where(inside, maps[part, np.where(inside, r, 0), np.where(inside, c, 0)], 0.0).sum(axis=1)
-
-
-def mirrored(body: Body, stance: Stance) -> Stance:
-    """The stance of the mirror image, left for right."""
-    return Stance(_FLIP @ stance.turn @ _FLIP, stance.height, _mirror(body, stance.q))
-
-
-_FLIP = np.diag([1.0, -1.0, 1.0])
-
-
-def _mirror(body: Body, q: Float) -> Float:
-    """(J,) coordinates of the mirror image: sides change places; in the middle turns about x and z change sign."""
-    names, out = list(body.coordinate_names), q.copy()
-    for k, name in enumerate(names):
-        side, other = name[-2:], {"_r": "_l", "_l": "_r"}
-        if side in other and (twin := name[:-2] + other[side]) in names:
-            out[k] = q[names.index(twin)]
-        elif side not in other and abs(body.twists[k, 1]) < 0.7:
-            out[k] = -q[k]
-    return out

@@ -14,7 +14,7 @@ from twistcap.cues.observation import Sight
 from twistcap.render import render
 from twistcap.search import Problem
 from twistcap.search.backdrop import Backdrop, small_camera, small_features
-from twistcap.search.evidence import Stage, Witness, evidence_maps, sampled_evidence
+from twistcap.search.evidence import Evidence, EvidenceView, evidence_maps, sampled_evidence
 from twistcap.search.placing import Stance
 
 CLIP = 3.0
@@ -28,18 +28,27 @@ _SAMPLES = 36.0  # per m, pixels that are looked at in every frame
 
 
 @dataclass(frozen=True)
-class Check:
-    """How the pictures agree with a fit.
+class Covered:
+    """What the pictures say where a body covers them.
 
     Attributes:
-        nats: (cameras, S) evidence of each part where it covers the picture.
-        pixels: (cameras, S) pixels that it covers, weighted by the confidence in its colours.
-        uncovered: (cameras, S) evidence for each part where nothing covers the picture.
-        fitting: (cameras,) fraction of the other pixels that fit the background; NaN where there are none.
+        nats: (cameras, S) evidence of each part.
+        pixels: (cameras, S) that it covers, weighted by the confidence in its colours.
     """
 
     nats: Float
     pixels: Float
+
+
+@dataclass(frozen=True)
+class Check(Covered):
+    """How the pictures agree with a fit.
+
+    Attributes:
+        uncovered: (cameras, S) evidence for each part where nothing covers the picture.
+        fitting: (cameras,) fraction of the other pixels that fit the background; NaN where there are none.
+    """
+
     uncovered: Float
     fitting: Float
 
@@ -90,23 +99,23 @@ class Recollection:
         """Whether the body has been seen before known background often enough to judge by it."""
         return float(self.pixels.sum()) >= _ENOUGH
 
-    def ratios(self, nats: Float, pixels: Float) -> Float:
-        """(cameras,) evidence (cameras, S) of a body that covers so many pixels (cameras, S), over what is usual for so
-        many; NaN in cameras that show nearly nothing of it.
+    def ratios(self, covered: Covered) -> Float:
+        """(cameras,) evidence of a body over what is usual for so many pixels; NaN in cameras that show nearly nothing
+        of it.
         """
-        usual = (self.usual * pixels).sum(axis=1)
-        enough = pixels.sum(axis=1) > np.maximum(0.15 * self.pixels.sum(axis=1), _FEW)
-        return np.where(enough & (usual > 0.0), nats.sum(axis=1) / np.maximum(usual, 1e-9), np.nan)
+        usual, pixels = (self.usual * covered.pixels).sum(axis=1), covered.pixels.sum(axis=1)
+        enough = pixels > np.maximum(0.15 * self.pixels.sum(axis=1), _FEW)
+        return np.where(enough & (usual > 0.0), covered.nats.sum(axis=1) / np.maximum(usual, 1e-9), np.nan)
 
-    def ratio(self, nats: Float, pixels: Float) -> float:
+    def ratio(self, covered: Covered) -> float:
         """The same of all cameras together, of three or more without the one that contradicts most; NaN of none."""
-        usual, each = (self.usual * pixels).sum(axis=1), self.ratios(nats, pixels)
+        usual, each = (self.usual * covered.pixels).sum(axis=1), self.ratios(covered)
         kept = ~np.isnan(each)
         if kept.sum() >= 3:
             kept[np.nanargmin(each)] = False
         if not kept.any():
             return np.nan
-        return float(nats[kept].sum() / usual[kept].sum())
+        return float(covered.nats[kept].sum() / usual[kept].sum())
 
     def check(self, posed: Posed, sights: Sequence[Sight], problem: Problem) -> Check:
         """How the pictures agree with a fit; nothing is said in cameras without a background."""
@@ -156,16 +165,16 @@ class Recollection:
             heights=np.append(self.heights[kept], pose.root[2, 3]), angles=np.vstack([self.angles[kept], pose.q]),
         )  # fmt: skip
 
-    def witness(self, problem: Problem) -> Witness:
+    def evidence(self, problem: Problem) -> Evidence:
         """The evidence of a frame's whole pictures, in cameras whose background is known."""
-        stages = list[Stage]()
+        views = list[EvidenceView]()
         for i, (image, backdrop) in enumerate(zip(problem.frame.images, self.backdrops, strict=True)):
             if image is None or backdrop.size == (0, 0) or i in problem.left_out:
                 continue
             camera = small_camera(problem.rig[i], backdrop, problem.start.root[:3, 3])
             features = small_features(image, camera.size, problem.channels)
             colours = problem.colours(i, features.shape[2])
-            stages.append(
-                Stage(i, camera, evidence_maps(features, backdrop.background, backdrop.palette, colours, CLIP))
+            views.append(
+                EvidenceView(i, camera, evidence_maps(features, backdrop.background, backdrop.palette, colours, CLIP))
             )
-        return Witness(problem.body, stages)
+        return Evidence(problem.body, views)

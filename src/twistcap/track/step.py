@@ -19,8 +19,8 @@ from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
 from twistcap.predict import Prediction
 from twistcap.predict.history import Moment, Past, jumped
-from twistcap.search.flag import flag_groups, lateness
-from twistcap.search.lost import Loss
+from twistcap.search.flag import flag_groups, support_signs
+from twistcap.search.lost import LostMemory
 from twistcap.search.uncertain import segment_deviations
 from twistcap.stages import next_frame, stage
 from twistcap.threads import ahead
@@ -164,9 +164,10 @@ def learned(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool)
 
 def _loss(state: State, model: Model, posed: Posed, covariance: Float) -> tuple[Float, float]:
     """(S,) probability that each part is lost, and that any is."""
-    groups = flag_groups(model.body)
-    told = next((m.signs for m in state.searches.values() if isinstance(m, Loss) and m.signs is not None), None)
-    signs = lateness(groups, state.support) if told is None else told
+    memory = next((m for m in state.searches.values() if isinstance(m, LostMemory)), None)
+    groups = flag_groups(model.body) if memory is None else memory.groups
+    judged = None if memory is None else memory.signs
+    signs = support_signs(groups, state.support) if judged is None else judged
     deviation, _ = segment_deviations(posed, covariance)
     limbs = model.flag.limbs(signs, np.array([deviation[group].max() for group in groups]))
     return limbs @ groups, model.flag.whole(limbs)
@@ -195,15 +196,6 @@ def unseen(problem: FrameProblem, prediction: Prediction) -> tuple[State, Estima
     probability = model.flag.blind(frame.time - problem.past.seen_time)
     status = "no_images" if all(image is None for image in frame.images) else "not_found"
     return after, Estimate(
-        frame.index,
-        frame.time,
-        pose,
-        claimed,
-        {},
-        status,
-        0,
-        probability >= model.flag.lost,
-        0.0,
-        prediction.name,
-        probability,
-    )
+        frame.index, frame.time, pose, claimed, {}, status, 0,
+        probability >= model.flag.lost, 0.0, prediction.name, probability,
+    )  # fmt: skip

@@ -153,7 +153,7 @@ def _tracked(
         for k, frame in enumerate(take.frames):
             estimate = tracker.step(frame)
             lost += estimate.lost
-            if (k in chosen or frame.index in take.masks) and not estimate.lost and estimate.status != "no_images":
+            if (k in chosen or frame.index in take.masks) and estimate.seen and not estimate.lost:
                 out.append(_Moment(t, frame, estimate.pose, k == 0))
             report(f"{take.name}, frame {frame.index}")
         if 2 * lost > total or all(m.take != t for m in out):

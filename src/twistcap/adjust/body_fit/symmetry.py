@@ -11,6 +11,7 @@ from twistcap.adjust.body_fit.fields import deformed
 from twistcap.adjust.first_pose import girth_groups
 from twistcap.arrays import Float, Int
 from twistcap.body import Body
+from twistcap.body.model import partners
 from twistcap.body.shape import joint_origins
 
 _MIRROR = np.array([1.0, -1.0, 1.0])  # in the plane that parts left (+y) from right
@@ -24,8 +25,8 @@ def symmetric(body: Body, tolerance: float = 0.015) -> Body:
     if not _in_pairs(partner) or np.linalg.norm(mirrored - body.vertices, axis=1).mean() > tolerance:
         return body
     centres, marks = joint_origins(body), body.landmarks.points
-    joints = centres[_partners(body.segment_names)] * _MIRROR
-    landmarks = marks[_partners(body.landmarks.names)] * _MIRROR
+    joints = centres[partners(body.segment_names)] * _MIRROR
+    landmarks = marks[partners(body.landmarks.names)] * _MIRROR
     return deformed(body, 0.5 * (mirrored - body.vertices), 0.5 * (joints - centres), 0.5 * (landmarks - marks))
 
 
@@ -70,9 +71,3 @@ def _assigned(points: Float, others: Float) -> Int:
     free = np.flatnonzero(nearest[back] != np.arange(len(others)))
     nearest[alone] = free[linear_sum_assignment(cdist(points[alone], others[free], "sqeuclidean"))[1]]
     return nearest
-
-
-def _partners(names: tuple[str, ...]) -> list[int]:
-    other = {"_r": "_l", "_l": "_r"}
-    mirrored = [name[:-2] + other.get(name[-2:], name[-2:]) for name in names]
-    return [names.index(m) if m in names else n for n, m in enumerate(mirrored)]

@@ -203,9 +203,9 @@ def _estimates(
     for t, e in enumerate(estimates):
         own = replace(
             e, pose=x.poses[t], covariance=INFLATION**2 * covariances[t], energies=energies[t],
-            iterations=len(adjusted.moved), status=status if e.status != "no_images" else e.status,
+            iterations=len(adjusted.moved), status=status if e.seen else e.status,
         )  # fmt: skip
-        if supported is None or e.status == "no_images":  # without contours the tracker's own support stays
+        if supported is None or not e.seen:  # without contours the tracker's own support stays
             yield own
         else:
             yield replace(own, support=float(supported[t]), lost=bool(supported[t] < SupportRule().least))
