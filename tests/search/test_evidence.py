@@ -35,8 +35,8 @@ def test_kernels_are_their_readable_twins() -> None:
     maps = evidence_maps(small, background, palette, colours, 3.0)
     np.testing.assert_allclose(maps, evidence_maps_reference(small, background, palette, colours, 3.0), atol=1e-4)
     grid = (2, 1, 0.45, 2)
-    now = sampled_evidence(features, part, grid, background, colours, 3.0)
-    twin = sampled_evidence_reference(features, part, grid, background, colours, 3.0)
+    now = sampled_evidence(features, part, grid, background, palette, colours, 3.0)
+    twin = sampled_evidence_reference(features, part, grid, background, palette, colours, 3.0)
     for a, b in zip(now, twin, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-4)
     P = np.concatenate([np.diag([4.0, 4.0, 1.0]), np.array([[5.0], [3.0], [2.0]])], axis=1)

@@ -56,7 +56,7 @@ def test_evidence_is_the_clipped_log_ratio_of_the_pixels_that_change_hands() -> 
 def test_the_images_prefer_the_true_pose() -> None:
     scene, truth, views = scene_and_views()
     S = len(scene.body.segment_names)
-    appearance = Appearance.blank(2, S, AppearanceRule())
+    appearance = Appearance.blank(2, scene.body.segment_names, AppearanceRule())
     for i, view in views.items():
         appearance = appearance.learnt(i, view, render(truth, view.camera), np.ones(S), 1)
     colours = [appearance.of(i, 3) for i in views]

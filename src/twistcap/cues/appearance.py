@@ -6,13 +6,15 @@ background's colours pass for the limb's, and nothing pulls it back.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numba import njit
 
 from twistcap.arrays import Bool, Float, Float32, Int
+from twistcap.body.model import partners
 from twistcap.cues.view import View
 from twistcap.ranges import Checked, Share
 from twistcap.render import RenderedView
@@ -29,6 +31,7 @@ class AppearanceRule(Checked):
         shading: standard deviation of the factor by which a part's colours differ from camera to camera: one sees its
             sunny side, one the other.
         trusted: pixels, over all frames remembered, at which colours are trusted by half.
+        other_side: weight of what is known of the other side's part, while little is known of a part itself.
     """
 
     memory: Share = 0.9
@@ -36,6 +39,7 @@ class AppearanceRule(Checked):
     other_cameras: Share = 0.3
     shading: float = 0.3
     trusted: float = 100.0
+    other_side: Share = 0.3
 
 
 @dataclass(frozen=True)
@@ -45,15 +49,17 @@ class Appearance:
     Attributes:
         rule: how they are remembered.
         sums: (cameras, S, 1 + 2C) weighted number, sum and sum of squares of pixels; C is 0 before the first image.
+        other: (S,) the same part of the other side, or itself.
     """
 
     rule: AppearanceRule
     sums: Float
+    other: Int
 
     @staticmethod
-    def blank(cameras: int, parts: int, rule: AppearanceRule) -> Appearance:
-        """Nothing learnt yet."""
-        return Appearance(rule, np.zeros((cameras, parts, 1)))
+    def blank(cameras: int, names: Sequence[str], rule: AppearanceRule) -> Appearance:
+        """Nothing learnt yet of the parts of these names."""
+        return Appearance(rule, np.zeros((cameras, len(names), 1)), np.array(partners(names), np.int32))
 
     def of(self, camera_index: int, channels: int) -> Float:
         """(S, 1 + 2C) confidence 0 … 1, mean and mean square of each part's colours in a camera."""
@@ -70,29 +76,38 @@ class Appearance:
         now = part_colours(view.features, seen.part, agreeing >= self.rule.least_share)
         new, own = now[:, 0] > 0.0, sums[camera_index]
         own[new] = self.rule.memory**frames * own[new] + frames * now[new]
-        return Appearance(self.rule, sums)
+        return replace(self, sums=sums)
 
     def __add__(self, other: Appearance) -> Appearance:
         """All that both have learnt."""
         channels = max(self.sums.shape[2], other.sums.shape[2]) // 2
-        return Appearance(self.rule, self._wide(channels).sums + other._wide(channels).sums)
+        return replace(self, sums=self._wide(channels).sums + other._wide(channels).sums)
 
     @cached_property
     def _pooled(self) -> Float:
-        """(cameras, S, 1 + 2C) as `of` gives it: own colours, and with less weight those of other cameras."""
+        """(cameras, S, 1 + 2C) as `of` gives it: own colours, with less weight those of other cameras, and while a part
+        is hardly known, those of the other side.
+        """
         channels = self.sums.shape[2] // 2
         borrowed = self.rule.other_cameras * (self.sums.sum(axis=0) - self.sums)
         means = borrowed[..., 1 : 1 + channels]
         borrowed[..., 1 + channels :] += self.rule.shading**2 * means**2 / np.maximum(borrowed[..., :1], 1e-9)
         pooled = self.sums + borrowed
+        unknown = self.rule.trusted / (self.rule.trusted + pooled[..., :1])
+        pooled = pooled + np.where(self._sided, self.rule.other_side * unknown, 0.0) * pooled[:, self.other]
         mass = pooled[..., :1]
         return np.concatenate([mass / (mass + self.rule.trusted), pooled[..., 1:] / np.maximum(mass, 1e-9)], axis=-1)
+
+    @property
+    def _sided(self) -> Bool:
+        """(S, 1) parts that have another side."""
+        return (self.other != np.arange(len(self.other)))[:, None]
 
     def _wide(self, channels: int) -> Appearance:
         """The same, ready for images of so many channels."""
         if self.sums.shape[2] > 1:
             return self
-        return Appearance(self.rule, np.zeros((*self.sums.shape[:2], 1 + 2 * channels)))
+        return replace(self, sums=np.zeros((*self.sums.shape[:2], 1 + 2 * channels)))
 
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc"})

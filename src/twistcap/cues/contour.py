@@ -69,7 +69,7 @@ class ContourCue(ABC):
 
     def start(self, body: Body, rig: Rig) -> Appearance:
         """No colours are known yet."""
-        return Appearance.blank(len(rig), len(body.segment_names), self.appearance)
+        return Appearance.blank(len(rig), body.segment_names, self.appearance)
 
     def measure(self, sight: Sight, memory: Appearance, level: Level) -> ContourEvidence | None:
         """The contour in one view, and how well each part agrees with it; None where the body is out of the picture."""

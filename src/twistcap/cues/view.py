@@ -148,18 +148,21 @@ def with_news(frame: Frame, before: tuple[int, ...], moving: bool) -> tuple[Fram
     """The frame without pictures that tell nothing, and a fingerprint of each picture, 0 for none.
 
     A blank picture tells nothing, nor does the one before once more, where the body moves or other cameras show new
-    ones: a sensor's noise never repeats.
+    ones, and as long as it stays the same: a sensor's noise never repeats.
 
     Args:
-        before: fingerprints of the frame before.
+        before: fingerprints of the frame before; negative where the picture told nothing because it was an old one.
         moving: whether the body has moved of late.
     """
     samples = [None if i is None else np.ascontiguousarray(i[::_SAMPLED, ::_SAMPLED]) for i in frame.images]
     prints = tuple(0 if sample is None else zlib.crc32(sample.data) or 1 for sample in samples)
-    again = [now == then != 0 for now, then in zip(prints, before, strict=False)] or [False] * len(prints)
-    stopped = moving or any(now and not same for now, same in zip(prints, again, strict=True))
-    news = [not ((a and stopped) or (s is not None and _blank(s))) for a, s in zip(again, samples, strict=True)]
+    before = before or (0,) * len(prints)
+    again = [now == abs(then) != 0 for now, then in zip(prints, before, strict=True)]
+    live = moving or any(now and not same for now, same in zip(prints, again, strict=True))
+    old = [same and (live or then < 0) for same, then in zip(again, before, strict=True)]
+    news = [not (o or (s is not None and _blank(s))) for o, s in zip(old, samples, strict=True)]
     images = tuple(image if new else None for image, new in zip(frame.images, news, strict=True))
+    prints = tuple(-now if o else now for now, o in zip(prints, old, strict=True))
     return (frame if all(news) else replace(frame, images=images)), prints
 
 

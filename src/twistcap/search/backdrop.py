@@ -6,7 +6,7 @@ about a hypothesis does, and no body at all has evidence 0.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import cast
 
@@ -27,15 +27,23 @@ _BERTH = 0.08  # m about the body within which nothing is learned
 _PALETTE = 8  # colours by which pixels are described that were never seen without the body
 
 
+Palette = tuple[Float, Float, Float]
+
+
 @dataclass(frozen=True)
 class Backdrop:
     """The background of one camera.
 
     Attributes:
         sums: (h, w, 1 + 2C) number, sum and sum of squares of each pixel's values; (0, 0, 1) before the first lesson.
+        palette: weights (K,), means and variances (K, C) of the colours that occur in it, gathered anew as often as the
+            lessons have doubled.
+        lessons: taken so far.
     """
 
     sums: Float32
+    palette: Palette = field(default_factory=lambda: (np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))))
+    lessons: int = 0
 
     @staticmethod
     def blank() -> Backdrop:
@@ -67,9 +75,7 @@ class Backdrop:
         """Mean and variance of each pixel, and where they are known."""
         return (*self.moments, self.known)
 
-    @cached_property
-    def palette(self) -> tuple[Float, Float, Float]:
-        """Weights (K,), means and variances (K, C) of the colours that occur in it."""
+    def _palette(self) -> Palette:
         step = max(1, np.count_nonzero(self.known) // 2000)
         values = np.ascontiguousarray(self.moments[0][self.known][::step])
         C, K = self.sums.shape[2] // 2, min(_PALETTE, len(values))
@@ -91,7 +97,9 @@ class Backdrop:
         before = self.sums
         if before.shape[:2] != features.shape[:2]:
             before = np.zeros((*features.shape[:2], 1 + 2 * features.shape[2]), np.float32)
-        return Backdrop(_with_lesson(before, features, off, _MEMORY / (_MEMORY + 1.0)))
+        lessons = self.lessons + 1
+        taught = Backdrop(_with_lesson(before, features, off, _MEMORY / (_MEMORY + 1.0)), self.palette, lessons)
+        return replace(taught, palette=taught._palette()) if lessons & (lessons - 1) == 0 else taught
 
 
 def _with_lesson(sums: Float32, features: Float32, off: Bool, keep: float) -> Float32:

@@ -1,13 +1,13 @@
 """A camera that contradicts the others is left out, and taken back when it agrees with them again.
 
-It may have been bumped, show an old picture, another camera's, or one of another moment. With three cameras or more
-the others say where the body is, and what the one shows there decides; of two, that one is left out whose background
-is no longer what it was.
+It may have been bumped, show an old picture, another camera's, or one of another moment. Where its background is no
+longer what it was, that decides; else the others say where the body is, if they are two or more, and what the one shows
+there decides.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,7 +27,7 @@ class ContradictionRule(Checked):
         suspect: evidence in a camera below which the others are asked.
         agreeing: evidence in the others, fitted without it, from which on they are believed.
         wrong: evidence in it, at the place where they see the body, below which it is left out.
-        right: evidence there from which on it is taken back.
+        right: evidence there from which on it is taken back; or the fraction of the background, if that has decided.
         background: fraction of the background that fits, over what is usual, below which a camera has moved.
         every: frames between looks at a camera that is left out, or between suspicions.
         twice: looks in turn that must agree before it is taken back.
@@ -48,10 +48,12 @@ class Suspicion:
 
     Attributes:
         agreed: looks in turn at which each camera that is left out has agreed again.
+        moved: those of them whose background told it.
         waiting: frames until one is suspected again.
     """
 
     agreed: Mapping[int, int]
+    moved: tuple[int, ...] = ()
     waiting: int = 0
 
 
@@ -75,43 +77,44 @@ def judged(rule: ContradictionRule, memory: Suspicion, known: Recollection, now:
     each = known.ratios(now.check)
     if np.nan_to_num(each, nan=1.0).min() >= rule.suspect:
         return now, memory
-    return _without_contradicting(rule, known, each, now) or now, replace(memory, waiting=rule.every - 1)
+    memory = replace(memory, waiting=rule.every - 1)
+    if moved := _moved(rule, known, now.check, each):
+        return _without(moved, known, now.problem), replace(memory, moved=(*memory.moved, *sorted(moved)))
+    return _without_contradicting(rule, known, each, now) or now, memory
+
+
+def _moved(rule: ContradictionRule, known: Recollection, check: Check, each: Float) -> frozenset[int]:
+    """Suspect cameras whose background is no longer what it was, unless that is so in all."""
+    fitting = np.nan_to_num(check.fitting / known.fitting, nan=1.0)
+    looked = ~np.isnan(each)
+    bad = looked & (fitting < rule.background) & (np.nan_to_num(each, nan=1.0) < rule.suspect)
+    return frozenset(np.flatnonzero(bad).tolist()) if np.any(looked & (fitting >= rule.background)) else frozenset()
 
 
 def _without_contradicting(rule: ContradictionRule, known: Recollection, each: Float, now: Judged) -> Judged | None:
-    """The frame without a camera that contradicts all others; None where there is none."""
+    """The frame without a camera that contradicts at least two others; None where there is none."""
     cameras = [int(c) for c in np.flatnonzero(~np.isnan(each))]
-    if len(cameras) == 2:
-        moved = _moved(rule, known, now.check, cameras)
-        return None if moved is None else _without(moved, known, now.problem)
     for camera in sorted(cameras, key=lambda c: each[c])[: 2 if len(cameras) > 2 else 0]:
         if each[camera] >= rule.suspect:
             break
-        other = _without(camera, known, now.problem)
-        if known.ratio(other.check) >= rule.agreeing and _there(known, camera, other) < rule.wrong:
+        other = _without({camera}, known, now.problem)
+        there = np.nan_to_num(known.ratios(_there(known, camera, other)))  # 0 where it is not in its picture
+        if known.ratio(other.check) >= rule.agreeing and there[camera] < rule.wrong:
             return other
     return None
 
 
-def _without(camera: int, known: Recollection, problem: Problem) -> Judged:
-    """The frame fitted without a camera."""
-    problem = problem.without(camera)
+def _without(cameras: Set[int], known: Recollection, problem: Problem) -> Judged:
+    """The frame fitted without some cameras."""
+    problem = problem.excluding(problem.left_out | cameras)
     fit = problem.align(problem.start)
     return Judged(problem, fit, known.check(fit.posed, fit.sights, problem))
 
 
-def _there(known: Recollection, camera: int, others: Judged) -> float:
-    """Evidence in a camera where the others see the body; 0 where it is not in its picture."""
+def _there(known: Recollection, camera: int, others: Judged) -> Check:
+    """How a camera's picture agrees with the body where the others see it."""
     sight = others.problem.look(camera, others.fit.posed)
-    check = known.check(others.fit.posed, [] if sight is None else [sight], others.problem)
-    return float(np.nan_to_num(known.ratios(check)[camera]))
-
-
-def _moved(rule: ContradictionRule, known: Recollection, check: Check, cameras: Sequence[int]) -> int | None:
-    """The one of two cameras whose background alone is no longer what it was."""
-    fitting = np.nan_to_num(check.fitting / known.fitting, nan=1.0)
-    bad = [camera for camera in cameras if fitting[camera] < rule.background]
-    return bad[0] if len(bad) == 1 else None
+    return known.check(others.fit.posed, [] if sight is None else [sight], others.problem)
 
 
 def _taken_back(
@@ -121,6 +124,8 @@ def _taken_back(
     agreed = {camera: memory.agreed.get(camera, 0) for camera in now.problem.left_out}
     for camera in agreed:
         if now.problem.frame.images[camera] is not None:
-            agrees = _there(known, camera, now) >= rule.right
-            agreed[camera] = agreed[camera] + 1 if agrees else 0
-    return frozenset(c for c in agreed if agreed[c] < rule.twice), replace(memory, agreed=agreed)
+            check = _there(known, camera, now)
+            ratios = check.fitting / known.fitting if camera in memory.moved else known.ratios(check)
+            agreed[camera] = agreed[camera] + 1 if ratios[camera] >= rule.right else 0
+    left_out = frozenset(c for c in agreed if agreed[c] < rule.twice)
+    return left_out, replace(memory, agreed=agreed, moved=tuple(c for c in memory.moved if c in left_out))

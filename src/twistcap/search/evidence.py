@@ -14,7 +14,7 @@ from twistcap.arrays import AnyArray, Bool, Float, Float32, Int
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Camera
 from twistcap.render import render
-from twistcap.search.backdrop import FLOOR
+from twistcap.search.backdrop import FLOOR, Palette
 
 _UNLIKE = -2.5
 """Log density, up to the constant of Gaussians, that any colour has: one in fifty is like nothing that is known. So
@@ -82,9 +82,22 @@ def _distance_behind(values: Float32, mean: Float32, variance: Float32) -> tuple
     return distance, spread
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _nats_of_palette(values: Float32, palette: Palette) -> float:
+    """Log density, up to a constant, of a pixel (C,) under weights (K,), means and variances (K, C) of colours."""
+    shares, means, variances = palette
+    total = 1e-12
+    for j in range(len(shares)):
+        e = 0.0
+        for k in range(means.shape[1]):
+            e -= 0.5 * (values[k] - means[j, k]) ** 2 / variances[j, k] + 0.5 * np.log(variances[j, k])
+        total += shares[j] * np.exp(e)
+    return max(np.log(total), _UNLIKE)
+
+
 @njit(cache=True, nogil=True)
 def evidence_maps(
-    features: Float32, background: tuple[Float32, Float32, Bool], palette: tuple[Float, Float, Float], colours: Float,
+    features: Float32, background: tuple[Float32, Float32, Bool], palette: Palette, colours: Float,
     clip: float,
 ) -> Float32:  # fmt: skip
     """(S, h, w) log-likelihood ratio, part over background, of each pixel, times the confidence in the part's colours.
@@ -97,7 +110,6 @@ def evidence_maps(
         clip: greatest contribution of one pixel, nats.
     """
     mean, variance, known = background
-    shares, means, variances = palette
     height, width = known.shape
     out = np.empty((len(colours), height, width), np.float32)
     for r in range(height):
@@ -107,13 +119,7 @@ def evidence_maps(
                 distance, spread = _distance_behind(values, mean[r, c], variance[r, c])
                 behind = max(-0.5 * distance - spread, _UNLIKE)
             else:
-                total = 1e-12
-                for j in range(len(shares)):
-                    e = 0.0
-                    for k in range(len(values)):
-                        e -= 0.5 * (values[k] - means[j, k]) ** 2 / variances[j, k] + 0.5 * np.log(variances[j, k])
-                    total += shares[j] * np.exp(e)
-                behind = max(np.log(total), _UNLIKE)
+                behind = _nats_of_palette(values, palette)
             for s in range(len(colours)):
                 ratio = _nats_in_front(values, colours[s, 1:]) - behind
                 out[s, r, c] = colours[s, 0] * min(max(ratio, -clip), clip)
@@ -123,16 +129,18 @@ def evidence_maps(
 @njit(cache=True, nogil=True)
 def sampled_evidence(
     features: Float32, part: Int, grid: tuple[int, int, float, int], background: tuple[Float32, Float32, Bool],
-    colours: Float, clip: float,
+    palette: Palette, colours: Float, clip: float,
 ) -> tuple[Float, Float]:  # fmt: skip
     """(3, S) evidence of each part where it covers the image, number of pixels, and evidence where nothing covers it;
-    and (2,) pixels off the body that fit the background, and how many there are.
+    and (2,) pixels off the body that fit the background, and how many there are. Off the body only pixels count whose
+    background is known.
 
     Args:
         features: (H, W, ≥ C) of a crop, of which every `stride`-th pixel is looked at.
         part: (H, W) segment at each pixel, or -1.
         grid: (x, y) of the crop in the whole image, small pixels in a pixel, and the stride.
         background: (h, w, C) mean and variance, (h, w) known, of the small image.
+        palette: as `evidence_maps` takes it.
         colours: (S, ≥ 1 + 2C) as `evidence_maps` takes them.
         clip: greatest contribution of one pixel, nats.
     """
@@ -143,11 +151,15 @@ def sampled_evidence(
     for r in range(stride // 2, part.shape[0], stride):
         for c in range(stride // 2, part.shape[1], stride):
             i, j = int((r + y0 + 0.5) * factor), int((c + x0 + 0.5) * factor)
-            if i >= height or j >= width or not known[i, j]:
-                continue
             values, s = features[r, c], part[r, c]
-            distance, spread = _distance_behind(values, mean[i, j], variance[i, j])
-            behind = max(-0.5 * distance - spread, _UNLIKE)
+            if i >= height or j >= width or not (known[i, j] or s >= 0):
+                continue
+            distance, spread = 0.0, 0.0
+            if known[i, j]:
+                distance, spread = _distance_behind(values, mean[i, j], variance[i, j])
+                behind = max(-0.5 * distance - spread, _UNLIKE)
+            else:
+                behind = _nats_of_palette(values, palette)
             if s >= 0:
                 ratio = _nats_in_front(values, colours[s, 1:]) - behind
                 out[0, s] += colours[s, 0] * min(max(ratio, -clip), clip)
@@ -188,23 +200,19 @@ def covered_evidence_reference(maps: Float32, part: Int) -> tuple[Float, Float]:
 
 
 def evidence_maps_reference(
-    features: Float32, background: tuple[Float32, Float32, Bool], palette: tuple[Float, Float, Float], colours: Float,
+    features: Float32, background: tuple[Float32, Float32, Bool], palette: Palette, colours: Float,
     clip: float,
 ) -> Float:  # fmt: skip
     """Readable twin of `evidence_maps`."""
     mean, variance, known = background
-    shares, means, variances = palette
-    rest = np.log(
-        1e-12 + np.exp(-0.5 * _distance(features[..., None, :], means, variances)) @ _heights(shares, variances)
-    )
-    behind = np.where(known, _log_density(features, mean, variance), np.maximum(rest, _UNLIKE))
+    behind = np.where(known, _log_density(features, mean, variance), _palette_density(features, palette))
     front = np.stack([_log_density(features, *_moments_of(c)) for c in colours])
     return colours[:, 0, None, None] * np.clip(front - behind, -clip, clip)
 
 
 def sampled_evidence_reference(
     features: Float32, part: Int, grid: tuple[int, int, float, int], background: tuple[Float32, Float32, Bool],
-    colours: Float, clip: float,
+    palette: Palette, colours: Float, clip: float,
 ) -> tuple[Float, Float]:  # fmt: skip
     """Readable twin of `sampled_evidence`."""
     mean, variance, known = background
@@ -213,11 +221,12 @@ def sampled_evidence_reference(
     for r, c in np.ndindex(*part.shape):
         i, j = int((r + y0 + 0.5) * factor), int((c + x0 + 0.5) * factor)
         sampled = r % stride == stride // 2 and c % stride == stride // 2
-        if not sampled or i >= known.shape[0] or j >= known.shape[1] or not known[i, j]:
-            continue
         values, s = features[r, c].astype(float), part[r, c]
+        if not sampled or i >= known.shape[0] or j >= known.shape[1] or not (known[i, j] or s >= 0):
+            continue
+        behind = _log_density(values, mean[i, j], variance[i, j]) if known[i, j] else _palette_density(values, palette)
         ratios = np.array([_log_density(values, *_moments_of(k)) for k in colours])
-        ratios = colours[:, 0] * np.clip(ratios - _log_density(values, mean[i, j], variance[i, j]), -clip, clip)
+        ratios = colours[:, 0] * np.clip(ratios - behind, -clip, clip)
         fitting = _distance(values, mean[i, j], variance[i, j]) < 4.0 * len(values)
         if s >= 0:
             out[:2, s] += ratios[s], colours[s, 0]
@@ -236,8 +245,11 @@ def _log_density(values: AnyArray, mean: AnyArray, variance: AnyArray) -> Float:
     return np.maximum(-0.5 * _distance(values, mean, variance) - 0.5 * np.log(variance).sum(axis=-1), _UNLIKE)
 
 
-def _heights(shares: Float, variances: Float) -> Float:
-    return shares / np.sqrt(variances.prod(axis=1))
+def _palette_density(values: AnyArray, palette: Palette) -> Float:
+    shares, means, variances = palette
+    heights = shares / np.sqrt(variances.prod(axis=1))
+    rest = np.exp(-0.5 * _distance(values[..., None, :], means, variances)) @ heights
+    return np.maximum(np.log(1e-12 + rest), _UNLIKE)
 
 
 def _moments_of(colours: Float) -> tuple[Float, Float]:

@@ -118,6 +118,8 @@ class LostBody(Checked):
         signs = limb_signs(memory.groups, known, now.check, now.fit.agreement, problem.support(now.fit))
         memory = replace(memory, suspicion=suspicion, signs=signs)
         ratio = known.ratio(now.check)
+        if np.isnan(ratio) and known.pixels[list(now.problem.views)].any():  # hardly any of the body is in sight
+            ratio = 0.0
         revision = None
         if ratio < self.least:
             revision, memory = self._elsewhere(memory, now.problem, ratio)

@@ -128,7 +128,9 @@ class Recollection:
             x, y = view.origin
             grid = (x, y, backdrop.size[0] / problem.rig[i].size[0], stride)
             colours = problem.colours(i, view.features.shape[2])
-            found = sampled_evidence(view.features, sight.seen.part, grid, backdrop.background, colours, CLIP)
+            found = sampled_evidence(
+                view.features, sight.seen.part, grid, backdrop.background, backdrop.palette, colours, CLIP
+            )
             out[:, i], fits = found
             fitting[i] = fits[0] / fits[1] if fits[1] else np.nan
         return Check(out[0], out[1], out[2], fitting)

@@ -21,7 +21,7 @@ class State:
         support: (S,) running fraction of each part's contour points that agree with the images.
         occluded: (S,) parts that no view shows.
         left_out: cameras that are not believed.
-        prints: fingerprints of the last frame's pictures.
+        prints: fingerprints of the last frame's pictures, as `cues.view.with_news` makes them.
         learned: frames that have been learned from.
         cues, predictors, searches: their memories, by name.
     """

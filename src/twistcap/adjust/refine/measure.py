@@ -74,7 +74,7 @@ class SequenceImages:
 
     def _blank(self) -> Appearance:
         """No colours yet. None of them fades: all frames of a sequence count alike."""
-        return Appearance.blank(self.cameras, self.parts, AppearanceRule(memory=1.0))
+        return Appearance.blank(self.cameras, self._body.segment_names, AppearanceRule(memory=1.0))
 
     def measure(self, posed: Sequence[Posed], trusted: Bool, coarse: bool) -> list[CameraRound]:
         """A round of all cameras, one thread for each; frames that are not `trusted` (F,) are left out."""
