@@ -37,7 +37,7 @@ class ContradictionRule(Checked):
     agreeing: float = 0.85
     wrong: float = 0.6
     right: float = 0.8
-    background: float = 0.5
+    background: float = 0.75
     every: Count = 3
     twice: Count = 2
 

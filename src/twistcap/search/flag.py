@@ -43,11 +43,7 @@ def limb_signs(groups: Bool, known: Recollection, check: Check, agreement: Agree
     points that tell nothing; and how much of the limb is not seen at all.
     """
     weights = groups.T.astype(float)
-    usual = (known.usual * check.pixels) @ weights
-    lacking, total = usual - check.nats @ weights, usual.sum(axis=0)
-    judged = total > _FEWEST
-    clear = np.where(judged, lacking.sum(axis=0) / np.maximum(total, 1e-9), 0.0)
-    in_view = np.where(usual > _FEWEST, lacking / np.maximum(usual, 1e-9), 0.0).max(axis=0)
+    clear, in_view = lacking(groups, known, check)
     more = np.maximum((check.uncovered - known.uncovered).sum(axis=0) @ weights, 0.0)
     bare = more / np.maximum(known.nats.sum(axis=0) @ weights, 1.0)
     points, agreeing, telling = (a @ weights for a in (agreement.points, agreement.agreeing, agreement.telling))
@@ -59,6 +55,16 @@ def limb_signs(groups: Bool, known: Recollection, check: Check, agreement: Agree
         1.0 - check.pixels.sum(axis=0) @ weights / np.maximum(known.pixels.sum(axis=0) @ weights, 1.0), 0, 1
     )
     return np.stack([clear, in_view, np.minimum(bare, 3.0), off, late, silent, unseen], axis=1)
+
+
+def lacking(groups: Bool, known: Recollection, check: Check) -> tuple[Float, Float]:
+    """(G,) evidence that lacks of each group of segments (G, S), over what is usual; and in the camera in which most
+    does.
+    """
+    usual = (known.usual * check.pixels) @ groups.T.astype(float)
+    less, total = usual - check.nats @ groups.T.astype(float), usual.sum(axis=0)
+    all_views = np.where(total > _FEWEST, less.sum(axis=0) / np.maximum(total, 1e-9), 0.0)
+    return all_views, np.where(usual > _FEWEST, less / np.maximum(usual, 1e-9), 0.0).max(axis=0)
 
 
 def support_signs(groups: Bool, support: Float) -> Float:

@@ -14,14 +14,17 @@ import numpy as np
 
 from twistcap.arrays import Bool, Float
 from twistcap.body import Body, Pose
+from twistcap.body.limbs import limbs
 from twistcap.camera import Rig
 from twistcap.cues.observation import Fit
-from twistcap.predict.history import Moment, Past, jumped
+from twistcap.predict.history import Moment, Past, jumped, rested
 from twistcap.ranges import Checked, Count, Range, Share
 from twistcap.search import Beginning, Problem, Revision
+from twistcap.search.beside import BesideRule, beside
 from twistcap.search.contradiction import ContradictionRule, Judged, Suspicion, judged
 from twistcap.search.evidence import Evidence
 from twistcap.search.flag import flag_groups, limb_signs
+from twistcap.search.limb import LimbRule, regained
 from twistcap.search.placing import Hypothesis, Placing, PlacingRule
 from twistcap.search.recollection import Covered, Recollection
 from twistcap.stages import stage
@@ -36,7 +39,8 @@ class LostMemory:
         groups: (G, S) segments of each limb and of the rest of the body.
         suspicion: of cameras.
         frames: counted.
-        waiting: frames until the next one.
+        waiting: frames until the next search for the body.
+        limb_waiting, limb_pause: frames until the next one for a limb, and between the last ones.
         nowhere: whether the last one found the body nowhere.
         signs: (G, SIGNS) of loss, of each limb and the rest of the body.
     """
@@ -46,6 +50,8 @@ class LostMemory:
     suspicion: Suspicion = field(default_factory=lambda: Suspicion({}))
     frames: int = 0
     waiting: int = 0
+    limb_waiting: int = 0
+    limb_pause: int = 0
     nowhere: bool = False
     signs: Float | None = None
 
@@ -86,6 +92,8 @@ class LostBody(Checked):
     margin: float = 0.3
     placing: PlacingRule = field(default_factory=PlacingRule)
     contradiction: ContradictionRule = field(default_factory=ContradictionRule)
+    beside: BesideRule = field(default_factory=BesideRule)
+    limb: LimbRule = field(default_factory=LimbRule)
     name: str = field(default="lost body", init=False)
 
     def start(self, body: Body, rig: Rig) -> LostMemory:
@@ -111,42 +119,69 @@ class LostBody(Checked):
     def revise(self, memory: LostMemory, problem: Problem, fit: Fit) -> tuple[Revision | None, LostMemory]:
         """The body elsewhere, where the fit is lost; else the fit is learned from."""
         known, memory = memory.known, replace(memory, frames=memory.frames + 1)
+        if not problem.past.started and problem.views and (found := beside(self.beside, problem, fit)) is not fit:
+            now = Judged(problem, found, known.check(found.posed, found.sights, problem))
+            return self._at(problem, found), self._learned(memory, now, 1.0)
         now = Judged(problem, fit, known.check(fit.posed, fit.sights, problem))
         if not known.sure:
             return None, self._learned(memory, now, 1.0)
         now, suspicion = judged(self.contradiction, memory.suspicion, known, now)
-        signs = limb_signs(memory.groups, known, now.check, now.fit.agreement, problem.support(now.fit))
-        memory = replace(memory, suspicion=suspicion, signs=signs)
-        ratio = known.ratio(now.check)
+        memory = replace(memory, suspicion=suspicion, signs=self._signs(memory, now))
+        ratio, last, revision = known.ratio(now.check), problem.past.moments[-1], None
         if np.isnan(ratio) and known.pixels[list(now.problem.views)].any():  # hardly any of the body is in sight
             ratio = 0.0
-        revision = None
         if ratio < self.least:
             revision, memory = self._elsewhere(memory, now.problem, ratio)
         else:  # or nothing can be said
+            now, last, memory = self._with_limbs(memory, now, last)
             memory = self._learned(replace(memory, waiting=0), now, float(np.nan_to_num(ratio, nan=1.0)))
-        revision = revision or Revision(now.fit, problem.past.moments[-1])
-        return replace(revision, left_out=now.problem.left_out), memory
+        return replace(revision or Revision(now.fit, last), left_out=now.problem.left_out), memory
+
+    def _signs(self, memory: LostMemory, now: Judged) -> Float:
+        return limb_signs(memory.groups, memory.known, now.check, now.fit.agreement, now.problem.support(now.fit))
+
+    def _with_limbs(self, memory: LostMemory, now: Judged, last: Moment) -> tuple[Judged, Moment, LostMemory]:
+        """The frame with its lost limbs where they are found, and the moment before it, in which they rest."""
+        lost = self.limb.lost(memory.signs, len(memory.groups) - 1)
+        if not lost or memory.limb_waiting:
+            return now, last, replace(memory, limb_waiting=max(memory.limb_waiting - 1, 0))
+        with stage("search"):
+            found = regained(self.limb, memory.known, now, memory.groups, lost, memory.frames)
+        if found is None:
+            pause = min(max(2 * memory.limb_pause, self.limb.again), self.limb.longest)
+            return now, last, replace(memory, limb_pause=pause, limb_waiting=pause)
+        masks = limbs(now.problem.body)
+        coordinates = np.any([masks[i][6:] for i in lost], axis=0)
+        return (
+            found,
+            rested(last, found.fit.pose, coordinates),
+            replace(memory, limb_pause=0, signs=self._signs(memory, found)),
+        )
 
     def _learned(self, memory: LostMemory, now: Judged, ratio: float) -> LostMemory:
-        """With what a fit that is not lost teaches."""
-        known = memory.known.accustomed(now.check)
+        """With what a fit that is not lost teaches; limbs that are lost teach nothing."""
+        lost = [] if memory.signs is None else self.limb.lost(memory.signs, len(memory.groups) - 1)
+        known = memory.known.accustomed(now.check, ~memory.groups[lost].any(axis=0))
         due = (memory.frames - 1) % (self.every if known.lessons >= 10 else self.first) == 0
         if due and ratio >= self.learned:
-            known = known.taught(now.fit.posed, [sight.camera_index for sight in now.fit.sights], now.problem)
+            each = np.nan_to_num(memory.known.ratios(now.check), nan=1.0)
+            seen = [s.camera_index for s in now.fit.sights if each[s.camera_index] >= self.learned]
+            known = known.taught(now.fit.posed, seen, now.problem)
         return replace(memory, known=known)
 
     def _elsewhere(self, memory: LostMemory, problem: Problem, ratio: float) -> tuple[Revision | None, LostMemory]:
         """The body found elsewhere; nowhere, if the fit is not on it either."""
-        last = problem.past.moments[-1]
         pose = None if memory.waiting else self._searched(memory, problem, ratio + self.better)
         if pose is not None:
-            fit = problem.afresh(pose, self.margin)
-            last = jumped(last, fit.pose.minus(problem.start), fit.pose)
-            return Revision(fit, last, jumped=True), replace(memory, waiting=0, nowhere=False)
+            return self._at(problem, problem.afresh(pose, self.margin)), replace(memory, waiting=0, nowhere=False)
         nowhere = ratio < self.none
         memory = replace(memory, waiting=(memory.waiting or self.again) - 1, nowhere=nowhere)
-        return (Revision(None, last) if nowhere else None), memory
+        return (Revision(None, problem.past.moments[-1]) if nowhere else None), memory
+
+    def _at(self, problem: Problem, fit: Fit) -> Revision:
+        """The body elsewhere: the way there was no motion."""
+        last = jumped(problem.past.moments[-1], fit.pose.minus(problem.start), fit.pose)
+        return Revision(fit, last, jumped=True)
 
     def _gap(self, past: Past, time: float) -> bool:
         """Whether images have been missing for longer than they do at the recording's own rate."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from twistcap.arrays import Float
+from twistcap.arrays import Bool, Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Rig
 from twistcap.cues.observation import Sight
@@ -135,9 +135,10 @@ class Recollection:
             fitting[i] = fits[0] / fits[1] if fits[1] else np.nan
         return Check(out[0], out[1], out[2], fitting)
 
-    def accustomed(self, check: Check) -> Recollection:
-        """With a check as one more of what is usual."""
+    def accustomed(self, check: Check, parts: Bool) -> Recollection:
+        """With a check as one more of what is usual for some parts (S,)."""
         keep = np.where((self.pixels > 0.0) & (check.pixels > 0.0), _MEMORY, (check.pixels == 0.0) * 1.0)
+        keep = np.where(parts, keep, 1.0)
         means = (keep * a + (1.0 - keep) * b for a, b in zip(
             (self.nats, self.pixels, self.uncovered), (check.nats, check.pixels, check.uncovered), strict=True
         ))  # fmt: skip

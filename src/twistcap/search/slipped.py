@@ -22,6 +22,7 @@ from twistcap.errors import InputError
 from twistcap.predict.history import Past, rested
 from twistcap.ranges import Checked, Count, Share
 from twistcap.search import Problem, Revision
+from twistcap.search.draws import about, anywhere
 from twistcap.search.judge import Judge, best_of
 from twistcap.stages import stage
 
@@ -171,27 +172,9 @@ class SlippedLimbs(Checked):
     ) -> tuple[Pose, float]:
         """The pose that is judged best with one limb elsewhere, and its evidence."""
         steps = [np.where(limb, other.minus(best), 0.0) for other in others]
-        steps.extend(self._anywhere(rng, limb, best, judge.body))
+        steps.extend(anywhere(rng, limb, best, judge.body, self.draws))
         for sd in self.near:
-            steps.extend(_outward(limb, sd * rng.standard_normal((self.draws, int(limb.sum())))))
+            steps.extend(about(rng, limb, sd, self.draws))
             best, most = best_of(judge, best, most, steps)
             steps = []
         return best, most
-
-    def _anywhere(self, rng: np.random.Generator, limb: Bool, pose: Pose, body: Body) -> Float:
-        """(draws, 6 + J) steps to places anywhere within the limits of a limb's joints, half a turn where none are."""
-        joints = np.flatnonzero(limb) - ROOT
-        limits, here = body.limits[joints], pose.q[joints, None]
-        low, high = np.where(np.isfinite(limits), limits, here + np.array([-np.pi, np.pi])).T
-        return _outward(limb, rng.uniform(low, high, (self.draws, len(joints))) - pose.q[joints])
-
-
-def _outward(limb: Bool, drawn: Float) -> Float:
-    """(N, 6 + J) steps from those (N, K) of a limb's coordinates: of the whole limb, and of its outer ends alone.
-
-    A forearm that folded over while the upper arm was right would seldom be found by turning both.
-    """
-    K = drawn.shape[1]
-    steps = np.zeros((len(drawn), len(limb)))
-    steps[:, limb] = np.where(np.arange(K) < (np.arange(len(drawn)) % K)[:, None], 0.0, drawn)
-    return steps
