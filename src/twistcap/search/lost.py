@@ -142,26 +142,28 @@ class LostBody(Checked):
 
     def _with_limbs(self, memory: LostMemory, now: Judged, last: Moment) -> tuple[Judged, Moment, LostMemory]:
         """The frame with its lost limbs where they are found, and the moment before it, in which they rest."""
-        lost = self.limb.lost(memory.signs, len(memory.groups) - 1)
-        if not lost or memory.limb_waiting:
-            return now, last, replace(memory, limb_waiting=max(memory.limb_waiting - 1, 0))
+        lost = self._lost_limbs(memory)
+        if memory.limb_waiting:
+            return now, last, replace(memory, limb_waiting=memory.limb_waiting - 1)
+        if not lost:
+            return now, last, replace(memory, limb_pause=0)
         with stage("search"):
             found = regained(self.limb, memory.known, now, memory.groups, lost, memory.frames)
         if found is None:
             pause = min(max(2 * memory.limb_pause, self.limb.again), self.limb.longest)
             return now, last, replace(memory, limb_pause=pause, limb_waiting=pause)
         masks = limbs(now.problem.body)
-        coordinates = np.any([masks[i][6:] for i in lost], axis=0)
-        return (
-            found,
-            rested(last, found.fit.pose, coordinates),
-            replace(memory, limb_pause=0, signs=self._signs(memory, found)),
-        )
+        coordinates = np.asarray(np.any([masks[i][6:] for i in lost], axis=0), np.bool_)
+        memory = replace(memory, limb_pause=0, signs=self._signs(memory, found))
+        return found, rested(last, found.fit.pose, coordinates), memory
+
+    def _lost_limbs(self, memory: LostMemory) -> list[int]:
+        return [] if memory.signs is None else self.limb.lost(memory.signs, len(memory.groups) - 1)
 
     def _learned(self, memory: LostMemory, now: Judged, ratio: float) -> LostMemory:
         """With what a fit that is not lost teaches; limbs that are lost teach nothing."""
-        lost = [] if memory.signs is None else self.limb.lost(memory.signs, len(memory.groups) - 1)
-        known = memory.known.accustomed(now.check, ~memory.groups[lost].any(axis=0))
+        right = np.asarray(~memory.groups[self._lost_limbs(memory)].any(axis=0), np.bool_)
+        known = memory.known.accustomed(now.check, right)
         due = (memory.frames - 1) % (self.every if known.lessons >= 10 else self.first) == 0
         if due and ratio >= self.learned:
             each = np.nan_to_num(memory.known.ratios(now.check), nan=1.0)
