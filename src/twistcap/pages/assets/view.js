@@ -26,7 +26,7 @@ runs.forEach((run) => {
   const swatch = make("span", { class: "swatch", style: `background:${run.colour}` });
   const lost = run.lost.filter(Boolean).length;
   const note = lost ? make("span", { class: "lost" }, ` (${lost} of ${run.lost.length} frames lost)`) : "";
-  const told = make("details", {}, make("summary", {}, "what was lost"), ...run.told.map((text) => make("div", {}, text)));
+  const told = make("details", {}, make("summary", {}, "lost frames and cameras"), ...run.told.map((text) => make("div", {}, text)));
   legend.append(make("label", {}, box, swatch, run.name, note), " ", told, " ");
 });
 function toggle(key, text) {
@@ -250,9 +250,10 @@ function paint(c, frame) {
   pen.fillStyle = "#fff"; pen.strokeStyle = TRUTH; pen.lineWidth = 1;
   for (const mark of marks) if (mark) { pen.beginPath(); pen.arc(mark[0] + 0.5, mark[1] + 0.5, 1.8, 0, 7); pen.fill(); pen.stroke(); }
   const number = data.indices[data.shown[k]];
-  const old = image && data.shown[k] !== frame ? ` (frame ${number})` : "", said = runs[0].cameras[runs[0].rows[frame]]?.[c];
-  picture.note.textContent = data.cameras[c].name + old + (said ? `: ${said}` : image ? "" : ": no image");
-  picture.tile.classList.toggle("out", said === "left out");
+  const old = image && data.shown[k] !== frame ? ` (frame ${number})` : "", own = runs[0].cameras[runs[0].rows[frame]]?.[c];
+  const note = own === "left out" || image ? own : "no image";
+  picture.note.textContent = data.cameras[c].name + old + (note ? `: ${note}` : "");
+  picture.tile.classList.toggle("out", own === "left out");
 }
 listeners.push((frame) => { pictures.forEach((_, c) => paint(c, frame)); scene3d?.draw(); });
 
