@@ -63,6 +63,8 @@ class Estimate:
         predicted: what told the pose that the frame was started from: "motion", "flow", "constant_velocity" or "hold".
         probability: that a joint is more than 150 mm off, calibrated on captures with truth.
         part_probability: (S,) the same of each segment's limb; None where nothing was seen of the body.
+        left_out: cameras of the rig that contradict the others and are not believed.
+        missing: cameras whose picture was missing, blank, or the one before once more.
     """
 
     index: int
@@ -77,6 +79,8 @@ class Estimate:
     predicted: str = "hold"
     probability: float = 0.0
     part_probability: Float | None = None
+    left_out: tuple[int, ...] = ()
+    missing: tuple[int, ...] = ()
 
     @property
     def seen(self) -> bool:

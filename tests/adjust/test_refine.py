@@ -18,6 +18,7 @@ from twistcap.adjust.refine import RefineConfig, refine
 from twistcap.adjust.refine.evidence import BrightnessPair, reshaped
 from twistcap.adjust.refine.measure import CameraRound, design_effect, followed_points
 from twistcap.adjust.refine.problem import RefineProblem, Standing, Track, accelerations
+from twistcap.adjust.refine.refine import with_support
 from twistcap.adjust.refine.shape import Shape
 from twistcap.adjust.refine.sums import (
     FrameSums,
@@ -299,6 +300,23 @@ def test_a_lost_frame_is_found_between_its_neighbours(
     spoilt = [*estimates[:5], replace(estimates[5], pose=astray, lost=True), *estimates[6:]]
     found = refine(frames, body, scene.rig, spoilt, RefineConfig(rounds=4, coarse_rounds=1, joint=0.0))
     assert joint_error(scene, found.body, [found.estimates[5]]) < 0.3 * joint_error(scene, body, [spoilt[5]])
+    assert not found.estimates[5].lost and found.estimates[5].probability < 0.5
+
+
+@pytest.mark.parametrize(
+    ("was_lost", "support", "is_lost"),
+    [(True, 0.3, True), (True, 0.45, True), (True, 0.9, False), (False, 0.45, False), (False, 0.3, True)],
+)
+def test_what_the_tracker_lost_stays_lost_unless_the_contours_agree_well(
+    was_lost: bool, support: float, is_lost: bool
+) -> None:
+    parts, covariance = np.full(len(BODY.segment_names), 0.9), 1e-5 * np.eye(BODY.dof)
+    given = Estimate(0, 0.0, a_pose(1), covariance, lost=was_lost, probability=0.9, part_probability=parts)
+    of_part = np.where(np.arange(len(parts)) == 3, support, 1.0)
+    judged = with_support(given, Posed(BODY, given.pose), of_part)
+    assert (judged.lost, judged.support) == (is_lost, support)
+    assert (judged.probability == 0.9) == (is_lost or not was_lost)  # only what was found again is told anew
+    assert judged.part_probability is not None and (judged.part_probability.max() < 0.75) == (was_lost and not is_lost)
 
 
 def test_points_that_err_alike_count_as_fewer() -> None:

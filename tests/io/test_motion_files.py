@@ -262,10 +262,14 @@ def test_csv(tmp_path: Path, body: Body) -> None:
     poses = some_poses(body, 2)
     covariance = np.diag(np.r_[np.full(3, 0.01), np.full(3, 0.02), np.full(len(poses[0].q), 0.03)] ** 2)
     estimates = [Estimate(n, n / 60, pose, covariance, lost=n == 1) for n, pose in enumerate(poses)]
+    left = np.array([name in ("humerus_l", "ulna_l", "radius_l") for name in body.segment_names])
+    estimates[1] = replace(estimates[1], part_probability=np.where(left, 0.75, 0.125))
     write_csv(tmp_path / "a.csv", body, estimates)
     with (tmp_path / "a.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [row["lost"] for row in rows] == ["0", "1"]
+    arm, leg = ([row[f"probability_lost_{limb}"] for row in rows] for limb in ("arm_l", "leg_r"))
+    assert (arm, leg) == (["", "0.7500"], ["", "0.1250"])
     knee = body.coordinate("knee_angle_r")
     assert float(rows[1]["knee_angle_r_deg"]) == pytest.approx(np.degrees(poses[1].q[knee]), abs=1e-5)
     assert float(rows[1]["knee_angle_r_std_deg"]) == pytest.approx(np.degrees(0.03), abs=1e-5)

@@ -54,6 +54,8 @@ def test_round_trip(tmp_path: Path) -> None:
         assert read.energies == made.energies
         assert (read.index, read.time, read.status) == (made.index, made.time, made.status)
         assert (read.iterations, read.lost, read.support) == (made.iterations, made.lost, made.support)
+        assert (read.probability, read.left_out, read.missing) == (made.probability, made.left_out, made.missing)
+        np.testing.assert_array_equal(np.array(read.part_probability), np.array(made.part_probability))
 
 
 KILLED = """
@@ -300,4 +302,22 @@ def test_what_is_no_result_is_told(tmp_path: Path) -> None:
     with h5py.File(path, "r+") as file:
         file.attrs["format_version"] = 99
     with pytest.raises(InputError, match="newer twistcap"):
+        read_result(path)
+    with h5py.File(path, "r+") as file:
+        file.attrs["format_version"] = 5
+    with pytest.raises(InputError, match=r"older twistcap \(format 5\); track the recording again"):
+        read_result(path)
+
+
+@pytest.mark.parametrize("name", ["q", "part_probability", "left_out", "missing"])
+def test_frames_must_fit_the_body_and_the_cameras(name: str, tmp_path: Path) -> None:
+    path = write(tmp_path / "r.h5")
+    with h5py.File(path, "r+") as file:
+        rows, frames = file[f"frames/{name}"][:], file["frames"]
+        del frames[name]
+        frames[name] = np.hstack([rows, rows[:, :1]])
+        for other in {"left_out": ["missing"], "missing": ["left_out"], "q": ["covariance"]}.get(name, []):
+            del frames[other]  # else the two would not fit each other
+            frames[other] = np.zeros((len(rows), 9, 9)) if name == "q" else frames[name][:]
+    with pytest.raises(InputError, match=r"frames: \w+ has . columns, not"):
         read_result(path)

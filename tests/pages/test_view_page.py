@@ -123,6 +123,44 @@ def test_the_viewer_shows_a_result_and_plays_it(made: Path, saved: Path, tmp_pat
 
 
 @needs_browser
+def test_the_viewer_tells_limbs_and_cameras(saved: Path) -> None:
+    with Browser() as browser:
+        browser.open(saved.as_uri())
+
+        def seen(frame: int) -> tuple[str, list[str], int]:
+            browser.run(f"twistcapView.seek({frame})")
+            notes = browser.run("Array.from(document.querySelectorAll('.view b'), (note) => note.textContent)")
+            text = browser.run("document.getElementById('said').textContent")
+            return text, notes, browser.run("document.querySelectorAll('.view.out').length")
+
+        text, notes, out = seen(0)
+        assert text.startswith("height: probability of loss") and out == 0
+        assert seen(2) == ("one: lost: left arm (probability 0.90)", notes, 0)
+        text, notes, out = seen(3)
+        assert text == "one: lost: left arm (probability 0.90); camera cam02 is left out"
+        assert ["left out" in note for note in notes] == [False, True, False] and out == 1
+        told = browser.run("document.querySelector('details').textContent")
+        assert "2 of 6 frames lost: 2–3 (left arm)" in told and "camera cam02 was left out in 1 frame: 3" in told
+        x, y, w, h = browser.run("(({x, y, width, height}) => [x, y, width, height])(marks.getBoundingClientRect())")
+        browser.mouse("mouseMoved", x + w - 8, y + h / 2)
+        title = browser.run("document.getElementById('marks').title")
+        assert "frame 5" in title and "one: probability of loss 0.10 (left arm 0.10, head 0.05" in title
+        browser.click(x + 8 + 0.4 * (w - 16), y + h / 2)
+        assert browser.run("twistcapView.state.frame") == 2
+        assert browser.problems == []
+
+
+@needs_browser
+def test_the_viewer_fits_a_phone(saved: Path) -> None:
+    with Browser((390, 844)) as browser:
+        browser.open(saved.as_uri())
+        browser.run("twistcapView.seek(3)")
+        assert browser.run("document.documentElement.scrollWidth") <= 390
+        assert browser.run("document.getElementById('marks').clientWidth") > 300
+        assert browser.run("document.getElementById('said').getBoundingClientRect().bottom") <= 844
+
+
+@needs_browser
 def test_the_viewer_draws_bodies_lost_frames_and_the_reference(saved: Path, tmp_path: Path) -> None:
     blue, orange, red = (47, 125, 225), (239, 138, 36), (229, 72, 77)
     with Browser() as browser:
@@ -170,6 +208,10 @@ def test_a_result_without_videos_is_shown_without_images(
     document = json.loads(found[1])
     assert document["shown"] == [] and document["cameras"][0]["images"] == []
     assert document["runs"][1]["rows"] == [-1] * FRAMES  # a run that was killed before its first frame
+    run_of = document["runs"][0]
+    assert run_of["lost"] == [0, 0, 1, 1, 0, 0] and run_of["probability"][2] == 0.9
+    assert run_of["said"][2] == "lost: left arm (probability 0.90)" and run_of["cameras"][3] == ["", "left out", ""]
+    assert document["runs"][1]["told"] == []
 
 
 def test_a_view_says_what_is_wrong(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -36,4 +36,6 @@ def estimate(k: int) -> Estimate:
     A = rng.normal(size=(8, 8))
     energies = {"contour": 1.5 * k, **({"late": 2.0} if k > 2 else {})}
     pose = Pose(se3.exp(rng.normal(size=6)), rng.normal(size=2) * 0.1)
-    return Estimate(k, k / 60, pose, A @ A.T, energies, "converged", k, k == 3, 0.9)
+    parts = None if k == 2 else np.array([0.25, 0.5])
+    doubt = (0.125, parts, (1,) if k == 1 else (), (0, 1)[:k])
+    return Estimate(k, k / 60, pose, A @ A.T, energies, "converged", k, k == 3, 0.9, "hold", *doubt)

@@ -7,6 +7,8 @@ import numpy as np
 from twistcap.arrays import Bool
 from twistcap.body.model import Body
 
+_NAMED_AFTER = {"head_top": "head", "wrist": "arm", "elbow": "arm", "ankle": "leg", "knee": "leg"}
+
 
 def branches(body: Body) -> list[Bool]:
     """Masks (6 + J,) of coordinates that move the same ends of the body: the root's, then those of most ends first."""
@@ -23,6 +25,30 @@ def limbs(body: Body) -> list[Bool]:
 def limb_parts(body: Body, limb: Bool) -> Bool:
     """(S,) the segments that a limb's coordinates (6 + J,) move."""
     return np.asarray(body.chain[:, limb[6:]].any(axis=1), np.bool_)
+
+
+def named_limbs(body: Body) -> dict[str, Bool]:
+    """(S,) the segments of each limb by its name, such as ``arm_l``, ``head``; ``trunk`` is all others.
+
+    A limb is named after its landmarks, else after its first segment.
+    """
+    own = [limb_parts(body, limb) for limb in limbs(body)]
+    out: dict[str, Bool] = {}
+    for part in own:
+        name = _limb_name(body, part)
+        out[name] = out.get(name, np.zeros_like(part)) | part
+    rest = ~np.any(own, axis=0) if own else np.ones(len(body.segment_names), np.bool_)
+    return out | {"trunk": rest} if rest.any() else out
+
+
+def _limb_name(body: Body, part: Bool) -> str:
+    marks = body.landmarks
+    ends = [name for name, segment in zip(marks.names, marks.segments, strict=True) if part[segment]]
+    for landmark, limb in _NAMED_AFTER.items():
+        for name in ends:
+            if name.removesuffix("_r").removesuffix("_l") == landmark:
+                return limb + name[len(landmark) :]
+    return body.segment_names[int(np.argmax(part))]
 
 
 def same_limb(body: Body, one: int, other: int) -> bool:

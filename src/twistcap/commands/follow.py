@@ -9,11 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from twistcap.commands.terminal import progress
+from twistcap.commands.terminal import progress, words
 from twistcap.errors import InputError
-from twistcap.estimate import Frame
+from twistcap.estimate import Estimate, Frame
 from twistcap.io.result import Result, ResultWriter, read_result, read_state
 from twistcap.io.state import from_bytes, to_bytes
+from twistcap.report.words import CONTRADICTS
 from twistcap.track import Tracker
 
 STATE_EVERY = 10
@@ -33,9 +34,27 @@ class Timing:
         return float(np.median(times)) if times else float("nan")
 
 
+@dataclass
+class Believed:
+    """Which cameras are believed, and what is said the first time that this changes for one."""
+
+    names: tuple[str, ...]
+    out: frozenset[int] = frozenset()
+    said: set[tuple[int, bool]] = field(default_factory=set[tuple[int, bool]])
+
+    def told(self, estimate: Estimate) -> list[str]:
+        """Sentences about the cameras that are left out or believed again since the last frame."""
+        changed = [(camera, camera not in self.out) for camera in sorted(self.out ^ set(estimate.left_out))]
+        news = [change for change in changed if change not in self.said]
+        self.out = frozenset(estimate.left_out)
+        self.said.update(news)
+        did = {True: f"is left out; it {CONTRADICTS}", False: "is believed again"}
+        return [f"frame {estimate.index}: camera {self.names[camera]} {did[out]}" for camera, out in news]
+
+
 def follow(frames: Iterable[Frame], total: int, tracker: Tracker, writer: ResultWriter) -> Timing:
     """Track all frames; each is in the file before the next is touched. The InputError of a bad frame says so."""
-    timing = Timing()
+    timing, believed = Timing(), Believed(tracker.model.rig.names)
     with progress("tracking", total) as advance:
         try:
             for frame in frames:
@@ -45,6 +64,8 @@ def follow(frames: Iterable[Frame], total: int, tracker: Tracker, writer: Result
                 estimate = tracker.step(frame)
                 timing.ms.append(1000 * (time.perf_counter() - start))
                 writer.append(estimate)
+                for sentence in believed.told(estimate):
+                    words.print(sentence, markup=False, soft_wrap=True)
                 advance(f"{timing.ms[-1]:.0f} ms{'  LOST' if estimate.lost else ''}")
         except InputError as error:
             if not len(writer):

@@ -47,13 +47,16 @@ def write_overlay(
 
 
 def write_page(
-    folder: Path, title: str, lead: str, headlines: Sequence[Headline], rows: Sequence[Any], plots: Mapping[Path, str]
-) -> Path:
-    """``report.html`` about the files of the folder."""
+    folder: Path, title: str, lead: str, headlines: Sequence[Headline], rows: Sequence[Any], plots: Mapping[Path, str],
+    told: Sequence[str],
+) -> Path:  # fmt: skip
+    """``report.html`` about the files of the folder; `told` says what is doubtful."""
     video = folder / "overlay.mp4"
     about = {"result.h5": "everything, see docs/formats/result-file.md", "angles.png": "joint angles"}
     about |= {found.file_name: found.about for found in map(format_of, FORMATS.names())}
     files = {folder / name: words for name, words in about.items() if (folder / name).is_file()}
     figures = [Figure(path, caption) for path, caption in plots.items()]
     shown = video if video.is_file() else None
-    return write_report(folder, title, rows, lead=lead, headlines=headlines, figures=figures, video=shown, files=files)
+    return write_report(
+        folder, title, rows, lead=lead, told=told, headlines=headlines, figures=figures, video=shown, files=files
+    )

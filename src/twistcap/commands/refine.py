@@ -59,6 +59,7 @@ def _run(
     from twistcap.io.result import read_result
     from twistcap.io.session import load_session
     from twistcap.io.strict import dataclass_from
+    from twistcap.report.words import result_in_words
 
     result = read_result(path)
     config = dataclass_from(RefineConfig, parsed_settings(said), "--set", "refine")
@@ -78,7 +79,8 @@ def _run(
     about |= {"moved_mm": [1000.0 * step for step in refinement.moved], "helped": refinement.helped}
     about |= {"design_effect": refinement.design_effect, "joints_held": not refinement.joint_shifts}
     about |= _shape(result.body, refinement)
-    return about | {"files": _written(result, refinement, session, views, folder)}
+    about |= {"files": _written(result, refinement, session, views, folder)}
+    return about | {"told": result_in_words(read_result(folder / "refined.h5"))}
 
 
 def _session(result: Any, path: Path) -> Any:
@@ -168,6 +170,8 @@ def show(document: dict[str, Any]) -> None:
         words.print(f"Contours err together (design effect {document['design_effect']:.1f}): {why}")
     if not document["helped"]:
         words.print("The images agree less than before: refining did not help, and the track is kept as it was.")
+    for sentence in document["told"]:
+        words.print(sentence, markup=False, soft_wrap=True)
     for path in document["files"]:
         typer.echo(path)
 

@@ -87,6 +87,7 @@ def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str,
     """Track a session into a folder; what ``--json`` prints."""
     from twistcap.io.lock import WriteLock
     from twistcap.io.result import read_result
+    from twistcap.report.words import result_in_words
 
     path = folder / "result.h5"
     with WriteLock(path) as lock:
@@ -94,8 +95,9 @@ def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str,
         result = read_result(path)
         files = [path, *_outputs(session, views, result, folder, timing)]
     lost = result.indices[result.lost].tolist()
-    about = {"id": "track", "result": path, "frames": len(result), "lost": lost}
-    return about | {"ms_per_frame": timing.median, "files": files}
+    out = {name: result.indices[rows].tolist() for name, rows in zip(result.rig.names, result.left_out.T, strict=True)}
+    about = {"id": "track", "result": path, "frames": len(result), "lost": lost, "left_out": out}
+    return about | {"told": result_in_words(result), "ms_per_frame": timing.median, "files": files}
 
 
 def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Timing]:
@@ -159,6 +161,7 @@ def _kept(views: Any, tracker: Any, writer: Any, path: Path) -> Timing:
 def _outputs(session: Any, views: Any, result: Any, folder: Path, timing: Timing) -> list[Path]:
     from twistcap.commands import outputs
     from twistcap.report import Headline
+    from twistcap.report.words import result_in_words
 
     lost = int(np.sum(result.lost))
     with words.status("writing plots, exports and the overlay"):
@@ -171,26 +174,19 @@ def _outputs(session: Any, views: Any, result: Any, folder: Path, timing: Timing
             ]
             lead = f"{len(views.rig)} cameras, {views.fps:g} fps, images at {session.scale:g} of their size."
             plots = {folder / "angles.png": "Joint angles, ± 2σ"}
-            files.append(outputs.write_page(folder, session.title, lead, headlines, [], plots))
+            files.append(outputs.write_page(folder, session.title, lead, headlines, [], plots, result_in_words(result)))
     return files
 
 
 def tell(document: dict[str, Any]) -> None:
     """The end of a run, for a person."""
-    lost = document["lost"]
     speed = document["ms_per_frame"]
     pace = "nothing left to track" if np.isnan(speed) else f"{speed:.1f} ms each (median)"
-    words.print(f"{document['frames']} frames, {pace}; ", end="")
-    words.print(f"{len(lost)} lost: {_spans(lost)}" if lost else "none lost")
+    words.print(f"{document['frames']} frames, {pace}")
+    for sentence in document["told"]:
+        words.print(sentence, markup=False, soft_wrap=True)
     for path in document["files"]:
         typer.echo(path)
-
-
-def _spans(frames: list[int]) -> str:
-    """Frame numbers with runs as `211–222`."""
-    starts = [k for k in frames if k - 1 not in frames]
-    ends = [k for k in frames if k + 1 not in frames]
-    return ", ".join(str(a) if a == b else f"{a}–{b}" for a, b in zip(starts, ends, strict=True))
 
 
 def parsed_settings(settings: list[str]) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from twistcap import se3
 from twistcap.arrays import Float
 from twistcap.body import Body, Pose
 from twistcap.body.humanoid import humanoid
+from twistcap.body.limbs import named_limbs
 from twistcap.doors.text import finite_number, read_lines
 from twistcap.errors import InputError, check_choice
 from twistcap.estimate import Estimate
@@ -137,11 +138,13 @@ def poses_of_file(path: Path, axes: WorldAxes = "opensim") -> tuple[Body, Motion
 
 
 def write_csv(path: Path | str, body: Body, estimates: Sequence[Estimate]) -> None:
-    """One row per frame: time, root, coordinates, their standard deviations, status, support and the lost flag.
+    """One row per frame: time, root, coordinates, their standard deviations, status, support, the lost flag, and the
+    probability of loss of the body and of each limb (``probability_lost_arm_l``, empty where nothing was seen).
 
     Units stand in the column names: `_deg` and `_m`, standard deviations end in `_std_deg` and `_std_m`. The root is
     its place in the world and its rotation vector. Raises InputError if the file cannot be written.
     """
+    limbs = named_limbs(body)
     units = ["deg" if np.any(twist[:3]) else "m" for twist in body.twists]
     named = [("root_" + axis, "m") for axis in ("x", "y", "z")] + [("root_r" + axis, "deg") for axis in ("x", "y", "z")]
     named += list(zip(body.coordinate_names, units, strict=True))
@@ -149,10 +152,13 @@ def write_csv(path: Path | str, body: Body, estimates: Sequence[Estimate]) -> No
     scale = np.array([np.degrees(1.0) if unit == "deg" else 1.0 for _, unit in named])
     with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow([*head, "status", "support", "probability_lost", "lost"])
+        names = [f"probability_lost_{name}" for name in limbs]
+        writer.writerow([*head, "status", "support", "probability_lost", *names, "lost"])
         for e in estimates:
             cells = np.concatenate([_values(e.pose) * scale, _deviations(e) * scale])
-            ends = [e.status, f"{e.support:.4f}", f"{e.probability:.4f}", int(e.lost)]
+            parts = e.part_probability
+            each = ["" if parts is None else f"{parts[segments].max():.4f}" for segments in limbs.values()]
+            ends = [e.status, f"{e.support:.4f}", f"{e.probability:.4f}", *each, int(e.lost)]
             writer.writerow([e.index, f"{e.time:.6f}", *(f"{v:.6f}" for v in cells), *ends])
 
 

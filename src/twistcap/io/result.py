@@ -12,7 +12,6 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.metadata import version
-from operator import attrgetter
 from pathlib import Path
 from platform import python_version
 from typing import Any
@@ -39,6 +38,7 @@ from twistcap.io.result_image import (
     SLOTS,
     image_of,
     state_row,
+    value_of,
 )
 from twistcap.io.result_schema import BODY, HEAD, RIG, STATE, frames_of, of_group
 from twistcap.se3 import is_motion
@@ -63,6 +63,9 @@ class Result:
     lost: Bool  # (N,) whether the evidence no longer supported the pose
     support: Float  # (N,) that evidence in [0, 1]
     probability: Float  # (N,) of being lost
+    part_probability: Float  # (N, S) the same of each segment's limb; NaN where nothing was seen
+    left_out: Bool  # (N, C) cameras that were not believed
+    missing: Bool  # (N, C) cameras that showed nothing, or nothing new
     predicted: tuple[str, ...]  # N words, the source of the pose that each frame started from; see `Estimate`
     config: Mapping[str, Any]  # what the run was configured with, as JSON data
     versions: Mapping[str, str]  # of the programs, by name
@@ -75,11 +78,12 @@ class Result:
         body: Body, rig: Rig, config: Mapping[str, Any], versions: Mapping[str, str], recording: Mapping[str, Any]
     ) -> Result:
         """Before the first frame."""
-        J, none = len(body.coordinate_names), np.zeros(0)
+        J, S, none = len(body.coordinate_names), len(body.segment_names), np.zeros(0)
+        parts, cameras = np.zeros((0, S)), np.zeros((0, len(rig)), np.bool_)
         roots, covariances = np.zeros((0, 4, 4)), np.zeros((0, 6 + J, 6 + J))
         return Result(
             body, rig, none.astype(np.int32), none, roots, np.zeros((0, J)), covariances, {}, (), none.astype(np.int32),
-            none.astype(np.bool_), none, none, (), config, versions, recording,
+            none.astype(np.bool_), none, none, parts, cameras, cameras, (), config, versions, recording,
         )  # fmt: skip
 
     @property
@@ -89,7 +93,8 @@ class Result:
         return words | {
             "index": self.indices, "time": self.times, "root": self.roots, "q": self.q,
             "covariance": self.covariances, "iterations": self.iterations, "lost": self.lost, "support": self.support,
-            "probability": self.probability,
+            "probability": self.probability, "part_probability": self.part_probability,
+            "left_out": self.left_out, "missing": self.missing,
         }  # fmt: skip
 
     def __len__(self) -> int:
@@ -121,6 +126,9 @@ class Result:
                 support=float(self.support[n]),
                 predicted=self.predicted[n],
                 probability=float(self.probability[n]),
+                part_probability=None if np.isnan(self.part_probability[n]).all() else self.part_probability[n],
+                left_out=_true(self.left_out[n]),
+                missing=_true(self.missing[n]),
             )
             for n, pose in enumerate(self.poses)
         )
@@ -202,8 +210,9 @@ class ResultWriter:
             self._rebuild(*self._written(), self._wanted_room(), names)
         for name in self._energies:
             self._put(f"frames/energies/{name}", self._count, estimate.energies.get(name, np.nan))
-        for name, (attribute, _) in FIELDS.items():
-            self._put(f"frames/{name}", self._count, attrgetter(attribute)(estimate))
+        for name in FIELDS:
+            shape = self._places[f"frames/{name}"].shape
+            self._put(f"frames/{name}", self._count, value_of(estimate, name, shape))
         self._count += 1
         self._held = max(self._held, self._count)
 
@@ -278,9 +287,10 @@ def read_result(path: str | Path) -> Result:
     held, source = _held(path), f"result file {path}"
     rows, rig = frames_of(held, source), of_group(held, "rig", RIG, source)
     with naming(path):
-        _check_frames(rows)
+        body = _body_of(of_group(held, "body", BODY, source))
+        _check_frames(rows, body, len(rig["names"]))
         return Result(
-            body=_body_of(of_group(held, "body", BODY, source)),
+            body=body,
             rig=Rig(tuple(_camera_of(source, rig, i) for i in range(len(rig["names"])))),
             indices=rows["index"],
             times=rows["time"],
@@ -293,6 +303,9 @@ def read_result(path: str | Path) -> Result:
             lost=rows["lost"],
             support=rows["support"],
             probability=rows["probability"],
+            part_probability=rows["part_probability"],
+            left_out=rows["left_out"],
+            missing=rows["missing"],
             predicted=tuple(rows["predicted"].tolist()),
             config=_table_of(held, "config", source),
             versions={k.removeprefix("versions@"): str(v) for k, v in held.items() if k.startswith("versions@")},
@@ -347,7 +360,15 @@ def _camera_of(source: str, held: Mapping[str, Any], i: int) -> Camera:
     return camera
 
 
-def _check_frames(rows: Mapping[str, Any]) -> None:
+def _true(flags: Bool) -> tuple[int, ...]:
+    return tuple(np.flatnonzero(flags).tolist())
+
+
+def _check_frames(rows: Mapping[str, Any], body: Body, cameras: int) -> None:
+    wanted = {"q": len(body.coordinate_names), "part_probability": len(body.segment_names)}
+    for name, columns in (wanted | {"left_out": cameras, "missing": cameras}).items():
+        if rows[name].shape[1] != columns:
+            raise InputError(f"frames: {name} has {rows[name].shape[1]} columns, not {columns}; track it again.")
     if np.any(np.diff(rows["index"]) <= 0) or np.any(np.diff(rows["time"]) <= 0):
         raise InputError("frames: their numbers or times do not rise; track the recording again.")
     if not np.all(is_motion(rows["root"])):

@@ -12,6 +12,7 @@ import json
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import h5py
@@ -19,12 +20,13 @@ import numpy as np
 
 from twistcap.arrays import AnyArray, UInt8
 from twistcap.body import Body
+from twistcap.estimate import Estimate
 
 if TYPE_CHECKING:
     from twistcap.io.result import Result
 
 FORMAT = "twistcap-result"
-FORMAT_VERSION = 5
+FORMAT_VERSION = 6
 BODY_ARRAYS = ("parent", "twists", "limits", "segment_joint", "vertices", "faces", "skin_segments", "skin_weights")
 BODY_NAMES = ("coordinate_names", "segment_names")
 RIG_ARRAYS = ("K", "T_cam_world", "size", "dist")
@@ -38,9 +40,14 @@ FIELDS: Mapping[str, tuple[str, Any]] = {  # datasets of the frames: attribute o
     "lost": ("lost", "bool"),
     "support": ("support", "f8"),
     "probability": ("probability", "f8"),
+    "part_probability": ("part_probability", "f4"),
+    "left_out": ("left_out", "bool"),
+    "missing": ("missing", "bool"),
     "predicted": ("predicted", h5py.string_dtype("ascii", 20)),
     "index": ("index", "i8"),  # the last one to be written: it says that the frame is whole
 }
+CAMERAS = ("left_out", "missing")
+"""Datasets that say of each camera whether an estimate names it."""
 SLOTS = ("0", "1")
 NONE = -1
 """The index of a frame, and the frames of a state, that have not been written."""
@@ -68,6 +75,14 @@ class Place:
         if array.shape != self.shape:
             raise ValueError(f"a row of shape {array.shape} does not fit one of shape {self.shape}.")
         return array.tobytes()
+
+
+def value_of(estimate: Estimate, name: str, shape: tuple[int, ...]) -> Any:
+    """What a row of that shape holds of an estimate; NaN for what is not known."""
+    value = attrgetter(FIELDS[name][0])(estimate)
+    if name in CAMERAS:
+        return np.isin(np.arange(shape[0]), value)
+    return np.full(shape, np.nan) if value is None else value
 
 
 @dataclass(frozen=True)

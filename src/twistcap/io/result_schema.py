@@ -47,6 +47,9 @@ FRAMES: Schema = {
     "lost": flag("N"),
     "support": real("N", least=0.0, most=1.0, gaps=True),
     "probability": real("N", least=0.0, most=1.0),
+    "part_probability": real("N", "S", least=0.0, most=1.0, gaps=True),
+    "left_out": flag("N", "C"),
+    "missing": flag("N", "C"),
     "predicted": word("N"),
 }
 

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from twistcap.arrays import AnyArray, Float, Int
+from twistcap.arrays import AnyArray, Bool, Float, Int
 from twistcap.body import Posed
 from twistcap.body.kinematics import unit_vertex_normals
+from twistcap.body.limbs import named_limbs
 from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError
 from twistcap.estimate import UNSEEN
@@ -19,6 +20,7 @@ from twistcap.io.result import Result
 from twistcap.io.video import Source
 from twistcap.pages.assemble import jpeg, packed, page
 from twistcap.pages.outlines import body_outlines, flat
+from twistcap.report.words import camera_in_words, frame_in_words, limb_in_words, result_in_words
 
 STICKS = (
     ("head_top", "neck"), ("neck", "shoulder_r"), ("neck", "shoulder_l"), ("neck", "mid_hip"), ("hip_r", "hip_l"),
@@ -101,7 +103,8 @@ def _camera(camera: Camera, source: Source | None, indices: Int, width: int) -> 
 
 
 def _run(name: str, result: Result, indices: Int, shown: Int, rig: Rig, width: int) -> dict[str, Any]:
-    body = result.body
+    body, names = result.body, result.rig.names
+    limbs = named_limbs(body)
     where = {int(index): row for row, index in enumerate(result.indices)}
     rows = [where.get(int(index), -1) for index in indices]
     posed = [Posed(body, pose) for pose in result.poses]
@@ -124,11 +127,23 @@ def _run(name: str, result: Result, indices: Int, shown: Int, rig: Rig, width: i
         "transforms": packed(transforms),
         "lost": result.lost.astype(int).tolist(),
         "dropped": [int(status in UNSEEN) for status in result.statuses],
+        "probability": np.round(result.probability, 3).tolist(),
+        "limbs": [limb_in_words(limb) for limb in limbs],
+        "limb_probability": packed(_of_limbs(result, limbs)),
+        "said": [frame_in_words(e, limbs, names) for e in result.estimates],
+        "told": result_in_words(result),
+        "cameras": [[camera_in_words(e, c) for c in range(len(names))] for e in result.estimates],
         "coordinates": list(body.coordinate_names),
         "angles_deg": packed(np.rad2deg(result.q)),
         "sigma_deg": packed(np.rad2deg(np.nan_to_num(result.sigmas))),
         "outlines": outlines,
     }
+
+
+def _of_limbs(result: Result, limbs: Mapping[str, Bool]) -> Float:
+    """(N, G) probability that each limb is lost; NaN where nothing was seen."""
+    each = [result.part_probability[:, segments].max(axis=1) for segments in limbs.values()]
+    return np.stack(each, axis=1)
 
 
 def _reference(reference: Reference, times: Float, rig: Rig, shown: Int, width: int) -> dict[str, Any]:

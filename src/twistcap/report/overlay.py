@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,11 +14,13 @@ from twistcap import se3
 from twistcap.arrays import AnyArray, Bool, Float, Float32, Int
 from twistcap.body import Body, Posed
 from twistcap.body.kinematics import unit_vertex_normals
+from twistcap.body.limbs import named_limbs
 from twistcap.body.shape import joint_origins
 from twistcap.camera import Camera, Rig
 from twistcap.estimate import Estimate, Frame
 from twistcap.io.videowriter import VideoWriter, as_rgb
 from twistcap.render.raster import barycentric, rasterise
+from twistcap.report.words import camera_in_words, doubtful, state_in_words
 
 Colour = tuple[int, int, int]
 
@@ -52,7 +54,7 @@ def bones_of(body: Body) -> Bones:
 
 
 def draw_overlay(
-    image: AnyArray | None, camera: Camera, posed: Posed, lost: bool = False, opacity: float = 0.5,
+    image: AnyArray | None, camera: Camera, posed: Posed, lost: Bool | bool = False, opacity: float = 0.5,
     bones: Bones | None = None,
 ) -> AnyArray:  # fmt: skip
     """The body drawn over one image: (H, W, 3) uint8 RGB.
@@ -60,11 +62,12 @@ def draw_overlay(
     Args:
         image: (H, W) or (H, W, 3), uint8 or float in [0, 1]; None for a dropped frame (drawn on a dark ground).
         camera: of the image: with distortion for images as recorded, `pinhole()` for rectified ones.
-        posed, lost: the body at its pose, all in red where it is lost.
+        posed: the body at its pose.
+        lost: (S,) segments that are drawn in red; True for all.
         opacity: of the surface, 0 to 1.
         bones: `bones_of` the body, to save their computation when many images are drawn.
     """
-    canvas = _canvas(image, camera)
+    canvas, lost = _canvas(image, camera), np.broadcast_to(lost, len(posed.body.segment_names))
     pixels, inverse_depth = visible_projection(camera, posed.vertices)
     window = _window(pixels[inverse_depth > 0], camera.size)
     width = max(1.5, camera.size[1] / 400)
@@ -74,8 +77,8 @@ def draw_overlay(
         part = _cut(canvas, *window)
         seen = face_index >= 0
         part[seen] = (part[seen] * (1 - opacity) + colours * opacity).astype(np.uint8)
-        _draw_outline(canvas, seen, buffer, window, LOST if lost else _PAPER, width)
-    _draw_bones(canvas, camera, bones or bones_of(posed.body), posed, LOST if lost else None, width)
+        _draw_outline(canvas, seen, buffer, window, LOST if lost.all() else _PAPER, width)
+    _draw_bones(canvas, camera, bones or bones_of(posed.body), posed, lost, width)
     return canvas
 
 
@@ -116,15 +119,16 @@ def _canvas(image: AnyArray | None, camera: Camera) -> AnyArray:
     return np.full((*camera.size[::-1], 3), 40, np.uint8) if image is None else as_rgb(image).copy()
 
 
-def part_colours(body: Body) -> Float:
-    """(S, 3) RGB of every segment: right warm, left cool, the middle neutral."""
+def part_colours(body: Body, lost: Bool | bool = False) -> Float:
+    """(S, 3) RGB of every segment: right warm, left cool, the middle neutral, red those (S,) that are lost."""
     sides = {"_r": RIGHT, "_l": LEFT}
-    return np.array([sides.get(name[-2:].lower(), MIDDLE) for name in body.segment_names], dtype=float)
+    own = np.array([sides.get(name[-2:].lower(), MIDDLE) for name in body.segment_names], dtype=float)
+    return np.where(np.broadcast_to(lost, len(own))[:, None], np.array(LOST, dtype=float), own)
 
 
 def _shaded(
     posed: Posed, camera: Camera, pixels: Float, inverse_depth: Float, face_index: Int, origin: tuple[int, int],
-    lost: bool,
+    lost: Bool,
 ) -> Float:  # fmt: skip
     """(n, 3) colours of the covered pixels, lit from the camera's upper left."""
     body, (y, x) = posed.body, np.nonzero(face_index >= 0)
@@ -134,7 +138,7 @@ def _shaded(
     light = np.array([-0.35, -0.55, -0.76]) @ camera.T_cam_world[:3, :3]
     normals = unit_vertex_normals(posed.vertices, body.faces)
     bright = 0.30 + 0.70 * np.clip(normals @ light, 0.0, 1.0)
-    base = np.array(LOST, float) if lost else part_colours(body)[body.face_part[faces_seen]]
+    base = part_colours(body, lost)[body.face_part[faces_seen]]
     return np.einsum("nk,nk->n", weights, bright[body.faces[faces_seen]])[:, None] * base
 
 
@@ -158,19 +162,17 @@ def _creases(inverse_depth: Float32) -> Bool:
     return (inverse_depth > 0) & jumps
 
 
-def _draw_bones(
-    canvas: AnyArray, camera: Camera, bones: Bones, posed: Posed, colour: Colour | None, width: float
-) -> None:
+def _draw_bones(canvas: AnyArray, camera: Camera, bones: Bones, posed: Posed, lost: Bool, width: float) -> None:
     segments, ends = bones
     ends = se3.apply(posed.segment_transforms[segments], ends)
     pixels, inverse_depth = visible_projection(camera, ends.reshape(-1, 3))
     pixels, inside = pixels.reshape(-1, 2, 2), np.all((inverse_depth > 0).reshape(-1, 2), axis=1)
-    colours = part_colours(posed.body)[segments].tolist()
+    colours = part_colours(posed.body, lost)[segments].tolist()
     thick = max(1, round(width))
     for dark in (True, False):  # all dark borders first, so that no border cuts another bone
         for (a, b), own, visible in zip(pixels, colours, inside.tolist(), strict=True):
             if visible:
-                ink = _INK if dark else colour or own
+                ink = _INK if dark else own
                 cv2.line(canvas, _fixed(a), _fixed(b), ink, thick + 2 * dark, cv2.LINE_AA, _SHIFT)
     for a, visible in zip(pixels.reshape(-1, 2), np.repeat(inside, 2).tolist(), strict=True):
         if visible:
@@ -225,23 +227,45 @@ def mosaic_for(rig: Rig) -> Mosaic:
 
 
 def draw_mosaic(
-    frame: Frame, posed: Posed | None, mosaic: Mosaic, title: str = "", lost: bool = False, bones: Bones | None = None
-) -> AnyArray:
-    """All views of one frame (H, W, 3) uint8, with the body over them, camera names, frame number and time."""
+    frame: Frame, posed: Posed | None, mosaic: Mosaic, title: str = "", estimate: Estimate | None = None,
+    bones: Bones | None = None,
+) -> AnyArray:  # fmt: skip
+    """All views of one frame (H, W, 3) uint8, with the body over them, camera names, frame number and time.
+
+    Where its estimate is given, a lost frame has a red border and its most doubtful limbs in red, and a camera that was
+    not believed says so.
+    """
     canvas = np.full((mosaic.size[1], mosaic.size[0], 3), _INK, np.uint8)
+    limbs = {} if posed is None else named_limbs(posed.body)
+    lost = estimate is not None and _red(estimate, limbs)
     for k, (image, camera) in enumerate(zip(frame.images, mosaic.cameras, strict=True)):
-        resized = image
-        if image is not None:
-            mode = cv2.INTER_AREA if camera.size[0] < image.shape[1] else cv2.INTER_CUBIC
-            resized = cv2.resize(image, camera.size, interpolation=mode)
+        resized = None if image is None else _resized(image, camera)
         view = _canvas(resized, camera) if posed is None else draw_overlay(resized, camera, posed, lost, bones=bones)
         x, y = mosaic.place(canvas, k, view)
-        _label(canvas, camera.name + ("" if image is not None else ": no image"), (x + 8, y + 24))
-    state = "no pose" if posed is None else "lost" if lost else ""
+        note = camera_in_words(estimate, k, image is not None)
+        left_out = estimate is not None and k in estimate.left_out
+        if left_out:
+            cv2.rectangle(canvas, (x, y), (x + view.shape[1] - 1, y + view.shape[0] - 1), LOST, 3)
+        _label(canvas, f"{camera.name}: {note}" if note else camera.name, (x + 8, y + 24), LOST if left_out else _PAPER)
     _label(canvas, title, (12, 27))
     _label(canvas, f"frame {frame.index}   {frame.time:.3f} s", (canvas.shape[1] - 12, 27), right=True)
+    state = "no pose" if posed is None else "" if estimate is None else state_in_words(estimate, limbs)
     _label(canvas, state, (canvas.shape[1] - 260, 27), LOST, right=True)
+    if estimate is not None and estimate.lost:
+        cv2.rectangle(canvas, (0, 0), (canvas.shape[1] - 1, canvas.shape[0] - 1), LOST, 7)
     return canvas
+
+
+def _red(estimate: Estimate, limbs: Mapping[str, Bool]) -> Bool | bool:
+    """The segments (S,) that are drawn in red: those of doubtful limbs, all where nothing is known of limbs."""
+    parts = estimate.part_probability
+    names = () if parts is None else doubtful(limbs, parts)
+    return estimate.lost and (np.any([limbs[name] for name in names], axis=0) if names else True)
+
+
+def _resized(image: AnyArray, camera: Camera) -> AnyArray:
+    mode = cv2.INTER_AREA if camera.size[0] < image.shape[1] else cv2.INTER_CUBIC
+    return cv2.resize(image, camera.size, interpolation=mode)
 
 
 def _label(canvas: AnyArray, text: str, at: tuple[int, int], colour: Colour = _PAPER, right: bool = False) -> None:
@@ -269,7 +293,7 @@ def overlay_video(
     by_index = {int(e.index): e for e in estimates}
     with VideoWriter(path, fps) as writer:
         for frame in frames:
-            shown = by_index.get(frame.index)
-            posed, lost = (Posed(body, shown.pose), shown.lost) if shown else (None, False)
-            writer.write(draw_mosaic(frame, posed, mosaic, title, lost, bones))
+            estimate = by_index.get(frame.index)
+            posed = None if estimate is None else Posed(body, estimate.pose)
+            writer.write(draw_mosaic(frame, posed, mosaic, title, estimate, bones))
     return Path(path)

@@ -44,7 +44,8 @@ class Figure:
 
 
 def write_report(
-    folder: Path | str, title: str, rows: Sequence[Row], *, lead: str = "", headlines: Sequence[Headline] = (),
+    folder: Path | str, title: str, rows: Sequence[Row], *, lead: str = "", told: Sequence[str] = (),
+    headlines: Sequence[Headline] = (),
     figures: Sequence[Figure] = (), video: Path | None = None, files: Mapping[Path, str] | None = None,
     notes: Sequence[str] = (),
 ) -> Path:  # fmt: skip
@@ -53,6 +54,7 @@ def write_report(
     Args:
         folder: of the page, report.html, whose path is returned; the video and the files are linked relative to it.
         title, lead, rows: heading, the sentence under it, and table of measures.
+        told: sentences on what is doubtful, below the headlines.
         headlines: the few numbers that matter, in large type.
         figures, video: PNG files to embed, and the overlay, which is linked.
         files: other files, path to description.
@@ -70,6 +72,7 @@ def write_report(
         f"<h1>{escape(title)}</h1>",
         f'<p class="lead">{escape(lead)}</p>',
         _cards(headlines),
+        _list("Lost frames and cameras", [escape(sentence) for sentence in told]),
         _video(folder, video),
         "\n".join(map(_figure, figures)),
         _table(rows),
@@ -128,7 +131,8 @@ def _video(folder: Path, video: Path | None) -> str:
     link = _link(folder, video)
     return (
         f'<h2>Overlay</h2>\n<figure><video controls loop muted playsinline preload="auto" src="{link}"></video>'
-        f"<figcaption>The tracked body over every view; right is orange, left is blue, and red means lost. "
+        f"<figcaption>The tracked body over every view; right is orange, left is blue. "
+        f"A lost frame has a red border, and its most doubtful limbs are red. "
         f'<a href="{link}">{escape(video.name)}</a></figcaption></figure>'
     )
 

@@ -51,7 +51,7 @@ def step(state: Any, frame: Frame, model: Model | DifferentialModel) -> tuple[An
     if isinstance(model, Model):
         model = replace(model, predictors=model.predictors[-1:])  # it always answers; another may be what failed
     after, blind = _stepped(state, replace(frame, images=(None,) * len(frame.images), keypoints=None), model)
-    return after, replace(blind, status="failed", lost=True, support=0.0)
+    return after, replace(blind, status="failed", lost=True, support=0.0, missing=missing(frame))
 
 
 def _stepped(state: Any, frame: Frame, model: Model | DifferentialModel) -> tuple[Any, Estimate]:
@@ -158,7 +158,7 @@ def learned(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool)
     lost = probability >= model.flag.lost or least < model.support.least
     return after, Estimate(
         frame.index, frame.time, fit.pose, claims, fit.energies, fit.status, fit.steps,
-        lost, least, prediction.name, probability, by_part,
+        lost, least, prediction.name, probability, by_part, after.left_out, missing(frame),
     )  # fmt: skip
 
 
@@ -197,5 +197,10 @@ def unseen(problem: FrameProblem, prediction: Prediction) -> tuple[State, Estima
     status = "no_images" if all(image is None for image in frame.images) else "not_found"
     return after, Estimate(
         frame.index, frame.time, pose, claimed, {}, status, 0,
-        probability >= model.flag.lost, 0.0, prediction.name, probability,
+        probability >= model.flag.lost, 0.0, prediction.name, probability, None, after.left_out, missing(frame),
     )  # fmt: skip
+
+
+def missing(frame: Frame) -> tuple[int, ...]:
+    """Cameras that have no picture, or none with news."""
+    return tuple(i for i, image in enumerate(frame.images) if image is None)

@@ -144,15 +144,15 @@ def agreement(rounds: Sequence[CameraRound]) -> float:
 
 
 def support(rounds: Sequence[CameraRound]) -> Float:
-    """(F,) support of each frame's pose by the contours, as in tracking: the fraction of its worst part."""
-    rule, frames = SupportRule(), len(rounds[0].tallies)
-    out, fraction = np.ones(frames), np.ones(len(rounds[0].tallies[0][0]))
+    """(F, S) support of each frame's pose by the contours, as in tracking: the fraction of each part."""
+    rule, frames, parts = SupportRule(), len(rounds[0].tallies), len(rounds[0].tallies[0][0])
+    out, fraction = np.ones((frames, parts)), np.ones(parts)
     for t in range(frames):
         good, points = (np.sum([r.tallies[t][k] for r in rounds], axis=0) for k in (0, 1))
         judged = points >= rule.least_points
         fraction[judged] *= rule.memory
         fraction[judged] += (1.0 - rule.memory) * good[judged] / points[judged]
-        out[t] = fraction.min()
+        out[t] = fraction
     return out
 
 

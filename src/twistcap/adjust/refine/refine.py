@@ -18,7 +18,7 @@ from twistcap.adjust.refine.problem import RefineProblem, Standing, Track
 from twistcap.adjust.refine.settings import RefineConfig
 from twistcap.adjust.refine.shape import Shape
 from twistcap.arrays import Bool, Float
-from twistcap.body import Body
+from twistcap.body import Body, Posed
 from twistcap.camera import Rig
 from twistcap.cues.support import SupportRule
 from twistcap.errors import InputError, check
@@ -26,6 +26,8 @@ from twistcap.estimate import Estimate, Frame
 from twistcap.predict import MotionNoise
 from twistcap.predict.inertia import INFLATION
 from twistcap.priors.standing import RestPose
+from twistcap.search.flag import FlagRule, flag_groups, support_signs
+from twistcap.search.uncertain import segment_deviations
 from twistcap.settings import Settings
 from twistcap.solve import Arrow, Solution, minimise
 
@@ -208,4 +210,17 @@ def _estimates(
         if supported is None or not e.seen:  # without contours the tracker's own support stays
             yield own
         else:
-            yield replace(own, support=float(supported[t]), lost=bool(supported[t] < SupportRule().least))
+            yield with_support(own, x.posed[t], supported[t])
+
+
+def with_support(estimate: Estimate, posed: Posed, support: Float) -> Estimate:
+    """With the support (S,) of its parts. What the tracker lost stays lost, unless the contours agree so well by now
+    that they alone do not make a loss probable."""
+    least, flag = float(support.min()), FlagRule()
+    own = replace(estimate, support=least, lost=estimate.lost or least < SupportRule().least)
+    if not estimate.lost or least < SupportRule().sure:
+        return own
+    groups, (deviations, _) = flag_groups(posed.body), segment_deviations(posed, estimate.covariance)
+    limbs = flag.limbs(support_signs(groups, support), np.array([deviations[group].max() for group in groups]))
+    probability = flag.whole(limbs)
+    return replace(own, probability=probability, part_probability=limbs @ groups, lost=probability >= flag.lost)

@@ -1,10 +1,10 @@
 /* The viewer: 3D scene, images with outlines, time line and joint-angle plots, all driven by `seek`. */
 const COLOURS = data.runs.length > 1 ? ["#2f7de1", "#ef8a24", "#35a368", "#a758cf", "#c8466a", "#5a6270"] : ["#2f7de1"];
-const TRUTH = "#15181d", LOST = "#e5484d", DROPPED = "#9aa3ad";
+const TRUTH = "#15181d", LOST = "#e5484d", DROPPED = "#9aa3ad", DOUBT = "#5d6875", OUT = "#d98a00";
 const colourOf = (k) => COLOURS[k % COLOURS.length];
 const runs = data.runs.map((run, k) => ({
   ...run, colour: colourOf(k), visible: true, transforms: unpack(run.transforms), angles: unpack(run.angles_deg),
-  sigma: unpack(run.sigma_deg),
+  sigma: unpack(run.sigma_deg), limbProbability: unpack(run.limb_probability),
   body: Object.fromEntries(Object.entries(run.body).map(([key, value]) => [key, unpack(value)])),
   influences: run.body.weights.shape[1], S: run.transforms.shape[1],
 }));
@@ -26,7 +26,8 @@ runs.forEach((run) => {
   const swatch = make("span", { class: "swatch", style: `background:${run.colour}` });
   const lost = run.lost.filter(Boolean).length;
   const note = lost ? make("span", { class: "lost" }, ` (${lost} of ${run.lost.length} frames lost)`) : "";
-  legend.append(make("label", {}, box, swatch, run.name, note), " ");
+  const told = make("details", {}, make("summary", {}, "lost frames and cameras"), ...run.told.map((text) => make("div", {}, text)));
+  legend.append(make("label", {}, box, swatch, run.name, note), " ", told, " ");
 });
 function toggle(key, text) {
   const box = make("input", { type: "checkbox", id: `show-${key}`, change: (e) => { state[key] = e.target.checked; refresh(); } });
@@ -195,7 +196,8 @@ const pictures = data.cameras.map((camera, c) => {
   if (!camera.images.length) return null;
   const canvas = make("canvas", { width: camera.size[0], height: camera.size[1] });
   const note = make("b", {}, camera.name);
-  views.append(make("div", { class: "view" }, canvas, note));
+  const tile = make("div", { class: "view" }, canvas, note);
+  views.append(tile);
   const images = camera.images.map((url) => {
     if (!url) return null;
     const image = new Image();
@@ -203,7 +205,7 @@ const pictures = data.cameras.map((camera, c) => {
     image.addEventListener("load", () => { if (shownAt(state.frame) === images.indexOf(image)) paint(c, state.frame); });
     return image;
   });
-  return { canvas, images, note };
+  return { canvas, images, note, tile };
 });
 if (!pictures.some(Boolean)) document.getElementById("stage").classList.add("bare");
 const pictured = pictures.filter(Boolean).length, columns = Math.ceil(Math.sqrt(pictured));
@@ -248,12 +250,15 @@ function paint(c, frame) {
   pen.fillStyle = "#fff"; pen.strokeStyle = TRUTH; pen.lineWidth = 1;
   for (const mark of marks) if (mark) { pen.beginPath(); pen.arc(mark[0] + 0.5, mark[1] + 0.5, 1.8, 0, 7); pen.fill(); pen.stroke(); }
   const number = data.indices[data.shown[k]];
-  picture.note.textContent = data.cameras[c].name + (image ? (data.shown[k] === frame ? "" : ` (frame ${number})`) : ": no image");
+  const old = image && data.shown[k] !== frame ? ` (frame ${number})` : "", own = runs[0].cameras[runs[0].rows[frame]]?.[c];
+  const note = own === "left out" || image ? own : "no image";
+  picture.note.textContent = data.cameras[c].name + old + (note ? `: ${note}` : "");
+  picture.tile.classList.toggle("out", own === "left out");
 }
 listeners.push((frame) => { pictures.forEach((_, c) => paint(c, frame)); scene3d?.draw(); });
 
 /* ---- time line ---- */
-const slider = document.getElementById("slider"), now = document.getElementById("now"), play = document.getElementById("play");
+const [slider, now, play, said, strip] = ["slider", "now", "play", "said", "marks"].map((id) => document.getElementById(id));
 slider.max = data.indices.length - 1;
 slider.addEventListener("input", () => seek(+slider.value));
 listeners.push((frame) => {
@@ -261,20 +266,43 @@ listeners.push((frame) => {
   const lost = runs.filter((run) => run.rows[frame] >= 0 && run.lost[run.rows[frame]]).map((run) => run.name);
   now.replaceChildren(`frame ${data.indices[frame]}   ${data.times[frame].toFixed(3)} s `);
   if (lost.length) now.append(make("span", { class: "lost" }, runs.length > 1 ? `lost: ${lost.join(", ")}` : "lost"));
+  const texts = runs.filter((run) => run.said[run.rows[frame]]).map((run) => (runs.length > 1 ? `${run.name}: ` : "") + run.said[run.rows[frame]]);
+  said.textContent = texts.join(" — ") || "height: probability of loss; red: lost, grey: body not seen, amber: a camera left out";
+  said.className = texts.length ? "" : "soft";
 });
 
+/** The probability of loss of one frame in words, with that of its most doubtful limbs. */
+function doubt(run, row) {
+  const G = run.limbs.length, each = run.limbs.map((name, g) => [name, run.limbProbability[row * G + g]]);
+  const worst = each.filter(([, p]) => p >= 0.05).sort((a, b) => b[1] - a[1]).slice(0, 3).map(([name, p]) => `${name} ${p.toFixed(2)}`);
+  return `${run.name}: probability of loss ${run.probability[row].toFixed(2)}${worst.length ? ` (${worst.join(", ")})` : ""}`;
+}
+
+const THUMB = 8;  // px, half of the slider's knob
+const stepOf = () => (strip.clientWidth - 2 * THUMB) / Math.max(1, data.indices.length - 1);
+
 function drawMarks() {
-  const canvas = document.getElementById("marks"), n = data.indices.length;
-  canvas.width = canvas.clientWidth; canvas.height = 10;
-  const pen = canvas.getContext("2d"), thumb = 8, step = (canvas.width - 2 * thumb) / Math.max(1, n - 1);
-  const height = 10 / runs.length;
-  pen.fillStyle = "#eef1f5"; pen.fillRect(0, 0, canvas.width, 10);
+  const height = runs.length > 1 ? 14 : 22, step = stepOf(), wide = Math.max(2, step), pen = strip.getContext("2d");
+  strip.width = strip.clientWidth;
+  strip.height = height * runs.length;
+  strip.style.height = `${strip.height}px`;
+  const bar = (frame, top, size, colour) => { pen.fillStyle = colour; pen.fillRect(THUMB + (frame - 0.5) * step, top, wide, size); };
+  pen.fillStyle = "#eef1f5"; pen.fillRect(0, 0, strip.width, strip.height);
   runs.forEach((run, k) => run.rows.forEach((row, frame) => {
-    if (row < 0 || !(run.lost[row] || run.dropped[row])) return;
-    pen.fillStyle = run.lost[row] ? LOST : DROPPED;
-    pen.fillRect(thumb + (frame - 0.5) * step, k * height, Math.max(2, step), height);
+    if (row < 0) return;
+    const bottom = (k + 1) * height - 1, high = Math.round((height - 4) * run.probability[row]);
+    if (run.lost[row] || run.dropped[row]) bar(frame, k * height, height - 1, run.lost[row] ? LOST + "55" : DROPPED + "77");
+    bar(frame, bottom - 3 - high, high, run.lost[row] ? LOST : DOUBT);
+    if (run.lost[row] || run.dropped[row]) bar(frame, bottom - 3, 3, run.lost[row] ? LOST : DROPPED);
+    if (run.cameras[row].includes("left out")) bar(frame, k * height, 3, OUT);
   }));
 }
+const frameAt = (event) => Math.max(0, Math.min(data.indices.length - 1, Math.round((event.offsetX - THUMB) / stepOf())));
+strip.addEventListener("click", (event) => seek(frameAt(event)));
+strip.addEventListener("mousemove", (event) => {
+  const frame = frameAt(event), there = runs.filter((run) => run.rows[frame] >= 0);
+  strip.title = [`frame ${data.indices[frame]}`, ...there.map((run) => doubt(run, run.rows[frame]))].join("\n");
+});
 new ResizeObserver(drawMarks).observe(slider);
 
 let started = 0, from = 0;

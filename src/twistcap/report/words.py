@@ -1,0 +1,125 @@
+"""What a result says of itself, in words: which frames are lost and by which limb, which cameras were not believed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from twistcap.arrays import AnyArray, Bool, Float, Int
+from twistcap.body.limbs import named_limbs
+from twistcap.estimate import Estimate
+from twistcap.io.result import Result
+
+DOUBTFUL = 0.5
+"""Probability from which on a limb of a lost body is named."""
+_SPANS = 12  # most that a sentence lists
+CONTRADICTS = "contradicts the others (bumped, frozen, late or swapped?)"
+NOTHING_NEW = "a picture that is missing, blank, or the one before once more"
+_UNSEEN_WORDS = {"no_images": "no images", "not_found": "not found", "failed": "failed"}
+_SIDES = {"_l": "left ", "_r": "right "}
+
+
+def limb_in_words(name: str) -> str:
+    """``arm_l`` as `left arm`."""
+    side = _SIDES.get(name[-2:], "")
+    return (side + name[:-2] if side else name).replace("_", " ")
+
+
+def doubtful(limbs: Mapping[str, Bool], probability: Float) -> tuple[str, ...]:
+    """Names of those limbs that are probably lost, of the most doubtful one where none is.
+
+    `probability` (S,) is that of each segment, NaN where it is not known; there is no name where none is known.
+    """
+    each = {name: float(probability[segments].max()) for name, segments in limbs.items()}
+    known = {name: value for name, value in each.items() if not np.isnan(value)}
+    worst = max(known.values(), default=0.0)
+    return tuple(name for name, value in known.items() if value >= min(worst, DOUBTFUL))
+
+
+def doubtful_in_words(limbs: Mapping[str, Bool], probability: Float) -> str:
+    """`left arm, head`, or `whole body` for more than half of its limbs."""
+    names = doubtful(limbs, probability)
+    return "whole body" if len(names) > max(1, len(limbs) / 2) else ", ".join(map(limb_in_words, names))
+
+
+def state_in_words(estimate: Estimate, limbs: Mapping[str, Bool]) -> str:
+    """`lost: left arm`, `lost: no images`; empty for a frame that is not lost."""
+    if not estimate.lost:
+        return ""
+    parts = estimate.part_probability
+    why = _UNSEEN_WORDS.get(estimate.status, "") if parts is None else doubtful_in_words(limbs, parts)
+    return f"lost: {why}" if why else "lost"
+
+
+def camera_in_words(estimate: Estimate | None, camera: int, pictured: bool = True) -> str:
+    """`left out`, `no image` or `nothing new` (blank, or the one before once more); empty for a camera that counts."""
+    if estimate is not None and camera in estimate.left_out:
+        return "left out"
+    if not pictured:
+        return "no image"
+    return "nothing new" if estimate is not None and camera in estimate.missing else ""
+
+
+def frame_in_words(estimate: Estimate, limbs: Mapping[str, Bool], cameras: Sequence[str]) -> str:
+    """`lost: left arm (probability 0.93); camera cam2 is left out`; empty where all is well."""
+    lost = f"{state_in_words(estimate, limbs)} (probability {estimate.probability:.2f})" if estimate.lost else ""
+    out = [f"camera {cameras[c]} is left out" for c in estimate.left_out]
+    some = estimate.missing if len(estimate.missing) < len(cameras) else ()
+    return "; ".join(filter(None, [lost, *out, *(f"camera {cameras[c]} shows nothing new" for c in some)]))
+
+
+def result_in_words(result: Result) -> list[str]:
+    """Sentences about frames that are lost, cameras that were left out, and pictures that showed nothing new."""
+    return [_lost(result), *cameras_in_words(result)] if len(result) else []
+
+
+def cameras_in_words(result: Result) -> list[str]:
+    """Sentences about cameras: that they were left out, or showed nothing for a while."""
+    none = np.asarray(result.missing.all(axis=1), np.bool_)
+    names, out, some = result.rig.names, result.left_out.T, result.missing.T & ~none
+    told = [(f"camera {name} was left out", f"; it {CONTRADICTS}", rows) for name, rows in zip(names, out, strict=True)]
+    told += [("no camera showed anything new", f" ({NOTHING_NEW})", none)]
+    told += [(f"camera {n} showed nothing new", f" ({NOTHING_NEW})", rows) for n, rows in zip(names, some, strict=True)]
+    return [
+        f"{what} in {_frames(int(rows.sum()))}: {in_spans(result.indices, rows)}{why}"
+        for what, why, rows in told
+        if rows.any()
+    ]
+
+
+def in_spans(indices: Int, rows: Bool, notes: Sequence[str] = ()) -> str:
+    """Frame numbers (N,) of the rows (N,) that are true, runs as `211–222`, each run with its note."""
+    each = [str(indices[a]) if b - a == 1 else f"{indices[a]}–{indices[b - 1]}" for a, b in runs(rows)]
+    noted = [f"{span} ({note})" if note else span for span, note in zip(each, notes or [""] * len(each), strict=True)]
+    more = [f"and {len(noted) - _SPANS} spans more"] if len(noted) > _SPANS else []
+    return ", ".join([*noted[:_SPANS], *more])
+
+
+def runs(rows: AnyArray) -> list[tuple[int, int]]:
+    """First row and row after the last of each run of true rows (N,)."""
+    steps = np.diff(np.concatenate([[0], np.asarray(rows, int), [0]]))
+    return list(zip(np.flatnonzero(steps == 1).tolist(), np.flatnonzero(steps == -1).tolist(), strict=True))
+
+
+def _lost(result: Result) -> str:
+    lost = int(result.lost.sum())
+    if not lost:
+        return f"none of {_frames(len(result))} lost"
+    limbs = named_limbs(result.body)
+    notes = [_why(result, limbs, slice(a, b)) for a, b in runs(result.lost)]
+    return f"{lost} of {_frames(len(result))} lost: {in_spans(result.indices, result.lost, notes)}"
+
+
+def _why(result: Result, limbs: Mapping[str, Bool], span: slice) -> str:
+    """What is most doubtful in a span of lost frames: limbs, or why there is no body."""
+    probability = result.part_probability[span]
+    seen = ~np.isnan(probability).all(axis=1)
+    if seen.any():
+        return doubtful_in_words(limbs, probability[seen].mean(axis=0))
+    statuses = dict.fromkeys(result.statuses[span])
+    return ", ".join(_UNSEEN_WORDS[s] for s in statuses if s in _UNSEEN_WORDS)
+
+
+def _frames(count: int) -> str:
+    return f"{count} frame{'' if count == 1 else 's'}"

@@ -1,0 +1,90 @@
+"""A recording with a bumped camera, a blank picture and a gap: the command says so, and so do all of its files."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from support.commands import document, run
+from twistcap.io.result import read_result
+from twistcap.io.synthetic import write_session
+from twistcap.studio import StudioConfig, capture
+
+BUMPED, BLANK, GAP = range(12, 24), (6, 7), range(30, 36)
+
+
+@pytest.fixture(scope="module")
+def faulty(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The session of a walk in three cameras: the first is bumped, the last shows grey, then all show nothing."""
+    folder = tmp_path_factory.mktemp("faulty")
+    scene = capture(StudioConfig(seed=2, views=3, frames=42, fps=30.0, size=(320, 240)))
+    write_session(scene, folder, "png", masks=False)
+
+    def picture(camera: int, k: int) -> Path:
+        return folder / "videos" / scene.rig.names[camera] / f"{k:04d}.png"
+
+    for k in BUMPED:
+        image = cv2.imread(str(picture(0, k)))
+        assert image is not None
+        moved = np.array([[1.0, 0.0, 14.0], [0.0, 1.0, 6.0]])
+        cv2.imwrite(str(picture(0, k)), cv2.warpAffine(image, moved, image.shape[1::-1]))
+    for k in BLANK:
+        cv2.imwrite(str(picture(2, k)), np.full((240, 320, 3), 40, np.uint8))
+    for k in GAP:
+        for camera in range(3):
+            picture(camera, k).unlink()
+    return folder / "session.toml"
+
+
+@pytest.fixture(scope="module")
+def out(faulty: Path) -> Path:
+    assert run("track", faulty, "--out", faulty.parent / "out", "--set", "output.overlay=false") == 0
+    return faulty.parent / "out"
+
+
+def test_the_result_holds_limbs_and_cameras(out: Path) -> None:
+    result = read_result(out / "result.h5")
+    first_out = np.flatnonzero(result.left_out[:, 0])
+    assert set(range(BUMPED[3], BUMPED[-1])) <= set(first_out) and not result.left_out[:, 1:].any()
+    assert first_out[0] in BUMPED and first_out[-1] < BUMPED[-1] + 12  # it is taken back
+    shown = np.zeros((len(result), 3), bool)
+    shown[list(GAP)], shown[list(BLANK), 2] = True, True
+    np.testing.assert_array_equal(result.missing, shown)
+    np.testing.assert_array_equal(np.isnan(result.part_probability).any(axis=1), shown.all(axis=1))
+    assert result.lost[GAP[-1]] and not result.lost[: GAP[0]].any()
+
+
+def test_resumed_frames_hold_the_same(out: Path, faulty: Path, tmp_path: Path) -> None:
+    whole, quiet = read_result(out / "result.h5"), ("--set", "output.overlay=false")
+    assert run("track", faulty, "--out", tmp_path, "--frames", "0:25", *quiet) == 0
+    assert run("track", faulty, "--out", tmp_path, "--resume", *quiet) == 0
+    resumed = read_result(tmp_path / "result.h5")
+    for name in ("q", "probability", "part_probability", "left_out", "missing", "lost"):
+        np.testing.assert_array_equal(getattr(resumed, name), getattr(whole, name))
+
+
+def test_the_command_tells_it(faulty: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    quiet = ("--set", "output.overlay=false", "--set", "output.report=false")
+    told = document(capsys, "track", faulty, "--out", tmp_path, *quiet)
+    assert told["left_out"]["cam01"] and told["left_out"]["cam02"] == []
+    lost, left_out, nothing, blank = told["told"]
+    assert lost.startswith(f"{len(told['lost'])} of 42 frames lost: ") and lost.endswith(f"–{GAP[-1]} (no images)")
+    assert left_out.startswith(f"camera cam01 was left out in {len(told['left_out']['cam01'])} frames: ")
+    assert left_out.endswith("; it contradicts the others (bumped, frozen, late or swapped?)")
+    assert nothing.startswith(f"no camera showed anything new in 6 frames: {GAP[0]}–{GAP[-1]} (")
+    assert blank.startswith("camera cam03 showed nothing new in 2 frames: 6–7 (")
+
+
+def test_what_is_printed_and_written_tells_it(faulty: Path, out: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("track", faulty, "--out", out, "--overwrite", "--set", "output.overlay=false") == 0
+    printed, page = capsys.readouterr().err, (out / "report.html").read_text()
+    for text in (printed, page):
+        assert "camera cam01 was left out in" in text and "(no images)" in text
+    assert printed.count("camera cam01 is left out") == 1 and printed.count("camera cam01 is believed again") == 1
+    with (out / "angles.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert rows[GAP[0]]["probability_lost_arm_l"] == "" and float(rows[0]["probability_lost_arm_l"]) < 0.5

@@ -1,0 +1,122 @@
+"""What a result says of itself: spans of lost frames with their limbs, and cameras that were not believed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from support.cameras import ring
+from twistcap.arrays import Float
+from twistcap.body import Pose, Posed
+from twistcap.body.humanoid import humanoid
+from twistcap.body.limbs import named_limbs
+from twistcap.camera import Rig
+from twistcap.commands.follow import Believed
+from twistcap.estimate import Estimate, Frame
+from twistcap.io.result import Result, ResultWriter, read_result
+from twistcap.report.overlay import LOST, draw_mosaic, mosaic_for
+from twistcap.report.words import camera_in_words, doubtful, doubtful_in_words, result_in_words, state_in_words
+
+BODY, LIMBS = humanoid(), named_limbs(humanoid())
+
+
+def parts(**probability: float) -> Float:
+    """(S,) probability of each segment, 0.01 of limbs that are not named."""
+    return np.max([np.where(LIMBS[name], value, 0.01) for name, value in probability.items()], axis=0)
+
+
+def estimate(k: int, **about: object) -> Estimate:
+    plain = Estimate(2 * k, k / 30, Pose.rest(BODY), np.eye(BODY.dof), part_probability=parts(head=0.02))
+    return replace(plain, **about)
+
+
+def result(path: Path, estimates: Sequence[Estimate], rig: Rig | None = None) -> Result:
+    with ResultWriter(path, BODY, rig or ring(2), {}) as writer:
+        for each in estimates:
+            writer.append(each)
+    return read_result(path)
+
+
+def test_limbs_have_the_names_that_people_give_them() -> None:
+    assert set(LIMBS) == {"head", "arm_r", "arm_l", "leg_r", "leg_l", "trunk"}
+    assert np.sum(list(LIMBS.values()), axis=0).tolist() == [1] * len(BODY.segment_names)
+    assert LIMBS["arm_l"][BODY.segment_names.index("ulna_l")] and LIMBS["trunk"][BODY.segment_names.index("pelvis")]
+
+
+def test_the_most_doubtful_limbs_are_named() -> None:
+    assert doubtful_in_words(LIMBS, parts(arm_l=0.9, head=0.3)) == "left arm"
+    assert doubtful_in_words(LIMBS, parts(arm_l=0.9, head=0.6)) == "head, left arm"
+    assert doubtful(LIMBS, parts(leg_r=0.3, head=0.2)) == ("leg_r",)  # none is probable
+    assert doubtful_in_words(LIMBS, parts(head=0.9, arm_l=0.9, arm_r=0.8, trunk=0.6)) == "whole body"
+    assert doubtful(LIMBS, np.full(len(BODY.segment_names), np.nan)) == ()
+
+
+def test_a_result_tells_what_was_lost_and_which_cameras_were_not_believed(tmp_path: Path) -> None:
+    """Every second frame of a recording."""
+    frames = [estimate(k) for k in range(12)]
+    astray = {"lost": True, "part_probability": parts(arm_l=0.9, leg_r=0.1), "left_out": (1,)}
+    frames[1:4] = [estimate(k, **astray) for k in (1, 2, 3)]
+    frames[5] = estimate(5, lost=True, part_probability=None, status="no_images", missing=(0, 1))
+    frames[7] = estimate(7, lost=True, part_probability=None, status="not_found")
+    frames[8] = estimate(8, missing=(0,))
+    assert result_in_words(result(tmp_path / "a.h5", frames)) == [
+        "5 of 12 frames lost: 2–6 (left arm), 10 (no images), 14 (not found)",
+        "camera cam1 was left out in 3 frames: 2–6; it contradicts the others (bumped, frozen, late or swapped?)",
+        "no camera showed anything new in 1 frame: 10 (a picture that is missing, blank, or the one before once more)",
+        "camera cam0 showed nothing new in 1 frame: 16 (a picture that is missing, blank, or the one before once more)",
+    ]
+    assert result_in_words(result(tmp_path / "b.h5", [estimate(0)])) == ["none of 1 frame lost"]
+    assert result_in_words(result(tmp_path / "c.h5", [])) == []
+    many = [estimate(k, lost=k % 2 == 0) for k in range(40)]
+    assert result_in_words(result(tmp_path / "d.h5", many))[0].endswith("44 (head), and 8 spans more")
+
+
+def test_camera_names_are_only_names(tmp_path: Path) -> None:
+    rig = Rig(tuple(replace(camera, name=name) for camera, name in zip(ring(2), ("{a}", "[b]%s"), strict=True)))
+    told = result_in_words(result(tmp_path / "a.h5", [estimate(0, left_out=(0, 1))], rig))
+    assert [sentence.split(" was")[0] for sentence in told[1:]] == ["camera {a}", "camera [b]%s"]
+
+
+def test_a_frame_says_why_it_is_lost() -> None:
+    assert state_in_words(estimate(0), LIMBS) == ""
+    assert state_in_words(estimate(0, lost=True, part_probability=parts(leg_l=0.8)), LIMBS) == "lost: left leg"
+    assert state_in_words(estimate(0, lost=True, part_probability=None, status="failed"), LIMBS) == "lost: failed"
+    assert state_in_words(estimate(0, lost=True, part_probability=None), LIMBS) == "lost"
+    out = estimate(0, left_out=(1,), missing=(1, 2, 3))
+    assert [camera_in_words(out, c, c != 3) for c in range(4)] == ["", "left out", "nothing new", "no image"]
+
+
+def test_the_first_time_that_a_camera_is_left_out_is_told() -> None:
+    believed = Believed(("cam0", "cam1"))
+    told = [believed.told(estimate(k, left_out=out)) for k, out in enumerate([(), (1,), (1,), (), (1,), ()])]
+    assert [len(sentences) for sentences in told] == [0, 1, 0, 1, 0, 0]
+    assert told[1][0].startswith("frame 2: camera cam1 is left out; it contradicts the others (bumped")
+    assert told[3] == ["frame 6: camera cam1 is believed again"]
+
+
+@pytest.mark.parametrize("camera", [0, 1])
+def test_the_overlay_frames_what_is_not_to_be_trusted(camera: int) -> None:
+    mosaic = mosaic_for(ring(2))
+    grey = tuple(np.full((280, 384, 3), 128, np.uint8) for _ in range(2))
+
+    def drawn(**about: object) -> Float:
+        each = estimate(0, **about)
+        return draw_mosaic(Frame(0, 0.0, grey), Posed(BODY, each.pose), mosaic, "", each).astype(float)
+
+    def red(picture: Float) -> Float:
+        return np.abs(picture - LOST).max(axis=-1) < 30
+
+    fine, lost, out = drawn(), drawn(lost=True, part_probability=parts(arm_l=0.9)), drawn(left_out=(camera,))
+    edge = np.r_[fine[0], fine[-1], fine[:, 0], fine[:, -1]]
+    assert not red(edge).any() and red(np.r_[lost[0], lost[-1], lost[:, 0], lost[:, -1]]).all()
+    tile = slice(mosaic.heading, None), slice(camera * mosaic.cell[0], (camera + 1) * mosaic.cell[0])
+    other = slice(mosaic.heading, None), slice((1 - camera) * mosaic.cell[0], (2 - camera) * mosaic.cell[0])
+    assert red(out[tile]).sum() > 2 * sum(mosaic.cameras[0].size) and not red(out[other]).any()
+    inside = cv2.erode(np.any(lost != fine, axis=-1).astype(np.uint8), np.ones((5, 5), np.uint8)).astype(bool)
+    share = inside[tile].sum() / np.any(drawn(lost=True, part_probability=None) != fine, axis=-1)[tile].sum()
+    assert 0.02 < share < 0.5  # one arm, not the body
