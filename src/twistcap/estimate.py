@@ -58,7 +58,7 @@ class Estimate:
         status: "converged" | "max_iterations" | "no_images" | "not_found" (images, but no body in them) |
             "stalled" (no step lowered the energy) | "failed".
         iterations: accepted solver steps.
-        lost: whether it is likely that a joint is more than 150 mm off: by `probability`, or by `support` below 0.35.
+        lost: whether it is likely that a joint is more than 150 mm off, by `probability`.
         support: fraction of contour points that agree with the images, of the part with fewest.
         predicted: what told the pose that the frame was started from: "motion", "flow", "constant_velocity" or "hold".
         probability: that a joint is more than 150 mm off, calibrated on captures with truth.

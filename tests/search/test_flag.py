@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from twistcap.body.humanoid import humanoid
-from twistcap.search.flag import SIGNS, FlagRule, features, flag_groups, support_signs
+from twistcap.search.flag import SIGNS, FlagRule, flag_groups, ramps, support_signs
 
 
 def test_groups_part_the_segments() -> None:
@@ -17,24 +17,37 @@ def test_groups_part_the_segments() -> None:
 def test_a_quiet_body_is_not_lost_and_a_contradicted_one_is() -> None:
     rule, groups = FlagRule(), flag_groups(humanoid())
     good = np.full(len(groups), 0.01)
-    quiet = rule.limbs(support_signs(groups, np.ones(groups.shape[1])), good)
-    assert rule.whole(quiet) < 0.02
     signs = support_signs(groups, np.ones(groups.shape[1]))
-    signs[1] = [1.0, 1.0, 0.5, 0.9, 0.9, 0.3, 0.2]
-    lost = rule.limbs(signs, np.where(np.arange(len(groups)) == 1, 0.2, good))
+    quiet = rule.limbs(signs, signs, good)
+    assert rule.whole(quiet) < 0.02
+    signs = signs.copy()
+    signs[1] = [1.0, 1.0, 0.5, 0.5, 0.9, 0.4, 0.2, 0.0]
+    lost = rule.limbs(signs, signs, np.where(np.arange(len(groups)) == 1, 0.2, good))
     assert lost.argmax() == 1
     assert lost[1] > 0.5
     assert rule.whole(lost) > 0.5
 
 
-def test_what_is_not_seen_is_the_less_sure_the_longer() -> None:
-    blind = [FlagRule().blind(s) for s in (0.0, 0.02, 0.1, 0.5, 5.0)]
+def test_what_is_not_seen_is_the_less_sure_the_longer_and_the_wider() -> None:
+    blind = [FlagRule().blind(s, 0.05) for s in (0.0, 0.02, 0.1, 0.5, 5.0)]
     assert np.all(np.diff(blind) >= 0.0)
-    assert blind[1] < 0.2
-    assert blind[-1] > 0.95
+    assert FlagRule().blind(0.02, 0.02) < 0.5 < FlagRule().blind(5.0, 1.0)
 
 
-def test_there_is_a_weight_for_each_feature() -> None:
-    found = features(np.zeros((6, SIGNS)), np.full(6, 0.05))
-    assert found.shape == (6, len(FlagRule().limb) - 1)
-    assert np.all(np.isfinite(features(np.full((2, SIGNS), 9.0), np.array([0.0, np.inf]))))
+def test_no_sign_lowers_the_probability() -> None:
+    rng, rule = np.random.default_rng(0), FlagRule()
+    signs, lately, spread = rng.random((2, 6, SIGNS))[0], rng.random((6, SIGNS)), np.full(6, 0.05)
+    before = rule.limbs(signs, lately, spread)
+    for k in range(SIGNS):
+        more = signs.copy()
+        more[:, k] += 0.3
+        assert np.all(rule.limbs(more, lately, spread) >= before - 1e-12)
+    assert np.all(rule.limbs(signs, lately, 3.0 * spread) >= before)
+
+
+def test_there_is_a_weight_for_each_ramp() -> None:
+    signs = np.zeros((6, SIGNS))
+    assert ramps(signs, signs, np.full(6, 0.05)).shape == (6, len(FlagRule().limb) - 1)
+    wild = np.full((2, SIGNS), 9.0)
+    found = ramps(wild, wild, np.array([0.0, np.inf]))
+    assert np.all((found >= 0.0) & (found <= 1.0))

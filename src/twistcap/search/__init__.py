@@ -125,12 +125,14 @@ class Revision:
         last: the moment before, as it is to be remembered: the way to the new pose was no motion.
         jumped: whether the whole body was elsewhere, so that this frame says nothing of how bodies move.
         left_out: cameras that are not believed from now on; None for no change.
+        relit: whether all pictures have changed, so that what cues have learnt of the body's look holds no longer.
     """
 
     fit: Fit | None
     last: Moment
     jumped: bool = False
     left_out: frozenset[int] | None = None
+    relit: bool = False
 
 
 class Search(Protocol):

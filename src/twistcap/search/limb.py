@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from twistcap.arrays import Bool, Float
-from twistcap.body import Pose
+from twistcap.body import Body, Pose
 from twistcap.body.limbs import limbs
+from twistcap.body.model import partners
 from twistcap.ranges import Checked, Count, Share
 from twistcap.search.contradiction import Judged
 from twistcap.search.draws import about, anywhere
@@ -34,6 +35,7 @@ class LimbRule(Checked):
         better: by how much less it must lack, or its contour points disagree.
         near: rad, standard deviations of the draws about the best, one round after the other.
         draws: poses of the limb in each round, and as many anywhere within its limits.
+        kept: poses that the next round starts from.
         again, longest: frames until it is looked for again where it was not found, which double up to the longest.
     """
 
@@ -43,6 +45,7 @@ class LimbRule(Checked):
     better: float = 0.15
     near: tuple[float, ...] = (0.5, 0.25, 0.125)
     draws: Count = 48
+    kept: Count = 3
     again: Count = 2
     longest: Count = 16
 
@@ -88,23 +91,24 @@ def _wrong(known: Recollection, now: Judged, groups: Bool) -> Float:
 
 
 def _placed(
-    rule: LimbRule,
-    known: Recollection,
-    evidence: Evidence,
-    limb: Bool,
-    rng: np.random.Generator,
-    best: Pose,
-    most: float,
-) -> tuple[Pose, float]:
+    rule: LimbRule, known: Recollection, evidence: Evidence, limb: Bool, rng: np.random.Generator,
+    pose: Pose, most: float,
+) -> tuple[Pose, float]:  # fmt: skip
     """The pose with one limb where the evidence is greatest, and its evidence."""
     body = evidence.body
-    shown = [np.where(limb, Pose(best.root, q).minus(best), 0.0) for q in known.angles]
-    rounds = [[*shown, *anywhere(rng, limb, best, body, rule.draws)]]
-    rounds += [list(about(rng, limb, sd, rule.draws)) for sd in rule.near]
-    for steps in rounds:
-        poses = [best.retract(step).within(body.limits) for step in steps]
-        values = [evidence.of(pose) for pose in poses]
-        k = int(np.argmax(values))
-        if values[k] > most:
-            best, most = poses[k], values[k]
-    return best, most
+    best = [(most, pose)]
+    steps = [[*_shown(known, limb, body, pose), *anywhere(rng, limb, pose, body, rule.draws)]]
+    for sd in (*rule.near, None):
+        poses = [start.retract(step) for (_, start), each in zip(best, steps, strict=True) for step in each]
+        tried = [(evidence.of(p), p) for p in (p.within(body.limits) for p in poses)]
+        best = sorted([*best, *tried], key=lambda item: -item[0])[: rule.kept]
+        if sd is not None:
+            steps = [about(rng, limb, sd, rule.draws // len(best)) for _ in best]
+    return best[0][1], best[0][0]
+
+
+def _shown(known: Recollection, limb: Bool, body: Body, pose: Pose) -> list[Float]:
+    """Steps (6 + J,) to where the limb has been, and to the mirror images of where the one of the other side has."""
+    other = partners(body.coordinate_names)
+    angles = [a for q in known.angles for a in (q, q[other])]
+    return [np.where(limb, Pose(pose.root, q).minus(pose), 0.0) for q in angles]

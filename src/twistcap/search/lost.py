@@ -20,10 +20,10 @@ from twistcap.cues.observation import Fit
 from twistcap.predict.history import Moment, Past, jumped, rested
 from twistcap.ranges import Checked, Count, Range, Share
 from twistcap.search import Beginning, Problem, Revision
-from twistcap.search.beside import BesideRule, beside
+from twistcap.search.beside import BesideRule, agreement, beside
 from twistcap.search.contradiction import ContradictionRule, Judged, Suspicion, judged
 from twistcap.search.evidence import Evidence
-from twistcap.search.flag import flag_groups, limb_signs
+from twistcap.search.flag import MOST_USUAL, USUAL, contour_signs, flag_groups, limb_signs
 from twistcap.search.limb import LimbRule, regained
 from twistcap.search.placing import Hypothesis, Placing, PlacingRule
 from twistcap.search.recollection import Covered, Recollection
@@ -42,7 +42,8 @@ class LostMemory:
         waiting: frames until the next search for the body.
         limb_waiting, limb_pause: frames until the next one for a limb, and between the last ones.
         nowhere: whether the last one found the body nowhere.
-        signs: (G, SIGNS) of loss, of each limb and the rest of the body.
+        against: (G,) fraction of contour points that usually contradict each.
+        signs, lately: (G, SIGNS) of loss, of each limb and the rest of the body; now, and their running mean.
     """
 
     known: Recollection
@@ -53,7 +54,9 @@ class LostMemory:
     limb_waiting: int = 0
     limb_pause: int = 0
     nowhere: bool = False
+    against: Float | None = None
     signs: Float | None = None
+    lately: Float | None = None
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,10 @@ class LostBody(Checked):
         reach, speed, farthest: m, m/s and m: how far away it is looked for, with the time since it was seen.
         every, first: frames between lessons, and between the first ten.
         again: frames between searches.
+        relit: fraction of the background that fits, over what is usual, below which it is another one.
+        agreeing: fraction of contour points that agree, from which on the body is where it is though all pictures have
+            changed.
+        lately: fraction that the mean of the signs of loss keeps from frame to frame.
         margin: m about a hypothesis within which images are looked at.
     """
 
@@ -89,6 +96,9 @@ class LostBody(Checked):
     every: Count = 10
     first: Count = 3
     again: Count = 3
+    relit: float = 0.75
+    agreeing: Share = 0.6
+    lately: Share = 0.7
     margin: float = 0.3
     placing: PlacingRule = field(default_factory=PlacingRule)
     contradiction: ContradictionRule = field(default_factory=ContradictionRule)
@@ -121,24 +131,40 @@ class LostBody(Checked):
         known, memory = memory.known, replace(memory, frames=memory.frames + 1)
         if not problem.past.started and problem.views and (found := beside(self.beside, problem, fit)) is not fit:
             now = Judged(problem, found, known.check(found.posed, found.sights, problem))
-            return self._at(problem, found), self._learned(memory, now, 1.0)
+            return self._at(problem, found), self._learned(self._signed(memory, now), now, 1.0)
         now = Judged(problem, fit, known.check(fit.posed, fit.sights, problem))
         if not known.sure:
-            return None, self._learned(memory, now, 1.0)
+            return None, self._learned(self._signed(memory, now), now, 1.0)
         now, suspicion = judged(self.contradiction, memory.suspicion, known, now)
-        memory = replace(memory, suspicion=suspicion, signs=self._signs(memory, now))
+        memory = self._signed(replace(memory, suspicion=suspicion), now)
         ratio, last, revision = known.ratio(now.check), problem.past.moments[-1], None
         if np.isnan(ratio) and known.pixels[list(now.problem.views)].any():  # hardly any of the body is in sight
             ratio = 0.0
-        if ratio < self.least:
+        if ratio < self.least and self._relit(known, now):
+            revision, memory = Revision(now.fit, last, relit=True), replace(memory, known=known.forgotten(), frames=0)
+        elif ratio < self.least:
             revision, memory = self._elsewhere(memory, now.problem, ratio)
         else:  # or nothing can be said
             now, last, memory = self._with_limbs(memory, now, last)
             memory = self._learned(replace(memory, waiting=0), now, float(np.nan_to_num(ratio, nan=1.0)))
         return replace(revision or Revision(now.fit, last), left_out=now.problem.left_out), memory
 
-    def _signs(self, memory: LostMemory, now: Judged) -> Float:
-        return limb_signs(memory.groups, memory.known, now.check, now.fit.agreement, now.problem.support(now.fit))
+    def _relit(self, known: Recollection, now: Judged) -> bool:
+        """Whether no camera's background is what it was, though the contour agrees: a light has been switched."""
+        fitting = now.check.fitting / known.fitting
+        seen = ~np.isnan(fitting)
+        return bool(seen.any() and np.all(fitting[seen] < self.relit) and agreement(now.fit) >= self.agreeing)
+
+    def _usual(self, memory: LostMemory) -> Float:
+        """(G,) fraction of contour points that contradict each limb and the rest, as of a body that is not exact."""
+        return np.full(len(memory.groups), USUAL) if memory.against is None else np.minimum(memory.against, MOST_USUAL)
+
+    def _signed(self, memory: LostMemory, now: Judged) -> LostMemory:
+        """With the signs of loss in a frame."""
+        fit, support = now.fit, now.problem.support(now.fit)
+        signs = limb_signs(memory.groups, memory.known, now.check, fit.agreement, support, self._usual(memory))
+        lately = (1.0 - self.lately) * signs + self.lately * (0.0 if memory.lately is None else memory.lately)
+        return replace(memory, signs=signs, lately=lately)
 
     def _with_limbs(self, memory: LostMemory, now: Judged, last: Moment) -> tuple[Judged, Moment, LostMemory]:
         """The frame with its lost limbs where they are found, and the moment before it, in which they rest."""
@@ -154,7 +180,7 @@ class LostBody(Checked):
             return now, last, replace(memory, limb_pause=pause, limb_waiting=pause)
         masks = limbs(now.problem.body)
         coordinates = np.asarray(np.any([masks[i][6:] for i in lost], axis=0), np.bool_)
-        memory = replace(memory, limb_pause=0, signs=self._signs(memory, found))
+        memory = replace(self._signed(memory, found), limb_pause=0)
         return found, rested(last, found.fit.pose, coordinates), memory
 
     def _lost_limbs(self, memory: LostMemory) -> list[int]:
@@ -162,8 +188,11 @@ class LostBody(Checked):
 
     def _learned(self, memory: LostMemory, now: Judged, ratio: float) -> LostMemory:
         """With what a fit that is not lost teaches; limbs that are lost teach nothing."""
-        right = np.asarray(~memory.groups[self._lost_limbs(memory)].any(axis=0), np.bool_)
-        known = memory.known.accustomed(now.check, right)
+        lost = self._lost_limbs(memory)
+        known = memory.known.accustomed(now.check, np.asarray(~memory.groups[lost].any(axis=0), np.bool_))
+        usual, (against, _) = self._usual(memory), contour_signs(memory.groups, now.fit.agreement)
+        against[lost] = usual[lost]
+        memory = replace(memory, against=usual + max(0.05, 1.0 / (memory.frames + 1)) * (against - usual))
         due = (memory.frames - 1) % (self.every if known.lessons >= 10 else self.first) == 0
         if due and ratio >= self.learned:
             each = np.nan_to_num(memory.known.ratios(now.check), nan=1.0)

@@ -24,6 +24,7 @@ _NEW = 0.3  # rad by which a stance must differ from all others in one joint
 _MEMORY = 0.95  # share of the usual evidence that is kept from frame to frame
 _CLEAR = 2.0  # nats for each pixel of a body of which nothing else is known
 _FEW, _ENOUGH = 20.0, 150.0  # pixels below which nothing is said of a camera or part, and of the body
+_TELLING = 0.2  # nats for each pixel below which the body's colours are not those that it has, or the background's
 _SAMPLES = 36.0  # per m, pixels that are looked at in every frame
 
 
@@ -82,6 +83,15 @@ class Recollection:
         stances = np.zeros((0, 3, 3)), np.zeros(0), np.zeros((0, body.dof - 6))
         return Recollection(tuple(Backdrop.blank() for _ in rig), *stances, none, none, none, np.full(len(rig), np.nan))
 
+    def forgotten(self) -> Recollection:
+        """With the stances alone: the pictures have changed."""
+        none = np.zeros_like(self.nats)
+        blank = tuple(Backdrop.blank() for _ in self.backdrops)
+        return replace(
+            self, backdrops=blank, nats=none, pixels=none, uncovered=none, fitting=np.full_like(self.fitting, np.nan),
+            lessons=0,
+        )  # fmt: skip
+
     @property
     def stances(self) -> list[Stance]:
         """That the body has shown."""
@@ -96,8 +106,8 @@ class Recollection:
 
     @property
     def sure(self) -> bool:
-        """Whether the body has been seen before known background often enough to judge by it."""
-        return float(self.pixels.sum()) >= _ENOUGH
+        """Whether enough of the body has been seen, in colours that differ from the background's, to judge by it."""
+        return float(self.pixels.sum()) >= _ENOUGH and float(self.nats.sum()) >= _TELLING * float(self.pixels.sum())
 
     def ratios(self, covered: Covered) -> Float:
         """(cameras,) evidence of a body over what is usual for so many pixels; NaN in cameras that show nearly nothing

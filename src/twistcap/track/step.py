@@ -131,11 +131,19 @@ def searched(problem: FrameProblem, fit: Fit) -> tuple[FrameProblem, Fit | None,
             found, jump = revision.fit, jump or revision.jumped
             past = problem.past.with_last(revision.last)
             problem = replace(problem, state=problem.state.with_past(past))
+            problem = relit(problem) if revision.relit else problem
             problem = problem if revision.left_out is None else problem.excluding(revision.left_out)
         if found is None:
             break
         fit = found
     return replace(problem, state=replace(problem.state, searches=memories)), found, jump
+
+
+def relit(problem: FrameProblem) -> FrameProblem:
+    """The problem without what cues have learnt of the body's look."""
+    model, state = problem.model, problem.state
+    cues = {cue.name: cue.start(model.body, model.rig) for cue in model.cues}
+    return replace(problem, state=replace(state, cues=cues, learned=0))
 
 
 def learned(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool) -> tuple[State, Estimate]:
@@ -155,7 +163,7 @@ def learned(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool)
     )  # fmt: skip
     claims, least = with_claims(model, fit.posed, claimed), float(support.min())
     by_part, probability = _loss(after, model, fit.posed, claims)
-    lost = probability >= model.flag.lost or least < model.support.least
+    lost = probability >= model.flag.lost
     return after, Estimate(
         frame.index, frame.time, fit.pose, claims, fit.energies, fit.status, fit.steps,
         lost, least, prediction.name, probability, by_part, after.left_out, missing(frame),
@@ -166,10 +174,12 @@ def _loss(state: State, model: Model, posed: Posed, covariance: Float) -> tuple[
     """(S,) probability that each part is lost, and that any is."""
     memory = next((m for m in state.searches.values() if isinstance(m, LostMemory)), None)
     groups = flag_groups(model.body) if memory is None else memory.groups
-    judged = None if memory is None else memory.signs
-    signs = support_signs(groups, state.support) if judged is None else judged
+    if memory is None or memory.signs is None or memory.lately is None:
+        signs = lately = support_signs(groups, state.support)
+    else:
+        signs, lately = memory.signs, memory.lately
     deviation, _ = segment_deviations(posed, covariance)
-    limbs = model.flag.limbs(signs, np.array([deviation[group].max() for group in groups]))
+    limbs = model.flag.limbs(signs, lately, np.array([deviation[group].max() for group in groups]))
     return limbs @ groups, model.flag.whole(limbs)
 
 
@@ -193,7 +203,8 @@ def unseen(problem: FrameProblem, prediction: Prediction) -> tuple[State, Estima
     model, frame, pose = problem.model, problem.frame, prediction.pose
     after = problem.state.with_past(problem.past.advanced(Moment(frame.time, pose, seen=False)))
     claimed = problem.state.claimed + problem.process_noise
-    probability = model.flag.blind(frame.time - problem.past.seen_time)
+    farthest = float(segment_deviations(Posed(model.body, pose), claimed)[0].max())
+    probability = model.flag.blind(frame.time - problem.past.seen_time, farthest)
     status = "no_images" if all(image is None for image in frame.images) else "not_found"
     return after, Estimate(
         frame.index, frame.time, pose, claimed, {}, status, 0,
