@@ -23,7 +23,7 @@ from twistcap.io.exports import ExportFormat
 def toy():
     return ExportFormat("places.json", "where the body is", write)
 
-def write(result, path):
+def write(result, path, options):
     path.write_text(json.dumps(result.roots[:, :3, 3].tolist()))
 '''
 

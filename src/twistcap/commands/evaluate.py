@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
 from twistcap.commands import terminal
+
+if TYPE_CHECKING:
+    from twistcap.io.markers import WorldAxes
 
 
 def evaluate(
@@ -17,6 +20,7 @@ def evaluate(
     ],
     time_offset: Annotated[float, typer.Option(help="Seconds to add to the reference's clock.")] = 0.0,
     exclude: Annotated[list[str] | None, typer.Option(help="Part to ignore: NAME or NAME:FIRST-LAST (rows).")] = None,
+    axes: Annotated[str, typer.Option(help="World of a TRC: opensim, pose2sim, z_up.")] = "opensim",
     json: terminal.Json = False,
 ) -> None:
     """Compare a result with a reference: angles (deg), joint positions (mm), silhouettes (IoU), lost frames.
@@ -34,7 +38,9 @@ def evaluate(
     from twistcap.evaluate.reference import evaluate as compare
     from twistcap.io.result import read_result
 
-    comparison = compare(read_result(result), reference, time_offset, exclude=exclude or ())
+    comparison = compare(
+        read_result(result), reference, time_offset, exclude=exclude or (), axes=cast("WorldAxes", axes)
+    )
     if json:
         terminal.emit({"id": "evaluate", **comparison.as_dict()})
         return

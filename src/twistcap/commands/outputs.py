@@ -12,7 +12,7 @@ import numpy as np
 from twistcap.camera import Rig
 from twistcap.estimate import UNSEEN, Frame
 from twistcap.evaluate.load import Reference
-from twistcap.io.exports import FORMATS, export, format_of
+from twistcap.io.exports import FORMATS, ExportOptions, export, format_of
 from twistcap.io.result import Result
 from twistcap.io.session import Session
 from twistcap.io.video import Views
@@ -22,7 +22,9 @@ from twistcap.report.plots import AngleSeries
 
 def write_files(result: Result, session: Session, views: Views, folder: Path, title: str) -> list[Path]:
     """Exports, angle plot and overlay, as the session wants them."""
-    files = [export(result, kind, folder) for kind in session.output.exports]
+    wanted = session.output
+    options = ExportOptions(wanted.axes, wanted.angles, wanted.fill)
+    files = [export(result, kind, folder, options=options) for kind in wanted.exports]
     files.append(write_angle_plot(result, folder))
     if session.output.overlay:
         shown, fps = replace(views, indices=views.indices[: len(result)]), min(views.fps / session.step, 60.0)

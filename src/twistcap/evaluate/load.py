@@ -89,13 +89,13 @@ def parsed_exclusion(text: str, rows: int) -> tuple[str, slice]:
 
 
 def load_reference(
-    path: Path, body: Body, frame_times: Callable[[int], Float], axes: WorldAxes = "pose2sim"
+    path: Path, body: Body, frame_times: Callable[[int], Float], axes: WorldAxes = "opensim"
 ) -> Reference:
     """Read a reference by its ending: ``.npz`` (studio truth or keypoints), ``.trc`` or ``.mot`` / ``.sto``.
 
     A motion file is read into the coordinates of `body` (OpenSim turns the shoulder in another order). Files without a
-    clock take `frame_times`: (M,) s of the recording's frames 0 … M − 1. `axes` is the rotation of a TRC's world about
-    the vertical, see `io.markers`. Raises InputError for a missing, unknown or unreadable file.
+    clock take `frame_times`: (M,) s of the recording's frames 0 … M − 1. `axes` is how a TRC's world lies in
+    ours, see `io.markers`. Raises InputError for a missing, unknown or unreadable file.
     """
     if not path.exists():
         raise InputError(f"the reference {path} does not exist; give a file or a folder of masks.")
@@ -139,13 +139,24 @@ def landmark_name(marker: str) -> str:
 
 
 def _from_mot(path: Path, body: Body) -> Reference:
-    """Angles of a motion file in the body's own coordinates: knees bend to positive, shoulders turn in our order."""
+    """Angles of a motion file in the body's own coordinates: knees bend to positive, shoulders turn in our order. Rows
+    with a NaN are not known."""
     table = read_mot(path)
+    known = np.all(np.isfinite(table.values), axis=1).reshape(-1)
+    whole = replace(table, times=table.times[known], values=table.values[known])
     with naming(path):
-        poses, _ = poses_from_mot(table, body)
+        poses, _ = poses_from_mot(whole, body)
     names = complete_coordinates(body, table.columns)
-    q = np.stack([pose.q for pose in poses])[:, [body.coordinate(name) for name in names]]
-    knees = {name: q[:, k] for k, name in enumerate(names) if name.startswith("knee_angle")}
-    flipped = [name for name, angle in knees.items() if np.allclose(angle, -table.get(name)) and np.any(angle)]
+    angles = np.full((len(known), len(names)), np.nan)
+    angles[known] = np.stack([pose.q for pose in poses])[:, [body.coordinate(name) for name in names]]
+    flipped = [
+        name
+        for name in names
+        if name.startswith("knee_angle") and _opposite(angles[known, names.index(name)], whole.get(name))
+    ]
     notes = tuple(f"{name} was negative in flexion and has its sign changed" for name in flipped)
-    return Reference(table.times, coordinate_names=names, angles=q, notes=notes)
+    return Reference(table.times, coordinate_names=names, angles=angles, notes=notes)
+
+
+def _opposite(one: Float, other: Float) -> bool:
+    return bool(np.allclose(one, -other) and np.any(one))

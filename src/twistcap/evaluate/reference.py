@@ -71,7 +71,7 @@ class Evaluation:
 
 def evaluate(
     result: Result, reference: Path | str, time_offset: float = 0.0, *, exclude: Sequence[str] = (),
-    case: str | None = None, axes: WorldAxes = "pose2sim",
+    case: str | None = None, axes: WorldAxes = "opensim",
 ) -> Evaluation:  # fmt: skip
     """Compare a result with a reference.
 
@@ -81,7 +81,7 @@ def evaluate(
         time_offset: seconds to add to the reference's clock to get the recording's.
         exclude: flawed stretches of the reference, see `Reference.without`.
         case: name in the table; the reference's own name by default.
-        axes: rotation of a TRC's world about the vertical, see `io.markers`.
+        axes: how a TRC's world lies in ours, see `io.markers`.
 
     Raises InputError for a reference that is missing, unreadable, or has nothing in common with the result.
     """
