@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def export(
     result: Annotated[Path, typer.Argument(help="result.h5 of a track.", metavar="RESULT")],
-    to: Annotated[str, typer.Option(help="trc, mot, bvh, csv, glb, or a format of an installed package.")],
+    to: Annotated[str, typer.Option(help="trc, mot, bvh, csv, glb, c3d, or a format of an installed package.")],
     out: Annotated[Path | None, typer.Option(help="File to write. Default: in the folder of the result.")] = None,
     axes: Annotated[str, typer.Option(help="World of the file: opensim (y up), pose2sim (y up), z_up.")] = "opensim",
     angles: Annotated[str, typer.Option(help="Definition of joint angles: opensim, isb.")] = "opensim",
@@ -24,7 +24,7 @@ def export(
     frames: Annotated[str | None, typer.Option(help="Frames FIRST:LAST, both included. Default: all.")] = None,
     json: terminal.Json = False,
 ) -> None:
-    """Write a result as markers (trc), OpenSim angles (mot), animation (bvh, glb) or a table (csv).
+    """Write a result as markers (trc, c3d), joint angles (mot, csv) or animation (bvh, glb).
 
     Examples:
 

@@ -2,7 +2,8 @@
 
 OpenSim's full-body models (Rajagopal et al. 2016, DOI 10.1109/TBME.2016.2586891) turn the pelvis about z (tilt), x
 (list), y (rotation) and the arm by flexion, adduction, rotation. Our arm turns by adduction first, so that its gimbal
-lock is away from the T pose; its axes are the same.
+lock is away from the T pose; its axes are the same. Our pronation is 0 with the thumb forward, OpenSim's with the palm
+forward, where it is −90° of ours.
 """
 
 from __future__ import annotations
@@ -123,6 +124,11 @@ def complete_coordinates(body: Body, names: Sequence[str]) -> tuple[str, ...]:
     ours = body.coordinate_names
     torn = {ours[k] for trio, _ in shoulders_of(body) if not {ours[k] for k in trio} <= set(names) for k in trio}
     return tuple(name for name in ours if name in names and name not in torn)
+
+
+def zeros_of(body: Body) -> Float:
+    """(J,) rad to add to our coordinates for OpenSim's: its pronation starts with the palm forward."""
+    return np.array([np.pi / 2 if name.startswith("pro_sup_") else 0.0 for name in body.coordinate_names])
 
 
 def reordered(body: Body, q: Float, start: Sequence[int], end: Sequence[int]) -> Float:

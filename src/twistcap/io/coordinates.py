@@ -87,7 +87,7 @@ def _pelvis(body: Body, roots: Float, to_file: Float) -> _Part:
 
 
 def _opensim(body: Body, poses: Sequence[Pose]) -> _Part:
-    """The body's own coordinates, each shoulder in OpenSim's order."""
+    """The body's own coordinates, each shoulder in OpenSim's order and with OpenSim's zeros."""
     q = np.array([pose.q for pose in poses]).reshape(len(poses), -1)
     by_step = np.tile(np.eye(body.dof)[6:], (len(q), 1, 1))
     out = q
@@ -96,7 +96,7 @@ def _opensim(body: Body, poses: Sequence[Pose]) -> _Part:
         axes = body.twists[:, :3]
         block = convert.rates(out[:, opensim], axes[opensim]) @ convert.spins(q[:, ours], axes[ours])
         by_step[:, np.array(opensim)[:, None], 6 + np.array(ours)] = block
-    return _Part(body.coordinate_names, np.any(body.twists[:, :3] != 0, axis=1), out, by_step)
+    return _Part(body.coordinate_names, np.any(body.twists[:, :3] != 0, axis=1), out + convert.zeros_of(body), by_step)
 
 
 def _isb(body: Body, poses: Sequence[Pose]) -> _Part:

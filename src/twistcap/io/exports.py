@@ -17,6 +17,7 @@ from twistcap.body import Posed
 from twistcap.body.gltf_write import save_glb
 from twistcap.errors import InputError, check_choice
 from twistcap.io.bvh import write_bvh
+from twistcap.io.c3d import write_c3d
 from twistcap.io.coordinates import ANGLES, Angles
 from twistcap.io.files import replacing, unwritable
 from twistcap.io.markers import TO_FILE, WorldAxes, write_trc
@@ -24,7 +25,7 @@ from twistcap.io.motion_files import write_csv, write_mot
 from twistcap.io.result import Result
 from twistcap.registry import Registry
 
-_OWN = {name: f"twistcap.io.exports:{name}" for name in ("trc", "mot", "bvh", "csv", "glb")}
+_OWN = {name: f"twistcap.io.exports:{name}" for name in ("trc", "mot", "bvh", "csv", "glb", "c3d")}
 FORMATS = Registry("export format", "twistcap.exports", _OWN)
 _ALONE_HZ = 60.0  # rate of a result of one frame, which has none
 
@@ -109,6 +110,10 @@ def _write_csv(result: Result, path: Path, options: ExportOptions) -> None:
     write_csv(path, result, options.axes, options.angles, options.fill)
 
 
+def _write_c3d(result: Result, path: Path, options: ExportOptions) -> None:
+    write_c3d(path, result, options.axes, options.fill)
+
+
 def _rate(result: Result) -> float:
     """Frames per second; the median step, so that dropped frames do not count."""
     return float(1.0 / np.median(np.diff(result.times))) if len(result) > 1 else _ALONE_HZ
@@ -119,3 +124,4 @@ mot = partial(ExportFormat, "angles.mot", "joint angles (OpenSim)", _write_mot)
 bvh = partial(ExportFormat, "motion.bvh", "skeleton and motion (Blender, MotionBuilder)", _write_bvh)
 csv = partial(ExportFormat, "angles.csv", "joint angles and their standard deviations", _write_csv)
 glb = partial(ExportFormat, "motion.glb", "skinned body and motion (any glTF viewer)", _write_glb)
+c3d = partial(ExportFormat, "motion.c3d", "points and segments (Visual3D, Mokka, Vicon)", _write_c3d)

@@ -114,6 +114,8 @@ def poses_from_mot(
     knees = [k for k, name in enumerate(body.coordinate_names) if name.startswith("knee_angle")]
     if knees and (knee == "negative" or (knee == "auto" and float(np.mean(q[:, knees])) < _NEGATIVE_KNEE)):
         q[:, knees] *= -1.0
+    given = np.array([name in table.columns for name in body.coordinate_names], bool)
+    q -= given * convert.zeros_of(body)
     for ours, opensim in convert.shoulders_of(body):
         q = convert.reordered(body, q, opensim, ours)
     turns = np.stack([table.get(name) for name in convert.PELVIS_ANGLES], axis=1)
