@@ -36,8 +36,8 @@ _CROWN = {"ear_r": 0.3, "ear_l": 0.3, "head_top": 0.4}
 _MIDDLE: Mapping[str, _Site] = {
     "C7": _Site("thorax", {"neck": 1.0}, _BACK),
     "CLAV": _Site("thorax", {"neck": 0.25, "shoulder_r": 0.375, "shoulder_l": 0.375}, _FRONT),
-    "STRN": _Site("thorax", {"shoulder_r": 0.3, "shoulder_l": 0.3, "mid_hip": 0.4}, _FRONT),
-    "T10": _Site("thorax", {"shoulder_r": 0.275, "shoulder_l": 0.275, "mid_hip": 0.45}, _BACK),
+    "STRN": _Site("spine", {"shoulder_r": 0.3, "shoulder_l": 0.3, "mid_hip": 0.4}, _FRONT),
+    "T10": _Site("spine", {"shoulder_r": 0.275, "shoulder_l": 0.275, "mid_hip": 0.45}, _BACK),
 }
 _SIDED: Mapping[str, _Site] = {
     "FHD": _Site("head", _CROWN, (1.0, 0, 0.8)),
@@ -91,7 +91,13 @@ def _marker(body: Body, bones: Mapping[str, Bone], name: str, site: _Site, side:
     way /= np.linalg.norm(way)
     crossed = line_crossings(body.vertices[body.faces], start, way)
     ahead = crossed[crossed > 0]
-    return (name, bone.segment, start + ahead.min() * way) if len(ahead) else None
+    if not len(ahead):
+        return None
+    point = start + ahead.min() * way
+    nearest = np.argmin(
+        np.sum((body.vertices - point) ** 2, axis=1)
+    )  # of a spine of several segments the one that is there
+    return name, int(body.vertex_part[nearest]) if site.bone == "spine" else bone.segment, point
 
 
 def _bone(body: Body, bones: Mapping[str, Bone], name: str, side: str) -> Bone | None:
@@ -99,7 +105,7 @@ def _bone(body: Body, bones: Mapping[str, Bone], name: str, side: str) -> Bone |
         if f"humerus{side}" not in bones or "thorax" not in bones:
             return None
         return Bone(int(body.segment_parent[bones[f"humerus{side}"].segment]), bones["thorax"].frame)
-    return bones.get(name + side, bones.get(name))
+    return bones.get("thorax" if name == "spine" else name + side, bones.get(name))
 
 
 def _anchored(body: Body, anchor: Anchor, side: str) -> Float | None:

@@ -16,15 +16,19 @@ if TYPE_CHECKING:
 
 def export(
     result: Annotated[Path, typer.Argument(help="result.h5 of a track.", metavar="RESULT")],
-    to: Annotated[str, typer.Option(help="trc, mot, bvh, csv, glb, c3d, or a format of an installed package.")],
-    out: Annotated[Path | None, typer.Option(help="File to write. Default: in the folder of the result.")] = None,
+    to: Annotated[
+        str, typer.Option(help="trc, mot, bvh, csv, glb, c3d, opensim, or a format of an installed package.")
+    ],
+    out: Annotated[
+        Path | None, typer.Option(help="File to write (opensim: folder). Default: beside the result.")
+    ] = None,
     axes: Annotated[str, typer.Option(help="World of the file: opensim (y up), pose2sim (y up), z_up.")] = "opensim",
     angles: Annotated[str, typer.Option(help="Definition of joint angles: opensim, isb.")] = "opensim",
     fill: Annotated[bool, typer.Option("--fill", help="Write predicted poses where the body was lost.")] = False,
     frames: Annotated[str | None, typer.Option(help="Frames FIRST:LAST, both included. Default: all.")] = None,
     json: terminal.Json = False,
 ) -> None:
-    """Write a result as markers (trc, c3d), joint angles (mot, csv) or animation (bvh, glb).
+    """Write a result as markers (trc, c3d), joint angles (mot, csv) animation (bvh, glb), or an OpenSim model.
 
     Examples:
 

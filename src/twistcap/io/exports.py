@@ -22,10 +22,11 @@ from twistcap.io.coordinates import ANGLES, Angles
 from twistcap.io.files import replacing, unwritable
 from twistcap.io.markers import TO_FILE, WorldAxes, write_trc
 from twistcap.io.motion_files import write_csv, write_mot
+from twistcap.io.opensim_package import write_opensim
 from twistcap.io.result import Result
 from twistcap.registry import Registry
 
-_OWN = {name: f"twistcap.io.exports:{name}" for name in ("trc", "mot", "bvh", "csv", "glb", "c3d")}
+_OWN = {name: f"twistcap.io.exports:{name}" for name in ("trc", "mot", "bvh", "csv", "glb", "c3d", "opensim")}
 FORMATS = Registry("export format", "twistcap.exports", _OWN)
 _ALONE_HZ = 60.0  # rate of a result of one frame, which has none
 
@@ -114,6 +115,10 @@ def _write_c3d(result: Result, path: Path, options: ExportOptions) -> None:
     write_c3d(path, result, options.axes, options.fill)
 
 
+def _write_opensim(result: Result, path: Path, options: ExportOptions) -> None:
+    write_opensim(path, result, options.axes, options.fill)
+
+
 def _rate(result: Result) -> float:
     """Frames per second; the median step, so that dropped frames do not count."""
     return float(1.0 / np.median(np.diff(result.times))) if len(result) > 1 else _ALONE_HZ
@@ -125,3 +130,4 @@ bvh = partial(ExportFormat, "motion.bvh", "skeleton and motion (Blender, MotionB
 csv = partial(ExportFormat, "angles.csv", "joint angles and their standard deviations", _write_csv)
 glb = partial(ExportFormat, "motion.glb", "skinned body and motion (any glTF viewer)", _write_glb)
 c3d = partial(ExportFormat, "motion.c3d", "points and segments (Visual3D, Mokka, Vicon)", _write_c3d)
+opensim = partial(ExportFormat, "opensim", "model, markers, motion and set-ups (OpenSim)", _write_opensim)

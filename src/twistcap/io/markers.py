@@ -74,7 +74,8 @@ def write_trc(
     ]
     for n, (time, row) in enumerate(zip(times, values.reshape(len(values), -1), strict=True), start=1):
         fields = ["" if np.isnan(v) else f"{v:.{digits}f}" for v in row]
-        lines.append("\t".join([str(n), repr(float(time)), *fields]))
+        last = fields.pop() if fields else ""  # OpenSim does not count an empty field at the end of a line
+        lines.append("\t".join([str(n), repr(float(time)), *fields, last or " "]))
     write_lines(path, lines)
 
 
