@@ -81,6 +81,16 @@ def show_rows(title: str, rows: list[Any]) -> None:
     Console(highlight=False).print(table)
 
 
+def show_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """A table of texts on stdout, its first column to the left."""
+    table = Table(title=title, title_justify="left")
+    for n, name in enumerate(columns):
+        table.add_column(name, justify="right" if n else "left", no_wrap=True)
+    for row in rows:
+        table.add_row(*row)
+    Console(highlight=False).print(table)
+
+
 def output_folder(path: str | Path) -> Path:
     """The folder, created if it does not exist. Raises InputError where it cannot be made."""
     folder = Path(path)
