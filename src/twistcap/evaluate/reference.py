@@ -17,6 +17,8 @@ from twistcap.camera import Camera, Rectifier
 from twistcap.doors.images import read_image
 from twistcap.errors import InputError
 from twistcap.evaluate import metrics
+from twistcap.evaluate.agreement import Agreement, Distance, agreements, distances
+from twistcap.evaluate.alignment import aligned
 from twistcap.evaluate.load import Reference, load_reference
 from twistcap.evaluate.metrics import Row, row
 from twistcap.io.markers import WorldAxes
@@ -60,28 +62,44 @@ class Evaluation:
     lost_frames: list[int] = field(default_factory=list[int])  # by the reference (`metrics.lost_frames`)
     notes: tuple[str, ...] = ()  # assumptions
 
+    @property
+    def agreements(self) -> list[Agreement]:
+        """Of each coordinate, degrees."""
+        found = self.angles
+        return agreements(found.names, found.raw, np.degrees(found.reference)) if found else []
+
+    @property
+    def distances(self) -> list[Distance]:
+        """Of each joint, mm."""
+        found = self.joints
+        return distances(found.names, found.raw, found.offset_removed) if found else []
+
     def as_dict(self) -> dict[str, Any]:
         """The whole as JSON-ready values."""
         errors = {"joints_mm": self.joints, "angles_deg": self.angles}
         by_name = {key: found.by_name() if found else {} for key, found in errors.items()}
         masks = [vars(overlap) for overlap in self.overlaps]
         rest = {"masks": masks, "lost_frames": self.lost_frames, "notes": list(self.notes)}
-        return {"case": self.case, "rows": self.rows, **by_name, **rest}
+        tables = {"agreements_deg": self.agreements, "distances_mm": self.distances}
+        each = {key: [vars(entry) for entry in table] for key, table in tables.items()}
+        return {"case": self.case, "rows": self.rows, **by_name, **each, **rest}
 
 
 def evaluate(
     result: Result, reference: Path | str, time_offset: float = 0.0, *, exclude: Sequence[str] = (),
-    case: str | None = None, axes: WorldAxes = "opensim",
+    case: str | None = None, axes: WorldAxes = "opensim", align: bool = False, register: bool = False,
 ) -> Evaluation:  # fmt: skip
     """Compare a result with a reference.
 
     Args:
-        reference: studio truth (``truth.npz`` or its folder), ``.trc``, ``.mot``, ``.sto``, 3D keypoints (``.npz`` with
-            ``X`` (N, 25, 3) m) or a folder of masks ``CAM/frame_XXXX.png``.
+        reference: studio truth (``truth.npz`` or its folder), ``.trc``, ``.c3d``, ``.mot``, ``.sto``, 3D keypoints
+            (``.npz`` with ``X`` (N, 25, 3) m) or a folder of masks ``CAM/frame_XXXX.png``.
         time_offset: seconds to add to the reference's clock to get the recording's.
         exclude: flawed stretches of the reference, see `Reference.without`.
         case: name in the table; the reference's own name by default.
-        axes: how a TRC's world lies in ours, see `io.markers`.
+        axes: how the world of a TRC or C3D lies in ours, see `io.markers`.
+        align: whether the reference's clock is moved to where the movements agree best, see `alignment`.
+        register: whether its world is turned and moved to where the points agree best.
 
     Raises InputError for a reference that is missing, unreadable, or has nothing in common with the result.
     """
@@ -94,6 +112,7 @@ def evaluate(
         return _against_masks(result, path, case)
     truth = load_reference(path, result.body, lambda rows: frame_times(result, rows), axes)
     truth = replace(truth, times=truth.times + time_offset).without(exclude)
+    truth = aligned(result, truth, align, register) if align or register else truth
     return compare(result, truth, case, str(path))
 
 
