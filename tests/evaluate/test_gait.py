@@ -112,7 +112,7 @@ def test_events_of_a_real_walk_on_force_plates(shared_data: Path, body: Body, pl
         truth = forces.times[1:][changes == change]
         truth = truth[(truth > table.times[0]) & (truth < table.times[-1])]
         assert len(found) == len(truth) == 1
-        assert abs(found[0] - truth[0]) < 1 / FPS
+        assert abs(found[0] - truth[0]) < 0.010  # s; docs/how-to/gait.md says 9 ms or less
 
 
 def test_butterworth_has_no_lag_and_its_cutoff_at_3_db() -> None:
