@@ -12,7 +12,7 @@ from twistcap.body.anatomy import bones_of
 from twistcap.body.humanoid import humanoid
 from twistcap.body.shape import joints_moved
 from twistcap.errors import InputError
-from twistcap.io.coordinates import Coordinates, coordinates_of
+from twistcap.io.coordinates import Coordinates, coordinates_of, opensim_angles
 from twistcap.studio.motion import gait
 
 
@@ -166,3 +166,17 @@ def test_what_a_body_lacks_is_left_out() -> None:
     assert not any("shoulder" in name for name in coordinates_of(legs, [Pose.rest(legs)], angles="isb").names)
     with pytest.raises(InputError, match="angles is 'euler'; it must be one of opensim, isb"):
         coordinates_of(legs, [], angles="euler")  # type: ignore[arg-type]
+
+
+def test_opensim_angles_of_some_coordinates(body: Body, poses: list[Pose]) -> None:
+    """As in the whole table, whatever the order of the names; a gap stays one and spoils no other frame."""
+    table = coordinates_of(body, poses)
+    names = ["pro_sup_r", "arm_rot_l", "knee_angle_r", "arm_add_l", "arm_flex_l", "arm_flex_r"]
+    q = np.array([pose.q for pose in poses])[:, [body.coordinate(name) for name in names]]
+    q[3, 1] = np.nan
+    found = np.degrees(opensim_angles(body, names, q))
+    wanted = np.stack([column(table, name) for name in names], axis=1)
+    rest = np.arange(len(poses)) != 3
+    np.testing.assert_allclose(found[rest, :5], wanted[rest, :5], atol=1e-9)
+    assert np.isnan(found[3, 1]) and found[3, 2] == pytest.approx(wanted[3, 2])
+    np.testing.assert_allclose(found[:, 5], np.degrees(q[:, 5]))  # its shoulder is not whole

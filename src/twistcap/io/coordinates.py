@@ -65,6 +65,24 @@ def coordinates_of(
     return Coordinates((*pelvis.names, *joints.names), turning, values, sigmas)
 
 
+def opensim_angles(body: Body, names: Sequence[str], angles: Float) -> Float:
+    """Angles (N, C) rad of some of the body's own coordinates, by name, as OpenSim defines them.
+
+    A shoulder of which a name is missing, and frames in which it is NaN, stay as they are.
+    """
+    out = angles.copy()
+    for ours, opensim in convert.shoulders_of(body):
+        trio = [body.coordinate_names[k] for k in ours]
+        if set(trio) <= set(names):
+            columns = [names.index(name) for name in trio]
+            known = np.isfinite(angles[:, columns]).all(axis=1)
+            q = np.zeros((int(known.sum()), len(body.coordinate_names)))
+            q[:, ours] = angles[known][:, columns]
+            out[np.flatnonzero(known)[:, None], columns] = convert.reordered(body, q, ours, opensim)[:, ours]
+    zeros = dict(zip(body.coordinate_names, convert.zeros_of(body), strict=True))
+    return out + np.array([zeros.get(name, 0.0) for name in names])
+
+
 @dataclass(frozen=True)
 class _Part:
     """Some of the coordinates, and their derivatives (T, C, 6 + J) by the pose step."""
@@ -90,13 +108,11 @@ def _opensim(body: Body, poses: Sequence[Pose]) -> _Part:
     """The body's own coordinates, each shoulder in OpenSim's order and with OpenSim's zeros."""
     q = np.array([pose.q for pose in poses]).reshape(len(poses), -1)
     by_step = np.tile(np.eye(body.dof)[6:], (len(q), 1, 1))
-    out = q
+    out, axes = opensim_angles(body, body.coordinate_names, q), body.twists[:, :3]
     for ours, opensim in convert.shoulders_of(body):
-        out = convert.reordered(body, out, ours, opensim)
-        axes = body.twists[:, :3]
         block = convert.rates(out[:, opensim], axes[opensim]) @ convert.spins(q[:, ours], axes[ours])
         by_step[:, np.array(opensim)[:, None], 6 + np.array(ours)] = block
-    return _Part(body.coordinate_names, np.any(body.twists[:, :3] != 0, axis=1), out + convert.zeros_of(body), by_step)
+    return _Part(body.coordinate_names, np.any(body.twists[:, :3] != 0, axis=1), out, by_step)
 
 
 def _isb(body: Body, poses: Sequence[Pose]) -> _Part:
