@@ -20,7 +20,7 @@ from twistcap.evaluate.other_systems import landmark_name, read_c3d
 from twistcap.evaluate.reference import evaluate
 from twistcap.io.exports import export
 from twistcap.io.markers import write_trc
-from twistcap.io.motion_files import write_mot
+from twistcap.io.motion_files import read_mot, write_mot
 from twistcap.io.result import Result, ResultWriter, read_result
 from twistcap.studio.motion import gait
 
@@ -172,3 +172,17 @@ def test_command_fits_80_columns(
     assert {a["name"] for a in found["agreements_deg"]} == set(body.coordinate_names)
     said = refusal(capsys, "evaluate", tmp_path / "r.h5", "--reference", tmp_path / "b.mot", "--axes", "sideways")
     assert "axes" in said
+
+
+def test_agreement_is_that_of_the_files(result: Result, body: Body, tmp_path: Path) -> None:
+    """The bias of the shoulder equals what anybody computes from both MOT files."""
+    rng = np.random.default_rng(1)
+    off = [Pose(p.root, p.q + rng.normal(scale=0.2, size=len(p.q))) for p in result.poses]
+    write_mot(tmp_path / "ours.mot", body, result.times, result.poses)
+    write_mot(tmp_path / "theirs.mot", body, result.times, off)
+    ours, theirs = read_mot(tmp_path / "ours.mot"), read_mot(tmp_path / "theirs.mot")
+    found = {a.name: a for a in evaluate(result, tmp_path / "theirs.mot").agreements}
+    for name in ("arm_flex_r", "arm_add_l", "arm_rot_r", "pro_sup_l", "knee_angle_r"):
+        difference = np.degrees(ours.get(name) - theirs.get(name))
+        assert found[name].bias == pytest.approx(difference.mean(), abs=1e-5), name
+        assert found[name].rmse == pytest.approx(np.sqrt(np.mean(difference**2)), abs=1e-5), name

@@ -21,6 +21,7 @@ from twistcap.evaluate.agreement import Agreement, Distance, agreements, distanc
 from twistcap.evaluate.alignment import aligned
 from twistcap.evaluate.load import Reference, load_reference
 from twistcap.evaluate.metrics import Row, row
+from twistcap.io.coordinates import opensim_angles
 from twistcap.io.markers import WorldAxes
 from twistcap.io.result import Result
 
@@ -61,12 +62,7 @@ class Evaluation:
     overlaps: list[Overlap] = field(default_factory=list[Overlap])  # IoU by mask, where it is a folder of masks
     lost_frames: list[int] = field(default_factory=list[int])  # by the reference (`metrics.lost_frames`)
     notes: tuple[str, ...] = ()  # assumptions
-
-    @property
-    def agreements(self) -> list[Agreement]:
-        """Of each coordinate, degrees."""
-        found = self.angles
-        return agreements(found.names, found.raw, np.degrees(found.reference)) if found else []
+    agreements: list[Agreement] = field(default_factory=list[Agreement])  # degrees, in OpenSim's angles
 
     @property
     def distances(self) -> list[Distance]:
@@ -142,7 +138,8 @@ def compare(result: Result, truth: Reference, case: str, source: str = "the refe
         rows.append(row(case, "lost frames, by the reference", float(len(lost)), "frames", lost=len(lost)))
         rows.append(row(case, "lost sequence", float(metrics.lost_sequence(joints.raw)), "of 1"))
     rows.append(row(case, "lost frames, by the tracker itself", float(np.sum(result.lost)), "frames"))
-    return Evaluation(case, rows, joints, coordinates, lost_frames=lost, notes=truth.notes)
+    agreed = _agreements(result, coordinates) if coordinates else []
+    return Evaluation(case, rows, joints, coordinates, lost_frames=lost, notes=truth.notes, agreements=agreed)
 
 
 def _expect_common(result: Result, truth: Reference, times: Float, source: str) -> None:
@@ -186,6 +183,14 @@ def _angle_errors(result: Result, names: Sequence[str], angles: Float) -> Errors
     theirs = angles[:, [names.index(name) for name in shared]]
     difference = metrics.angle_differences_deg(q, theirs)
     return Errors(shared, theirs, difference, metrics.without_offset(difference))
+
+
+def _agreements(result: Result, errors: Errors) -> list[Agreement]:
+    """Of the coordinates as exports have them, so that other programs find the same numbers in the files."""
+    body, names = result.body, errors.names
+    q = np.stack([pose.q for pose in result.poses])[:, [body.coordinate(name) for name in names]]
+    ours, theirs = (opensim_angles(body, names, angles) for angles in (q, errors.reference))
+    return agreements(names, metrics.angle_differences_deg(ours, theirs), np.degrees(theirs))
 
 
 def _angle_rows(case: str, errors: Errors) -> list[Row]:
