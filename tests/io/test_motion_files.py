@@ -302,6 +302,7 @@ def test_frames_that_are_lost_or_unseen_are_empty_unless_filled(tmp_path: Path, 
     assert np.isnan(markers.points).any(axis=(1, 2)).tolist() == empty
     assert np.isnan(table.values).all(axis=1).tolist() == empty
     assert np.isnan(table.values).any(axis=1).tolist() == empty
+    assert "lost or not seen: 2-3\n" in (tmp_path / "angles.mot").read_text()  # filled or not
     rows = rows_of(tmp_path / "angles.csv")
     assert [row["knee_angle_r_deg"] == "" for row in rows] == empty
     assert [row["knee_angle_r_std_deg"] == "" for row in rows] == empty

@@ -103,8 +103,9 @@ def _write_landmarks(result: Result, path: Path, options: ExportOptions) -> None
 
 
 def _write_mot(result: Result, path: Path, options: ExportOptions) -> None:
-    known = result.known | options.fill
-    write_mot(path, result.body, result.times, result.poses, options.axes, options.angles, known)
+    write_mot(
+        path, result.body, result.times, result.poses, options.axes, options.angles, result.known, options.fill
+    )  # fmt: skip
 
 
 def _write_csv(result: Result, path: Path, options: ExportOptions) -> None:

@@ -41,24 +41,33 @@ class MotionTable:
 
 def write_mot(
     path: Path | str, body: Body, times: Float, poses: Sequence[Pose], axes: WorldAxes = "opensim",
-    angles: Angles = "opensim", known: Bool | None = None,
+    angles: Angles = "opensim", known: Bool | None = None, fill: bool = False,
 ) -> None:  # fmt: skip
     """Writes the coordinates of N poses (`io.coordinates`): inDegrees=yes, lengths in m.
 
-    `times` (N,) are in s; for `axes` see `io.markers`. Frames that are not `known` (N,) are NaN. Raises InputError for
-    unequal numbers, or if the file cannot be written.
+    `times` (N,) are in s; for `axes` see `io.markers`. Frames that are not `known` (N,) are NaN, unless `fill`; the
+    head names their rows. Raises InputError for unequal numbers, or if the file cannot be written.
     """
     path = Path(path)
     if len(times) != len(poses):
         raise InputError(f"{path}: there are {len(poses)} poses, but {len(times)} times.")
     table = coordinates_of(body, poses, angles=angles, axes=axes)
     values, _ = table.in_degrees
-    if known is not None:
-        values[~known] = np.nan
+    lost = np.zeros(len(times), np.bool_) if known is None else ~known
+    values[lost & (not fill)] = np.nan
     head = ["Coordinates", "version=1", f"nRows={len(times)}", f"nColumns={len(table.names) + 1}", "inDegrees=yes", ""]
-    head += ["Units are S.I. units (second, meters, Newtons, ...)", "Angles are in degrees.", "", "endheader"]
+    head += ["Units are S.I. units (second, meters, Newtons, ...)", "Angles are in degrees.", ""]
+    head += [*_lost_rows(lost), "endheader"]
     rows = ["\t".join([repr(float(t)), *(f"{v:.8f}" for v in row)]) for t, row in zip(times, values, strict=True)]
     write_lines(path, [*head, "\t".join(["time", *table.names]), *rows])
+
+
+def _lost_rows(lost: Bool) -> list[str]:
+    """A line of the head for people: the rows, counted from 1, in which the body was lost or not seen."""
+    if not lost.any():
+        return []
+    rows = np.split(np.flatnonzero(lost) + 1, np.flatnonzero(np.diff(np.flatnonzero(lost)) > 1) + 1)
+    return [f"Rows in which the body was lost or not seen: {', '.join(f'{r[0]}-{r[-1]}' for r in rows)}", ""]
 
 
 def read_mot(path: Path | str) -> MotionTable:

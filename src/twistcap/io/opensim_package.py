@@ -55,7 +55,7 @@ def write_opensim(folder: Path, result: Result, axes: WorldAxes = "opensim", fil
     _write_xml(folder / "markers.xml", _document(marker_set(body, stuck)))
     for name, mesh in meshes(body).items():
         write_lines(folder / "Geometry" / f"{name}.obj", mesh.splitlines())
-    write_mot(folder / "angles.mot", body, result.times, result.poses, axes, known=known)
+    write_mot(folder / "angles.mot", body, result.times, result.poses, axes, known=result.known, fill=fill)
     shown = [pose for pose, there in zip(result.poses, known, strict=True) if there]
     for name, marks in {"markers": stuck, "joints": centres}.items():
         write_trc(folder / f"{name}.trc", result.times[known], marks.names, _moved(body, marks, shown), axes=axes)
