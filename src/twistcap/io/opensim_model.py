@@ -24,7 +24,7 @@ _WATER = 1000.0  # kg/m³
 _GRAVITY = np.array([0.0, 0.0, -9.80665])  # m/s², in our world
 _SPECK = 0.01  # kg; a body without a surface of its own
 _FREE = 99.0  # m or rad, either way: coordinates of the root are not limited
-_PELVIS_RANGE = 2 * np.pi
+_ROUND = 2 * np.pi  # rad
 
 
 def opensim_model(body: Body, marks: Landmarks, axes: WorldAxes = "opensim") -> ET.Element:
@@ -45,7 +45,7 @@ def opensim_model(body: Body, marks: Landmarks, axes: WorldAxes = "opensim") -> 
         bodies.append(_body(joint, masses[n], joint.name == body.segment_names[joint.segment]))
         joined.append(_joint(body, joints, n, origins))
     model.append(marker_set(body, marks))
-    return _document(model)
+    return document(model)
 
 
 def marker_set(body: Body, marks: Landmarks) -> ET.Element:
@@ -109,7 +109,7 @@ def _joint(body: Body, joints: Sequence[Joint], number: int, origins: Sequence[F
     for k in order:
         low, high = body.limits[k] + zeros[k]
         if len(order) == 3 and body.coordinate_names[k].startswith("arm_"):  # our limits are of another order
-            low, high = -_PELVIS_RANGE, _PELVIS_RANGE
+            low, high = -_ROUND, _ROUND
         _coordinate(coordinates, body.coordinate_names[k], float(zeros[k]), float(low), float(high))
     turning = [(body.coordinate_names[k], convert.REST_TO_OPENSIM @ body.twists[k, :3], -zeros[k]) for k in order]
     _spatial(out, turning, [])
@@ -130,9 +130,7 @@ def _root_joint(joint: Joint) -> ET.Element:
     out = ET.Element("CustomJoint", name=f"ground_{joint.name}")
     _frames(out, "ground", joint.name, "/ground", np.zeros(3))
     coordinates = ET.SubElement(out, "coordinates")
-    for name in convert.PELVIS_ANGLES:
-        _coordinate(coordinates, name, 0.0, -_FREE, _FREE)
-    for name in convert.PELVIS_PLACE:
+    for name in (*convert.PELVIS_ANGLES, *convert.PELVIS_PLACE):
         _coordinate(coordinates, name, 0.0, -_FREE, _FREE)
     turning = [(name, axis, 0.0) for name, axis in zip(convert.PELVIS_ANGLES, convert.PELVIS_AXES, strict=True)]
     _spatial(out, turning, convert.PELVIS_PLACE)
@@ -229,7 +227,8 @@ def _set(model: ET.Element, kind: str, name: str) -> ET.Element:
     return ET.SubElement(ET.SubElement(model, kind, name=name), "objects")
 
 
-def _document(child: ET.Element) -> ET.Element:
+def document(child: ET.Element) -> ET.Element:
+    """An OpenSim file of one object."""
     out = ET.Element("OpenSimDocument", Version="40000")
     out.append(child)
     return out

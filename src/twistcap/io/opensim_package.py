@@ -15,7 +15,7 @@ from twistcap.errors import InputError
 from twistcap.io.files import write_lines
 from twistcap.io.markers import WorldAxes, write_trc
 from twistcap.io.motion_files import write_mot
-from twistcap.io.opensim_model import marker_set, meshes, opensim_model
+from twistcap.io.opensim_model import document, marker_set, meshes, opensim_model
 from twistcap.io.result import Result
 
 _CENTRES = {"hip": "HJC", "knee": "KJC", "ankle": "AJC", "shoulder": "SJC", "elbow": "EJC", "wrist": "WJC"}
@@ -52,7 +52,7 @@ def write_opensim(folder: Path, result: Result, axes: WorldAxes = "opensim", fil
     (folder / "Geometry").mkdir(parents=True, exist_ok=True)
     stuck, centres = surface_markers(body), _centres(body)
     _write_xml(folder / "model.osim", opensim_model(body, stuck, axes))
-    _write_xml(folder / "markers.xml", _document(marker_set(body, stuck)))
+    _write_xml(folder / "markers.xml", document(marker_set(body, stuck)))
     for name, mesh in meshes(body).items():
         write_lines(folder / "Geometry" / f"{name}.obj", mesh.splitlines())
     write_mot(folder / "angles.mot", body, result.times, result.poses, axes, known=result.known, fill=fill)
@@ -95,7 +95,7 @@ def _inverse_kinematics(names: Sequence[str], times: Float) -> ET.Element:
     _tasks(tool, names)
     files = {"marker_file": "markers.trc", "coordinate_file": "", "output_motion_file": "ik.mot"}
     _entries(tool, {**files, "time_range": _span(times), "report_errors": "true", "results_directory": "."})
-    return _document(tool)
+    return document(tool)
 
 
 def _span(times: Float) -> str:
@@ -124,7 +124,7 @@ def _scaling(known: set[str]) -> ET.Element:
                 measured.append(_measurement(f"{name}_{side.lower()}" if side else name, axes, owners, sided))
     files = {"marker_file": "static.trc", "output_model_file": "generic_scaled.osim"}
     _entries(scaler, {**files, "time_range": _span(_STATIC), "preserve_mass_distribution": "true"})
-    return _document(tool)
+    return document(tool)
 
 
 def _measurement(name: str, axes: str, bodies: Sequence[str], pairs: Sequence[tuple[str, str]]) -> ET.Element:
@@ -144,12 +144,6 @@ def _entries(parent: ET.Element, texts: Mapping[str, str]) -> None:
         ET.SubElement(parent, tag).text = text
 
 
-def _document(child: ET.Element) -> ET.Element:
-    out = ET.Element("OpenSimDocument", Version="40000")
-    out.append(child)
-    return out
-
-
-def _write_xml(path: Path, document: ET.Element) -> None:
-    ET.indent(document)
-    write_lines(path, ['<?xml version="1.0" encoding="UTF-8"?>', ET.tostring(document, encoding="unicode")])
+def _write_xml(path: Path, whole: ET.Element) -> None:
+    ET.indent(whole)
+    write_lines(path, ['<?xml version="1.0" encoding="UTF-8"?>', ET.tostring(whole, encoding="unicode")])
