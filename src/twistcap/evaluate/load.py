@@ -135,6 +135,8 @@ def _from_mot(path: Path, body: Body) -> Reference:
     with a NaN are not known."""
     table = read_mot(path)
     known = np.all(np.isfinite(table.values), axis=1).reshape(-1)
+    if not known.any():
+        raise InputError(f"{path}: every row holds a NaN; give a file with rows that are whole.")
     whole = replace(table, times=table.times[known], values=table.values[known])
     with naming(path):
         poses, _ = poses_from_mot(whole, body)
