@@ -13,6 +13,7 @@ from twistcap.commands.body import body
 from twistcap.commands.demo import demo
 from twistcap.commands.evaluate import evaluate
 from twistcap.commands.export import export
+from twistcap.commands.gait import gait
 from twistcap.commands.init import init
 from twistcap.commands.motions import motions
 from twistcap.commands.new import new
@@ -32,7 +33,7 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (demo, new, session, init, track, refine, view, studio, evaluate, export):
+for command in (demo, new, session, init, track, refine, view, studio, evaluate, gait, export):
     app.command()(command)
 app.add_typer(body)
 app.add_typer(prior)

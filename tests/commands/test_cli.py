@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import os
 import shutil
 import signal
@@ -80,10 +81,29 @@ def test_evaluate(tracked: Path, made: Path, capsys: pytest.CaptureFixture[str])
     assert "does not exist" in refusal(capsys, "evaluate", result, "--reference", made / "none.npz")
 
 
-@pytest.mark.parametrize("kind", ["trc", "mot", "bvh", "csv", "glb"])
+@pytest.mark.parametrize("kind", ["trc", "mot", "bvh", "csv", "glb", "opensim"])
 def test_export(kind: str, tracked: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     written = document(capsys, "export", tracked / "result.h5", "--to", kind, "--out", tmp_path / f"walk.{kind}")
     assert Path(written["file"]).stat().st_size > 200
+
+
+def test_export_options(tracked: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Both sides of each: another world, other angles, a part of the frames, frames without evidence."""
+    result = tracked / "result.h5"
+
+    def rows(*options: object) -> list[dict[str, str]]:
+        document(capsys, "export", result, "--to", "csv", "--out", tmp_path / "a.csv", *options)
+        with (tmp_path / "a.csv").open() as file:
+            return list(csv.DictReader(file))
+
+    plain, up = rows("--fill")[0], rows("--fill", "--axes", "z_up")[0]
+    assert float(up["pelvis_tz_m"]) == pytest.approx(float(plain["pelvis_ty_m"]), abs=1e-6)
+    assert "knee_angle_r_deg" in plain and "isb_knee_flexion_r_deg" in rows("--angles", "isb")[0]
+    assert [int(row["frame"]) for row in rows("--frames", "2:4")] == [2, 3, 4]
+    for option, value in (("--axes", "sideways"), ("--angles", "euler")):
+        said = refusal(capsys, "export", result, "--to", "csv", option, value)
+        assert f"{option[2:]} is {value!r}; it must be one of opensim" in said
+    assert "no frame" in refusal(capsys, "export", result, "--to", "csv", "--frames", "100:200")
 
 
 def test_export_refuses(tracked: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -357,7 +377,7 @@ def test_demo(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "src=" in (tmp_path / "report.html").read_text()
 
 
-@pytest.mark.parametrize("command", ["demo", "track", "studio", "evaluate", "export"])
+@pytest.mark.parametrize("command", ["demo", "track", "studio", "evaluate", "gait", "export"])
 def test_help_shows_examples(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(command, "--help") == 0
     text = capsys.readouterr().out

@@ -180,7 +180,8 @@ def test_marker_files(tracked: Tracked, tmp_path: Path) -> None:
     rows = rows_of(evaluate(tracked, tmp_path / "walk.trc", axes="opensim"))
     assert rows["joints, mean"] == pytest.approx(3.0, abs=0.01)
     assert rows["joints, mean, offset removed"] == pytest.approx(0.0, abs=0.01)
-    turned = rows_of(evaluate(tracked, tmp_path / "walk.trc"))  # the world turned by 90°: feet stay, the walk does not
+    # The world turned by 90°: feet stay, the walk does not.
+    turned = rows_of(evaluate(tracked, tmp_path / "walk.trc", axes="pose2sim"))
     assert turned["joints, mean, offset removed"] > 10
 
 
@@ -235,3 +236,12 @@ def test_names_of_markers_and_exclusions() -> None:
     assert parsed_exclusion("wrist_r", 100) == ("wrist_r", slice(0, 100))
     with pytest.raises(InputError, match="NAME:FIRST-LAST"):
         parsed_exclusion("wrist_r:a-b", 100)
+
+
+def test_rows_of_a_motion_file_that_are_nan_are_not_known(tracked: Tracked, tmp_path: Path) -> None:
+    known = np.arange(len(tracked.times)) != 3
+    write_mot(tmp_path / "walk.mot", tracked.body, tracked.times, tracked.poses, known=known)
+    angles = evaluate(tracked, tmp_path / "walk.mot").angles
+    assert angles is not None
+    assert np.isnan(angles.raw).any(axis=1).tolist() == (~known).tolist()
+    np.testing.assert_allclose(angles.raw[known], 0.0, atol=1e-5)

@@ -123,6 +123,7 @@ def targets(folder: Path) -> Mapping[str, Target]:
         "truth": ("truth.npz", lambda p: load_reference(p, SMALL, _times)),
         "keypoints 3d": ("points.npz", lambda p: load_reference(p, SMALL, _times)),
         "trc": ("joints.trc", lambda p: load_reference(p, SMALL, _times)),
+        "c3d": ("points.c3d", lambda p: load_reference(p, SMALL, _times)),
         "mot": ("walk.mot", poses_of_file),
         "mot reference": ("walk.mot", lambda p: load_reference(p, man, _times)),
         "bvh": ("walk.bvh", read_bvh),
@@ -141,7 +142,21 @@ def targets(folder: Path) -> Mapping[str, Target]:
         "result": ("result.h5", read_result),
         "state": ("result.h5", read_state),
     }  # fmt: skip
-    return {name: Target(folder / file, read) for name, (file, read) in by_name.items()}
+    made = {name: Target(folder / file, read) for name, (file, read) in by_name.items()}
+    return {name: target for name, target in made.items() if target.seed.exists()}  # C3D only where ezc3d is
+
+
+def _write_c3d(path: Path, points: Any) -> None:
+    try:
+        import ezc3d
+    except ImportError:
+        return
+    file = ezc3d.c3d()
+    point = file["parameters"]["POINT"]
+    point["RATE"]["value"], point["UNITS"]["value"], point["LABELS"]["value"] = [60.0], ["m"], ["knee_r", "tip"]
+    file["data"]["points"], file["data"]["rotations"] = points, np.tile(np.eye(4)[:, :, None, None], (1, 1, 1, 3))
+    file.add_parameter("ROTATION", "LABELS", ["r_thigh_4X4"])
+    file.write(str(path))
 
 
 def _times(rows: int) -> Any:
@@ -190,6 +205,7 @@ def _write(folder: Path) -> None:
     write_pose(folder / "pose.json", man, poses[0])
     write_mot(folder / "walk.mot", man, np.arange(3) / 60, poses)
     write_bvh(folder / "walk.bvh", man, poses, 60.0)
+    _write_c3d(folder / "points.c3d", rng.normal(size=(4, 2, 3)))
     write_trc(folder / "joints.trc", np.arange(3) / 60, ("knee_r", "tip"), rng.normal(size=(3, 2, 3)))
     write_prior(folder / "prior.npz", ParzenPrior(("a", "b"), rng.normal(size=(5, 2)), 0.1))
     roots = np.tile(np.eye(4), (6, 1, 1))

@@ -136,9 +136,14 @@ def test_a_root_of_deepmimic_with_a_parent(tmp_path: Path) -> None:
 
 
 def test_a_reference_with_an_angle_that_is_not_known(tmp_path: Path) -> None:
+    """Its row is not known; a file without any other is refused."""
     seeds = targets(tmp_path)
     lines = (tmp_path / "walk.mot").read_text().splitlines()
-    (tmp_path / "walk.mot").write_text("\n".join([*lines[:-1], lines[-1].rpartition("\t")[0] + "\tnan"]))
+    gaps = [line.rpartition("\t")[0] + "\tnan" for line in lines[-3:]]
+    (tmp_path / "walk.mot").write_text("\n".join([*lines[:-1], gaps[-1]]))
+    angles = seeds["mot reference"].read(tmp_path / "walk.mot").angles
+    assert np.isnan(angles).all(axis=1).tolist() == np.isnan(angles).any(axis=1).tolist() == [False, False, True]
+    (tmp_path / "walk.mot").write_text("\n".join([*lines[:-3], *gaps]))
     with pytest.raises(InputError, match=r"walk\.mot.*NaN"):
         seeds["mot reference"].read(tmp_path / "walk.mot")
 

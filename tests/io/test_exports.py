@@ -23,7 +23,7 @@ from twistcap.io.exports import ExportFormat
 def toy():
     return ExportFormat("places.json", "where the body is", write)
 
-def write(result, path):
+def write(result, path, options):
     path.write_text(json.dumps(result.roots[:, :3, 3].tolist()))
 '''
 
@@ -49,7 +49,7 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("installed")
 def test_a_format_of_an_installed_package_is_one_file_and_one_line(result: Result, tmp_path: Path) -> None:
-    assert FORMATS.names() == ("trc", "mot", "bvh", "csv", "glb", "toy")
+    assert FORMATS.names() == ("trc", "mot", "bvh", "csv", "glb", "c3d", "opensim", "toy")
     path = export(result, "toy", tmp_path)
     assert path == tmp_path / "places.json"
     np.testing.assert_array_equal(json.loads(path.read_text()), result.roots[:, :3, 3])

@@ -11,18 +11,21 @@ import pybvh
 import pytest
 from scipy.spatial.transform import Rotation
 
+from support.cameras import ring
 from twistcap import se3
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.body.shape import joint_origin
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate
-from twistcap.io.angles import decomposed, product
+from twistcap.io.angles import decomposed, pelvis_point, product
 from twistcap.io.bvh import write_bvh
+from twistcap.io.exports import ExportOptions, export
 from twistcap.io.markers import WorldAxes, read_keypoints3d, read_trc, write_trc
 from twistcap.io.motion_files import poses_from_mot, read_mot, write_csv, write_mot
+from twistcap.io.result import Result, ResultWriter, read_result
 
-AXES: tuple[WorldAxes, ...] = ("pose2sim", "opensim")
+AXES: tuple[WorldAxes, ...] = ("opensim", "pose2sim", "z_up")
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +83,7 @@ def test_trc_round_trip(tmp_path: Path, unit: str, axes: WorldAxes) -> None:
 
 
 def test_trc_axes_as_pose2sim_writes_them(tmp_path: Path) -> None:
-    write_trc(tmp_path / "a.trc", np.array([0.0, 0.5]), ["p"], np.array([[[1.0, 2.0, 3.0]]] * 2))
+    write_trc(tmp_path / "a.trc", np.array([0.0, 0.5]), ["p"], np.array([[[1.0, 2.0, 3.0]]] * 2), axes="pose2sim")
     lines = (tmp_path / "a.trc").read_text().splitlines()
     assert lines[0].startswith("PathFileType\t4\t(X/Y/Z)")
     assert lines[2].split("\t")[:5] == ["2", "2", "2", "1", "m"]
@@ -90,10 +93,10 @@ def test_trc_axes_as_pose2sim_writes_them(tmp_path: Path) -> None:
 TRC_ERRORS = {
     "Units is 'km'": ("\tm\t", "\tkm\t"),
     "NumMarkers is 2": ("\t1\tm", "\t2\tm"),
-    "line 7: 'two' is no number": ("2.000000", "two"),
-    "line 7 has more than 5 fields": ("2.000000", "2.0\t3.0"),
+    "line 7: 'two' is no number": ("3.000000", "two"),
+    "line 7 has more than 5 fields": ("3.000000", "2.0\t3.0"),
     "not a TRC file": ("PathFileType", "Path"),
-    "Time is missing": ("1\t0.000000", "1\t"),
+    "Time is missing": ("1\t0.0\t", "1\t\t"),
 }
 
 
@@ -259,23 +262,76 @@ def test_bvh_refuses_what_it_cannot_hold(tmp_path: Path, body: Body) -> None:
 
 
 def test_csv(tmp_path: Path, body: Body) -> None:
-    poses = some_poses(body, 2)
+    poses = some_poses(body, 3)
     covariance = np.diag(np.r_[np.full(3, 0.01), np.full(3, 0.02), np.full(len(poses[0].q), 0.03)] ** 2)
-    estimates = [Estimate(n, n / 60, pose, covariance, lost=n == 1) for n, pose in enumerate(poses)]
+    estimates = [Estimate(n, n / 60, pose, covariance) for n, pose in enumerate(poses)]
     left = np.array([name in ("humerus_l", "ulna_l", "radius_l") for name in body.segment_names])
     estimates[1] = replace(estimates[1], part_probability=np.where(left, 0.75, 0.125))
-    write_csv(tmp_path / "a.csv", body, estimates)
-    with (tmp_path / "a.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert [row["lost"] for row in rows] == ["0", "1"]
+    result = result_of(tmp_path, body, estimates)
+    write_csv(tmp_path / "a.csv", result)
+    write_mot(tmp_path / "a.mot", body, result.times, poses)
+    rows = rows_of(tmp_path / "a.csv")
     arm, leg = ([row[f"probability_lost_{limb}"] for row in rows] for limb in ("arm_l", "leg_r"))
-    assert (arm, leg) == (["", "0.7500"], ["", "0.1250"])
-    knee = body.coordinate("knee_angle_r")
-    assert float(rows[1]["knee_angle_r_deg"]) == pytest.approx(np.degrees(poses[1].q[knee]), abs=1e-5)
+    assert (arm, leg) == (["", "0.7500", ""], ["", "0.1250", ""])
+    for name, unit in {"knee_angle_r": "deg", "arm_flex_l": "deg", "pelvis_tilt": "deg", "pelvis_tx": "m"}.items():
+        wanted = read_mot(tmp_path / "a.mot").get(name)  # a name means the same in both
+        ours = np.array([float(row[f"{name}_{unit}"]) for row in rows])
+        np.testing.assert_allclose(ours, np.degrees(wanted) if unit == "deg" else wanted, atol=2e-6)
     assert float(rows[1]["knee_angle_r_std_deg"]) == pytest.approx(np.degrees(0.03), abs=1e-5)
-    _, y, z = poses[1].root[:3, 3]  # the place varies with the turn about the world's origin too
-    assert float(rows[1]["root_x_std_m"]) == pytest.approx(np.hypot(0.02, 0.01 * np.hypot(y, z)), abs=1e-5)
-    assert float(rows[1]["root_z_m"]) == pytest.approx(z, abs=1e-5)
+    assert [float(row["time"]) for row in rows] == result.times.tolist()
+
+
+def result_of(folder: Path, body: Body, estimates: list[Estimate]) -> Result:
+    with ResultWriter(folder / "r.h5", body, ring(), {}) as writer:
+        for estimate in estimates:
+            writer.append(estimate)
+    return read_result(folder / "r.h5")
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with path.open() as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.mark.parametrize("fill", [False, True])
+def test_frames_that_are_lost_or_unseen_are_empty_unless_filled(tmp_path: Path, body: Body, fill: bool) -> None:
+    unit, poses = np.eye(body.dof) * 1e-4, some_poses(body, 4)
+    estimates = [Estimate(n, n / 60, pose, unit, lost=n == 1) for n, pose in enumerate(poses)]
+    estimates[2] = replace(estimates[2], status="not_found")
+    result, options = result_of(tmp_path, body, estimates), ExportOptions(fill=fill)
+    empty = [False, not fill, not fill, False]
+    for name in ("trc", "mot", "csv"):
+        export(result, name, tmp_path, options=options)
+    markers, table = read_trc(tmp_path / "joints.trc"), read_mot(tmp_path / "angles.mot")
+    assert np.isnan(markers.points).all(axis=(1, 2)).tolist() == empty
+    assert np.isnan(markers.points).any(axis=(1, 2)).tolist() == empty
+    assert np.isnan(table.values).all(axis=1).tolist() == empty
+    assert np.isnan(table.values).any(axis=1).tolist() == empty
+    assert "lost or not seen: 2-3\n" in (tmp_path / "angles.mot").read_text()  # filled or not
+    rows = rows_of(tmp_path / "angles.csv")
+    assert [row["knee_angle_r_deg"] == "" for row in rows] == empty
+    assert [row["knee_angle_r_std_deg"] == "" for row in rows] == empty
+    assert [row["lost"] for row in rows] == ["0", "1", "0", "0"]
+    assert [row["status"] for row in rows] == ["converged", "converged", "not_found", "converged"]
+
+
+@pytest.mark.parametrize("axes", AXES)
+def test_points_and_angles_of_one_run_stand_in_one_world(tmp_path: Path, body: Body, axes: WorldAxes) -> None:
+    """The angle file, played on the body in the file's own axes, puts the joints where the marker file has them."""
+    poses = some_poses(body, 5)
+    result = result_of(tmp_path, body, [Estimate(n, n / 60, p, np.eye(body.dof) * 1e-4) for n, p in enumerate(poses)])
+    for name in ("trc", "mot"):
+        export(result, name, tmp_path, options=ExportOptions(axes=axes))
+    table = read_mot(tmp_path / "angles.mot")
+    tilt, list_, turn = (table.get(f"pelvis_{name}") for name in ("tilt", "list", "rotation"))
+    place = np.stack([table.get(f"pelvis_t{axis}") for axis in "xyz"], axis=1)
+    R = Rotation.from_euler("ZXY", np.stack([tilt, list_, turn], axis=1)).as_matrix()
+    lines = (tmp_path / "joints.trc").read_text().splitlines()
+    names = lines[3].split("\t")[2::3]
+    numbers = np.array([[float(v) for v in line.split("\t")[2:]] for line in lines[6:]]).reshape(5, -1, 3)
+    hip = body.landmarks.points[body.landmarks.index("hip_r")] - pelvis_point(body)
+    there = place + R @ np.array([hip[0], hip[2], -hip[1]])  # the pelvis of OpenSim: x forward, y up, z right
+    np.testing.assert_allclose(numbers[:, names.index("hip_r")], there, atol=1e-4)
 
 
 def test_keypoints3d(tmp_path: Path) -> None:
@@ -328,7 +384,7 @@ def test_real_angles_put_the_joints_where_the_keypoints_were(shared_data: Path, 
     folder = shared_data / "balance_4view" / "reference"
     table = read_mot(next((folder / "S00_P00_OpenSim").glob("*BalancingTrial*body25b.mot")))
     trial = folder / "S00_P00_T01_BalancingTrial" / "pose-3d" / "S00_P00_T01_BalancingTrial_0-100_filt_butterworth.trc"
-    markers = read_trc(trial)
+    markers = read_trc(trial, "pose2sim")
     poses, unknown = poses_from_mot(table, body, "pose2sim")
     assert "mtp_angle_r" in unknown
     marks = np.array([Posed(body, pose).landmarks for pose in poses])
@@ -340,7 +396,7 @@ def test_real_angles_put_the_joints_where_the_keypoints_were(shared_data: Path, 
 def test_unknown_choices_are_refused(tmp_path: Path, body: Body) -> None:
     """None of them falls back to a default, in Python either."""
     times, points = np.array([0.0, 0.5]), np.zeros((2, 1, 3))
-    with pytest.raises(InputError, match="axes is 'opensin'; it must be one of pose2sim, opensim"):
+    with pytest.raises(InputError, match="axes is 'opensin'; it must be one of opensim, pose2sim, z_up"):
         write_trc(tmp_path / "a.trc", times, ["p"], points, axes="opensin")  # pyright: ignore[reportArgumentType]
     with pytest.raises(InputError, match="unit is 'cm'"):
         write_trc(tmp_path / "a.trc", times, ["p"], points, unit="cm")  # pyright: ignore[reportArgumentType]

@@ -236,14 +236,14 @@ def hinge_middles(body: Body) -> dict[str, tuple[Float, float]]:
         if not axis.any() or abs(axis @ along[s]) > _CROSSWISE:
             continue
         own = body.faces[np.isin(body.vertex_part[body.faces], (s, above)).all(axis=1)]
-        crossed = _line_crossings(body.vertices[own], origins[s], axis)
+        crossed = line_crossings(body.vertices[own], origins[s], axis)
         if crossed.min(initial=0.0) < 0.0 < crossed.max(initial=0.0):
             inner, outer = crossed[crossed < 0.0].max(), crossed[crossed > 0.0].min()
             out[name] = (axis, 0.5 * float(inner + outer))
     return out
 
 
-def _line_crossings(triangles: Float, origin: Float, direction: Float) -> Float:
+def line_crossings(triangles: Float, origin: Float, direction: Float) -> Float:
     """Places (m along the unit direction) where a line meets triangles (F, 3, 3); Möller and Trumbore 1997."""
     a, e, f = triangles[:, 0], triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
     across = np.cross(direction, f)

@@ -3,31 +3,48 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
 from twistcap.commands import terminal
 
+if TYPE_CHECKING:
+    from twistcap.io.coordinates import Angles
+    from twistcap.io.markers import WorldAxes
+
 
 def export(
     result: Annotated[Path, typer.Argument(help="result.h5 of a track.", metavar="RESULT")],
-    to: Annotated[str, typer.Option(help="trc, mot, bvh, csv, glb, or a format of an installed package.")],
-    out: Annotated[Path | None, typer.Option(help="File to write. Default: in the folder of the result.")] = None,
+    to: Annotated[
+        str, typer.Option(help="trc, mot, bvh, csv, glb, c3d, opensim, or a format of an installed package.")
+    ],
+    out: Annotated[
+        Path | None, typer.Option(help="File to write (opensim: folder). Default: beside the result.")
+    ] = None,
+    axes: Annotated[str, typer.Option(help="World of the file: opensim (y up), pose2sim (y up), z_up.")] = "opensim",
+    angles: Annotated[str, typer.Option(help="Definition of joint angles: opensim, isb.")] = "opensim",
+    fill: Annotated[bool, typer.Option("--fill", help="Write predicted poses where the body was lost.")] = False,
+    frames: Annotated[str | None, typer.Option(help="Frames FIRST:LAST, both included. Default: all.")] = None,
     json: terminal.Json = False,
 ) -> None:
-    """Write a result as markers (trc), OpenSim angles (mot), animation (bvh, glb) or a table (csv).
+    """Write a result as markers (trc, c3d), joint angles (mot, csv) animation (bvh, glb), or an OpenSim model.
 
     Examples:
 
       twistcap export out/result.h5 --to trc
 
+      twistcap export out/result.h5 --to mot --angles isb
+
       twistcap export out/result.h5 --to bvh --out walk.bvh
     """
+    from twistcap.io.exports import ExportOptions
     from twistcap.io.exports import export as written
     from twistcap.io.result import read_result
 
-    path = written(read_result(result), to, result.parent, out)
+    options = ExportOptions(cast("WorldAxes", axes), cast("Angles", angles), fill)  # which checks them
+    read, wanted = read_result(result), terminal.frame_range(frames)
+    path = written(read.within(*wanted) if wanted else read, to, result.parent, out, options)
     if json:
         terminal.emit({"id": "export", "format": to, "file": path})
     else:

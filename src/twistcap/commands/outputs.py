@@ -12,7 +12,8 @@ import numpy as np
 from twistcap.camera import Rig
 from twistcap.estimate import UNSEEN, Frame
 from twistcap.evaluate.load import Reference
-from twistcap.io.exports import FORMATS, export, format_of
+from twistcap.io.coordinates import coordinates_of, opensim_angles
+from twistcap.io.exports import FORMATS, ExportOptions, export, format_of
 from twistcap.io.result import Result
 from twistcap.io.session import Session
 from twistcap.io.video import Views
@@ -22,7 +23,9 @@ from twistcap.report.plots import AngleSeries
 
 def write_files(result: Result, session: Session, views: Views, folder: Path, title: str) -> list[Path]:
     """Exports, angle plot and overlay, as the session wants them."""
-    files = [export(result, kind, folder) for kind in session.output.exports]
+    wanted = session.output
+    options = ExportOptions(wanted.axes, wanted.angles, wanted.fill)
+    files = [export(result, kind, folder, options=options) for kind in wanted.exports]
     files.append(write_angle_plot(result, folder))
     if session.output.overlay:
         shown, fps = replace(views, indices=views.indices[: len(result)]), min(views.fps / session.step, 60.0)
@@ -31,11 +34,15 @@ def write_files(result: Result, session: Session, views: Views, folder: Path, ti
 
 
 def write_angle_plot(result: Result, folder: Path, truth: Reference | None = None) -> Path:
-    """``angles.png``: all joint angles with their uncertainty, and the truth where there is one."""
-    series = AngleSeries(result.times, result.body.coordinate_names, result.q, result.sigmas)
+    """``angles.png``: all joint angles as exports have them, with their uncertainty, and the truth if there is one."""
+    body, table = result.body, coordinates_of(result.body, result.poses, result.covariances)
+    k = [table.names.index(name) for name in body.coordinate_names]
+    series = AngleSeries(result.times, body.coordinate_names, table.values[:, k], table.sigmas[:, k])
     dropped = np.array([status in UNSEEN for status in result.statuses])
-    known = truth is not None and truth.coordinate_names
-    theirs = AngleSeries(truth.times, truth.coordinate_names, truth.angles) if truth is not None and known else None
+    theirs = None
+    if truth is not None and truth.coordinate_names:
+        angles = opensim_angles(body, truth.coordinate_names, truth.angles)
+        theirs = AngleSeries(truth.times, truth.coordinate_names, angles)
     return angle_plot(folder / "angles.png", series, theirs, result.lost, dropped, "Joint angles")
 
 

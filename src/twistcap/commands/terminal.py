@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
@@ -66,18 +67,32 @@ def emit(document: Mapping[str, Any]) -> None:
 
 
 def show_rows(title: str, rows: list[Any]) -> None:
-    """A table of measures on stdout."""
-    table = Table(title=title, title_justify="left")
-    for name in ("case", "measure", "value", "unit", "to reach", "lost"):
-        right = name in ("value", "to reach", "lost")
-        table.add_column(name, justify="right" if right else "left", no_wrap=name == "case")
+    """A table of measures on stdout; columns that say nothing are left out."""
+    shown = {"case": [row["case"] for row in rows], "measure": [row["metric"] for row in rows]}
+    shown |= {"value": [_value(row) for row in rows], "unit": [row["unit"] for row in rows]}
+    shown |= {"to reach": [str(row["target"] or "") for row in rows]}
+    shown |= {"lost": ["" if row["lost"] is None else str(row["lost"]) for row in rows]}
+    if len(set(shown["case"])) == 1:
+        del shown["case"]
+    told = {name: cells for name, cells in shown.items() if any(cells)}
+    left = [name for name in told if name in ("case", "measure", "unit")]
+    show_table(title, list(told), list(zip(*told.values(), strict=True)), left)
+
+
+def _value(row: Any) -> str:
+    colour = {True: "green", False: "red", None: ""}[row["holds"]]
+    number = row["value"]
+    value = "–" if number is None else f"{number:.3g}" if abs(number) < 100 else f"{number:.0f}"
+    return f"[{colour}]{value}[/]" if colour else value
+
+
+def show_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[str] = ("",)) -> None:
+    """A table of texts on stdout; the columns `left` begin at the left, the others end at the right."""
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    for name in columns:
+        table.add_column(name, justify="left" if name in left else "right")
     for row in rows:
-        colour = {True: "green", False: "red", None: ""}[row["holds"]]
-        number = row["value"]
-        value = "–" if number is None else f"{number:.3g}" if abs(number) < 100 else f"{number:.0f}"
-        lost = "" if row["lost"] is None else str(row["lost"])
-        shown = f"[{colour}]{value}[/]" if colour else value
-        table.add_row(row["case"], row["metric"], shown, row["unit"], str(row["target"] or ""), lost)
+        table.add_row(*row)
     Console(highlight=False).print(table)
 
 

@@ -10,7 +10,7 @@ exit code 2.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -95,7 +95,8 @@ def _attribute(name: str, value: Any) -> Any:
     return array
 
 
-def _main() -> int:
+def main(dumped: Callable[[str, Sequence[str]], dict[str, Any]]) -> int:
+    """What the child does, with limits of time and memory: `dumped` (path, names) gives the arrays."""
     path, out, seconds, most = sys.argv[1], sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
     try:
         import resource
@@ -115,4 +116,4 @@ def _main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(_main())
+    sys.exit(main(dumped))

@@ -7,15 +7,12 @@ memory, and hands plain arrays back; here they are checked like those of an NPZ.
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
 from twistcap.arrays import AnyArray
 from twistcap.doors import _hdf5_dump
-from twistcap.doors.npz import npz_arrays
+from twistcap.doors.child import arrays_by_child
 from twistcap.errors import InputError
 
 _SECONDS = 6  # of the child's processor time; more for large files
@@ -43,34 +40,15 @@ def read_hdf5(path: str | Path, what: str, tops: Sequence[str] = ()) -> dict[str
             pass
         if _stamp(path) in _own:
             return _hdf5_dump.dumped(str(path), tops)
-        return _by_child(Path(path), source, tops)
+        size = os.stat(path).st_size
+        seconds, memory = _SECONDS + size // _RATE, _MEMORY + 4 * size
+        return arrays_by_child(_hdf5_dump.__file__, Path(path), source, tops, seconds, memory)
     except OSError as error:
         raise InputError(f"{source} cannot be read: {error.strerror or 'it is damaged'}.") from error
     except ValueError as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{source} cannot be read: {error}.") from error
-
-
-def _by_child(path: Path, source: str, tops: Sequence[str]) -> dict[str, AnyArray]:
-    size = path.stat().st_size
-    seconds, memory = _SECONDS + size // _RATE, _MEMORY + 4 * size
-    with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / "arrays.npz"
-        command = [sys.executable, "-P", _hdf5_dump.__file__, str(path.resolve()), str(out), str(seconds), str(memory)]
-        limits = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "HDF5_PLUGIN_PRELOAD": "::"}
-        environment = {key: value for key, value in os.environ.items() if not key.startswith("HDF5_")} | limits
-        try:
-            done = subprocess.run(
-                [*command, *tops], env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True,
-                errors="replace", timeout=10 * seconds, check=False,
-            )  # fmt: skip
-        except subprocess.TimeoutExpired as error:
-            raise InputError(f"{source} cannot be read: it keeps the reader busy without end.") from error
-        if done.returncode:
-            why = done.stderr.strip().splitlines()[-1:] if done.returncode == 2 else ["it is damaged"]
-            raise InputError(f"{source} cannot be read: {''.join(why) or 'it is damaged'}.")
-        return npz_arrays(out.read_bytes(), source)
 
 
 def _absence(path: str | Path) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -13,14 +13,12 @@ from twistcap.arrays import Float
 from twistcap.body import Body
 from twistcap.doors.npz import read_npz
 from twistcap.doors.schema import Schema, real, word
-from twistcap.errors import InputError, naming
+from twistcap.errors import InputError, check_choice, naming
+from twistcap.evaluate.other_systems import landmark_name, read_c3d
 from twistcap.io.angles import complete_coordinates
-from twistcap.io.markers import CLOCK, WorldAxes, read_keypoints3d, read_trc
+from twistcap.io.markers import CLOCK, TO_FILE, WorldAxes, read_keypoints3d, read_trc
 from twistcap.io.motion_files import poses_from_mot, read_mot
 
-_SAME = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist", "heel", "eye", "ear")
-_DETECTOR_NAMES: Mapping[str, str] = {**{name: name for name in _SAME}, "bigtoe": "toe", "smalltoe": "small_toe"}
-_MIDDLE_NAMES: Mapping[str, str] = {"nose": "nose", "neck": "neck", "head": "head_top", "midhip": "mid_hip"}
 _CLOCKED: Schema = {"X": real("N", "P", 3, gaps=True, needed=False), "names": word("M", needed=False), **CLOCK}
 _TRUTH: Schema = {
     "q": real("N", "J", gaps=True), "landmarks": real("N", "P", 3, gaps=True), "names": word("P"),
@@ -89,14 +87,15 @@ def parsed_exclusion(text: str, rows: int) -> tuple[str, slice]:
 
 
 def load_reference(
-    path: Path, body: Body, frame_times: Callable[[int], Float], axes: WorldAxes = "pose2sim"
+    path: Path, body: Body, frame_times: Callable[[int], Float], axes: WorldAxes = "opensim"
 ) -> Reference:
-    """Read a reference by its ending: ``.npz`` (studio truth or keypoints), ``.trc`` or ``.mot`` / ``.sto``.
+    """Read a reference by its ending: ``.npz`` (studio truth or keypoints), ``.trc``, ``.c3d`` or ``.mot`` / ``.sto``.
 
     A motion file is read into the coordinates of `body` (OpenSim turns the shoulder in another order). Files without a
-    clock take `frame_times`: (M,) s of the recording's frames 0 … M − 1. `axes` is the rotation of a TRC's world about
-    the vertical, see `io.markers`. Raises InputError for a missing, unknown or unreadable file.
+    clock take `frame_times`: (M,) s of the recording's frames 0 … M − 1. `axes` is how a TRC's or C3D's world lies in
+    ours, see `io.markers`. Raises InputError for a missing, unknown or unreadable file.
     """
+    check_choice("the reference: axes", axes, TO_FILE)
     if not path.exists():
         raise InputError(f"the reference {path} does not exist; give a file or a folder of masks.")
     ending = path.suffix.lower()
@@ -105,10 +104,13 @@ def load_reference(
     elif ending == ".trc":
         markers = read_trc(path, axes)
         reference = Reference(markers.times, tuple(landmark_name(name) for name in markers.names), markers.points)
+    elif ending == ".c3d":
+        markers = read_c3d(path, axes)
+        reference = Reference(markers.times, markers.names, markers.points)
     elif ending in (".mot", ".sto"):
         reference = _from_mot(path, body)
     else:
-        mend = "give .npz, .trc, .mot, .sto or a folder of masks"
+        mend = "give .npz, .trc, .c3d, .mot, .sto or a folder of masks"
         raise InputError(f"the reference {path} has an unknown ending; {mend}.")
     if not np.all(np.diff(reference.times) > 0):
         raise InputError(f"the reference {path} needs times that rise from row to row.")
@@ -128,24 +130,27 @@ def _from_npz(path: Path, frame_times: Callable[[int], Float]) -> Reference:
     return Reference(frame_times(rows) if times is None else times, names, data["landmarks"], coordinates, data["q"])
 
 
-def landmark_name(marker: str) -> str:
-    """The body's name for a marker of the OpenPose family (``RHip`` -> ``hip_r``); other names stay as they are."""
-    lower = marker.lower()
-    if lower in _MIDDLE_NAMES:
-        return _MIDDLE_NAMES[lower]
-    if lower[:1] in ("r", "l") and lower[1:] in _DETECTOR_NAMES:
-        return f"{_DETECTOR_NAMES[lower[1:]]}_{lower[0]}"
-    return marker
-
-
 def _from_mot(path: Path, body: Body) -> Reference:
-    """Angles of a motion file in the body's own coordinates: knees bend to positive, shoulders turn in our order."""
+    """Angles of a motion file in the body's own coordinates: knees bend to positive, shoulders turn in our order. Rows
+    with a NaN are not known."""
     table = read_mot(path)
+    known = np.all(np.isfinite(table.values), axis=1).reshape(-1)
+    if not known.any():
+        raise InputError(f"{path}: every row holds a NaN; give a file with rows that are whole.")
+    whole = replace(table, times=table.times[known], values=table.values[known])
     with naming(path):
-        poses, _ = poses_from_mot(table, body)
+        poses, _ = poses_from_mot(whole, body)
     names = complete_coordinates(body, table.columns)
-    q = np.stack([pose.q for pose in poses])[:, [body.coordinate(name) for name in names]]
-    knees = {name: q[:, k] for k, name in enumerate(names) if name.startswith("knee_angle")}
-    flipped = [name for name, angle in knees.items() if np.allclose(angle, -table.get(name)) and np.any(angle)]
+    angles = np.full((len(known), len(names)), np.nan)
+    angles[known] = np.stack([pose.q for pose in poses])[:, [body.coordinate(name) for name in names]]
+    flipped = [
+        name
+        for name in names
+        if name.startswith("knee_angle") and _opposite(angles[known, names.index(name)], whole.get(name))
+    ]
     notes = tuple(f"{name} was negative in flexion and has its sign changed" for name in flipped)
-    return Reference(table.times, coordinate_names=names, angles=q, notes=notes)
+    return Reference(table.times, coordinate_names=names, angles=angles, notes=notes)
+
+
+def _opposite(one: Float, other: Float) -> bool:
+    return bool(np.allclose(one, -other) and np.any(one))

@@ -17,8 +17,11 @@ from twistcap.camera import Camera, Rectifier
 from twistcap.doors.images import read_image
 from twistcap.errors import InputError
 from twistcap.evaluate import metrics
+from twistcap.evaluate.agreement import Agreement, Distance, agreements, distances
+from twistcap.evaluate.alignment import aligned
 from twistcap.evaluate.load import Reference, load_reference
 from twistcap.evaluate.metrics import Row, row
+from twistcap.io.coordinates import opensim_angles
 from twistcap.io.markers import WorldAxes
 from twistcap.io.result import Result
 
@@ -59,6 +62,13 @@ class Evaluation:
     overlaps: list[Overlap] = field(default_factory=list[Overlap])  # IoU by mask, where it is a folder of masks
     lost_frames: list[int] = field(default_factory=list[int])  # by the reference (`metrics.lost_frames`)
     notes: tuple[str, ...] = ()  # assumptions
+    agreements: list[Agreement] = field(default_factory=list[Agreement])  # degrees, in OpenSim's angles
+
+    @property
+    def distances(self) -> list[Distance]:
+        """Of each joint, mm."""
+        found = self.joints
+        return distances(found.names, found.raw, found.offset_removed) if found else []
 
     def as_dict(self) -> dict[str, Any]:
         """The whole as JSON-ready values."""
@@ -66,22 +76,26 @@ class Evaluation:
         by_name = {key: found.by_name() if found else {} for key, found in errors.items()}
         masks = [vars(overlap) for overlap in self.overlaps]
         rest = {"masks": masks, "lost_frames": self.lost_frames, "notes": list(self.notes)}
-        return {"case": self.case, "rows": self.rows, **by_name, **rest}
+        tables = {"agreements_deg": self.agreements, "distances_mm": self.distances}
+        each = {key: [vars(entry) for entry in table] for key, table in tables.items()}
+        return {"case": self.case, "rows": self.rows, **by_name, **each, **rest}
 
 
 def evaluate(
     result: Result, reference: Path | str, time_offset: float = 0.0, *, exclude: Sequence[str] = (),
-    case: str | None = None, axes: WorldAxes = "pose2sim",
+    case: str | None = None, axes: WorldAxes = "opensim", align: bool = False, register: bool = False,
 ) -> Evaluation:  # fmt: skip
     """Compare a result with a reference.
 
     Args:
-        reference: studio truth (``truth.npz`` or its folder), ``.trc``, ``.mot``, ``.sto``, 3D keypoints (``.npz`` with
-            ``X`` (N, 25, 3) m) or a folder of masks ``CAM/frame_XXXX.png``.
+        reference: studio truth (``truth.npz`` or its folder), ``.trc``, ``.c3d``, ``.mot``, ``.sto``, 3D keypoints
+            (``.npz`` with ``X`` (N, 25, 3) m) or a folder of masks ``CAM/frame_XXXX.png``.
         time_offset: seconds to add to the reference's clock to get the recording's.
         exclude: flawed stretches of the reference, see `Reference.without`.
         case: name in the table; the reference's own name by default.
-        axes: rotation of a TRC's world about the vertical, see `io.markers`.
+        axes: how the world of a TRC or C3D lies in ours, see `io.markers`.
+        align: whether the reference's clock is moved to where the movements agree best, see `alignment`.
+        register: whether its world is turned and moved to where the points agree best.
 
     Raises InputError for a reference that is missing, unreadable, or has nothing in common with the result.
     """
@@ -94,6 +108,7 @@ def evaluate(
         return _against_masks(result, path, case)
     truth = load_reference(path, result.body, lambda rows: frame_times(result, rows), axes)
     truth = replace(truth, times=truth.times + time_offset).without(exclude)
+    truth = aligned(result, truth, align, register) if align or register else truth
     return compare(result, truth, case, str(path))
 
 
@@ -123,7 +138,8 @@ def compare(result: Result, truth: Reference, case: str, source: str = "the refe
         rows.append(row(case, "lost frames, by the reference", float(len(lost)), "frames", lost=len(lost)))
         rows.append(row(case, "lost sequence", float(metrics.lost_sequence(joints.raw)), "of 1"))
     rows.append(row(case, "lost frames, by the tracker itself", float(np.sum(result.lost)), "frames"))
-    return Evaluation(case, rows, joints, coordinates, lost_frames=lost, notes=truth.notes)
+    agreed = _agreements(result, coordinates) if coordinates else []
+    return Evaluation(case, rows, joints, coordinates, lost_frames=lost, notes=truth.notes, agreements=agreed)
 
 
 def _expect_common(result: Result, truth: Reference, times: Float, source: str) -> None:
@@ -167,6 +183,14 @@ def _angle_errors(result: Result, names: Sequence[str], angles: Float) -> Errors
     theirs = angles[:, [names.index(name) for name in shared]]
     difference = metrics.angle_differences_deg(q, theirs)
     return Errors(shared, theirs, difference, metrics.without_offset(difference))
+
+
+def _agreements(result: Result, errors: Errors) -> list[Agreement]:
+    """Of the coordinates as exports have them, so that other programs find the same numbers in the files."""
+    body, names = result.body, errors.names
+    q = np.stack([pose.q for pose in result.poses])[:, [body.coordinate(name) for name in names]]
+    ours, theirs = (opensim_angles(body, names, angles) for angles in (q, errors.reference))
+    return agreements(names, metrics.angle_differences_deg(ours, theirs), np.degrees(theirs))
 
 
 def _angle_rows(case: str, errors: Errors) -> list[Row]:

@@ -2,7 +2,8 @@
 
 OpenSim's full-body models (Rajagopal et al. 2016, DOI 10.1109/TBME.2016.2586891) turn the pelvis about z (tilt), x
 (list), y (rotation) and the arm by flexion, adduction, rotation. Our arm turns by adduction first, so that its gimbal
-lock is away from the T pose; its axes are the same.
+lock is away from the T pose; its axes are the same. Our pronation is 0 with the thumb forward, OpenSim's with the palm
+forward, where it is −90° of ours.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ PELVIS_ANGLES = ("pelvis_tilt", "pelvis_list", "pelvis_rotation")
 PELVIS_PLACE = ("pelvis_tx", "pelvis_ty", "pelvis_tz")
 PELVIS_AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # in OpenSim's frame
 REST_TO_OPENSIM = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # (x, y, z) -> (x, z, −y)
+_LOCKED = 1e-9  # determinant of three axes below which their angles are not defined
 # Rajagopal's hip centres in the pelvis frame, whose origin is between the front iliac spines, m.
 _HIP = np.array([-0.056276, -0.07849, 0.07726])
 
@@ -27,6 +29,19 @@ def product(angles: Float, axes: Float) -> Float:
     """Rotations (T, 3, 3) by three angles (T, 3) rad about three axes (3, 3; one a row), the first outermost."""
     first, second, third = (se3.exp_rotation(angles[:, k, None] * axes[k]) for k in range(3))
     return first @ second @ third
+
+
+def spins(angles: Float, axes: Float) -> Float:
+    """(T, 3, 3) from the rates of the angles to the angular velocity of ``product(angles, axes)``, outer frame."""
+    first, second = (se3.exp_rotation(angles[:, k, None] * axes[k]) for k in range(2))
+    return np.stack([np.broadcast_to(axes[0], (len(angles), 3)), first @ axes[1], first @ second @ axes[2]], axis=2)
+
+
+def rates(angles: Float, axes: Float) -> Float:
+    """(T, 3, 3) the inverse of `spins`; huge, but finite, at a gimbal lock."""
+    spinning = spins(angles, axes)
+    spinning[np.abs(np.linalg.det(spinning)) < _LOCKED] = _LOCKED * np.eye(3)
+    return np.asarray(np.linalg.inv(spinning), np.float64)
 
 
 def decomposed(rotations: Float, axes: Float, near: Float) -> Float:
@@ -109,6 +124,11 @@ def complete_coordinates(body: Body, names: Sequence[str]) -> tuple[str, ...]:
     ours = body.coordinate_names
     torn = {ours[k] for trio, _ in shoulders_of(body) if not {ours[k] for k in trio} <= set(names) for k in trio}
     return tuple(name for name in ours if name in names and name not in torn)
+
+
+def zeros_of(body: Body) -> Float:
+    """(J,) rad to add to our coordinates for OpenSim's: its pronation starts with the palm forward."""
+    return np.array([np.pi / 2 if name.startswith("pro_sup_") else 0.0 for name in body.coordinate_names])
 
 
 def reordered(body: Body, q: Float, start: Sequence[int], end: Sequence[int]) -> Float:

@@ -7,7 +7,6 @@ joint per segment, rotations Z Y X.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ import pybvh
 from twistcap import se3
 from twistcap.arrays import Float
 from twistcap.body import Body, Pose, Posed
-from twistcap.body.shape import joint_origin
+from twistcap.body.joints import Joint, joints_of
 from twistcap.errors import InputError, naming
 from twistcap.io.angles import decomposed
 from twistcap.io.files import write_lines
@@ -88,16 +87,6 @@ def _unit(path: Path, rest: Float) -> float:
     return min(UNITS, key=lambda unit: abs(np.log(unit * size / _ADULT)))
 
 
-@dataclass(frozen=True)
-class _Joint:
-    """One BVH joint: it moves with coordinate `moved_by` (-1: the root), at `origin` (3,) in the rest pose."""
-
-    name: str
-    parent: int
-    moved_by: int
-    origin: Float
-
-
 def write_bvh(path: Path | str, body: Body, poses: Sequence[Pose], fps: float, scale: float = 1.0) -> None:
     """Writes skeleton and motion.
 
@@ -109,9 +98,8 @@ def write_bvh(path: Path | str, body: Body, poses: Sequence[Pose], fps: float, s
     path = Path(path)
     if not fps > 0:
         raise InputError(f"{path}: the frame rate is {fps}; it must be positive.")
-    if not np.all(np.any(body.twists[:, :3] != 0, axis=1)):
-        raise InputError(f"{path}: body {body.name!r} has sliding coordinates, which BVH cannot hold.")
-    joints = _joints(path, body)
+    with naming(path):
+        joints = joints_of(body)
     lines = ["HIERARCHY", *_hierarchy(body, joints, 0, 0, scale), "MOTION"]
     lines += [f"Frames: {len(poses)}", f"Frame Time: {1.0 / fps:.8f}"]
     place, turns = _channels(body, joints, poses)
@@ -120,49 +108,7 @@ def write_bvh(path: Path | str, body: Body, poses: Sequence[Pose], fps: float, s
     write_lines(path, [*lines, *(" ".join(f"{v:.6f}" for v in row) for row in rows)])
 
 
-def _joints(path: Path, body: Body) -> list[_Joint]:
-    if int(np.sum(body.segment_joint < 0)) != 1:
-        raise InputError(f"{path}: body {body.name!r} must have one root segment for BVH.")
-    joints: list[_Joint] = []
-    of_segment: dict[int, int] = {}
-    for s, name in enumerate(body.segment_names):
-        above = int(body.segment_parent[s])
-        parent = of_segment.get(above, -1)
-        runs = _runs(body, s, above)
-        whole = joint_origin(body, s)
-        for n, run in enumerate(runs):
-            last = n == len(runs) - 1
-            origin = whole if len(runs) == 1 else _meeting_point(body, run, whole)[0]
-            joints.append(_Joint(name if last else f"{name}_{n + 1}", parent, run[-1] if run else -1, origin))
-            parent = len(joints) - 1
-        of_segment[s] = parent
-    return joints
-
-
-def _runs(body: Body, segment: int, above: int) -> list[list[int]]:
-    """The coordinates between a segment and the one above, in runs whose axes meet in a point."""
-    top = int(body.segment_joint[above]) if above >= 0 else -1
-    k, chain = int(body.segment_joint[segment]), list[int]()
-    while k not in (-1, top):
-        chain.insert(0, k)
-        k = int(body.parent[k])
-    runs: list[list[int]] = [[]]
-    for k in chain:
-        if runs[-1] and _meeting_point(body, [*runs[-1], k], np.zeros(3))[1] > 1e-7:
-            runs.append([])
-        runs[-1].append(k)
-    return runs
-
-
-def _meeting_point(body: Body, coordinates: list[int], guess: Float) -> tuple[Float, float]:
-    """(3,) the point on all axes that is nearest to a guess, and how far it misses them, m."""
-    w, v = body.twists[coordinates, :3], body.twists[coordinates, 3:]
-    rows, rhs = -se3.hat(w).reshape(-1, 3), v.reshape(-1)  # ω × p = −v
-    point = guess + np.linalg.lstsq(rows, rhs - rows @ guess, rcond=1e-9)[0]
-    return point, float(np.max(np.abs(rows @ point - rhs)))
-
-
-def _hierarchy(body: Body, joints: list[_Joint], number: int, depth: int, scale: float) -> list[str]:
+def _hierarchy(body: Body, joints: list[Joint], number: int, depth: int, scale: float) -> list[str]:
     joint, tab = joints[number], "\t" * depth
     start = joints[joint.parent].origin if joint.parent >= 0 else joint.origin  # the root's place is in its channels
     head = "ROOT" if joint.parent < 0 else "JOINT"
@@ -182,7 +128,7 @@ def _offset(vector: Float, depth: int, scale: float) -> str:
     return "\t" * depth + "OFFSET " + " ".join(f"{v:.8f}" for v in _TO_FILE @ vector * scale)
 
 
-def _tip(body: Body, joint: _Joint) -> Float:
+def _tip(body: Body, joint: Joint) -> Float:
     """Where a last segment ends: its farthest landmark, or else its farthest vertex."""
     segment = body.segment(joint.name)
     points = body.landmarks.points[body.landmarks.segments == segment]
@@ -193,13 +139,13 @@ def _tip(body: Body, joint: _Joint) -> Float:
     return points[np.argmax(away)]
 
 
-def _depth_first(joints: list[_Joint], number: int) -> list[int]:
+def _depth_first(joints: list[Joint], number: int) -> list[int]:
     """Joints in the order of the hierarchy, which is that of the channels."""
     below = [n for n, other in enumerate(joints) if other.parent == number]
     return [number] + [m for n in below for m in _depth_first(joints, n)]
 
 
-def _channels(body: Body, joints: list[_Joint], poses: Sequence[Pose]) -> tuple[Float, Float]:
+def _channels(body: Body, joints: list[Joint], poses: Sequence[Pose]) -> tuple[Float, Float]:
     """Place of the root (T, 3) and rotations of every joint in its parent (T, joints, 3; z, y, x) rad."""
     roots = np.array([pose.root for pose in poses]).reshape(-1, 4, 4)
     motions = np.array([Posed(body, pose).joint_transforms for pose in poses]).reshape(len(roots), -1, 4, 4)

@@ -15,17 +15,45 @@ import numpy as np
 
 from twistcap.body import Posed
 from twistcap.body.gltf_write import save_glb
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check_choice
 from twistcap.io.bvh import write_bvh
+from twistcap.io.c3d import write_c3d
+from twistcap.io.coordinates import ANGLES, Angles
 from twistcap.io.files import replacing, unwritable
-from twistcap.io.markers import write_trc
+from twistcap.io.markers import TO_FILE, WorldAxes, write_trc
 from twistcap.io.motion_files import write_csv, write_mot
+from twistcap.io.opensim_package import write_opensim
 from twistcap.io.result import Result
 from twistcap.registry import Registry
 
-_OWN = {name: f"twistcap.io.exports:{name}" for name in ("trc", "mot", "bvh", "csv", "glb")}
+_OWN = {name: f"twistcap.io.exports:{name}" for name in ("trc", "mot", "bvh", "csv", "glb", "c3d", "opensim")}
 FORMATS = Registry("export format", "twistcap.exports", _OWN)
 _ALONE_HZ = 60.0  # rate of a result of one frame, which has none
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """What files of one export have in common.
+
+    Attributes:
+        axes: how the world of points and angles lies in the file, see `io.markers`.
+        angles: whose definitions the joint angles have, see `io.coordinates`.
+        fill: whether frames that are lost or unseen hold the predicted pose; else they are empty where the format can
+            say so (all but BVH and GLB).
+
+    Raises InputError for unknown axes or angles.
+    """
+
+    axes: WorldAxes = "opensim"
+    angles: Angles = "opensim"
+    fill: bool = False
+
+    def __post_init__(self) -> None:
+        check_choice("export: axes", self.axes, TO_FILE)
+        check_choice("export: angles", self.angles, ANGLES)
+
+
+DEFAULTS = ExportOptions()
 
 
 @dataclass(frozen=True)
@@ -34,7 +62,7 @@ class ExportFormat:
 
     file_name: str  # usual name of the file, such as ``angles.csv``
     about: str  # what is in it, in a few words for the report
-    write: Callable[[Result, Path], Any]
+    write: Callable[[Result, Path, ExportOptions], Any]
 
 
 def format_of(name: str) -> ExportFormat:
@@ -42,7 +70,9 @@ def format_of(name: str) -> ExportFormat:
     return FORMATS.get(name)()
 
 
-def export(result: Result, name: str, folder: Path, path: Path | None = None) -> Path:
+def export(
+    result: Result, name: str, folder: Path, path: Path | None = None, options: ExportOptions = DEFAULTS
+) -> Path:
     """Write a result in the format of a name; returns the file: `path`, or its usual name in the folder. Raises
     InputError for an unknown format, a result without frames, or a file that cannot be written.
     """
@@ -51,20 +81,43 @@ def export(result: Result, name: str, folder: Path, path: Path | None = None) ->
         raise InputError("the result has no frame; there is nothing to export.")
     path = path or folder / chosen.file_name
     try:
-        chosen.write(result, path)
+        chosen.write(result, path, options)
     except OSError as error:  # of an installed format; ours raise InputError
         raise unwritable(path, error) from error
     return path
 
 
-def _write_glb(result: Result, path: Path) -> None:
+def _write_glb(result: Result, path: Path, _: ExportOptions) -> None:
     with replacing(path) as part:
         save_glb(result.body, part, result.poses, _rate(result))
 
 
-def _write_landmarks(result: Result, path: Path) -> None:
+def _write_bvh(result: Result, path: Path, _: ExportOptions) -> None:
+    write_bvh(path, result.body, result.poses, _rate(result))
+
+
+def _write_landmarks(result: Result, path: Path, options: ExportOptions) -> None:
     points = np.stack([Posed(result.body, pose).landmarks for pose in result.poses])
-    write_trc(path, result.times, result.body.landmarks.names, points)
+    points[~(result.known | options.fill)] = np.nan
+    write_trc(path, result.times, result.body.landmarks.names, points, axes=options.axes)
+
+
+def _write_mot(result: Result, path: Path, options: ExportOptions) -> None:
+    write_mot(
+        path, result.body, result.times, result.poses, options.axes, options.angles, result.known, options.fill
+    )  # fmt: skip
+
+
+def _write_csv(result: Result, path: Path, options: ExportOptions) -> None:
+    write_csv(path, result, options.axes, options.angles, options.fill)
+
+
+def _write_c3d(result: Result, path: Path, options: ExportOptions) -> None:
+    write_c3d(path, result, options.axes, options.fill)
+
+
+def _write_opensim(result: Result, path: Path, options: ExportOptions) -> None:
+    write_opensim(path, result, options.axes, options.fill)
 
 
 def _rate(result: Result) -> float:
@@ -73,9 +126,9 @@ def _rate(result: Result) -> float:
 
 
 trc = partial(ExportFormat, "joints.trc", "joint centres (OpenSim, Mokka)", _write_landmarks)
-mot = partial(ExportFormat, "angles.mot", "joint angles (OpenSim)", lambda r, p: write_mot(p, r.body, r.times, r.poses))
-bvh = partial(ExportFormat, "motion.bvh", "skeleton and motion (Blender, MotionBuilder)",
-              lambda r, p: write_bvh(p, r.body, r.poses, _rate(r)))  # fmt: skip
-csv = partial(ExportFormat, "angles.csv", "joint angles and their standard deviations",
-              lambda r, p: write_csv(p, r.body, r.estimates))  # fmt: skip
+mot = partial(ExportFormat, "angles.mot", "joint angles (OpenSim)", _write_mot)
+bvh = partial(ExportFormat, "motion.bvh", "skeleton and motion (Blender, MotionBuilder)", _write_bvh)
+csv = partial(ExportFormat, "angles.csv", "joint angles and their standard deviations", _write_csv)
 glb = partial(ExportFormat, "motion.glb", "skinned body and motion (any glTF viewer)", _write_glb)
+c3d = partial(ExportFormat, "motion.c3d", "points and segments (Visual3D, Mokka, Vicon)", _write_c3d)
+opensim = partial(ExportFormat, "opensim", "model, markers, motion and set-ups (OpenSim)", _write_opensim)

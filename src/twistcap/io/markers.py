@@ -1,7 +1,8 @@
 """Point trajectories: TRC marker files, and 3D keypoints as npz.
 
-A TRC is y up, in one of two rotations about the vertical: Pose2Sim writes the world point (x, y, z) as (y, z, x);
-OpenSim's own models walk along x, so that (x, y, z) is (x, z, −y). Files do not say which; give MOT and TRC the same.
+Files do not say how their world lies in ours; who reads one must know. "opensim" writes our world point (x, y, z) as
+(x, z, −y), y up, and is the default of all files of points and angles. Pose2Sim writes it as (y, z, x), y up. "z_up" is
+our own world, as laboratories often have it.
 """
 
 from __future__ import annotations
@@ -21,10 +22,11 @@ from twistcap.errors import InputError, check_choice
 from twistcap.io.files import write_lines
 from twistcap.io.keypoints import LAYOUTS
 
-WorldAxes = Literal["pose2sim", "opensim"]
-TO_FILE: Mapping[str, Float] = {  # (3, 3) from our world (z up) to the file's axes (y up)
-    "pose2sim": np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
+WorldAxes = Literal["opensim", "pose2sim", "z_up"]
+TO_FILE: Mapping[str, Float] = {  # (3, 3) from our world (z up) to the file's axes
     "opensim": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
+    "pose2sim": np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]),
+    "z_up": np.eye(3),
 }
 CLOCK: Schema = {"times": real("N", least=-1e11, most=1e11, needed=False), "fps": real(least=1e-3, needed=False)}
 _POINTS: Schema = {"X": real("N", "P", 3, gaps=True), "names": word("P", needed=False), **CLOCK}
@@ -46,7 +48,7 @@ def write_trc(
     names: Sequence[str],
     points: Float,
     unit: Literal["m", "mm"] = "m",
-    axes: WorldAxes = "pose2sim",
+    axes: WorldAxes = "opensim",
 ) -> None:
     """Writes a TRC; NaN becomes an empty field.
 
@@ -72,11 +74,12 @@ def write_trc(
     ]
     for n, (time, row) in enumerate(zip(times, values.reshape(len(values), -1), strict=True), start=1):
         fields = ["" if np.isnan(v) else f"{v:.{digits}f}" for v in row]
-        lines.append("\t".join([str(n), f"{time:.6f}", *fields]))
+        last = fields.pop() if fields else ""  # OpenSim does not count an empty field at the end of a line
+        lines.append("\t".join([str(n), repr(float(time)), *fields, last or " "]))
     write_lines(path, lines)
 
 
-def read_trc(path: Path | str, axes: WorldAxes = "pose2sim") -> Markers:
+def read_trc(path: Path | str, axes: WorldAxes = "opensim") -> Markers:
     """The markers of a TRC in our world, z up, m. Units mm, cm and m are known. Raises InputError if it cannot be read,
     or a header field or a row is broken, naming it.
     """

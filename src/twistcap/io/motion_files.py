@@ -11,17 +11,17 @@ from typing import Literal
 
 import numpy as np
 
-from twistcap import se3
-from twistcap.arrays import Float
+from twistcap.arrays import Bool, Float
 from twistcap.body import Body, Pose
 from twistcap.body.humanoid import humanoid
 from twistcap.body.limbs import named_limbs
 from twistcap.doors.text import finite_number, read_lines
 from twistcap.errors import InputError, check_choice
-from twistcap.estimate import Estimate
 from twistcap.io import angles as convert
+from twistcap.io.coordinates import Angles, coordinates_of
 from twistcap.io.files import replacing, write_lines
 from twistcap.io.markers import TO_FILE, WorldAxes
+from twistcap.io.result import Result
 
 _LENGTHS = re.compile(r"(_[tpv][xyz]|_beta_t[xyz])$|force|torque|moment", re.IGNORECASE)
 _NEGATIVE_KNEE = np.radians(-5.0)  # no walker has a mean knee angle below this
@@ -40,29 +40,35 @@ class MotionTable:
         return self.values[:, self.columns.index(name)] if name in self.columns else np.zeros(len(self.times))
 
 
-def write_mot(path: Path | str, body: Body, times: Float, poses: Sequence[Pose], axes: WorldAxes = "opensim") -> None:
-    """Writes the poses in OpenSim's coordinates: inDegrees=yes, lengths in m.
+def write_mot(
+    path: Path | str, body: Body, times: Float, poses: Sequence[Pose], axes: WorldAxes = "opensim",
+    angles: Angles = "opensim", known: Bool | None = None, fill: bool = False,
+) -> None:  # fmt: skip
+    """Writes the coordinates of N poses (`io.coordinates`): inDegrees=yes, lengths in m.
 
-    The root becomes pelvis_tilt, list, rotation, tx, ty, tz in OpenSim's order and frame, shoulders turn in OpenSim's
-    order (`io.angles`); all other coordinates keep their names. `times` (N,) are in s; for `axes` see `io.markers`.
-    Raises InputError for unequal numbers, or if the file cannot be written.
+    `times` (N,) are in s; for `axes` see `io.markers`. Frames that are not `known` (N,) are NaN, unless `fill`; the
+    head names their rows. Raises InputError for unequal numbers, or if the file cannot be written.
     """
-    check_choice("write_mot: axes", axes, TO_FILE)
     path = Path(path)
     if len(times) != len(poses):
         raise InputError(f"{path}: there are {len(poses)} poses, but {len(times)} times.")
-    roots = np.array([pose.root for pose in poses]).reshape(-1, 4, 4)
-    turns, place = convert.pelvis_coordinates(roots, convert.pelvis_point(body), TO_FILE[axes])
-    q = np.array([pose.q for pose in poses]).reshape(len(poses), -1)
-    for ours, opensim in convert.shoulders_of(body):
-        q = convert.reordered(body, q, ours, opensim)
-    turning = np.any(body.twists[:, :3] != 0, axis=1)
-    values = np.hstack([np.degrees(turns), place, np.where(turning, np.degrees(q), q)])
-    columns = [*convert.PELVIS_ANGLES, *convert.PELVIS_PLACE, *body.coordinate_names]
-    head = ["Coordinates", "version=1", f"nRows={len(times)}", f"nColumns={len(columns) + 1}", "inDegrees=yes", ""]
-    head += ["Units are S.I. units (second, meters, Newtons, ...)", "Angles are in degrees.", "", "endheader"]
-    rows = ["\t".join(f"{v:.8f}" for v in (time, *row)) for time, row in zip(times, values, strict=True)]
-    write_lines(path, [*head, "\t".join(["time", *columns]), *rows])
+    table = coordinates_of(body, poses, angles=angles, axes=axes)
+    values, _ = table.in_degrees
+    lost = np.zeros(len(times), np.bool_) if known is None else ~known
+    values[lost & (not fill)] = np.nan
+    head = ["Coordinates", "version=1", f"nRows={len(times)}", f"nColumns={len(table.names) + 1}", "inDegrees=yes", ""]
+    head += ["Units are S.I. units (second, meters, Newtons, ...)", "Angles are in degrees.", ""]
+    head += [*_lost_rows(lost), "endheader"]
+    rows = ["\t".join([repr(float(t)), *(f"{v:.8f}" for v in row)]) for t, row in zip(times, values, strict=True)]
+    write_lines(path, [*head, "\t".join(["time", *table.names]), *rows])
+
+
+def _lost_rows(lost: Bool) -> list[str]:
+    """A line of the head for people: the rows, counted from 1, in which the body was lost or not seen."""
+    if not lost.any():
+        return []
+    rows = np.split(np.flatnonzero(lost) + 1, np.flatnonzero(np.diff(np.flatnonzero(lost)) > 1) + 1)
+    return [f"Rows in which the body was lost or not seen: {', '.join(f'{r[0]}-{r[-1]}' for r in rows)}", ""]
 
 
 def read_mot(path: Path | str) -> MotionTable:
@@ -118,6 +124,8 @@ def poses_from_mot(
     knees = [k for k, name in enumerate(body.coordinate_names) if name.startswith("knee_angle")]
     if knees and (knee == "negative" or (knee == "auto" and float(np.mean(q[:, knees])) < _NEGATIVE_KNEE)):
         q[:, knees] *= -1.0
+    given = np.array([name in table.columns for name in body.coordinate_names], bool)
+    q -= given * convert.zeros_of(body)
     for ours, opensim in convert.shoulders_of(body):
         q = convert.reordered(body, q, opensim, ours)
     turns = np.stack([table.get(name) for name in convert.PELVIS_ANGLES], axis=1)
@@ -137,39 +145,27 @@ def poses_of_file(path: Path, axes: WorldAxes = "opensim") -> tuple[Body, Motion
         raise InputError(f"motion {path}: {error}") from error
 
 
-def write_csv(path: Path | str, body: Body, estimates: Sequence[Estimate]) -> None:
-    """One row per frame: time, root, coordinates, their standard deviations, status, support, the lost flag, and the
-    probability of loss of the body and of each limb (``probability_lost_arm_l``, empty where nothing was seen).
+def write_csv(
+    path: Path | str, result: Result, axes: WorldAxes = "opensim", angles: Angles = "opensim", fill: bool = False
+) -> None:
+    """One row per frame: time, coordinates (`io.coordinates`), their standard deviations, status, support, the
+    probability of loss of the body and of each limb (``probability_lost_arm_l``), and the lost flag.
 
-    Units stand in the column names: `_deg` and `_m`, standard deviations end in `_std_deg` and `_std_m`. The root is
-    its place in the world and its rotation vector. Raises InputError if the file cannot be written.
+    Units stand in the column names: `_deg` and `_m`, standard deviations end in `_std_deg` and `_std_m`. Frames that
+    are lost or unseen have empty cells, unless `fill`. Raises InputError if the file cannot be written.
     """
-    limbs = named_limbs(body)
-    units = ["deg" if np.any(twist[:3]) else "m" for twist in body.twists]
-    named = [("root_" + axis, "m") for axis in ("x", "y", "z")] + [("root_r" + axis, "deg") for axis in ("x", "y", "z")]
-    named += list(zip(body.coordinate_names, units, strict=True))
-    head = ["frame", "time", *(f"{n}_{u}" for n, u in named), *(f"{n}_std_{u}" for n, u in named)]
-    scale = np.array([np.degrees(1.0) if unit == "deg" else 1.0 for _, unit in named])
+    table = coordinates_of(result.body, result.poses, result.covariances, angles, axes)
+    named = [f"_{'deg' if turns else 'm'}" for turns in table.turning]
+    head = [name + unit for name, unit in zip(table.names, named, strict=True)]
+    head += [f"{name}_std{unit}" for name, unit in zip(table.names, named, strict=True)]
+    cells, limbs = np.hstack(table.in_degrees), named_limbs(result.body)
     with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         names = [f"probability_lost_{name}" for name in limbs]
-        writer.writerow([*head, "status", "support", "probability_lost", *names, "lost"])
-        for e in estimates:
-            cells = np.concatenate([_values(e.pose) * scale, _deviations(e) * scale])
-            parts = e.part_probability
-            each = ["" if parts is None else f"{parts[segments].max():.4f}" for segments in limbs.values()]
-            ends = [e.status, f"{e.support:.4f}", f"{e.probability:.4f}", *each, int(e.lost)]
-            writer.writerow([e.index, f"{e.time:.6f}", *(f"{v:.6f}" for v in cells), *ends])
-
-
-def _values(pose: Pose) -> Float:
-    return np.concatenate([pose.root[:3, 3], se3.log_rotation(pose.root[:3, :3]), pose.q])
-
-
-def _deviations(estimate: Estimate) -> Float:
-    """Standard deviations (6 + J,) of `_values`: place of the root, its rotation, the coordinates."""
-    C = estimate.covariance
-    moved = -se3.hat(estimate.pose.root[:3, 3])  # the root moves in the world, about its origin
-    by_place = np.hstack([moved, np.eye(3)])
-    place = by_place @ C[:6, :6] @ by_place.T
-    return np.sqrt(np.maximum(np.concatenate([np.diag(place), np.diag(C)[:3], np.diag(C)[6:]]), 0.0))
+        writer.writerow(["frame", "time", *head, "status", "support", "probability_lost", *names, "lost"])
+        for n, (time, row) in enumerate(zip(result.times, cells, strict=True)):
+            shown = [f"{v:.6f}" for v in row] if fill or result.known[n] else [""] * len(row)
+            parts = result.part_probability[n]
+            each = [f"{parts[own].max():.4f}" if np.isfinite(parts[own]).all() else "" for own in limbs.values()]
+            ends = [f"{result.support[n]:.4f}", f"{result.probability[n]:.4f}", *each, int(result.lost[n])]
+            writer.writerow([result.indices[n], repr(float(time)), *shown, result.statuses[n], *ends])

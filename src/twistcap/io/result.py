@@ -9,7 +9,7 @@ import os
 import zlib
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib.metadata import version
 from pathlib import Path
@@ -24,7 +24,7 @@ from twistcap.camera import Camera, Rig
 from twistcap.doors.hdf5 import read_hdf5, trust
 from twistcap.doors.text import parsed_json
 from twistcap.errors import InputError, naming
-from twistcap.estimate import Estimate
+from twistcap.estimate import UNSEEN, Estimate
 from twistcap.io.calibration import check_camera
 from twistcap.io.files import replacing, unwritable, write_at
 from twistcap.io.lock import WriteLock
@@ -99,6 +99,19 @@ class Result:
 
     def __len__(self) -> int:
         return len(self.times)
+
+    @cached_property
+    def known(self) -> Bool:
+        """(N,) whether images support the pose: neither lost nor predicted without them."""
+        return ~self.lost & ~np.isin(self.statuses, UNSEEN)
+
+    def within(self, first: int, last: int) -> Result:
+        """The frames of a range of frame numbers, both included."""
+        n = np.flatnonzero((self.indices >= first) & (self.indices <= last))
+        arrays = ("indices", "times", "roots", "q", "covariances", "iterations", "lost", "support", "probability")
+        words = {name: tuple(getattr(self, name)[k] for k in n) for name in ("statuses", "predicted")}
+        energies = {name: row[n] for name, row in self.energies.items()}
+        return replace(self, energies=energies, **words, **{name: getattr(self, name)[n] for name in arrays})
 
     @cached_property
     def poses(self) -> tuple[Pose, ...]:

@@ -182,12 +182,15 @@ class FitGirths(Table):
 
 
 class Output(Table):
-    """``[output]``: folder, and which files beside result.h5 to write."""
+    """``[output]``: folder, and which files beside result.h5 to write, and how; see `io.exports`."""
 
     folder: str | None = None
     overlay: bool = True
     report: bool = True
     exports: tuple[ExportName, ...] = ("trc", "csv")
+    axes: Literal["opensim", "pose2sim", "z_up"] = "opensim"
+    angles: Literal["opensim", "isb"] = "opensim"
+    fill: bool = False
 
 
 class Session(Table):

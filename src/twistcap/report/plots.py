@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -82,6 +82,24 @@ def _draw_angle(axis: Axes, series: AngleSeries, name: str) -> None:
     axis.plot(series.times, values, color=colour, lw=1.6, zorder=3)
 
 
+def cycle_plot(path: Path | str, curves: Mapping[str, tuple[Float, Float]]) -> Path:
+    """Mean and standard deviation (101,) in degrees of coordinates over 0 to 100 % of the gait cycle, right and left in
+    one panel; a coordinate of the middle has a curve over the strides of each side."""
+    names = list(curves)
+    figure, panels = _grid(names, "Gait cycles: mean ± standard deviation", "% of the cycle")
+    percent = np.linspace(0.0, 100.0, 101)
+    for panel, axis in panels.items():
+        for name in (name for name in names if split_side(name)[0] == panel):
+            (mean, sd), colour = curves[name], _COLOURS[split_side(name)[1]]
+            axis.fill_between(percent, mean - sd, mean + sd, color=colour, alpha=0.22, lw=0, zorder=2)
+            axis.plot(percent, mean, color=colour, lw=1.6, zorder=3)
+        low, high = axis.get_ylim()
+        extra = max(0.0, _LEAST_SPAN_DEG - (high - low)) / 2
+        axis.set_ylim(low - extra, high + extra)
+        axis.set_title(f"{panel.replace('_', ' ')} (°)", loc="left", fontsize=9, fontweight="bold")
+    return _saved(path, figure, names, [])
+
+
 def joint_error_plot(path: Path | str, times: Float, names: Sequence[str], errors_mm: Float) -> Path:
     """Position error of each joint (N, L) in mm over time, one panel per joint; in grey the median of all."""
     figure, panels = _grid(names, "Joint position error (mm)")
@@ -104,7 +122,7 @@ def _ceiling(errors: Float) -> float:
     return 1.08 * float(min(known.max(), max(5.0 * np.percentile(known, 90), 1.0))) or 1.0
 
 
-def _grid(names: Sequence[str], title: str) -> tuple[Figure, dict[str, Axes]]:
+def _grid(names: Sequence[str], title: str, along: str = "time (s)") -> tuple[Figure, dict[str, Axes]]:
     """A figure and one panel for both sides of a name."""
     stems = list(dict.fromkeys(split_side(name)[0] for name in names))
     panels, columns = len(stems), min(4, max(1, math.ceil(math.sqrt(len(stems)))))
@@ -121,7 +139,7 @@ def _grid(names: Sequence[str], title: str) -> tuple[Figure, dict[str, Axes]]:
         axis.spines[["top", "right"]].set_visible(False)
         axis.spines[["left", "bottom"]].set_color("#9aa3ad")
         if k + columns >= panels:
-            axis.set_xlabel("time (s)", fontsize=8)
+            axis.set_xlabel(along, fontsize=8)
     return figure, dict(zip(stems, cells, strict=False))
 
 

@@ -1,0 +1,282 @@
+"""Gait: heel strikes and toe-offs, strides, cycles of 0 to 100 %, and what time and length say of a walk.
+
+Events begin with Zeni et al. 2008 (DOI 10.1016/j.gaitpost.2007.07.007): near heel strike the heel is farthest in front
+of the pelvis, near toe-off the toes are farthest behind it. From there the event is moved to where the foot has half
+the speed, against the pelvis, that it has on the floor: 9 ms or less from force plates where Zeni's own is 27 (one
+walk). "In front" is along the pelvis's own heading, slowly followed, so that a walk may turn and a treadmill will do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import find_peaks
+
+from twistcap import se3
+from twistcap.arrays import Bool, Float
+from twistcap.body import Body, Pose, Posed
+from twistcap.errors import InputError
+from twistcap.evaluate.smoothing import butterworth
+
+SIDES = ("r", "l")
+PERCENT = np.linspace(0.0, 100.0, 101)
+_MARKS = ("heel", "toe")
+_EVENT_HZ = 6.0  # cutoff of the points; Zeni et al. use it
+_HEADING_HZ = 0.4  # well below that of strides, in which the pelvis turns to and fro
+_SWING = 0.3  # least prominence of a peak, of the whole swing of the foot
+_SLOWING_S = 0.3  # longest time between Zeni's event and ours
+_STRIDE_S = (0.4, 4.0)  # shortest and longest stride
+
+
+@dataclass(frozen=True)
+class Stride:
+    """From one heel strike of a foot to the next: times in s, places (3,) in m, of the world."""
+
+    side: str
+    start: float
+    end: float
+    toe_off: float  # of this foot
+    opposite_strike: float  # of the other foot, NaN where there is none
+    opposite_toe_off: float
+    length: float  # m, along the walk; on a treadmill it is near 0
+    length_sigma: float
+    step_length: float  # m, from the other foot's heel to this one's at the end; NaN without its strike
+    step_width: float  # m, across the walk
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A mean over strides, their standard deviation, and the standard error of the mean by the tracker's covariance."""
+
+    mean: float
+    deviation: float
+    sigma: float
+    count: int
+
+
+@dataclass(frozen=True)
+class Gait:
+    """Events (s) by side, and strides."""
+
+    strikes: Mapping[str, Float]
+    toe_offs: Mapping[str, Float]
+    strides: tuple[Stride, ...]
+    frame: float  # s, one step of the clock
+    heading: Float  # (N,) rad from the world's x towards y; 0 in frames that are not known
+
+    def of(self, side: str) -> tuple[Stride, ...]:
+        return tuple(stride for stride in self.strides if stride.side == side)
+
+
+def gait_of(
+    body: Body, times: Float, poses: Sequence[Pose], covariances: Float | None = None, known: Bool | None = None
+) -> Gait:
+    """Events and strides of N poses at even `times` (N,) s.
+
+    Frames that are not `known` (N,) belong to no stride. Lengths have standard deviations where `covariances`
+    (N, 6 + J, 6 + J) of the pose step are given. Raises InputError for a body without heels and toes, fewer than 12
+    frames, or times that are not even.
+    """
+    wanted = [f"{mark}_{side}" for mark in _MARKS for side in SIDES]
+    missing = [name for name in wanted if name not in body.landmarks.names]
+    if missing:
+        raise InputError(f"gait: body {body.name!r} has no landmark {missing[0]!r}; gait needs heels and toes.")
+    rate = _rate(times)
+    known = np.ones(len(times), np.bool_) if known is None else known
+    forward = _heading(poses, rate, known)
+    feet = {name: butterworth(_places(body, poses, name), rate, _EVENT_HZ, known) for name in wanted}
+    middle = butterworth(_places(body, poses, "mid_hip"), rate, _EVENT_HZ, known)
+    ahead = {name: np.sum((place - middle) * forward, axis=1) for name, place in feet.items()}
+    strikes = {side: _events(times, ahead[f"heel_{side}"], 1) for side in SIDES}
+    toe_offs = {side: _events(times, ahead[f"toe_{side}"], -1) for side in SIDES}
+    heels = {side: feet[f"heel_{side}"] for side in SIDES}
+    walk = _Walk(times, known, forward, heels, _length_sigma(body, times, poses, covariances, forward))
+    strides = [s for side in SIDES for s in _strides(walk, side, strikes, toe_offs)]
+    return Gait(strikes, toe_offs, tuple(sorted(strides, key=lambda s: s.start)), 1.0 / rate, _level_angle(forward))
+
+
+def facing(gait: Gait, poses: Sequence[Pose]) -> list[Pose]:
+    """The poses as if the walk went along the world's x: OpenSim's tilt and list of the pelvis mean it so."""
+    turns = se3.transform(se3.exp_rotation(-gait.heading[:, None] * [0.0, 0.0, 1.0]), np.zeros(3))
+    return [Pose(turn @ pose.root, pose.q) for turn, pose in zip(turns, poses, strict=True)]
+
+
+def cycles(gait: Gait, times: Float, values: Float, side: str) -> Float:
+    """Values (N, C) at `times` (N,) over each stride of a side: (strides, 101, C), at 0, 1 … 100 % of the cycle."""
+    at = [stride.start + PERCENT / 100 * (stride.end - stride.start) for stride in gait.of(side)]
+    columns = [[np.interp(t, times, column) for column in values.T] for t in at]
+    return np.array(columns).reshape(len(at), values.shape[1], len(PERCENT)).transpose(0, 2, 1)
+
+
+def parameters(gait: Gait) -> dict[str, dict[str, Measure]]:
+    """Spatiotemporal parameters of "r", "l" and "both": times s, lengths m, speed m/s, cadence steps/min, shares %."""
+    chosen = {"r": gait.of("r"), "l": gait.of("l"), "both": gait.strides}
+    return {side: {name: _measured(gait, strides, name) for name in _PARAMETERS} for side, strides in chosen.items()}
+
+
+def symmetry(measures: Mapping[str, Mapping[str, Measure]]) -> dict[str, float]:
+    """Symmetry index of each parameter, %: 100 (r − l) / half their sum (Robinson et al. 1987); 0 is symmetric."""
+    return {
+        name: 200.0 * (measures["r"][name].mean - measures["l"][name].mean) / total
+        for name in measures["r"]
+        if (total := measures["r"][name].mean + measures["l"][name].mean)
+    }
+
+
+@dataclass(frozen=True)
+class _Walk:
+    times: Float
+    known: Bool
+    forward: Float  # (N, 3)
+    heels: Mapping[str, Float]
+    length_sigma: Callable[[str, int, int], float]
+
+    def frame(self, time: float) -> int:
+        return int(np.argmin(np.abs(self.times - time)))
+
+    def heel(self, side: str, time: float) -> Float:
+        return np.array([np.interp(time, self.times, column) for column in self.heels[side].T])
+
+
+def _level_angle(forward: Float) -> Float:
+    return np.where(np.isfinite(forward[:, 0]), np.arctan2(forward[:, 1], forward[:, 0]), 0.0)
+
+
+def _rate(times: Float) -> float:
+    steps = np.diff(times)
+    if len(times) < 12:
+        raise InputError(f"gait: there are {len(times)} frames; gait needs a stride, and 12 frames at least.")
+    if np.ptp(steps) > 0.1 * np.median(steps):
+        raise InputError("gait: the frames are not evenly spaced in time; take a part of the recording where they are.")
+    return float(1.0 / np.median(steps))
+
+
+def _places(body: Body, poses: Sequence[Pose], name: str) -> Float:
+    """(N, 3) a landmark; the root's origin where the body has none of that name."""
+    if name not in body.landmarks.names:
+        return np.array([pose.root[:3, 3] for pose in poses])
+    k = body.landmarks.index(name)
+    return np.array([Posed(body, pose).landmarks[k] for pose in poses])
+
+
+def _heading(poses: Sequence[Pose], rate: float, known: Bool) -> Float:
+    """(N, 3) level unit vectors along the pelvis's x, slowly followed."""
+    x = butterworth(np.array([pose.root[:3, 0] for pose in poses]) * [1.0, 1.0, 0.0], rate, _HEADING_HZ, known)
+    return x / np.linalg.norm(x, axis=1, keepdims=True)
+
+
+def _events(times: Float, ahead: Float, direction: int) -> Float:
+    """Times at which a foot that is `ahead` (N,) m of the pelvis comes to the floor (direction 1, after each farthest
+    place in front) or leaves it (−1, before each farthest place behind)."""
+    speed = np.gradient(ahead, times)
+    backward = speed[speed < 0]
+    if not len(backward):
+        return np.zeros(0)
+    half = 0.5 * float(np.median(backward))  # most of the time that a foot goes backward it is on the floor
+    span = float(np.nanmax(ahead) - np.nanmin(ahead))
+    peaks, _ = find_peaks(np.where(np.isfinite(ahead), direction * ahead, -np.inf), prominence=_SWING * span)
+    found = [_crossing(times, speed, half, int(k), direction) for k in peaks]
+    return np.array([time for time in found if time is not None])
+
+
+def _crossing(times: Float, speed: Float, level: float, start: int, direction: int) -> float | None:
+    """When the speed first falls below a level, from a frame on; None where it is not known or takes too long."""
+    k = start
+    while 0 <= k + direction < len(times) and abs(times[k] - times[start]) < _SLOWING_S:
+        after = k + direction
+        if speed[after] < level <= speed[k]:
+            share = (speed[k] - level) / (speed[k] - speed[after])
+            return float(times[k] + share * (times[after] - times[k]))
+        k = after
+    return None
+
+
+def _strides(walk: _Walk, side: str, strikes: Mapping[str, Float], toe_offs: Mapping[str, Float]) -> list[Stride]:
+    """Those with one toe-off of their own, of a usual length, and all frames known."""
+    other, out = "l" if side == "r" else "r", list[Stride]()
+    for start, end in zip(strikes[side], strikes[side][1:], strict=False):
+        own = _between(toe_offs[side], start, end)
+        first, last = walk.frame(start), walk.frame(end)
+        if len(own) != 1 or not _STRIDE_S[0] <= end - start <= _STRIDE_S[1] or not walk.known[first : last + 1].all():
+            continue
+        opposite, freed = _between(strikes[other], start, end), _between(toe_offs[other], start, end)
+        strike = float(opposite[0]) if len(opposite) == 1 else np.nan
+        begun, ended, ahead = walk.heel(side, start), walk.heel(side, end), walk.forward[last]
+        gap = ended - walk.heel(other, strike) if np.isfinite(strike) else np.full(3, np.nan)
+        across = np.array([-ahead[1], ahead[0], 0.0])
+        lifted = float(freed[0]) if len(freed) == 1 else np.nan
+        out.append(Stride(
+            side, float(start), float(end), float(own[0]), strike, lifted, float((ended - begun) @ ahead),
+            walk.length_sigma(side, first, last), float(gap @ ahead), float(abs(gap @ across)),
+        ))  # fmt: skip
+    return out
+
+
+def _between(times: Float, start: float, end: float) -> Float:
+    return times[(times > start) & (times < end)]
+
+
+def _length_sigma(
+    body: Body, times: Float, poses: Sequence[Pose], covariances: Float | None, forward: Float
+) -> Callable[[str, int, int], float]:
+    """Standard deviation (m) of the way of a heel between two frames, whose errors are taken as independent."""
+
+    def variance(side: str, frame: int) -> float:
+        assert covariances is not None
+        marks, k = body.landmarks, body.landmarks.index(f"heel_{side}")
+        posed = Posed(body, poses[frame])
+        J = (
+            forward[frame]
+            @ posed.point_jacobian(marks.segments[k : k + 1, None], np.ones((1, 1)), marks.points[k : k + 1])[0]
+        )
+        return float(J @ covariances[frame] @ J)
+
+    def sigma(side: str, first: int, last: int) -> float:
+        if covariances is None:
+            return 0.0
+        return float(np.sqrt(variance(side, first) + variance(side, last)))
+
+    return sigma
+
+
+_PARAMETERS: Mapping[str, Callable[[Stride], float]] = {
+    "stride time": lambda s: s.end - s.start,
+    "stride length": lambda s: s.length,
+    "speed": lambda s: s.length / (s.end - s.start),
+    "cadence": lambda s: 120.0 / (s.end - s.start),
+    "step length": lambda s: s.step_length,
+    "step width": lambda s: s.step_width,
+    "step time": lambda s: s.end - s.opposite_strike,
+    "stance": lambda s: 100 * (s.toe_off - s.start) / (s.end - s.start),
+    "double support": lambda s: (
+        100 * (s.opposite_toe_off - s.start + s.toe_off - s.opposite_strike) / (s.end - s.start)
+    ),
+}
+UNITS = {"stride time": "s", "stride length": "m", "speed": "m/s", "cadence": "steps/min", "step length": "m",
+         "step width": "m", "step time": "s", "stance": "%", "double support": "%"}  # fmt: skip
+
+
+def _measured(gait: Gait, strides: Sequence[Stride], name: str) -> Measure:
+    """The standard error: the covariance's share in lengths, and a frame's width of every event."""
+    values = np.array([_PARAMETERS[name](stride) for stride in strides])
+    sigmas = np.array([_sigma(gait, stride, name) for stride in strides])[np.isfinite(values)]
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return Measure(np.nan, np.nan, np.nan, 0)
+    deviation = float(values.std(ddof=1)) if len(values) > 1 else np.nan
+    return Measure(float(values.mean()), deviation, float(np.sqrt(np.sum(sigmas**2)) / len(values)), len(values))
+
+
+def _sigma(gait: Gait, stride: Stride, name: str) -> float:
+    """Of one stride; an event is known to a frame, evenly spread, so that its σ is that over √12."""
+    time = stride.end - stride.start
+    instant = gait.frame / np.sqrt(12.0)
+    apart = np.sqrt(2.0) * instant
+    length = stride.length_sigma
+    return {
+        "stride time": apart, "step time": apart, "stride length": length, "step length": length, "step width": length,
+        "speed": float(np.hypot(length, stride.length / time * apart)) / time, "cadence": 120.0 * apart / time**2,
+        "stance": 100 * apart / time, "double support": 100 * 2 * instant / time,
+    }[name]  # fmt: skip

@@ -1,0 +1,164 @@
+"""Gait: the studio's walk, whose events and cycle are known, and a real walk on force plates."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from support.cameras import ring
+from support.commands import document, refusal, run
+from twistcap.arrays import Float
+from twistcap.body import Body, Pose
+from twistcap.body.humanoid import humanoid
+from twistcap.errors import InputError
+from twistcap.estimate import Estimate
+from twistcap.evaluate.gait import PERCENT, cycles, facing, gait_of, parameters, symmetry
+from twistcap.evaluate.smoothing import butterworth, runs
+from twistcap.io.coordinates import coordinates_of
+from twistcap.io.motion_files import poses_from_mot, read_mot
+from twistcap.io.result import ResultWriter
+from twistcap.studio.motion import gait as walk
+
+FPS, SPEED, PHASE = 60.0, 1.3, 0.2
+PERIOD = 120.0 / np.sqrt(SPEED * 60.0 / 0.0064)  # s, one stride of the studio's walk at this speed
+
+
+@pytest.fixture(scope="module")
+def body() -> Body:
+    return humanoid()
+
+
+@pytest.fixture(scope="module")
+def poses(body: Body) -> list[Pose]:
+    return walk(body, fps=FPS, frames=400, speed=SPEED, heading=0.8, phase=PHASE)
+
+
+TIMES = np.arange(400) / FPS
+
+
+def off(found: Float, first: float, period: float) -> Float:
+    """Seconds from events to those of a period."""
+    return (found - first + period / 2) % period - period / 2
+
+
+def test_events_of_the_studios_walk(body: Body, poses: list[Pose]) -> None:
+    gait = gait_of(body, TIMES, poses)
+    for side, half in (("r", 0.0), ("l", 0.5)):
+        assert len(gait.strikes[side]) >= 5
+        assert np.abs(off(gait.strikes[side], (half - PHASE) * PERIOD, PERIOD)).max() < 2 / FPS
+        assert np.abs(off(gait.toe_offs[side], (half + 0.60 - PHASE) * PERIOD, PERIOD)).max() < 2 / FPS
+
+
+def test_parameters_of_the_studios_walk(body: Body, poses: list[Pose]) -> None:
+    found = parameters(gait_of(body, TIMES, poses, np.tile(np.eye(body.dof) * 1e-6, (400, 1, 1))))
+    both = {name: measure.mean for name, measure in found["both"].items()}
+    assert both["stride time"] == pytest.approx(PERIOD, abs=0.002)
+    assert both["speed"] == pytest.approx(SPEED, rel=0.01)
+    assert both["stride length"] == pytest.approx(SPEED * PERIOD, rel=0.01)
+    assert both["step length"] == pytest.approx(SPEED * PERIOD / 2, rel=0.03)
+    assert both["step time"] == pytest.approx(PERIOD / 2, abs=0.002)
+    assert both["stance"] == pytest.approx(60, abs=2) and both["double support"] == pytest.approx(20, abs=4)
+    assert all(abs(index) < 2 for index in symmetry(found).values())
+    assert found["r"]["stride length"].sigma > 0
+
+
+def test_a_longer_step_is_not_symmetric(body: Body) -> None:
+    """A limp: the left step takes 20 % longer than the right one."""
+    phases = np.concatenate([np.linspace(n, n + 0.5, 30, False) if right else np.linspace(n + 0.5, n + 1, 36, False)
+                             for n in range(6) for right in (True, False)])  # fmt: skip
+    fine = walk(body, fps=3000.0, frames=int(6 * PERIOD * 3000) + 2, speed=SPEED)
+    limping = [fine[round(phase * PERIOD * 3000)] for phase in phases]
+    times = np.arange(len(limping)) / FPS
+    index = symmetry(parameters(gait_of(body, times, limping)))
+    assert index["step time"] == pytest.approx(100 * (36 - 30) / 33, abs=6)  # right steps end at right strikes
+    assert abs(index["stride time"]) < 1
+
+
+def test_cycles_are_the_walks_own(body: Body, poses: list[Pose]) -> None:
+    """Within 1° of one stride of the same walk, sampled finely from heel strike to heel strike."""
+    gait = gait_of(body, TIMES, poses)
+    table = coordinates_of(body, facing(gait, poses))
+    curves = cycles(gait, TIMES, butterworth(table.in_degrees[0], FPS, 6.0), "r")
+    start = float(off(gait.strikes["r"], -PHASE * PERIOD, PERIOD).mean()) / PERIOD  # in cycles; under 2 frames
+    truth = walk(body, fps=100.0 / PERIOD, frames=101, speed=SPEED, phase=start)
+    wanted = coordinates_of(body, truth).in_degrees[0]
+    turning = [k for k, name in enumerate(table.names) if table.turning[k]]
+    assert curves.shape == (len(gait.of("r")), len(PERCENT), len(table.names))
+    assert np.abs(curves.mean(axis=0) - wanted)[:, turning].max() < 1.0
+    assert np.ptp(wanted[:, table.names.index("knee_angle_r")]) > 50
+
+
+def test_strides_with_lost_frames_are_left_out(body: Body, poses: list[Pose]) -> None:
+    whole = gait_of(body, TIMES, poses)
+    known = np.ones(400, bool)
+    known[200] = False
+    less = gait_of(body, TIMES, poses, known=known)
+    crossing = [s for s in whole.strides if s.start <= TIMES[200] <= s.end]
+    assert len(crossing) == 2 and not [s for s in less.strides if s.start <= TIMES[200] <= s.end]
+    assert 1 <= len(whole.strides) - len(less.strides) <= 4
+
+
+@pytest.mark.parametrize("plate, side", [("ground_force_vy", "r"), ("1_ground_force_vy", "l")])
+def test_events_of_a_real_walk_on_force_plates(shared_data: Path, body: Body, plate: str, side: str) -> None:
+    folder = shared_data / "opensim_gait" / "Pipelines" / "Gait2354_Simbody"
+    table = read_mot(folder / "subject01_walk1_ik.mot")
+    gait = gait_of(body, table.times, poses_from_mot(table, body)[0])
+    forces = read_mot(folder / "subject01_walk1_grf.mot")
+    changes = np.diff((forces.get(plate) > 20.0).astype(int))
+    for found, change in ((gait.strikes[side], 1), (gait.toe_offs[side], -1)):
+        truth = forces.times[1:][changes == change]
+        truth = truth[(truth > table.times[0]) & (truth < table.times[-1])]
+        assert len(found) == len(truth) == 1
+        assert abs(found[0] - truth[0]) < 0.010  # s; docs/how-to/gait.md says 9 ms or less
+
+
+def test_butterworth_has_no_lag_and_its_cutoff_at_3_db() -> None:
+    times = np.arange(2000) / 100
+    low, at, high = (np.sin(2 * np.pi * hertz * times) for hertz in (1.0, 6.0, 20.0))
+    inner = slice(300, -300)
+    np.testing.assert_allclose(butterworth(low, 100, 6.0)[inner], low[inner], atol=2e-3)
+    gain = np.std(butterworth(at, 100, 6.0)[inner]) / np.std(at[inner])
+    assert gain == pytest.approx(np.sqrt(0.5), rel=0.02)
+    assert np.abs(butterworth(high, 100, 6.0)[inner]).max() < 0.02
+    with pytest.raises(InputError, match="must be below"):
+        butterworth(low, 10, 6.0)
+
+
+def test_nothing_is_filtered_across_a_gap() -> None:
+    known = np.ones(60, bool)
+    known[[20, 27]] = False
+    step = np.where(np.arange(60) < 20, 0.0, 5.0)
+    out = butterworth(step, 60, 6.0, known)
+    np.testing.assert_allclose(out[:20], 0.0, atol=1e-9)
+    np.testing.assert_allclose(out[28:], 5.0, atol=1e-9)
+    assert np.isnan(out[20:28]).all()  # the gaps, and a run too short
+    assert runs(known) == [(0, 20), (21, 27), (28, 60)]
+
+
+def test_what_has_no_gait_is_told(body: Body, poses: list[Pose]) -> None:
+    with pytest.raises(InputError, match="12 frames"):
+        gait_of(body, TIMES[:5], poses[:5])
+    with pytest.raises(InputError, match="evenly"):
+        gait_of(body, TIMES + 0.5 * (TIMES > 2), poses)
+    still = gait_of(body, TIMES[:60], [poses[0]] * 60)
+    assert still.strides == () and np.isnan(parameters(still)["both"]["speed"].mean)
+
+
+def test_command(body: Body, poses: list[Pose], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with ResultWriter(tmp_path / "r.h5", body, ring(), {}) as writer:
+        for n, pose in enumerate(poses[:200]):
+            writer.append(Estimate(n, n / FPS, pose, np.eye(body.dof) * 1e-6))
+    found = document(capsys, "gait", tmp_path / "r.h5", "--out", tmp_path / "out")
+    assert found["parameters"]["both"]["speed"]["mean"] == pytest.approx(SPEED, rel=0.02)
+    assert [Path(file).name for file in found["files"]] == ["gait.csv", "strides.csv", "cycles.csv", "cycles.png"]
+    with (tmp_path / "out" / "cycles.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    tilt = [float(row["mean_deg"]) for row in rows if row["coordinate"] == "pelvis_tilt" and row["side"] == "r"]
+    assert len(tilt) == 101 and -14 < min(tilt) < max(tilt) < -8  # forward tilt of the walk, at any heading
+    assert run("gait", tmp_path / "r.h5", "--out", tmp_path / "out", "--angles", "isb") == 0
+    assert "isb_knee_flexion_r" in (tmp_path / "out" / "cycles.csv").read_text()
+    assert all(len(line) <= 80 for line in capsys.readouterr().out.splitlines() if "│" in line)
+    assert "angles is" in refusal(capsys, "gait", tmp_path / "r.h5", "--angles", "euler")

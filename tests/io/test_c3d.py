@@ -1,0 +1,142 @@
+"""C3D, read back by ezc3d and by py-c3d."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from support.cameras import ring
+from twistcap.arrays import Float
+from twistcap.body import Body, Pose, Posed
+from twistcap.body.humanoid import humanoid
+from twistcap.body.surface_markers import surface_markers
+from twistcap.errors import InputError
+from twistcap.estimate import Estimate
+from twistcap.io.c3d import room, write_c3d
+from twistcap.io.markers import TO_FILE
+from twistcap.io.result import Result, ResultWriter, read_result
+from twistcap.studio.motion import gait
+
+ezc3d = pytest.importorskip("ezc3d", reason="ezc3d is not installed (pip install 'twistcap[c3d]')")
+FIRST, LOST, DROPPED = 30, 4, 7
+
+
+@pytest.fixture(scope="module")
+def body() -> Body:
+    return humanoid()
+
+
+@pytest.fixture(scope="module")
+def result(body: Body, tmp_path_factory: pytest.TempPathFactory) -> Result:
+    """Twelve frames of a walk from frame 30 on; one lost, one dropped."""
+    path = tmp_path_factory.mktemp("c3d") / "r.h5"
+    A = np.random.default_rng(0).normal(size=(body.dof, body.dof)) * 2e-4
+    with ResultWriter(path, body, ring(), {}) as writer:
+        for n, pose in enumerate(gait(body, frames=12, heading=0.5)):
+            if n != DROPPED:
+                time = (FIRST + n) / 60
+                writer.append(Estimate(FIRST + n, time, pose, A @ A.T, lost=n == LOST))
+    return read_result(path)
+
+
+def read(path: Path) -> dict:
+    return ezc3d.c3d(str(path))
+
+
+def points_of(body: Body, pose: Pose) -> tuple[tuple[str, ...], Float]:
+    stuck, posed = surface_markers(body), Posed(body, pose)
+    moved = np.einsum("nij,nj->ni", posed.segment_transforms[stuck.segments][:, :3, :3], stuck.points)
+    moved += posed.segment_transforms[stuck.segments][:, :3, 3]
+    return (*body.landmarks.names, *stuck.names), np.concatenate([posed.landmarks, moved])
+
+
+@pytest.mark.parametrize("axes", ["opensim", "pose2sim", "z_up"])
+def test_points_and_times(result: Result, tmp_path: Path, axes: str) -> None:
+    write_c3d(tmp_path / "a.c3d", result, axes)  # type: ignore[arg-type]
+    file = read(tmp_path / "a.c3d")
+    points, head = file["data"]["points"], file["header"]["points"]
+    names, _ = points_of(result.body, result.poses[0])
+    assert tuple(file["parameters"]["POINT"]["LABELS"]["value"]) == names
+    assert file["parameters"]["POINT"]["UNITS"]["value"] == ["mm"]
+    slots = np.round(result.times * 60).astype(int) - FIRST
+    for k, slot in enumerate(slots):
+        if k != LOST:
+            wanted = points_of(result.body, result.poses[k])[1] @ TO_FILE[axes].T
+            np.testing.assert_allclose(points[:3, :, slot].T, 1000 * wanted, atol=1e-3)
+    empty = np.isnan(points[0]).all(axis=0)
+    assert np.flatnonzero(empty).tolist() == [LOST, DROPPED]
+    np.testing.assert_array_equal((head["first_frame"] + slots) / head["frame_rate"], result.times)
+    assert file["data"]["analogs"].shape[1] == 0
+    np.testing.assert_array_equal(file["parameters"]["TWISTCAP"]["LOST"]["value"], [FIRST + LOST] * 2)
+
+
+def test_residuals_are_the_standard_deviations_of_the_points(result: Result, tmp_path: Path) -> None:
+    """Read by py-c3d, which has the bytes of a float file as c3d.org says; σ again by moving the pose at random."""
+    pyc3d = pytest.importorskip("c3d", reason="py-c3d is not installed")
+    write_c3d(tmp_path / "a.c3d", result, "z_up")
+    with warnings.catch_warnings(), (tmp_path / "a.c3d").open("rb") as file:
+        warnings.simplefilter("ignore")
+        frames = [frame[1] for frame in pyc3d.Reader(file).read_frames()]
+    assert (frames[LOST][:, 3] == -1).all() and (frames[DROPPED][:, 3] == -1).all()
+    rng, covariance = np.random.default_rng(1), result.covariances[0]
+    steps = rng.multivariate_normal(np.zeros(result.body.dof), covariance, size=400)
+    _, at_rest = points_of(result.body, result.poses[0])
+    moved = np.array([points_of(result.body, result.poses[0].retract(step))[1] for step in steps]) - at_rest
+    sigma = 1000 * np.sqrt(np.mean(np.sum(moved**2, axis=2), axis=0))
+    assert sigma.max() > 1.5 * sigma.min()
+    np.testing.assert_allclose(frames[0][:, 3], sigma, rtol=0.15)
+    np.testing.assert_allclose(frames[0][:, :3], 1000 * at_rest, atol=1e-3)
+
+
+def test_segments_as_visual3d_reads_them(result: Result, tmp_path: Path) -> None:
+    write_c3d(tmp_path / "a.c3d", result)
+    file = read(tmp_path / "a.c3d")
+    labels, matrices = file["parameters"]["ROTATION"]["LABELS"]["value"], file["data"]["rotations"]
+    points, names = file["data"]["points"], file["parameters"]["POINT"]["LABELS"]["value"]
+    assert {"worldbody_4X4", "pelvis_4X4", "torso_4X4", "r_thigh_4X4", "l_larm_4X4"} <= set(labels)
+    assert file["parameters"]["ROTATION"]["RATE"]["value"] == [60.0]
+    for label, top, bottom in (("thigh", "hip", "knee"), ("shank", "knee", "ankle"), ("uarm", "shoulder", "elbow")):
+        for side in "rl":
+            T = matrices[:, :, labels.index(f"{side}_{label}_4X4"), 0]
+            upper, lower = (points[:3, names.index(f"{mark}_{side}"), 0] for mark in (top, bottom))
+            np.testing.assert_allclose(T[:3, 3], upper, atol=1e-2)  # origin in the upper joint
+            np.testing.assert_allclose(T[:3, 2], (upper - lower) / np.linalg.norm(upper - lower), atol=1e-4)
+            assert np.linalg.det(T[:3, :3]) == pytest.approx(1.0, abs=1e-5)
+            right = points[:3, names.index("hip_r"), 0] - points[:3, names.index("hip_l"), 0]
+            assert T[:3, 0] @ right / np.linalg.norm(right) > 0.7  # x to the right on both sides
+    assert np.isnan(matrices[:, :, 1, LOST]).all() and not np.isnan(matrices[:, :, 1, 0]).any()
+
+
+def test_lost_frames_are_filled_on_demand_and_still_told(result: Result, tmp_path: Path) -> None:
+    write_c3d(tmp_path / "a.c3d", result, fill=True)
+    file = read(tmp_path / "a.c3d")
+    assert np.flatnonzero(np.isnan(file["data"]["points"][0]).all(axis=0)).tolist() == [DROPPED]
+    np.testing.assert_array_equal(file["parameters"]["TWISTCAP"]["LOST"]["value"], [FIRST + LOST] * 2)
+
+
+def test_what_c3d_cannot_hold_is_told(result: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    late = replace(result, times=result.times + np.where(result.indices > 40, 2000.0, 0.0))
+    with pytest.raises(InputError, match=r"room for \d+ frames, the result has 12001\d; export it in parts"):
+        write_c3d(tmp_path / "a.c3d", late)
+    uneven = replace(result, times=result.times + 0.005 * (result.indices % 3))
+    with pytest.raises(InputError, match="not evenly spaced"):
+        write_c3d(tmp_path / "a.c3d", uneven)
+    monkeypatch.setitem(__import__("sys").modules, "ezc3d", None)
+    with pytest.raises(InputError, match=r"twistcap\[c3d\]"):
+        write_c3d(tmp_path / "a.c3d", result)
+
+
+def test_as_many_frames_as_there_is_room_for(result: Result, tmp_path: Path) -> None:
+    """The last block of points and the first of matrices come back: the limit is right."""
+    most = room(len(points_of(result.body, result.poses[0])[0]))
+    times = np.array([0.0, 1.0, 2.0, most - 1]) / 60
+    few = replace(result.within(FIRST, FIRST + 3), times=times)
+    write_c3d(tmp_path / "a.c3d", few)
+    file = read(tmp_path / "a.c3d")
+    assert file["data"]["points"].shape[2] == file["data"]["rotations"].shape[3] == most
+    np.testing.assert_allclose(file["data"]["rotations"][:, :, 0, most - 1], np.eye(4))
+    assert np.isfinite(file["data"]["points"][0, :, most - 1]).all()
