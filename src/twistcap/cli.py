@@ -9,6 +9,7 @@ import typer
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: its threads cost small systems more than they save
 
+from twistcap.commands.board import board
 from twistcap.commands.body import body
 from twistcap.commands.calibrate import calibrate
 from twistcap.commands.demo import demo
@@ -33,7 +34,7 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (demo, calibrate, new, session, init, track, refine, view, studio, evaluate, export):
+for command in (demo, board, calibrate, new, session, init, track, refine, view, studio, evaluate, export):
     app.command()(command)
 app.add_typer(body)
 app.add_typer(prior)

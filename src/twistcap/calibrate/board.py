@@ -73,7 +73,8 @@ class Board(Checked, where="the board"):
     @property
     def size(self) -> tuple[float, float]:
         """(width, height), m."""
-        return self.columns * self.square, self.rows * self.square
+        gap = self.square - self.marker if self.kind == "aruco" else 0.0
+        return self.columns * self.square - gap, self.rows * self.square - gap
 
     @property
     def one_way(self) -> bool:
@@ -96,7 +97,7 @@ class Board(Checked, where="the board"):
 
     def image(self, pixels: int) -> AnyArray:
         """(H, W) uint8 picture without a margin, `pixels` for each square."""
-        shape = (self.columns * pixels, self.rows * pixels)
+        shape = tuple(round(side / self.square * pixels) for side in self.size)
         if self.kind == "chessboard":
             row, column = np.indices((self.rows, self.columns))
             image = np.kron(np.where((row + column) % 2, 255, 0), np.ones((pixels, pixels))).astype(np.uint8)

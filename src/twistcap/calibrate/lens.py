@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from twistcap.arrays import Float
-from twistcap.camera import Camera
+from twistcap.camera.calibrated import Camera, distort, distort_fisheye
 
 Kind = Literal["brown", "fisheye"]
 PINHOLE = 4  # numbers before those of the distortion
@@ -86,6 +86,12 @@ class Lens:
                 xy = xy + np.clip(step / det[:, None], -0.5, 0.5)
             missed = np.abs(bend(xy, numbers[PINHOLE:])[0] - wanted).max(axis=1)
         return np.where((missed < 1e-6)[:, None], xy, np.nan)
+
+    def pixels(self, numbers: Float, points: Float) -> Float:
+        """Pixels (N, 2) of camera points (N, 3) before the camera."""
+        xy = points[:, :2] / points[:, 2:]
+        bent = distort_fisheye if self.kind == "fisheye" else distort
+        return np.exp(numbers[:2]) * bent(xy, numbers[PINHOLE:]) + self.middle + self.side * numbers[2:PINHOLE]
 
     def project(self, numbers: Float, points: Float) -> tuple[Float, Float, Float]:
         """Pixels (N, 2) of camera points (N, 3) before the camera, with their derivatives by the points (N, 2, 3) and

@@ -226,6 +226,6 @@ def _misfit(
     off = list[Float]()
     for s in own:
         seen = se3.apply(places[s.camera] @ T, solid.points[s.ids])
-        pixels = lenses[s.camera].project(numbers[s.camera], np.where(seen[:, 2:] > 0.02, seen, np.nan))[0]
+        pixels = lenses[s.camera].pixels(numbers[s.camera], np.where(seen[:, 2:] > 0.02, seen, np.nan))
         off.append(np.nan_to_num(np.linalg.norm(pixels - s.pixels, axis=1), nan=1e4))
     return float(np.mean([np.median(o) for o in off]))

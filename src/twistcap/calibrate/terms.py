@@ -104,7 +104,7 @@ class SightingTerm:
         pixels, by_seen, by_numbers = self.lens.project(x[self.numbers].values, safe)
         scale = np.where(before, 1.0 / self.sigma, 0.0)[:, None]
         residual, by_seen = scale * (pixels - self._target(x)), scale[..., None] * by_seen
-        energy, weight = self._loss(self._offsets(x))
+        energy, weight = self._loss(np.where(before, np.sum(residual * residual, axis=1), _WRONG**2))
         by_world = by_seen @ x[self.camera].camera.T_cam_world[:3, :3]
         slopes = [Slope(self.poses, _rows(by_world @ _moved(world)), 6 * self.frame)]
         if self.camera in x.free:
@@ -123,7 +123,7 @@ class SightingTerm:
     def residuals(self, x: Variables) -> Float:
         """(N, 2) px, seen less measured; NaN behind the camera."""
         seen = self._points(x)[1]
-        pixels = self.lens.project(x[self.numbers].values, np.where(seen[:, 2:] > _NEAREST, seen, np.nan))[0]
+        pixels = self.lens.pixels(x[self.numbers].values, np.where(seen[:, 2:] > _NEAREST, seen, np.nan))
         return pixels - self._target(x)
 
     def _target(self, x: Variables) -> Float:
