@@ -14,12 +14,12 @@ import numpy as np
 
 from twistcap.arrays import Bool, Float
 from twistcap.body import Pose
+from twistcap.calibrate.covariance import marginals
 from twistcap.calibrate.lens import Lens
 from twistcap.calibrate.sightings import SCENE, Sighting
 from twistcap.calibrate.terms import KnownLens, SightingTerm, Solid
 from twistcap.camera import Camera
-from twistcap.errors import InputError
-from twistcap.solve import Arrow, BlockProblem, CameraBlock, Dense, PoseTrack, Variables, Vector, minimise
+from twistcap.solve import BlockProblem, CameraBlock, PoseTrack, Variables, Vector, minimise
 from twistcap.terms.coordinates import BlockGaussian
 
 _REACHES = (60.0, 20.0, 6.0)  # px: a wrong start is still within the first, most wrong points are beyond the last
@@ -243,7 +243,8 @@ def _reached(setup: Setup, x: Variables) -> Guess:
 
 
 def _outcome(setup: Setup, x: Variables, sigmas: Float, kept: list[Bool], energy: float) -> Adjustment:
-    shared = _marginals(setup.problem(sigmas, None, kept), x)
+    problem = setup.problem(sigmas, None, kept)
+    shared = marginals(problem, x, [term for term in problem.terms if isinstance(term, SightingTerm)])
     start = x.slices["boards"].stop if "boards" in x.slices else 0
 
     def block(name: str) -> Float:
@@ -261,19 +262,6 @@ def _outcome(setup: Setup, x: Variables, sigmas: Float, kept: list[Bool], energy
         {name: np.sqrt(np.diagonal(block(f"shape of {name}"))) for name in setup.solids},
         tuple(_residuals(setup, x)), energy,
     )  # fmt: skip
-
-
-def _marginals(problem: BlockProblem, x: Variables) -> Float:
-    """(K, K) covariance of all but the boards' poses."""
-    system = problem.linearised(x)
-    try:
-        return system.marginals().shared if isinstance(system, Arrow) else _inverted(system)
-    except InputError as error:
-        raise InputError("calibrate: the board was seen too little to determine the cameras; film it again.") from error
-
-
-def _inverted(system: Dense) -> Float:
-    return system.covariance()
 
 
 def _track(motions: Sequence[Float]) -> PoseTrack:

@@ -81,14 +81,19 @@ def write(found: Calibration, folder: Path, json: bool = False) -> None:
     """``Calib.toml`` and the page; the numbers in the terminal."""
     from twistcap.calibrate.advice import camera_rows, sentences
     from twistcap.io.calibration import write_rig
+    from twistcap.report.calibration import write_calibration_page
 
     terminal.output_folder(folder)
     path = folder / "Calib.toml"
     write_rig(found.rig, path)
+    page = write_calibration_page(found, folder, f"Calibration {folder.resolve().name}")
     if json:
-        terminal.emit({"id": "calibrate", "file": path, "cameras": camera_rows(found), "told": sentences(found)})
+        terminal.emit(
+            {"id": "calibrate", "file": path, "page": page, "cameras": camera_rows(found), "told": sentences(found)}
+        )
         return
     typer.echo(path)
+    typer.echo(page)
     for sentence in sentences(found):
         typer.echo(sentence, err=True)
 

@@ -47,8 +47,8 @@ def _page(board: Board, paper: str) -> tuple[float, float]:
     needed = (1e3 * board.size[0] + 2 * _MARGIN, 1e3 * board.size[1] + _FOOT + _MARGIN)
     if paper == "fit":
         return max(needed[0], _RULER + 2 * _MARGIN), needed[1]
-    upright = PAPERS[paper]
-    for page in (upright, upright[::-1]):
+    wide, high = PAPERS[paper]
+    for page in ((wide, high), (high, wide)):
         if page[0] >= needed[0] and page[1] >= needed[1]:
             return page
     mend = 'choose a larger paper, "fit", or smaller squares'
