@@ -97,7 +97,7 @@ def rendered(seed: int, cameras: int, moments: int) -> Filmed:
     """Images of the board, which moves while the shutter is open, a little defocused, noisy; then detected."""
     rng = np.random.default_rng(seed)
     rig, places, out = rig_about(cameras, rng), list(board_places(moments, rng, BOARD)), list[Sighting]()
-    find, picture, views = Detector(BOARD), BOARD.image(96), [rays_of(camera) for camera in rig]
+    find, picture, views = Detector(BOARD), BOARD.image(40), [rays_of(camera) for camera in rig]
     for m, T in enumerate(places):
         motion = np.concatenate([0.003 * rng.normal(size=3), 0.002 * rng.normal(size=3)]) if m else np.zeros(6)
         for c, camera in enumerate(rig):
@@ -112,7 +112,7 @@ def rendered(seed: int, cameras: int, moments: int) -> Filmed:
     return Filmed(rig, BOARD, places[0], out)
 
 
-def rays_of(camera: Camera, fine: int = 2) -> Float:
+def rays_of(camera: Camera, fine: int = 3) -> Float:
     """(fine H, fine W, 2) image-plane coordinates of the parts of each pixel."""
     parts = (np.arange(fine * max(SIZE)) + 0.5) / fine - 0.5
     x, y = np.meshgrid(parts[: fine * SIZE[0]], parts[: fine * SIZE[1]])

@@ -12,6 +12,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: its threads 
 from twistcap.commands.board import board
 from twistcap.commands.body import body
 from twistcap.commands.calibrate import calibrate
+from twistcap.commands.convert import convert
 from twistcap.commands.demo import demo
 from twistcap.commands.evaluate import evaluate
 from twistcap.commands.export import export
@@ -34,7 +35,7 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (demo, board, calibrate, new, session, init, track, refine, view, studio, evaluate, export):
+for command in (demo, board, calibrate, convert, new, session, init, track, refine, view, studio, evaluate, export):
     app.command()(command)
 app.add_typer(body)
 app.add_typer(prior)
