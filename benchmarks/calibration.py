@@ -15,7 +15,7 @@ import argparse
 import csv
 import os
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,13 +24,17 @@ import numpy as np
 
 from twistcap import se3
 from twistcap.arrays import AnyArray, Float
+from twistcap.calibrate.adjust import Setup, adjust
 from twistcap.calibrate.advice import camera_rows
 from twistcap.calibrate.board import Board, board_of
-from twistcap.calibrate.calibrate import Calibration, Options, of_sightings
+from twistcap.calibrate.calibrate import Calibration, Options, alone_seen, of_sightings
 from twistcap.calibrate.detect import Detector
+from twistcap.calibrate.scene import Scene, calibrated_by_scene, read_scene
 from twistcap.calibrate.sightings import Sighting, moving
 from twistcap.calibrate.world import lying
 from twistcap.camera import Camera, Rig, look_at
+from twistcap.io.cameras import read_cameras
+from twistcap.io.video import open_source
 
 SIZE = (1280, 720)
 BOARD = board_of("charuco:9x6:100:75:4X4_50")
@@ -232,6 +236,56 @@ def charuco() -> None:
         compare(found, supplied)
 
 
+GRIDS = {"cam01": ((1.0075, -0.10), (1.0076, -7.29)), "cam02": ((1.0076, -0.10), (1.0075, -7.25))}
+"""From the pixels of the balancing videos to those of the plates and lens pictures: the README of balance_4view."""
+
+
+def balance() -> None:
+    """balance_4view from scratch: lenses by 25 chessboard pictures, places by the 18 points of the treadmill."""
+    folder = DATA / "balance_4view"
+    scene, names = read_scene(folder / "calibration/landmarks.json"), ("cam01", "cam02", "cam03", "cam04")
+    on_plates = {c: {k: _on_plate(c, pixel) for k, pixel in own.items()} for c, own in scene.pixels.items()}
+    scene, board = replace(scene, pixels=on_plates), board_of("chessboard:5x8:60")
+    pictures = {name: open_source(folder / f"calibration/intrinsics/int_{name}_img") for name in names}
+    options, sizes = Options(("brown",)), dict.fromkeys(range(4), (1088, 1920))
+    seen = alone_seen(pictures, names, board, options, lambda note: None)
+    found = calibrated_by_scene(scene, seen, board, names, sizes, options)
+    supplied, _ = read_cameras(folder / "calibration/Calib.qca.txt")
+    a, left = found.adjustment, left_out(found, scene, names)
+    for c, name in enumerate(names):
+        off = next(r for s, r in zip(a.sightings, a.residuals, strict=True) if s.camera == c and s.solid == "scene")
+        focal = 100 * (found.rig[c].K[0, 0] / supplied[c].K[0, 0] - 1)
+        median, alone = np.median(np.linalg.norm(off, axis=1)), np.median(left[c])
+        told = f"median {median:.2f} px, each left out in turn {alone:.2f} px"
+        sigma = 100 * lens_sigmas(found, c)[0]
+        print(f"{name}: scene points {told}; focal {focal:.2f} % from the supplied, claimed +- {sigma:.2f}")
+
+
+def left_out(found: Calibration, scene: Scene, names: Sequence[str]) -> list[list[float]]:
+    """By camera, px: how far each point is from where it was seen, if left out and placed by the others."""
+    a, out = found.adjustment, [list[float]() for _ in names]
+    for k in range(len(scene.points)):
+        fewer = [_without(s, k) if s.solid == "scene" else s for s in a.sightings]
+        rig = adjust(Setup(a.guess, tuple(fewer), a.solids, gauge=None)).cameras(names)
+        seeing = [c for c, name in enumerate(names) if k in scene.pixels[name]]
+        for c in seeing:
+            rays = {d: rig[d].rays(scene.pixels[names[d]][k]) for d in seeing if d != c}
+            if len(rays) > 1:
+                rows = np.concatenate([-se3.hat(n) for n, _ in rays.values()])
+                point = np.linalg.lstsq(rows, np.concatenate([m for _, m in rays.values()]), rcond=None)[0]
+                out[c].append(float(np.linalg.norm(rig[c].project(point)[0] - scene.pixels[names[c]][k])))
+    return out
+
+
+def _without(s: Sighting, point: int) -> Sighting:
+    return replace(s, ids=s.ids[s.ids != point], pixels=s.pixels[s.ids != point])
+
+
+def _on_plate(camera: str, pixel: Float) -> Float:
+    grid = np.array(GRIDS.get(camera, ((1.0, 0.0), (1.0, 0.0))))
+    return grid[:, 0] * pixel + grid[:, 1]
+
+
 def compare(found: Calibration, supplied: Rig) -> None:
     """Places against the supplied ones, after the best rigid motion, with what is claimed."""
     rows, claimed = errors(aligned(found.rig, supplied), supplied), camera_rows(found)
@@ -275,13 +329,13 @@ def rms(sizes: Float) -> float:
 def main() -> None:
     """Print the measures of one case."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("case", choices=["rendered", "projected", "charuco"])
+    parser.add_argument("case", choices=["rendered", "projected", "charuco", "balance"])
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--cameras", type=int, default=4)
     parser.add_argument("--moments", type=int, default=100)
     given = parser.parse_args()
-    if given.case == "charuco":
-        charuco()
+    if given.case in ("charuco", "balance"):
+        (charuco if given.case == "charuco" else balance)()
         return
     simulated(given.case, given.seeds, given.cameras, given.moments)
 

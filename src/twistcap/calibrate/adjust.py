@@ -147,7 +147,10 @@ class Setup:
     def problem(self, sigmas: Float, reach: float | None, kept: Sequence[Bool] | None = None) -> BlockProblem:
         """The terms of all sightings, and of what is known of lenses and shapes before."""
         every = kept or [np.ones(len(s.ids), np.bool_) for s in self.sightings]
-        terms = [self._term(s, float(sigmas[s.camera]), reach, w) for s, w in zip(self.sightings, every, strict=True)]
+        terms = [
+            self._term(s, s.rough * float(sigmas[s.camera]), reach, w)
+            for s, w in zip(self.sightings, every, strict=True)
+        ]
         shapes = [BlockGaussian(f"shape of {n}", np.zeros_like(x.sigmas), x.sigmas) for n, x in self.solids.items()]
         lenses = [KnownLens(self.guess.lenses[c], f"lens {c}") for c in sorted({s.camera for s in self.sightings})]
         known = [] if self.fixed_lenses else lenses
@@ -201,16 +204,20 @@ def _residuals(setup: Setup, x: Variables) -> list[Float]:
 
 def _noise(setup: Setup, x: Variables) -> Float:
     """(C,) standard deviation of the points of each camera, px, whatever a quarter of the points of all say."""
-    sizes = [np.linalg.norm(r, axis=1) / setup.guess.noise[s.camera] for s, r in _by_sighting(setup, x)]
+    sizes = [np.linalg.norm(r, axis=1) / _expected(setup, s) for s, r in _by_sighting(setup, x)]
     return _scaled(setup, float(np.nanmedian(np.concatenate(sizes))) / _RAYLEIGH)
 
 
 def _noise_of_kept(setup: Setup, x: Variables, kept: Sequence[Bool]) -> Float:
     """(C,) the same of the points that are kept, with the share of the numbers that were fitted to them."""
     parts = zip(_by_sighting(setup, x), kept, strict=True)
-    sizes = np.concatenate([np.linalg.norm(r[k], axis=1) / setup.guess.noise[s.camera] for (s, r), k in parts])
+    sizes = np.concatenate([np.linalg.norm(r[k], axis=1) / _expected(setup, s) for (s, r), k in parts])
     free = max(2 * len(sizes) - x.dof, 0.1 * len(sizes))
     return _scaled(setup, float(np.sqrt(np.sum(sizes * sizes) / free)))
+
+
+def _expected(setup: Setup, s: Sighting) -> float:
+    return s.rough * setup.guess.noise[s.camera]
 
 
 def _scaled(setup: Setup, factor: float) -> Float:
@@ -228,7 +235,7 @@ def _cameras(setup: Setup) -> range:
 def _right(setup: Setup, x: Variables, sigmas: Float) -> tuple[Setup, list[Bool]]:
     """The sightings with enough points that fit, and which points those are."""
     parts = _by_sighting(setup, x)
-    off = [(s, np.nan_to_num(np.linalg.norm(r, axis=1), nan=np.inf) / sigmas[s.camera]) for s, r in parts]
+    off = [(s, np.nan_to_num(np.linalg.norm(r, axis=1), nan=np.inf) / (s.rough * sigmas[s.camera])) for s, r in parts]
     good = [(s, o < _KEPT) for s, o in off if np.sum(o < _KEPT) >= min(_FEWEST, len(o))]
     return replace(setup, guess=_reached(setup, x), sightings=tuple(s for s, _ in good)), [k for _, k in good]
 

@@ -142,6 +142,8 @@ def _board(found: Calibration) -> list[str]:
 
 def _lonely(found: Calibration) -> list[str]:
     """Pairs are not all needed, but every camera needs some moments with others."""
+    if "scene" in found.adjustment.solids:
+        return []
     seen: dict[int, set[int]] = {}
     for s in found.adjustment.sightings:
         if s.moment != SCENE:

@@ -89,11 +89,7 @@ def calibrated(
     options, lone, names = options or Options(), lone or {}, tuple(sources)
     board = found_variant([*sources.values(), *lone.values()], board)
     shared = seen(list(sources.values()), board, options, told)
-    alone = [
-        replace(s, camera=names.index(name), moment=LONE * (1 + names.index(name)) + s.moment)
-        for name, source in lone.items()
-        for s in look([source], board, _spread(source, options.looks), told)
-    ]
+    alone = alone_seen(lone, names, board, options, told)
     sizes = {c: source.size for c, source in enumerate(sources.values())}
     return of_sightings([*shared, *alone], board, names, sizes, options, told)
 
@@ -152,6 +148,17 @@ def seen(sources: Sequence[Source], board: Board, options: Options, told: Told) 
         beside = sorted({m + d for m in wanted for d in (-1, 1)} & set(range(length)) - {s.moment for s in first})
         first += look(sources, board, beside, told)
     return moving(first)
+
+
+def alone_seen(
+    lone: Mapping[str, Source], names: Sequence[str], board: Board, options: Options, told: Told
+) -> list[Sighting]:
+    """Sightings of pictures that one camera took alone, each a moment of its own."""
+    return [
+        replace(s, camera=names.index(name), moment=LONE * (1 + names.index(name)) + s.moment)
+        for name, source in lone.items()
+        for s in look([source], board, _spread(source, options.looks), told)
+    ]
 
 
 def _spread(source: Source, most: int) -> list[int]:

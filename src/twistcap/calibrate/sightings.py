@@ -26,6 +26,7 @@ class Sighting:
     Cameras that show the same `moment` show the same pose of the board. `solid` "scene" is for points of the scene,
     which do not move: its moment is `SCENE`. `motion` (2, N, 2) is how the points move in the image, by the frames
     before and after: velocity and half the acceleration, px per frame and its square; None where it is not known.
+    `rough` is how many times less exact its points are than is usual for the camera.
     """
 
     camera: int
@@ -35,6 +36,7 @@ class Sighting:
     blur: float = 0.0
     solid: str = "board"
     motion: Float | None = None
+    rough: float = 1.0
 
 
 def look(

@@ -92,7 +92,7 @@ def chained(sightings: Sequence[Sighting], fits: Sequence[LensFit], solid: Solid
         there = [(s, T) for s in own for T in seen[s.camera, moment][1]]
         guesses = [se3.inverse(places[s.camera]) @ T for s, T in there]
         if guesses:
-            boards[moment] = min(guesses, key=lambda T: _misfit(T, own, places, lenses, numbers, solid))
+            boards[moment] = min(guesses, key=lambda T: misfit(T, own, places, lenses, numbers, solid))
     noise = tuple(float(f.adjustment.sigmas[0]) for f in fits)
     return Guess(lenses, numbers, tuple(places[c] for c in range(len(names))), boards, noise, (0.0,) * len(names))
 
@@ -113,7 +113,7 @@ def _misfits(few: Sequence[Sighting], solid: Solid, lens: Lens, numbers: Float) 
     out = list[float]()
     for s in few:
         places = placed(lens, numbers, s, solid)
-        out.append(min((_misfit(T, [s], {s.camera: np.eye(4)}, [lens], [numbers], solid) for T in places), default=1e3))
+        out.append(min((misfit(T, [s], {s.camera: np.eye(4)}, [lens], [numbers], solid) for T in places), default=1e3))
     return float(np.mean(out))
 
 
@@ -218,7 +218,7 @@ def _check_joined(places: Mapping[int, AnyArray], names: Sequence[str]) -> None:
         )
 
 
-def _misfit(
+def misfit(
     T: Float, own: Sequence[Sighting], places: Mapping[int, Float], lenses: Sequence[Lens], numbers: Sequence[Float],
     solid: Solid,
 ) -> float:  # fmt: skip

@@ -20,14 +20,18 @@ def calibrate(
     folder: Annotated[Path, typer.Argument(help="Folder for Calib.toml and the page; created.", metavar="DIR")],
     board: Annotated[str, typer.Option(help="board.toml of `twistcap board`, or such as charuco:5x7:40:30:4X4_50.")],
     videos: Annotated[
-        list[str], typer.Option(help="A video, a folder, or images. Write CAMERA=PATH if the name is not enough.")
-    ],
+        list[str] | None,
+        typer.Option(help="A video, a folder, or images. Write CAMERA=PATH if the name is not enough."),
+    ] = None,
     more: Annotated[
         list[str] | None, typer.Argument(help="More videos, as for --videos.", metavar="[VIDEO]...")
     ] = None,
     lone: Annotated[
         list[str] | None,
         typer.Option("--lens-of", help="CAMERA=PATH: pictures of the board by that camera alone, for its lens."),
+    ] = None,
+    points: Annotated[
+        Path | None, typer.Option(help="JSON of measured points of the scene, instead of videos; with --lens-of.")
     ] = None,
     floor: Annotated[
         int | None, typer.Option(min=0, help="Frame in which the board lies on the floor, face up.")
@@ -46,18 +50,38 @@ def calibrate(
       twistcap calibrate rig --board charuco:5x7:40:30:4X4_50 --videos left=a.mp4 --videos right=b.mp4
 
       twistcap calibrate rig --board chessboard:8x5:60 --videos together/ --lens-of left=lens/left
+
+      twistcap calibrate rig --board chessboard:8x5:60 --points points.json --lens-of lenses/
     """
     from twistcap.calibrate.board import board_of
     from twistcap.calibrate.calibrate import Options, calibrated
 
     check_choice("--lens", lens, _LENSES)
     chosen: Any = _LENSES[lens]
-    sources, alone = sources_of([*videos, *(more or [])]), sources_of(lone or [])
-    _check_alone(alone, sources)
-    options = Options(chosen, looks, floor=floor, clocks=clocks)
+    options, alone = Options(chosen, looks, floor=floor, clocks=clocks), sources_of(lone or [])
+    sources = sources_of([*(videos or []), *(more or [])])
+    if (points is None) != bool(sources):
+        raise InputError("give videos of the board, as --videos, or measured points, as --points; one of the two.")
     with terminal.status("calibrating") as report:
-        found = calibrated(sources, board_of(board), options, alone, report)
+        if points is not None:
+            found = _by_points(points, board_of(board), options, alone, report)
+        else:
+            _check_alone(alone, sources)
+            found = calibrated(sources, board_of(board), options, alone, report)
     write(found, folder, json)
+
+
+def _by_points(points: Path, board: Any, options: Any, alone: dict[str, Any], report: Any) -> Calibration:
+    from twistcap.calibrate.calibrate import alone_seen, found_variant
+    from twistcap.calibrate.scene import calibrated_by_scene, read_scene
+
+    scene = read_scene(points)
+    if not alone:
+        raise InputError("--points needs pictures of the board by each camera, as --lens-of, for the lenses.")
+    board, names = found_variant(list(alone.values()), board), tuple(alone)
+    sightings = alone_seen(alone, names, board, options, report)
+    sizes = {c: source.size for c, source in enumerate(alone.values())}
+    return calibrated_by_scene(scene, sightings, board, names, sizes, options, told=report)
 
 
 def sources_of(texts: list[str]) -> dict[str, Any]:

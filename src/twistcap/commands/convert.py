@@ -29,7 +29,7 @@ def convert(
 
       twistcap convert Calib.qca.txt Calib.toml
 
-      twistcap convert opencap/Videos Calib.toml --format opencap --up=-y
+      twistcap convert opencap/Videos Calib.toml --format opencap --up -y
 
       twistcap convert matrices/ Calib.toml --size 1920x1080
     """
