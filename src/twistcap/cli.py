@@ -9,7 +9,10 @@ import typer
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy: its threads cost small systems more than they save
 
+from twistcap.commands.board import board
 from twistcap.commands.body import body
+from twistcap.commands.calibrate import calibrate
+from twistcap.commands.convert import convert
 from twistcap.commands.demo import demo
 from twistcap.commands.evaluate import evaluate
 from twistcap.commands.export import export
@@ -33,7 +36,10 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (demo, new, session, init, track, refine, view, studio, evaluate, gait, export):
+_COMMANDS = (
+    demo, board, calibrate, convert, new, session, init, track, refine, view, studio, evaluate, gait, export,
+)  # fmt: skip
+for command in _COMMANDS:
     app.command()(command)
 app.add_typer(body)
 app.add_typer(prior)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -157,3 +159,18 @@ def test_a_rig_scales_and_straightens_all_its_cameras() -> None:
     assert len(rig) == 2 and rig.names == ("c", "c")
     assert all(c.size == (320, 240) for c in rig.scaled(0.5))
     assert not any(np.any(c.dist) for c in rig.pinhole())
+
+
+def test_a_fisheye_lens_is_opencvs_and_is_undone() -> None:
+    rng = np.random.default_rng(0)
+    fish = replace(camera(np.array([0.08, -0.02, 0.004, -0.001, 0.0])), fisheye=True)
+    points = rng.uniform(-1.5, 1.5, (40, 3)) + np.array([0.0, 0.0, 1.7])
+    moved = points @ fish.T_cam_world[:3, :3].T + fish.T_cam_world[:3, 3]
+    points, moved = points[moved[:, 2] > 0.1], moved[moved[:, 2] > 0.1]
+    expected = cv2.fisheye.projectPoints(moved[:, None], np.zeros(3), np.zeros(3), fish.K, fish.dist[:4])[0][:, 0]
+    pixels = fish.project(points)[0]
+    np.testing.assert_allclose(pixels, expected, atol=1e-6)
+    np.testing.assert_allclose(fish.normalised(pixels), moved[:, :2] / moved[:, 2:], rtol=1e-6, atol=1e-8)
+    assert fish.distorts and not fish.pinhole().fisheye
+    beyond = fish.normalised(np.array([[1e5, 1e5]]))
+    assert np.all(np.isnan(beyond))

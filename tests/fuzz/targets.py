@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -20,11 +20,14 @@ from twistcap.body.gltf import load_glb, save_glb
 from twistcap.body.humanoid import humanoid
 from twistcap.body.obj_rig import load_makehuman
 from twistcap.body.rig_spec import read_rig as read_rig_spec
+from twistcap.calibrate.board import Board, read_board
 from twistcap.camera import Rig
+from twistcap.errors import naming
 from twistcap.evaluate.load import load_reference
 from twistcap.io.asf import read_amc
 from twistcap.io.bvh import read_bvh, write_bvh
 from twistcap.io.calibration import read_rig, write_rig
+from twistcap.io.cameras import Asked, read_cameras, write_cameras
 from twistcap.io.deepmimic import read_deepmimic
 from twistcap.io.keypoints import LAYOUTS, read_clicks, read_openpose
 from twistcap.io.markers import write_trc
@@ -95,6 +98,22 @@ stray_deg = 4.0
 """
 
 
+CAMERA_FILES = {
+    "caliscope": "array.toml",
+    "opencv yml": "opencv/cam0.yml",
+    "opencv xml": "cam0.xml",
+    "easymocap intri": "easymocap/intri.yml",
+    "easymocap extri": "easymocap/extri.yml",
+    "qualisys": "a.qca.txt",
+    "vicon": "a.xcp",
+    "opencap": "opencap/cam0/cameraIntrinsicsExtrinsics.pickle",
+    "colmap cameras": "colmap/cameras.txt",
+    "colmap images": "colmap/images.txt",
+    "projections": "P.txt",
+}
+"""A file of each format of calibrations; of a pair, both."""
+
+
 @dataclass(frozen=True)
 class Target:
     """A reader, and the file that it is given damaged."""
@@ -109,6 +128,8 @@ def targets(folder: Path) -> Mapping[str, Target]:
     man = humanoid()
     by_name: dict[str, tuple[str, Callable[[Path], Any]]] = {
         "calibration": ("Calib.toml", read_rig),
+        **{f"calibration {name}": (file, _cameras(name, folder)) for name, file in CAMERA_FILES.items()},
+        "calibration board": ("board.toml", read_board),
         "session": ("session.toml", load_session),
         "rig": ("hinge.rig.toml", read_rig_spec),
         "skeleton table": ("table.toml", read_table),
@@ -159,6 +180,23 @@ def _write_c3d(path: Path, points: Any) -> None:
     file.write(str(path))
 
 
+def _cameras(name: str, seeds: Path) -> Callable[[Path], Any]:
+    """A reader of one of the other formats; of a pair of files, the other one is whole."""
+    kind, seed = name.split()[0], seeds / CAMERA_FILES[name]
+    asked = Asked(1.0 if kind in ("colmap", "opencv") else None, (384, 280))
+
+    def read(path: Path) -> Any:
+        if kind not in ("colmap", "easymocap"):
+            return read_cameras(path, kind, asked, up="z")
+        pair = path.parent / "pair"
+        shutil.copytree(seed.parent, pair, dirs_exist_ok=True)
+        shutil.copyfile(path, pair / seed.name)
+        with naming(path):
+            return read_cameras(pair, kind, asked, up="z")
+
+    return read
+
+
 def _times(rows: int) -> Any:
     return np.arange(rows) / 60
 
@@ -175,10 +213,28 @@ def _mask(path: Path) -> Any:
     return read_masks(path.parent, Rig(RIG.cameras[:1]), 0)
 
 
+def _write_cameras(folder: Path) -> None:
+    straight = Rig(tuple(replace(c, dist=np.r_[c.dist[:2], 0, 0, 0]) for c in RIG))
+    for name in ("opencv", "easymocap", "opencap", "colmap"):
+        write_cameras(RIG, folder / name, name)
+    write_cameras(RIG, folder / "array.toml", "caliscope")
+    write_cameras(RIG, folder / "a.qca.txt", "qualisys")
+    write_cameras(straight, folder / "a.xcp", "vicon")
+    (folder / "P.txt").write_text("\n".join(" ".join(map(str, row)) for c in RIG for row in c.P))
+    (folder / "board.toml").write_text(Board().toml)
+    storage = cv2.FileStorage(str(folder / "cam0.xml"), cv2.FILE_STORAGE_WRITE)
+    for key, value in (("camera_matrix", RIG[0].K), ("distortion_coefficients", RIG[0].dist[None])):
+        storage.write(key, value)
+    storage.write("R", RIG[0].T_cam_world[:3, :3])
+    storage.write("T", RIG[0].T_cam_world[:3, 3:])
+    storage.release()
+
+
 def _write(folder: Path) -> None:
     rng = np.random.default_rng(0)
     man, poses = humanoid(), [Pose.rest(humanoid())] * 3
     write_rig(RIG, folder / "Calib.toml")
+    _write_cameras(folder)
     for name, text in (
         ("session.toml", SESSION),
         ("a.asf", ASF),

@@ -75,7 +75,7 @@ def test_real_file_agrees_with_opencv(shared_data: Path) -> None:
         (r"^matrix = \[\[500.0", "matrix = [[-500.0", "focal lengths"),
         (r"^size = .*", "size = [384]", "'size' must hold 2 numbers"),
         (r"^size = .*", "size = ['a', 'b']", "'size' must hold 2 numbers"),
-        (r"^fisheye = false", "fisheye = true", "fisheye lenses are not supported"),
+        (r"^fisheye = false", "fisheye = 1", "'fisheye' must be true or false"),
         (r"^rotation = .*", "rotation = [[1,0,0],[0,1,0],[0,0,-1]]", "mirrored"),
         (r"^rotation = .*", "rotation = [[1,0,0],[0,2,0],[0,0,1]]", "no rotation"),
         (r"^\[\"cam0\"\]", "[cam0", "not valid TOML"),

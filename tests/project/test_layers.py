@@ -33,6 +33,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("studio",),
     ("acquire",),
     ("io",),
+    ("calibrate",),
     ("evaluate",),
     ("report", "view"),
     ("pages",),

@@ -1,4 +1,4 @@
-"""Calibrated cameras: pinhole with OpenCV's distortion, and rigs of them.
+"""Calibrated cameras: pinhole with OpenCV's distortion, or its fisheye lens, and rigs of them.
 
 x right, y down, z forward; pixel centres at integers; ``X_cam = T_cam_world X_world`` (metres).
 """
@@ -25,7 +25,8 @@ class Camera:
     Attributes:
         K, size: (3, 3) intrinsic matrix and (width, height), pixels.
         T_cam_world: (4, 4) world to camera, metres.
-        dist: (5,) OpenCV distortion k1, k2, p1, p2, k3.
+        dist: (5,) OpenCV distortion k1, k2, p1, p2, k3; of a fisheye lens k1, k2, k3, k4, 0.
+        fisheye: whether the lens is OpenCV's fisheye model.
     """
 
     name: str
@@ -33,6 +34,12 @@ class Camera:
     T_cam_world: Float
     size: tuple[int, int]
     dist: Float = field(default_factory=lambda: np.zeros(5))
+    fisheye: bool = False
+
+    @property
+    def distorts(self) -> bool:
+        """Whether its images are others than those of `pinhole`."""
+        return self.fisheye or bool(np.any(self.dist))
 
     @property
     def centre(self) -> Float:
@@ -69,7 +76,7 @@ class Camera:
         depth = X[..., 2]
         with np.errstate(divide="ignore", invalid="ignore"):
             xy = np.where(depth[..., None] > 0, X[..., :2] / depth[..., None], np.nan)
-        xy = distort(xy, self.dist)
+        xy = self.bent(xy)
         return xy @ self.K[:2, :2].T + self.K[:2, 2], depth
 
     def normalised(self, pixels: ArrayLike) -> Float:
@@ -78,7 +85,12 @@ class Camera:
         (fx, skew), fy = self.K[0, :2], self.K[1, 1]
         y = (px[..., 1] - self.K[1, 2]) / fy
         x = (px[..., 0] - self.K[0, 2] - skew * y) / fx
-        return undistort(np.stack([x, y], axis=-1), self.dist)
+        bent = np.stack([x, y], axis=-1)
+        return undistort_fisheye(bent, self.dist) if self.fisheye else undistort(bent, self.dist)
+
+    def bent(self, xy: Float) -> Float:
+        """Image-plane coordinates (..., 2) as the lens shows them."""
+        return distort_fisheye(xy, self.dist) if self.fisheye else distort(xy, self.dist)
 
     def rays(self, pixels: ArrayLike) -> tuple[Float, Float]:
         """Plücker rays through pixels: unit direction n and moment m = c × n, both (..., 3), world, metres.
@@ -105,7 +117,7 @@ class Camera:
 
     def pinhole(self) -> Camera:
         """The same camera without distortion, that of images from a `Rectifier`."""
-        return replace(self, dist=np.zeros(5))
+        return replace(self, dist=np.zeros(5), fisheye=False)
 
 
 def pinhole(P: Float, points: Float) -> tuple[Float, Float, Float]:
@@ -150,6 +162,34 @@ def undistort(xy: Float, dist: Float) -> Float:
         return np.where((error < 1e-6)[..., None], guess, np.nan)
 
 
+def distort_fisheye(xy: Float, dist: Float) -> Float:
+    """OpenCV's fisheye model on image-plane coordinates (..., 2): a polynomial of the angle to the axis.
+
+    Kannala and Brandt, "A Generic Camera Model and Calibration Method", DOI 10.1109/TPAMI.2006.153.
+    """
+    r = np.hypot(xy[..., 0], xy[..., 1])
+    bent = _bent_angle(np.arctan(r), dist)
+    return xy * np.where(r > 1e-9, bent / np.maximum(r, 1e-9), 1.0)[..., None]
+
+
+def undistort_fisheye(xy: Float, dist: Float) -> Float:
+    """Inverse of `distort_fisheye` by Newton's method; NaN beyond the fold of the polynomial, or a right angle."""
+    bent = np.hypot(xy[..., 0], xy[..., 1])
+    theta, powers = np.minimum(bent, 1.5), np.arange(3, 10, 2)
+    with np.errstate(all="ignore"):
+        for _ in range(20):
+            slope = 1.0 + (theta[..., None] ** (powers - 1)) @ (dist[:4] * powers)
+            theta = theta - np.clip((_bent_angle(theta, dist) - bent) / slope, -0.3, 0.3)
+        good = (np.abs(_bent_angle(theta, dist) - bent) < 1e-9) & (theta >= 0.0) & (theta < 0.499 * np.pi)
+        good &= 1.0 + (theta[..., None] ** (powers - 1)) @ (dist[:4] * powers) > 0.0
+        stretch = np.where(bent > 1e-9, np.tan(theta) / np.maximum(bent, 1e-9), 1.0)
+    return np.where(good[..., None], xy * stretch[..., None], np.nan)
+
+
+def _bent_angle(theta: Float, dist: Float) -> Float:
+    return theta + (theta[..., None] ** np.arange(3, 10, 2)) @ dist[:4]
+
+
 @dataclass(frozen=True)
 class Rig:
     """The cameras of one recording, in one world frame."""
@@ -182,10 +222,10 @@ class Rectifier:
     def __init__(self, camera: Camera) -> None:
         self.camera = camera.pinhole()
         self._maps: tuple[Float32, Float32] | None = None
-        if np.any(camera.dist):
+        if camera.distorts:
             width, height = camera.size
             x, y = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
-            source = distort(self.camera.normalised(np.stack([x, y], axis=-1)), camera.dist)
+            source = camera.bent(self.camera.normalised(np.stack([x, y], axis=-1)))
             source = source @ camera.K[:2, :2].T + camera.K[:2, 2]
             self._maps = (source[..., 0].astype(np.float32), source[..., 1].astype(np.float32))
 

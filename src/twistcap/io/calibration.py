@@ -18,7 +18,7 @@ from twistcap.arrays import Float
 from twistcap.camera import Camera, Rig
 from twistcap.doors.images import MOST_PIXELS
 from twistcap.doors.text import number_array, read_toml
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 from twistcap.io.plausible import check_plausible
 
 Unit = Literal["m", "mm"]
@@ -31,7 +31,7 @@ def read_rig(path: str | Path, unit: Unit | None = None) -> Rig:
     """Read a calibration and check that it can be true.
 
     `unit` is that of the translations; None takes ``unit`` in the file's ``[metadata]``, and metres where there is
-    none. Raises InputError for a missing file, a missing, malformed, non-finite or impossible entry, or a fisheye lens;
+    none. Raises InputError for a missing file, a missing, malformed, non-finite or impossible entry;
     and what `check_plausible` raises.
     """
     path = Path(path)
@@ -63,13 +63,14 @@ def write_rig(rig: Rig, path: str | Path) -> None:
 
 
 def _camera(where: str, key: str, table: Mapping[str, Any], scale: float) -> Camera:
-    if table.get("fisheye", False):
-        raise InputError(f"{where}: fisheye lenses are not supported; undistort the video and set fisheye = false.")
+    fisheye = table.get("fisheye", False)
+    check(where, isinstance(fisheye, bool), "the field 'fisheye' must be true or false")
     size = _numbers(where, table, "size", (2,))
     K = _numbers(where, table, "matrix", (3, 3))
     dist = _numbers(where, table, "distortions", (None,)) if "distortions" in table else np.zeros(5)
-    if np.any(dist[5:]):
-        most = "at most five (k1, k2, p1, p2, k3) are supported"
+    if np.any(dist[4 if fisheye else 5 :]):
+        most = "at most " + ("four (k1 to k4) of a fisheye lens" if fisheye else "five (k1, k2, p1, p2, k3)")
+        most += " are supported"
         raise InputError(f"{where}: distortions has {dist.size} numbers; {most}.")
     dist = np.concatenate([dist, np.zeros(5)])[:5]
     R = _rotation(where, table)
@@ -77,7 +78,7 @@ def _camera(where: str, key: str, table: Mapping[str, Any], scale: float) -> Cam
     if np.any(size < 1) or not np.allclose(size, np.round(size)):
         raise InputError(f"{where}: 'size' is {size.tolist()}; it must be [width, height] in whole pixels.")
     name = str(table.get("name", key))
-    camera = Camera(name, K, se3.transform(R, t), (round(size[0]), round(size[1])), dist)
+    camera = Camera(name, K, se3.transform(R, t), (round(size[0]), round(size[1])), dist, fisheye)
     check_camera(where, camera)
     return camera
 
@@ -141,4 +142,4 @@ def _table(camera: Camera) -> str:
         "translation": camera.T_cam_world[:3, 3].tolist(),
     }
     lines = [f"{key} = {value}" for key, value in values.items()]
-    return "\n".join([f"[{name}]", f"name = {name}", *lines, "fisheye = false\n"])
+    return "\n".join([f"[{name}]", f"name = {name}", *lines, f"fisheye = {str(camera.fisheye).lower()}\n"])

@@ -50,7 +50,7 @@ def draft_session(videos: Sequence[str], calibration: Path, unit: Unit | None = 
     differ.
     """
     rig = read_rig(calibration, unit)
-    paths = matched([path for text in videos for path in _expanded(text)], rig.names)
+    paths = matched([path for text in videos for path in recordings(text)], rig.names)
     used = Rig(tuple(camera for camera in rig if camera.name in paths))
     sources = {camera.name: open_source(paths[camera.name]) for camera in used}
     ordered = {name: paths[name] for name in used.names}
@@ -95,7 +95,7 @@ def _camera_of(path: str, cameras: Sequence[str]) -> str:
     return fitting[0]
 
 
-def _expanded(text: str) -> list[tuple[str | None, str]]:
+def recordings(text: str) -> list[tuple[str | None, str]]:
     """The recordings of one argument: each video of a folder of videos; a folder of images as one."""
     name, equals, path = text.partition("=")
     if equals and not Path(text).exists():

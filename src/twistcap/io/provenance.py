@@ -101,7 +101,8 @@ def _digest(*arrays: AnyArray) -> str:
 
 
 def _camera_digest(camera: Camera) -> str:
-    return _digest(camera.K, camera.T_cam_world, np.array(camera.size), camera.dist)
+    lens = (camera.dist, np.ones(1)) if camera.fisheye else (camera.dist,)
+    return _digest(camera.K, camera.T_cam_world, np.array(camera.size), *lens)
 
 
 def _body_digest(body: Body) -> str:

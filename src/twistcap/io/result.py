@@ -22,6 +22,7 @@ from twistcap.arrays import AnyArray, Bool, Float, Int, UInt8
 from twistcap.body import Body, Landmarks, Pose
 from twistcap.camera import Camera, Rig
 from twistcap.doors.hdf5 import read_hdf5, trust
+from twistcap.doors.schema import flag
 from twistcap.doors.text import parsed_json
 from twistcap.errors import InputError, naming
 from twistcap.estimate import UNSEEN, Estimate
@@ -298,7 +299,8 @@ def read_result(path: str | Path) -> Result:
     no HDF5, no result, of another format, or holds what no track writes.
     """
     held, source = _held(path), f"result file {path}"
-    rows, rig = frames_of(held, source), of_group(held, "rig", RIG, source)
+    lenses = {"fisheye": flag("C")} if "rig/fisheye" in held else {}
+    rows, rig = frames_of(held, source), of_group(held, "rig", {**RIG, **lenses}, source)
     with naming(path):
         body = _body_of(of_group(held, "body", BODY, source))
         _check_frames(rows, body, len(rig["names"]))
@@ -368,7 +370,8 @@ def _body_of(held: Mapping[str, Any]) -> Body:
 
 def _camera_of(source: str, held: Mapping[str, Any], i: int) -> Camera:
     size = (int(held["size"][i, 0]), int(held["size"][i, 1]))
-    camera = Camera(str(held["names"][i]), held["K"][i], held["T_cam_world"][i], size, held["dist"][i])
+    fisheye = bool(held["fisheye"][i]) if "fisheye" in held else False
+    camera = Camera(str(held["names"][i]), held["K"][i], held["T_cam_world"][i], size, held["dist"][i], fisheye)
     check_camera(f"{source}, camera {camera.name!r}", camera)
     return camera
 

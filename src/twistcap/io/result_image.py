@@ -141,6 +141,8 @@ def _write_head(file: h5py.File, result: Result) -> None:
     _write_strings(rig, "names", result.rig.names)
     for name in RIG_ARRAYS:
         rig[name] = np.array([getattr(camera, name) for camera in result.rig])
+    if any(camera.fisheye for camera in result.rig):  # older versions read all other results
+        rig["fisheye"] = np.array([camera.fisheye for camera in result.rig])
 
 
 def _write_body(group: h5py.Group, body: Body) -> None:

@@ -106,7 +106,7 @@ def visible_projection(camera: Camera, points: Float) -> tuple[Float, Float]:
     """
     pixels, depth = camera.project(points)
     good = (depth > 1e-3) & np.isfinite(pixels).all(axis=-1)
-    if np.any(camera.dist):
+    if camera.distorts:
         straight, _ = camera.pinhole().project(points)
         back = camera.normalised(np.where(good[:, None], pixels, 0.0)) @ camera.K[:2, :2].T + camera.K[:2, 2]
         with np.errstate(invalid="ignore"):

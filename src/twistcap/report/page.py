@@ -47,18 +47,18 @@ def write_report(
     folder: Path | str, title: str, rows: Sequence[Row], *, lead: str = "", told: Sequence[str] = (),
     headlines: Sequence[Headline] = (),
     figures: Sequence[Figure] = (), video: Path | None = None, files: Mapping[Path, str] | None = None,
-    notes: Sequence[str] = (),
+    notes: Sequence[str] = (), advice: Sequence[str] = (), name: str = "report.html",
 ) -> Path:  # fmt: skip
     """Write a stand-alone HTML page; every text is escaped, pictures are embedded, nothing is loaded from a network.
 
     Args:
-        folder: of the page, report.html, whose path is returned; the video and the files are linked relative to it.
+        folder, name: of the page, whose path is returned; the video and the files are linked relative to it.
         title, lead, rows: heading, the sentence under it, and table of measures.
         told: sentences on what is doubtful, below the headlines.
         headlines: the few numbers that matter, in large type.
         figures, video: PNG files to embed, and the overlay, which is linked.
         files: other files, path to description.
-        notes: remarks below the table.
+        notes, advice: remarks below the table; what to do, above the pictures.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -73,6 +73,7 @@ def write_report(
         f'<p class="lead">{escape(lead)}</p>',
         _cards(headlines),
         _list("Lost frames and cameras", [escape(sentence) for sentence in told]),
+        _list("What to do", [escape(line) for line in advice]),
         _video(folder, video),
         "\n".join(map(_figure, figures)),
         _table(rows),
@@ -80,7 +81,7 @@ def write_report(
         _list("Files", links),
         f"<footer>{cite}<ul>{papers}</ul></footer>",
     ]
-    path = folder / "report.html"
+    path = folder / name
     css = (resources.files("twistcap.report") / "report.css").read_text(encoding="utf-8")
     head = '<meta charset="utf-8">\n<meta name="viewport" content="width=device-width, initial-scale=1">'
     head += f"\n<title>{escape(title)}</title>\n<style>\n{css}</style>"

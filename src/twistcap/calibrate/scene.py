@@ -1,0 +1,111 @@
+"""Cameras by points of the scene that were measured, and lenses by pictures of a board that each camera took alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twistcap import se3
+from twistcap.arrays import Float
+from twistcap.calibrate.adjust import Guess, Setup, adjust
+from twistcap.calibrate.board import Board
+from twistcap.calibrate.calibrate import Calibration, Options
+from twistcap.calibrate.sightings import SCENE, Sighting, by_camera, chosen, sharp
+from twistcap.calibrate.start import LensFit, fitted_lens, misfit, placed
+from twistcap.calibrate.terms import Solid, flat, measured
+from twistcap.camera import Rig
+from twistcap.doors.text import number_array, read_json_table
+from twistcap.errors import InputError, check
+
+_FEWEST = 6  # measured points that a camera must see
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Measured points: names, places (P, 3), world, m, and pixels (x, y) by camera and number of the point."""
+
+    names: tuple[str, ...]
+    points: Float
+    pixels: Mapping[str, Mapping[int, Float]]
+
+    def sightings(self, cameras: Sequence[str]) -> list[Sighting]:
+        """What each camera sees of it. Raises InputError for a camera that sees too little."""
+        out = list[Sighting]()
+        for c, camera in enumerate(cameras):
+            own = self.pixels.get(camera, {})
+            if len(own) < _FEWEST:
+                raise InputError(f"camera {camera} sees {len(own)} measured points; it needs at least {_FEWEST}.")
+            out.append(Sighting(c, SCENE, np.array(list(own), np.int32), np.array(list(own.values())), solid="scene"))
+        return out
+
+
+def read_scene(path: Path) -> Scene:
+    """Points of a JSON table: by name ``world_m`` [x, y, z] and ``pixels``, [x, y] by camera, or null where it
+    does not see it. Raises InputError."""
+    table, pixels = read_json_table(path), dict[str, dict[int, Float]]()
+    points = list[Float]()
+    for k, (name, entry) in enumerate(table.items()):
+        where = f"points {path}, {name!r}"
+        held: Any = entry if isinstance(entry, dict) else {}
+        check(where, isinstance(held.get("pixels"), dict), "it needs 'world_m', three numbers, and 'pixels', by camera")
+        points.append(number_array(held.get("world_m"), (3,), f"{where}: 'world_m'"))
+        for camera, pixel in held["pixels"].items():
+            if pixel is None:  # not seen
+                continue
+            pixels.setdefault(camera, {})[k] = number_array(pixel, (2,), f"{where}: 'pixels' of {camera}")
+    check(f"points {path}", len(points) >= _FEWEST, f"it holds {len(points)} points; at least {_FEWEST} are needed")
+    return Scene(tuple(table), np.array(points), pixels)
+
+
+def calibrated_by_scene(
+    scene: Scene, sightings: Sequence[Sighting], board: Board, names: Sequence[str],
+    sizes: Mapping[int, tuple[int, int]], options: Options | None = None, sigma: float = 0.003, clicked: float = 0.5,
+    told: Callable[[str], None] = lambda note: None,
+) -> Calibration:  # fmt: skip
+    """Calibrate by measured points, which fix the world, and pictures of a board by each camera alone.
+
+    Args:
+        scene: the points, each measured to `sigma` m, and found in the images to `clicked` px.
+        sightings: of the board; no two cameras share a moment.
+
+    Raises InputError: for a camera that saw too little of either; points that no place of a camera explains.
+    """
+    options, solid, every = options or Options(), flat(board.points), by_camera(sightings)
+    fits = list[LensFit]()
+    for c, name in enumerate(names):
+        told(f"lens of {name}")
+        fits.append(fitted_lens(sharp(every.get(c, [])), solid, sizes[c], name, options.kinds))
+    used = [s for own in every.values() for s in chosen(sharp(own), sizes, options.moments[1])]
+    points, seen = measured(scene.points, sigma), scene.sightings(names)
+    guess = _guess(fits, used, solid, seen, points, names)
+    seen = [replace(s, rough=max(clicked / guess.noise[s.camera], 1.0)) for s in seen]
+    used = [s for s in used if s.moment in guess.boards]
+    told("adjusting")
+    setup = Setup(guess, (*used, *seen), {"board": solid, "scene": points}, gauge=None)
+    adjustment = adjust(setup, told)
+    return Calibration(Rig(adjustment.cameras(names)), adjustment, board, tuple(fits), (0,) * len(names), True)
+
+
+def _guess(
+    fits: Sequence[LensFit], used: Sequence[Sighting], solid: Solid, seen: Sequence[Sighting], points: Solid,
+    names: Sequence[str],
+) -> Guess:  # fmt: skip
+    lenses, numbers = tuple(f.lens for f in fits), tuple(f.numbers for f in fits)
+    places = list[Float]()
+    for s, name in zip(seen, names, strict=True):
+        ways = placed(lenses[s.camera], numbers[s.camera], s, points)
+        if not ways:
+            raise InputError(f"camera {name}: no place explains its measured points; check their numbers and pixels.")
+        own = {s.camera: np.eye(4)}
+        places.append(min(ways, key=lambda T, s=s, own=own: misfit(T, [s], own, lenses, numbers, points)))
+    boards = {
+        s.moment: se3.inverse(places[s.camera]) @ ways[0]
+        for s in used
+        if (ways := placed(lenses[s.camera], numbers[s.camera], s, solid))
+    }
+    noise = tuple(float(f.adjustment.sigmas[0]) for f in fits)
+    return Guess(lenses, numbers, tuple(places), boards, noise, (0.0,) * len(names))

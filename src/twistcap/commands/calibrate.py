@@ -1,0 +1,131 @@
+"""``twistcap calibrate``: cameras from recordings of a board."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from twistcap.commands import terminal
+from twistcap.errors import InputError, check_choice
+
+if TYPE_CHECKING:
+    from twistcap.calibrate.calibrate import Calibration
+
+_LENSES = {"auto": ("brown", "fisheye"), "brown": ("brown",), "fisheye": ("fisheye",)}
+
+
+def calibrate(
+    folder: Annotated[Path, typer.Argument(help="Folder for Calib.toml and the page; created.", metavar="DIR")],
+    board: Annotated[str, typer.Option(help="board.toml of `twistcap board`, or such as charuco:5x7:40:30:4X4_50.")],
+    videos: Annotated[
+        list[str] | None,
+        typer.Option(help="A video, a folder, or images. Write CAMERA=PATH if the name is not enough."),
+    ] = None,
+    more: Annotated[
+        list[str] | None, typer.Argument(help="More videos, as for --videos.", metavar="[VIDEO]...")
+    ] = None,
+    lone: Annotated[
+        list[str] | None,
+        typer.Option("--lens-of", help="CAMERA=PATH: pictures of the board by that camera alone, for its lens."),
+    ] = None,
+    points: Annotated[
+        Path | None, typer.Option(help="JSON of measured points of the scene, instead of videos; with --lens-of.")
+    ] = None,
+    floor: Annotated[
+        int | None, typer.Option(min=0, help="Frame in which the board lies on the floor, face up.")
+    ] = None,
+    lens: Annotated[str, typer.Option(help="auto, brown (OpenCV's 5 numbers) or fisheye.")] = "auto",
+    looks: Annotated[int, typer.Option(min=3, help="Frames of each video in which the board is looked for.")] = 400,
+    clocks: Annotated[bool, typer.Option(help="Estimate by how much cameras show another moment.")] = True,
+    json: terminal.Json = False,
+) -> None:
+    """Calibrate cameras by videos of a board that is carried about: DIR/Calib.toml and DIR/calibration.html.
+
+    Examples:
+
+      twistcap calibrate rig --board board.toml --videos filmed/ --floor 0
+
+      twistcap calibrate rig --board charuco:5x7:40:30:4X4_50 --videos left=a.mp4 --videos right=b.mp4
+
+      twistcap calibrate rig --board chessboard:8x5:60 --videos together/ --lens-of left=lens/left
+
+      twistcap calibrate rig --board chessboard:8x5:60 --points points.json --lens-of lenses/
+    """
+    from twistcap.calibrate.board import board_of
+    from twistcap.calibrate.calibrate import Options, calibrated
+
+    check_choice("--lens", lens, _LENSES)
+    chosen: Any = _LENSES[lens]
+    options, alone = Options(chosen, looks, floor=floor, clocks=clocks), sources_of(lone or [])
+    sources = sources_of([*(videos or []), *(more or [])])
+    if (points is None) != bool(sources):
+        raise InputError("give videos of the board, as --videos, or measured points, as --points; one of the two.")
+    with terminal.status("calibrating") as report:
+        if points is not None:
+            found = _by_points(points, board_of(board), options, alone, report)
+        else:
+            _check_alone(alone, sources)
+            found = calibrated(sources, board_of(board), options, alone, report)
+    write(found, folder, json)
+
+
+def _by_points(points: Path, board: Any, options: Any, alone: dict[str, Any], report: Any) -> Calibration:
+    from twistcap.calibrate.calibrate import alone_seen, found_variant
+    from twistcap.calibrate.scene import calibrated_by_scene, read_scene
+
+    scene = read_scene(points)
+    if not alone:
+        raise InputError("--points needs pictures of the board by each camera, as --lens-of, for the lenses.")
+    board, names = found_variant(list(alone.values()), board), tuple(alone)
+    sightings = alone_seen(alone, names, board, options, report)
+    sizes = {c: source.size for c, source in enumerate(alone.values())}
+    return calibrated_by_scene(scene, sightings, board, names, sizes, options, told=report)
+
+
+def sources_of(texts: list[str]) -> dict[str, Any]:
+    """Open recordings by camera: as said, else the name of the file or folder. Raises InputError."""
+    from twistcap.io.new_session import recordings
+    from twistcap.io.video import open_source
+
+    out: dict[str, Any] = {}
+    for said, path in (pair for text in texts for pair in recordings(text)):
+        name = said or Path(path.split("%")[0].rstrip("/")).stem
+        if name in out:
+            raise InputError(f"camera {name!r} is given two recordings; write CAMERA=PATH.")
+        out[name] = open_source(path)
+    rates = [source.fps for source in out.values() if source.fps]
+    if rates and max(rates) > 1.01 * min(rates):
+        raise InputError("the videos differ in frames per second; convert them to one rate.")
+    return out
+
+
+def write(found: Calibration, folder: Path, json: bool = False) -> None:
+    """``Calib.toml`` and the page; the numbers in the terminal."""
+    from twistcap.calibrate.advice import camera_rows, sentences
+    from twistcap.io.calibration import write_rig
+    from twistcap.report.calibration import write_calibration_page
+
+    terminal.output_folder(folder)
+    path = folder / "Calib.toml"
+    write_rig(found.rig, path)
+    page = write_calibration_page(found, folder, f"Calibration {folder.resolve().name}")
+    if json:
+        terminal.emit(
+            {"id": "calibrate", "file": path, "page": page, "cameras": camera_rows(found), "told": sentences(found)}
+        )
+        return
+    typer.echo(path)
+    typer.echo(page)
+    for sentence in sentences(found):
+        typer.echo(sentence, err=True)
+
+
+def _check_alone(alone: dict[str, Any], sources: dict[str, Any]) -> None:
+    for name, source in alone.items():
+        if name not in sources:
+            raise InputError(f"--lens-of names the camera {name!r}, which has no video; name it in --videos.")
+        if source.size != sources[name].size:
+            sizes = " and ".join(f"{w}×{h}" for w, h in (source.size, sources[name].size))
+            raise InputError(f"camera {name}: its lens pictures and its video differ in size ({sizes} pixels).")

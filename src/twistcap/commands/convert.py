@@ -1,0 +1,66 @@
+"""``twistcap convert``: calibrations of other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, get_args
+
+import typer
+
+from twistcap.commands import terminal
+from twistcap.errors import InputError, check_choice
+
+
+def convert(
+    source: Annotated[Path, typer.Argument(help="Calibration file, or a folder of them.", metavar="IN")],
+    out: Annotated[Path, typer.Argument(help="File or folder to write.", metavar="OUT")],
+    to: Annotated[str, typer.Option(help="Format of OUT: see below.")] = "toml",
+    of: Annotated[str | None, typer.Option("--format", help="Format of IN, if its name does not say.")] = None,
+    unit: Annotated[str | None, typer.Option(help="m or mm: unit of IN, if it is not the usual one.")] = None,
+    up: Annotated[str | None, typer.Option(help="Axis of IN that is up: x, -x, y, -y, z or -z.")] = None,
+    size: Annotated[str | None, typer.Option(help="Size of the images, if IN lacks it, as 1920x1080.")] = None,
+    json: terminal.Json = False,
+) -> None:
+    """Read a calibration of another program, and write it in the format of another, z up and in metres.
+
+    Formats: toml (Pose2Sim, aniposelib), caliscope, opencv, easymocap, qualisys, vicon, opencap, colmap, projections.
+
+    Examples:
+
+      twistcap convert Calib.qca.txt Calib.toml
+
+      twistcap convert opencap/Videos Calib.toml --format opencap --up -y
+
+      twistcap convert matrices/ Calib.toml --size 1920x1080
+    """
+    from twistcap.io.cameras import FORMATS, Asked, read_cameras, write_cameras
+    from twistcap.io.cameras.axes import Up
+
+    units = {None: None, "m": 1.0, "mm": 1e-3}
+    check_choice("--unit", unit, units)
+    check_choice("--to", to, FORMATS)
+    axis: Any = up
+    if up is not None:
+        check_choice("--up", up, get_args(Up))
+    rig, told = read_cameras(source, of, Asked(units[unit], _size(size)), axis)
+    write_cameras(rig, out, to)
+    if json:
+        centres = {camera.name: camera.centre for camera in rig}
+        terminal.emit({"id": "convert", "file": out, "centres_m": centres, "up": told})
+        return
+    typer.echo(out)
+    typer.echo(told, err=True)
+    for camera in rig:
+        x, y, z = camera.centre
+        typer.echo(
+            f"Camera {camera.name}: at ({x:.3f}, {y:.3f}, {z:.3f}) m, {camera.size[0]}×{camera.size[1]} px.", err=True
+        )
+
+
+def _size(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    width, _, height = text.lower().partition("x")
+    if not (width.isdigit() and height.isdigit() and 0 < len(width) < 6 and 0 < len(height) < 6):
+        raise InputError(f"--size is {text!r}; write WIDTHxHEIGHT, such as 1920x1080.")
+    return int(width), int(height)

@@ -1,0 +1,52 @@
+"""Which axis of a calibration's world is up: told by the images, and turned to z only if the user says so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal, get_args
+
+import numpy as np
+
+from twistcap import se3
+from twistcap.arrays import Float
+from twistcap.camera import Rig
+from twistcap.errors import InputError
+
+Up = Literal["x", "-x", "y", "-y", "z", "-z"]
+_CLEAR = np.cos(np.deg2rad(40.0))  # of the angle between an axis and up in the images
+
+
+def axis_up(rig: Rig) -> Up | None:
+    """The axis that is up by the images, of cameras that are held upright; None where no axis is near enough."""
+    up = -np.mean([camera.T_cam_world[1, :3] for camera in rig], axis=0)
+    size = float(np.linalg.norm(up))
+    found = max(get_args(Up), key=lambda axis: float(up @ _vector(axis)))
+    return found if size > 1e-6 and float(up @ _vector(found)) > _CLEAR * size else None
+
+
+def with_z_up(rig: Rig, up: Up) -> Rig:
+    """The rig in the world in which the axis `up` is z: the others are turned on by one place, never mirrored."""
+    third = _vector(up)
+    first = np.roll(np.abs(third), 1)
+    turn = np.stack([first, np.cross(third, first), third])
+    back = se3.transform(turn.T, np.zeros(3))
+    return Rig(tuple(replace(camera, T_cam_world=camera.T_cam_world @ back) for camera in rig))
+
+
+def checked_up(rig: Rig, said: Up | None, source: str) -> tuple[Rig, str]:
+    """The rig with z up, and a sentence that says how that is known.
+
+    Raises InputError where the user does not say what is up, and the images do not agree that it is z.
+    """
+    found = axis_up(rig)
+    if said is not None:
+        doubt = f"; by the images it is {found}, so look at it" if found not in (said, None) else ""
+        return with_z_up(rig, said), f"Up is {said}, as said{doubt}."
+    if found == "z":
+        return rig, "Up is z: the images agree."
+    told = "the images do not say what is up" if found is None else f"up is {found} by the images, not z"
+    raise InputError(f"{source}: {told}; say it: --up {found or 'z'} turns that axis to z.")
+
+
+def _vector(axis: str) -> Float:
+    return (-1.0 if axis.startswith("-") else 1.0) * np.eye(3)["xyz".index(axis[-1])]

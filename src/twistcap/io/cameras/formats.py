@@ -1,0 +1,110 @@
+"""The formats of calibrations, by name and by what a path looks like."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from twistcap.camera import Rig
+from twistcap.doors.text import read_text
+from twistcap.errors import InputError, check_choice, naming
+from twistcap.io.calibration import read_rig, write_rig
+from twistcap.io.cameras.axes import Up, checked_up
+from twistcap.io.cameras.parts import Asked
+from twistcap.io.cameras.storage import read_easymocap, read_opencv, write_easymocap, write_opencv
+from twistcap.io.cameras.studios import read_qualisys, read_vicon, write_qualisys, write_vicon
+from twistcap.io.cameras.tables import read_caliscope, read_opencap, write_caliscope, write_opencap
+from twistcap.io.cameras.texts import read_colmap, read_projections, write_colmap, write_projections
+from twistcap.io.plausible import check_plausible
+
+
+@dataclass(frozen=True)
+class CameraFormat:
+    """A format: `read(path, asked)`, `write(rig, path)`, whether a path is a folder, and what it is."""
+
+    name: str
+    about: str
+    read: Callable[[Path, Asked], Rig]
+    write: Callable[[Rig, Path], None]
+    folder: bool = False
+
+
+def _read_toml(path: Path, asked: Asked) -> Rig:
+    units = {None: None, 1.0: "m", 1e-3: "mm"}
+    return read_rig(path, units.get(asked.unit))  # pyright: ignore[reportArgumentType]
+
+
+FORMATS: dict[str, CameraFormat] = {
+    f.name: f
+    for f in (
+        CameraFormat("toml", "Calib.toml of Pose2Sim and aniposelib", _read_toml, write_rig),
+        CameraFormat("caliscope", "camera_array.toml", read_caliscope, write_caliscope),
+        CameraFormat("opencv", "OpenCV's .yml or .xml, one for each camera", read_opencv, write_opencv, True),
+        CameraFormat("easymocap", "intri.yml and extri.yml", read_easymocap, write_easymocap, True),
+        CameraFormat("qualisys", ".qca.txt", read_qualisys, write_qualisys),
+        CameraFormat("vicon", ".xcp", read_vicon, write_vicon),
+        CameraFormat("opencap", "pickles, one for each camera", read_opencap, write_opencap, True),
+        CameraFormat("colmap", "cameras.txt and images.txt", read_colmap, write_colmap, True),
+        CameraFormat("projections", "3 × 4 matrices as text", read_projections, write_projections, True),
+    )
+}
+
+
+def format_named(name: str) -> CameraFormat:
+    """The format of that name. Raises InputError for another."""
+    check_choice("the format of the calibration", name, FORMATS)
+    return FORMATS[name]
+
+
+def format_of(path: Path) -> CameraFormat:
+    """The format that a path looks like. Raises InputError where it looks like none."""
+    inside = {p.name for p in path.iterdir()} if path.is_dir() else {p.name for p in path.parent.glob("*") if p == path}
+    endings = {Path(name).suffix.lower() for name in inside}
+    if inside & {"intri.yml", "extri.yml"}:
+        return FORMATS["easymocap"]
+    if inside & {"cameras.txt", "images.txt"}:
+        return FORMATS["colmap"]
+    if path.name.lower().endswith(".qca.txt"):
+        return FORMATS["qualisys"]
+    if path.suffix.lower() == ".toml":
+        return FORMATS["caliscope" if "[cameras." in read_text(path) else "toml"]
+    by_ending = {".xcp": "vicon", ".yml": "opencv", ".yaml": "opencv", ".xml": "opencv", ".pickle": "opencap"}
+    named = [by_ending[e] for e in sorted(endings) if e in by_ending]
+    if not named and path.is_dir() and any(path.rglob("*.pickle")):
+        named = ["opencap"]
+    if named:
+        return FORMATS[named[0]]
+    if ".txt" in endings:
+        return FORMATS["projections"]
+    raise InputError(f"calibration {path}: its name does not say its format; say it, as --format opencv.")
+
+
+def read_cameras(
+    path: Path, name: str | None = None, asked: Asked | None = None, up: Up | None = None
+) -> tuple[Rig, str]:
+    """A rig out of any format, z up, with a sentence that says how what is up is known.
+
+    Raises InputError: for a file that is missing or damaged; where unit, size or up are not said and must be; for
+    cameras that cannot stand so.
+    """
+    if not path.exists():
+        raise InputError(f"calibration {path} does not exist; check its path.")
+    with naming(path):
+        kind = format_of(path) if name is None else format_named(name)
+        rig = kind.read(path, asked or Asked())
+        names = rig.names
+        for camera in names:
+            if names.count(camera) > 1:
+                raise InputError(f"calibration {path}: two cameras are named {camera!r}; give each its own name.")
+        rig, told = checked_up(rig, up, f"calibration {path}")
+        check_plausible(rig, floor=None, source=f"calibration {path}")
+    return rig, told
+
+
+def write_cameras(rig: Rig, path: Path, name: str) -> None:
+    """Write a rig in a format. Raises InputError for a lens that it cannot say, or a place that cannot be written."""
+    try:
+        format_named(name).write(rig, path)
+    except OSError as error:
+        raise InputError(f"calibration {path} cannot be written: {error.strerror or error}.") from error
