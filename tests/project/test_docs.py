@@ -17,7 +17,7 @@ from twistcap.cli import app
 ROOT = Path(__file__).parents[2]
 PROSE = [ROOT / name for name in ("README.md", "CONVENTIONS.md", "CONTRIBUTING.md")]
 PROSE += sorted((ROOT / "docs").rglob("*.md"))
-LINKED = [*PROSE, *sorted(ROOT.glob("*/README.md")), ROOT / "ARCHITECTURE.md"]
+LINKED = [*PROSE, *sorted(ROOT.glob("[!.]*/README.md")), ROOT / "ARCHITECTURE.md"]
 
 MOST_WORDS = 25
 MOST_CHARACTERS = 120

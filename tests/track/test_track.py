@@ -91,7 +91,7 @@ def test_a_pose_far_off_the_person_is_flagged_until_the_person_is_found() -> Non
     model = build(scene.body, scene.rig, Settings(first_sigma_m=0.001))
     estimates = list(track(frames, model, Pose(away, scene.first_pose.q)))
     first, last = (joint_errors_mm(scene, estimate).max() for estimate in (estimates[0], estimates[-1]))
-    assert estimates[0].lost and first > 150.0
+    assert any(e.lost for e in estimates[:3]) and first > 150.0
     assert not estimates[-1].lost and last < 50.0
 
 

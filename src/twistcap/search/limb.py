@@ -31,7 +31,7 @@ class LimbRule(Checked):
     Attributes:
         lacking: evidence that a limb lacks, over what is usual, from which on it is lost.
         late: fraction of its contour points of late that do not agree, from which on it is.
-        gain: nats by which the pictures must favour it elsewhere.
+        gain, share: nats by which the pictures must favour it elsewhere, and the least fraction of what is usual.
         better: by how much less it must lack, or its contour points disagree.
         near: rad, standard deviations of the draws about the best, one round after the other.
         draws: poses of the limb in each round, and as many anywhere within its limits.
@@ -42,6 +42,7 @@ class LimbRule(Checked):
     lacking: float = 0.35
     late: Share = 0.6
     gain: float = 30.0
+    share: Share = 0.25
     better: float = 0.15
     near: tuple[float, ...] = (0.5, 0.25, 0.125)
     draws: Count = 48
@@ -73,10 +74,12 @@ def regained(
     pose = now.fit.pose
     for i in lost:
         pose, most = _placed(rule, known, evidence, masks[i], rng, pose, most)
-    if most < before + rule.gain:
+    usual = known.nats.sum(axis=0) @ groups[lost].any(axis=0)
+    least = before + max(rule.gain, rule.share * float(usual))
+    if most < least:
         return None
     fit = now.problem.align(pose, crop=True)
-    if evidence.of(fit.pose) < before + rule.gain:
+    if evidence.of(fit.pose) < least:
         return None
     other = Judged(now.problem, fit, known.check(fit.posed, fit.sights, now.problem))
     return (

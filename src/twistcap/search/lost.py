@@ -168,7 +168,8 @@ class LostBody(Checked):
 
     def _with_limbs(self, memory: LostMemory, now: Judged, last: Moment) -> tuple[Judged, Moment, LostMemory]:
         """The frame with its lost limbs where they are found, and the moment before it, in which they rest."""
-        lost = self._lost_limbs(memory)
+        hidden = now.problem.in_sight(now.fit) < 0.5
+        lost = [limb for limb in self._lost_limbs(memory) if not hidden[memory.groups[limb]].any()]
         if memory.limb_waiting:
             return now, last, replace(memory, limb_waiting=memory.limb_waiting - 1)
         if not lost:
