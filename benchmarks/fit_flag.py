@@ -1,6 +1,6 @@
 """Fit the weights of `twistcap.search.flag` on captures with truth, and judge them on captures that were left out.
 
-    python benchmarks/fit_flag.py --seeds 1000-1199 --keep DIR
+    python benchmarks/fit_flag.py --seeds 1000-1131 --keep DIR
 
 Each seed is a capture of the fault bench; with every fourth comes a walk without faults whose body and cameras are not
 exact: there contours agree less, and nothing is lost. What was measured of each is kept in DIR, so that a run can be
@@ -10,9 +10,10 @@ broken off and go on. Six folds of whole captures give the honest figures; the p
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -22,26 +23,47 @@ from reproduce.faults.runs import JOINT_CENTRES, PARTS, errors_mm
 from reproduce.faults.staged import staged
 from reproduce.faults.take import Take, own_pictures
 from twistcap.arrays import Bool, Float
-from twistcap.body import Pose, Posed
+from twistcap.body import Posed
 from twistcap.build import build
 from twistcap.evaluate.metrics import LOST_FRAME_MM
-from twistcap.search.flag import SIGNS, features, flag_groups
+from twistcap.search.flag import SIGNS, beyond, flag_groups, ramps
 from twistcap.search.uncertain import segment_deviations
 from twistcap.studio import StudioConfig, capture
 from twistcap.track import Tracker
 
 FOLDS = 6
-SMOOTH = 5.0  # of the weights, as of a Gaussian prior
+SMOOTH = 1.0  # of the weights, as of a Gaussian prior
 
 
 @dataclass(frozen=True)
 class Seen:
-    """N frames of one capture with G limbs: features, which limbs and whether the body is lost, s unseen (0: seen)."""
+    """N frames of one capture with G limbs: signs of loss now and lately (N, G, SIGNS), deviation that is claimed of
+    each limb's place (N, G), which limbs (N, G) and whether the body (N,) is lost, s unseen (0: seen).
+    """
 
-    features: Float
+    signs: Float
+    lately: Float
+    deviation: Float
     limbs: Bool
     body: Bool
     unseen: Float
+
+    @property
+    def seen(self) -> Bool:
+        """(N,) frames that show the body."""
+        return self.unseen == 0.0
+
+    @property
+    def features(self) -> Float:
+        """(N, G, R) of the frames that show the body."""
+        frames = zip(self.signs[self.seen], self.lately[self.seen], self.deviation[self.seen], strict=True)
+        return np.array([ramps(*frame) for frame in frames]).reshape(int(self.seen.sum()), self.limbs.shape[1], -1)
+
+    @property
+    def blind(self) -> Float:
+        """(M, 2) features of the other frames."""
+        hidden = ~self.seen
+        return np.stack([np.log10(self.unseen[hidden]), beyond(self.deviation[hidden].max(axis=1))], axis=1)
 
 
 def measured(take: Take) -> Seen:
@@ -49,20 +71,20 @@ def measured(take: Take) -> Seen:
     body = take.scene.body
     tracker, groups = Tracker(build(body, take.scene.rig)), flag_groups(body)
     tracker.start(take.first_pose)
-    rows, unseen, poses = list[Float](), list[float](), list[Pose]()
+    signs, lately, deviations, unseen, poses = (list[Any]() for _ in range(5))
     for frame in take.frames():
         estimate = tracker.step(frame)
-        signs = tracker.state.searches["lost body"].signs
+        memory, blank = tracker.state.searches["lost body"], np.zeros((len(groups), SIGNS))
+        signs.append(blank if memory.signs is None else memory.signs)
+        lately.append(blank if memory.lately is None else memory.lately)
         deviation, _ = segment_deviations(Posed(body, estimate.pose), estimate.covariance)
-        spread = np.array([deviation[group].max() for group in groups])
-        rows.append(features(np.zeros((len(groups), SIGNS)) if signs is None else signs, spread))
-        blind = estimate.part_probability is None
-        unseen.append(max(frame.time - tracker.state.past.seen_time, 1e-3) if blind else 0.0)
+        deviations.append([deviation[group].max() for group in groups])
+        unseen.append(0.0 if estimate.seen else max(frame.time - tracker.state.past.seen_time, 1e-3))
         poses.append(estimate.pose)
     far = {name: errors_mm(take, poses, marks).max(axis=1) > LOST_FRAME_MM for name, marks in PARTS.items()}
-    part = [_part(body.segment_names, group) for group in groups]
+    limbs = np.stack([far[_part(body.segment_names, group)] for group in groups], axis=1)
     lost = errors_mm(take, poses, JOINT_CENTRES).max(axis=1) > LOST_FRAME_MM
-    return Seen(np.array(rows), np.stack([far[p] for p in part], axis=1), lost, np.array(unseen))
+    return Seen(np.array(signs), np.array(lately), np.array(deviations), limbs, lost, np.array(unseen))
 
 
 def _part(names: tuple[str, ...], group: Bool) -> str:
@@ -93,61 +115,72 @@ def inexact(seed: int) -> Take:
     return Take("inexact", "walk", scene, scene.first_pose, own_pictures(config.frames, config.views), (0, None))
 
 
-def logistic(A: Float, lost: Bool, smooth: float) -> Float:
-    """Constant and weights (F,) of the logistic model of lost (N,) by A (N, F)."""
-    mean, sd = A.mean(axis=0), A.std(axis=0) + 1e-9
-    X, y = np.column_stack([np.ones(len(A)), (A - mean) / sd]), lost.astype(float)
+def rising(A: Float, lost: Bool) -> Float:
+    """Constant and weights (F,), none of them negative, of the logistic model of lost (N,) by A (N, F)."""
+    X, y = np.column_stack([np.ones(len(A)), A]), lost.astype(float)
 
     def loss(w: Float) -> tuple[float, Float]:
-        z, pull = X @ w, smooth * np.append(0.0, w[1:])
-        gradient = X.T @ (1.0 / (1.0 + np.exp(-z)) - y) + pull
-        return float(np.logaddexp(0.0, z).sum() - y @ z + 0.5 * pull @ w), gradient
+        z = X @ w
+        gradient = X.T @ (1.0 / (1.0 + np.exp(-z)) - y) + SMOOTH * np.append(0.0, w[1:])
+        return float(np.logaddexp(0.0, z).sum() - y @ z + 0.5 * SMOOTH * w[1:] @ w[1:]), gradient
 
-    w = minimize(loss, np.zeros(X.shape[1]), jac=True, method="L-BFGS-B").x
-    return np.append(w[0] - (w[1:] * mean / sd).sum(), w[1:] / sd)
+    bounds = [(None, None), *[(0.0, None)] * A.shape[1]]
+    return minimize(loss, np.append(-5.0, np.zeros(A.shape[1])), jac=True, method="L-BFGS-B", bounds=bounds).x
 
 
 def two_most(limb: Float, A: Float) -> Float:
-    """(N, 2) logits of the second most and the most doubtful limb, of features (N, G, F)."""
-    return np.sort(np.clip(limb[0] + A @ limb[1:], -20.7, 20.7), axis=1)[:, -2:]
+    """(N, 2) log odds of the second most and the most doubtful limb, of features (N, G, R)."""
+    return np.sort(np.clip(limb[0] + A @ limb[1:], -20.0, 20.0), axis=1)[:, -2:]
 
 
-def fitted(runs: list[Seen]) -> tuple[Float, Float]:
-    """Weights of limbs and body."""
-    seen = [run.unseen == 0.0 for run in runs]
-    A = np.concatenate([run.features[s] for run, s in zip(runs, seen, strict=True)])
-    limbs = np.concatenate([run.limbs[s] for run, s in zip(runs, seen, strict=True)])
-    limb = logistic(A.reshape(-1, A.shape[2]), limbs.ravel(), SMOOTH)
-    lost = np.concatenate([run.body[s] for run, s in zip(runs, seen, strict=True)])
-    return limb, logistic(two_most(limb, A), lost, 1.0)
+def fitted(runs: Sequence[Seen]) -> tuple[Float, Float, Float]:
+    """Weights of limbs, of the body, and of a body that is not seen."""
+    A, limbs = np.concatenate([run.features for run in runs]), np.concatenate([run.limbs[run.seen] for run in runs])
+    limb = rising(A.reshape(-1, A.shape[2]), limbs.ravel())
+    body = rising(two_most(limb, A), np.concatenate([run.body[run.seen] for run in runs]))
+    gone = np.concatenate([run.body[~run.seen] for run in runs])
+    return limb, body, rising(np.concatenate([run.blind for run in runs]), gone)
+
+
+def probabilities(run: Seen, weights: tuple[Float, Float, Float]) -> Float:
+    """(N,) that the body is lost."""
+    limb, body, unseen = weights
+    z = np.zeros(len(run.body))
+    z[run.seen] = body[0] + two_most(limb, run.features) @ body[1:]
+    z[~run.seen] = unseen[0] + run.blind @ unseen[1:]
+    return 1.0 / (1.0 + np.exp(-z))
+
+
+def judge(p: Float, lost: Bool) -> None:
+    """Print how good probabilities (N,) are."""
+    for threshold in (0.3, 0.5, 0.75):
+        flag = p >= threshold
+        precision, recall = (flag & lost).sum() / max(flag.sum(), 1), (flag & lost).sum() / lost.sum()
+        silent = (lost & ~flag).mean()
+        print(f"from {threshold}: precision {precision:.3f}, recall {recall:.3f}, lost and not flagged {silent:.2%}")
+    for k in range(10):
+        within = (10 * p).astype(int).clip(0, 9) == k
+        share = lost[within].mean() if within.any() else np.nan
+        said = p[within].mean() if within.any() else np.nan
+        print(f"  {k / 10:.1f}-{k / 10 + 0.1:.1f}: {within.sum():6d} frames, lost {share:.2f}, said {said:.2f}")
 
 
 def main() -> None:
     """See above."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", default="1000-1109")
+    parser.add_argument("--seeds", default="1000-1131")
     parser.add_argument("--keep", type=Path, required=True)
     options = parser.parse_args()
     first, _, last = options.seeds.partition("-")
     runs = list(captures(range(int(first), int(last or first) + 1), options.keep))
-    probabilities, truth = list[Float](), list[Bool]()
+    p, lost = list[Float](), list[Bool]()
     for fold in range(FOLDS):
-        limb, body = fitted([run for k, run in enumerate(runs) if k % FOLDS != fold])
-        for run in runs[fold::FOLDS]:
-            z = body[0] + two_most(limb, run.features) @ body[1:]
-            probabilities.append(1.0 / (1.0 + np.exp(-z[run.unseen == 0.0])))
-            truth.append(run.body[run.unseen == 0.0])
-    p, lost = np.concatenate(probabilities), np.concatenate(truth)
-    flag = p >= 0.5
-    print(f"{len(runs)} captures, {len(p)} frames seen, {lost.sum()} lost")
-    print(f"precision {(flag & lost).sum() / max(flag.sum(), 1):.3f}, recall {(flag & lost).sum() / lost.sum():.3f}")
-    for k in range(10):
-        within = (10 * p).astype(int).clip(0, 9) == k
-        print(f"  {k / 10:.1f}-{k / 10 + 0.1:.1f}: {within.sum():6d} frames, lost {lost[within].mean():.2f}")
-    limb, body = fitted(runs)
-    gaps, gone = (np.concatenate(a) for a in ([r.unseen for r in runs], [r.body for r in runs]))
-    blind = logistic(np.log10(gaps[gaps > 0.0])[:, None], gone[gaps > 0.0], 1.0)
-    for name, weights in (("LIMB", limb), ("BODY", body), ("UNSEEN", blind)):
+        weights = fitted([run for k, run in enumerate(runs) if k % FOLDS != fold])
+        p += [probabilities(run, weights) for run in runs[fold::FOLDS]]
+        lost += [run.body for run in runs[fold::FOLDS]]
+    print(f"{len(runs)} captures, {sum(map(len, p))} frames, {sum(int(a.sum()) for a in lost)} lost")
+    judge(np.concatenate(p), np.concatenate(lost))
+    for name, weights in zip(("LIMB", "BODY", "UNSEEN"), fitted(runs), strict=True):
         print(f"{name} = ({', '.join(f'{w:.4g}' for w in weights)})")
 
 

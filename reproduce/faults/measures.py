@@ -97,11 +97,17 @@ def delays(lost: Bool, flagged: Bool) -> list[float]:
 
 
 def recovery(run: Run, mean: bool = False) -> float:
-    """Frames from the end of the fault until all joints are within 20 mm, or are so on average."""
+    """Frames from the end of the fault until all joints are within 20 mm, or are so on average.
+
+    They count from when every part is in two pictures: who comes back walks in.
+    """
     assert run.span[1] is not None
-    error = run.mean_mm if mean else run.error_mm
-    found = np.flatnonzero(error[run.span[1] + 1 :] <= FOUND_MM)
-    return float(found[0]) if len(found) else np.inf
+    error = (run.mean_mm if mean else run.error_mm)[run.span[1] + 1 :]
+    in_view = np.flatnonzero(run.in_images[run.span[1] + 1 :].min(axis=1) >= 2)
+    found = np.flatnonzero(error <= FOUND_MM)
+    if not len(found):
+        return np.inf if len(in_view) else 0.0
+    return max(0.0, float(found[0] - in_view[0])) if len(in_view) else 0.0
 
 
 def tables(runs: Sequence[Run]) -> str:

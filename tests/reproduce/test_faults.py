@@ -37,7 +37,7 @@ def made_up(
     n, none = len(error), np.full(len(error), np.nan)
     return Run(
         0, "made up", "none", 2, 30.0, span, np.array(error), np.array(error) / 2, np.zeros((n, len(PARTS))),
-        np.array(absent or [False] * n), np.ones((n, len(PARTS)), np.int32), np.ones(n, np.int32), np.array(lost),
+        np.array(absent or [False] * n), np.full((n, len(PARTS)), 2, np.int32), np.ones(n, np.int32), np.array(lost),
         ("converged",) * n, none, np.full((n, len(PARTS)), np.nan), none,
     )  # fmt: skip
 
@@ -118,6 +118,9 @@ def test_delays_and_recoveries_are_counted_from_where_they_begin() -> None:
     assert measures.recovery(made_up([5, 300, 300, 21, 20, 400], [False] * 6, span=(1, 1))) == 2.0
     assert measures.recovery(made_up([5, 300, 300, 21, 22, 400], [False] * 6, span=(1, 1))) == np.inf
     assert measures.recovery(made_up([5, 300, 300, 39, 20, 400], [False] * 6, span=(1, 1)), mean=True) == 1.0
+    walks_in = made_up([5, 300, 300, 21, 20, 400], [False] * 6, span=(1, 1))
+    walks_in.in_images[:4, 0] = 1
+    assert measures.recovery(walks_in) == 0.0
     assert measures.percentile(np.array([1.0, np.inf, 0.0, 2.0]), 50) == 1.0
     assert measures.percentile(np.array([1.0, np.inf, 0.0, 2.0]), 95) == np.inf
 

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache
+from itertools import islice
 
 import cv2
 import numpy as np
 import pytest
 
+from twistcap import se3
 from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.build import build
@@ -27,11 +29,11 @@ def _scene() -> tuple[Capture, list[Frame]]:
     return scene, list(scene.frames())
 
 
-def _tracked(faulty: Callable[[Frame], Frame]) -> Iterator[tuple[float, Tracker]]:
+def _tracked(faulty: Callable[[Frame], Frame], first: Pose | None = None) -> Iterator[tuple[float, Tracker]]:
     """The greatest error of the landmarks (m) in each frame, and the tracker after it."""
     scene, frames = _scene()
     tracker = Tracker(build(scene.body, scene.rig))
-    tracker.start(scene.first_pose)
+    tracker.start(first or scene.first_pose)
     for k, frame in enumerate(frames):
         pose = tracker.step(faulty(frame) if k in FAULT else frame).pose
         yield float(np.linalg.norm(Posed(scene.body, pose).landmarks - scene.landmarks[k], axis=1).max()), tracker
@@ -58,6 +60,35 @@ def test_a_body_that_was_gone_is_found_where_it_is_now(faulty: Callable[[Frame],
     errors = [error for error, _ in _tracked(faulty)]
     assert min(errors[FAULT[-1] + 1 :]) < 0.02
     assert errors[-1] < 0.02
+
+
+def test_a_first_pose_beside_the_person_is_moved_there() -> None:
+    pose = _scene()[0].first_pose
+    beside = Pose(se3.transform(pose.root[:3, :3], pose.root[:3, 3] + (0.2, -0.22, 0.0)), pose.q)
+    errors = [error for error, _ in islice(_tracked(lambda frame: frame, beside), 3)]
+    assert errors[0] < 0.05
+    assert errors[-1] < 0.02
+
+
+@pytest.mark.parametrize("joint", ["hip_flexion_r", "arm_flex_l"])
+def test_a_limb_that_was_wrong_from_the_start_is_found(joint: str) -> None:
+    scene, _ = _scene()
+    q = scene.first_pose.q.copy()
+    q[scene.body.coordinate_names.index(joint)] += np.deg2rad(70.0)
+    errors = [
+        error
+        for (error, _), _ in zip(_tracked(lambda frame: frame, Pose(scene.first_pose.root, q)), range(16), strict=False)
+    ]
+    assert errors[0] > 0.15
+    assert errors[-1] < 0.03
+
+
+def test_pictures_that_stay_the_same_tell_nothing_for_as_long_as_they_do() -> None:
+    _, frames = _scene()
+    frozen = frames[FAULT[0]].images
+    statuses = [tracker.state for _, tracker in _tracked(lambda frame: replace(frame, images=frozen))]
+    assert not any(state.past.moments[-1].seen for state in [statuses[k] for k in FAULT][1:])
+    assert statuses[-1].past.moments[-1].seen
 
 
 def test_a_body_that_is_nowhere_is_held() -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import erfc
 
 from twistcap.arrays import Bool, Float
 from twistcap.body import Body
@@ -17,15 +18,23 @@ from twistcap.ranges import Checked, Share, Signed
 from twistcap.search.recollection import Check, Recollection
 
 _FEWEST = 8.0  # contour points or covered pixels below which nothing is said of a limb
-SIGNS = 7
+SIGNS = 8
 
-# Fitted by benchmarks/fit_flag.py on 50 captures of the fault bench and 16 inexact walks.
-LIMB = (
-    -4.235, 2.316, -0.8786, -0.9053, 5.976, 8.712, -0.7883, 0.8541, 3.906, -2.357, -0.8192, -3.014, -4.605, -2.68,
-    1.573, 0.02768, 1.526, -0.5955, 0.2876, 0.506, 0.6978,
-)  # fmt: skip
+_LOST = 0.15  # m off, a joint is lost
+_MEANS = [0, 1, 2, 3, 5, 6]  # signs whose running means count as well; that of `late` is one
+_OF = {
+    "clear": (-0.1, 0.1, 0.25, 0.4, 0.6, 1.0), "in_view": (0.0, 0.3, 0.6, 1.0, 1.5), "bare": (0.0, 0.1, 0.3, 1.0),
+    "against": (0.0, 0.1, 0.25, 0.4, 0.6), "late": (0.05, 0.2, 0.35, 0.5, 0.65, 0.85),
+    "silent": (0.05, 0.2, 0.4, 0.6, 0.8, 1.0), "unseen": (0.0, 0.2, 0.4, 0.6, 0.8, 1.0), "few": (0.0, 1.0, 2.0, 3.0),
+}  # fmt: skip
+_SIGNS = tuple(_OF.values())
+KNOTS = (*_SIGNS, *(_SIGNS[k] for k in _MEANS), (-12.0, -8.0, -5.0, -2.5, 0.0, 2.0), _OF["clear"], _OF["late"])
+"""Of all signs, of their running means, of `beyond`, and of the most and the mean of all limbs."""
+
+# Fitted by benchmarks/fit_flag.py.
+LIMB = (-6.0, *(0.5,) * sum(len(knots) - 1 for knots in KNOTS))
 BODY = (0.5881, 0.1112, 0.9345)
-UNSEEN = (4.085, 3.521)
+UNSEEN = (4.085, 3.521, 0.0)
 
 
 def flag_groups(body: Body) -> Bool:
@@ -36,11 +45,12 @@ def flag_groups(body: Body) -> Bool:
 
 
 def limb_signs(groups: Bool, known: Recollection, check: Check, agreement: Agreement, support: Float) -> Float:
-    """(G, SIGNS) signs of loss of each group of segments (G, S), each 0 where all is as it usually is.
+    """(G, SIGNS) signs of loss of each group of segments (G, S), 0 where all is as it usually is.
 
     They are: evidence that is lacking, over what is usual; the same in the camera in which most is; evidence that
-    nothing covers, over the same; contour points that do not agree; the same of late, in the segment with most; contour
-    points that tell nothing; and how much of the limb is not seen at all.
+    nothing covers, over the same; contour points that tell something, and do not agree; those of late that do not
+    agree, in the segment with most; contour points that tell nothing; how much of the limb is not seen at all; and
+    cameras that see it, short of three.
     """
     weights = groups.T.astype(float)
     clear, in_view = lacking(groups, known, check)
@@ -48,13 +58,13 @@ def limb_signs(groups: Bool, known: Recollection, check: Check, agreement: Agree
     bare = more / np.maximum(known.nats.sum(axis=0) @ weights, 1.0)
     points, agreeing, telling = (a @ weights for a in (agreement.points, agreement.agreeing, agreement.telling))
     many = points >= _FEWEST
-    off = np.where(many, 1.0 - agreeing / np.maximum(points, 1.0), 0.0)
+    against = np.where(many, (telling - agreeing) / np.maximum(points, 1.0), 0.0)
     silent = np.where(many, 1.0 - telling / np.maximum(points, 1.0), 1.0)
     late = np.array([(1.0 - support[group]).max() for group in groups])
-    unseen = np.clip(
-        1.0 - check.pixels.sum(axis=0) @ weights / np.maximum(known.pixels.sum(axis=0) @ weights, 1.0), 0, 1
-    )
-    return np.stack([clear, in_view, np.minimum(bare, 3.0), off, late, silent, unseen], axis=1)
+    pixels = check.pixels @ weights
+    unseen = np.clip(1.0 - pixels.sum(axis=0) / np.maximum(known.pixels.sum(axis=0) @ weights, 1.0), 0.0, 1.0)
+    few = np.maximum(3 - (pixels > _FEWEST).sum(axis=0), 0)
+    return np.stack([clear, in_view, bare, against, late, silent, unseen, few], axis=1)
 
 
 def lacking(groups: Bool, known: Recollection, check: Check) -> tuple[Float, Float]:
@@ -76,49 +86,63 @@ def support_signs(groups: Bool, support: Float) -> Float:
 
 @dataclass(frozen=True)
 class FlagRule(Checked):
-    """Logistic weights: of a limb's features, of the two most doubtful limbs for the body, and of the time unseen.
+    """Weights of the ramps by which signs raise the odds of loss.
+
+    They are those of a limb, of the body by its two most doubtful limbs, and of a body that no image shows.
 
     Attributes:
-        limb: constant, then a weight of each of `features`.
-        body: constant, weights of the logits of the second most and the most doubtful limb.
-        unseen: constant and weight of log₁₀ of the seconds since images last showed the body.
-        lost: probability from which on it counts as lost. Real pictures of bodies that are not exact look more doubtful
-            than they are: at 0.5 a third of a good track (balance_4view) would be flagged.
+        limb: constant, then the weights of `ramps`.
+        body: constant, weights of the log odds of the second most and the most doubtful limb.
+        unseen: constant, weights of log₁₀ of the seconds since images last showed the body and of `beyond`.
+        lost: probability from which on it counts as lost.
     """
 
     limb: tuple[Signed, ...] = LIMB
     body: tuple[Signed, Signed, Signed] = BODY
-    unseen: tuple[Signed, Signed] = UNSEEN
-    lost: Share = 0.75
+    unseen: tuple[Signed, Signed, Signed] = UNSEEN
+    lost: Share = 0.5
 
-    def limbs(self, signs: Float, deviation: Float) -> Float:
-        """(G,) probability that each limb is lost, from its signs (G, SIGNS) and the standard deviation (G,) m that is
-        claimed of its place.
+    def limbs(self, signs: Float, lately: Float, deviation: Float) -> Float:
+        """(G,) probability that each limb is lost, from its signs (G, SIGNS) now and lately, and from the standard
+        deviation (G,) m that is claimed of its place.
         """
-        return _logistic(self.limb[0] + features(signs, deviation) @ np.array(self.limb[1:]))
+        return _logistic(self.limb[0] + ramps(signs, lately, deviation) @ np.array(self.limb[1:]))
 
     def whole(self, limbs: Float) -> float:
         """Probability that any joint is lost, from that of each limb (G,)."""
-        clipped = np.clip(limbs, 1e-9, 1.0 - 1e-9)
-        most = np.sort(np.concatenate([[1e-9], clipped]))[-2:]
-        return float(_logistic(self.body[0] + np.log(most / (1.0 - most)) @ np.array(self.body[1:])))
+        odds = np.sort(np.concatenate([[-20.0], log_odds(limbs)]))[-2:]
+        return float(_logistic(self.body[0] + odds @ np.array(self.body[1:])))
 
-    def blind(self, seconds: float) -> float:
-        """Probability that a body is lost that no image has shown for some time."""
-        return float(_logistic(self.unseen[0] + self.unseen[1] * np.log10(max(seconds, 1e-3))))
+    def blind(self, seconds: float, deviation: float) -> float:
+        """Probability that a body is lost that no image has shown for some time, and of whose farthest part a standard
+        deviation (m) is claimed.
+        """
+        unsure = np.array([np.log10(max(seconds, 1e-3)), beyond(np.array(deviation))])
+        return float(_logistic(self.unseen[0] + unsure @ np.array(self.unseen[1:])))
 
 
-def features(signs: Float, deviation: Float) -> Float:
-    """(G, F) features of the logistic model: the signs, what is claimed, products, and how the other limbs are."""
-    clear, in_view, bare = np.clip(signs[:, :3], 0.0, 1.0).T
-    off, late, silent, unseen = signs[:, 3:].T
-    spread = np.log10(np.clip(deviation, 1e-3, 10.0) / 0.05)
-    own = [
-        clear, in_view, bare, off, late, silent, unseen, spread, np.maximum(spread, 0.0),
-        off * late, silent * late, late * late, spread * late, spread * silent, clear * late,
-    ]  # fmt: skip
-    others = [late.mean(), late.max(), spread.max(), clear.max(), silent.mean()]
-    return np.stack([*own, *(np.full(len(signs), value) for value in others)], axis=1)
+def ramps(signs: Float, lately: Float, deviation: Float) -> Float:
+    """(G, R) features in [0, 1]: each value rises from 0 to 1 between two neighbours of its knots."""
+    clear, late = signs[:, 0], signs[:, 4]
+    others = np.full((2, len(signs)), [[clear.max()], [late.mean()]])
+    values = [*signs.T, *lately.T[_MEANS], beyond(deviation), *others]
+    return np.concatenate([_rising(v, np.array(k)) for v, k in zip(values, KNOTS, strict=True)], axis=1)
+
+
+def beyond(deviation: Float) -> Float:
+    """Log odds that a normal error of so many m in each direction is longer than 150 mm (Maxwell's law)."""
+    ratio = _LOST / np.clip(deviation, 1e-3, 10.0)
+    return log_odds(erfc(ratio / np.sqrt(2.0)) + ratio * np.sqrt(2.0 / np.pi) * np.exp(-0.5 * ratio**2))
+
+
+def log_odds(probability: Float) -> Float:
+    """ln p / (1 − p), within ± 20."""
+    p = np.clip(probability, 1e-9, 1.0 - 1e-9)
+    return np.log(p / (1.0 - p))
+
+
+def _rising(values: Float, knots: Float) -> Float:
+    return np.clip((values[:, None] - knots[:-1]) / np.diff(knots), 0.0, 1.0)
 
 
 def _logistic(value: Float) -> Float:

@@ -42,7 +42,7 @@ class LostMemory:
         waiting: frames until the next search for the body.
         limb_waiting, limb_pause: frames until the next one for a limb, and between the last ones.
         nowhere: whether the last one found the body nowhere.
-        signs: (G, SIGNS) of loss, of each limb and the rest of the body.
+        signs, lately: (G, SIGNS) of loss, of each limb and the rest of the body; now, and their running mean.
     """
 
     known: Recollection
@@ -54,6 +54,7 @@ class LostMemory:
     limb_pause: int = 0
     nowhere: bool = False
     signs: Float | None = None
+    lately: Float | None = None
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,7 @@ class LostBody(Checked):
         reach, speed, farthest: m, m/s and m: how far away it is looked for, with the time since it was seen.
         every, first: frames between lessons, and between the first ten.
         again: frames between searches.
+        lately: fraction that the mean of the signs of loss keeps from frame to frame.
         margin: m about a hypothesis within which images are looked at.
     """
 
@@ -89,6 +91,7 @@ class LostBody(Checked):
     every: Count = 10
     first: Count = 3
     again: Count = 3
+    lately: Share = 0.7
     margin: float = 0.3
     placing: PlacingRule = field(default_factory=PlacingRule)
     contradiction: ContradictionRule = field(default_factory=ContradictionRule)
@@ -121,12 +124,12 @@ class LostBody(Checked):
         known, memory = memory.known, replace(memory, frames=memory.frames + 1)
         if not problem.past.started and problem.views and (found := beside(self.beside, problem, fit)) is not fit:
             now = Judged(problem, found, known.check(found.posed, found.sights, problem))
-            return self._at(problem, found), self._learned(memory, now, 1.0)
+            return self._at(problem, found), self._learned(self._signed(memory, now), now, 1.0)
         now = Judged(problem, fit, known.check(fit.posed, fit.sights, problem))
         if not known.sure:
-            return None, self._learned(memory, now, 1.0)
+            return None, self._learned(self._signed(memory, now), now, 1.0)
         now, suspicion = judged(self.contradiction, memory.suspicion, known, now)
-        memory = replace(memory, suspicion=suspicion, signs=self._signs(memory, now))
+        memory = self._signed(replace(memory, suspicion=suspicion), now)
         ratio, last, revision = known.ratio(now.check), problem.past.moments[-1], None
         if np.isnan(ratio) and known.pixels[list(now.problem.views)].any():  # hardly any of the body is in sight
             ratio = 0.0
@@ -137,8 +140,12 @@ class LostBody(Checked):
             memory = self._learned(replace(memory, waiting=0), now, float(np.nan_to_num(ratio, nan=1.0)))
         return replace(revision or Revision(now.fit, last), left_out=now.problem.left_out), memory
 
-    def _signs(self, memory: LostMemory, now: Judged) -> Float:
-        return limb_signs(memory.groups, memory.known, now.check, now.fit.agreement, now.problem.support(now.fit))
+    def _signed(self, memory: LostMemory, now: Judged) -> LostMemory:
+        """With the signs of loss in a frame."""
+        fit, support = now.fit, now.problem.support(now.fit)
+        signs = limb_signs(memory.groups, memory.known, now.check, fit.agreement, support)
+        lately = signs if memory.lately is None else self.lately * memory.lately + (1.0 - self.lately) * signs
+        return replace(memory, signs=signs, lately=lately)
 
     def _with_limbs(self, memory: LostMemory, now: Judged, last: Moment) -> tuple[Judged, Moment, LostMemory]:
         """The frame with its lost limbs where they are found, and the moment before it, in which they rest."""
@@ -154,7 +161,7 @@ class LostBody(Checked):
             return now, last, replace(memory, limb_pause=pause, limb_waiting=pause)
         masks = limbs(now.problem.body)
         coordinates = np.asarray(np.any([masks[i][6:] for i in lost], axis=0), np.bool_)
-        memory = replace(memory, limb_pause=0, signs=self._signs(memory, found))
+        memory = replace(self._signed(memory, found), limb_pause=0)
         return found, rested(last, found.fit.pose, coordinates), memory
 
     def _lost_limbs(self, memory: LostMemory) -> list[int]:

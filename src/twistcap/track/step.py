@@ -166,10 +166,12 @@ def _loss(state: State, model: Model, posed: Posed, covariance: Float) -> tuple[
     """(S,) probability that each part is lost, and that any is."""
     memory = next((m for m in state.searches.values() if isinstance(m, LostMemory)), None)
     groups = flag_groups(model.body) if memory is None else memory.groups
-    judged = None if memory is None else memory.signs
-    signs = support_signs(groups, state.support) if judged is None else judged
+    if memory is None or memory.signs is None or memory.lately is None:
+        signs = lately = support_signs(groups, state.support)
+    else:
+        signs, lately = memory.signs, memory.lately
     deviation, _ = segment_deviations(posed, covariance)
-    limbs = model.flag.limbs(signs, np.array([deviation[group].max() for group in groups]))
+    limbs = model.flag.limbs(signs, lately, np.array([deviation[group].max() for group in groups]))
     return limbs @ groups, model.flag.whole(limbs)
 
 
@@ -193,7 +195,8 @@ def unseen(problem: FrameProblem, prediction: Prediction) -> tuple[State, Estima
     model, frame, pose = problem.model, problem.frame, prediction.pose
     after = problem.state.with_past(problem.past.advanced(Moment(frame.time, pose, seen=False)))
     claimed = problem.state.claimed + problem.process_noise
-    probability = model.flag.blind(frame.time - problem.past.seen_time)
+    farthest = float(segment_deviations(Posed(model.body, pose), claimed)[0].max())
+    probability = model.flag.blind(frame.time - problem.past.seen_time, farthest)
     status = "no_images" if all(image is None for image in frame.images) else "not_found"
     return after, Estimate(
         frame.index, frame.time, pose, claimed, {}, status, 0,

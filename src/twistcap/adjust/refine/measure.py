@@ -68,7 +68,10 @@ class SequenceImages:
                 raise InputError("refine: the frames are not those of the estimates; give those that were tracked.")
             posed, margin = Posed(self._body, estimate.pose), MARGIN + _ROOM
             for i, image in enumerate(despeckled(frame, self.tracker.despeckle).images):
-                seen = None if image is None else crop_view(image, self._rig[i], posed, margin, self.tracker.channels)
+                if image is None or i in estimate.left_out:
+                    self.views[i].append(None)
+                    continue
+                seen = crop_view(image, self._rig[i], posed, margin, self.tracker.channels)
                 self.views[i].append(seen)
             yield count
 

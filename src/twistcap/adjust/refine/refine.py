@@ -221,6 +221,7 @@ def with_support(estimate: Estimate, posed: Posed, support: Float) -> Estimate:
     if not estimate.lost or least < SupportRule().sure:
         return own
     groups, (deviations, _) = flag_groups(posed.body), segment_deviations(posed, estimate.covariance)
-    limbs = flag.limbs(support_signs(groups, support), np.array([deviations[group].max() for group in groups]))
+    signs, farthest = support_signs(groups, support), np.array([deviations[group].max() for group in groups])
+    limbs = flag.limbs(signs, signs, farthest)
     probability = flag.whole(limbs)
     return replace(own, probability=probability, part_probability=limbs @ groups, lost=probability >= flag.lost)
