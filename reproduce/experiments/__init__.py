@@ -24,11 +24,12 @@ from reproduce.experiments.refinement import REFINE, REFINE_WALK
 from reproduce.experiments.running_time import C6
 from reproduce.experiments.sagittal_walk import SAGITTAL
 from reproduce.experiments.texture import TEXTURE
+from reproduce.experiments.unaided import UNAIDED
 
 EXPERIMENTS: tuple[Experiment, ...] = (
     B1, B2, C1, C2, C3, C4, C5, C6, D1, D1_SPEED, D1_OTHER, D2, D3, D3_OTHERS, D4, D5, D6, D7, T1, T2, T3, T_EM,
     REFINE, REFINE_WALK, CLICKS, KEYVIEWS, FLOW, HIDDEN_FOREARMS, TEXTURE, MOTION_PREDICTION,
-    RECORDING, CHAPTER, REAL_GAP, SAGITTAL, FAULTS,
+    RECORDING, CHAPTER, REAL_GAP, SAGITTAL, UNAIDED, FAULTS,
 )  # fmt: skip
 
 __all__ = ["EXPERIMENTS", "FAULTS", "Arm", "Comparison", "Experiment", "Findings", "Shot", "Trace"]

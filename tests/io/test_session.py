@@ -50,6 +50,15 @@ def changed(path: Path, old: str, new: str) -> Path:
     return path
 
 
+@pytest.mark.parametrize("table", ["", "[first_pose]", "[first_pose]\nauto = true", 'first_pose = "auto"'])
+def test_where_no_first_pose_is_given_it_is_looked_for(path: Path, table: str) -> None:
+    text = path.read_text().replace('[first_pose]\nfile = "pose.json"\n', "")
+    path.write_text(f"{table}\n{text}" if "=" in table and "[" not in table else f"{text}\n{table}\n")
+    assert load_session(path).first_pose.unaided
+    (path.parent / "first_pose.json").write_text("{}")
+    assert load_session(path).first_pose.unaided is ("auto" in table)
+
+
 def test_values_defaults_and_paths(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     session = load_session(path)
     assert (session.frames, session.fps, session.step, session.scale) == ((2, 9), 50.0, 1, 1.0)
@@ -82,7 +91,12 @@ def test_command_line_over_session_over_defaults(path: Path) -> None:
         ("1.8", "nan", "'body.stature' is nan"),
         ("[2, 9]", "[2]", "the list 'frames' has too few entries; it needs 2"),
         ("[2, 9]", "[-2, 9]", "'frames.0' is -2"),
-        ('file = "pose.json"', "", "first_pose: give one of file, clicks and keypoints, not none"),
+        ('file = "pose.json"', "auto = false", "auto is false; give one of file, clicks and keypoints"),
+        (
+            "[first_pose]",
+            "[first_pose]\nauto = true",
+            "first_pose: give one of auto, file, clicks and keypoints, not auto and file",
+        ),
         ('variant = "legs"', 'kind = "glb"', "the key 'body.path' is missing"),
         ('variant = "legs"', 'kind = "smpl"', "smpl"),
         ("${VIDEOS:-videos}", "${VIDEOS}", "environment variable VIDEOS is not set"),

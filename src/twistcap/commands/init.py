@@ -18,6 +18,7 @@ def init(
     detector: Annotated[
         str | None, typer.Option(help="Installed keypoint detector to start from (docs/how-to/first-pose.md).")
     ] = None,
+    auto: Annotated[bool, typer.Option("--auto", help="Start from the pose that is found in the images.")] = False,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port on 127.0.0.1; 0 chooses a free one.")] = 0,
 ) -> None:
     """Click joints of the first frame in two or more views. The body follows, and SESSION reads what you save.
@@ -26,13 +27,18 @@ def init(
 
       twistcap init walk/session.toml
 
+      twistcap init walk/session.toml --auto
+
       twistcap init walk/session.toml --port 8765    # on a remote machine: ssh -L 8765:127.0.0.1:8765 HOST
     """
     from twistcap.io.session import load_session
     from twistcap.pages.assemble import page
 
     with words.status("reading the first frame of every view"):
-        clicking = clicking_of(load_session(session), session, out, detector)
+        loaded = load_session(session)
+        clicking = clicking_of(loaded, session, out, detector)
+        if auto:
+            start_unaided(clicking)
         html = page("init", f"First pose of {session.parent.resolve().name}", clicking.document())
     words.print(f"Save writes {clicking.target.path}.")
     serve(html, clicking.answers, port)
@@ -61,6 +67,17 @@ def clicking_of(session: Any, path: Path, out: Path | None = None, detector: str
     return clicking
 
 
+def start_unaided(clicking: Any) -> None:
+    """Show the pose that is found in the images; InputError where none is clear."""
+    from twistcap.body import Posed
+    from twistcap.io.recording import floor_of, views_of
+    from twistcap.io.unaided import found_unaided
+
+    session, views = clicking.session, views_of(clicking.session, clicking.rig)
+    proof = found_unaided(session, clicking.generic, views, floor_of(session))
+    clicking.shown = Posed(clicking.generic, proof.first)
+
+
 def target_of(session: Any, path: Path, out: Path | None) -> Any:
     """Where to write, and what the user must still change in the session."""
     from twistcap.pages.clicking import Target
@@ -76,6 +93,8 @@ def target_of(session: Any, path: Path, out: Path | None) -> Any:
     if out is None and chosen.exists():
         raise InputError(f"{chosen} exists, and {path} does not read it; name another file with --out.")
     note = f'The session does not read this file: put [first_pose] file = "{chosen.name}" into {path.name}.'
+    if out is None and table.unaided and not table.auto:
+        return Target(chosen, "file")
     same = table.file is not None and Path(table.file).resolve() == chosen.resolve()
     return Target(chosen, "file", "" if same else note)
 

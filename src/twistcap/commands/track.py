@@ -113,6 +113,8 @@ def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Ti
     with words.status("reading the session, fitting the first pose"):
         recording = open_recording(session)
         views, made = recording.views, made_of(session, recording.views)
+    if recording.told:
+        words.print(recording.told, markup=False, soft_wrap=True)
     tracker = session_tracker(session, recording.body, views)
     tracker.start(recording.first_pose, recording.first_time)
     config = session.model_dump(mode="json")

@@ -145,9 +145,9 @@ def session_lines(draft: Draft, folder: Path, stature: float | None) -> str:
         'kind = "humanoid"',
         f"stature = {stature:g}  # m" if stature else "# stature = 1.75   # m; measure the person",
         "\n[first_pose]",
-        '# "twistcap init" writes this file from a handful of clicked joints.',
-        'file = "first_pose.json"',
-        "# Or, instead of file, 2D keypoints of a detector near the first frame:",
+        "# Where nothing is given, it is found in the images, unless first_pose.json lies here:",
+        '# "twistcap init" writes that file from a handful of clicked joints.',
+        "# Or 2D keypoints of a detector near the first frame:",
         "# [first_pose.keypoints]",
         '# format = "body_25b"   # or "body_25", "coco_17"',
         f'# folders = {{ {draft.rig.names[0]} = "pose/{draft.rig.names[0]}_json" }}   # one per camera',
@@ -188,6 +188,7 @@ def missing(draft: Draft, session: Path, stature: float | None) -> list[str]:
         out.append("The frame rate: 60 is set. Put the true one into fps.")
     pose = session.parent / "first_pose.json"
     if not pose.is_file():
-        out.append(f"The first pose: {pose.name} does not exist yet. Make it with:  twistcap init {session}")
-        out.append("Keypoints: none are named. They can replace the clicks ([first_pose.keypoints] in the file).")
+        by_clicks = f"click it with:  twistcap init {session}"
+        out.append(f"The first pose: track looks for it in the images. If it is not clear there, {by_clicks}")
+        out.append("Keypoints: none are named. They can replace the search ([first_pose.keypoints] in the file).")
     return out

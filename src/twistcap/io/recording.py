@@ -29,6 +29,7 @@ from twistcap.io.masks import read_masks, rectified_masks
 from twistcap.io.plausible import check_plausible, check_upright
 from twistcap.io.pose_file import body_at, read_pose
 from twistcap.io.session import CameraGrid, GlbBody, HumanoidBody, KeypointSet, Session
+from twistcap.io.unaided import found_unaided, told
 from twistcap.io.video import Views, open_views
 
 
@@ -41,6 +42,7 @@ class Recording:
     views: Views  # the frames; `views.image_rig` are the cameras of their images
     body: Body  # at the fitted lengths
     first_pose: Pose  # the pose of the first frame
+    told: str = ""  # how it was found, where that must be said
 
     @property
     def first_time(self) -> float:
@@ -54,8 +56,16 @@ def open_recording(session: Session) -> Recording:
     """
     rig = rig_of(session)
     views = views_of(session, rig)
-    body, pose = first_pose_of(session, rig, body_of(session), views)
-    return Recording(session, rig, views, body, pose)
+    return _opened(session, rig, views, body_of(session))
+
+
+def _opened(session: Session, rig: Rig, views: Views, body: Body) -> Recording:
+    if not session.first_pose.unaided:
+        return Recording(session, rig, views, *first_pose_of(session, rig, body, views))
+    proof = found_unaided(session, body, views, floor_of(session))
+    start = _with_girths(session, rig, _Start(body, (float(views.indices[0]),), (proof.first,)))
+    check_first_pose(session, rig, start.body, proof.first)
+    return Recording(session, rig, views, start.body, proof.first, told(proof, views))
 
 
 def open_together(sessions: Sequence[Session]) -> list[Recording]:
@@ -71,7 +81,7 @@ def open_together(sessions: Sequence[Session]) -> list[Recording]:
         session = session.model_copy(update={"first_pose": pose, "fit_girths": None})
         rig = rig_of(session)
         views = views_of(session, rig)
-        out.append(Recording(session, rig, views, *first_pose_of(session, rig, first.body, views)))
+        out.append(_opened(session, rig, views, first.body))
     return out
 
 

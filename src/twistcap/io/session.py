@@ -134,12 +134,19 @@ class KeypointSet(Table):
     unit: Literal["m", "mm"] | None = None
 
 
-_SOURCES = ("file", "clicks", "keypoints")
+FIRST_POSE = "first_pose.json"
+"""The file beside a session that is its first pose, where the session names none."""
+_SOURCES = ("auto", "file", "clicks", "keypoints")
 
 
 class FirstPoseTable(Table):
-    """``[first_pose]``: exactly one of file, clicks and keypoints."""
+    """``[first_pose]``: one of file, clicks and keypoints, or none: it is found in the images (``"auto"``).
 
+    `plates` is a folder of pictures without the person, ``CAM.png``, for that.
+    """
+
+    auto: bool = False
+    plates: DataPath | None = None
     file: DataPath | None = None
     frame: int | None = None
     clicks: DataPath | None = None
@@ -152,10 +159,17 @@ class FirstPoseTable(Table):
 
     @model_validator(mode="after")
     def _one_source(self) -> FirstPoseTable:
-        given = [name for name in _SOURCES if getattr(self, name) is not None]
-        if len(given) != 1:
-            raise ValueError(f"give one of file, clicks and keypoints, not {' and '.join(given) or 'none'}")
+        given = [name for name in _SOURCES if getattr(self, name)]
+        if len(given) > 1:
+            raise ValueError(f"give one of auto, file, clicks and keypoints, not {' and '.join(given)}")
+        if not given and "auto" in self.model_fields_set:
+            raise ValueError("auto is false; give one of file, clicks and keypoints")
         return self
+
+    @property
+    def unaided(self) -> bool:
+        """Whether it is to be found in the images."""
+        return not any((self.file, self.clicks, self.keypoints))
 
 
 class PriorTable(Table):
@@ -205,7 +219,7 @@ class Session(Table):
     cameras: Cameras
     videos: dict[str, DataPath]
     body: Annotated[HumanoidBody | GlbBody | ObjBody, Field(discriminator="kind", default_factory=HumanoidBody)]
-    first_pose: FirstPoseTable
+    first_pose: FirstPoseTable = FirstPoseTable()
     fit_girths: FitGirths | None = None
     prior: PriorTable | None = None
     motions: MotionsTable | None = None
@@ -271,12 +285,22 @@ def load_session(path: str | Path, overrides: Mapping[str, Any] | None = None) -
             table[last] = value
     if "body" in data and isinstance(data["body"], dict):
         data["body"].setdefault("kind", "humanoid")
+    data["first_pose"] = _first_pose(data.get("first_pose", {}), path.parent / FIRST_POSE)
     folder = path.parent / str(data.get("data", "."))
     session: Session = validated(Session, data, str(path), {"folder": folder})
     session.remember(str(path))
     tracker_settings(session.tracker, str(path))
     _check_fitting(session, str(path))
     return session
+
+
+def _first_pose(table: Any, beside: Path) -> Any:
+    """The table; where it names nothing, with the file that `twistcap init` has left beside the session."""
+    if table == "auto":
+        return {"auto": True}
+    if isinstance(table, dict) and beside.is_file() and not any(name in table for name in _SOURCES):
+        return table | {"file": str(beside.resolve())}
+    return table
 
 
 def tracker_settings(table: Mapping[str, Any], source: str) -> Settings:

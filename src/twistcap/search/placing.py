@@ -99,7 +99,7 @@ class Placing:
         """Vertices that stand for the surface, spread evenly over it."""
         return np.linspace(0, len(self.body.vertices) - 1, _POINTS).astype(np.int32)
 
-    def _rough(self, points: Float, offsets: Float, any_part: bool = False) -> Float:
+    def rough(self, points: Float, offsets: Float, any_part: bool = False) -> Float:
         """(N,) evidence of a body's points (P, 3) at each of the offsets (N, 3); with `any_part`, where any part may be
         anywhere on the body.
         """
@@ -109,7 +109,8 @@ class Placing:
             out += moved_evidence(view.any_part if any_part else view.maps, view.camera.P, points, part, offsets)
         return out
 
-    def _points(self, pose: Pose) -> Float:
+    def points(self, pose: Pose) -> Float:
+        """(P, 3) of the surface, by which a pose is judged roughly."""
         return Posed(self.body, pose).vertices[self._sample]
 
     def places(self, stances: Sequence[Stance], centre: Float, reach: float) -> Float:
@@ -119,8 +120,8 @@ class Placing:
         offsets = np.append(centre, 0.0) + _grid(steps)
         best = np.full(len(offsets), -np.inf)
         for stance in stances:
-            for heading in _headings(self.rule.headings):
-                best = np.maximum(best, self._rough(self._points(stance.facing(heading)), offsets, any_part=True))
+            for heading in headings(self.rule.headings):
+                best = np.maximum(best, self.rough(self.points(stance.facing(heading)), offsets, any_part=True))
         chosen = list[int]()
         for k in np.argsort(-best):
             if all(np.hypot(*(offsets[k] - offsets[j])[:2]) > 1.5 * self.rule.grid for j in chosen):
@@ -134,11 +135,11 @@ class Placing:
         about = _grid(self.rule.grid * np.linspace(-0.5, 0.5, 3))
         found = list[tuple[float, Pose]]()
         for stance in stances:
-            for heading in _headings(self.rule.turns):
+            for heading in headings(self.rule.turns):
                 pose = stance.facing(heading)
-                points = self._points(pose)
+                points = self.points(pose)
                 for place in places:
-                    values = self._rough(points, place + about)
+                    values = self.rough(points, place + about)
                     k = int(np.argmax(values))
                     root = se3.transform(pose.root[:3, :3], pose.root[:3, 3] + place + about[k])
                     found.append((float(values[k]), Pose(root, pose.q)))
@@ -182,7 +183,7 @@ class Placing:
         return step
 
 
-def _headings(count: int) -> Float:
+def headings(count: int) -> Float:
     """(count, 3, 3) turns about the vertical, evenly spread."""
     return se3.exp_rotation(np.outer(2.0 * np.pi * np.arange(count) / count, _UP))
 

@@ -1,0 +1,215 @@
+"""A first pose is proved by its track: searches in several frames know nothing of one another, and must meet on it.
+
+A wrong limb or a wrong facing that one frame allows is contradicted by another, or the track does not lead to what the
+other frame's own search has found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from twistcap.adjust.unaided.hull import middle_of_sight
+from twistcap.adjust.unaided.scenery import Scenery
+from twistcap.adjust.unaided.search import Candidate, Instant, UnaidedRule
+from twistcap.body import Pose
+from twistcap.errors import InputError
+from twistcap.estimate import Frame
+from twistcap.ranges import Checked, Count, Share
+from twistcap.search.lost import LostBody
+from twistcap.search.placing import Stance
+from twistcap.track import Tracker
+from twistcap.track.model import Model
+
+Read = Callable[[range], Iterable[Frame]]
+"""Frames by their places in the recording."""
+
+_NEAR = 0.97  # of the best score of a probe, that a pose must have for a track to have met what the probe found
+_CLICKS = "click its joints with `twistcap init`, or give [first_pose] keypoints"
+
+
+@dataclass(frozen=True)
+class ProofRule(Checked):
+    """In which frames a pose is looked for, and when it is believed.
+
+    Attributes:
+        search: in each of them.
+        probes: s after the first frame, of the frames that are searched, as many as are needed, two at least.
+        different, same: m between landmarks, the greatest, from which on two poses are different, and up to which they
+            are the same.
+        met: probes that must have found a pose on the track.
+        standing: share of the best score that the track must have in the mean over the probes.
+        clear: share by which its scores must exceed those of the next different poses, in each probe; where more probes
+            than `met` have found it, it must only be the best.
+        alone: the same in the mean, from which on a track is believed that fewer probes have met.
+        agreeing: fraction of the contour that must agree with the images along it.
+        hopeless: standing below which a track is given up.
+    """
+
+    search: UnaidedRule = field(default_factory=UnaidedRule)
+    probes: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75, 1.25, 2.0)
+    different: float = 0.2
+    same: float = 0.15
+    met: Count = 2
+    standing: Share = 0.96
+    clear: Share = 0.05
+    alone: Share = 0.2
+    agreeing: Share = 0.6
+    hopeless: Share = 0.75
+
+
+@dataclass(frozen=True)
+class Probe:
+    """One frame's search.
+
+    Attributes:
+        at: place of the frame in the recording.
+        instant: the search in it.
+        candidates: that it found, the best first.
+    """
+
+    at: int
+    instant: Instant
+    candidates: Sequence[Candidate]
+
+
+class Track:
+    """A body that is tracked both ways from one frame; it grows as frames are read.
+
+    Attributes:
+        start: place of that frame.
+        poses: from the first frame on.
+    """
+
+    def __init__(self, model: Model, frames: Sequence[Frame], start: int, pose: Pose) -> None:
+        back = Tracker(model)
+        back.start(pose, -frames[start].time)
+        before = [back.step(replace(frame, time=-frame.time)).pose for frame in frames[start::-1]]
+        self.start, self.poses, self._tracker = start, before[:0:-1], Tracker(model)
+        self._tracker.start(pose, frames[start].time)
+        self.extend(frames)
+
+    def extend(self, frames: Sequence[Frame]) -> None:
+        """Go on through the frames that are new."""
+        self.poses += [self._tracker.step(frame).pose for frame in frames[len(self.poses) :]]
+
+
+@dataclass(frozen=True)
+class Proof:
+    """How a track stands among all that the probes have found.
+
+    Attributes:
+        track: itself.
+        met: probes that have found a pose on it.
+        standing: its scores over the best ones, mean of the probes.
+        margin, least: share by which its scores exceed those of the next different poses, mean and least of the probes.
+        agreement: of the contour with the images, least of the probes.
+    """
+
+    track: Track
+    met: int
+    standing: float
+    margin: float
+    least: float
+    agreement: float
+
+    @property
+    def first(self) -> Pose:
+        """The pose of the first frame."""
+        return self.track.poses[0]
+
+    def holds(self, rule: ProofRule, probes: int) -> bool:
+        """Whether it is believed, of so many probes; a single picture must do where there is no other."""
+        clear = 0.0 if self.met > rule.met else rule.clear  # one search more than asked has come to it
+        if self.standing < rule.standing or self.least < clear or self.agreement < rule.agreeing:
+            return False
+        return self.met >= min(rule.met, probes) or self.margin >= rule.alone
+
+
+def proof_of(track: Track, probes: Sequence[Probe], others: Sequence[Track], rule: ProofRule) -> Proof:
+    """How a track stands beside others."""
+    standing, margin, met, agreement = list[float](), list[float](), 0, 1.0
+    for probe in probes:
+        own, instant = probe.instant.measured(track.poses[probe.at]), probe.instant
+        tracked = [instant.measured(other.poses[probe.at]) for other in others if other is not track]
+        found = [(c.score, instant.apart(c.pose, own.pose)) for c in (*probe.candidates, *tracked)]
+        best = max([own.score, 1e-9, *(score for score, _ in found)])
+        rival = max((score for score, apart in found if apart > rule.different), default=0.0)
+        standing.append(own.score / best)
+        margin.append((own.score - rival) / best)
+        good = _NEAR * max((c.score for c in probe.candidates), default=0.0)
+        met += any(score >= good and apart <= rule.same for score, apart in found[: len(probe.candidates)])
+        agreement = min(agreement, own.agreement)
+    return Proof(track, met, float(np.mean(standing)), float(np.mean(margin)), min(margin), agreement)
+
+
+@dataclass(frozen=True)
+class Unaided:
+    """The search for the first pose of a recording.
+
+    Attributes:
+        rule: of it.
+        model: of the tracker.
+        scenery: of the cameras.
+        read: frames by place.
+        count, rate: number of frames, and frames per second.
+        floor: its height, m.
+        known: stances beside the bundled ones.
+    """
+
+    rule: ProofRule
+    model: Model
+    scenery: Scenery
+    read: Read
+    count: int
+    rate: float
+    floor: float = 0.0
+    known: Sequence[Stance] = ()
+
+    def found(self) -> Proof:
+        """The track that is proved, of as few probes as are needed.
+
+        Raises:
+            InputError: where none is.
+        """
+        frames, probes, tracks, best = list[Frame](), list[Probe](), list[Track](), None
+        places = self._places
+        for at in places:
+            frames += self.read(range(len(frames), at + 1))
+            for track in tracks:
+                track.extend(frames)
+            probes.append(self._probe(at, frames[at]))
+            self._begin(tracks, probes[-1], frames)
+            proofs = [proof_of(track, probes, tracks, self.rule) for track in tracks]
+            best = max(proofs, key=lambda p: p.standing, default=None)
+            if best is not None and len(probes) >= min(2, len(places)) and best.holds(self.rule, len(places)):
+                return best
+            tracks = [p.track for p in proofs if p.standing >= self.rule.hopeless]
+        raise InputError(self._refusal(best))
+
+    @property
+    def _places(self) -> list[int]:
+        """Of the frames that may be probed."""
+        wanted = np.round(np.array(self.rule.probes) * self.rate).astype(int)
+        return sorted({int(k) for k in wanted if k < self.count})
+
+    def _probe(self, at: int, frame: Frame) -> Probe:
+        instant = Instant(self.rule.search, self.model, frame, self.scenery.evidence(frame.images, self.model.body))
+        centre = middle_of_sight(self.model.rig)[:2]
+        return Probe(at, instant, instant.candidates(centre, self.floor, self.known))
+
+    def _begin(self, tracks: list[Track], probe: Probe, frames: Sequence[Frame]) -> None:
+        """A track from a probe's best pose, where no track has come there."""
+        plain = replace(self.model, searches=tuple(s for s in self.model.searches if not isinstance(s, LostBody)))
+        for c in probe.candidates[:1]:
+            far = (probe.instant.apart(c.pose, t.poses[probe.at]) > self.rule.same for t in tracks)
+            if all(far):
+                tracks.append(Track(plain, frames, probe.at, c.pose))
+
+    def _refusal(self, best: Proof | None) -> str:
+        if best is None:
+            return f"[first_pose] auto: nobody stands out from the background in two cameras at once; {_CLICKS}."
+        said = f"contour agreement {best.agreement:.2f}, margin {100 * best.margin:.0f} %"
+        return f"[first_pose] auto: the person's first pose is not clear ({said}); {_CLICKS}."

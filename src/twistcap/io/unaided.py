@@ -1,0 +1,102 @@
+"""The first pose of a session that gives none: it is found in the images, at a size at which that is quick."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from twistcap.adjust.unaided import Proof, ProofRule, Unaided, middle_of_sight, scenery_of
+from twistcap.arrays import AnyArray
+from twistcap.body import Body, Pose
+from twistcap.build import build
+from twistcap.camera import Rig
+from twistcap.doors.images import read_image
+from twistcap.errors import InputError
+from twistcap.io.session import Session
+from twistcap.io.video import Views, preparation
+from twistcap.search.placing import Stance
+
+_PX_PER_M = 110.0  # of the images that are searched; a person is 190 px high
+_PICTURES = 25  # by which the background is known
+_STANCES = 20  # that are taken from a motion library
+_ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+
+
+def found_unaided(session: Session, body: Body, views: Views, floor: float | None) -> Proof:
+    """The first pose of the frames, from their images alone.
+
+    Raises:
+        InputError: where it is not clear enough to be believed, or a plate cannot be read.
+    """
+    middle = middle_of_sight(views.image_rig)
+    views = replace(views, scale=views.scale * _smaller(views.image_rig, middle))
+    settings = replace(session.tracker_settings, predictor="constant_velocity")
+    if settings.method == "differential":
+        settings = replace(settings, method="direct")
+    model = build(body, views.image_rig, settings, session.pose_prior)
+    pictures = list(zip(*(frame.images for frame in _spread(views)), strict=True))
+    plates = _plates(session, views)
+    scenery = scenery_of(views.image_rig, pictures, middle, model.channels, plates)
+    ground = middle[2] - 1.0 if floor is None else floor
+    return Unaided(
+        ProofRule(), model, scenery, lambda places: _read(views, places), len(views), views.fps / session.step,
+        float(ground), _known(session, body),
+    ).found()  # fmt: skip
+
+
+def told(proof: Proof, views: Views) -> str:
+    """What was found, in a sentence."""
+    x, y, z = proof.first.root[:3, 3]
+    start = views.indices[proof.track.start]
+    clear = f"contour agreement {proof.agreement:.2f}, {100 * proof.margin:.0f} % clearer than any other"
+    return f"first pose found by itself at ({x:.2f}, {y:.2f}, {z:.2f}) m in frame {start}: {clear}."
+
+
+def _smaller(rig: Rig, place: AnyArray) -> float:
+    """The factor at which a person in the middle is seen at the wanted resolution, or 1."""
+    depths = [float(c.T_cam_world[2, :3] @ place + c.T_cam_world[2, 3]) for c in rig]
+    return min(1.0, *(_PX_PER_M * max(d, 0.1) / float(c.K[0, 0]) for c, d in zip(rig, depths, strict=True)))
+
+
+def _read(views: Views, places: range) -> Views:
+    return replace(views, indices=views.indices[places.start : places.stop : places.step])
+
+
+def _spread(views: Views) -> Views:
+    return _read(views, range(0, len(views), max(1, len(views) // _PICTURES)))
+
+
+def _known(session: Session, body: Body) -> Sequence[Stance]:
+    """Stances of the session's motion library, spread over it."""
+    library = session.motion_library
+    if library is None:
+        return ()
+    out, columns = list[Stance](), {name: k for k, name in enumerate(library.names)}
+    for k in np.unique(np.linspace(0, len(library) - 1, _STANCES).astype(int)):
+        q = np.array([library.q[k, columns[n]] if n in columns else 0.0 for n in body.coordinate_names], float)
+        pose = Pose(library.roots[k], q).within(body.limits)
+        out.append(Stance(pose.root[:3, :3], float(pose.root[2, 3]), pose.q))
+    return out
+
+
+def _plates(session: Session, views: Views) -> Sequence[AnyArray | None] | None:
+    """Pictures of the empty scene, as the images of the views; a camera may have none."""
+    folder = session.first_pose.plates
+    if folder is None:
+        return None
+    out = list[AnyArray | None]()
+    for camera in views.rig:
+        file = next((f for e in _ENDINGS if (f := Path(folder) / f"{camera.name}{e}").is_file()), None)
+        image = None if file is None else cv2.cvtColor(read_image(file, "plate"), cv2.COLOR_BGR2RGB)
+        if image is not None and image.shape[1::-1] != camera.size:
+            its, wanted = (f"{w}×{h}" for w, h in (image.shape[1::-1], camera.size))
+            raise InputError(f"plate {file} is {its} pixels, but the calibration is for {wanted}; film it anew.")
+        out.append(None if image is None else preparation(camera, views.scale)(image))
+    if all(image is None for image in out):
+        wanted = f"{views.rig.names[0]}.png"
+        raise InputError(f"[first_pose] plates: {folder} holds no picture of a camera; one would be {wanted}.")
+    return out

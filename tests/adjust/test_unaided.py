@@ -1,0 +1,159 @@
+"""The first pose from the images alone: what stands out, where it is, stances, and whether a track is believed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from twistcap import se3
+from twistcap.adjust.unaided import (
+    STANCES,
+    Instant,
+    Proof,
+    ProofRule,
+    Unaided,
+    UnaidedRule,
+    bundled,
+    middle_of_sight,
+    scenery_of,
+    turned_round,
+)
+from twistcap.adjust.unaided.hull import places
+from twistcap.adjust.unaided.proof import Track
+from twistcap.body import Pose, Posed
+from twistcap.body.humanoid import humanoid
+from twistcap.build import build
+from twistcap.errors import InputError
+from twistcap.estimate import Frame
+from twistcap.search.placing import PlacingRule
+from twistcap.studio import Capture, StudioConfig, capture
+
+QUICK = UnaidedRule(PlacingRule(turns=12, places=2, modes=16, draws=6), fitted=12, mended=(4, 2), anywhere=16, about=8)
+
+
+@cache
+def _scene() -> tuple[Capture, list[Frame]]:
+    scene = capture(StudioConfig(seed=1, views=4, frames=40, fps=30.0, size=(240, 176)))
+    return scene, list(scene.frames())
+
+
+def _unaided(frames: list[Frame]) -> Unaided:
+    scene, every = _scene()
+    pictures = list(zip(*(frame.images for frame in every[::2]), strict=True))
+    model = build(scene.body, scene.rig)
+    scenery = scenery_of(scene.rig, pictures, middle_of_sight(scene.rig), model.channels)
+    rule = ProofRule(QUICK, probes=(0.0, 0.3))
+    return Unaided(rule, model, scenery, lambda at: frames[at.start : at.stop], len(frames), 30.0)
+
+
+def test_the_middle_of_sight_is_where_a_ring_of_cameras_looks() -> None:
+    rig = _scene()[0].rig
+    middle = middle_of_sight(rig)
+    for camera in rig:
+        pixel, depth = camera.project(middle[None])
+        assert depth[0] > 0
+        np.testing.assert_allclose(pixel[0], (np.array(camera.size) - 1) / 2, atol=2.0)
+
+
+def test_the_person_stands_out_and_is_placed() -> None:
+    scene, frames = _scene()
+    search = _unaided(frames)
+    evidence = search.scenery.evidence(frames[0].images, scene.body)
+    truth, aside = scene.true_poses[0], se3.transform(np.eye(3), np.array([0.5, 0.3, 0.0]))
+    assert evidence.of(truth) > 2.0 * max(evidence.of(Pose(aside @ truth.root, truth.q)), 0.0) > -1.0
+    found = places(evidence, middle_of_sight(scene.rig)[:2], 3.0, 0.0, 2)
+    assert np.linalg.norm(found[0] - Posed(scene.body, truth).vertices.mean(axis=0)) < 0.25
+
+
+def test_a_plate_tells_a_person_who_stands_still() -> None:
+    scene, frames = _scene()
+    still = [[frames[0].images[i]] * 6 for i in range(len(scene.rig))]
+    rooms = [np.asarray(255 * room, np.uint8) for room in scene.rooms]
+    middle, truth = middle_of_sight(scene.rig), scene.true_poses[0]
+    with_plates = scenery_of(scene.rig, still, middle, "lab", rooms).evidence(frames[0].images, scene.body)
+    without = scenery_of(scene.rig, still, middle, "lab").evidence(frames[0].images, scene.body)
+    assert without.of(truth) == 0.0
+    assert with_plates.of(truth) > 1000.0
+
+
+def test_stances_are_within_limits_and_stand_on_the_floor() -> None:
+    for body in (humanoid("full"), humanoid("legs")):
+        stances = bundled(body)
+        assert len(stances) >= len(STANCES)
+        for stance in stances:
+            assert np.all((stance.q >= body.limits[:, 0] - 1e-9) & (stance.q <= body.limits[:, 1] + 1e-9))
+            low = Posed(body, stance.facing(np.eye(3))).vertices[:, 2].min()
+            assert low == pytest.approx(0.0, abs=0.02)
+
+
+def test_turned_round_faces_the_other_way_and_keeps_the_hands_in_place() -> None:
+    body = humanoid("full")
+    q = np.zeros(len(body.coordinate_names))
+    for name, degrees in {"arm_add_r": -40, "arm_add_l": -70, "hip_flexion_r": 20, "hip_flexion_l": -15}.items():
+        q[body.coordinate(name)] = np.deg2rad(degrees)
+    pose = Pose(se3.transform(se3.exp_rotation(np.array([0.0, 0.0, 0.7])), np.array([0.4, -0.2, 0.9])), q)
+    other = turned_round(body, pose)
+    np.testing.assert_allclose(other.root[:3, 0], -pose.root[:3, 0], atol=1e-12)
+    marks = body.landmarks.names
+    here, there = Posed(body, pose).landmarks, Posed(body, other).landmarks
+    for joint in ("wrist", "knee", "ankle"):
+        for side, across in (("_r", "_l"), ("_l", "_r")):
+            gap = here[marks.index(joint + side)] - there[marks.index(joint + across)]
+            assert np.linalg.norm(gap) < 0.08
+
+
+def test_a_walker_is_taken_up() -> None:
+    scene, frames = _scene()
+    proof = _unaided(frames).found()
+    errors = np.linalg.norm(Posed(scene.body, proof.first).landmarks - scene.landmarks[0], axis=1)
+    assert errors.mean() < 0.02
+    assert proof.met == 2
+    assert proof.agreement > 0.8
+
+
+def test_an_empty_scene_is_refused_in_a_sentence() -> None:
+    scene, frames = _scene()
+    rooms = tuple(np.asarray(255 * room, np.uint8) for room in scene.rooms)
+    with pytest.raises(InputError, match=r"auto: .*; click its joints with `twistcap init`"):
+        _unaided([replace(frame, images=rooms) for frame in frames]).found()
+
+
+def test_a_missing_camera_is_no_evidence() -> None:
+    scene, frames = _scene()
+    search = _unaided(frames)
+    gone = replace(frames[0], images=(None, *frames[0].images[1:]))
+    assert len(search.scenery.evidence(gone.images, scene.body).views) == len(scene.rig) - 1
+    instant = Instant(QUICK, search.model, gone, search.scenery.evidence((None,) * len(scene.rig), scene.body))
+    assert instant.candidates(np.zeros(2), 0.0) == []
+
+
+@pytest.mark.parametrize(
+    ("met", "standing", "margin", "least", "agreement", "believed"),
+    [
+        (2, 0.98, 0.1, 0.08, 0.9, True),
+        (1, 0.98, 0.1, 0.08, 0.9, False),  # one search alone, and not clearly better
+        (1, 0.98, 0.3, 0.08, 0.9, True),
+        (2, 0.9, 0.3, 0.08, 0.9, False),  # elsewhere something explains the images better
+        (2, 0.98, 0.1, -0.1, 0.9, False),
+        (2, 0.98, 0.1, 0.08, 0.4, False),
+    ],
+)
+def test_what_is_believed(
+    met: int, standing: float, margin: float, least: float, agreement: float, believed: bool
+) -> None:
+    scene, frames = _scene()
+    track = Track(build(scene.body, scene.rig), frames[:1], 0, scene.first_pose)
+    assert Proof(track, met, standing, margin, least, agreement).holds(ProofRule(), 4) is believed
+
+
+def test_a_track_goes_both_ways_and_on() -> None:
+    scene, frames = _scene()
+    track = Track(build(scene.body, scene.rig), frames[:6], 3, scene.true_poses[3])
+    track.extend(frames[:9])
+    assert len(track.poses) == 9
+    for k in (0, 8):
+        errors = np.linalg.norm(Posed(scene.body, track.poses[k]).landmarks - scene.landmarks[k], axis=1)
+        assert errors.mean() < 0.02
