@@ -155,7 +155,7 @@ def test_clicks_say_what_is_wrong(made: Path, session: Path) -> None:
 
 
 def test_a_session_that_reads_clicks_gets_clicks(made: Path, session: Path) -> None:
-    session.write_text(session.read_text().replace('file = "first_pose.json"', 'clicks = "clicks.csv"'))
+    session.write_text(session.read_text().replace("[first_pose]\n", '[first_pose]\nclicks = "clicks.csv"\n'))
     clicking = clicking_of(load_session(session), session)
     assert clicking.document()["sliders"] is False
     clicking.fit({"clicks": clicked(made, clicking)})
