@@ -104,8 +104,11 @@ class Camera:
         return n, n @ se3.hat(self.centre).T
 
     def scaled(self, factor: float) -> Camera:
-        """The camera of the image resized by `factor`; pixel centres stay at integers."""
-        size = (max(1, round(self.size[0] * factor)), max(1, round(self.size[1] * factor)))
+        """The camera of the image resized by `factor`."""
+        return self.resized((max(1, round(self.size[0] * factor)), max(1, round(self.size[1] * factor))))
+
+    def resized(self, size: tuple[int, int]) -> Camera:
+        """The camera of the image resized to `size` (w, h) pixels, whose centres stay at integers."""
         fx, fy = size[0] / self.size[0], size[1] / self.size[1]
         to_small = np.array([[fx, 0.0, 0.5 * fx - 0.5], [0.0, fy, 0.5 * fy - 0.5], [0.0, 0.0, 1.0]])
         return replace(self, K=to_small @ self.K, size=size)

@@ -112,7 +112,7 @@ def small_camera(camera: Camera, backdrop: Backdrop, place: Float) -> Camera:
     at the usual resolution.
     """
     if backdrop.size != (0, 0):
-        return camera.scaled(backdrop.size[0] / camera.size[0])
+        return camera.resized(backdrop.size)
     depth = max(float(camera.T_cam_world[2, :3] @ place + camera.T_cam_world[2, 3]), 0.1)
     return camera.scaled(min(1.0, PX_PER_M * depth / camera.K[0, 0], _MOST / max(camera.size)))
 
