@@ -24,9 +24,11 @@ class Summary:
     Attributes:
         runs, frames: how many.
         lost: frames truly lost, with the person in an image.
+        judged: those of them in which a part is lost that some image shows, as far as the tracker says.
         flagged: frames flagged, with the person in an image.
-        right: of both.
+        right, judged_right: of both.
         unflagged: frames lost and not flagged, those without the person included.
+        silent_frames: those of them in which a part is lost that some image shows, as far as the tracker says.
         absent, absent_flagged: frames without the person, and those of them that are flagged.
         delays: frames from the beginning of each lost stretch to the first flag; infinite where none comes in it.
         recoveries: frames from the end of each fault until all joints are within 20 mm; infinite where that never is.
@@ -36,9 +38,12 @@ class Summary:
     runs: int
     frames: int
     lost: int
+    judged: int
     flagged: int
     right: int
+    judged_right: int
     unflagged: int
+    silent_frames: int
     absent: int
     absent_flagged: int
     delays: Float
@@ -52,13 +57,13 @@ class Summary:
 
     @property
     def recall(self) -> float:
-        """Fraction of the lost frames that are flagged; NaN where none is lost."""
-        return self.right / self.lost if self.lost else np.nan
+        """Fraction of the lost frames that are flagged, of those that can be judged; NaN where none is lost."""
+        return self.judged_right / self.judged if self.judged else np.nan
 
     @property
     def silent(self) -> float:
-        """Fraction of all frames that are lost and not flagged."""
-        return self.unflagged / self.frames
+        """Fraction of all frames that are lost and not flagged, and not just by parts that are said to be in no image."""
+        return self.silent_frames / self.frames
 
     @property
     def found_soon(self) -> float:
@@ -68,18 +73,19 @@ class Summary:
 
 def summary(runs: Sequence[Run]) -> Summary:
     """Some runs together."""
-    lost, flagged, absent = (np.concatenate(list(arrays)) for arrays in zip(*map(_flags, runs), strict=True))
+    lost, judged, flagged, absent = (np.concatenate(list(a)) for a in zip(*map(_flags, runs), strict=True))
     here = ~absent
     return Summary(
-        len(runs), len(lost), _count(lost & here), _count(flagged & here), _count(lost & flagged & here),
-        _count(lost & ~flagged), _count(absent), _count(absent & flagged),
-        np.array([d for r in runs for d in delays(r.truly_lost & ~r.absent, r.flagged)], float),
+        len(runs), len(lost), _count(lost & here), _count(judged & here), _count(flagged & here),
+        _count(lost & flagged & here), _count(judged & flagged & here), _count(lost & ~flagged),
+        _count(judged & ~flagged), _count(absent), _count(absent & flagged),
+        np.array([d for r in runs for d in delays(r.truly_judged_lost & ~r.absent, r.flagged)], float),
         *(np.array([recovery(r, mean) for r in runs if r.span[1] is not None], float) for mean in (False, True)),
     )  # fmt: skip
 
 
-def _flags(run: Run) -> tuple[Bool, Bool, Bool]:
-    return run.truly_lost, run.flagged, run.absent
+def _flags(run: Run) -> tuple[Bool, Bool, Bool, Bool]:
+    return run.truly_lost, run.truly_judged_lost, run.flagged, run.absent
 
 
 def _count(which: Bool) -> int:
@@ -179,6 +185,7 @@ def rows(runs: Sequence[Run]) -> list[Row]:
     """What is asked of all runs together, then each kind's."""
     s, out = summary(runs), list[Row]()
     out.append(row("faults", "lost and not flagged", s.silent, "of all frames", at_most=0.005))
+    out.append(row("faults", "the same, with limbs that are said to be in no image", s.unflagged / s.frames, "of all"))
     out.append(row("faults", "precision", s.precision, "share", at_least=0.95))
     out.append(row("faults", "recall", s.recall, "share", at_least=0.97))
     out.append(row("faults", "delay of the flag, median", percentile(s.delays, 50), "frames", at_most=1.0))

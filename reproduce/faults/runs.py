@@ -48,6 +48,7 @@ class Run:
         lost, status, support: as the tracker says.
         parts_support: (N, P) least support of each part's segments; NaN where the tracker keeps none.
         probability: of being lost, as the tracker says; NaN where it says none.
+        unjudged: (N, P) parts some of which the tracker says no image shows, so that it does not judge them.
         exception: what the tracker raised; it ends the track, whose last answer stands for all frames after it.
     """
 
@@ -68,6 +69,7 @@ class Run:
     support: Float
     parts_support: Float
     probability: Float
+    unjudged: Bool
     exception: str | None = None
 
     @property
@@ -79,6 +81,12 @@ class Run:
     def flagged(self) -> Bool:
         """(N,) frames in which the tracker says that it is lost, or, where nobody is in sight, sees nothing."""
         return self.lost | (self.absent & np.array([status in UNSEEN for status in self.status]))
+
+    @property
+    def truly_judged_lost(self) -> Bool:
+        """(N,) frames in which a part is lost of which the tracker does not say that no image shows some of it."""
+        lost = self.parts_mm > LOST_FRAME_MM
+        return self.truly_lost & ~(lost.any(axis=1) & (self.unjudged | ~lost).all(axis=1))
 
     def document(self) -> dict[str, Any]:
         """It for a JSON file; what is not finite is None."""
@@ -92,7 +100,7 @@ class Run:
             values[name] = np.array(values[name], float)
         for name in _INFINITE:
             values[name] = np.where(np.isnan(values[name]), np.inf, values[name])
-        for name in ("absent", "in_images", "images", "lost"):
+        for name in ("absent", "in_images", "images", "lost", "unjudged"):
             values[name] = np.array(values[name], np.int32 if "images" in name else np.bool_)
         values["span"], values["status"] = tuple(values["span"]), tuple(values["status"])
         return Run(**values)
@@ -129,7 +137,8 @@ def tracked(take: Take, model_of: ModelOf = build) -> Run:
         take.absent, _in_images(take), np.count_nonzero(take.source[..., 0] != NONE, axis=1),
         np.array([e.lost for e in estimates]), tuple(e.status for e in estimates),
         np.array([e.support for e in estimates]), np.stack(supports),
-        np.array([getattr(e, "probability", np.nan) for e in estimates], float), exception,
+        np.array([e.probability for e in estimates]),
+        np.stack([_unjudged(scene.body, e.part_probability) for e in estimates]), exception,
     )  # fmt: skip
 
 
@@ -179,6 +188,13 @@ def parts_support(body: Body, support: Float | None) -> Float:
         return np.full(len(PARTS), np.nan)
     part_of = [_part_of(name) for name in body.segment_names]
     return np.array([min(s for s, p in zip(support, part_of, strict=True) if p == part) for part in PARTS])
+
+
+def _unjudged(body: Body, probability: Float | None) -> Bool:
+    """(P,) parts with a segment that no image shows, by the probabilities (S,); none where no body was seen."""
+    known = np.zeros(len(body.segment_names)) if probability is None else probability
+    hidden = {_part_of(name) for name, p in zip(body.segment_names, known, strict=True) if np.isnan(p)}
+    return np.array([part in hidden for part in PARTS])
 
 
 def _part_of(segment: str) -> str:

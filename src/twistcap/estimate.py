@@ -62,7 +62,8 @@ class Estimate:
         support: fraction of contour points that agree with the images, of the part with fewest.
         predicted: what told the pose that the frame was started from: "motion", "flow", "constant_velocity" or "hold".
         probability: that a joint is more than 150 mm off, calibrated on captures with truth.
-        part_probability: (S,) the same of each segment's limb; None where nothing was seen of the body.
+        part_probability: (S,) the same of each segment's limb, NaN for segments that no image shows; None where
+            nothing was seen of the body.
         left_out: cameras of the rig that contradict the others and are not believed.
         missing: cameras whose picture was missing, blank, or the one before once more.
     """

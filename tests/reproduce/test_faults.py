@@ -38,7 +38,7 @@ def made_up(
     return Run(
         0, "made up", "none", 2, 30.0, span, np.array(error), np.array(error) / 2, np.zeros((n, len(PARTS))),
         np.array(absent or [False] * n), np.full((n, len(PARTS)), 2, np.int32), np.ones(n, np.int32), np.array(lost),
-        ("converged",) * n, none, np.full((n, len(PARTS)), np.nan), none,
+        ("converged",) * n, none, np.full((n, len(PARTS)), np.nan), none, np.zeros((n, len(PARTS)), np.bool_),
     )  # fmt: skip
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
-from twistcap.arrays import Bool
+from twistcap.arrays import Bool, Float
 from twistcap.body.model import Body
 
 _NAMED_AFTER = {"head_top": "head", "wrist": "arm", "elbow": "arm", "ankle": "leg", "knee": "leg"}
@@ -39,6 +41,13 @@ def named_limbs(body: Body) -> dict[str, Bool]:
         out[name] = out.get(name, np.zeros_like(part)) | part
     rest = ~np.any(own, axis=0) if own else np.ones(len(body.segment_names), np.bool_)
     return out | {"trunk": rest} if rest.any() else out
+
+
+def most_of_limbs(limbs: Mapping[str, Bool], values: Float) -> Float:
+    """(..., G) the greatest of the values (..., S) of each limb's segments that are known; NaN where none is."""
+    known = np.where(np.isnan(values), -np.inf, values)
+    each = np.stack([known[..., own].max(axis=-1) for own in limbs.values()], axis=-1)
+    return np.where(np.isneginf(each), np.nan, each)
 
 
 def _limb_name(body: Body, part: Bool) -> str:

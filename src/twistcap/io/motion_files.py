@@ -14,7 +14,7 @@ import numpy as np
 from twistcap.arrays import Bool, Float
 from twistcap.body import Body, Pose
 from twistcap.body.humanoid import humanoid
-from twistcap.body.limbs import named_limbs
+from twistcap.body.limbs import most_of_limbs, named_limbs
 from twistcap.doors.text import finite_number, read_lines
 from twistcap.errors import InputError, check_choice
 from twistcap.io import angles as convert
@@ -165,7 +165,6 @@ def write_csv(
         writer.writerow(["frame", "time", *head, "status", "support", "probability_lost", *names, "lost"])
         for n, (time, row) in enumerate(zip(result.times, cells, strict=True)):
             shown = [f"{v:.6f}" for v in row] if fill or result.known[n] else [""] * len(row)
-            parts = result.part_probability[n]
-            each = [f"{parts[own].max():.4f}" if np.isfinite(parts[own]).all() else "" for own in limbs.values()]
+            each = [f"{p:.4f}" if np.isfinite(p) else "" for p in most_of_limbs(limbs, result.part_probability[n])]
             ends = [f"{result.support[n]:.4f}", f"{result.probability[n]:.4f}", *each, int(result.lost[n])]
             writer.writerow([result.indices[n], repr(float(time)), *shown, result.statuses[n], *ends])

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from twistcap.arrays import AnyArray, Bool, Float, Int
+from twistcap.arrays import AnyArray, Float, Int
 from twistcap.body import Posed
 from twistcap.body.kinematics import unit_vertex_normals
-from twistcap.body.limbs import named_limbs
+from twistcap.body.limbs import most_of_limbs, named_limbs
 from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError
 from twistcap.estimate import UNSEEN
@@ -129,7 +129,7 @@ def _run(name: str, result: Result, indices: Int, shown: Int, rig: Rig, width: i
         "dropped": [int(status in UNSEEN) for status in result.statuses],
         "probability": np.round(result.probability, 3).tolist(),
         "limbs": [limb_in_words(limb) for limb in limbs],
-        "limb_probability": packed(_of_limbs(result, limbs)),
+        "limb_probability": packed(most_of_limbs(limbs, result.part_probability)),
         "said": [frame_in_words(e, limbs, names) for e in result.estimates],
         "told": result_in_words(result),
         "cameras": [[camera_in_words(e, c) for c in range(len(names))] for e in result.estimates],
@@ -138,12 +138,6 @@ def _run(name: str, result: Result, indices: Int, shown: Int, rig: Rig, width: i
         "sigma_deg": packed(np.rad2deg(np.nan_to_num(result.sigmas))),
         "outlines": outlines,
     }
-
-
-def _of_limbs(result: Result, limbs: Mapping[str, Bool]) -> Float:
-    """(N, G) probability that each limb is lost; NaN where nothing was seen."""
-    each = [result.part_probability[:, segments].max(axis=1) for segments in limbs.values()]
-    return np.stack(each, axis=1)
 
 
 def _reference(reference: Reference, times: Float, rig: Rig, shown: Int, width: int) -> dict[str, Any]:

@@ -7,12 +7,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from twistcap.arrays import AnyArray, Bool, Float, Int
-from twistcap.body.limbs import named_limbs
+from twistcap.body.limbs import most_of_limbs, named_limbs
 from twistcap.estimate import Estimate
 from twistcap.io.result import Result
 
 DOUBTFUL = 0.5
 """Probability from which on a limb of a lost body is named."""
+_WORTH = 5  # frames in a row in which a limb is in no image before that is said
 _SPANS = 12  # most that a sentence lists
 CONTRADICTS = "contradicts the others (bumped, frozen, late or swapped?)"
 NOTHING_NEW = "a picture that is missing, blank, or the one before once more"
@@ -26,13 +27,20 @@ def limb_in_words(name: str) -> str:
     return (side + name[:-2] if side else name).replace("_", " ")
 
 
+def unseen_limbs(limbs: Mapping[str, Bool], probability: Float) -> Bool:
+    """(..., G) limbs of which a segment is in no image, by the probabilities (..., S); none where no body was seen."""
+    hidden = np.isnan(probability)
+    each = [hidden[..., own].any(axis=-1) & ~hidden.all(axis=-1) for own in limbs.values()]
+    return np.stack(each, axis=-1)
+
+
 def doubtful(limbs: Mapping[str, Bool], probability: Float) -> tuple[str, ...]:
     """Names of those limbs that are probably lost, of the most doubtful one where none is.
 
     `probability` (S,) is that of each segment, NaN where it is not known; there is no name where none is known.
     """
-    each = {name: float(probability[segments].max()) for name, segments in limbs.items()}
-    known = {name: value for name, value in each.items() if not np.isnan(value)}
+    each = dict(zip(limbs, most_of_limbs(limbs, probability), strict=True))
+    known = {name: float(value) for name, value in each.items() if not np.isnan(value)}
     worst = max(known.values(), default=0.0)
     return tuple(name for name, value in known.items() if value >= min(worst, DOUBTFUL))
 
@@ -71,7 +79,7 @@ def frame_in_words(estimate: Estimate, limbs: Mapping[str, Bool], cameras: Seque
 
 def result_in_words(result: Result) -> list[str]:
     """Sentences about frames that are lost, cameras that were left out, and pictures that showed nothing new."""
-    return [_lost(result), *cameras_in_words(result)] if len(result) else []
+    return [_lost(result), *_unseen(result), *cameras_in_words(result)] if len(result) else []
 
 
 def cameras_in_words(result: Result) -> list[str]:
@@ -111,12 +119,36 @@ def _lost(result: Result) -> str:
     return f"{lost} of {_frames(len(result))} lost: {in_spans(result.indices, result.lost, notes)}"
 
 
+def _unseen(result: Result) -> list[str]:
+    """A sentence for each limb of which some is in no image for a while."""
+    limbs = named_limbs(result.body)
+    each = zip(limbs, unseen_limbs(limbs, result.part_probability).T, strict=True)
+    shown = [(name, _long(rows)) for name, rows in each]
+    return [
+        f"{limb_in_words(name)}: a part of it is in no image, and not judged, in {_frames(int(rows.sum()))}: "
+        f"{in_spans(result.indices, rows)}"
+        for name, rows in shown
+        if rows.any()
+    ]
+
+
+def _long(rows: Bool) -> Bool:
+    """The rows (N,) of runs that are worth a word."""
+    out = np.zeros(len(rows), np.bool_)
+    for first, end in runs(rows):
+        out[first:end] = end - first >= _WORTH
+    return out
+
+
 def _why(result: Result, limbs: Mapping[str, Bool], span: slice) -> str:
     """What is most doubtful in a span of lost frames: limbs, or why there is no body."""
     probability = result.part_probability[span]
     seen = ~np.isnan(probability).all(axis=1)
     if seen.any():
-        return doubtful_in_words(limbs, probability[seen].mean(axis=0))
+        known = probability[seen]
+        counts = (~np.isnan(known)).sum(axis=0)
+        means = np.nansum(known, axis=0) / np.maximum(counts, 1)
+        return doubtful_in_words(limbs, np.where(counts > 0, means, np.nan))
     statuses = dict.fromkeys(result.statuses[span])
     return ", ".join(_UNSEEN_WORDS[s] for s in statuses if s in _UNSEEN_WORDS)
 

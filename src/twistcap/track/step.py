@@ -163,6 +163,7 @@ def learned(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool)
     )  # fmt: skip
     claims, least = with_claims(model, fit.posed, claimed), float(support.min())
     by_part, probability = _loss(after, model, fit.posed, claims)
+    by_part = np.where(fit.agreement.points > 0.0, by_part, np.nan)
     lost = probability >= model.flag.lost
     return after, Estimate(
         frame.index, frame.time, fit.pose, claims, fit.energies, fit.status, fit.steps,
