@@ -13,8 +13,13 @@ from twistcap.body import rescaled
 from twistcap.body.gltf import save_glb
 from twistcap.studio.motion import gait
 
+
+def legs(factor):
+    return {f"{bone}_{side}": factor for bone in ("femur", "tibia") for side in "rl"}
+
+
 path = Path(tempfile.mkdtemp()) / "person.glb"
-save_glb(rescaled(tc.humanoid(), lengths={"thigh": 1.06}, girths={"thigh": 0.92, "shank": 0.92}, stature=1.04), path)
+save_glb(rescaled(tc.humanoid(), lengths=legs(1.06), girths=legs(0.92), stature=1.04), path)
 
 # %% [markdown]
 # A foreign file needs axes, limits and names in `person.rig.toml` beside it; ours has them inside.

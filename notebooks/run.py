@@ -28,7 +28,7 @@ def run(name: str, out: Path) -> Path:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", choices=[*NAMES, []], default=NAMES)
+    parser.add_argument("names", nargs="*", default=NAMES)
     parser.add_argument("--out", type=Path, default=Path("out/notebooks"))
     options = parser.parse_args()
     for wanted in options.names:

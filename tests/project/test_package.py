@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -33,6 +34,16 @@ def test_the_lists_of_names_agree() -> None:
 def test_importing_it_loads_next_to_nothing() -> None:
     code = "import sys, twistcap; print([m for m in ('numpy', 'numba', 'cv2') if m in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"
+
+
+def test_a_first_run_says_that_it_compiles(tmp_path: Path) -> None:
+    """With a cache of numba that is empty, and with one that has kernels."""
+    code = "from twistcap.commands.terminal import tell_compiling as t; t()"
+    code += "; import pathlib; from twistcap.render.raster import rasterise as r; f = pathlib.Path(r.stats.cache_path)"
+    code += "; f.mkdir(parents=True, exist_ok=True); (f / 'raster.rasterise-1.py3.nbi').touch(); t()"
+    run = [sys.executable, "-c", code]
+    found = subprocess.run(run, capture_output=True, text=True, env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)})
+    assert found.returncode == 0 and found.stderr.count("compiles the kernels") == 1, found.stderr
 
 
 def test_types_are_announced() -> None:

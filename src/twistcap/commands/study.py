@@ -64,6 +64,7 @@ def run_study(
     from twistcap.commands.study_engine import here, on_cluster
     from twistcap.io.lock import WriteLock
 
+    terminal.tell_compiling()
     with WriteLock(folder / "trials.csv"):
         if overwrite:
             _forget(study, folder)

@@ -90,6 +90,7 @@ def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str,
     from twistcap.report.words import result_in_words
 
     path = folder / "result.h5"
+    terminal.tell_compiling()
     with WriteLock(path) as lock:
         views, timing = _tracked(session, path, begin, lock)
         result = read_result(path)
