@@ -87,7 +87,7 @@ def _outcomes(study: Study, folder: Path, engine: Engine) -> Iterator[tuple[Tria
     """What came of each trial, and of the body of each subject, as they end; a subject's trials wait for its body."""
     from twistcap.commands.study_jobs import Outcome, fit_subject, run_trial
 
-    jobs = _Jobs(engine)
+    jobs = Jobs(engine)
     with terminal.progress("trials", len(study.trials)) as advance:
         for subject, trials in study.subjects.items():
             if study.about.body.fit:
@@ -109,7 +109,7 @@ def _outcomes(study: Study, folder: Path, engine: Engine) -> Iterator[tuple[Tria
                 _tell(trial.name, failed, advance)
 
 
-class _Jobs:
+class Jobs:
     """Jobs that an engine runs, and what came of them in the order in which they end."""
 
     def __init__(self, engine: Engine) -> None:
