@@ -65,7 +65,7 @@ def tell_compiling() -> None:
     """Say that the kernels will be compiled, where numba keeps none for this machine and user."""
     from twistcap.render.raster import rasterise
 
-    kept = Path(rasterise.stats.cache_path)  # beside the code, or where NUMBA_CACHE_DIR or the user's cache is
+    kept = Path(str(rasterise.stats.cache_path))  # beside the code, or where NUMBA_CACHE_DIR or the user's cache is
     if not any(kept.glob("raster.rasterise-*.nbi")):
         words.print("The first run on this machine compiles the kernels; it takes some minutes, later runs do not.")
 
