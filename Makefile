@@ -3,13 +3,16 @@
 #   make test    all tests
 #   make lint    ruff and pyright
 #   make bench   milliseconds per frame by stage
+#   make docs    the docs and the API reference as a site: out/site
+#   make notebooks   run the notebooks: out/notebooks
+#   make release-check   build wheel and sdist, try both in clean environments
 #   make reproduce CASE=C-3 [SEEDS=0-7] [OUT=out/C-3]   a claim or table, measured again; without CASE what there is
 
 VENV := .venv
 PY := $(VENV)/bin/python
 JOBS ?= 2
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint bench reproduce clean
+.PHONY: help demo test lint bench docs notebooks release-check reproduce clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -42,6 +45,23 @@ lint: $(VENV)/dev.stamp
 
 bench: $(VENV)/run.stamp
 	$(PY) -m reproduce bench $(if $(SEEDS),--seeds $(SEEDS))
+
+$(VENV)/docs.stamp: pyproject.toml $(VENV)/run.stamp
+	$(PY) -m pip install --quiet -e '.[docs]'
+	@touch $@
+
+docs: $(VENV)/docs.stamp
+	NO_MKDOCS_2_WARNING=1 $(PY) -m mkdocs build --quiet --strict
+
+$(VENV)/notebooks.stamp: pyproject.toml $(VENV)/run.stamp
+	$(PY) -m pip install --quiet -e '.[notebooks]'
+	@touch $@
+
+notebooks: $(VENV)/notebooks.stamp
+	PYTHONPATH=. $(PY) notebooks/run.py
+
+release-check: $(PY)
+	.ci/release-check $(PY)
 
 reproduce: $(VENV)/run.stamp
 	$(PY) -m reproduce $(or $(CASE),--list) $(if $(SEEDS),--seeds $(SEEDS)) $(if $(OUT),--out $(OUT))

@@ -135,14 +135,22 @@ def shown_commands(path: Path) -> Iterator[list[str]]:
 
 
 @pytest.mark.parametrize("path", PROSE, ids=named)
-def test_commands_and_their_options_exist(path: Path) -> None:
+def test_the_command_line_takes_every_command(path: Path) -> None:
+    """Each is parsed as if it were run: its options exist, its values are of their kinds, no argument is missing."""
     for words in shown_commands(path):
         command, rest = typer.main.get_command(app), words[1:]
         while hasattr(command, "commands") and rest and not rest[0].startswith("-"):
             assert rest[0] in command.commands, words
             command, rest = command.commands[rest[0]], rest[1:]
-        known = {name for parameter in command.params for name in parameter.opts} | {"--help"}
-        assert not [word for word in rest if word.startswith("--") and word not in known], words
+        if not {"--help", "--version"} & set(rest):
+            command.make_context(" ".join(words), list(rest))  # raises an error of usage
+
+
+@pytest.mark.parametrize("path", LINKED, ids=named)
+def test_what_is_given_to_make_is_there(path: Path) -> None:
+    targets = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE)
+    blocks = re.findall(r"^```sh\n(.*?)^```", path.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    assert set(re.findall(r"(?:^|&& )make ([\w-]+)", "".join(blocks), flags=re.MULTILINE)) <= set(targets)
 
 
 @pytest.mark.parametrize("path", PROSE, ids=named)

@@ -13,7 +13,7 @@ from twistcap.adjust.body_fit.judge import Agreement, agreement
 from twistcap.adjust.body_fit.parametric import Model, carried_pose, matched
 from twistcap.body.gltf import save_glb
 from twistcap.commands.body import BodyModel
-from twistcap.commands.terminal import status, words
+from twistcap.commands.terminal import status, tell_compiling, words
 from twistcap.doors.text import read_toml
 from twistcap.evaluate.metrics import Row, percentile_known, row
 from twistcap.io.pose_file import write_pose
@@ -27,6 +27,7 @@ def fit_sessions(
     """Fit the first session's body, or another model in its place, to all of them; what ``--json`` prints."""
     from twistcap.report.bodyfit import draw_fit, write_page
 
+    tell_compiling()
     build, anny = None, None
     if model == "anny":
         from twistcap.body.anny import AnnyModel

@@ -56,6 +56,7 @@ def run_demo(
 
     settings = tracker_settings({"method": method}, "the command line")
     path = folder / "result.h5"
+    terminal.tell_compiling()
     with WriteLock(path) as lock:
         if (done := held(path)) is not None and "demo" not in done.config:
             raise InputError(f"{path} holds {len(done)} tracked frames; choose another folder with --out.")

@@ -35,16 +35,13 @@ def gait(
 
       twistcap gait out/result.h5 --angles isb --frames 60:400 --json
     """
-    from twistcap.evaluate.gait import gait_of, parameters, symmetry
+    from twistcap.evaluate.gait import symmetry
     from twistcap.io.result import read_result
 
     read, wanted = read_result(result), terminal.frame_range(frames)
     read = read.within(*wanted) if wanted else read
-    found = gait_of(read.body, read.times, read.poses, read.covariances, read.known)
-    measures = parameters(found)
     folder = terminal.output_folder(out or result.parent)
-    files = _write_tables(folder, found, measures)
-    files += _write_cycles(folder, found, read, cutoff, cast("Angles", angles))
+    found, measures, files = run_gait(read, folder, cutoff, cast("Angles", angles))
     if json:
         shown = {side: {name: vars(m) for name, m in values.items()} for side, values in measures.items()}
         about = {
@@ -57,6 +54,16 @@ def gait(
     _show(str(result), measures)
     for path in files:
         typer.echo(path)
+
+
+def run_gait(read: Any, folder: Path, cutoff: float, angles: Angles) -> tuple[Gait, Any, list[Path]]:
+    """Measure the walk of a result: its gait, the parameters by side, and the files in the folder."""
+    from twistcap.evaluate.gait import gait_of, parameters
+
+    found = gait_of(read.body, read.times, read.poses, read.covariances, read.known)
+    measures = parameters(found)
+    files = _write_tables(folder, found, measures)
+    return found, measures, files + _write_cycles(folder, found, read, cutoff, angles)
 
 
 def _write_tables(folder: Path, found: Gait, measures: dict[str, dict[str, Measure]]) -> list[Path]:
@@ -77,16 +84,13 @@ def _write_tables(folder: Path, found: Gait, measures: dict[str, dict[str, Measu
 
 def _write_cycles(folder: Path, found: Gait, read: Any, cutoff: float, angles: Angles) -> list[Path]:
     """Each side's own coordinates, and those of the trunk, over that side's strides."""
-    from twistcap.evaluate.gait import PERCENT, SIDES, cycles, facing
-    from twistcap.evaluate.smoothing import butterworth
-    from twistcap.io.coordinates import coordinates_of
+    from twistcap.evaluate.gait import PERCENT, SIDES, cycles
     from twistcap.report.plots import cycle_plot, split_side
 
-    table = coordinates_of(read.body, facing(found, read.poses), angles=angles)
-    smooth = butterworth(table.in_degrees[0], 1.0 / found.frame, cutoff, read.known)
+    table, smooth, _ = walking_angles(found, read, cutoff, angles)
     rows, drawn = list[Sequence[Any]](), dict[str, Any]()
     for side in SIDES:
-        own = [k for k, name in enumerate(table.names) if table.turning[k] and split_side(name)[1] in (side, "")]
+        own = own_angles(table, side)
         curves = cycles(found, read.times, smooth[:, own], side)
         for c, k in enumerate(own if len(curves) else []):
             mean, sd = curves[..., c].mean(axis=0), curves[..., c].std(axis=0, ddof=1 if len(curves) > 1 else 0)
@@ -95,6 +99,25 @@ def _write_cycles(folder: Path, found: Gait, read: Any, cutoff: float, angles: A
             drawn[f"{split_side(table.names[k])[0]}_{side}"] = (mean, sd)
     files = [_table(folder / "cycles.csv", ["side", "percent", "coordinate", "mean_deg", "sd_deg", "strides"], rows)]
     return [*files, cycle_plot(folder / "cycles.png", drawn)] if drawn else files
+
+
+def walking_angles(found: Gait, read: Any, cutoff: float, angles: Angles) -> tuple[Any, Any, Any]:
+    """The coordinates of a walk as if it went along x: `Coordinates`, filtered values, sigmas (N, C), in degrees, m."""
+    from twistcap.evaluate.gait import facing, facing_covariances
+    from twistcap.evaluate.smoothing import butterworth
+    from twistcap.io.coordinates import coordinates_of
+
+    covariances = facing_covariances(found, read.covariances)
+    table = coordinates_of(read.body, facing(found, read.poses), covariances, angles)
+    values, sigmas = table.in_degrees
+    return table, butterworth(values, 1.0 / found.frame, cutoff, read.known), sigmas
+
+
+def own_angles(table: Any, side: str) -> list[int]:
+    """Columns of the angles of a side, and of the trunk."""
+    from twistcap.report.plots import split_side
+
+    return [k for k, name in enumerate(table.names) if table.turning[k] and split_side(name)[1] in (side, "")]
 
 
 def _table(path: Path, head: Sequence[str], rows: Sequence[Sequence[Any]]) -> Path:

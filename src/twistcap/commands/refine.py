@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -43,38 +44,43 @@ def refine(
 
       twistcap refine out/walk/result.h5 --frames 0:59 --set joint=0 --out out/walk-refined
     """
-    document = _run(result, out or result.parent / "refined", terminal.frame_range(frames), session, set_ or [], again)
+    from twistcap.commands.track import parsed_settings
+    from twistcap.io.session import load_session
+
+    loaded = None if session is None else load_session(session)
+    span, folder = terminal.frame_range(frames), out or result.parent / "refined"
+    document = run_refine(result, folder, loaded, parsed_settings(set_ or []), span, again)
     if json:
         terminal.emit(document)
     else:
         show(document)
 
 
-def _run(
-    path: Path, out: Path, span: tuple[int, int] | None, session_path: Path | None, said: list[str], again: bool
-) -> dict[str, Any]:
+def run_refine(
+    path: Path, out: Path, session: Any = None, settings: Mapping[str, Any] | None = None,
+    span: tuple[int, int] | None = None, again: bool = False,
+) -> dict[str, Any]:  # fmt: skip
+    """Refine a result into a folder, with its own session or another; what ``--json`` prints."""
     from twistcap.adjust.refine import RefineConfig
     from twistcap.adjust.refine import refine as refined
-    from twistcap.commands.track import parsed_settings
     from twistcap.io.result import read_result
-    from twistcap.io.session import load_session
     from twistcap.io.strict import dataclass_from
     from twistcap.report.words import result_in_words
 
     result = read_result(path)
-    config = dataclass_from(RefineConfig, parsed_settings(said), "--set", "refine")
-    session = _session(result, path) if session_path is None else load_session(session_path)
+    config = dataclass_from(RefineConfig, settings or {}, "--set", "refine")
+    session = session or _session(result, path)
     chosen = [e for e in result.estimates if span is None or span[0] <= e.index <= span[1]]
     views = _views(session, result.rig, [e.index for e in chosen], path)
     folder = terminal.output_folder(out)
-    settings, rig = session.tracker_settings, views.image_rig
+    tracker, rig = session.tracker_settings, views.image_rig
     with terminal.status("refining") as report:
-        refinement = refined(views, result.body, rig, chosen, config, settings, report)
+        refinement = refined(views, result.body, rig, chosen, config, tracker, report)
     if again:
         retracked = _tracked_again(session, refinement, views)
         with terminal.status("refining again") as report:
             body, shape = refinement.body, refinement.shape
-            refinement = refined(views, body, rig, retracked, config, settings, report, shape)
+            refinement = refined(views, body, rig, retracked, config, tracker, report, shape)
     about = {"id": "refine", "result": folder / "refined.h5", "frames": len(chosen)}
     about |= {"moved_mm": [1000.0 * step for step in refinement.moved], "helped": refinement.helped}
     about |= {"design_effect": refinement.design_effect, "joints_held": not refinement.joint_shifts}

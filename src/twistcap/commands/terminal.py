@@ -61,6 +61,15 @@ def _bar() -> Progress:
     return Progress(*columns, TextColumn("{task.fields[note]}"), console=words)
 
 
+def tell_compiling() -> None:
+    """Say that the kernels will be compiled, where numba keeps none for this machine and user."""
+    from twistcap.render.raster import rasterise
+
+    kept = Path(str(rasterise.stats.cache_path))  # beside the code, or where NUMBA_CACHE_DIR or the user's cache is
+    if not any(kept.glob("raster.rasterise-*.nbi")):
+        words.print("The first run on this machine compiles the kernels; it takes some minutes, later runs do not.")
+
+
 def emit(document: Mapping[str, Any]) -> None:
     """Print one JSON document on stdout; NaN and infinity become null."""
     typer.echo(json.dumps(_plain(document), indent=2, ensure_ascii=False, allow_nan=False))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,6 +12,7 @@ import typer
 from twistcap.commands import terminal
 from twistcap.commands.follow import Timing, follow, held, in_use, resumed
 from twistcap.commands.terminal import words
+from twistcap.doors.text import toml_value
 from twistcap.errors import InputError
 
 
@@ -90,6 +90,7 @@ def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str,
     from twistcap.report.words import result_in_words
 
     path = folder / "result.h5"
+    terminal.tell_compiling()
     with WriteLock(path) as lock:
         views, timing = _tracked(session, path, begin, lock)
         result = read_result(path)
@@ -198,8 +199,5 @@ def parsed_settings(settings: list[str]) -> dict[str, Any]:
         key, equals, value = text.partition("=")
         if not equals or not key:
             raise InputError(f"--set is {text!r}; write KEY=VALUE, such as tracker.surface_sigma=0.006.")
-        try:
-            out[key.strip()] = tomllib.loads(f"value = {value}")["value"]
-        except (ValueError, RecursionError):
-            out[key.strip()] = value
+        out[key.strip()] = toml_value(value)
     return out

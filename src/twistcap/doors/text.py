@@ -122,6 +122,14 @@ def parsed_toml(text: str, source: str) -> dict[str, Any]:
     return content
 
 
+def toml_value(text: str) -> Any:
+    """A value as TOML writes it; what is none is itself, a bare word."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except (ValueError, RecursionError):
+        return text
+
+
 def _unpacked(path: Path, data: bytes) -> bytes:
     unpacker = zlib.decompressobj(wbits=16 + zlib.MAX_WBITS)
     out = unpacker.decompress(data, LARGEST + 1)

@@ -99,8 +99,22 @@ def gait_of(
 
 def facing(gait: Gait, poses: Sequence[Pose]) -> list[Pose]:
     """The poses as if the walk went along the world's x: OpenSim's tilt and list of the pelvis mean it so."""
-    turns = se3.transform(se3.exp_rotation(-gait.heading[:, None] * [0.0, 0.0, 1.0]), np.zeros(3))
+    turns = se3.transform(_to_x(gait), np.zeros(3))
     return [Pose(turn @ pose.root, pose.q) for turn, pose in zip(turns, poses, strict=True)]
+
+
+def facing_covariances(gait: Gait, covariances: Float) -> Float:
+    """The covariances (N, 6 + J, 6 + J) of the pose step of `facing` poses, of those of the poses themselves."""
+    turns, out = _to_x(gait), covariances.copy()
+    for part in (slice(0, 3), slice(3, 6)):
+        out[:, part] = turns @ out[:, part]
+        out[:, :, part] = out[:, :, part] @ turns.swapaxes(1, 2)
+    return out
+
+
+def _to_x(gait: Gait) -> Float:
+    """(N, 3, 3) rotations about the vertical that bring the walk to the world's x."""
+    return se3.exp_rotation(-gait.heading[:, None] * [0.0, 0.0, 1.0])
 
 
 def cycles(gait: Gait, times: Float, values: Float, side: str) -> Float:

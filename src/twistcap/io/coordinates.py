@@ -35,6 +35,11 @@ class Coordinates:
     sigmas: Float
 
     @property
+    def units(self) -> tuple[str, ...]:
+        """C units of `in_degrees`."""
+        return tuple("deg" if turns else "m" for turns in self.turning)
+
+    @property
     def in_degrees(self) -> tuple[Float, Float]:
         """Values and standard deviations (T, C), angles in degrees."""
         scale = np.where(self.turning, np.degrees(1.0), 1.0)

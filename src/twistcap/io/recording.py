@@ -181,7 +181,7 @@ def _start(session: Session, rig: Rig, body: Body) -> _Start:
     """From a file, from clicks, or one fit over instants near the first frame and those that only serve the lengths."""
     table, first = session.first_pose, float((session.frames or (0, 0))[0])
     if table.file is not None:
-        body = body_at(table.file, body)
+        body = body_at(table.file, body) if table.fit_lengths else body
         return _Start(body, (first,), (read_pose(table.file, body, table.frame),))
     if table.clicks is not None:
         fit = fit_keypoints(body, rig, read_clicks(table.clicks, rig.names), fit_lengths=table.fit_lengths)
