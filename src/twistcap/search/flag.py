@@ -35,16 +35,15 @@ _SIGNS = tuple(_OF.values())
 KNOTS = (*_SIGNS, *(_SIGNS[k] for k in _MEANS), (-12.0, -8.0, -5.0, -2.5, 0.0, 2.0), _OF["clear"], _OF["late"])
 """Of all signs, of their running means, of `beyond`, and of the most and the mean of all limbs."""
 
-# Fitted by the method of benchmarks/fit_flag.py on captures 1000 to 1076 of the fault bench. Most of them were tracked
-# before limbs were looked for as they are now: the script gives somewhat other weights today.
+# By benchmarks/fit_flag.py --seeds 1000-1087.
 LIMB = (
-    -7.888, 0, 0, 0, 0, 0, 0, 0, 0, 0.2685, 0, 0, 0, 0.8481, 0, 0, 0, 0, 0, 0.3431, 0, 0, 0.2109, 0.814, 0, 0, 0, 0,
-    0.1171, 0, 0, 0, 0.3668, 0, 0, 0, 0, 0.3481, 0, 0, 0.8382, 0, 0.3321, 0.1759, 0, 0, 0.3337, 2.798, 0, 0, 0,
-    1.274, 0, 0, 0, 0, 1.776, 0, 0, 0, 0, 2.014, 0.02918, 0.1558, 0.4317, 1.89, 0.374, 0.2442, 0, 0, 0.6386, 0,
-    1.104, 0, 0.5672, 0.05459,
+    -8.834, 0.1362, 0, 0, 0.4235, 0, 0.2492, 0, 0, 0, 0, 0, 0, 0.9712, 0, 0, 0, 0.1881, 0.01435, 1.309, 0, 0,
+    0.6442, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0.4983, 0, 0, 0, 0, 0, 0.9207, 2.702, 0, 0, 0.2453, 0.6267, 0, 0, 0, 2.705,
+    0, 0, 0, 0.9954, 0, 0, 0, 0, 1.594, 0, 0, 0, 0, 1.507, 0.2823, 0.9059, 0.5834, 1.404, 0.6321, 0, 0.4904, 0, 0,
+    1.406, 0, 0, 0.1088, 1.113,
 )  # fmt: skip
-BODY = (0.9901, 0.176, 0.9235)
-BLIND = (-2.583, 1.812, 0.4124)
+BODY = (1.123, 0.3809, 0.7344)
+BLIND = (-0.1226, 2.498, 0.2624)
 
 
 def flag_groups(body: Body) -> Bool:
