@@ -51,8 +51,21 @@ def content(path: Path) -> tuple[GLTF2, bytes]:
 
 
 def played(motion: Path, times: Float, folder: Path) -> Any:
-    blender("play.py", motion, folder / f"{motion.stem}.npz", *times)
-    return np.load(folder / f"{motion.stem}.npz")
+    out = folder / f"{motion.name}.npz"
+    blender("play.py", motion, out, *times)
+    return np.load(out)
+
+
+CENTRES = {"shoulder": "upperarm arm", "elbow": "forearm", "wrist": "hand", "hip": "thigh upleg", "knee": "shin leg",
+           "ankle": "foot"}  # fmt: skip
+
+
+def bone_of(mark: str, names: Any) -> int:
+    """The bone whose head is a joint centre, such as ``knee_r``."""
+    joint, side = mark.split("_")
+    words = {"r": "right", "l": "left"}[side]
+    wanted = {w for bone in CENTRES[joint].split() for w in (words + bone, bone + side)}
+    return next(k for k, name in enumerate(names) if plain(str(name)) in wanted)
 
 
 def to_blender(points: Float) -> Float:
@@ -91,9 +104,15 @@ def test_the_glb_comes_back_as_it_was_with_the_motion(tracked: tuple[Path, Path,
     np.testing.assert_allclose(shown["rest"], rest["rest"], atol=1e-6)
     assert list(shown["materials"]) == ["Skin", "Cloth"]
     assert np.ptp(shown["frame_range"]) / shown["fps"] == pytest.approx((FRAMES - 1) / FPS, abs=1e-4)
+    marks, one = read.body.landmarks, read.body.skin_weights.max(axis=1) > 1 - 1e-6
     for frame, pose in enumerate(read.poses):
-        expected = to_blender(Posed(read.body, pose).vertices)
-        assert cKDTree(shown["vertices"][frame]).query(expected)[0].max() < TOLERANCE
+        posed = Posed(read.body, pose)
+        for mark in (f"{joint}_{side}" for joint in CENTRES for side in "rl"):
+            place = shown["heads"][frame, bone_of(mark, shown["names"])]
+            np.testing.assert_allclose(place, to_blender(posed.landmarks[marks.index(mark)]), atol=TOLERANCE)
+        off = cKDTree(shown["vertices"][frame]).query(to_blender(posed.vertices))[0]
+        assert one.sum() > 700 and off[one].max() < TOLERANCE
+        assert off.max() < 0.018  # at the shoulders: our rest pose has the arms down, and skin blends from there
     keys, half = shown["vertices"][:FRAMES], shown["vertices"][FRAMES:]  # between two keys: between two shapes
     middle = (keys[1:] + keys[:-1]) / 2
     assert np.linalg.norm(half - middle, axis=2).max() < 2e-3
@@ -114,10 +133,11 @@ def test_the_bvh_has_the_same_bones_and_motion(tracked: tuple[Path, Path, Float]
     assert list(shown["names"]) and set(shown["names"]) == set(skinned["names"])
     order = [list(skinned["names"]).index(name) for name in shown["names"]]
     np.testing.assert_allclose(shown["heads"], skinned["heads"][:, order], atol=TOLERANCE)
-    mark = read.body.landmarks.index("ankle_r")
-    ankle = np.array([Posed(read.body, pose).landmarks[mark] for pose in read.poses])
-    foot = next(k for k, name in enumerate(shown["names"]) if plain(str(name)) in ("rightfoot", "footr"))
-    np.testing.assert_allclose(shown["heads"][:, foot], to_blender(ankle), atol=TOLERANCE)
+    for mark in ("ankle_r", "wrist_l"):
+        k = read.body.landmarks.index(mark)
+        places = np.array([Posed(read.body, pose).landmarks[k] for pose in read.poses])
+        heads = shown["heads"][:, bone_of(mark, shown["names"])]
+        np.testing.assert_allclose(heads, to_blender(places), atol=TOLERANCE)
     assert np.ptp(shown["frame_range"]) == FRAMES - 1  # a key for each frame; Blender takes no rate from a BVH
 
 
@@ -140,7 +160,8 @@ def test_a_file_that_was_not_tracked_is_refused(
 @pytest.mark.parametrize(
     ("name", "expected"),
     [("mixamorig:LeftArm", "leftarm"), ("mixamorig1:Hips", "hips"), ("mixamorigHips", "hips"),
-     ("DEF-thigh.L", "thighl"), ("upper_arm.R", "upperarmr"), ("J_Bip_L_UpperArm", "biplupperarm"), ("spine_01", "spine01"), ("Hips", "hips")],
+     ("DEF-thigh.L", "thighl"), ("upper_arm.R", "upperarmr"), ("J_Bip_L_UpperArm", "biplupperarm"),
+     ("spine_01", "spine01"), ("Hips", "hips")],
 )  # fmt: skip
 def test_names_lose_what_programs_add(name: str, expected: str) -> None:
     assert plain(name) == expected

@@ -73,8 +73,8 @@ def animate_glb(motion: BoneMotion, path: Path | str, fps: float, name: str = "t
     Raises InputError for a file that is not binary, a rate that is not positive, or if it cannot be written.
     """
     scene, gltf = motion.rigged.scene, motion.rigged.scene.gltf
-    blob: Any = gltf.binary_blob()
-    check(str(scene.path), blob is not None and gltf.buffers[0].uri is None, "motion goes into a GLB, not into a .gltf")
+    blob: bytes = gltf.binary_blob() or b""
+    check(str(scene.path), blob and gltf.buffers[0].uri is None, "motion goes into a GLB, not into a .gltf")
     check(str(path), fps > 0, f"the frame rate is {fps}; it must be positive")
     pack = Packer(gltf)
     pack.blob = bytearray(blob + b"\0" * (-len(blob) % 4))

@@ -36,7 +36,7 @@ class Preset:
     @property
     def bones(self) -> dict[str, str]:
         """Plain name by role, such as ``thigh_r``."""
-        found = dict(zip(_MIDDLE, self.middle, strict=True))
+        found: dict[str, str] = dict(zip(_MIDDLE, self.middle, strict=True))
         for side, word in zip("lr", self.sides, strict=True):
             found |= {f"{r}_{side}": n.replace("*", word) for r, n in zip(_SIDED, self.sided, strict=True)}
         return found

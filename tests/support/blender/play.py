@@ -34,7 +34,8 @@ for time in map(float, times):
         shown = person.evaluated_get(graph)
         vertices.append([shown.matrix_world @ v.co for v in shown.data.vertices])
 np.savez(
-    out, fps=fps, frame_range=np.array(action.frame_range if action else (0, 0)), names=[b.name for b in armature.data.bones],
+    out, fps=fps, frame_range=np.array(action.frame_range if action else (0, 0)),
+    names=[b.name for b in armature.data.bones],
     heads=np.array(heads), vertices=np.array(vertices), people=len(people),
     parents=[b.parent.name if b.parent else "" for b in armature.data.bones],
     rest=np.array([armature.matrix_world @ b.head_local for b in armature.data.bones]),
