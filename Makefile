@@ -2,6 +2,7 @@
 #   make demo    render, track and report a synthetic walk
 #   make test    all tests
 #   make lint    ruff and pyright
+#   make blender Blender for the tests of animation, in .venv-bpy (it wants another numpy; Python 3.11)
 #   make bench   milliseconds per frame by stage
 #   make docs    the docs and the API reference as a site: out/site
 #   make notebooks   run the notebooks: out/notebooks
@@ -12,7 +13,7 @@ VENV := .venv
 PY := $(VENV)/bin/python
 JOBS ?= 2
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint bench docs notebooks release-check reproduce clean
+.PHONY: help demo test lint blender bench docs notebooks release-check reproduce clean
 
 help:
 	@sed -n 's/^#   //p' Makefile
@@ -37,6 +38,10 @@ demo: $(VENV)/run.stamp
 
 test: $(VENV)/dev.stamp
 	$(PY) -m pytest -n $(JOBS) --dist loadscope $(ARGS)
+
+blender:
+	$(or $(PYTHON),python3.11) -m venv .venv-bpy
+	.venv-bpy/bin/python -m pip install --quiet 'bpy>=4.5,<6'
 
 lint: $(VENV)/dev.stamp
 	$(PY) -m ruff check

@@ -62,7 +62,7 @@ class Summary:
 
     @property
     def silent(self) -> float:
-        """Fraction of all frames that are lost and not flagged, and not just by parts that are said to be in no image."""
+        """Fraction of all frames that are lost and not flagged, but for parts that are said to be in no image."""
         return self.silent_frames / self.frames
 
     @property

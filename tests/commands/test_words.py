@@ -71,7 +71,7 @@ def test_the_command_tells_it(faulty: Path, tmp_path: Path, capsys: pytest.Captu
     quiet = ("--set", "output.overlay=false", "--set", "output.report=false")
     told = document(capsys, "track", faulty, "--out", tmp_path, *quiet)
     assert told["left_out"]["cam01"] and told["left_out"]["cam02"] == []
-    lost, left_out, nothing, blank = told["told"]
+    lost, left_out, nothing, blank = told["statements"]
     assert lost.startswith(f"{len(told['lost'])} of 42 frames lost: ") and lost.endswith(f"–{GAP[-1]} (no images)")
     assert left_out.startswith(f"camera cam01 was left out in {len(told['left_out']['cam01'])} frames: ")
     assert left_out.endswith("; it contradicts the others (bumped, frozen, late or swapped?)")

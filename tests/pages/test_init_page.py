@@ -7,6 +7,7 @@ import re
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 
 from support.browser import Browser
-from support.pages_shared import asked, has_colour, needs_browser, picture, run, served, studio_walk
+from support.pages_shared import asked, has_colour, needs_browser, picture, run, served, studio_walk, unreachable
 from twistcap.adjust.first_pose import Proportions
 from twistcap.body import Pose, Posed, rescaled
 from twistcap.body.humanoid import humanoid
@@ -24,8 +25,11 @@ from twistcap.estimate import Keypoints
 from twistcap.io.pose_file import body_at, write_pose
 from twistcap.io.recording import open_recording
 from twistcap.io.session import load_session
+from twistcap.io.synthetic import write_session
 from twistcap.pages import detectors
 from twistcap.pages.assemble import page
+from twistcap.pages.clicking import LEAST_IOU, overlap
+from twistcap.studio import StudioConfig, capture
 
 SIX = ("shoulder_r", "shoulder_l", "hip_r", "hip_l", "knee_r", "ankle_l")
 
@@ -33,6 +37,14 @@ SIX = ("shoulder_r", "shoulder_l", "hip_r", "hip_l", "knee_r", "ankle_l")
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return studio_walk(tmp_path_factory.mktemp("studio") / "walk")
+
+
+@pytest.fixture(scope="module")
+def stride(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Long enough that the person leaves his place."""
+    folder = tmp_path_factory.mktemp("stride") / "walk"
+    write_session(capture(StudioConfig(seed=6, views=3, size=(192, 140), frames=90)), folder, masks=False)
+    return folder
 
 
 @pytest.fixture
@@ -105,6 +117,104 @@ def test_clicking_moves_the_body_and_saves_it(made: Path, session: Path, tmp_pat
     assert set(again.clicks["cam01"]) == {*SIX, "wrist_r"}
     assert again.shown is not None
     np.testing.assert_allclose(again.shown.vertices, shown.vertices, atol=1e-9)
+
+
+@needs_browser
+@pytest.mark.parametrize("size", [(390, 844), (1280, 800), (3840, 2160)])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_every_control_of_the_clicks_is_reached(
+    made: Path, session: Path, size: tuple[int, int], scheme: str, tmp_path: Path
+) -> None:
+    clicking = clicking_of(load_session(session), session)
+    clicking.fit({"clicks": clicked(made, clicking)})
+    with served(page("init", "test", clicking.document()), clicking.answers) as url, Browser(size) as browser:
+        browser.prefer(scheme)
+        browser.open(url)
+        assert unreachable(browser) == []
+        assert browser.run("document.documentElement.scrollWidth") <= size[0]
+        assert (picture(browser, tmp_path / "page.png")[2, 2].max() < 60) == (scheme == "dark")
+        assert browser.problems == []
+
+
+@needs_browser
+def test_fingers_and_keys_click_as_the_mouse_does(made: Path, session: Path) -> None:
+    clicking = clicking_of(load_session(session), session)
+    loupe = "[...document.querySelectorAll('.loupe')].filter(l => !l.hidden).length"
+    with served(page("init", "test", clicking.document()), clicking.answers) as url, Browser((390, 844)) as browser:
+        browser.call("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=2)
+        browser.open(url)
+        x, y = browser.centre("[data-camera=cam01]")
+        browser.touch("touchStart", (x, y))
+        assert browser.run(loupe) == 1
+        browser.touch("touchMove", (x + 12, y + 4))
+        browser.touch("touchEnd")
+        assert browser.run(loupe) == 0
+        (joint,) = browser.run("Object.keys(twistcapInit.clicks.cam01)")
+        before = browser.run("twistcapInit.clicks.cam01")[joint]
+        browser.touch("touchStart", (x - 40, y))  # two fingers: zoom, and no click
+        browser.touch("touchStart", (x - 40, y), (x + 40, y))
+        browser.touch("touchMove", (x - 80, y), (x + 80, y))
+        browser.touch("touchEnd")
+        box = [
+            float(v)
+            for v in browser.run("document.querySelector('[data-camera=cam01]').getAttribute('viewBox')").split()
+        ]
+        assert box[2] == pytest.approx(192 / 2, rel=0.1) and len(browser.run("twistcapInit.clicks.cam01")) == 1
+        browser.run("document.querySelector('[data-camera=cam02]').focus()")
+        for key, code in (("ArrowRight", 39), ("ArrowDown", 40)):
+            browser.key(key, code)
+        assert browser.run(loupe) == 1
+        browser.key("Enter", 13)
+        ((name, pixel),) = browser.run("twistcapInit.clicks.cam02").items()
+        assert name != joint and pixel == [97, 71]  # one right of and one below the middle of 192 × 140
+        browser.run(f"document.querySelector('[data-name={joint}]').click(); document.getElementById('remove').click()")
+        assert browser.run("twistcapInit.clicks.cam01 === undefined") and before[0] > 96
+        assert browser.problems == []
+
+
+@needs_browser
+def test_save_turns_amber_where_a_view_without_clicks_does_not_fit(stride: Path, tmp_path: Path) -> None:
+    path = stride / "session.toml"
+    clicking = clicking_of(load_session(path), path, tmp_path / "pose.json")
+    clicks = clicked(stride, clicking)
+    good = clicking.fit({"clicks": clicks})["overlap"]
+    assert set(good) == {"cam01", "cam02", "cam03"} and min(good.values()) > LEAST_IOU
+    save = "document.getElementById('save').className"
+    with served(page("init", "test", clicking.document()), clicking.answers) as url, Browser() as browser:
+        browser.open(url)
+        assert browser.run(save) == "" and "overlap" in browser.run(
+            "document.querySelectorAll('.view b')[1].textContent"
+        )
+    clicks["cam03"] = {joint: [x - 25, y] for joint, (x, y) in clicks["cam03"].items()}
+    clicking.shown = None
+    bad = clicking.fit({"clicks": clicks})["overlap"]
+    assert bad["cam02"] < LEAST_IOU
+    with served(page("init", "test", clicking.document()), clicking.answers) as url, Browser() as browser:
+        browser.open(url)
+        assert browser.run(save) == "amber"
+        assert browser.run("[...document.querySelectorAll('.view.amber b')].map(b => b.textContent)")[0].startswith(
+            "cam02"
+        )
+        browser.click(*browser.centre("#save"))
+        browser.wait("document.body.dataset.saved")  # it warns, and saves
+        assert "cam02" in browser.run("document.getElementById('message').textContent")
+
+
+def test_a_silhouette_that_says_nothing_is_not_held_against_the_pose(
+    made: Path, session: Path, stride: Path, tmp_path: Path
+) -> None:
+    short = clicking_of(load_session(session), session)
+    assert short.fit({"clicks": clicked(made, short)})["overlap"] == {}  # too short to know what is still
+    path = stride / "session.toml"
+    clicking = clicking_of(load_session(path), path, tmp_path / "pose.json")
+    clicking.fit({"clicks": clicked(stride, clicking)})
+    one = clicking.silhouettes[1]
+    assert one is not None and clicking.shown is not None
+    assert overlap(clicking.shown, one) is not None
+    assert overlap(clicking.shown, replace(one, mask=np.zeros_like(one.mask))) is None
+    away = Pose(clicking.shown.pose.root.copy(), clicking.shown.pose.q)
+    away.root[:3, 3] += [40.0, 0.0, 0.0]
+    assert overlap(Posed(clicking.shown.body, away), one) in (0.0, pytest.approx(0.0, abs=0.05))
 
 
 def test_six_joints_in_two_views_find_the_pose(made: Path, session: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -15,7 +16,17 @@ import pytest
 
 from support.box import hinged_box
 from support.browser import Browser
-from support.pages_shared import FRAMES, asked, has_colour, needs_browser, picture, run, served, studio_walk
+from support.pages_shared import (
+    FRAMES,
+    asked,
+    has_colour,
+    needs_browser,
+    picture,
+    run,
+    served,
+    studio_walk,
+    unreachable,
+)
 from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.camera import Camera, look_at
@@ -103,7 +114,7 @@ def test_the_viewer_shows_a_result_and_plays_it(made: Path, saved: Path, tmp_pat
     with Browser() as browser:
         browser.open(saved.as_uri())
         assert browser.run("document.body.dataset.webgl") == "yes"
-        assert browser.run("document.querySelectorAll('.plot canvas').length") == len(result.body.coordinate_names)
+        assert browser.run("document.querySelectorAll('.plot').length") == len(result.body.coordinate_names)
         assert browser.run("document.querySelectorAll('#views canvas').length") == 3
         browser.run("twistcapView.seek(4)")
         skin = browser.run("Array.from(twistcapView.runs[0].mesh.geometry.attributes.position.array)")
@@ -130,7 +141,7 @@ def test_the_viewer_tells_limbs_and_cameras(saved: Path) -> None:
         def seen(frame: int) -> tuple[str, list[str], int]:
             browser.run(f"twistcapView.seek({frame})")
             notes = browser.run("Array.from(document.querySelectorAll('.view b'), (note) => note.textContent)")
-            text = browser.run("document.getElementById('said').textContent")
+            text = browser.run("document.getElementById('frame-note').textContent")
             return text, notes, browser.run("document.querySelectorAll('.view.out').length")
 
         text, notes, out = seen(0)
@@ -157,7 +168,110 @@ def test_the_viewer_fits_a_phone(saved: Path) -> None:
         browser.run("twistcapView.seek(3)")
         assert browser.run("document.documentElement.scrollWidth") <= 390
         assert browser.run("document.getElementById('marks').clientWidth") > 300
-        assert browser.run("document.getElementById('said').getBoundingClientRect().bottom") <= 844
+        assert browser.run("document.getElementById('frame-note').getBoundingClientRect().bottom") <= 844
+
+
+SIZES = ((390, 844), (1280, 800), (3840, 2160))
+
+
+@needs_browser
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_every_control_of_the_viewer_is_reached(
+    saved: Path, size: tuple[int, int], scheme: str, tmp_path: Path
+) -> None:
+    with Browser(size) as browser:
+        browser.prefer(scheme)
+        browser.open(saved.as_uri())
+        assert unreachable(browser) == []
+        assert browser.run("document.documentElement.scrollWidth") <= size[0]
+        assert browser.run("slider.clientWidth") > 0.15 * size[0]
+        tiles = browser.run("[...document.querySelectorAll('#views .view')].map(t => t.getBoundingClientRect().bottom)")
+        assert max(tiles) <= browser.run("views.getBoundingClientRect().bottom") + 1  # none is cut off
+        browser.run("scrollTo(0, 0)")
+        paper = picture(browser, tmp_path / "page.png")[2, 2]
+        assert (paper.max() < 60) == (scheme == "dark")
+        browser.click(*browser.centre("#theme"))
+        assert (picture(browser, tmp_path / "other.png")[2, 2].max() < 60) == (scheme == "light")
+        assert browser.problems == []
+
+
+@needs_browser
+def test_keys_work_after_play_was_clicked(saved: Path) -> None:
+    with Browser() as browser:
+        browser.open(saved.as_uri())
+        for _ in range(2):
+            browser.click(*browser.centre("#play"))
+        assert browser.run("document.activeElement.id") == "play" and not browser.run("twistcapView.state.playing")
+        browser.run("twistcapView.seek(1)")
+        for key, code, frame in (("ArrowRight", 39, 2), ("ArrowLeft", 37, 1), ("End", 35, FRAMES - 1), ("Home", 36, 0)):
+            browser.key(key, code)
+            assert browser.run("twistcapView.state.frame") == frame
+        browser.key(" ", 32, " ")  # of the button: it plays, once
+        assert browser.run("twistcapView.state.playing")
+        browser.run("document.activeElement.blur()")
+        browser.key(" ", 32, " ")
+        assert not browser.run("twistcapView.state.playing")
+        browser.run("twistcapView.seek(0); slider.focus()")
+        browser.key("ArrowRight", 39)
+        assert browser.run("twistcapView.state.frame") == 1  # once, not twice
+        eye = "document.querySelector('#scene canvas').toDataURL()"
+        before = browser.run(eye)
+        browser.run("document.querySelector('#scene canvas').focus()")
+        browser.key("ArrowUp", 38)
+        assert browser.run(eye) != before and browser.run("twistcapView.state.frame") == 1
+        assert browser.problems == []
+
+
+@needs_browser
+def test_plots_read_out_zoom_and_resize(made: Path, saved: Path) -> None:
+    result = read_result(made / "one" / "result.h5")
+    with Browser() as browser:
+        browser.open(saved.as_uri())
+        browser.run("twistcapView.seek(3)")
+        plot = "[data-coordinate=lumbar_bending]"
+        text = browser.run(f"document.querySelector('{plot} output').textContent")
+        angle, sigma = (np.degrees(v[3, result.body.coordinate("lumbar_bending")]) for v in (result.q, result.sigmas))
+        assert f"{angle:.1f}° ± {2 * sigma:.1f}°" in text and "reference" in text
+        x, y = browser.centre(f"{plot} .u-over")
+        browser.mouse("mouseMoved", x, y, "none")
+        assert " at 0.0" in browser.run(f"document.querySelector('{plot} output').textContent")
+        browser.drag((x - 40, y), (x + 40, y))
+        low, high = browser.run("twistcapView.shown()")
+        assert 0 < low < high < 5 / 60
+        ranges = "p => [p.plot.scales.x.min, p.plot.scales.x.max]"
+        shown = browser.run(f"twistcapView.plots.filter(p => p.plot).map({ranges})")
+        np.testing.assert_allclose(shown, [[low, high]] * len(shown))  # all plots together
+        browser.click(*browser.centre("#zoom-all"))
+        np.testing.assert_allclose(browser.run("twistcapView.shown()"), [0, 5 / 60], atol=1e-5)
+        browser.click(*browser.centre("#zoom-in"))
+        assert np.ptp(browser.run("twistcapView.shown()")) < 4.5 / 60
+        units = browser.run("twistcapView.plots[0].plot.axes.map(a => a._values[0])")
+        assert units[0].endswith(" s") and units[1].endswith("°")
+        wide = browser.run(f"document.querySelector('{plot} canvas').clientWidth")
+        browser.resize(500, 900)
+        browser.wait(f"Math.abs(document.querySelector('{plot} canvas').clientWidth - {wide}) > 60")
+        assert browser.run("document.documentElement.scrollWidth") <= 500
+        assert browser.problems == []
+
+
+@needs_browser
+def test_a_long_recording_opens_at_once(made: Path, tmp_path: Path) -> None:
+    """6 000 frames: the first picture takes 1.1 s of two busy cores with software rendering."""
+    short, long = read_result(made / "one" / "result.h5"), tmp_path / "result.h5"
+    with ResultWriter(long, short.body, short.rig, short.config, room=6000) as writer:
+        for k in range(6000):
+            writer.append(replace(short.estimates[k % FRAMES], index=k, time=k / 60))
+    out = tmp_path / "long.html"
+    assert run("view", long, "--save", out, "--session", made / "session.toml") == 0
+    with Browser((1280, 800)) as browser:
+        browser.open(out.as_uri())
+        browser.wait("document.body.dataset.painted")
+        assert float(browser.run("document.body.dataset.painted")) < 4000
+        start = browser.run("performance.now()")
+        browser.run("for (let k = 0; k < 5; k++) twistcapView.seek(1000 * k)")
+        assert (browser.run("performance.now()") - start) / 5 < 150  # ms a frame
+        assert browser.problems == []
 
 
 @needs_browser
@@ -210,8 +324,8 @@ def test_a_result_without_videos_is_shown_without_images(
     assert document["runs"][1]["rows"] == [-1] * FRAMES  # a run that was killed before its first frame
     run_of = document["runs"][0]
     assert run_of["lost"] == [0, 0, 1, 1, 0, 0] and run_of["probability"][2] == 0.9
-    assert run_of["said"][2] == "lost: left arm (probability 0.90)" and run_of["cameras"][3] == ["", "left out", ""]
-    assert document["runs"][1]["told"] == []
+    assert run_of["notes"][2] == "lost: left arm (probability 0.90)" and run_of["cameras"][3] == ["", "left out", ""]
+    assert document["runs"][1]["statements"] == []
 
 
 def test_a_view_says_what_is_wrong(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -20,7 +20,7 @@ from twistcap.body import Pose, Posed
 from twistcap.camera import Camera, Rig, look_at
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate.metrics import row
-from twistcap.report import Figure, angle_plot, draw_overlay, joint_error_plot, overlay_video, write_report
+from twistcap.report import Figure, Statement, angle_plot, draw_overlay, joint_error_plot, overlay_video, write_report
 from twistcap.report.overlay import LOST, bones_of, mosaic_for, part_colours, visible_projection
 from twistcap.report.page import headline_rows, number
 from twistcap.report.plots import AngleSeries, spans, split_side
@@ -184,6 +184,15 @@ def test_report_is_escaped_and_stands_alone(tmp_path: Path) -> None:
     assert [link for link in page.links if not link.startswith("data:")] == ["over%20lay.mp4"] * 2 + ["result.h5"]
     assert sum(link.startswith("data:image/png;base64,") for link in page.links) == 1
     assert "0.53" in text and "≤ 0.7" in text and "knee &amp; hip" in text
+
+
+def test_the_verdict_comes_first_and_prints(tmp_path: Path) -> None:
+    verdict = [Statement("All <b> frames.", True), Statement("Not the wrist.", False), Statement("Careful.")]
+    text = write_report(tmp_path, "Walk", [], verdict=verdict, statements=["none lost"]).read_text()
+    assert text.index("<h2>Verdict") < text.index("none lost")
+    for kind, words in (("good", "All &lt;b&gt; frames."), ("bad", "Not the wrist."), ("amber", "Careful.")):
+        assert f'<li class="{kind}">{words}</li>' in text
+    assert "@media print" in text and "color-scheme: light dark" in text
 
 
 def test_numbers_are_short() -> None:

@@ -20,6 +20,7 @@ from twistcap.commands.follow import Believed
 from twistcap.estimate import Estimate, Frame
 from twistcap.io.result import Result, ResultWriter, read_result
 from twistcap.report.overlay import LOST, draw_mosaic, mosaic_for
+from twistcap.report.verdict import camera_rows, chosen_rows, verdict_of
 from twistcap.report.words import camera_in_words, doubtful, doubtful_in_words, result_in_words, state_in_words
 
 BODY, LIMBS = humanoid(), named_limbs(humanoid())
@@ -93,7 +94,7 @@ def test_a_frame_says_why_it_is_lost() -> None:
 
 def test_the_first_time_that_a_camera_is_left_out_is_told() -> None:
     believed = Believed(("cam0", "cam1"))
-    told = [believed.told(estimate(k, left_out=out)) for k, out in enumerate([(), (1,), (1,), (), (1,), ()])]
+    told = [believed.news(estimate(k, left_out=out)) for k, out in enumerate([(), (1,), (1,), (), (1,), ()])]
     assert [len(sentences) for sentences in told] == [0, 1, 0, 1, 0, 0]
     assert told[1][0].startswith("frame 2: camera cam1 is left out; it contradicts the others (bumped")
     assert told[3] == ["frame 6: camera cam1 is believed again"]
@@ -120,3 +121,28 @@ def test_the_overlay_frames_what_is_not_to_be_trusted(camera: int) -> None:
     inside = cv2.erode(np.any(lost != fine, axis=-1).astype(np.uint8), np.ones((5, 5), np.uint8)).astype(bool)
     share = inside[tile].sum() / np.any(drawn(lost=True, part_probability=None) != fine, axis=-1)[tile].sum()
     assert 0.02 < share < 0.5  # one arm, not the body
+
+
+def test_the_verdict_says_what_can_be_used(tmp_path: Path) -> None:
+    sigma = np.full(BODY.dof, np.radians(1.0))
+    for name, degrees in (("knee_angle_r", 3.0), ("pro_sup_r", 9.0), ("pro_sup_l", 7.0)):
+        sigma[6 + BODY.coordinate(name)] = np.radians(degrees)
+    sigma[3:6] = 0.004
+    frames = [replace(estimate(k), covariance=np.diag(sigma**2)) for k in range(20)]
+    frames[4] = replace(frames[4], lost=True, probability=0.9, part_probability=parts(arm_l=0.9), left_out=(1,))
+    frames[7] = replace(frames[7], probability=0.3)
+    made = result(tmp_path / "a.h5", frames)
+    verdict = verdict_of(made)
+    words = [s.text for s in verdict]
+    assert words[0] == "19 of 20 frames can be used. Leave out those that are lost or unseen: 8."
+    assert words[1].endswith("probability of 0.2 or more: 14.")
+    by_grade = {text.split(",")[0]: (s.good, text) for s, text in zip(verdict, words, strict=True)}
+    assert by_grade["Use with care"] == (None, "Use with care, σ of 2° to 5°: knee angle right (3.0°).")
+    assert by_grade["Not reliable"] == (False, "Not reliable, σ above 5°: pro sup (9.0°).")
+    assert by_grade["Reliable"][0] is True and "knee angle left (1.0°)" in by_grade["Reliable"][1]
+    assert "cam1 in 5 % of the frames" in words[-2]
+    assert [line["value"] for line in camera_rows(made)] == [0, 0, 1, 0]
+    assert 4 in chosen_rows(made) and len(chosen_rows(made)) == 4
+    assert verdict_of(result(tmp_path / "b.h5", [])) == []
+    unseen = [replace(e, lost=True, status="no_images", part_probability=None) for e in frames]
+    assert verdict_of(result(tmp_path / "c.h5", unseen))[0].good is False

@@ -112,6 +112,30 @@ class Browser:
             self.mouse("mouseMoved", *(a + share * (b - a) for a, b in zip(start, end, strict=True)))
         self.mouse("mouseReleased", *end)
 
+    def key(self, key: str, code: int = 0, text: str = "", shift: bool = False) -> None:
+        """One key pressed and let go, with the code that Windows has for it."""
+        about: dict[str, Any] = {"key": key, "windowsVirtualKeyCode": code, "modifiers": 8 if shift else 0}
+        self.call("Input.dispatchKeyEvent", type="keyDown", **about, **({"text": text} if text else {}))
+        self.call("Input.dispatchKeyEvent", type="keyUp", **about)
+
+    def touch(self, kind: str, *points: tuple[float, float]) -> None:
+        """All fingers that are down now."""
+        fingers = [{"x": x, "y": y, "id": k} for k, (x, y) in enumerate(points)]
+        self.call("Input.dispatchTouchEvent", type=kind, touchPoints=fingers)
+
+    def prefer(self, scheme: str) -> None:
+        """Pretend that the system is dark or light."""
+        self.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+
+    def resize(self, width: int, height: int) -> None:
+        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
+
+    def centre(self, selector: str) -> tuple[float, float]:
+        """Of an element, in px of the screen."""
+        box = f"document.querySelector({json.dumps(selector)}).getBoundingClientRect()"
+        x, y = self.run(f"(r => [r.x + r.width / 2, r.y + r.height / 2])({box})")
+        return x, y
+
     def screenshot(self, path: Path) -> Path:
         content = self.call("Page.captureScreenshot", format="png")["data"]
         path.write_bytes(base64.b64decode(content))

@@ -85,3 +85,22 @@ def picture(browser: Browser, path: Path) -> AnyArray:
 
 def has_colour(image: AnyArray, rgb: tuple[int, int, int], tolerance: int = 12, pixels: int = 30) -> bool:
     return bool((np.abs(image - rgb).max(axis=-1) <= tolerance).sum() >= pixels)
+
+
+CONTROLS = "button:not([disabled]), input:not([disabled]), select, summary"
+
+
+def unreachable(browser: Browser) -> list[str]:
+    """Controls of a page that the tab key never comes to, or that a finger would miss: smaller than 16 px, or out of
+    the page."""
+    browser.run(f"window.controls = [...document.querySelectorAll('{CONTROLS}')]; window.visited = new Set()")
+    browser.run("document.activeElement.blur()")
+    for _ in range(int(browser.run("controls.length")) + 12):
+        browser.key("Tab", 9)
+        browser.run("visited.add(document.activeElement)")
+    small = (
+        "(r => Math.min(r.width, r.height) < 16 || r.left < 0 || r.right > innerWidth + 1)(c.getBoundingClientRect())"
+    )
+    scrolls = "!c.closest('#joints') && "  # the list of joints scrolls to the side on a phone
+    missed = f"controls.filter(c => !visited.has(c) || ({scrolls}{small}))"
+    return list(browser.run(f"{missed}.map(c => c.outerHTML.slice(0, 80))"))

@@ -24,6 +24,7 @@ from twistcap.body.binding import strongest
 from twistcap.body.gltf_write import save_glb
 from twistcap.body.model import Body, Landmarks
 from twistcap.body.rig import SkinnedMesh, build_body, in_tree_order, weights_matrix, welded
+from twistcap.body.rig_presets import preset_spec
 from twistcap.body.rig_spec import RigSpec, read_rig
 from twistcap.doors.text import number_array, parsed_json, read_bytes
 from twistcap.errors import InputError, check, naming
@@ -38,23 +39,47 @@ def load_glb(path: Path | str, rig: Path | str | RigSpec | None = None) -> Body:
     """The skinned mesh of a GLB or glTF as a body; a file of `save_glb` gives the same body.
 
     `rig` is the meaning of the joints (`rig_spec`), by default <name>.rig.toml beside the file if there is one, else
-    every joint is a ball joint without limits. Raises InputError if the file cannot be read or has no skin, for
+    that of a rig whose bone names are known (`rig_presets`); of any other, every joint is a ball joint without limits.
+    Raises InputError if the file cannot be read or has no skin, for
     primitives that are not triangles, buffers that are missing, compressed or too short, and for what `build_body`
     refuses.
     """
-    path = Path(path)
+    return _loaded(Path(path), rig).body
+
+
+@dataclass(frozen=True)
+class Rigged:
+    """A parsed file, its mesh in glTF's axes, the meaning of its joints and the body made of it."""
+
+    scene: Scene
+    mesh: SkinnedMesh
+    spec: RigSpec
+    body: Body
+
+
+def load_rigged(path: Path | str, rig: Path | str | RigSpec | None = None) -> Rigged:
+    """As `load_glb`, with what is needed to write motion into the file. Raises InputError as it does, and for a file
+    of `save_glb`, whose joints are our own."""
+    found = _loaded(Path(path), rig)
+    check(str(path), EXTRAS not in (found.scene.gltf.asset.extras or {}), "it is a body of twistcap; export --to glb")
+    return found
+
+
+def _loaded(path: Path, rig: Path | str | RigSpec | None) -> Rigged:
     gltf = _open(path)
     own: Any = (gltf.asset.extras or {}).get(EXTRAS)
     beside = path.with_name(path.stem + ".rig.toml")
     if rig is None and own is None and beside.is_file():
         rig = beside
-    spec = rig if isinstance(rig, RigSpec) else read_rig(rig) if rig is not None else RigSpec()
+    given = rig if isinstance(rig, RigSpec) else read_rig(rig) if rig is not None else None
     try:
         with naming(path), np.errstate(all="ignore"):
-            mesh = _read_mesh(_Scene(gltf, path), own is not None)
-            return (
-                _own_body(mesh, own, path) if own is not None and rig is None else build_body(mesh, spec, _INFLUENCES)
-            )
+            scene = Scene(gltf, path)
+            mesh = _read_mesh(scene, own is not None)
+            if own is not None and rig is None:
+                return Rigged(scene, mesh, RigSpec(), _own_body(mesh, own, path))
+            spec = given or preset_spec(mesh) or RigSpec()
+            return Rigged(scene, mesh, spec, build_body(mesh, spec, _INFLUENCES))
     except InputError:
         raise
     except (LookupError, TypeError, AttributeError, ValueError, OverflowError) as error:
@@ -81,7 +106,7 @@ def _open(path: Path) -> GLTF2:
 
 
 @dataclass(frozen=True)
-class _Scene:
+class Scene:
     """A parsed file with its joints in tree order."""
 
     gltf: GLTF2
@@ -111,6 +136,10 @@ class _Scene:
             above = world[self.parents[n]] if self.parents[n] >= 0 else np.eye(4)
             world[n] = above @ _node_matrix(self.gltf.nodes[n])
         return world
+
+    def local(self, node: int) -> Float:
+        """(4, 4) motion of a node in its parent."""
+        return _node_matrix(self.gltf.nodes[node])
 
     def skin_joints(self, skin: int) -> list[int]:
         return list(self.gltf.skins[skin].joints or [])
@@ -156,7 +185,7 @@ class _Scene:
         return np.tile(motion, (len(nodes), 1, 1)), motion @ np.linalg.inv(binds)
 
 
-def _read_mesh(scene: _Scene, as_is: bool) -> SkinnedMesh:
+def _read_mesh(scene: Scene, as_is: bool) -> SkinnedMesh:
     """All skinned meshes of the file as one, in glTF's axes; `as_is`: without welding."""
     binds = [scene.bind_motions(skin) for skin in range(len(scene.gltf.skins))]
     vertices, faces, weights = _joined(_parts(scene, binds))
@@ -171,7 +200,7 @@ def _read_mesh(scene: _Scene, as_is: bool) -> SkinnedMesh:
     return SkinnedMesh(scene.path.stem, scene.path.name, scene.names(), parents, frames, vertices, faces, weights)
 
 
-def _parts(scene: _Scene, binds: list[tuple[Float, Float]]) -> list[tuple[Float, Int, Float]]:
+def _parts(scene: Scene, binds: list[tuple[Float, Float]]) -> list[tuple[Float, Int, Float]]:
     """Vertices (V, 3) in the rest pose, triangles (F, 3) and weights (V, joints) of every skinned primitive."""
     parts: list[tuple[Float, Int, Float]] = []
     for node in scene.gltf.nodes:
@@ -199,7 +228,7 @@ def _node_matrix(node: Any) -> Float:
     return se3.transform(R, np.array(node.translation or (0.0, 0.0, 0.0)))
 
 
-def _primitive(scene: _Scene, primitive: Any, where: str, joint_count: int) -> tuple[Float, Int, Float]:
+def _primitive(scene: Scene, primitive: Any, where: str, joint_count: int) -> tuple[Float, Int, Float]:
     """Vertices (V, 3), triangles (F, 3) and weights (V, B) by the skin's joints."""
     path, mode = scene.path, _TRIANGLES if primitive.mode is None else primitive.mode
     check(str(path), mode == _TRIANGLES, f"{where}: its mode is {mode}, only triangles (4) can be read; triangulate it")
@@ -217,7 +246,7 @@ def _primitive(scene: _Scene, primitive: Any, where: str, joint_count: int) -> t
     return vertices, corners.reshape(-1, 3).astype(np.int32), weights
 
 
-def _weights(scene: _Scene, attributes: dict[str, Any], where: str, shape: tuple[int, int]) -> Float:
+def _weights(scene: Scene, attributes: dict[str, Any], where: str, shape: tuple[int, int]) -> Float:
     """(V, B) weights of the skin's joints, from all sets JOINTS_n and WEIGHTS_n."""
     out, rows = weights_matrix(*shape, str(scene.path)), np.arange(shape[0])
     for name in sorted(n for n, at in attributes.items() if n.startswith("JOINTS_") and at is not None):

@@ -50,11 +50,7 @@ def build_body(mesh: SkinnedMesh, spec: RigSpec, influences: int = 4) -> Body:
 
     Raises InputError for joints that do not exist, wrong numbers of axes, names or limits, vertices without weights.
     """
-    _check_names(mesh, spec)
-    marks = _landmarks(mesh, spec)
-    mesh, marks = _in_rest_frame(mesh, marks, spec)
-    mesh, marks = _aimed(mesh, marks, spec)
-    mesh, marks = _shifted(mesh, marks, spec.origin)
+    mesh, marks = _at_rest(mesh, spec)
     tree = _Tree(mesh, spec)
     segments, weights = compact_binding(tree.merged_weights(), influences, mesh.source)
     owner, parent, last = (np.array(x, dtype=np.int32) for x in (tree.owner, tree.parent, tree.segment_joint))
@@ -63,6 +59,39 @@ def build_body(mesh: SkinnedMesh, spec: RigSpec, influences: int = 4) -> Body:
         np.radians(np.array(tree.limits_deg).reshape(-1, 2)), tuple(tree.segment_names), last,
         mesh.vertices, mesh.faces, segments, weights, replace(marks, segments=owner[marks.segments]),
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class RestJoints:
+    """Where the file's B joints are in the body's rest pose.
+
+    Attributes:
+        frames: (B, 4, 4) motions, joint to rest pose.
+        owner: (B,) the segment that each moves with; -1 for those above the root, which stay.
+        root: the joint with the six degrees of freedom.
+    """
+
+    frames: Float
+    owner: Int
+    root: int
+
+
+def rest_joints(mesh: SkinnedMesh, spec: RigSpec) -> RestJoints:
+    """The joints of the body that `build_body` makes of the same mesh. Raises InputError as it does."""
+    mesh, _ = _at_rest(mesh, spec)
+    tree, root = _Tree(mesh, spec), _root(mesh, spec)
+    owner, above = np.array(tree.owner, dtype=np.int32), mesh.parents[root]
+    while above >= 0:
+        owner[above], above = -1, mesh.parents[above]
+    return RestJoints(mesh.frames, owner, root)
+
+
+def _at_rest(mesh: SkinnedMesh, spec: RigSpec) -> tuple[SkinnedMesh, Landmarks]:
+    """The mesh and its landmarks in the rest pose and our axes."""
+    _check_names(mesh, spec)
+    mesh, marks = _in_rest_frame(mesh, _landmarks(mesh, spec), spec)
+    mesh, marks = _aimed(mesh, marks, spec)
+    return _shifted(mesh, marks, spec.origin)
 
 
 def compact_binding(weights: Float, influences: int, source: str = "mesh") -> tuple[Int, Float]:

@@ -113,7 +113,13 @@ def write(found: Calibration, folder: Path, json: bool = False) -> None:
     page = write_calibration_page(found, folder, f"Calibration {folder.resolve().name}")
     if json:
         terminal.emit(
-            {"id": "calibrate", "file": path, "page": page, "cameras": camera_rows(found), "told": sentences(found)}
+            {
+                "id": "calibrate",
+                "file": path,
+                "page": page,
+                "cameras": camera_rows(found),
+                "statements": sentences(found),
+            }
         )
         return
     typer.echo(path)

@@ -82,7 +82,7 @@ def _reported(scene: Any, pictures: list[Any], result: Any, folder: Path, timing
     from twistcap.io.synthetic import write_truth
     from twistcap.report import Headline, joint_error_plot
     from twistcap.report.page import headline_rows
-    from twistcap.report.words import result_in_words
+    from twistcap.report.verdict import chosen_rows
 
     with words.status("writing plots, exports and the overlay"):
         write_truth(scene, folder / "truth.npz")
@@ -99,8 +99,9 @@ def _reported(scene: Any, pictures: list[Any], result: Any, folder: Path, timing
         speed = Headline("per frame, without decoding", f"{timing.median:.0f}", "ms")
         lead = f"A synthetic walk in {len(scene.rig)} views, tracked from its first pose and compared with its truth."
         headlines = [*headline_rows(comparison.rows, wanted), speed]
-        told = result_in_words(result)
-        page = outputs.write_page(folder, "twistcap demo", lead, headlines, comparison.rows, plots, told)
+        chosen = set(result.indices[chosen_rows(result)].tolist())
+        stills = outputs.stills_of(result, [f for f in pictures if f.index in chosen], scene.rig.pinhole())
+        page = outputs.write_page(folder, "twistcap demo", lead, headlines, comparison.rows, plots, result, stills)
     path = folder / "result.h5"
     about = {"id": "demo", "rows": comparison.rows, "ms_per_frame": timing.median, "result": path, "report": page}
     return about | {"files": [path, *exports, *plots, video, page]}

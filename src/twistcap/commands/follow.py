@@ -42,14 +42,14 @@ class Believed:
     out: frozenset[int] = frozenset()
     said: set[tuple[int, bool]] = field(default_factory=set[tuple[int, bool]])
 
-    def told(self, estimate: Estimate) -> list[str]:
+    def news(self, estimate: Estimate) -> list[str]:
         """Sentences about the cameras that are left out or believed again since the last frame."""
         changed = [(camera, camera not in self.out) for camera in sorted(self.out ^ set(estimate.left_out))]
-        news = [change for change in changed if change not in self.said]
+        fresh = [change for change in changed if change not in self.said]
         self.out = frozenset(estimate.left_out)
-        self.said.update(news)
+        self.said.update(fresh)
         did = {True: f"is left out; it {CONTRADICTS}", False: "is believed again"}
-        return [f"frame {estimate.index}: camera {self.names[camera]} {did[out]}" for camera, out in news]
+        return [f"frame {estimate.index}: camera {self.names[camera]} {did[out]}" for camera, out in fresh]
 
 
 def follow(frames: Iterable[Frame], total: int, tracker: Tracker, writer: ResultWriter) -> Timing:
@@ -64,7 +64,7 @@ def follow(frames: Iterable[Frame], total: int, tracker: Tracker, writer: Result
                 estimate = tracker.step(frame)
                 timing.ms.append(1000 * (time.perf_counter() - start))
                 writer.append(estimate)
-                for sentence in believed.told(estimate):
+                for sentence in believed.news(estimate):
                     words.print(sentence, markup=False, soft_wrap=True)
                 advance(f"{timing.ms[-1]:.0f} ms{'  LOST' if estimate.lost else ''}")
         except InputError as error:

@@ -83,41 +83,19 @@ def _write_tables(folder: Path, found: Gait, measures: dict[str, dict[str, Measu
 
 
 def _write_cycles(folder: Path, found: Gait, read: Any, cutoff: float, angles: Angles) -> list[Path]:
-    """Each side's own coordinates, and those of the trunk, over that side's strides."""
-    from twistcap.evaluate.gait import PERCENT, SIDES, cycles
-    from twistcap.report.plots import cycle_plot, split_side
+    from twistcap.evaluate.cycles import cycles_of
+    from twistcap.evaluate.gait import PERCENT
+    from twistcap.report.plots import cycle_plot
 
-    table, smooth, _ = walking_angles(found, read, cutoff, angles)
-    rows, drawn = list[Sequence[Any]](), dict[str, Any]()
-    for side in SIDES:
-        own = own_angles(table, side)
-        curves = cycles(found, read.times, smooth[:, own], side)
-        for c, k in enumerate(own if len(curves) else []):
-            mean, sd = curves[..., c].mean(axis=0), curves[..., c].std(axis=0, ddof=1 if len(curves) > 1 else 0)
-            rows += [[side, f"{p:.0f}", table.names[k], f"{m:.4f}", f"{s:.4f}", len(curves)]
-                     for p, m, s in zip(PERCENT, mean, sd, strict=True)]  # fmt: skip
-            drawn[f"{split_side(table.names[k])[0]}_{side}"] = (mean, sd)
+    curves = cycles_of(found, read, cutoff, angles)
+    rows = [
+        [c.side, f"{p:.0f}", c.coordinate, f"{m:.4f}", f"{s:.4f}", c.strides]
+        for c in curves.values()
+        for p, m, s in zip(PERCENT, c.mean, c.deviation, strict=True)
+    ]
+    drawn = {name: (c.mean, c.deviation) for name, c in curves.items()}
     files = [_table(folder / "cycles.csv", ["side", "percent", "coordinate", "mean_deg", "sd_deg", "strides"], rows)]
     return [*files, cycle_plot(folder / "cycles.png", drawn)] if drawn else files
-
-
-def walking_angles(found: Gait, read: Any, cutoff: float, angles: Angles) -> tuple[Any, Any, Any]:
-    """The coordinates of a walk as if it went along x: `Coordinates`, filtered values, sigmas (N, C), in degrees, m."""
-    from twistcap.evaluate.gait import facing, facing_covariances
-    from twistcap.evaluate.smoothing import butterworth
-    from twistcap.io.coordinates import coordinates_of
-
-    covariances = facing_covariances(found, read.covariances)
-    table = coordinates_of(read.body, facing(found, read.poses), covariances, angles)
-    values, sigmas = table.in_degrees
-    return table, butterworth(values, 1.0 / found.frame, cutoff, read.known), sigmas
-
-
-def own_angles(table: Any, side: str) -> list[int]:
-    """Columns of the angles of a side, and of the trunk."""
-    from twistcap.report.plots import split_side
-
-    return [k for k, name in enumerate(table.names) if table.turning[k] and split_side(name)[1] in (side, "")]
 
 
 def _table(path: Path, head: Sequence[str], rows: Sequence[Sequence[Any]]) -> Path:

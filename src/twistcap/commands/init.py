@@ -47,6 +47,7 @@ def init(
 def clicking_of(session: Any, path: Path, out: Path | None = None, detector: str | None = None) -> Any:
     """What `init` serves, with existing clicks or keypoints; InputError for session, videos, detector or `out`."""
     from twistcap.io.recording import body_of, rig_of, views_of
+    from twistcap.io.unaided import silhouettes_of
     from twistcap.pages.clicking import Clicking, clicks_of
     from twistcap.pages.detectors import detected
 
@@ -54,7 +55,7 @@ def clicking_of(session: Any, path: Path, out: Path | None = None, detector: str
     views = views_of(session, rig)
     images = tuple(next(iter(source.read([views.indices[0]]))) for source in views.sources)
     target = target_of(session, path, out)
-    clicking = Clicking(session, rig, images, body, target)
+    clicking = Clicking(session, rig, images, body, target, silhouettes_of(session, views))
     if detector is not None:
         if any(image is None for image in images):
             raise InputError("a camera has no image of the first frame for the detector; let `frames` start later.")

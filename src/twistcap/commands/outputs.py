@@ -5,20 +5,30 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
+import cv2
 import numpy as np
 
+from twistcap.body import Posed
 from twistcap.camera import Rig
+from twistcap.errors import InputError
 from twistcap.estimate import UNSEEN, Frame
+from twistcap.evaluate.cycles import cycles_of
+from twistcap.evaluate.gait import SIDES, gait_of
 from twistcap.evaluate.load import Reference
+from twistcap.evaluate.metrics import Row
 from twistcap.io.coordinates import coordinates_of, opensim_angles
 from twistcap.io.exports import FORMATS, ExportOptions, export, format_of
 from twistcap.io.result import Result
 from twistcap.io.session import Session
 from twistcap.io.video import Views
 from twistcap.report import Figure, Headline, angle_plot, overlay_video, write_report
-from twistcap.report.plots import AngleSeries
+from twistcap.report.overlay import bones_of, draw_mosaic, mosaic_for
+from twistcap.report.plots import AngleSeries, cycle_plot
+from twistcap.report.verdict import camera_rows, chosen_rows, verdict_of
+from twistcap.report.words import result_in_words
+
+_STRIDES = 2  # of each side, from which a walk has cycles
 
 
 def write_files(result: Result, session: Session, views: Views, folder: Path, title: str) -> list[Path]:
@@ -54,16 +64,49 @@ def write_overlay(
 
 
 def write_page(
-    folder: Path, title: str, lead: str, headlines: Sequence[Headline], rows: Sequence[Any], plots: Mapping[Path, str],
-    told: Sequence[str],
+    folder: Path, title: str, lead: str, headlines: Sequence[Headline], rows: Sequence[Row], plots: Mapping[Path, str],
+    result: Result, stills: Sequence[Figure] = (),
 ) -> Path:  # fmt: skip
-    """``report.html`` about the files of the folder; `told` says what is doubtful."""
+    """``report.html`` about a result and the files of the folder: first a verdict, then what it rests on."""
     video = folder / "overlay.mp4"
+    if (cycles := write_cycles(result, folder)) is not None:
+        plots = {**plots, cycles: "Joint angles over the gait cycle, if this is a walk: mean ± standard deviation"}
     about = {"result.h5": "everything, see docs/formats/result-file.md", "angles.png": "joint angles"}
     about |= {found.file_name: found.about for found in map(format_of, FORMATS.names())}
     files = {folder / name: words for name, words in about.items() if (folder / name).is_file()}
-    figures = [Figure(path, caption) for path, caption in plots.items()]
-    shown = video if video.is_file() else None
     return write_report(
-        folder, title, rows, lead=lead, told=told, headlines=headlines, figures=figures, video=shown, files=files
-    )
+        folder, title, rows, lead=lead, verdict=verdict_of(result), statements=result_in_words(result),
+        headlines=headlines, stills=stills, figures=[Figure(path, caption) for path, caption in plots.items()],
+        cameras=camera_rows(result), video=video if video.is_file() else None, files=files,
+    )  # fmt: skip
+
+
+def write_cycles(result: Result, folder: Path) -> Path | None:
+    """``cycles.png``: joint angles over 0 to 100 % of the gait cycle; None where no side has two strides."""
+    try:
+        found = gait_of(result.body, result.times, result.poses, known=result.known)
+    except InputError:  # too short, no feet, uneven times: no walk to show
+        return None
+    if min(len(found.of(side)) for side in SIDES) < _STRIDES:
+        return None
+    curves = {name: (cycle.mean, cycle.deviation) for name, cycle in cycles_of(found, result).items()}
+    return cycle_plot(folder / "cycles.png", curves)
+
+
+def stills_of(result: Result, frames: Iterable[Frame], image_rig: Rig) -> list[Figure]:
+    """The body over all views in the `frames` of `chosen_rows`, as JPEGs."""
+    mosaic, bones, out = mosaic_for(image_rig), bones_of(result.body), list[Figure]()
+    estimates = {estimate.index: estimate for estimate in result.estimates}
+    for frame in frames:
+        estimate = estimates[frame.index]
+        picture = draw_mosaic(frame, Posed(result.body, estimate.pose), mosaic, "", estimate, bones)
+        content = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 82])[1].tobytes()
+        out.append(Figure(content, f"Frame {frame.index}, {frame.time:.2f} s"))
+    return out
+
+
+def recorded_stills(result: Result, views: Views) -> list[Figure]:
+    """`stills_of` frames that are read from the recording."""
+    chosen = [int(result.indices[k]) for k in chosen_rows(result)]
+    frames = [frame for index in chosen for frame in replace(views, indices=range(index, index + 1))]
+    return stills_of(result, frames, views.image_rig)

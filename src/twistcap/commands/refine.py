@@ -86,7 +86,7 @@ def run_refine(
     about |= {"design_effect": refinement.design_effect, "joints_held": not refinement.joint_shifts}
     about |= _shape(result.body, refinement)
     about |= {"files": _written(result, refinement, session, views, folder)}
-    return about | {"told": result_in_words(read_result(folder / "refined.h5"))}
+    return about | {"statements": result_in_words(read_result(folder / "refined.h5"))}
 
 
 def _session(result: Any, path: Path) -> Any:
@@ -176,7 +176,7 @@ def show(document: dict[str, Any]) -> None:
         words.print(f"Contours err together (design effect {document['design_effect']:.1f}): {why}")
     if not document["helped"]:
         words.print("The images agree less than before: refining did not help, and the track is kept as it was.")
-    for sentence in document["told"]:
+    for sentence in document["statements"]:
         words.print(sentence, markup=False, soft_wrap=True)
     for path in document["files"]:
         typer.echo(path)

@@ -16,7 +16,7 @@ import numpy as np
 
 from twistcap.commands import terminal
 from twistcap.commands.bodyfit import fit_sessions
-from twistcap.commands.gait import own_angles, run_gait, walking_angles
+from twistcap.commands.gait import run_gait
 from twistcap.commands.refine import run_refine
 from twistcap.commands.track import Begin, run_session
 from twistcap.doors.text import read_json_table
@@ -175,6 +175,7 @@ def _frame_rows(trial: Trial, result: Result, output: StudyOutput) -> Iterator[t
 
 def _cycle_rows(trial: Trial, result: Result, output: StudyOutput, folder: Path) -> Iterator[tuple[Any, ...]]:
     """Of strides, in which all frames are known; the files of ``twistcap gait`` are written too."""
+    from twistcap.evaluate.cycles import own_angles, walking_angles
     from twistcap.evaluate.gait import PERCENT, SIDES, cycles
 
     found, _, _ = run_gait(result, folder, output.cutoff, output.angles)

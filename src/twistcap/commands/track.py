@@ -98,7 +98,7 @@ def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str,
     lost = result.indices[result.lost].tolist()
     out = {name: result.indices[rows].tolist() for name, rows in zip(result.rig.names, result.left_out.T, strict=True)}
     about = {"id": "track", "result": path, "frames": len(result), "lost": lost, "left_out": out}
-    return about | {"told": result_in_words(result), "ms_per_frame": timing.median, "files": files}
+    return about | {"statements": result_in_words(result), "ms_per_frame": timing.median, "files": files}
 
 
 def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Timing]:
@@ -164,7 +164,6 @@ def _kept(views: Any, tracker: Any, writer: Any, path: Path) -> Timing:
 def _outputs(session: Any, views: Any, result: Any, folder: Path, timing: Timing) -> list[Path]:
     from twistcap.commands import outputs
     from twistcap.report import Headline
-    from twistcap.report.words import result_in_words
 
     lost = int(np.sum(result.lost))
     with words.status("writing plots, exports and the overlay"):
@@ -177,7 +176,8 @@ def _outputs(session: Any, views: Any, result: Any, folder: Path, timing: Timing
             ]
             lead = f"{len(views.rig)} cameras, {views.fps:g} fps, images at {session.scale:g} of their size."
             plots = {folder / "angles.png": "Joint angles, ± 2σ"}
-            files.append(outputs.write_page(folder, session.title, lead, headlines, [], plots, result_in_words(result)))
+            stills = outputs.recorded_stills(result, views)
+            files.append(outputs.write_page(folder, session.title, lead, headlines, [], plots, result, stills))
     return files
 
 
@@ -186,7 +186,7 @@ def tell(document: dict[str, Any]) -> None:
     speed = document["ms_per_frame"]
     pace = "nothing left to track" if np.isnan(speed) else f"{speed:.1f} ms each (median)"
     words.print(f"{document['frames']} frames, {pace}")
-    for sentence in document["told"]:
+    for sentence in document["statements"]:
         words.print(sentence, markup=False, soft_wrap=True)
     for path in document["files"]:
         typer.echo(path)

@@ -16,6 +16,7 @@ import pybvh
 from twistcap import se3
 from twistcap.arrays import Float
 from twistcap.body import Body, Pose, Posed
+from twistcap.body.gltf_animate import BoneMotion
 from twistcap.body.joints import Joint, joints_of
 from twistcap.errors import InputError, naming
 from twistcap.io.angles import decomposed
@@ -108,6 +109,42 @@ def write_bvh(path: Path | str, body: Body, poses: Sequence[Pose], fps: float, s
     write_lines(path, [*lines, *(" ".join(f"{v:.6f}" for v in row) for row in rows)])
 
 
+def write_bone_bvh(path: Path | str, motion: BoneMotion, fps: float, scale: float = 1.0) -> None:
+    """Writes the motion of a rig of the user's own: its bone names, offsets as in its rest pose, y up as in its file.
+
+    Joints above the root are left out. `scale` is in file units per metre. Raises InputError for a frame rate (1/s)
+    that is not positive, or if the file cannot be written.
+    """
+    if not fps > 0:
+        raise InputError(f"{path}: the frame rate is {fps}; it must be positive.")
+    mesh, heads, rest = motion.rigged.mesh, motion.bind[:, :3, 3] * scale, motion.bind[:, :3, :3]
+    order = list[int]()
+
+    def lines(b: int, depth: int) -> list[str]:
+        order.append(b)
+        tab, head = "\t" * depth, "ROOT" if depth == 0 else "JOINT"
+        start = heads[mesh.parents[b]] if depth else heads[b]
+        below = [n for n in range(len(heads)) if mesh.parents[n] == b]
+        places = "6 Xposition Yposition Zposition" if depth == 0 else "3"
+        out = [f"{tab}{head} {mesh.joints[b].replace(' ', '_')}", f"{tab}{{", _offset_line(heads[b] - start, depth + 1)]
+        out.append(f"{tab}\tCHANNELS {places} Zrotation Yrotation Xrotation")
+        for n in below:
+            out += lines(n, depth + 1)
+        if not below:  # along the bone of its parent, a fifth as long
+            out += [f"{tab}\tEnd Site", f"{tab}\t{{", _offset_line(0.2 * (heads[b] - start), depth + 2), f"{tab}\t}}"]
+        return [*out, f"{tab}}}"]
+
+    tree = ["HIERARCHY", *lines(motion.rest.root, 0), "MOTION", f"Frames: {len(motion.places)}"]
+    world = motion.turns @ rest.swapaxes(1, 2)  # from the file's rest pose
+    local = {b: world[:, mesh.parents[b]].swapaxes(1, 2) @ world[:, b] for b in order[1:]} | {
+        order[0]: world[:, order[0]]
+    }
+    turns = [np.degrees(decomposed(local[b], _ZYX, np.zeros(3))) for b in order]
+    rows = np.hstack([motion.places * scale, *turns])
+    text = [*tree, f"Frame Time: {1.0 / fps:.8f}", *(" ".join(f"{v:.6f}" for v in row) for row in rows)]
+    write_lines(Path(path), text)
+
+
 def _hierarchy(body: Body, joints: list[Joint], number: int, depth: int, scale: float) -> list[str]:
     joint, tab = joints[number], "\t" * depth
     start = joints[joint.parent].origin if joint.parent >= 0 else joint.origin  # the root's place is in its channels
@@ -125,7 +162,11 @@ def _hierarchy(body: Body, joints: list[Joint], number: int, depth: int, scale: 
 
 
 def _offset(vector: Float, depth: int, scale: float) -> str:
-    return "\t" * depth + "OFFSET " + " ".join(f"{v:.8f}" for v in _TO_FILE @ vector * scale)
+    return _offset_line(_TO_FILE @ vector * scale, depth)
+
+
+def _offset_line(vector: Float, depth: int) -> str:
+    return "\t" * depth + "OFFSET " + " ".join(f"{v:.8f}" for v in vector)
 
 
 def _tip(body: Body, joint: Joint) -> Float:

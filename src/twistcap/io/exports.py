@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 
 from twistcap.body import Posed
+from twistcap.body.gltf_animate import animate_glb, bone_motion
 from twistcap.body.gltf_write import save_glb
 from twistcap.errors import InputError, check_choice
-from twistcap.io.bvh import write_bvh
+from twistcap.io.bvh import write_bone_bvh, write_bvh
 from twistcap.io.c3d import write_c3d
 from twistcap.io.coordinates import ANGLES, Angles
 from twistcap.io.files import replacing, unwritable
@@ -40,6 +41,8 @@ class ExportOptions:
         angles: whose definitions the joint angles have, see `io.coordinates`.
         fill: whether frames that are lost or unseen hold the predicted pose; else they are empty where the format can
             say so (all but BVH and GLB).
+        into: the rigged GLB that was tracked: GLB and BVH then have its bones, and the GLB all of its content.
+        rig: its rig file, where one is not beside it.
 
     Raises InputError for unknown axes or angles.
     """
@@ -47,6 +50,8 @@ class ExportOptions:
     axes: WorldAxes = "opensim"
     angles: Angles = "opensim"
     fill: bool = False
+    into: Path | None = None
+    rig: Path | None = None
 
     def __post_init__(self) -> None:
         check_choice("export: axes", self.axes, TO_FILE)
@@ -87,13 +92,19 @@ def export(
     return path
 
 
-def _write_glb(result: Result, path: Path, _: ExportOptions) -> None:
+def _write_glb(result: Result, path: Path, options: ExportOptions) -> None:
     with replacing(path) as part:
-        save_glb(result.body, part, result.poses, _rate(result))
+        if options.into is None:
+            save_glb(result.body, part, result.poses, _rate(result))
+        else:
+            animate_glb(bone_motion(result.body, result.poses, options.into, options.rig), part, _rate(result))
 
 
-def _write_bvh(result: Result, path: Path, _: ExportOptions) -> None:
-    write_bvh(path, result.body, result.poses, _rate(result))
+def _write_bvh(result: Result, path: Path, options: ExportOptions) -> None:
+    if options.into is None:
+        write_bvh(path, result.body, result.poses, _rate(result))
+    else:
+        write_bone_bvh(path, bone_motion(result.body, result.poses, options.into, options.rig), _rate(result))
 
 
 def _write_landmarks(result: Result, path: Path, options: ExportOptions) -> None:

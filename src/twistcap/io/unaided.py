@@ -3,26 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from twistcap.adjust.unaided import Proof, ProofRule, Unaided, middle_of_sight, scenery_of
-from twistcap.arrays import AnyArray
+from twistcap.adjust.unaided.scenery import Still
+from twistcap.arrays import AnyArray, Bool
 from twistcap.body import Body, Pose
 from twistcap.build import build
-from twistcap.camera import Rig
+from twistcap.camera import Camera, Rig
 from twistcap.doors.images import read_image
 from twistcap.errors import InputError
+from twistcap.features import Channels
+from twistcap.io.masks import rectified_masks
 from twistcap.io.session import Session
 from twistcap.io.video import Views, preparation
+from twistcap.search.backdrop import small_features
 from twistcap.search.placing import Stance
 
 _PX_PER_M = 110.0  # of the images that are searched; a person is 190 px high
 _PICTURES = 25  # by which the background is known
 _STANCES = 20  # that are taken from a motion library
+_LEAST_S = 0.9  # s in which a person who moves leaves most of the place where he was
+_COLOURS: Channels = "lab"
 _ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
 
@@ -46,6 +52,42 @@ def found_unaided(session: Session, body: Body, views: Views, floor: float | Non
         ProofRule(), model, scenery, lambda places: _read(views, places), len(views), views.fps / session.step,
         float(ground), _known(session, body),
     ).found()  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Silhouette:
+    """The pixels `mask` (h, w) of a small image by which `camera` sees something that is not always there."""
+
+    camera: Camera
+    mask: Bool
+
+
+def silhouettes_of(session: Session, views: Views) -> tuple[Silhouette | None, ...]:
+    """Of the first frame, for each camera: the session's own masks, else what stands out from the still picture of the
+    recording; None for a camera without image or mask, and for all in a recording too short to tell what is still.
+
+    Raises InputError for masks, plates or images that cannot be read.
+    """
+    if (folder := session.first_pose.masks) is not None:
+        given = rectified_masks(folder, views.rig, views.indices[0], views.scale)
+        rig = views.image_rig
+        return tuple(None if m is None else Silhouette(c, m) for c, m in zip(rig, given, strict=True))
+    if views.indices[-1] - views.indices[0] < _LEAST_S * views.fps and session.first_pose.plates is None:
+        return (None,) * len(views.rig)
+    middle = middle_of_sight(views.image_rig)
+    views = replace(views, scale=views.scale * _smaller(views.image_rig, middle))
+    spread = list(_spread(views))
+    pictures = list(zip(*(frame.images for frame in spread), strict=True))
+    scenery = scenery_of(views.image_rig, pictures, middle, _COLOURS, _plates(session, views))
+    return tuple(
+        None if still is None or image is None else Silhouette(still.camera, _outstanding(still, image))
+        for image, still in zip(spread[0].images, scenery.stills, strict=True)
+    )
+
+
+def _outstanding(still: Still, image: AnyArray) -> Bool:
+    features = small_features(image, still.camera.size, _COLOURS)
+    return np.asarray(still.standing_out(features, (-2.0, 2.5)) > 0.0, np.bool_)
 
 
 def told(proof: Proof, views: Views) -> str:

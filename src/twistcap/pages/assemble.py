@@ -16,6 +16,11 @@ import numpy as np
 from twistcap.arrays import AnyArray
 
 _MODULES: Mapping[str, str] = {"three": "three.module.min.js", "orbit": "OrbitControls.js"}
+_SCRIPTS: Mapping[str, tuple[str, ...]] = {
+    "view": ("view.js", "plots.js"),
+    "init": ("loupe.js", "init.js"),
+    "cut": ("cut.js",),
+}
 _TYPES: Mapping[str, str] = {"float32": "f4", "uint8": "u1", "uint16": "u2", "uint32": "u4"}
 
 
@@ -47,7 +52,7 @@ def jpeg(image: AnyArray, width: int, quality: int = 80) -> str:
 
 
 def page(name: str, title: str, data: Mapping[str, Any]) -> str:
-    """The HTML of ``assets/NAME.html`` with ``common.css``, ``NAME.js``, the libraries and `data` inside.
+    """The HTML of ``assets/NAME.html`` with ``common.css``, its scripts, the libraries and `data` inside.
 
     The title is escaped here. `data` is what JSON can hold, finite numbers only; the script finds it in ``#data``.
     """
@@ -56,7 +61,7 @@ def page(name: str, title: str, data: Mapping[str, Any]) -> str:
     parts = {
         "title": escape(title),
         "style": asset("common.css"),
-        "script": asset("common.js") + asset(f"{name}.js"),
+        "script": "\n".join(map(asset, ("common.js", *_SCRIPTS[name]))),
         "data": json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
         "plot_style": asset("vendor/uPlot.min.css"),
         "plot_script": asset("vendor/uPlot.iife.min.js"),

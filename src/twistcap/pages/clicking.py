@@ -23,12 +23,20 @@ from twistcap.io.keypoints import clicked
 from twistcap.io.pose_file import write_pose
 from twistcap.io.recording import check_first_pose
 from twistcap.io.session import Session
+from twistcap.io.unaided import Silhouette
 from twistcap.pages.assemble import jpeg
 from twistcap.pages.outlines import body_outlines, flat
 from twistcap.pages.server import Answer
+from twistcap.region.compare import iou
+from twistcap.render.view import render
 
 _LIMBS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "toe")
 MAIN_JOINTS = ("head_top", "neck", *(f"{joint}_{side}" for side in "rl" for joint in _LIMBS))
+LEAST_IOU = 0.3
+"""Overlap of body and silhouette in a view without clicks below which Save warns. A pose that is 0.3 m off has less;
+a right one 0.7 or more if the person walks, and 0.39 in one recording of a person who stays in place."""
+_KNOWN = 0.3  # of the body's size that a silhouette has at least: who stays in place does not stand out
+_NEAR = 0.5  # of the body's size about it that counts: others may move elsewhere
 Clicks = dict[str, dict[str, tuple[float, float]]]
 """Pixels by camera and joint."""
 
@@ -51,6 +59,7 @@ class Clicking:
     images: tuple[UInt8 | None, ...]  # of the first frame, one per camera, RGB as recorded; None where it was dropped
     generic: Body  # before any fit
     target: Target
+    silhouettes: tuple[Silhouette | None, ...] = ()  # of the first frame, one per camera; none: nothing to hold against
     clicks: Clicks = field(default_factory=lambda: dict[str, dict[str, tuple[float, float]]]())
     shown: Posed | None = None  # body and pose at present; None before the first fit
     proportions: Proportions = field(default_factory=lambda: Proportions({}, {}))
@@ -82,6 +91,7 @@ class Clicking:
             "coordinates": [{"name": n, "limits": pair} for n, pair in zip(names, limits, strict=True)],
             "clicks": self.clicks,
             "sliders": self.target.kind == "file",
+            "least_iou": LEAST_IOU,
             "target": str(self.target.path),
             "state": None if self.shown is None else self._state(),
         }
@@ -148,8 +158,16 @@ class Clicking:
         return {
             "outlines": {c.name: flat(body_outlines(c, self.shown)) for c in self.rig},
             "joints": {c.name: _named_pixels(c, self.generic.landmarks.names, marks) for c in self.rig},
+            "overlap": self._overlap(),
             "q_deg": dict(zip(self.generic.coordinate_names, angles, strict=True)),
         }
+
+    def _overlap(self) -> dict[str, float]:
+        """IoU of the body with each known silhouette, by camera; views without clicks were no part of the fit."""
+        assert self.shown is not None
+        pairs = zip(self.rig.names, self.silhouettes, strict=True) if self.silhouettes else ()
+        found = {name: overlap(self.shown, one) for name, one in pairs if one is not None}
+        return {name: round(value, 3) for name, value in found.items() if value is not None}
 
     def _checked_clicks(self, given: Any) -> Clicks:
         clicks: Clicks = {}
@@ -172,6 +190,20 @@ class Clicking:
             lower, upper = self.generic.limits[self.generic.coordinate(name)]
             angles[name] = float(np.clip(np.deg2rad(_numbers([value], 1, name)[0]), lower, upper))
         return angles
+
+
+def overlap(posed: Posed, silhouette: Silhouette) -> float | None:
+    """IoU of the rendered body and a silhouette, near the body; 0 for a body out of view. None where the silhouette is
+    too small to tell."""
+    body = render(posed, silhouette.camera).part >= 0
+    rows, columns = (np.flatnonzero(body.any(axis=axis)) for axis in (1, 0))
+    if not len(rows):
+        return 0.0
+    if silhouette.mask.sum() < _KNOWN * body.sum():
+        return None
+    reach = round(_NEAR * max(np.ptp(rows), np.ptp(columns)))
+    near = tuple(slice(max(0, k[0] - reach), k[-1] + reach + 1) for k in (rows, columns))
+    return iou(body[near], silhouette.mask[near])
 
 
 def clicks_beside(pose_file: Path) -> Path:

@@ -36,12 +36,12 @@ def write_calibration_page(found: Calibration, folder: Path, title: str = "Calib
             Figure(_images(found, Path(scratch)), _IMAGES),
             Figure(_histogram(found, Path(scratch)), _HISTOGRAM),
         ]
-        told = [sentence for sentence in sentences(found) if sentence not in again(found)]
+        remarks = [sentence for sentence in sentences(found) if sentence not in again(found)]
         todo = again(found) or ["Nothing: every camera saw enough. Do not move the cameras any more."]
         about = {folder / "Calib.toml": "the calibration; read by twistcap, Pose2Sim and aniposelib"}
         return write_report(
             folder, title, _table(rows), lead=_lead(found), headlines=_headlines(rows), figures=figures,
-            files=about, notes=told, advice=todo, name="calibration.html",
+            files=about, notes=remarks, advice=todo, name="calibration.html",
         )  # fmt: skip
 
 

@@ -37,26 +37,37 @@ class Headline:
 
 @dataclass(frozen=True)
 class Figure:
-    """A PNG to put into the page, with a caption."""
+    """A picture to put into the page, with a caption: the path of a PNG, or a JPEG's bytes."""
 
-    path: Path
+    picture: Path | bytes
     caption: str
 
 
+@dataclass(frozen=True)
+class Statement:
+    """A sentence of the verdict; `good` marks it green or red, None amber."""
+
+    text: str
+    good: bool | None = None
+
+
 def write_report(
-    folder: Path | str, title: str, rows: Sequence[Row], *, lead: str = "", told: Sequence[str] = (),
-    headlines: Sequence[Headline] = (),
-    figures: Sequence[Figure] = (), video: Path | None = None, files: Mapping[Path, str] | None = None,
-    notes: Sequence[str] = (), advice: Sequence[str] = (), name: str = "report.html",
+    folder: Path | str, title: str, rows: Sequence[Row], *, lead: str = "", verdict: Sequence[Statement] = (),
+    statements: Sequence[str] = (), headlines: Sequence[Headline] = (), stills: Sequence[Figure] = (),
+    figures: Sequence[Figure] = (), cameras: Sequence[Row] = (), video: Path | None = None,
+    files: Mapping[Path, str] | None = None, notes: Sequence[str] = (), advice: Sequence[str] = (),
+    name: str = "report.html",
 ) -> Path:  # fmt: skip
     """Write a stand-alone HTML page; every text is escaped, pictures are embedded, nothing is loaded from a network.
 
     Args:
         folder, name: of the page, whose path is returned; the video and the files are linked relative to it.
         title, lead, rows: heading, the sentence under it, and table of measures.
-        told: sentences on what is doubtful, below the headlines.
+        verdict: what is reliable and what is not, first of all.
+        statements: sentences on lost frames and cameras, below the headlines.
         headlines: the few numbers that matter, in large type.
-        figures, video: PNG files to embed, and the overlay, which is linked.
+        stills, figures, video: pictures and plots to embed, and the overlay, which is linked.
+        cameras: table of what each camera did.
         files: other files, path to description.
         notes, advice: remarks below the table; what to do, above the pictures.
     """
@@ -71,12 +82,15 @@ def write_report(
     parts = [
         f"<h1>{escape(title)}</h1>",
         f'<p class="lead">{escape(lead)}</p>',
+        _verdict(verdict),
         _cards(headlines),
-        _list("Lost frames and cameras", [escape(sentence) for sentence in told]),
+        _list("Lost frames and cameras", [escape(sentence) for sentence in statements]),
         _list("What to do", [escape(line) for line in advice]),
+        _stills(stills),
         _video(folder, video),
-        "\n".join(map(_figure, figures)),
-        _table(rows),
+        "\n".join(_figure(figure, "plot") for figure in figures),
+        _table("Cameras", cameras),
+        _table("Measures", rows),
         _list("Notes", [escape(note) for note in notes]),
         _list("Files", links),
         f"<footer>{cite}<ul>{papers}</ul></footer>",
@@ -115,14 +129,14 @@ def unit(name: str) -> str:
 
 def _cards(headlines: Sequence[Headline]) -> str:
     cards = [
-        f'<div class="card{_verdict(h.good)}"><b>{escape(h.value)} <small>{unit(h.unit)}</small></b>'
+        f'<div class="card{_mark(h.good)}"><b>{escape(h.value)} <small>{unit(h.unit)}</small></b>'
         f"<span>{escape(h.label)}</span></div>"
         for h in headlines
     ]
     return f'<div class="cards">{"".join(cards)}</div>' if cards else ""
 
 
-def _verdict(good: bool | None) -> str:
+def _mark(good: bool | None) -> str:
     return "" if good is None else " good" if good else " bad"
 
 
@@ -138,13 +152,27 @@ def _video(folder: Path, video: Path | None) -> str:
     )
 
 
-def _figure(figure: Figure) -> str:
-    content, caption = base64.b64encode(figure.path.read_bytes()).decode(), escape(figure.caption)
-    image = f'<img alt="{caption}" src="data:image/png;base64,{content}">'
-    return f"<figure>{image}<figcaption>{caption}</figcaption></figure>"
+def _verdict(statements: Sequence[Statement]) -> str:
+    kinds = {True: "good", False: "bad", None: "amber"}
+    items = [f'<li class="{kinds[s.good]}">{escape(s.text)}</li>' for s in statements]
+    return f'<section class="verdict"><h2>Verdict</h2><ul>{"".join(items)}</ul></section>' if items else ""
 
 
-def _table(rows: Sequence[Row]) -> str:
+def _stills(stills: Sequence[Figure]) -> str:
+    pictures = "".join(_figure(still, "still") for still in stills)
+    return f'<h2>Stills</h2>\n<div class="stills">{pictures}</div>' if pictures else ""
+
+
+def _figure(figure: Figure, kind: str) -> str:
+    """A plot is as wide as it must be to be read, and scrolls where the page is narrower."""
+    picture, caption = figure.picture, escape(figure.caption)
+    content, mime = (picture, "jpeg") if isinstance(picture, bytes) else (picture.read_bytes(), "png")
+    image = f'<img alt="{caption}" src="data:image/{mime};base64,{base64.b64encode(content).decode()}">'
+    scroll = f'<div class="scroll" tabindex="0" role="region" aria-label="{caption}">{image}</div>'
+    return f'<figure class="{kind}">{scroll if kind == "plot" else image}<figcaption>{caption}</figcaption></figure>'
+
+
+def _table(title: str, rows: Sequence[Row]) -> str:
     if not rows:
         return ""
     targets = any(line["target"] for line in rows)
@@ -152,12 +180,13 @@ def _table(rows: Sequence[Row]) -> str:
     head += "<th class=n>to reach</th>" if targets else ""
     lines = [
         f"<tr><td>{escape(line['case'])}</td><td>{escape(line['metric'])}</td>"
-        f'<td class="n{_verdict(line["holds"])}">{number(line["value"])}</td><td>{unit(line["unit"])}</td>'
+        f'<td class="n{_mark(line["holds"])}">{number(line["value"])}</td><td>{unit(line["unit"])}</td>'
         + (f'<td class="n">{escape(line["target"] or "")}</td></tr>' if targets else "</tr>")
         for line in rows
     ]
-    lines = "\n".join(lines)
-    return f'<h2>Measures</h2>\n<div class="scroll"><table><tr>{head}</tr>\n{lines}\n</table></div>'
+    body = "\n".join(lines)
+    table = f"<table><tr>{head}</tr>\n{body}\n</table>"
+    return f'<h2>{title}</h2>\n<div class="scroll" tabindex="0" role="region" aria-label="{title}">{table}</div>'
 
 
 def _list(title: str, items: Sequence[str]) -> str:

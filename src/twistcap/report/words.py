@@ -86,12 +86,14 @@ def cameras_in_words(result: Result) -> list[str]:
     """Sentences about cameras: that they were left out, or showed nothing for a while."""
     none = np.asarray(result.missing.all(axis=1), np.bool_)
     names, out, some = result.rig.names, result.left_out.T, result.missing.T & ~none
-    told = [(f"camera {name} was left out", f"; it {CONTRADICTS}", rows) for name, rows in zip(names, out, strict=True)]
-    told += [("no camera showed anything new", f" ({NOTHING_NEW})", none)]
-    told += [(f"camera {n} showed nothing new", f" ({NOTHING_NEW})", rows) for n, rows in zip(names, some, strict=True)]
+    found = [(f"camera {n} was left out", f"; it {CONTRADICTS}", rows) for n, rows in zip(names, out, strict=True)]
+    found += [("no camera showed anything new", f" ({NOTHING_NEW})", none)]
+    found += [
+        (f"camera {n} showed nothing new", f" ({NOTHING_NEW})", rows) for n, rows in zip(names, some, strict=True)
+    ]
     return [
         f"{what} in {_frames(int(rows.sum()))}: {in_spans(result.indices, rows)}{why}"
-        for what, why, rows in told
+        for what, why, rows in found
         if rows.any()
     ]
 

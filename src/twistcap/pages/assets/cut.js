@@ -185,5 +185,6 @@ function zoom(event) {
 
 document.getElementById("save").addEventListener("click", () => ask("/save", {}));
 window.twistcapCut = { view: (name) => views.find((one) => one.name === name) };
+themeButton();
 show(shown);
 document.body.dataset.ready = "yes";

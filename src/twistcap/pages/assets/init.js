@@ -1,6 +1,6 @@
 /* Clicking the first pose: clicks go to the server, which fits the body and sends back its outline. */
 const clicks = data.clicks, held = {};
-let fitted = data.state, rejected = new Set(), current = data.joints[0], busy = false, waiting = null, drag = null;
+let fitted = data.state, rejected = new Set(), current = data.joints[0], busy = false, waiting = null, drag = null, touched = null;
 const message = document.getElementById("message");
 const key = (camera, joint) => `${camera} ${joint}`;
 const clickOf = (camera, joint) => clicks[camera]?.[joint];
@@ -31,13 +31,18 @@ function take(reply) {
   fitted = reply;
   document.body.dataset.fits = +(document.body.dataset.fits ?? 0) + 1;
   if (reply.rejected) rejected = new Set(reply.rejected.map(([camera, joint]) => key(camera, joint)));
-  if (reply.saved) { tell(`Saved ${reply.saved}. ${reply.note}`, "good"); document.body.dataset.saved = reply.saved; }
+  const poor = unseenPoor().map((view) => `${view.camera}: ${Math.round(100 * view.iou)} %`).join(", ");
+  const doubt = poor ? ` The body covers too little of what moves in views without clicks (${poor}): click there too.` : "";
+  if (reply.saved) { tell(`Saved ${reply.saved}. ${reply.note}${doubt}`, doubt ? "amber" : "good"); document.body.dataset.saved = reply.saved; }
   else if (reply.residual_px !== undefined) {
-    const poor = rejected.size ? `. ${rejected.size} do not agree (red): check left and right` : "";
-    tell(`Clicks are ${reply.residual_px} px (median) from the body${poor}. Drag a joint to correct it.`);
+    const odd = rejected.size ? `. ${rejected.size} do not agree (red): check left and right` : "";
+    tell(`Clicks are ${reply.residual_px} px (median) from the body${odd}.${doubt || " Drag a joint to correct it."}`, doubt ? "amber" : "soft");
   }
   draw();
 }
+
+/** Views without a click in which the body does not fit what stands out from the background. */
+const unseenPoor = () => Object.entries(fitted?.overlap ?? {}).filter(([camera, iou]) => !clicks[camera] && iou < data.least_iou).map(([camera, iou]) => ({ camera, iou }));
 
 const fit = () => ask("/fit", { clicks, held });
 
@@ -58,22 +63,20 @@ function advance(camera) {
 
 /* ---- views ---- */
 const views = data.cameras.map((camera) => {
-  const [w, h] = camera.size, svg = make("svg", { viewBox: `0 0 ${w} ${h}`, "data-camera": camera.name });
+  const [w, h] = camera.size, svg = make("svg", { viewBox: `0 0 ${w} ${h}`, "data-camera": camera.name, tabindex: 0, role: "application", "aria-label": `${camera.name}: arrow keys move the cross, Enter clicks, Delete removes, plus and minus zoom` });
   if (camera.image) svg.append(make("image", { href: camera.image, x: 0, y: 0, width: w, height: h, preserveAspectRatio: "none" }));
-  const layer = make("g");
+  const layer = make("g"), note = make("b", {}, camera.name), loupe = loupeOf(camera), fingers = new Map();
   svg.append(layer);
-  const view = { camera, svg, layer, box: [0, 0, w, h] };
-  svg.addEventListener("pointerdown", (event) => press(view, event));
-  svg.addEventListener("pointermove", (event) => move(view, event));
-  svg.addEventListener("pointerup", (event) => release(view, event));
-  svg.addEventListener("contextmenu", (event) => {
-    event.preventDefault();
-    if (!event.target.dataset.joint) return;
-    remove(camera.name, event.target.dataset.joint);
-    draw(); fit();
-  });
-  svg.addEventListener("wheel", (event) => { event.preventDefault(); zoom(view, event); }, { passive: false });
-  document.getElementById("views").append(make("div", { class: "view" }, svg, make("b", {}, camera.name + (camera.image ? "" : ": no image"))));
+  const view = { camera, svg, layer, note, loupe, fingers, cross: null, box: [0, 0, w, h] };
+  const listen = { pointerdown: press, pointermove: move, pointerup: release, pointercancel: cancel, keydown: keys };
+  for (const [kind, listener] of Object.entries(listen)) svg.addEventListener(kind, (event) => listener(view, event));
+  svg.addEventListener("blur", () => { view.cross = null; hideLoupe(view); });
+  svg.addEventListener("contextmenu", (event) => { event.preventDefault(); drop(camera.name, event.target.dataset.joint); });
+  svg.addEventListener("wheel", (event) => { event.preventDefault(); zoom(view, pixel(view, event), event.deltaY > 0 ? 1.2 : 1 / 1.2); }, { passive: false });
+  const button = (text, label, factor) => make("button", { "aria-label": `${label} ${camera.name}`, click: () => zoom(view, [view.box[0] + view.box[2] / 2, view.box[1] + view.box[3] / 2], factor) }, text);
+  const buttons = make("span", {}, button("+", "zoom into", 1 / 1.5), button("−", "zoom out of", 1.5));
+  view.tile = make("div", { class: "view" }, svg, note, loupe.box, buttons);
+  document.getElementById("views").append(view.tile);
   return view;
 });
 const columns = Math.ceil(Math.sqrt(views.length));
@@ -85,18 +88,42 @@ function pixel(view, event) {
   return [point.x - 0.5, point.y - 0.5];
 }
 
+/** The joint under the pointer; for a finger, the nearest one within its reach. */
+function jointAt(view, event) {
+  if (event.pointerType !== "touch") return event.target.dataset.joint ?? null;
+  const [x, y] = pixel(view, event), reach = 18 / view.svg.getScreenCTM().a;
+  const all = { ...fitted?.joints[view.camera.name], ...clicks[view.camera.name] };
+  const near = Object.entries(all).map(([joint, [a, b]]) => [Math.hypot(a - x, b - y), joint]).filter(([far, joint]) => far < reach && (data.joints.includes(joint) || clickOf(view.camera.name, joint)));
+  return near.sort((a, b) => a[0] - b[0])[0]?.[1] ?? null;
+}
+
+function drop(camera, joint) {
+  if (!joint || !clickOf(camera, joint)) return;
+  remove(camera, joint);
+  draw(); fit();
+}
+
+/** One finger points, two move and zoom. */
 function press(view, event) {
-  if (event.button === 1 || event.shiftKey) drag = { view, pan: [event.clientX, event.clientY] };
-  else if (event.button === 0) drag = { view, joint: event.target.dataset.joint ?? null, start: [event.clientX, event.clientY], moved: false };
-  else return;
+  view.fingers.set(event.pointerId, [event.clientX, event.clientY]);
+  if (view.fingers.size === 2) { drag = { view, pinch: true }; hideLoupe(view); }
+  else if (view.fingers.size > 2) return;
+  else if (event.button === 1 || event.shiftKey) drag = { view, pan: [event.clientX, event.clientY] };
+  else if (event.button === 0) {
+    drag = { view, joint: jointAt(view, event), start: [event.clientX, event.clientY], moved: false };
+    if (event.pointerType === "touch") showLoupe(view, pixel(view, event), outlineOf(view.camera));
+  } else return;
   view.svg.setPointerCapture(event.pointerId);
+  view.svg.focus({ preventScroll: true });
   event.preventDefault();
 }
 
 function move(view, event) {
   if (drag?.view !== view) return;
+  if (drag.pinch) { pinch(view, event); return; }
   if (drag.pan) { pan(view, event); return; }
   if (Math.hypot(event.clientX - drag.start[0], event.clientY - drag.start[1]) > 3) drag.moved = true;
+  if (drag.moved || event.pointerType === "touch") showLoupe(view, pixel(view, event), outlineOf(view.camera));
   if (!drag.joint || !drag.moved) return;
   current = drag.joint;
   place(view.camera.name, drag.joint, pixel(view, event));
@@ -104,20 +131,58 @@ function move(view, event) {
   if (!busy) fit();
 }
 
+function cancel(view, event) {
+  view.fingers.delete(event.pointerId);
+  if (!view.fingers.size) drag = null;
+  hideLoupe(view);
+}
+
 function release(view, event) {
-  if (drag?.view !== view) return;
-  const { pan: panned, joint, moved } = drag;
-  drag = null;
-  if (panned) return;
-  const open = !clickOf(view.camera.name, current); // joints may cover one another: the wanted one goes first
-  if (joint && !moved && !open && clickOf(view.camera.name, joint)) { current = joint; draw(); return; }
-  const name = joint && moved ? joint : current;
-  const [x, y] = pixel(view, event), [w, h] = view.camera.size;
+  const ended = drag;
+  if (ended?.pinch) { view.fingers.delete(event.pointerId); if (!view.fingers.size) drag = null; return; }
+  cancel(view, event);
+  if (ended?.view !== view || ended.pan) return;
+  const { joint, moved } = ended, open = !clickOf(view.camera.name, current); // joints may cover one another: the wanted one goes first
+  if (joint && !moved && !open && clickOf(view.camera.name, joint)) { choose(view.camera.name, joint); return; }
+  click(view, joint && moved ? joint : current, pixel(view, event), !(joint && moved));
+}
+
+function choose(camera, joint) { current = joint; touched = camera; draw(); }
+
+function click(view, joint, [x, y], next) {
+  const [w, h] = view.camera.size;
   if (x < -0.5 || y < -0.5 || x > w - 0.5 || y > h - 0.5) return;
-  place(view.camera.name, name, [x, y]);
-  if (!(joint && moved)) advance(view.camera.name);
+  place(view.camera.name, joint, [x, y]);
+  touched = view.camera.name;
+  if (next) advance(view.camera.name);
   draw();
   fit();
+}
+
+/** A view by keys: a cross under the loupe takes the pointer's place. */
+function keys(view, event) {
+  const moves = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
+  const [x, y, w, h] = view.box, step = event.shiftKey ? 10 : 1, [wide, high] = view.camera.size;
+  const start = view.cross ?? clickOf(view.camera.name, current) ?? fitted?.joints[view.camera.name]?.[current] ?? [Math.round(x + w / 2), Math.round(y + h / 2)];
+  if (moves) view.cross = [Math.min(Math.max(start[0] + step * moves[0], 0), wide - 1), Math.min(Math.max(start[1] + step * moves[1], 0), high - 1)];
+  else if (event.key === "Enter") { view.cross = start; click(view, current, start, true); }
+  else if (event.key === "Delete" || event.key === "Backspace") drop(view.camera.name, current);
+  else if (event.key === "+" || event.key === "=" || event.key === "-") zoom(view, start, event.key === "-" ? 1.2 : 1 / 1.2);
+  else return;
+  event.preventDefault();
+  if (view.cross) showLoupe(view, view.cross, outlineOf(view.camera));
+}
+
+function pinch(view, event) {
+  if (!view.fingers.has(event.pointerId) || view.fingers.size < 2) return;
+  const before = [...view.fingers.values()].slice(0, 2);
+  view.fingers.set(event.pointerId, [event.clientX, event.clientY]);
+  const after = [...view.fingers.values()].slice(0, 2), gap = ([a, b]) => Math.hypot(a[0] - b[0], a[1] - b[1]) || 1;
+  const middle = ([a, b]) => ({ clientX: (a[0] + b[0]) / 2, clientY: (a[1] + b[1]) / 2 });
+  const [from, to] = [pixel(view, middle(before)), pixel(view, middle(after))];
+  if (view.box[2] >= view.camera.size[0]) scrollBy(0, middle(before).clientY - middle(after).clientY);  // the whole image: the page moves
+  view.box[0] -= to[0] - from[0]; view.box[1] -= to[1] - from[1];
+  zoom(view, from, gap(before) / gap(after));
 }
 
 function pan(view, event) {
@@ -128,9 +193,9 @@ function pan(view, event) {
   view.svg.setAttribute("viewBox", view.box.join(" "));
 }
 
-function zoom(view, event) {
-  const [x, y] = pixel(view, event), [w, h] = view.camera.size;
-  const factor = Math.min(1.2, w / view.box[2] , Math.max(w / view.box[2] / 20, event.deltaY > 0 ? 1.2 : 1 / 1.2));
+/** About a pixel, which stays where it is; at most 20-fold, and never smaller than the view. */
+function zoom(view, [x, y], wanted) {
+  const [w, h] = view.camera.size, factor = Math.min(w / view.box[2], Math.max(w / view.box[2] / 20, wanted));
   view.box = [x - (x - view.box[0]) * factor, y - (y - view.box[1]) * factor, view.box[2] * factor, view.box[3] * factor];
   if (view.box[2] >= w * 0.999) view.box = [0, 0, w, h];
   view.svg.setAttribute("viewBox", view.box.join(" "));
@@ -142,12 +207,20 @@ function draw() {
   for (const view of views) drawView(view);
   drawJoints();
   drawSliders();
+  const poor = unseenPoor().length > 0, save = document.getElementById("save");
+  save.classList.toggle("amber", poor);
+  save.title = poor ? "a view without clicks does not fit the body" : "";
+  document.getElementById("remove").disabled = !(touched && clickOf(touched, current)) && !data.cameras.some((c) => clickOf(c.name, current));
 }
 
-function drawView({ camera, svg, layer }) {
-  const unit = 1 / (svg.getScreenCTM()?.a || 1), own = clicks[camera.name] ?? {};
+const outlineOf = (camera) => (fitted?.outlines[camera.name] ?? []).map((c) => "M" + c.map((v) => v + 0.5).join(" ") + "Z").join("");
+
+function drawView({ camera, svg, layer, note, tile }) {
+  const unit = em() / 14 / (svg.getScreenCTM()?.a || 1), own = clicks[camera.name] ?? {};
   layer.replaceChildren();
-  const path = (fitted?.outlines[camera.name] ?? []).map((c) => "M" + c.map((v) => v + 0.5).join(" ") + "Z").join("");
+  const path = outlineOf(camera), iou = clicks[camera.name] ? undefined : fitted?.overlap?.[camera.name];
+  note.textContent = camera.name + (camera.image ? "" : ": no image") + (iou === undefined ? "" : `: no clicks, overlap ${Math.round(100 * iou)} %`);
+  tile.classList.toggle("amber", iou < data.least_iou);
   if (path) layer.append(make("path", { d: path, class: "outline under" }), make("path", { d: path, class: "outline" }));
   for (const [joint, [x, y]] of Object.entries(fitted?.joints[camera.name] ?? {})) {
     if (own[joint] || !data.joints.includes(joint)) continue;
@@ -159,16 +232,22 @@ function drawView({ camera, svg, layer }) {
   }
 }
 
+const jointList = document.getElementById("joints"), jointButtons = new Map();
+function addJoint(joint) {
+  const count = make("i"), button = make("button", { "data-name": joint, click: () => { current = joint; touched = null; draw(); } }, joint.replaceAll("_", " "), count);
+  jointButtons.set(joint, { button, count });
+  return button;
+}
+jointList.append(make("h2", {}, "Click this joint"), ...data.joints.map(addJoint), make("h2", {}, "If you like"), ...data.more.map(addJoint));
+
 function drawJoints() {
-  const list = document.getElementById("joints"), top = list.scrollTop;
-  const row = (joint) => {
+  for (const [joint, { button, count }] of jointButtons) {
     const seen = data.cameras.filter((c) => clickOf(c.name, joint));
-    const poor = seen.some((c) => rejected.has(key(c.name, joint)));
-    const kind = `${joint === current ? "current" : ""} ${poor ? "rejected" : ""}`;
-    return make("button", { class: kind, "data-name": joint, click: () => { current = joint; draw(); } }, joint, make("i", {}, "●".repeat(seen.length)));
-  };
-  list.replaceChildren(make("h2", {}, "Click this joint"), ...data.joints.map(row), make("h2", {}, "If you like"), ...data.more.map(row));
-  list.scrollTop = top;
+    button.classList.toggle("current", joint === current);
+    button.classList.toggle("rejected", seen.some((c) => rejected.has(key(c.name, joint))));
+    button.setAttribute("aria-pressed", joint === current);
+    count.textContent = "●".repeat(seen.length);
+  }
 }
 
 const sliders = {};
@@ -186,8 +265,8 @@ const side = document.getElementById("sliders");
 side.append(make("h2", {}, "Joint angles"));
 side.append(make("p", { class: "soft" }, data.sliders ? "A slider holds its angle (orange) in further fits; click its name to let go." : "This session reads clicks, which keep no slider; for sliders write [first_pose] file = \"first_pose.json\"."));
 for (const { name, limits } of data.coordinates) {
-  const range = make("input", { type: "range", min: limits[0], max: limits[1], step: 0.5, "data-coordinate": name });
-  const output = make("output"), text = make("span", {}, name), box = make("div", { class: "slider" }, text, output, range);
+  const range = make("input", { type: "range", min: limits[0], max: limits[1], step: 0.5, "data-coordinate": name, "aria-label": name });
+  const output = make("output"), text = make("button", { title: "let this angle go" }, name.replaceAll("_", " ")), box = make("div", { class: "slider" }, text, output, range);
   range.addEventListener("input", () => { held[name] = +range.value; drawSliders(); ask("/pose", { held }); });
   text.addEventListener("click", () => { if (held[name] === undefined) return; delete held[name]; fit(); });
   sliders[name] = { box, range, output };
@@ -195,6 +274,13 @@ for (const { name, limits } of data.coordinates) {
 }
 
 document.getElementById("save").addEventListener("click", () => ask("/save", {}));
+/** Of the view that was touched last, or of every view where the joint was chosen in the list. */
+document.getElementById("remove").addEventListener("click", () => {
+  const cameras = touched && clickOf(touched, current) ? [touched] : data.cameras.map((c) => c.name);
+  for (const camera of cameras) if (clickOf(camera, current)) remove(camera, current);
+  draw();
+  fit();
+});
 document.getElementById("clear").addEventListener("click", () => {
   for (const camera of Object.keys(clicks)) delete clicks[camera];
   for (const name of Object.keys(held)) delete held[name];
@@ -204,7 +290,10 @@ document.getElementById("clear").addEventListener("click", () => {
 });
 new ResizeObserver(draw).observe(document.getElementById("views"));
 window.twistcapInit = { clicks, held, state: () => fitted, current: () => current };
-tell("Choose a joint and click it in two or more views. The body appears when two views have five joints in common. Wheel zooms, shift-drag moves, right-click removes.");
+tell("Choose a joint and click it in two or more views. The body appears when two views have five joints in common. Wheel or two fingers zoom, shift-drag or two fingers move, right-click removes.");
+const bar = new ResizeObserver(([{ target }]) => { document.getElementById("joints").style.top = `${target.getBoundingClientRect().height}px`; });
+bar.observe(document.querySelector("header"));
+themeButton();
 draw();
 if (!fitted && Object.keys(clicks).length) fit();
 document.body.dataset.ready = "yes";

@@ -1,6 +1,6 @@
-/* The viewer: 3D scene, images with outlines, time line and joint-angle plots, all driven by `seek`. */
+/* The viewer: 3D scene, images with outlines and time line, all driven by `seek`; the plots are in plots.js. */
 const COLOURS = data.runs.length > 1 ? ["#2f7de1", "#ef8a24", "#35a368", "#a758cf", "#c8466a", "#5a6270"] : ["#2f7de1"];
-const TRUTH = "#15181d", LOST = "#e5484d", DROPPED = "#9aa3ad", DOUBT = "#5d6875", OUT = "#d98a00";
+const LOST = "#e5484d", DROPPED = "#9aa3ad", DOUBT = "#5d6875", OUT = "#d98a00";
 const colourOf = (k) => COLOURS[k % COLOURS.length];
 const runs = data.runs.map((run, k) => ({
   ...run, colour: colourOf(k), visible: true, transforms: unpack(run.transforms), angles: unpack(run.angles_deg),
@@ -17,6 +17,7 @@ function seek(frame) {
   for (const listener of listeners) listener(state.frame);
 }
 const refresh = () => seek(state.frame);
+let truth = colour("--truth");
 
 /* ---- header ---- */
 const legend = document.getElementById("legend");
@@ -26,8 +27,8 @@ runs.forEach((run) => {
   const swatch = make("span", { class: "swatch", style: `background:${run.colour}` });
   const lost = run.lost.filter(Boolean).length;
   const note = lost ? make("span", { class: "lost" }, ` (${lost} of ${run.lost.length} frames lost)`) : "";
-  const told = make("details", {}, make("summary", {}, "lost frames and cameras"), ...run.told.map((text) => make("div", {}, text)));
-  legend.append(make("label", {}, box, swatch, run.name, note), " ", told, " ");
+  const statements = make("details", {}, make("summary", {}, "lost frames and cameras"), ...run.statements.map((text) => make("div", {}, text)));
+  legend.append(make("label", {}, box, swatch, run.name, note), " ", statements, " ");
 });
 function toggle(key, text) {
   const box = make("input", { type: "checkbox", id: `show-${key}`, change: (e) => { state[key] = e.target.checked; refresh(); } });
@@ -118,7 +119,6 @@ function buildScene() {
   renderer.setPixelRatio(window.devicePixelRatio);
   box.append(renderer.domElement);
   const scene = new THREE.Scene();
-  scene.background = new THREE.Color("#e9edf2");
   scene.add(new THREE.HemisphereLight(0xffffff, 0x8a8f99, 2.2));
   const sun = new THREE.DirectionalLight(0xffffff, 1.6);
   sun.position.set(2, -3, 5);
@@ -136,11 +136,19 @@ function buildScene() {
   const depth = Math.max(0.25, 0.14 * Math.min(...far));
   const frusta = data.cameras.map((camera) => frustum(camera, depth));
   frusta.forEach((f) => scene.add(f.group));
-  const points = new THREE.Points(new THREE.BufferGeometry(), new THREE.PointsMaterial({ color: TRUTH, size: 7, sizeAttenuation: false, depthTest: false }));
-  const sticks = new THREE.LineSegments(new THREE.BufferGeometry(), new THREE.LineBasicMaterial({ color: TRUTH, depthTest: false }));
+  const points = new THREE.Points(new THREE.BufferGeometry(), new THREE.PointsMaterial({ color: truth, size: 7, sizeAttenuation: false, depthTest: false }));
+  const sticks = new THREE.LineSegments(new THREE.BufferGeometry(), new THREE.LineBasicMaterial({ color: truth, depthTest: false }));
   points.renderOrder = sticks.renderOrder = 1;
   points.frustumCulled = sticks.frustumCulled = false;
   scene.add(points, sticks);
+  const tint = () => {
+    truth = colour("--truth");
+    scene.background = new THREE.Color(colour("--ground"));
+    points.material.color.set(truth); sticks.material.color.set(truth);
+    grid.material.opacity = isDark() ? 0.25 : 1;
+  };
+  grid.material.transparent = true;
+  tint();
   const eye = new THREE.PerspectiveCamera(40, 1, 0.05, 200);
   eye.up.set(0, 0, 1);
   eye.position.copy(middle).add(new THREE.Vector3(2.6, -3.4, 1.1));
@@ -149,6 +157,8 @@ function buildScene() {
   controls.update();
   const draw = () => renderer.render(scene, eye);
   controls.addEventListener("change", draw);
+  themeListeners.push(() => { tint(); draw(); });
+  keys(renderer.domElement, eye, controls);
   const resize = () => {
     renderer.setSize(box.clientWidth, box.clientHeight);
     eye.aspect = box.clientWidth / box.clientHeight;
@@ -177,6 +187,23 @@ function buildScene() {
   return { frusta, draw };
 }
 
+/** The 3D view by keys: arrows turn, + and − come near and go away. */
+function keys(canvas, eye, controls) {
+  canvas.tabIndex = 0;
+  canvas.setAttribute("aria-label", "3D view: arrow keys turn, plus and minus zoom");
+  const turns = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, -0.1], ArrowDown: [0, 0.1] }, nearer = { "+": 0.85, "=": 0.85, "-": 1 / 0.85 };
+  canvas.addEventListener("keydown", (event) => {
+    const turn = turns[event.key] ?? (nearer[event.key] ? [0, 0] : null);
+    if (!turn) return;
+    event.preventDefault(); event.stopPropagation();
+    const away = new THREE.Vector3().subVectors(eye.position, controls.target), flat = Math.hypot(away.x, away.y);
+    const length = away.length() * (nearer[event.key] ?? 1), about = Math.atan2(away.y, away.x) + turn[0];
+    const up = Math.min(Math.max(Math.atan2(away.z, flat) - turn[1], -1.5), 1.5);
+    eye.position.set(Math.cos(up) * Math.cos(about), Math.cos(up) * Math.sin(about), Math.sin(up)).multiplyScalar(length).add(controls.target);
+    controls.update();
+  });
+}
+
 function showReference(points, sticks, frame, side) {
   const own = data.reference && state.reference ? data.reference.points[frame] : [];
   points.geometry.dispose(); sticks.geometry.dispose();
@@ -198,13 +225,7 @@ const pictures = data.cameras.map((camera, c) => {
   const note = make("b", {}, camera.name);
   const tile = make("div", { class: "view" }, canvas, note);
   views.append(tile);
-  const images = camera.images.map((url) => {
-    if (!url) return null;
-    const image = new Image();
-    image.src = url;
-    image.addEventListener("load", () => { if (shownAt(state.frame) === images.indexOf(image)) paint(c, state.frame); });
-    return image;
-  });
+  const images = new Array(camera.images.length);
   return { canvas, images, note, tile };
 });
 if (!pictures.some(Boolean)) document.getElementById("stage").classList.add("bare");
@@ -212,11 +233,21 @@ const pictured = pictures.filter(Boolean).length, columns = Math.ceil(Math.sqrt(
 views.style.gridTemplateColumns = `repeat(${columns}, minmax(0, 1fr))`;
 views.style.gridTemplateRows = `repeat(${Math.ceil(pictured / columns)}, minmax(0, 1fr))`;
 
+/** An image is decoded when it is first wanted; null where there is none. */
+function imageOf(c, k) {
+  const { images } = pictures[c], url = data.cameras[c].images[k];
+  if (!url || images[k]) return images[k] ?? null;
+  images[k] = new Image();
+  images[k].addEventListener("load", () => { if (shownAt(state.frame) === k) { paint(c, state.frame); scene3d?.draw(); } });
+  images[k].src = url;
+  return images[k];
+}
+
 /** Which of the pictured frames stands for this one: the last at or before it. */
 function shownAt(frame) {
-  let k = 0;
-  while (k + 1 < data.shown.length && data.shown[k + 1] <= frame) k++;
-  return k;
+  let low = 0, high = data.shown.length;
+  while (high - low > 1) { const middle = (low + high) >> 1; if (data.shown[middle] <= frame) low = middle; else high = middle; }
+  return low;
 }
 
 function trace(pen, curves) {
@@ -231,7 +262,8 @@ function trace(pen, curves) {
 function paint(c, frame) {
   const picture = pictures[c];
   if (!picture) return;
-  const k = shownAt(frame), image = picture.images[k], pen = picture.canvas.getContext("2d");
+  const k = shownAt(frame), image = imageOf(c, k), pen = picture.canvas.getContext("2d");
+  if (k + 1 < data.shown.length) imageOf(c, k + 1);
   pen.fillStyle = "#14181f";
   pen.fillRect(0, 0, picture.canvas.width, picture.canvas.height);
   if (image?.complete && state.images) pen.drawImage(image, 0, 0, picture.canvas.width, picture.canvas.height);
@@ -247,7 +279,7 @@ function paint(c, frame) {
     pen.strokeStyle = run.lost[run.rows[data.shown[k]]] ? LOST : run.colour; pen.lineWidth = 1.6; trace(pen, run.outlines[c][k]);
   }
   const marks = data.reference && state.reference ? data.reference.pixels[c]?.[k] ?? [] : [];
-  pen.fillStyle = "#fff"; pen.strokeStyle = TRUTH; pen.lineWidth = 1;
+  pen.fillStyle = "#fff"; pen.strokeStyle = "#15181d"; pen.lineWidth = 1;
   for (const mark of marks) if (mark) { pen.beginPath(); pen.arc(mark[0] + 0.5, mark[1] + 0.5, 1.8, 0, 7); pen.fill(); pen.stroke(); }
   const number = data.indices[data.shown[k]];
   const old = image && data.shown[k] !== frame ? ` (frame ${number})` : "", own = runs[0].cameras[runs[0].rows[frame]]?.[c];
@@ -258,7 +290,7 @@ function paint(c, frame) {
 listeners.push((frame) => { pictures.forEach((_, c) => paint(c, frame)); scene3d?.draw(); });
 
 /* ---- time line ---- */
-const [slider, now, play, said, strip] = ["slider", "now", "play", "said", "marks"].map((id) => document.getElementById(id));
+const [slider, now, play, note, strip] = ["slider", "now", "play", "frame-note", "marks"].map((id) => document.getElementById(id));
 slider.max = data.indices.length - 1;
 slider.addEventListener("input", () => seek(+slider.value));
 listeners.push((frame) => {
@@ -266,9 +298,9 @@ listeners.push((frame) => {
   const lost = runs.filter((run) => run.rows[frame] >= 0 && run.lost[run.rows[frame]]).map((run) => run.name);
   now.replaceChildren(`frame ${data.indices[frame]}   ${data.times[frame].toFixed(3)} s `);
   if (lost.length) now.append(make("span", { class: "lost" }, runs.length > 1 ? `lost: ${lost.join(", ")}` : "lost"));
-  const texts = runs.filter((run) => run.said[run.rows[frame]]).map((run) => (runs.length > 1 ? `${run.name}: ` : "") + run.said[run.rows[frame]]);
-  said.textContent = texts.join(" — ") || "height: probability of loss; red: lost, grey: body not seen, amber: a camera left out";
-  said.className = texts.length ? "" : "soft";
+  const texts = runs.filter((run) => run.notes[run.rows[frame]]).map((run) => (runs.length > 1 ? `${run.name}: ` : "") + run.notes[run.rows[frame]]);
+  note.textContent = texts.join(" — ") || "height: probability of loss; red: lost, grey: body not seen, amber: a camera left out";
+  note.className = texts.length ? "" : "soft";
 });
 
 /** The probability of loss of one frame in words, with that of its most doubtful limbs. */
@@ -287,7 +319,7 @@ function drawMarks() {
   strip.height = height * runs.length;
   strip.style.height = `${strip.height}px`;
   const bar = (frame, top, size, colour) => { pen.fillStyle = colour; pen.fillRect(THUMB + (frame - 0.5) * step, top, wide, size); };
-  pen.fillStyle = "#eef1f5"; pen.fillRect(0, 0, strip.width, strip.height);
+  pen.fillStyle = colour("--bar"); pen.fillRect(0, 0, strip.width, strip.height);
   runs.forEach((run, k) => run.rows.forEach((row, frame) => {
     if (row < 0) return;
     const bottom = (k + 1) * height - 1, high = Math.round((height - 4) * run.probability[row]);
@@ -304,6 +336,7 @@ strip.addEventListener("mousemove", (event) => {
   strip.title = [`frame ${data.indices[frame]}`, ...there.map((run) => doubt(run, run.rows[frame]))].join("\n");
 });
 new ResizeObserver(drawMarks).observe(slider);
+themeListeners.push(drawMarks);
 
 let started = 0, from = 0;
 function tick(clock) {
@@ -322,65 +355,19 @@ function setPlaying(on) {
 }
 play.addEventListener("click", () => setPlaying(!state.playing));
 document.getElementById("speed").addEventListener("change", () => setPlaying(state.playing));
+/** Keys work wherever the focus is, except where they already mean something: a list takes all of them, a button the
+ * space, the slider the arrows. */
 document.addEventListener("keydown", (event) => {
-  if (["INPUT", "SELECT", "BUTTON"].includes(event.target.tagName)) return;
-  if (event.key === " ") { event.preventDefault(); setPlaying(!state.playing); }
-  if (event.key === "ArrowLeft" || event.key === "ArrowRight") seek(state.frame + (event.key === "ArrowRight" ? 1 : -1));
+  const { tagName, type } = event.target;
+  if (tagName === "SELECT" || event.ctrlKey || event.metaKey || event.altKey) return;
+  const { key } = event, last = data.indices.length - 1, step = event.shiftKey ? 10 : 1;
+  if (key === " " && !["BUTTON", "SUMMARY"].includes(tagName) && type !== "checkbox") setPlaying(!state.playing);
+  else if (key === "+" || key === "=") zoomTime(0.5);
+  else if (key === "-") zoomTime(2);
+  else if (key === "0") show(...whole);
+  else if (type === "range") return;
+  else if (key === "ArrowLeft" || key === "ArrowRight") seek(state.frame + (key === "ArrowRight" ? step : -step));
+  else if (key === "Home" || key === "End") seek(key === "End" ? last : 0);
+  else return;
+  event.preventDefault();
 });
-
-/* ---- plots ---- */
-function column(run, j, values) {
-  const J = run.coordinates.length;
-  return run.rows.map((row) => (row < 0 ? null : values(row * J + j)));
-}
-
-function plotOf(name) {
-  const series = [{}], table = [data.times], bands = [];
-  for (const run of runs) {
-    const j = run.coordinates.indexOf(name);
-    if (j < 0) continue;
-    const hi = table.length;
-    table.push(column(run, j, (i) => run.angles[i] + 2 * run.sigma[i]), column(run, j, (i) => run.angles[i] - 2 * run.sigma[i]), column(run, j, (i) => run.angles[i]));
-    const hidden = { stroke: "transparent", width: 0, points: { show: false } };
-    series.push(hidden, { ...hidden }, { stroke: run.colour, width: 1.5, points: { show: false } });
-    bands.push({ series: [hi, hi + 1], fill: run.colour + "33" });
-  }
-  const r = data.reference ? data.reference.coordinates.indexOf(name) : -1;
-  if (r >= 0) {
-    table.push(data.reference.angles_deg.map((row) => row[r]));
-    series.push({ stroke: TRUTH, width: 1.2, dash: [5, 4], points: { show: false } });
-  }
-  const holder = make("div", { class: "plot" }, make("h2", {}, name));
-  document.getElementById("plots").append(holder);
-  const axis = { size: 34, font: "10px sans-serif", grid: { stroke: "#edf0f3" }, ticks: { show: false } };
-  const width = holder.clientWidth || 320;
-  const plot = new uPlot({
-    width, height: 120, legend: { show: false }, cursor: { show: false }, series, bands,
-    scales: { x: { time: false }, y: { range: (_, lo, hi) => { const pad = Math.max(0, (10 - (hi - lo)) / 2) + 0.05 * (hi - lo); return [lo - pad, hi + pad]; } } },
-    axes: [{ ...axis, size: 20 }, axis], hooks: { drawClear: [shade] },
-  }, table, holder);
-  const needle = make("div", { class: "needle" });
-  plot.over.append(needle);
-  plot.over.addEventListener("click", (event) => {
-    const t = plot.posToVal(event.offsetX, "x");
-    seek(data.times.reduce((best, value, k) => (Math.abs(value - t) < Math.abs(data.times[best] - t) ? k : best), 0));
-  });
-  listeners.push((frame) => { needle.style.left = plot.valToPos(data.times[frame], "x") + "px"; });
-}
-
-/** Red behind the frames that any result lost. */
-function shade(u) {
-  const half = (data.times.at(-1) - data.times[0]) / Math.max(1, data.times.length - 1) / 2;
-  u.ctx.fillStyle = "#e5484d2e";
-  data.times.forEach((t, frame) => {
-    if (!runs.some((run) => run.rows[frame] >= 0 && run.lost[run.rows[frame]])) return;
-    const x = u.valToPos(t - half, "x", true), end = u.valToPos(t + half, "x", true);
-    u.ctx.fillRect(x, u.bbox.top, end - x, u.bbox.height);
-  });
-}
-const names = [...new Set(runs.flatMap((run) => run.coordinates))];
-names.forEach(plotOf);
-
-window.twistcapView = { seek, setPlaying, state, runs };
-seek(0);
-document.body.dataset.ready = "yes";

@@ -1,0 +1,139 @@
+"""Motion into a rigged GLB of the user's own: its bones, rest pose, surface, UVs and materials stay as they are.
+
+Bones keep their lengths: the motion is the rotations of all bones that move, and the place of the root. A body whose
+lengths were fitted moves the file's bones by the same angles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pygltflib as gl
+from scipy.spatial.transform import Rotation
+
+from twistcap import se3
+from twistcap.arrays import Float
+from twistcap.body._gltf_buffers import TO_REST, Packer
+from twistcap.body.gltf import Rigged, load_rigged
+from twistcap.body.kinematics import Pose, Posed
+from twistcap.body.model import Body
+from twistcap.body.rig import RestJoints, in_tree_order, rest_joints
+from twistcap.errors import InputError, check
+
+_STILL = 1e-5  # rad or m by which a bone that has no channel may differ from its rest
+
+
+@dataclass(frozen=True)
+class BoneMotion:
+    """The motion of a file's B joints over T frames, in glTF's axes (y up).
+
+    Attributes:
+        rigged: the file.
+        rest: its joints in the body's rest pose.
+        turns: (T, B, 3, 3) rotations of the joints' frames to the world; NaN for joints above the root, which stay.
+        places: (T, 3) of the root's head, m.
+    """
+
+    rigged: Rigged
+    rest: RestJoints
+    turns: Float
+    places: Float
+
+    @property
+    def bind(self) -> Float:
+        """(B, 4, 4) frames of the joints in the file's rest pose; rotations, without the file's scale."""
+        frames = self.rigged.mesh.frames
+        return se3.transform(_rotation(frames[:, :3, :3]), frames[:, :3, 3])
+
+
+def bone_motion(body: Body, poses: Sequence[Pose], source: Path | str, rig: Path | str | None = None) -> BoneMotion:
+    """The poses of a body as motion of the joints of the GLB that it was made of.
+
+    Raises InputError for a file that `load_rigged` refuses, or whose segments are not the body's.
+    """
+    rigged = load_rigged(source, rig)
+    same = rigged.body.segment_names == body.segment_names and rigged.body.coordinate_names == body.coordinate_names
+    check(str(source), same, "its joints are not those of the tracked body; give the file that the session names")
+    rest = rest_joints(rigged.mesh, rigged.spec)
+    motions = np.array([Posed(body, pose).segment_transforms for pose in poses])
+    turns = TO_REST.T @ motions[:, rest.owner, :3, :3] @ rest.frames[:, :3, :3]
+    turns[:, rest.owner < 0] = np.nan
+    # The root's head in the tracked body: its own rest pose may have other lengths, but the root is its origin's frame.
+    head = se3.apply(motions[:, rest.owner[rest.root]], rest.frames[rest.root, :3, 3][None])[:, 0]
+    return BoneMotion(rigged, rest, turns, head @ TO_REST)
+
+
+def animate_glb(motion: BoneMotion, path: Path | str, fps: float, name: str = "twistcap") -> None:
+    """Write the file with the motion as its first animation, `fps` keys a second; everything else stays.
+
+    Raises InputError for a file that is not binary, a rate that is not positive, or if it cannot be written.
+    """
+    scene, gltf = motion.rigged.scene, motion.rigged.scene.gltf
+    blob: bytes = gltf.binary_blob() or b""
+    check(str(scene.path), blob and gltf.buffers[0].uri is None, "motion goes into a GLB, not into a .gltf")
+    check(str(path), fps > 0, f"the frame rate is {fps}; it must be positive")
+    pack = Packer(gltf)
+    pack.blob = bytearray(blob + b"\0" * (-len(blob) % 4))
+    times = pack.add((np.arange(len(motion.places)) / fps).astype(np.float32), "SCALAR", bounds=True)
+    animation = gl.Animation(name=name)
+    for node, kind, values in _channels(motion):
+        output = pack.add(values.astype(np.float32), "VEC4" if kind == "rotation" else "VEC3")
+        animation.samplers.append(gl.AnimationSampler(input=times, output=output, interpolation="LINEAR"))
+        target = gl.AnimationChannelTarget(node=node, path=kind)
+        animation.channels.append(gl.AnimationChannel(sampler=len(animation.samplers) - 1, target=target))
+        _without_matrix(gltf.nodes[node])
+    gltf.animations.insert(0, animation)
+    gltf.buffers[0].byteLength = len(pack.blob)
+    gltf.set_binary_blob(bytes(pack.blob))
+    try:
+        gltf.save_binary(str(path))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
+
+
+def _channels(motion: BoneMotion) -> list[tuple[int, str, Float]]:
+    """(node, "rotation" or "translation", values (T, 4) or (T, 3)) of every node that moves within its parent."""
+    scene, T = motion.rigged.scene, len(motion.places)
+    joint = {node: b for b, node in enumerate(scene.joints) if motion.rest.owner[b] >= 0}
+    world = np.tile(_rotation(scene.world[:, :3, :3]), (T, 1, 1, 1))
+    local = _rotation(np.array([scene.local(n)[:3, :3] for n in range(len(scene.parents))]))
+    out = list[tuple[int, str, Float]]()
+    for n in in_tree_order(scene.parents):
+        above = world[:, scene.parents[n]] if scene.parents[n] >= 0 else np.tile(np.eye(3), (T, 1, 1))
+        if n not in joint:
+            world[:, n] = above @ local[n]
+            continue
+        world[:, n] = motion.turns[:, joint[n]]
+        turns = above.swapaxes(1, 2) @ world[:, n]
+        if np.abs(turns - local[n]).max() > _STILL:
+            out.append((n, "rotation", _quaternions(turns)))
+    root = scene.joints[motion.rest.root]
+    above = scene.world[scene.parents[root]] if scene.parents[root] >= 0 else np.eye(4)
+    places = (motion.places - above[:3, 3]) @ np.linalg.inv(above[:3, :3]).T
+    return [*out, (root, "translation", places)]
+
+
+def _quaternions(turns: Float) -> Float:
+    """(T, 4) x y z w, continuous in time."""
+    q = Rotation.from_matrix(turns).as_quat(canonical=True)
+    flips = np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0))
+    return q * np.concatenate([[1.0], flips])[:, None]
+
+
+def _rotation(matrices: Float) -> Float:
+    """(…, 3, 3) without scale."""
+    return matrices / np.linalg.norm(matrices, axis=-2, keepdims=True)
+
+
+def _without_matrix(node: Any) -> None:
+    """Animated nodes have translation, rotation and scale in place of a matrix, as glTF wants it."""
+    if node.matrix is None:
+        return
+    M = np.array(node.matrix, dtype=float).reshape(4, 4).T
+    node.matrix, node.translation = None, M[:3, 3].tolist()
+    node.scale = np.linalg.norm(M[:3, :3], axis=0).tolist()
+    node.rotation = Rotation.from_matrix(_rotation(M[:3, :3])).as_quat().tolist()

@@ -1,0 +1,122 @@
+"""The verdict on a result, in words: which frames and which joint angles can be relied on, by flags and σ.
+
+An angle is called reliable up to 2°, to be used with care up to 5°, and not reliable beyond: the limits of McGinley et
+al. 2009 for gait (DOI 10.1016/j.gaitpost.2008.09.003), here for the standard deviation that the covariance claims.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from twistcap.arrays import Float
+from twistcap.evaluate.metrics import Row, row
+from twistcap.io.coordinates import coordinates_of
+from twistcap.io.result import Result
+from twistcap.report.page import Statement
+from twistcap.report.plots import split_side
+from twistcap.report.words import in_spans
+
+RELIABLE, CARE = 2.0, 5.0
+"""Degrees of σ."""
+_MOST = 95.0  # per cent of the frames that must be within
+_DOUBT = 0.2  # probability of loss from which a frame that is not lost is named
+_USABLE = 0.9  # share of the frames
+_SIDES = {"r": "right", "l": "left"}
+_CAVEAT = (
+    f"In brackets is the σ that {_MOST:g} % of the frames keep. It is what the images leave open. A body or cameras "
+    "that are a little wrong shift angles by constants that it does not contain; compare with a reference to find them."
+)
+
+
+def verdict_of(result: Result) -> list[Statement]:
+    """What can be relied on: frames, joint angles from best to worst, cameras. Empty for a result without frames."""
+    if not len(result):
+        return []
+    return [_frames(result), *_doubtful(result), *_angles(result), *_cameras(result), Statement(_CAVEAT, None)]
+
+
+def camera_rows(result: Result) -> list[Row]:
+    """A table of the frames in which each camera disagreed with the others, or showed nothing new."""
+    counts = (("frames in which it disagrees and was left out", result.left_out),
+              ("frames without anything new", result.missing))  # fmt: skip
+    return [
+        row(name, what, int(rows[:, c].sum()), f"of {len(result)}", at_most=0)
+        for c, name in enumerate(result.rig.names)
+        for what, rows in counts
+    ]
+
+
+def chosen_rows(result: Result) -> list[int]:
+    """Rows of a few frames to look at: spread over the recording, and the most doubtful one."""
+    spread = [round(share * (len(result) - 1)) for share in (1 / 6, 1 / 2, 5 / 6)]
+    return sorted({*spread, int(np.argmax(np.nan_to_num(result.probability)))}) if len(result) else []
+
+
+def _frames(result: Result) -> Statement:
+    known, total = int(result.known.sum()), len(result)
+    if known == total:
+        return Statement(f"All {total} frames can be used: images support the body in each.", True)
+    good = None if known >= _USABLE * total else False
+    out = in_spans(result.indices, ~result.known)
+    return Statement(f"{known} of {total} frames can be used. Leave out those that are lost or unseen: {out}.", good)
+
+
+def _doubtful(result: Result) -> list[Statement]:
+    rows = result.known & (result.probability >= _DOUBT)
+    if not rows.any():
+        return []
+    words = f"Look at these frames before you use them; they are lost with a probability of {_DOUBT:g} or more: "
+    return [Statement(words + in_spans(result.indices, rows) + ".", None)]
+
+
+def _angles(result: Result) -> list[Statement]:
+    known = result.known
+    if not known.any():
+        return []
+    poses = [pose for pose, use in zip(result.poses, known, strict=True) if use]
+    table = coordinates_of(result.body, poses, result.covariances[known])
+    worst = np.percentile(table.in_degrees[1], _MOST, axis=0)
+    sigmas = {name: float(s) for name, s, turns in zip(table.names, worst, table.turning, strict=True) if turns}
+    grades = (
+        (f"Reliable, σ within {RELIABLE:g}°", 0.0, RELIABLE, True),
+        (f"Use with care, σ of {RELIABLE:g}° to {CARE:g}°", RELIABLE, CARE, None),
+        (f"Not reliable, σ above {CARE:g}°", CARE, np.inf, False),
+    )
+    out = list[Statement]()
+    for words, low, high, good in grades:
+        names = {name: sigma for name, sigma in sigmas.items() if low < sigma <= high or (low == 0.0 == sigma)}
+        if names:
+            out.append(Statement(f"{words}: {named(names)}.", good))
+    return [*out, _place(table.names, worst)]
+
+
+def _place(names: Sequence[str], worst: Float) -> Statement:
+    sigma = 1000.0 * max(float(worst[names.index(f"pelvis_t{axis}")]) for axis in "xyz")
+    return Statement(f"The place of the pelvis is known to {sigma:.0f} mm (σ).", True if sigma <= 10.0 else None)
+
+
+def named(sigmas: Mapping[str, float]) -> str:
+    """``knee angle (1.2°), elbow flex right (1.9°)``: from the surest, both sides as one where both are there."""
+    stems: dict[str, dict[str, float]] = {}
+    for name, sigma in sigmas.items():
+        stem, side = split_side(name)
+        stems.setdefault(stem, {})[side] = sigma
+    worst = {stem: max(sides.values()) for stem, sides in stems.items()}
+    parts = [(stem, stems[stem]) for stem in sorted(stems, key=lambda stem: worst[stem])]
+    return ", ".join(f"{stem.replace('_', ' ')}{_side(sides)} ({worst[stem]:.1f}°)" for stem, sides in parts)
+
+
+def _side(sides: Mapping[str, float]) -> str:
+    only = next(iter(sides)) if len(sides) == 1 else ""
+    return f" {_SIDES[only]}" if only else ""
+
+
+def _cameras(result: Result) -> list[Statement]:
+    out = result.left_out.mean(axis=0)
+    odd = [f"{name} in {100 * share:.0f} %" for name, share in zip(result.rig.names, out, strict=True) if share > 0]
+    if not odd:
+        return [Statement(f"All {len(result.rig)} cameras agree with one another.", True)]
+    words = f"Cameras that disagree with the others and were left out: {', '.join(odd)} of the frames. Check them."
+    return [Statement(words, False if out.max() > 1 - _USABLE else None)]

@@ -1,0 +1,70 @@
+"""Rigs that are told by the names of their bones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from twistcap import se3
+from twistcap.body.humanoid import humanoid
+from twistcap.body.rig import SkinnedMesh, build_body
+from twistcap.body.rig_presets import preset_spec
+from twistcap.body.shape import joint_origins
+from twistcap.errors import InputError
+
+TO_FILE = np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])  # ours to glTF: y up, facing z
+SEGMENTS = ("pelvis", "torso", "head", "humerus", "ulna", "radius", "femur", "tibia", "foot")
+RIGS = {  # names as the programs write them, in the order of SEGMENTS; * is the side
+    "Mixamo": ("mixamorig:Hips mixamorig:Spine mixamorig:Neck mixamorig:*Arm mixamorig:*ForeArm mixamorig:*Hand "
+               "mixamorig:*UpLeg mixamorig:*Leg mixamorig:*Foot", "Right", "Left"),
+    "Rigify": ("spine spine.001 spine.004 upper_arm.* forearm.* hand.* thigh.* shin.* foot.*", "R", "L"),
+    "VRM": ("J_Bip_C_Hips J_Bip_C_Spine J_Bip_C_Neck J_Bip_*_UpperArm J_Bip_*_LowerArm J_Bip_*_Hand "
+            "J_Bip_*_UpperLeg J_Bip_*_LowerLeg J_Bip_*_Foot", "R", "L"),
+    "CMU": ("Hips LowerBack Neck *Arm *ForeArm *Hand *UpLeg *Leg *Foot", "Right", "Left"),
+    "Unreal": ("pelvis spine_01 neck_01 upperarm_* lowerarm_* hand_* thigh_* calf_* foot_*", "r", "l"),
+    "Unity": ("Hips Spine Neck *UpperArm *LowerArm *Hand *UpperLeg *LowerLeg *Foot", "Right", "Left"),
+}  # fmt: skip
+
+
+def mesh_of(rig: str, turn: float = 0.0) -> SkinnedMesh:
+    """The humanoid's surface and joints under a rig's names, turned about the vertical."""
+    body, (names, right, left) = humanoid(), RIGS[rig]
+    words = {"_r": right, "_l": left}
+
+    def named(segment: str) -> str:
+        side = segment[-2:] if segment[-2:] in words else ""
+        return names.split()[SEGMENTS.index(segment.removesuffix(side))].replace("*", words.get(side, ""))
+
+    C = se3.exp_rotation(np.array([0.0, turn, 0.0])) @ TO_FILE
+    weights = np.zeros((len(body.vertices), len(body.segment_names)))
+    np.add.at(weights, (np.arange(len(weights))[:, None], body.skin_segments), body.skin_weights)
+    joints = tuple(map(named, body.segment_names))
+    frames = se3.transform(np.eye(3), joint_origins(body) @ C.T)
+    return SkinnedMesh("x", "x.glb", joints, body.segment_parent, frames, body.vertices @ C.T, body.faces, weights)
+
+
+@pytest.mark.parametrize("turn", [0.0, np.pi, np.pi / 2])  # VRM 0 looks along −z
+@pytest.mark.parametrize("rig", sorted(RIGS))
+def test_a_known_rig_becomes_the_humanoid(rig: str, turn: float) -> None:
+    mesh, ours = mesh_of(rig, turn), humanoid()
+    spec = preset_spec(mesh)
+    assert spec is not None
+    body = build_body(mesh, spec, 8)
+    assert body.coordinate_names == ours.coordinate_names and body.segment_names == ours.segment_names
+    np.testing.assert_allclose(body.twists[:, :3], ours.twists[:, :3], atol=1e-6)
+    np.testing.assert_allclose(body.limits, ours.limits, atol=1e-9)
+    for name in ("hip_r", "knee_l", "ankle_r", "shoulder_l", "mid_hip", "head_top"):
+        mine, theirs = (b.landmarks.points[b.landmarks.index(name)] for b in (body, ours))
+        np.testing.assert_allclose(mine, theirs, atol=0.03)  # its legs are turned straight down
+
+
+def test_a_rig_with_gaps_is_told_and_an_unknown_one_is_left_alone() -> None:
+    mesh = mesh_of("Mixamo")
+    gap = replace(mesh, joints=tuple("Stump" if "LeftFoot" in name else name for name in mesh.joints))
+    with pytest.raises(InputError, match="look like a Mixamo rig, but leftfoot"):
+        preset_spec(gap)
+    assert preset_spec(replace(mesh, joints=tuple(f"bone_{k}" for k in range(len(mesh.joints))))) is None
+    with pytest.raises(InputError, match="175 m high"):
+        preset_spec(replace(mesh, vertices=100 * mesh.vertices))
