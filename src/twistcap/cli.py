@@ -24,6 +24,7 @@ from twistcap.commands.prior import prior
 from twistcap.commands.refine import refine
 from twistcap.commands.session import session
 from twistcap.commands.studio import studio
+from twistcap.commands.sync import sync
 from twistcap.commands.terminal import run_command
 from twistcap.commands.track import track
 from twistcap.commands.view import view
@@ -37,7 +38,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 _COMMANDS = (
-    demo, board, calibrate, convert, new, session, init, track, refine, view, studio, evaluate, gait, export,
+    demo, board, calibrate, convert, new, session, sync, init, track, refine, view, studio, evaluate, gait, export,
 )  # fmt: skip
 for command in _COMMANDS:
     app.command()(command)

@@ -15,7 +15,7 @@ from twistcap.io.sources import ImageSource, VideoSource
 _IN_STEP = 0.02  # frame intervals by which cameras may differ and still be paired by number
 _ALONE = 0.02  # fraction of the way between two images at which the nearer one stands for the time
 _GAP = 1.6  # image intervals; images farther apart show nothing of the time between them
-_SAME_RATE = 0.01  # relative difference of frame rates below which cameras count as equally fast
+_SAME_RATE = 0.1  # relative difference of frame rates below which cameras count as equally fast
 RATE = 60.0
 """Frames per second where neither a video nor the session says."""
 

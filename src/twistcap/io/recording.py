@@ -24,14 +24,14 @@ from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
 from twistcap.io.calibration import read_rig
-from twistcap.io.clocks import Clock
+from twistcap.io.clocks import Clock, Timeline, image_times
 from twistcap.io.keypoints import openpose_files, read_clicks, read_openpose
 from twistcap.io.masks import read_masks, rectified_masks
 from twistcap.io.plausible import check_plausible, check_upright
 from twistcap.io.pose_file import body_at, read_pose
 from twistcap.io.session import CameraGrid, GlbBody, HumanoidBody, KeypointSet, Session
 from twistcap.io.unaided import found_unaided, told
-from twistcap.io.video import Views, open_views
+from twistcap.io.video import Views, open_source, open_views
 
 
 @dataclass(frozen=True)
@@ -125,14 +125,29 @@ def floor_of(session: Session) -> float | None:
 def views_of(session: Session, rig: Rig) -> Views:
     """The frames of the session."""
     first, last = session.frames or (None, None)
-    videos = {name: path for name, path in session.videos.items() if session.cameras.use is None or name in rig.names}
+    clocks = _clocks(session)
+    return open_views(
+        _videos(session, rig), rig, first, last, session.step, session.scale, session.fps, session.time_offset, clocks
+    )
+
+
+def timeline_of(session: Session, rig: Rig) -> Timeline:
+    """When each image of each camera was taken."""
+    paths, clocks = _videos(session, rig), _clocks(session)
+    return Timeline(
+        tuple(image_times(open_source(paths[n]), clocks.get(n, Clock()), session.fps) for n in rig.names)
+    )  # fmt: skip
+
+
+def _videos(session: Session, rig: Rig) -> dict[str, str]:
+    return {name: path for name, path in session.videos.items() if session.cameras.use is None or name in rig.names}
+
+
+def _clocks(session: Session) -> dict[str, Clock]:
     for name in session.clocks:
         if name not in session.videos:
             raise InputError(f"[clocks] names the camera {name!r}, which has no entry in [videos]; remove it.")
-    clocks = {name: Clock(**table.model_dump()) for name, table in session.clocks.items()}
-    return open_views(
-        videos, rig, first, last, session.step, session.scale, session.fps, session.time_offset, clocks
-    )  # fmt: skip
+    return {name: Clock(**table.model_dump()) for name, table in session.clocks.items()}
 
 
 def body_of(session: Session) -> Body:

@@ -12,7 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from twistcap.arrays import AnyArray
+from twistcap.arrays import AnyArray, Float
 from twistcap.camera import Camera, Rectifier, Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
@@ -112,6 +112,16 @@ class Views:
         """The number in each camera's own recording of the image nearest to a frame; None where there is none."""
         found = [self.timeline.images(c, [index])[0] for c in range(len(self.rig))]
         return [None if images is None else images.nearest for images in found]
+
+    @property
+    def lags(self) -> Float:
+        """(C, F) s by which each frame's nearest image was taken after the time of the frame; 0 where there is none."""
+        frames = self.timeline.times[self.timeline.reference][list(self.indices)]
+        out = np.zeros((len(self.rig), len(frames)))
+        for c, times in enumerate(self.timeline.times):
+            for f, images in enumerate(self.timeline.images(c, self.indices)):
+                out[c, f] = 0.0 if images is None else times[images.nearest] - frames[f]
+        return out
 
     def starting_at(self, index: int) -> Views:
         """The same frames from the first number that is not below `index`."""
