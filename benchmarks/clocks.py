@@ -13,12 +13,12 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import av
 import numpy as np
 
 from twistcap import se3
@@ -37,7 +37,7 @@ from twistcap.studio.picture import marred
 from twistcap.studio.scene import default_body
 
 LONGEST, LENGTH = 2.5, 5.5  # s by which cameras start apart, s that each of them films
-TRACKED = 60  # frames by which joints are compared
+FRAMES = 150  # frames that are tracked, and by which joints are compared
 SPEED, STEPS, PER_CYCLE, RADIUS = 1.3, 110.4, 200, 0.9  # m/s, steps per minute, samples of a cycle, m of the circle
 DATA = Path(os.environ.get("TWISTCAP_DATA", "../shared/data"))
 
@@ -86,19 +86,21 @@ def film(folder: Path, seed: int, condition: str = "exact", views: int = 4) -> F
     starts = rng.permutation([0.0, LONGEST, *rng.uniform(0, LONGEST, views - 2)])
     own = [frame_times(kind, rng) for kind in rng.permutation(["60", "59.94", "vfr", "60"])[np.arange(views) % 4]]
     first = int(np.ceil((max(starts) - starts[0] + 0.1) / (own[0][1] - own[0][0])))
-    frames = (first, first + TRACKED - 1)
+    frames = (first, first + FRAMES - 1)
     truth = [at(starts[0] + t) for t in own[0]]
     for name in ("apart", "together"):
         (folder / name).mkdir(parents=True, exist_ok=True)
         save_glb(scene.body, folder / name / "body.glb")
         write_rig(scene.rig, folder / name / "Calib.toml")
-        poses = [scene.first_pose if condition == "exact" and False else p for p in truth]
-        np.savez(folder / name / "first.npz", root=[p.root for p in poses], q=[p.q for p in poses],
+        np.savez(folder / name / "first.npz", root=[p.root for p in truth], q=[p.q for p in truth],
                  coordinate_names=np.array(body.coordinate_names))  # fmt: skip
         (folder / name / "session.toml").write_text(session_text(scene, frames))
+    claps = np.zeros(0)
     for c in range(views):
         write_video(scene, c, at, own[c], starts[c], folder / "apart" / f"{scene.rig.names[c]}.mp4")
         write_video(scene, c, at, own[0], starts[0], folder / "together" / f"{scene.rig.names[c]}.mp4", frames)
+        claps = rng.uniform(LONGEST, LENGTH, 3) if c == 0 else claps
+        add_sound(folder / "apart" / f"{scene.rig.names[c]}.mp4", claps - starts[c], 1000 * seed + c)
     return Filmed(
         folder / "apart" / "session.toml", folder / "together" / "session.toml", starts - starts[0], truth, body
     )  # fmt: skip
@@ -150,3 +152,73 @@ def joint_error(session: Path, filmed: Filmed) -> float:
         true = Posed(filmed.body, filmed.truth[frame.index]).landmarks
         off.append(float(np.linalg.norm(found[joints] - true[joints], axis=1).mean()))
     return 1000.0 * float(np.mean(off))
+
+
+def add_sound(path: Path, claps: Sequence[float], seed: int) -> None:
+    """Put a sound track into a video: noise, and claps at times (s) of its own clock."""
+    rate, rng = 48_000, np.random.default_rng(seed)
+    samples = 0.01 * rng.standard_normal(int((LENGTH + 0.5) * rate))
+    for clap in claps:
+        k = round(clap * rate)
+        if 0 <= k < len(samples):
+            tail = np.exp(-np.arange(min(rate // 10, len(samples) - k)) / (0.01 * rate))
+            samples[k : k + len(tail)] += 0.8 * tail * rng.standard_normal(len(tail))
+    loud = np.clip(samples, -1, 1) * 32767
+    part = path.with_name(f"{path.stem}-sound{path.suffix}")
+    with av.open(str(path)) as source, av.open(str(part), "w") as goal:
+        picture = goal.add_stream_from_template(source.streams.video[0])
+        sound = goal.add_stream("alac", rate=rate, layout="mono")
+        for packet in source.demux(video=0):
+            if packet.dts is not None:
+                packet.stream = picture
+                goal.mux(packet)
+        for start in range(0, len(loud), 4096):
+            frame = av.AudioFrame.from_ndarray(loud[None, start : start + 4096].astype(np.int16), "s16p", "mono")
+            frame.sample_rate, frame.pts = rate, start
+            goal.mux(sound.encode(frame))
+        goal.mux(sound.encode(None))
+    part.replace(path)
+
+
+def studio(seeds: Sequence[int], condition: str, frames: int, start: str) -> None:
+    """One row for each seed: greatest error of a clock, and joints against those of triggered cameras."""
+    for seed in seeds:
+        with tempfile.TemporaryDirectory() as folder:
+            filmed = film(Path(folder), seed, condition)
+            document = synchronise(filmed.session, start, frames)
+            found = np.array([row["after_s"] for row in document["cameras"]])
+            sigma = np.array([row["sigma_frames"] for row in document["cameras"]])
+            off = 60.0 * np.abs(found - filmed.offsets)
+            joints = [joint_error(session, filmed) for session in (filmed.session, filmed.together)]
+            print(f"seed {seed} {condition}: began with {document['began_with']}; unsure {document['unsure']}")
+            print(f"  clocks off by {np.round(off, 3)} frames, sigma {np.round(sigma, 3)}")
+            print(f"  joints {joints[0]:.2f} mm, of triggered cameras {joints[1]:.2f} mm", flush=True)
+
+
+def keypoints(frames: int) -> None:
+    """The clock of the keypoints of balance_4view against its images, in a session that does not know it."""
+    example = Path("examples/balance_4view.toml").read_text().replace("offset = 1.3\n", "offset = 0.0\n")
+    text = example.replace("${TWISTCAP_DATA:-../../shared/data}", str(DATA.resolve()))
+    with tempfile.TemporaryDirectory() as folder:
+        session = Path(folder) / "session.toml"
+        session.write_text(text)
+        print(json.dumps(synchronise(session, "given", frames, write=False), default=str, indent=1))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else "")
+    parser.add_argument("what", choices=["studio", "keypoints"])
+    parser.add_argument("--seeds", default="8-15")
+    parser.add_argument("--condition", default="exact", choices=["exact", "mismatch"])
+    parser.add_argument("--frames", type=int, default=150)
+    parser.add_argument("--start", default="auto")
+    given = parser.parse_args()
+    first, _, last = given.seeds.partition("-")
+    if given.what == "keypoints":
+        keypoints(min(given.frames, 100))
+    else:
+        studio(range(int(first), int(last or first) + 1), given.condition, given.frames, given.start)
+
+
+if __name__ == "__main__":
+    main()

@@ -14,7 +14,6 @@ from av.error import FFmpegError
 from twistcap.arrays import AnyArray
 from twistcap.io.files import replacing
 
-
 _TICK = Fraction(1, 90_000)  # s, of time stamps
 
 
@@ -37,7 +36,7 @@ class VideoWriter:
             self._replaced = stack.pop_all()  # takes the video's place when it is whole
 
     def write(self, image: AnyArray, time: float | None = None) -> None:
-        """Append one image (H, W) or (H, W, 3). `time` (s), of every image or of none, makes the frame rate variable."""
+        """Append one image (H, W) or (H, W, 3). `time` (s) of every image, or of none."""
         rgb = as_rgb(image)[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2]
         if self._stream is None:
             rate, options = Fraction(self._fps).limit_denominator(1001), {"crf": str(self._crf), "preset": "veryfast"}
