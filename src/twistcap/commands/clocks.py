@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from typing import Any
 
@@ -18,7 +19,7 @@ def clocks_in_words(session: Any, views: Any, result: Any) -> list[str]:
     from twistcap.adjust.clocks import estimate_clocks
 
     chosen = _liveliest(result.estimates)
-    steps = {b.index - a.index for a, b in zip(chosen, chosen[1:], strict=False)}
+    steps = {b.index - a.index for a, b in itertools.pairwise(chosen)}
     if len(chosen) < _FRAMES // 2 or len(views.rig) < 3 or len(steps) != 1:
         return []
     span = range(chosen[0].index, chosen[-1].index + 1, steps.pop())
@@ -44,9 +45,9 @@ def clocks_in_words(session: Any, views: Any, result: Any) -> list[str]:
 def _liveliest(estimates: Any) -> list[Any]:
     """The run of frames in which the root and the joints move most; none that is lost."""
     if len(estimates) <= _FRAMES:
-        return [e for e in estimates] if not any(e.lost for e in estimates) else []
+        return list(estimates) if not any(e.lost for e in estimates) else []
     kept = np.array([not e.lost and e.seen for e in estimates])
-    steps = [np.abs(b.pose.minus(a.pose)) for a, b in zip(estimates, estimates[1:], strict=False)]
+    steps = [np.abs(b.pose.minus(a.pose)) for a, b in itertools.pairwise(estimates)]
     moved = np.array([0.0, *(min(1.0, float(step[6:].sum() + 5.0 * step[3:6].sum())) for step in steps)])
     whole = np.convolve(kept, np.ones(_FRAMES), "valid") == _FRAMES
     if not whole.any():
