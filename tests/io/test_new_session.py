@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from support.videos import corrupted
 from twistcap.camera import Camera, Rig, look_at
 from twistcap.cli import main
 from twistcap.errors import InputError
