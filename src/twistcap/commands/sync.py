@@ -78,16 +78,17 @@ def synchronise(path: Path, start: str = "auto", count: int = 100, write: bool =
     names = rig_of(session).names
     given = {name: Clock(**session.clocks[name].model_dump()) if name in session.clocks else Clock() for name in names}
     clocks, way, doubts = _coarse(session, names, given, start)
-    for n in range(_PASSES):
-        found = _one_pass(session, clocks, count)
+    n = 0
+    while True:
+        n, found = n + 1, _one_pass(session, clocks, count)
         clocks = {
             k: replace(c, offset=c.offset + float(s)) for (k, c), s in zip(clocks.items(), found.late, strict=True)
         }
         moved = float(np.abs(found.late).max()) / found.frame
-        words.print(f"pass {n + 1}: clocks moved by up to {moved:.2f} frames")
-        if moved < _SETTLED:
+        words.print(f"pass {n}: clocks moved by up to {moved:.2f} frames")
+        if moved < _SETTLED or n == _PASSES:
             break
-    else:
+    if moved >= _SETTLED:
         doubts = (*doubts, f"the clocks still moved by {moved:.2f} frames in the last pass")
     first = clocks[names[0]].offset - given[names[0]].offset  # the first camera's clock stays
     clocks = {name: replace(clock, offset=round(clock.offset - first, 6)) for name, clock in clocks.items()}

@@ -23,7 +23,7 @@ def image_between(first: AnyArray, second: AnyArray, fraction: float) -> AnyArra
     search.setFinestScale(0)
     search.setVariationalRefinementIterations(_REFINED)
     none = np.zeros((*first.shape[:2], 2), np.float32)
-    there, back = (np.asarray(search.calc(a, b, none.copy())) for a, b in (grey, grey[::-1]))
+    there, back = (np.asarray(search.calc(a, b, none.copy()), dtype=np.float32) for a, b in (grey, grey[::-1]))
     near, far = _moved(first, there, fraction), _moved(second, back, 1.0 - fraction)
     return cv2.addWeighted(near, 1.0 - fraction, far, fraction, 0.0)
 

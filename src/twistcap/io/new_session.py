@@ -91,6 +91,7 @@ def _camera_of(path: str, cameras: Sequence[str]) -> str:
     """By the name of the file, else of its folder, or of the folder above that."""
     stem = Path(path.split("%")[0].rstrip("/") if "%" in path else path)
     titles = [stem.stem if stem.suffix.lower() in _VIDEOS else stem.name, *(up.name for up in list(stem.parents)[:2])]
+    fitting = list[str]()
     for title in titles:
         fitting = _named(title.lower(), cameras)
         if len(fitting) == 1:
