@@ -25,6 +25,7 @@ from twistcap.commands.refine import refine
 from twistcap.commands.session import session
 from twistcap.commands.studio import studio
 from twistcap.commands.study import study
+from twistcap.commands.sync import sync
 from twistcap.commands.terminal import run_command
 from twistcap.commands.track import track
 from twistcap.commands.view import view
@@ -38,7 +39,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 _COMMANDS = (
-    demo, board, calibrate, convert, new, session, init, track, refine, study, view, studio, evaluate, gait, export,
+    demo, board, calibrate, convert, new, session, sync, init, track, refine, study, view, studio, evaluate, gait,
+    export,
 )  # fmt: skip
 for command in _COMMANDS:
     app.command()(command)

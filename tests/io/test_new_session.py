@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from support.videos import corrupted
 from twistcap.camera import Camera, Rig, look_at
 from twistcap.cli import main
 from twistcap.errors import InputError
@@ -117,12 +118,10 @@ def test_names_are_matched_as_whole_as_can_be() -> None:
 
 
 def test_what_does_not_fit_is_one_sentence(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    slow = video(recorded / "slow" / "cam2.mp4", fps=25)
     small = video(recorded / "small" / "cam2.mp4", size=(80, 64))
     good = recorded / "videos" / "cam1.mp4"
     (recorded / "empty").mkdir()
     for videos, extra, words in (
-        ((good, slow), (), "frames per second"),
         ((good, small), (), "80×64"),
         ((recorded / "none.mp4",), (), "no camera"),
         ((f"cam2={recorded / 'none.mp4'}",), (), "does not exist"),
@@ -140,3 +139,23 @@ def test_what_does_not_fit_is_one_sentence(recorded: Path, capsys: pytest.Captur
     assert new(recorded, good) == 2
     assert "--force" in capsys.readouterr().err
     assert new(recorded, good, extra=("--force",)) == 0
+
+
+def test_unlike_rates_are_told_and_paired_by_time(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    slow = video(recorded / "slow" / "cam10.mp4", fps=25)
+    assert new(recorded, recorded / "videos" / "cam1.mp4", slow) == 0
+    assert "paired by time" in capsys.readouterr().err
+
+
+def test_a_camera_is_known_by_its_folder() -> None:
+    assert matched([(None, "x/cam1/GOPR01.mp4"), (None, "x/cam10/GOPR01.mp4")], ("cam1", "cam10")) == {
+        "cam1": "x/cam1/GOPR01.mp4",
+        "cam10": "x/cam10/GOPR01.mp4",
+    }
+
+
+def test_a_video_with_a_broken_end_is_refused(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    good = recorded / "videos" / "cam1.mp4"
+    corrupted(good, recorded / "cam1.mp4", 0.8)
+    assert new(recorded, recorded / "cam1.mp4") == 2
+    assert "corrupt" in capsys.readouterr().err

@@ -53,7 +53,9 @@ def clicking_of(session: Any, path: Path, out: Path | None = None, detector: str
 
     rig, body = rig_of(session), body_of(session)
     views = views_of(session, rig)
-    images = tuple(next(iter(source.read([views.indices[0]]))) for source in views.sources)
+    numbers = views.numbers(views.indices[0])
+    pairs = zip(views.sources, numbers, strict=True)
+    images = tuple(None if k is None else next(iter(source.read([k]))) for source, k in pairs)
     target = target_of(session, path, out)
     clicking = Clicking(session, rig, images, body, target, silhouettes_of(session, views))
     if detector is not None:

@@ -85,6 +85,7 @@ class Begin:
 
 def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str, Any]:
     """Track a session into a folder; what ``--json`` prints."""
+    from twistcap.commands.clocks import clocks_in_words
     from twistcap.io.lock import WriteLock
     from twistcap.io.result import read_result
     from twistcap.report.words import result_in_words
@@ -95,10 +96,12 @@ def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str,
         views, timing = _tracked(session, path, begin, lock)
         result = read_result(path)
         files = [path, *_outputs(session, views, result, folder, timing)]
+        with words.status("comparing the cameras' clocks"):
+            apart = clocks_in_words(session, views, result)
     lost = result.indices[result.lost].tolist()
     out = {name: result.indices[rows].tolist() for name, rows in zip(result.rig.names, result.left_out.T, strict=True)}
     about = {"id": "track", "result": path, "frames": len(result), "lost": lost, "left_out": out}
-    return about | {"statements": result_in_words(result), "ms_per_frame": timing.median, "files": files}
+    return about | {"statements": [*result_in_words(result), *apart], "ms_per_frame": timing.median, "files": files}
 
 
 def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Timing]:
@@ -114,6 +117,9 @@ def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Ti
     with words.status("reading the session, fitting the first pose"):
         recording = open_recording(session)
         views, made = recording.views, made_of(session, recording.views)
+    for source in views.sources:
+        if source.told:
+            words.print(f"{source.told}.", markup=False, soft_wrap=True)
     if recording.told:
         words.print(recording.told, markup=False, soft_wrap=True)
     tracker = session_tracker(session, recording.body, views)

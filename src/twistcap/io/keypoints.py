@@ -69,12 +69,14 @@ def read_openpose(
     return Keypoints(names, pixels, confidence)
 
 
-def openpose_files(folders: Mapping[str, Path | str], frame: int) -> dict[str, Path]:
-    """The JSON file of a frame in each camera's folder: number `frame` of its files in the order of their names. Raises
-    InputError if a folder has fewer JSON files.
+def openpose_files(folders: Mapping[str, Path | str], frame: int | Mapping[str, int]) -> dict[str, Path]:
+    """The JSON file of a frame in each camera's folder: number `frame`, or that of the camera, of its files in the
+    order of their names. Raises InputError if a folder has fewer JSON files.
     """
     out: dict[str, Path] = {}
+    numbers = dict.fromkeys(folders, frame) if isinstance(frame, int) else frame
     for camera, folder in folders.items():
+        frame = numbers[camera]
         files = sorted(Path(folder).glob("*.json"))
         if not 0 <= frame < len(files):
             raise InputError(f"{folder}: frame {frame} of {camera} is needed, but there are {len(files)} JSON files.")

@@ -16,6 +16,7 @@ from twistcap.io.video import Source, check_size, open_source
 
 _VIDEOS = {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".mts"}
 _IMAGES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
+_ENDS = 3  # frames at both ends of a video that are decoded before all is said to be well
 
 
 @dataclass(frozen=True)
@@ -45,9 +46,9 @@ def draft_session(videos: Sequence[str], calibration: Path, unit: Unit | None = 
     """Open everything and check that it belongs together.
 
     `videos` are files, folders, globs or printf patterns, each alone (its name then names the camera) or as
-    ``CAMERA=PATH``; `unit` is that of the calibration's translations. Raises InputError for a video that does not open,
-    matches no camera or has another size than its calibration, cameras that two videos claim, or frame rates that
-    differ.
+    ``CAMERA=PATH``; `unit` is that of the calibration's translations. Raises InputError for a video that does not open
+    or whose ends cannot be decoded, matches no camera or has another size than its calibration, and for cameras that
+    two videos claim.
     """
     rig = read_rig(calibration, unit)
     paths = matched([path for text in videos for path in recordings(text)], rig.names)
@@ -58,11 +59,15 @@ def draft_session(videos: Sequence[str], calibration: Path, unit: Unit | None = 
     draft = Draft(used, ordered, sources, unit, calibration, unused)
     for camera in used:
         check_size(sources[camera.name], camera)
-    rates = draft.rates
-    if rates and max(rates.values()) - min(rates.values()) > 0.01 * max(rates.values()):
-        listed = ", ".join(f"{name} {rate:g}" for name, rate in rates.items())
-        raise InputError(f"the videos differ in frames per second ({listed}); convert them to one rate.")
+        _check_ends(sources[camera.name])
     return draft
+
+
+def _check_ends(source: Source) -> None:
+    """Raises InputError where a few frames at either end cannot be decoded."""
+    numbers = sorted({k for k in (*range(_ENDS), *range(len(source) - _ENDS, len(source))) if 0 <= k < len(source)})
+    for _ in source.read(numbers):
+        pass
 
 
 def matched(videos: Sequence[tuple[str | None, str]], cameras: Sequence[str]) -> dict[str, str]:
@@ -83,16 +88,24 @@ def matched(videos: Sequence[tuple[str | None, str]], cameras: Sequence[str]) ->
 
 
 def _camera_of(path: str, cameras: Sequence[str]) -> str:
+    """By the name of the file, else of its folder, or of the folder above that."""
     stem = Path(path.split("%")[0].rstrip("/") if "%" in path else path)
-    title = (stem.stem if stem.suffix.lower() in _VIDEOS else stem.name).lower()
+    titles = [stem.stem if stem.suffix.lower() in _VIDEOS else stem.name, *(up.name for up in list(stem.parents)[:2])]
+    fitting = list[str]()
+    for title in titles:
+        fitting = _named(title.lower(), cameras)
+        if len(fitting) == 1:
+            return fitting[0]
+        if fitting:
+            break
+    many = "no camera" if not fitting else "more than one camera"
+    raise InputError(f"the name of {path} fits {many} of {', '.join(cameras)}; write it as CAMERA={path}.")
+
+
+def _named(title: str, cameras: Sequence[str]) -> list[str]:
     exact = [name for name in cameras if name.lower() == title]
     held = [name for name in cameras if name.lower() in title]
-    longest = [name for name in held if len(name) == max(map(len, held))]
-    fitting = exact or longest
-    if len(fitting) != 1:
-        many = "no camera" if not fitting else "more than one camera"
-        raise InputError(f"the name of {path} fits {many} of {', '.join(cameras)}; write it as CAMERA={path}.")
-    return fitting[0]
+    return exact or [name for name in held if len(name) == max(map(len, held))]
 
 
 def recordings(text: str) -> list[tuple[str | None, str]]:
@@ -114,8 +127,10 @@ def _in_folder(path: Path) -> list[str]:
     inside = sorted(path.iterdir())
     if any(p.suffix.lower() in _IMAGES for p in inside):
         return [str(path)]
-    folders = [p for p in inside if p.is_dir() and any(q.suffix.lower() in _IMAGES for q in p.iterdir())]
-    videos = [str(p) for p in inside if p.suffix.lower() in _VIDEOS] or [str(p) for p in folders]
+    folders = [p for p in inside if p.is_dir()]
+    pictures = [str(p) for p in folders if any(q.suffix.lower() in _IMAGES for q in p.iterdir())]
+    below = [str(q) for p in folders for q in sorted(p.iterdir()) if q.suffix.lower() in _VIDEOS]
+    videos = [str(p) for p in inside if p.suffix.lower() in _VIDEOS] or pictures or below
     if not videos:
         raise InputError(f"folder {path} holds neither videos nor images; check --videos.")
     return videos
@@ -172,6 +187,10 @@ def findings(draft: Draft) -> list[str]:
     out = [f"{len(draft.rig)} cameras ({', '.join(draft.rig.names)}), {fewest} frames, {rate}; all sizes agree."]
     if fewest < most:
         out.append(f"The videos differ in length ({fewest} to {most} frames): frames = [0, {fewest - 1}] is set.")
+    if rates and max(rates.values()) - min(rates.values()) > 0.001 * max(rates.values()):
+        listed = ", ".join(f"{name} {rate:g}" for name, rate in rates.items())
+        out.append(f"Frame rates differ ({listed}): frames are paired by time. Find the clocks with twistcap sync.")
+    out += [f"{source.told}." for source in draft.sources.values() if source.told]
     if draft.unused:
         out.append(f"Calibrated, but without a video: {', '.join(draft.unused)}; they are left out by [cameras] use.")
     return out

@@ -36,6 +36,7 @@ def made_of(session: Session, views: Views) -> dict[str, Any]:
         "step": session.step,
         "rate": views.fps,
         "time_offset": session.time_offset,
+        **_flat("clocks", {name: clock.model_dump() for name, clock in session.clocks.items()}),
         "scale": session.scale,
         "body": _body_digest(body_of(session)),
         **{f"calibration of {camera.name}": _camera_digest(camera) for camera in views.rig},

@@ -24,13 +24,14 @@ from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
 from twistcap.io.calibration import read_rig
+from twistcap.io.clocks import Clock, Timeline, image_times
 from twistcap.io.keypoints import openpose_files, read_clicks, read_openpose
 from twistcap.io.masks import read_masks, rectified_masks
 from twistcap.io.plausible import check_plausible, check_upright
 from twistcap.io.pose_file import body_at, read_pose
 from twistcap.io.session import CameraGrid, GlbBody, HumanoidBody, KeypointSet, Session
 from twistcap.io.unaided import found_unaided, told
-from twistcap.io.video import Views, open_views
+from twistcap.io.video import Views, open_source, open_views
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class Recording:
     @property
     def first_time(self) -> float:
         """Time of the first frame, s."""
-        return self.views.indices[0] / self.views.fps + self.views.time_offset
+        return self.views.time(self.views.indices[0])
 
 
 def open_recording(session: Session) -> Recording:
@@ -123,9 +124,30 @@ def floor_of(session: Session) -> float | None:
 
 def views_of(session: Session, rig: Rig) -> Views:
     """The frames of the session."""
-    first, last = session.frames or (0, None)
-    videos = {name: path for name, path in session.videos.items() if session.cameras.use is None or name in rig.names}
-    return open_views(videos, rig, first, last, session.step, session.scale, session.fps, session.time_offset)
+    first, last = session.frames or (None, None)
+    clocks = _clocks(session)
+    return open_views(
+        _videos(session, rig), rig, first, last, session.step, session.scale, session.fps, session.time_offset, clocks
+    )
+
+
+def timeline_of(session: Session, rig: Rig) -> Timeline:
+    """When each image of each camera was taken."""
+    paths, clocks = _videos(session, rig), _clocks(session)
+    return Timeline(
+        tuple(image_times(open_source(paths[n]), clocks.get(n, Clock()), session.fps) for n in rig.names)
+    )  # fmt: skip
+
+
+def _videos(session: Session, rig: Rig) -> dict[str, str]:
+    return {name: path for name, path in session.videos.items() if session.cameras.use is None or name in rig.names}
+
+
+def _clocks(session: Session) -> dict[str, Clock]:
+    for name in session.clocks:
+        if name not in session.videos:
+            raise InputError(f"[clocks] names the camera {name!r}, which has no entry in [videos]; remove it.")
+    return {name: Clock(**table.model_dump()) for name, table in session.clocks.items()}
 
 
 def body_of(session: Session) -> Body:
@@ -143,7 +165,7 @@ def body_of(session: Session) -> Body:
 
 def first_pose_of(session: Session, rig: Rig, body: Body, views: Views) -> tuple[Body, Pose]:
     """Body (at the fitted lengths and girths) and pose of the first frame, checked against floor and cameras."""
-    start = _start(session, rig, body)
+    start = _start(session, rig, body, views)
     first = views.indices[0]
     check_first_pose(session, rig, start.body, start.at(first))
     start = _with_girths(session, rig, start)
@@ -177,9 +199,9 @@ class _Start:
         return self.poses[0] if len(self.poses) == 1 else pose_at(self.poses, self.frames, frame)
 
 
-def _start(session: Session, rig: Rig, body: Body) -> _Start:
+def _start(session: Session, rig: Rig, body: Body, views: Views) -> _Start:
     """From a file, from clicks, or one fit over instants near the first frame and those that only serve the lengths."""
-    table, first = session.first_pose, float((session.frames or (0, 0))[0])
+    table, first = session.first_pose, float(views.indices[0])
     if table.file is not None:
         body = body_at(table.file, body) if table.fit_lengths else body
         return _Start(body, (first,), (read_pose(table.file, body, table.frame),))
@@ -187,7 +209,7 @@ def _start(session: Session, rig: Rig, body: Body) -> _Start:
         fit = fit_keypoints(body, rig, read_clicks(table.clicks, rig.names), fit_lengths=table.fit_lengths)
         return _Start(fit.body, (first,), (fit.pose,))
     assert table.keypoints is not None
-    own = keypoints_of(table.keypoints, rig)
+    own = keypoints_of(table.keypoints, rig, views)
     instants, rigs = list(own), [rig] * len(own)
     for extra in table.lengths_from:
         theirs = read_rig(extra.calibration, extra.unit) if extra.calibration else rig
@@ -212,12 +234,26 @@ def _with_girths(session: Session, rig: Rig, start: _Start) -> _Start:
     return replace(start, body=fitted.body)
 
 
-def keypoints_of(table: KeypointSet, rig: Rig) -> Sequence[Keypoints]:
-    """The keypoints of every instant of a set."""
+def keypoints_of(table: KeypointSet, rig: Rig, views: Views | None = None) -> Sequence[Keypoints]:
+    """The keypoints of every instant of a set.
+
+    With the frames of a recording, `table.frames` count the images of the camera whose images are its frames; the
+    others' files are those of the same time.
+    """
     for name in (*table.folders, *table.grid):
         if name not in rig.names:
             raise InputError(f"[first_pose] keypoints name the camera {name!r}, which is not in use; remove it.")
     return [
-        read_openpose(openpose_files(table.folders, frame), rig.names, table.format, table.person, table.grid)
+        read_openpose(_files_at(table, rig, frame, views), rig.names, table.format, table.person, table.grid)
         for frame in table.frames
     ]
+
+
+def _files_at(table: KeypointSet, rig: Rig, frame: int, views: Views | None) -> dict[str, Path]:
+    if views is None or views.timeline.in_step:
+        return openpose_files(table.folders, frame)
+    if frame >= len(views.sources[views.timeline.reference]):
+        raise InputError(f"[first_pose] keypoints: frame {frame} is after the end of the video; name earlier frames.")
+    numbers = {name: k for name, k in zip(rig.names, views.numbers(frame), strict=True) if k is not None}
+    folders = {name: folder for name, folder in table.folders.items() if name in numbers}
+    return openpose_files(folders, numbers)

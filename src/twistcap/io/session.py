@@ -72,6 +72,17 @@ class Cameras(Table):
     grid: dict[str, CameraGrid] = {}
 
 
+class ClockTable(Table):
+    """``[clocks.CAM]``: a camera's own time t, 0 at its first image, is ``rate t + offset`` (s) of the recording.
+
+    `fps` replaces the time stamps of its video.
+    """
+
+    offset: float = Field(0.0, ge=-1e6, le=1e6)
+    rate: float = Field(1.0, ge=0.01, le=100)
+    fps: float | None = Field(None, ge=0.01, le=100_000)
+
+
 class HumanoidBody(Table):
     """``[body] kind = "humanoid"``: the built-in person."""
 
@@ -218,6 +229,7 @@ class Session(Table):
     scale: float = Field(1.0, ge=0.02, le=4)
     cameras: Cameras
     videos: dict[str, DataPath]
+    clocks: dict[str, ClockTable] = {}
     body: Annotated[HumanoidBody | GlbBody | ObjBody, Field(discriminator="kind", default_factory=HumanoidBody)]
     first_pose: FirstPoseTable = FirstPoseTable()
     fit_girths: FitGirths | None = None

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from functools import cached_property
 from glob import escape, glob
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import cv2
 import numpy as np
 from av.error import FFmpegError
 
-from twistcap.arrays import UInt8
+from twistcap.arrays import Float, UInt8
 from twistcap.doors.images import MOST_PIXELS, read_image
 from twistcap.errors import InputError
 
@@ -24,6 +25,7 @@ _FORMATS = (
     "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpeg,mpegts,mpegvideo,asf,flv,ogg,dv,h264,hevc,m4v,mjpeg,gif,nut,"
     "yuv4mpegpipe,mxf,ivf,obu"
 )
+_FIRST = 24  # frames that are decoded to see whether time stamps can be believed
 _MEND = "re-encode the video, or end [frames] before it"
 
 
@@ -31,20 +33,23 @@ class VideoSource:
     """A video file, frame by frame.
 
     Frames are counted in order of display by their time stamps, so a frame number means the same picture at variable
-    frame rates and after any seek.
+    frame rates and after any seek. Where the stamps make no sense (missing, twice the same, going back), frames are
+    counted as they are decoded, `told` says so, and the frame rate is that of the header.
     """
 
     def __init__(self, path: str | Path) -> None:
         """Raises InputError where the file is missing or holds no video."""
-        self.name = str(path)
+        self.name, self.told = str(path), ""
         self.fps: float | None
         if not Path(path).is_file():
             raise InputError(f"video {path} does not exist; check its path in [videos].")
         try:
             with _opened(self.name) as container:
-                self._stamps = _time_stamps(self.name, container)
+                stamps = _time_stamps(self.name, container)
                 stream = container.streams.video[0]
                 self.fps = float(stream.average_rate) if stream.average_rate else None
+                self._tick = float(stream.time_base or 0.0)
+            self._stamps = stamps if stamps is not None else self._in_order_of_decoding()
         except (FFmpegError, ValueError, UnicodeError) as error:
             if isinstance(error, InputError):
                 raise
@@ -60,6 +65,21 @@ class VideoSource:
         image = next(self.read([0]))
         return image.shape[1], image.shape[0]
 
+    @cached_property
+    def times(self) -> Float | None:
+        """(N,) s since the first frame, by the time stamps; None where they make no sense.
+
+        Stamps are rounded to the file's ticks: where all are within one tick of even times, these are given.
+        """
+        stamps = np.array(self._stamps, dtype=float)
+        if self.told or len(stamps) < 2 or self._tick <= 0:
+            return None
+        numbers, since = np.arange(len(stamps)), (stamps - stamps[0]) * self._tick
+        for rate in (self.fps, numbers[-1] / since[-1]):
+            if rate and np.abs(since - numbers / rate).max() <= 1.01 * self._tick:
+                return numbers / rate
+        return since
+
     def read(self, indices: Sequence[int]) -> Iterator[UInt8]:
         """RGB images (H, W, 3) of ascending frame numbers. Raises InputError at the first frame that cannot be decoded;
         frames before it have been given.
@@ -70,24 +90,29 @@ class VideoSource:
             stream = container.streams.video[0]
             # A broken frame is an error, not a grey smear; a frame that grows on the way is one too.
             stream.codec_context.options = {"err_detect": "explode", "max_pixels": str(MOST_PIXELS)}
-            if indices[0] > 0:
+            if indices[0] > 0 and not self.told:
                 container.seek(self._stamps[indices[0]], stream=stream, backward=True, any_frame=False)
-            decoded = self._decoded(container)
+            decoded = self._numbered(container)
             for index in indices:
                 yield self._frame_at(decoded, index)
 
-    def _frame_at(self, decoded: Iterator[Any], index: int) -> UInt8:
+    def _frame_at(self, decoded: Iterator[tuple[int | None, Any]], index: int) -> UInt8:
         wanted = self._stamps[index]
         try:
-            for frame in decoded:
-                if frame.pts is None or frame.pts < wanted:
+            for stamp, frame in decoded:
+                if stamp is None or stamp < wanted:
                     continue
-                if frame.pts > wanted or frame.is_corrupt:
+                if stamp > wanted or frame.is_corrupt:
                     break
                 return _upright(frame)
         except FFmpegError as error:
             raise InputError(f"video {self.name}: frame {index} is corrupt ({error.strerror}); {_MEND}.") from error
         raise InputError(f"video {self.name}: frame {index} is corrupt or missing; {_MEND}.")
+
+    def _numbered(self, container: Any) -> Iterator[tuple[int | None, Any]]:
+        """Frames with their stamps, or with their numbers where the stamps make no sense."""
+        frames = self._decoded(container)
+        return enumerate(frames) if self.told else ((frame.pts, frame) for frame in frames)
 
     def _decoded(self, container: Any) -> Iterator[Any]:
         """Frames in order of display; at a broken packet first those that the decoder still holds, then the error."""
@@ -100,13 +125,25 @@ class VideoSource:
                     yield from stream.codec_context.decode(None)
                 raise error
 
+    def _in_order_of_decoding(self) -> list[int]:
+        """Numbers of all frames that can be decoded; they are counted by decoding them."""
+        self.told = f"video {self.name}: its time stamps make no sense; frames are taken as they are decoded"
+        count = 0
+        with _opened(self.name) as container, suppress(FFmpegError):
+            for _ in self._decoded(container):
+                count += 1
+        if not count:
+            raise InputError(f"video {self.name} holds no frame that can be decoded.")
+        return list(range(count))
+
 
 def _opened(name: str) -> Any:
     """The container of a video; it may neither lead to other files, as a playlist would, nor to other machines."""
     return av.open(name, options={"protocol_whitelist": "file", "format_whitelist": _FORMATS})
 
 
-def _time_stamps(name: str, container: Any) -> list[int]:
+def _time_stamps(name: str, container: Any) -> list[int] | None:
+    """In order of display; None where they make no sense: some lack, two are the same, or they go back without need."""
     if not container.streams.video:
         raise InputError(f"video {name} holds no video stream; is it a video file?")
     codec = container.streams.video[0].codec_context
@@ -115,11 +152,23 @@ def _time_stamps(name: str, container: Any) -> list[int]:
     width, height = codec.width, codec.height
     if width * height > MOST_PIXELS:
         raise InputError(f"video {name} is {width}×{height} pixels; at most {MOST_PIXELS >> 20} megapixels are read.")
-    packets = container.demux(container.streams.video[0])
-    stamps = sorted(int(p.pts) for p in packets if p.pts is not None and not p.is_discard and p.size)
-    if not stamps:
+    packets = [p for p in container.demux(container.streams.video[0]) if p.size and not p.is_discard]
+    if not packets:
         raise InputError(f"video {name} holds no frame.")
-    return stamps
+    stamps = [int(p.pts) for p in packets if p.pts is not None]
+    if len(stamps) < len(packets) or len(set(stamps)) < len(stamps):
+        return None
+    if stamps == sorted(stamps):
+        return stamps if not codec.has_b_frames or _ascending(container) else None
+    # Only frames that need others are stored in another order than they are shown.
+    return None if all(p.is_keyframe for p in packets) else sorted(stamps)
+
+
+def _ascending(container: Any) -> bool:
+    """Whether the first frames come out of the decoder in the order of their stamps; in AVI files they need not."""
+    container.seek(0)
+    shown = [frame.pts for frame in islice(container.decode(video=0), _FIRST)]
+    return None not in shown and shown == sorted(shown)
 
 
 def _upright(frame: Any) -> UInt8:
@@ -136,6 +185,8 @@ class ImageSource:
     """
 
     fps: float | None = None
+    times: Float | None = None
+    told = ""
 
     def __init__(self, pattern: str | Path) -> None:
         """Raises InputError where no image matches."""

@@ -12,10 +12,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from twistcap.arrays import AnyArray, UInt8
+from twistcap.arrays import AnyArray, Float
 from twistcap.camera import Camera, Rectifier, Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
+from twistcap.flow import image_between
+from twistcap.io.clocks import RATE, Between, Clock, Timeline, image_times
 from twistcap.io.sources import ImageSource, VideoSource
 
 _PREFETCH = 3  # frames decoded ahead, per camera
@@ -38,35 +40,47 @@ def open_source(path: str | Path) -> Source:
 def open_views(
     paths: Mapping[str, str | Path],
     rig: Rig,
-    first: int = 0,
+    first: int | None = None,
     last: int | None = None,
     step: int = 1,
     scale: float = 1.0,
     fps: float | None = None,
     time_offset: float = 0.0,
+    clocks: Mapping[str, Clock] | None = None,
 ) -> Views:
     """Open every camera's recording and check that all fit the rig and one another.
+
+    Where images of the same number were taken together, frames are paired by number, else by time. A frame is then an
+    image of the slowest camera, and the other cameras' images are brought to its time.
 
     Args:
         paths: video or image pattern by camera name.
         rig: the cameras with distortion, at the recorded size.
-        first, last, step: frame numbers, `last` included; None reads to the end.
+        first, last, step: frame numbers, `last` included; None begins and ends with what all cameras have.
         scale: images are resized by this factor (area averaging).
-        fps: frames per second; None takes the videos' own, 60 where there is none.
-        time_offset: s added to ``index / fps``.
+        fps: frames per second; None takes the videos' own time stamps, 60 where there are none.
+        time_offset: s added to all times.
+        clocks: by camera name, where it differs from the recording's.
 
-    Raises InputError: a missing video, a camera without one (or the other way round), a wrong size, unequal lengths,
-    fewer frames than asked.
+    Raises InputError: a missing video, a camera without one (or the other way round), a wrong size, unequal lengths of
+    videos that are paired by number, no time in common, fewer frames than asked.
     """
     _check_names(paths, rig)
     sources = tuple(open_source(paths[camera.name]) for camera in rig)
     for source, camera in zip(sources, rig, strict=True):
         check_size(source, camera)
-    last = _checked_last(sources, first, last)
     if step < 1:
         raise InputError(f"step is {step}; it must be 1 or more.")
-    rate = fps or next((s.fps for s in sources if s.fps), None) or 60.0
-    return Views(sources, rig, range(first, last + 1, step), scale, rate, time_offset)
+    given = [(clocks or {}).get(camera.name, Clock()) for camera in rig]
+    times = tuple(image_times(source, clock, fps) for source, clock in zip(sources, given, strict=True))
+    timeline = Timeline(times)
+    if timeline.in_step:
+        span = (first or 0), _checked_last(sources, first or 0, last)
+    else:
+        span = _checked_span(timeline, sources, first, last)
+    known = [source.fps for source in (sources[timeline.reference], *sources)]
+    rate = fps or given[timeline.reference].fps or next(filter(None, known), None) or RATE
+    return Views(sources, rig, range(span[0], span[1] + 1, step), scale, rate, timeline, time_offset)
 
 
 @dataclass(frozen=True)
@@ -78,7 +92,9 @@ class Views:
     indices: range  # frame numbers to read
     scale: float  # this and the next two as given to `open_views`
     fps: float
+    timeline: Timeline
     time_offset: float = 0.0
+    moved: bool = True  # whether images are brought to the time of their frame; else they are the nearest as taken
 
     def __len__(self) -> int:
         return len(self.indices)
@@ -87,6 +103,25 @@ class Views:
     def image_rig(self) -> Rig:
         """The cameras of the images that come out: resized and without distortion."""
         return self.rig.scaled(self.scale).pinhole()
+
+    def time(self, index: int) -> float:
+        """Of a frame, s."""
+        return float(self.timeline.times[self.timeline.reference][index]) + self.time_offset
+
+    def numbers(self, index: int) -> list[int | None]:
+        """The number in each camera's own recording of the image nearest to a frame; None where there is none."""
+        found = [self.timeline.images(c, [index])[0] for c in range(len(self.rig))]
+        return [None if images is None else images.nearest for images in found]
+
+    @property
+    def lags(self) -> Float:
+        """(C, F) s by which each frame's nearest image was taken after the time of the frame; 0 where there is none."""
+        frames = self.timeline.times[self.timeline.reference][list(self.indices)]
+        out = np.zeros((len(self.rig), len(frames)))
+        for c, times in enumerate(self.timeline.times):
+            for f, images in enumerate(self.timeline.images(c, self.indices)):
+                out[c, f] = 0.0 if images is None else times[images.nearest] - frames[f]
+        return out
 
     def starting_at(self, index: int) -> Views:
         """The same frames from the first number that is not below `index`."""
@@ -97,10 +132,33 @@ class Views:
     def __iter__(self) -> Iterator[Frame]:
         """Frames in order; decoding, resizing and rectifying run ahead in one thread per camera."""
         with ExitStack() as stack:
-            cameras = zip(self.sources, self.rig, strict=True)
-            images = [stack.enter_context(_ahead(s.read(self.indices), preparation(c, self.scale))) for s, c in cameras]
+            ready = [stack.enter_context(_ahead(self._images(c))) for c in range(len(self.rig))]
             for index in self.indices:
-                yield Frame(index, index / self.fps + self.time_offset, tuple(next(ready) for ready in images))
+                yield Frame(index, self.time(index), tuple(next(images) for images in ready))
+
+    def _images(self, camera: int) -> Iterator[AnyArray | None]:
+        """One camera's image of each frame."""
+        prepare = preparation(self.rig[camera], self.scale)
+        wanted = self.timeline.images(camera, self.indices)
+        if not self.moved:
+            wanted = [b and Between(b.nearest, b.nearest, 0.0) for b in wanted]
+        numbers = sorted({k for b in wanted if b is not None for k in (b.first, b.second)})
+        held, read = dict[int, AnyArray | None](), zip(numbers, self.sources[camera].read(numbers), strict=False)
+        for between in wanted:
+            if between is None:
+                yield None
+                continue
+            held = {k: image for k, image in held.items() if k >= between.first}
+            while between.second not in held:
+                number, image = next(read)
+                held[number] = None if image is None else prepare(image)
+            yield _at(held[between.first], held[between.second], between)
+
+
+def _at(first: AnyArray | None, second: AnyArray | None, between: Between) -> AnyArray | None:
+    if first is None or second is None:
+        return None
+    return first if between.fraction == 0.0 else image_between(first, second, between.fraction)
 
 
 def preparation(camera: Camera, scale: float = 1.0) -> Callable[[AnyArray], AnyArray]:
@@ -116,14 +174,11 @@ def preparation(camera: Camera, scale: float = 1.0) -> Callable[[AnyArray], AnyA
 
 
 @contextmanager
-def _ahead(
-    images: Iterator[UInt8 | None], prepare: Callable[[AnyArray], AnyArray]
-) -> Generator[Iterator[AnyArray | None]]:
-    """Images prepared ahead in a thread of their own; what fails is raised at its turn, after all images before it."""
+def _ahead(images: Iterator[AnyArray | None]) -> Generator[Iterator[AnyArray | None]]:
+    """Images made ahead in a thread of their own; what fails is raised at its turn, after all images before it."""
 
     def following() -> AnyArray | None:
-        image = next(images, None)
-        return None if image is None else prepare(image)
+        return next(images, None)
 
     def ready() -> Iterator[AnyArray | None]:
         while True:
@@ -174,3 +229,19 @@ def _checked_last(sources: Sequence[Source], first: int, last: int | None) -> in
         must = "the first frame must be 0 or more and not after the last"
         raise InputError(f"frames = [{first}, {end}] is no range; {must}.")
     return end
+
+
+def _checked_span(
+    timeline: Timeline, sources: Sequence[Source], first: int | None, last: int | None
+) -> tuple[int, int]:
+    """The first and last frame where they are paired by time: by default all that every camera has."""
+    together, reference = timeline.together, sources[timeline.reference]
+    start, end = together[0] if first is None else first, together[-1] if last is None else last
+    mend = f"all cameras have images in frames = [{together[0]}, {together[-1]}]"
+    if not 0 <= start <= end < len(reference):
+        has = f"frames are those of {reference.name} (0 to {len(reference) - 1})"
+        raise InputError(f"frames = [{start}, {end}] is no range of them: {has}; {mend}.")
+    running = sum(timeline.images(c, [start])[0] is not None for c in range(len(sources)))
+    if running < min(2, len(sources)):
+        raise InputError(f"frame {start} has images of {running} camera only: clocks differ; {mend}.")
+    return start, end

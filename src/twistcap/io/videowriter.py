@@ -14,6 +14,8 @@ from av.error import FFmpegError
 from twistcap.arrays import AnyArray
 from twistcap.io.files import replacing
 
+_TICK = Fraction(1, 90_000)  # s, of time stamps
+
 
 class VideoWriter:
     """Writes RGB or grey images (uint8, or float in [0, 1]) as H.264 yuv420p; odd sizes lose their last row or column.
@@ -33,14 +35,18 @@ class VideoWriter:
             self._container: Any = av.open(str(part), "w", options={"movflags": "faststart"})
             self._replaced = stack.pop_all()  # takes the video's place when it is whole
 
-    def write(self, image: AnyArray) -> None:
-        """Append one image (H, W) or (H, W, 3)."""
+    def write(self, image: AnyArray, time: float | None = None) -> None:
+        """Append one image (H, W) or (H, W, 3). `time` (s) of every image, or of none."""
         rgb = as_rgb(image)[: image.shape[0] // 2 * 2, : image.shape[1] // 2 * 2]
         if self._stream is None:
             rate, options = Fraction(self._fps).limit_denominator(1001), {"crf": str(self._crf), "preset": "veryfast"}
             self._stream = self._container.add_stream("libx264", rate=rate, options=options)
+            if time is not None:
+                self._stream.codec_context.time_base = _TICK
             self._stream.width, self._stream.height, self._stream.pix_fmt = rgb.shape[1], rgb.shape[0], "yuv420p"
         frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(rgb), format="rgb24")
+        if time is not None:
+            frame.pts, frame.time_base = round(time / _TICK), _TICK
         self._container.mux(self._stream.encode(frame))
 
     def close(self) -> None:

@@ -88,7 +88,21 @@ class SequenceImages:
             self.colours = self.colours + of_camera.colours
         return rounds
 
-    def _one_camera(self, i: int, posed: Sequence[Posed], trusted: Bool, coarse: bool) -> CameraRound:
+    def contours(self, posed: Sequence[Sequence[Posed]], coarse: bool) -> list[Sequence[PointTerm | None]]:
+        """Contours alone, each camera's of poses of its own (C lists of F)."""
+        trusted = np.ones(len(posed[0]), dtype=np.bool_)
+        with ThreadPoolExecutor(min(self.cameras, os.cpu_count() or 1)) as pool:
+            rounds = list(
+                pool.map(lambda i: self._one_camera(i, posed[i], trusted, coarse, False), range(self.cameras))
+            )
+        self.colours = self._blank()
+        for of_camera in rounds:
+            self.colours = self.colours + of_camera.colours
+        return [of_camera.contours for of_camera in rounds]
+
+    def _one_camera(
+        self, i: int, posed: Sequence[Posed], trusted: Bool, coarse: bool, brightness: bool = True
+    ) -> CameraRound:
         learnt, recent = self._blank(), list[tuple[int, View, RenderedView, SurfacePoints]]()
         contours, pairs, tallies = list[PointTerm | None](), list[BrightnessPair](), list[Tally]()
         nothing = np.zeros(self.parts), np.zeros(self.parts)
@@ -102,6 +116,8 @@ class SequenceImages:
             seen = render(at, view.camera)
             if self.contour is not None:
                 contours[-1], tallies[-1], learnt = self._contour(self.contour, i, view, seen, coarse, learnt)
+            if not brightness:
+                continue
             pairs += self._pairs(recent, (t, view, seen), coarse)
             recent = [r for r in recent if t - r[0] < max(self.config.strides)]
             recent.append((t, view, seen, followed_points(view, seen, self.config.points)))

@@ -1,0 +1,85 @@
+"""The clock of keypoints against that of the images, by a body that was tracked in the images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from twistcap.arrays import Float
+from twistcap.body import Body, Posed
+from twistcap.camera import Rig
+from twistcap.errors import check
+from twistcap.estimate import Keypoints
+from twistcap.solve.blocks import PoseTrack
+
+_WIDEST = 10.0  # frames that are tried, to both sides
+_FINE = 0.1  # frames from one tried offset to the next
+_BLOCKS = 8  # spans of time, each left out once for the standard deviation
+_SCALE = 3.0  # px from which a difference counts less
+
+
+@dataclass(frozen=True)
+class KeypointClock:
+    """`offset`: keypoints of number j belong to frame ``j + offset``, and its standard deviation (frames)."""
+
+    offset: float
+    sigma: float
+
+
+def keypoint_clock(body: Body, rig: Rig, track: PoseTrack, keypoints: Sequence[Keypoints]) -> KeypointClock:
+    """By how many frames keypoints differ from the frames of a track, which are numbered alike.
+
+    The mean difference of each landmark in each camera does not count: a detector's joints are not the body's.
+    Offsets are tried, and the best is made finer by a parabola. The standard deviation is the jackknife's.
+
+    Args:
+        body, rig: of the track; the cameras as calibrated, in whose pixels the keypoints are.
+        track: poses at frames 0, 1, … as times.
+        keypoints: of the same numbers.
+
+    Raises InputError for fewer than 24 frames, or keypoints that no offset brings together with the track.
+    """
+    check("keypoint clock", len(track.poses) >= 24, f"{len(track.poses)} frames are tracked; give at least 24")
+    names = [n for n in keypoints[0].names if n in body.landmarks.names]
+    own, theirs = ([list(of).index(n) for n in names] for of in (body.landmarks.names, keypoints[0].names))
+    seen = np.stack([k.pixels[:, theirs] for k in keypoints])  # (F, C, L, 2)
+    marks = np.stack([Posed(body, pose).landmarks[own] for pose in track.poses])
+    shown = np.stack([[camera.project(points)[0] for camera in rig] for points in marks])
+    costs = np.array([_costs(shown, seen, shift) for shift in _tried()])  # (S, F), NaN where there is none
+    blocks = np.arange(len(seen)) * _BLOCKS // len(seen)
+    left_out = np.array([_best(costs[:, blocks != b]) for b in range(_BLOCKS)])
+    sigma = float(np.sqrt((_BLOCKS - 1) / _BLOCKS * np.sum((left_out - left_out.mean()) ** 2)))
+    return KeypointClock(_best(costs), max(sigma, 0.5 * _FINE / _BLOCKS))
+
+
+def _tried() -> Float:
+    return np.arange(-_WIDEST, _WIDEST + 0.5 * _FINE, _FINE)
+
+
+def _costs(shown: Float, seen: Float, shift: float) -> Float:
+    """(F,) mean robust cost of the keypoints of each number, compared with the track at ``number + shift``."""
+    at = np.arange(len(seen)) + shift
+    k = np.clip(np.floor(at).astype(int), 0, len(shown) - 2)
+    part = (at - k)[:, None, None, None]
+    off = seen - ((1.0 - part) * shown[k] + part * shown[k + 1])
+    # The same numbers count at all offsets.
+    off[: int(_WIDEST)], off[len(off) - int(_WIDEST) :] = np.nan, np.nan
+    inner = off[int(_WIDEST) : len(off) - int(_WIDEST)]
+    known = np.isfinite(inner).all(axis=-1).sum(axis=0) >= 0.5 * len(inner)
+    off[:, ~known] = np.nan
+    off -= np.nan_to_num(np.nanmedian(np.where(known[None, ..., None], inner, 0.0), axis=0))
+    squares = np.sum(off * off, axis=-1) / _SCALE**2
+    cost, finite = np.log1p(squares), np.isfinite(squares)
+    counted = finite.sum(axis=(1, 2))
+    return np.where(counted > 0, np.where(finite, cost, 0.0).sum(axis=(1, 2)) / np.maximum(counted, 1), np.nan)
+
+
+def _best(costs: Float) -> float:
+    """Offset of the least cost, between those tried."""
+    total = np.nanmean(costs[:, np.isfinite(costs).any(axis=0)], axis=1)
+    k = int(np.argmin(total))
+    check("keypoint clock", 0 < k < len(total) - 1, f"no offset within {_WIDEST:g} frames brings them together")
+    before, here, after = total[k - 1 : k + 2]
+    return float(_tried()[k] + 0.5 * _FINE * (before - after) / (before - 2.0 * here + after))

@@ -1,0 +1,275 @@
+"""``twistcap sync``: clocks of cameras that were not started together, and of keypoints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+
+from twistcap.commands import terminal
+from twistcap.commands.terminal import words
+from twistcap.errors import InputError, check_choice
+
+if TYPE_CHECKING:
+    from twistcap.adjust.clocks import Coarse, KeypointClock
+    from twistcap.io.clocks import Clock
+
+_PASSES = 5  # of tracking and estimating, at most
+_SETTLED = 0.1  # frames by which clocks may move in the last pass
+_SURE = 0.1  # frames, of the standard deviation of a clock that is sure
+_LOST = 0.1  # fraction of frames that may be lost, or without a camera, where clocks are sure
+_LONGEST = 120.0  # s of each recording that are compared for the coarse offsets
+_RATE = {"sound": 500.0, "motion": 240.0}  # 1/s, at which signals are compared
+_AGREE = {"sound": 0.15, "motion": 0.3}  # correlation from which signals are believed
+_MARGIN = 0.05  # of the correlation over that of the next different offset
+_APART = 0.15  # s by which another offset differs
+_KEPT = 0.07  # s by which coarse offsets may differ from the given ones that are kept
+
+
+def sync(
+    session: Annotated[Path, typer.Argument(help="Session TOML; its clocks are written.", metavar="SESSION")],
+    start: Annotated[str, typer.Option(help="auto, sound, motion, or given: where to begin.")] = "auto",
+    count: Annotated[int, typer.Option("--frames", min=24, help="Number of frames that are tracked.")] = 100,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say the clocks, and write nothing.")] = False,
+    json: terminal.Json = False,
+) -> None:
+    """Find out how the clocks of the cameras differ, and write it into the session as [clocks].
+
+    Coarsely by the sound (a clap) or by how much moves in each view, then finely by the tracked body. Where the session
+    has keypoints, their clock is found too.
+
+    Examples:
+
+      twistcap sync walk/session.toml
+
+      twistcap sync walk/session.toml --start given --dry-run
+    """
+    check_choice("--start", start, ("auto", "sound", "motion", "given"))
+    document = synchronise(session, start, count, not dry_run)
+    if json:
+        terminal.emit(document)
+    else:
+        tell(document)
+
+
+@dataclass(frozen=True)
+class _Pass:
+    """What one pass of tracking and estimating found: clocks, and what is doubtful."""
+
+    late: Any
+    sigma: Any
+    frame: float  # s from one frame to the next
+    doubts: tuple[str, ...]
+    together: tuple[int, int]
+    keypoints: KeypointClock | None
+
+
+def synchronise(path: Path, start: str = "auto", count: int = 100, write: bool = True) -> dict[str, Any]:
+    """Estimate the clocks of a session and write them; what ``--json`` prints."""
+    from twistcap.io.clocks import Clock
+    from twistcap.io.recording import rig_of
+    from twistcap.io.session import load_session
+    from twistcap.io.session_edit import write_clocks
+
+    session = load_session(path)
+    names = rig_of(session).names
+    given = {name: Clock(**session.clocks[name].model_dump()) if name in session.clocks else Clock() for name in names}
+    clocks, way, doubts = _coarse(session, names, given, start)
+    n = 0
+    while True:
+        n, found = n + 1, _one_pass(session, clocks, count)
+        clocks = {
+            k: replace(c, offset=c.offset + float(s)) for (k, c), s in zip(clocks.items(), found.late, strict=True)
+        }
+        moved = float(np.abs(found.late).max()) / found.frame
+        words.print(f"pass {n}: clocks moved by up to {moved:.2f} frames")
+        if moved < _SETTLED or n == _PASSES:
+            break
+    if moved >= _SETTLED:
+        doubts = (*doubts, f"the clocks still moved by {moved:.2f} frames in the last pass")
+    first = clocks[names[0]].offset - given[names[0]].offset  # the first camera's clock stays
+    clocks = {name: replace(clock, offset=round(clock.offset - first, 6)) for name, clock in clocks.items()}
+    keypoints = None if found.keypoints is None else round(found.keypoints.offset, 3)
+    span = _within(session.frames, found.together)
+    if write:
+        write_clocks(path, clocks, span, keypoints)
+    rows = [
+        _row(name, given[name], clocks[name], float(s), found.frame) for name, s in zip(names, found.sigma, strict=True)
+    ]
+    about = {"id": "sync", "session": path, "written": write, "began_with": way, "cameras": rows, "frames": span}
+    if found.keypoints is not None and session.first_pose.keypoints is not None:
+        before, sigma = session.first_pose.keypoints.offset, found.keypoints.sigma
+        about |= {"keypoints": {"before": before, "after": keypoints, "sigma": sigma}}
+    return about | {"unsure": [*doubts, *found.doubts]}
+
+
+def _row(name: str, before: Clock, after: Clock, sigma: float, frame: float) -> dict[str, Any]:
+    moved = (after.offset - before.offset) / frame
+    return {"camera": name, "before_s": before.offset, "after_s": after.offset, "moved_frames": moved,
+            "sigma_frames": sigma / frame}  # fmt: skip
+
+
+def _within(frames: tuple[int, int] | None, together: tuple[int, int]) -> tuple[int, int] | None:
+    """The session's frames as far as all cameras have them; None where they need not change."""
+    if frames is None or (together[0] <= frames[0] and frames[1] <= together[1]):
+        return None
+    return max(frames[0], together[0]), min(frames[1], together[1])
+
+
+def _coarse(
+    session: Any, names: tuple[str, ...], given: dict[str, Clock], start: str
+) -> tuple[dict[str, Clock], str, tuple[str, ...]]:
+    """Clocks to begin with, how they were found, and doubts."""
+    for way in ("sound", "motion"):
+        if start not in (way, "auto"):
+            continue
+        signals = _signals(session, names, given, way)
+        if signals is None and start == way:
+            raise InputError(f"--start is {way!r}, but a camera has none; choose another, or leave it out.")
+        if signals is None:
+            continue
+        from twistcap.adjust.clocks import coincidence
+
+        offsets = [given[name].offset for name in names]
+        shared = min(5.0, 0.4 * min(s.times[-1] - s.times[0] for s in signals))
+        found = coincidence(signals, offsets, _RATE[way], shared, _APART)
+        near = bool(np.abs(found.offsets - (np.array(offsets) - offsets[0])).max() < _KEPT)
+        clear = found.correlation.min() > _AGREE[way] and found.margin.min() > _MARGIN
+        if near:
+            return given, "the session's clocks", ()
+        if clear or start == way or way == "motion":
+            clocks = {
+                n: replace(given[n], offset=offsets[0] + float(o)) for n, o in zip(names, found.offsets, strict=True)
+            }
+            return clocks, way, () if clear else (_doubt(way, names, found),)
+    return given, "the session's clocks", ()
+
+
+def _doubt(way: str, names: tuple[str, ...], found: Coarse) -> str:
+    worst = int(np.argmin(found.margin))
+    return f"the {way} of {names[worst]} fits that of the others at several offsets; film a clap that all cameras hear"
+
+
+def _signals(session: Any, names: tuple[str, ...], given: dict[str, Clock], way: str) -> list[Any] | None:
+    from twistcap.adjust.clocks import motion_signal, sound_signal
+    from twistcap.io.clocks import image_times
+    from twistcap.io.soundtrack import RATE, read_sound
+    from twistcap.io.video import open_source
+
+    out = list[Any]()
+    with terminal.progress(f"comparing the {way}", len(names)) as advance:
+        for name in names:
+            if way == "sound":
+                samples = read_sound(session.videos[name], _LONGEST)
+                if samples is None:
+                    return None
+                out.append(sound_signal(samples, RATE))
+            else:
+                source = open_source(session.videos[name])
+                times = image_times(source, replace(given[name], offset=0.0), session.fps)
+                times = times[times <= _LONGEST]
+                out.append(motion_signal(source.read(range(len(times))), times))
+            advance(name)
+    return out if min(len(s.times) for s in out) > 10 else None
+
+
+def _one_pass(session: Any, clocks: dict[str, Clock], count: int) -> _Pass:
+    """Track with these clocks, and estimate them anew."""
+    from twistcap.adjust.clocks import estimate_clocks
+    from twistcap.commands.track import session_tracker
+    from twistcap.io.recording import open_recording
+    from twistcap.io.session import ClockTable
+
+    tables = {name: ClockTable(offset=c.offset, rate=c.rate, fps=c.fps) for name, c in clocks.items()}
+    session = session.model_copy(update={"clocks": tables})
+    session, together = _window(session, count)
+    recording = open_recording(session)
+    views = recording.views
+    tracker = session_tracker(session, recording.body, views)
+    tracker.start(recording.first_pose, recording.first_time)
+    estimates = list[Any]()
+    with terminal.progress("tracking", len(views)) as advance:
+        for frame in views:
+            estimates.append(tracker.step(frame))
+            advance("")
+    timeline = views.timeline
+    with terminal.status("estimating clocks") as report:
+        body, rig, settings = recording.body, views.image_rig, session.tracker_settings
+        own = [replace(e, left_out=()) for e in estimates]
+        found = estimate_clocks(
+            replace(views, moved=False), body, rig, own, views.lags, timeline.reference, settings, report=report
+        )  # fmt: skip
+    frame = timeline.intervals[timeline.reference]
+    doubts = _doubts(rig.names, estimates, found.sigma / frame)
+    keypoints = _keypoint_clock(session, recording, found.poses.poses)
+    return _Pass(found.late, found.sigma, frame, doubts, together, keypoints)
+
+
+def _window(session: Any, count: int) -> tuple[Any, tuple[int, int]]:
+    """The session with frames to be tracked, and all frames that every camera has."""
+    from twistcap.io.recording import rig_of, timeline_of
+
+    together = timeline_of(session, rig_of(session)).together
+    first = together[0] if session.frames is None else max(session.frames[0], together[0])
+    last = min(together[-1] if session.frames is None else session.frames[1], together[-1], first + count - 1)
+    return session.model_copy(update={"frames": (first, last), "step": 1}), (together[0], together[-1])
+
+
+def _doubts(names: tuple[str, ...], estimates: list[Any], sigma: Any) -> tuple[str, ...]:
+    out = [
+        f"the clock of {name} is known to ± {s:.2f} frames only"
+        for name, s in zip(names, sigma, strict=True)
+        if s > _SURE
+    ]
+    lost = np.mean([e.lost for e in estimates])
+    if lost > _LOST:
+        out.append(f"the body was lost in {100 * lost:.0f} % of the frames")
+    for c, name in enumerate(names):
+        without = np.mean([c in e.left_out for e in estimates])
+        if without > _LOST:
+            out.append(f"{name} contradicts the others in {100 * without:.0f} % of the frames")
+    return tuple(out)
+
+
+def _keypoint_clock(session: Any, recording: Any, poses: tuple[Any, ...]) -> KeypointClock | None:
+    from twistcap.adjust.clocks import keypoint_clock
+    from twistcap.io.recording import keypoints_of
+    from twistcap.solve.blocks import PoseTrack
+
+    table, views = session.first_pose.keypoints, recording.views
+    if table is None:
+        return None
+    files = min((len(list(Path(folder).glob("*.json"))) for folder in table.folders.values()), default=0)
+    numbers = [k for k in views.indices if k < files]
+    if len(numbers) < 24:
+        return None
+    keypoints = keypoints_of(table.model_copy(update={"frames": tuple(numbers)}), recording.rig, views)
+    track = PoseTrack(poses[: len(numbers)], np.arange(len(numbers), dtype=float))
+    return keypoint_clock(recording.body, recording.rig, track, keypoints)
+
+
+def tell(document: dict[str, Any]) -> None:
+    """The end of a run, for a person."""
+    rows = [
+        [
+            r["camera"],
+            f"{r['before_s']:.4f}",
+            f"{r['after_s']:.4f}",
+            f"{r['moved_frames']:+.2f}",
+            f"{r['sigma_frames']:.3f}",
+        ]
+        for r in document["cameras"]
+    ]
+    columns = ["camera", "before, s", "after, s", "frames", "± (1σ), frames"]
+    terminal.show_table("clocks: offset of each camera", columns, rows, ["camera"])
+    if "keypoints" in document:
+        k = document["keypoints"]
+        words.print(f"keypoints: offset {k['before']:g} before, {k['after']:g} ± {k['sigma']:.2f} frames now")
+    if document["frames"]:
+        words.print(f"frames = [{document['frames'][0]}, {document['frames'][1]}]: all cameras have these")
+    for doubt in document["unsure"]:
+        words.print(f"Not sure: {doubt}.", markup=False, soft_wrap=True)
+    words.print(f"{'written into' if document['written'] else 'not written into'} {document['session']}")

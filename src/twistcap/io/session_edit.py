@@ -1,0 +1,86 @@
+"""Clocks written into a session file; everything else in it, comments too, stays as it is."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+from twistcap.doors.text import read_text
+from twistcap.errors import InputError
+from twistcap.io.clocks import Clock
+from twistcap.io.files import replacing
+from twistcap.io.session import load_session
+
+_HEADER = re.compile(r"^\s*\[+\s*([^\]]+?)\s*\]+")
+
+
+def write_clocks(
+    path: Path, clocks: Mapping[str, Clock], frames: tuple[int, int] | None = None, keypoints: float | None = None
+) -> None:
+    """Put ``[clocks]`` into a session file, in place of the one there.
+
+    `frames` replaces the line ``frames = …`` if there is one, `keypoints` is ``offset`` of [first_pose.keypoints].
+    Raises InputError, and leaves the file, where the result would not be a session with these values.
+    """
+    before = read_text(path)
+    text = before
+    if clocks:
+        lines = _without(before.splitlines(), "clocks")
+        text = "\n".join(lines).rstrip() + "\n" + "".join(_table(name, clock) for name, clock in clocks.items())
+    if frames is not None:
+        text = re.sub(r"(?m)^frames\s*=\s*\[[^\]]*\]", f"frames = [{frames[0]}, {frames[1]}]", text, count=1)
+    if keypoints is not None:
+        text = _with_offset(text, keypoints)
+    trial = path.with_name(f".{path.name}.trial")
+    try:
+        trial.write_text(text, encoding="utf-8")
+        session = load_session(trial)
+        written = {name: Clock(**table.model_dump()) for name, table in session.clocks.items()}
+        table = session.first_pose.keypoints
+        held = all(written.get(name) == clock for name, clock in clocks.items())
+        if not held or (keypoints is not None and (table is None or table.offset != keypoints)):
+            raise InputError("the values do not stand where they are looked for")
+    except InputError as error:
+        mend = "remove its clocks, or write them as tables [clocks.CAM]"
+        raise InputError(f"session {path} cannot be changed ({str(error).rstrip('.')}); {mend}.") from error
+    finally:
+        trial.unlink(missing_ok=True)
+    with replacing(path, "session") as part:
+        Path(part).write_text(text, encoding="utf-8")
+
+
+def _table(name: str, clock: Clock) -> str:
+    key = name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name, ensure_ascii=False)
+    rate = f"rate = {clock.rate!r}\n" if clock.rate != 1.0 else ""
+    fps = f"fps = {clock.fps!r}\n" if clock.fps is not None else ""
+    return f"\n[clocks.{key}]\noffset = {clock.offset!r}  # s, by twistcap sync\n{rate}{fps}"
+
+
+def _without(lines: list[str], table: str) -> list[str]:
+    """The lines less those of a table and of its sub-tables."""
+    out, inside = list[str](), False
+    for line in lines:
+        header = _HEADER.match(line)
+        if header:
+            inside = header[1].split(".")[0].strip() == table
+        if not inside:
+            out.append(line)
+    return out
+
+
+def _with_offset(text: str, offset: float) -> str:
+    lines, at = text.splitlines(), None
+    for k, line in enumerate(lines):
+        header = _HEADER.match(line)
+        if header:
+            at = k if header[1].replace(" ", "") == "first_pose.keypoints" else None
+        elif at is not None and re.match(r"\s*offset\s*=", line):
+            lines[k] = f"offset = {offset!r}"
+            return "\n".join(lines) + "\n"
+    for k, line in enumerate(lines):
+        header = _HEADER.match(line)
+        if header and header[1].replace(" ", "") == "first_pose.keypoints":
+            lines.insert(k + 1, f"offset = {offset!r}")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,67 @@
+"""Clocks: coarse offsets from signals, fine ones from a tracked body, and those of keypoints."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from twistcap.adjust.clocks import Signal, coincidence, estimate_clocks, keypoint_clock, sound_signal
+from twistcap.body import Posed
+from twistcap.estimate import Estimate, Frame, Keypoints
+from twistcap.flow import image_between
+from twistcap.solve.blocks import PoseTrack
+from twistcap.studio import StudioConfig, capture
+
+
+def test_signals_are_brought_together() -> None:
+    rng, times = np.random.default_rng(1), np.arange(0, 20, 0.01)
+    wave = np.convolve(rng.normal(size=len(times)), np.ones(30), "same")
+    true = np.array([0.0, 1.234, -2.1])
+    cut = [(times >= 5 + o) & (times < 13 + o) for o in true]
+    signals = [Signal(times[c] - times[c][0], wave[c] + rng.normal(size=c.sum())) for c in cut]
+    found = coincidence(signals, [0.0] * 3, 240, 2.0, 0.15)
+    np.testing.assert_allclose(found.offsets, true, atol=0.02)
+    assert found.margin.min() > 0.05
+
+
+def test_a_clap_is_heard() -> None:
+    rng, rate = np.random.default_rng(0), 16_000
+    sounds = [0.01 * rng.normal(size=4 * rate) for _ in range(2)]
+    for sound, at in zip(sounds, (1.5, 2.25), strict=True):
+        sound[int(at * rate) : int(at * rate) + 800] += rng.normal(size=800)
+    found = coincidence([sound_signal(s, rate) for s in sounds], [0.0, 0.0], 500, 1.0, 0.15)
+    assert abs(found.offsets[1] + 0.75) < 0.004
+
+
+def test_a_late_camera_is_found_by_the_body() -> None:
+    scene = capture(StudioConfig(seed=3, frames=16))
+    late = np.array([0, 2, 0, 0])  # frames: the second camera shows what is to come
+    frames = [Frame(k, k / 60, tuple(scene.image(k + n, c) for c, n in enumerate(late))) for k in range(12)]
+    given = [Estimate(k, k / 60, scene.true_poses[k], np.eye(scene.body.dof)) for k in range(12)]
+    found = estimate_clocks(frames, scene.body, scene.rig, given, np.zeros((4, 12)), 0, rounds=4)
+    np.testing.assert_allclose(60 * found.late, late, atol=0.26)  # of 12 frames; 0.13 is measured
+    assert found.sigma[0] == 0 and np.all(found.sigma[1:] > 0)
+
+
+def test_keypoints_that_are_early_are_found() -> None:
+    scene = capture(StudioConfig(seed=2, frames=60))
+    names = scene.body.landmarks.names
+    rng, numbers = np.random.default_rng(0), np.arange(60, dtype=float)
+    track = PoseTrack(scene.true_poses, numbers)
+    given = list[Keypoints]()
+    for k in numbers:
+        points = Posed(scene.body, track.at(k + 1.3).pose).landmarks
+        pixels = np.stack([camera.project(points)[0] for camera in scene.rig]) + rng.normal(size=(4, len(names), 2))
+        given.append(Keypoints(names, pixels + 3.0, np.ones((4, len(names)))))  # joints of another body
+    found = keypoint_clock(scene.body, scene.rig, track, given)
+    assert abs(found.offset - 1.3) < 0.05 and found.sigma < 0.1
+
+
+def test_an_image_between_two_is_nearer_than_either() -> None:
+    scene = capture(StudioConfig(seed=1, frames=6))
+    first, middle, last = (np.asarray(scene.image(k, 0)) for k in (2, 3, 4))
+    made = image_between(first, last, 0.5)
+
+    def off(image: np.ndarray) -> float:
+        return float(np.abs(image.astype(float) - middle)[scene.masks(3)[0]].mean())
+
+    assert off(made) < 0.5 * min(off(first), off(last))
