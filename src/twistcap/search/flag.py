@@ -53,6 +53,12 @@ def flag_groups(body: Body) -> Bool:
     return np.array([*own, rest])
 
 
+def in_images(groups: Bool, agreement: Agreement) -> Bool:
+    """(G,) groups of segments (G, S) all of which some image shows; the others are not judged. All where none is."""
+    whole = ~(groups & (agreement.points == 0)).any(axis=1)
+    return np.asarray(whole if whole.any() else ~whole, np.bool_)
+
+
 def limb_signs(
     groups: Bool, known: Recollection, check: Check, agreement: Agreement, support: Float, usual: Float
 ) -> Float:
