@@ -34,6 +34,9 @@ _OF = {
 _SIGNS = tuple(_OF.values())
 KNOTS = (*_SIGNS, *(_SIGNS[k] for k in _MEANS), (-12.0, -8.0, -5.0, -2.5, 0.0, 2.0), _OF["clear"], _OF["late"])
 """Of all signs, of their running means, of `beyond`, and of the most and the mean of all limbs."""
+_WHICH = np.repeat(np.arange(len(KNOTS)), [len(knots) - 1 for knots in KNOTS])
+_FROM = np.concatenate([knots[:-1] for knots in KNOTS])
+_SLOPE = 1.0 / np.concatenate([np.diff(knots) for knots in KNOTS])
 
 # By benchmarks/fit_flag.py --seeds 1000-1087.
 LIMB = (
@@ -148,8 +151,8 @@ def ramps(signs: Float, lately: Float, deviation: Float) -> Float:
     """(G, R) features in [0, 1]: each value rises from 0 to 1 between two neighbours of its knots."""
     clear, late = signs[:, 0], signs[:, 4]
     others = np.full((2, len(signs)), [[clear.max()], [late.mean()]])
-    values = [*signs.T, *lately.T[_MEANS], beyond(deviation), *others]
-    return np.concatenate([_rising(v, np.array(k)) for v, k in zip(values, KNOTS, strict=True)], axis=1)
+    values = np.column_stack([signs, lately[:, _MEANS], beyond(deviation), *others])
+    return np.clip((values[:, _WHICH] - _FROM) * _SLOPE, 0.0, 1.0)
 
 
 def beyond(deviation: Float) -> Float:
@@ -162,10 +165,6 @@ def log_odds(probability: Float) -> Float:
     """ln p / (1 − p), within ± 20."""
     p = np.clip(probability, 1e-9, 1.0 - 1e-9)
     return np.log(p / (1.0 - p))
-
-
-def _rising(values: Float, knots: Float) -> Float:
-    return np.clip((values[:, None] - knots[:-1]) / np.diff(knots), 0.0, 1.0)
 
 
 def _logistic(value: Float) -> Float:

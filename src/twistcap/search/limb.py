@@ -34,7 +34,7 @@ class LimbRule(Checked):
 
     Attributes:
         lacking: evidence that a limb lacks, over what is usual, from which on it is lost.
-        in_view: the same in the camera in which most lacks.
+        in_view: the same of late in the camera in which most lacks; one frame says little.
         late: fraction of its contour points of late that do not agree, from which on it is.
         gain, share: nats by which the pictures must favour it elsewhere, and the least fraction of what is usual.
         less: by how much less it must lack, or its contour points disagree.
@@ -47,7 +47,7 @@ class LimbRule(Checked):
     """
 
     lacking: float = 0.35
-    in_view: float = 0.9
+    in_view: float = 0.55
     late: Share = 0.6
     gain: float = 30.0
     share: Share = 0.25
@@ -60,11 +60,10 @@ class LimbRule(Checked):
     again: Count = 2
     longest: Count = 16
 
-    def lost(self, signs: Float, limbs: int) -> list[int]:
-        """Limbs, the first of the groups, that seem to be lost by their signs (G, SIGNS)."""
-        bounds = {_LACKING: self.lacking, _IN_VIEW: self.in_view, _LATE: self.late}
-        doubtful = np.any([signs[:limbs, sign] > bound for sign, bound in bounds.items()], axis=0)
-        return np.flatnonzero(doubtful).tolist()
+    def lost(self, signs: Float, lately: Float) -> list[int]:
+        """Limbs that seem to be lost, by their signs (G, SIGNS) now and lately; the last group is no limb."""
+        doubtful = (signs[:-1, _LACKING] > self.lacking) | (signs[:-1, _LATE] > self.late)
+        return np.flatnonzero(doubtful | (lately[:-1, _IN_VIEW] > self.in_view)).tolist()
 
 
 def regained(

@@ -185,7 +185,7 @@ class LostBody(Checked):
         return found, rested(last, found.fit.pose, coordinates), memory
 
     def _lost_limbs(self, memory: LostMemory) -> list[int]:
-        return [] if memory.signs is None else self.limb.lost(memory.signs, len(memory.groups) - 1)
+        return [] if memory.signs is None or memory.lately is None else self.limb.lost(memory.signs, memory.lately)
 
     def _learned(self, memory: LostMemory, now: Judged, ratio: float) -> LostMemory:
         """With what a fit that is not lost teaches; limbs that are lost teach nothing."""
