@@ -31,7 +31,7 @@ from twistcap.build import build
 from twistcap.camera import Rig
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate import Row, evaluate, row
-from twistcap.evaluate.metrics import LOST_FRAME_MM
+from twistcap.evaluate.metrics import JOINT_CENTRES, LOST_FRAME_MM
 from twistcap.io.recording import Recording, open_recording, rig_of, views_of
 from twistcap.io.result import ResultWriter, read_result
 from twistcap.io.session import load_session
@@ -162,8 +162,9 @@ def _tracked(model: Model, state: State, frames: Iterable[Frame]) -> list[Estima
 
 
 def _apart_mm(body: Body, one: Estimate, other: Estimate) -> float:
-    """How far the farthest landmark of two poses is apart."""
-    a, b = (Posed(body, e.pose).landmarks for e in (one, other))
+    """How far the farthest joint centre of two poses is apart."""
+    marks = [body.landmarks.index(name) for name in JOINT_CENTRES]
+    a, b = (Posed(body, e.pose).landmarks[marks] for e in (one, other))
     gaps: Float = np.linalg.norm(a - b, axis=1)
     return 1000.0 * float(gaps.max())
 

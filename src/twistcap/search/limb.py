@@ -83,9 +83,9 @@ def regained(
     before = most = evidence.of(now.fit.pose)
     pose, found, usual = now.fit.pose, list[int](), known.nats.sum(axis=0) @ groups.T
     for i in lost:
-        placed, nats = _placed(rule, known, evidence, masks[i], rng, pose, most)
+        other, nats = placed(rule, known, evidence, masks[i], rng, pose, most)
         if nats >= most + max(rule.gain, rule.share * float(usual[i])):
-            pose, most, found = placed, nats, [*found, i]
+            pose, most, found = other, nats, [*found, i]
     if not found:
         return None
     fit = now.problem.align(pose, crop=True)
@@ -104,7 +104,7 @@ def _wrong(known: Recollection, now: Judged, groups: Bool) -> Float:
     return np.maximum(lacking(groups, known, now.check)[0], 1.0 - agreeing / np.maximum(points, 1.0))
 
 
-def _placed(
+def placed(
     rule: LimbRule, known: Recollection, evidence: Evidence, limb: Bool, rng: np.random.Generator,
     pose: Pose, most: float,
 ) -> tuple[Pose, float]:  # fmt: skip
