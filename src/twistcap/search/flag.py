@@ -73,14 +73,14 @@ def limb_signs(
     limb is not seen at all; and cameras that see it, short of three.
     """
     weights = groups.T.astype(float)
+    taught = known.pixels.sum(axis=0) @ weights > _FEWEST  # before, evidence says nothing of a limb
     clear, in_view = lacking(groups, known, check)
     more = np.maximum((check.uncovered - known.uncovered).sum(axis=0) @ weights, 0.0)
-    bare = more / np.maximum(known.nats.sum(axis=0) @ weights, 1.0)
+    bare = np.where(taught, more / np.maximum(known.nats.sum(axis=0) @ weights, 1.0), 0.0)
     against, silent = contour_signs(groups, agreement)
     late = np.array([(1.0 - support[group]).max() for group in groups])
-    pixels = check.pixels @ weights
-    unseen = np.clip(1.0 - pixels.sum(axis=0) / np.maximum(known.pixels.sum(axis=0) @ weights, 1.0), 0.0, 1.0)
-    few = np.maximum(3 - (pixels > _FEWEST).sum(axis=0), 0)
+    unseen = np.where(taught, hidden(groups, known, check), 0.0)
+    few = np.where(taught, np.maximum(3 - (check.pixels @ weights > _FEWEST).sum(axis=0), 0), 0)
     return np.stack([clear, in_view, bare, against - usual, late, silent, unseen, few], axis=1)
 
 
@@ -101,6 +101,13 @@ def lacking(groups: Bool, known: Recollection, check: Check) -> tuple[Float, Flo
     less, total = usual - check.nats @ groups.T.astype(float), usual.sum(axis=0)
     all_views = np.where(total > _FEWEST, less.sum(axis=0) / np.maximum(total, 1e-9), 0.0)
     return all_views, np.where(usual > _FEWEST, less / np.maximum(usual, 1e-9), 0.0).max(axis=0)
+
+
+def hidden(groups: Bool, known: Recollection, check: Check) -> Float:
+    """(G,) fraction of the pixels that each group of segments (G, S) usually covers, and does not cover now."""
+    weights = groups.T.astype(float)
+    usual = np.maximum(known.pixels.sum(axis=0) @ weights, 1.0)
+    return np.clip(1.0 - check.pixels.sum(axis=0) @ weights / usual, 0.0, 1.0)
 
 
 def support_signs(groups: Bool, support: Float) -> Float:

@@ -172,6 +172,7 @@ class LostBody(Checked):
         """The frame with its lost limbs where they are found, and the moment before it, in which they rest."""
         hidden = now.problem.in_sight(now.fit) < 0.5
         lost = [limb for limb in self._lost_limbs(memory) if not hidden[memory.groups[limb]].any()]
+        lost = sorted({*lost, *self._hidden_limbs(memory)})
         if memory.limb_waiting:
             return now, last, replace(memory, limb_waiting=memory.limb_waiting - 1)
         if not lost:
@@ -189,9 +190,12 @@ class LostBody(Checked):
     def _lost_limbs(self, memory: LostMemory) -> list[int]:
         return [] if memory.signs is None or memory.lately is None else self.limb.lost(memory.signs, memory.lately)
 
+    def _hidden_limbs(self, memory: LostMemory) -> list[int]:
+        return [] if memory.lately is None else self.limb.hidden(memory.lately)
+
     def _learned(self, memory: LostMemory, now: Judged, ratio: float) -> LostMemory:
-        """With what a fit that is not lost teaches; limbs that are lost teach nothing."""
-        lost = self._lost_limbs(memory)
+        """With what a fit that is not lost teaches; limbs that are lost or hidden teach nothing."""
+        lost = [*self._lost_limbs(memory), *self._hidden_limbs(memory)]
         known = memory.known.accustomed(now.check, np.asarray(~memory.groups[lost].any(axis=0), np.bool_))
         usual, (against, _) = self._usual(memory), contour_signs(memory.groups, now.fit.agreement)
         against[lost] = usual[lost]
