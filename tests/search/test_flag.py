@@ -27,7 +27,7 @@ def test_a_quiet_body_is_not_lost_and_a_contradicted_one_is() -> None:
     quiet = rule.limbs(signs, signs, good)
     assert rule.whole(quiet) < 0.02
     signs = signs.copy()
-    signs[1] = [1.0, 1.0, 0.5, 0.5, 0.9, 0.4, 0.2, 0.0]
+    signs[1] = [1.0, 1.0, 0.5, 0.5, 0.9, 0.4, 0.2, 0.0, 0.0]
     lost = rule.limbs(signs, signs, np.where(np.arange(len(groups)) == 1, 0.2, good))
     assert lost.argmax() == 1
     assert lost[1] > 0.5
@@ -79,10 +79,10 @@ def test_a_limb_of_which_nothing_has_been_learnt_is_not_unseen() -> None:
     agreement = Agreement(points, points.astype(float), points.astype(float))
     nothing, some = np.zeros((1, S)), np.full((1, S), 50.0)
     first = Check(nothing, nothing, 1000.0 + nothing, np.ones(1))
-    usual = np.zeros(len(groups))
-    assert not limb_signs(groups, known, first, agreement, np.ones(S), usual).any()
+    usual, found = np.zeros((len(groups), 3)), np.zeros(len(groups))
+    assert not limb_signs(groups, known, first, agreement, np.ones(S), usual, found).any()
     taught = replace(known, nats=some, pixels=some, fitting=np.ones(1))
-    signs = limb_signs(groups, taught, first, agreement, np.ones(S), usual)
+    signs = limb_signs(groups, taught, first, agreement, np.ones(S), usual, found)
     assert np.all(signs[:, 6] == 1.0)  # covers nothing of what it used to
     assert np.all(signs[:, 2] > 1.0)  # and much that looks like it is bare
     assert LimbRule().hidden(signs) == list(range(len(groups) - 1))

@@ -37,7 +37,7 @@ class LimbRule(Checked):
     Attributes:
         lacking: evidence that a limb lacks, over what is usual, from which on it is lost.
         in_view: the same of late in the camera in which most lacks; one frame says little.
-        late: fraction of its contour points of late that do not agree, from which on it is.
+        late: fraction of its contour points of late that do not agree, over what is usual, from which on it is.
         unseen: how much less of it is seen of late than usually, from which on it may be elsewhere, in full view.
         gain, share: nats by which the pictures must favour it elsewhere, and the least fraction of what is usual.
         less: by how much less it must lack, or its contour points disagree.
@@ -54,7 +54,7 @@ class LimbRule(Checked):
 
     lacking: float = 0.35
     in_view: float = 0.55
-    late: Share = 0.6
+    late: Share = 0.4
     unseen: Share = 0.5
     gain: float = 30.0
     share: Share = 0.25
