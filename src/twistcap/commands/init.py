@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -41,7 +43,16 @@ def init(
             start_unaided(clicking)
         html = page("init", f"First pose of {session.parent.resolve().name}", clicking.document())
     words.print(f"Save writes {clicking.target.path}.")
-    serve(html, clicking.answers, port)
+    serve(html, {**clicking.answers, "/save": partial(_saved, clicking)}, port)
+
+
+def _saved(clicking: Any, question: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Save, and show in the terminal how well the saved pose fits."""
+    from twistcap.commands.start import show_start
+
+    answer = clicking.answers["/save"](question)
+    show_start(clicking.report())
+    return answer
 
 
 def clicking_of(session: Any, path: Path, out: Path | None = None, detector: str | None = None) -> Any:
