@@ -14,7 +14,7 @@ from twistcap.errors import InputError
 from twistcap.io.calibration import Unit, read_rig
 from twistcap.io.video import Source, check_size, open_source
 
-_VIDEOS = {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".mts"}
+VIDEO_ENDINGS = {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".mts"}
 _IMAGES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
 _ENDS = 3  # frames at both ends of a video that are decoded before all is said to be well
 
@@ -90,7 +90,10 @@ def matched(videos: Sequence[tuple[str | None, str]], cameras: Sequence[str]) ->
 def _camera_of(path: str, cameras: Sequence[str]) -> str:
     """By the name of the file, else of its folder, or of the folder above that."""
     stem = Path(path.split("%")[0].rstrip("/") if "%" in path else path)
-    titles = [stem.stem if stem.suffix.lower() in _VIDEOS else stem.name, *(up.name for up in list(stem.parents)[:2])]
+    titles = [
+        stem.stem if stem.suffix.lower() in VIDEO_ENDINGS else stem.name,
+        *(up.name for up in list(stem.parents)[:2]),
+    ]
     fitting = list[str]()
     for title in titles:
         fitting = _named(title.lower(), cameras)
@@ -129,8 +132,8 @@ def _in_folder(path: Path) -> list[str]:
         return [str(path)]
     folders = [p for p in inside if p.is_dir()]
     pictures = [str(p) for p in folders if any(q.suffix.lower() in _IMAGES for q in p.iterdir())]
-    below = [str(q) for p in folders for q in sorted(p.iterdir()) if q.suffix.lower() in _VIDEOS]
-    videos = [str(p) for p in inside if p.suffix.lower() in _VIDEOS] or pictures or below
+    below = [str(q) for p in folders for q in sorted(p.iterdir()) if q.suffix.lower() in VIDEO_ENDINGS]
+    videos = [str(p) for p in inside if p.suffix.lower() in VIDEO_ENDINGS] or pictures or below
     if not videos:
         raise InputError(f"folder {path} holds neither videos nor images; check --videos.")
     return videos

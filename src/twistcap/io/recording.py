@@ -26,8 +26,9 @@ from twistcap.estimate import Keypoints
 from twistcap.io.calibration import read_rig
 from twistcap.io.cameras.axes import check_z_up, with_z_up
 from twistcap.io.clocks import Clock, Timeline, image_times
-from twistcap.io.keypoints import openpose_files, read_clicks, read_openpose
+from twistcap.io.keypoints import of_people, openpose_files, read_clicks, read_openpose, read_people
 from twistcap.io.masks import read_masks, rectified_masks
+from twistcap.io.people import same_person
 from twistcap.io.plausible import check_plausible, check_upright
 from twistcap.io.pose_file import body_at, read_pose
 from twistcap.io.session import CameraGrid, GlbBody, HumanoidBody, KeypointSet, Session
@@ -264,10 +265,16 @@ def keypoints_of(table: KeypointSet, rig: Rig, views: Views | None = None) -> Se
     for name in (*table.folders, *table.grid):
         if name not in rig.names:
             raise InputError(f"[first_pose] keypoints name the camera {name!r}, which is not in use; remove it.")
-    return [
-        read_openpose(_files_at(table, rig, frame, views), rig.names, table.format, table.person, table.grid)
-        for frame in table.frames
-    ]
+    if isinstance(table.person, int):
+        files = [_files_at(table, rig, frame, views) for frame in table.frames]
+        return [read_openpose(each, rig.names, table.format, table.person, table.grid) for each in files]
+    pinned, out, before = (table.person if isinstance(table.person, dict) else {}), list[Keypoints](), None
+    for frame in table.frames:
+        people = read_people(_files_at(table, rig, frame, views), rig.names, table.format, table.grid)
+        choice, joints = same_person(rig, people, pinned, before)
+        before = joints if np.isfinite(joints).any() else before
+        out.append(of_people(people, choice, table.format))
+    return out
 
 
 def _files_at(table: KeypointSet, rig: Rig, frame: int, views: Views | None) -> dict[str, Path]:

@@ -122,11 +122,11 @@ class KeypointSet(Table):
     `frames` are file numbers; file j belongs to video frame ``j + offset``.
     """
 
-    format: Literal["body_25", "body_25b", "coco_17"] = "body_25"
+    format: Literal["body_25", "body_25b", "coco_17", "halpe_26", "coco_133", "blazepose"] = "body_25"
     folders: dict[str, DataPath]
     frames: tuple[Annotated[int, Field(ge=0)], ...] = (0,)
     offset: float = 0.0
-    person: int | dict[str, int] = 0
+    person: Literal["auto"] | int | dict[str, int] = "auto"
     grid: dict[str, Grid] = {}
     calibration: DataPath | None = None
     unit: Literal["m", "mm"] | None = None
