@@ -5,18 +5,30 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from glob import glob
 from pathlib import Path
 
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.io.calibration import Unit, read_rig
+from twistcap.io.cameras.axes import Up, check_z_up
 from twistcap.io.video import Source, check_size, open_source
 
 VIDEO_ENDINGS = {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".mts"}
 _IMAGES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
 _ENDS = 3  # frames at both ends of a video that are decoded before all is said to be well
+
+
+_POSE_LINES = (
+    "\n[first_pose]",
+    "# Where nothing is given, it is found in the images, unless first_pose.json lies here:",
+    '# "twistcap init" writes that file from a handful of clicked joints.',
+    "# Or 2D keypoints of a detector near the first frame:",
+    "# [first_pose.keypoints]",
+    '# format = "halpe_26"   # or "body_25", "body_25b", "coco_17", "coco_133", "blazepose"',
+    '# folders = { cam01 = "pose/cam01_json" }   # one per camera',
+)
 
 
 @dataclass(frozen=True)
@@ -29,6 +41,11 @@ class Draft:
     unit: Unit | None  # of the calibration; None where the file names it or it is metres
     calibration: Path  # its file
     unused: tuple[str, ...]  # calibrated cameras without a video
+    up: Up | None = None  # axis of the calibration that is up; None where it is z
+    floor_known: bool = True  # whether the world's z = 0 is the floor
+    keypoints: Mapping[str, Path] = field(default_factory=dict[str, Path])  # folders of JSON files, by camera
+    layout: str | None = None  # their format
+    notes: tuple[str, ...] = ()  # on what was found and decided
 
     @property
     def frames(self) -> tuple[int, int]:
@@ -50,8 +67,14 @@ def draft_session(videos: Sequence[str], calibration: Path, unit: Unit | None = 
     or whose ends cannot be decoded, matches no camera or has another size than its calibration, and for cameras that
     two videos claim.
     """
-    rig = read_rig(calibration, unit)
+    rig = read_rig(calibration, unit, floor=None)
+    check_z_up(rig, f"calibration {calibration}")
     paths = matched([path for text in videos for path in recordings(text)], rig.names)
+    return drafted(rig, paths, calibration, unit)
+
+
+def drafted(rig: Rig, paths: Mapping[str, str], calibration: Path, unit: Unit | None = None) -> Draft:
+    """The draft of cameras and the path of each one's video, all opened. Raises InputError as `draft_session`."""
     used = Rig(tuple(camera for camera in rig if camera.name in paths))
     sources = {camera.name: open_source(paths[camera.name]) for camera in used}
     ordered = {name: paths[name] for name in used.names}
@@ -153,6 +176,8 @@ def session_lines(draft: Draft, folder: Path, stature: float | None) -> str:
         f"calibration = {_path(draft.calibration, folder)}",
         *([f'unit = "{draft.unit}"'] if draft.unit else []),
         *([f"use = {json.dumps(list(draft.rig.names))}"] if draft.unused else []),
+        *([f'up = "{draft.up}"  # axis of the calibration that is up'] if draft.up else []),
+        *([] if draft.floor_known else ["floor = false"]),
         "# floor = 0.0   # height of the floor, m; false where the world's z is not upward",
         "\n[videos]",
         *(
@@ -162,13 +187,7 @@ def session_lines(draft: Draft, folder: Path, stature: float | None) -> str:
         "\n[body]",
         'kind = "humanoid"',
         f"stature = {stature:g}  # m" if stature else "# stature = 1.75   # m; measure the person",
-        "\n[first_pose]",
-        "# Where nothing is given, it is found in the images, unless first_pose.json lies here:",
-        '# "twistcap init" writes that file from a handful of clicked joints.',
-        "# Or 2D keypoints of a detector near the first frame:",
-        "# [first_pose.keypoints]",
-        '# format = "body_25b"   # or "body_25", "coco_17"',
-        f'# folders = {{ {draft.rig.names[0]} = "pose/{draft.rig.names[0]}_json" }}   # one per camera',
+        *(_keypoint_lines(draft, folder) if draft.keypoints else _POSE_LINES),
         "\n# [tracker]",
         '# method = "direct"   # or "levelset"',
         "\n[output]",
@@ -176,6 +195,16 @@ def session_lines(draft: Draft, folder: Path, stature: float | None) -> str:
         'exports = ["trc", "csv"]   # also mot, bvh, glb, c3d, opensim',
     ]
     return "\n".join(lines) + "\n"
+
+
+def _keypoint_lines(draft: Draft, folder: Path) -> list[str]:
+    paths = {json.dumps(name, ensure_ascii=False): _path(path, folder) for name, path in draft.keypoints.items()}
+    return [
+        "\n[first_pose.keypoints]",
+        f'format = "{draft.layout}"',
+        "frames = [0]   # numbers of the JSON files, near the first frame",
+        f"folders = {{ {', '.join(f'{name} = {path}' for name, path in paths.items())} }}",
+    ]
 
 
 def _path(path: Path, folder: Path) -> str:
@@ -193,7 +222,7 @@ def findings(draft: Draft) -> list[str]:
     if rates and max(rates.values()) - min(rates.values()) > 0.001 * max(rates.values()):
         listed = ", ".join(f"{name} {rate:g}" for name, rate in rates.items())
         out.append(f"Frame rates differ ({listed}): frames are paired by time. Find the clocks with twistcap sync.")
-    out += [f"{source.told}." for source in draft.sources.values() if source.told]
+    out += [*draft.notes, *(f"{source.told}." for source in draft.sources.values() if source.told)]
     if draft.unused:
         out.append(f"Calibrated, but without a video: {', '.join(draft.unused)}; they are left out by [cameras] use.")
     return out
@@ -209,7 +238,7 @@ def missing(draft: Draft, session: Path, stature: float | None) -> list[str]:
     if not draft.rates:
         out.append("The frame rate: 60 is set. Put the true one into fps.")
     pose = session.parent / "first_pose.json"
-    if not pose.is_file():
+    if not pose.is_file() and not draft.keypoints:
         by_clicks = f"click it with:  twistcap init {session}"
         out.append(f"The first pose: track looks for it in the images. If it is not clear there, {by_clicks}")
         out.append("Keypoints: none are named. They can replace the search ([first_pose.keypoints] in the file).")

@@ -9,13 +9,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from twistcap.doors.text import read_json_table, read_text
 from twistcap.errors import InputError
+from twistcap.io.calibration import Unit, write_rig
+from twistcap.io.cameras import Asked, format_named
+from twistcap.io.cameras.axes import Up, axis_up, up_instead_of_z, with_z_up
 from twistcap.io.keypoints import LAYOUTS
-from twistcap.io.new_session import VIDEO_ENDINGS
+from twistcap.io.new_session import VIDEO_ENDINGS, Draft, drafted
+from twistcap.io.video import open_source
 
 _POSES = ("pose-associated", "pose-sync", "pose", "pose-2d", "raw-2d")  # of Pose2Sim, the furthest worked first
 _BY_COUNT = {len(names): layout for layout, names in LAYOUTS.items() if layout != "body_25b"}
@@ -52,6 +56,56 @@ def found_project(folder: Path, trial: str | None = None) -> Project:
             return project
     known = "Pose2Sim, OpenCap, EasyMocap or FreeMoCap"
     raise InputError(f"{folder} is no project of {known}; give --calibration and --videos.")
+
+
+def draft_project(project: Project, folder: Path, unit: Unit | None = None, up: Up | None = None) -> Draft:
+    """The draft of a session in `folder`; a calibration that a session cannot read is converted, into Calib.toml there.
+
+    `unit` and `up` are those of the calibration. Raises InputError as `draft_session`; where the axis that is up is not
+    said and the images do not tell it, or videos and cameras cannot be paired.
+    """
+    if not project.videos:
+        raise InputError(f"the {project.program} project at {project.calibration} has no videos where they should be.")
+    factor = {"m": 1.0, "mm": 1e-3, None: 1e-3 if project.program == "FreeMoCap" else None}[unit]
+    size = open_source(project.videos[0][1]).size
+    rig = format_named(project.format).read(project.calibration, Asked(factor, size))
+    found = up or (up_instead_of_z(rig) or "z" if project.format == "toml" else axis_up(rig))
+    if found is None:
+        raise InputError(f"calibration {project.calibration}: the images do not say what is up; say it with --up.")
+    notes = [f"A {project.program} project.", *project.notes]
+    if found != "z":
+        notes.append(f"Up is {found} in its calibration, {'as said' if up else 'by the images'}: it is turned to z.")
+    titles = {name or Path(path).stem: path for name, path in project.videos}
+    cameras = _paired(project, list(titles), rig.names)
+    file: Path = project.calibration
+    given: Unit | None = "mm" if factor == 1e-3 else unit
+    if project.format != "toml":
+        file, given = folder / "Calib.toml", None
+        folder.mkdir(parents=True, exist_ok=True)
+        write_rig(with_z_up(rig, found), file)
+        notes.append(f"Its calibration was converted: {file}.")
+    draft = drafted(rig, {cameras[title]: path for title, path in titles.items()}, file, given)
+    poses = _keypoints(project, draft.rig.names)
+    if poses:
+        notes.append(f"Its keypoints ({project.layout}) give the first pose.")
+    turned = found if project.format == "toml" and found != "z" else None
+    return replace(
+        draft, up=turned, floor_known=project.floor_known, keypoints=poses, layout=project.layout, notes=tuple(notes)
+    )  # fmt: skip
+
+
+def _paired(project: Project, names: Sequence[str], cameras: Sequence[str]) -> dict[str, str]:
+    found = paired(names, cameras)
+    if found is None:
+        fact = f"{len(names)} videos ({', '.join(names)}) do not fit its {len(cameras)} cameras ({', '.join(cameras)})"
+        raise InputError(f"{project.program} project: the {fact}; give --calibration and --videos CAMERA=PATH.")
+    return found
+
+
+def _keypoints(project: Project, cameras: Sequence[str]) -> dict[str, Path]:
+    """Folders by camera; none where their format is not known, or they fit no cameras."""
+    found = paired(list(project.keypoints), cameras) if project.keypoints and project.layout else None
+    return {camera: project.keypoints[name] for name, camera in (found or {}).items()}
 
 
 def _opencap(folder: Path, trial: str | None) -> Project | None:
@@ -97,7 +151,7 @@ def _easymocap(folder: Path, trial: str | None) -> Project | None:
     for name in ("openpose", "annots"):
         poses = {p.name: p for p in sorted((folder / name).glob("*")) if any(p.glob("*.json"))}
         if poses:
-            return Project("EasyMocap", folder, "easymocap", videos, poses, *_layout(poses, folder, name))
+            return Project("EasyMocap", folder, "easymocap", videos, poses, _layout(poses, ""))
     return Project("EasyMocap", folder, "easymocap", videos)
 
 
@@ -112,8 +166,8 @@ def _pose2sim(folder: Path, trial: str | None) -> Project | None:
     for name in _POSES:
         folders = {p.name.removesuffix("_json"): p for p in sorted((own / name).glob("*")) if any(p.glob("*.json"))}
         if folders:
-            layout = _layout(folders, own, _model(own, *above))
-            return Project("Pose2Sim", calibrations[0], "toml", videos, folders, *layout)
+            layout = _layout(folders, _model(own, *above))
+            return Project("Pose2Sim", calibrations[0], "toml", videos, folders, layout)
     return Project("Pose2Sim", calibrations[0], "toml", videos)
 
 
@@ -129,7 +183,7 @@ def _model(*folders: Path) -> str:
     return named[0].lower() if named else ""
 
 
-def _layout(folders: Mapping[str, Path], folder: Path, model: str) -> tuple[str | None]:
+def _layout(folders: Mapping[str, Path], model: str) -> str | None:
     """The format by the number of points in the first file; of 25 points, what Config.toml says."""
     for path in sorted(next(iter(folders.values())).glob("*.json")):
         content = read_json_table(path)
@@ -138,8 +192,8 @@ def _layout(folders: Mapping[str, Path], folder: Path, model: str) -> tuple[str 
         given = person.get("pose_keypoints_2d", person.get("keypoints"))
         if isinstance(given, list) and given:
             count = len(given) if isinstance(given[0], list) else len(given) // 3
-            return ("body_25b" if count == 25 and model == "body_25b" else _BY_COUNT.get(count),)
-    return (None,)
+            return "body_25b" if count == 25 and model == "body_25b" else _BY_COUNT.get(count)
+    return None
 
 
 def _videos(folder: Path) -> list[Path]:
