@@ -18,7 +18,8 @@ def init(
     session: Annotated[Path, typer.Argument(help="Session TOML.", metavar="SESSION")],
     out: Annotated[Path | None, typer.Option(help="Pose file (.json) to write. Default: the session's own.")] = None,
     detector: Annotated[
-        str | None, typer.Option(help="Installed keypoint detector to start from (docs/how-to/first-pose.md).")
+        str | None,
+        typer.Option(help="Keypoint detector to start from: MODEL.onnx, or the name of one."),
     ] = None,
     auto: Annotated[bool, typer.Option("--auto", help="Start from the pose that is found in the images.")] = False,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port on 127.0.0.1; 0 chooses a free one.")] = 0,

@@ -20,6 +20,7 @@ from twistcap.arrays import UInt8
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
+from twistcap.io.onnx_detector import detected_by_model, load_detector
 
 GROUP = "twistcap.detectors"
 Detector = Callable[[Sequence[UInt8], Rig], Keypoints]
@@ -41,6 +42,8 @@ def detected(name: str, images: Sequence[UInt8], rig: Rig) -> Keypoints:
     """What a detector finds, its shapes and numbers checked. Raises InputError as `detector`; for an answer that is no
     `Keypoints` of this rig.
     """
+    if name.lower().endswith(".onnx"):
+        return detected_by_model(load_detector(name), images, rig)
     offered = detector(name)(images, rig)
     if not isinstance(offered, Keypoints):
         raise InputError(f"detector {name!r} returned {type(offered).__name__}; it must return Keypoints.")
