@@ -22,11 +22,11 @@ from twistcap.body.humanoid import humanoid
 from twistcap.commands.init import clicking_of
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
+from twistcap.io import detectors
 from twistcap.io.pose_file import body_at, write_pose
 from twistcap.io.recording import open_recording
 from twistcap.io.session import load_session
 from twistcap.io.synthetic import write_session
-from twistcap.pages import detectors
 from twistcap.pages.assemble import page
 from twistcap.pages.clicking import LEAST_IOU, overlap
 from twistcap.studio import StudioConfig, capture

@@ -13,6 +13,7 @@ from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.io.calibration import Unit, read_rig
 from twistcap.io.cameras.axes import Up, check_z_up
+from twistcap.io.model_file import is_address, is_model_file
 from twistcap.io.video import Source, check_size, open_source
 
 VIDEO_ENDINGS = {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".mts"}
@@ -28,6 +29,9 @@ _POSE_LINES = (
     "# [first_pose.keypoints]",
     '# format = "halpe_26"   # or "body_25", "body_25b", "coco_17", "coco_133", "blazepose"',
     '# folders = { cam01 = "pose/cam01_json" }   # one per camera',
+    "# Or a pose network that finds them (pip install 'twistcap[detect]'):",
+    "# [first_pose]",
+    '# detector = "rtmo.onnx"   # RTMO, or RTMPose',
 )
 
 
@@ -45,6 +49,8 @@ class Draft:
     floor_known: bool = True  # whether the world's z = 0 is the floor
     keypoints: Mapping[str, Path] = field(default_factory=dict[str, Path])  # folders of JSON files, by camera
     layout: str | None = None  # their format
+    detector: str | None = None  # model file, or name, of what finds keypoints
+    people: str | None = None  # model file that finds people for it
     notes: tuple[str, ...] = ()  # on what was found and decided
 
     @property
@@ -187,7 +193,7 @@ def session_lines(draft: Draft, folder: Path, stature: float | None) -> str:
         "\n[body]",
         'kind = "humanoid"',
         f"stature = {stature:g}  # m" if stature else "# stature = 1.75   # m; measure the person",
-        *(_keypoint_lines(draft, folder) if draft.keypoints else _POSE_LINES),
+        *_pose_lines(draft, folder),
         "\n# [tracker]",
         '# method = "direct"   # or "levelset"',
         "\n[output]",
@@ -197,7 +203,12 @@ def session_lines(draft: Draft, folder: Path, stature: float | None) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _keypoint_lines(draft: Draft, folder: Path) -> list[str]:
+def _pose_lines(draft: Draft, folder: Path) -> Sequence[str]:
+    if draft.detector is not None:
+        named = {"model": draft.detector} | ({"people": draft.people} if draft.people else {})
+        return ["\n[first_pose.detector]", *(f"{key} = {_model(name, folder)}" for key, name in named.items())]
+    if not draft.keypoints:
+        return _POSE_LINES
     paths = {json.dumps(name, ensure_ascii=False): _path(path, folder) for name, path in draft.keypoints.items()}
     return [
         "\n[first_pose.keypoints]",
@@ -205,6 +216,12 @@ def _keypoint_lines(draft: Draft, folder: Path) -> list[str]:
         "frames = [0]   # numbers of the JSON files, near the first frame",
         f"folders = {{ {', '.join(f'{name} = {path}' for name, path in paths.items())} }}",
     ]
+
+
+def _model(name: str, folder: Path) -> str:
+    """A model file's path from the session; addresses and names stay."""
+    local = is_model_file(name) and not is_address(name)
+    return _path(Path(name).expanduser(), folder) if local else json.dumps(name)
 
 
 def _path(path: Path, folder: Path) -> str:
@@ -219,13 +236,18 @@ def findings(draft: Draft) -> list[str]:
     out = [f"{len(draft.rig)} cameras ({', '.join(draft.rig.names)}), {fewest} frames, {rate}; all sizes agree."]
     if fewest < most:
         out.append(f"The videos differ in length ({fewest} to {most} frames): frames = [0, {fewest - 1}] is set.")
-    if rates and max(rates.values()) - min(rates.values()) > 0.001 * max(rates.values()):
+    if _rates_differ(draft):
         listed = ", ".join(f"{name} {rate:g}" for name, rate in rates.items())
         out.append(f"Frame rates differ ({listed}): frames are paired by time. Find the clocks with twistcap sync.")
     out += [*draft.notes, *(f"{source.told}." for source in draft.sources.values() if source.told)]
     if draft.unused:
         out.append(f"Calibrated, but without a video: {', '.join(draft.unused)}; they are left out by [cameras] use.")
     return out
+
+
+def _rates_differ(draft: Draft) -> bool:
+    rates = draft.rates.values()
+    return bool(rates) and max(rates) - min(rates) > 0.001 * max(rates)
 
 
 def missing(draft: Draft, session: Path, stature: float | None) -> list[str]:
@@ -238,8 +260,24 @@ def missing(draft: Draft, session: Path, stature: float | None) -> list[str]:
     if not draft.rates:
         out.append("The frame rate: 60 is set. Put the true one into fps.")
     pose = session.parent / "first_pose.json"
-    if not pose.is_file() and not draft.keypoints:
+    if not pose.is_file() and not draft.keypoints and draft.detector is None:
         by_clicks = f"click it with:  twistcap init {session}"
         out.append(f"The first pose: track looks for it in the images. If it is not clear there, {by_clicks}")
         out.append("Keypoints: none are named. They can replace the search ([first_pose.keypoints] in the file).")
     return out
+
+
+def next_steps(draft: Draft, session: Path, failed: bool = False) -> list[str]:
+    """What comes next, in sentences with the command; `failed` where keypoints gave no first pose."""
+    if len(draft.rig) < 2:
+        return ["Next: film with a second camera, calibrate both, and begin anew."]
+    clocks, init, track = (f"twistcap {command} {session}" for command in ("sync", "init", "track"))
+    steps = list[str]()
+    if _rates_differ(draft):
+        steps.append(f"find the clocks of the cameras:  {clocks}")
+    if failed:
+        steps.append(f"click the first pose:  {init}")
+    given = draft.keypoints or draft.detector is not None or (session.parent / "first_pose.json").is_file()
+    looked = "" if given or failed else f" (it looks for the first pose; if that is not clear: {init})"
+    steps.append(f"track{looked}:  {track}")
+    return [f"{'Then' if k else 'Next'} {step}" for k, step in enumerate(steps)]

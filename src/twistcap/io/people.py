@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 
 from twistcap.adjust.first_pose.triangulate import nearest_points
-from twistcap.arrays import Float
+from twistcap.arrays import Bool, Float
 from twistcap.camera import Rig
 
 _REACH, _LEAST = 0.05, 3.0  # px that agree: a fraction of the person's height in the image, and at least
@@ -74,7 +74,7 @@ def _votes(rig: Rig, people: Sequence[Float], allowed: Sequence[Sequence[int]], 
     return (total, tuple(choice)) if sum(p is not None for p in choice) >= 2 else (0.0, tuple(choice))
 
 
-def _vote(person: Float, pixels: Float, known: Float) -> float:
+def _vote(person: Float, pixels: Float, known: Bool) -> float:
     """Confidence of the joints that agree, less the mean error's fraction of the reach; 0 where too few do."""
     seen = person[:, 2] > 0
     both = seen & known

@@ -26,12 +26,13 @@ from twistcap.estimate import Keypoints
 from twistcap.io.calibration import read_rig
 from twistcap.io.cameras.axes import check_z_up, with_z_up
 from twistcap.io.clocks import Clock, Timeline, image_times
+from twistcap.io.detectors import detected
 from twistcap.io.keypoints import of_people, openpose_files, read_clicks, read_openpose, read_people
 from twistcap.io.masks import read_masks, rectified_masks
 from twistcap.io.people import same_person
 from twistcap.io.plausible import check_plausible, check_upright
 from twistcap.io.pose_file import body_at, read_pose
-from twistcap.io.session import CameraGrid, GlbBody, HumanoidBody, KeypointSet, Session
+from twistcap.io.session import CameraGrid, DetectorTable, GlbBody, HumanoidBody, KeypointSet, Session
 from twistcap.io.start_report import StartReport, check_body_upright, start_report
 from twistcap.io.unaided import found_unaided, told
 from twistcap.io.video import Views, open_source, open_views
@@ -218,7 +219,7 @@ class _Start:
 
 
 def _start(session: Session, rig: Rig, body: Body, views: Views) -> _Start:
-    """From a file, from clicks, or one fit over instants near the first frame and those that only serve the lengths."""
+    """From a file, from clicks, or from keypoints near the first frame, read or detected."""
     table, first = session.first_pose, float(views.indices[0])
     if table.file is not None:
         body = body if table.fit_lengths is False else body_at(table.file, body)
@@ -227,15 +228,26 @@ def _start(session: Session, rig: Rig, body: Body, views: Views) -> _Start:
         clicks = read_clicks(table.clicks, rig.names)
         fit = fit_keypoints(body, rig, clicks, fit_lengths=session.fits_lengths)
         return _Start(fit.body, (first,), (fit.pose,), report=start_report(session, rig, body, clicks, fit))
+    if table.detector is not None:
+        numbers = table.detector.frames or (views.indices[0],)
+        own = detections_of(table.detector, rig, views)
+        return _from_instants(session, rig, body, own, tuple(map(float, numbers)), first)
     assert table.keypoints is not None
     own = keypoints_of(table.keypoints, rig, views)
+    frames = tuple(number + table.keypoints.offset for number in table.keypoints.frames)
+    return _from_instants(session, rig, body, own, frames, first)
+
+
+def _from_instants(
+    session: Session, rig: Rig, body: Body, own: Sequence[Keypoints], frames: tuple[float, ...], first: float
+) -> _Start:
+    """One fit over the keypoints of these frames and of those that only serve the lengths."""
     instants, rigs = list(own), [rig] * len(own)
-    for extra in table.lengths_from:
+    for extra in session.first_pose.lengths_from:
         theirs = read_rig(extra.calibration, extra.unit, floor=None) if extra.calibration else rig
         instants += keypoints_of(extra, theirs)
         rigs += [theirs] * (len(instants) - len(rigs))
     fits = fit_keypoints_sequence(body, rigs, instants, fit_lengths=session.fits_lengths)[: len(own)]
-    frames = tuple(number + table.keypoints.offset for number in table.keypoints.frames)
     near = int(np.argmin(np.abs(np.array(frames) - first)))
     report = start_report(session, rig, body, own[near], fits[near])
     sigmas = tuple(np.sqrt(np.diag(fit.covariance)) for fit in fits)
@@ -275,6 +287,19 @@ def keypoints_of(table: KeypointSet, rig: Rig, views: Views | None = None) -> Se
         before = joints if np.isfinite(joints).any() else before
         out.append(of_people(people, choice, table.format))
     return out
+
+
+def detections_of(table: DetectorTable, rig: Rig, views: Views) -> list[Keypoints]:
+    """What a detector finds in each of its frames, by default the first one.
+
+    Raises InputError as `detected`, or for a frame after the end.
+    """
+    frames = table.frames or (views.indices[0],)
+    if max(frames) >= len(views.sources[views.timeline.reference]):
+        raise InputError(
+            f"[first_pose] detector: frame {max(frames)} is after the end of the video; name earlier ones."
+        )
+    return [detected(table.model, views.recorded(frame), rig, table.people) for frame in frames]
 
 
 def _files_at(table: KeypointSet, rig: Rig, frame: int, views: Views | None) -> dict[str, Path]:

@@ -24,6 +24,7 @@ from twistcap.io.session_tables import (
     Cameras,
     ClockTable,
     DataPath,
+    DetectorTable,
     FirstPoseTable,
     FitGirths,
     GlbBody,
@@ -44,8 +45,8 @@ if TYPE_CHECKING:
     from twistcap.settings import Settings
 
 __all__ = [
-    "FIRST_POSE", "CameraGrid", "Cameras", "ClockTable", "FirstPoseTable", "FitGirths", "GlbBody", "Grid",
-    "HumanoidBody", "KeypointSet", "MotionsTable", "ObjBody", "Output", "PriorTable", "Session", "Table",
+    "FIRST_POSE", "CameraGrid", "Cameras", "ClockTable", "DetectorTable", "FirstPoseTable", "FitGirths", "GlbBody",
+    "Grid", "HumanoidBody", "KeypointSet", "MotionsTable", "ObjBody", "Output", "PriorTable", "Session", "Table",
     "load_session", "tracker_settings",
 ]  # fmt: skip
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, model_validator
 
+from twistcap.io.model_file import is_address, is_model_file
 from twistcap.motion import MotionKind
 
 
@@ -17,6 +18,14 @@ def _from_folder(path: str, info: ValidationInfo) -> str:
 
 
 DataPath = Annotated[str, AfterValidator(_from_folder)]
+
+
+def _model_in_folder(name: str, info: ValidationInfo) -> str:
+    return _from_folder(name, info) if is_model_file(name) and not is_address(name) else name
+
+
+ModelName = Annotated[str, AfterValidator(_model_in_folder)]
+"""A model file by path or address, see `io.model_file`, or the name of an installed detector."""
 
 
 def _known_format(name: str) -> str:
@@ -132,13 +141,28 @@ class KeypointSet(Table):
     unit: Literal["m", "mm"] | None = None
 
 
+class DetectorTable(Table):
+    """``[first_pose.detector]``: what finds 2D keypoints in the images of `frames`, by default the first one.
+
+    `people` is a model that finds people, for one that needs them. ``detector = "rtmo.onnx"`` says `model` alone.
+    """
+
+    model: ModelName
+    people: ModelName | None = None
+    frames: tuple[Annotated[int, Field(ge=0)], ...] = ()
+
+
+def _by_name(given: Any) -> Any:
+    return {"model": given} if isinstance(given, str) else given
+
+
 FIRST_POSE = "first_pose.json"
 """The file beside a session that is its first pose, where the session names none."""
-SOURCES = ("auto", "file", "clicks", "keypoints")
+SOURCES = ("auto", "file", "clicks", "keypoints", "detector")
 
 
 class FirstPoseTable(Table):
-    """``[first_pose]``: one of file, clicks and keypoints, or none: it is found in the images (``"auto"``).
+    """``[first_pose]``: one of file, clicks, keypoints and detector, or none: it is found in the images.
 
     `plates` is a folder of pictures without the person, ``CAM.png``, for that.
     """
@@ -149,6 +173,7 @@ class FirstPoseTable(Table):
     frame: int | None = None
     clicks: DataPath | None = None
     keypoints: KeypointSet | None = None
+    detector: Annotated[DetectorTable | None, BeforeValidator(_by_name)] = None
     lengths_from: tuple[KeypointSet, ...] = ()
     fit_lengths: bool | None = None
     masks: DataPath | None = None
@@ -159,15 +184,15 @@ class FirstPoseTable(Table):
     def _one_source(self) -> FirstPoseTable:
         given = [name for name in SOURCES if getattr(self, name)]
         if len(given) > 1:
-            raise ValueError(f"give one of auto, file, clicks and keypoints, not {' and '.join(given)}")
+            raise ValueError(f"give one of auto, file, clicks, keypoints and detector, not {' and '.join(given)}")
         if not given and "auto" in self.model_fields_set:
-            raise ValueError("auto is false; give one of file, clicks and keypoints")
+            raise ValueError("auto is false; give one of file, clicks, keypoints and detector")
         return self
 
     @property
     def unaided(self) -> bool:
         """Whether it is to be found in the images."""
-        return not any((self.file, self.clicks, self.keypoints))
+        return not any((self.file, self.clicks, self.keypoints, self.detector))
 
 
 class PriorTable(Table):

@@ -140,8 +140,10 @@ def _medians(residual: Float) -> Float:
 
 
 def keypoints_source(session: Session) -> str:
-    """The file or folder from which the keypoints are."""
+    """The file, folder or model from which the keypoints are."""
     table = session.first_pose
+    if table.detector is not None:
+        return f"detector {table.detector.model}"
     if table.keypoints is not None and table.keypoints.folders:
         return next(iter(table.keypoints.folders.values()))
     return table.clicks or "the clicks"
