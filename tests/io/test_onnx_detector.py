@@ -178,7 +178,7 @@ def test_a_model_is_fetched_once_and_checked(tmp_path: Path, monkeypatch: pytest
     assert model_bytes(named) == path.read_bytes()  # the server is gone
     (kept,) = cache_folder().iterdir()
     kept.write_bytes(b"damaged")
-    with pytest.raises(InputError, match="cannot be fetched.*give its path"):
+    with pytest.raises(InputError, match=r"cannot be fetched.*give its path"):
         model_bytes(named)
 
 

@@ -18,8 +18,8 @@ def show_start(report: StartReport | None) -> None:
     """Print residuals, stature, length factors and warnings on stderr; nothing where nothing was fitted."""
     if report is None:
         return
-    title = "First pose: px between keypoint and body, the worst joints"
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    words.print("First pose: px between keypoint and body, the worst joints", style="bold", soft_wrap=True)
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("joint")
     for name in report.cameras:
         table.add_column(name, justify="right")
