@@ -246,7 +246,7 @@ def test_new_writes_the_detector_and_shows_its_pose(filmed: Path, capsys: pytest
     told = document(capsys, "new", filmed / "s", *given, "--detector", filmed / "pose.onnx")
     assert max(told["first_pose"]["median_px"].values()) < 2.0 and told["first_pose"]["warnings"] == []
     assert 'model = "../pose.onnx"' in (filmed / "s" / "session.toml").read_text()
-    assert told["next"] == [f"Next track:  twistcap track {filmed / 's' / 'session.toml'}"]
+    assert told["next"] == [f"Next, track:  twistcap track {filmed / 's' / 'session.toml'}"]
 
 
 def test_what_a_session_s_detector_lacks_is_told(filmed: Path, capsys: pytest.CaptureFixture[str]) -> None:

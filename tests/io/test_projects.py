@@ -86,9 +86,31 @@ def test_pose2sim(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     table = session.first_pose.keypoints
     assert table is not None and table.format == "halpe_26" and set(table.folders) == set(RIG.names)
     assert told["missing"] == [] and max(told["first_pose"]["median_px"].values()) < 3
+    assert told["next"] == [f"Next, track:  twistcap track {tmp_path / 's' / 'session.toml'}"]
     assert told["first_pose"]["stature_m"] == pytest.approx(1.75, abs=0.05)
     session, told = made(capsys, tmp_path / "Trial_2")  # in the trial's own folder
-    assert session.first_pose.unaided and "A Pose2Sim project." in told["found"]
+    assert session.first_pose.unaided and "A Pose2Sim project" in " ".join(told["found"])
+
+
+def test_keypoints_that_give_no_pose_lead_to_clicks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Millimetres taken for metres would be refused; here the board's squares were half as large as said."""
+    far = {c.name: c.T_cam_world.copy() for c in RIG}
+    for T in far.values():
+        T[:3, 3] *= 2.0
+    (tmp_path / "calibration").mkdir()
+    larger = Rig(tuple(replace(c, T_cam_world=far[c.name]) for c in RIG))
+    write_rig(larger, tmp_path / "calibration" / "Calib.toml")
+    for name in RIG.names:
+        video(tmp_path / "videos" / f"{name}.mp4")
+    poses(tmp_path / "pose", "halpe_26", [f"{n}_json" for n in RIG.names])
+    told = document(capsys, "new", tmp_path, "--stature", 1.75)
+    (sentence,) = told["missing"]
+    assert "Calib.toml" in sentence and "times too large" in sentence and told["first_pose"] is None
+    path = tmp_path / "session.toml"
+    assert told["next"] == [
+        f"Next, click the first pose:  twistcap init {path}",
+        f"Then, track:  twistcap track {path}",
+    ]
 
 
 def test_opencap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

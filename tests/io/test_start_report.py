@@ -23,7 +23,7 @@ from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
 from twistcap.io.calibration import write_rig
 from twistcap.io.cameras.axes import with_z_up
-from twistcap.io.recording import body_of, rig_of
+from twistcap.io.recording import body_of, open_recording, rig_of
 from twistcap.io.session import Session, load_session
 from twistcap.io.start_report import StartReport, check_body_upright, start_report
 
@@ -134,6 +134,26 @@ def test_views_that_contradict_each_other_and_a_wrong_format_are_told_apart(tmp_
     assert "their format is another one" in report(told, mixed).warnings[-1]
 
 
+def test_ten_pixels_are_too_many_in_a_small_image(tmp_path: Path, person: Posed) -> None:
+    """The person is some 230 px high there; in a large image, as of `balance_4view`, ten are usual."""
+    rig = ring()
+    points = keypoints(person, rig, noise=0.0)
+    angles = np.random.default_rng(5).uniform(0, 2 * np.pi, points.pixels.shape[:2])
+    points.pixels[...] += 12.0 * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    found = report(session(tmp_path, rig), points)
+    assert 8 < np.median(found.medians) < 13
+    (sentence,) = found.warnings
+    assert "clicks.csv are" in sentence and "px from the fitted body" in sentence
+
+
+def test_a_good_start_of_a_real_recording_is_not_doubted(shared_data: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TWISTCAP_DATA", str(shared_data))
+    told = load_session(Path(__file__).parents[2] / "examples" / "balance_4view.toml")
+    found = open_recording(told).report
+    assert found is not None and found.warnings == () and abs(found.stature - 1.74) < 0.08
+    assert np.all((found.medians > 5) & (found.medians < 16))  # px, of a person 1000 px high
+
+
 @pytest.mark.parametrize("axis", ["y", "-y", "x", "-z"])
 def test_another_axis_that_is_up_is_told_and_turned(tmp_path: Path, person: Posed, axis: Any) -> None:
     upright = ring()
@@ -161,6 +181,21 @@ def test_a_body_file_with_other_axes_is_blamed(person: Posed) -> None:
     )
     with pytest.raises(InputError, match=r"anna\.glb: in its rest pose the head is not above the feet"):
         check_body_upright(down, "anna.glb")
+
+
+def test_a_glb_that_was_exported_z_up_is_blamed(tmp_path: Path, person: Posed) -> None:
+    """glTF is y up; a file whose numbers are z up lies down when it is read as one."""
+    body, rig = person.body, ring()
+    turn = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    lying = replace(
+        body,
+        vertices=body.vertices @ turn.T,
+        landmarks=replace(body.landmarks, points=body.landmarks.points @ turn.T),
+    )
+    save_glb(lying, tmp_path / "anna.glb")
+    told = session(tmp_path, rig, body='kind = "glb"\npath = "anna.glb"')
+    with pytest.raises(InputError, match=r"anna\.glb: in its rest pose the head is not above the feet.*y up"):
+        body_of(told)
 
 
 def test_a_fast_wrist_is_not_blurred_by_several_frames(person: Posed) -> None:

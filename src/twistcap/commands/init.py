@@ -46,10 +46,10 @@ def init(
             start_unaided(clicking)
         html = page("init", f"First pose of {session.parent.resolve().name}", clicking.document())
     words.print(f"Save writes {clicking.target.path}.")
-    serve(html, {**clicking.answers, "/save": partial(_saved, clicking)}, port)
+    serve(html, {**clicking.answers, "/save": partial(save, clicking)}, port)
 
 
-def _saved(clicking: Any, question: Mapping[str, Any]) -> Mapping[str, Any]:
+def save(clicking: Any, question: Mapping[str, Any]) -> Mapping[str, Any]:
     """Save, and show in the terminal how well the saved pose fits."""
     from twistcap.commands.start import show_start
 

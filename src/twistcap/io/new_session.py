@@ -270,14 +270,9 @@ def missing(draft: Draft, session: Path, stature: float | None) -> list[str]:
 def next_steps(draft: Draft, session: Path, failed: bool = False) -> list[str]:
     """What comes next, in sentences with the command; `failed` where keypoints gave no first pose."""
     if len(draft.rig) < 2:
-        return ["Next: film with a second camera, calibrate both, and begin anew."]
+        return ["Next, film with a second camera, calibrate both, and begin anew."]
     clocks, init, track = (f"twistcap {command} {session}" for command in ("sync", "init", "track"))
-    steps = list[str]()
-    if _rates_differ(draft):
-        steps.append(f"find the clocks of the cameras:  {clocks}")
-    if failed:
-        steps.append(f"click the first pose:  {init}")
-    given = draft.keypoints or draft.detector is not None or (session.parent / "first_pose.json").is_file()
-    looked = "" if given or failed else f" (it looks for the first pose; if that is not clear: {init})"
-    steps.append(f"track{looked}:  {track}")
-    return [f"{'Then' if k else 'Next'} {step}" for k, step in enumerate(steps)]
+    steps = [f"find the clocks of the cameras:  {clocks}"] if _rates_differ(draft) else []
+    steps += [f"click the first pose:  {init}"] if failed else []
+    steps.append(f"track:  {track}")
+    return [f"{'Then' if k else 'Next'}, {step}" for k, step in enumerate(steps)]

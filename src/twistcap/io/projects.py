@@ -72,7 +72,7 @@ def draft_project(project: Project, folder: Path, unit: Unit | None = None, up: 
     found = up or (up_instead_of_z(rig) or "z" if project.format == "toml" else axis_up(rig))
     if found is None:
         raise InputError(f"calibration {project.calibration}: the images do not say what is up; say it with --up.")
-    notes = [f"A {project.program} project.", *project.notes]
+    notes = [f"A {project.program} project; its calibration is {project.calibration}.", *project.notes]
     if found != "z":
         notes.append(f"Up is {found} in its calibration, {'as said' if up else 'by the images'}: it is turned to z.")
     titles = {name or Path(path).stem: path for name, path in project.videos}
