@@ -36,16 +36,16 @@ def simcc_model(path: Path, size: tuple[int, int], split: int = 1) -> Path:
     """As RTMPose: for each joint the largest score of each column and row; a score falls to 0 four levels away."""
     from onnx.helper import make_node as make
 
-    constants: dict[str, Any] = {
-        "zero": np.int64([0]), "one": np.int64([1]), "channel": np.int64([1]), "std": np.float32([58.395]),
-        "mean": np.float32([123.675]), "reach": np.float32([4.0]), "x_ends": np.float32([1, 1, split]),
-    }  # fmt: skip
+    whole = {"zero": [0], "one": [1], "channel": [1]}
+    numbers = {"std": [58.395], "mean": [123.675], "reach": [4.0], "x_ends": [1, 1, split]}
+    constants: dict[str, Any] = {name: np.array(value, np.int64) for name, value in whole.items()}
+    constants |= {name: np.array(value, np.float32) for name, value in numbers.items()}
     nodes = [
         make("Slice", ["image", "zero", "one", "channel"], ["red"]),
         make("Mul", ["red", "std"], ["scaled"]), make("Add", ["scaled", "mean"], ["raw"]),
     ]  # fmt: skip
     for k, level in enumerate(LEVELS):
-        constants[f"level{k}"] = np.float32([level])
+        constants[f"level{k}"] = np.array([level], np.float32)
         nodes += [
             make("Sub", ["raw", f"level{k}"], [f"d{k}"]), make("Abs", [f"d{k}"], [f"a{k}"]),
             make("Sub", ["reach", f"a{k}"], [f"t{k}"]), make("Relu", [f"t{k}"], [f"h{k}"]),
@@ -67,7 +67,7 @@ def constant_model(path: Path, size: tuple[Any, Any], *outputs: Any, kind: int =
     nodes.append(make("Mul", ["m", "zero"], ["z"]))
     constants: dict[str, Any] = {"zero": np.float32(0.0)}
     for k, array in enumerate(outputs):
-        constants[f"c{k}"] = np.float32(array)
+        constants[f"c{k}"] = np.asarray(array, np.float32)
         nodes.append(make("Add", [f"c{k}", "z"], [f"out{k}"]))
     return saved(path, nodes, constants, size, {f"out{k}": np.shape(a) for k, a in enumerate(outputs)}, kind)
 

@@ -25,13 +25,12 @@ _POSE_LINES = (
     "\n[first_pose]",
     "# Where nothing is given, it is found in the images, unless first_pose.json lies here:",
     '# "twistcap init" writes that file from a handful of clicked joints.',
-    "# Or 2D keypoints of a detector near the first frame:",
+    "# Or a pose network finds keypoints in the first frame (pip install 'twistcap[detect]'):",
+    '# detector = "rtmo.onnx"',
+    "# Or 2D keypoints near the first frame are read:",
     "# [first_pose.keypoints]",
     '# format = "halpe_26"   # or "body_25", "body_25b", "coco_17", "coco_133", "blazepose"',
     '# folders = { cam01 = "pose/cam01_json" }   # one per camera',
-    "# Or a pose network that finds them (pip install 'twistcap[detect]'):",
-    "# [first_pose]",
-    '# detector = "rtmo.onnx"   # RTMO, or RTMPose',
 )
 
 

@@ -28,6 +28,7 @@ _LAYOUTS = {17: "coco_17", 26: "halpe_26", 133: "coco_133"}
 _MEAN, _STD = np.array([123.675, 116.28, 103.53]), np.array([58.395, 57.12, 57.375])  # of RTMPose's training, RGB
 _GREY, _MARGIN = 114, 1.25  # beside the image of RTMO; of the box about a person, as RTMPose was trained
 _SEEN = 0.3  # score of a keypoint, and of a person, that counts
+_PROVIDERS = ["CPUExecutionProvider"]
 _LARGEST_SIDE = 4096  # px of an input
 
 
@@ -104,7 +105,7 @@ def load_network(name: str) -> Network:
     options.log_severity_level = 4
     options.add_session_config_entry("session.load_model_format", "ONNX")  # its other format is not checked
     try:
-        session: Any = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+        session: Any = onnxruntime.InferenceSession(data, options, providers=_PROVIDERS, enable_fallback=0)
         inputs: Any = session.get_inputs()
     except Exception as error:  # as above
         raise InputError(f"model {name} is no ONNX file that ONNX Runtime can load.") from error
