@@ -143,7 +143,7 @@ def _opened(name: str) -> Any:
 
 
 def _time_stamps(name: str, container: Any) -> list[int] | None:
-    """In order of display; None where they make no sense: some lack, are the same, go back without need, are made up."""
+    """In order of display; None where they make no sense: some lack, are the same, go back or are made up."""
     if not container.streams.video:
         raise InputError(f"video {name} holds no video stream; is it a video file?")
     codec = container.streams.video[0].codec_context
