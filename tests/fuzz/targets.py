@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from support.cameras import ring
+from support.networks import one_stage_model
 from support.results import estimate, two_links
 from twistcap.body import Pose
 from twistcap.body.gltf import load_glb, save_glb
@@ -34,6 +35,7 @@ from twistcap.io.markers import write_trc
 from twistcap.io.masks import read_masks
 from twistcap.io.motion_files import poses_of_file, write_mot
 from twistcap.io.motion_library import read_library, write_library
+from twistcap.io.onnx_detector import load_network
 from twistcap.io.pose_file import body_at, read_pose, write_pose
 from twistcap.io.prior_file import read_prior, write_prior
 from twistcap.io.result import ResultWriter, read_result, read_state
@@ -160,11 +162,14 @@ def targets(folder: Path) -> Mapping[str, Target]:
         **{f"image {e}": (f"0001.{e}", _image) for e in ("png", "jpg", "bmp", "tif", "ppm")},
         "mask": ("mask.png", _mask),
         "video": ("a.mp4", lambda p: (len(s := open_source(p)), s.size, list(s.read(range(min(len(s), 6)))))),
+        "network": ("net.onnx", lambda p: load_network(str(p))),
         "result": ("result.h5", read_result),
         "state": ("result.h5", read_state),
     }  # fmt: skip
     made = {name: Target(folder / file, read) for name, (file, read) in by_name.items()}
-    return {name: target for name, target in made.items() if target.seed.exists()}  # C3D only where ezc3d is
+    return {
+        name: target for name, target in made.items() if target.seed.exists()
+    }  # C3D only where ezc3d is, networks where onnx is
 
 
 def _write_c3d(path: Path, points: Any) -> None:
@@ -178,6 +183,15 @@ def _write_c3d(path: Path, points: Any) -> None:
     file["data"]["points"], file["data"]["rotations"] = points, np.tile(np.eye(4)[:, :, None, None], (1, 1, 1, 3))
     file.add_parameter("ROTATION", "LABELS", ["r_thigh_4X4"])
     file.write(str(path))
+
+
+def _write_network(path: Path) -> None:
+    try:
+        import onnx  # noqa: F401  # pyright: ignore[reportUnusedImport]
+        import onnxruntime  # noqa: F401  # pyright: ignore[reportUnusedImport]
+    except ImportError:
+        return
+    one_stage_model(path, (32, 32), np.full((2, 17, 3), 0.8))
 
 
 def _cameras(name: str, seeds: Path) -> Callable[[Path], Any]:
@@ -261,6 +275,7 @@ def _write(folder: Path) -> None:
     write_pose(folder / "pose.json", man, poses[0])
     write_mot(folder / "walk.mot", man, np.arange(3) / 60, poses)
     write_bvh(folder / "walk.bvh", man, poses, 60.0)
+    _write_network(folder / "net.onnx")
     _write_c3d(folder / "points.c3d", rng.normal(size=(4, 2, 3)))
     write_trc(folder / "joints.trc", np.arange(3) / 60, ("knee_r", "tip"), rng.normal(size=(3, 2, 3)))
     write_prior(folder / "prior.npz", ParzenPrior(("a", "b"), rng.normal(size=(5, 2)), 0.1))

@@ -32,10 +32,11 @@ def test_variable_frame_rate_is_read_from_the_time_stamps(tmp_path: Path) -> Non
     np.testing.assert_allclose(found, times - times[0], atol=2e-5)
 
 
-def test_an_avi_with_b_frames_is_read_as_decoded(tmp_path: Path) -> None:
+@pytest.mark.parametrize("codec", ["libx264", "mpeg4", "mpeg2video"])
+def test_an_avi_with_b_frames_is_read_as_decoded(tmp_path: Path, codec: str) -> None:
     path = tmp_path / "old.avi"
     with av.open(str(path), "w") as container:
-        stream = container.add_stream("libx264", rate=Fraction(30))
+        stream = container.add_stream(codec, rate=Fraction(30))
         stream.width, stream.height, stream.pix_fmt = 384, 280, "yuv420p"
         stream.codec_context.max_b_frames = 3
         for k in range(30):

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import av
 import numpy as np
 import pytest
 
@@ -144,7 +146,18 @@ def test_what_does_not_fit_is_one_sentence(recorded: Path, capsys: pytest.Captur
 def test_unlike_rates_are_told_and_paired_by_time(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
     slow = video(recorded / "slow" / "cam10.mp4", fps=25)
     assert new(recorded, recorded / "videos" / "cam1.mp4", slow) == 0
-    assert "paired by time" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "paired by time" in told and "Next, find the clocks of the cameras:  twistcap sync" in told
+    assert "Then, track:  twistcap track" in told
+
+
+def test_folders_of_videos_name_the_cameras(recorded: Path) -> None:
+    """Each camera's folder holds a file of the same name, as action cameras write it."""
+    for name in ("cam1", "cam10"):
+        video(recorded / "takes" / name / "GOPR0001.mp4")
+    assert new(recorded, recorded / "takes") == 0
+    found = load_session(recorded / "mine" / "session.toml").videos
+    assert {name: Path(path).parent.name for name, path in found.items()} == {"cam1": "cam1", "cam10": "cam10"}
 
 
 def test_a_camera_is_known_by_its_folder() -> None:
@@ -154,8 +167,37 @@ def test_a_camera_is_known_by_its_folder() -> None:
     }
 
 
+@pytest.mark.parametrize("codec", ["mpeg4", "libx264"])
+def test_an_old_avi_with_b_frames_is_taken_as_decoded_and_said(
+    recorded: Path, codec: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("cam1", "cam10"):
+        avi(recorded / "old" / f"{name}.avi", codec)
+    assert new(recorded, recorded / "old") == 0
+    told = " ".join(capsys.readouterr().err.split())
+    assert "cam1.avi: its time stamps make no sense; frames are taken as they are decoded" in told
+    session = load_session(recorded / "mine" / "session.toml")
+    views = views_of(session, rig_of(session))
+    levels = [float(next(iter(views.sources[0].read([k]))).mean()) for k in range(len(views))]
+    assert len(views) == 12 and levels == sorted(levels) and levels[-1] > levels[0] + 180
+
+
+def avi(path: Path, codec: str) -> None:
+    """Grows brighter from frame to frame."""
+    path.parent.mkdir(exist_ok=True)
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream(codec, rate=Fraction(30))
+        stream.width, stream.height, stream.pix_fmt = *SIZE, "yuv420p"
+        stream.codec_context.max_b_frames = 2
+        for k in range(12):
+            image = np.full((SIZE[1], SIZE[0], 3), 20 + 18 * k, np.uint8)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
+        container.mux(stream.encode(None))
+
+
 def test_a_video_with_a_broken_end_is_refused(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
     good = recorded / "videos" / "cam1.mp4"
-    corrupted(good, recorded / "cam1.mp4", 0.8)
-    assert new(recorded, recorded / "cam1.mp4") == 2
-    assert "corrupt" in capsys.readouterr().err
+    for fraction in (0.2, 0.8):  # near the beginning, and in the last frames
+        corrupted(good, recorded / "cam1.mp4", fraction)
+        assert new(recorded, recorded / "cam1.mp4") == 2
+        assert "corrupt" in capsys.readouterr().err

@@ -20,13 +20,14 @@ from twistcap.adjust.first_pose import Proportions
 from twistcap.body import Pose, Posed, rescaled
 from twistcap.body.humanoid import humanoid
 from twistcap.commands.init import clicking_of
+from twistcap.commands.init import save as saved
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
+from twistcap.io import detectors
 from twistcap.io.pose_file import body_at, write_pose
 from twistcap.io.recording import open_recording
 from twistcap.io.session import load_session
 from twistcap.io.synthetic import write_session
-from twistcap.pages import detectors
 from twistcap.pages.assemble import page
 from twistcap.pages.clicking import LEAST_IOU, overlap
 from twistcap.studio import StudioConfig, capture
@@ -264,12 +265,17 @@ def test_clicks_say_what_is_wrong(made: Path, session: Path) -> None:
             answer({})
 
 
-def test_a_session_that_reads_clicks_gets_clicks(made: Path, session: Path) -> None:
+def test_a_session_that_reads_clicks_gets_clicks(made: Path, session: Path, capsys: pytest.CaptureFixture[str]) -> None:
     session.write_text(session.read_text().replace("[first_pose]\n", '[first_pose]\nclicks = "clicks.csv"\n'))
     clicking = clicking_of(load_session(session), session)
     assert clicking.document()["sliders"] is False
     clicking.fit({"clicks": clicked(made, clicking)})
-    clicking.save({})
+    capsys.readouterr()
+    saved(clicking, {})
+    how_well = capsys.readouterr().err
+    assert "First pose: px" in how_well and "Stature: fitted" in how_well and "knee_r" in how_well
+    assert run("track", session, "--frames", "0:1", "--out", session.parent / "out") == 0
+    assert how_well in capsys.readouterr().err  # `track` fits the same clicks
     recording = open_recording(load_session(session))
     assert clicking.shown is not None
     off = np.linalg.norm(Posed(recording.body, recording.first_pose).landmarks - clicking.shown.landmarks, axis=1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,8 +18,9 @@ def init(
     session: Annotated[Path, typer.Argument(help="Session TOML.", metavar="SESSION")],
     out: Annotated[Path | None, typer.Option(help="Pose file (.json) to write. Default: the session's own.")] = None,
     detector: Annotated[
-        str | None, typer.Option(help="Installed keypoint detector to start from (docs/how-to/first-pose.md).")
+        str | None, typer.Option(help="Keypoint detector to start from: MODEL.onnx, or the name of one.")
     ] = None,
+    people: Annotated[str | None, typer.Option(help="With --detector RTMPose: a YOLOX that finds people.")] = None,
     auto: Annotated[bool, typer.Option("--auto", help="Start from the pose that is found in the images.")] = False,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port on 127.0.0.1; 0 chooses a free one.")] = 0,
 ) -> None:
@@ -29,6 +32,8 @@ def init(
 
       twistcap init walk/session.toml --auto
 
+      twistcap init walk/session.toml --detector rtmo.onnx
+
       twistcap init walk/session.toml --port 8765    # on a remote machine: ssh -L 8765:127.0.0.1:8765 HOST
     """
     from twistcap.io.session import load_session
@@ -36,34 +41,38 @@ def init(
 
     with words.status("reading the first frame of every view"):
         loaded = load_session(session)
-        clicking = clicking_of(loaded, session, out, detector)
+        clicking = clicking_of(loaded, session, out, detector, people)
         if auto:
             start_unaided(clicking)
         html = page("init", f"First pose of {session.parent.resolve().name}", clicking.document())
     words.print(f"Save writes {clicking.target.path}.")
-    serve(html, clicking.answers, port)
+    serve(html, {**clicking.answers, "/save": partial(save, clicking)}, port)
 
 
-def clicking_of(session: Any, path: Path, out: Path | None = None, detector: str | None = None) -> Any:
+def save(clicking: Any, question: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Save, and show in the terminal how well the saved pose fits."""
+    from twistcap.commands.start import show_start
+
+    answer = clicking.answers["/save"](question)
+    show_start(clicking.report())
+    return answer
+
+
+def clicking_of(
+    session: Any, path: Path, out: Path | None = None, detector: str | None = None, people: str | None = None
+) -> Any:
     """What `init` serves, with existing clicks or keypoints; InputError for session, videos, detector or `out`."""
+    from twistcap.io.detectors import detected
     from twistcap.io.recording import body_of, rig_of, views_of
     from twistcap.io.unaided import silhouettes_of
     from twistcap.pages.clicking import Clicking, clicks_of
-    from twistcap.pages.detectors import detected
 
     rig, body = rig_of(session), body_of(session)
     views = views_of(session, rig)
-    numbers = views.numbers(views.indices[0])
-    pairs = zip(views.sources, numbers, strict=True)
-    images = tuple(None if k is None else next(iter(source.read([k]))) for source, k in pairs)
+    images = views.recorded(views.indices[0])
     target = target_of(session, path, out)
     clicking = Clicking(session, rig, images, body, target, silhouettes_of(session, views))
-    if detector is not None:
-        if any(image is None for image in images):
-            raise InputError("a camera has no image of the first frame for the detector; let `frames` start later.")
-        keypoints = detected(detector, [image for image in images if image is not None], rig)
-    else:
-        keypoints = _known(session, clicking)
+    keypoints = detected(detector, images, rig, people) if detector is not None else _known(session, clicking, views)
     if keypoints is not None:
         clicking.clicks = clicks_of(keypoints, rig, body.landmarks.names)
     _with_saved_pose(clicking)
@@ -102,20 +111,23 @@ def target_of(session: Any, path: Path, out: Path | None) -> Any:
     return Target(chosen, "file", "" if same else note)
 
 
-def _known(session: Any, clicking: Any) -> Any:
-    """Earlier clicks, or the keypoints that the session names."""
+def _known(session: Any, clicking: Any, views: Any) -> Any:
+    """Earlier clicks, or the keypoints that the session names or has detected, of the nearest frame."""
     from twistcap.io.keypoints import read_clicks
-    from twistcap.io.recording import keypoints_of
+    from twistcap.io.recording import detections_of, keypoints_of
     from twistcap.pages.clicking import clicks_beside
 
     path = clicking.target.path
     earlier = path if clicking.target.kind == "clicks" else clicks_beside(path)
     if earlier.is_file():
         return read_clicks(earlier, clicking.rig.names, clicking.generic.landmarks.names)
+    first = views.indices[0]
+    if (detector := session.first_pose.detector) is not None:
+        near = min(detector.frames or (first,), key=lambda frame: abs(frame - first))
+        return detections_of(detector.model_copy(update={"frames": (near,)}), clicking.rig, views)[0]
     table = session.first_pose.keypoints
     if table is None:
         return None
-    first = (session.frames or (0, 0))[0]
     nearest = min(range(len(table.frames)), key=lambda k: abs(table.frames[k] + table.offset - first))
     return keypoints_of(table, clicking.rig)[nearest]
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, cast
+from typing import Annotated, Any, cast, get_args
 
 import typer
 
@@ -13,15 +14,27 @@ from twistcap.errors import InputError, check_choice
 
 def new(
     folder: Annotated[Path, typer.Argument(help="Folder for session.toml; created if missing.", metavar="DIR")],
-    calibration: Annotated[Path, typer.Option(help="Calib.toml in the format of aniposelib or Pose2Sim.")],
+    calibration: Annotated[
+        Path | None, typer.Option(help="Calib.toml in the format of aniposelib or Pose2Sim.")
+    ] = None,
     videos: Annotated[
-        list[str], typer.Option(help="A video, a folder, or images. Write CAMERA=PATH if the name is not enough.")
-    ],
+        list[str] | None,
+        typer.Option(help="A video, a folder, or images. Write CAMERA=PATH if the name is not enough."),
+    ] = None,
     more: Annotated[
         list[str] | None, typer.Argument(help="More videos, as for --videos.", metavar="[VIDEO]...")
     ] = None,
+    project: Annotated[
+        Path | None, typer.Option(help="Folder of Pose2Sim, OpenCap, EasyMocap or FreeMoCap. Default: DIR itself.")
+    ] = None,
+    trial: Annotated[str | None, typer.Option(help="Trial of the project, if it has several.")] = None,
+    up: Annotated[str | None, typer.Option(help="Axis of a project's calibration that is up: x, -x, y …")] = None,
     unit: Annotated[str | None, typer.Option(help="m or mm: unit of the calibration, if it does not say.")] = None,
     stature: Annotated[float | None, typer.Option(help="Height of the person, m.")] = None,
+    detector: Annotated[
+        str | None, typer.Option(help="Keypoint detector for the first pose: MODEL.onnx, or the name of one.")
+    ] = None,
+    people: Annotated[str | None, typer.Option(help="With --detector RTMPose: a YOLOX that finds people.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite an existing session.toml.")] = False,
     json: terminal.Json = False,
 ) -> None:
@@ -33,32 +46,91 @@ def new(
 
       twistcap new walk --calibration Calib.toml --videos *.mp4 --stature 1.82
 
+      twistcap new walk --project pose2sim/Trial_1
+
+      twistcap new walk --calibration Calib.toml --videos walk/videos --detector rtmo.onnx
+
       twistcap new walk --calibration Calib.toml --videos left=a.mp4 --videos right=b.mp4
     """
-    from twistcap.io.calibration import Unit
-    from twistcap.io.new_session import draft_session, findings, missing, session_lines
-    from twistcap.io.recording import rig_of, views_of
-    from twistcap.io.session import load_session
-
     path = folder / "session.toml"
     if path.exists() and not force:
         raise InputError(f"{path} exists; choose another folder, or overwrite it with --force.")
     if stature is not None and not 0.3 < stature < 3.0:
         raise InputError(f"--stature is {stature}; it is the person's height in metres, such as 1.75.")
+    if people is not None and detector is None:
+        raise InputError("--people is for --detector; name both.")
+    given = [*(videos or []), *(more or [])]
+    draft, known = _drafted(folder, calibration, given, project, trial, up, unit)
+    draft = replace(draft, detector=detector, people=people)
+    _tell(_written(draft, path, stature or known), json)
+
+
+@dataclass(frozen=True)
+class _Written:
+    """A session that is written, and what is to be said of it."""
+
+    path: Path
+    found: list[str]
+    missing: list[str]
+    then: list[str]  # what comes next
+    report: Any  # on the first pose, if there is one
+
+
+def _drafted(
+    folder: Path, calibration: Path | None, videos: list[str], project: Path | None, trial: str | None,
+    up: str | None, unit: str | None,
+) -> tuple[Any, float | None]:  # fmt: skip
+    """The draft of calibration and videos, or of another program's project, and the person's stature if that has it."""
+    from twistcap.io.calibration import Unit
+    from twistcap.io.cameras.axes import Up
+    from twistcap.io.new_session import draft_session
+    from twistcap.io.projects import draft_project, found_project
+
     if unit is not None:
         check_choice("--unit", unit, ("m", "mm"))
-    draft = draft_session([*videos, *(more or [])], calibration, cast(Unit | None, unit))
-    terminal.output_folder(folder)
-    path.write_text(session_lines(draft, folder, stature), encoding="utf-8")
-    session = load_session(path)  # what was written must be what `track` reads
+    if up is not None:
+        check_choice("--up", up, get_args(Up))
+    if calibration is not None and videos:
+        return draft_session(videos, calibration, cast(Unit | None, unit)), None
+    if calibration is not None or videos:
+        raise InputError("give both --calibration and --videos, or neither for the folder of another program.")
+    found = found_project(project or folder, trial)
+    return draft_project(found, folder, cast(Unit | None, unit), cast(Up | None, up)), found.stature
+
+
+def _written(draft: Any, path: Path, stature: float | None) -> _Written:
+    """Write the session, read it as `track` would, and fit the first pose if it has keypoints."""
+    from twistcap.io.new_session import findings, missing, next_steps, session_lines
+    from twistcap.io.recording import open_recording, rig_of, views_of
+    from twistcap.io.session import load_session
+
+    terminal.output_folder(path.parent)
+    path.write_text(session_lines(draft, path.parent, stature), encoding="utf-8")
+    session = load_session(path)
     views_of(session, rig_of(session))
-    facts, lacks = findings(draft), missing(draft, path, stature)
+    lacks, report, has_keypoints = missing(draft, path, stature), None, bool(draft.keypoints or draft.detector)
+    if has_keypoints:
+        try:
+            with terminal.words.status("fitting the first pose"):
+                report = open_recording(session).report
+        except InputError as error:
+            lacks.append(f"A first pose: the keypoints give none ({str(error).rstrip('.')}).")
+    return _Written(path, findings(draft), lacks, next_steps(draft, path, has_keypoints and report is None), report)
+
+
+def _tell(made: _Written, json: bool) -> None:
+    from twistcap.commands.start import show_start, start_document
+
     if json:
-        terminal.emit({"id": "new", "session": path, "found": facts, "missing": lacks})
+        about = {"id": "new", "session": made.path, "found": made.found, "missing": made.missing, "next": made.then}
+        terminal.emit(about | {"first_pose": start_document(made.report)})
         return
-    typer.echo(path)
-    for sentence in facts:
+    typer.echo(made.path)
+    for sentence in made.found:
         typer.echo(sentence, err=True)
-    typer.echo("Still missing:" if lacks else "Nothing is missing.", err=True)
-    for sentence in lacks:
+    typer.echo("Still missing:" if made.missing else "Nothing is missing.", err=True)
+    for sentence in made.missing:
         typer.echo(f"- {sentence}", err=True)
+    show_start(made.report)
+    for sentence in made.then:
+        typer.echo(sentence, err=True)

@@ -105,6 +105,7 @@ def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str,
 
 
 def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Timing]:
+    from twistcap.commands.start import show_start
     from twistcap.io.provenance import made_of
     from twistcap.io.recording import open_recording
     from twistcap.io.result import ResultWriter
@@ -122,6 +123,7 @@ def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Ti
             words.print(f"{source.told}.", markup=False, soft_wrap=True)
     if recording.told:
         words.print(recording.told, markup=False, soft_wrap=True)
+    show_start(recording.report)
     tracker = session_tracker(session, recording.body, views)
     tracker.start(recording.first_pose, recording.first_time)
     config = session.model_dump(mode="json")

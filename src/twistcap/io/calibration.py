@@ -27,11 +27,12 @@ _GREATEST, _WIDEST = 1e6, 1 << 15  # of a number of a camera: px, m; of a side o
 _FIELDS = ("size", "matrix", "rotation", "translation")  # a table with none of them is no camera
 
 
-def read_rig(path: str | Path, unit: Unit | None = None) -> Rig:
+def read_rig(path: str | Path, unit: Unit | None = None, floor: float | None = 0.0) -> Rig:
     """Read a calibration and check that it can be true.
 
     `unit` is that of the translations; None takes ``unit`` in the file's ``[metadata]``, and metres where there is
-    none. Raises InputError for a missing file, a missing, malformed, non-finite or impossible entry;
+    none. `floor` is its height, m; None where the world's z is not upward. Raises InputError for a missing file; a
+    missing, malformed, non-finite or impossible entry;
     and what `check_plausible` raises.
     """
     path = Path(path)
@@ -52,7 +53,7 @@ def read_rig(path: str | Path, unit: Unit | None = None) -> Rig:
         if names.count(name) > 1:
             raise InputError(f"calibration {path}: two cameras are named {name!r}; give each its own name.")
     rig = Rig(cameras)
-    check_plausible(rig, source=f"calibration {path}")
+    check_plausible(rig, floor=floor, source=f"calibration {path}")
     return rig
 
 

@@ -1,7 +1,9 @@
 """Readers of 2D keypoints: OpenPose-style JSON (one file per frame and camera), and clicked joints as CSV or JSON.
 
 All give `Keypoints` in the landmark names of the built-in body. Orders of the detectors: OpenPose BODY_25 and
-BODY_25B (github.com/CMU-Perceptual-Computing-Lab, openpose and openpose_train), COCO (cocodataset.org).
+BODY_25B (github.com/CMU-Perceptual-Computing-Lab, openpose and openpose_train), COCO (cocodataset.org), HALPE_26
+(github.com/Fang-Haoshu/Halpe-FullBody), COCO-WholeBody's 133 (github.com/jin-s13/COCO-WholeBody) and BlazePose's 33
+(MediaPipe). Names that the body lacks, as of hands, do not count.
 """
 
 from __future__ import annotations
@@ -24,6 +26,9 @@ _COCO = (
     "nose", "eye_l", "eye_r", "ear_l", "ear_r", "shoulder_l", "shoulder_r", "elbow_l", "elbow_r", "wrist_l", "wrist_r",
     "hip_l", "hip_r", "knee_l", "knee_r", "ankle_l", "ankle_r",
 )  # fmt: skip
+_BLAZE = (
+    "shoulder", "elbow", "wrist", "pinky", "index", "thumb", "hip", "knee", "ankle", "heel", "toe",
+)  # fmt: skip
 LAYOUTS: Mapping[str, tuple[str, ...]] = {
     "body_25": (
         "nose", "neck", "shoulder_r", "elbow_r", "wrist_r", "shoulder_l", "elbow_l", "wrist_l", "mid_hip", "hip_r",
@@ -31,6 +36,16 @@ LAYOUTS: Mapping[str, tuple[str, ...]] = {
     ),
     "body_25b": (*_COCO, "neck", "head_top", *_FEET),
     "coco_17": _COCO,
+    "halpe_26": (
+        *_COCO, "head_top", "neck", "mid_hip", "toe_l", "toe_r", "small_toe_l", "small_toe_r", "heel_l", "heel_r",
+    ),
+    "coco_133": (
+        *_COCO, *_FEET, *(f"face_{k}" for k in range(68)), *(f"hand_{side}_{k}" for side in "lr" for k in range(21)),
+    ),
+    "blazepose": (
+        "nose", "eye_inner_l", "eye_l", "eye_outer_l", "eye_inner_r", "eye_r", "eye_outer_r", "ear_l", "ear_r",
+        "mouth_l", "mouth_r", *(f"{joint}_{side}" for joint in _BLAZE for side in "lr"),
+    ),
 }  # fmt: skip
 
 
@@ -46,26 +61,51 @@ def read_openpose(
     Args:
         files: JSON file of each camera, by camera name; a camera without one gives no keypoints.
         cameras: the rig's camera names, in order.
-        layout: "body_25", "body_25b" or "coco_17". BODY_25 and BODY_25B both have 25 points: the file does not say.
+        layout: a name of `LAYOUTS`. BODY_25 and BODY_25B both have 25 points: the file does not say.
         person: which entry of ``people``, for all cameras or by camera name; a file without people gives no keypoints.
         grids: pixel grid of the detector, by camera name, where it is not the video's.
 
     Raises InputError for an unknown layout or camera, a file that cannot be read, has another number of points, or has
     fewer people.
     """
+    people = read_people(files, cameras, layout, grids)
+    choice = list[int | None]()
+    for camera, persons in zip(cameras, people, strict=True):
+        chosen = person if isinstance(person, int) else person.get(camera, 0)
+        if len(persons) and not 0 <= chosen < len(persons):
+            held = f"the file holds {len(persons)} (counted from 0)"
+            raise InputError(f"{files[camera]}: person {chosen} is needed, but {held}.")
+        choice.append(chosen if len(persons) else None)
+    return of_people(people, choice, layout)
+
+
+def read_people(
+    files: Mapping[str, Path | str], cameras: Sequence[str], layout: str, grids: Mapping[str, Grid] | None = None
+) -> list[Float]:
+    """All people of each camera, (P, L, 3) x, y, confidence, in the video's pixels. Raises InputError as
+    `read_openpose`.
+    """
     if layout not in LAYOUTS:
         raise InputError(f"keypoint layout {layout!r} is unknown; use one of {', '.join(LAYOUTS)}.")
-    names = LAYOUTS[layout]
     _expect_cameras([*files, *(grids or {})], cameras, "the keypoints")
-    pixels, confidence = np.full((len(cameras), len(names), 2), np.nan), np.zeros((len(cameras), len(names)))
-    for c, camera in enumerate(cameras):
-        if camera in files:
-            chosen = person if isinstance(person, int) else person.get(camera, 0)
-            xyc = _read_person(Path(files[camera]), len(names), chosen)
-            seen = xyc[:, 2] > 0
-            grid = (grids or {}).get(camera, Grid())
-            pixels[c, seen] = (xyc[seen, :2] - grid.offset) / grid.scale
-            confidence[c, seen] = np.minimum(xyc[seen, 2], 1.0)
+    L, out = len(LAYOUTS[layout]), list[Float]()
+    for camera in cameras:
+        people = _read_people(Path(files[camera]), L) if camera in files else np.zeros((0, L, 3))
+        grid = (grids or {}).get(camera, Grid())
+        people[..., :2] = (people[..., :2] - grid.offset) / grid.scale
+        people[..., 2] = np.clip(people[..., 2], 0.0, 1.0)
+        out.append(people)
+    return out
+
+
+def of_people(people: Sequence[Float], choice: Sequence[int | None], layout: str) -> Keypoints:
+    """The keypoints of one person of each camera; none where the choice is None."""
+    names = LAYOUTS[layout]
+    pixels, confidence = np.full((len(people), len(names), 2), np.nan), np.zeros((len(people), len(names)))
+    for c, (persons, chosen) in enumerate(zip(people, choice, strict=True)):
+        if chosen is not None:
+            seen = persons[chosen, :, 2] > 0
+            pixels[c, seen], confidence[c, seen] = persons[chosen, seen, :2], persons[chosen, seen, 2]
     return Keypoints(names, pixels, confidence)
 
 
@@ -122,19 +162,20 @@ def _expect_cameras(named: Sequence[str], cameras: Sequence[str], where: str) ->
             raise InputError(f"{where}: camera {camera!r} has no calibration; the rig has {', '.join(cameras)}.")
 
 
-def _read_person(path: Path, L: int, person: int) -> Float:
-    """(L, 3) x, y, confidence of one person; all zero without people."""
+def _read_people(path: Path, L: int) -> Float:
+    """(P, L, 3) x, y, confidence of everybody in a file of OpenPose (``people``) or EasyMocap (``annots``)."""
     content = read_json_table(path)
-    if not isinstance(content.get("people"), list):
+    listed, key = ("annots", "keypoints") if "annots" in content else ("people", "pose_keypoints_2d")
+    people: Any = content.get(listed)
+    if not isinstance(people, list):
         raise InputError(f"{path}: field 'people' (a list) is missing; an OpenPose keypoint file has one.")
-    people: list[Any] = content["people"]
-    if not people:
-        return np.zeros((L, 3))
-    if not 0 <= person < len(people):
-        raise InputError(f"{path}: person {person} is needed, but the file holds {len(people)} (counted from 0).")
-    where = f"{path}: 'pose_keypoints_2d' of person {person}"
-    given = people[person].get("pose_keypoints_2d") if isinstance(people[person], dict) else None
-    return number_array(given, (3 * L,), where).reshape(L, 3)
+    out = np.zeros((len(people), L, 3))
+    for k, person in enumerate(people):
+        given = person.get(key) if isinstance(person, dict) else None
+        if listed == "annots" and isinstance(given, list) and all(isinstance(row, list) for row in given):
+            given = [number for row in given for number in row]
+        out[k] = number_array(given, (3 * L,), f"{path}: {key!r} of person {k}").reshape(L, 3)
+    return out
 
 
 def _csv_rows(path: Path) -> list[tuple[str, str, Any, Any, Any]]:

@@ -5,18 +5,33 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from glob import glob
 from pathlib import Path
 
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.io.calibration import Unit, read_rig
+from twistcap.io.cameras.axes import Up, check_z_up
+from twistcap.io.model_file import is_address, is_model_file
 from twistcap.io.video import Source, check_size, open_source
 
-_VIDEOS = {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".mts"}
+VIDEO_ENDINGS = {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".mts"}
 _IMAGES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
 _ENDS = 3  # frames at both ends of a video that are decoded before all is said to be well
+
+
+_POSE_LINES = (
+    "\n[first_pose]",
+    "# Where nothing is given, it is found in the images, unless first_pose.json lies here:",
+    '# "twistcap init" writes that file from a handful of clicked joints.',
+    "# Or a pose network finds keypoints in the first frame (pip install 'twistcap[detect]'):",
+    '# detector = "rtmo.onnx"',
+    "# Or 2D keypoints near the first frame are read:",
+    "# [first_pose.keypoints]",
+    '# format = "halpe_26"   # or "body_25", "body_25b", "coco_17", "coco_133", "blazepose"',
+    '# folders = { cam01 = "pose/cam01_json" }   # one per camera',
+)
 
 
 @dataclass(frozen=True)
@@ -29,6 +44,13 @@ class Draft:
     unit: Unit | None  # of the calibration; None where the file names it or it is metres
     calibration: Path  # its file
     unused: tuple[str, ...]  # calibrated cameras without a video
+    up: Up | None = None  # axis of the calibration that is up; None where it is z
+    floor_known: bool = True  # whether the world's z = 0 is the floor
+    keypoints: Mapping[str, Path] = field(default_factory=dict[str, Path])  # folders of JSON files, by camera
+    layout: str | None = None  # their format
+    detector: str | None = None  # model file, or name, of what finds keypoints
+    people: str | None = None  # model file that finds people for it
+    notes: tuple[str, ...] = ()  # on what was found and decided
 
     @property
     def frames(self) -> tuple[int, int]:
@@ -50,8 +72,14 @@ def draft_session(videos: Sequence[str], calibration: Path, unit: Unit | None = 
     or whose ends cannot be decoded, matches no camera or has another size than its calibration, and for cameras that
     two videos claim.
     """
-    rig = read_rig(calibration, unit)
+    rig = read_rig(calibration, unit, floor=None)
+    check_z_up(rig, f"calibration {calibration}")
     paths = matched([path for text in videos for path in recordings(text)], rig.names)
+    return drafted(rig, paths, calibration, unit)
+
+
+def drafted(rig: Rig, paths: Mapping[str, str], calibration: Path, unit: Unit | None = None) -> Draft:
+    """The draft of cameras and the path of each one's video, all opened. Raises InputError as `draft_session`."""
     used = Rig(tuple(camera for camera in rig if camera.name in paths))
     sources = {camera.name: open_source(paths[camera.name]) for camera in used}
     ordered = {name: paths[name] for name in used.names}
@@ -90,7 +118,10 @@ def matched(videos: Sequence[tuple[str | None, str]], cameras: Sequence[str]) ->
 def _camera_of(path: str, cameras: Sequence[str]) -> str:
     """By the name of the file, else of its folder, or of the folder above that."""
     stem = Path(path.split("%")[0].rstrip("/") if "%" in path else path)
-    titles = [stem.stem if stem.suffix.lower() in _VIDEOS else stem.name, *(up.name for up in list(stem.parents)[:2])]
+    titles = [
+        stem.stem if stem.suffix.lower() in VIDEO_ENDINGS else stem.name,
+        *(up.name for up in list(stem.parents)[:2]),
+    ]
     fitting = list[str]()
     for title in titles:
         fitting = _named(title.lower(), cameras)
@@ -129,8 +160,8 @@ def _in_folder(path: Path) -> list[str]:
         return [str(path)]
     folders = [p for p in inside if p.is_dir()]
     pictures = [str(p) for p in folders if any(q.suffix.lower() in _IMAGES for q in p.iterdir())]
-    below = [str(q) for p in folders for q in sorted(p.iterdir()) if q.suffix.lower() in _VIDEOS]
-    videos = [str(p) for p in inside if p.suffix.lower() in _VIDEOS] or pictures or below
+    below = [str(q) for p in folders for q in sorted(p.iterdir()) if q.suffix.lower() in VIDEO_ENDINGS]
+    videos = [str(p) for p in inside if p.suffix.lower() in VIDEO_ENDINGS] or pictures or below
     if not videos:
         raise InputError(f"folder {path} holds neither videos nor images; check --videos.")
     return videos
@@ -150,6 +181,8 @@ def session_lines(draft: Draft, folder: Path, stature: float | None) -> str:
         f"calibration = {_path(draft.calibration, folder)}",
         *([f'unit = "{draft.unit}"'] if draft.unit else []),
         *([f"use = {json.dumps(list(draft.rig.names))}"] if draft.unused else []),
+        *([f'up = "{draft.up}"  # axis of the calibration that is up'] if draft.up else []),
+        *([] if draft.floor_known else ["floor = false"]),
         "# floor = 0.0   # height of the floor, m; false where the world's z is not upward",
         "\n[videos]",
         *(
@@ -159,13 +192,7 @@ def session_lines(draft: Draft, folder: Path, stature: float | None) -> str:
         "\n[body]",
         'kind = "humanoid"',
         f"stature = {stature:g}  # m" if stature else "# stature = 1.75   # m; measure the person",
-        "\n[first_pose]",
-        "# Where nothing is given, it is found in the images, unless first_pose.json lies here:",
-        '# "twistcap init" writes that file from a handful of clicked joints.',
-        "# Or 2D keypoints of a detector near the first frame:",
-        "# [first_pose.keypoints]",
-        '# format = "body_25b"   # or "body_25", "coco_17"',
-        f'# folders = {{ {draft.rig.names[0]} = "pose/{draft.rig.names[0]}_json" }}   # one per camera',
+        *_pose_lines(draft, folder),
         "\n# [tracker]",
         '# method = "direct"   # or "levelset"',
         "\n[output]",
@@ -173,6 +200,27 @@ def session_lines(draft: Draft, folder: Path, stature: float | None) -> str:
         'exports = ["trc", "csv"]   # also mot, bvh, glb, c3d, opensim',
     ]
     return "\n".join(lines) + "\n"
+
+
+def _pose_lines(draft: Draft, folder: Path) -> Sequence[str]:
+    if draft.detector is not None:
+        named = {"model": draft.detector} | ({"people": draft.people} if draft.people else {})
+        return ["\n[first_pose.detector]", *(f"{key} = {_model(name, folder)}" for key, name in named.items())]
+    if not draft.keypoints:
+        return _POSE_LINES
+    paths = {json.dumps(name, ensure_ascii=False): _path(path, folder) for name, path in draft.keypoints.items()}
+    return [
+        "\n[first_pose.keypoints]",
+        f'format = "{draft.layout}"',
+        "frames = [0]   # numbers of the JSON files, near the first frame",
+        f"folders = {{ {', '.join(f'{name} = {path}' for name, path in paths.items())} }}",
+    ]
+
+
+def _model(name: str, folder: Path) -> str:
+    """A model file's path from the session; addresses and names stay."""
+    local = is_model_file(name) and not is_address(name)
+    return _path(Path(name).expanduser(), folder) if local else json.dumps(name)
 
 
 def _path(path: Path, folder: Path) -> str:
@@ -187,13 +235,18 @@ def findings(draft: Draft) -> list[str]:
     out = [f"{len(draft.rig)} cameras ({', '.join(draft.rig.names)}), {fewest} frames, {rate}; all sizes agree."]
     if fewest < most:
         out.append(f"The videos differ in length ({fewest} to {most} frames): frames = [0, {fewest - 1}] is set.")
-    if rates and max(rates.values()) - min(rates.values()) > 0.001 * max(rates.values()):
+    if _rates_differ(draft):
         listed = ", ".join(f"{name} {rate:g}" for name, rate in rates.items())
         out.append(f"Frame rates differ ({listed}): frames are paired by time. Find the clocks with twistcap sync.")
-    out += [f"{source.told}." for source in draft.sources.values() if source.told]
+    out += [*draft.notes, *(f"{source.told}." for source in draft.sources.values() if source.told)]
     if draft.unused:
         out.append(f"Calibrated, but without a video: {', '.join(draft.unused)}; they are left out by [cameras] use.")
     return out
+
+
+def _rates_differ(draft: Draft) -> bool:
+    rates = draft.rates.values()
+    return bool(rates) and max(rates) - min(rates) > 0.001 * max(rates)
 
 
 def missing(draft: Draft, session: Path, stature: float | None) -> list[str]:
@@ -206,8 +259,19 @@ def missing(draft: Draft, session: Path, stature: float | None) -> list[str]:
     if not draft.rates:
         out.append("The frame rate: 60 is set. Put the true one into fps.")
     pose = session.parent / "first_pose.json"
-    if not pose.is_file():
+    if not pose.is_file() and not draft.keypoints and draft.detector is None:
         by_clicks = f"click it with:  twistcap init {session}"
         out.append(f"The first pose: track looks for it in the images. If it is not clear there, {by_clicks}")
         out.append("Keypoints: none are named. They can replace the search ([first_pose.keypoints] in the file).")
     return out
+
+
+def next_steps(draft: Draft, session: Path, failed: bool = False) -> list[str]:
+    """What comes next, in sentences with the command; `failed` where keypoints gave no first pose."""
+    if len(draft.rig) < 2:
+        return ["Next, film with a second camera, calibrate both, and begin anew."]
+    clocks, init, track = (f"twistcap {command} {session}" for command in ("sync", "init", "track"))
+    steps = [f"find the clocks of the cameras:  {clocks}"] if _rates_differ(draft) else []
+    steps += [f"click the first pose:  {init}"] if failed else []
+    steps.append(f"track:  {track}")
+    return [f"{'Then' if k else 'Next'}, {step}" for k, step in enumerate(steps)]

@@ -15,7 +15,7 @@ from twistcap.adjust.first_pose import (
     pose_at,
     refine_on_silhouettes,
 )
-from twistcap.arrays import Bool
+from twistcap.arrays import Bool, Float
 from twistcap.body import Body, Pose, Posed, rescaled
 from twistcap.body.gltf import load_glb
 from twistcap.body.humanoid import humanoid
@@ -24,12 +24,16 @@ from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
 from twistcap.io.calibration import read_rig
+from twistcap.io.cameras.axes import check_z_up, with_z_up
 from twistcap.io.clocks import Clock, Timeline, image_times
-from twistcap.io.keypoints import openpose_files, read_clicks, read_openpose
+from twistcap.io.detectors import detected
+from twistcap.io.keypoints import of_people, openpose_files, read_clicks, read_openpose, read_people
 from twistcap.io.masks import read_masks, rectified_masks
+from twistcap.io.people import same_person
 from twistcap.io.plausible import check_plausible, check_upright
 from twistcap.io.pose_file import body_at, read_pose
-from twistcap.io.session import CameraGrid, GlbBody, HumanoidBody, KeypointSet, Session
+from twistcap.io.session import CameraGrid, DetectorTable, GlbBody, HumanoidBody, KeypointSet, Session
+from twistcap.io.start_report import StartReport, check_body_upright, start_report
 from twistcap.io.unaided import found_unaided, told
 from twistcap.io.video import Views, open_source, open_views
 
@@ -44,6 +48,7 @@ class Recording:
     body: Body  # at the fitted lengths
     first_pose: Pose  # the pose of the first frame
     told: str = ""  # how it was found, where that must be said
+    report: StartReport | None = None  # how well it fits, where it was fitted to keypoints or clicks
 
     @property
     def first_time(self) -> float:
@@ -62,7 +67,9 @@ def open_recording(session: Session) -> Recording:
 
 def _opened(session: Session, rig: Rig, views: Views, body: Body) -> Recording:
     if not session.first_pose.unaided:
-        return Recording(session, rig, views, *first_pose_of(session, rig, body, views))
+        start, pose = _first_pose(session, rig, body, views)
+        return Recording(session, rig, views, start.body, pose, report=start.report)
+    check_z_up(rig, f"calibration {session.cameras.calibration}")
     proof = found_unaided(session, body, views, floor_of(session))
     start = _with_girths(session, rig, _Start(body, (float(views.indices[0]),), (proof.first,)))
     check_first_pose(session, rig, start.body, proof.first)
@@ -94,7 +101,11 @@ def image_masks(session: Session, rig: Rig) -> dict[int, tuple[Bool | None, ...]
 
 def rig_of(session: Session) -> Rig:
     """The cameras in use, in the order of ``[cameras] use`` or of the file."""
-    rig = read_rig(session.cameras.calibration, session.cameras.unit)
+    rig = read_rig(session.cameras.calibration, session.cameras.unit, floor=None)
+    if (up := session.cameras.up) is not None:
+        rig = with_z_up(rig, up)
+    elif floor_of(session) is not None:
+        check_z_up(rig, f"calibration {session.cameras.calibration}")
     use = session.cameras.use or rig.names
     for name in use:
         if name not in rig.names:
@@ -151,7 +162,7 @@ def _clocks(session: Session) -> dict[str, Clock]:
 
 
 def body_of(session: Session) -> Body:
-    """The generic body of ``[body]``, before any fit."""
+    """The generic body of ``[body]``, before any fit. Raises InputError for a file that is no upright body."""
     body = session.body
     if isinstance(body, HumanoidBody):
         return humanoid(**body.model_dump(exclude={"kind"}))
@@ -160,11 +171,17 @@ def body_of(session: Session) -> Body:
     else:
         targets: dict[Path | str, float] = {Path(path): weight for path, weight in body.targets.items()}
         loaded = load_makehuman(body.path, body.rig, body.weights, targets, body.spec)
+    check_body_upright(loaded, f"body {body.path}")
     return rescaled(loaded, body.lengths, body.girths, body.stature)
 
 
 def first_pose_of(session: Session, rig: Rig, body: Body, views: Views) -> tuple[Body, Pose]:
     """Body (at the fitted lengths and girths) and pose of the first frame, checked against floor and cameras."""
+    start, pose = _first_pose(session, rig, body, views)
+    return start.body, pose
+
+
+def _first_pose(session: Session, rig: Rig, body: Body, views: Views) -> tuple[_Start, Pose]:
     start = _start(session, rig, body, views)
     first = views.indices[0]
     check_first_pose(session, rig, start.body, start.at(first))
@@ -174,7 +191,7 @@ def first_pose_of(session: Session, rig: Rig, body: Body, views: Views) -> tuple
         masks = read_masks(session.first_pose.masks, rig, first)
         pose = refine_on_silhouettes(start.body, rig, [pose], [masks]).poses[0]
     check_first_pose(session, rig, start.body, pose)
-    return start.body, pose
+    return start, pose
 
 
 def check_first_pose(session: Session, rig: Rig, body: Body, pose: Pose) -> None:
@@ -194,30 +211,47 @@ class _Start:
     body: Body
     frames: tuple[float, ...]
     poses: tuple[Pose, ...]
+    sigmas: tuple[Float, ...] = ()  # (6 + J,) of each, where known
+    report: StartReport | None = None
 
     def at(self, frame: float) -> Pose:
-        return self.poses[0] if len(self.poses) == 1 else pose_at(self.poses, self.frames, frame)
+        return self.poses[0] if len(self.poses) == 1 else pose_at(self.poses, self.frames, frame, self.sigmas or None)
 
 
 def _start(session: Session, rig: Rig, body: Body, views: Views) -> _Start:
-    """From a file, from clicks, or one fit over instants near the first frame and those that only serve the lengths."""
+    """From a file, from clicks, or from keypoints near the first frame, read or detected."""
     table, first = session.first_pose, float(views.indices[0])
     if table.file is not None:
-        body = body_at(table.file, body) if table.fit_lengths else body
+        body = body if table.fit_lengths is False else body_at(table.file, body)
         return _Start(body, (first,), (read_pose(table.file, body, table.frame),))
     if table.clicks is not None:
-        fit = fit_keypoints(body, rig, read_clicks(table.clicks, rig.names), fit_lengths=table.fit_lengths)
-        return _Start(fit.body, (first,), (fit.pose,))
+        clicks = read_clicks(table.clicks, rig.names)
+        fit = fit_keypoints(body, rig, clicks, fit_lengths=session.fits_lengths)
+        return _Start(fit.body, (first,), (fit.pose,), report=start_report(session, rig, body, clicks, fit))
+    if table.detector is not None:
+        numbers = table.detector.frames or (views.indices[0],)
+        own = detections_of(table.detector, rig, views)
+        return _from_instants(session, rig, body, own, tuple(map(float, numbers)), first)
     assert table.keypoints is not None
     own = keypoints_of(table.keypoints, rig, views)
+    frames = tuple(number + table.keypoints.offset for number in table.keypoints.frames)
+    return _from_instants(session, rig, body, own, frames, first)
+
+
+def _from_instants(
+    session: Session, rig: Rig, body: Body, own: Sequence[Keypoints], frames: tuple[float, ...], first: float
+) -> _Start:
+    """One fit over the keypoints of these frames and of those that only serve the lengths."""
     instants, rigs = list(own), [rig] * len(own)
-    for extra in table.lengths_from:
-        theirs = read_rig(extra.calibration, extra.unit) if extra.calibration else rig
+    for extra in session.first_pose.lengths_from:
+        theirs = read_rig(extra.calibration, extra.unit, floor=None) if extra.calibration else rig
         instants += keypoints_of(extra, theirs)
         rigs += [theirs] * (len(instants) - len(rigs))
-    fits = fit_keypoints_sequence(body, rigs, instants, fit_lengths=table.fit_lengths)[: len(own)]
-    frames = tuple(number + table.keypoints.offset for number in table.keypoints.frames)
-    return _Start(fits[0].body, frames, tuple(fit.pose for fit in fits))
+    fits = fit_keypoints_sequence(body, rigs, instants, fit_lengths=session.fits_lengths)[: len(own)]
+    near = int(np.argmin(np.abs(np.array(frames) - first)))
+    report = start_report(session, rig, body, own[near], fits[near])
+    sigmas = tuple(np.sqrt(np.diag(fit.covariance)) for fit in fits)
+    return _Start(fits[0].body, frames, tuple(fit.pose for fit in fits), sigmas, report)
 
 
 def _with_girths(session: Session, rig: Rig, start: _Start) -> _Start:
@@ -243,10 +277,29 @@ def keypoints_of(table: KeypointSet, rig: Rig, views: Views | None = None) -> Se
     for name in (*table.folders, *table.grid):
         if name not in rig.names:
             raise InputError(f"[first_pose] keypoints name the camera {name!r}, which is not in use; remove it.")
-    return [
-        read_openpose(_files_at(table, rig, frame, views), rig.names, table.format, table.person, table.grid)
-        for frame in table.frames
-    ]
+    if isinstance(table.person, int):
+        files = [_files_at(table, rig, frame, views) for frame in table.frames]
+        return [read_openpose(each, rig.names, table.format, table.person, table.grid) for each in files]
+    pinned, out, before = (table.person if isinstance(table.person, dict) else {}), list[Keypoints](), None
+    for frame in table.frames:
+        people = read_people(_files_at(table, rig, frame, views), rig.names, table.format, table.grid)
+        choice, joints = same_person(rig, people, pinned, before)
+        before = joints if np.isfinite(joints).any() else before
+        out.append(of_people(people, choice, table.format))
+    return out
+
+
+def detections_of(table: DetectorTable, rig: Rig, views: Views) -> list[Keypoints]:
+    """What a detector finds in each of its frames, by default the first one.
+
+    Raises InputError as `detected`, or for a frame after the end.
+    """
+    frames = table.frames or (views.indices[0],)
+    if max(frames) >= len(views.sources[views.timeline.reference]):
+        raise InputError(
+            f"[first_pose] detector: frame {max(frames)} is after the end of the video; name earlier ones."
+        )
+    return [detected(table.model, views.recorded(frame), rig, table.people) for frame in frames]
 
 
 def _files_at(table: KeypointSet, rig: Rig, frame: int, views: Views | None) -> dict[str, Path]:

@@ -11,211 +11,44 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, ValidationInfo, model_validator
+from pydantic import Field, PrivateAttr
 
 from twistcap.doors.text import read_toml
 from twistcap.errors import InputError
+from twistcap.io.session_tables import (
+    FIRST_POSE,
+    SOURCES,
+    CameraGrid,
+    Cameras,
+    ClockTable,
+    DataPath,
+    DetectorTable,
+    FirstPoseTable,
+    FitGirths,
+    GlbBody,
+    Grid,
+    HumanoidBody,
+    KeypointSet,
+    MotionsTable,
+    ObjBody,
+    Output,
+    PriorTable,
+    Table,
+)  # fmt: skip
 from twistcap.io.strict import dataclass_from, validated
-from twistcap.motion import MotionKind
 
 if TYPE_CHECKING:
     from twistcap.motion import MotionLibrary
     from twistcap.priors import ParzenPrior
     from twistcap.settings import Settings
 
-
-def _from_folder(path: str, info: ValidationInfo) -> str:
-    folder = (info.context or {}).get("folder", Path())
-    return os.path.normpath(Path(folder) / Path(path).expanduser())
-
-
-DataPath = Annotated[str, AfterValidator(_from_folder)]
-
-
-def _known_format(name: str) -> str:
-    from twistcap.io.exports import FORMATS
-
-    FORMATS.get(name)
-    return name
-
-
-ExportName = Annotated[str, AfterValidator(_known_format)]
-Factors = dict[str, Annotated[float, Field(gt=0)]]
-
-
-class Table(BaseModel):
-    """A TOML table; unknown keys are errors."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class CameraGrid(Table):
-    """How a video's pixels relate to its calibration's: ``video = scale · calibration + offset``, per axis (x, y)."""
-
-    scale: tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]] = (1.0, 1.0)
-    offset: tuple[float, float] = (0.0, 0.0)
-    size: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]] | None = None
-
-
-class Cameras(Table):
-    """``[cameras]``: calibration file, its unit, the cameras to use (all) and the height of the floor (m, or false).
-
-    `grid` is for videos that were resized or shifted after the cameras were calibrated.
-    """
-
-    calibration: DataPath
-    unit: Literal["m", "mm"] | None = None
-    use: tuple[str, ...] | None = None
-    floor: float | Literal[False] = 0.0
-    grid: dict[str, CameraGrid] = {}
-
-
-class ClockTable(Table):
-    """``[clocks.CAM]``: a camera's own time t, 0 at its first image, is ``rate t + offset`` (s) of the recording.
-
-    `fps` replaces the time stamps of its video.
-    """
-
-    offset: float = Field(0.0, ge=-1e6, le=1e6)
-    rate: float = Field(1.0, ge=0.01, le=100)
-    fps: float | None = Field(None, ge=0.01, le=100_000)
-
-
-class HumanoidBody(Table):
-    """``[body] kind = "humanoid"``: the built-in person."""
-
-    kind: Literal["humanoid"] = "humanoid"
-    variant: Literal["full", "legs"] = "full"
-    stature: float = Field(default=1.75, gt=0.3, lt=3.0)
-    lengths: Factors = {}
-    girths: Factors = {}
-    thorax: bool = False
-    neck: bool = True
-    clavicles: bool = False
-    wrists: bool = False
-
-
-class _Loaded(Table):
-    """A body of files, and the factors on its size."""
-
-    path: DataPath
-    rig: DataPath | None = None
-    stature: float = Field(default=1.0, gt=0)
-    lengths: Factors = {}
-    girths: Factors = {}
-
-
-class GlbBody(_Loaded):
-    """``[body] kind = "glb"``: a skinned GLB or glTF and the TOML that describes its joints."""
-
-    kind: Literal["glb"]
-
-
-class ObjBody(_Loaded):
-    """``[body] kind = "obj"``: an OBJ with a MakeHuman-style rig and weights."""
-
-    kind: Literal["obj"]
-    weights: DataPath | None = None
-    spec: DataPath | None = None
-    targets: dict[DataPath, float] = {}
-
-
-class Grid(Table):
-    """How a detector's pixels relate to the video's: ``detector = scale · video + offset``, per axis (x, y), px."""
-
-    scale: tuple[float, float] = (1.0, 1.0)
-    offset: tuple[float, float] = (0.0, 0.0)
-
-
-class KeypointSet(Table):
-    """2D keypoints of some instants: a folder of OpenPose-style JSON files per camera.
-
-    `frames` are file numbers; file j belongs to video frame ``j + offset``.
-    """
-
-    format: Literal["body_25", "body_25b", "coco_17"] = "body_25"
-    folders: dict[str, DataPath]
-    frames: tuple[Annotated[int, Field(ge=0)], ...] = (0,)
-    offset: float = 0.0
-    person: int | dict[str, int] = 0
-    grid: dict[str, Grid] = {}
-    calibration: DataPath | None = None
-    unit: Literal["m", "mm"] | None = None
-
-
-FIRST_POSE = "first_pose.json"
-"""The file beside a session that is its first pose, where the session names none."""
-_SOURCES = ("auto", "file", "clicks", "keypoints")
-
-
-class FirstPoseTable(Table):
-    """``[first_pose]``: one of file, clicks and keypoints, or none: it is found in the images (``"auto"``).
-
-    `plates` is a folder of pictures without the person, ``CAM.png``, for that.
-    """
-
-    auto: bool = False
-    plates: DataPath | None = None
-    file: DataPath | None = None
-    frame: int | None = None
-    clicks: DataPath | None = None
-    keypoints: KeypointSet | None = None
-    lengths_from: tuple[KeypointSet, ...] = ()
-    fit_lengths: bool = True
-    masks: DataPath | None = None
-    refine: bool = True
-    upright: bool = True
-
-    @model_validator(mode="after")
-    def _one_source(self) -> FirstPoseTable:
-        given = [name for name in _SOURCES if getattr(self, name)]
-        if len(given) > 1:
-            raise ValueError(f"give one of auto, file, clicks and keypoints, not {' and '.join(given)}")
-        if not given and "auto" in self.model_fields_set:
-            raise ValueError("auto is false; give one of file, clicks and keypoints")
-        return self
-
-    @property
-    def unaided(self) -> bool:
-        """Whether it is to be found in the images."""
-        return not any((self.file, self.clicks, self.keypoints))
-
-
-class PriorTable(Table):
-    """``[prior]``: a pose prior that `twistcap prior train` made, and how much it counts."""
-
-    path: DataPath
-    strength: float | None = Field(None, ge=0)
-    sigma: float | None = Field(None, gt=0)
-    scale: Factors = {}
-
-
-class MotionsTable(Table):
-    """``[motions]``: training motion of `twistcap motions build`, which predicts also without images."""
-
-    path: DataPath
-    kind: MotionKind | None = None
-
-
-class FitGirths(Table):
-    """``[fit_girths]``: one girth factor per kind of segment, fitted on given silhouettes."""
-
-    masks: DataPath
-    frames: tuple[Annotated[int, Field(ge=0)], ...] = (0,)
-
-
-class Output(Table):
-    """``[output]``: folder, and which files beside result.h5 to write, and how; see `io.exports`."""
-
-    folder: str | None = None
-    overlay: bool = True
-    report: bool = True
-    exports: tuple[ExportName, ...] = ("trc", "csv")
-    axes: Literal["opensim", "pose2sim", "z_up"] = "opensim"
-    angles: Literal["opensim", "isb"] = "opensim"
-    fill: bool = False
+__all__ = [
+    "FIRST_POSE", "CameraGrid", "Cameras", "ClockTable", "DetectorTable", "FirstPoseTable", "FitGirths", "GlbBody",
+    "Grid", "HumanoidBody", "KeypointSet", "MotionsTable", "ObjBody", "Output", "PriorTable", "Session", "Table",
+    "load_session", "tracker_settings",
+]  # fmt: skip
 
 
 class Session(Table):
@@ -229,13 +62,13 @@ class Session(Table):
     scale: float = Field(1.0, ge=0.02, le=4)
     cameras: Cameras
     videos: dict[str, DataPath]
-    clocks: dict[str, ClockTable] = {}
+    clocks: dict[str, ClockTable] = Field({})
     body: Annotated[HumanoidBody | GlbBody | ObjBody, Field(discriminator="kind", default_factory=HumanoidBody)]
     first_pose: FirstPoseTable = FirstPoseTable()
     fit_girths: FitGirths | None = None
     prior: PriorTable | None = None
     motions: MotionsTable | None = None
-    tracker: dict[str, Any] = {}
+    tracker: dict[str, Any] = Field({})
     output: Output = Output()
     _source: str = PrivateAttr(default="")
 
@@ -247,6 +80,12 @@ class Session(Table):
     def title(self) -> str:
         """Name of the session file, for headings."""
         return Path(self._source).stem
+
+    @property
+    def fits_lengths(self) -> bool:
+        """Whether the first pose changes the body's lengths: as said, else not those of a GLB, which is somebody."""
+        said = self.first_pose.fit_lengths
+        return not isinstance(self.body, GlbBody) if said is None else said
 
     @property
     def tracker_settings(self) -> Settings:
@@ -310,7 +149,7 @@ def _first_pose(table: Any, beside: Path) -> Any:
     """The table; where it names nothing, with the file that `twistcap init` has left beside the session."""
     if table == "auto":
         return {"auto": True}
-    if isinstance(table, dict) and beside.is_file() and not any(name in table for name in _SOURCES):
+    if isinstance(table, dict) and beside.is_file() and not any(name in table for name in SOURCES):
         return table | {"file": str(beside.resolve())}
     return table
 
@@ -356,8 +195,8 @@ def _without_replaced(below: dict[str, Any], above: dict[str, Any]) -> dict[str,
     kinds = {table.get("kind", "humanoid") for table in (body, out.get("body")) if isinstance(table, dict)}
     if len(kinds) > 1:
         del out["body"]
-    if isinstance(pose, dict) and isinstance(out.get("first_pose"), dict) and any(name in pose for name in _SOURCES):
-        out["first_pose"] = {k: v for k, v in out["first_pose"].items() if k not in (*_SOURCES, "lengths_from")}
+    if isinstance(pose, dict) and isinstance(out.get("first_pose"), dict) and any(name in pose for name in SOURCES):
+        out["first_pose"] = {k: v for k, v in out["first_pose"].items() if k not in (*SOURCES, "lengths_from")}
     return out
 
 

@@ -143,7 +143,7 @@ def _opened(name: str) -> Any:
 
 
 def _time_stamps(name: str, container: Any) -> list[int] | None:
-    """In order of display; None where they make no sense: some lack, two are the same, or they go back without need."""
+    """In order of display; None where they make no sense: some lack, are the same, go back or are made up."""
     if not container.streams.video:
         raise InputError(f"video {name} holds no video stream; is it a video file?")
     codec = container.streams.video[0].codec_context
@@ -152,6 +152,8 @@ def _time_stamps(name: str, container: Any) -> list[int] | None:
     width, height = codec.width, codec.height
     if width * height > MOST_PIXELS:
         raise InputError(f"video {name} is {width}×{height} pixels; at most {MOST_PIXELS >> 20} megapixels are read.")
+    if "avi" in container.format.name.split(",") and codec.has_b_frames:
+        return None  # AVI holds no times of display; what FFmpeg makes up for them is another after a seek
     packets = [p for p in container.demux(container.streams.video[0]) if p.size and not p.is_discard]
     if not packets:
         raise InputError(f"video {name} holds no frame.")

@@ -113,6 +113,11 @@ class Views:
         found = [self.timeline.images(c, [index])[0] for c in range(len(self.rig))]
         return [None if images is None else images.nearest for images in found]
 
+    def recorded(self, index: int) -> tuple[AnyArray | None, ...]:
+        """The images (H, W, 3) RGB nearest to a frame, as recorded: full size, with the lens's distortion."""
+        pairs = zip(self.sources, self.numbers(index), strict=True)
+        return tuple(None if k is None else next(source.read([k])) for source, k in pairs)
+
     @property
     def lags(self) -> Float:
         """(C, F) s by which each frame's nearest image was taken after the time of the frame; 0 where there is none."""

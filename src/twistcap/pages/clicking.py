@@ -23,6 +23,7 @@ from twistcap.io.keypoints import clicked
 from twistcap.io.pose_file import write_pose
 from twistcap.io.recording import check_first_pose
 from twistcap.io.session import Session
+from twistcap.io.start_report import StartReport, start_report
 from twistcap.io.unaided import Silhouette
 from twistcap.pages.assemble import jpeg
 from twistcap.pages.outlines import body_outlines, flat
@@ -63,6 +64,7 @@ class Clicking:
     clicks: Clicks = field(default_factory=lambda: dict[str, dict[str, tuple[float, float]]]())
     shown: Posed | None = None  # body and pose at present; None before the first fit
     proportions: Proportions = field(default_factory=lambda: Proportions({}, {}))
+    last: tuple[Keypoints, FirstPose] | None = None  # clicks and what was fitted to them; sliders may have moved it
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     @property
@@ -130,6 +132,7 @@ class Clicking:
         if self.target.kind == "clicks":
             self._fitted({}, None)  # as the tracker will see it
         check_first_pose(self.session, self.rig, self.shown.body, self.shown.pose)
+        report = self.report()
         try:
             self.target.path.parent.mkdir(parents=True, exist_ok=True)
             if self.target.kind == "file":
@@ -139,17 +142,23 @@ class Clicking:
                 write_clicks(self.target.path, self.clicks)
         except OSError as error:
             raise InputError(f"{self.target.path} cannot be written: {error.strerror}.") from error
-        return {**self._state(), "saved": str(self.target.path), "note": self.target.note}
+        note = " ".join([*([self.target.note] if self.target.note else []), *(report.warnings if report else ())])
+        return {**self._state(), "saved": str(self.target.path), "note": note}
+
+    def report(self) -> StartReport | None:
+        """How well the body fits the clicks; None before a fit. Raises InputError for a person of impossible size."""
+        return self.last and start_report(self.session, self.rig, self.generic, *self.last)
 
     def _fitted(self, held: Mapping[str, float], start: Pose | None) -> FirstPose:
         limits = self.generic.limits.copy()
         for name, angle in held.items():
             limits[self.generic.coordinate(name)] = angle
-        body, lengths = replace(self.generic, limits=limits), self.session.first_pose.fit_lengths
+        body, lengths = replace(self.generic, limits=limits), self.session.fits_lengths
         rows = {(name, joint): (x, y, 1.0) for name, its in self.clicks.items() for joint, (x, y) in its.items()}
         fit = fit_keypoints(body, self.rig, clicked(rows, self.rig.names), fit_lengths=lengths, start=start)
         self.proportions = made = fit.proportions
         self.shown = Posed(rescaled(self.generic, made.lengths, made.girths, made.stature), fit.pose)
+        self.last = clicked(rows, self.rig.names), fit
         return fit
 
     def _state(self) -> dict[str, Any]:

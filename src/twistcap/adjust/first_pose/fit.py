@@ -25,6 +25,7 @@ _FEWEST = 5  # triangulated joints, at least
 _REACH = 4.0  # final scale of the robust function, standard deviations
 _USED = 0.2  # robust weight above which a keypoint counts as used
 _TRUNK = ("hip", "shoulder", "mid_hip", "neck")  # landmarks that hardly move with limbs
+_CURVED = 3.0  # standard deviations from a straight line in time that are no noise
 _LOOSE = 0.2  # rad, standard deviation beyond a limit while starts are compared
 
 # Start poses in degrees, both sides alike; coordinates that the body lacks do not count.
@@ -190,11 +191,21 @@ def _covariance(problem: KeypointProblem, x: Variables, errors: Sequence[Float])
     return scaled.problem.covariance(x)
 
 
-def pose_at(poses: Sequence[Pose], times: Sequence[float], time: float) -> Pose:
+def pose_at(poses: Sequence[Pose], times: Sequence[float], time: float, sigmas: Sequence[Float] | None = None) -> Pose:
     """The pose at a time (s or frames, about those given) by a straight line through the steps from the first pose.
-    Raises InputError for fewer than two poses, or times of another number."""
+
+    `sigmas` (6 + J,) are the standard deviations of each pose. A coordinate that is off the line by more than they
+    allow, as of a fast wrist, takes the line through the two nearest poses. The root's six are one. Raises InputError
+    for fewer than two poses, or times of another number.
+    """
     if len(poses) < 2 or len(times) != len(poses):
         given = f"{len(poses)} poses and {len(times)} times were given"
         raise InputError(f"pose_at: {given}; two or more of each are needed.")
-    steps = np.array([pose.minus(poses[0]) for pose in poses])
-    return poses[0].retract(np.polyfit(np.asarray(times, float) - time, steps, 1)[1])
+    steps, at = np.array([pose.minus(poses[0]) for pose in poses]), np.asarray(times, float) - time
+    slope, value = np.polyfit(at, steps, 1)
+    if sigmas is not None:
+        curved = np.any(np.abs(steps - value - at[:, None] * slope) > _CURVED * np.array(sigmas), axis=0)
+        curved[:6] = curved[:6].any()
+        nearest = np.argsort(np.abs(at), kind="stable")[:2]
+        value = np.where(curved, np.polyfit(at[nearest], steps[nearest], 1)[1], value)
+    return poses[0].retract(value)

@@ -13,6 +13,7 @@ from twistcap.camera import Rig
 from twistcap.errors import InputError
 
 Up = Literal["x", "-x", "y", "-y", "z", "-z"]
+_TOGETHER, _LEVEL = 0.7, 0.5  # how far the cameras' own ups agree; of z in the common one, at most
 _CLEAR = np.cos(np.deg2rad(40.0))  # of the angle between an axis and up in the images
 
 
@@ -24,6 +25,13 @@ def axis_up(rig: Rig) -> Up | None:
     return found if size > 1e-6 and float(up @ _vector(found)) > _CLEAR * size else None
 
 
+def up_instead_of_z(rig: Rig) -> Up | None:
+    """The axis that is up by the images where that is surely not z: all cameras are upright and none looks steeply."""
+    up = -np.mean([camera.T_cam_world[1, :3] for camera in rig], axis=0)
+    size = float(np.linalg.norm(up))
+    return None if size < _TOGETHER or up[2] > _LEVEL * size else axis_up(rig)
+
+
 def with_z_up(rig: Rig, up: Up) -> Rig:
     """The rig in the world in which the axis `up` is z: the others are turned on by one place, never mirrored."""
     third = _vector(up)
@@ -31,6 +39,14 @@ def with_z_up(rig: Rig, up: Up) -> Rig:
     turn = np.stack([first, np.cross(third, first), third])
     back = se3.transform(turn.T, np.zeros(3))
     return Rig(tuple(replace(camera, T_cam_world=camera.T_cam_world @ back) for camera in rig))
+
+
+def check_z_up(rig: Rig, source: str) -> None:
+    """Raises InputError where another axis than z is surely up by the images of upright cameras."""
+    found = up_instead_of_z(rig)
+    if found is not None:
+        sides = 'or "z" if the cameras lie on their sides'
+        raise InputError(f'{source}: by the images {found} is up, not z; set [cameras] up = "{found}" ({sides}).')
 
 
 def checked_up(rig: Rig, said: Up | None, source: str) -> tuple[Rig, str]:

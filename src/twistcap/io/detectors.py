@@ -1,4 +1,4 @@
-"""Keypoint detectors of the user, offered by entry point; twistcap has none.
+"""Keypoint detectors by name: model files of pose networks, and what installed packages offer by entry point.
 
 A package offers one in its ``pyproject.toml``::
 
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from importlib.metadata import entry_points
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +21,8 @@ from twistcap.arrays import UInt8
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
+from twistcap.io.model_file import is_model_file
+from twistcap.io.onnx_detector import detected_by_model, load_detector
 
 GROUP = "twistcap.detectors"
 Detector = Callable[[Sequence[UInt8], Rig], Keypoints]
@@ -37,11 +40,26 @@ def detector(name: str) -> Detector:
         raise InputError(f"detector {name!r} cannot be loaded: {error}.") from error
 
 
-def detected(name: str, images: Sequence[UInt8], rig: Rig) -> Keypoints:
-    """What a detector finds, its shapes and numbers checked. Raises InputError as `detector`; for an answer that is no
-    `Keypoints` of this rig.
+def detected(name: str, images: Sequence[UInt8 | None], rig: Rig, people: str | None = None) -> Keypoints:
+    """What a detector finds in one image of each camera; None is a camera without one, for model files alone.
+
+    `name` is a model file, as in `io.model_file`, or an installed detector; `people` a model file that finds people.
+    Raises InputError as `detector` and `load_detector`; where nobody is found in two views, or an image is missing; for
+    an answer that is no `Keypoints` of this rig.
     """
-    offered = detector(name)(images, rig)
+    if is_model_file(name):
+        return detected_by_model(load_detector(name, people), images, rig)
+    if people is not None:
+        raise InputError(f"detector {name!r} is no model file, so it takes no people; remove that key.")
+    offered_by = detector(name)
+    given = [image for image in images if image is not None]
+    if len(given) < len(images):
+        raise InputError(f"a camera has no image of this frame, and detector {name!r} needs all; take another frame.")
+    return _checked(offered_by(given, rig), name, rig)
+
+
+def _checked(offered: Any, name: str, rig: Rig) -> Keypoints:
+    """The answer of a detector that a package offers, its shapes and numbers checked."""
     if not isinstance(offered, Keypoints):
         raise InputError(f"detector {name!r} returned {type(offered).__name__}; it must return Keypoints.")
     pixels, weights = np.asarray(offered.pixels, float), np.asarray(offered.confidence, float)

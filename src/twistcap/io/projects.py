@@ -1,0 +1,227 @@
+"""Project folders of other programs: where their calibration, videos and keypoints lie.
+
+Layouts: Pose2Sim (``calibration/Calib.toml``, ``videos/``, ``pose/CAM_json``), OpenCap (``Videos/Cam0/InputMedia``),
+EasyMocap (``intri.yml``, ``extri.yml``, ``videos/``, ``openpose/CAM`` or ``annots/CAM``), FreeMoCap
+(``synchronized_videos/``, ``*_camera_calibration.toml``), after their documentation.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from twistcap.doors.text import read_json_table, read_text
+from twistcap.errors import InputError
+from twistcap.io.calibration import Unit, write_rig
+from twistcap.io.cameras import Asked, format_named
+from twistcap.io.cameras.axes import Up, axis_up, up_instead_of_z, with_z_up
+from twistcap.io.keypoints import LAYOUTS
+from twistcap.io.new_session import VIDEO_ENDINGS, Draft, drafted
+from twistcap.io.video import open_source
+
+_POSES = ("pose-associated", "pose-sync", "pose", "pose-2d", "raw-2d")  # of Pose2Sim, the furthest worked first
+_BY_COUNT = {len(names): layout for layout, names in LAYOUTS.items() if layout != "body_25b"}
+
+
+@dataclass(frozen=True)
+class Project:
+    """What was found in a project folder.
+
+    `videos` are files, or pairs of camera and file where the folders say the camera. `keypoints` are folders of JSON
+    files, by the name of their folder; `layout` is their format.
+    """
+
+    program: str
+    calibration: Path
+    format: str  # a name of `io.cameras.FORMATS`
+    videos: Sequence[tuple[str | None, str]]
+    keypoints: Mapping[str, Path] = field(default_factory=dict[str, Path])
+    layout: str | None = None
+    stature: float | None = None
+    floor_known: bool = True
+    notes: tuple[str, ...] = ()
+
+
+def found_project(folder: Path, trial: str | None = None) -> Project:
+    """What a folder of Pose2Sim, OpenCap, EasyMocap or FreeMoCap holds.
+
+    Raises InputError where it is no such folder, has no calibration or videos, or has several trials and none is named.
+    """
+    if not folder.is_dir():
+        raise InputError(f"project {folder} is no folder; name one, or give --calibration and --videos.")
+    for look in (_opencap, _freemocap, _easymocap, _pose2sim):
+        if (project := look(folder, trial)) is not None:
+            return project
+    known = "Pose2Sim, OpenCap, EasyMocap or FreeMoCap"
+    raise InputError(f"{folder} is no project of {known}; give --calibration and --videos.")
+
+
+def draft_project(project: Project, folder: Path, unit: Unit | None = None, up: Up | None = None) -> Draft:
+    """The draft of a session in `folder`; a calibration that a session cannot read is converted, into Calib.toml there.
+
+    `unit` and `up` are those of the calibration. Raises InputError as `draft_session`; where the axis that is up is not
+    said and the images do not tell it, or videos and cameras cannot be paired.
+    """
+    if not project.videos:
+        raise InputError(f"the {project.program} project at {project.calibration} has no videos where they should be.")
+    factor = {"m": 1.0, "mm": 1e-3, None: 1e-3 if project.program == "FreeMoCap" else None}[unit]
+    size = open_source(project.videos[0][1]).size
+    rig = format_named(project.format).read(project.calibration, Asked(factor, size))
+    found = up or (up_instead_of_z(rig) or "z" if project.format == "toml" else axis_up(rig))
+    if found is None:
+        raise InputError(f"calibration {project.calibration}: the images do not say what is up; say it with --up.")
+    notes = [f"A {project.program} project; its calibration is {project.calibration}.", *project.notes]
+    if found != "z":
+        notes.append(f"Up is {found} in its calibration, {'as said' if up else 'by the images'}: it is turned to z.")
+    titles = {name or Path(path).stem: path for name, path in project.videos}
+    cameras = _paired(project, list(titles), rig.names)
+    file: Path = project.calibration
+    given: Unit | None = "mm" if factor == 1e-3 else unit
+    if project.format != "toml":
+        file, given = folder / "Calib.toml", None
+        folder.mkdir(parents=True, exist_ok=True)
+        write_rig(with_z_up(rig, found), file)
+        notes.append(f"Its calibration was converted: {file}.")
+    draft = drafted(rig, {cameras[title]: path for title, path in titles.items()}, file, given)
+    poses = _keypoints(project, draft.rig.names)
+    if poses:
+        notes.append(f"Its keypoints ({project.layout}) give the first pose.")
+    turned = found if project.format == "toml" and found != "z" else None
+    return replace(
+        draft, up=turned, floor_known=project.floor_known, keypoints=poses, layout=project.layout, notes=tuple(notes)
+    )  # fmt: skip
+
+
+def _paired(project: Project, names: Sequence[str], cameras: Sequence[str]) -> dict[str, str]:
+    found = paired(names, cameras)
+    if found is None:
+        fact = f"{len(names)} videos ({', '.join(names)}) do not fit its {len(cameras)} cameras ({', '.join(cameras)})"
+        raise InputError(f"{project.program} project: the {fact}; give --calibration and --videos CAMERA=PATH.")
+    return found
+
+
+def _keypoints(project: Project, cameras: Sequence[str]) -> dict[str, Path]:
+    """Folders by camera; none where their format is not known, or they fit no cameras."""
+    found = paired(list(project.keypoints), cameras) if project.keypoints and project.layout else None
+    return {camera: project.keypoints[name] for name, camera in (found or {}).items()}
+
+
+def _opencap(folder: Path, trial: str | None) -> Project | None:
+    cameras = sorted(p for p in folder.glob("Videos/Cam*") if p.is_dir())
+    pickled = [c for c in cameras if (c / "cameraIntrinsicsExtrinsics.pickle").is_file()]
+    if not pickled:
+        return None
+    trials = sorted({p.name for c in pickled for p in (c / "InputMedia").glob("*") if p.is_dir()})
+    name = _trial(folder, [t for t in trials if t.lower() not in ("calibration", "neutral")] or trials, trial)
+    videos = list[tuple[str | None, str]]()
+    for camera in pickled:
+        files = _videos(camera / "InputMedia" / name)
+        if files:
+            synced = [f for f in files if f.stem.endswith("_sync")]
+            videos.append((camera.name, str((synced or files)[0])))
+    metadata = folder / "sessionMetadata.yaml"
+    height = re.search(r"(?m)^height_m:\s*([0-9.]+)\s*$", read_text(metadata)) if metadata.is_file() else None
+    floor = "OpenCap's world begins at its checkerboard, so the height of the floor is not known: floor = false is set."
+    stature = float(height[1]) if height and height[1].count(".") <= 1 and height[1] != "." else None
+    return Project("OpenCap", folder / "Videos", "opencap", videos, stature=stature, floor_known=False, notes=(floor,))
+
+
+def _freemocap(folder: Path, trial: str | None) -> Project | None:
+    videos = next((f for n in ("synchronized_videos", "SyncedVideos") if (f := folder / n).is_dir()), None)
+    if videos is None:
+        return None
+    files = sorted([*folder.glob("*calibration*.toml"), *folder.parent.glob("*calibration*.toml")])
+    if not files:
+        raise InputError(f"{folder} has no *_camera_calibration.toml; copy it there from the calibration's recording.")
+    notes = ["FreeMoCap's world begins at its first camera or board: floor = false is set."]
+    if any(folder.glob("output_data/raw_data/mediapipe*2dData*.npy")):
+        notes.append("Its 2D data (.npy) are not read; the first pose is found in the images, or by clicks.")
+    paired = [(None, str(p)) for p in _videos(videos)]
+    return Project("FreeMoCap", files[0], "toml", paired, floor_known=False, notes=tuple(notes))
+
+
+def _easymocap(folder: Path, trial: str | None) -> Project | None:
+    if not (folder / "intri.yml").is_file() or not (folder / "extri.yml").is_file():
+        return None
+    videos: list[tuple[str | None, str]] = [(p.stem, str(p)) for p in _videos(folder / "videos")]
+    if not videos:
+        videos = [(p.name, str(p)) for p in sorted((folder / "images").glob("*")) if p.is_dir()]
+    for name in ("openpose", "annots"):
+        poses = {p.name: p for p in sorted((folder / name).glob("*")) if any(p.glob("*.json"))}
+        if poses:
+            return Project("EasyMocap", folder, "easymocap", videos, poses, _layout(poses, ""))
+    return Project("EasyMocap", folder, "easymocap", videos)
+
+
+def _pose2sim(folder: Path, trial: str | None) -> Project | None:
+    above = [folder, folder.parent, folder.parent.parent]
+    calibrations = [f for up in above for c in sorted(up.glob("[Cc]alib*")) for f in _calibrations(c)]
+    trials = sorted(p.name for p in folder.glob("*") if (p / "videos").is_dir())
+    if not calibrations or not (trials or (folder / "videos").is_dir()):
+        return None
+    own = folder if (folder / "videos").is_dir() else folder / _trial(folder, trials, trial)
+    videos: list[tuple[str | None, str]] = [(None, str(p)) for p in _videos(own / "videos")]
+    for name in _POSES:
+        folders = {p.name.removesuffix("_json"): p for p in sorted((own / name).glob("*")) if any(p.glob("*.json"))}
+        if folders:
+            layout = _layout(folders, _model(own, *above))
+            return Project("Pose2Sim", calibrations[0], "toml", videos, folders, layout)
+    return Project("Pose2Sim", calibrations[0], "toml", videos)
+
+
+def _calibrations(path: Path) -> list[Path]:
+    files = sorted(path.glob("*.toml")) if path.is_dir() else [path]
+    return [f for f in files if f.suffix == ".toml" and "config" not in f.name.lower()]
+
+
+def _model(*folders: Path) -> str:
+    """The pose model that a Config.toml names, in small letters."""
+    files = [folder / "Config.toml" for folder in folders if (folder / "Config.toml").is_file()]
+    named = [m[1] for f in files if (m := re.search(r"(?m)^\s*pose_model\s*=\s*['\"](\w+)['\"]", read_text(f)))]
+    return named[0].lower() if named else ""
+
+
+def _layout(folders: Mapping[str, Path], model: str) -> str | None:
+    """The format by the number of points in the first file; of 25 points, what Config.toml says."""
+    for path in sorted(next(iter(folders.values())).glob("*.json")):
+        content = read_json_table(path)
+        people = content.get("people", content.get("annots"))
+        person = people[0] if isinstance(people, list) and people and isinstance(people[0], dict) else {}
+        given = person.get("pose_keypoints_2d", person.get("keypoints"))
+        if isinstance(given, list) and given:
+            count = len(given) if isinstance(given[0], list) else len(given) // 3
+            return "body_25b" if count == 25 and model == "body_25b" else _BY_COUNT.get(count)
+    return None
+
+
+def _videos(folder: Path) -> list[Path]:
+    return sorted(p for p in folder.glob("*") if p.suffix.lower() in VIDEO_ENDINGS)
+
+
+def _trial(folder: Path, trials: Sequence[str], named: str | None) -> str:
+    if named is not None and named not in trials:
+        raise InputError(f"{folder} has no trial {named!r}; it has {', '.join(trials) or 'none'}.")
+    if named is None and len(trials) != 1:
+        raise InputError(f"{folder} has the trials {', '.join(trials) or '(none)'}; choose one with --trial.")
+    return named or trials[0]
+
+
+def paired(names: Sequence[str], cameras: Sequence[str]) -> dict[str, str] | None:
+    """Camera by name of file or folder: the one that it holds, else the one at the same place in the order of names.
+
+    None where neither gives each name a camera of its own.
+    """
+    held = {name: [c for c in cameras if c.lower() in name.lower()] for name in names}
+    found = {name: max(fitting, key=len) for name, fitting in held.items() if fitting}
+    if len(found) == len(names) and len(set(found.values())) == len(names):
+        return found
+    if len(names) != len(cameras):
+        return None
+    return dict(zip(sorted(names, key=_natural), sorted(cameras, key=_natural), strict=True))
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    """Numbers in names count as numbers."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name.lower())]

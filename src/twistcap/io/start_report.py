@@ -1,0 +1,149 @@
+"""What a user should see of a first pose: residuals, px, stature, length factors, and sentences where they are odd.
+
+A body with free lengths follows almost any calibration, and a robust fit almost any keypoints. So it is said what they
+became, and the file that is probably wrong is named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from twistcap.adjust.first_pose import FirstPose, fit_keypoints
+from twistcap.adjust.first_pose.keypoints import Evidence, evidence
+from twistcap.adjust.first_pose.triangulate import triangulate
+from twistcap.arrays import Bool, Float
+from twistcap.body import Body
+from twistcap.body.model import unsided
+from twistcap.camera import Rig
+from twistcap.errors import InputError
+from twistcap.estimate import Keypoints
+from twistcap.io.session import GlbBody, HumanoidBody, Session
+
+_ODD, _IMPOSSIBLE = 1.15, 1.45  # ratio of the fitted stature to the stated one
+_PEOPLE, _GIANT = (1.3, 2.15), 2.45  # m, where no stature is stated
+_FAR, _LEAST = 0.03, 3.0  # residual as a fraction of the person's height in the image, and px, that is too much
+_ALONE = 2.0  # times farther off than any other camera: it is the odd one
+_TALLER = ("head_top", "nose", "neck"), ("ankle_r", "ankle_l", "heel_r", "heel_l")
+
+
+@dataclass(frozen=True)
+class StartReport:
+    """A first pose that was fitted to keypoints or clicks.
+
+    `residual_px` (C, L) is NaN where no keypoint is; `used` (C, L) are those that counted. `lengths` are the factors by
+    kind of segment against a body of the fitted stature.
+    """
+
+    cameras: tuple[str, ...]
+    names: tuple[str, ...]
+    residual_px: Float
+    used: Bool
+    stature: float  # m, as fitted
+    stated: float  # m, of [body]
+    lengths: Mapping[str, float]
+    warnings: tuple[str, ...]
+
+    def worst(self, count: int = 6) -> list[tuple[str, Float]]:
+        """The joints of the largest residuals, the worst first, each with its residual (C,) by camera."""
+        most = np.nan_to_num(self.residual_px, nan=-1.0).max(axis=0)
+        order = [k for k in np.argsort(-most, kind="stable")[:count] if most[k] >= 0]
+        return [(self.names[k], self.residual_px[:, k]) for k in order]
+
+    @property
+    def medians(self) -> Float:
+        """(C,) median residual of each camera, px; NaN where it has no keypoint."""
+        return _medians(self.residual_px)
+
+
+def start_report(session: Session, rig: Rig, generic: Body, keypoints: Keypoints, fit: FirstPose) -> StartReport:
+    """What a fit became, against the body before it. Raises InputError for a person of impossible size."""
+    stated = rest_height(generic)
+    stature = rest_height(fit.body)
+    size = stature if session.fits_lengths else rest_height(fit_keypoints(generic, rig, keypoints).body)
+    lengths = {unsided(name): factor for name, factor in fit.proportions.lengths.items()}
+    warnings = [*_size_warning(session, size, stated), *_residual_warnings(session, generic, rig, keypoints, fit)]
+    return StartReport(
+        fit.cameras, fit.names, fit.residual_px, fit.used, stature, stated, lengths, tuple(warnings)
+    )  # fmt: skip
+
+
+def rest_height(body: Body) -> float:
+    """Height of the surface in the rest pose, m."""
+    return float(np.ptp(body.vertices[:, 2]))
+
+
+def check_body_upright(body: Body, source: str) -> None:
+    """Head over feet in the rest pose. Raises InputError for a body file whose axes were taken for others."""
+    heights = dict(zip(body.landmarks.names, body.landmarks.points[:, 2], strict=True))
+    high, low = ([heights[name] for name in names if name in heights] for names in _TALLER)
+    if high and low and max(high) - min(low) < 0.5 * float(np.ptp(body.vertices, axis=0).max()):
+        mend = "export it y up (glTF), or mend its axes in [body] rig"
+        raise InputError(f"{source}: in its rest pose the head is not above the feet, so its axes are wrong; {mend}.")
+
+
+def _size_warning(session: Session, size: float, stated: float) -> list[str]:
+    """A person who is much larger or smaller than stated: mostly the unit or the board's squares."""
+    ratio, calibration = size / stated, f"calibration {session.cameras.calibration}"
+    said = not isinstance(session.body, HumanoidBody) or "stature" in session.body.model_fields_set
+    what = "the body of [body] is" if isinstance(session.body, GlbBody) else "[body] stature is"
+    if said:
+        odd, absurd = (max(ratio, 1 / ratio) > limit for limit in (_ODD, _IMPOSSIBLE))
+        fact = f"by the keypoints the person is {size:.2f} m tall, but {what} {stated:.2f} m"
+    else:
+        odd, absurd = not _PEOPLE[0] < size < _PEOPLE[1], size > _GIANT
+        fact = f"by the keypoints the person is {size:.2f} m tall"
+    larger = f"{ratio:.2f} times too large" if ratio > 1 else f"{1 / ratio:.2f} times too small"
+    mend = "check the size of its board's squares and its unit" + (", or [body]" if said else ", or set [body] stature")
+    sentence = f"{calibration}: {fact}; its lengths are probably {larger}: {mend}."
+    if absurd:
+        raise InputError(sentence)
+    return [sentence] if odd else []
+
+
+def _residual_warnings(
+    session: Session, body: Body, rig: Rig, keypoints: Keypoints, fit: FirstPose
+) -> list[str]:  # fmt: skip
+    """Keypoints that are far from the body: of one camera, of all that contradict each other, or of a body that cannot
+    take their pose."""
+    seen = evidence(body, rig, keypoints)
+    views = zip(seen.pixels, seen.weights, strict=True)
+    limit = np.array([max(_FAR * np.ptp(p[w > 0], axis=0).max(), _LEAST) if w.any() else np.inf for p, w in views])
+    median = _medians(fit.residual_px)
+    ratios = np.nan_to_num(median / limit)
+    worst, *others = np.argsort(-ratios)
+    if ratios[worst] <= 1:
+        return []
+    given, calibration = keypoints_source(session), f"calibration {session.cameras.calibration}"
+    if len(others) >= 2 and ratios[worst] > _ALONE * ratios[others[0]]:
+        name, off = rig.names[worst], median[worst]
+        causes = f"it shows another person or time in {given}, or {calibration} has it in another place"
+        return [f"camera {name}: its keypoints are {off:.0f} px from the body that the others agree on; {causes}."]
+    off = f"the keypoints of {given} are {np.nanmedian(median):.0f} px from the fitted body"
+    if _agreement(seen, limit) < 0.5:
+        causes = f"the views contradict each other: {calibration} is of another set-up, or they are of other frames"
+        return [f"{off}, and {causes} or people."]
+    return [f"{off}, though the views agree: their format is another one, or [body] cannot take this pose."]
+
+
+def _agreement(seen: Evidence, limit: Float) -> float:
+    """Fraction of the keypoints that lie on the triangulated points, whatever the body."""
+    sigma = np.broadcast_to(limit[:, None] / 4.0, seen.weights.shape)
+    _, inliers = triangulate(seen.rig, np.where(seen.weights[..., None] > 0, seen.pixels, np.nan), seen.weights, sigma)
+    return float(inliers.sum() / max((seen.weights > 0).sum(), 1))
+
+
+def _medians(residual: Float) -> Float:
+    return np.array([np.median(r[np.isfinite(r)]) if np.isfinite(r).any() else np.nan for r in residual])
+
+
+def keypoints_source(session: Session) -> str:
+    """The file, folder or model from which the keypoints are."""
+    table = session.first_pose
+    if table.detector is not None:
+        return f"detector {table.detector.model}"
+    if table.keypoints is not None and table.keypoints.folders:
+        return next(iter(table.keypoints.folders.values()))
+    return table.clicks or "the clicks"

@@ -1,0 +1,116 @@
+"""Keypoint formats, and who of several people is the same in all views."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from support.cameras import ring
+from twistcap.body import Pose, Posed
+from twistcap.body.humanoid import humanoid
+from twistcap.errors import InputError
+from twistcap.io.keypoints import LAYOUTS, read_openpose, read_people
+from twistcap.io.people import same_person
+from twistcap.io.recording import keypoints_of
+from twistcap.io.session import KeypointSet
+
+BODY = humanoid("full")
+
+
+def standing(x: float, y: float, bend: float = 0.3) -> Posed:
+    root = np.eye(4)
+    root[:3, 3] = x, y, 0.93
+    q = np.array([bend if n.startswith(("elbow", "knee")) else 0.0 for n in BODY.coordinate_names])
+    return Posed(BODY, Pose(root, q))
+
+
+def seen(posed: Posed, layout: str, rng: np.random.Generator) -> np.ndarray:
+    """(C, L, 3) as a detector writes it; 0 where the body lacks a name."""
+    marks = dict(zip(BODY.landmarks.names, posed.landmarks, strict=True))
+    out = np.zeros((len(ring()), len(LAYOUTS[layout]), 3))
+    for k, name in enumerate(LAYOUTS[layout]):
+        if name in marks:
+            for c, camera in enumerate(ring()):
+                out[c, k] = [*(camera.project(marks[name][None])[0][0] + rng.standard_normal(2)), 0.9]
+    return out
+
+
+@pytest.mark.parametrize(("layout", "count"), [("halpe_26", 26), ("coco_133", 133), ("blazepose", 33)])
+def test_a_layout_has_its_joints_once(layout: str, count: int) -> None:
+    names = LAYOUTS[layout]
+    assert len(names) == len(set(names)) == count
+    sides = {n[:-2] for n in names if n.endswith(("_r", "_l"))}
+    assert all(f"{n}_r" in names and f"{n}_l" in names for n in sides)
+    assert {f"{j}_{s}" for j in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle", "toe") for s in "rl"} <= set(
+        names
+    )
+
+
+def test_places_in_the_layouts() -> None:
+    """Against the numbers in the formats' own documents."""
+    halpe, whole, blaze = (LAYOUTS[name] for name in ("halpe_26", "coco_133", "blazepose"))
+    assert [halpe[k] for k in (0, 16, 17, 18, 19, 20, 25)] == [
+        "nose", "ankle_r", "head_top", "neck", "mid_hip", "toe_l", "heel_r",
+    ]  # fmt: skip
+    assert [whole[k] for k in (10, 17, 19, 20, 22, 23, 91, 132)] == [
+        "wrist_r", "toe_l", "heel_l", "toe_r", "heel_r", "face_0", "hand_l_0", "hand_r_20",
+    ]  # fmt: skip
+    assert [blaze[k] for k in (0, 2, 5, 11, 16, 23, 28, 29, 32)] == [
+        "nose", "eye_l", "eye_r", "shoulder_l", "wrist_r", "hip_l", "ankle_r", "heel_l", "toe_r",
+    ]  # fmt: skip
+
+
+def test_the_person_is_chosen_by_geometry_whatever_the_order() -> None:
+    rng = np.random.default_rng(0)
+    a, b = seen(standing(-0.5, 0.2), "halpe_26", rng), seen(standing(0.7, -0.3), "halpe_26", rng)
+    orders = [(a, b), (b, a), (b, a), (a,)]  # b is not seen by the last camera
+    people = [np.stack([person[c] for person in order]) for c, order in enumerate(orders)]
+    choice, joints = same_person(ring(), people)
+    assert choice == (0, 1, 1, 0)
+    known = dict(zip(LAYOUTS["halpe_26"], joints, strict=True))
+    truth = dict(zip(BODY.landmarks.names, standing(-0.5, 0.2).landmarks, strict=True))
+    assert np.linalg.norm(known["hip_r"] - truth["hip_r"]) < 0.03
+    assert same_person(ring(), people, {"cam0": 1})[0] == (1, 0, 0, None)  # named by the user: the other one
+    _, other = same_person(ring(), people, {"cam0": 1})
+    assert same_person(ring(), people, None, other)[0] == (1, 0, 0, None)  # who was followed before
+
+
+def test_where_nobody_agrees_the_first_is_taken() -> None:
+    rng = np.random.default_rng(1)
+    people = [rng.uniform(0, 300, (2, 26, 3)) for _ in range(4)]
+    for p in people:
+        p[..., 2] = 1.0
+    assert same_person(ring(), people)[0] == (0, 0, 0, 0)
+
+
+def test_folders_of_a_session(tmp_path: Path) -> None:
+    """Two people, swapped in one view and in one of two frames; the reader follows the same one."""
+    rng, rig = np.random.default_rng(2), ring()
+    for frame, x in enumerate((-0.5, -0.45)):
+        a, b = seen(standing(x, 0.2), "halpe_26", rng), seen(standing(0.7, -0.3), "halpe_26", rng)
+        for c, name in enumerate(rig.names):
+            pair = (a, b) if (c + frame) % 2 else (b, a)
+            if c == 3:
+                pair = (a,)
+            people = [{"pose_keypoints_2d": person[c].ravel().tolist()} for person in pair]
+            (tmp_path / name).mkdir(exist_ok=True)
+            (tmp_path / name / f"{frame:06d}.json").write_text(json.dumps({"people": people}))
+    table = KeypointSet(format="halpe_26", folders={n: str(tmp_path / n) for n in rig.names}, frames=(0, 1))
+    for found, x in zip(keypoints_of(table, rig), (-0.5, -0.45), strict=True):
+        marks = dict(zip(BODY.landmarks.names, standing(x, 0.2).landmarks, strict=True))
+        for c, camera in enumerate(rig):
+            hip = found.pixels[c, found.names.index("hip_r")]
+            assert np.linalg.norm(hip - camera.project(marks["hip_r"][None])[0][0]) < 6
+
+
+def test_annots_of_easymocap_are_read(tmp_path: Path) -> None:
+    row = [[10.0 + k, 20.0, 0.5] for k in range(25)]
+    (tmp_path / "a.json").write_text(json.dumps({"filename": "x", "annots": [{"personID": 0, "keypoints": row}]}))
+    found = read_openpose({"c": tmp_path / "a.json"}, ["c"], "body_25")
+    np.testing.assert_allclose(found.pixels[0, :, 0], 10.0 + np.arange(25))
+    (tmp_path / "a.json").write_text(json.dumps({"annots": [{"keypoints": row[:24]}]}))
+    with pytest.raises(InputError, match=r"a\.json: 'keypoints' of person 0"):
+        read_people({"c": tmp_path / "a.json"}, ["c"], "body_25")

@@ -1,0 +1,167 @@
+"""``twistcap new`` in project folders of other programs, each made up after its documented layout."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from support.cameras import ring
+from support.commands import document, refusal
+from twistcap.body import Pose, Posed
+from twistcap.body.humanoid import humanoid
+from twistcap.camera import Rig
+from twistcap.io.calibration import write_rig
+from twistcap.io.cameras import write_cameras
+from twistcap.io.cameras.axes import with_z_up
+from twistcap.io.keypoints import LAYOUTS
+from twistcap.io.projects import paired
+from twistcap.io.recording import rig_of, views_of
+from twistcap.io.session import Session, load_session
+from twistcap.io.videowriter import VideoWriter
+
+RIG = ring()
+
+
+def video(path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    width, height = RIG[0].size
+    with VideoWriter(path, 30) as writer:
+        for k in range(4):
+            writer.write(np.full((height, width, 3), 20 * k, np.uint8))
+
+
+def keypoints(layout: str) -> list[list[list[float]]]:
+    """Rows x, y, confidence by camera."""
+    body = humanoid("full")
+    root = np.eye(4)
+    root[2, 3] = 0.93
+    posed = Posed(body, Pose(root, np.zeros(len(body.coordinate_names))))
+    marks = dict(zip(body.landmarks.names, posed.landmarks, strict=True))
+    unseen = [0.0, 0.0, 0.0]
+    return [
+        [[*camera.project(marks[n][None])[0][0].tolist(), 0.9] if n in marks else unseen for n in LAYOUTS[layout]]
+        for camera in RIG
+    ]
+
+
+def poses(folder: Path, layout: str, names: list[str], easymocap: bool = False) -> None:
+    for name, rows in zip(names, keypoints(layout), strict=True):
+        (folder / name).mkdir(parents=True)
+        flat = [number for row in rows for number in row]
+        content: Any = {"annots": [{"keypoints": rows}]} if easymocap else {"people": [{"pose_keypoints_2d": flat}]}
+        (folder / name / "000000.json").write_text(json.dumps(content))
+
+
+def other_up(rig: Rig, to: Any) -> Rig:
+    """The rig in a world in which `to` is up."""
+    turn = np.linalg.inv(with_z_up(rig, to)[0].T_cam_world) @ rig[0].T_cam_world  # world of the file to ours
+    return Rig(tuple(replace(c, T_cam_world=c.T_cam_world @ turn) for c in rig))
+
+
+def made(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[Session, dict[str, Any]]:
+    told = document(capsys, "new", *arguments)
+    session = load_session(told["session"])
+    rig = rig_of(session)
+    assert len(views_of(session, rig)) == 4
+    heights = [camera.centre[2] for camera in rig]
+    np.testing.assert_allclose(heights, [camera.centre[2] for camera in RIG], atol=1e-6)
+    return session, told
+
+
+def test_pose2sim(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "calibration").mkdir()
+    write_rig(RIG, tmp_path / "calibration" / "Calib_scene.toml")
+    (tmp_path / "Config.toml").write_text("[pose]\npose_model = 'Body_with_feet'\n")
+    for trial in ("Trial_1", "Trial_2"):
+        for name in RIG.names:
+            video(tmp_path / trial / "videos" / f"{name}.mp4")
+    poses(tmp_path / "Trial_1" / "pose", "halpe_26", [f"{n}_json" for n in RIG.names])
+    assert "Trial_1, Trial_2; choose one with --trial" in refusal(capsys, "new", tmp_path / "s", "--project", tmp_path)
+    session, told = made(capsys, tmp_path / "s", "--project", tmp_path, "--trial", "Trial_1", "--stature", 1.75)
+    table = session.first_pose.keypoints
+    assert table is not None and table.format == "halpe_26" and set(table.folders) == set(RIG.names)
+    assert told["missing"] == [] and max(told["first_pose"]["median_px"].values()) < 3
+    assert told["next"] == [f"Next, track:  twistcap track {tmp_path / 's' / 'session.toml'}"]
+    assert told["first_pose"]["stature_m"] == pytest.approx(1.75, abs=0.05)
+    session, told = made(capsys, tmp_path / "Trial_2")  # in the trial's own folder
+    assert session.first_pose.unaided and "A Pose2Sim project" in " ".join(told["found"])
+
+
+def test_keypoints_that_give_no_pose_lead_to_clicks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Millimetres taken for metres would be refused; here the board's squares were half as large as said."""
+    far = {c.name: c.T_cam_world.copy() for c in RIG}
+    for T in far.values():
+        T[:3, 3] *= 2.0
+    (tmp_path / "calibration").mkdir()
+    larger = Rig(tuple(replace(c, T_cam_world=far[c.name]) for c in RIG))
+    write_rig(larger, tmp_path / "calibration" / "Calib.toml")
+    for name in RIG.names:
+        video(tmp_path / "videos" / f"{name}.mp4")
+    poses(tmp_path / "pose", "halpe_26", [f"{n}_json" for n in RIG.names])
+    told = document(capsys, "new", tmp_path, "--stature", 1.75)
+    (sentence,) = told["missing"]
+    assert "Calib.toml" in sentence and "times too large" in sentence and told["first_pose"] is None
+    path = tmp_path / "session.toml"
+    assert told["next"] == [
+        f"Next, click the first pose:  twistcap init {path}",
+        f"Then, track:  twistcap track {path}",
+    ]
+
+
+def test_opencap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    named = Rig(tuple(replace(c, name=f"Cam{k}") for k, c in enumerate(RIG)))
+    write_cameras(other_up(named, "-y"), tmp_path / "Videos", "opencap")
+    for name in named.names:
+        for trial in ("calibration", "neutral", "walk"):
+            video(tmp_path / "Videos" / name / "InputMedia" / trial / f"{trial}_sync.mp4")
+    (tmp_path / "sessionMetadata.yaml").write_text("mass_kg: 70.0\nheight_m: 1.82\n")
+    session, told = made(capsys, tmp_path)
+    found = " ".join(told["found"])
+    assert "OpenCap" in found and "Up is -y" in found and "converted" in found and "floor = false" in found
+    assert session.cameras.floor is False and session.body.stature == 1.82
+    assert all(path.endswith("walk_sync.mp4") for path in session.videos.values())
+
+
+def test_easymocap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_cameras(RIG, tmp_path, "easymocap")
+    for name in RIG.names:
+        video(tmp_path / "videos" / f"{name}.mp4")
+    poses(tmp_path / "annots", "body_25", list(RIG.names), easymocap=True)
+    session, told = made(capsys, tmp_path, "--stature", 1.75)
+    assert session.cameras.calibration.endswith("Calib.toml") and "first pose" in " ".join(told["found"])
+    assert told["missing"] == [] and max(told["first_pose"]["median_px"].values()) < 3
+
+
+def test_freemocap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Millimetres, the world of the first camera's axes, videos named otherwise than the cameras."""
+    T = {c.name: c.T_cam_world.copy() for c in other_up(RIG, "-y")}
+    for motion in T.values():
+        motion[:3, 3] *= 1000
+    mm = Rig(tuple(replace(c, T_cam_world=T[c.name]) for c in RIG))
+    write_rig(mm, tmp_path / "take_camera_calibration.toml")
+    path = tmp_path / "take_camera_calibration.toml"
+    path.write_text(path.read_text().replace('unit = "m"\n', ""))
+    for k in range(len(RIG)):
+        video(tmp_path / "synchronized_videos" / f"Camera_{k:03d}_synchronized.mp4")
+    session, told = made(capsys, tmp_path)
+    assert session.cameras.unit == "mm" and session.cameras.up == "-y" and session.cameras.floor is False
+    assert "FreeMoCap" in told["found"][1] or "FreeMoCap" in " ".join(told["found"])
+
+
+def test_what_is_no_project_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "no project of Pose2Sim" in refusal(capsys, "new", tmp_path)
+    assert "both --calibration and --videos" in refusal(capsys, "new", tmp_path, "--calibration", tmp_path / "c.toml")
+    assert "is no folder" in refusal(capsys, "new", tmp_path / "s", "--project", tmp_path / "none")
+    (tmp_path / "synchronized_videos").mkdir()
+    assert "camera_calibration.toml" in refusal(capsys, "new", tmp_path)
+
+
+def test_names_are_paired_by_what_they_hold_or_by_their_order() -> None:
+    assert paired(["x_cam10", "x_cam1"], ["cam1", "cam10"]) == {"x_cam10": "cam10", "x_cam1": "cam1"}
+    assert paired(["v10", "v9"], ["int_cam2_img", "int_cam10_img"]) == {"v9": "int_cam2_img", "v10": "int_cam10_img"}
+    assert paired(["a", "b"], ["c1"]) is None
