@@ -21,6 +21,7 @@ from twistcap.io.strict import dataclass_from, validated
 from twistcap.motion import MotionKind
 
 if TYPE_CHECKING:
+    from twistcap.io.norms import Band
     from twistcap.motion import MotionLibrary
     from twistcap.priors import ParzenPrior
     from twistcap.settings import Settings
@@ -216,6 +217,15 @@ class Output(Table):
     axes: Literal["opensim", "pose2sim", "z_up"] = "opensim"
     angles: Literal["opensim", "isb"] = "opensim"
     fill: bool = False
+    norms: DataPath | None = None
+    norms_speed: str = "Free"
+
+    @property
+    def gait_norms(self) -> Mapping[str, Band]:
+        """What `norms` names, read; see `io.norms`. Raises InputError for a file of another kind."""
+        from twistcap.io.norms import read_norms
+
+        return {} if self.norms is None else read_norms(Path(self.norms), self.norms_speed)
 
 
 class Session(Table):
