@@ -144,7 +144,9 @@ def test_the_plots_show_the_angles_of_the_exports(made: Path, saved: Path) -> No
     with Browser() as browser:
         browser.open(saved.as_uri())
         shown = [browser.run(f"Array.from(twistcapView.runs[0].{name})") for name in ("angles", "sigma")]
-        reference = np.array(browser.run("data.reference.angles_deg"), float)
+        reference = np.array(
+            browser.run("JSON.parse(document.getElementById('data').textContent).reference.angles_deg"), float
+        )
     for values, expected in zip(shown, table.in_degrees, strict=True):
         np.testing.assert_allclose(np.reshape(values, (len(result), -1)), expected[:, own], atol=1e-4)
     k = truth.coordinate_names.index("pro_sup_r")

@@ -33,6 +33,7 @@ _MOST = 0.39  # of the rate, as far as `butterworth` goes
 _SEGMENT = 1.0  # s of the pieces whose spectra are averaged: steps of a walk fall together, so that there are no gaps
 _LEAST = 12  # frames that have a spectrum
 _HALF_POWER = (np.sqrt(2.0) - 1.0) ** 0.25  # of the frequency at which 1 / (1 + x⁴) is a half
+_SMALL = 1e-4  # factor on accelerations, so that none is taken for an angle at its gimbal lock
 _STEPS = 4  # of the smoother; it is linear but for the turns of the root
 
 
@@ -139,13 +140,14 @@ def in_words(how: Filter, cutoffs: Mapping[str, float]) -> str:
 
 def _smoother_cutoffs(motion: Motion, table: Coordinates, angles: Angles) -> Float:
     """(C,) Hz at which the power passed is a half, in the mean frame: see `smoothed`."""
-    variance = MotionNoise().variance(motion.body.dof, 1.0, "constant_velocity")
+    variance = _SMALL**2 * MotionNoise().variance(motion.body.dof, 1.0, "constant_velocity")
     spread = np.array([covariance_about(variance, pose.root[:3, 3])[0] for pose in motion.poses])
     free = coordinates_of(motion.body, motion.poses, spread, angles)
-    ratio = np.sqrt(free.sigmas[motion.known] / np.maximum(table.sigmas[motion.known], 1e-12))
+    ratio = np.sqrt(free.sigmas[motion.known] / _SMALL / np.maximum(table.sigmas[motion.known], 1e-12))
     if not len(ratio):
         return np.full(len(table.names), np.nan)
-    return np.asarray(_HALF_POWER * np.median(ratio, axis=0) / (2.0 * np.pi), np.float64)
+    middle: Float = np.median(ratio, axis=0)
+    return middle * float(_HALF_POWER / (2.0 * np.pi))
 
 
 @dataclass(frozen=True)
