@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -103,6 +104,7 @@ def test_the_glb_comes_back_as_it_was_with_the_motion(tracked: tuple[Path, Path,
     np.testing.assert_array_equal(shown["parents"], rest["parents"])
     np.testing.assert_allclose(shown["rest"], rest["rest"], atol=1e-6)
     assert list(shown["materials"]) == ["Skin", "Cloth"]
+    assert json.loads(str(shown["notes"])) == {"fps": FPS, "frames": FRAMES, "start_s": 0.0, "lost": []}
     assert np.ptp(shown["frame_range"]) / shown["fps"] == pytest.approx((FRAMES - 1) / FPS, abs=1e-4)
     marks, one = read.body.landmarks, read.body.skin_weights.max(axis=1) > 1 - 1e-6
     for frame, pose in enumerate(read.poses):
@@ -139,6 +141,20 @@ def test_the_bvh_has_the_same_bones_and_motion(tracked: tuple[Path, Path, Float]
         heads = shown["heads"][:, bone_of(mark, shown["names"])]
         np.testing.assert_allclose(heads, to_blender(places), atol=TOLERANCE)
     assert np.ptp(shown["frame_range"]) == FRAMES - 1  # a key for each frame; Blender takes no rate from a BVH
+
+
+@needs_blender
+def test_a_bvh_of_blenders_own_rate_plays_at_the_right_speed(tracked: tuple[Path, Path, Float], tmp_path: Path) -> None:
+    source, result, _ = tracked
+    out, glb = tmp_path / "slow.bvh", tmp_path / "walk.glb"
+    assert run("export", result, "--to", "bvh", "--into", source, "--fps", 24, "--out", out) == 0
+    assert run("export", result, "--to", "glb", "--into", source, "--out", glb) == 0
+    times = np.arange(1 + int((FRAMES - 1) / FPS * 24)) / 24
+    shown, skinned = played(out, times, tmp_path), played(glb, times, tmp_path)
+    bvh: Any = pybvh.read_bvh_file(out, warn_on_world_up_disagreement=False)
+    assert shown["fps"] == 24 and bvh.fps == pytest.approx(24, rel=1e-6)  # so that a line is a frame of the scene
+    order = [list(skinned["names"]).index(name) for name in shown["names"]]
+    np.testing.assert_allclose(shown["heads"], skinned["heads"][:, order], atol=1e-3)  # two ways to interpolate
 
 
 @needs_blender
