@@ -15,7 +15,7 @@ from twistcap.errors import InputError
 from twistcap.evaluate.cycles import Cycle, cycles_between, cycles_of, walking_angles
 from twistcap.evaluate.events import Event, event_times
 from twistcap.evaluate.filters import Filter, Filtered, in_words
-from twistcap.evaluate.gait import PERCENT, SIDES, UNITS, Gait, Measure, gait_of, parameters
+from twistcap.evaluate.gait import PERCENT, SIDES, UNITS, Gait, Measure, gait_of, parameters, symmetry
 from twistcap.io.coordinates import Angles
 from twistcap.io.files import replacing
 from twistcap.io.norms import Band
@@ -116,6 +116,7 @@ def _write_parameters(folder: Path, measures: Mapping[str, Mapping[str, Measure]
         for side, values in measures.items()
         for name, m in values.items()
     ]
+    rows += [["symmetry", name, "%", f"{index:.5f}", "", "", ""] for name, index in symmetry(measures).items()]
     head = ["side", "parameter", "unit", "mean", "standard_deviation", "standard_error_by_covariance", "strides"]
     return _table(folder / "gait.csv", head, rows)
 

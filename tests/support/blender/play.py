@@ -3,7 +3,6 @@
 python play.py MOTION OUT.npz TIME...
 """
 
-import json
 import sys
 
 import bpy
@@ -19,7 +18,6 @@ scene, fps = bpy.context.scene, bpy.context.scene.render.fps / bpy.context.scene
 armature = next(o for o in bpy.data.objects if o.type == "ARMATURE")
 people = [o for o in bpy.data.objects if o.type == "MESH" and o.modifiers]
 action = armature.animation_data.action if armature.animation_data else None
-notes = action.get("twistcap") if action else None
 rate = fps  # of a BVH, whose rate Blender does not take, it is told by the file itself
 if source.endswith(".bvh"):
     with open(source) as file:
@@ -41,6 +39,5 @@ np.savez(
     heads=np.array(heads), vertices=np.array(vertices), people=len(people),
     parents=[b.parent.name if b.parent else "" for b in armature.data.bones],
     rest=np.array([armature.matrix_world @ b.head_local for b in armature.data.bones]),
-    notes=json.dumps(notes.to_dict() if notes else None),
     materials=[m.name for p in people[:1] for m in p.data.materials],
 )  # fmt: skip
