@@ -6,8 +6,6 @@ the gait of typically developing children", J. Biomech. 41 (2008) 1639, as pyCGM
 
 from __future__ import annotations
 
-import json
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,37 +14,23 @@ from scipy.signal import find_peaks
 
 from twistcap.arrays import Float, Int
 from twistcap.errors import InputError
+from twistcap.io.norms import Band, read_norms
 
 FILE = "gait_norms/Schwartz2008.json"
-_NAMES = {"hip_flexion": "HipAngles", "knee_angle": "KneeAngles", "ankle_angle": "AnkleAngles"}
 GRID = np.linspace(0.0, 100.0, 51)
 """Per cent of the cycle, from heel strike, at which curves are compared."""
 
 
-@dataclass(frozen=True)
-class Band:
-    """Mean ± one standard deviation of an angle (51,) at `GRID`, degrees."""
-
-    lower: Float
-    upper: Float
-
-    @property
-    def middle(self) -> Float:
-        return 0.5 * (self.lower + self.upper)
-
-
 def gait_norm(path: Path, coordinate: str, speed: str = "Free") -> Band:
-    """The band of "hip_flexion", "knee_angle" or "ankle_angle" at a speed ("VerySlow" … "VeryFast").
+    """The band (51,) at `GRID` of "hip_flexion", "knee_angle" or "ankle_angle" at a speed ("VerySlow" … "VeryFast").
 
     Raises:
         InputError: for another coordinate or speed, or a file of another kind.
     """
-    try:
-        rows = np.array(json.loads(path.read_text())["Schwartz2008"][speed][_NAMES[coordinate]]["X"], dtype=np.float64)
-    except (KeyError, ValueError) as error:
-        raise InputError(f"gait norms: {path} has no {coordinate} at speed {speed!r}; see {FILE}.") from error
-    lower, upper = (np.interp(GRID, rows[:, 0], rows[:, k]) for k in (1, 2))
-    return Band(np.asarray(lower), np.asarray(upper))
+    bands = read_norms(path, speed)
+    if coordinate not in bands:
+        raise InputError(f"gait norms: {path} has no {coordinate} at speed {speed!r}; see {FILE}.")
+    return bands[coordinate].at(GRID)
 
 
 def heel_strikes(ahead: Float, least: int) -> Int:

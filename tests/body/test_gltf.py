@@ -149,7 +149,7 @@ def foreign(path: Path, **changes: Any) -> Path:
 
 def test_round_trip_of_the_humanoid(tmp_path: Path) -> None:
     body = humanoid("full")
-    save_glb(body, tmp_path / "b.glb", random_poses(body, 3), 30.0)
+    save_glb(body, tmp_path / "b.glb", random_poses(body, 3), np.arange(3) / 30)
     again = load_glb(tmp_path / "b.glb")
     assert again.coordinate_names == body.coordinate_names and again.segment_names == body.segment_names
     assert again.landmarks.names == body.landmarks.names and again.name == body.name
@@ -178,16 +178,19 @@ def test_more_than_four_influences_survive(tmp_path: Path) -> None:
 def test_a_viewer_sees_the_motion(tmp_path: Path) -> None:
     body = humanoid("full")
     poses = random_poses(body, 4)
-    save_glb(body, tmp_path / "b.glb", poses, 30.0)
+    save_glb(body, tmp_path / "b.glb", poses, np.arange(4) / 30)
     np.testing.assert_allclose(viewed(tmp_path / "b.glb", None) @ TO_REST.T, body.vertices, atol=1e-5)
     for key, pose in enumerate(poses):
         np.testing.assert_allclose(viewed(tmp_path / "b.glb", key) @ TO_REST.T, Posed(body, pose).vertices, atol=1e-5)
 
 
-def test_animation_needs_a_rate(tmp_path: Path) -> None:
+def test_animation_needs_times_that_rise(tmp_path: Path) -> None:
     body = humanoid("legs")
-    with pytest.raises(InputError, match="frame rate"):
+    with pytest.raises(InputError, match="needs the time of each pose"):
         save_glb(body, tmp_path / "b.glb", random_poses(body, 2))
+    for times in ([0.0, 0.0], [-1.0, 0.0], [0.0, np.nan], [0.5, 0.4]):
+        with pytest.raises(InputError, match="must rise"):
+            save_glb(body, tmp_path / "b.glb", random_poses(body, 2), np.array(times))
 
 
 def test_foreign_file_in_our_frame(tmp_path: Path) -> None:

@@ -9,22 +9,30 @@ import signal
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import Future
+from contextlib import nullcontext
 from multiprocessing import active_children
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from support.cameras import ring
 from support.commands import document, refusal, run
+from twistcap.commands import study_engine, study_jobs
 from twistcap.commands.study import run_study
 from twistcap.commands.study_engine import Processes, WorkerDied
 from twistcap.commands.study_jobs import Steps
 from twistcap.errors import InputError
+from twistcap.estimate import Estimate
+from twistcap.evaluate.gait import gait_of
 from twistcap.io.coordinates import coordinates_of
 from twistcap.io.recording import body_of
-from twistcap.io.result import read_result
-from twistcap.io.session import load_session
+from twistcap.io.result import ResultWriter, read_result
+from twistcap.io.session import Session, load_session
 from twistcap.io.study import Trial, load_study
+from twistcap.studio.motion import gait as walk
 
 QUICK = 'refine = false\n[body]\nfit = false\n[output]\nexports = ["trc"]\nreport = false\n'
 FRAMES = 4
@@ -125,6 +133,61 @@ def test_body_refinement_and_a_table_of_trials(data: Path, tmp_path: Path, capsy
     given = load_session(data / "p1" / "fast" / "session.toml")
     assert np.array_equal(bodies[0].vertices, bodies[1].vertices)
     assert not np.allclose(bodies[0].vertices, body_of(given).vertices, atol=1e-4)
+
+
+def walked(folder: Path, trial: Trial, frames: int, speed: float) -> None:
+    """The result of a trial as if it had been tracked: a long walk, each pose with a covariance."""
+    session = load_session(trial.session)
+    body = body_of(session)
+    known = np.diag(np.repeat([1e-4, 1e-6, 1e-4], (3, 3, body.dof - 6)))
+    with ResultWriter(folder / "result.h5", body, ring(), session.model_dump(mode="json")) as writer:
+        for n, pose in enumerate(walk(body, frames=frames, speed=speed)):
+            writer.append(Estimate(n, n / 60, pose, known))
+
+
+class Inline:
+    """An engine that does each job at once, in this process."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any) -> Future[Any]:
+        future = Future[Any]()
+        future.set_result(fn(*args))
+        return future
+
+
+def test_a_study_over_cycles(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rows of each stride, side and angle, whose means are the cycles of `gait`; a trial without a stride fails."""
+    study, out = load_study(study_file(tmp_path, data, QUICK + 'over = "cycle"\n')), tmp_path / "out"
+    out.mkdir()
+    walks = {"p1/fast": (240, 1.4), "p1/slow": (240, 1.0), "p2/fast": (20, 1.0), "p2/slow": (240, 1.2)}
+
+    def track(session: Session, folder: Path, _: object) -> None:
+        trial = next(trial for trial in study.trials if trial.folder(out) == folder)
+        walked(folder, trial, *walks[trial.name])
+
+    monkeypatch.setattr(study_jobs, "run_session", track)
+    monkeypatch.setattr(study_engine, "here", lambda _: nullcontext(Inline()))
+    found = run_study(study, out)
+    assert found["done"] == 3 and list(found["failed"]) == ["p2/fast"]
+    assert 'no stride is whole and in sight; film longer, or write over = "frame"' in found["failed"]["p2/fast"]
+    table = rows(out / "angles.csv")
+    assert {(row["subject"], row["trial"]) for row in table} == {("p1", "fast"), ("p1", "slow"), ("p2", "slow")}
+    assert {row["flag"] for row in table} == {"ok"} and {row["unit"] for row in table} == {"deg"}
+    assert not {row["coordinate"] for row in table if row["side"] == "r"} & {"knee_angle_l", "hip_flexion_l"}
+    for side in "rl":
+        check_cycles(out, [row for row in table if (row["subject"], row["trial"]) == ("p1", "slow")], side)
+
+
+def check_cycles(out: Path, table: list[dict[str, str]], side: str) -> None:
+    result = read_result(out / "p1" / "slow" / "result.h5")
+    strides = gait_of(result.body, result.times, result.poses, known=result.known).of(side)
+    knee = [row for row in table if (row["side"], row["coordinate"]) == (side, f"knee_angle_{side}")]
+    assert len(knee) == 101 * len(strides) >= 202
+    assert [row["percent"] for row in knee[:101]] == [str(percent) for percent in range(101)]
+    assert [int(row["stride"]) for row in knee[::101]] == list(range(len(strides)))
+    means = [row for row in rows(out / "p1" / "slow" / "cycles.csv") if row["coordinate"] == f"knee_angle_{side}"]
+    curves = np.array([float(row["value"]) for row in knee]).reshape(-1, 101)
+    np.testing.assert_allclose(curves.mean(axis=0), [float(row["mean_deg"]) for row in means], atol=1e-3)
+    np.testing.assert_allclose([float(row["sigma"]) for row in knee], np.degrees(0.01), atol=1e-3)
 
 
 def killed_when(holds: Callable[[], bool], pids: Callable[[], list[int]]) -> threading.Thread:

@@ -37,6 +37,7 @@ def poses(body: Body) -> list[Pose]:
 
 
 TIMES = np.arange(400) / FPS
+FILES = ["events.csv", "gait.csv", "strides.csv", "cycles.csv", "cycles.png"]
 
 
 def off(found: Float, first: float, period: float) -> Float:
@@ -153,11 +154,14 @@ def test_command(body: Body, poses: list[Pose], tmp_path: Path, capsys: pytest.C
             writer.append(Estimate(n, n / FPS, pose, np.eye(body.dof) * 1e-6))
     found = document(capsys, "gait", tmp_path / "r.h5", "--out", tmp_path / "out")
     assert found["parameters"]["both"]["speed"]["mean"] == pytest.approx(SPEED, rel=0.02)
-    assert [Path(file).name for file in found["files"]] == ["gait.csv", "strides.csv", "cycles.csv", "cycles.png"]
+    assert [Path(file).name for file in found["files"]] == FILES
     with (tmp_path / "out" / "cycles.csv").open() as file:
         rows = list(csv.DictReader(file))
     tilt = [float(row["mean_deg"]) for row in rows if row["coordinate"] == "pelvis_tilt" and row["side"] == "r"]
     assert len(tilt) == 101 and -14 < min(tilt) < max(tilt) < -8  # forward tilt of the walk, at any heading
+    with (tmp_path / "out" / "gait.csv").open() as file:
+        uneven = {row["parameter"]: float(row["mean"]) for row in csv.DictReader(file) if row["side"] == "symmetry"}
+    assert uneven == pytest.approx(found["symmetry_percent"], abs=1e-5) and len(uneven) == 9
     assert run("gait", tmp_path / "r.h5", "--out", tmp_path / "out", "--angles", "isb") == 0
     assert "isb_knee_flexion_r" in (tmp_path / "out" / "cycles.csv").read_text()
     assert all(len(line) <= 80 for line in capsys.readouterr().out.splitlines() if "│" in line)

@@ -142,6 +142,20 @@ def test_the_bvh_has_the_same_bones_and_motion(tracked: tuple[Path, Path, Float]
 
 
 @needs_blender
+def test_a_bvh_of_blenders_own_rate_plays_at_the_right_speed(tracked: tuple[Path, Path, Float], tmp_path: Path) -> None:
+    source, result, _ = tracked
+    out, glb = tmp_path / "slow.bvh", tmp_path / "walk.glb"
+    assert run("export", result, "--to", "bvh", "--into", source, "--fps", 24, "--out", out) == 0
+    assert run("export", result, "--to", "glb", "--into", source, "--out", glb) == 0
+    times = np.arange(1 + int((FRAMES - 1) / FPS * 24)) / 24
+    shown, skinned = played(out, times, tmp_path), played(glb, times, tmp_path)
+    bvh: Any = pybvh.read_bvh_file(out, warn_on_world_up_disagreement=False)
+    assert shown["fps"] == 24 and bvh.fps == pytest.approx(24, rel=1e-6)  # so that a line is a frame of the scene
+    order = [list(skinned["names"]).index(name) for name in shown["names"]]
+    np.testing.assert_allclose(shown["heads"], skinned["heads"][:, order], atol=1e-3)  # two ways to interpolate
+
+
+@needs_blender
 def test_a_file_that_was_not_tracked_is_refused(
     tracked: tuple[Path, Path, Float], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

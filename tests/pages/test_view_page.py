@@ -31,6 +31,8 @@ from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.camera import Camera, look_at
 from twistcap.errors import InputError
+from twistcap.evaluate.load import load_reference
+from twistcap.io.coordinates import coordinates_of
 from twistcap.io.result import ResultWriter, read_result
 from twistcap.pages.assemble import packed, page
 from twistcap.pages.outlines import body_outlines
@@ -131,6 +133,24 @@ def test_the_viewer_shows_a_result_and_plays_it(made: Path, saved: Path, tmp_pat
         browser.run("document.getElementById('play').click()")
         assert browser.run("twistcapView.state.playing") is False
         assert browser.problems == []  # neither an exception nor a look at the network
+
+
+@needs_browser
+def test_the_plots_show_the_angles_of_the_exports(made: Path, saved: Path) -> None:
+    result = read_result(made / "one" / "result.h5")
+    truth = load_reference(made / "truth.npz", result.body, lambda count: result.times[:count])
+    table = coordinates_of(result.body, result.poses, result.covariances)
+    own = [table.names.index(name) for name in result.body.coordinate_names]
+    with Browser() as browser:
+        browser.open(saved.as_uri())
+        shown = [browser.run(f"Array.from(twistcapView.runs[0].{name})") for name in ("angles", "sigma")]
+        reference = np.array(
+            browser.run("JSON.parse(document.getElementById('data').textContent).reference.angles_deg"), float
+        )
+    for values, expected in zip(shown, table.in_degrees, strict=True):
+        np.testing.assert_allclose(np.reshape(values, (len(result), -1)), expected[:, own], atol=1e-4)
+    k = truth.coordinate_names.index("pro_sup_r")
+    np.testing.assert_allclose(reference[:, k], np.degrees(truth.angles[:FRAMES, k]) + 90.0, atol=0.01)
 
 
 @needs_browser

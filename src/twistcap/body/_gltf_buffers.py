@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import binascii
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -104,3 +105,18 @@ class Packer:
         self.blob += data.tobytes()
         self.blob += b"\0" * (-len(self.blob) % 4)
         return len(self.gltf.accessors) - 1
+
+    def add_times(self, times: Float | None, poses: int, source: Path | str) -> int:
+        """Append the key times (s) of an animation. Raises InputError, which names the source, where there are not as
+        many as poses, or they do not rise from 0 or later."""
+        if times is None or len(times) != poses:
+            raise InputError(f"{source}: an animation needs the time of each pose.")
+        keys = np.asarray(times, np.float32)
+        rising = keys[0] >= 0 and np.isfinite(keys[-1]) and np.all(np.diff(keys) > 0)
+        check(str(source), rising, "the times of an animation must rise, from 0 or later")
+        return self.add(keys, "SCALAR", bounds=True)
+
+
+def noted(notes: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Extras that hold our notes."""
+    return {EXTRAS: dict(notes)} if notes else {}

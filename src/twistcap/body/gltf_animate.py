@@ -6,7 +6,7 @@ lengths were fitted moves the file's bones by the same angles.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from twistcap import se3
 from twistcap.arrays import Float
-from twistcap.body._gltf_buffers import TO_REST, Packer
+from twistcap.body._gltf_buffers import TO_REST, Packer, noted
 from twistcap.body.gltf import Rigged, load_rigged
 from twistcap.body.kinematics import Pose, Posed
 from twistcap.body.model import Body
@@ -67,22 +67,24 @@ def bone_motion(body: Body, poses: Sequence[Pose], source: Path | str, rig: Path
     return BoneMotion(rigged, rest, turns, head @ TO_REST)
 
 
-def animate_glb(motion: BoneMotion, path: Path | str, fps: float, name: str = "twistcap") -> None:
-    """Write the file with the motion as its first animation, `fps` keys a second; everything else stays.
+def animate_glb(
+    motion: BoneMotion, path: Path | str, times: Float, notes: Mapping[str, Any] | None = None, name: str = "twistcap"
+) -> None:
+    """Write the file with the motion as its first animation, keys at `times` (T,) s, `notes` in its extras; everything
+    else stays.
 
-    Raises InputError for a file that is not binary, a rate that is not positive, or if it cannot be written.
+    Raises InputError for a file that is not binary, times that do not rise from 0, or if it cannot be written.
     """
     scene, gltf = motion.rigged.scene, motion.rigged.scene.gltf
     blob: bytes = gltf.binary_blob() or b""
     check(str(scene.path), blob and gltf.buffers[0].uri is None, "motion goes into a GLB, not into a .gltf")
-    check(str(path), fps > 0, f"the frame rate is {fps}; it must be positive")
     pack = Packer(gltf)
     pack.blob = bytearray(blob + b"\0" * (-len(blob) % 4))
-    times = pack.add((np.arange(len(motion.places)) / fps).astype(np.float32), "SCALAR", bounds=True)
-    animation = gl.Animation(name=name)
+    keys = pack.add_times(times, len(motion.places), path)
+    animation = gl.Animation(name=name, extras=noted(notes))
     for node, kind, values in _channels(motion):
         output = pack.add(values.astype(np.float32), "VEC4" if kind == "rotation" else "VEC3")
-        animation.samplers.append(gl.AnimationSampler(input=times, output=output, interpolation="LINEAR"))
+        animation.samplers.append(gl.AnimationSampler(input=keys, output=output, interpolation="LINEAR"))
         target = gl.AnimationChannelTarget(node=node, path=kind)
         animation.channels.append(gl.AnimationChannel(sampler=len(animation.samplers) - 1, target=target))
         _without_matrix(gltf.nodes[node])

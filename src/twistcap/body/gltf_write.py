@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,30 +12,32 @@ from scipy.spatial.transform import Rotation
 
 from twistcap import se3
 from twistcap.arrays import Float
-from twistcap.body._gltf_buffers import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, EXTRAS, TO_REST, Packer
+from twistcap.body._gltf_buffers import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, EXTRAS, TO_REST, Packer, noted
 from twistcap.body.kinematics import Pose, Posed, vertex_normals
 from twistcap.body.model import Body
 from twistcap.body.shape import joint_origins
 from twistcap.errors import InputError
 
 
-def save_glb(body: Body, path: Path | str, poses: Sequence[Pose] | None = None, fps: float | None = None) -> None:
-    """Write skin, surface (float32) and (with `poses`, `fps` per second) an animation.
+def save_glb(
+    body: Body, path: Path | str, poses: Sequence[Pose] | None = None, times: Float | None = None,
+    notes: Mapping[str, Any] | None = None,
+) -> None:  # fmt: skip
+    """Write skin, surface (float32) and (with `poses` at `times` (T,) s) an animation, `notes` in its extras.
 
     There is one joint node per segment, at the segment's proximal joint; the skinned mesh is at the root. Our own
-    coordinates are in `asset.extras`. Raises InputError for poses without a frame rate, or if the file cannot be
-    written.
+    coordinates are in `asset.extras`. Raises InputError for poses whose times are not as many or do not rise from 0,
+    or if the file cannot be written.
     """
-    if poses and not (fps and fps > 0):
-        raise InputError(f"{path}: an animation needs a frame rate; fps is {fps}.")
     gltf = gl.GLTF2(asset=gl.Asset(version="2.0", generator="twistcap", extras={EXTRAS: _extras(body)}), scene=0)
     pack = Packer(gltf)
     origins = joint_origins(body)
     _add_nodes(gltf, body, origins)
     _add_skin(gltf, pack, origins)
     _add_mesh(gltf, pack, body)
-    if poses and fps:
-        _add_animation(gltf, pack, body, origins, poses, fps)
+    if poses:
+        _add_animation(gltf, pack, body, origins, poses, pack.add_times(times, len(poses), path))
+        gltf.animations[-1].extras = noted(notes)
     gltf.buffers.append(gl.Buffer(byteLength=len(pack.blob)))
     gltf.set_binary_blob(bytes(pack.blob))
     try:
@@ -96,14 +98,13 @@ def _add_mesh(gltf: gl.GLTF2, pack: Packer, body: Body) -> None:
     gltf.meshes.append(gl.Mesh(name=body.name, primitives=[primitive]))
 
 
-def _add_animation(gltf: gl.GLTF2, pack: Packer, body: Body, origins: Float, poses: Sequence[Pose], fps: float) -> None:
+def _add_animation(gltf: gl.GLTF2, pack: Packer, body: Body, origins: Float, poses: Sequence[Pose], keys: int) -> None:
     rotations, translations = local_motions(body, origins, poses)
-    times = pack.add((np.arange(len(poses)) / fps).astype(np.float32), "SCALAR", bounds=True)
     animation = gl.Animation(name="motion")
     for s in range(len(origins)):
         for path, values, kind in (("rotation", rotations, "VEC4"), ("translation", translations, "VEC3")):
             output = pack.add(values[:, s].astype(np.float32), kind)
-            animation.samplers.append(gl.AnimationSampler(input=times, output=output, interpolation="LINEAR"))
+            animation.samplers.append(gl.AnimationSampler(input=keys, output=output, interpolation="LINEAR"))
             target = gl.AnimationChannelTarget(node=s, path=path)
             animation.channels.append(gl.AnimationChannel(sampler=len(animation.samplers) - 1, target=target))
     gltf.animations.append(animation)

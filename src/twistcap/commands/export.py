@@ -25,6 +25,9 @@ def export(
     axes: Annotated[str, typer.Option(help="World of the file: opensim (y up), pose2sim (y up), z_up.")] = "opensim",
     angles: Annotated[str, typer.Option(help="Definition of joint angles: opensim, isb.")] = "opensim",
     fill: Annotated[bool, typer.Option("--fill", help="Write predicted poses where the body was lost.")] = False,
+    fps: Annotated[
+        float | None, typer.Option(help="Frames per second of bvh and glb, interpolated. Default: the recording's.")
+    ] = None,
     into: Annotated[
         Path | None, typer.Option(help="The rigged GLB that was tracked: glb and bvh then have its own bones.")
     ] = None,
@@ -42,13 +45,15 @@ def export(
 
       twistcap export out/result.h5 --to bvh --out walk.bvh
 
+      twistcap export out/result.h5 --to bvh --fps 24
+
       twistcap export out/result.h5 --to glb --into hero.glb --out hero-walk.glb
     """
     from twistcap.io.exports import ExportOptions
     from twistcap.io.exports import export as written
     from twistcap.io.result import read_result
 
-    options = ExportOptions(cast("WorldAxes", axes), cast("Angles", angles), fill, into, rig)
+    options = ExportOptions(cast("WorldAxes", axes), cast("Angles", angles), fill, fps, into, rig)
     read, wanted = read_result(result), terminal.frame_range(frames)
     path = written(read.within(*wanted) if wanted else read, to, result.parent, out, options)
     if json:

@@ -2,113 +2,92 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 
 from twistcap.commands import terminal
 
 if TYPE_CHECKING:
-    from twistcap.evaluate.gait import Gait, Measure
+    from twistcap.commands.gait_files import Measured
+    from twistcap.evaluate.filters import Kind
+    from twistcap.evaluate.gait import Measure
     from twistcap.io.coordinates import Angles
 
 
 def gait(
     result: Annotated[Path, typer.Argument(help="result.h5 of a track.", metavar="RESULT")],
     out: Annotated[Path | None, typer.Option(help="Folder to write to. Default: beside the result.")] = None,
-    cutoff: Annotated[float, typer.Option(help="Hz; angles are filtered (Butterworth, zero lag) below it.")] = 6.0,
+    filter_: Annotated[str, typer.Option("--filter", help="Of angles: butterworth, smoother.")] = "butterworth",
+    cutoff: Annotated[
+        float | None, typer.Option(help="Hz, of the Butterworth filter. Default: by spectrum and covariance.")
+    ] = None,
     angles: Annotated[str, typer.Option(help="Definition of joint angles: opensim, isb.")] = "opensim",
     frames: Annotated[str | None, typer.Option(help="Frames FIRST:LAST, both included. Default: all.")] = None,
+    norms: Annotated[Path | None, typer.Option(help="JSON of published bands, drawn behind the cycles.")] = None,
+    norms_speed: Annotated[str, typer.Option(help="Which speed of these bands.")] = "Free",
+    event: Annotated[
+        list[str] | None, typer.Option(metavar="NAME = …", help="An event of your own; may be given more than once.")
+    ] = None,
+    cycles: Annotated[str | None, typer.Option(metavar="EVENT", help="Cycles go from this event to the next.")] = None,
     json: terminal.Json = False,
 ) -> None:
     """Find heel strikes, toe-offs and strides of a walk; time, length and joint angles over 0 to 100 % of the cycle.
 
-    Writes gait.csv (parameters), strides.csv, cycles.csv (mean and standard deviation) and cycles.png. Angles of the
-    pelvis are those of a walk along x, whatever its heading.
+    Writes events.csv, gait.csv (parameters), strides.csv, cycles.csv (mean and standard deviation) and cycles.png.
+    Angles of the pelvis are those of a walk along x, whatever its heading.
+
+    An event is NAME = SIGNAL rises above NUMBER, falls below NUMBER, maximum or minimum. A signal is a landmark's x, y
+    or z in m (heel_r.z), or a joint angle in degrees (knee_angle_r). With speed of before it, it is its speed.
 
     Examples:
 
       twistcap gait out/result.h5
 
       twistcap gait out/result.h5 --angles isb --frames 60:400 --json
+
+      twistcap gait out/result.h5 --event "landing = heel_r.z falls below 0.05" --cycles landing
     """
-    from twistcap.evaluate.gait import symmetry
+    from twistcap.commands.gait_files import Wishes, run_gait
+    from twistcap.evaluate.events import parsed_event
+    from twistcap.evaluate.filters import Filter
+    from twistcap.io.norms import read_norms
     from twistcap.io.result import read_result
 
-    read, wanted = read_result(result), terminal.frame_range(frames)
-    read = read.within(*wanted) if wanted else read
-    folder = terminal.output_folder(out or result.parent)
-    found, measures, files = run_gait(read, folder, cutoff, cast("Angles", angles))
+    wanted = tuple(parsed_event(text) for text in event or [])
+    bands = read_norms(norms, norms_speed) if norms else {}
+    wishes = Wishes(Filter(cast("Kind", filter_), cutoff), cast("Angles", angles), bands, wanted, cycles)
+    read, span = read_result(result), terminal.frame_range(frames)
+    read = read.within(*span) if span else read
+    found = run_gait(read, terminal.output_folder(out or result.parent), wishes)
     if json:
-        shown = {side: {name: vars(m) for name, m in values.items()} for side, values in measures.items()}
-        about = {
-            "strikes": dict(found.strikes),
-            "toe_offs": dict(found.toe_offs),
-            "symmetry_percent": symmetry(measures),
-        }
-        terminal.emit({"id": "gait", "parameters": shown, **about, "cutoff_hz": cutoff, "files": files})
+        _emit(found)
         return
-    _show(str(result), measures)
-    for path in files:
+    _show(str(result), found.parameters)
+    typer.echo(found.filter)
+    for name in (one.name for one in wanted):
+        typer.echo(f"{name}: {', '.join(f'{time:.3f}' for time in found.events[name]) or 'never'} s")
+    for path in found.files:
         typer.echo(path)
 
 
-def run_gait(read: Any, folder: Path, cutoff: float, angles: Angles) -> tuple[Gait, Any, list[Path]]:
-    """Measure the walk of a result: its gait, the parameters by side, and the files in the folder."""
-    from twistcap.evaluate.gait import gait_of, parameters
+def _emit(found: Measured) -> None:
+    from twistcap.evaluate.gait import symmetry
 
-    found = gait_of(read.body, read.times, read.poses, read.covariances, read.known)
-    measures = parameters(found)
-    files = _write_tables(folder, found, measures)
-    return found, measures, files + _write_cycles(folder, found, read, cutoff, angles)
-
-
-def _write_tables(folder: Path, found: Gait, measures: dict[str, dict[str, Measure]]) -> list[Path]:
-    from twistcap.evaluate.gait import UNITS
-
-    rows = [
-        [side, name, UNITS[name], *(f"{v:.5f}" for v in (m.mean, m.deviation, m.sigma)), m.count]
-        for side, values in measures.items()
-        for name, m in values.items()
-    ]
-    head = ["side", "parameter", "unit", "mean", "standard_deviation", "standard_error_by_covariance", "strides"]
-    names = list(vars(found.strides[0])) if found.strides else ["side"]
-    strides = [
-        [value if isinstance(value, str) else f"{value:.5f}" for value in vars(s).values()] for s in found.strides
-    ]
-    return [_table(folder / "gait.csv", head, rows), _table(folder / "strides.csv", names, strides)]
+    gait = found.gait
+    shown = {side: {name: vars(m) for name, m in values.items()} for side, values in found.parameters.items()}
+    terminal.emit({
+        "id": "gait",
+        "parameters": shown,
+        "strikes": dict(gait.strikes), "toe_offs": dict(gait.toe_offs), "events": dict(found.events),
+        "symmetry_percent": symmetry(found.parameters), "filter": found.filter, "cutoff_hz": found.cutoffs,
+        "files": list(found.files),
+    })  # fmt: skip
 
 
-def _write_cycles(folder: Path, found: Gait, read: Any, cutoff: float, angles: Angles) -> list[Path]:
-    from twistcap.evaluate.cycles import cycles_of
-    from twistcap.evaluate.gait import PERCENT
-    from twistcap.report.plots import cycle_plot
-
-    curves = cycles_of(found, read, cutoff, angles)
-    rows = [
-        [c.side, f"{p:.0f}", c.coordinate, f"{m:.4f}", f"{s:.4f}", c.strides]
-        for c in curves.values()
-        for p, m, s in zip(PERCENT, c.mean, c.deviation, strict=True)
-    ]
-    drawn = {name: (c.mean, c.deviation) for name, c in curves.items()}
-    files = [_table(folder / "cycles.csv", ["side", "percent", "coordinate", "mean_deg", "sd_deg", "strides"], rows)]
-    return [*files, cycle_plot(folder / "cycles.png", drawn)] if drawn else files
-
-
-def _table(path: Path, head: Sequence[str], rows: Sequence[Sequence[Any]]) -> Path:
-    from twistcap.io.files import replacing
-
-    with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(head)
-        writer.writerows(rows)
-    return path
-
-
-def _show(title: str, measures: dict[str, dict[str, Measure]]) -> None:
+def _show(title: str, measures: Mapping[str, Mapping[str, Measure]]) -> None:
     from twistcap.evaluate.gait import UNITS, symmetry
 
     uneven = symmetry(measures)

@@ -11,20 +11,23 @@ import numpy as np
 
 from twistcap.body import Posed
 from twistcap.camera import Rig
+from twistcap.commands.gait_files import draw_cycles
 from twistcap.errors import InputError
 from twistcap.estimate import UNSEEN, Frame
-from twistcap.evaluate.cycles import cycles_of
+from twistcap.evaluate.cycles import cycles_of, walking_angles
+from twistcap.evaluate.filters import Filter, in_words
 from twistcap.evaluate.gait import SIDES, gait_of
 from twistcap.evaluate.load import Reference
 from twistcap.evaluate.metrics import Row
 from twistcap.io.coordinates import coordinates_of, opensim_angles
 from twistcap.io.exports import FORMATS, ExportOptions, export, format_of
+from twistcap.io.norms import Band
 from twistcap.io.result import Result
 from twistcap.io.session import Session
 from twistcap.io.video import Views
 from twistcap.report import Figure, Headline, angle_plot, overlay_video, write_report
 from twistcap.report.overlay import bones_of, draw_mosaic, mosaic_for
-from twistcap.report.plots import AngleSeries, cycle_plot
+from twistcap.report.plots import AngleSeries
 from twistcap.report.verdict import camera_rows, chosen_rows, verdict_of
 from twistcap.report.words import result_in_words
 
@@ -65,12 +68,12 @@ def write_overlay(
 
 def write_page(
     folder: Path, title: str, lead: str, headlines: Sequence[Headline], rows: Sequence[Row], plots: Mapping[Path, str],
-    result: Result, stills: Sequence[Figure] = (),
+    result: Result, stills: Sequence[Figure] = (), norms: Mapping[str, Band] | None = None,
 ) -> Path:  # fmt: skip
     """``report.html`` about a result and the files of the folder: first a verdict, then what it rests on."""
     video = folder / "overlay.mp4"
-    if (cycles := write_cycles(result, folder)) is not None:
-        plots = {**plots, cycles: "Joint angles over the gait cycle, if this is a walk: mean ± standard deviation"}
+    if (cycles := write_cycles(result, folder, norms or {})) is not None:
+        plots = {**plots, cycles[0]: cycles[1]}
     about = {"result.h5": "everything, see docs/formats/result-file.md", "angles.png": "joint angles"}
     about |= {found.file_name: found.about for found in map(format_of, FORMATS.names())}
     files = {folder / name: words for name, words in about.items() if (folder / name).is_file()}
@@ -81,16 +84,21 @@ def write_page(
     )  # fmt: skip
 
 
-def write_cycles(result: Result, folder: Path) -> Path | None:
-    """``cycles.png``: joint angles over 0 to 100 % of the gait cycle; None where no side has two strides."""
+def write_cycles(result: Result, folder: Path, norms: Mapping[str, Band]) -> tuple[Path, str] | None:
+    """``cycles.png`` and its caption: joint angles over 0 to 100 % of the gait cycle, before bands of published norms;
+    None where no side has two strides."""
     try:
         found = gait_of(result.body, result.times, result.poses, known=result.known)
     except InputError:  # too short, no feet, uneven times: no walk to show
         return None
     if min(len(found.of(side)) for side in SIDES) < _STRIDES:
         return None
-    curves = {name: (cycle.mean, cycle.deviation) for name, cycle in cycles_of(found, result).items()}
-    return cycle_plot(folder / "cycles.png", curves)
+    how = Filter()
+    walk = walking_angles(found, result, how)
+    curves = cycles_of(found, result.times, walk)
+    caption = "Joint angles over the gait cycle, if this is a walk: mean ± standard deviation. "
+    caption += in_words(how, {cycle.coordinate: cycle.cutoff for cycle in curves.values()})
+    return draw_cycles(folder, curves, norms), caption
 
 
 def stills_of(result: Result, frames: Iterable[Frame], image_rig: Rig) -> list[Figure]:

@@ -16,11 +16,12 @@ import numpy as np
 
 from twistcap.commands import terminal
 from twistcap.commands.bodyfit import fit_sessions
-from twistcap.commands.gait import run_gait
+from twistcap.commands.gait_files import Wishes, run_gait
 from twistcap.commands.refine import run_refine
 from twistcap.commands.track import Begin, run_session
 from twistcap.doors.text import read_json_table
 from twistcap.errors import InputError
+from twistcap.evaluate.filters import Filter
 from twistcap.io import tidy
 from twistcap.io.coordinates import coordinates_of
 from twistcap.io.files import write_lines
@@ -175,16 +176,18 @@ def _frame_rows(trial: Trial, result: Result, output: StudyOutput) -> Iterator[t
 
 def _cycle_rows(trial: Trial, result: Result, output: StudyOutput, folder: Path) -> Iterator[tuple[Any, ...]]:
     """Of strides, in which all frames are known; the files of ``twistcap gait`` are written too."""
-    from twistcap.evaluate.cycles import own_angles, walking_angles
+    from twistcap.evaluate.cycles import own_angles
     from twistcap.evaluate.gait import PERCENT, SIDES, cycles
 
-    found, _, _ = run_gait(result, folder, output.cutoff, output.angles)
+    how = Filter(output.filter, output.cutoff)
+    measured = run_gait(result, folder, Wishes(how, output.angles, output.gait_norms))
+    found, walk = measured.gait, measured.walk
     if not found.strides:
         raise InputError('no stride is whole and in sight; film longer, or write over = "frame" in [output].')
-    table, values, sigmas = walking_angles(found, result, output.cutoff, output.angles)
+    table = walk.table
     for side in SIDES:
         own = own_angles(table, side)
-        curves, spreads = (cycles(found, result.times, columns[:, own], side) for columns in (values, sigmas))
+        curves, spreads = (cycles(found, result.times, columns[:, own], side) for columns in (walk.values, walk.sigmas))
         for stride, percent, c in np.ndindex(curves.shape):
             ((value, sigma),) = tidy.cells(curves[stride, percent, c : c + 1], spreads[stride, percent, c : c + 1])
             at = trial.subject, trial.trial, side, stride, f"{PERCENT[percent]:.0f}"

@@ -91,6 +91,7 @@ def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str,
     from twistcap.report.words import result_in_words
 
     path = folder / "result.h5"
+    _ = session.output.gait_norms  # a file that cannot be read is refused before the work
     terminal.tell_compiling()
     with WriteLock(path) as lock:
         views, timing = _tracked(session, path, begin, lock)
@@ -185,7 +186,8 @@ def _outputs(session: Any, views: Any, result: Any, folder: Path, timing: Timing
             lead = f"{len(views.rig)} cameras, {views.fps:g} fps, images at {session.scale:g} of their size."
             plots = {folder / "angles.png": "Joint angles, ± 2σ"}
             stills = outputs.recorded_stills(result, views)
-            files.append(outputs.write_page(folder, session.title, lead, headlines, [], plots, result, stills))
+            norms = session.output.gait_norms
+            files.append(outputs.write_page(folder, session.title, lead, headlines, [], plots, result, stills, norms))
     return files
 
 

@@ -1,54 +1,73 @@
-"""Joint angles over the gait cycle of a result: mean and standard deviation of each side's strides."""
+"""Joint angles over cycles of a result, gait's or those between events: their mean and standard deviation."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
 
 from twistcap.arrays import Float
-from twistcap.evaluate.gait import SIDES, Gait, cycles, facing, facing_covariances
-from twistcap.evaluate.smoothing import butterworth
-from twistcap.io.coordinates import Angles, Coordinates, coordinates_of
+from twistcap.evaluate.filters import Filter, Filtered, Motion, filtered
+from twistcap.evaluate.gait import SIDES, Gait, cycles, facing, facing_covariances, normalised
+from twistcap.io.coordinates import Angles, Coordinates
 from twistcap.io.result import Result
 
 
 @dataclass(frozen=True)
 class Cycle:
-    """A coordinate over the strides of a side: mean and standard deviation (101,), degrees, at 0, 1 … 100 %."""
+    """A coordinate over the cycles of a side: mean and standard deviation (101,), degrees, at 0, 1 … 100 %.
+
+    `cutoff` is that of the filter (Hz). The side is empty where cycles are of no side.
+    """
 
     coordinate: str
     side: str
     mean: Float
     deviation: Float
     strides: int
+    cutoff: float
 
 
-def cycles_of(found: Gait, result: Result, cutoff: float = 6.0, angles: Angles = "opensim") -> Mapping[str, Cycle]:
-    """Each side's own coordinates, and those of the trunk, over its strides, by name and side (``knee_angle_r``).
+def walking_angles(found: Gait, result: Result, how: Filter | None = None, angles: Angles = "opensim") -> Filtered:
+    """The coordinates of a walk as if it went along x, filtered. Raises InputError for unknown `angles`, or a cutoff
+    that is too high."""
+    covariances = facing_covariances(found, result.covariances)
+    walk = Motion(result.body, result.times, facing(found, result.poses), covariances, result.known)
+    return filtered(walk, how or Filter(), angles)
 
-    Angles are filtered below `cutoff` (Hz) and those of the pelvis are as if the walk went along x. A side without
-    strides has none. Raises InputError for unknown `angles`.
-    """
-    table, smooth, _ = walking_angles(found, result, cutoff, angles)
+
+def cycles_of(found: Gait, times: Float, walk: Filtered) -> Mapping[str, Cycle]:
+    """Each side's own angles, and those of the trunk, over its strides, by name and side (``knee_angle_r``). A side
+    without strides has none."""
     out: dict[str, Cycle] = {}
     for side in SIDES:
-        own = own_angles(table, side)
-        curves = cycles(found, result.times, smooth[:, own], side)
-        for c, k in enumerate(own if len(curves) else []):
-            name, mean = table.names[k], curves[..., c].mean(axis=0)
-            deviation = curves[..., c].std(axis=0, ddof=1 if len(curves) > 1 else 0)
-            out[f"{name.removesuffix('_' + side)}_{side}"] = Cycle(name, side, mean, deviation, len(curves))
+        own = own_angles(walk.table, side)
+        curves = cycles(found, times, walk.values[:, own], side)
+        for k, cycle in zip(own, _cycles(walk, own, curves, side), strict=False):
+            out[f"{walk.table.names[k].removesuffix('_' + side)}_{side}"] = cycle
     return out
 
 
-def walking_angles(
-    found: Gait, result: Result, cutoff: float = 6.0, angles: Angles = "opensim"
-) -> tuple[Coordinates, Float, Float]:
-    """The coordinates of a walk as if it went along x, their filtered values and their sigmas (N, C), degrees and m."""
-    covariances = facing_covariances(found, result.covariances)
-    table = coordinates_of(result.body, facing(found, result.poses), covariances, angles)
-    values, sigmas = table.in_degrees
-    return table, butterworth(values, 1.0 / found.frame, cutoff, result.known), sigmas
+def cycles_between(limits: Float, times: Float, walk: Filtered) -> Mapping[str, Cycle]:
+    """All angles from each of the `limits` (s) to the next, by name; cycles with frames not known are left out."""
+    own = [k for k, turns in enumerate(walk.table.turning) if turns]
+    curves = normalised(list(pairwise(limits.tolist())), times, walk.values[:, own])
+    curves = curves[np.isfinite(curves).all(axis=(1, 2))]
+    return {cycle.coordinate: cycle for cycle in _cycles(walk, own, curves, "")}
+
+
+def _cycles(walk: Filtered, own: Sequence[int], curves: Float, side: str) -> list[Cycle]:
+    """Of curves (cycles, 101, C) of the columns `own`; none where there are no cycles."""
+    count = len(curves)
+    if not count:
+        return []
+    means, deviations = curves.mean(axis=0), curves.std(axis=0, ddof=1 if count > 1 else 0)
+    return [
+        Cycle(walk.table.names[k], side, means[:, c], deviations[:, c], count, float(walk.cutoffs[k]))
+        for c, k in enumerate(own)
+    ]
 
 
 def own_angles(table: Coordinates, side: str) -> list[int]:

@@ -83,11 +83,11 @@ def gait_of(
     missing = [name for name in wanted if name not in body.landmarks.names]
     if missing:
         raise InputError(f"gait: body {body.name!r} has no landmark {missing[0]!r}; gait needs heels and toes.")
-    rate = _rate(times)
+    rate = frame_rate(times)
     known = np.ones(len(times), np.bool_) if known is None else known
     forward = _heading(poses, rate, known)
-    feet = {name: butterworth(_places(body, poses, name), rate, _EVENT_HZ, known) for name in wanted}
-    middle = butterworth(_places(body, poses, "mid_hip"), rate, _EVENT_HZ, known)
+    feet = {name: butterworth(places(body, poses, name), rate, _EVENT_HZ, known) for name in wanted}
+    middle = butterworth(places(body, poses, "mid_hip"), rate, _EVENT_HZ, known)
     ahead = {name: np.sum((place - middle) * forward, axis=1) for name, place in feet.items()}
     strikes = {side: _events(times, ahead[f"heel_{side}"], 1) for side in SIDES}
     toe_offs = {side: _events(times, ahead[f"toe_{side}"], -1) for side in SIDES}
@@ -119,7 +119,12 @@ def _to_x(gait: Gait) -> Float:
 
 def cycles(gait: Gait, times: Float, values: Float, side: str) -> Float:
     """Values (N, C) at `times` (N,) over each stride of a side: (strides, 101, C), at 0, 1 … 100 % of the cycle."""
-    at = [stride.start + PERCENT / 100 * (stride.end - stride.start) for stride in gait.of(side)]
+    return normalised([(stride.start, stride.end) for stride in gait.of(side)], times, values)
+
+
+def normalised(spans: Sequence[tuple[float, float]], times: Float, values: Float) -> Float:
+    """Values (N, C) at `times` (N,) over spans of time (s): (spans, 101, C), at 0, 1 … 100 % of each."""
+    at = [start + PERCENT / 100 * (end - start) for start, end in spans]
     columns = [[np.interp(t, times, column) for column in values.T] for t in at]
     return np.array(columns).reshape(len(at), values.shape[1], len(PERCENT)).transpose(0, 2, 1)
 
@@ -158,7 +163,8 @@ def _level_angle(forward: Float) -> Float:
     return np.where(np.isfinite(forward[:, 0]), np.arctan2(forward[:, 1], forward[:, 0]), 0.0)
 
 
-def _rate(times: Float) -> float:
+def frame_rate(times: Float) -> float:
+    """Frames per second. Raises InputError for few frames, or times that are not even."""
     steps = np.diff(times)
     if len(times) < 12:
         raise InputError(f"gait: there are {len(times)} frames; gait needs a stride, and 12 frames at least.")
@@ -167,7 +173,7 @@ def _rate(times: Float) -> float:
     return float(1.0 / np.median(steps))
 
 
-def _places(body: Body, poses: Sequence[Pose], name: str) -> Float:
+def places(body: Body, poses: Sequence[Pose], name: str) -> Float:
     """(N, 3) a landmark; the root's origin where the body has none of that name."""
     if name not in body.landmarks.names:
         return np.array([pose.root[:3, 3] for pose in poses])

@@ -111,7 +111,7 @@ def _pelvis(body: Body, roots: Float, to_file: Float) -> _Part:
 
 def _opensim(body: Body, poses: Sequence[Pose]) -> _Part:
     """The body's own coordinates, each shoulder in OpenSim's order and with OpenSim's zeros."""
-    q = np.array([pose.q for pose in poses]).reshape(len(poses), -1)
+    q = np.array([pose.q for pose in poses]).reshape(len(poses), body.dof - 6)
     by_step = np.tile(np.eye(body.dof)[6:], (len(q), 1, 1))
     out, axes = opensim_angles(body, body.coordinate_names, q), body.twists[:, :3]
     for ours, opensim in convert.shoulders_of(body):

@@ -5,6 +5,7 @@ A format is a function that gives an `ExportFormat`, named in `FORMATS` or as an
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -16,20 +17,21 @@ import numpy as np
 from twistcap.body import Posed
 from twistcap.body.gltf_animate import animate_glb, bone_motion
 from twistcap.body.gltf_write import save_glb
-from twistcap.errors import InputError, check_choice
+from twistcap.errors import InputError, check, check_choice
 from twistcap.io.bvh import write_bone_bvh, write_bvh
 from twistcap.io.c3d import write_c3d
 from twistcap.io.coordinates import ANGLES, Angles
-from twistcap.io.files import replacing, unwritable
+from twistcap.io.files import replacing, unwritable, write_lines
 from twistcap.io.markers import TO_FILE, WorldAxes, write_trc
 from twistcap.io.motion_files import write_csv, write_mot
 from twistcap.io.opensim_package import write_opensim
+from twistcap.io.playback import playback
 from twistcap.io.result import Result
 from twistcap.registry import Registry
 
 _OWN = {name: f"twistcap.io.exports:{name}" for name in ("trc", "mot", "bvh", "csv", "glb", "c3d", "opensim")}
 FORMATS = Registry("export format", "twistcap.exports", _OWN)
-_ALONE_HZ = 60.0  # rate of a result of one frame, which has none
+_PLAYED = ("bvh", "glb")  # which take a rate of their own
 
 
 @dataclass(frozen=True)
@@ -41,21 +43,24 @@ class ExportOptions:
         angles: whose definitions the joint angles have, see `io.coordinates`.
         fill: whether frames that are lost or unseen hold the predicted pose; else they are empty where the format can
             say so (all but BVH and GLB).
+        fps: frames per second of BVH and GLB, interpolated. None: BVH has the recording's, GLB a key for each frame.
         into: the rigged GLB that was tracked: GLB and BVH then have its bones, and the GLB all of its content.
         rig: its rig file, where one is not beside it.
 
-    Raises InputError for unknown axes or angles.
+    Raises InputError for unknown axes or angles, or a rate that is not positive.
     """
 
     axes: WorldAxes = "opensim"
     angles: Angles = "opensim"
     fill: bool = False
+    fps: float | None = None
     into: Path | None = None
     rig: Path | None = None
 
     def __post_init__(self) -> None:
         check_choice("export: axes", self.axes, TO_FILE)
         check_choice("export: angles", self.angles, ANGLES)
+        check("export: fps", self.fps is None or 0 < self.fps < np.inf, f"it is {self.fps}; it must be positive")
 
 
 DEFAULTS = ExportOptions()
@@ -79,11 +84,13 @@ def export(
     result: Result, name: str, folder: Path, path: Path | None = None, options: ExportOptions = DEFAULTS
 ) -> Path:
     """Write a result in the format of a name; returns the file: `path`, or its usual name in the folder. Raises
-    InputError for an unknown format, a result without frames, or a file that cannot be written.
+    InputError for an unknown format, a result without frames, a rate where the format takes none, or a file that cannot
+    be written.
     """
     chosen = format_of(name)
     if not len(result):
         raise InputError("the result has no frame; there is nothing to export.")
+    check("export: fps", options.fps is None or name in _PLAYED, f"{name} takes none; leave it away")
     path = path or folder / chosen.file_name
     try:
         chosen.write(result, path, options)
@@ -93,18 +100,25 @@ def export(
 
 
 def _write_glb(result: Result, path: Path, options: ExportOptions) -> None:
+    """A key for each frame, at its time, or at even times; the animation's extras hold the flags."""
+    played = playback(result)
+    played = played if options.fps is None else played.even(options.fps)
     with replacing(path) as part:
         if options.into is None:
-            save_glb(result.body, part, result.poses, _rate(result))
+            save_glb(result.body, part, played.poses, played.times, played.flags)
         else:
-            animate_glb(bone_motion(result.body, result.poses, options.into, options.rig), part, _rate(result))
+            motion = bone_motion(result.body, played.poses, options.into, options.rig)
+            animate_glb(motion, part, played.times, played.flags)
 
 
 def _write_bvh(result: Result, path: Path, options: ExportOptions) -> None:
+    """Lines at an even rate; the flags stand in a JSON beside it, since the format has no place for them."""
+    played = playback(result).even(options.fps)
     if options.into is None:
-        write_bvh(path, result.body, result.poses, _rate(result))
+        write_bvh(path, result.body, played.poses, played.rate)
     else:
-        write_bone_bvh(path, bone_motion(result.body, result.poses, options.into, options.rig), _rate(result))
+        write_bone_bvh(path, bone_motion(result.body, played.poses, options.into, options.rig), played.rate)
+    write_lines(path.with_suffix(".flags.json"), [json.dumps(played.flags)])
 
 
 def _write_landmarks(result: Result, path: Path, options: ExportOptions) -> None:
@@ -129,11 +143,6 @@ def _write_c3d(result: Result, path: Path, options: ExportOptions) -> None:
 
 def _write_opensim(result: Result, path: Path, options: ExportOptions) -> None:
     write_opensim(path, result, options.axes, options.fill)
-
-
-def _rate(result: Result) -> float:
-    """Frames per second; the median step, so that dropped frames do not count."""
-    return float(1.0 / np.median(np.diff(result.times))) if len(result) > 1 else _ALONE_HZ
 
 
 trc = partial(ExportFormat, "joints.trc", "joint centres (OpenSim, Mokka)", _write_landmarks)

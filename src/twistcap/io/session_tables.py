@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, model_validator
 
 from twistcap.io.model_file import is_address, is_model_file
 from twistcap.motion import MotionKind
+
+if TYPE_CHECKING:
+    from twistcap.io.norms import Band
 
 
 def _from_folder(path: str, info: ValidationInfo) -> str:
@@ -228,3 +232,12 @@ class Output(Table):
     axes: Literal["opensim", "pose2sim", "z_up"] = "opensim"
     angles: Literal["opensim", "isb"] = "opensim"
     fill: bool = False
+    norms: DataPath | None = None
+    norms_speed: str = "Free"
+
+    @property
+    def gait_norms(self) -> Mapping[str, Band]:
+        """What `norms` names, read; see `io.norms`. Raises InputError for a file of another kind."""
+        from twistcap.io.norms import read_norms
+
+        return {} if self.norms is None else read_norms(Path(self.norms), self.norms_speed)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from twistcap.doors.text import read_lines, read_toml, toml_value
 from twistcap.errors import InputError
@@ -36,7 +36,14 @@ class StudyOutput(Output):
 
     overlay: bool = False
     over: Literal["frame", "cycle"] = "frame"
-    cutoff: float = Field(default=6.0, gt=0)
+    filter: Literal["butterworth", "smoother"] = "butterworth"
+    cutoff: float | None = Field(default=None, gt=0)
+
+    @model_validator(mode="after")
+    def _one_filter(self) -> StudyOutput:
+        if self.filter == "smoother" and self.cutoff is not None:
+            raise ValueError("the smoother takes no cutoff, the covariance gives it; leave 'cutoff' away")
+        return self
 
 
 class StudyFile(Table):

@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 
 from twistcap.arrays import AnyArray, Float, Int
-from twistcap.body import Posed
+from twistcap.body import Body, Posed
 from twistcap.body.kinematics import unit_vertex_normals
 from twistcap.body.limbs import most_of_limbs, named_limbs
 from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError
 from twistcap.estimate import UNSEEN
 from twistcap.evaluate.load import Reference
+from twistcap.io.coordinates import coordinates_of, opensim_angles
 from twistcap.io.result import Result
 from twistcap.io.video import Source
 from twistcap.pages.assemble import jpeg, packed, page
@@ -55,7 +56,8 @@ def view_page(
     if not results or not any(len(result) for result in results.values()):
         raise InputError("no result has a frame; there is nothing to view.")
     sources, options = sources or {}, options or Options()
-    rig, width = next(iter(results.values())).rig, options.width
+    first = next(iter(results.values()))
+    rig, width = first.rig, options.width
     indices, times = _time_line(list(results.values()))
     every = max(1, -(-len(indices) // max(1, options.images)))
     pictured = np.arange(0, len(indices) if sources else 0, every, dtype=np.int32)
@@ -66,7 +68,7 @@ def view_page(
         "shown": pictured.tolist(),
         "cameras": [_camera(camera, sources.get(camera.name), indices[pictured], width) for camera in rig],
         "runs": [_run(name, result, indices, pictured, drawn, width) for name, result in results.items()],
-        "reference": None if reference is None else _reference(reference, times, rig, pictured, width),
+        "reference": None if reference is None else _reference(reference, first.body, times, rig, pictured, width),
     }
     return page("view", title, document)
 
@@ -104,7 +106,9 @@ def _camera(camera: Camera, source: Source | None, indices: Int, width: int) -> 
 
 def _run(name: str, result: Result, indices: Int, shown: Int, rig: Rig, width: int) -> dict[str, Any]:
     body, names = result.body, result.rig.names
-    limbs = named_limbs(body)
+    limbs, table = named_limbs(body), coordinates_of(body, result.poses, result.covariances)
+    own = [table.names.index(coordinate) for coordinate in body.coordinate_names]
+    angles, sigmas = (columns[:, own] for columns in table.in_degrees)
     where = {int(index): row for row, index in enumerate(result.indices)}
     rows = [where.get(int(index), -1) for index in indices]
     posed = [Posed(body, pose) for pose in result.poses]
@@ -134,15 +138,16 @@ def _run(name: str, result: Result, indices: Int, shown: Int, rig: Rig, width: i
         "statements": result_in_words(result),
         "cameras": [[camera_in_words(e, c) for c in range(len(names))] for e in result.estimates],
         "coordinates": list(body.coordinate_names),
-        "angles_deg": packed(np.rad2deg(result.q)),
-        "sigma_deg": packed(np.rad2deg(np.nan_to_num(result.sigmas))),
+        "units": ["°" if table.turning[k] else " m" for k in own],
+        "angles": packed(angles),
+        "sigmas": packed(np.nan_to_num(sigmas)),
         "outlines": outlines,
     }
 
 
-def _reference(reference: Reference, times: Float, rig: Rig, shown: Int, width: int) -> dict[str, Any]:
-    points, angles = reference.at(times)
-    names = reference.names
+def _reference(reference: Reference, body: Body, times: Float, rig: Rig, shown: Int, width: int) -> dict[str, Any]:
+    points, own = reference.at(times)
+    names, angles = reference.names, opensim_angles(body, reference.coordinate_names, own)
     seen = rig if len(shown) and names else ()
     pixels: list[list[Any]] = [[] for _ in rig]
     for k, camera in enumerate(seen):

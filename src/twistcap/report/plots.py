@@ -22,7 +22,7 @@ _COLOURS = {"r": "#e8790c", "l": "#1780d6", "": "#3d8f6d"}
 _DARK = {"r": "#6e3500", "l": "#0a3a66", "": "#16452f"}
 _SIDES = {"r": "right", "l": "left", "": "middle"}
 _LEAST_SPAN_DEG = 10.0
-_LOST, _DROPPED = "#e5484d", "#9aa3ad"
+_LOST, _DROPPED, _NORM = "#e5484d", "#9aa3ad", "#aab2bd"
 
 
 @dataclass(frozen=True)
@@ -82,13 +82,19 @@ def _draw_angle(axis: Axes, series: AngleSeries, name: str) -> None:
     axis.plot(series.times, values, color=colour, lw=1.6, zorder=3)
 
 
-def cycle_plot(path: Path | str, curves: Mapping[str, tuple[Float, Float]]) -> Path:
-    """Mean and standard deviation (101,) in degrees of coordinates over 0 to 100 % of the gait cycle, right and left in
-    one panel; a coordinate of the middle has a curve over the strides of each side."""
-    names = list(curves)
-    figure, panels = _grid(names, "Gait cycles: mean ± standard deviation", "% of the cycle")
+def cycle_plot(
+    path: Path | str, curves: Mapping[str, tuple[Float, Float]], norms: Mapping[str, tuple[Float, Float]] | None = None,
+    title: str = "Gait cycles: mean ± standard deviation",
+) -> Path:  # fmt: skip
+    """Mean and standard deviation (101,) in degrees of coordinates over 0 to 100 % of the cycle, right and left in
+    one panel; a coordinate of the middle has a curve over the strides of each side. `norms` are lower and upper edges
+    (101,) of published bands, by the name of the panel, drawn grey behind."""
+    names, bands = list(curves), norms or {}
+    figure, panels = _grid(names, title, "% of the cycle")
     percent = np.linspace(0.0, 100.0, 101)
     for panel, axis in panels.items():
+        if panel in bands:
+            axis.fill_between(percent, *bands[panel], color=_NORM, alpha=0.45, lw=0, zorder=1)
         for name in (name for name in names if split_side(name)[0] == panel):
             (mean, sd), colour = curves[name], _COLOURS[split_side(name)[1]]
             axis.fill_between(percent, mean - sd, mean + sd, color=colour, alpha=0.22, lw=0, zorder=2)
@@ -97,7 +103,8 @@ def cycle_plot(path: Path | str, curves: Mapping[str, tuple[Float, Float]]) -> P
         extra = max(0.0, _LEAST_SPAN_DEG - (high - low)) / 2
         axis.set_ylim(low - extra, high + extra)
         axis.set_title(f"{panel.replace('_', ' ')} (°)", loc="left", fontsize=9, fontweight="bold")
-    return _saved(path, figure, names, [])
+    shown = [Patch(color=_NORM, alpha=0.45, label="norm ± 1 SD")] if set(panels) & set(bands) else []
+    return _saved(path, figure, names, shown)
 
 
 def joint_error_plot(path: Path | str, times: Float, names: Sequence[str], errors_mm: Float) -> Path:

@@ -20,7 +20,8 @@ function curvesOf(name) {
     bands.push({ series: [hi, hi + 1], fill: run.colour + "33" });
     read.push((frame) => {
       const row = run.rows[frame], i = row * run.coordinates.length + j;
-      return row < 0 ? null : [run.colour, `${run.angles[i].toFixed(1)}° ± ${(2 * run.sigma[i]).toFixed(1)}°`];
+      const digits = run.units[j] === "°" ? 1 : 3;
+      return row < 0 ? null : [run.colour, `${run.angles[i].toFixed(digits)}${run.units[j]} ± ${(2 * run.sigma[i]).toFixed(digits)}${run.units[j]}`];
     });
   }
   const r = data.reference ? data.reference.coordinates.indexOf(name) : -1;
@@ -32,27 +33,30 @@ function curvesOf(name) {
   return { series, table, bands, read };
 }
 
-/** At least 10° high, so that a very small motion does not fill the plot. */
-function heightOf(_, lo, hi) {
-  if (lo === null) return [-5, 5];
-  const pad = Math.max(0, (10 - (hi - lo)) / 2) + 0.05 * (hi - lo);
+const unitOf = (name) => { const run = runs.find((one) => one.coordinates.includes(name)); return run.units[run.coordinates.indexOf(name)]; };
+
+/** At least 10° or 50 mm high, so that a very small motion does not fill the plot. */
+const heightOf = (unit) => (_, lo, hi) => {
+  const least = unit === "°" ? 10 : 0.05;
+  if (lo === null) return [-least / 2, least / 2];
+  const pad = Math.max(0, (least - (hi - lo)) / 2) + 0.05 * (hi - lo);
   return [lo - pad, hi + pad];
-}
+};
 
 const sizeOf = (holder) => ({ width: Math.max(120, holder.clientWidth), height: Math.round(9.2 * em()) });
 
-function axesNow() {
+function axesNow(unit) {
   const axis = { font: `${0.75 * em()}px sans-serif`, stroke: () => colour("--soft"), grid: { stroke: () => colour("--grid") }, ticks: { show: false } };
   const seconds = (_, values, __, ___, step) => values.map((v) => `${v.toFixed(step < 0.1 ? 2 : step < 1 ? 1 : 0)} s`);
-  return [{ ...axis, size: 1.7 * em(), values: seconds }, { ...axis, size: 3.4 * em(), values: (_, values) => values.map((v) => `${v}°`) }];
+  return [{ ...axis, size: 1.7 * em(), values: seconds }, { ...axis, size: 3.4 * em(), values: (_, values) => values.map((v) => v + unit) }];
 }
 
 function buildPlot(one) {
   const { series, table, bands } = one.curves = curvesOf(one.name);
   one.plot = new uPlot({
-    ...sizeOf(one.holder), legend: { show: false }, series, bands, axes: axesNow(),
+    ...sizeOf(one.holder), legend: { show: false }, series, bands, axes: axesNow(unitOf(one.name)),
     cursor: { y: false, drag: { x: true, y: false }, sync: { key: "time" }, points: { show: false } },
-    scales: { x: { time: false, min: range[0], max: range[1] }, y: { range: heightOf } },
+    scales: { x: { time: false, min: range[0], max: range[1] }, y: { range: heightOf(unitOf(one.name)) } },
     hooks: {
       ready: [() => point(one)], drawClear: [shade],
       setCursor: [(u) => { pointed = u.cursor.idx ?? null; for (const other of plots) readOut(other); }],

@@ -3,8 +3,8 @@ const COLOURS = data.runs.length > 1 ? ["#2f7de1", "#ef8a24", "#35a368", "#a758c
 const LOST = "#e5484d", DROPPED = "#9aa3ad", DOUBT = "#5d6875", OUT = "#d98a00";
 const colourOf = (k) => COLOURS[k % COLOURS.length];
 const runs = data.runs.map((run, k) => ({
-  ...run, colour: colourOf(k), visible: true, transforms: unpack(run.transforms), angles: unpack(run.angles_deg),
-  sigma: unpack(run.sigma_deg), limbProbability: unpack(run.limb_probability),
+  ...run, colour: colourOf(k), visible: true, transforms: unpack(run.transforms), angles: unpack(run.angles),
+  sigma: unpack(run.sigmas), limbProbability: unpack(run.limb_probability),
   body: Object.fromEntries(Object.entries(run.body).map(([key, value]) => [key, unpack(value)])),
   influences: run.body.weights.shape[1], S: run.transforms.shape[1],
 }));

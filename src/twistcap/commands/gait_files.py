@@ -1,0 +1,145 @@
+"""What ``twistcap gait`` measures and writes: events, strides, parameters and cycles of a result."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twistcap.arrays import Float
+from twistcap.errors import InputError
+from twistcap.evaluate.cycles import Cycle, cycles_between, cycles_of, walking_angles
+from twistcap.evaluate.events import Event, event_times
+from twistcap.evaluate.filters import Filter, Filtered, in_words
+from twistcap.evaluate.gait import PERCENT, SIDES, UNITS, Gait, Measure, gait_of, parameters, symmetry
+from twistcap.io.coordinates import Angles
+from twistcap.io.files import replacing
+from twistcap.io.norms import Band
+from twistcap.io.result import Result
+from twistcap.report.plots import cycle_plot
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """How a walk is measured; `limits` names the event from which to which cycles go, None for gait's own strides."""
+
+    how: Filter = field(default_factory=Filter)
+    angles: Angles = "opensim"
+    norms: Mapping[str, Band] = field(default_factory=dict[str, Band])
+    events: tuple[Event, ...] = ()
+    limits: str | None = None
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Of a walk: its gait, parameters by side, filtered angles, times (s) of events by name, cycles and the files."""
+
+    gait: Gait
+    parameters: Mapping[str, Mapping[str, Measure]]
+    walk: Filtered
+    events: Mapping[str, Float]
+    cycles: Mapping[str, Cycle]
+    files: tuple[Path, ...]
+    filter: str  # a sentence
+
+    @property
+    def cutoffs(self) -> dict[str, float]:
+        """Hz, by joint angle."""
+        return _cutoffs(self.walk)
+
+
+def run_gait(read: Result, folder: Path, wishes: Wishes | None = None) -> Measured:
+    """Measure the walk of a result, and write its files into the folder. Raises InputError for a body without feet,
+    few frames or uneven times, an event that cannot be found, or two of one name."""
+    wishes = wishes or Wishes()
+    found = gait_of(read.body, read.times, read.poses, read.covariances, read.known)
+    walk = walking_angles(found, read, wishes.how, wishes.angles)
+    events = _events(found, read, walk, wishes.events)
+    curves = _curves(found, read, walk, events, wishes.limits)
+    measures, norms = parameters(found), {} if wishes.limits else wishes.norms
+    tables = [_write_events(folder, read, events), _write_parameters(folder, measures), _write_strides(folder, found)]
+    files = [*tables, _write_cycles(folder, curves)]
+    if curves:
+        title = f"Cycles from {wishes.limits} to {wishes.limits}: mean ± SD" if wishes.limits else None
+        files.append(draw_cycles(folder, curves, norms, title))
+    sentence = in_words(wishes.how, _cutoffs(walk))
+    return Measured(found, measures, walk, events, curves, tuple(files), sentence)
+
+
+def draw_cycles(folder: Path, curves: Mapping[str, Cycle], norms: Mapping[str, Band], title: str | None = None) -> Path:
+    """``cycles.png``, with published bands where there are some."""
+    drawn = {name: (c.mean, c.deviation) for name, c in curves.items()}
+    bands = {name: (band.lower, band.upper) for name, band in norms.items()}
+    return cycle_plot(folder / "cycles.png", drawn, bands, *([title] if title else []))
+
+
+def _cutoffs(walk: Filtered) -> dict[str, float]:
+    each = zip(walk.table.names, walk.table.turning, walk.cutoffs, strict=True)
+    return {name: float(cutoff) for name, turns, cutoff in each if turns}
+
+
+def _events(found: Gait, read: Result, walk: Filtered, wanted: Sequence[Event]) -> dict[str, Float]:
+    """Times by name: gait's own, and those wanted."""
+    out = {f"heel_strike_{side}": found.strikes[side] for side in SIDES}
+    out |= {f"toe_off_{side}": found.toe_offs[side] for side in SIDES}
+    for event in wanted:
+        if event.name in out:
+            raise InputError(f"there are two events {event.name!r}; give each a name of its own.")
+        out[event.name] = event_times(event, read, walk)
+    return out
+
+
+def _curves(
+    found: Gait, read: Result, walk: Filtered, events: Mapping[str, Float], limits: str | None
+) -> Mapping[str, Cycle]:
+    if limits is None:
+        return cycles_of(found, read.times, walk)
+    if limits not in events:
+        raise InputError(f"cycles: there is no event {limits!r}; there are {', '.join(events)}.")
+    return cycles_between(events[limits], read.times, walk)
+
+
+def _write_events(folder: Path, read: Result, events: Mapping[str, Float]) -> Path:
+    """In the order of time; the frame is the nearest."""
+    each = sorted((float(time), name) for name, times in events.items() for time in times)
+    rows = [[name, f"{time:.4f}", int(read.indices[np.argmin(np.abs(read.times - time))])] for time, name in each]
+    return _table(folder / "events.csv", ["event", "time_s", "frame"], rows)
+
+
+def _write_parameters(folder: Path, measures: Mapping[str, Mapping[str, Measure]]) -> Path:
+    rows = [
+        [side, name, UNITS[name], *(f"{v:.5f}" for v in (m.mean, m.deviation, m.sigma)), m.count]
+        for side, values in measures.items()
+        for name, m in values.items()
+    ]
+    rows += [["symmetry", name, "%", f"{index:.5f}", "", "", ""] for name, index in symmetry(measures).items()]
+    head = ["side", "parameter", "unit", "mean", "standard_deviation", "standard_error_by_covariance", "strides"]
+    return _table(folder / "gait.csv", head, rows)
+
+
+def _write_strides(folder: Path, found: Gait) -> Path:
+    names = list(vars(found.strides[0])) if found.strides else ["side"]
+    rows = [[value if isinstance(value, str) else f"{value:.5f}" for value in vars(s).values()] for s in found.strides]
+    return _table(folder / "strides.csv", names, rows)
+
+
+def _write_cycles(folder: Path, curves: Mapping[str, Cycle]) -> Path:
+    rows = [
+        [c.side, f"{p:.0f}", c.coordinate, f"{m:.4f}", f"{s:.4f}", c.strides, f"{c.cutoff:.2f}"]
+        for c in curves.values()
+        for p, m, s in zip(PERCENT, c.mean, c.deviation, strict=True)
+    ]
+    head = ["side", "percent", "coordinate", "mean_deg", "sd_deg", "strides", "cutoff_hz"]
+    return _table(folder / "cycles.csv", head, rows)
+
+
+def _table(path: Path, head: Sequence[str], rows: Sequence[Sequence[Any]]) -> Path:
+    with replacing(path) as part, part.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(head)
+        writer.writerows(rows)
+    return path

@@ -1,0 +1,69 @@
+"""The motion of a result as programs of animation play it, with the flag of its frames.
+
+GLB has a key for each frame, at its time. BVH has lines at an even rate, so that the poses of other clocks are
+interpolated. Neither has empty frames: `Playback.flags` says which are predicted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from twistcap.arrays import Bool, Float
+from twistcap.body import Pose
+from twistcap.errors import check
+from twistcap.io.result import Result
+from twistcap.motion.clip import interpolated_angles, interpolated_roots
+
+_ALONE_HZ = 60.0  # rate of a result of one frame, which has none
+_UNEVEN = 0.02  # of a frame by which times may be off an even clock, whose poses are then taken as they are
+
+
+@dataclass(frozen=True)
+class Playback:
+    """Poses at `times` (T,) s from the first; `known` (T,) ones, which are neither lost nor predicted without images.
+
+    `start` is the recording's time (s) of the first.
+    """
+
+    start: float
+    times: Float
+    poses: tuple[Pose, ...]
+    known: Bool
+
+    @property
+    def rate(self) -> float:
+        """Frames per second; the median step, so that dropped frames do not count."""
+        return float(1.0 / np.median(np.diff(self.times))) if len(self.times) > 1 else _ALONE_HZ
+
+    @property
+    def flags(self) -> dict[str, Any]:
+        """For JSON: rate, number of frames, time of the first, and first and last of each span that is not known."""
+        lost = np.flatnonzero(~self.known)
+        spans = np.split(lost, np.flatnonzero(np.diff(lost) > 1) + 1) if len(lost) else []
+        lost_spans = [[int(span[0]), int(span[-1])] for span in spans]
+        return {"fps": round(self.rate, 6), "frames": len(self.times), "start_s": self.start, "lost": lost_spans}
+
+    def even(self, fps: float | None = None) -> Playback:
+        """The same motion at an even rate (1/s), by default its own. A pose is known where both neighbours are.
+
+        Raises InputError for a rate that is not positive.
+        """
+        rate = self.rate if fps is None else fps
+        check("export: fps", np.isfinite(rate) and rate > 0, f"it is {rate}; it must be positive")
+        times = np.arange(int(np.floor(self.times[-1] * rate + _UNEVEN)) + 1) / rate
+        if len(times) == len(self.times) and np.abs(times - self.times).max() * rate < _UNEVEN:
+            return Playback(self.start, times, self.poses, self.known)
+        at = np.interp(times, self.times, np.arange(len(self.times)))
+        roots = interpolated_roots(np.array([pose.root for pose in self.poses]), at)
+        q = interpolated_angles(np.array([pose.q for pose in self.poses]), at)
+        known = np.interp(times, self.times, self.known.astype(float)) > 1.0 - 1e-9
+        return Playback(self.start, times, tuple(Pose(*both) for both in zip(roots, q, strict=True)), known)
+
+
+def playback(result: Result) -> Playback:
+    """The motion of a result of one frame or more."""
+    start = float(result.times[0])
+    return Playback(start, result.times - start, tuple(result.poses), result.known)
