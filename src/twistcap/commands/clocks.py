@@ -10,7 +10,7 @@ import numpy as np
 
 _FRAMES = 40  # consecutive ones by which clocks are judged: those in which the body moves most
 _ROUNDS = 3
-_TOLD = 0.3  # frames by which a clock must differ to be told
+_DIFFERENT = 0.3  # frames by which a clock must differ to be named
 _SIGMAS = 6.0  # standard deviations by which it must differ
 
 
@@ -34,7 +34,7 @@ def clocks_in_words(session: Any, views: Any, result: Any) -> list[str]:
     sigma = np.maximum(found.sigma, np.median(found.sigma))
     out = list[str]()
     for name, off, uncertain in zip(views.rig.names, late, sigma, strict=True):
-        if abs(off) > max(_TOLD * frame, _SIGMAS * uncertain):
+        if abs(off) > max(_DIFFERENT * frame, _SIGMAS * uncertain):
             has = session.clocks[name].offset if name in session.clocks else 0.0
             how = f"{abs(off) / frame:.1f} ± {uncertain / frame:.1f} frames {'late' if off > 0 else 'early'}"
             mend = f"offset = {has + off:.4f} in [clocks.{name}] would mend it; or run twistcap sync"

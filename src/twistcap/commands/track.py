@@ -118,10 +118,10 @@ def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Ti
         recording = open_recording(session)
         views, made = recording.views, made_of(session, recording.views)
     for source in views.sources:
-        if source.told:
-            words.print(f"{source.told}.", markup=False, soft_wrap=True)
-    if recording.told:
-        words.print(recording.told, markup=False, soft_wrap=True)
+        if source.note:
+            words.print(f"{source.note}.", markup=False, soft_wrap=True)
+    if recording.note:
+        words.print(recording.note, markup=False, soft_wrap=True)
     tracker = session_tracker(session, recording.body, views)
     tracker.start(recording.first_pose, recording.first_time)
     config = session.model_dump(mode="json")

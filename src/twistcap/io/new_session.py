@@ -190,7 +190,7 @@ def findings(draft: Draft) -> list[str]:
     if rates and max(rates.values()) - min(rates.values()) > 0.001 * max(rates.values()):
         listed = ", ".join(f"{name} {rate:g}" for name, rate in rates.items())
         out.append(f"Frame rates differ ({listed}): frames are paired by time. Find the clocks with twistcap sync.")
-    out += [f"{source.told}." for source in draft.sources.values() if source.told]
+    out += [f"{source.note}." for source in draft.sources.values() if source.note]
     if draft.unused:
         out.append(f"Calibrated, but without a video: {', '.join(draft.unused)}; they are left out by [cameras] use.")
     return out
