@@ -83,12 +83,11 @@ def mended(filmed: Bumped, estimates: Sequence[Estimate], seed: int) -> None:
     if not out:
         return
     chosen = [e for e in estimates if e.index >= out[0]]
-    frames = [filmed.frames[e.index] for e in chosen]
-    found = mended_cameras(frames, filmed.scene.body, rig, chosen, [c])
+    found = mended_cameras(lambda: [filmed.frames[e.index] for e in chosen], filmed.scene.body, rig, chosen, [c])
     sigma = found.sigmas[c]
     print(f"  off before {off(rig[c].T_cam_world, filmed.truth)}, after {off(found.places[c], filmed.truth)} (deg, mm)")
     print(f"  sigma {np.rad2deg(np.linalg.norm(sigma[:3])):.3f} deg {1000 * np.linalg.norm(sigma[3:]):.1f} mm; agree"
-          f" {found.before[c].mean():.2f} -> {found.after[c].mean():.2f}; moved {np.round(found.moved, 5)};"
+          f" {np.nanmean(found.before[c]):.2f} -> {np.nanmean(found.after[c]):.2f}; moved {np.round(found.moved, 5)};"
           f" holds from {chosen[0].index + holds_from(found.before[c], found.after[c])}", flush=True)  # fmt: skip
 
 

@@ -44,6 +44,7 @@ class MendedCameras:
         sigmas: by number, (6,) standard deviations of its left twist, rad and m.
         before, after: by number, (F,) share of the contour points that agree in each frame with the camera as given,
             and as mended.
+        others: that share in the other cameras, all frames together.
         moved: rad and m by which the cameras moved in each round.
         poses: of the frames.
     """
@@ -52,12 +53,13 @@ class MendedCameras:
     sigmas: Mapping[int, Float]
     before: Mapping[int, Float]
     after: Mapping[int, Float]
+    others: float
     moved: tuple[float, ...]
     poses: PoseTrack
 
 
 def mended_cameras(
-    frames: Iterable[Frame], body: Body, rig: Rig, estimates: Sequence[Estimate], wrong: Sequence[int],
+    frames: Callable[[], Iterable[Frame]], body: Body, rig: Rig, estimates: Sequence[Estimate], wrong: Sequence[int],
     tracker: Settings | None = None, report: Report | None = None,
 ) -> MendedCameras:  # fmt: skip
     """Places of the cameras `wrong`, by the contours of a body that was tracked in the others.
@@ -65,7 +67,7 @@ def mended_cameras(
     A camera that was turned far is looked for first (`turned_towards`). Lenses stay as they are.
 
     Args:
-        frames: those of the estimates, in order; they are read twice.
+        frames: gives those of the estimates, in order; it is called twice.
         body, rig, estimates: of the track; the cameras are those of the images.
         wrong: numbers of the cameras whose place is sought; at least two others must be left.
         tracker: settings of the contour cue.
@@ -79,11 +81,11 @@ def mended_cameras(
     settings = replace(tracker or Settings(), method="direct")
     tell = _Progress(report or (lambda *_: None), len(estimates))
     given = rig.pinhole()
-    found = _looked_for(frames, body, given, estimates, wrong, settings, tell)
+    found = _looked_for(frames(), body, given, estimates, wrong, settings, tell)
     own = [replace(e, left_out=tuple(c for c in e.left_out if c not in wrong)) for e in estimates]
     turned = Rig(tuple(found.get(c, camera) for c, camera in enumerate(given)))
     images = SequenceImages(turned, RefineConfig(), settings, body)
-    for done in images.read(frames, own):
+    for done in images.read(frames(), own):
         tell("reading", done)
     x = Standpoints(PoseTrack(tuple(e.pose for e in own), np.array([e.time for e in own])),
                     {c: camera.T_cam_world for c, camera in found.items()})  # fmt: skip
@@ -142,15 +144,11 @@ def _settled(images: SequenceImages, x: Standpoints, given: Rig, tell: _Progress
             break
     sigma = claimed_sigma(solution.system, design_effect(problem.seen(x)))
     sigmas = {c: sigma[6 * k : 6 * k + 6] for k, c in enumerate(x.places)}
-    before, after = (_agreeing(images, x, places) for places in (calibrated, x.places))
-    return MendedCameras(x.places, sigmas, before, after, tuple(moved), x.track)
-
-
-def _agreeing(images: SequenceImages, x: Standpoints, places: Mapping[int, Float]) -> dict[int, Float]:
-    """By camera at these places (F,) share of the contour points that agree."""
-    posed = [Posed(images.body, pose) for pose in x.track.poses]
-    rounds = images.standing_at(places).tallies(posed, tuple(places))
-    return {c: np.array([good.sum() / max(points.sum(), 1.0) for good, points in own]) for c, own in rounds.items()}
+    posed = [Posed(body, pose) for pose in x.track.poses]
+    rest = images.agreeing(posed, [c for c in range(images.cameras) if c not in calibrated])
+    before, after = (images.standing_at(places).agreeing(posed, tuple(places)) for places in (calibrated, x.places))
+    others = float(np.nanmean(np.stack(tuple(rest.values()))))
+    return MendedCameras(x.places, sigmas, before, after, others, tuple(moved), x.track)
 
 
 class CameraProblem:

@@ -11,7 +11,8 @@ def holds_from(before: Float, after: Float) -> int:
     """The first frame (0 … F) from which the mended camera agrees better with the images than the given one.
 
     Args:
-        before, after: (F,) contour points that agree in each frame, with the camera as given and as mended.
+        before, after: (F,) share of the contour points that agree in each frame, with the camera as given and as
+            mended; NaN without an image.
     """
-    gain = np.concatenate([[0.0], np.cumsum(after - before)])
+    gain = np.concatenate([[0.0], np.cumsum(np.nan_to_num(after - before))])
     return int(np.argmin(gain))

@@ -101,10 +101,14 @@ class SequenceImages:
             self.colours = self.colours + of_camera.colours
         return [of_camera.contours for of_camera in rounds]
 
-    def tallies(self, posed: Sequence[Posed], cameras: Sequence[int]) -> dict[int, Sequence[Tally]]:
-        """Of some cameras, how the contours of poses agree with the images."""
-        trusted = np.ones(len(posed), dtype=np.bool_)
-        return {i: self._one_camera(i, posed, trusted, False, False).tallies for i in cameras}
+    def agreeing(self, posed: Sequence[Posed], cameras: Sequence[int]) -> dict[int, Float]:
+        """Of some cameras, the share (F,) of the contour points of poses that agree; NaN without an image."""
+        trusted, out = np.ones(len(posed), dtype=np.bool_), dict[int, Float]()
+        for i in cameras:
+            tallies = self._one_camera(i, posed, trusted, False, False).tallies
+            good, points = (np.array([tally[k].sum() for tally in tallies]) for k in (0, 1))
+            out[i] = np.where(points > 0, good / np.maximum(points, 1.0), np.nan)
+        return out
 
     def standing_at(self, places: Mapping[int, Float]) -> SequenceImages:
         """The same images, taken by cameras that stand elsewhere: `T_cam_world` (4, 4) by number."""
