@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -72,37 +72,38 @@ def _wrong(result: Any, names: Sequence[str], path: Path) -> list[int]:
 
 def _mended(result: Any, views: Any, session: Any, camera: int, others: Sequence[int]) -> tuple[dict[str, Any], Any]:
     """One row of the table, and `T_cam_world` of a camera."""
-    from twistcap.adjust.cameras import holds_from, mended_cameras
+    from twistcap.adjust.cameras import agreement_at, holds_from, mended_cameras
 
-    chosen = _frames(result, camera, others)
-    kept = {e.index for e in chosen}
-    span = range(chosen[0].index, chosen[-1].index + 1)
-    shown = replace(views, indices=span)
-    name = result.rig.names[camera]
+    out, name = np.flatnonzero(result.left_out[:, camera]), result.rig.names[camera]
+    chosen = _frames(result, int(out[0]) if len(out) else 0, camera, others)
+    rest, settings = (result.body, views.image_rig), session.tracker_settings
     with terminal.status(f"mending {name}") as report:
-        found = mended_cameras(
-            lambda: (frame for frame in shown if frame.index in kept), result.body, views.image_rig, chosen, [camera],
-            session.tracker_settings, report,
-        )  # fmt: skip
+        found = mended_cameras(lambda: _shown(views, chosen), *rest, chosen, [camera], settings, report)
+    place = found.places[camera]
     before, after = (float(np.nanmean(by[camera])) for by in (found.before, found.after))
-    first = min(holds_from(found.before[camera], found.after[camera]), len(chosen) - 1)
+    with terminal.status(f"looking when {name} was moved"):
+        whole = _frames(result, 0, camera, others)
+        first = holds_from(*agreement_at(_shown(views, whole), *rest, whole, camera, place, settings))
     return {
         "camera": name, **_off(result, found, camera), "agreed_before": before, "agreed_after": after,
-        "from_frame": chosen[first].index, "frames": len(chosen),
+        "from_frame": whole[min(first, len(whole) - 1)].index, "frames": len(chosen),
         "sure": after >= before + _GAIN and after >= _GOOD * found.others,
-    }, found.places[camera]  # fmt: skip
+    }, place  # fmt: skip
 
 
-def _frames(result: Any, camera: int, others: Sequence[int]) -> list[Any]:
-    """Estimates, spread evenly, of the frames in which a camera stood as it stands at the end."""
-    out = np.flatnonzero(result.left_out[:, camera])
-    first = int(out[0]) if len(out) else 0
+def _shown(views: Any, chosen: Sequence[Any]) -> Iterator[Any]:
+    """The frames of estimates."""
+    kept = {e.index for e in chosen}
+    span = replace(views, indices=range(chosen[0].index, chosen[-1].index + 1))
+    return (frame for frame in span if frame.index in kept)
+
+
+def _frames(result: Any, first: int, camera: int, others: Sequence[int]) -> list[Any]:
+    """Good estimates from a row on, spread evenly, in which the camera is believed and the others are not."""
     rows = [e for e in result.estimates[first:] if e.seen and not e.lost]
     if len(rows) < _FEWEST:
-        name = result.rig.names[camera]
-        raise InputError(
-            f"camera {name}: only {len(rows)} good frames show it where it stands now; {_FEWEST} are needed."
-        )
+        few = f"only {len(rows)} good frames show it where it stands now"
+        raise InputError(f"camera {result.rig.names[camera]}: {few}; track at least {_FEWEST}.")
     spread = rows[:: -(-len(rows) // _MOST)]
     return [replace(e, left_out=tuple({*e.left_out, *others} - {camera})) for e in spread]
 

@@ -2,6 +2,6 @@
 
 from twistcap.adjust.cameras.coarse import turned_towards
 from twistcap.adjust.cameras.fine import MendedCameras, mended_cameras
-from twistcap.adjust.cameras.since import holds_from
+from twistcap.adjust.cameras.since import agreement_at, holds_from
 
-__all__ = ["MendedCameras", "holds_from", "mended_cameras", "turned_towards"]
+__all__ = ["MendedCameras", "agreement_at", "holds_from", "mended_cameras", "turned_towards"]
