@@ -4,23 +4,36 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-_FRAMES = 40  # consecutive ones by which clocks are judged: those in which the body moves most
-_ROUNDS = 3
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from twistcap.adjust.clocks import Clocks
+    from twistcap.estimate import Estimate
+
+_ROUNDS = 2  # of measuring; each costs about as much as tracking its frames
+_SHARE = 0.05  # of the cost of tracking that the comparison may have
+_FEWEST, _MOST = 12, 40  # consecutive frames by which clocks are judged: those in which the body moves most
 _DIFFERENT = 0.3  # frames by which a clock must differ to be named
 _SIGMAS = 6.0  # standard deviations by which it must differ
 
 
 def clocks_in_words(session: Any, views: Any, result: Any) -> list[str]:
-    """A sentence for each camera whose images disagree with the others' in time, with the offset that mends it."""
+    """A sentence for each camera whose images disagree with the others' in time, with the offset that mends it.
+
+    None where the recording is so short that looking would cost more than a twentieth of its tracking.
+    """
     from twistcap.adjust.clocks import estimate_clocks
 
-    chosen = _liveliest(result.estimates)
+    count = min(_MOST, int(_SHARE * len(result) / _ROUNDS))
+    if count < _FEWEST or len(views.rig) < 3:
+        return []
+    chosen = liveliest(result.estimates, count)
     steps = {b.index - a.index for a, b in itertools.pairwise(chosen)}
-    if len(chosen) < _FRAMES // 2 or len(views.rig) < 3 or len(steps) != 1:
+    if len(steps) != 1:
         return []
     span = range(chosen[0].index, chosen[-1].index + 1, steps.pop())
     shown = replace(views, indices=span, moved=False)
@@ -29,29 +42,33 @@ def clocks_in_words(session: Any, views: Any, result: Any) -> list[str]:
     found = estimate_clocks(
         shown, result.body, views.image_rig, own, shown.lags, timeline.reference, settings, _ROUNDS
     )  # fmt: skip
+    offsets = [session.clocks[name].offset if name in session.clocks else 0.0 for name in views.rig.names]
+    return disagreements(found, views.rig.names, offsets, timeline.intervals[timeline.reference])
+
+
+def disagreements(found: Clocks, names: Sequence[str], offsets: Sequence[float], frame: float) -> list[str]:
+    """Sentences about clocks that differ from most; `offsets` are those of the session, `frame` the interval, s."""
     middle = float(np.median(found.late))  # the camera that stands for the time may be the one that is wrong
-    late, frame = found.late - middle, timeline.intervals[timeline.reference]
-    sigma = np.maximum(found.sigma, np.median(found.sigma))
+    late, sigma = found.late - middle, np.maximum(found.sigma, np.median(found.sigma))
     out = list[str]()
-    for name, off, uncertain in zip(views.rig.names, late, sigma, strict=True):
+    for name, has, off, uncertain in zip(names, offsets, late, sigma, strict=True):
         if abs(off) > max(_DIFFERENT * frame, _SIGMAS * uncertain):
-            has = session.clocks[name].offset if name in session.clocks else 0.0
             how = f"{abs(off) / frame:.1f} ± {uncertain / frame:.1f} frames {'late' if off > 0 else 'early'}"
             mend = f"offset = {has + off:.4f} in [clocks.{name}] would mend it; or run twistcap sync"
             out.append(f"The clock of camera {name} disagrees with the others': its images are {how}; {mend}.")
     return out
 
 
-def _liveliest(estimates: Any) -> list[Any]:
-    """The run of frames in which the root and the joints move most; none that is lost."""
-    if len(estimates) <= _FRAMES:
-        return list(estimates) if not any(e.lost for e in estimates) else []
+def liveliest(estimates: Sequence[Estimate], count: int) -> list[Estimate]:
+    """The run of so many frames in which the root and the joints move most; none that is lost. Empty without one."""
+    if len(estimates) < count:
+        return []
     kept = np.array([not e.lost and e.seen for e in estimates])
     steps = [np.abs(b.pose.minus(a.pose)) for a, b in itertools.pairwise(estimates)]
     moved = np.array([0.0, *(min(1.0, float(step[6:].sum() + 5.0 * step[3:6].sum())) for step in steps)])
-    whole = np.convolve(kept, np.ones(_FRAMES), "valid") == _FRAMES
+    whole = np.convolve(kept, np.ones(count), "valid") == count
     if not whole.any():
         return []
-    total = np.where(whole, np.convolve(moved, np.ones(_FRAMES), "valid"), -1.0)
+    total = np.where(whole, np.convolve(moved, np.ones(count), "valid"), -1.0)
     start = int(np.argmax(total))
-    return list(estimates[start : start + _FRAMES])
+    return list(estimates[start : start + count])
