@@ -17,6 +17,7 @@ from twistcap.body import Body, Posed
 from twistcap.camera import Camera, Rig
 from twistcap.errors import check
 from twistcap.estimate import Estimate, Frame
+from twistcap.predict.inertia import INFLATION
 from twistcap.settings import Settings
 from twistcap.solve import Arrow, minimise
 from twistcap.solve.blocks import PoseTrack
@@ -27,10 +28,13 @@ _ROUNDS = 14
 _COARSE_ROUNDS = 3
 _SETTLED = 2e-5  # rad and m by which the cameras may still move in the last round
 _LONGEST = 0.05  # rad and m that a camera moves in one step
-_PRIOR = np.repeat([np.deg2rad(6.0), 0.06], 3)  # rad, m: how far a camera may stand from where it was calibrated
 _DAMPING = 1e-3
 _STEPS = 3  # of the solver in each round
 _LOOKS = 60  # frames in which a camera that was turned is looked for
+
+# How far a camera may stand from where it was calibrated, rad and m: a knock turns it far and moves it little. Contours
+# are counted at their own noise, of which the claimed one is a multiple; so must the prior be.
+_PRIOR = np.repeat([np.deg2rad(6.0), 0.02], 3) / INFLATION
 
 Report = Callable[[str, int, int], None]
 
