@@ -1,6 +1,6 @@
 """Fit the weights of `twistcap.search.flag` on captures with truth, and judge them on captures that were left out.
 
-    python benchmarks/fit_flag.py --seeds 1000-1076 --keep DIR
+    python benchmarks/fit_flag.py --seeds 1000-1087 --keep DIR
 
 Each seed is a capture of the fault bench; with every fourth comes a walk without faults whose body and cameras are not
 exact: there contours agree less, and nothing is lost. What was measured of each is kept in DIR, so that a run can be
@@ -19,7 +19,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from reproduce.faults.kinds import kind_of, take_of
-from reproduce.faults.runs import JOINT_CENTRES, PARTS, errors_mm
+from reproduce.faults.runs import PARTS, errors_mm
 from reproduce.faults.staged import staged
 from reproduce.faults.take import Take, own_pictures
 from twistcap.arrays import Bool, Float
@@ -38,15 +38,20 @@ SMOOTH = 1.0  # of the weights, as of a Gaussian prior
 @dataclass(frozen=True)
 class Seen:
     """N frames of one capture with G limbs: signs of loss now and lately (N, G, SIGNS), deviation that is claimed of
-    each limb's place (N, G), which limbs (N, G) and whether the body (N,) is lost, s unseen (0: seen).
+    each limb's place (N, G), which limbs (N, G) are lost and which are judged, s that the body is unseen (0: seen).
     """
 
     signs: Float
     lately: Float
     deviation: Float
     limbs: Bool
-    body: Bool
+    judged: Bool
     unseen: Float
+
+    @property
+    def body(self) -> Bool:
+        """(N,) frames in which a limb is lost that is judged."""
+        return (self.limbs & self.judged).any(axis=1)
 
     @property
     def seen(self) -> Bool:
@@ -71,7 +76,7 @@ def measured(take: Take) -> Seen:
     body = take.scene.body
     tracker, groups = Tracker(build(body, take.scene.rig)), flag_groups(body)
     tracker.start(take.first_pose)
-    signs, lately, deviations, unseen, poses = (list[Any]() for _ in range(5))
+    signs, lately, deviations, judged, unseen, poses = (list[Any]() for _ in range(6))
     for frame in take.frames():
         estimate = tracker.step(frame)
         memory, blank = tracker.state.searches["lost body"], np.zeros((len(groups), SIGNS))
@@ -79,12 +84,13 @@ def measured(take: Take) -> Seen:
         lately.append(blank if memory.lately is None else memory.lately)
         deviation, _ = segment_deviations(Posed(body, estimate.pose), estimate.covariance)
         deviations.append([deviation[group].max() for group in groups])
+        parts = np.zeros(len(deviation)) if estimate.part_probability is None else estimate.part_probability
+        judged.append([not np.isnan(parts[group]).all() for group in groups])
         unseen.append(0.0 if estimate.seen else max(frame.time - tracker.state.past.seen_time, 1e-3))
         poses.append(estimate.pose)
     far = {name: errors_mm(take, poses, marks).max(axis=1) > LOST_FRAME_MM for name, marks in PARTS.items()}
     limbs = np.stack([far[_part(body.segment_names, group)] for group in groups], axis=1)
-    lost = errors_mm(take, poses, JOINT_CENTRES).max(axis=1) > LOST_FRAME_MM
-    return Seen(np.array(signs), np.array(lately), np.array(deviations), limbs, lost, np.array(unseen))
+    return Seen(np.array(signs), np.array(lately), np.array(deviations), limbs, np.array(judged), np.array(unseen))
 
 
 def _part(names: tuple[str, ...], group: Bool) -> str:
@@ -128,16 +134,17 @@ def rising(A: Float, lost: Bool) -> Float:
     return minimize(loss, np.append(-5.0, np.zeros(A.shape[1])), jac=True, method="L-BFGS-B", bounds=bounds).x
 
 
-def two_most(limb: Float, A: Float) -> Float:
-    """(N, 2) log odds of the second most and the most doubtful limb, of features (N, G, R)."""
-    return np.sort(np.clip(limb[0] + A @ limb[1:], -20.0, 20.0), axis=1)[:, -2:]
+def two_most(limb: Float, A: Float, judged: Bool) -> Float:
+    """(N, 2) log odds of the second most and the most doubtful limb of those judged (N, G), of features (N, G, R)."""
+    return np.sort(np.where(judged, np.clip(limb[0] + A @ limb[1:], -20.0, 20.0), -20.0), axis=1)[:, -2:]
 
 
 def fitted(runs: Sequence[Seen]) -> tuple[Float, Float, Float]:
     """Weights of limbs, of the body, and of a body that is not seen."""
     A, limbs = np.concatenate([run.features for run in runs]), np.concatenate([run.limbs[run.seen] for run in runs])
-    limb = rising(A.reshape(-1, A.shape[2]), limbs.ravel())
-    body = rising(two_most(limb, A), np.concatenate([run.body[run.seen] for run in runs]))
+    judged = np.concatenate([run.judged[run.seen] for run in runs])
+    limb = rising(A[judged], limbs[judged])
+    body = rising(two_most(limb, A, judged), np.concatenate([run.body[run.seen] for run in runs]))
     gone = np.concatenate([run.body[~run.seen] for run in runs])
     return limb, body, rising(np.concatenate([run.blind for run in runs]), gone)
 
@@ -146,7 +153,7 @@ def probabilities(run: Seen, weights: tuple[Float, Float, Float]) -> Float:
     """(N,) that the body is lost."""
     limb, body, unseen = weights
     z = np.zeros(len(run.body))
-    z[run.seen] = body[0] + two_most(limb, run.features) @ body[1:]
+    z[run.seen] = body[0] + two_most(limb, run.features, run.judged[run.seen]) @ body[1:]
     z[~run.seen] = unseen[0] + run.blind @ unseen[1:]
     return 1.0 / (1.0 + np.exp(-z))
 
@@ -168,7 +175,7 @@ def judge(p: Float, lost: Bool) -> None:
 def main() -> None:
     """See above."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", default="1000-1076")
+    parser.add_argument("--seeds", default="1000-1087")
     parser.add_argument("--keep", type=Path, required=True)
     options = parser.parse_args()
     first, _, last = options.seeds.partition("-")

@@ -19,6 +19,7 @@ from reproduce.experiments.local_densities import C2
 from reproduce.experiments.mixed import D6
 from reproduce.experiments.motion_prediction import MOTION_PREDICTION
 from reproduce.experiments.optic_flow import FLOW
+from reproduce.experiments.real_faults import REAL_FAULTS
 from reproduce.experiments.real_gap import REAL_GAP
 from reproduce.experiments.real_recording import CHAPTER, RECORDING
 from reproduce.experiments.refinement import REFINE, REFINE_WALK
@@ -30,7 +31,7 @@ from reproduce.experiments.unaided import UNAIDED
 EXPERIMENTS: tuple[Experiment, ...] = (
     B1, B2, C1, C2, C3, C4, C5, C6, D1, D1_SPEED, D1_OTHER, D2, D3, D3_OTHERS, D4, D5, D6, D7, T1, T2, T3, T_EM,
     REFINE, REFINE_WALK, CLICKS, KEYVIEWS, FLOW, HIDDEN_FOREARMS, TEXTURE, MOTION_PREDICTION,
-    RECORDING, CHAPTER, REAL_GAP, SAGITTAL, UNAIDED, RENDERER, RENDERER_PAIRS, FAULTS,
+    RECORDING, CHAPTER, REAL_GAP, REAL_FAULTS, SAGITTAL, UNAIDED, RENDERER, RENDERER_PAIRS, FAULTS,
 )  # fmt: skip
 
 __all__ = ["EXPERIMENTS", "FAULTS", "Arm", "Comparison", "Experiment", "Findings", "Shot", "Trace"]

@@ -48,7 +48,7 @@ class Run:
         lost, status, support: as the tracker says.
         parts_support: (N, P) least support of each part's segments; NaN where the tracker keeps none.
         probability: of being lost, as the tracker says; NaN where it says none.
-        unjudged: (N, P) parts some of which the tracker says no image shows, so that it does not judge them.
+        unjudged: (N, P) parts that the tracker does not judge, because a segment of theirs is in no image.
         exception: what the tracker raised; it ends the track, whose last answer stands for all frames after it.
     """
 
@@ -84,7 +84,7 @@ class Run:
 
     @property
     def truly_judged_lost(self) -> Bool:
-        """(N,) frames in which a part is lost of which the tracker does not say that no image shows some of it."""
+        """(N,) frames in which a part is lost that the tracker judges."""
         lost = self.parts_mm > LOST_FRAME_MM
         return self.truly_lost & ~(lost.any(axis=1) & (self.unjudged | ~lost).all(axis=1))
 
@@ -191,7 +191,7 @@ def parts_support(body: Body, support: Float | None) -> Float:
 
 
 def _unjudged(body: Body, probability: Float | None) -> Bool:
-    """(P,) parts with a segment that no image shows, by the probabilities (S,); none where no body was seen."""
+    """(P,) parts that are not judged, by the probabilities (S,); none where no body was seen."""
     known = np.zeros(len(body.segment_names)) if probability is None else probability
     hidden = {_part_of(name) for name, p in zip(body.segment_names, known, strict=True) if np.isnan(p)}
     return np.array([part in hidden for part in PARTS])

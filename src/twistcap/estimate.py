@@ -58,12 +58,12 @@ class Estimate:
         status: "converged" | "max_iterations" | "no_images" | "not_found" (images, but no body in them) |
             "stalled" (no step lowered the energy) | "failed".
         iterations: accepted solver steps.
-        lost: whether it is likely that a joint is more than 150 mm off, by `probability`.
+        lost: whether it is likely that a joint of a limb that images show is more than 150 mm off, by `probability`.
         support: fraction of contour points that agree with the images, of the part with fewest.
         predicted: what told the pose that the frame was started from: "motion", "flow", "constant_velocity" or "hold".
-        probability: that a joint is more than 150 mm off, calibrated on captures with truth.
-        part_probability: (S,) the same of each segment's limb, NaN for segments that no image shows; None where
-            nothing was seen of the body.
+        probability: that a joint of such a limb is more than 150 mm off, calibrated on captures with truth.
+        part_probability: (S,) the same of each segment's limb, NaN for limbs that are not judged, as some of
+            them is in no image; None where nothing was seen of the body.
         left_out: cameras of the rig that contradict the others and are not believed.
         missing: cameras whose picture was missing, blank, or the one before once more.
     """

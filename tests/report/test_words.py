@@ -57,6 +57,14 @@ def test_the_most_doubtful_limbs_are_named() -> None:
     assert doubtful(LIMBS, np.full(len(BODY.segment_names), np.nan)) == ()
 
 
+def test_a_limb_that_is_not_judged_is_named_where_that_lasts(tmp_path: Path) -> None:
+    """A hand that is hidden for a moment is not worth a word."""
+    hidden = np.where(LIMBS["leg_l"], np.nan, 0.02)
+    frames = [estimate(k, part_probability=hidden if k in (2, *range(4, 11)) else parts(head=0.02)) for k in range(12)]
+    words = result_in_words(result(tmp_path / "tracked.h5", frames))
+    assert words[1:] == ["left leg: not whole in any image, and not judged, in 7 frames: 8–20"]
+
+
 def test_a_result_tells_what_was_lost_and_which_cameras_were_not_believed(tmp_path: Path) -> None:
     """Every second frame of a recording."""
     frames = [estimate(k) for k in range(12)]

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from twistcap.arrays import Bool, Float, Float32, Int
+from twistcap.camera import Camera
+from twistcap.search.backdrop import Backdrop, small_camera, small_features
 from twistcap.search.evidence import (
     covered_evidence,
     covered_evidence_reference,
@@ -47,6 +50,25 @@ def test_kernels_are_their_readable_twins() -> None:
     labels = np.ascontiguousarray(part[::2, ::2])
     for a, b in zip(covered_evidence(maps, labels), covered_evidence_reference(maps, labels), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-5)
+
+
+@pytest.mark.parametrize("size", [(480, 360), (317, 239), (98, 220), (1001, 333)])
+def test_small_images_have_the_size_of_what_was_learnt(size: tuple[int, int]) -> None:
+    """The kernels take both for equally large; a row less was read from beyond the image."""
+    for fx in np.linspace(300.0, 1500.0, 40):
+        seen = camera(size, fx)
+        first = small_camera(seen, Backdrop.blank(), np.array([0.0, 0.0, 4.0]))
+        image = np.zeros((*size[::-1], 3), np.uint8)
+        features = small_features(image, first.size, "lab")
+        learnt = Backdrop.blank().learnt(features, np.zeros(features.shape[:2], np.bool_), 20.0)
+        again = small_camera(seen, learnt, np.array([0.0, 0.0, 7.0]))
+        assert again.size == learnt.size == first.size
+        assert small_features(image, again.size, "lab").shape[:2] == learnt.known.shape
+
+
+def camera(size: tuple[int, int], fx: float) -> Camera:
+    K = np.array([[fx, 0.0, size[0] / 2], [0.0, fx, size[1] / 2], [0.0, 0.0, 1.0]])
+    return Camera("cam", K, np.eye(4), size)
 
 
 def test_a_colour_that_is_like_neither_speaks_for_neither() -> None:

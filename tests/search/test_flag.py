@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from twistcap.body.humanoid import humanoid
-from twistcap.search.flag import SIGNS, FlagRule, flag_groups, ramps, support_signs
+from twistcap.cues.observation import Agreement
+from twistcap.search.flag import SIGNS, FlagRule, flag_groups, in_images, ramps, support_signs
 
 
 def test_groups_part_the_segments() -> None:
@@ -32,6 +33,17 @@ def test_what_is_not_seen_is_the_less_sure_the_longer_and_the_wider() -> None:
     blind = [FlagRule().blind(s, 0.05) for s in (0.0, 0.02, 0.1, 0.5, 5.0)]
     assert np.all(np.diff(blind) >= 0.0)
     assert FlagRule().blind(0.02, 0.02) < 0.5 < FlagRule().blind(5.0, 1.0)
+
+
+def test_a_limb_with_a_segment_in_no_image_is_not_judged() -> None:
+    groups = flag_groups(humanoid())
+    points = np.full(groups.shape[1], 20, np.int32)
+    everything = Agreement(points, points.astype(float), points.astype(float))
+    assert in_images(groups, everything).all()
+    points = np.where(np.cumsum(groups[2]) == groups[2].sum(), np.where(groups[2], 0, 20), 20).astype(np.int32)
+    hidden = in_images(groups, Agreement(points, points.astype(float), points.astype(float)))
+    np.testing.assert_array_equal(hidden, np.arange(len(groups)) != 2)
+    assert in_images(groups, Agreement(0 * points, 0.0 * points, 0.0 * points)).all()  # it cannot all be left unjudged
 
 
 def test_no_sign_lowers_the_probability() -> None:

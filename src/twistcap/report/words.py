@@ -28,10 +28,9 @@ def limb_in_words(name: str) -> str:
 
 
 def unseen_limbs(limbs: Mapping[str, Bool], probability: Float) -> Bool:
-    """(..., G) limbs of which a segment is in no image, by the probabilities (..., S); none where no body was seen."""
+    """(..., G) limbs that are not judged, by the probabilities (..., S); none where no body was seen."""
     hidden = np.isnan(probability)
-    each = [hidden[..., own].any(axis=-1) & ~hidden.all(axis=-1) for own in limbs.values()]
-    return np.stack(each, axis=-1)
+    return np.stack([hidden[..., own].all(axis=-1) & ~hidden.all(axis=-1) for own in limbs.values()], axis=-1)
 
 
 def doubtful(limbs: Mapping[str, Bool], probability: Float) -> tuple[str, ...]:
@@ -122,12 +121,12 @@ def _lost(result: Result) -> str:
 
 
 def _unseen(result: Result) -> list[str]:
-    """A sentence for each limb of which some is in no image for a while."""
+    """A sentence for each limb that is not judged for a while."""
     limbs = named_limbs(result.body)
     each = zip(limbs, unseen_limbs(limbs, result.part_probability).T, strict=True)
     shown = [(name, _long(rows)) for name, rows in each]
     return [
-        f"{limb_in_words(name)}: a part of it is in no image, and not judged, in {_frames(int(rows.sum()))}: "
+        f"{limb_in_words(name)}: not whole in any image, and not judged, in {_frames(int(rows.sum()))}: "
         f"{in_spans(result.indices, rows)}"
         for name, rows in shown
         if rows.any()

@@ -34,15 +34,18 @@ _OF = {
 _SIGNS = tuple(_OF.values())
 KNOTS = (*_SIGNS, *(_SIGNS[k] for k in _MEANS), (-12.0, -8.0, -5.0, -2.5, 0.0, 2.0), _OF["clear"], _OF["late"])
 """Of all signs, of their running means, of `beyond`, and of the most and the mean of all limbs."""
+_WHICH = np.repeat(np.arange(len(KNOTS)), [len(knots) - 1 for knots in KNOTS])
+_FROM = np.concatenate([knots[:-1] for knots in KNOTS])
+_SLOPE = 1.0 / np.concatenate([np.diff(knots) for knots in KNOTS])
 
 # By benchmarks/fit_flag.py --seeds 1000-1087.
 LIMB = (
-    -8.834, 0.1362, 0, 0, 0.4235, 0, 0.2492, 0, 0, 0, 0, 0, 0, 0.9712, 0, 0, 0, 0.1881, 0.01435, 1.309, 0, 0,
-    0.6442, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0.4983, 0, 0, 0, 0, 0, 0.9207, 2.702, 0, 0, 0.2453, 0.6267, 0, 0, 0, 2.705,
-    0, 0, 0, 0.9954, 0, 0, 0, 0, 1.594, 0, 0, 0, 0, 1.507, 0.2823, 0.9059, 0.5834, 1.404, 0.6321, 0, 0.4904, 0, 0,
-    1.406, 0, 0, 0.1088, 1.113,
+    -9.82, 0.3674, 0, 0, 0.6974, 0, 0, 0, 0, 0, 0, 0, 0, 0.9826, 0, 0, 0, 0.3068, 0.03044, 1.328, 0, 0, 0.5995, 0,
+    0, 0.1891, 0, 0, 0, 0.3326, 0.2506, 0, 0.7982, 0.5307, 0, 0.2096, 0, 0, 0.4896, 2.361, 0, 0, 0.04472, 0.7426, 0,
+    0, 0, 2.499, 0, 0, 0, 1.471, 0, 0, 0.7265, 0, 1.635, 0.01362, 0, 0, 0, 0.6311, 0.395, 0.9436, 0.3911, 1.252,
+    0.5928, 0.02922, 0.4395, 0, 0, 1.56, 0, 0, 0, 0.8656,
 )  # fmt: skip
-BODY = (1.123, 0.3809, 0.7344)
+BODY = (0.5569, 0, 1.051)
 BLIND = (-0.1226, 2.498, 0.2624)
 
 
@@ -51,6 +54,12 @@ def flag_groups(body: Body) -> Bool:
     own = [limb_parts(body, limb) for limb in limbs(body)]
     rest = ~np.any(own, axis=0) if own else np.ones(len(body.segment_names), np.bool_)
     return np.array([*own, rest])
+
+
+def in_images(groups: Bool, agreement: Agreement) -> Bool:
+    """(G,) groups of segments (G, S) all of which some image shows; the others are not judged. All where none is."""
+    whole = ~(groups & (agreement.points == 0)).any(axis=1)
+    return np.asarray(whole if whole.any() else ~whole, np.bool_)
 
 
 def limb_signs(
@@ -142,8 +151,8 @@ def ramps(signs: Float, lately: Float, deviation: Float) -> Float:
     """(G, R) features in [0, 1]: each value rises from 0 to 1 between two neighbours of its knots."""
     clear, late = signs[:, 0], signs[:, 4]
     others = np.full((2, len(signs)), [[clear.max()], [late.mean()]])
-    values = [*signs.T, *lately.T[_MEANS], beyond(deviation), *others]
-    return np.concatenate([_rising(v, np.array(k)) for v, k in zip(values, KNOTS, strict=True)], axis=1)
+    values = np.column_stack([signs, lately[:, _MEANS], beyond(deviation), *others])
+    return np.clip((values[:, _WHICH] - _FROM) * _SLOPE, 0.0, 1.0)
 
 
 def beyond(deviation: Float) -> Float:
@@ -156,10 +165,6 @@ def log_odds(probability: Float) -> Float:
     """ln p / (1 − p), within ± 20."""
     p = np.clip(probability, 1e-9, 1.0 - 1e-9)
     return np.log(p / (1.0 - p))
-
-
-def _rising(values: Float, knots: Float) -> Float:
-    return np.clip((values[:, None] - knots[:-1]) / np.diff(knots), 0.0, 1.0)
 
 
 def _logistic(value: Float) -> Float:

@@ -34,7 +34,7 @@ class LimbRule(Checked):
 
     Attributes:
         lacking: evidence that a limb lacks, over what is usual, from which on it is lost.
-        in_view: the same in the camera in which most lacks.
+        in_view: the same of late in the camera in which most lacks; one frame says little.
         late: fraction of its contour points of late that do not agree, from which on it is.
         gain, share: nats by which the pictures must favour it elsewhere, and the least fraction of what is usual.
         less: by how much less it must lack, or its contour points disagree.
@@ -47,7 +47,7 @@ class LimbRule(Checked):
     """
 
     lacking: float = 0.35
-    in_view: float = 0.9
+    in_view: float = 0.55
     late: Share = 0.6
     gain: float = 30.0
     share: Share = 0.25
@@ -60,11 +60,10 @@ class LimbRule(Checked):
     again: Count = 2
     longest: Count = 16
 
-    def lost(self, signs: Float, limbs: int) -> list[int]:
-        """Limbs, the first of the groups, that seem to be lost by their signs (G, SIGNS)."""
-        bounds = {_LACKING: self.lacking, _IN_VIEW: self.in_view, _LATE: self.late}
-        doubtful = np.any([signs[:limbs, sign] > bound for sign, bound in bounds.items()], axis=0)
-        return np.flatnonzero(doubtful).tolist()
+    def lost(self, signs: Float, lately: Float) -> list[int]:
+        """Limbs that seem to be lost, by their signs (G, SIGNS) now and lately; the last group is no limb."""
+        doubtful = (signs[:-1, _LACKING] > self.lacking) | (signs[:-1, _LATE] > self.late)
+        return np.flatnonzero(doubtful | (lately[:-1, _IN_VIEW] > self.in_view)).tolist()
 
 
 def regained(
@@ -84,9 +83,9 @@ def regained(
     before = most = evidence.of(now.fit.pose)
     pose, found, usual = now.fit.pose, list[int](), known.nats.sum(axis=0) @ groups.T
     for i in lost:
-        placed, nats = _placed(rule, known, evidence, masks[i], rng, pose, most)
+        other, nats = placed(rule, known, evidence, masks[i], rng, pose, most)
         if nats >= most + max(rule.gain, rule.share * float(usual[i])):
-            pose, most, found = placed, nats, [*found, i]
+            pose, most, found = other, nats, [*found, i]
     if not found:
         return None
     fit = now.problem.align(pose, crop=True)
@@ -105,7 +104,7 @@ def _wrong(known: Recollection, now: Judged, groups: Bool) -> Float:
     return np.maximum(lacking(groups, known, now.check)[0], 1.0 - agreeing / np.maximum(points, 1.0))
 
 
-def _placed(
+def placed(
     rule: LimbRule, known: Recollection, evidence: Evidence, limb: Bool, rng: np.random.Generator,
     pose: Pose, most: float,
 ) -> tuple[Pose, float]:  # fmt: skip

@@ -24,7 +24,7 @@ from twistcap.search.beside import BesideRule, agreement, beside
 from twistcap.search.contradiction import ContradictionRule, Judged, Suspicion, judged
 from twistcap.search.evidence import Evidence
 from twistcap.search.flag import MOST_USUAL, USUAL, contour_signs, flag_groups, limb_signs
-from twistcap.search.limb import LimbRule, regained
+from twistcap.search.limb import LimbRule, placed, regained
 from twistcap.search.placing import Hypothesis, Placing, PlacingRule
 from twistcap.search.recollection import Covered, Recollection
 from twistcap.stages import stage
@@ -80,6 +80,7 @@ class LostBody(Checked):
             changed.
         lately: fraction that the mean of the signs of loss keeps from frame to frame.
         margin: m about a hypothesis within which images are looked at.
+        limbed: hypotheses whose limbs are looked for one after the other; they may be as they never were before.
     """
 
     after: float = 0.1
@@ -100,6 +101,7 @@ class LostBody(Checked):
     agreeing: Share = 0.6
     lately: Share = 0.7
     margin: float = 0.3
+    limbed: Count = 2
     placing: PlacingRule = field(default_factory=PlacingRule)
     contradiction: ContradictionRule = field(default_factory=ContradictionRule)
     beside: BesideRule = field(default_factory=BesideRule)
@@ -185,7 +187,7 @@ class LostBody(Checked):
         return found, rested(last, found.fit.pose, coordinates), memory
 
     def _lost_limbs(self, memory: LostMemory) -> list[int]:
-        return [] if memory.signs is None else self.limb.lost(memory.signs, len(memory.groups) - 1)
+        return [] if memory.signs is None or memory.lately is None else self.limb.lost(memory.signs, memory.lately)
 
     def _learned(self, memory: LostMemory, now: Judged, ratio: float) -> LostMemory:
         """With what a fit that is not lost teaches; limbs that are lost teach nothing."""
@@ -236,11 +238,21 @@ class LostBody(Checked):
         ]
         if not fitted:
             return None
+        fitted.sort(key=lambda h: -h.nats)
+        for h in fitted[: self.limbed]:
+            fitted.append(self._fitted(problem, evidence, self._with_limbs_placed(known, evidence, h)))
         best = max(fitted, key=lambda h: h.nats)
         refined = placing.refined(best)
         if refined.nats > best.nats:
             best = max(best, self._fitted(problem, evidence, refined), key=lambda h: h.nats)
         return best.pose if self._ratio(known, evidence, best, usually) >= least else None
+
+    def _with_limbs_placed(self, known: Recollection, evidence: Evidence, h: Hypothesis) -> Hypothesis:
+        """With each limb where the evidence is greatest."""
+        rng, pose, nats = np.random.default_rng(self.placing.seed), h.pose, h.nats
+        for limb in limbs(evidence.body):
+            pose, nats = placed(self.limb, known, evidence, limb, rng, pose, nats)
+        return Hypothesis(pose, nats)
 
     def _modes(self, known: Recollection, problem: Problem, placing: Placing, last: Moment) -> list[Hypothesis]:
         """What is worth a fit: where the body was or is expected, and where its stances fit the pictures."""

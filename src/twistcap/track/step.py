@@ -19,7 +19,7 @@ from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
 from twistcap.predict import Prediction
 from twistcap.predict.history import Moment, Past, jumped
-from twistcap.search.flag import flag_groups, support_signs
+from twistcap.search.flag import flag_groups, in_images, support_signs
 from twistcap.search.lost import LostMemory
 from twistcap.search.uncertain import segment_deviations
 from twistcap.stages import next_frame, stage
@@ -162,8 +162,7 @@ def learned(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool)
         state.prints, state.learned + 1, cues, predictors, state.searches
     )  # fmt: skip
     claims, least = with_claims(model, fit.posed, claimed), float(support.min())
-    by_part, probability = _loss(after, model, fit.posed, claims)
-    by_part = np.where(fit.agreement.points > 0.0, by_part, np.nan)
+    by_part, probability = _loss(after, model, fit, claims)
     lost = probability >= model.flag.lost
     return after, Estimate(
         frame.index, frame.time, fit.pose, claims, fit.energies, fit.status, fit.steps,
@@ -171,17 +170,18 @@ def learned(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool)
     )  # fmt: skip
 
 
-def _loss(state: State, model: Model, posed: Posed, covariance: Float) -> tuple[Float, float]:
-    """(S,) probability that each part is lost, and that any is."""
+def _loss(state: State, model: Model, fit: Fit, covariance: Float) -> tuple[Float, float]:
+    """(S,) probability that each part is lost, NaN in limbs that no image shows, and that any other limb is."""
     memory = next((m for m in state.searches.values() if isinstance(m, LostMemory)), None)
     groups = flag_groups(model.body) if memory is None else memory.groups
     if memory is None or memory.signs is None or memory.lately is None:
         signs = lately = support_signs(groups, state.support)
     else:
         signs, lately = memory.signs, memory.lately
-    deviation, _ = segment_deviations(posed, covariance)
+    deviation, _ = segment_deviations(fit.posed, covariance)
     limbs = model.flag.limbs(signs, lately, np.array([deviation[group].max() for group in groups]))
-    return limbs @ groups, model.flag.whole(limbs)
+    judged = in_images(groups, fit.agreement)
+    return np.where(judged, limbs, np.nan)[groups.argmax(axis=0)], model.flag.whole(limbs[judged])
 
 
 def _advanced(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool) -> Past:

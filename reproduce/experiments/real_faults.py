@@ -1,0 +1,172 @@
+"""real-faults: the recording `balance_4view` with faults, and the same trial with a second person in the pictures.
+
+- All images removed for 5, 20 and 60 frames at twelve phases each: is the man found again within ten frames?
+- One camera turned by 2 degrees from frame 50 on: is it left out, and does the track go on?
+- `balance_two_people`: a second person hides the man in part. All four cameras, then each one left out.
+
+The undisturbed track stands for the truth of gaps and bumps, the reference for two people.
+
+    TWISTCAP_DATA=... python -m reproduce real-faults
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import cv2
+import numpy as np
+
+from reproduce.arms import Findings
+from reproduce.experiments.real_gap import SESSION, without_images
+from reproduce.experiments.real_recording import CAMERAS, CLOCK, FLAWED
+from reproduce.recorded import data_file
+from reproduce.running import Tell
+from twistcap import se3
+from twistcap.arrays import Float
+from twistcap.body import Body, Posed
+from twistcap.build import build
+from twistcap.camera import Rig
+from twistcap.estimate import Estimate, Frame
+from twistcap.evaluate import Row, evaluate, row
+from twistcap.evaluate.metrics import JOINT_CENTRES, LOST_FRAME_MM
+from twistcap.io.recording import Recording, open_recording, rig_of, views_of
+from twistcap.io.result import ResultWriter, read_result
+from twistcap.io.session import load_session
+from twistcap.track import Model, State, Tracker, step
+
+LENGTHS, PHASES, SOON = (5, 20, 60), 12, 10  # frames of a gap; where it begins; frames after it
+FIRST, LAST = 12, 99  # frames between which gaps and what follows them lie
+BUMPED, DEGREES = 50, 2.0  # from which frame on, by how much a camera is turned
+
+
+@dataclass(frozen=True)
+class RealFaults:
+    """The experiment; see `Experiment`. Nothing in it is random, so that seeds change nothing."""
+
+    id: str = "real-faults"
+    says: str = "a real recording with gaps and with a bumped camera, and with a second person"
+
+    def run(self, seeds: Sequence[int], progress: Tell, out: Path | None = None) -> Findings:
+        """Rows of gaps, bumps and two people; result files of two people go into the folder `out`.
+
+        Raises:
+            InputError: where TWISTCAP_DATA does not have the recordings.
+        """
+        del seeds
+        data_file("balance_two_people")  # asked for before minutes of tracking
+        recording = open_recording(load_session(SESSION))
+        frames, rows = list(recording.views), list[Row]()
+        progress("undisturbed", 0, 3)
+        model = build(recording.body, recording.views.image_rig)
+        plain, states = _undisturbed(model, recording, frames)
+        rows += [self._gaps(model, frames, plain, states, length) for length in LENGTHS]
+        progress("gaps", 1, 3)
+        for camera in range(len(CAMERAS)):
+            rows += self._bump(model, frames, plain, states, camera)
+        progress("bumps", 2, 3)
+        with TemporaryDirectory() as temporary:
+            for without in (None, *CAMERAS):
+                rows += self._two_people(recording, without, out or Path(temporary))
+        progress("two people", 3, 3)
+        return Findings(rows, "", ())
+
+    def _gaps(
+        self, model: Model, frames: Sequence[Frame], plain: Sequence[Estimate], states: Sequence[State],
+        length: int,
+    ) -> Row:  # fmt: skip
+        """In how many of the phases the body is where it is without the gap, ten frames after it at the latest."""
+        starts = np.linspace(FIRST, LAST - length - SOON, PHASES).round().astype(int)
+        errors = list[float]()
+        for start in starts:
+            end = start + length
+            shown = without_images(frames[start : end + SOON], start, end - 1)
+            after = _tracked(model, states[start], shown)[length:]
+            errors.append(min(_apart_mm(model.body, e, plain[end + k]) for k, e in enumerate(after)))
+        found = float(np.mean(np.array(errors) <= LOST_FRAME_MM))
+        return row(f"{self.id} {length} frames without images", "found within 10 frames", found, "of 12 phases",
+                   at_least=1.0, seeds=errors)  # fmt: skip
+
+    def _bump(
+        self, model: Model, frames: Sequence[Frame], plain: Sequence[Estimate], states: Sequence[State],
+        camera: int,
+    ) -> list[Row]:  # fmt: skip
+        case = f"{self.id} {CAMERAS[camera]} bumped"
+        estimates = _tracked(model, states[BUMPED], bumped(frames[BUMPED:], model.rig, camera))
+        apart = np.array([_apart_mm(model.body, e, p) for e, p in zip(estimates, plain[BUMPED:], strict=True)])
+        named = [k for k, e in enumerate(estimates) if camera in e.left_out]
+        lost = apart > LOST_FRAME_MM
+        silent = int(np.sum(lost & ~np.array([e.lost for e in estimates])))
+        return [
+            row(case, "named after", float(named[0]) if named else np.inf, "frames", at_most=30.0),
+            row(case, "lost frames", float(lost.sum()), "frames", at_most=0.0),
+            row(case, "lost and not flagged", float(silent), "frames"),
+            row(case, "worst joint from the undisturbed track, at the end", float(apart[-SOON:].mean()), "mm"),
+        ]
+
+    def _two_people(self, recording: Recording, without: str | None, folder: Path) -> list[Row]:
+        """The man by his reference, from the body and the first pose of `balance_4view`."""
+        use = [name for name in CAMERAS if name != without]
+        session = load_session(SESSION, {"data": str(data_file("balance_two_people")), "cameras.use": use})
+        views = views_of(session, rig_of(session))
+        tracker, path = Tracker(build(recording.body, views.image_rig)), folder / f"two people without {without}.h5"
+        tracker.start(recording.first_pose, recording.first_time)
+        with ResultWriter(path, recording.body, rig_of(session), {}) as writer:
+            for frame in views:
+                writer.append(tracker.step(frame))
+        result, reference = read_result(path), data_file("balance_4view") / "reference" / "keypoints3d_world.npz"
+        found = evaluate(result, reference, CLOCK, exclude=FLAWED)
+        lost = np.isin(result.indices, found.lost_frames)
+        case = f"{self.id} two people" + ("" if without is None else f", without {without}")
+        median = next(r["value"] for r in found.rows if r["metric"] == "joints, median")
+        return [
+            row(case, "lost frames", float(lost.sum()), "frames", at_most=0.0 if without is None else 5.0),
+            row(case, "lost and not flagged", float((lost & ~result.lost).sum()), "frames", at_most=0.0),
+            row(case, "flagged falsely", float((result.lost & ~lost).sum()), "frames", at_most=0.0),
+            row(case, "joints, median", float(median or np.inf), "mm", at_most=30.0),
+        ]
+
+
+def bumped(frames: Sequence[Frame], rig: Rig, camera: int) -> Iterator[Frame]:
+    """The frames as if one camera had been turned about its own vertical."""
+    K = rig[camera].K
+    turn = K @ se3.exp_rotation(np.array([0.0, np.deg2rad(DEGREES), 0.0])) @ np.linalg.inv(K)
+    for frame in frames:
+        images = list(frame.images)
+        image = images[camera]
+        if image is not None:
+            images[camera] = cv2.warpPerspective(image, turn, rig[camera].size, borderMode=cv2.BORDER_REPLICATE)
+        yield replace(frame, images=tuple(images))
+
+
+def _undisturbed(model: Model, recording: Recording, frames: Sequence[Frame]) -> tuple[list[Estimate], list[State]]:
+    """The track of all frames, and the state before each of them."""
+    tracker = Tracker(model)
+    tracker.start(recording.first_pose, recording.first_time)
+    estimates, states = list[Estimate](), list[State]()
+    for frame in frames:
+        states.append(tracker.state)
+        estimates.append(tracker.step(frame))
+    return estimates, states
+
+
+def _tracked(model: Model, state: State, frames: Iterable[Frame]) -> list[Estimate]:
+    """The track that goes on from a state."""
+    estimates = list[Estimate]()
+    for frame in frames:
+        state, estimate = step(state, frame, model)
+        estimates.append(estimate)
+    return estimates
+
+
+def _apart_mm(body: Body, one: Estimate, other: Estimate) -> float:
+    """How far the farthest joint centre of two poses is apart."""
+    marks = [body.landmarks.index(name) for name in JOINT_CENTRES]
+    a, b = (Posed(body, e.pose).landmarks[marks] for e in (one, other))
+    gaps: Float = np.linalg.norm(a - b, axis=1)
+    return 1000.0 * float(gaps.max())
+
+
+REAL_FAULTS = RealFaults()
