@@ -1,4 +1,4 @@
-"""Whether the clocks of a finished track's cameras agree, told in sentences."""
+"""Whether the clocks of a finished track's cameras agree, in sentences."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ _DIGEST_BYTES = 16
 def made_of(session: Session, views: Views) -> dict[str, Any]:
     """What decides how the frames of a session are tracked, beside the first pose, as flat JSON data by name.
 
-    Files are told by digests. Raises InputError for one that cannot be read.
+    Files are known by their digests. Raises InputError for one that cannot be read.
     """
     tables = {"prior": session.prior, "motions": session.motions}
     made: dict[str, Any] = {

@@ -32,9 +32,8 @@ _DAMPING = 1e-3
 _STEPS = 3  # of the solver in each round
 _LOOKS = 60  # frames in which a camera that was turned is looked for
 
-# How far a camera may stand from where it was calibrated, rad and m: a knock turns it far and moves it little. Contours
-# are counted at their own noise, of which the claimed one is a multiple; so must the prior be.
-_PRIOR = np.repeat([np.deg2rad(6.0), 0.02], 3) / INFLATION
+# How far a camera may stand from where it was calibrated, rad and m: a knock turns it far and moves it little.
+_PRIOR = np.repeat([np.deg2rad(6.0), 0.02], 3)
 
 Report = Callable[[str, int, int], None]
 
@@ -134,19 +133,20 @@ class Standpoints:
 def _settled(images: SequenceImages, x: Standpoints, given: Rig, tell: _Progress) -> MendedCameras:
     """Rounds of measuring and solving until the cameras stand still."""
     body, moved, calibrated = images.body, list[float](), {c: given[c].T_cam_world for c in x.places}
+    effect = 1.0
     while True:
         coarse, images = len(moved) < _COARSE_ROUNDS, images.standing_at(x.places)
         contours = images.contours([[Posed(body, p) for p in x.track.poses]] * images.cameras, coarse)
-        problem = CameraProblem(body, contours, x.places, calibrated)
+        problem = CameraProblem(body, contours, x.places, calibrated, effect)
         solution = minimise(problem, x, _STEPS, _DAMPING)
         steps = [se3.log(solution.x.places[c] @ np.linalg.inv(x.places[c])) for c in x.places]
-        x = solution.x
+        x, effect = solution.x, design_effect(problem.seen(solution.x))
         moved.append(float(np.abs(steps).max()))
         tell.rounds += 1
         tell(f"round {len(moved)} of at most {_ROUNDS}", 0)
         if len(moved) >= _ROUNDS or (not coarse and moved[-1] < _SETTLED):
             break
-    sigma = claimed_sigma(solution.system, design_effect(problem.seen(x)))
+    sigma = claimed_sigma(solution.system, effect)
     sigmas = {c: sigma[6 * k : 6 * k + 6] for k, c in enumerate(x.places)}
     posed = [Posed(body, pose) for pose in x.track.poses]
     rest = images.agreeing(posed, [c for c in range(images.cameras) if c not in calibrated])
@@ -157,19 +157,24 @@ def _settled(images: SequenceImages, x: Standpoints, given: Rig, tell: _Progress
 
 class CameraProblem:
     """Contours (C lists of F terms, None without one) that were `measured` with cameras there, a wide prior about where
-    the cameras were `given`, and smooth motion."""
+    the cameras were `given`, and smooth motion.
+
+    Contours count at their own noise. What is claimed of them is `INFLATION` times that, and the root of the design
+    `effect`; so the prior is made narrower by as much.
+    """
 
     def __init__(
         self, body: Body, contours: Sequence[Sequence[PointNormalTerm | None]], measured: Mapping[int, Float],
-        given: Mapping[int, Float],
+        given: Mapping[int, Float], effect: float = 1.0,
     ) -> None:  # fmt: skip
         self.body, self.contours, self.measured, self.given = body, contours, measured, given
+        self.prior = _PRIOR / (INFLATION * np.sqrt(effect))
         self.motion, self.order = SmoothMotion(body), {c: k for k, c in enumerate(measured)}
 
     def energies(self, x: Standpoints) -> dict[str, float]:
         """By term."""
         contour = sum(term.energy(posed) for term, posed in self.seen(x))
-        prior = sum(0.5 * float(np.sum((self._off(x, c) / _PRIOR) ** 2)) for c in self.order)
+        prior = sum(0.5 * float(np.sum((self._off(x, c) / self.prior) ** 2)) for c in self.order)
         return {"contour": contour, "camera": prior, **self.motion.energies(x.track)}
 
     def linearised(self, x: Standpoints) -> Arrow:
@@ -181,9 +186,9 @@ class CameraProblem:
         self.motion.add_to(arrow, x.track)
         for c, k in self.order.items():
             own, off = slice(6 * k, 6 * k + 6), self._off(x, c)
-            by_step = se3.inverse_left_jacobian(off) / _PRIOR[:, None]
-            arrow.value += 0.5 * float(np.sum((off / _PRIOR) ** 2))
-            arrow.shared_pull[own] += by_step.T @ (off / _PRIOR)
+            by_step = se3.inverse_left_jacobian(off) / self.prior[:, None]
+            arrow.value += 0.5 * float(np.sum((off / self.prior) ** 2))
+            arrow.shared_pull[own] += by_step.T @ (off / self.prior)
             arrow.corner[own, own] += by_step.T @ by_step
         return arrow
 

@@ -1,4 +1,4 @@
-"""Which axis of a calibration's world is up: told by the images, and turned to z only if the user says so."""
+"""Which axis of a calibration's world is up: found in the images, and turned to z only if the user says so."""
 
 from __future__ import annotations
 
