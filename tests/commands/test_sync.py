@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from support.cameras import ring
 from support.commands import document, run
 from twistcap import se3
 from twistcap.adjust.clocks import Signal
 from twistcap.commands import sync
+from twistcap.commands.cameras import mend_in_words
 from twistcap.io.calibration import read_rig, write_rig
 from twistcap.io.clocks import Clock
 from twistcap.io.session import load_session
@@ -41,6 +44,19 @@ def test_a_wrong_clock_is_put_right(walk: Path, tmp_path: Path, capsys: pytest.C
     assert clocks["cam02"].offset == rows["cam02"]["after_s"]
 
 
+def test_track_names_a_camera_that_is_late(walk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """By as much as the offset that mends it; clocks that agree are not looked at a second time."""
+    late = walk.with_name("late2.toml")
+    late.write_text(walk.read_text() + "\n[clocks.cam02]\noffset = 0.025  # 1.5 frames; in truth 0\n")
+    few = ("--set", "output.overlay=false", "--set", "output.report=false")
+    sentences = document(capsys, "track", late, "--out", tmp_path / "late", *few)["statements"]
+    (about,) = [s for s in sentences if "disagrees with the others'" in s]
+    assert "clock of camera cam02" in about and "twistcap sync" in about
+    assert abs(float(about.split("offset = ")[1].split()[0])) * FPS < 0.5
+    sentences = document(capsys, "track", walk, "--out", tmp_path / "in step", *few)["statements"]
+    assert not any("clock" in s for s in sentences)
+
+
 def test_a_walk_in_step_tells_that_it_is_not_sure(monkeypatch: pytest.MonkeyPatch) -> None:
     """A regular walk of three seconds that all cameras share looks alike after each step."""
     rng, late = np.random.default_rng(0), np.array([0.0, 2.5, 1.2, 0.4])
@@ -58,6 +74,16 @@ def test_a_walk_in_step_tells_that_it_is_not_sure(monkeypatch: pytest.MonkeyPatc
         found = np.array([clocks[n].offset - clocks[names[0]].offset for n in names])
         assert np.abs(found - late).max() > 0.1  # it is wrong, and says so
         assert any("fits that of the others at several offsets" in doubt for doubt in doubts)
+
+
+def test_what_mends_a_camera_is_said_where_it_is_left_out_to_the_end() -> None:
+    rig, out = ring(), np.zeros((30, 4), np.bool_)
+    out[5:, 1], out[5:20, 2] = True, True  # the other one is believed again
+    result = SimpleNamespace(rig=rig, left_out=out)
+    (sentence,) = mend_in_words(result, Path("out/result.h5"))
+    assert rig.names[1] in sentence and "twistcap refine out/result.h5 --cameras" in sentence
+    out[5:, 2:] = True  # and one camera mends no others
+    assert mend_in_words(result, Path("out/result.h5")) == []
 
 
 def test_a_bumped_camera_is_mended(walk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -53,6 +53,17 @@ def mend_cameras(path: Path, out: Path, session: Any, names: Sequence[str] = ())
     return {"id": "refine-cameras", "result": path, "cameras": rows, "calibration": goal if sure else None}
 
 
+def mend_in_words(result: Any, path: Path) -> list[str]:
+    """A sentence that says how cameras that were left out often, also at the end, are mended."""
+    out = result.left_out
+    if not len(out) or len(result.rig) - out[-1].sum() < 2:
+        return []
+    names = [n for n, often, last in zip(result.rig.names, out.sum(axis=0) >= _OFTEN, out[-1], strict=True)
+             if often and last]  # fmt: skip
+    mend = f"If it was bumped, twistcap refine {path} --cameras finds its new place; if late, twistcap sync its offset."
+    return [f"Camera {name} was left out to the end. {mend}" for name in names]
+
+
 def _wrong(result: Any, names: Sequence[str], path: Path) -> list[int]:
     """Numbers of the cameras to be mended."""
     for name in names:

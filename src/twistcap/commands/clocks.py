@@ -12,26 +12,42 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from twistcap.adjust.clocks import Clocks
+    from twistcap.adjust.watch import Watched
     from twistcap.estimate import Estimate
 
-_ROUNDS = 2  # of measuring; each costs about as much as tracking its frames
-_SHARE = 0.05  # of the cost of tracking that the comparison may have
 _FEWEST, _MOST = 12, 40  # consecutive frames by which clocks are judged: those in which the body moves most
 _DIFFERENT = 0.3  # frames by which a clock must differ to be named
 _SIGMAS = 6.0  # standard deviations by which it must differ
 
 
-def clocks_in_words(session: Any, views: Any, result: Any) -> list[str]:
+def watching(model: Any) -> Any:
+    """The model, with a watch on the clocks of three or more cameras. It has no say in the poses."""
+    from twistcap.adjust.watch import CameraWatch
+    from twistcap.track.model import Model
+
+    if not isinstance(model, Model) or len(model.rig) < 3:
+        return model
+    return replace(model, cues=(*model.cues, CameraWatch()))
+
+
+def watched_by(tracker: Any) -> Watched | None:
+    """What a tracker's watch has seen; None without one."""
+    from twistcap.adjust.watch import Watched
+
+    memories = getattr(tracker.state, "cues", {}).values()
+    return next((memory for memory in memories if isinstance(memory, Watched)), None)
+
+
+def clocks_in_words(session: Any, views: Any, result: Any, watched: Watched | None) -> list[str]:
     """A sentence for each camera whose images disagree with the others' in time, with the offset that mends it.
 
-    None where the recording is so short that looking would cost more than a twentieth of its tracking.
+    Images are looked at again only where a clock was conspicuous in tracking: that costs some seconds.
     """
     from twistcap.adjust.clocks import estimate_clocks
 
-    count = min(_MOST, int(_SHARE * len(result) / _ROUNDS))
-    if count < _FEWEST or len(views.rig) < 3:
+    if watched is None or not watched.out_of_step().any() or len(result) < _FEWEST:
         return []
-    chosen = liveliest(result.estimates, count)
+    chosen = liveliest(result.estimates, min(_MOST, len(result)))
     steps = {b.index - a.index for a, b in itertools.pairwise(chosen)}
     if len(steps) != 1:
         return []
@@ -40,7 +56,7 @@ def clocks_in_words(session: Any, views: Any, result: Any) -> list[str]:
     timeline, settings = views.timeline, session.tracker_settings
     own = [replace(e, left_out=()) for e in chosen]
     found = estimate_clocks(
-        shown, result.body, views.image_rig, own, shown.lags, timeline.reference, settings, _ROUNDS
+        shown, result.body, views.image_rig, own, shown.lags, timeline.reference, settings
     )  # fmt: skip
     offsets = [session.clocks[name].offset if name in session.clocks else 0.0 for name in views.rig.names]
     return disagreements(found, views.rig.names, offsets, timeline.intervals[timeline.reference])
