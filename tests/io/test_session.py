@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -216,6 +217,7 @@ def test_real_first_pose_lies_on_the_reference(shared_data: Path, monkeypatch: p
 
     class OnlyIndices:
         indices = range(100)
+        timeline = SimpleNamespace(in_step=True)
 
     body, pose = first_pose_of(session, rig, body_of(session), OnlyIndices())  # type: ignore[arg-type]
     marks = dict(zip(body.landmarks.names, Posed(body, pose).landmarks, strict=True))

@@ -180,3 +180,11 @@ def test_a_few_captures(kind: str, views: int, tmp_path: Path) -> None:
 def test_an_unknown_kind_is_told() -> None:
     with pytest.raises(InputError, match="no kind of fault 'nothing'; choose one of clean, gap"):
         run_seed(0, kind="nothing")
+
+
+def test_an_arm_that_hides_before_the_trunk_is_found_in_full_view() -> None:
+    """A camera out of step folds it there; in two views hardly anything of it is then seen, and nothing lacks."""
+    run = tracked(take_of(3110))
+    arm = run.parts_mm[:, list(PARTS).index("arm_l")]
+    assert arm[33:37].max() > 300.0
+    assert np.median(arm[45:]) < 50.0

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from twistcap.body.humanoid import humanoid
+from twistcap.camera import Camera, Rig
 from twistcap.cues.observation import Agreement
-from twistcap.search.flag import SIGNS, FlagRule, flag_groups, in_images, ramps, support_signs
+from twistcap.search.flag import SIGNS, FlagRule, flag_groups, in_images, limb_signs, ramps, support_signs
+from twistcap.search.limb import LimbRule
+from twistcap.search.recollection import Check, Recollection
 
 
 def test_groups_part_the_segments() -> None:
@@ -22,7 +27,7 @@ def test_a_quiet_body_is_not_lost_and_a_contradicted_one_is() -> None:
     quiet = rule.limbs(signs, signs, good)
     assert rule.whole(quiet) < 0.02
     signs = signs.copy()
-    signs[1] = [1.0, 1.0, 0.5, 0.5, 0.9, 0.4, 0.2, 0.0]
+    signs[1] = [1.0, 1.0, 0.5, 0.5, 0.9, 0.4, 0.2, 0.0, 0.0]
     lost = rule.limbs(signs, signs, np.where(np.arange(len(groups)) == 1, 0.2, good))
     assert lost.argmax() == 1
     assert lost[1] > 0.5
@@ -63,3 +68,22 @@ def test_there_is_a_weight_for_each_ramp() -> None:
     wild = np.full((2, SIGNS), 9.0)
     found = ramps(wild, wild, np.array([0.0, np.inf]))
     assert np.all((found >= 0.0) & (found <= 1.0))
+
+
+def test_a_limb_of_which_nothing_has_been_learnt_is_not_unseen() -> None:
+    groups = flag_groups(humanoid())
+    S = groups.shape[1]
+    rig = Rig((Camera("a", np.diag([100.0, 100.0, 1.0]), np.eye(4), (8, 8)),))
+    known = Recollection.blank(humanoid(), rig)
+    points = np.full(S, 20, np.int32)
+    agreement = Agreement(points, points.astype(float), points.astype(float))
+    nothing, some = np.zeros((1, S)), np.full((1, S), 50.0)
+    first = Check(nothing, nothing, 1000.0 + nothing, np.ones(1))
+    usual, found = np.zeros((len(groups), 3)), np.zeros(len(groups))
+    assert not limb_signs(groups, known, first, agreement, np.ones(S), usual, found).any()
+    taught = replace(known, nats=some, pixels=some, fitting=np.ones(1))
+    signs = limb_signs(groups, taught, first, agreement, np.ones(S), usual, found)
+    assert np.all(signs[:, 6] == 1.0)  # covers nothing of what it used to
+    assert np.all(signs[:, 2] > 1.0)  # and much that looks like it is bare
+    assert LimbRule().hidden(signs) == list(range(len(groups) - 1))
+    assert LimbRule().hidden(0.4 * signs) == []

@@ -18,18 +18,19 @@ from twistcap.ranges import Checked, Share, Signed
 from twistcap.search.recollection import Check, Recollection
 
 _FEWEST = 8.0  # contour points or covered pixels below which nothing is said of a limb
-SIGNS = 8
-USUAL = 0.05
-"""Fraction of contour points that contradict a limb, before a recording has taught what is usual."""
-MOST_USUAL = 0.2
-"""The greatest fraction that may pass for usual."""
+SIGNS = 9
+USUAL = (0.05, 0.1, 0.15)
+"""What `contour_signs` say of a limb before a recording has taught what is usual."""
+MOST_USUAL = (0.2, 0.35, 0.4)
+"""The most of each that may pass for usual."""
 
 _LOST = 0.15  # m off, a joint is lost
 _MEANS = [0, 1, 2, 3, 5, 6]  # signs whose running means count as well; that of `late` is one
 _OF = {
     "clear": (-0.1, 0.1, 0.25, 0.4, 0.6, 1.0), "in_view": (0.0, 0.3, 0.6, 1.0, 1.5), "bare": (0.0, 0.1, 0.3, 1.0),
-    "against": (0.0, 0.1, 0.25, 0.4, 0.6), "late": (0.05, 0.2, 0.35, 0.5, 0.65, 0.85),
-    "silent": (0.05, 0.2, 0.4, 0.6, 0.8, 1.0), "unseen": (0.0, 0.2, 0.4, 0.6, 0.8, 1.0), "few": (0.0, 1.0, 2.0, 3.0),
+    "against": (0.0, 0.1, 0.25, 0.4, 0.6), "late": (0.0, 0.1, 0.2, 0.35, 0.5, 0.7),
+    "silent": (0.0, 0.1, 0.25, 0.4, 0.6, 0.8), "unseen": (0.0, 0.2, 0.4, 0.6, 0.8, 1.0), "few": (0.0, 1.0, 2.0, 3.0),
+    "found": (0.0, 0.2, 0.5, 1.0),
 }  # fmt: skip
 _SIGNS = tuple(_OF.values())
 KNOTS = (*_SIGNS, *(_SIGNS[k] for k in _MEANS), (-12.0, -8.0, -5.0, -2.5, 0.0, 2.0), _OF["clear"], _OF["late"])
@@ -41,9 +42,9 @@ _SLOPE = 1.0 / np.concatenate([np.diff(knots) for knots in KNOTS])
 # By benchmarks/fit_flag.py --seeds 1000-1087.
 LIMB = (
     -9.82, 0.3674, 0, 0, 0.6974, 0, 0, 0, 0, 0, 0, 0, 0, 0.9826, 0, 0, 0, 0.3068, 0.03044, 1.328, 0, 0, 0.5995, 0,
-    0, 0.1891, 0, 0, 0, 0.3326, 0.2506, 0, 0.7982, 0.5307, 0, 0.2096, 0, 0, 0.4896, 2.361, 0, 0, 0.04472, 0.7426, 0,
-    0, 0, 2.499, 0, 0, 0, 1.471, 0, 0, 0.7265, 0, 1.635, 0.01362, 0, 0, 0, 0.6311, 0.395, 0.9436, 0.3911, 1.252,
-    0.5928, 0.02922, 0.4395, 0, 0, 1.56, 0, 0, 0, 0.8656,
+    0, 0.1891, 0, 0, 0, 0.3326, 0.2506, 0, 0.7982, 0.5307, 0, 0, 0, 0, 0.2096, 0, 0, 0.4896, 2.361, 0, 0, 0.04472,
+    0.7426, 0, 0, 0, 2.499, 0, 0, 0, 1.471, 0, 0, 0.7265, 0, 1.635, 0.01362, 0, 0, 0, 0.6311, 0.395, 0.9436, 0.3911,
+    1.252, 0.5928, 0.02922, 0.4395, 0, 0, 1.56, 0, 0, 0, 0.8656,
 )  # fmt: skip
 BODY = (0.5569, 0, 1.051)
 BLIND = (-0.1226, 2.498, 0.2624)
@@ -63,34 +64,35 @@ def in_images(groups: Bool, agreement: Agreement) -> Bool:
 
 
 def limb_signs(
-    groups: Bool, known: Recollection, check: Check, agreement: Agreement, support: Float, usual: Float
+    groups: Bool, known: Recollection, check: Check, agreement: Agreement, support: Float, usual: Float, found: Float
 ) -> Float:
     """(G, SIGNS) signs of loss of each group of segments (G, S), 0 where all is as it usually is.
 
     They are: evidence that is lacking, over what is usual; the same in the camera in which most is; evidence that
-    nothing covers, over the same; contour points that tell something, and do not agree, beyond the `usual` fraction
-    (G,); those of late that do not agree, in the segment with most; contour points that tell nothing; how much of the
-    limb is not seen at all; and cameras that see it, short of three.
+    nothing covers, over the same; what `contour_signs` say, beyond what is `usual` (G, 3); how much of the
+    limb is not seen at all; cameras that see it, short of three; and how lately a search has put it there, `found`
+    (G,), as a rightly tracked limb has a history and a found one has none.
     """
     weights = groups.T.astype(float)
+    taught = known.pixels.sum(axis=0) @ weights > _FEWEST  # before, evidence says nothing of a limb
     clear, in_view = lacking(groups, known, check)
     more = np.maximum((check.uncovered - known.uncovered).sum(axis=0) @ weights, 0.0)
-    bare = more / np.maximum(known.nats.sum(axis=0) @ weights, 1.0)
-    against, silent = contour_signs(groups, agreement)
-    late = np.array([(1.0 - support[group]).max() for group in groups])
-    pixels = check.pixels @ weights
-    unseen = np.clip(1.0 - pixels.sum(axis=0) / np.maximum(known.pixels.sum(axis=0) @ weights, 1.0), 0.0, 1.0)
-    few = np.maximum(3 - (pixels > _FEWEST).sum(axis=0), 0)
-    return np.stack([clear, in_view, bare, against - usual, late, silent, unseen, few], axis=1)
+    bare = np.where(taught, more / np.maximum(known.nats.sum(axis=0) @ weights, 1.0), 0.0)
+    contour = contour_signs(groups, agreement, support) - usual
+    unseen = np.where(taught, hidden(groups, known, check), 0.0)
+    few = np.where(taught, np.maximum(3 - (check.pixels @ weights > _FEWEST).sum(axis=0), 0), 0)
+    return np.column_stack([clear, in_view, bare, contour, unseen, few, found])
 
 
-def contour_signs(groups: Bool, agreement: Agreement) -> tuple[Float, Float]:
-    """(G,) fraction of the contour points of each group of segments (G, S) that tell something and do not agree, and of
-    those that tell nothing.
+def contour_signs(groups: Bool, agreement: Agreement, support: Float) -> Float:
+    """(G, 3) fraction of the contour points of each group of segments (G, S) that tell something and do not agree;
+    those of late that do not, in the segment with most; and fraction of those that tell nothing.
     """
     points, agreeing, telling = (groups @ a for a in (agreement.points, agreement.agreeing, agreement.telling))
     many, total = points >= _FEWEST, np.maximum(points, 1.0)
-    return np.where(many, (telling - agreeing) / total, 0.0), np.where(many, 1.0 - telling / total, 1.0)
+    late = [(1.0 - support[group]).max() for group in groups]
+    against, silent = (telling - agreeing) / total, 1.0 - telling / total
+    return np.column_stack([np.where(many, against, 0.0), late, np.where(many, silent, 1.0)])
 
 
 def lacking(groups: Bool, known: Recollection, check: Check) -> tuple[Float, Float]:
@@ -103,10 +105,17 @@ def lacking(groups: Bool, known: Recollection, check: Check) -> tuple[Float, Flo
     return all_views, np.where(usual > _FEWEST, less / np.maximum(usual, 1e-9), 0.0).max(axis=0)
 
 
+def hidden(groups: Bool, known: Recollection, check: Check) -> Float:
+    """(G,) fraction of the pixels that each group of segments (G, S) usually covers, and does not cover now."""
+    weights = groups.T.astype(float)
+    usual = np.maximum(known.pixels.sum(axis=0) @ weights, 1.0)
+    return np.clip(1.0 - check.pixels.sum(axis=0) @ weights / usual, 0.0, 1.0)
+
+
 def support_signs(groups: Bool, support: Float) -> Float:
     """(G, SIGNS) signs where only the running support (S,) is known."""
     signs = np.zeros((len(groups), SIGNS))
-    signs[:, 4] = [(1.0 - support[group]).max() for group in groups]
+    signs[:, 4] = [(1.0 - support[group]).max() - USUAL[1] for group in groups]
     return signs
 
 

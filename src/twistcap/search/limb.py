@@ -6,8 +6,9 @@ well a limb used to agree; a limb that has been wrong for a while, or from the s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from twistcap.arrays import Bool, Float, Float32, Int
@@ -20,12 +21,13 @@ from twistcap.render import render
 from twistcap.search.contradiction import Judged
 from twistcap.search.draws import about, anywhere
 from twistcap.search.evidence import Evidence
-from twistcap.search.flag import lacking
+from twistcap.search.flag import hidden, lacking
 from twistcap.search.placing import moved_evidence
 from twistcap.search.recollection import Recollection
 
 _POINTS = 40  # of a limb's surface, by which its places are judged roughly
-_LACKING, _IN_VIEW, _LATE = 0, 1, 4  # signs of a limb, see `flag.limb_signs`
+_AGAINST = 0.25  # nats that one pixel of the background may say against a rough place
+_LACKING, _IN_VIEW, _LATE, _UNSEEN = 0, 1, 4, 6  # signs of a limb, see `flag.limb_signs`
 
 
 @dataclass(frozen=True)
@@ -35,12 +37,16 @@ class LimbRule(Checked):
     Attributes:
         lacking: evidence that a limb lacks, over what is usual, from which on it is lost.
         in_view: the same of late in the camera in which most lacks; one frame says little.
-        late: fraction of its contour points of late that do not agree, from which on it is.
+        late: fraction of its contour points of late that do not agree, over what is usual, from which on it is.
+        unseen: how much less of it is seen of late than usually, from which on it may be elsewhere, in full view.
         gain, share: nats by which the pictures must favour it elsewhere, and the least fraction of what is usual.
         less: by how much less it must lack, or its contour points disagree.
         clear: the least sum of that and of the evidence that it gains, as a fraction of what is usual.
-        near: rad, standard deviations of the draws about the best, one round after the other.
-        many: poses of the limb anywhere within its limits, of which the roughly best are drawn.
+        many: poses of the limb anywhere within its limits that are judged roughly.
+        climbing, tries: how many of the roughly best move to where they are better, and places about each that are
+            tried in each round.
+        climb, blurs: rad, standard deviations of those, and m over which pixels are averaged, in each round.
+        near: rad, the same of the draws about the best of them.
         draws: poses that are drawn in each round.
         kept: poses that the next round starts from.
         again, longest: frames until it is looked for again where it was not found, which double up to the longest.
@@ -48,22 +54,31 @@ class LimbRule(Checked):
 
     lacking: float = 0.35
     in_view: float = 0.55
-    late: Share = 0.6
+    late: Share = 0.4
+    unseen: Share = 0.5
     gain: float = 30.0
     share: Share = 0.25
     less: float = 0.05
     clear: float = 0.4
-    near: tuple[float, ...] = (0.5, 0.25, 0.125)
     many: Count = 600
+    climbing: Count = 32
+    tries: Count = 10
+    climb: tuple[float, ...] = (0.7, 0.5, 0.3, 0.15)
+    blurs: tuple[float, ...] = (0.2, 0.2, 0.1, 0.05)
+    near: tuple[float, ...] = (0.25, 0.125)
     draws: Count = 48
     kept: Count = 3
     again: Count = 2
-    longest: Count = 16
+    longest: Count = 8
 
     def lost(self, signs: Float, lately: Float) -> list[int]:
         """Limbs that seem to be lost, by their signs (G, SIGNS) now and lately; the last group is no limb."""
         doubtful = (signs[:-1, _LACKING] > self.lacking) | (signs[:-1, _LATE] > self.late)
         return np.flatnonzero(doubtful | (lately[:-1, _IN_VIEW] > self.in_view)).tolist()
+
+    def hidden(self, lately: Float) -> list[int]:
+        """Limbs of which little has been seen of late."""
+        return np.flatnonzero(lately[:-1, _UNSEEN] > self.unseen).tolist()
 
 
 def regained(
@@ -99,9 +114,12 @@ def regained(
 
 
 def _wrong(known: Recollection, now: Judged, groups: Bool) -> Float:
-    """(G,) evidence that each group of segments lacks, or the fraction of contour points that do not agree."""
+    """(G,) the greatest of what tells that a group of segments is wrong: the evidence that it lacks, the fraction of
+    contour points that do not agree, and how much of it is hidden.
+    """
     points, agreeing = groups @ now.fit.agreement.points, groups @ now.fit.agreement.agreeing
-    return np.maximum(lacking(groups, known, now.check)[0], 1.0 - agreeing / np.maximum(points, 1.0))
+    silent = 1.0 - agreeing / np.maximum(points, 1.0)
+    return np.max([lacking(groups, known, now.check)[0], silent, hidden(groups, known, now.check)], axis=0)
 
 
 def placed(
@@ -111,10 +129,7 @@ def placed(
     """The pose with one limb where the evidence is greatest, and its evidence."""
     body = evidence.body
     best = [(most, pose)]
-    drawn = anywhere(rng, limb, pose, body, rule.many)
-    roughly = _Roughly.of(evidence, pose, limb)
-    order = np.argsort([-roughly.gain(pose.retract(step).within(body.limits)) for step in drawn])
-    steps = [[*_shown(known, limb, body, pose), *drawn[order[: rule.draws]]]]
+    steps = [_climbed(rule, rng, evidence, limb, pose, _shown(known, limb, body, pose))]
     for sd in (*rule.near, None):
         poses = [start.retract(step) for (_, start), each in zip(best, steps, strict=True) for step in each]
         tried = [(evidence.of(p), p) for p in (p.within(body.limits) for p in poses)]
@@ -122,6 +137,23 @@ def placed(
         if sd is not None:
             steps = [about(rng, limb, sd, rule.draws // len(best)) for _ in best]
     return best[0][1], best[0][0]
+
+
+def _climbed(
+    rule: LimbRule, rng: np.random.Generator, evidence: Evidence, limb: Bool, pose: Pose, shown: list[Float]
+) -> Float:
+    """The roughly best steps (N, 6 + J) of those shown and of many anywhere, each moved to where it is better still."""
+    roughly = _Roughly.of(evidence, pose, limb)
+    steps = np.array([*shown, *anywhere(rng, limb, pose, evidence.body, rule.many)])
+    coarse = roughly.blurred(rule.blurs[0])
+    steps = steps[np.argsort(-coarse.gains(pose, steps))[: rule.climbing]]
+    for sd, blur in zip(rule.climb, rule.blurs, strict=True):
+        level = roughly.blurred(blur)
+        moves = about(rng, limb, sd, rule.tries * len(steps)).reshape(len(steps), rule.tries, -1)
+        tried = np.concatenate([steps[:, None], steps[:, None] + moves], axis=1)
+        gains = level.gains(pose, tried.reshape(-1, tried.shape[2])).reshape(tried.shape[:2])
+        steps = tried[np.arange(len(steps)), gains.argmax(axis=1)]
+    return steps
 
 
 def _shown(known: Recollection, limb: Bool, body: Body, pose: Pose) -> list[Float]:
@@ -138,13 +170,18 @@ class _Roughly:
     Attributes:
         body: whose limb it is.
         points: (P,) its vertices that are asked.
+        parts: that they belong to.
         views: (3, 4) projection and (S, h, w) nats by which each pixel favours each part over what is there now. Where
-            the body covers it, that is no less than 0: the limb may be behind.
+            the body covers it, that is no less than 0: the limb may be behind. Elsewhere a pixel says little against
+            it: the most of a place that is a little off is beside the limb.
+        px_per_m: of each view, at the body.
     """
 
     body: Body
     points: Int
+    parts: Int
     views: list[tuple[Float, Float32]]
+    px_per_m: list[float]
 
     @staticmethod
     def of(evidence: Evidence, pose: Pose, limb: Bool) -> _Roughly:
@@ -152,13 +189,31 @@ class _Roughly:
         body = evidence.body
         own = limb_parts(body, limb)
         vertices = np.flatnonzero(own[body.vertex_part])
-        views = list[tuple[Float, Float32]]()
+        views, px_per_m = list[tuple[Float, Float32]](), list[float]()
         for view in evidence.views:
+            T = view.camera.T_cam_world
+            px_per_m.append(view.camera.K[0, 0] / max(float(T[2, :3] @ pose.root[:3, 3] + T[2, 3]), 0.1))
             part = render(Posed(body, pose), view.camera).part
             others = (part >= 0) & ~own[part]
             here = np.take_along_axis(view.maps, np.maximum(part, 0)[None], axis=0)[0]
-            views.append((view.camera.P, np.where(others, np.maximum(view.maps - here, 0.0), view.maps)))
-        return _Roughly(body, vertices[:: max(1, len(vertices) // _POINTS)].astype(np.int32), views)
+            over = np.where(others, np.maximum(view.maps - here, 0.0), np.maximum(view.maps, -_AGAINST))
+            views.append((view.camera.P, over))
+        some = vertices[:: max(1, len(vertices) // _POINTS)].astype(np.int32)
+        return _Roughly(body, some, np.unique(body.vertex_part[some]), views, px_per_m)
+
+    def blurred(self, size: float) -> _Roughly:
+        """The same where each pixel says what it and those about it, `size` m wide, say together."""
+        views = list[tuple[Float, Float32]]()
+        for (P, maps), px in zip(self.views, self.px_per_m, strict=True):
+            width, blurred = max(1, round(size * px)), maps.copy()
+            for s in self.parts:
+                blurred[s] = cv2.blur(maps[s], (width, width))
+            views.append((P, blurred))
+        return replace(self, views=views)
+
+    def gains(self, pose: Pose, steps: Float) -> Float:
+        """(N,) nats at its points, at steps (N, 6 + J) from a pose."""
+        return np.array([self.gain(pose.retract(step).within(self.body.limits)) for step in steps])
 
     def gain(self, pose: Pose) -> float:
         """Nats at its points, at a pose."""

@@ -37,24 +37,26 @@ class LostMemory:
     Attributes:
         known: what the recording has taught.
         groups: (G, S) segments of each limb and of the rest of the body.
+        found: (G,) 1 where a search has just put each limb or the rest, and less from frame to frame.
         suspicion: of cameras.
         frames: counted.
         waiting: frames until the next search for the body.
         limb_waiting, limb_pause: frames until the next one for a limb, and between the last ones.
         nowhere: whether the last one found the body nowhere.
-        against: (G,) fraction of contour points that usually contradict each.
+        usual: (G, 3) what the contour usually says against each, see `contour_signs`.
         signs, lately: (G, SIGNS) of loss, of each limb and the rest of the body; now, and their running mean.
     """
 
     known: Recollection
     groups: Bool
+    found: Float
     suspicion: Suspicion = field(default_factory=lambda: Suspicion({}))
     frames: int = 0
     waiting: int = 0
     limb_waiting: int = 0
     limb_pause: int = 0
     nowhere: bool = False
-    against: Float | None = None
+    usual: Float | None = None
     signs: Float | None = None
     lately: Float | None = None
 
@@ -79,6 +81,7 @@ class LostBody(Checked):
         agreeing: fraction of contour points that agree, from which on the body is where it is though all pictures have
             changed.
         lately: fraction that the mean of the signs of loss keeps from frame to frame.
+        doubted: fraction that the doubt in what was found keeps from frame to frame.
         margin: m about a hypothesis within which images are looked at.
         limbed: hypotheses whose limbs are looked for one after the other; they may be as they never were before.
     """
@@ -100,6 +103,7 @@ class LostBody(Checked):
     relit: float = 0.75
     agreeing: Share = 0.6
     lately: Share = 0.7
+    doubted: Share = 0.85
     margin: float = 0.3
     limbed: Count = 2
     placing: PlacingRule = field(default_factory=PlacingRule)
@@ -110,7 +114,8 @@ class LostBody(Checked):
 
     def start(self, body: Body, rig: Rig) -> LostMemory:
         """Nothing is known."""
-        return LostMemory(Recollection.blank(body, rig), flag_groups(body))
+        groups = flag_groups(body)
+        return LostMemory(Recollection.blank(body, rig), groups, np.zeros(len(groups)))
 
     def wanted_margin(self, past: Past, time: float) -> float | None:
         """It looks at whole images itself."""
@@ -123,14 +128,14 @@ class LostBody(Checked):
             return Beginning(None) if memory.nowhere else None, replace(memory, waiting=memory.waiting - 1)
         pose = self._searched(memory, problem, 0.0)
         if pose is not None:
-            return Beginning(pose), replace(memory, nowhere=False)
+            return Beginning(pose), replace(memory, nowhere=False, found=np.ones(len(memory.groups)))
         if not memory.known.sure:
             return None, memory
         return Beginning(None), replace(memory, waiting=self.again - 1, nowhere=True)
 
     def revise(self, memory: LostMemory, problem: Problem, fit: Fit) -> tuple[Revision | None, LostMemory]:
         """The body elsewhere, where the fit is lost; else the fit is learned from."""
-        known, memory = memory.known, replace(memory, frames=memory.frames + 1)
+        known, memory = memory.known, replace(memory, frames=memory.frames + 1, found=self.doubted * memory.found)
         if not problem.past.started and problem.views and (found := beside(self.beside, problem, fit)) is not fit:
             now = Judged(problem, found, known.check(found.posed, found.sights, problem))
             return self._at(problem, found), self._learned(self._signed(memory, now), now, 1.0)
@@ -158,13 +163,15 @@ class LostBody(Checked):
         return bool(seen.any() and np.all(fitting[seen] < self.relit) and agreement(now.fit) >= self.agreeing)
 
     def _usual(self, memory: LostMemory) -> Float:
-        """(G,) fraction of contour points that contradict each limb and the rest, as of a body that is not exact."""
-        return np.full(len(memory.groups), USUAL) if memory.against is None else np.minimum(memory.against, MOST_USUAL)
+        """(G, 3) what the contour says against each limb and the rest, as of a body that is not exact."""
+        usual = np.tile(USUAL, (len(memory.groups), 1)) if memory.usual is None else memory.usual
+        return np.minimum(usual, MOST_USUAL)
 
     def _signed(self, memory: LostMemory, now: Judged) -> LostMemory:
         """With the signs of loss in a frame."""
         fit, support = now.fit, now.problem.support(now.fit)
-        signs = limb_signs(memory.groups, memory.known, now.check, fit.agreement, support, self._usual(memory))
+        usual, found = self._usual(memory), memory.found
+        signs = limb_signs(memory.groups, memory.known, now.check, fit.agreement, support, usual, found)
         lately = (1.0 - self.lately) * signs + self.lately * (0.0 if memory.lately is None else memory.lately)
         return replace(memory, signs=signs, lately=lately)
 
@@ -172,6 +179,7 @@ class LostBody(Checked):
         """The frame with its lost limbs where they are found, and the moment before it, in which they rest."""
         hidden = now.problem.in_sight(now.fit) < 0.5
         lost = [limb for limb in self._lost_limbs(memory) if not hidden[memory.groups[limb]].any()]
+        lost = sorted({*lost, *self._hidden_limbs(memory)})
         if memory.limb_waiting:
             return now, last, replace(memory, limb_waiting=memory.limb_waiting - 1)
         if not lost:
@@ -183,19 +191,24 @@ class LostBody(Checked):
             return now, last, replace(memory, limb_pause=pause, limb_waiting=pause)
         masks = limbs(now.problem.body)
         coordinates = np.asarray(np.any([masks[i][6:] for i in lost], axis=0), np.bool_)
-        memory = replace(self._signed(memory, found), limb_pause=0)
+        doubt = np.where(np.isin(np.arange(len(memory.groups)), lost), 1.0, memory.found)
+        memory = replace(self._signed(replace(memory, found=doubt), found), limb_pause=0)
         return found, rested(last, found.fit.pose, coordinates), memory
 
     def _lost_limbs(self, memory: LostMemory) -> list[int]:
         return [] if memory.signs is None or memory.lately is None else self.limb.lost(memory.signs, memory.lately)
 
+    def _hidden_limbs(self, memory: LostMemory) -> list[int]:
+        return [] if memory.lately is None else self.limb.hidden(memory.lately)
+
     def _learned(self, memory: LostMemory, now: Judged, ratio: float) -> LostMemory:
-        """With what a fit that is not lost teaches; limbs that are lost teach nothing."""
-        lost = self._lost_limbs(memory)
+        """With what a fit that is not lost teaches; limbs that are lost or hidden teach nothing."""
+        lost = [*self._lost_limbs(memory), *self._hidden_limbs(memory)]
         known = memory.known.accustomed(now.check, np.asarray(~memory.groups[lost].any(axis=0), np.bool_))
-        usual, (against, _) = self._usual(memory), contour_signs(memory.groups, now.fit.agreement)
-        against[lost] = usual[lost]
-        memory = replace(memory, against=usual + max(0.05, 1.0 / (memory.frames + 1)) * (against - usual))
+        usual = self._usual(memory)
+        contour = contour_signs(memory.groups, now.fit.agreement, now.problem.support(now.fit))
+        contour[lost] = usual[lost]
+        memory = replace(memory, usual=usual + max(0.05, 1.0 / (memory.frames + 1)) * (contour - usual))
         due = (memory.frames - 1) % (self.every if known.lessons >= 10 else self.first) == 0
         if due and ratio >= self.learned:
             each = np.nan_to_num(memory.known.ratios(now.check), nan=1.0)
@@ -207,7 +220,8 @@ class LostBody(Checked):
         """The body found elsewhere; nowhere, if the fit is not on it either."""
         pose = None if memory.waiting else self._searched(memory, problem, ratio + self.better)
         if pose is not None:
-            return self._at(problem, problem.afresh(pose, self.margin)), replace(memory, waiting=0, nowhere=False)
+            memory = replace(memory, waiting=0, nowhere=False, found=np.ones(len(memory.groups)))
+            return self._at(problem, problem.afresh(pose, self.margin)), memory
         nowhere = ratio < self.none
         memory = replace(memory, waiting=(memory.waiting or self.again) - 1, nowhere=nowhere)
         return (Revision(None, problem.past.moments[-1]) if nowhere else None), memory
