@@ -13,7 +13,7 @@ from twistcap.io.state import from_bytes, to_bytes
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import Tracker
 
-FRAMES, EVERY = 24, 2  # frames that are tracked, of a capture of as many times the rate
+FRAMES, EVERY = 36, 2  # frames that are tracked, of a capture of as many times the rate
 LATE = 1
 
 

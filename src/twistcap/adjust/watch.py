@@ -15,7 +15,7 @@ from twistcap.predict.inertia import INFLATION
 _FASTEST = 0.4  # rad or m from frame to frame; what moves more has jumped
 _OFF = np.repeat([0.01, 0.03], 3)  # rad and m by which a calibration may be wrong, which is not taken for lateness
 _HINT = 0.08  # frames of lateness that are worth a closer look; one step of the solver finds about a third of it
-_SIGMAS = 1.25  # of its standard deviation, as claimed, which is more than twice the true one
+_SIGMAS = 1.0  # of its standard deviation as claimed, which is more than twice the true one
 
 
 @dataclass(frozen=True)
