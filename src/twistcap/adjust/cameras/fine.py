@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
@@ -136,7 +137,8 @@ def _settled(images: SequenceImages, x: Standpoints, given: Rig, tell: _Progress
     effect = 1.0
     while True:
         coarse, images = len(moved) < _COARSE_ROUNDS, images.standing_at(x.places)
-        contours = images.contours([[Posed(body, p) for p in x.track.poses]] * images.cameras, coarse)
+        measured = images.contours([[Posed(body, p) for p in x.track.poses]] * images.cameras, coarse)
+        contours = cast(Sequence[Sequence[PointNormalTerm | None]], measured)  # which the direct cue makes
         problem = CameraProblem(body, contours, x.places, calibrated, effect)
         solution = minimise(problem, x, _STEPS, _DAMPING)
         steps = [se3.log(solution.x.places[c] @ np.linalg.inv(x.places[c])) for c in x.places]
