@@ -256,9 +256,9 @@ def balance() -> None:
         off = next(r for s, r in zip(a.sightings, a.residuals, strict=True) if s.camera == c and s.solid == "scene")
         focal = 100 * (found.rig[c].K[0, 0] / supplied[c].K[0, 0] - 1)
         median, alone = np.median(np.linalg.norm(off, axis=1)), np.median(left[c])
-        told = f"median {median:.2f} px, each left out in turn {alone:.2f} px"
+        summary = f"median {median:.2f} px, each left out in turn {alone:.2f} px"
         sigma = 100 * lens_sigmas(found, c)[0]
-        print(f"{name}: scene points {told}; focal {focal:.2f} % from the supplied, claimed +- {sigma:.2f}")
+        print(f"{name}: scene points {summary}; focal {focal:.2f} % from the supplied, claimed +- {sigma:.2f}")
 
 
 def left_out(found: Calibration, scene: Scene, names: Sequence[str]) -> list[list[float]]:
@@ -291,8 +291,8 @@ def compare(found: Calibration, supplied: Rig) -> None:
     rows, claimed = errors(aligned(found.rig, supplied), supplied), camera_rows(found)
     for camera, row, claim in zip(found.rig, rows, claimed, strict=True):
         sigma = 1e3 * float(np.max(claim["centre_sigma_m"]))
-        told = f"{row[2]:.1f} mm and {row[1]:.2f} deg from the supplied, focal {row[0]:.2f} %"
-        print(f"  {camera.name}: {told}; claimed +- {sigma:.1f} mm, {claim['turn_sigma_deg']:.2f} deg")
+        summary = f"{row[2]:.1f} mm and {row[1]:.2f} deg from the supplied, focal {row[0]:.2f} %"
+        print(f"  {camera.name}: {summary}; claimed +- {sigma:.1f} mm, {claim['turn_sigma_deg']:.2f} deg")
 
 
 def corners_of(folder: Path) -> list[Sighting]:

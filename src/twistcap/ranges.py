@@ -86,7 +86,7 @@ def _fault(value: Any, hint: Any) -> str | None:
     if hint is type(None):
         return "left out"
     bounds, plain = (hint.__metadata__[0], arguments[0]) if origin is Annotated else (Range(), hint)
-    kind, told = (Integral, "a whole number") if plain is int else (Real, "a finite number")
+    kind, wanted = (Integral, "a whole number") if plain is int else (Real, "a finite number")
     number: Any = value if isinstance(value, kind) and not isinstance(value, bool) else float("nan")
     good = bounds.least <= number <= bounds.most
-    return None if good else f"{told} {bounds}"
+    return None if good else f"{wanted} {bounds}"

@@ -1,4 +1,4 @@
-"""A bumped camera and a late clock, found from keypoints of a moving person with the other cameras as gauge."""
+"""A bumped camera and a late clock, found from a moving person with the other cameras as gauge."""
 
 from __future__ import annotations
 
@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 
 from support.blocks import FixedShape, step_between
+from twistcap.adjust.cameras import holds_from, turned_towards
+from twistcap.adjust.cameras.fine import CameraProblem, Standpoints
+from twistcap.body import Posed
 from twistcap.camera import Camera
+from twistcap.render import render, visible_contour
 from twistcap.solve import Arrow, BlockProblem, CameraBlock, PoseTrack, Variables, Vector, minimise
-from twistcap.studio import StudioConfig, capture
-from twistcap.terms import GaussianTerm, OnPose, ReprojectionTerm
+from twistcap.studio import Capture, StudioConfig, capture
+from twistcap.terms import GaussianTerm, OnPose, PointNormalTerm, ReprojectionTerm
 
 Array = np.ndarray
 FINE, LATE, BUMPED = 5, 2, 3  # moments between two frames; by how many of them the bumped camera is late; which it is
@@ -69,3 +73,49 @@ def keypoints(landmarks: Array, camera: Camera, c: int, frame: int, rng: np.rand
 def unit(rng: np.random.Generator) -> Array:
     x = rng.normal(size=3)
     return x / np.linalg.norm(x)
+
+
+def test_the_problem_of_cameras_has_right_derivatives() -> None:
+    scene = capture(StudioConfig(seed=2, views=3, frames=3))
+    body, rng = scene.body, np.random.default_rng(1)
+    given = {1: scene.rig[1].T_cam_world}
+    contours = [[some_contour(scene, t, c, rng) for t in range(3)] for c in range(3)]
+    problem = CameraProblem(body, contours, given, given)
+    x = Standpoints(PoseTrack(scene.true_poses, np.arange(3) / 60), given)
+    x = problem.retract(x, 0.003 * rng.normal(size=x.track.dof + 6))
+    system = problem.linearised(x)
+    assert system.value == pytest.approx(sum(problem.energies(x).values()), rel=1e-9)
+    gradient, h = np.concatenate([system.pull.ravel(), system.shared_pull]), 1e-6
+    for k in [*range(0, x.track.dof, 17), *range(x.track.dof, x.track.dof + 6)]:
+        step = np.zeros(x.track.dof + 6)
+        step[k] = h
+        up, down = (sum(problem.energies(problem.retract(x, s)).values()) for s in (step, -step))
+        assert (up - down) / (2 * h) == pytest.approx(gradient[k], rel=2e-3, abs=1e-3 * np.abs(gradient).max())
+
+
+def some_contour(scene: Capture, t: int, c: int, rng: np.random.Generator) -> PointNormalTerm:
+    """The body's contour, measured a little off."""
+    camera = scene.rig[c].pinhole()
+    points = visible_contour(render(Posed(scene.body, scene.true_poses[t]), camera), 8.0)
+    target = points.pixels + rng.normal(size=points.pixels.shape)
+    return PointNormalTerm(camera.P, points.points, target, points.normals, np.ones(len(points)))
+
+
+def test_a_camera_is_turned_to_where_the_body_is() -> None:
+    scene = capture(StudioConfig(seed=4, views=2, frames=20, fps=15.0))
+    there = scene.rig[0].pinhole()
+    turn = np.deg2rad([4.0, -5.0, 0.0])
+    wrong = CameraBlock(there).retract(np.r_[turn, 0.0, 0.0, 0.0]).camera
+    posed = [Posed(scene.body, pose) for pose in scene.true_poses]
+    found = turned_towards(wrong, [scene.image(k, 0) for k in range(20)], posed, "lab")
+    pixels = [camera.project(scene.landmarks[10])[0] for camera in (there, wrong, found)]
+    assert np.linalg.norm(pixels[1] - pixels[0], axis=1).min() > 20
+    assert np.linalg.norm(pixels[2] - pixels[0], axis=1).max() < 6
+
+
+def test_from_when_on_a_camera_is_another() -> None:
+    rng, bumped = np.random.default_rng(0), np.arange(80) >= 33
+    before, after = np.where(bumped, 0.2, 0.9), np.where(bumped, 0.9, 0.2)
+    noise = 0.2 * rng.normal(size=(2, 80))
+    assert abs(holds_from(before + noise[0], after + noise[1]) - 33) <= 1
+    assert holds_from(before[33:], after[33:]) == 0

@@ -288,7 +288,7 @@ def test_another_track_goes_on_from_the_shape_found(
     assert joint_error(scene, first.body, anew) < joint_error(scene, body, estimates)
     second = refine(frames, first.body, scene.rig, anew, few, shape=first.shape)
     given, now = joint_distances(body), joint_distances(second.body)
-    assert now["femur_r"] / given["femur_r"] == pytest.approx(second.lengths["femur"])  # told against the first body
+    assert now["femur_r"] / given["femur_r"] == pytest.approx(second.lengths["femur"])  # against the first body
     assert abs(second.lengths["femur"] / first.lengths["femur"] - 1) < 0.02
 
 
@@ -315,7 +315,7 @@ def test_what_the_tracker_lost_stays_lost_unless_the_contours_agree_well(
     of_part = np.where(np.arange(len(parts)) == 3, support, 1.0)
     judged = with_support(given, Posed(BODY, given.pose), of_part)
     assert (judged.lost, judged.support) == (is_lost, support)
-    assert (judged.probability == 0.9) == (is_lost or not was_lost)  # only what was found again is told anew
+    assert (judged.probability == 0.9) == (is_lost or not was_lost)  # only what was found again is judged anew
     assert judged.part_probability is not None and (judged.part_probability.max() < 0.75) == (was_lost and not is_lost)
 
 
@@ -420,20 +420,20 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     capsys.readouterr()
     few = ("--set", "rounds=2", "--set", "points=100")
     assert run("refine", out / "result.h5", "--frames", "1:5", "--json", *few) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["frames"] == 5 and len(told["moved_mm"]) == 2
-    refined = read_result(told["result"])
+    output = json.loads(capsys.readouterr().out)
+    assert output["frames"] == 5 and len(output["moved_mm"]) == 2
+    refined = read_result(output["result"])
     assert list(refined.indices) == [1, 2, 3, 4, 5] and "refined" in refined.config
-    assert Path(told["result"]) == out / "refined" / "refined.h5" and (out / "refined" / "angles.png").is_file()
-    assert run("refine", told["result"], "--out", tmp_path / "once more", *few) == 0
+    assert Path(output["result"]) == out / "refined" / "refined.h5" and (out / "refined" / "angles.png").is_file()
+    assert run("refine", output["result"], "--out", tmp_path / "once more", *few) == 0
     capsys.readouterr()
     again = ("--again", "--out", tmp_path / "again", "--json")
     assert run("refine", out / "result.h5", "--frames", "1:5", *again, *few) == 0
     twice = json.loads(capsys.readouterr().out)
-    assert twice["frames"] == 5 and twice["lengths"] != told["lengths"]  # against the same body, after more rounds
-    assert run("view", told["result"], "--images", 0, "--save", tmp_path / "page.html") == 0
-    assert run("export", told["result"], "--to", "mot") == 0
-    assert run("evaluate", told["result"], "--reference", walk / "truth.npz", "--json") == 0
+    assert twice["frames"] == 5 and twice["lengths"] != output["lengths"]  # against the same body, after more rounds
+    assert run("view", output["result"], "--images", 0, "--save", tmp_path / "page.html") == 0
+    assert run("export", output["result"], "--to", "mot") == 0
+    assert run("evaluate", output["result"], "--reference", walk / "truth.npz", "--json") == 0
 
 
 def test_the_command_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

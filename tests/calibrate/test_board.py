@@ -96,7 +96,7 @@ def test_the_pdf_is_of_true_size(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("charuco", "cannot be read; write KIND"),
         ("dots:5x7:36", "kind is 'dots'; it must be one of charuco"),
@@ -107,8 +107,8 @@ def test_the_pdf_is_of_true_size(tmp_path: Path) -> None:
         ("chessboard:5x7:9000", "a square of 9000 mm cannot be"),
     ],
 )
-def test_boards_that_cannot_be_are_told(text: str, told: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert told in refusal(capsys, "board", "x.pdf", "--board", text)
+def test_boards_that_cannot_be_are_refused(text: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert message in refusal(capsys, "board", "x.pdf", "--board", text)
 
 
 def test_the_command_writes_a_page_and_its_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

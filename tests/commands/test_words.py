@@ -69,11 +69,11 @@ def test_resumed_frames_hold_the_same(out: Path, faulty: Path, tmp_path: Path) -
 
 def test_the_command_tells_it(faulty: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     quiet = ("--set", "output.overlay=false", "--set", "output.report=false")
-    told = document(capsys, "track", faulty, "--out", tmp_path, *quiet)
-    assert told["left_out"]["cam01"] and told["left_out"]["cam02"] == []
-    lost, left_out, nothing, blank = told["statements"]
-    assert lost.startswith(f"{len(told['lost'])} of 42 frames lost: ") and lost.endswith(f"–{GAP[-1]} (no images)")
-    assert left_out.startswith(f"camera cam01 was left out in {len(told['left_out']['cam01'])} frames: ")
+    output = document(capsys, "track", faulty, "--out", tmp_path, *quiet)
+    assert output["left_out"]["cam01"] and output["left_out"]["cam02"] == []
+    lost, left_out, nothing, blank = output["statements"]
+    assert lost.startswith(f"{len(output['lost'])} of 42 frames lost: ") and lost.endswith(f"–{GAP[-1]} (no images)")
+    assert left_out.startswith(f"camera cam01 was left out in {len(output['left_out']['cam01'])} frames: ")
     assert left_out.endswith("; it contradicts the others (bumped, frozen, late or swapped?)")
     assert nothing.startswith(f"no camera showed anything new in 6 frames: {GAP[0]}–{GAP[-1]} (")
     assert blank.startswith("camera cam03 showed nothing new in 2 frames: 6–7 (")

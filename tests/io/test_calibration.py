@@ -67,7 +67,7 @@ def test_real_file_agrees_with_opencv(shared_data: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("pattern", "new", "told"),
+    ("pattern", "new", "message"),
     [
         (r"^matrix = .*\n", "", "camera 'cam0': the field 'matrix' is missing"),
         (r"^matrix = \[\[500.0", "matrix = [[nan", r"cam0.matrix.0.0' is nan; write a finite number"),
@@ -84,8 +84,8 @@ def test_real_file_agrees_with_opencv(shared_data: Path) -> None:
         (r"^distortions = .*", "distortions = [0, 0, 0, 0, 0, 1, 1, 1]", "at most five"),
     ],
 )
-def test_bad_entries_are_told(calib: Path, pattern: str, new: str, told: str) -> None:
-    with pytest.raises(InputError, match=told) as caught:
+def test_bad_entries_are_refused(calib: Path, pattern: str, new: str, message: str) -> None:
+    with pytest.raises(InputError, match=message) as caught:
         read_rig(edit(calib, pattern, new))
     assert str(calib) in str(caught.value) and str(caught.value).count("\n") == 0
 

@@ -140,9 +140,9 @@ def test_vicon_by_the_book(tmp_path: Path) -> None:
 def test_the_real_qualisys_file(shared_data: Path) -> None:
     """The rebuilt calibration differs from it by up to 6 cm (its README); cam03 has the same grid."""
     folder = shared_data / "balance_4view"
-    rig, told = read_cameras(folder / "calibration/Calib.qca.txt")
+    rig, note = read_cameras(folder / "calibration/Calib.qca.txt")
     rebuilt = read_rig(folder / "Calib.toml")
-    assert told == "Up is z: the images agree."
+    assert note == "Up is z: the images agree."
     np.testing.assert_allclose(rig[2].K, rebuilt[2].K, atol=1e-3)
     np.testing.assert_allclose(rig[2].dist[:4], rebuilt[2].dist[:4])
     assert max(np.linalg.norm(a.centre - b.centre) for a, b in zip(rig, rebuilt, strict=True)) < 0.07
@@ -196,8 +196,8 @@ def test_storages_refuse_what_grows(tmp_path: Path) -> None:
 def test_the_command_converts_and_tells(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rig = rig_with([-0.2, 0.08, 0.0, 0.0, 0.0])
     write_cameras(rig, tmp_path / "a.qca.txt", "qualisys")
-    told = document(capsys, "convert", tmp_path / "a.qca.txt", tmp_path / "Calib.toml", "--up", "z")
-    assert told["up"].startswith("Up is z, as said") and read_rig(tmp_path / "Calib.toml").names == rig.names
+    output = document(capsys, "convert", tmp_path / "a.qca.txt", tmp_path / "Calib.toml", "--up", "z")
+    assert output["up"].startswith("Up is z, as said") and read_rig(tmp_path / "Calib.toml").names == rig.names
     assert "does not exist" in refusal(capsys, "convert", tmp_path / "none.toml", tmp_path / "b.toml")
     assert "WIDTHxHEIGHT" in refusal(capsys, "convert", tmp_path / "a.qca.txt", tmp_path / "b", "--size", "big")
     assert "distortion, which a 3 × 4" in refusal(

@@ -114,7 +114,7 @@ def test_isb_angles_of_the_arm_by_scipy(body: Body, poses: list[Pose], side: str
 
 
 def test_signs_of_isb_angles(body: Body) -> None:
-    """One movement at a time, told by where it takes the limb; both sides alike."""
+    """One movement at a time, known by where it takes the limb; both sides alike."""
     q = np.zeros(len(body.coordinate_names))
     for side in ("r", "l"):
         for name, angle in {"hip_flexion": 30, "knee_angle": 50, "elbow_flex": 70, "pro_sup": 20, "wrist_flex": 10,

@@ -57,11 +57,11 @@ def new(folder: Path, *videos: object, extra: tuple[object, ...] = ()) -> int:
 
 def test_the_session_loads_and_says_what_is_missing(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert new(recorded, recorded / "videos", extra=("--json",)) == 0
-    told: dict[str, Any] = json.loads(capsys.readouterr().out)
-    session = load_session(told["session"])
+    output: dict[str, Any] = json.loads(capsys.readouterr().out)
+    session = load_session(output["session"])
     views = views_of(session, rig_of(session))
     assert (views.rig.names, len(views), views.fps) == (("cam1", "cam10"), 5, 30.0)
-    found, missing = " ".join(told["found"]), " ".join(told["missing"])
+    found, missing = " ".join(output["found"]), " ".join(output["missing"])
     assert "2 cameras" in found and "5 frames" in found and "without a video: cam2" in found
     assert "stature" in missing and "twistcap init" in missing and "Keypoints" in missing
     text = (recorded / "mine" / "session.toml").read_text()
@@ -133,8 +133,8 @@ def test_what_does_not_fit_is_one_sentence(recorded: Path, capsys: pytest.Captur
         ((good,), ("--stature", "182"), "--stature"),
     ):
         assert new(recorded, *videos, extra=extra) == 2
-        told = capsys.readouterr().err.strip()
-        assert words in told and told.startswith("twistcap:") and "\n" not in told
+        output = capsys.readouterr().err.strip()
+        assert words in output and output.startswith("twistcap:") and "\n" not in output
         assert not (recorded / "mine" / "session.toml").exists()
     assert new(recorded, good) == 0
     capsys.readouterr()

@@ -113,13 +113,13 @@ from twistcap.io.result import ResultWriter, read_result, read_state
 path, kind = {path!r}, {kind!r}
 os.fsync = lambda descriptor: None  # it takes its time, and a kill does not ask for it
 
-def write(told, resume):  # frames 0 to 5, a state before each third one
+def write(reported, resume):  # frames 0 to 5, a state before each third one
     with ResultWriter.resume(path) if resume else ResultWriter(path, two_links(), ring(), {{}}, room=4) as writer:
         for k in range(len(writer), 6):
             if k % 3 == 0:
                 writer.save_state(np.full(40 * (k + 1), k, np.uint8))
             writer.append(estimate(k))
-            told.append(k)
+            reported.append(k)
 
 def faulty(nth, calls=[0]):
     def wrap(call):
@@ -140,15 +140,15 @@ def faulty(nth, calls=[0]):
 
 def child(nth, resume, out):
     faulty(nth)
-    told = []
+    reported = []
     try:
-        write(told, resume)
+        write(reported, resume)
         answer = "whole"
     except InputError as error:
         answer = "refused" if "No space left on device; make room" in str(error) else "wrong"
     finally:
         pass
-    os.write(out, (answer + " " + str(len(told))).encode())
+    os.write(out, (answer + " " + str(len(reported))).encode())
     os._exit(0)
 
 def checked(least):
@@ -184,11 +184,11 @@ for resume in (False, True):
             child(nth, resume, out)
         os.close(out)
         status = os.waitpid(pid, 0)[1]
-        answer, _, told = os.read(reading, 99).decode().partition(" ")
+        answer, _, reported = os.read(reading, 99).decode().partition(" ")
         os.close(reading)
         assert answer in ("whole", "refused") if kind == "full" else answer in ("", "whole"), answer
         assert status == (9 if answer == "" else 0), status
-        count = checked(max(least, least + int(told or 0) if answer else 0))
+        count = checked(max(least, least + int(reported or 0) if answer else 0))
         if count:
             write([], True)
             assert checked(6) == 6

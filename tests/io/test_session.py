@@ -81,7 +81,7 @@ def test_command_line_over_session_over_defaults(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "message"),
     [
         ("fps = 50.0", "fpz = 50.0", r"unknown key 'fpz' at the top; did you mean 'fps'\?"),
         ("stature", "statur", r"unknown key 'statur' in \[body\]; did you mean 'stature'\?"),
@@ -118,8 +118,8 @@ def test_command_line_over_session_over_defaults(path: Path) -> None:
         ),
     ],
 )
-def test_what_is_wrong_is_told_in_one_sentence(path: Path, old: str, new: str, told: str) -> None:
-    with pytest.raises(InputError, match=told) as caught:
+def test_what_is_wrong_is_refused_in_one_sentence(path: Path, old: str, new: str, message: str) -> None:
+    with pytest.raises(InputError, match=message) as caught:
         load_session(changed(path, old, new))
     assert str(path) in str(caught.value) and "\n" not in str(caught.value)
 
@@ -176,7 +176,7 @@ def test_first_pose_must_be_possible(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "message"),
     [
         ("{}", "must be JSON"),
         ('{"root": [[1, 0], [0, 1]], "q": {}}', "4 ?× ?4"),
@@ -185,9 +185,9 @@ def test_first_pose_must_be_possible(path: Path) -> None:
         ('{"root": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]], "q": {"knee_angle_r": NaN}}', "write a finite number"),
     ],
 )
-def test_bad_pose_files(tmp_path: Path, content: str, told: str) -> None:
+def test_bad_pose_files(tmp_path: Path, content: str, message: str) -> None:
     (tmp_path / "p.json").write_text(content)
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=message):
         read_pose(tmp_path / "p.json", humanoid("legs"))
 
 

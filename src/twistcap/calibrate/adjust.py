@@ -167,7 +167,7 @@ class Setup:
         return SightingTerm(*points, sigma, reach, lens, *names, frame, clock, motion)
 
 
-def adjust(setup: Setup, told: Callable[[str], None] = lambda note: None) -> Adjustment:
+def adjust(setup: Setup, report: Callable[[str], None] = lambda note: None) -> Adjustment:
     """Adjust robustly, estimate each camera's noise, leave wrong points out, and adjust what is left by least squares.
 
     Raises InputError where the sightings do not determine the cameras.
@@ -175,12 +175,12 @@ def adjust(setup: Setup, told: Callable[[str], None] = lambda note: None) -> Adj
     x, count = setup.variables(), len(setup.guess.lenses)
     sigmas = np.ones(count)
     for reach in _REACHES:
-        told(f"within {reach:g} px")
+        report(f"within {reach:g} px")
         x = _minimised(setup.problem(sigmas, reach), x, 1e-3)
     energy = 0.0
     for _ in range(3):
         sigmas = _noise(setup, x)
-        told(f"noise {np.median(sigmas):.2f} px")
+        report(f"noise {np.median(sigmas):.2f} px")
         problem = setup.problem(sigmas, _REACH)
         x = _minimised(problem, x, 1e-5)
         energy = float(sum(problem.energies(x).values()))

@@ -15,9 +15,9 @@ from twistcap.calibrate.world import centre_covariance
 from twistcap.errors import InputError
 from twistcap.io.plausible import check_plausible
 
-_SURE = 4.0  # standard deviations from which something is told
-_WRONG = 0.05  # share of wrong points that is told
-_EMPTY = 0.25  # share of the image without any point that is told
+_SURE = 4.0  # standard deviations from which something is reason
+_WRONG = 0.05  # share of wrong points that is reason
+_EMPTY = 0.25  # share of the image without any point that is reason
 _SHARED = 8  # moments with others that a camera needs
 _FOCAL, _PLACE = 0.003, 0.01  # standard deviations, share and m, above which more filming is advised
 _STRETCH, _BENT = 0.003, 0.003  # share, m
@@ -74,14 +74,14 @@ def again(found: Calibration) -> list[str]:
         if empty:
             out.append(f"Camera {name}: no point was seen in the {empty} of its image; show the board there.")
         if row["focal_sigma"] > _FOCAL:
-            told = f"its focal length is known to {100 * row['focal_sigma']:.1f} % only"
-            out.append(f"Camera {name}: {told}; tilt the board before it, near, by 30 to 45 degrees each way.")
+            reason = f"its focal length is known to {100 * row['focal_sigma']:.1f} % only"
+            out.append(f"Camera {name}: {reason}; tilt the board before it, near, by 30 to 45 degrees each way.")
         if float(np.max(row["centre_sigma_m"])) > _PLACE:
-            told = f"its place is known to {1e3 * float(np.max(row['centre_sigma_m'])):.0f} mm only"
-            out.append(f"Camera {name}: {told}; film the board where it and others see it, over all of the space.")
+            reason = f"its place is known to {1e3 * float(np.max(row['centre_sigma_m'])):.0f} mm only"
+            out.append(f"Camera {name}: {reason}; film the board where it and others see it, over all of the space.")
         if row["wrong"] > _WRONG:
-            told = f"{100 * row['wrong']:.0f} % of its points were wrong and left out"
-            out.append(f"Camera {name}: {told}; film slower, in more light, and keep the board flat.")
+            reason = f"{100 * row['wrong']:.0f} % of its points were wrong and left out"
+            out.append(f"Camera {name}: {reason}; film slower, in more light, and keep the board flat.")
     return out + _lonely(found)
 
 
@@ -119,8 +119,10 @@ def _clocks(rows: Sequence[dict[str, Any]]) -> list[str]:
         late, sigma = row["late_frames"], row["late_sigma"]
         if abs(late) > max(_LATE, _SURE * sigma):
             which = "later" if late > 0 else "earlier"
-            told = f"Camera {row['camera']} shows moments {abs(late):.2f} ± {max(sigma, 0.01):.2f} frames {which} than"
-            out.append(f"{told} camera {rows[0]['camera']}; this was allowed for, and tracking needs it too.")
+            reason = (
+                f"Camera {row['camera']} shows moments {abs(late):.2f} ± {max(sigma, 0.01):.2f} frames {which} than"
+            )
+            out.append(f"{reason} camera {rows[0]['camera']}; this was allowed for, and tracking needs it too.")
     return out
 
 
@@ -132,8 +134,8 @@ def _board(found: Calibration) -> list[str]:
     out = list[str]()
     if abs(shape[0]) > max(_STRETCH, _SURE * sigmas[0]):
         more = "higher" if shape[0] > 0 else "lower"
-        told = f"The board is {100 * abs(shape[0]):.1f} % {more} than its width says; it was printed so"
-        out.append(f"{told}: measure its squares both ways. This was allowed for.")
+        reason = f"The board is {100 * abs(shape[0]):.1f} % {more} than its width says; it was printed so"
+        out.append(f"{reason}: measure its squares both ways. This was allowed for.")
     bent = float(np.abs(shape[1:]).max())
     if bent > max(_BENT, _SURE * float(sigmas[1 + int(np.abs(shape[1:]).argmax())])):
         out.append(f"The board is bent by about {1e3 * bent:.0f} mm; glue it on something flat. This was allowed for.")

@@ -55,11 +55,11 @@ class Board(Checked, where="the board"):
         check("the board", 1e-3 <= self.square <= 2.0, f"a square of {1e3 * self.square:g} mm cannot be; write mm")
         if self.kind != "chessboard":
             check_choice("the board: dictionary", self.dictionary, DICTIONARIES)
-            told = f"tags of {1e3 * self.marker:g} mm do not fit squares of {1e3 * self.square:g} mm"
-            check("the board", 0.2 * self.square <= self.marker < self.square, told)
+            reason = f"tags of {1e3 * self.marker:g} mm do not fit squares of {1e3 * self.square:g} mm"
+            check("the board", 0.2 * self.square <= self.marker < self.square, reason)
             tags = self.columns * self.rows // (2 if self.kind == "charuco" else 1)
-            told = f"it needs {tags} tags, and the dictionary {self.dictionary} has {len(self._dictionary.bytesList)}"
-            check("the board", tags <= len(self._dictionary.bytesList), told)
+            reason = f"it needs {tags} tags, and the dictionary {self.dictionary} has {len(self._dictionary.bytesList)}"
+            check("the board", tags <= len(self._dictionary.bytesList), reason)
 
     @property
     def points(self) -> Float:

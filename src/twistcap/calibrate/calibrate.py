@@ -70,49 +70,49 @@ class Calibration:
         return np.array(self.shifts, float) + np.array(self.adjustment.guess.late)
 
 
-Told = Callable[[str], None]
+Report = Callable[[str], None]
 
 
 def calibrated(
     sources: Mapping[str, Source], board: Board, options: Options | None = None,
-    lone: Mapping[str, Source] | None = None, told: Told = lambda note: None,
+    lone: Mapping[str, Source] | None = None, report: Report = lambda note: None,
 ) -> Calibration:  # fmt: skip
     """Calibrate cameras by recordings of one board.
 
     Args:
         sources: of each camera, in step: frame k of all shows the same moment, to about a frame.
         lone: pictures of the board by one camera alone, for its lens, by camera.
-        told: called with what is being done.
+        report: called with what is being done.
 
     Raises InputError: for a board that is not found, mirrored, or seen too little; cameras that nothing joins.
     """
     options, lone, names = options or Options(), lone or {}, tuple(sources)
     board = found_variant([*sources.values(), *lone.values()], board)
-    shared = seen(list(sources.values()), board, options, told)
-    alone = alone_seen(lone, names, board, options, told)
+    shared = seen(list(sources.values()), board, options, report)
+    alone = alone_seen(lone, names, board, options, report)
     sizes = {c: source.size for c, source in enumerate(sources.values())}
-    return of_sightings([*shared, *alone], board, names, sizes, options, told)
+    return of_sightings([*shared, *alone], board, names, sizes, options, report)
 
 
 def of_sightings(
     sightings: Sequence[Sighting], board: Board, names: Sequence[str], sizes: Mapping[int, tuple[int, int]],
-    options: Options, told: Told = lambda note: None,
+    options: Options, report: Report = lambda note: None,
 ) -> Calibration:  # fmt: skip
     """Calibrate by what was seen; `sizes` (w, h) px by camera."""
     solid, fits = flat(board.points), list[LensFit]()
     every = by_camera(sightings)
     for c, name in enumerate(names):
-        told(f"lens of {name}")
+        report(f"lens of {name}")
         fits.append(fitted_lens(sharp(every.get(c, [])), solid, sizes[c], name, options.kinds))
     used = _used(sightings, sizes, options)
     if len(names) > 1 and not board.one_way:
         raise InputError("a chessboard of this size looks the same upside down; use one of an even and an odd side.")
-    told("chaining the cameras")
+    report("chaining the cameras")
     guess = chained(used, fits, solid, names)
     used = [s for s in used if s.moment in guess.boards]
     setup = Setup(guess, tuple(used), {"board": solid}, _first(guess), clocks=options.clocks)
-    adjustment, shifts = _with_clocks(setup, told)
-    adjustment, known = _in_world(adjustment, setup, board, options.floor, told)
+    adjustment, shifts = _with_clocks(setup, report)
+    adjustment, known = _in_world(adjustment, setup, board, options.floor, report)
     rig = Rig(adjustment.cameras(names))
     return Calibration(rig, adjustment, board, tuple(fits), shifts, known)
 
@@ -134,30 +134,30 @@ def found_variant(sources: Sequence[Source], board: Board) -> Board:
     return best
 
 
-def seen(sources: Sequence[Source], board: Board, options: Options, told: Told) -> list[Sighting]:
+def seen(sources: Sequence[Source], board: Board, options: Options, report: Report) -> list[Sighting]:
     """Sightings of all cameras in frames that are spread over the recording, with the motion of their points."""
     length = max(len(source) for source in sources)
     step = max(1, -(-length // options.looks))
     frames = list(range(0, length, step))
-    first = look(sources, board, frames, told)
+    first = look(sources, board, frames, report)
     if options.floor is not None and options.floor not in frames:
-        first += look(sources, board, [options.floor], told)
+        first += look(sources, board, [options.floor], report)
     if step > 1:
         sizes = {c: source.size for c, source in enumerate(sources)}
         wanted = {s.moment for s in chosen(_of_several(sharp(first)), sizes, options.moments[0])}
         beside = sorted({m + d for m in wanted for d in (-1, 1)} & set(range(length)) - {s.moment for s in first})
-        first += look(sources, board, beside, told)
+        first += look(sources, board, beside, report)
     return moving(first)
 
 
 def alone_seen(
-    lone: Mapping[str, Source], names: Sequence[str], board: Board, options: Options, told: Told
+    lone: Mapping[str, Source], names: Sequence[str], board: Board, options: Options, report: Report
 ) -> list[Sighting]:
     """Sightings of pictures that one camera took alone, each a moment of its own."""
     return [
         replace(s, camera=names.index(name), moment=LONE * (1 + names.index(name)) + s.moment)
         for name, source in lone.items()
-        for s in look([source], board, _spread(source, options.looks), told)
+        for s in look([source], board, _spread(source, options.looks), report)
     ]
 
 
@@ -188,22 +188,24 @@ def _first(guess: Guess) -> int:
     return next(c for c, place in enumerate(guess.places) if np.array_equal(place, np.eye(4)))
 
 
-def _with_clocks(setup: Setup, told: Told) -> tuple[Adjustment, tuple[int, ...]]:
+def _with_clocks(setup: Setup, report: Report) -> tuple[Adjustment, tuple[int, ...]]:
     """Adjust; where a clock is late by more than half a frame, pair its frames with others, and adjust again."""
-    out, shifts = adjust(setup, told), (0,) * len(setup.guess.lenses)
+    out, shifts = adjust(setup, report), (0,) * len(setup.guess.lenses)
     whole = tuple(round(late) if abs(late) > _SHIFTED else 0 for late in out.guess.late)
     if not any(whole):
         return out, shifts
-    told("pairing frames by the clocks")
+    report("pairing frames by the clocks")
     paired = [replace(s, moment=s.moment + whole[s.camera]) if s.moment < LONE else s for s in setup.sightings]
     late = tuple(x - n for x, n in zip(out.guess.late, whole, strict=True))
     boards = {**setup.guess.boards, **out.guess.boards}
     used = tuple(s for s in paired if s.moment in boards)
-    again = adjust(replace(setup, guess=replace(out.guess, late=late, boards=boards), sightings=used), told)
+    again = adjust(replace(setup, guess=replace(out.guess, late=late, boards=boards), sightings=used), report)
     return again, whole
 
 
-def _in_world(out: Adjustment, setup: Setup, board: Board, floor: int | None, told: Told) -> tuple[Adjustment, bool]:
+def _in_world(
+    out: Adjustment, setup: Setup, board: Board, floor: int | None, report: Report
+) -> tuple[Adjustment, bool]:
     """The same in a world that is up: that of the board on the floor, which then does not move, or a guess."""
     if floor is None:
         return replace(out, guess=moved(out.guess, upright(out.guess))), False
@@ -211,7 +213,7 @@ def _in_world(out: Adjustment, setup: Setup, board: Board, floor: int | None, to
         raise InputError(
             f"--floor: the board is not seen well enough in frame {floor}; name a frame where it lies in view."
         )
-    told("floor")
+    report("floor")
     there = moved(out.guess, lying(board) @ np.linalg.inv(out.guess.boards[floor]))
     setup = replace(setup, guess=there, sightings=out.sightings, gauge=None, still=floor)
-    return adjust(setup, told), True
+    return adjust(setup, report), True

@@ -64,7 +64,7 @@ def read_scene(path: Path) -> Scene:
 def calibrated_by_scene(
     scene: Scene, sightings: Sequence[Sighting], board: Board, names: Sequence[str],
     sizes: Mapping[int, tuple[int, int]], options: Options | None = None, sigma: float = 0.003, clicked: float = 0.5,
-    told: Callable[[str], None] = lambda note: None,
+    report: Callable[[str], None] = lambda note: None,
 ) -> Calibration:  # fmt: skip
     """Calibrate by measured points, which fix the world, and pictures of a board by each camera alone.
 
@@ -77,16 +77,16 @@ def calibrated_by_scene(
     options, solid, every = options or Options(), flat(board.points), by_camera(sightings)
     fits = list[LensFit]()
     for c, name in enumerate(names):
-        told(f"lens of {name}")
+        report(f"lens of {name}")
         fits.append(fitted_lens(sharp(every.get(c, [])), solid, sizes[c], name, options.kinds))
     used = [s for own in every.values() for s in chosen(sharp(own), sizes, options.moments[1])]
     points, seen = measured(scene.points, sigma), scene.sightings(names)
     guess = _guess(fits, used, solid, seen, points, names)
     seen = [replace(s, rough=max(clicked / guess.noise[s.camera], 1.0)) for s in seen]
     used = [s for s in used if s.moment in guess.boards]
-    told("adjusting")
+    report("adjusting")
     setup = Setup(guess, (*used, *seen), {"board": solid, "scene": points}, gauge=None)
-    adjustment = adjust(setup, told)
+    adjustment = adjust(setup, report)
     return Calibration(Rig(adjustment.cameras(names)), adjustment, board, tuple(fits), (0,) * len(names), True)
 
 

@@ -81,7 +81,7 @@ def _by_points(points: Path, board: Any, options: Any, alone: dict[str, Any], re
     board, names = found_variant(list(alone.values()), board), tuple(alone)
     sightings = alone_seen(alone, names, board, options, report)
     sizes = {c: source.size for c, source in enumerate(alone.values())}
-    return calibrated_by_scene(scene, sightings, board, names, sizes, options, told=report)
+    return calibrated_by_scene(scene, sightings, board, names, sizes, options, report=report)
 
 
 def sources_of(texts: list[str]) -> dict[str, Any]:

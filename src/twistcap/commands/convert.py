@@ -42,14 +42,14 @@ def convert(
     axis: Any = up
     if up is not None:
         check_choice("--up", up, get_args(Up))
-    rig, told = read_cameras(source, of, Asked(units[unit], _size(size)), axis)
+    rig, statement = read_cameras(source, of, Asked(units[unit], _size(size)), axis)
     write_cameras(rig, out, to)
     if json:
         centres = {camera.name: camera.centre for camera in rig}
-        terminal.emit({"id": "convert", "file": out, "centres_m": centres, "up": told})
+        terminal.emit({"id": "convert", "file": out, "centres_m": centres, "up": statement})
         return
     typer.echo(out)
-    typer.echo(told, err=True)
+    typer.echo(statement, err=True)
     for camera in rig:
         x, y, z = camera.centre
         typer.echo(

@@ -30,11 +30,18 @@ def refine(
     again: Annotated[
         bool, typer.Option("--again", help="Track once more with the refined body, and refine that track.")
     ] = False,
+    cameras: Annotated[
+        bool, typer.Option("--cameras", help="Mend the cameras that were left out, in place of poses and body.")
+    ] = False,
+    camera: Annotated[
+        list[str] | None, typer.Option("--camera", metavar="CAMERA", help="With --cameras: mend this one.")
+    ] = None,
     json: terminal.Json = False,
 ) -> None:
     """Refine a track over all its frames together: poses, segment lengths, girths and joint centres.
 
-    Writes refined.h5 (for view, export and evaluate), angles.png, the session's exports and overlay.mp4.
+    Writes refined.h5 (for view, export and evaluate), angles.png, the session's exports and overlay.mp4. With --cameras
+    it finds out where bumped or badly calibrated cameras stand, and writes a new Calib.toml.
 
     Examples:
 
@@ -43,13 +50,31 @@ def refine(
       twistcap refine out/walk/result.h5 --again
 
       twistcap refine out/walk/result.h5 --frames 0:59 --set joint=0 --out out/walk-refined
+
+      twistcap refine out/walk/result.h5 --cameras
     """
     from twistcap.commands.track import parsed_settings
     from twistcap.io.session import load_session
 
     loaded = None if session is None else load_session(session)
     span, folder = terminal.frame_range(frames), out or result.parent / "refined"
+    if cameras or camera:
+        _mend(result, folder, loaded, camera or [], bool(set_ or again or span), json)
+        return
     document = run_refine(result, folder, loaded, parsed_settings(set_ or []), span, again)
+    if json:
+        terminal.emit(document)
+    else:
+        show(document)
+
+
+def _mend(path: Path, folder: Path, session: Any, names: list[str], more: bool, json: bool) -> None:
+    from twistcap.commands.cameras import mend_cameras, show
+    from twistcap.io.result import read_result
+
+    if more:
+        raise InputError("--cameras goes without --frames, --set and --again; refine the poses after tracking again.")
+    document = mend_cameras(path, folder, session or _session(read_result(path), path), names)
     if json:
         terminal.emit(document)
     else:

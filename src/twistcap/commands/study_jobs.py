@@ -195,7 +195,7 @@ def _cycle_rows(trial: Trial, result: Result, output: StudyOutput, folder: Path)
 
 
 def _reported(folder: Path, work: Callable[[Path], Outcome]) -> Outcome:
-    """Whatever goes wrong is told as the outcome; what nobody expects is kept in ``error.txt`` too."""
+    """Whatever goes wrong is the outcome; what nobody expects is kept in ``error.txt`` too."""
     trace = folder / "error.txt"
     try:
         terminal.output_folder(folder)

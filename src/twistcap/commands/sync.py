@@ -139,7 +139,8 @@ def _coarse(
         near = bool(np.abs(found.offsets - (np.array(offsets) - offsets[0])).max() < _KEPT)
         clear = found.correlation.min() > _AGREE[way] and found.margin.min() > _MARGIN
         if near:
-            return given, "the session's clocks", ()
+            ambiguous = found.margin.min() <= _MARGIN and found.correlation.min() > _AGREE[way]
+            return given, "the session's clocks", (_doubt(way, names, found),) if ambiguous else ()
         if clear or start == way or way == "motion":
             clocks = {
                 n: replace(given[n], offset=offsets[0] + float(o)) for n, o in zip(names, found.offsets, strict=True)

@@ -83,9 +83,9 @@ def show_rows(title: str, rows: list[Any]) -> None:
     shown |= {"lost": ["" if row["lost"] is None else str(row["lost"]) for row in rows]}
     if len(set(shown["case"])) == 1:
         del shown["case"]
-    told = {name: cells for name, cells in shown.items() if any(cells)}
-    left = [name for name in told if name in ("case", "measure", "unit")]
-    show_table(title, list(told), list(zip(*told.values(), strict=True)), left)
+    filled = {name: cells for name, cells in shown.items() if any(cells)}
+    left = [name for name in filled if name in ("case", "measure", "unit")]
+    show_table(title, list(filled), list(zip(*filled.values(), strict=True)), left)
 
 
 def _value(row: Any) -> str:

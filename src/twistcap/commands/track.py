@@ -85,6 +85,7 @@ class Begin:
 
 def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str, Any]:
     """Track a session into a folder; what ``--json`` prints."""
+    from twistcap.commands.cameras import mend_in_words
     from twistcap.commands.clocks import clocks_in_words
     from twistcap.io.lock import WriteLock
     from twistcap.io.result import read_result
@@ -94,18 +95,21 @@ def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str,
     _ = session.output.gait_norms  # a file that cannot be read is refused before the work
     terminal.tell_compiling()
     with WriteLock(path) as lock:
-        views, timing = _tracked(session, path, begin, lock)
+        views, timing, watched = _tracked(session, path, begin, lock)
         result = read_result(path)
         files = [path, *_outputs(session, views, result, folder, timing)]
         with words.status("comparing the cameras' clocks"):
-            apart = clocks_in_words(session, views, result)
+            apart = clocks_in_words(session, views, result, watched)
     lost = result.indices[result.lost].tolist()
     out = {name: result.indices[rows].tolist() for name, rows in zip(result.rig.names, result.left_out.T, strict=True)}
     about = {"id": "track", "result": path, "frames": len(result), "lost": lost, "left_out": out}
-    return about | {"statements": [*result_in_words(result), *apart], "ms_per_frame": timing.median, "files": files}
+    statements = [*result_in_words(result), *mend_in_words(result, path), *apart]
+    return about | {"statements": statements, "ms_per_frame": timing.median, "files": files}
 
 
-def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Timing]:
+def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Timing, Any]:
+    """The views, how long it took, and what was watched of the cameras."""
+    from twistcap.commands.clocks import watched_by
     from twistcap.commands.start import show_start
     from twistcap.io.provenance import made_of
     from twistcap.io.recording import open_recording
@@ -120,20 +124,21 @@ def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Ti
         recording = open_recording(session)
         views, made = recording.views, made_of(session, recording.views)
     for source in views.sources:
-        if source.told:
-            words.print(f"{source.told}.", markup=False, soft_wrap=True)
-    if recording.told:
-        words.print(recording.told, markup=False, soft_wrap=True)
+        if source.note:
+            words.print(f"{source.note}.", markup=False, soft_wrap=True)
+    if recording.note:
+        words.print(recording.note, markup=False, soft_wrap=True)
     show_start(recording.report)
-    tracker = session_tracker(session, recording.body, views)
+    tracker = session_tracker(session, recording.body, views, watch=True)
     tracker.start(recording.first_pose, recording.first_time)
     config = session.model_dump(mode="json")
     with ResultWriter(path, recording.body, recording.rig, config, made, len(views), lock) as writer:
-        return views, _kept(views, tracker, writer, path)
+        return views, _kept(views, tracker, writer, path), watched_by(tracker)
 
 
-def _resumed(session: Any, path: Path, done: Any, begin: Begin, lock: Any) -> tuple[Any, Timing]:
+def _resumed(session: Any, path: Path, done: Any, begin: Begin, lock: Any) -> tuple[Any, Timing, Any]:
     """Go on with the body of the file: a resumed track is one track."""
+    from twistcap.commands.clocks import watched_by
     from twistcap.io.provenance import check_same, made_of
     from twistcap.io.recording import rig_of, views_of
     from twistcap.io.result import ResultWriter
@@ -144,22 +149,27 @@ def _resumed(session: Any, path: Path, done: Any, begin: Begin, lock: Any) -> tu
         raise InputError(f"{path} was tracked with cameras {had}, the session has {has}; track anew with --overwrite.")
     views = views_of(session, rig)
     check_same(path, done.recording, made_of(session, views), begin.videos_changed)
-    tracker = session_tracker(session, done.body, views)
+    tracker = session_tracker(session, done.body, views, watch=True)
     count = resumed(tracker, path)
     rest = views.starting_at(int(done.indices[count - 1]) + 1) if count else views
     words.print(f"going on after {count} frames: {len(rest)} frames to go")
     with ResultWriter.resume(path, count, len(views), lock) as writer:
-        return views, _kept(rest, tracker, writer, path)
+        return views, _kept(rest, tracker, writer, path), watched_by(tracker)
 
 
-def session_tracker(session: Any, body: Any, views: Any) -> Any:
-    """The session's tracker; training motion is brought to the rate of the frames that are read."""
+def session_tracker(session: Any, body: Any, views: Any, watch: bool = False) -> Any:
+    """The session's tracker, with a watch on the cameras' clocks or without.
+
+    Training motion is brought to the rate of the frames that are read.
+    """
     from twistcap.build import of_method
+    from twistcap.commands.clocks import watching
     from twistcap.track import Tracker
 
     library = session.motion_library
     motions = None if library is None else library.resampled(views.fps / session.step)
-    return Tracker(of_method(body, views.image_rig, session.tracker_settings, session.pose_prior, motions))
+    model = of_method(body, views.image_rig, session.tracker_settings, session.pose_prior, motions)
+    return Tracker(watching(model) if watch else model)
 
 
 def _kept(views: Any, tracker: Any, writer: Any, path: Path) -> Timing:

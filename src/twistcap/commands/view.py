@@ -101,8 +101,8 @@ def _sources(result: Any, session: Path | None, images: int | None) -> dict[str,
     videos = {name: path for name, path in named.items() if isinstance(path, str)} if isinstance(named, dict) else {}
     if images == 0 or (session is None and images is None):
         if images is None and videos:
-            told = f"{', '.join(videos.values())[:200]}; --session SESSION or --images {_FRAMES} shows them"
-            words.print(f"no images: the result names {told}.", markup=False)
+            reason = f"{', '.join(videos.values())[:200]}; --session SESSION or --images {_FRAMES} shows them"
+            words.print(f"no images: the result names {reason}.", markup=False)
         return {}
     return {camera.name: source for camera in result.rig if (source := _source(camera, videos, session)) is not None}
 
@@ -118,8 +118,8 @@ def _source(camera: Any, videos: dict[str, str], session: Path | None) -> Any:
             raise
         source = None
     if source is None:
-        told = f"its video {path or ''} is not found: no images; give --session"
-        words.print(f"camera {camera.name}: {told}.", markup=False)
+        reason = f"its video {path or ''} is not found: no images; give --session"
+        words.print(f"camera {camera.name}: {reason}.", markup=False)
         return None
     check_size(source, camera)
     words.print(f"camera {camera.name}: images of {path}", markup=False)

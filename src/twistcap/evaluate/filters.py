@@ -162,7 +162,7 @@ class _Smoothing:
     def information(self) -> Float:
         """(F, 6 + J, 6 + J) of the evidence."""
         try:
-            return np.linalg.inv(self.motion.covariances[self.frames.start : self.frames.stop])
+            return np.asarray(np.linalg.inv(self.motion.covariances[self.frames.start : self.frames.stop]), np.float64)
         except np.linalg.LinAlgError as error:
             raise InputError("filter: a covariance of the result is singular; use the Butterworth filter.") from error
 

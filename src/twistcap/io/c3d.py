@@ -33,7 +33,7 @@ _LABELS = {"pelvis": "pelvis", "thorax": "torso", "head": "head", "humerus": "ua
            "femur": "thigh", "tibia": "shank", "foot": "foot"}  # fmt: skip
 _UNEVEN = 0.1  # steps by which a frame may be off an even clock
 _MOST_ENTRIES = 254  # of a parameter
-_WORST = 25.0  # mm; residuals above it need not be told apart
+_WORST = 25.0  # mm; residuals above it all count alike
 
 
 def write_c3d(path: Path | str, result: Result, axes: WorldAxes = "opensim", fill: bool = False) -> None:

@@ -238,7 +238,7 @@ def findings(draft: Draft) -> list[str]:
     if _rates_differ(draft):
         listed = ", ".join(f"{name} {rate:g}" for name, rate in rates.items())
         out.append(f"Frame rates differ ({listed}): frames are paired by time. Find the clocks with twistcap sync.")
-    out += [*draft.notes, *(f"{source.told}." for source in draft.sources.values() if source.told)]
+    out += [*draft.notes, *(f"{source.note}." for source in draft.sources.values() if source.note)]
     if draft.unused:
         out.append(f"Calibrated, but without a video: {', '.join(draft.unused)}; they are left out by [cameras] use.")
     return out

@@ -28,7 +28,7 @@ _DIGEST_BYTES = 16
 def made_of(session: Session, views: Views) -> dict[str, Any]:
     """What decides how the frames of a session are tracked, beside the first pose, as flat JSON data by name.
 
-    Files are told by digests. Raises InputError for one that cannot be read.
+    Files are known by their digests. Raises InputError for one that cannot be read.
     """
     tables = {"prior": session.prior, "motions": session.motions}
     made: dict[str, Any] = {
@@ -63,12 +63,12 @@ def check_same(path: Path, before: Mapping[str, Any], now: Mapping[str, Any], vi
     keys = [key for key in {**before, **now} if before.get(key) != now.get(key)]
     differing = [key for key in keys if not (videos_changed and key.startswith("video of "))]
     if differing:
-        told = ", ".join(_difference(key, before.get(key), now.get(key)) for key in differing[:_SHOWN])
+        changes = ", ".join(_difference(key, before.get(key), now.get(key)) for key in differing[:_SHOWN])
         more = f" and {len(differing) - _SHOWN} more" if len(differing) > _SHOWN else ""
         mend = "resume with what it was begun with, or track anew with --overwrite"
         if all(key.startswith("video of ") for key in differing):
             mend = "if the videos show the same, add --videos-changed, else track anew with --overwrite"
-        raise InputError(f"{path} was tracked otherwise ({told}{more}); {mend}.")
+        raise InputError(f"{path} was tracked otherwise ({changes}{more}); {mend}.")
 
 
 def _difference(key: str, before: Any, now: Any) -> str:

@@ -34,7 +34,7 @@ from twistcap.io.plausible import check_plausible, check_upright
 from twistcap.io.pose_file import body_at, read_pose
 from twistcap.io.session import CameraGrid, DetectorTable, GlbBody, HumanoidBody, KeypointSet, Session
 from twistcap.io.start_report import StartReport, check_body_upright, start_report
-from twistcap.io.unaided import found_unaided, told
+from twistcap.io.unaided import found_unaided, start_in_words
 from twistcap.io.video import Views, open_source, open_views
 
 
@@ -47,7 +47,7 @@ class Recording:
     views: Views  # the frames; `views.image_rig` are the cameras of their images
     body: Body  # at the fitted lengths
     first_pose: Pose  # the pose of the first frame
-    told: str = ""  # how it was found, where that must be said
+    note: str = ""  # how it was found, where that must be said
     report: StartReport | None = None  # how well it fits, where it was fitted to keypoints or clicks
 
     @property
@@ -73,7 +73,7 @@ def _opened(session: Session, rig: Rig, views: Views, body: Body) -> Recording:
     proof = found_unaided(session, body, views, floor_of(session))
     start = _with_girths(session, rig, _Start(body, (float(views.indices[0]),), (proof.first,)))
     check_first_pose(session, rig, start.body, proof.first)
-    return Recording(session, rig, views, start.body, proof.first, told(proof, views))
+    return Recording(session, rig, views, start.body, proof.first, start_in_words(proof, views))
 
 
 def open_together(sessions: Sequence[Session]) -> list[Recording]:

@@ -117,7 +117,7 @@ def image_of(result: Result, capacity: int, energies: Sequence[str], state: tupl
 
 
 class _Bytes(io.BytesIO):
-    """A file in memory that is as long as it is told to be: HDF5 does not write what lies at its end and is not set."""
+    """A file in memory that is as long as asked: HDF5 does not write what lies at its end and is not set."""
 
     def truncate(self, size: int | None = None, /) -> int:
         if size is not None and size > (length := self.getbuffer().nbytes):
@@ -127,7 +127,7 @@ class _Bytes(io.BytesIO):
 
 
 def state_row(frames: int, data: UInt8) -> AnyArray:
-    """(3,) what is told of a state beside it: frames written until then, bytes, CRC-32."""
+    """(3,) what is written of a state beside it: frames written until then, bytes, CRC-32."""
     return np.array([frames, len(data), zlib.crc32(data.tobytes())], np.int64)
 
 

@@ -34,12 +34,12 @@ class VideoSource:
 
     Frames are counted in order of display by their time stamps, so a frame number means the same picture at variable
     frame rates and after any seek. Where the stamps make no sense (missing, twice the same, going back), frames are
-    counted as they are decoded, `told` says so, and the frame rate is that of the header.
+    counted as they are decoded, `note` says so, and the frame rate is that of the header.
     """
 
     def __init__(self, path: str | Path) -> None:
         """Raises InputError where the file is missing or holds no video."""
-        self.name, self.told = str(path), ""
+        self.name, self.note = str(path), ""
         self.fps: float | None
         if not Path(path).is_file():
             raise InputError(f"video {path} does not exist; check its path in [videos].")
@@ -72,7 +72,7 @@ class VideoSource:
         Stamps are rounded to the file's ticks: where all are within one tick of even times, these are given.
         """
         stamps = np.array(self._stamps, dtype=float)
-        if self.told or len(stamps) < 2 or self._tick <= 0:
+        if self.note or len(stamps) < 2 or self._tick <= 0:
             return None
         numbers, since = np.arange(len(stamps)), (stamps - stamps[0]) * self._tick
         for rate in (self.fps, numbers[-1] / since[-1]):
@@ -90,7 +90,7 @@ class VideoSource:
             stream = container.streams.video[0]
             # A broken frame is an error, not a grey smear; a frame that grows on the way is one too.
             stream.codec_context.options = {"err_detect": "explode", "max_pixels": str(MOST_PIXELS)}
-            if indices[0] > 0 and not self.told:
+            if indices[0] > 0 and not self.note:
                 container.seek(self._stamps[indices[0]], stream=stream, backward=True, any_frame=False)
             decoded = self._numbered(container)
             for index in indices:
@@ -112,7 +112,7 @@ class VideoSource:
     def _numbered(self, container: Any) -> Iterator[tuple[int | None, Any]]:
         """Frames with their stamps, or with their numbers where the stamps make no sense."""
         frames = self._decoded(container)
-        return enumerate(frames) if self.told else ((frame.pts, frame) for frame in frames)
+        return enumerate(frames) if self.note else ((frame.pts, frame) for frame in frames)
 
     def _decoded(self, container: Any) -> Iterator[Any]:
         """Frames in order of display; at a broken packet first those that the decoder still holds, then the error."""
@@ -127,7 +127,7 @@ class VideoSource:
 
     def _in_order_of_decoding(self) -> list[int]:
         """Numbers of all frames that can be decoded; they are counted by decoding them."""
-        self.told = f"video {self.name}: its time stamps make no sense; frames are taken as they are decoded"
+        self.note = f"video {self.name}: its time stamps make no sense; frames are taken as they are decoded"
         count = 0
         with _opened(self.name) as container, suppress(FFmpegError):
             for _ in self._decoded(container):
@@ -188,7 +188,7 @@ class ImageSource:
 
     fps: float | None = None
     times: Float | None = None
-    told = ""
+    note = ""
 
     def __init__(self, pattern: str | Path) -> None:
         """Raises InputError where no image matches."""

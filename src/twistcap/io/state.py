@@ -1,6 +1,6 @@
 """A state as bytes, and back: frozen values of arrays, numbers and words, nested as they are.
 
-What a value is made of is told by its own annotations, never by the file: reading builds nothing but the types that
+What a value is made of is in its own annotations, never in the file: reading builds nothing but the types that
 the model's own `start` and their fields name. Bodies are not written; they are the model's.
 """
 

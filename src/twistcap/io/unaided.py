@@ -90,7 +90,7 @@ def _outstanding(still: Still, image: AnyArray) -> Bool:
     return np.asarray(still.standing_out(features, (-2.0, 2.5)) > 0.0, np.bool_)
 
 
-def told(proof: Proof, views: Views) -> str:
+def start_in_words(proof: Proof, views: Views) -> str:
     """What was found, in a sentence."""
     x, y, z = proof.first.root[:3, 3]
     start = views.indices[proof.track.start]

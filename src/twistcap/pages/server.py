@@ -100,7 +100,7 @@ def _answered(answer: Answer, body: bytes) -> bytes:
             raise InputError("the question must be a JSON object.")
         return json.dumps(answer(question), allow_nan=False).encode()
     except InputError as error:
-        told = str(error)
+        reason = str(error)
     except Exception as error:  # whatever an answer stumbles over, the page and its work go on
-        told = f"this could not be answered ({type(error).__name__}); try something else."
-    return json.dumps({"error": told}).encode()
+        reason = f"this could not be answered ({type(error).__name__}); try something else."
+    return json.dumps({"error": reason}).encode()

@@ -65,5 +65,5 @@ def _foot(axes: Axes, board: Board) -> None:
         axes.text(_MARGIN + mm, y + 4.6, str(mm), fontsize=5, ha="center", va="bottom")
     axes.plot([_MARGIN, _MARGIN + _RULER], [y, y], color="black", linewidth=0.35)
     axes.text(_MARGIN, y - 1.2, f"twistcap: {board.words}", fontsize=6, va="top")
-    told = "Print at 100 %, glue it on something flat and stiff, and measure this ruler: 100 mm."
-    axes.text(_MARGIN, y - 4.4, told, fontsize=6, va="top")
+    advice = "Print at 100 %, glue it on something flat and stiff, and measure this ruler: 100 mm."
+    axes.text(_MARGIN, y - 4.4, advice, fontsize=6, va="top")

@@ -107,11 +107,13 @@ def coincidence(signals: Sequence[Signal], given: Sequence[float], rate: float, 
         for b in order[1:]:
             shifts[b] = _placed(pairs, shifts, [a for a in order if a != b], b)[0]
     wide = int(apart * rate)
-    told = [_placed(pairs, shifts, [a for a in order if a != b], b, wide) for b in range(len(even))]
+    placed = [_placed(pairs, shifts, [a for a in order if a != b], b, wide) for b in range(len(even))]
     offsets = shifts / rate - (starts - starts[0])
     now = np.rint((np.asarray(given) - given[0] + starts - starts[0]) * rate).astype(int)
     before = [float(np.mean([_value(pairs[a, b], now[b] - now[a]) for a in order if a != b])) for b in range(len(even))]
-    return Coarse(offsets, np.array([t[1] for t in told]), np.array([t[2] for t in told]), np.array(before, np.float64))
+    return Coarse(
+        offsets, np.array([t[1] for t in placed]), np.array([t[2] for t in placed]), np.array(before, np.float64)
+    )
 
 
 Curve = tuple[int, Float]

@@ -12,20 +12,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twistcap.adjust.refine.measure import SequenceImages
-from twistcap.adjust.refine.problem import accelerations
 from twistcap.adjust.refine.settings import RefineConfig
+from twistcap.adjust.sequence import SmoothMotion, claimed_sigma, design_effect
 from twistcap.arrays import Float
 from twistcap.body import Body, Posed
 from twistcap.camera import Rig
 from twistcap.errors import check
 from twistcap.estimate import Estimate, Frame
-from twistcap.predict import MotionNoise
-from twistcap.predict.inertia import INFLATION
-from twistcap.priors.standing import RestPose
 from twistcap.settings import Settings
 from twistcap.solve import Arrow, minimise
 from twistcap.solve.blocks import Moment, PoseTrack
-from twistcap.terms import LimitTerm, PointTerm, RestTerm
+from twistcap.terms import PointTerm
 
 _ROUNDS = 8
 _COARSE_ROUNDS = 2
@@ -82,14 +79,14 @@ def estimate_clocks(
         problem = ClockProblem(body, contours, lags, reference)
         solution = minimise(problem, x, _STEPS, _DAMPING)
         moved.append(float(np.abs(solution.x.late - x.late).max()))
-        x, effect = solution.x, problem.design_effect(x)
+        x, effect = solution.x, design_effect(problem.seen(x))
         report(
             f"round {len(moved)} of at most {rounds}", len(estimates) * (1 + len(moved)), len(estimates) * (1 + rounds)
         )
         if not coarse and moved[-1] < _SETTLED:
             break
     assert solution is not None
-    sigma = INFLATION * np.sqrt(effect * np.diagonal(solution.system.marginals().shared))
+    sigma = claimed_sigma(solution.system, effect)
     sigma[reference] = 0.0
     return Clocks(x.late, sigma, tuple(moved), x.track)
 
@@ -114,15 +111,13 @@ class ClockProblem:
 
     def __init__(self, body: Body, contours: Sequence[Sequence[PointTerm | None]], lags: Float, reference: int) -> None:
         self.body, self.contours, self.lags, self.reference = body, contours, lags, reference
-        self.noise, self.priors = MotionNoise(), (LimitTerm(), RestTerm(float(np.deg2rad(RestPose().sigma_deg))))
+        self.motion = SmoothMotion(body)
 
     def energies(self, x: Clocked) -> dict[str, float]:
         """By term."""
         contour = sum(term.energy(Posed(self.body, at.pose)) for _, term, at in self._sights(x))
-        posed = [Posed(self.body, pose) for pose in x.track.poses]
-        standing = {prior.name: sum(prior.energy(p) for p in posed) for prior in self.priors}
-        motion = accelerations(x.track.poses, x.track.times.tolist(), self.noise)
-        return {"contour": contour, **standing, "motion": motion, "clock": 0.5 * float(np.sum((x.late / _WIDE) ** 2))}
+        clock = 0.5 * float(np.sum((x.late / _WIDE) ** 2))
+        return {"contour": contour, "clock": clock, **self.motion.energies(x.track)}
 
     def linearised(self, x: Clocked) -> Arrow:
         """The quadratic of all poses' steps and of the clocks'."""
@@ -132,12 +127,7 @@ class ClockProblem:
             quadratic = term.linearize(Posed(self.body, at.pose))
             arrow.value += quadratic.value
             _add(arrow, at, camera, quadratic.gradient, quadratic.hessian)
-        for t, pose in enumerate(x.track.poses):
-            for prior in self.priors:
-                quadratic = prior.linearize(Posed(self.body, pose))
-                arrow.value += quadratic.value
-                arrow.add_pose(t, quadratic.gradient, quadratic.hessian)
-        arrow.value += accelerations(x.track.poses, x.track.times.tolist(), self.noise, arrow)
+        self.motion.add_to(arrow, x.track)
         arrow.value += 0.5 * float(np.sum((x.late / _WIDE) ** 2))
         arrow.shared_pull += x.late / _WIDE**2
         arrow.corner += np.eye(len(x.late)) / _WIDE**2
@@ -149,15 +139,9 @@ class ClockProblem:
         poses = x.track.dof
         return Clocked(x.track.retract(step[:poses]), x.late + step[poses:])
 
-    def design_effect(self, x: Clocked) -> float:
-        """Factor by which the contours' information is overcounted, 1 or more: points of one part err together."""
-        squares, information = 0.0, 0.0
-        for _, term, at in self._sights(x):
-            _, points, rows = term.rows(Posed(self.body, at.pose))
-            group = np.resize(points.part, len(rows.residual)) * 8 + (rows.gradient > 0.0) @ [1, 2, 4]
-            squares += float(np.sum(np.bincount(group, rows.weight * rows.residual) ** 2))
-            information += float(rows.weight.sum())
-        return max(1.0, squares / max(information, 1e-12) / INFLATION**2)
+    def seen(self, x: Clocked) -> Iterator[tuple[PointTerm, Posed]]:
+        """Each term, and the body at its image's time."""
+        return ((term, Posed(self.body, at.pose)) for _, term, at in self._sights(x))
 
     def _sights(self, x: Clocked) -> Iterator[tuple[int, PointTerm, Moment]]:
         for camera, terms in enumerate(self.contours):

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from itertools import zip_longest
 
 import numpy as np
@@ -55,7 +56,7 @@ class SequenceImages:
 
     def __init__(self, rig: Rig, config: RefineConfig, tracker: Settings, body: Body) -> None:
         self.config, self.tracker, self.cameras, self.parts = config, tracker, len(rig), len(body.segment_names)
-        self._rig, self._body = rig, body
+        self._rig, self.body = rig, body
         self.views: list[list[View | None]] = [[] for _ in rig]
         self.contour: ContourCue | None = None if tracker.method == "differential" else contour_of(tracker)
         self.colours = self._blank()
@@ -66,7 +67,7 @@ class SequenceImages:
         for count, (frame, estimate) in enumerate(zip_longest(frames, estimates), start=1):
             if frame is None or estimate is None or frame.index != estimate.index:
                 raise InputError("refine: the frames are not those of the estimates; give those that were tracked.")
-            posed, margin = Posed(self._body, estimate.pose), MARGIN + _ROOM
+            posed, margin = Posed(self.body, estimate.pose), MARGIN + _ROOM
             for i, image in enumerate(despeckled(frame, self.tracker.despeckle).images):
                 if image is None or i in estimate.left_out:
                     self.views[i].append(None)
@@ -77,7 +78,7 @@ class SequenceImages:
 
     def _blank(self) -> Appearance:
         """No colours yet. None of them fades: all frames of a sequence count alike."""
-        return Appearance.blank(self.cameras, self._body.segment_names, AppearanceRule(memory=1.0))
+        return Appearance.blank(self.cameras, self.body.segment_names, AppearanceRule(memory=1.0))
 
     def measure(self, posed: Sequence[Posed], trusted: Bool, coarse: bool) -> list[CameraRound]:
         """A round of all cameras, one thread for each; frames that are not `trusted` (F,) are left out."""
@@ -99,6 +100,24 @@ class SequenceImages:
         for of_camera in rounds:
             self.colours = self.colours + of_camera.colours
         return [of_camera.contours for of_camera in rounds]
+
+    def agreeing(self, posed: Sequence[Posed], cameras: Sequence[int]) -> dict[int, Float]:
+        """Of some cameras, the share (F,) of the contour points of poses that agree; NaN without an image."""
+        trusted, out = np.ones(len(posed), dtype=np.bool_), dict[int, Float]()
+        for i in cameras:
+            tallies = self._one_camera(i, posed, trusted, False, False).tallies
+            good, points = (np.array([tally[k].sum() for tally in tallies]) for k in (0, 1))
+            out[i] = np.where(points > 0, good / np.maximum(points, 1.0), np.nan)
+        return out
+
+    def standing_at(self, places: Mapping[int, Float]) -> SequenceImages:
+        """The same images, taken by cameras that stand elsewhere: `T_cam_world` (4, 4) by number."""
+        out = copy(self)
+        out.views = [
+            own if i not in places else [view and _standing_at(view, places[i]) for view in own]
+            for i, own in enumerate(self.views)
+        ]
+        return out
 
     def _one_camera(
         self, i: int, posed: Sequence[Posed], trusted: Bool, coarse: bool, brightness: bool = True
@@ -147,6 +166,10 @@ class SequenceImages:
             for before, old, rendered, points in recent
             if t - before in config.strides
         ]
+
+
+def _standing_at(view: View, T_cam_world: Float) -> View:
+    return replace(view, camera=replace(view.camera, T_cam_world=T_cam_world))
 
 
 def followed_points(view: View, seen: RenderedView, count: int) -> SurfacePoints:

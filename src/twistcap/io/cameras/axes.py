@@ -1,4 +1,4 @@
-"""Which axis of a calibration's world is up: told by the images, and turned to z only if the user says so."""
+"""Which axis of a calibration's world is up: found in the images, and turned to z only if the user says so."""
 
 from __future__ import annotations
 
@@ -60,8 +60,8 @@ def checked_up(rig: Rig, said: Up | None, source: str) -> tuple[Rig, str]:
         return with_z_up(rig, said), f"Up is {said}, as said{doubt}."
     if found == "z":
         return rig, "Up is z: the images agree."
-    told = "the images do not say what is up" if found is None else f"up is {found} by the images, not z"
-    raise InputError(f"{source}: {told}; say it: --up {found or 'z'} turns that axis to z.")
+    reason = "the images do not say what is up" if found is None else f"up is {found} by the images, not z"
+    raise InputError(f"{source}: {reason}; say it: --up {found or 'z'} turns that axis to z.")
 
 
 def _vector(axis: str) -> Float:

@@ -97,9 +97,9 @@ def read_cameras(
         for camera in names:
             if names.count(camera) > 1:
                 raise InputError(f"calibration {path}: two cameras are named {camera!r}; give each its own name.")
-        rig, told = checked_up(rig, up, f"calibration {path}")
+        rig, statement = checked_up(rig, up, f"calibration {path}")
         check_plausible(rig, floor=None, source=f"calibration {path}")
-    return rig, told
+    return rig, statement
 
 
 def write_cameras(rig: Rig, path: Path, name: str) -> None:

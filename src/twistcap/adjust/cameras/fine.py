@@ -1,0 +1,241 @@
+"""Places of cameras that were bumped, and the poses of all frames, in one least squares; the other cameras are held."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+
+from twistcap import se3
+from twistcap.adjust.cameras.coarse import turned_towards
+from twistcap.adjust.refine.measure import SequenceImages
+from twistcap.adjust.refine.settings import RefineConfig
+from twistcap.adjust.sequence import SmoothMotion, claimed_sigma, design_effect
+from twistcap.arrays import AnyArray, Float
+from twistcap.body import Body, Posed
+from twistcap.camera import Camera, Rig
+from twistcap.errors import check
+from twistcap.estimate import Estimate, Frame
+from twistcap.predict.inertia import INFLATION
+from twistcap.settings import Settings
+from twistcap.solve import Arrow, minimise
+from twistcap.solve.blocks import PoseTrack
+from twistcap.terms import PointNormalTerm
+from twistcap.terms.accumulate import normal_equations
+
+_ROUNDS = 14
+_COARSE_ROUNDS = 3
+_SETTLED = 2e-5  # rad and m by which the cameras may still move in the last round
+_LONGEST = 0.05  # rad and m that a camera moves in one step
+_DAMPING = 1e-3
+_STEPS = 3  # of the solver in each round
+_LOOKS = 60  # frames in which a camera that was turned is looked for
+
+# How far a camera may stand from where it was calibrated, rad and m: a knock turns it far and moves it little.
+_PRIOR = np.repeat([np.deg2rad(6.0), 0.02], 3)
+
+Report = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class MendedCameras:
+    """Where cameras stand.
+
+    Attributes:
+        places: by number of the camera, `T_cam_world` (4, 4).
+        sigmas: by number, (6,) standard deviations of its left twist, rad and m.
+        before, after: by number, (F,) share of the contour points that agree in each frame with the camera as given,
+            and as mended.
+        others: that share in the other cameras, all frames together.
+        moved: rad and m by which the cameras moved in each round.
+        poses: of the frames.
+    """
+
+    places: Mapping[int, Float]
+    sigmas: Mapping[int, Float]
+    before: Mapping[int, Float]
+    after: Mapping[int, Float]
+    others: float
+    moved: tuple[float, ...]
+    poses: PoseTrack
+
+
+def mended_cameras(
+    frames: Callable[[], Iterable[Frame]], body: Body, rig: Rig, estimates: Sequence[Estimate], wrong: Sequence[int],
+    tracker: Settings | None = None, report: Report | None = None,
+) -> MendedCameras:  # fmt: skip
+    """Places of the cameras `wrong`, by the contours of a body that was tracked in the others.
+
+    A camera that was turned far is looked for first (`turned_towards`). Lenses stay as they are.
+
+    Args:
+        frames: gives those of the estimates, in order; it is called twice.
+        body, rig, estimates: of the track; the cameras are those of the images.
+        wrong: numbers of the cameras whose place is sought; at least two others must be left.
+        tracker: settings of the contour cue.
+        report: is called with the progress.
+
+    Raises InputError for fewer than three frames or two other cameras, frames that are not those of the estimates, or
+    images that do not tell where a camera is.
+    """
+    check("cameras", len(estimates) >= 3, f"{len(estimates)} frames are tracked; at least 3 are needed")
+    check("cameras", len(rig) - len(wrong) >= 2, "at least two cameras must be right; name fewer cameras")
+    settings = replace(tracker or Settings(), method="direct")
+    tell = _Progress(report or (lambda *_: None), len(estimates))
+    given = rig.pinhole()
+    found = _looked_for(frames(), body, given, estimates, wrong, settings, tell)
+    own = [replace(e, left_out=tuple(c for c in e.left_out if c not in wrong)) for e in estimates]
+    turned = Rig(tuple(found.get(c, camera) for c, camera in enumerate(given)))
+    images = SequenceImages(turned, RefineConfig(), settings, body)
+    for done in images.read(frames(), own):
+        tell("reading", done)
+    x = Standpoints(PoseTrack(tuple(e.pose for e in own), np.array([e.time for e in own])),
+                    {c: camera.T_cam_world for c, camera in found.items()})  # fmt: skip
+    return _settled(images, x, given, tell)
+
+
+@dataclass
+class _Progress:
+    report: Report
+    frames: int
+    rounds: int = 0
+
+    def __call__(self, note: str, done: int) -> None:
+        self.report(note, done + self.rounds * self.frames, (_ROUNDS + 3) * self.frames)
+
+
+def _looked_for(
+    frames: Iterable[Frame], body: Body, rig: Rig, estimates: Sequence[Estimate], wrong: Sequence[int],
+    settings: Settings, tell: _Progress,
+) -> dict[int, Camera]:  # fmt: skip
+    """The wrong cameras, turned to where the body is, from some of the frames."""
+    step = max(1, len(estimates) // _LOOKS)
+    pictures: dict[int, list[AnyArray | None]] = {c: [] for c in wrong}
+    posed = list[Posed]()
+    for k, (frame, estimate) in enumerate(zip(frames, estimates, strict=False)):
+        tell("looking", k + 1)
+        if k % step == 0:
+            posed.append(Posed(body, estimate.pose))
+            for c in wrong:
+                pictures[c].append(frame.images[c])
+    return {c: turned_towards(rig[c], pictures[c], posed, settings.channels) for c in wrong}
+
+
+@dataclass(frozen=True)
+class Standpoints:
+    """The variables: the poses of all frames, and by number `T_cam_world` of the cameras that are sought."""
+
+    track: PoseTrack
+    places: Mapping[int, Float]
+
+
+def _settled(images: SequenceImages, x: Standpoints, given: Rig, tell: _Progress) -> MendedCameras:
+    """Rounds of measuring and solving until the cameras stand still."""
+    body, moved, calibrated = images.body, list[float](), {c: given[c].T_cam_world for c in x.places}
+    effect = 1.0
+    while True:
+        coarse, images = len(moved) < _COARSE_ROUNDS, images.standing_at(x.places)
+        measured = images.contours([[Posed(body, p) for p in x.track.poses]] * images.cameras, coarse)
+        contours = cast(Sequence[Sequence[PointNormalTerm | None]], measured)  # which the direct cue makes
+        problem = CameraProblem(body, contours, x.places, calibrated, effect)
+        solution = minimise(problem, x, _STEPS, _DAMPING)
+        steps = [se3.log(solution.x.places[c] @ np.linalg.inv(x.places[c])) for c in x.places]
+        x, effect = solution.x, design_effect(problem.seen(solution.x))
+        moved.append(float(np.abs(steps).max()))
+        tell.rounds += 1
+        tell(f"round {len(moved)} of at most {_ROUNDS}", 0)
+        if len(moved) >= _ROUNDS or (not coarse and moved[-1] < _SETTLED):
+            break
+    sigma = claimed_sigma(solution.system, effect)
+    sigmas = {c: sigma[6 * k : 6 * k + 6] for k, c in enumerate(x.places)}
+    posed = [Posed(body, pose) for pose in x.track.poses]
+    rest = images.agreeing(posed, [c for c in range(images.cameras) if c not in calibrated])
+    before, after = (images.standing_at(places).agreeing(posed, tuple(places)) for places in (calibrated, x.places))
+    others = float(np.nanmean(np.stack(tuple(rest.values()))))
+    return MendedCameras(x.places, sigmas, before, after, others, tuple(moved), x.track)
+
+
+class CameraProblem:
+    """Contours (C lists of F terms, None without one) that were `measured` with cameras there, a wide prior about where
+    the cameras were `given`, and smooth motion.
+
+    Contours count at their own noise. What is claimed of them is `INFLATION` times that, and the root of the design
+    `effect`; so the prior is made narrower by as much.
+    """
+
+    def __init__(
+        self, body: Body, contours: Sequence[Sequence[PointNormalTerm | None]], measured: Mapping[int, Float],
+        given: Mapping[int, Float], effect: float = 1.0,
+    ) -> None:  # fmt: skip
+        self.body, self.contours, self.measured, self.given = body, contours, measured, given
+        self.prior = _PRIOR / (INFLATION * np.sqrt(effect))
+        self.motion, self.order = SmoothMotion(body), {c: k for k, c in enumerate(measured)}
+
+    def energies(self, x: Standpoints) -> dict[str, float]:
+        """By term."""
+        contour = sum(term.energy(posed) for term, posed in self.seen(x))
+        prior = sum(0.5 * float(np.sum((self._off(x, c) / self.prior) ** 2)) for c in self.order)
+        return {"contour": contour, "camera": prior, **self.motion.energies(x.track)}
+
+    def linearised(self, x: Standpoints) -> Arrow:
+        """The quadratic of all poses' steps and of the cameras' left twists."""
+        arrow = Arrow(len(x.track.poses), x.track.pose_dof, 6 * len(self.order), 2)
+        arrow.longest, arrow.shared_longest = 0.5, _LONGEST
+        for camera, t, term, posed in self._sights(x):
+            self._add(arrow, x, (camera, t), term, posed)
+        self.motion.add_to(arrow, x.track)
+        for c, k in self.order.items():
+            own, off = slice(6 * k, 6 * k + 6), self._off(x, c)
+            by_step = se3.inverse_left_jacobian(off) / self.prior[:, None]
+            arrow.value += 0.5 * float(np.sum((off / self.prior) ** 2))
+            arrow.shared_pull[own] += by_step.T @ (off / self.prior)
+            arrow.corner[own, own] += by_step.T @ by_step
+        return arrow
+
+    def retract(self, x: Standpoints, step: Float) -> Standpoints:
+        """After a step (F D + 6 W,)."""
+        twists = step[x.track.dof :].reshape(-1, 6)
+        places = {c: se3.compose_one(se3.exp_one(twists[k]), x.places[c]) for c, k in self.order.items()}
+        return Standpoints(x.track.retract(step[: x.track.dof]), places)
+
+    def seen(self, x: Standpoints) -> Iterator[tuple[PointNormalTerm, Posed]]:
+        """Each term, of the camera as it stands, and the body in its frame."""
+        return ((term, posed) for _, _, term, posed in self._sights(x))
+
+    def _sights(self, x: Standpoints) -> Iterator[tuple[int, int, PointNormalTerm, Posed]]:
+        for t, pose in enumerate(x.track.poses):
+            posed = Posed(self.body, pose)
+            for camera, terms in enumerate(self.contours):
+                term = terms[t]
+                if term is not None:
+                    yield camera, t, self._from_here(term, camera, x), posed
+
+    def _from_here(self, term: PointNormalTerm, camera: int, x: Standpoints) -> PointNormalTerm:
+        if camera not in self.order:
+            return term
+        return replace(term, P=term.P @ np.linalg.inv(self.measured[camera]) @ x.places[camera])
+
+    def _off(self, x: Standpoints, camera: int) -> Float:
+        """(6,) left twist by which a camera stands from where it was calibrated."""
+        return se3.log(x.places[camera] @ np.linalg.inv(self.given[camera]))
+
+    def _add(self, arrow: Arrow, x: Standpoints, where: tuple[int, int], term: PointNormalTerm, posed: Posed) -> None:
+        (camera, t), D = where, x.track.pose_dof
+        energy, points, rows = term.rows(posed)
+        arrow.value += energy
+        beside = by_camera(x.places[camera], points.at(posed), rows.gradient) if camera in self.order else None
+        gradient, hessian = normal_equations(posed, points, rows, beside)
+        arrow.add_pose(t, gradient[:D], hessian[:D, :D])
+        if beside is not None:
+            own = slice(6 * self.order[camera], 6 * self.order[camera] + 6)
+            arrow.border[t][:, own] += hessian[:D, D:]
+            arrow.corner[own, own] += hessian[D:, D:]
+            arrow.shared_pull[own] += gradient[D:]
+
+
+def by_camera(T_cam_world: Float, world: Float, gradient: Float) -> Float:
+    """(N, 6) derivative of residuals by the left twist of a camera, from that by their world points (N, 3)."""
+    seen, g = se3.apply(T_cam_world, world), gradient @ T_cam_world[:3, :3].T
+    return np.concatenate([np.cross(seen, g), g], axis=1)

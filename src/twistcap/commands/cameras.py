@@ -1,0 +1,164 @@
+"""``twistcap refine --cameras``: cameras that were bumped or badly calibrated, from the tracked body."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from twistcap.commands import terminal
+from twistcap.commands.terminal import words
+from twistcap.errors import InputError
+
+_OFTEN = 10  # frames in which a camera was left out, from which on it is mended by itself
+_MOST = 150  # frames that are used, spread evenly
+_FEWEST = 24
+_GOOD = 0.75  # share of the agreement of the other cameras that a mended one must reach
+_GAIN = 0.05  # of its agreement
+
+
+def mend_cameras(path: Path, out: Path, session: Any, names: Sequence[str] = ()) -> dict[str, Any]:
+    """Estimate where cameras of a result stand, and write a new calibration into a folder; what ``--json`` prints.
+
+    Without names, those that the tracker left out are mended. Each is sought by itself; others that are wrong are not
+    believed until they are mended. Raises InputError where no camera is wrong, or too few frames or cameras are left.
+    """
+    from twistcap.io.calibration import read_rig, write_rig
+    from twistcap.io.recording import views_of
+    from twistcap.io.result import read_result
+
+    result = read_result(path)
+    wrong = _wrong(result, names, path)
+    given = read_rig(session.cameras.calibration, session.cameras.unit)
+    goal = terminal.output_folder(out) / "Calib.toml"
+    if goal.resolve() == Path(session.cameras.calibration).resolve():
+        raise InputError(f"{goal} is the session's own calibration, which is never replaced; give another --out.")
+    rows, mended = list[dict[str, Any]](), result.rig
+    for c in wrong:
+        views = views_of(session, mended)
+        row, place = _mended(result, views, session, c, [k for k in wrong if k != c and mended[k] is result.rig[k]])
+        rows.append(row)
+        if row["sure"]:
+            camera = replace(mended[c], T_cam_world=place)
+            mended = replace(mended, cameras=(*mended.cameras[:c], camera, *mended.cameras[c + 1 :]))
+    sure = [row["camera"] for row in rows if row["sure"]]
+    if sure:
+        places = {camera.name: camera.T_cam_world for camera in mended if camera.name in sure}
+        write_rig(replace(given, cameras=tuple(
+            replace(camera, T_cam_world=places.get(camera.name, camera.T_cam_world)) for camera in given
+        )), goal)  # fmt: skip
+    return {"id": "refine-cameras", "result": path, "cameras": rows, "calibration": goal if sure else None}
+
+
+def mend_in_words(result: Any, path: Path) -> list[str]:
+    """A sentence that says how cameras that were left out often, also at the end, are mended."""
+    out = result.left_out
+    if not len(out) or len(result.rig) - out[-1].sum() < 2:
+        return []
+    names = [n for n, often, last in zip(result.rig.names, out.sum(axis=0) >= _OFTEN, out[-1], strict=True)
+             if often and last]  # fmt: skip
+    mend = f"If it was bumped, twistcap refine {path} --cameras finds its new place; if late, twistcap sync its offset."
+    return [f"Camera {name} was left out to the end. {mend}" for name in names]
+
+
+def _wrong(result: Any, names: Sequence[str], path: Path) -> list[int]:
+    """Numbers of the cameras to be mended."""
+    for name in names:
+        if name not in result.rig.names:
+            raise InputError(
+                f"--camera names {name!r}, which {path} does not have; it has {', '.join(result.rig.names)}."
+            )
+    wrong = [result.rig.names.index(name) for name in names]
+    wrong = wrong or [int(c) for c in np.flatnonzero(result.left_out.sum(axis=0) >= _OFTEN)]
+    if not wrong:
+        raise InputError(f"{path}: no camera was left out in {_OFTEN} frames; name one that is wrong with --camera.")
+    if len(result.rig) - len(wrong) < 2:
+        bad = ", ".join(result.rig.names[c] for c in wrong)
+        raise InputError(f"{path}: of {len(result.rig)} cameras {bad} are wrong; two must be right to mend the others.")
+    return wrong
+
+
+def _mended(result: Any, views: Any, session: Any, camera: int, others: Sequence[int]) -> tuple[dict[str, Any], Any]:
+    """One row of the table, and `T_cam_world` of a camera."""
+    from twistcap.adjust.cameras import agreement_at, holds_from, mended_cameras
+
+    out, name = np.flatnonzero(result.left_out[:, camera]), result.rig.names[camera]
+    chosen = _frames(result, int(out[0]) if len(out) else 0, camera, others)
+    rest, settings = (result.body, views.image_rig), session.tracker_settings
+    with terminal.status(f"mending {name}") as report:
+        found = mended_cameras(lambda: _shown(views, chosen), *rest, chosen, [camera], settings, report)
+    place = found.places[camera]
+    before, after = (float(np.nanmean(by[camera])) for by in (found.before, found.after))
+    with terminal.status(f"looking when {name} was moved"):
+        whole = _frames(result, 0, camera, others)
+        first = holds_from(*agreement_at(_shown(views, whole), *rest, whole, camera, place, settings))
+    return {
+        "camera": name, **_off(result, found, camera), "agreed_before": before, "agreed_after": after,
+        "from_frame": whole[min(first, len(whole) - 1)].index, "frames": len(chosen),
+        "sure": after >= before + _GAIN and after >= _GOOD * found.others,
+    }, place  # fmt: skip
+
+
+def _shown(views: Any, chosen: Sequence[Any]) -> Iterator[Any]:
+    """The frames of estimates."""
+    kept = {e.index for e in chosen}
+    span = replace(views, indices=range(chosen[0].index, chosen[-1].index + 1))
+    return (frame for frame in span if frame.index in kept)
+
+
+def _frames(result: Any, first: int, camera: int, others: Sequence[int]) -> list[Any]:
+    """Good estimates from a row on, spread evenly, in which the camera is believed and the others are not."""
+    rows = [e for e in result.estimates[first:] if e.seen and not e.lost]
+    if len(rows) < _FEWEST:
+        few = f"only {len(rows)} good frames show it where it stands now"
+        raise InputError(f"camera {result.rig.names[camera]}: {few}; track at least {_FEWEST}.")
+    spread = rows[:: -(-len(rows) // _MOST)]
+    return [replace(e, left_out=tuple({*e.left_out, *others} - {camera})) for e in spread]
+
+
+def _off(result: Any, found: Any, camera: int) -> dict[str, float]:
+    """By how much the camera was off: px of the body's landmarks in its whole image, degrees, mm."""
+    from twistcap import se3
+    from twistcap.body import Posed
+
+    given = result.rig[camera]
+    now = replace(given, T_cam_world=found.places[camera])
+    turn = se3.log_rotation(now.T_cam_world[:3, :3] @ given.T_cam_world[:3, :3].T)
+    marks = np.concatenate([Posed(result.body, pose).landmarks for pose in found.poses.poses])
+    apart = np.linalg.norm(now.project(marks)[0] - given.project(marks)[0], axis=1)
+    sigma = found.sigmas[camera]
+    return {
+        "off_px": float(np.nanmean(apart)),
+        "turned_deg": float(np.rad2deg(np.linalg.norm(turn))),
+        "turned_sigma_deg": float(np.rad2deg(np.linalg.norm(sigma[:3]))),
+        "moved_mm": 1000.0 * float(np.linalg.norm(now.centre - given.centre)),
+        "moved_sigma_mm": 1000.0 * float(np.linalg.norm(sigma[3:])),
+    }  # fmt: skip
+
+
+def show(document: dict[str, Any]) -> None:
+    """Print the end of a run for a person."""
+    rows = [[
+        r["camera"], f"{r['off_px']:.1f}", f"{r['turned_deg']:.2f} ± {r['turned_sigma_deg']:.2f}",
+        f"{r['moved_mm']:.0f} ± {r['moved_sigma_mm']:.0f}", f"{100 * r['agreed_before']:.0f} %",
+        f"{100 * r['agreed_after']:.0f} %",
+    ] for r in document["cameras"]]  # fmt: skip
+    columns = ["camera", "was off, px", "turned, deg", "moved, mm", "agreed before", "and now"]
+    terminal.show_table("cameras: against the calibration given, ± 1σ", columns, rows, ["camera"])
+    for r in document["cameras"]:
+        words.print(_sentence(r), markup=False, soft_wrap=True)
+    if document["calibration"] is None:
+        words.print("Nothing is written.")
+    else:
+        words.print(f"Track again with [cameras] calibration = {str(document['calibration'])!r}.", markup=False)
+
+
+def _sentence(row: dict[str, Any]) -> str:
+    name, frames = row["camera"], row["frames"]
+    if not row["sure"]:
+        return (f"Camera {name}: no place of it agrees with the others in {frames} frames; it may be late, frozen or "
+                "swapped. Its calibration stays.")  # fmt: skip
+    return f"Camera {name}: the new calibration holds from frame {row['from_frame']} on ({frames} frames were used)."

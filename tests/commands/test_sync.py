@@ -1,0 +1,112 @@
+"""`twistcap sync` and `refine --cameras` on sessions that are wrong about clocks and calibration."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from support.cameras import ring
+from support.commands import document, run
+from twistcap import se3
+from twistcap.adjust.clocks import Signal
+from twistcap.commands import sync
+from twistcap.commands.cameras import mend_in_words
+from twistcap.io.calibration import read_rig, write_rig
+from twistcap.io.clocks import Clock
+from twistcap.io.session import load_session
+from twistcap.io.synthetic import write_session
+from twistcap.studio import StudioConfig, capture
+
+FRAMES, FPS = 36, 60.0
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A walk in four cameras that were triggered together."""
+    folder = tmp_path_factory.mktemp("walk")
+    write_session(capture(StudioConfig(seed=3, frames=FRAMES, fps=FPS)), folder, "png", masks=False)
+    return folder / "session.toml"
+
+
+def test_a_wrong_clock_is_put_right(walk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    session = walk.with_name("late.toml")
+    session.write_text(walk.read_text() + "\n[clocks.cam02]\noffset = 0.025  # 1.5 frames; in truth 0\n")
+    found = document(capsys, "sync", session, "--start", "given", "--frames", 24)
+    rows = {row["camera"]: row for row in found["cameras"]}
+    assert found["written"] and rows["cam02"]["before_s"] == 0.025
+    for row in rows.values():
+        assert abs(row["after_s"]) * FPS < 0.25
+    clocks = load_session(session).clocks
+    assert clocks["cam02"].offset == rows["cam02"]["after_s"]
+
+
+def test_track_names_a_camera_that_is_late(walk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """By as much as the offset that mends it; clocks that agree are not looked at a second time."""
+    late = walk.with_name("late2.toml")
+    late.write_text(walk.read_text() + "\n[clocks.cam02]\noffset = 0.025  # 1.5 frames; in truth 0\n")
+    few = ("--set", "output.overlay=false", "--set", "output.report=false")
+    sentences = document(capsys, "track", late, "--out", tmp_path / "late", *few)["statements"]
+    (about,) = [s for s in sentences if "disagrees with the others'" in s]
+    assert "clock of camera cam02" in about and "twistcap sync" in about
+    assert abs(float(about.split("offset = ")[1].split()[0])) * FPS < 0.5
+    sentences = document(capsys, "track", walk, "--out", tmp_path / "in step", *few)["statements"]
+    assert not any("clock" in s for s in sentences)
+
+
+def test_a_walk_in_step_tells_that_it_is_not_sure(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A regular walk of three seconds that all cameras share looks alike after each step."""
+    rng, late = np.random.default_rng(0), np.array([0.0, 2.5, 1.2, 0.4])
+    names = tuple(f"cam{c}" for c in range(len(late)))
+
+    def signals(*_: object) -> list[Signal]:
+        times = np.arange(0.0, 5.5, 1 / 60)
+        return [
+            Signal(times, np.sin(2 * np.pi * (times + o) / 0.55) + 0.15 * rng.normal(size=len(times))) for o in late
+        ]
+
+    monkeypatch.setattr(sync, "_signals", signals)
+    for given in (0.0, 0.55 / 2):  # also where the session's clocks are as good as the best
+        clocks, _, doubts = sync._coarse(None, names, {n: Clock(given) for n in names}, "motion")  # pyright: ignore[reportPrivateUsage]
+        found = np.array([clocks[n].offset - clocks[names[0]].offset for n in names])
+        assert np.abs(found - late).max() > 0.1  # it is wrong, and says so
+        assert any("fits that of the others at several offsets" in doubt for doubt in doubts)
+
+
+def test_what_mends_a_camera_is_said_where_it_is_left_out_to_the_end() -> None:
+    rig, out = ring(), np.zeros((30, 4), np.bool_)
+    out[5:, 1], out[5:20, 2] = True, True  # the other one is believed again
+    result = SimpleNamespace(rig=rig, left_out=out)
+    (sentence,) = mend_in_words(result, Path("out/result.h5"))
+    assert rig.names[1] in sentence and "twistcap refine out/result.h5 --cameras" in sentence
+    out[5:, 2:] = True  # and one camera mends no others
+    assert mend_in_words(result, Path("out/result.h5")) == []
+
+
+def test_a_bumped_camera_is_mended(walk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    true = read_rig(walk.with_name("Calib.toml"), "m")
+    turn = np.r_[np.deg2rad(2.0) * np.array([0.6, -0.8, 0.0]), 0.0, 0.0, 0.0]
+    off = replace(true[1], T_cam_world=se3.exp(turn) @ true[1].T_cam_world)
+    given = tmp_path / "Calib.toml"
+    write_rig(replace(true, cameras=(true[0], off, *true.cameras[2:])), given)
+    bad = ("--set", f"cameras.calibration={given}")
+    assert run("track", walk, "--out", tmp_path, *bad, "--set", "output.overlay=false") == 0
+    assert run("refine", tmp_path / "result.h5", "--camera", "nobody") == 2
+    assert run("refine", tmp_path / "result.h5", "--cameras", "--out", tmp_path) == 2  # over the user's own
+    capsys.readouterr()
+    before, found = given.read_text(), document(capsys, "refine", tmp_path / "result.h5", "--camera", off.name)
+    (row,) = found["cameras"]
+    assert row["sure"] and row["camera"] == off.name and given.read_text() == before
+    assert row["turned_deg"] == pytest.approx(2.0, abs=0.6) and row["agreed_after"] > row["agreed_before"] + 0.3
+    mended = read_rig(Path(found["calibration"]), "m")
+    np.testing.assert_allclose(mended[0].T_cam_world, true[0].T_cam_world, atol=1e-9)
+    body = np.array([[x, y, z] for x in (-0.3, 0.3) for y in (-0.3, 0.3) for z in (0.2, 1.0, 1.6)])
+    apart = mended[1].project(body)[0] - true[1].project(body)[0]
+    assert (
+        np.linalg.norm(apart, axis=1).max()
+        < 2.5
+        < np.linalg.norm(off.project(body)[0] - true[1].project(body)[0], axis=1).min()
+    )
