@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.clocks import walking_about
 from reproduce.faults.staged import bumped, bumped_picture
+from reproduce.scenes.pace import walking_about
 from twistcap import se3
 from twistcap.adjust.cameras import holds_from, mended_cameras
 from twistcap.arrays import Float
@@ -45,7 +45,7 @@ def film(seed: int, at: int = 0, condition: str = "exact") -> Bumped:
     """A recording in which one camera is turned about a random axis from a frame on."""
     config = StudioConfig(seed=seed, views=4, condition=condition, frames=FRAMES)  # pyright: ignore[reportArgumentType]
     body = default_body(config)
-    walk, rng = walking_about(body, seed), stream(seed, "bump")
+    walk, rng = walking_about(body, seed, FRAMES / FPS), stream(seed, "bump")
     scene = capture(config, body, [walk(k / FPS) for k in range(FRAMES)])
     axis, camera = rng.standard_normal(3), int(rng.integers(config.views))
     turn = TURN * axis / np.linalg.norm(axis)

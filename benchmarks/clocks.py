@@ -21,7 +21,7 @@ from pathlib import Path
 import av
 import numpy as np
 
-from twistcap import se3
+from reproduce.scenes.pace import walking_about
 from twistcap.arrays import Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.gltf_write import save_glb
@@ -32,38 +32,12 @@ from twistcap.io.session import load_session
 from twistcap.io.videowriter import VideoWriter
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.config import stream
-from twistcap.studio.motion import gait
 from twistcap.studio.picture import marred
 from twistcap.studio.scene import default_body
 
 LONGEST, LENGTH = 2.5, 5.5  # s by which cameras start apart, s that each of them films
 FRAMES = 150  # frames that are tracked, and by which joints are compared
-SPEED, STEPS, PER_CYCLE, RADIUS = 1.3, 110.4, 200, 0.9  # m/s, steps per minute, samples of a cycle, m of the circle
 DATA = Path(os.environ.get("TWISTCAP_DATA", "../shared/data"))
-
-
-def walking_about(body: Body, seed: int) -> Callable[[float], Pose]:
-    """The pose at a time (s): a walk in a circle that slows down, stops and goes on, not twice the same."""
-    rng, rate = stream(seed, "pace"), 240
-    times = np.arange(int((LENGTH + LONGEST + 1.0) * rate)) / rate
-    waves = [np.sin(2 * np.pi * times / rng.uniform(1.2, 5.0) + rng.uniform(0, 2 * np.pi)) for _ in range(4)]
-    pace = np.clip(0.75 + 0.45 * np.sum(waves, axis=0), 0.0, 1.3)
-    way = np.cumsum(pace) / rate * SPEED
-    cycle = gait(body, fps=PER_CYCLE * STEPS / 120.0, frames=PER_CYCLE + 1, speed=SPEED, cadence=STEPS)
-    stride, turned, start = SPEED * 120.0 / STEPS, rng.uniform(0, 2 * np.pi), rng.uniform(0, 1)
-
-    def at(time: float) -> Pose:
-        along = float(np.interp(time, times, way))
-        phase = (start + along / stride) % 1.0
-        k, part = divmod(phase * PER_CYCLE, 1.0)
-        pose = cycle[int(k)].retract(part * cycle[int(k) + 1].minus(cycle[int(k)]))
-        heading = turned + along / RADIUS
-        there = se3.exp_rotation(np.array([0.0, 0.0, heading]))
-        on_circle = RADIUS * np.array([np.sin(heading), -np.cos(heading), 0.0])
-        back = np.array([-phase * stride, 0.0, 0.0])
-        return Pose(se3.transform(there, on_circle + there @ back) @ pose.root, pose.q)
-
-    return at
 
 
 @dataclass(frozen=True)
@@ -81,7 +55,7 @@ def film(folder: Path, seed: int, condition: str = "exact", views: int = 4) -> F
     """Render and write both sessions."""
     config = StudioConfig(seed=seed, views=views, condition=condition, frames=30)  # pyright: ignore[reportArgumentType]
     body = default_body(config)
-    at, rng = walking_about(body, seed), stream(seed, "clocks")
+    at, rng = walking_about(body, seed, LENGTH + LONGEST + 1.0), stream(seed, "clocks")
     scene = capture(config, body, [at(t) for t in np.linspace(0, LENGTH + LONGEST, config.frames)])
     starts = rng.permutation([0.0, LONGEST, *rng.uniform(0, LONGEST, views - 2)])
     own = [frame_times(kind, rng) for kind in rng.permutation(["60", "59.94", "vfr", "60"])[np.arange(views) % 4]]

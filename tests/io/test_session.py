@@ -92,11 +92,11 @@ def test_command_line_over_session_over_defaults(path: Path) -> None:
         ("1.8", "nan", "'body.stature' is nan"),
         ("[2, 9]", "[2]", "the list 'frames' has too few entries; it needs 2"),
         ("[2, 9]", "[-2, 9]", "'frames.0' is -2"),
-        ('file = "pose.json"', "auto = false", "auto is false; give one of file, clicks and keypoints"),
+        ('file = "pose.json"', "auto = false", "auto is false; give one of file, clicks, keypoints and detector"),
         (
             "[first_pose]",
             "[first_pose]\nauto = true",
-            "first_pose: give one of auto, file, clicks and keypoints, not auto and file",
+            "first_pose: give one of auto, file, clicks, keypoints and detector, not auto and file",
         ),
         ('variant = "legs"', 'kind = "glb"', "the key 'body.path' is missing"),
         ('variant = "legs"', 'kind = "smpl"', "smpl"),
