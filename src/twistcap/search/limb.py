@@ -26,7 +26,7 @@ from twistcap.search.placing import moved_evidence
 from twistcap.search.recollection import Recollection
 
 _POINTS = 40  # of a limb's surface, by which its places are judged roughly
-_AGAINST = 0.25  # nats that one pixel of the background may say against a rough place
+_AGAINST = 0.25  # nats that one pixel may say against a place in blurred pictures
 _LACKING, _IN_VIEW, _LATE, _UNSEEN = 0, 1, 4, 6  # signs of a limb, see `flag.limb_signs`
 
 
@@ -43,8 +43,8 @@ class LimbRule(Checked):
         less: by how much less it must lack, or its contour points disagree.
         clear: the least sum of that and of the evidence that it gains, as a fraction of what is usual.
         many: poses of the limb anywhere within its limits that are judged roughly.
-        climbing, tries: how many of the roughly best move to where they are better, and places about each that are
-            tried in each round.
+        climbing, tries: how many are kept of the roughly best, in sharp and in blurred pictures, and places that are
+            tried about each in each round.
         climb, blurs: rad, standard deviations of those, and m over which pixels are averaged, in each round.
         near: rad, the same of the draws about the best of them.
         draws: poses that are drawn in each round.
@@ -56,16 +56,16 @@ class LimbRule(Checked):
     in_view: float = 0.55
     late: Share = 0.4
     unseen: Share = 0.5
-    gain: float = 30.0
+    gain: float = 20.0
     share: Share = 0.25
     less: float = 0.05
     clear: float = 0.4
     many: Count = 600
-    climbing: Count = 32
+    climbing: Count = 24
     tries: Count = 10
     climb: tuple[float, ...] = (0.7, 0.5, 0.3, 0.15)
     blurs: tuple[float, ...] = (0.2, 0.2, 0.1, 0.05)
-    near: tuple[float, ...] = (0.25, 0.125)
+    near: tuple[float, ...] = (0.5, 0.25, 0.125)
     draws: Count = 48
     kept: Count = 3
     again: Count = 2
@@ -142,18 +142,23 @@ def placed(
 def _climbed(
     rule: LimbRule, rng: np.random.Generator, evidence: Evidence, limb: Bool, pose: Pose, shown: list[Float]
 ) -> Float:
-    """The roughly best steps (N, 6 + J) of those shown and of many anywhere, each moved to where it is better still."""
+    """The roughly best steps (N, 6 + J) of those shown and of many anywhere; and as many that are best in blurred
+    pictures, each moved to where it is better still.
+    """
     roughly = _Roughly.of(evidence, pose, limb)
     steps = np.array([*shown, *anywhere(rng, limb, pose, evidence.body, rule.many)])
-    coarse = roughly.blurred(rule.blurs[0])
-    steps = steps[np.argsort(-coarse.gains(pose, steps))[: rule.climbing]]
+    sharp, coarse = (
+        steps[np.argsort(-level.gains(pose, steps))[: rule.climbing]]
+        for level in (roughly, roughly.blurred(rule.blurs[0]))
+    )
+    steps = coarse
     for sd, blur in zip(rule.climb, rule.blurs, strict=True):
         level = roughly.blurred(blur)
         moves = about(rng, limb, sd, rule.tries * len(steps)).reshape(len(steps), rule.tries, -1)
         tried = np.concatenate([steps[:, None], steps[:, None] + moves], axis=1)
         gains = level.gains(pose, tried.reshape(-1, tried.shape[2])).reshape(tried.shape[:2])
         steps = tried[np.arange(len(steps)), gains.argmax(axis=1)]
-    return steps
+    return np.concatenate([sharp, steps])
 
 
 def _shown(known: Recollection, limb: Bool, body: Body, pose: Pose) -> list[Float]:
@@ -172,8 +177,7 @@ class _Roughly:
         points: (P,) its vertices that are asked.
         parts: that they belong to.
         views: (3, 4) projection and (S, h, w) nats by which each pixel favours each part over what is there now. Where
-            the body covers it, that is no less than 0: the limb may be behind. Elsewhere a pixel says little against
-            it: the most of a place that is a little off is beside the limb.
+            the body covers it, that is no less than 0: the limb may be behind.
         px_per_m: of each view, at the body.
     """
 
@@ -196,18 +200,20 @@ class _Roughly:
             part = render(Posed(body, pose), view.camera).part
             others = (part >= 0) & ~own[part]
             here = np.take_along_axis(view.maps, np.maximum(part, 0)[None], axis=0)[0]
-            over = np.where(others, np.maximum(view.maps - here, 0.0), np.maximum(view.maps, -_AGAINST))
+            over = np.where(others, np.maximum(view.maps - here, 0.0), view.maps)
             views.append((view.camera.P, over))
         some = vertices[:: max(1, len(vertices) // _POINTS)].astype(np.int32)
         return _Roughly(body, some, np.unique(body.vertex_part[some]), views, px_per_m)
 
     def blurred(self, size: float) -> _Roughly:
-        """The same where each pixel says what it and those about it, `size` m wide, say together."""
+        """The same where each pixel says what it and those about it, `size` m wide, say together, and where none says
+        much against a part: most of a limb that is a little off is beside it.
+        """
         views = list[tuple[Float, Float32]]()
         for (P, maps), px in zip(self.views, self.px_per_m, strict=True):
             width, blurred = max(1, round(size * px)), maps.copy()
             for s in self.parts:
-                blurred[s] = cv2.blur(maps[s], (width, width))
+                blurred[s] = cv2.blur(np.maximum(maps[s], -_AGAINST), (width, width))
             views.append((P, blurred))
         return replace(self, views=views)
 

@@ -71,7 +71,7 @@ class LostBody(Checked):
         none: evidence below which it is not the body at all.
         learned: evidence from which on a fit is learned from.
         accepted: evidence from which on a found body is believed.
-        better: evidence by which it must exceed that of the fit.
+        better: by how much its evidence must exceed that of the fit, as a fraction of what is usual.
         seen: fraction of the pixels that the body covered when it was seen last, below which too little of it is seen.
         worth: evidence from which on a hypothesis is fitted.
         reach, speed, farthest: m, m/s and m: how far away it is looked for, with the time since it was seen.
@@ -126,7 +126,7 @@ class LostBody(Checked):
             return None, memory
         if memory.waiting:
             return Beginning(None) if memory.nowhere else None, replace(memory, waiting=memory.waiting - 1)
-        pose = self._searched(memory, problem, 0.0)
+        pose = self._searched(memory, problem)
         if pose is not None:
             return Beginning(pose), replace(memory, nowhere=False, found=np.ones(len(memory.groups)))
         if not memory.known.sure:
@@ -150,10 +150,13 @@ class LostBody(Checked):
         if ratio < self.least and self._relit(known, now):
             revision, memory = Revision(now.fit, last, relit=True), replace(memory, known=known.forgotten(), frames=0)
         elif ratio < self.least:
-            revision, memory = self._elsewhere(memory, now.problem, ratio)
+            revision, memory = self._elsewhere(memory, now, ratio)
         else:  # or nothing can be said
             now, last, memory = self._with_limbs(memory, now, last)
-            memory = self._learned(replace(memory, waiting=0), now, float(np.nan_to_num(ratio, nan=1.0)))
+            if self._missed(memory):
+                revision, memory = self._elsewhere(memory, now, ratio)
+            if revision is None:
+                memory = self._learned(replace(memory, waiting=0), now, float(np.nan_to_num(ratio, nan=1.0)))
         return replace(revision or Revision(now.fit, last), left_out=now.problem.left_out), memory
 
     def _relit(self, known: Recollection, now: Judged) -> bool:
@@ -179,7 +182,9 @@ class LostBody(Checked):
         """The frame with its lost limbs where they are found, and the moment before it, in which they rest."""
         hidden = now.problem.in_sight(now.fit) < 0.5
         lost = [limb for limb in self._lost_limbs(memory) if not hidden[memory.groups[limb]].any()]
-        lost = sorted({*lost, *self._hidden_limbs(memory)})
+        shown, usually = ((of.pixels > 0.0).any(axis=1) for of in (now.check, memory.known))
+        if not (usually & ~shown).any():  # else it is the cameras' doing
+            lost = sorted({*lost, *self._hidden_limbs(memory)})
         if memory.limb_waiting:
             return now, last, replace(memory, limb_waiting=memory.limb_waiting - 1)
         if not lost:
@@ -195,6 +200,11 @@ class LostBody(Checked):
         memory = replace(self._signed(replace(memory, found=doubt), found), limb_pause=0)
         return found, rested(last, found.fit.pose, coordinates), memory
 
+    def _missed(self, memory: LostMemory) -> bool:
+        """Whether a lost limb has just been looked for in vain once more: what it hangs on may be wrong."""
+        again = memory.limb_waiting == memory.limb_pause > self.limb.again
+        return again and bool(self._lost_limbs(memory))
+
     def _lost_limbs(self, memory: LostMemory) -> list[int]:
         return [] if memory.signs is None or memory.lately is None else self.limb.lost(memory.signs, memory.lately)
 
@@ -208,6 +218,7 @@ class LostBody(Checked):
         usual = self._usual(memory)
         contour = contour_signs(memory.groups, now.fit.agreement, now.problem.support(now.fit))
         contour[lost] = usual[lost]
+        contour[:, 1:] = np.median(contour[:, 1:], axis=0)  # what goes wrong slowly must not teach its own usual
         memory = replace(memory, usual=usual + max(0.05, 1.0 / (memory.frames + 1)) * (contour - usual))
         due = (memory.frames - 1) % (self.every if known.lessons >= 10 else self.first) == 0
         if due and ratio >= self.learned:
@@ -216,9 +227,10 @@ class LostBody(Checked):
             known = known.taught(now.fit.posed, seen, now.problem)
         return replace(memory, known=known)
 
-    def _elsewhere(self, memory: LostMemory, problem: Problem, ratio: float) -> tuple[Revision | None, LostMemory]:
+    def _elsewhere(self, memory: LostMemory, now: Judged, ratio: float) -> tuple[Revision | None, LostMemory]:
         """The body found elsewhere; nowhere, if the fit is not on it either."""
-        pose = None if memory.waiting else self._searched(memory, problem, ratio + self.better)
+        problem = now.problem
+        pose = None if memory.waiting else self._searched(memory, problem, now.fit.pose)
         if pose is not None:
             memory = replace(memory, waiting=0, nowhere=False, found=np.ones(len(memory.groups)))
             return self._at(problem, problem.afresh(pose, self.margin)), memory
@@ -236,13 +248,18 @@ class LostBody(Checked):
         usual = past.moments[-1].time - past.moments[-2].time if past.moving else 0.0
         return past.started and time - past.seen_time > max(self.after, 1.5 * usual)
 
-    def _searched(self, memory: LostMemory, problem: Problem, least: float) -> Pose | None:
+    def _searched(self, memory: LostMemory, problem: Problem, here: Pose | None = None) -> Pose | None:
+        """Where the pictures show the body, clearly better than where it is fitted, if it is."""
         with stage("search"):
             evidence = memory.known.evidence(problem)
-            return self.found(memory.known, problem, evidence, max(least, self.accepted)) if evidence.views else None
+            if not evidence.views:
+                return None
+            more = self.better * float(memory.known.nats.sum())
+            least = -np.inf if here is None else evidence.of(here) + more
+            return self.found(memory.known, problem, evidence, least)
 
     def found(self, known: Recollection, problem: Problem, evidence: Evidence, least: float) -> Pose | None:
-        """The pose that the images show; None where they show no body clearly enough."""
+        """The pose that the images show; None where they show no body clearly enough, or with less evidence."""
         placing = Placing(evidence, self.placing)
         last = (problem.past.seen or problem.past.moments)[-1]
         usually = float(evidence.by_part(last.pose)[1].sum())
@@ -259,7 +276,8 @@ class LostBody(Checked):
         refined = placing.refined(best)
         if refined.nats > best.nats:
             best = max(best, self._fitted(problem, evidence, refined), key=lambda h: h.nats)
-        return best.pose if self._ratio(known, evidence, best, usually) >= least else None
+        clear = self._ratio(known, evidence, best, usually) >= self.accepted and best.nats >= least
+        return best.pose if clear else None
 
     def _with_limbs_placed(self, known: Recollection, evidence: Evidence, h: Hypothesis) -> Hypothesis:
         """With each limb where the evidence is greatest."""
