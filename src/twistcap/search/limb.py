@@ -83,8 +83,8 @@ class LimbRule(Checked):
 
 def regained(
     rule: LimbRule, known: Recollection, now: Judged, groups: Bool, lost: list[int], seed: int
-) -> Judged | None:
-    """The frame fitted with lost limbs elsewhere; None where the pictures do not show them clearly.
+) -> tuple[Judged, list[int]] | None:
+    """The frame fitted with lost limbs elsewhere, and which; None where the pictures do not show them clearly.
 
     Args:
         groups: (G, S) the segments of each limb and of the rest of the body.
@@ -110,7 +110,7 @@ def regained(
     other = Judged(now.problem, fit, known.check(fit.posed, fit.sights, now.problem))
     less = np.mean(_wrong(known, now, groups)[found] - _wrong(known, other, groups)[found])
     clear = gain / max(float(usual[found].sum()), 1.0) + less
-    return other if less > rule.less and clear > rule.clear else None
+    return (other, found) if less > rule.less and clear > rule.clear else None
 
 
 def _wrong(known: Recollection, now: Judged, groups: Bool) -> Float:

@@ -194,11 +194,12 @@ class LostBody(Checked):
         if found is None:
             pause = min(max(2 * memory.limb_pause, self.limb.again), self.limb.longest)
             return now, last, replace(memory, limb_pause=pause, limb_waiting=pause)
+        now, moved = found
         masks = limbs(now.problem.body)
-        coordinates = np.asarray(np.any([masks[i][6:] for i in lost], axis=0), np.bool_)
-        doubt = np.where(np.isin(np.arange(len(memory.groups)), lost), 1.0, memory.found)
-        memory = replace(self._signed(replace(memory, found=doubt), found), limb_pause=0)
-        return found, rested(last, found.fit.pose, coordinates), memory
+        coordinates = np.asarray(np.any([masks[i][6:] for i in moved], axis=0), np.bool_)
+        doubt = np.where(np.isin(np.arange(len(memory.groups)), moved), 1.0, memory.found)
+        memory = replace(self._signed(replace(memory, found=doubt), now), limb_pause=0)
+        return now, rested(last, now.fit.pose, coordinates), memory
 
     def _missed(self, memory: LostMemory) -> bool:
         """Whether a lost limb has just been looked for in vain once more: what it hangs on may be wrong."""
