@@ -154,7 +154,7 @@ class LostBody(Checked):
         else:  # or nothing can be said
             now, last, memory = self._with_limbs(memory, now, last)
             if self._missed(memory):
-                revision, memory = self._elsewhere(memory, now, ratio)
+                revision, memory = self._elsewhere(memory, now, ratio, self.margin)
             if revision is None:
                 memory = self._learned(replace(memory, waiting=0), now, float(np.nan_to_num(ratio, nan=1.0)))
         return replace(revision or Revision(now.fit, last), left_out=now.problem.left_out), memory
@@ -202,9 +202,8 @@ class LostBody(Checked):
         return now, rested(last, now.fit.pose, coordinates), memory
 
     def _missed(self, memory: LostMemory) -> bool:
-        """Whether a lost limb has just been looked for in vain once more: what it hangs on may be wrong."""
-        again = memory.limb_waiting == memory.limb_pause > self.limb.again
-        return again and bool(self._lost_limbs(memory))
+        """Whether lost limbs have just been looked for in vain: what they hang on may be wrong."""
+        return memory.limb_waiting == memory.limb_pause > 0 and len(self._lost_limbs(memory)) > 1
 
     def _lost_limbs(self, memory: LostMemory) -> list[int]:
         return [] if memory.signs is None or memory.lately is None else self.limb.lost(memory.signs, memory.lately)
@@ -228,11 +227,13 @@ class LostBody(Checked):
             known = known.taught(now.fit.posed, seen, now.problem)
         return replace(memory, known=known)
 
-    def _elsewhere(self, memory: LostMemory, now: Judged, ratio: float) -> tuple[Revision | None, LostMemory]:
-        """The body found elsewhere; nowhere, if the fit is not on it either."""
-        problem = now.problem
-        pose = None if memory.waiting else self._searched(memory, problem, now.fit.pose)
-        if pose is not None:
+    def _elsewhere(
+        self, memory: LostMemory, now: Judged, ratio: float, reach: float = np.inf
+    ) -> tuple[Revision | None, LostMemory]:
+        """The body found elsewhere within a reach (m); nowhere, if the fit is not on it either."""
+        problem, here = now.problem, now.fit.pose
+        pose = None if memory.waiting else self._searched(memory, problem, here)
+        if pose is not None and np.linalg.norm(pose.root[:3, 3] - here.root[:3, 3]) < reach:
             memory = replace(memory, waiting=0, nowhere=False, found=np.ones(len(memory.groups)))
             return self._at(problem, problem.afresh(pose, self.margin)), memory
         nowhere = ratio < self.none
@@ -240,8 +241,12 @@ class LostBody(Checked):
         return (Revision(None, problem.past.moments[-1]) if nowhere else None), memory
 
     def _at(self, problem: Problem, fit: Fit) -> Revision:
-        """The body elsewhere: the way there was no motion."""
-        last = jumped(problem.past.moments[-1], fit.pose.minus(problem.start), fit.pose)
+        """The body elsewhere: the way there was no motion, nor was what no body does."""
+        before = problem.past.moments[-1]
+        last = jumped(before, fit.pose.minus(problem.start), fit.pose)
+        moved = np.linalg.norm((fit.pose.root - last.pose.root)[:3, 3])
+        if moved > self.speed * (problem.frame.time - before.time):
+            last = replace(last, pose=fit.pose)
         return Revision(fit, last, jumped=True)
 
     def _gap(self, past: Past, time: float) -> bool:

@@ -200,13 +200,17 @@ def _occluded(model: Model, fit: Fit) -> Bool:
 
 
 def unseen(problem: FrameProblem, prediction: Prediction) -> tuple[State, Estimate]:
-    """A frame that shows nothing: the estimate is the prediction."""
-    model, frame, pose = problem.model, problem.frame, prediction.pose
+    """A frame that shows nothing: the estimate is the prediction; of a body that its images do not show, the last pose,
+    unless other people's motion tells more.
+    """
+    model, frame = problem.model, problem.frame
+    blind = all(image is None for image in frame.images)
+    pose = prediction.pose if blind or prediction.name == "motion" else problem.past.last
     after = problem.state.with_past(problem.past.advanced(Moment(frame.time, pose, seen=False)))
     claimed = problem.state.claimed + problem.process_noise
     farthest = float(segment_deviations(Posed(model.body, pose), claimed)[0].max())
     probability = model.flag.blind(frame.time - problem.past.seen_time, farthest)
-    status = "no_images" if all(image is None for image in frame.images) else "not_found"
+    status = "no_images" if blind else "not_found"
     return after, Estimate(
         frame.index, frame.time, pose, claimed, {}, status, 0,
         probability >= model.flag.lost, 0.0, prediction.name, probability, None, after.left_out, missing(frame),
