@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -161,3 +162,16 @@ def test_the_command_writes_events_and_cycles_between_them(
     assert "there is no event 'up'" in refusal(capsys, "gait", path, "--cycles", "up")
     twice = ["--event", "a = knee_angle_r maximum", "--event", "a = knee_angle_r minimum"]
     assert "two events 'a'" in refusal(capsys, "gait", path, *twice)
+
+
+def test_bands_hold_for_cycles_between_heel_strikes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    made(tmp_path / "r.h5", walk(BODY, fps=FPS, frames=N, speed=1.2))
+    rows = [[percent, 0.0, 60.0] for percent in range(101)]
+    (tmp_path / "n.json").write_text(json.dumps({"A": {"Free": {"KneeAngles": {"X": rows}}}}))
+    pictures = list[bytes]()
+    for norms in ([], ["--norms", tmp_path / "n.json"]):
+        document(capsys, "gait", tmp_path / "r.h5", "--out", tmp_path, "--cycles", "heel_strike_r", *norms)
+        pictures.append((tmp_path / "cycles.png").read_bytes())
+    assert pictures[0] != pictures[1]
+    other = refusal(capsys, "gait", tmp_path / "r.h5", "--cycles", "toe_off_l", "--norms", tmp_path / "n.json")
+    assert "from heel strike to heel strike, not from toe_off_l; leave them away, or take heel_strike_r" in other

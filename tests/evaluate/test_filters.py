@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from twistcap.arrays import Float
 from twistcap.body import Pose
 from twistcap.body.humanoid import humanoid
 from twistcap.errors import InputError
-from twistcap.evaluate.filters import BOUNDS, Filter, Motion, filtered, in_words, noise_cutoff, smoothed
+from twistcap.evaluate.filters import BOUNDS, Filter, Kind, Motion, filtered, in_words, noise_cutoff, smoothed
 from twistcap.io.coordinates import coordinates_of
 from twistcap.studio.motion import gait as walk
 
@@ -101,6 +103,24 @@ def test_no_filter_runs_across_a_gap(kind: str) -> None:
         np.testing.assert_allclose(values[:150], whole, atol=1e-6)
     else:
         np.testing.assert_allclose(values[:100], whole[:100], atol=0.5)
+
+
+@pytest.mark.parametrize("kind", ["butterworth", "smoother"])
+def test_where_no_frame_is_known_no_cutoff_is_claimed(kind: Kind) -> None:
+    found = filtered(motion([Pose.rest(BODY)] * 20, 0.01, np.zeros(20, bool)), Filter(kind))
+    assert np.isnan(found.cutoffs).all() and np.isnan(found.values).all()
+    sentence = in_words(Filter(kind), dict(zip(found.table.names, found.cutoffs.tolist(), strict=True)))
+    assert sentence.startswith("Angles pass") and "cutoff" not in sentence and "nan" not in sentence
+
+
+def test_a_covariance_that_is_not_finite_gives_no_cutoff() -> None:
+    _, noisy = noisy_walk(103, 0.01)
+    noisy.covariances[40] = np.nan
+    with pytest.raises(InputError, match="covariance of the result is not finite"):
+        filtered(noisy, Filter())
+    known = KNOWN.copy()
+    known[40] = False  # of a frame that is not known, none is needed
+    assert np.isfinite(filtered(replace(noisy, known=known), Filter()).cutoffs).all()
 
 
 def test_words_and_refusals() -> None:

@@ -15,10 +15,11 @@ from twistcap.body import Body, Pose
 from twistcap.body.humanoid import humanoid
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate
-from twistcap.evaluate.gait import PERCENT, cycles, facing, gait_of, parameters, symmetry
+from twistcap.evaluate.gait import cycles, facing, gait_of, parameters, symmetry
 from twistcap.evaluate.smoothing import butterworth, runs
 from twistcap.io.coordinates import coordinates_of
 from twistcap.io.motion_files import poses_from_mot, read_mot
+from twistcap.io.norms import PERCENT
 from twistcap.io.result import ResultWriter
 from twistcap.studio.motion import gait as walk
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from support.videos import corrupted
 from twistcap.camera import Camera, Rig, look_at
 from twistcap.cli import main
 from twistcap.errors import InputError
-from twistcap.io.calibration import write_rig
+from twistcap.io.calibration import read_rig, write_rig
 from twistcap.io.new_session import matched
 from twistcap.io.recording import rig_of, views_of
 from twistcap.io.session import load_session
@@ -201,3 +202,25 @@ def test_a_video_with_a_broken_end_is_refused(recorded: Path, capsys: pytest.Cap
         corrupted(good, recorded / "cam1.mp4", fraction)
         assert new(recorded, recorded / "cam1.mp4") == 2
         assert "corrupt" in capsys.readouterr().err
+
+
+def test_a_world_that_is_not_z_up_is_turned_as_said(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rig = read_rig(recorded / "Calib.toml")
+    turn = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # of the world: y is up
+    write_rig(Rig(tuple(replace(c, T_cam_world=c.T_cam_world @ turn) for c in rig)), recorded / "Calib.toml")
+    assert new(recorded, recorded / "videos") == 2
+    told = capsys.readouterr().err
+    assert "y is up, not z; say --up y (or --up z if the cameras lie" in told and "[cameras]" not in told
+    assert new(recorded, recorded / "videos", extra=("--up", "y")) == 0
+    heights = [camera.centre[2] for camera in rig_of(load_session(recorded / "mine" / "session.toml"))]
+    np.testing.assert_allclose(heights, 1.2, atol=1e-6)
+    assert new(recorded, recorded / "videos", extra=("--up", "z", "--force")) == 0  # as said, whatever the images say
+    assert load_session(recorded / "mine" / "session.toml").cameras.up == "z"
+
+
+@pytest.mark.parametrize("option", ["--project", "--trial"])
+def test_options_of_projects_do_not_go_with_videos(
+    recorded: Path, option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert new(recorded, recorded / "videos", extra=(option, recorded)) == 2
+    assert f"{option} is for the folder of another program" in capsys.readouterr().err

@@ -198,6 +198,23 @@ def test_a_path_may_have_a_checksum_too(tmp_path: Path) -> None:
             model_bytes(name)
 
 
+@pytest.mark.parametrize("change", ["lzma", "name"])
+def test_a_damaged_zip_is_told(tmp_path: Path, change: str) -> None:
+    path = tmp_path / "net.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_LZMA) as archive:
+        archive.writestr("nät.onnx", bytes(range(256)) * 40)
+    data = bytearray(path.read_bytes())
+    if change == "lzma":
+        start = 30 + len("nät.onnx".encode()) + 4 + 5  # behind the header, the name, LZMA's version and properties
+        data[start : start + 60] = b"\xff" * 60
+    else:
+        at = data.rindex("ä".encode())
+        data[at : at + 2] = b"\xff\xff"
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=r"net\.zip cannot be unpacked"):
+        model_bytes(str(path))
+
+
 # ---- in a session ----
 
 

@@ -114,3 +114,29 @@ def test_annots_of_easymocap_are_read(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text(json.dumps({"annots": [{"keypoints": row[:24]}]}))
     with pytest.raises(InputError, match=r"a\.json: 'keypoints' of person 0"):
         read_people({"c": tmp_path / "a.json"}, ["c"], "body_25")
+
+
+def test_where_the_camera_of_a_pin_sees_nobody_the_others_agree() -> None:
+    rng = np.random.default_rng(3)
+    a, b = seen(standing(-0.5, 0.2), "halpe_26", rng), seen(standing(0.7, -0.3), "halpe_26", rng)
+    people = [np.zeros((0, 26, 3)), *(np.stack(pair) for pair in ((a[1], b[1]), (b[2], a[2]), (a[3], b[3])))]
+    choice = same_person(ring(), people, {"cam0": 0})[0]
+    assert choice in ((None, 0, 1, 0), (None, 1, 0, 1))  # one person, not the first of each
+
+
+@pytest.mark.parametrize(
+    ("pinned", "words"),
+    [({"cam9": 0}, "'cam9', which is not in use"), ({"cam1": 1}, r"person 1 is needed, but the file holds 1")],
+)
+def test_a_pin_that_fits_nobody_is_told(tmp_path: Path, pinned: dict[str, int], words: str) -> None:
+    rig, person = ring(), seen(standing(0.0, 0.0), "halpe_26", np.random.default_rng(4))
+    for c, name in enumerate(rig.names):
+        (tmp_path / name).mkdir()
+        people = [{"pose_keypoints_2d": person[c].ravel().tolist()}]
+        (tmp_path / name / "000000.json").write_text(json.dumps({"people": people}))
+    folders = {n: str(tmp_path / n) for n in rig.names}
+    with pytest.raises(InputError, match=words):
+        keypoints_of(KeypointSet(format="halpe_26", folders=folders, person=pinned), rig)
+    for below in (-1, {"cam1": -1}):
+        with pytest.raises(ValueError, match="greater than or equal to 0"):
+            KeypointSet(format="halpe_26", folders=folders, person=below)  # type: ignore[arg-type]

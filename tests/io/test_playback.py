@@ -114,8 +114,9 @@ def test_frames_as_they_are_stay_as_they_are(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("arguments", "words"), [
-    (("--to", "bvh", "--fps", "0"), "must be positive"),
-    (("--to", "glb", "--fps", "nan"), "must be positive"),
+    (("--to", "bvh", "--fps", "0"), "above 0 and at most 1000"),
+    (("--to", "glb", "--fps", "nan"), "above 0 and at most 1000"),
+    (("--to", "bvh", "--fps", "1e12"), "above 0 and at most 1000"),
     (("--to", "mot", "--fps", "24"), "mot takes none"),
 ])  # fmt: skip
 def test_rates_that_cannot_be(

@@ -123,6 +123,7 @@ def test_opencap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     session, told = made(capsys, tmp_path)
     found = " ".join(told["found"])
     assert "OpenCap" in found and "Up is -y" in found and "converted" in found and "floor = false" in found
+    assert "by their order" not in found
     assert session.cameras.floor is False and session.body.stature == 1.82
     assert all(path.endswith("walk_sync.mp4") for path in session.videos.values())
 
@@ -150,6 +151,10 @@ def test_freemocap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         video(tmp_path / "synchronized_videos" / f"Camera_{k:03d}_synchronized.mp4")
     session, told = made(capsys, tmp_path)
     assert session.cameras.unit == "mm" and session.cameras.up == "-y" and session.cameras.floor is False
+    pairs = ", ".join(f"Camera_{k:03d}_synchronized = {name}" for k, name in enumerate(RIG.names))
+    assert f"The names of its videos do not tell the cameras, so they are paired by their order: {pairs}." in " ".join(
+        told["found"]
+    )
     assert "FreeMoCap" in told["found"][1] or "FreeMoCap" in " ".join(told["found"])
 
 

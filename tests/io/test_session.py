@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +15,7 @@ from twistcap.errors import InputError
 from twistcap.io.calibration import write_rig
 from twistcap.io.motion_library import write_library
 from twistcap.io.pose_file import read_pose, write_pose
-from twistcap.io.recording import body_of, check_first_pose, first_pose_of, keypoints_of, rig_of
+from twistcap.io.recording import body_of, check_first_pose, keypoints_of, open_recording, rig_of
 from twistcap.io.session import Session, load_session
 from twistcap.motion import MotionClip, MotionLibrary
 
@@ -215,12 +214,9 @@ def test_real_first_pose_lies_on_the_reference(shared_data: Path, monkeypatch: p
     for camera, pixels in zip(rig, found[0].pixels[:, knee], strict=True):
         assert np.linalg.norm(camera.project(X[0, knee])[0] - pixels) < 15.0  # with the grid left out: 7 px more
 
-    class OnlyIndices:
-        indices = range(100)
-        timeline = SimpleNamespace(in_step=True)
-
-    body, pose = first_pose_of(session, rig, body_of(session), OnlyIndices())  # type: ignore[arg-type]
-    marks = dict(zip(body.landmarks.names, Posed(body, pose).landmarks, strict=True))
+    recording = open_recording(session)
+    posed = Posed(recording.body, recording.first_pose)
+    marks = dict(zip(posed.body.landmarks.names, posed.landmarks, strict=True))
     distances = [np.linalg.norm(marks[name] - X[0, i]) for i, name in enumerate(found[0].names) if name in marks]
     assert np.median(distances) < 0.04 and max(distances) < 0.12
 

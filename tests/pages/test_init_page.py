@@ -27,7 +27,9 @@ from twistcap.io import detectors
 from twistcap.io.pose_file import body_at, write_pose
 from twistcap.io.recording import open_recording
 from twistcap.io.session import load_session
+from twistcap.io.start_report import start_report
 from twistcap.io.synthetic import write_session
+from twistcap.pages import clicking as module
 from twistcap.pages.assemble import page
 from twistcap.pages.clicking import LEAST_IOU, overlap
 from twistcap.studio import StudioConfig, capture
@@ -265,13 +267,19 @@ def test_clicks_say_what_is_wrong(made: Path, session: Path) -> None:
             answer({})
 
 
-def test_a_session_that_reads_clicks_gets_clicks(made: Path, session: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_session_that_reads_clicks_gets_clicks(
+    made: Path, session: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     session.write_text(session.read_text().replace("[first_pose]\n", '[first_pose]\nclicks = "clicks.csv"\n'))
     clicking = clicking_of(load_session(session), session)
     assert clicking.document()["sliders"] is False
     clicking.fit({"clicks": clicked(made, clicking)})
     capsys.readouterr()
-    saved(clicking, {})
+    with monkeypatch.context() as counting:
+        fits = list[Any]()
+        counting.setattr(module, "start_report", lambda *given: fits.append(given) or start_report(*given))
+        saved(clicking, {})
+    assert len(fits) == 1  # a whole fit, for the page and the terminal together
     how_well = capsys.readouterr().err
     assert "First pose: px" in how_well and "Stature: fitted" in how_well and "knee_r" in how_well
     assert run("track", session, "--frames", "0:1", "--out", session.parent / "out") == 0
@@ -343,6 +351,22 @@ def test_a_page_is_served_until_interrupted(command: str, made: Path, session: P
         assert process.wait(timeout=60) == 0
     finally:
         process.kill()
+
+
+def test_keypoints_of_cameras_out_of_step_are_those_of_one_time(session: Path) -> None:
+    """The clock of one camera is two frames off, so that its third image belongs to the first of the others."""
+    for name in ("cam01", "cam02", "cam03"):
+        folder = session.parent / "pose" / name
+        folder.mkdir(parents=True)
+        for k in range(5):
+            row = [[10.0 + k, 20.0, 0.9]] * 17
+            content = {"people": [{"pose_keypoints_2d": [number for point in row for number in point]}]}
+            (folder / f"{k:03d}.json").write_text(json.dumps(content))
+    folders = ", ".join(f'{name} = "pose/{name}"' for name in ("cam01", "cam02", "cam03"))
+    table = f'[first_pose.keypoints]\nformat = "coco_17"\nperson = 0\nfolders = {{ {folders} }}\n'
+    session.write_text(f"{session.read_text()}\n{table}\n[clocks.cam02]\noffset = {-2 / 60}\n")
+    clicks = clicking_of(load_session(session), session).clicks
+    assert {name: its["hip_r"][0] for name, its in clicks.items()} == {"cam01": 10.0, "cam02": 12.0, "cam03": 10.0}
 
 
 # ---- detectors ----

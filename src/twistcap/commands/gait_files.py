@@ -15,23 +15,33 @@ from twistcap.errors import InputError
 from twistcap.evaluate.cycles import Cycle, cycles_between, cycles_of, walking_angles
 from twistcap.evaluate.events import Event, event_times
 from twistcap.evaluate.filters import Filter, Filtered, in_words
-from twistcap.evaluate.gait import PERCENT, SIDES, UNITS, Gait, Measure, gait_of, parameters, symmetry
+from twistcap.evaluate.gait import SIDES, UNITS, Gait, Measure, gait_of, parameters, symmetry
 from twistcap.io.coordinates import Angles
 from twistcap.io.files import replacing
-from twistcap.io.norms import Band
+from twistcap.io.norms import PERCENT, Band
 from twistcap.io.result import Result
 from twistcap.report.plots import cycle_plot
+
+_STRIKES = tuple(f"heel_strike_{side}" for side in SIDES)
 
 
 @dataclass(frozen=True)
 class Wishes:
-    """How a walk is measured; `limits` names the event from which to which cycles go, None for gait's own strides."""
+    """How a walk is measured; `limits` names the event from which to which cycles go, None for gait's own strides.
+
+    Raises InputError for norms where cycles do not go from heel strike to heel strike.
+    """
 
     how: Filter = field(default_factory=Filter)
     angles: Angles = "opensim"
     norms: Mapping[str, Band] = field(default_factory=dict[str, Band])
     events: tuple[Event, ...] = ()
     limits: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.norms and self.limits not in (None, *_STRIKES):
+            mend = f"leave them away, or take {' or '.join(_STRIKES)}"
+            raise InputError(f"gait norms: they go from heel strike to heel strike, not from {self.limits}; {mend}.")
 
 
 @dataclass(frozen=True)
@@ -60,12 +70,12 @@ def run_gait(read: Result, folder: Path, wishes: Wishes | None = None) -> Measur
     walk = walking_angles(found, read, wishes.how, wishes.angles)
     events = _events(found, read, walk, wishes.events)
     curves = _curves(found, read, walk, events, wishes.limits)
-    measures, norms = parameters(found), {} if wishes.limits else wishes.norms
+    measures = parameters(found)
     tables = [_write_events(folder, read, events), _write_parameters(folder, measures), _write_strides(folder, found)]
     files = [*tables, _write_cycles(folder, curves)]
     if curves:
         title = f"Cycles from {wishes.limits} to {wishes.limits}: mean ± SD" if wishes.limits else None
-        files.append(draw_cycles(folder, curves, norms, title))
+        files.append(draw_cycles(folder, curves, wishes.norms, title))
     sentence = in_words(wishes.how, _cutoffs(walk))
     return Measured(found, measures, walk, events, curves, tuple(files), sentence)
 
@@ -84,7 +94,7 @@ def _cutoffs(walk: Filtered) -> dict[str, float]:
 
 def _events(found: Gait, read: Result, walk: Filtered, wanted: Sequence[Event]) -> dict[str, Float]:
     """Times by name: gait's own, and those wanted."""
-    out = {f"heel_strike_{side}": found.strikes[side] for side in SIDES}
+    out = {name: found.strikes[side] for name, side in zip(_STRIKES, SIDES, strict=True)}
     out |= {f"toe_off_{side}": found.toe_offs[side] for side in SIDES}
     for event in wanted:
         if event.name in out:

@@ -54,7 +54,7 @@ def save(clicking: Any, question: Mapping[str, Any]) -> Mapping[str, Any]:
     from twistcap.commands.start import show_start
 
     answer = clicking.answers["/save"](question)
-    show_start(clicking.report())
+    show_start(clicking.reported)
     return answer
 
 
@@ -129,7 +129,7 @@ def _known(session: Any, clicking: Any, views: Any) -> Any:
     if table is None:
         return None
     nearest = min(range(len(table.frames)), key=lambda k: abs(table.frames[k] + table.offset - first))
-    return keypoints_of(table, clicking.rig)[nearest]
+    return keypoints_of(table, clicking.rig, views)[nearest]
 
 
 def _with_saved_pose(clicking: Any) -> None:

@@ -28,7 +28,10 @@ def new(
         Path | None, typer.Option(help="Folder of Pose2Sim, OpenCap, EasyMocap or FreeMoCap. Default: DIR itself.")
     ] = None,
     trial: Annotated[str | None, typer.Option(help="Trial of the project, if it has several.")] = None,
-    up: Annotated[str | None, typer.Option(help="Axis of a project's calibration that is up: x, -x, y …")] = None,
+    up: Annotated[
+        str | None,
+        typer.Option(help="Axis of the calibration that is up: x, -x, y … Default: z; a project's is found."),
+    ] = None,
     unit: Annotated[str | None, typer.Option(help="m or mm: unit of the calibration, if it does not say.")] = None,
     stature: Annotated[float | None, typer.Option(help="Height of the person, m.")] = None,
     detector: Annotated[
@@ -91,7 +94,10 @@ def _drafted(
     if up is not None:
         check_choice("--up", up, get_args(Up))
     if calibration is not None and videos:
-        return draft_session(videos, calibration, cast(Unit | None, unit)), None
+        for option, value in (("--project", project), ("--trial", trial)):
+            if value is not None:
+                raise InputError(f"{option} is for the folder of another program; leave it away, or the videos.")
+        return draft_session(videos, calibration, cast(Unit | None, unit), cast(Up | None, up)), None
     if calibration is not None or videos:
         raise InputError("give both --calibration and --videos, or neither for the folder of another program.")
     found = found_project(project or folder, trial)

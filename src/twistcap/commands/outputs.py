@@ -89,12 +89,11 @@ def write_cycles(result: Result, folder: Path, norms: Mapping[str, Band]) -> tup
     None where no side has two strides."""
     try:
         found = gait_of(result.body, result.times, result.poses, known=result.known)
-    except InputError:  # too short, no feet, uneven times: no walk to show
+        walk = walking_angles(found, result, how := Filter())
+    except InputError:  # too short, no feet, uneven times, no covariance: no walk to show
         return None
     if min(len(found.of(side)) for side in SIDES) < _STRIDES:
         return None
-    how = Filter()
-    walk = walking_angles(found, result, how)
     curves = cycles_of(found, result.times, walk)
     caption = "Joint angles over the gait cycle, if this is a walk: mean ± standard deviation. "
     caption += in_words(how, {cycle.coordinate: cycle.cutoff for cycle in curves.values()})

@@ -177,7 +177,8 @@ def _frame_rows(trial: Trial, result: Result, output: StudyOutput) -> Iterator[t
 def _cycle_rows(trial: Trial, result: Result, output: StudyOutput, folder: Path) -> Iterator[tuple[Any, ...]]:
     """Of strides, in which all frames are known; the files of ``twistcap gait`` are written too."""
     from twistcap.evaluate.cycles import own_angles
-    from twistcap.evaluate.gait import PERCENT, SIDES, cycles
+    from twistcap.evaluate.gait import SIDES, cycles
+    from twistcap.io.norms import PERCENT
 
     how = Filter(output.filter, output.cutoff)
     measured = run_gait(result, folder, Wishes(how, output.angles, output.gait_norms))

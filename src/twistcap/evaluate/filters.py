@@ -53,7 +53,7 @@ class Filter:
 @dataclass(frozen=True)
 class Filtered:
     """Coordinates, their filtered `values` and `sigmas` (N, C) in degrees and m, NaN where they are not known, and the
-    `cutoffs` (C,) in Hz (−3 dB)."""
+    `cutoffs` (C,) in Hz (−3 dB), NaN where nothing was filtered."""
 
     table: Coordinates
     values: Float
@@ -85,16 +85,22 @@ def filtered(motion: Motion, how: Filter, angles: Angles = "opensim") -> Filtere
     if how.cutoff is None:
         cutoffs = np.array([noise_cutoff(v, s, rate, motion.known) for v, s in zip(values.T, sigmas.T, strict=True)])
     columns = [butterworth(v, rate, float(c), motion.known) for v, c in zip(values.T, cutoffs, strict=True)]
-    return Filtered(table, np.column_stack(columns), sigmas, cutoffs)
+    out = np.column_stack(columns)
+    if how.cutoff is None:
+        cutoffs[~np.isfinite(out).any(axis=0)] = np.nan  # nothing was filtered, and no spectrum seen
+    return Filtered(table, out, sigmas, cutoffs)
 
 
 def noise_cutoff(values: Float, sigmas: Float, rate: float, known: Bool) -> float:
     """Hz at which the spectrum of values (N,) meets the level of their errors, of standard deviations `sigmas` (N,).
 
     The spectrum is Welch's (DOI 10.1109/TAU.1967.1161901) of the longest run of known frames; it holds motion and
-    noise, so that both are equal where it is twice the noise. The answer is within `BOUNDS`.
+    noise, so that both are equal where it is twice the noise. The answer is within `BOUNDS`. Raises InputError where
+    the sigma of a known frame is not finite.
     """
     least, most = BOUNDS[0], max(min(BOUNDS[1], _MOST * rate), BOUNDS[0])
+    if not np.isfinite(sigmas[known]).all():
+        raise InputError("filter: a covariance of the result is not finite; give the cutoff yourself.")
     first, end = max(runs(known), key=lambda run: run[1] - run[0], default=(0, 0))
     if end - first < _LEAST:
         return least
@@ -129,13 +135,17 @@ def smoothed(motion: Motion, noise: MotionNoise | None = None) -> list[Pose]:
 
 
 def in_words(how: Filter, cutoffs: Mapping[str, float]) -> str:
-    """A sentence for the filter and the cutoffs of the angles."""
-    low, high = min(cutoffs.values()), max(cutoffs.values())
+    """A sentence for the filter and the cutoffs of the angles, where there are any."""
+    name = "the smoother of refine" if how.kind == "smoother" else "a zero-lag Butterworth filter of fourth order"
+    some = [cutoff for cutoff in cutoffs.values() if np.isfinite(cutoff)]
+    if not some:
+        return f"Angles pass {name}."
+    low, high = min(some), max(some)
     span = f"{low:.1f} Hz" if high - low < 0.05 else f"{low:.1f} to {high:.1f} Hz"
     if how.kind == "smoother":
-        return f"Angles pass the smoother of refine; by the covariance its cutoffs are {span}."
+        return f"Angles pass {name}; by the covariance its cutoffs are {span}."
     why = "" if how.cutoff is not None else ", where the spectrum of each angle meets the noise of its covariance"
-    return f"Angles pass a zero-lag Butterworth filter of fourth order, cutoff {span}{why}."
+    return f"Angles pass {name}, cutoff {span}{why}."
 
 
 def _smoother_cutoffs(motion: Motion, table: Coordinates, angles: Angles) -> Float:

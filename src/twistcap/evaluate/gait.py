@@ -19,9 +19,9 @@ from twistcap.arrays import Bool, Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.errors import InputError
 from twistcap.evaluate.smoothing import butterworth
+from twistcap.io.norms import PERCENT
 
 SIDES = ("r", "l")
-PERCENT = np.linspace(0.0, 100.0, 101)
 _MARKS = ("heel", "toe")
 _EVENT_HZ = 6.0  # cutoff of the points; Zeni et al. use it
 _HEADING_HZ = 0.4  # well below that of strides, in which the pelvis turns to and fro

@@ -32,6 +32,7 @@ from twistcap.registry import Registry
 _OWN = {name: f"twistcap.io.exports:{name}" for name in ("trc", "mot", "bvh", "csv", "glb", "c3d", "opensim")}
 FORMATS = Registry("export format", "twistcap.exports", _OWN)
 _PLAYED = ("bvh", "glb")  # which take a rate of their own
+_FASTEST = 1000.0  # frames per second; more fills the memory, and no player shows it
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class ExportOptions:
         into: the rigged GLB that was tracked: GLB and BVH then have its bones, and the GLB all of its content.
         rig: its rig file, where one is not beside it.
 
-    Raises InputError for unknown axes or angles, or a rate that is not positive.
+    Raises InputError for unknown axes or angles, or a rate that is not positive or above 1000.
     """
 
     axes: WorldAxes = "opensim"
@@ -60,7 +61,8 @@ class ExportOptions:
     def __post_init__(self) -> None:
         check_choice("export: axes", self.axes, TO_FILE)
         check_choice("export: angles", self.angles, ANGLES)
-        check("export: fps", self.fps is None or 0 < self.fps < np.inf, f"it is {self.fps}; it must be positive")
+        possible = self.fps is None or 0 < self.fps <= _FASTEST
+        check("export: fps", possible, f"it is {self.fps}; it must be above 0 and at most {_FASTEST:g}")
 
 
 DEFAULTS = ExportOptions()

@@ -72,11 +72,16 @@ def read_openpose(
     choice = list[int | None]()
     for camera, persons in zip(cameras, people, strict=True):
         chosen = person if isinstance(person, int) else person.get(camera, 0)
-        if len(persons) and not 0 <= chosen < len(persons):
-            held = f"the file holds {len(persons)} (counted from 0)"
-            raise InputError(f"{files[camera]}: person {chosen} is needed, but {held}.")
+        if len(persons):
+            check_person(files[camera], chosen, len(persons))
         choice.append(chosen if len(persons) else None)
     return of_people(people, choice, layout)
+
+
+def check_person(file: Path | str, chosen: int, count: int) -> None:
+    """Raises InputError where a file of so many people does not hold the one who is chosen."""
+    if not 0 <= chosen < count:
+        raise InputError(f"{file}: person {chosen} is needed, but the file holds {count} (counted from 0).")
 
 
 def read_people(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import lzma
 import os
 import re
 import urllib.request
@@ -22,6 +23,7 @@ from twistcap.io.files import replacing
 
 LARGEST = 1 << 30  # bytes of a model
 _WAIT = 30.0  # s for an answer
+_DAMAGED = (zipfile.BadZipFile, zlib.error, lzma.LZMAError, UnicodeDecodeError)  # the last by a name in the archive
 
 
 def is_model_file(name: str) -> bool:
@@ -104,7 +106,7 @@ def _unzipped(data: bytes, where: str) -> bytes:
             if len(inside) != 1 or inside[0].file_size > LARGEST:
                 raise InputError(f"model {where} holds {len(inside)} ONNX files; unpack it and name one.")
             return archive.read(inside[0])
-    except (zipfile.BadZipFile, zlib.error, OSError, EOFError, NotImplementedError, RuntimeError) as error:
+    except (*_DAMAGED, OSError, EOFError, NotImplementedError, RuntimeError) as error:
         raise InputError(f"model {where} cannot be unpacked ({error}); get the file again.") from error
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from glob import glob
 from pathlib import Path
 
@@ -64,18 +64,19 @@ class Draft:
         return {name: source.fps for name, source in self.sources.items() if source.fps}
 
 
-def draft_session(videos: Sequence[str], calibration: Path, unit: Unit | None = None) -> Draft:
+def draft_session(videos: Sequence[str], calibration: Path, unit: Unit | None = None, up: Up | None = None) -> Draft:
     """Open everything and check that it belongs together.
 
     `videos` are files, folders, globs or printf patterns, each alone (its name then names the camera) or as
-    ``CAMERA=PATH``; `unit` is that of the calibration's translations. Raises InputError for a video that does not open
-    or whose ends cannot be decoded, matches no camera or has another size than its calibration, and for cameras that
-    two videos claim.
+    ``CAMERA=PATH``; `unit` is that of the calibration's translations, and `up` its axis that is up. Raises InputError
+    for a video that does not open or whose ends cannot be decoded, matches no camera or has another size than its
+    calibration, for cameras that two videos claim, and where `up` is not said and is surely not z.
     """
     rig = read_rig(calibration, unit, floor=None)
-    check_z_up(rig, f"calibration {calibration}")
+    if up is None:
+        check_z_up(rig, f"calibration {calibration}", "say --up {} (or --up z{})")
     paths = matched([path for text in videos for path in recordings(text)], rig.names)
-    return drafted(rig, paths, calibration, unit)
+    return replace(drafted(rig, paths, calibration, unit), up=up)
 
 
 def drafted(rig: Rig, paths: Mapping[str, str], calibration: Path, unit: Unit | None = None) -> Draft:

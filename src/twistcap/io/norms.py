@@ -26,6 +26,7 @@ _CURVES = {
 _ISB = {"hip_flexion": "isb_hip_flexion", "hip_adduction": "isb_hip_adduction", "hip_rotation": "isb_hip_rotation",
         "knee_angle": "isb_knee_flexion", "ankle_angle": "isb_ankle_dorsiflexion"}  # fmt: skip
 PERCENT = np.linspace(0.0, 100.0, 101)
+"""Of the gait cycle, at which curves and bands are given."""
 
 
 @dataclass(frozen=True)

@@ -24,10 +24,13 @@ def same_person(
     """The person of each camera, and the joints (L, 3) on which the views agree, m, NaN where they do not.
 
     `people` are, by camera, (P, L, 3) x, y, confidence, confidence 0 where nothing was detected. Each pair of people of
-    two cameras proposes joints in space, and all views vote. `pinned` are people that the user names, by camera;
-    `before` (L, 3) are the joints in the frame before, which must be near. Where no pair agrees, the first is taken.
+    two cameras proposes joints in space, and all views vote. `pinned` are people that the user names, by camera, where
+    that camera has people; `before` (L, 3) are the joints in the frame before, which must be near. Where no pair
+    agrees, the first is taken.
     """
-    allowed = [_allowed(len(p), (pinned or {}).get(name)) for name, p in zip(rig.names, people, strict=True)]
+    pinned = pinned or {}
+    allowed = [_allowed(len(p), pinned.get(name)) for name, p in zip(rig.names, people, strict=True)]
+    needed = [k for k, name in enumerate(rig.names) if name in pinned and allowed[k]]
     best: tuple[float, Choice, Float] | None = None
     for c, d in combinations(range(len(rig)), 2):
         for i in allowed[c]:
@@ -36,7 +39,7 @@ def same_person(
                 if before is not None and not _near(points, before):
                     continue
                 score, choice = _votes(rig, people, allowed, points)
-                if any(choice[rig.names.index(name)] is None for name in pinned or {}):
+                if any(choice[k] is None for k in needed):
                     continue
                 if best is None or score > best[0]:
                     best = score, choice, points

@@ -86,12 +86,14 @@ def draft_project(project: Project, folder: Path, unit: Unit | None = None, up: 
         notes.append(f"Its calibration was converted: {file}.")
     draft = drafted(rig, {cameras[title]: path for title, path in titles.items()}, file, given)
     poses = _keypoints(project, draft.rig.names)
+    notes += _by_order("videos", list(titles), rig.names)
     if poses:
+        notes += _by_order("keypoints", list(project.keypoints), draft.rig.names)
         notes.append(f"Its keypoints ({project.layout}) give the first pose.")
-    turned = found if project.format == "toml" and found != "z" else None
-    return replace(
-        draft, up=turned, floor_known=project.floor_known, keypoints=poses, layout=project.layout, notes=tuple(notes)
-    )  # fmt: skip
+    turned = found if project.format == "toml" else "z"
+    said = turned if up or turned != "z" else None
+    draft = replace(draft, up=said, floor_known=project.floor_known, notes=tuple(notes))
+    return replace(draft, keypoints=poses, layout=project.layout)
 
 
 def _paired(project: Project, names: Sequence[str], cameras: Sequence[str]) -> dict[str, str]:
@@ -106,6 +108,14 @@ def _keypoints(project: Project, cameras: Sequence[str]) -> dict[str, Path]:
     """Folders by camera; none where their format is not known, or they fit no cameras."""
     found = paired(list(project.keypoints), cameras) if project.keypoints and project.layout else None
     return {camera: project.keypoints[name] for name, camera in (found or {}).items()}
+
+
+def _by_order(what: str, names: Sequence[str], cameras: Sequence[str]) -> list[str]:
+    """A sentence on the pairs, where the names did not decide."""
+    if _by_name(names, cameras) is not None:
+        return []
+    pairs = ", ".join(f"{name} = {camera}" for name, camera in (paired(names, cameras) or {}).items())
+    return [f"The names of its {what} do not tell the cameras, so they are paired by their order: {pairs}. Check it."]
 
 
 def _opencap(folder: Path, trial: str | None) -> Project | None:
@@ -213,13 +223,16 @@ def paired(names: Sequence[str], cameras: Sequence[str]) -> dict[str, str] | Non
 
     None where neither gives each name a camera of its own.
     """
+    found = _by_name(names, cameras)
+    if found is not None or len(names) != len(cameras):
+        return found
+    return dict(zip(sorted(names, key=_natural), sorted(cameras, key=_natural), strict=True))
+
+
+def _by_name(names: Sequence[str], cameras: Sequence[str]) -> dict[str, str] | None:
     held = {name: [c for c in cameras if c.lower() in name.lower()] for name in names}
     found = {name: max(fitting, key=len) for name, fitting in held.items() if fitting}
-    if len(found) == len(names) and len(set(found.values())) == len(names):
-        return found
-    if len(names) != len(cameras):
-        return None
-    return dict(zip(sorted(names, key=_natural), sorted(cameras, key=_natural), strict=True))
+    return found if len(found) == len(names) and len(set(found.values())) == len(names) else None
 
 
 def _natural(name: str) -> list[tuple[int, str]]:

@@ -27,7 +27,7 @@ from twistcap.io.calibration import read_rig
 from twistcap.io.cameras.axes import check_z_up, with_z_up
 from twistcap.io.clocks import Clock, Timeline, image_times
 from twistcap.io.detectors import detected
-from twistcap.io.keypoints import of_people, openpose_files, read_clicks, read_openpose, read_people
+from twistcap.io.keypoints import check_person, of_people, openpose_files, read_clicks, read_openpose, read_people
 from twistcap.io.masks import read_masks, rectified_masks
 from twistcap.io.people import same_person
 from twistcap.io.plausible import check_plausible, check_upright
@@ -175,13 +175,8 @@ def body_of(session: Session) -> Body:
     return rescaled(loaded, body.lengths, body.girths, body.stature)
 
 
-def first_pose_of(session: Session, rig: Rig, body: Body, views: Views) -> tuple[Body, Pose]:
-    """Body (at the fitted lengths and girths) and pose of the first frame, checked against floor and cameras."""
-    start, pose = _first_pose(session, rig, body, views)
-    return start.body, pose
-
-
 def _first_pose(session: Session, rig: Rig, body: Body, views: Views) -> tuple[_Start, Pose]:
+    """Body (at the fitted lengths and girths) and pose of the first frame, checked against floor and cameras."""
     start = _start(session, rig, body, views)
     first = views.indices[0]
     check_first_pose(session, rig, start.body, start.at(first))
@@ -274,15 +269,20 @@ def keypoints_of(table: KeypointSet, rig: Rig, views: Views | None = None) -> Se
     With the frames of a recording, `table.frames` count the images of the camera whose images are its frames; the
     others' files are those of the same time.
     """
-    for name in (*table.folders, *table.grid):
+    pinned = table.person if isinstance(table.person, dict) else {}
+    for name in (*table.folders, *table.grid, *pinned):
         if name not in rig.names:
             raise InputError(f"[first_pose] keypoints name the camera {name!r}, which is not in use; remove it.")
     if isinstance(table.person, int):
         files = [_files_at(table, rig, frame, views) for frame in table.frames]
         return [read_openpose(each, rig.names, table.format, table.person, table.grid) for each in files]
-    pinned, out, before = (table.person if isinstance(table.person, dict) else {}), list[Keypoints](), None
+    out, before = list[Keypoints](), None
     for frame in table.frames:
-        people = read_people(_files_at(table, rig, frame, views), rig.names, table.format, table.grid)
+        files = _files_at(table, rig, frame, views)
+        people = read_people(files, rig.names, table.format, table.grid)
+        for name, persons in zip(rig.names, people, strict=True):
+            if name in pinned and len(persons):
+                check_person(files[name], pinned[name], len(persons))
         choice, joints = same_person(rig, people, pinned, before)
         before = joints if np.isfinite(joints).any() else before
         out.append(of_people(people, choice, table.format))

@@ -139,7 +139,7 @@ class KeypointSet(Table):
     folders: dict[str, DataPath]
     frames: tuple[Annotated[int, Field(ge=0)], ...] = (0,)
     offset: float = 0.0
-    person: Literal["auto"] | int | dict[str, int] = "auto"
+    person: Literal["auto"] | Annotated[int, Field(ge=0)] | dict[str, Annotated[int, Field(ge=0)]] = "auto"
     grid: dict[str, Grid] = {}
     calibration: DataPath | None = None
     unit: Literal["m", "mm"] | None = None

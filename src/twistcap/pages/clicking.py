@@ -65,6 +65,7 @@ class Clicking:
     shown: Posed | None = None  # body and pose at present; None before the first fit
     proportions: Proportions = field(default_factory=lambda: Proportions({}, {}))
     last: tuple[Keypoints, FirstPose] | None = None  # clicks and what was fitted to them; sliders may have moved it
+    reported: StartReport | None = None  # on what was saved last
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     @property
@@ -142,6 +143,7 @@ class Clicking:
                 write_clicks(self.target.path, self.clicks)
         except OSError as error:
             raise InputError(f"{self.target.path} cannot be written: {error.strerror}.") from error
+        self.reported = report
         note = " ".join([*([self.target.note] if self.target.note else []), *(report.warnings if report else ())])
         return {**self._state(), "saved": str(self.target.path), "note": note}
 

@@ -17,6 +17,7 @@ from matplotlib.patches import Patch
 from twistcap.arrays import AnyArray, Bool, Float
 from twistcap.evaluate.metrics import percentile_known
 from twistcap.io.files import replacing
+from twistcap.io.norms import PERCENT
 
 _COLOURS = {"r": "#e8790c", "l": "#1780d6", "": "#3d8f6d"}
 _DARK = {"r": "#6e3500", "l": "#0a3a66", "": "#16452f"}
@@ -91,14 +92,13 @@ def cycle_plot(
     (101,) of published bands, by the name of the panel, drawn grey behind."""
     names, bands = list(curves), norms or {}
     figure, panels = _grid(names, title, "% of the cycle")
-    percent = np.linspace(0.0, 100.0, 101)
     for panel, axis in panels.items():
         if panel in bands:
-            axis.fill_between(percent, *bands[panel], color=_NORM, alpha=0.45, lw=0, zorder=1)
+            axis.fill_between(PERCENT, *bands[panel], color=_NORM, alpha=0.45, lw=0, zorder=1)
         for name in (name for name in names if split_side(name)[0] == panel):
             (mean, sd), colour = curves[name], _COLOURS[split_side(name)[1]]
-            axis.fill_between(percent, mean - sd, mean + sd, color=colour, alpha=0.22, lw=0, zorder=2)
-            axis.plot(percent, mean, color=colour, lw=1.6, zorder=3)
+            axis.fill_between(PERCENT, mean - sd, mean + sd, color=colour, alpha=0.22, lw=0, zorder=2)
+            axis.plot(PERCENT, mean, color=colour, lw=1.6, zorder=3)
         low, high = axis.get_ylim()
         extra = max(0.0, _LEAST_SPAN_DEG - (high - low)) / 2
         axis.set_ylim(low - extra, high + extra)

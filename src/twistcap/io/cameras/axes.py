@@ -41,12 +41,14 @@ def with_z_up(rig: Rig, up: Up) -> Rig:
     return Rig(tuple(replace(camera, T_cam_world=camera.T_cam_world @ back) for camera in rig))
 
 
-def check_z_up(rig: Rig, source: str) -> None:
-    """Raises InputError where another axis than z is surely up by the images of upright cameras."""
+def check_z_up(rig: Rig, source: str, mend: str = 'set [cameras] up = "{}" (or "z"{})') -> None:
+    """Raises InputError where another axis than z is surely up by the images of upright cameras; `mend` says what to do
+    about it, with places for the axis and for when z is right.
+    """
     found = up_instead_of_z(rig)
     if found is not None:
-        sides = 'or "z" if the cameras lie on their sides'
-        raise InputError(f'{source}: by the images {found} is up, not z; set [cameras] up = "{found}" ({sides}).')
+        to_do = mend.format(found, " if the cameras lie on their sides")
+        raise InputError(f"{source}: by the images {found} is up, not z; {to_do}.")
 
 
 def checked_up(rig: Rig, said: Up | None, source: str) -> tuple[Rig, str]:
