@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from support.blocks import FixedShape, step_between
-from twistcap.adjust.cameras import holds_from, turned_towards
+from twistcap.adjust.cameras import agreement_at, holds_from, turned_towards
 from twistcap.adjust.cameras.fine import CameraProblem, Standpoints
 from twistcap.body import Posed
 from twistcap.camera import Camera
+from twistcap.estimate import Estimate, Frame
 from twistcap.render import render, visible_contour
 from twistcap.solve import Arrow, BlockProblem, CameraBlock, PoseTrack, Variables, Vector, minimise
 from twistcap.studio import Capture, StudioConfig, capture
@@ -119,3 +120,20 @@ def test_from_when_on_a_camera_is_another() -> None:
     noise = 0.2 * rng.normal(size=(2, 80))
     assert abs(holds_from(before + noise[0], after + noise[1]) - 33) <= 1
     assert holds_from(before[33:], after[33:]) == 0
+
+
+def test_a_body_outside_the_image_does_not_agree() -> None:
+    """A camera that was turned far sees none of it as calibrated, nor before that as mended; a gap tells nothing."""
+    before, after = np.where(np.arange(80) >= 33, np.nan, 0.9), np.where(np.arange(80) >= 33, 0.9, np.nan)
+    before[50:55] = after[50:55] = np.nan
+    assert holds_from(before, after) == 33
+
+
+def test_agreement_is_measured_about_the_body_as_each_camera_sees_it() -> None:
+    """Not in the surroundings of the body in one of them, from which it is far in the other."""
+    scene = capture(StudioConfig(seed=4, views=2, frames=3, fps=15.0))
+    turned = CameraBlock(scene.rig[0].pinhole()).retract(np.r_[np.deg2rad([0.0, 14.0, 0.0]), 0.0, 0.0, 0.0]).camera
+    frames = [Frame(k / 15.0, (scene.image(k, 0), scene.image(k, 1)), k) for k in range(3)]
+    estimates = [Estimate.given(pose, k / 15.0, k) for k, pose in enumerate(scene.true_poses)]
+    before, after = agreement_at(frames, scene.true_body, scene.rig, estimates, 0, turned.T_cam_world)
+    assert before.min() > 0.6 > 0.3 > np.nanmax(np.nan_to_num(after))

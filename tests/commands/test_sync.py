@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,10 +14,11 @@ from support.cameras import ring
 from support.commands import document, run
 from twistcap import se3
 from twistcap.adjust.clocks import Signal
-from twistcap.commands import sync
-from twistcap.commands.cameras import mend_in_words
+from twistcap.commands import cameras, sync
+from twistcap.commands.cameras import _doubt, _since, mend_cameras, mend_in_words  # pyright: ignore[reportPrivateUsage]
 from twistcap.io.calibration import read_rig, write_rig
 from twistcap.io.clocks import Clock
+from twistcap.io.recording import rig_of
 from twistcap.io.session import load_session
 from twistcap.io.synthetic import write_session
 from twistcap.studio import StudioConfig, capture
@@ -110,3 +112,57 @@ def test_a_bumped_camera_is_mended(walk: Path, tmp_path: Path, capsys: pytest.Ca
         < 2.5
         < np.linalg.norm(off.project(body)[0] - true[1].project(body)[0], axis=1).min()
     )
+
+
+@pytest.mark.parametrize(("unit", "up"), [("m", None), ("mm", None), (None, "y"), ("mm", "y")])
+def test_a_mended_calibration_is_in_the_world_and_unit_of_the_session(
+    walk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, unit: str | None, up: str | None
+) -> None:
+    """So that the session needs no other change than the new file's name."""
+    true = read_rig(walk.with_name("Calib.toml"), "m")
+    lying = np.eye(4)  # from a world in which y is up to the one in which z is
+    lying[:3, :3] = np.eye(3) if up is None else [[0, 0, 1], [1, 0, 0], [0, 1, 0]]
+    given = replace(true, cameras=tuple(replace(c, T_cam_world=c.T_cam_world @ lying) for c in true))
+    file = tmp_path / "Calib.toml"
+    write_rig(given, file, "mm" if unit == "mm" else "m")
+    table = f'calibration = "{file}"\n' + (f'unit = "{unit}"\n' if unit else "") + (f'up = "{up}"\n' if up else "")
+    text = walk.read_text().replace('calibration = "Calib.toml"\n', table)
+    for name, calibration in (("given.toml", file), ("mended.toml", tmp_path / "out" / "Calib.toml")):
+        walk.with_name(name).write_text(text.replace(str(file), str(calibration)))
+    session = load_session(walk.with_name("given.toml"))
+    rig = rig_of(session)
+    place = se3.exp(np.r_[0.03, 0.01, 0.0, 0.02, 0.0, 0.01]) @ rig[1].T_cam_world
+    few = [SimpleNamespace(seen=True, lost=False, index=k) for k in range(5)]
+    result = SimpleNamespace(rig=rig, left_out=np.ones((5, 4), np.bool_), estimates=few)
+    monkeypatch.setattr("twistcap.io.result.read_result", lambda path: result)
+    monkeypatch.setattr("twistcap.io.recording.views_of", lambda *_: None)
+    real = cameras._mended  # pyright: ignore[reportPrivateUsage]
+
+    def mended(result: Any, views: Any, session: Any, camera: int, others: Any) -> Any:
+        row, found = real(result, views, session, camera, others)
+        return (row | {"sure": True}, place) if camera == 1 else (row, found)
+
+    monkeypatch.setattr(cameras, "_mended", mended)
+    found = mend_cameras(tmp_path / "result.h5", tmp_path / "out", session, rig.names[1:3])
+    assert found["calibration"].is_absolute() and [row["sure"] for row in found["cameras"]] == [True, False]
+    assert "only 5 good frames" in found["cameras"][1]["reason"]  # and what is mended is kept
+    cameras.show({**found, "cameras": found["cameras"][1:]})
+    again = rig_of(load_session(walk.with_name("mended.toml")))
+    for k, (now, before) in enumerate(zip(again, rig, strict=True)):
+        np.testing.assert_allclose(now.T_cam_world, place if k == 1 else before.T_cam_world, atol=1e-8)
+
+
+def test_why_a_calibration_stays() -> None:
+    assert _doubt(0.3, 0.8, 0.85) == ""
+    assert "as it is calibrated (82 %)" in _doubt(0.82, 0.83, 0.85)
+    assert "late, frozen or swapped" in _doubt(0.3, 0.4, 0.85)
+
+
+def test_frames_since_a_camera_is_mostly_left_out() -> None:
+    out = np.zeros(300, np.bool_)
+    out[[3, 90, 91]] = True  # the body was hidden
+    assert _since(out) == 0
+    out[40:80] = True  # it was pushed, and pushed back
+    assert _since(out) == 40
+    out[200::3] = out[201::3] = True
+    assert _since(out) == 200

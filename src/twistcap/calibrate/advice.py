@@ -15,9 +15,9 @@ from twistcap.calibrate.world import centre_covariance
 from twistcap.errors import InputError
 from twistcap.io.plausible import check_plausible
 
-_SURE = 4.0  # standard deviations from which something is reason
-_WRONG = 0.05  # share of wrong points that is reason
-_EMPTY = 0.25  # share of the image without any point that is reason
+_SURE = 4.0  # standard deviations from which on something is mentioned
+_WRONG = 0.05  # share of wrong points from which on they are mentioned
+_EMPTY = 0.25  # share of the image without any point from which on it is mentioned
 _SHARED = 8  # moments with others that a camera needs
 _FOCAL, _PLACE = 0.003, 0.01  # standard deviations, share and m, above which more filming is advised
 _STRETCH, _BENT = 0.003, 0.003  # share, m
@@ -119,10 +119,9 @@ def _clocks(rows: Sequence[dict[str, Any]]) -> list[str]:
         late, sigma = row["late_frames"], row["late_sigma"]
         if abs(late) > max(_LATE, _SURE * sigma):
             which = "later" if late > 0 else "earlier"
-            reason = (
-                f"Camera {row['camera']} shows moments {abs(late):.2f} ± {max(sigma, 0.01):.2f} frames {which} than"
-            )
-            out.append(f"{reason} camera {rows[0]['camera']}; this was allowed for, and tracking needs it too.")
+            by = f"{abs(late):.2f} ± {max(sigma, 0.01):.2f} frames {which}"
+            start = f"Camera {row['camera']} shows moments {by} than camera {rows[0]['camera']}"
+            out.append(f"{start}; this was allowed for, and tracking needs it too.")
     return out
 
 
@@ -134,8 +133,8 @@ def _board(found: Calibration) -> list[str]:
     out = list[str]()
     if abs(shape[0]) > max(_STRETCH, _SURE * sigmas[0]):
         more = "higher" if shape[0] > 0 else "lower"
-        reason = f"The board is {100 * abs(shape[0]):.1f} % {more} than its width says; it was printed so"
-        out.append(f"{reason}: measure its squares both ways. This was allowed for.")
+        start = f"The board is {100 * abs(shape[0]):.1f} % {more} than its width says; it was printed so"
+        out.append(f"{start}: measure its squares both ways. This was allowed for.")
     bent = float(np.abs(shape[1:]).max())
     if bent > max(_BENT, _SURE * float(sigmas[1 + int(np.abs(shape[1:]).argmax())])):
         out.append(f"The board is bent by about {1e3 * bent:.0f} mm; glue it on something flat. This was allowed for.")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -55,11 +55,11 @@ class Board(Checked, where="the board"):
         check("the board", 1e-3 <= self.square <= 2.0, f"a square of {1e3 * self.square:g} mm cannot be; write mm")
         if self.kind != "chessboard":
             check_choice("the board: dictionary", self.dictionary, DICTIONARIES)
-            reason = f"tags of {1e3 * self.marker:g} mm do not fit squares of {1e3 * self.square:g} mm"
-            check("the board", 0.2 * self.square <= self.marker < self.square, reason)
+            misfit = f"tags of {1e3 * self.marker:g} mm do not fit squares of {1e3 * self.square:g} mm"
+            check("the board", 0.2 * self.square <= self.marker < self.square, misfit)
             tags = self.columns * self.rows // (2 if self.kind == "charuco" else 1)
-            reason = f"it needs {tags} tags, and the dictionary {self.dictionary} has {len(self._dictionary.bytesList)}"
-            check("the board", tags <= len(self._dictionary.bytesList), reason)
+            lack = f"it needs {tags} tags, and the dictionary {self.dictionary} has {len(self._dictionary.bytesList)}"
+            check("the board", tags <= len(self._dictionary.bytesList), lack)
 
     @property
     def points(self) -> Float:
@@ -166,11 +166,6 @@ def read_board(path: Path) -> Board:
         return Board(table["kind"], table["columns"], table["rows"], square, marker, **rest)
     except InputError as error:
         raise InputError(f"board {path}: {error}") from error
-
-
-def turned_about(board: Board) -> Board:
-    """The board with columns and rows exchanged."""
-    return replace(board, columns=board.rows, rows=board.columns)
 
 
 def _millimetres(text: str, whole: str) -> float:

@@ -18,6 +18,10 @@ _MOST = 150  # frames that are used, spread evenly
 _FEWEST = 24
 _GOOD = 0.75  # share of the agreement of the other cameras that a mended one must reach
 _GAIN = 0.05  # of its agreement
+_NUMBERS = (
+    "off_px", "turned_deg", "turned_sigma_deg", "moved_mm", "moved_sigma_mm", "agreed_before", "agreed_after",
+    "from_frame",
+)  # fmt: skip
 
 
 def mend_cameras(path: Path, out: Path, session: Any, names: Sequence[str] = ()) -> dict[str, Any]:
@@ -32,9 +36,9 @@ def mend_cameras(path: Path, out: Path, session: Any, names: Sequence[str] = ())
 
     result = read_result(path)
     wrong = _wrong(result, names, path)
-    given = read_rig(session.cameras.calibration, session.cameras.unit)
-    goal = terminal.output_folder(out) / "Calib.toml"
-    if goal.resolve() == Path(session.cameras.calibration).resolve():
+    given = read_rig(session.cameras.calibration, session.cameras.unit, floor=None)
+    goal = (terminal.output_folder(out) / "Calib.toml").resolve()
+    if goal == Path(session.cameras.calibration).resolve():
         raise InputError(f"{goal} is the session's own calibration, which is never replaced; give another --out.")
     rows, mended = list[dict[str, Any]](), result.rig
     for c in wrong:
@@ -46,11 +50,21 @@ def mend_cameras(path: Path, out: Path, session: Any, names: Sequence[str] = ())
             mended = replace(mended, cameras=(*mended.cameras[:c], camera, *mended.cameras[c + 1 :]))
     sure = [row["camera"] for row in rows if row["sure"]]
     if sure:
-        places = {camera.name: camera.T_cam_world for camera in mended if camera.name in sure}
-        write_rig(replace(given, cameras=tuple(
-            replace(camera, T_cam_world=places.get(camera.name, camera.T_cam_world)) for camera in given
-        )), goal)  # fmt: skip
+        write_rig(_in_file(given, result.rig, mended, sure), goal, session.cameras.unit or "m")
     return {"id": "refine-cameras", "result": path, "cameras": rows, "calibration": goal if sure else None}
+
+
+def _in_file(given: Any, turned: Any, mended: Any, names: Sequence[str]) -> Any:
+    """The cameras of the session's file, those of `names` at their new places.
+
+    The file's world may be turned to have z up: `turned` are its cameras as they were tracked with, `mended` as found.
+    """
+    cameras = {camera.name: camera for camera in given}
+    for name in names:
+        k = turned.names.index(name)
+        back = np.linalg.inv(turned[k].T_cam_world) @ cameras[name].T_cam_world
+        cameras[name] = replace(cameras[name], T_cam_world=mended[k].T_cam_world @ back)
+    return replace(given, cameras=tuple(cameras.values()))
 
 
 def mend_in_words(result: Any, path: Path) -> list[str]:
@@ -85,8 +99,10 @@ def _mended(result: Any, views: Any, session: Any, camera: int, others: Sequence
     """One row of the table, and `T_cam_world` of a camera."""
     from twistcap.adjust.cameras import agreement_at, holds_from, mended_cameras
 
-    out, name = np.flatnonzero(result.left_out[:, camera]), result.rig.names[camera]
-    chosen = _frames(result, int(out[0]) if len(out) else 0, camera, others)
+    name, chosen = result.rig.names[camera], _frames(result, _since(result.left_out[:, camera]), camera, others)
+    if len(chosen) < _FEWEST:
+        reason = f"only {len(chosen)} good frames show it where it stands now; track at least {_FEWEST}"
+        return {"camera": name, **dict.fromkeys(_NUMBERS), "frames": len(chosen), "sure": False, "reason": reason}, None
     rest, settings = (result.body, views.image_rig), session.tracker_settings
     with terminal.status(f"mending {name}") as report:
         found = mended_cameras(lambda: _shown(views, chosen), *rest, chosen, [camera], settings, report)
@@ -95,11 +111,34 @@ def _mended(result: Any, views: Any, session: Any, camera: int, others: Sequence
     with terminal.status(f"looking when {name} was moved"):
         whole = _frames(result, 0, camera, others)
         first = holds_from(*agreement_at(_shown(views, whole), *rest, whole, camera, place, settings))
+    reason = _doubt(before, after, found.others)
     return {
         "camera": name, **_off(result, found, camera), "agreed_before": before, "agreed_after": after,
         "from_frame": whole[min(first, len(whole) - 1)].index, "frames": len(chosen),
-        "sure": after >= before + _GAIN and after >= _GOOD * found.others,
+        "sure": not reason, "reason": reason,
     }, place  # fmt: skip
+
+
+def _doubt(before: float, after: float, others: float) -> str:
+    """Why a camera's calibration stays; "" where the new one is better."""
+    if after >= before + _GAIN and after >= _GOOD * others:
+        return ""
+    if before >= _GOOD * others:
+        return f"it agrees with the others as it is calibrated ({100 * before:.0f} %)"
+    return "no place of it agrees with the others; it may be late, frozen or swapped"
+
+
+def _since(left_out: Any) -> int:
+    """Row of (F,) at which the last stretch begins in which a camera is mostly left out; 0 without one.
+
+    A stretch has a surplus of `_OFTEN` such rows, and ends with a gap of at most `_FEWEST` others.
+    """
+    start, begun, surplus = 0, 0, 0
+    for row, out in enumerate(left_out):
+        begun = begun if surplus else row
+        surplus = min(max(surplus + (1 if out else -1), 0), _FEWEST)
+        start = begun if surplus >= _OFTEN else start
+    return start
 
 
 def _shown(views: Any, chosen: Sequence[Any]) -> Iterator[Any]:
@@ -112,10 +151,7 @@ def _shown(views: Any, chosen: Sequence[Any]) -> Iterator[Any]:
 def _frames(result: Any, first: int, camera: int, others: Sequence[int]) -> list[Any]:
     """Good estimates from a row on, spread evenly, in which the camera is believed and the others are not."""
     rows = [e for e in result.estimates[first:] if e.seen and not e.lost]
-    if len(rows) < _FEWEST:
-        few = f"only {len(rows)} good frames show it where it stands now"
-        raise InputError(f"camera {result.rig.names[camera]}: {few}; track at least {_FEWEST}.")
-    spread = rows[:: -(-len(rows) // _MOST)]
+    spread = rows[:: max(1, -(-len(rows) // _MOST))]
     return [replace(e, left_out=tuple({*e.left_out, *others} - {camera})) for e in spread]
 
 
@@ -141,7 +177,7 @@ def _off(result: Any, found: Any, camera: int) -> dict[str, float]:
 
 def show(document: dict[str, Any]) -> None:
     """Print the end of a run for a person."""
-    rows = [[
+    rows = [[r["camera"], *["–"] * 5] if r["off_px"] is None else [
         r["camera"], f"{r['off_px']:.1f}", f"{r['turned_deg']:.2f} ± {r['turned_sigma_deg']:.2f}",
         f"{r['moved_mm']:.0f} ± {r['moved_sigma_mm']:.0f}", f"{100 * r['agreed_before']:.0f} %",
         f"{100 * r['agreed_after']:.0f} %",
@@ -153,12 +189,12 @@ def show(document: dict[str, Any]) -> None:
     if document["calibration"] is None:
         words.print("Nothing is written.")
     else:
-        words.print(f"Track again with [cameras] calibration = {str(document['calibration'])!r}.", markup=False)
+        again = f"Track again with [cameras] calibration = {str(document['calibration'])!r}."
+        words.print(again, markup=False, soft_wrap=True)
 
 
 def _sentence(row: dict[str, Any]) -> str:
     name, frames = row["camera"], row["frames"]
     if not row["sure"]:
-        return (f"Camera {name}: no place of it agrees with the others in {frames} frames; it may be late, frozen or "
-                "swapped. Its calibration stays.")  # fmt: skip
+        return f"Camera {name}: {row['reason']} ({frames} frames). Its calibration stays."
     return f"Camera {name}: the new calibration holds from frame {row['from_frame']} on ({frames} frames were used)."

@@ -34,7 +34,8 @@ def refine(
         bool, typer.Option("--cameras", help="Mend the cameras that were left out, in place of poses and body.")
     ] = False,
     camera: Annotated[
-        list[str] | None, typer.Option("--camera", metavar="CAMERA", help="With --cameras: mend this one.")
+        list[str] | None,
+        typer.Option("--camera", metavar="CAMERA", help="Mend this one, also where it was not left out."),
     ] = None,
     json: terminal.Json = False,
 ) -> None:

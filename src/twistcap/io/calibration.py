@@ -57,10 +57,10 @@ def read_rig(path: str | Path, unit: Unit | None = None, floor: float | None = 0
     return rig
 
 
-def write_rig(rig: Rig, path: str | Path) -> None:
-    """Write a rig so that `read_rig`, Pose2Sim and aniposelib read it; metres."""
-    tables = [_table(camera) for camera in rig]
-    Path(path).write_text("\n".join([*tables, '[metadata]\nunit = "m"\nadjusted = false\nerror = 0.0\n']))
+def write_rig(rig: Rig, path: str | Path, unit: Unit = "m") -> None:
+    """Write a rig so that `read_rig`, Pose2Sim and aniposelib read it; `unit` is that of the translations."""
+    tables = [_table(camera, _TO_METRES[unit]) for camera in rig]
+    Path(path).write_text("\n".join([*tables, f'[metadata]\nunit = "{unit}"\nadjusted = false\nerror = 0.0\n']))
 
 
 def _camera(where: str, key: str, table: Mapping[str, Any], scale: float) -> Camera:
@@ -131,7 +131,7 @@ def check_camera(where: str, camera: Camera) -> None:
         raise InputError(f"{where}: its place is no rigid motion; calibrate it again.")
 
 
-def _table(camera: Camera) -> str:
+def _table(camera: Camera, scale: float) -> str:
     name = '"' + camera.name.replace("\\", "\\\\").replace('"', '\\"') + '"'
     rvec = np.asarray(cv2.Rodrigues(camera.T_cam_world[:3, :3])[0], dtype=float).ravel()
     values: dict[str, Any] = {
@@ -140,7 +140,7 @@ def _table(camera: Camera) -> str:
         # The family writes four; a fifth only where it says something.
         "distortions": (camera.dist if camera.dist[4] else camera.dist[:4]).tolist(),
         "rotation": rvec.tolist(),
-        "translation": camera.T_cam_world[:3, 3].tolist(),
+        "translation": (camera.T_cam_world[:3, 3] / scale).tolist(),
     }
     lines = [f"{key} = {value}" for key, value in values.items()]
     return "\n".join([f"[{name}]", f"name = {name}", *lines, f"fisheye = {str(camera.fisheye).lower()}\n"])

@@ -114,8 +114,8 @@ class _Reader:
                 owners = {owner.name: owner for owner in getattr(model, name)}
                 if other := stored.keys() ^ owners.keys():
                     raise InputError(
-                        f"the stored state and the settings differ in the {name} {', '.join(sorted(other))};"
-                        " resume with the settings of the first run, or track anew."
+                        f"the stored state and this run differ in the {name} {', '.join(sorted(other))}: the settings"
+                        " are others, or another version of twistcap began the track; resume with those, or track anew."
                     )
                 values[name] = {key: self.read(memory_type(owners[key]), stored[key]) for key in owners}
             else:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import cv2
 import numpy as np
 from scipy.signal import fftconvolve
 
@@ -15,7 +16,7 @@ from twistcap.body import Posed
 from twistcap.camera import Camera, Rig
 from twistcap.features import Channels
 from twistcap.render import render
-from twistcap.search.backdrop import small_features
+from twistcap.search.backdrop import Backdrop, small_camera, small_features
 
 _FARTHEST = np.deg2rad(12.0)  # by which a camera may have been turned
 _NEAR = 1.5  # px of the small images, within which contours find the rest
@@ -33,12 +34,12 @@ def turned_towards(
 
     Args:
         camera: pinhole of the images, as calibrated.
-        pictures: (H, W[, 3]) images of frames that are spread over the recording; None where one is missing.
+        pictures: (H, W[, 3]) images of frames that are spread over the recording, or `small_picture`s of them; None
+            where one is missing.
         posed: the body in each of them, as other cameras see it.
         channels: of the features.
     """
-    places = np.array([at.pose.root[:3, 3] for at in posed])
-    scenery = scenery_of(Rig((camera,)), [pictures], places.mean(axis=0), channels)
+    scenery = scenery_of(Rig((camera,)), [pictures], _place(posed), channels)
     still = scenery.stills[0]
     if still is None:
         return camera
@@ -53,6 +54,17 @@ def turned_towards(
     row, column = np.unravel_index(int(np.argmax(total)), total.shape)
     shift = np.array([float(column) - farthest, float(row) - farthest])
     return camera if np.linalg.norm(shift) < _NEAR else _turned(camera, shift / np.diagonal(still.camera.K)[:2])
+
+
+def small_picture(image: AnyArray, camera: Camera, posed: Sequence[Posed]) -> AnyArray:
+    """An image (H, W[, 3]) as small as `turned_towards` makes it for the bodies of all its frames."""
+    size = small_camera(camera, Backdrop.blank(), _place(posed)).size
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
+
+
+def _place(posed: Sequence[Posed]) -> Float:
+    """(3,) where the body is on the whole."""
+    return np.mean([at.pose.root[:3, 3] for at in posed], axis=0)
 
 
 def _silhouette(posed: Posed, camera: Camera, margin: int) -> Float:

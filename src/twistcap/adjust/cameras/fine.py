@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice, tee
 from typing import cast
 
 import numpy as np
 
 from twistcap import se3
-from twistcap.adjust.cameras.coarse import turned_towards
+from twistcap.adjust.cameras.coarse import small_picture, turned_towards
+from twistcap.adjust.cameras.since import zero_beside
 from twistcap.adjust.refine.measure import SequenceImages
 from twistcap.adjust.refine.settings import RefineConfig
 from twistcap.adjust.sequence import SmoothMotion, claimed_sigma, design_effect
@@ -88,12 +90,14 @@ def mended_cameras(
     found = _looked_for(frames(), body, given, estimates, wrong, settings, tell)
     own = [replace(e, left_out=tuple(c for c in e.left_out if c not in wrong)) for e in estimates]
     turned = Rig(tuple(found.get(c, camera) for c, camera in enumerate(given)))
-    images = SequenceImages(turned, RefineConfig(), settings, body)
-    for done in images.read(frames(), own):
+    images, as_given = (SequenceImages(cameras, RefineConfig(), settings, body) for cameras in (turned, given))
+    alone = [replace(e, left_out=tuple(c for c in range(len(rig)) if c not in wrong)) for e in estimates]
+    first, second = tee(frames())
+    for done, _ in zip(images.read(first, own), as_given.read(second, alone), strict=True):
         tell("reading", done)
     x = Standpoints(PoseTrack(tuple(e.pose for e in own), np.array([e.time for e in own])),
                     {c: camera.T_cam_world for c, camera in found.items()})  # fmt: skip
-    return _settled(images, x, given, tell)
+    return _settled(images, as_given, x, tell)
 
 
 @dataclass
@@ -113,14 +117,14 @@ def _looked_for(
     """The wrong cameras, turned to where the body is, from some of the frames."""
     step = max(1, len(estimates) // _LOOKS)
     pictures: dict[int, list[AnyArray | None]] = {c: [] for c in wrong}
-    posed = list[Posed]()
-    for k, (frame, estimate) in enumerate(zip(frames, estimates, strict=False)):
+    posed = [Posed(body, estimate.pose) for estimate in estimates[::step]]
+    for k, frame in enumerate(islice(frames, len(estimates))):
         tell("looking", k + 1)
         if k % step == 0:
-            posed.append(Posed(body, estimate.pose))
             for c in wrong:
-                pictures[c].append(frame.images[c])
-    return {c: turned_towards(rig[c], pictures[c], posed, settings.channels) for c in wrong}
+                image = frame.images[c]
+                pictures[c].append(None if image is None else small_picture(image, rig[c], posed))
+    return {c: turned_towards(rig[c], pictures[c], posed[: len(pictures[c])], settings.channels) for c in wrong}
 
 
 @dataclass(frozen=True)
@@ -131,9 +135,12 @@ class Standpoints:
     places: Mapping[int, Float]
 
 
-def _settled(images: SequenceImages, x: Standpoints, given: Rig, tell: _Progress) -> MendedCameras:
-    """Rounds of measuring and solving until the cameras stand still."""
-    body, moved, calibrated = images.body, list[float](), {c: given[c].T_cam_world for c in x.places}
+def _settled(images: SequenceImages, as_given: SequenceImages, x: Standpoints, tell: _Progress) -> MendedCameras:
+    """Rounds of measuring and solving until the cameras stand still.
+
+    Images about the body `as_given` cameras see it tell how well these agree: it may be far from where they stand.
+    """
+    body, moved, calibrated = images.body, list[float](), {c: as_given.rig[c].T_cam_world for c in x.places}
     effect = 1.0
     while True:
         coarse, images = len(moved) < _COARSE_ROUNDS, images.standing_at(x.places)
@@ -152,7 +159,9 @@ def _settled(images: SequenceImages, x: Standpoints, given: Rig, tell: _Progress
     sigmas = {c: sigma[6 * k : 6 * k + 6] for k, c in enumerate(x.places)}
     posed = [Posed(body, pose) for pose in x.track.poses]
     rest = images.agreeing(posed, [c for c in range(images.cameras) if c not in calibrated])
-    before, after = (images.standing_at(places).agreeing(posed, tuple(places)) for places in (calibrated, x.places))
+    after, as_given.colours = images.standing_at(x.places).agreeing(posed, tuple(x.places)), images.colours
+    before = as_given.agreeing(posed, tuple(x.places))
+    before = {c: zero_beside(before[c], after[c]) for c in x.places}
     others = float(np.nanmean(np.stack(tuple(rest.values()))))
     return MendedCameras(x.places, sigmas, before, after, others, tuple(moved), x.track)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from itertools import tee
 
 import numpy as np
 
@@ -27,12 +28,13 @@ def agreement_at(
     given, others = rig.pinhole(), tuple(c for c in range(len(rig)) if c != camera)
     there = replace(given[camera], T_cam_world=place)
     mended = Rig((*given.cameras[:camera], there, *given.cameras[camera + 1 :]))
-    images = SequenceImages(mended, RefineConfig(), replace(tracker or Settings(), method="direct"), body)
-    for _ in images.read(frames, [replace(e, left_out=others) for e in estimates]):
-        pass
+    settings, alone = replace(tracker or Settings(), method="direct"), [replace(e, left_out=others) for e in estimates]
+    both = [SequenceImages(cameras, RefineConfig(), settings, body) for cameras in (given, mended)]
+    for _ in zip(*(images.read(own, alone) for images, own in zip(both, tee(frames), strict=True)), strict=True):
+        pass  # each keeps what is about the body as it sees it: that may be far apart
     posed = [Posed(body, e.pose) for e in estimates]
-    after = images.agreeing(posed, [camera])[camera]
-    return images.standing_at({camera: given[camera].T_cam_world}).agreeing(posed, [camera])[camera], after
+    before, after = (images.agreeing(posed, [camera])[camera] for images in both)
+    return before, after
 
 
 def holds_from(before: Float, after: Float) -> int:
@@ -40,7 +42,15 @@ def holds_from(before: Float, after: Float) -> int:
 
     Args:
         before, after: (F,) share of the contour points that agree in each frame, with the camera as given and as
-            mended; NaN without an image.
+            mended; NaN without an image of the body.
     """
-    gain = np.concatenate([[0.0], np.cumsum(np.nan_to_num(after - before))])
-    return int(np.argmin(gain))
+    gain = np.nan_to_num(zero_beside(before, after) - zero_beside(after, before))
+    return int(np.argmax(np.concatenate([[0.0], np.cumsum(gain)])))
+
+
+def zero_beside(share: Float, other: Float) -> Float:
+    """(F,) shares that agree; 0 where the camera, standing so, sees no body (NaN), but does where it stands otherwise.
+
+    A body outside its image is as wrong as can be. Without an image both are NaN, and stay so.
+    """
+    return np.where(np.isnan(share) & ~np.isnan(other), 0.0, share)

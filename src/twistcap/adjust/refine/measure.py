@@ -56,7 +56,7 @@ class SequenceImages:
 
     def __init__(self, rig: Rig, config: RefineConfig, tracker: Settings, body: Body) -> None:
         self.config, self.tracker, self.cameras, self.parts = config, tracker, len(rig), len(body.segment_names)
-        self._rig, self.body = rig, body
+        self.rig, self.body = rig, body
         self.views: list[list[View | None]] = [[] for _ in rig]
         self.contour: ContourCue | None = None if tracker.method == "differential" else contour_of(tracker)
         self.colours = self._blank()
@@ -72,7 +72,7 @@ class SequenceImages:
                 if image is None or i in estimate.left_out:
                     self.views[i].append(None)
                     continue
-                seen = crop_view(image, self._rig[i], posed, margin, self.tracker.channels)
+                seen = crop_view(image, self.rig[i], posed, margin, self.tracker.channels)
                 self.views[i].append(seen)
             yield count
 
