@@ -126,7 +126,7 @@ def test_a_mended_calibration_is_in_the_world_and_unit_of_the_session(
     file = tmp_path / "Calib.toml"
     write_rig(given, file, "mm" if unit == "mm" else "m")
     table = f'calibration = "{file}"\n' + (f'unit = "{unit}"\n' if unit else "") + (f'up = "{up}"\n' if up else "")
-    text = walk.read_text().replace('calibration = "Calib.toml"\n', table)
+    text = walk.read_text().replace('calibration = "Calib.toml"\nunit = "m"\n', table)
     for name, calibration in (("given.toml", file), ("mended.toml", tmp_path / "out" / "Calib.toml")):
         walk.with_name(name).write_text(text.replace(str(file), str(calibration)))
     session = load_session(walk.with_name("given.toml"))
