@@ -133,7 +133,7 @@ def test_agreement_is_measured_about_the_body_as_each_camera_sees_it() -> None:
     """Not in the surroundings of the body in one of them, from which it is far in the other."""
     scene = capture(StudioConfig(seed=4, views=2, frames=3, fps=15.0))
     turned = CameraBlock(scene.rig[0].pinhole()).retract(np.r_[np.deg2rad([0.0, 14.0, 0.0]), 0.0, 0.0, 0.0]).camera
-    frames = [Frame(k / 15.0, (scene.image(k, 0), scene.image(k, 1)), k) for k in range(3)]
-    estimates = [Estimate.given(pose, k / 15.0, k) for k, pose in enumerate(scene.true_poses)]
+    frames = [Frame(k, k / 15.0, (scene.image(k, 0), scene.image(k, 1))) for k in range(3)]
+    estimates = [Estimate(k, k / 15.0, pose, np.eye(scene.body.dof)) for k, pose in enumerate(scene.true_poses)]
     before, after = agreement_at(frames, scene.true_body, scene.rig, estimates, 0, turned.T_cam_world)
     assert before.min() > 0.6 > 0.3 > np.nanmax(np.nan_to_num(after))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -16,6 +16,7 @@ from twistcap import se3
 from twistcap.adjust.clocks import Signal
 from twistcap.commands import cameras, sync
 from twistcap.commands.cameras import _doubt, _since, mend_cameras, mend_in_words  # pyright: ignore[reportPrivateUsage]
+from twistcap.estimate import Estimate
 from twistcap.io.calibration import read_rig, write_rig
 from twistcap.io.clocks import Clock
 from twistcap.io.recording import rig_of
@@ -126,13 +127,13 @@ def test_a_mended_calibration_is_in_the_world_and_unit_of_the_session(
     file = tmp_path / "Calib.toml"
     write_rig(given, file, "mm" if unit == "mm" else "m")
     table = f'calibration = "{file}"\n' + (f'unit = "{unit}"\n' if unit else "") + (f'up = "{up}"\n' if up else "")
-    text = walk.read_text().replace('calibration = "Calib.toml"\n', table)
+    text = walk.read_text().replace('calibration = "Calib.toml"\nunit = "m"\n', table)
     for name, calibration in (("given.toml", file), ("mended.toml", tmp_path / "out" / "Calib.toml")):
         walk.with_name(name).write_text(text.replace(str(file), str(calibration)))
     session = load_session(walk.with_name("given.toml"))
     rig = rig_of(session)
     place = se3.exp(np.r_[0.03, 0.01, 0.0, 0.02, 0.0, 0.01]) @ rig[1].T_cam_world
-    few = [SimpleNamespace(seen=True, lost=False, index=k) for k in range(5)]
+    few = [Estimate(k, k / FPS, cast(Any, None), np.zeros((0, 0))) for k in range(5)]  # poses are not looked at
     result = SimpleNamespace(rig=rig, left_out=np.ones((5, 4), np.bool_), estimates=few)
     monkeypatch.setattr("twistcap.io.result.read_result", lambda path: result)
     monkeypatch.setattr("twistcap.io.recording.views_of", lambda *_: None)
