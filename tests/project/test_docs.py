@@ -200,5 +200,7 @@ ELSEWHERE = {
     "evaluate out/walk/result.h5 --reference joints.trc": "the user's reference; tests/evaluate/test_reference.py",
     "body fit": "the user's own recording; tests/adjust/test_bodyfit.py",
     "refine ": "takes minutes on a machine of two cores; tests/adjust/test_refine.py",
+    "calibrate ": "the user's videos of a board; tests/calibrate/test_board.py",
+    "sync ": "the user's own recording; tests/commands/test_sync.py",
     "motions build": "the user's motion files; tests/motion/test_motion_library.py",
 }
