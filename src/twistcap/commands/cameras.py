@@ -27,8 +27,10 @@ _NUMBERS = (
 def mend_cameras(path: Path, out: Path, session: Any, names: Sequence[str] = ()) -> dict[str, Any]:
     """Estimate where cameras of a result stand, and write a new calibration into a folder; what ``--json`` prints.
 
-    Without names, those that the tracker left out are mended. Each is sought by itself; others that are wrong are not
-    believed until they are mended. Raises InputError where no camera is wrong, or too few frames or cameras are left.
+    Without names, those that the tracker left out are mended. Each is looked for by itself; others that are wrong are
+    not believed until they are mended.
+
+    Raises InputError where no camera is wrong, or too few frames or cameras are left.
     """
     from twistcap.io.calibration import read_rig, write_rig
     from twistcap.io.recording import views_of

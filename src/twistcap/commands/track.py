@@ -92,12 +92,12 @@ def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str,
     from twistcap.report.words import result_in_words
 
     path = folder / "result.h5"
-    _ = session.output.gait_norms  # a file that cannot be read is refused before the work
+    norms = session.output.gait_norms  # a file that cannot be read is refused before the work
     terminal.tell_compiling()
     with WriteLock(path) as lock:
         views, timing, watched = _tracked(session, path, begin, lock)
         result = read_result(path)
-        files = [path, *_outputs(session, views, result, folder, timing)]
+        files = [path, *_outputs(session, views, result, folder, timing, norms)]
         with words.status("comparing the cameras' clocks"):
             apart = clocks_in_words(session, views, result, watched)
     lost = result.indices[result.lost].tolist()
@@ -180,7 +180,7 @@ def _kept(views: Any, tracker: Any, writer: Any, path: Path) -> Timing:
         raise typer.Exit(130) from None
 
 
-def _outputs(session: Any, views: Any, result: Any, folder: Path, timing: Timing) -> list[Path]:
+def _outputs(session: Any, views: Any, result: Any, folder: Path, timing: Timing, norms: Any) -> list[Path]:
     from twistcap.commands import outputs
     from twistcap.report import Headline
 
@@ -196,7 +196,6 @@ def _outputs(session: Any, views: Any, result: Any, folder: Path, timing: Timing
             lead = f"{len(views.rig)} cameras, {views.fps:g} fps, images at {session.scale:g} of their size."
             plots = {folder / "angles.png": "Joint angles, ± 2σ"}
             stills = outputs.recorded_stills(result, views)
-            norms = session.output.gait_norms
             files.append(outputs.write_page(folder, session.title, lead, headlines, [], plots, result, stills, norms))
     return files
 

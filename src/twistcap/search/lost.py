@@ -180,8 +180,8 @@ class LostBody(Checked):
 
     def _with_limbs(self, memory: LostMemory, now: Judged, last: Moment) -> tuple[Judged, Moment, LostMemory]:
         """The frame with its lost limbs where they are found, and the moment before it, in which they rest."""
-        hidden = now.problem.in_sight(now.fit) < 0.5
-        lost = [limb for limb in self._lost_limbs(memory) if not hidden[memory.groups[limb]].any()]
+        out_of_sight = now.problem.in_sight(now.fit) < 0.5
+        lost = [limb for limb in self._lost_limbs(memory) if not out_of_sight[memory.groups[limb]].any()]
         shown, usually = ((of.pixels > 0.0).any(axis=1) for of in (now.check, memory.known))
         if not (usually & ~shown).any():  # else it is the cameras' doing
             lost = sorted({*lost, *self._hidden_limbs(memory)})

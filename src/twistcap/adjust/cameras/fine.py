@@ -75,7 +75,7 @@ def mended_cameras(
     Args:
         frames: gives those of the estimates, in order; it is called twice.
         body, rig, estimates: of the track; the cameras are those of the images.
-        wrong: numbers of the cameras whose place is sought; at least two others must be left.
+        wrong: numbers of the cameras that are to be found; at least two others must be left.
         tracker: settings of the contour cue.
         report: is called with the progress.
 
@@ -129,7 +129,7 @@ def _looked_for(
 
 @dataclass(frozen=True)
 class Standpoints:
-    """The variables: the poses of all frames, and by number `T_cam_world` of the cameras that are sought."""
+    """The variables: the poses of all frames, and by number `T_cam_world` of the cameras that are to be found."""
 
     track: PoseTrack
     places: Mapping[int, Float]
