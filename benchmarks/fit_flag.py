@@ -26,8 +26,7 @@ from twistcap.arrays import Bool, Float
 from twistcap.body import Posed
 from twistcap.build import build
 from twistcap.evaluate.metrics import LOST_FRAME_MM
-from twistcap.search.flag import SIGNS, beyond, flag_groups, ramps
-from twistcap.search.uncertain import segment_deviations
+from twistcap.search.flag import SIGNS, beyond, flag_groups, ramps, segment_deviations
 from twistcap.studio import StudioConfig, capture
 from twistcap.track import Tracker
 
@@ -82,7 +81,7 @@ def measured(take: Take) -> Seen:
         memory, blank = tracker.state.searches["lost body"], np.zeros((len(groups), SIGNS))
         signs.append(blank if memory.signs is None else memory.signs)
         lately.append(blank if memory.lately is None else memory.lately)
-        deviation, _ = segment_deviations(Posed(body, estimate.pose), estimate.covariance)
+        deviation = segment_deviations(Posed(body, estimate.pose), estimate.covariance)
         deviations.append([deviation[group].max() for group in groups])
         parts = np.zeros(len(deviation)) if estimate.part_probability is None else estimate.part_probability
         judged.append([not np.isnan(parts[group]).all() for group in groups])

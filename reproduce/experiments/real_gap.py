@@ -33,7 +33,6 @@ from twistcap.render import render
 from twistcap.search.lost import LostBody
 from twistcap.search.placing import PlacingRule
 from twistcap.search.slipped import SlippedLimbs
-from twistcap.search.uncertain import UncertainLimbs
 from twistcap.track import Model, Settings, track
 
 SESSION = Path(__file__).parents[2] / "examples" / "balance_4view.toml"
@@ -60,7 +59,7 @@ ARMS = {
 def drawn(model: Model, seed: int) -> Model:
     """The model with the searches' draws of a seed."""
     lost = LostBody(placing=PlacingRule(seed=seed))
-    return replace(model, searches=(SlippedLimbs(seed=seed), UncertainLimbs(), lost))
+    return replace(model, searches=(SlippedLimbs(seed=seed), lost))
 
 
 @dataclass(frozen=True)

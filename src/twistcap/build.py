@@ -26,7 +26,6 @@ from twistcap.registry import Registry
 from twistcap.search import Search
 from twistcap.search.lost import LostBody
 from twistcap.search.slipped import SlippedLimbs
-from twistcap.search.uncertain import UncertainLimbs
 from twistcap.settings import Settings
 from twistcap.track.model import Model
 from twistcap.track.schedule import Schedule
@@ -85,7 +84,7 @@ def build(
     )  # fmt: skip
     if prior is not None:
         priors = (*priors, PosePrior(matched(prior, body), PriorRule(settings.prior_strength)))
-    searches = SlippedLimbs(), UncertainLimbs(), LostBody()
+    searches = SlippedLimbs(), LostBody()
     return Model(
         body, rig.pinhole(), (contour, *brightness, *more.cues),
         (*more.predictors, *predictors_of(settings, body, rig, motions)), (*priors, *more.priors),

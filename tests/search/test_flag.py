@@ -6,10 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 
+from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.camera import Camera, Rig
 from twistcap.cues.observation import Agreement
-from twistcap.search.flag import SIGNS, FlagRule, flag_groups, in_images, limb_signs, ramps, support_signs
+from twistcap.search.flag import (
+    SIGNS,
+    FlagRule,
+    flag_groups,
+    in_images,
+    limb_signs,
+    ramps,
+    segment_deviations,
+    support_signs,
+)
 from twistcap.search.limb import LimbRule
 from twistcap.search.recollection import Check, Recollection
 
@@ -49,6 +59,18 @@ def test_a_limb_with_a_segment_in_no_image_is_not_judged() -> None:
     hidden = in_images(groups, Agreement(points, points.astype(float), points.astype(float)))
     np.testing.assert_array_equal(hidden, np.arange(len(groups)) != 2)
     assert in_images(groups, Agreement(0 * points, 0.0 * points, 0.0 * points)).all()  # it cannot all be left unjudged
+
+
+def test_the_deviation_of_a_segment_is_the_spread_of_its_middle() -> None:
+    body = humanoid("full")
+    A = 0.02 * np.random.default_rng(2).normal(size=(body.dof, body.dof))
+    q = np.random.default_rng(1).uniform(-0.4, 0.4, len(body.coordinate_names))
+    posed, covariance = Posed(body, Pose(np.eye(4), q)), A @ A.T
+    small = 1e-3
+    steps = np.random.default_rng(3).multivariate_normal(np.zeros(body.dof), small**2 * covariance, size=2000)
+    middles = np.array([Posed(body, posed.pose.retract(step)).segment_middles for step in steps])
+    widest = [np.sqrt(np.linalg.eigvalsh(np.cov(middles[:, s].T))[-1]) for s in range(len(body.segment_names))]
+    np.testing.assert_allclose(widest, small * segment_deviations(posed, covariance), rtol=0.1)
 
 
 def test_no_sign_lowers_the_probability() -> None:

@@ -21,7 +21,7 @@ from twistcap.io.state import from_bytes, to_bytes
 from twistcap.motion import MotionLibrary
 from twistcap.motion.library import unwrapped
 from twistcap.priors import ParzenPrior
-from twistcap.search.uncertain import UncertainLimbs
+from twistcap.search.slipped import SlippedLimbs
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import Model, Settings, step
 
@@ -136,8 +136,8 @@ def test_a_rejected_hypothesis_leaves_no_trace() -> None:
     plain = build(made.body, made.rig, prior=prior)
 
     def with_search(eager: bool) -> Model:
-        # Every frame tries all limbs, however sure; nothing can win. The other never tries.
-        search = UncertainLimbs(least_sd=1e-9 if eager else 1e6, every=1, promising=-1e6, margin=1e6)
+        # One looks for limbs wherever fewer contour points agree than ever; nothing can win. The other never looks.
+        search = SlippedLimbs(drop=1.0 if eager else 0.0, gain=1e6)
         return replace(plain, searches=(search,))
 
     ends = [tracked(m.start(made.first_pose), frames, m) for m in (with_search(True), with_search(False))]

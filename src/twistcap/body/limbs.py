@@ -60,12 +60,6 @@ def _limb_name(body: Body, part: Bool) -> str:
     return body.segment_names[int(np.argmax(part))]
 
 
-def same_limb(body: Body, one: int, other: int) -> bool:
-    """Whether all coordinates that move one of the segments also move the other."""
-    a, b = body.chain[one], body.chain[other]
-    return bool(np.all(a <= b) or np.all(b <= a))
-
-
 def segments_above(body: Body) -> Bool:
     """(S, S) whether a segment (column) is the other (row) itself or between it and the root."""
     chain = body.chain

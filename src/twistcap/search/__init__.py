@@ -46,11 +46,6 @@ class Problem(Protocol):
         ...
 
     @property
-    def spread(self) -> Float:
-        """(6 + J, 6 + J) covariance of the step from there to the truth."""
-        ...
-
-    @property
     def views(self) -> Views: ...
     @property
     def trusted(self) -> bool:
@@ -86,14 +81,6 @@ class Problem(Protocol):
 
     def colours(self, camera_index: int, channels: int) -> Float:
         """(S, 1 + 2C) confidence, mean and mean square of each part's colours in a camera."""
-        ...
-
-    def measured(self, pose: Pose) -> Fit:
-        """What the images say of a pose as it is."""
-        ...
-
-    def covariance(self, fit: Fit) -> Float:
-        """(6 + J, 6 + J) what is claimed of a fit."""
         ...
 
     def support(self, fit: Fit) -> Float:

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import erfc
 
+from twistcap import se3
 from twistcap.arrays import Bool, Float
-from twistcap.body import Body
+from twistcap.body import Body, Posed
 from twistcap.body.limbs import limb_parts, limbs
 from twistcap.cues.observation import Agreement
 from twistcap.ranges import Checked, Share, Signed
@@ -154,6 +155,15 @@ class FlagRule(Checked):
         """
         unsure = np.array([np.log10(max(seconds, 1e-3)), beyond(np.array(deviation))])
         return float(_logistic(self.unseen[0] + unsure @ np.array(self.unseen[1:])))
+
+
+def segment_deviations(posed: Posed, covariance: Float) -> Float:
+    """(S,) m, standard deviation of the middle of each segment along its least certain direction."""
+    middles = posed.segment_middles
+    by_twist = np.concatenate([-se3.hat(middles), np.broadcast_to(np.eye(3), (len(middles), 3, 3))], axis=-1)
+    J = by_twist @ posed.projector.reshape(-1, 6, posed.body.dof)
+    values = np.linalg.eigvalsh(J @ covariance @ J.transpose(0, 2, 1))
+    return np.sqrt(np.maximum(values[:, -1], 1e-12))
 
 
 def ramps(signs: Float, lately: Float, deviation: Float) -> Float:

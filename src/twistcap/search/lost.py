@@ -68,6 +68,7 @@ class LostBody(Checked):
     Attributes:
         after: s without images from which on it is.
         least: evidence below which a fit is lost.
+        lessons: frames that must have taught what is usual, before a body can be lost by that.
         none: evidence below which it is not the body at all.
         learned: evidence from which on a fit is learned from.
         accepted: evidence from which on a found body is believed.
@@ -88,6 +89,7 @@ class LostBody(Checked):
 
     after: float = 0.1
     least: float = 0.6
+    lessons: Count = 10
     none: float = 0.3
     learned: float = 0.8
     accepted: float = 0.8
@@ -145,15 +147,16 @@ class LostBody(Checked):
         now, suspicion = judged(self.contradiction, memory.suspicion, known, now)
         memory = self._signed(replace(memory, suspicion=suspicion), now)
         ratio, last, revision = known.ratio(now.check), problem.past.moments[-1], None
+        usual_known = memory.frames > self.lessons
         if np.isnan(ratio) and known.pixels[list(now.problem.views)].any():  # hardly any of the body is in sight
             ratio = 0.0
         if ratio < self.least and self._relit(known, now):
             revision, memory = Revision(now.fit, last, relit=True), replace(memory, known=known.forgotten(), frames=0)
-        elif ratio < self.least:
+        elif ratio < self.least and usual_known:
             revision, memory = self._elsewhere(memory, now, ratio)
         else:  # or nothing can be said
             now, last, memory = self._with_limbs(memory, now, last)
-            if self._missed(memory):
+            if usual_known and self._missed(memory):
                 revision, memory = self._elsewhere(memory, now, ratio, self.margin)
             if revision is None:
                 memory = self._learned(replace(memory, waiting=0), now, float(np.nan_to_num(ratio, nan=1.0)))
@@ -214,7 +217,9 @@ class LostBody(Checked):
     def _learned(self, memory: LostMemory, now: Judged, ratio: float) -> LostMemory:
         """With what a fit that is not lost teaches; limbs that are lost or hidden teach nothing."""
         lost = [*self._lost_limbs(memory), *self._hidden_limbs(memory)]
-        known = memory.known.accustomed(now.check, np.asarray(~memory.groups[lost].any(axis=0), np.bool_))
+        known = memory.known.accustomed(
+            now.check, np.asarray(~memory.groups[lost].any(axis=0), np.bool_), memory.frames
+        )
         usual = self._usual(memory)
         contour = contour_signs(memory.groups, now.fit.agreement, now.problem.support(now.fit))
         contour[lost] = usual[lost]

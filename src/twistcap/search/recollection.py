@@ -145,9 +145,10 @@ class Recollection:
             fitting[i] = fits[0] / fits[1] if fits[1] else np.nan
         return Check(out[0], out[1], out[2], fitting)
 
-    def accustomed(self, check: Check, parts: Bool) -> Recollection:
-        """With a check as one more of what is usual for some parts (S,)."""
-        keep = np.where((self.pixels > 0.0) & (check.pixels > 0.0), _MEMORY, (check.pixels == 0.0) * 1.0)
+    def accustomed(self, check: Check, parts: Bool, frames: int) -> Recollection:
+        """With a check as one more of what is usual for some parts (S,), after so many frames."""
+        memory = min(_MEMORY, 1.0 - 1.0 / max(frames, 1))
+        keep = np.where((self.pixels > 0.0) & (check.pixels > 0.0), memory, (check.pixels == 0.0) * 1.0)
         keep = np.where(parts, keep, 1.0)
         means = (keep * a + (1.0 - keep) * b for a, b in zip(
             (self.nats, self.pixels, self.uncovered), (check.nats, check.pixels, check.uncovered), strict=True

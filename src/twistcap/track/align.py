@@ -125,7 +125,7 @@ class FrameProblem:
         return align(replace(self, start=pose, views=views))
 
     def measured(self, pose: Pose) -> Fit:
-        """See `search.Problem`."""
+        """What the images say of a pose as it is."""
         return alternated(replace(self, start=pose), self.unfitted(pose), self.model.schedule.fine_level, steps=0)
 
     def support(self, fit: Fit) -> Float:
@@ -138,10 +138,6 @@ class FrameProblem:
         if rule is None:
             return np.ones(len(self.body.segment_names))
         return rule.in_sight(fit.agreement, fit.visibility.occluded)
-
-    def covariance(self, fit: Fit) -> Float:
-        """What searches go by: with what the priors claim added, once; it does not go on to the next frame."""
-        return with_claims(self.model, fit.posed, self.posterior(fit))
 
     def claimed(self, fit: Fit, posterior: Float) -> Float:
         """Covariance that is claimed of a fit whose samples err together, from its posterior."""

@@ -19,9 +19,8 @@ from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
 from twistcap.predict import Prediction
 from twistcap.predict.history import Moment, Past, jumped
-from twistcap.search.flag import flag_groups, in_images, support_signs
+from twistcap.search.flag import flag_groups, in_images, segment_deviations, support_signs
 from twistcap.search.lost import LostMemory
-from twistcap.search.uncertain import segment_deviations
 from twistcap.stages import next_frame, stage
 from twistcap.threads import ahead
 from twistcap.track.align import FrameProblem, align, with_claims
@@ -178,7 +177,7 @@ def _loss(state: State, model: Model, fit: Fit, covariance: Float) -> tuple[Floa
         signs = lately = support_signs(groups, state.support)
     else:
         signs, lately = memory.signs, memory.lately
-    deviation, _ = segment_deviations(fit.posed, covariance)
+    deviation = segment_deviations(fit.posed, covariance)
     limbs = model.flag.limbs(signs, lately, np.array([deviation[group].max() for group in groups]))
     judged = in_images(groups, fit.agreement)
     return np.where(judged, limbs, np.nan)[groups.argmax(axis=0)], model.flag.whole(limbs[judged])
@@ -208,7 +207,7 @@ def unseen(problem: FrameProblem, prediction: Prediction) -> tuple[State, Estima
     pose = prediction.pose if blind or prediction.name == "motion" else problem.past.last
     after = problem.state.with_past(problem.past.advanced(Moment(frame.time, pose, seen=False)))
     claimed = problem.state.claimed + problem.process_noise
-    farthest = float(segment_deviations(Posed(model.body, pose), claimed)[0].max())
+    farthest = float(segment_deviations(Posed(model.body, pose), claimed).max())
     probability = model.flag.blind(frame.time - problem.past.seen_time, farthest)
     status = "no_images" if blind else "not_found"
     return after, Estimate(

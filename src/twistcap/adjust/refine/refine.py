@@ -26,8 +26,7 @@ from twistcap.estimate import Estimate, Frame
 from twistcap.predict import MotionNoise
 from twistcap.predict.inertia import INFLATION
 from twistcap.priors.standing import RestPose
-from twistcap.search.flag import FlagRule, flag_groups, support_signs
-from twistcap.search.uncertain import segment_deviations
+from twistcap.search.flag import FlagRule, flag_groups, segment_deviations, support_signs
 from twistcap.settings import Settings
 from twistcap.solve import Arrow, Solution, minimise
 
@@ -220,7 +219,7 @@ def with_support(estimate: Estimate, posed: Posed, support: Float) -> Estimate:
     own = replace(estimate, support=least, lost=estimate.lost or least < SupportRule().least)
     if not estimate.lost or least < SupportRule().sure:
         return own
-    groups, (deviations, _) = flag_groups(posed.body), segment_deviations(posed, estimate.covariance)
+    groups, deviations = flag_groups(posed.body), segment_deviations(posed, estimate.covariance)
     signs, farthest = support_signs(groups, support), np.array([deviations[group].max() for group in groups])
     limbs = flag.limbs(signs, signs, farthest)
     probability = flag.whole(limbs)
