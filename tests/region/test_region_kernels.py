@@ -117,8 +117,13 @@ def test_labels_are_compared_as_by_the_twins(size: tuple[int, int]) -> None:
     rng = np.random.default_rng(4)
     features, off = rng.uniform(size=(*size, 3)).astype(np.float32), rng.uniform(size=size) < 0.3
     off[:, : size[1] // 2] = False
-    background = check_twin(background_moments, features, off, 2, rtol=1e-6)
-    check_twin(background_moments, features, np.zeros_like(off), 2)
+    background = check_twin(background_moments, features, off, np.ones_like(off), 2, rtol=1e-6)
+    check_twin(background_moments, features, np.zeros_like(off), np.ones_like(off), 2)
+    asked = np.zeros_like(off)
+    asked[-1, -2:] = True
+    some = check_twin(background_moments, features, off, asked, 2, rtol=1e-6)
+    np.testing.assert_array_equal(some[-1, -1], background[-1, -1])
+    assert np.count_nonzero(some.any(axis=2)) <= 2
     assert background.shape == (-(-size[0] // BLOCK), -(-size[1] // BLOCK), 6)
     colours = rng.uniform(size=(4, 7))
     colours[2, 0] = 0.0

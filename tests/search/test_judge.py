@@ -16,7 +16,8 @@ from twistcap.search.judge import JudgeRule, judge_of
 def test_background_is_gathered_where_it_surely_is() -> None:
     features, part, other = labels(5)
     off = (part < 0) & (other < 0)
-    out = background_moments(features, off, 1)
+    everywhere = np.ones_like(off)
+    out = background_moments(features, off, everywhere, 1)
     whole = features[off].astype(float)
     fallback = _FALLBACK * (3 * BLOCK) ** 2
     for r, c in ((0, 0), (2, 3), (4, 2), (5, 7)):
@@ -27,7 +28,7 @@ def test_background_is_gathered_where_it_surely_is() -> None:
             np.testing.assert_allclose(out[r, c, k], total / (len(here) + fallback), rtol=1e-6)
     spoilt = features.copy()
     spoilt[~off] = 1e3
-    np.testing.assert_array_equal(background_moments(spoilt, off, 1), out)
+    np.testing.assert_array_equal(background_moments(spoilt, off, everywhere, 1), out)
 
 
 def test_evidence_is_the_clipped_log_ratio_of_the_pixels_that_change_hands() -> None:
@@ -35,7 +36,7 @@ def test_evidence_is_the_clipped_log_ratio_of_the_pixels_that_change_hands() -> 
     rng = np.random.default_rng(7)
     mean, sd = rng.uniform(size=(2, 3)), rng.uniform(0.1, 0.3, size=(2, 3))
     colours = np.concatenate([np.ones((2, 1)), mean, mean**2 + sd**2], axis=1)
-    background = background_moments(features, (part < 0) & (other < 0), 1)
+    background = background_moments(features, (part < 0) & (other < 0), part != other, 1)
     floor, clip = 1e-3, 2.0
 
     def log_density(label: int, r: int, c: int) -> float:

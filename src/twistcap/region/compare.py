@@ -12,17 +12,21 @@ _FALLBACK = 0.02  # fraction of a window at which the whole background has the w
 
 
 @njit(cache=True, nogil=True)
-def background_moments(features: Float32, off: Bool, reach: int) -> Float:
-    """(H', W', 2C) mean and mean square of the background about each block of pixels of an image (H, W, C).
+def background_moments(features: Float32, off: Bool, asked: Bool, reach: int) -> Float:
+    """(H', W', 2C) mean and mean square of the background about each block of pixels of an image (H, W, C) in which any
+    pixel is `asked` (H, W); 0 in the others.
 
     It is gathered from `reach` blocks about a block, where it is surely background: `off` (H, W), without pixels that a
     limb covers or may cover. If there is none, the whole background is used.
     """
     height, width, C = features.shape
-    sums = np.zeros(((height + BLOCK - 1) // BLOCK, (width + BLOCK - 1) // BLOCK, 1 + 2 * C))
+    rows, columns = (height + BLOCK - 1) // BLOCK, (width + BLOCK - 1) // BLOCK
+    sums, wanted = np.zeros((rows, columns, 1 + 2 * C)), np.zeros((rows, columns), np.bool_)
     whole = np.zeros(1 + 2 * C)
     for r in range(height):
         for c in range(width):
+            if asked[r, c]:
+                wanted[r // BLOCK, c // BLOCK] = True
             if not off[r, c]:
                 continue
             here = sums[r // BLOCK, c // BLOCK]
@@ -30,14 +34,15 @@ def background_moments(features: Float32, off: Bool, reach: int) -> Float:
             for k in range(C):
                 here[1 + k] += features[r, c, k]
                 here[1 + C + k] += features[r, c, k] ** 2
-    rows, columns = sums.shape[:2]
     for r in range(rows):
         for c in range(columns):
             whole += sums[r, c]
     fallback = _FALLBACK * ((2 * reach + 1) * BLOCK) ** 2 / max(whole[0], 1.0)
-    out, window = np.empty((rows, columns, 2 * C)), np.empty(1 + 2 * C)
+    out, window = np.zeros((rows, columns, 2 * C)), np.empty(1 + 2 * C)
     for r in range(rows):
         for c in range(columns):
+            if not wanted[r, c]:
+                continue
             for k in range(1 + 2 * C):
                 window[k] = fallback * whole[k]
             for i in range(max(r - reach, 0), min(r + reach + 1, rows)):
@@ -84,14 +89,16 @@ def _log_density(values: Float32, moments: Float, floor: float) -> float:
     return out
 
 
-def background_moments_reference(features: Float32, off: Bool, reach: int) -> Float:
+def background_moments_reference(features: Float32, off: Bool, asked: Bool, reach: int) -> Float:
     """Readable twin of `background_moments`: window by window."""
     values = np.concatenate([np.ones((*off.shape, 1)), features, features.astype(float) ** 2], axis=2)
     values = np.where(off[..., None], values, 0.0)
     whole, fallback = values.sum(axis=(0, 1)), _FALLBACK * ((2 * reach + 1) * BLOCK) ** 2
     rows, columns = (-(-size // BLOCK) for size in off.shape)
-    out = np.empty((rows, columns, 2 * features.shape[2]))
+    out = np.zeros((rows, columns, 2 * features.shape[2]))
     for r, c in np.ndindex(rows, columns):
+        if not asked[r * BLOCK : (r + 1) * BLOCK, c * BLOCK : (c + 1) * BLOCK].any():
+            continue
         top, left = max(r - reach, 0) * BLOCK, max(c - reach, 0) * BLOCK
         window = values[top : (r + reach + 1) * BLOCK, left : (c + reach + 1) * BLOCK].sum(axis=(0, 1))
         window = window + fallback * whole / max(whole[0], 1.0)

@@ -90,7 +90,7 @@ class Judge:
         body = ((scene.part >= 0) | (other >= 0)).astype(np.uint8)
         size = 2 * max(1, round(rule.berth * rule.px_per_m)) + 1  # a hypothesis may miss the limb by a little
         near = cv2.dilate(body, np.ones((size, size), np.uint8))
-        background = background_moments(scene.features, near == 0, reach)
+        background = background_moments(scene.features, near == 0, scene.part != other, reach)
         return label_evidence(scene.features, background, scene.colours, scene.part, other, rule.floor, rule.clip)
 
 
