@@ -14,8 +14,8 @@ from twistcap.search.flag import (
     SIGNS,
     FlagRule,
     flag_groups,
+    image_signs,
     in_images,
-    limb_signs,
     ramps,
     segment_deviations,
     support_signs,
@@ -37,7 +37,7 @@ def test_a_quiet_body_is_not_lost_and_a_contradicted_one_is() -> None:
     quiet = rule.limbs(signs, signs, good)
     assert rule.whole(quiet) < 0.02
     signs = signs.copy()
-    signs[1] = [1.0, 1.0, 0.5, 0.5, 0.9, 0.4, 0.2, 0.0, 0.0]
+    signs[1] = [1.0, 1.0, 0.5, 0.5, 0.9, 0.4, 0.2, 0.0, 0.0, 0.3, 0.0]
     lost = rule.limbs(signs, signs, np.where(np.arange(len(groups)) == 1, 0.2, good))
     assert lost.argmax() == 1
     assert lost[1] > 0.5
@@ -101,10 +101,10 @@ def test_a_limb_of_which_nothing_has_been_learnt_is_not_unseen() -> None:
     agreement = Agreement(points, points.astype(float), points.astype(float))
     nothing, some = np.zeros((1, S)), np.full((1, S), 50.0)
     first = Check(nothing, nothing, 1000.0 + nothing, np.ones(1))
-    usual, found = np.zeros((len(groups), 3)), np.zeros(len(groups))
-    assert not limb_signs(groups, known, first, agreement, np.ones(S), usual, found).any()
+    usual = np.zeros((len(groups), 3))
+    assert not image_signs(groups, known, first, agreement, np.ones(S), usual).any()
     taught = replace(known, nats=some, pixels=some, fitting=np.ones(1))
-    signs = limb_signs(groups, taught, first, agreement, np.ones(S), usual, found)
+    signs = image_signs(groups, taught, first, agreement, np.ones(S), usual)
     assert np.all(signs[:, 6] == 1.0)  # covers nothing of what it used to
     assert np.all(signs[:, 2] > 1.0)  # and much that looks like it is bare
     assert LimbRule().hidden(signs) == list(range(len(groups) - 1))

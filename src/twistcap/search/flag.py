@@ -12,26 +12,27 @@ from scipy.special import erfc
 
 from twistcap import se3
 from twistcap.arrays import Bool, Float
-from twistcap.body import Body, Posed
+from twistcap.body import Body, Pose, Posed
 from twistcap.body.limbs import limb_parts, limbs
 from twistcap.cues.observation import Agreement
 from twistcap.ranges import Checked, Share, Signed
 from twistcap.search.recollection import Check, Recollection
 
 _FEWEST = 8.0  # contour points or covered pixels below which nothing is said of a limb
-SIGNS = 9
+SIGNS = 11
 USUAL = (0.05, 0.1, 0.15)
 """What `contour_signs` say of a limb before a recording has taught what is usual."""
 MOST_USUAL = (0.2, 0.35, 0.4)
 """The most of each that may pass for usual."""
 
 _LOST = 0.15  # m off, a joint is lost
+_AT_LIMIT = 0.02  # rad from a limit
 _MEANS = [0, 1, 2, 3, 5, 6]  # signs whose running means count as well; that of `late` is one
 _OF = {
     "clear": (-0.1, 0.1, 0.25, 0.4, 0.6, 1.0), "in_view": (0.0, 0.3, 0.6, 1.0, 1.5), "bare": (0.0, 0.1, 0.3, 1.0),
     "against": (0.0, 0.1, 0.25, 0.4, 0.6), "late": (0.0, 0.1, 0.2, 0.35, 0.5, 0.7),
     "silent": (0.0, 0.1, 0.25, 0.4, 0.6, 0.8), "unseen": (0.0, 0.2, 0.4, 0.6, 0.8, 1.0), "few": (0.0, 1.0, 2.0, 3.0),
-    "found": (0.0, 0.2, 0.5, 1.0),
+    "found": (0.0, 0.2, 0.5, 1.0), "jumped": (0.0, 0.03, 0.06, 0.12, 0.25, 0.6), "at_limit": (0.0, 0.1, 0.2, 0.4, 0.7),
 }  # fmt: skip
 _SIGNS = tuple(_OF.values())
 KNOTS = (*_SIGNS, *(_SIGNS[k] for k in _MEANS), (-12.0, -8.0, -5.0, -2.5, 0.0, 2.0), _OF["clear"], _OF["late"])
@@ -42,13 +43,13 @@ _SLOPE = 1.0 / np.concatenate([np.diff(knots) for knots in KNOTS])
 
 # By benchmarks/fit_flag.py --seeds 1000-1087.
 LIMB = (
-    -6.768, 0, 0, 0, 0, 0, 0.06761, 0, 0, 0, 0, 0, 0, 1.258, 0, 0, 0, 0, 0.5607, 0.4686, 0, 0.04987, 0.6368,
-    0.05781, 0, 0, 0, 0.8844, 0.3917, 0.1896, 0.1382, 0, 0, 0.03372, 0, 1.798, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0,
-    0, 0, 0.6248, 0, 0, 0, 0.05361, 0, 0, 0, 0, 0, 0, 0, 0.2212, 0, 0.7887, 0.8094, 1.091, 1.153, 0.615, 1.64,
-    0.4767, 0, 0, 0, 0, 0, 0, 0, 0.09724,
+    -10.93, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1.198, 0, 0, 0, 0, 0.224, 0.02638, 0, 0, 1.426, 0.3261, 0.1839, 0,
+    0, 0.7119, 0.02465, 0, 0, 0, 0, 0.5138, 0, 0, 0, 0, 2.421, 0.535, 0.3237, 0.9537, 0, 1.236, 0, 0, 0, 0, 0, 0,
+    0, 0, 0, 0, 0.3133, 1.052, 0, 0, 0, 1.179, 0, 0, 0, 0.8807, 0, 0, 0.7599, 0.7285, 0, 0, 0, 0, 0, 0.5442,
+    0.5369, 0.7552, 0.4987, 1.015, 1.577, 0.2532, 0, 0, 0, 1.012, 0, 0, 0, 0,
 )  # fmt: skip
-BODY = (0.5873, 0.438, 0.5874)
-BLIND = (-2.11, 1.613, 0.3985)
+BODY = (0.4521, 0, 1.034)
+BLIND = (-0.7006, 2.073, 0.2739)
 
 
 def flag_groups(body: Body) -> Bool:
@@ -64,15 +65,14 @@ def in_images(groups: Bool, agreement: Agreement) -> Bool:
     return np.asarray(whole if whole.any() else ~whole, np.bool_)
 
 
-def limb_signs(
-    groups: Bool, known: Recollection, check: Check, agreement: Agreement, support: Float, usual: Float, found: Float
+def image_signs(
+    groups: Bool, known: Recollection, check: Check, agreement: Agreement, support: Float, usual: Float
 ) -> Float:
-    """(G, SIGNS) signs of loss of each group of segments (G, S), 0 where all is as it usually is.
+    """(G, 8) signs of loss of each group of segments (G, S) in the images, 0 where all is as it usually is.
 
     They are: evidence that is lacking, over what is usual; the same in the camera in which most is; evidence that
     nothing covers, over the same; what `contour_signs` say, beyond what is `usual` (G, 3); how much of the
-    limb is not seen at all; cameras that see it, short of three; and how lately a search has put it there, `found`
-    (G,), as a rightly tracked limb has a history and a found one has none.
+    limb is not seen at all; and cameras that see it, short of three.
     """
     weights = groups.T.astype(float)
     taught = known.pixels.sum(axis=0) @ weights > _FEWEST  # before, evidence says nothing of a limb
@@ -82,7 +82,7 @@ def limb_signs(
     contour = contour_signs(groups, agreement, support) - usual
     unseen = np.where(taught, hidden(groups, known, check), 0.0)
     few = np.where(taught, np.maximum(3 - (check.pixels @ weights > _FEWEST).sum(axis=0), 0), 0)
-    return np.column_stack([clear, in_view, bare, contour, unseen, few, found])
+    return np.column_stack([clear, in_view, bare, contour, unseen, few])
 
 
 def contour_signs(groups: Bool, agreement: Agreement, support: Float) -> Float:
@@ -94,6 +94,22 @@ def contour_signs(groups: Bool, agreement: Agreement, support: Float) -> Float:
     late = [(1.0 - support[group]).max() for group in groups]
     against, silent = (telling - agreeing) / total, 1.0 - telling / total
     return np.column_stack([np.where(many, against, 0.0), late, np.where(many, silent, 1.0)])
+
+
+def at_limits(groups: Bool, body: Body, q: Float) -> Float:
+    """(G,) fraction of the coordinates (J,) of each group of segments (G, S) that are at their limits: a limb that has
+    gone astray is often bent as far as it goes.
+    """
+    stopped = (q < body.limits[:, 0] + _AT_LIMIT) | (q > body.limits[:, 1] - _AT_LIMIT)
+    moved = np.array([body.chain[group].any(axis=0) for group in groups])
+    own = np.concatenate([moved[:-1] & ~moved[-1], moved[-1:]])
+    return own @ stopped.astype(float) / np.maximum(own.sum(axis=1), 1)
+
+
+def displaced(groups: Bool, posed: Posed, expected: Pose) -> Float:
+    """(G,) m, how far the farthest segment of each group of segments (G, S) is from where it was expected."""
+    far = np.linalg.norm(posed.segment_middles - Posed(posed.body, expected).segment_middles, axis=1)
+    return np.where(groups, far, 0.0).max(axis=1)
 
 
 def lacking(groups: Bool, known: Recollection, check: Check) -> tuple[Float, Float]:

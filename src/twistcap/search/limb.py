@@ -27,7 +27,7 @@ from twistcap.search.recollection import Recollection
 
 _POINTS = 40  # of a limb's surface, by which its places are judged roughly
 _AGAINST = 0.25  # nats that one pixel may say against a place in blurred pictures
-_LACKING, _IN_VIEW, _LATE, _UNSEEN = 0, 1, 4, 6  # signs of a limb, see `flag.limb_signs`
+_LACKING, _IN_VIEW, _LATE, _UNSEEN = 0, 1, 4, 6  # signs of a limb, see `flag.image_signs`
 
 
 @dataclass(frozen=True)

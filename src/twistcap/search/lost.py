@@ -23,7 +23,7 @@ from twistcap.search import Beginning, Problem, Revision
 from twistcap.search.beside import BesideRule, agreement, beside
 from twistcap.search.contradiction import ContradictionRule, Judged, Suspicion, judged
 from twistcap.search.evidence import Evidence
-from twistcap.search.flag import MOST_USUAL, USUAL, contour_signs, flag_groups, limb_signs
+from twistcap.search.flag import MOST_USUAL, USUAL, at_limits, contour_signs, displaced, flag_groups, image_signs
 from twistcap.search.limb import LimbRule, placed, regained
 from twistcap.search.placing import Hypothesis, Placing, PlacingRule
 from twistcap.search.recollection import Covered, Recollection
@@ -37,7 +37,9 @@ class LostMemory:
     Attributes:
         known: what the recording has taught.
         groups: (G, S) segments of each limb and of the rest of the body.
-        found: (G,) 1 where a search has just put each limb or the rest, and less from frame to frame.
+        found: (G,) 1 where a search has just put each limb or the rest, and less from frame to frame: what is rightly
+            tracked has a history, and what was found has none.
+        jumped: (G,) m, how far each was from where it was expected, and less from frame to frame.
         suspicion: of cameras.
         frames: counted.
         waiting: frames until the next search for the body.
@@ -50,6 +52,7 @@ class LostMemory:
     known: Recollection
     groups: Bool
     found: Float
+    jumped: Float
     suspicion: Suspicion = field(default_factory=lambda: Suspicion({}))
     frames: int = 0
     waiting: int = 0
@@ -82,7 +85,7 @@ class LostBody(Checked):
         agreeing: fraction of contour points that agree, from which on the body is where it is though all pictures have
             changed.
         lately: fraction that the mean of the signs of loss keeps from frame to frame.
-        doubted: fraction that the doubt in what was found keeps from frame to frame.
+        doubted, wary: fractions that the doubt in what was found, and in what jumped, keeps from frame to frame.
         margin: m about a hypothesis within which images are looked at.
         limbed: hypotheses whose limbs are looked for one after the other; they may be as they never were before.
     """
@@ -106,6 +109,7 @@ class LostBody(Checked):
     agreeing: Share = 0.6
     lately: Share = 0.7
     doubted: Share = 0.85
+    wary: Share = 0.95
     margin: float = 0.3
     limbed: Count = 2
     placing: PlacingRule = field(default_factory=PlacingRule)
@@ -117,7 +121,7 @@ class LostBody(Checked):
     def start(self, body: Body, rig: Rig) -> LostMemory:
         """Nothing is known."""
         groups = flag_groups(body)
-        return LostMemory(Recollection.blank(body, rig), groups, np.zeros(len(groups)))
+        return LostMemory(Recollection.blank(body, rig), groups, np.zeros(len(groups)), np.zeros(len(groups)))
 
     def wanted_margin(self, past: Past, time: float) -> float | None:
         """It looks at whole images itself."""
@@ -137,7 +141,10 @@ class LostBody(Checked):
 
     def revise(self, memory: LostMemory, problem: Problem, fit: Fit) -> tuple[Revision | None, LostMemory]:
         """The body elsewhere, where the fit is lost; else the fit is learned from."""
-        known, memory = memory.known, replace(memory, frames=memory.frames + 1, found=self.doubted * memory.found)
+        memory = replace(
+            memory, frames=memory.frames + 1, found=self.doubted * memory.found, jumped=self.wary * memory.jumped
+        )
+        known = memory.known
         if not problem.past.started and problem.views and (found := beside(self.beside, problem, fit)) is not fit:
             now = Judged(problem, found, known.check(found.posed, found.sights, problem))
             return self._at(problem, found), self._learned(self._signed(memory, now), now, 1.0)
@@ -176,10 +183,12 @@ class LostBody(Checked):
     def _signed(self, memory: LostMemory, now: Judged) -> LostMemory:
         """With the signs of loss in a frame."""
         fit, support = now.fit, now.problem.support(now.fit)
-        usual, found = self._usual(memory), memory.found
-        signs = limb_signs(memory.groups, memory.known, now.check, fit.agreement, support, usual, found)
+        groups, body = memory.groups, now.problem.body
+        seen = image_signs(groups, memory.known, now.check, fit.agreement, support, self._usual(memory))
+        jumped = np.maximum(memory.jumped, displaced(groups, fit.posed, now.problem.start))
+        signs = np.column_stack([seen, memory.found, jumped, at_limits(groups, body, fit.pose.q)])
         lately = (1.0 - self.lately) * signs + self.lately * (0.0 if memory.lately is None else memory.lately)
-        return replace(memory, signs=signs, lately=lately)
+        return replace(memory, jumped=jumped, signs=signs, lately=lately)
 
     def _with_limbs(self, memory: LostMemory, now: Judged, last: Moment) -> tuple[Judged, Moment, LostMemory]:
         """The frame with its lost limbs where they are found, and the moment before it, in which they rest."""
