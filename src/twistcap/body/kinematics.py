@@ -184,6 +184,34 @@ def skin_points_reference(transforms: Float, segments: Int, weights: Float, loca
     return np.einsum("nk,nki->ni", weights, _carried(T, local[:, None, :]))
 
 
+@njit(cache=True, nogil=True)
+def points_at(
+    root: Float, twists: Float, parent: Int, segment_joint: Int, q: Float, segments: Int, weights: Float, local: Float
+) -> Float:
+    """(M, N, 3) surface points (N,) at M poses of one root and joint coordinates (M, J); else as in `_chain` and
+    `skin_points`.
+    """
+    out = np.empty((len(q), len(segments), 3))
+    transforms = np.empty((len(segment_joint), 4, 4))
+    for m in range(len(q)):
+        joints = _chain(root, twists, parent, q[m])
+        for s in range(len(segment_joint)):
+            transforms[s] = root if segment_joint[s] < 0 else joints[segment_joint[s]]
+        out[m] = skin_points(transforms, segments, weights, local)
+    return out
+
+
+def points_at_reference(
+    root: Float, twists: Float, parent: Int, segment_joint: Int, q: Float, segments: Int, weights: Float, local: Float
+) -> Float:
+    """Readable twin of `points_at`."""
+    out: list[Float] = []
+    for each in q:
+        transforms = np.concatenate([chain_reference(root, twists, parent, each), root[None]])[segment_joint]
+        out.append(skin_points_reference(transforms, segments, weights, local))
+    return np.array(out)
+
+
 def unit_vertex_normals(vertices: Float, faces: Int) -> Float:
     """(V, 3) outward unit normals, the mean of the adjoining triangles weighted by their area."""
     normals = vertex_normals(vertices, faces)

@@ -61,15 +61,28 @@ class Evidence:
         return sum(max(nats, 0.0) for nats in each)
 
 
+@njit(cache=True, nogil=True)
+def _gaussians(colours: Float) -> tuple[Float, Float, Float]:
+    """Mean and inverse variance (S, C) of each part's colours (S, 1 + 2C), and half their log determinant (S,)."""
+    S, C = len(colours), colours.shape[1] // 2
+    means, inverse, spread = np.empty((S, C)), np.empty((S, C)), np.zeros(S)
+    for s in range(S):
+        for k in range(C):
+            mean = colours[s, 1 + k]
+            variance = max(colours[s, 1 + C + k] - mean * mean, 0.0) + FLOOR
+            means[s, k], inverse[s, k] = mean, 1.0 / variance
+            spread[s] += 0.5 * np.log(variance)
+    return means, inverse, spread
+
+
 @njit(cache=True, nogil=True, inline="always")
-def _nats_in_front(values: Float32, moments: Float) -> float:
-    """Log density, up to a constant, of a pixel (C,) under a part's mean and mean square (2C,)."""
-    C, distance, spread = len(moments) // 2, 0.0, 0.0
-    for k in range(C):
-        variance = max(moments[C + k] - moments[k] ** 2, 0.0) + FLOOR
-        distance += (values[k] - moments[k]) ** 2 / variance
-        spread += 0.5 * np.log(variance)
-    return max(-0.5 * distance - spread, _UNLIKE)
+def _nats_in_front(values: Float32, s: int, gaussians: tuple[Float, Float, Float]) -> float:
+    """Log density, up to a constant, of a pixel (C,) under a part's colours."""
+    means, inverse, spread = gaussians
+    distance = 0.0
+    for k in range(means.shape[1]):
+        distance += (values[k] - means[s, k]) ** 2 * inverse[s, k]
+    return max(-0.5 * distance - spread[s], _UNLIKE)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -111,6 +124,7 @@ def evidence_maps(
     """
     mean, variance, known = background
     height, width = known.shape
+    parts = _gaussians(colours)
     out = np.empty((len(colours), height, width), np.float32)
     for r in range(height):
         for c in range(width):
@@ -121,7 +135,7 @@ def evidence_maps(
             else:
                 behind = _nats_of_palette(values, palette)
             for s in range(len(colours)):
-                ratio = _nats_in_front(values, colours[s, 1:]) - behind
+                ratio = _nats_in_front(values, s, parts) - behind
                 out[s, r, c] = colours[s, 0] * min(max(ratio, -clip), clip)
     return out
 
@@ -147,6 +161,7 @@ def sampled_evidence(
     mean, variance, known = background
     x0, y0, factor, stride = grid
     height, width = known.shape
+    parts = _gaussians(colours)
     out, fits = np.zeros((3, len(colours))), np.zeros(2)
     for r in range(stride // 2, part.shape[0], stride):
         for c in range(stride // 2, part.shape[1], stride):
@@ -161,7 +176,7 @@ def sampled_evidence(
             else:
                 behind = _nats_of_palette(values, palette)
             if s >= 0:
-                ratio = _nats_in_front(values, colours[s, 1:]) - behind
+                ratio = _nats_in_front(values, s, parts) - behind
                 out[0, s] += colours[s, 0] * min(max(ratio, -clip), clip)
                 out[1, s] += colours[s, 0]
                 continue
@@ -171,7 +186,7 @@ def sampled_evidence(
                 continue
             most, which = 0.0, -1
             for t in range(len(colours)):
-                ratio = _nats_in_front(values, colours[t, 1:]) - behind
+                ratio = _nats_in_front(values, t, parts) - behind
                 ratio = colours[t, 0] * min(ratio, clip)
                 if ratio > most:
                     most, which = ratio, t

@@ -13,16 +13,17 @@ import numpy as np
 
 from twistcap.arrays import Bool, Float, Float32, Int
 from twistcap.body import Body, Pose, Posed
-from twistcap.body.kinematics import skin_points
+from twistcap.body.kinematics import points_at
 from twistcap.body.limbs import limb_parts, limbs
 from twistcap.body.model import partners
+from twistcap.camera.projection import projected
 from twistcap.ranges import Checked, Count, Share
-from twistcap.render import render
+from twistcap.render.raster import rasterise
 from twistcap.search.contradiction import Judged
 from twistcap.search.draws import about, anywhere
 from twistcap.search.evidence import Evidence
 from twistcap.search.flag import hidden, lacking
-from twistcap.search.placing import moved_evidence
+from twistcap.search.placing import points_evidence
 from twistcap.search.recollection import Recollection
 
 _POINTS = 40  # of a limb's surface, by which its places are judged roughly
@@ -50,6 +51,9 @@ class LimbRule(Checked):
         draws: poses that are drawn in each round.
         kept: poses that the next round starts from.
         again, longest: frames until it is looked for again where it was not found, which double up to the longest.
+        every: frames between looks at limbs that nothing speaks against, one after the other: what lies before the body
+            in its colours has no sign of being wrong.
+        rough: by what fraction such a limb must be better elsewhere, roughly, to be looked for at all.
     """
 
     lacking: float = 0.35
@@ -70,6 +74,8 @@ class LimbRule(Checked):
     kept: Count = 3
     again: Count = 2
     longest: Count = 8
+    every: Count = 6
+    rough: Share = 0.3
 
     def lost(self, signs: Float, lately: Float) -> list[int]:
         """Limbs that seem to be lost, by their signs (G, SIGNS) now and lately; the last group is no limb."""
@@ -82,7 +88,7 @@ class LimbRule(Checked):
 
 
 def regained(
-    rule: LimbRule, known: Recollection, now: Judged, groups: Bool, lost: list[int], seed: int
+    rule: LimbRule, known: Recollection, now: Judged, groups: Bool, lost: list[int], seed: int, rough: float = 0.0
 ) -> tuple[Judged, list[int]] | None:
     """The frame fitted with lost limbs elsewhere, and which; None where the pictures do not show them clearly.
 
@@ -90,6 +96,7 @@ def regained(
         groups: (G, S) the segments of each limb and of the rest of the body.
         lost: limbs that are looked for.
         seed: of the draws.
+        rough: by what fraction they must be better elsewhere, roughly.
     """
     evidence = known.evidence(now.problem)
     if not evidence.views:
@@ -98,7 +105,7 @@ def regained(
     before = most = evidence.of(now.fit.pose)
     pose, found, usual = now.fit.pose, list[int](), known.nats.sum(axis=0) @ groups.T
     for i in lost:
-        other, nats = placed(rule, known, evidence, masks[i], rng, pose, most)
+        other, nats = placed(rule, known, evidence, masks[i], rng, pose, most, rough)
         if nats >= most + max(rule.gain, rule.share * float(usual[i])):
             pose, most, found = other, nats, [*found, i]
     if not found:
@@ -124,12 +131,20 @@ def _wrong(known: Recollection, now: Judged, groups: Bool) -> Float:
 
 def placed(
     rule: LimbRule, known: Recollection, evidence: Evidence, limb: Bool, rng: np.random.Generator,
-    pose: Pose, most: float,
+    pose: Pose, most: float, rough: float = 0.0,
 ) -> tuple[Pose, float]:  # fmt: skip
-    """The pose with one limb where the evidence is greatest, and its evidence."""
+    """The pose with one limb where the evidence is greatest, and its evidence.
+
+    It is looked for only if some place is better than where it is, roughly, by the fraction `rough`.
+    """
     body = evidence.body
     best = [(most, pose)]
-    steps = [_climbed(rule, rng, evidence, limb, pose, _shown(known, limb, body, pose))]
+    roughly = _Roughly.of(evidence, pose, limb)
+    steps = [_climbed(rule, rng, roughly, limb, pose, _shown(known, limb, body, pose))]
+    here = roughly.gains(pose, np.zeros((1, body.dof)))[0]
+    there = roughly.gains(pose, steps[0]).max()
+    if there - here < rough * there:
+        return pose, most
     for sd in (*rule.near, None):
         poses = [start.retract(step) for (_, start), each in zip(best, steps, strict=True) for step in each]
         tried = [(evidence.of(p), p) for p in (p.within(body.limits) for p in poses)]
@@ -140,13 +155,12 @@ def placed(
 
 
 def _climbed(
-    rule: LimbRule, rng: np.random.Generator, evidence: Evidence, limb: Bool, pose: Pose, shown: list[Float]
+    rule: LimbRule, rng: np.random.Generator, roughly: _Roughly, limb: Bool, pose: Pose, shown: list[Float]
 ) -> Float:
     """The roughly best steps (N, 6 + J) of those shown and of many anywhere; and as many that are best in blurred
     pictures, each moved to where it is better still.
     """
-    roughly = _Roughly.of(evidence, pose, limb)
-    steps = np.array([*shown, *anywhere(rng, limb, pose, evidence.body, rule.many)])
+    steps = np.array([*shown, *anywhere(rng, limb, pose, roughly.body, rule.many)])
     sharp, coarse = (
         steps[np.argsort(-level.gains(pose, steps))[: rule.climbing]]
         for level in (roughly, roughly.blurred(rule.blurs[0]))
@@ -170,14 +184,14 @@ def _shown(known: Recollection, limb: Bool, body: Body, pose: Pose) -> list[Floa
 
 @dataclass(frozen=True)
 class _Roughly:
-    """What a limb would gain by being elsewhere, by points of its surface and without drawing it.
+    """What a body gains by a limb, by points of its surface and without drawing it.
 
     Attributes:
         body: whose limb it is.
         points: (P,) its vertices that are asked.
         parts: that they belong to.
-        views: (3, 4) projection and (S, h, w) nats by which each pixel favours each part over what is there now. Where
-            the body covers it, that is no less than 0: the limb may be behind.
+        views: (3, 4) projection and (S, h, w) nats by which each pixel favours each part over what it shows without the
+            limb. Where that is the body, it is no less than 0: the limb may be behind.
         px_per_m: of each view, at the body.
     """
 
@@ -190,18 +204,17 @@ class _Roughly:
     @staticmethod
     def of(evidence: Evidence, pose: Pose, limb: Bool) -> _Roughly:
         """Of a limb of a body at a pose."""
-        body = evidence.body
+        body, posed = evidence.body, Posed(evidence.body, pose)
         own = limb_parts(body, limb)
-        vertices = np.flatnonzero(own[body.vertex_part])
+        vertices, others = np.flatnonzero(own[body.vertex_part]), body.faces[~own[body.face_part]]
+        labels = np.append(body.face_part[~own[body.face_part]], np.int32(-1))  # −1 picks the last one
         views, px_per_m = list[tuple[Float, Float32]](), list[float]()
         for view in evidence.views:
-            T = view.camera.T_cam_world
-            px_per_m.append(view.camera.K[0, 0] / max(float(T[2, :3] @ pose.root[:3, 3] + T[2, 3]), 0.1))
-            part = render(Posed(body, pose), view.camera).part
-            others = (part >= 0) & ~own[part]
+            pixels, nearness = projected(view.camera, posed.vertices)
+            px_per_m.append(max(view.camera.px_per_m(nearness), 1.0))
+            part = labels[rasterise(pixels, nearness, others, (0, 0), view.camera.size)[0]]
             here = np.take_along_axis(view.maps, np.maximum(part, 0)[None], axis=0)[0]
-            over = np.where(others, np.maximum(view.maps - here, 0.0), view.maps)
-            views.append((view.camera.P, over))
+            views.append((view.camera.P, np.where(part >= 0, np.maximum(view.maps - here, 0.0), view.maps)))
         some = vertices[:: max(1, len(vertices) // _POINTS)].astype(np.int32)
         return _Roughly(body, some, np.unique(body.vertex_part[some]), views, px_per_m)
 
@@ -218,15 +231,11 @@ class _Roughly:
         return replace(self, views=views)
 
     def gains(self, pose: Pose, steps: Float) -> Float:
-        """(N,) nats at its points, at steps (N, 6 + J) from a pose."""
-        return np.array([self.gain(pose.retract(step).within(self.body.limits)) for step in steps])
-
-    def gain(self, pose: Pose) -> float:
-        """Nats at its points, at a pose."""
-        body, posed, nowhere = self.body, Posed(self.body, pose), np.zeros((1, 3))
-        points = skin_points(
-            posed.segment_transforms, body.skin_segments[self.points], body.skin_weights[self.points],
-            body.vertices[self.points],
+        """(N,) nats at its points, at steps (N, 6 + J) of the limb's joints from a pose."""
+        body, q = self.body, np.clip(pose.q + steps[:, 6:], *self.body.limits.T)
+        points = points_at(
+            pose.root, body.twists, body.parent, body.segment_joint, q,
+            body.skin_segments[self.points], body.skin_weights[self.points], body.vertices[self.points],
         )  # fmt: skip
         part = body.vertex_part[self.points]
-        return sum(float(moved_evidence(maps, P, points, part, nowhere)[0]) for P, maps in self.views)
+        return np.sum([points_evidence(maps, P, points, part) for P, maps in self.views], axis=0)

@@ -198,20 +198,31 @@ class LostBody(Checked):
         if not (usually & ~shown).any():  # else it is the cameras' doing
             lost = sorted({*lost, *self._hidden_limbs(memory)})
         if memory.limb_waiting:
-            return now, last, replace(memory, limb_waiting=memory.limb_waiting - 1)
-        if not lost:
-            return now, last, replace(memory, limb_pause=0)
+            lost, memory = [], replace(memory, limb_waiting=memory.limb_waiting - 1)
+        elif not lost:
+            memory = replace(memory, limb_pause=0)
+        asked = lost or [limb for limb in self._due_limbs(memory) if not out_of_sight[memory.groups[limb]].any()]
+        if not asked:
+            return now, last, memory
         with stage("search"):
-            found = regained(self.limb, memory.known, now, memory.groups, lost, memory.frames)
-        if found is None:
+            rough = 0.0 if lost else self.limb.rough
+            found = regained(self.limb, memory.known, now, memory.groups, asked, memory.frames, rough)
+        if found is None and lost:
             pause = min(max(2 * memory.limb_pause, self.limb.again), self.limb.longest)
-            return now, last, replace(memory, limb_pause=pause, limb_waiting=pause)
+            memory = replace(memory, limb_pause=pause, limb_waiting=pause)
+        if found is None:
+            return now, last, memory
         now, moved = found
         masks = limbs(now.problem.body)
         coordinates = np.asarray(np.any([masks[i][6:] for i in moved], axis=0), np.bool_)
         doubt = np.where(np.isin(np.arange(len(memory.groups)), moved), 1.0, memory.found)
         memory = replace(self._signed(replace(memory, found=doubt), now), limb_pause=0)
         return now, rested(last, now.fit.pose, coordinates), memory
+
+    def _due_limbs(self, memory: LostMemory) -> list[int]:
+        """The limb whose turn it is, if it is time for a look."""
+        turn, wait = divmod(memory.frames, self.limb.every)
+        return [] if wait else [turn % (len(memory.groups) - 1)]
 
     def _missed(self, memory: LostMemory) -> bool:
         """Whether lost limbs have just been looked for in vain: what they hang on may be wrong."""

@@ -216,6 +216,30 @@ def moved_evidence(maps: Float32, P: Float, points: Float, part: Int, offsets: F
     return out
 
 
+@njit(cache=True, nogil=True)
+def points_evidence(maps: Float32, P: Float, points: Float, part: Int) -> Float:
+    """(M,) sum of the evidence (S, h, w) at the projections of M sets of points (M, N, 3) of parts (N,)."""
+    height, width = maps.shape[1:]
+    out = np.zeros(len(points))
+    for m in range(len(points)):
+        for n in range(points.shape[1]):
+            x = points[m, n]
+            w = P[2, 0] * x[0] + P[2, 1] * x[1] + P[2, 2] * x[2] + P[2, 3]
+            if w <= 0.0:
+                continue
+            c = int((P[0, 0] * x[0] + P[0, 1] * x[1] + P[0, 2] * x[2] + P[0, 3]) / w + 0.5)
+            r = int((P[1, 0] * x[0] + P[1, 1] * x[1] + P[1, 2] * x[2] + P[1, 3]) / w + 0.5)
+            if 0 <= c < width and 0 <= r < height:
+                out[m] += maps[part[n], r, c]
+    return out
+
+
+def points_evidence_reference(maps: Float32, P: Float, points: Float, part: Int) -> Float:
+    """Readable twin of `points_evidence`."""
+    none = np.zeros((1, 3))
+    return np.array([moved_evidence_reference(maps, P, each, part, none)[0] for each in points])
+
+
 def moved_evidence_reference(maps: Float32, P: Float, points: Float, part: Int, offsets: Float) -> Float:
     """Readable twin of `moved_evidence`."""
     height, width = maps.shape[1:]
