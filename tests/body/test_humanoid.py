@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from support.finite_differences import check_jacobian
+from support.twins import check_twin
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.humanoid import humanoid
-from twistcap.body.kinematics import chain_reference, skin_points_reference
+from twistcap.body.kinematics import chain_reference, points_at, skin_points_reference
 from twistcap.errors import InputError
 
 H = 1.75
@@ -165,6 +166,9 @@ def test_jacobians_and_readable_twins(body: Body) -> None:
     np.testing.assert_allclose(here.vertices, twin, atol=1e-12)
     some = rng.choice(len(body.vertices), 60, replace=False)
     bound = body.skin_segments[some], body.skin_weights[some], body.vertices[some]
+    q = pose.q + rng.normal(0, 0.3, (4, len(pose.q)))
+    moved = check_twin(points_at, pose.root, body.twists, body.parent, body.segment_joint, q, *bound)
+    np.testing.assert_allclose(moved[2], Posed(body, Pose(pose.root, q[2])).points(*bound), atol=1e-12)
     J = here.point_jacobian(*bound)
     check_jacobian(lambda d: Posed(body, pose.retract(d)).points(*bound), J, np.zeros(body.dof))
     marks = body.landmarks

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from support.twins import check_twin
 from twistcap.arrays import Bool, Float, Float32, Int
 from twistcap.camera import Camera
 from twistcap.search.backdrop import Backdrop, small_camera, small_features
@@ -16,7 +17,7 @@ from twistcap.search.evidence import (
     sampled_evidence,
     sampled_evidence_reference,
 )
-from twistcap.search.placing import moved_evidence, moved_evidence_reference
+from twistcap.search.placing import moved_evidence, moved_evidence_reference, points_evidence
 
 
 def _scene(rng: np.random.Generator) -> tuple[Float32, tuple[Float32, Float32, Bool], Float, Int]:
@@ -47,6 +48,7 @@ def test_kernels_are_their_readable_twins() -> None:
     np.testing.assert_allclose(
         moved_evidence(maps, P, points, of, offsets), moved_evidence_reference(maps, P, points, of, offsets), atol=1e-5
     )
+    check_twin(points_evidence, maps, P, points.reshape(3, 10, 3), of[:10], rtol=1e-5)
     labels = np.ascontiguousarray(part[::2, ::2])
     for a, b in zip(covered_evidence(maps, labels), covered_evidence_reference(maps, labels), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-5)

@@ -14,11 +14,15 @@ import pytest
 from twistcap import se3
 from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
+from twistcap.body.limbs import limbs
 from twistcap.build import build
 from twistcap.estimate import Frame
+from twistcap.predict import Prediction
+from twistcap.search.limb import LimbRule, placed
 from twistcap.search.placing import Stance
 from twistcap.studio import Capture, StudioConfig, capture
-from twistcap.track import Tracker
+from twistcap.track import Settings, Tracker
+from twistcap.track.step import posed_problem
 
 FAULT = range(16, 34)
 
@@ -81,6 +85,34 @@ def test_a_limb_that_was_wrong_from_the_start_is_found(joint: str) -> None:
     ]
     assert errors[0] > 0.15
     assert errors[-1] < 0.03
+
+
+def test_a_limb_is_looked_for_unasked_where_it_is_better_elsewhere() -> None:
+    scene, frames = _scene()
+    *_, (_, tracker) = islice(_tracked(lambda frame: frame), 12)
+    model, truth = tracker.model, scene.true_poses[12]
+    none = np.zeros((scene.body.dof, scene.body.dof))
+    problem = posed_problem(tracker.state, frames[12], model, Prediction(truth, "hold", none, none))
+    known, rule = tracker.state.searches["lost body"].known, LimbRule()
+    evidence, arm = (
+        known.evidence(problem),
+        next(limb for limb in limbs(scene.body) if limb[6 + scene.body.coordinate("arm_flex_r")]),
+    )
+    bent = truth.retract(np.where(arm, 0.9, 0.0)).within(scene.body.limits)
+    for pose, moved in ((truth, False), (bent, True)):
+        nats = evidence.of(pose)
+        found, more = placed(rule, known, evidence, arm, np.random.default_rng(0), pose, nats, rule.rough)
+        assert (found is not pose, more > nats) == (moved, moved)
+    off = np.linalg.norm(Posed(scene.body, found).landmarks - scene.landmarks[12], axis=1)
+    assert off.max() < 0.08
+
+
+def test_clutter_that_changes_at_once_does_not_make_a_body_lost() -> None:
+    """What is usual is not known after three frames."""
+    scene = capture(StudioConfig(seed=64, views=2, frames=6, rectangles=50, uniform_noise=0.25))
+    tracker = Tracker(build(scene.body, scene.rig, Settings(despeckle=3)))
+    tracker.start(scene.first_pose)
+    assert "not_found" not in [tracker.step(frame).status for frame in scene.frames()]
 
 
 def test_pictures_that_stay_the_same_tell_nothing_for_as_long_as_they_do() -> None:
