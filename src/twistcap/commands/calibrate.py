@@ -106,7 +106,7 @@ def write(found: Calibration, folder: Path, json: bool = False) -> None:
 
     terminal.output_folder(folder)
     path = folder / "Calib.toml"
-    write_rig(found.rig, path)
+    write_rig(found.rig, path, floor=found.floor_known)
     page = write_calibration_page(found, folder, f"Calibration {folder.resolve().name}")
     if json:
         terminal.emit(
@@ -123,6 +123,7 @@ def write(found: Calibration, folder: Path, json: bool = False) -> None:
     typer.echo(page)
     for sentence in sentences(found):
         typer.echo(sentence, err=True)
+    typer.echo(f"Next, begin a session:  twistcap new DIR --calibration {path} --videos VIDEOS", err=True)
 
 
 def _check_alone(alone: dict[str, Any], sources: dict[str, Any]) -> None:

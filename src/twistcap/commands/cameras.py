@@ -33,7 +33,7 @@ def mend_cameras(path: Path, out: Path, session: Any, names: Sequence[str] = ())
 
     Raises InputError where no camera is wrong, or too few frames or cameras are left.
     """
-    from twistcap.io.calibration import read_rig, write_rig
+    from twistcap.io.calibration import knows_floor, read_rig, write_rig
     from twistcap.io.recording import views_of
     from twistcap.io.result import read_result
 
@@ -55,7 +55,8 @@ def mend_cameras(path: Path, out: Path, session: Any, names: Sequence[str] = ())
             mended = replace(mended, cameras=(*mended.cameras[:c], camera, *mended.cameras[c + 1 :]))
     sure = [row["camera"] for row in rows if row["sure"]]
     if sure:
-        write_rig(_in_file(given, result.rig, mended, sure), goal, session.cameras.unit or "m")
+        there, floor = _in_file(given, result.rig, mended, sure), knows_floor(session.cameras.calibration)
+        write_rig(there, goal, session.cameras.unit or "m", floor)
     return {"id": "refine-cameras", "result": path, "cameras": rows, "calibration": goal if sure else None}
 
 
