@@ -151,7 +151,7 @@ def test_what_is_believed(
     assert Proof(track, met, standing, margin, least, agreement).holds(ProofRule(), 4) is believed
 
 
-@pytest.mark.parametrize(("apart_m", "met"), [(0.05, 2), (0.5, 1)])
+@pytest.mark.parametrize(("apart_m", "met"), [(0.03, 2), (0.1, 1)])
 def test_a_search_whose_track_leads_to_another_has_met_it(apart_m: float, met: int) -> None:
     """What the second search has found is off by a limb, which its track finds on the way to the first frame."""
     scene, _ = _scene()

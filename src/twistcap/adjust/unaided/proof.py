@@ -39,6 +39,7 @@ class ProofRule(Checked):
         probes: s after the first frame, of the frames that are searched, as many as are needed, two at least.
         different, same: m between landmarks, the greatest, from which on two poses are different, and up to which they
             are the same.
+        together: m, the same up to which two tracks have come together.
         met: probes that must have found a pose on the track, or one from which another track leads to it.
         standing: share of the best score that the track must have in the mean over the probes.
         clear: share by which its scores must exceed those of the next different poses, in each probe; where more probes
@@ -52,6 +53,7 @@ class ProofRule(Checked):
     probes: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75, 1.25, 2.0)
     different: float = 0.2
     same: float = 0.15
+    together: float = 0.05
     met: Count = 2
     standing: Share = 0.96
     clear: Share = 0.05
@@ -132,7 +134,7 @@ def proof_of(track: Track, probes: Sequence[Probe], others: Sequence[Track], rul
     """How a track stands beside others."""
     standing, margin, met, agreement = list[float](), list[float](), 0, 1.0
     begun, distance = track.poses[track.start], probes[0].instant.apart
-    leading = {other.start for other in others if distance(begun, other.poses[track.start]) <= rule.same}
+    leading = {other.start for other in others if distance(begun, other.poses[track.start]) <= rule.together}
     for probe in probes:
         own, instant = probe.instant.measured(track.poses[probe.at]), probe.instant
         tracked = [instant.measured(other.poses[probe.at]) for other in others if other is not track]
