@@ -22,6 +22,7 @@ from twistcap.adjust.cameras import holds_from, mended_cameras
 from twistcap.arrays import Float
 from twistcap.build import build
 from twistcap.camera import Camera
+from twistcap.commands.clocks import suspects, watching
 from twistcap.estimate import Estimate, Frame
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.config import stream
@@ -60,11 +61,15 @@ def _with(items: Sequence, k: int, item: object) -> tuple:
     return (*items[:k], item, *items[k + 1 :])
 
 
-def tracked(filmed: Bumped) -> list[Estimate]:
-    """By the cameras as they were calibrated."""
-    tracker = Tracker(build(filmed.scene.body, filmed.scene.rig))
+def tracked(filmed: Bumped) -> tuple[list[Estimate], list[tuple[int, ...]]]:
+    """By the cameras as they were calibrated; and which cameras are named in each frame."""
+    tracker = Tracker(watching(build(filmed.scene.body, filmed.scene.rig)))
     tracker.start(filmed.scene.first_pose, 0.0)
-    return [tracker.step(frame) for frame in filmed.frames]
+    estimates, named = list[Estimate](), list[tuple[int, ...]]()
+    for frame in filmed.frames:
+        estimates.append(tracker.step(frame))
+        named.append((*estimates[-1].left_out, *suspects(tracker)))
+    return estimates, named
 
 
 def off(T_cam_world: Float, truth: Camera) -> tuple[float, float]:
@@ -74,12 +79,13 @@ def off(T_cam_world: Float, truth: Camera) -> tuple[float, float]:
     return float(np.rad2deg(np.linalg.norm(turn))), 1000.0 * float(np.linalg.norm(centre - truth.centre))
 
 
-def mended(filmed: Bumped, estimates: Sequence[Estimate], seed: int) -> None:
+def mended(filmed: Bumped, estimates: Sequence[Estimate], named: Sequence[tuple[int, ...]], seed: int) -> None:
     """Find the camera again, and print how well."""
     c, rig = filmed.camera, filmed.scene.rig
-    out = [e.index for e in estimates if c in e.left_out]
-    others = sorted({k for e in estimates for k in e.left_out} - {c})
-    print(f"seed {seed}: camera {c} left out in {len(out)} frames from {out[:1]}, others {others}", flush=True)
+    out = [e.index for e, names in zip(estimates, named, strict=True) if c in names]
+    others = sorted({k for names in named for k in names} - {c})
+    lost = sum(e.lost for e in estimates)
+    print(f"seed {seed}: camera {c} named in {len(out)} frames from {out[:1]}, others {others}; {lost} frames flagged")
     if not out:
         return
     chosen = [e for e in estimates if e.index >= out[0]]
@@ -100,7 +106,7 @@ def main() -> None:
     first, _, last = given.seeds.partition("-")
     for seed in range(int(first), int(last or first) + 1):
         filmed = film(seed, given.at, given.condition)
-        mended(filmed, tracked(filmed), seed)
+        mended(filmed, *tracked(filmed), seed)
 
 
 if __name__ == "__main__":

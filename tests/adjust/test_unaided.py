@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import cast
 
 import numpy as np
 import pytest
@@ -22,8 +23,9 @@ from twistcap.adjust.unaided import (
     turned_round,
 )
 from twistcap.adjust.unaided.hull import places
-from twistcap.adjust.unaided.proof import Track
-from twistcap.body import Pose, Posed
+from twistcap.adjust.unaided.proof import Probe, Track, proof_of
+from twistcap.adjust.unaided.search import Candidate
+from twistcap.body import Body, Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.build import build
 from twistcap.errors import InputError
@@ -147,6 +149,40 @@ def test_what_is_believed(
     scene, frames = _scene()
     track = Track(build(scene.body, scene.rig), frames[:1], 0, scene.first_pose)
     assert Proof(track, met, standing, margin, least, agreement).holds(ProofRule(), 4) is believed
+
+
+@pytest.mark.parametrize(("apart_m", "met"), [(0.03, 2), (0.1, 1)])
+def test_a_search_whose_track_leads_to_another_has_met_it(apart_m: float, met: int) -> None:
+    """What the second search has found is off by a limb, which its track finds on the way to the first frame."""
+    scene, _ = _scene()
+    right, aside = scene.true_poses[0], se3.transform(np.eye(3), np.array([apart_m, 0.0, 0.0]))
+    off = Pose(se3.transform(np.eye(3), np.array([0.3, 0.0, 0.0])) @ right.root, right.q)
+    tracks = [_track_of(0, [right, right]), _track_of(1, [Pose(aside @ right.root, right.q), off])]
+    probes = [
+        Probe(k, cast(Instant, _Alike(scene.body)), [Candidate(pose, 100.0, 0.9)])
+        for k, pose in enumerate([right, off])
+    ]
+    assert proof_of(tracks[0], probes, tracks, ProofRule()).met == met
+
+
+def _track_of(start: int, poses: list[Pose]) -> Track:
+    track = object.__new__(Track)
+    track.start, track.poses = start, poses
+    return track
+
+
+class _Alike:
+    """A frame in which all poses have the same evidence."""
+
+    def __init__(self, body: Body) -> None:
+        self.body = body
+
+    def measured(self, pose: Pose) -> Candidate:
+        return Candidate(pose, 100.0, 0.9)
+
+    def apart(self, one: Pose, other: Pose) -> float:
+        a, b = (Posed(self.body, pose).landmarks for pose in (one, other))
+        return float(np.linalg.norm(a - b, axis=1).max())
 
 
 def test_a_track_goes_both_ways_and_on() -> None:

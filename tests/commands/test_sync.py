@@ -85,8 +85,10 @@ def test_what_mends_a_camera_is_said_where_it_is_left_out_to_the_end() -> None:
     result = SimpleNamespace(rig=rig, left_out=out)
     (sentence,) = mend_in_words(result, Path("out/result.h5"))
     assert rig.names[1] in sentence and "twistcap refine out/result.h5 --cameras" in sentence
+    first, second = mend_in_words(result, Path("out/result.h5"), [3])
+    assert first == sentence and f"Camera {rig.names[3]} seems to stand elsewhere" in second
     out[5:, 2:] = True  # and one camera mends no others
-    assert mend_in_words(result, Path("out/result.h5")) == []
+    assert mend_in_words(result, Path("out/result.h5"), [0]) == []
 
 
 def test_a_bumped_camera_is_mended(walk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -137,10 +139,11 @@ def test_a_mended_calibration_is_in_the_world_and_unit_of_the_session(
     result = SimpleNamespace(rig=rig, left_out=np.ones((5, 4), np.bool_), estimates=few)
     monkeypatch.setattr("twistcap.io.result.read_result", lambda path: result)
     monkeypatch.setattr("twistcap.io.recording.views_of", lambda *_: None)
+    monkeypatch.setattr(cameras, "_suspected", lambda *_: {})
     real = cameras._mended  # pyright: ignore[reportPrivateUsage]
 
-    def mended(result: Any, views: Any, session: Any, camera: int, others: Any) -> Any:
-        row, found = real(result, views, session, camera, others)
+    def mended(result: Any, views: Any, session: Any, camera: int, *more: Any) -> Any:
+        row, found = real(result, views, session, camera, *more)
         return (row | {"sure": True}, place) if camera == 1 else (row, found)
 
     monkeypatch.setattr(cameras, "_mended", mended)

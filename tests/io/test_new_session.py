@@ -218,6 +218,16 @@ def test_a_world_that_is_not_z_up_is_turned_as_said(recorded: Path, capsys: pyte
     assert load_session(recorded / "mine" / "session.toml").cameras.up == "z"
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_a_calibration_without_a_floor_needs_no_edit(
+    recorded: Path, known: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_rig(read_rig(recorded / "Calib.toml"), recorded / "Calib.toml", floor=known)
+    assert new(recorded, recorded / "videos") == 0
+    assert ("does not know the floor" in capsys.readouterr().err) is not known
+    assert (load_session(recorded / "mine" / "session.toml").cameras.floor is False) is not known
+
+
 @pytest.mark.parametrize("option", ["--project", "--trial"])
 def test_options_of_projects_do_not_go_with_videos(
     recorded: Path, option: str, capsys: pytest.CaptureFixture[str]

@@ -100,7 +100,7 @@ def _world(found: Calibration) -> list[str]:
         return []
     return [
         "The floor is not known: up is a guess by the images, and z = 0 is amid the board's places. Film the board as"
-        " it lies on the floor and name that frame with --floor, or set floor = false in the session."
+        " it lies on the floor and name that frame with --floor. Else `twistcap new` sets floor = false in the session."
     ]
 
 
@@ -121,7 +121,7 @@ def _clocks(rows: Sequence[dict[str, Any]]) -> list[str]:
             which = "later" if late > 0 else "earlier"
             by = f"{abs(late):.2f} ± {max(sigma, 0.01):.2f} frames {which}"
             start = f"Camera {row['camera']} shows moments {by} than camera {rows[0]['camera']}"
-            out.append(f"{start}; this was allowed for, and tracking needs it too.")
+            out.append(f"{start}; this was allowed for. In the videos of a person, twistcap sync finds it.")
     return out
 
 

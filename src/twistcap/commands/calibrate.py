@@ -16,31 +16,28 @@ if TYPE_CHECKING:
 _LENSES = {"auto": ("brown", "fisheye"), "brown": ("brown",), "fisheye": ("fisheye",)}
 
 
+Folder = Annotated[Path, typer.Argument(help="Folder for Calib.toml and the page; created.", metavar="DIR")]
+TheBoard = Annotated[
+    str, typer.Option("--board", help="board.toml of `twistcap board`, or as charuco:5x7:40:30:4X4_50.")
+]
+LensOf = Annotated[
+    list[str] | None,
+    typer.Option("--lens-of", help="CAMERA=PATH: pictures of the board by that camera alone, for its lens."),
+]
+Points = Annotated[
+    Path | None, typer.Option(help="JSON of measured points of the scene, instead of videos; with --lens-of.")
+]
+Floor = Annotated[int | None, typer.Option(min=0, help="Frame in which the board lies on the floor, face up.")]
+Lens = Annotated[str, typer.Option(help="auto, brown (OpenCV's 5 numbers) or fisheye.")]
+Looks = Annotated[int, typer.Option(min=3, help="Frames of each video in which the board is looked for.")]
+Clocks = Annotated[bool, typer.Option(help="Estimate by how much cameras show another moment.")]
+
+
 def calibrate(
-    folder: Annotated[Path, typer.Argument(help="Folder for Calib.toml and the page; created.", metavar="DIR")],
-    board: Annotated[str, typer.Option(help="board.toml of `twistcap board`, or such as charuco:5x7:40:30:4X4_50.")],
-    videos: Annotated[
-        list[str] | None,
-        typer.Option(help="A video, a folder, or images. Write CAMERA=PATH if the name is not enough."),
-    ] = None,
-    more: Annotated[
-        list[str] | None, typer.Argument(help="More videos, as for --videos.", metavar="[VIDEO]...")
-    ] = None,
-    lone: Annotated[
-        list[str] | None,
-        typer.Option("--lens-of", help="CAMERA=PATH: pictures of the board by that camera alone, for its lens."),
-    ] = None,
-    points: Annotated[
-        Path | None, typer.Option(help="JSON of measured points of the scene, instead of videos; with --lens-of.")
-    ] = None,
-    floor: Annotated[
-        int | None, typer.Option(min=0, help="Frame in which the board lies on the floor, face up.")
-    ] = None,
-    lens: Annotated[str, typer.Option(help="auto, brown (OpenCV's 5 numbers) or fisheye.")] = "auto",
-    looks: Annotated[int, typer.Option(min=3, help="Frames of each video in which the board is looked for.")] = 400,
-    clocks: Annotated[bool, typer.Option(help="Estimate by how much cameras show another moment.")] = True,
-    json: terminal.Json = False,
-) -> None:
+    folder: Folder, board: TheBoard, videos: terminal.Videos = None, more: terminal.MoreVideos = None,
+    lone: LensOf = None, points: Points = None, floor: Floor = None, lens: Lens = "auto", looks: Looks = 400,
+    clocks: Clocks = True, json: terminal.Json = False,
+) -> None:  # fmt: skip
     """Calibrate cameras by videos of a board that is carried about: DIR/Calib.toml and DIR/calibration.html.
 
     Examples:
@@ -109,7 +106,7 @@ def write(found: Calibration, folder: Path, json: bool = False) -> None:
 
     terminal.output_folder(folder)
     path = folder / "Calib.toml"
-    write_rig(found.rig, path)
+    write_rig(found.rig, path, floor=found.floor_known)
     page = write_calibration_page(found, folder, f"Calibration {folder.resolve().name}")
     if json:
         terminal.emit(
@@ -126,6 +123,7 @@ def write(found: Calibration, folder: Path, json: bool = False) -> None:
     typer.echo(page)
     for sentence in sentences(found):
         typer.echo(sentence, err=True)
+    typer.echo(f"Next, begin a session:  twistcap new DIR --calibration {path} --videos VIDEOS", err=True)
 
 
 def _check_alone(alone: dict[str, Any], sources: dict[str, Any]) -> None:

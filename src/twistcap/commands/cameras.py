@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ _MOST = 150  # frames that are used, spread evenly
 _FEWEST = 24
 _GOOD = 0.75  # share of the agreement of the other cameras that a mended one must reach
 _GAIN = 0.05  # of its agreement
+ELSEWHERE = "seems to stand elsewhere than it was calibrated"
 _NUMBERS = (
     "off_px", "turned_deg", "turned_sigma_deg", "moved_mm", "moved_sigma_mm", "agreed_before", "agreed_after",
     "from_frame",
@@ -27,17 +28,18 @@ _NUMBERS = (
 def mend_cameras(path: Path, out: Path, session: Any, names: Sequence[str] = ()) -> dict[str, Any]:
     """Estimate where cameras of a result stand, and write a new calibration into a folder; what ``--json`` prints.
 
-    Without names, those that the tracker left out are mended. Each is looked for by itself; others that are wrong are
-    not believed until they are mended.
+    Without names, those that the tracker left out or suspected are mended. Each is looked for by itself; others that
+    are wrong are not believed until they are mended.
 
     Raises InputError where no camera is wrong, or too few frames or cameras are left.
     """
-    from twistcap.io.calibration import read_rig, write_rig
+    from twistcap.io.calibration import knows_floor, read_rig, write_rig
     from twistcap.io.recording import views_of
     from twistcap.io.result import read_result
 
     result = read_result(path)
-    wrong = _wrong(result, names, path)
+    suspected = _suspected(result, session, path)
+    wrong = _wrong(result, names, suspected, path)
     given = read_rig(session.cameras.calibration, session.cameras.unit, floor=None)
     goal = (terminal.output_folder(out) / "Calib.toml").resolve()
     if goal == Path(session.cameras.calibration).resolve():
@@ -45,14 +47,16 @@ def mend_cameras(path: Path, out: Path, session: Any, names: Sequence[str] = ())
     rows, mended = list[dict[str, Any]](), result.rig
     for c in wrong:
         views = views_of(session, mended)
-        row, place = _mended(result, views, session, c, [k for k in wrong if k != c and mended[k] is result.rig[k]])
+        others = [k for k in wrong if k != c and mended[k] is result.rig[k]]
+        row, place = _mended(result, views, session, c, others, suspected.get(c, 0))
         rows.append(row)
         if row["sure"]:
             camera = replace(mended[c], T_cam_world=place)
             mended = replace(mended, cameras=(*mended.cameras[:c], camera, *mended.cameras[c + 1 :]))
     sure = [row["camera"] for row in rows if row["sure"]]
     if sure:
-        write_rig(_in_file(given, result.rig, mended, sure), goal, session.cameras.unit or "m")
+        there, floor = _in_file(given, result.rig, mended, sure), knows_floor(session.cameras.calibration)
+        write_rig(there, goal, session.cameras.unit or "m", floor)
     return {"id": "refine-cameras", "result": path, "cameras": rows, "calibration": goal if sure else None}
 
 
@@ -69,18 +73,44 @@ def _in_file(given: Any, turned: Any, mended: Any, names: Sequence[str]) -> Any:
     return replace(given, cameras=tuple(cameras.values()))
 
 
-def mend_in_words(result: Any, path: Path) -> list[str]:
-    """A sentence that says how cameras that were left out often, also at the end, are mended."""
+def mend_in_words(result: Any, path: Path, elsewhere: Collection[int] = ()) -> list[str]:
+    """A sentence that says how cameras are mended that were left out often, also at the end, or were suspected there to
+    stand `elsewhere`.
+    """
     out = result.left_out
     if not len(out) or len(result.rig) - out[-1].sum() < 2:
         return []
-    names = [n for n, often, last in zip(result.rig.names, out.sum(axis=0) >= _OFTEN, out[-1], strict=True)
-             if often and last]  # fmt: skip
     mend = f"If it was bumped, twistcap refine {path} --cameras finds its new place; if late, twistcap sync its offset."
-    return [f"Camera {name} was left out to the end. {mend}" for name in names]
+    told = list[str]()
+    for c, name in enumerate(result.rig.names):
+        if out[-1, c] and out[:, c].sum() >= _OFTEN:
+            told.append(f"Camera {name} was left out to the end. {mend}")
+        elif c in elsewhere:
+            told.append(f"Camera {name} {ELSEWHERE}. {mend}")
+    return told
 
 
-def _wrong(result: Any, names: Sequence[str], path: Path) -> list[int]:
+def _suspected(result: Any, session: Any, path: Path) -> dict[int, int]:
+    """Numbers of the cameras that the tracker suspected at its end, with the row from which on.
+
+    None in a result without a state, or of another version or other settings.
+    """
+    from twistcap.commands.clocks import watched_by
+    from twistcap.commands.follow import resumed
+    from twistcap.commands.track import session_tracker
+    from twistcap.io.recording import views_of
+
+    tracker = session_tracker(session, result.body, views_of(session, result.rig), watch=True)
+    try:
+        resumed(tracker, path)
+    except InputError:
+        return {}
+    watched, seen = watched_by(tracker), [row for row, e in enumerate(result.estimates) if e.seen]
+    since = () if watched is None else watched.since
+    return {c: seen[min(n, len(seen) - 1)] for c, n in enumerate(since) if n >= 0}
+
+
+def _wrong(result: Any, names: Sequence[str], suspected: Collection[int], path: Path) -> list[int]:
     """Numbers of the cameras to be mended."""
     for name in names:
         if name not in result.rig.names:
@@ -88,20 +118,25 @@ def _wrong(result: Any, names: Sequence[str], path: Path) -> list[int]:
                 f"--camera names {name!r}, which {path} does not have; it has {', '.join(result.rig.names)}."
             )
     wrong = [result.rig.names.index(name) for name in names]
-    wrong = wrong or [int(c) for c in np.flatnonzero(result.left_out.sum(axis=0) >= _OFTEN)]
+    often = np.flatnonzero(result.left_out.sum(axis=0) >= _OFTEN).tolist()
+    wrong = wrong or sorted({*often, *suspected})
     if not wrong:
-        raise InputError(f"{path}: no camera was left out in {_OFTEN} frames; name one that is wrong with --camera.")
+        none = f"no camera was left out in {_OFTEN} frames, or seemed to stand elsewhere at the end"
+        raise InputError(f"{path}: {none}; name one that is wrong with --camera.")
     if len(result.rig) - len(wrong) < 2:
         bad = ", ".join(result.rig.names[c] for c in wrong)
         raise InputError(f"{path}: of {len(result.rig)} cameras {bad} are wrong; two must be right to mend the others.")
     return wrong
 
 
-def _mended(result: Any, views: Any, session: Any, camera: int, others: Sequence[int]) -> tuple[dict[str, Any], Any]:
-    """One row of the table, and `T_cam_world` of a camera."""
+def _mended(
+    result: Any, views: Any, session: Any, camera: int, others: Sequence[int], suspected: int
+) -> tuple[dict[str, Any], Any]:
+    """One row of the table, and `T_cam_world` of a camera, which was `suspected` from a row on where not left out."""
     from twistcap.adjust.cameras import agreement_at, holds_from, mended_cameras
 
-    name, chosen = result.rig.names[camera], _frames(result, _since(result.left_out[:, camera]), camera, others)
+    name, first = result.rig.names[camera], _since(result.left_out[:, camera]) or suspected
+    chosen = _frames(result, first, camera, others)
     if len(chosen) < _FEWEST:
         reason = f"only {len(chosen)} good frames show it where it stands now; track at least {_FEWEST}"
         return {"camera": name, **dict.fromkeys(_NUMBERS), "frames": len(chosen), "sure": False, "reason": reason}, None

@@ -21,7 +21,7 @@ _SIGMAS = 6.0  # standard deviations by which it must differ
 
 
 def watching(model: Any) -> Any:
-    """The model, with a watch on the clocks of three or more cameras. It has no say in the poses."""
+    """The model, with a watch on three or more cameras. It has no say in the poses."""
     from twistcap.adjust.watch import CameraWatch
     from twistcap.track.model import Model
 
@@ -36,6 +36,12 @@ def watched_by(tracker: Any) -> Watched | None:
 
     memories = getattr(tracker.state, "cues", {}).values()
     return next((memory for memory in memories if isinstance(memory, Watched)), None)
+
+
+def suspects(tracker: Any) -> tuple[int, ...]:
+    """Numbers of the cameras that seem to stand elsewhere than they were calibrated."""
+    watched = watched_by(tracker)
+    return () if watched is None else tuple(np.flatnonzero(watched.since >= 0).tolist())
 
 
 def clocks_in_words(session: Any, views: Any, result: Any, watched: Watched | None) -> list[str]:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from twistcap.commands.cameras import ELSEWHERE
+from twistcap.commands.clocks import suspects
 from twistcap.commands.terminal import progress, words
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
@@ -41,15 +43,22 @@ class Believed:
     names: tuple[str, ...]
     out: frozenset[int] = frozenset()
     said: set[tuple[int, bool]] = field(default_factory=set[tuple[int, bool]])
+    elsewhere: set[int] = field(default_factory=set[int])
 
-    def news(self, estimate: Estimate) -> list[str]:
-        """Sentences about the cameras that are left out or believed again since the last frame."""
+    def news(self, estimate: Estimate, elsewhere: Collection[int] = ()) -> list[str]:
+        """Sentences about the cameras that are left out, believed again, or seem to be elsewhere since the last frame.
+
+        `elsewhere` are those that the watch suspects.
+        """
+        suspects = sorted({*elsewhere} - self.elsewhere)
+        self.elsewhere.update(suspects)
         changed = [(camera, camera not in self.out) for camera in sorted(self.out ^ set(estimate.left_out))]
         fresh = [change for change in changed if change not in self.said]
         self.out = frozenset(estimate.left_out)
         self.said.update(fresh)
         did = {True: f"is left out; it {CONTRADICTS}", False: "is believed again"}
-        return [f"frame {estimate.index}: camera {self.names[camera]} {did[out]}" for camera, out in fresh]
+        changes = [(camera, did[out]) for camera, out in fresh] + [(camera, ELSEWHERE) for camera in suspects]
+        return [f"frame {estimate.index}: camera {self.names[camera]} {what}" for camera, what in changes]
 
 
 def follow(frames: Iterable[Frame], total: int, tracker: Tracker, writer: ResultWriter) -> Timing:
@@ -64,7 +73,7 @@ def follow(frames: Iterable[Frame], total: int, tracker: Tracker, writer: Result
                 estimate = tracker.step(frame)
                 timing.ms.append(1000 * (time.perf_counter() - start))
                 writer.append(estimate)
-                for sentence in believed.news(estimate):
+                for sentence in believed.news(estimate, suspects(tracker)):
                     words.print(sentence, markup=False, soft_wrap=True)
                 advance(f"{timing.ms[-1]:.0f} ms{'  LOST' if estimate.lost else ''}")
         except InputError as error:

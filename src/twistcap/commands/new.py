@@ -11,36 +11,33 @@ import typer
 from twistcap.commands import terminal
 from twistcap.errors import InputError, check_choice
 
+Folder = Annotated[Path, typer.Argument(help="Folder for session.toml; created if missing.", metavar="DIR")]
+CalibrationFile = Annotated[
+    Path | None, typer.Option("--calibration", help="Calib.toml of `twistcap calibrate` or `convert`, or of Pose2Sim.")
+]
+Project = Annotated[
+    Path | None, typer.Option(help="Folder of Pose2Sim, OpenCap, EasyMocap or FreeMoCap. Default: DIR itself.")
+]
+Trial = Annotated[str | None, typer.Option(help="Trial of the project, if it has several.")]
+UpAxis = Annotated[
+    str | None,
+    typer.Option("--up", help="Axis of the calibration that is up: x, -x, y … Default: z; a project's is found."),
+]
+UnitName = Annotated[str | None, typer.Option("--unit", help="m or mm: unit of the calibration, if it does not say.")]
+Stature = Annotated[float | None, typer.Option(help="Height of the person, m.")]
+DetectorName = Annotated[
+    str | None, typer.Option("--detector", help="Keypoint detector for the first pose: MODEL.onnx, or the name of one.")
+]
+People = Annotated[str | None, typer.Option(help="With --detector RTMPose: a YOLOX that finds people.")]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite an existing session.toml.")]
+
 
 def new(
-    folder: Annotated[Path, typer.Argument(help="Folder for session.toml; created if missing.", metavar="DIR")],
-    calibration: Annotated[
-        Path | None, typer.Option(help="Calib.toml in the format of aniposelib or Pose2Sim.")
-    ] = None,
-    videos: Annotated[
-        list[str] | None,
-        typer.Option(help="A video, a folder, or images. Write CAMERA=PATH if the name is not enough."),
-    ] = None,
-    more: Annotated[
-        list[str] | None, typer.Argument(help="More videos, as for --videos.", metavar="[VIDEO]...")
-    ] = None,
-    project: Annotated[
-        Path | None, typer.Option(help="Folder of Pose2Sim, OpenCap, EasyMocap or FreeMoCap. Default: DIR itself.")
-    ] = None,
-    trial: Annotated[str | None, typer.Option(help="Trial of the project, if it has several.")] = None,
-    up: Annotated[
-        str | None,
-        typer.Option(help="Axis of the calibration that is up: x, -x, y … Default: z; a project's is found."),
-    ] = None,
-    unit: Annotated[str | None, typer.Option(help="m or mm: unit of the calibration, if it does not say.")] = None,
-    stature: Annotated[float | None, typer.Option(help="Height of the person, m.")] = None,
-    detector: Annotated[
-        str | None, typer.Option(help="Keypoint detector for the first pose: MODEL.onnx, or the name of one.")
-    ] = None,
-    people: Annotated[str | None, typer.Option(help="With --detector RTMPose: a YOLOX that finds people.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite an existing session.toml.")] = False,
-    json: terminal.Json = False,
-) -> None:
+    folder: Folder, calibration: CalibrationFile = None, videos: terminal.Videos = None,
+    more: terminal.MoreVideos = None, project: Project = None, trial: Trial = None, up: UpAxis = None,
+    unit: UnitName = None, stature: Stature = None, detector: DetectorName = None, people: People = None,
+    force: Force = False, json: terminal.Json = False,
+) -> None:  # fmt: skip
     """Write a session.toml with comments, check videos and calibration, and list what is missing.
 
     Examples:

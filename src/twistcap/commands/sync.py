@@ -205,7 +205,7 @@ def _one_pass(session: Any, clocks: dict[str, Clock], count: int) -> _Pass:
         )  # fmt: skip
     frame = timeline.intervals[timeline.reference]
     doubts = _doubts(rig.names, estimates, found.sigma / frame)
-    keypoints = _keypoint_clock(session, recording, found.poses.poses)
+    keypoints = _keypoint_clock(session, recording, found.poses.poses, (views.lags + found.late[:, None]) / frame)
     return _Pass(found.late, found.sigma, frame, doubts, together, keypoints)
 
 
@@ -235,7 +235,8 @@ def _doubts(names: tuple[str, ...], estimates: list[Any], sigma: Any) -> tuple[s
     return tuple(out)
 
 
-def _keypoint_clock(session: Any, recording: Any, poses: tuple[Any, ...]) -> KeypointClock | None:
+def _keypoint_clock(session: Any, recording: Any, poses: tuple[Any, ...], lags: Any) -> KeypointClock | None:
+    """The clock of the session's keypoints, None without enough of them; `lags` (C, F) of the images, in frames."""
     from twistcap.adjust.clocks import keypoint_clock
     from twistcap.io.recording import keypoints_of
     from twistcap.solve.blocks import PoseTrack
@@ -249,7 +250,7 @@ def _keypoint_clock(session: Any, recording: Any, poses: tuple[Any, ...]) -> Key
         return None
     keypoints = keypoints_of(table.model_copy(update={"frames": tuple(numbers)}), recording.rig, views)
     track = PoseTrack(poses[: len(numbers)], np.arange(len(numbers), dtype=float))
-    return keypoint_clock(recording.body, recording.rig, track, keypoints)
+    return keypoint_clock(recording.body, recording.rig, track, keypoints, lags[:, : len(numbers)])
 
 
 def tell(document: dict[str, Any]) -> None:

@@ -21,6 +21,10 @@ from twistcap.errors import InputError
 
 words = Console(stderr=True, highlight=False)
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document alone on standard output.")]
+Videos = Annotated[
+    list[str] | None, typer.Option(help="A video, a folder, or images. Write CAMERA=PATH if the name is not enough.")
+]
+MoreVideos = Annotated[list[str] | None, typer.Argument(help="More videos, as for --videos.", metavar="[VIDEO]...")]
 Advance = Callable[[str], None]
 
 

@@ -103,7 +103,8 @@ def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str,
     lost = result.indices[result.lost].tolist()
     out = {name: result.indices[rows].tolist() for name, rows in zip(result.rig.names, result.left_out.T, strict=True)}
     about = {"id": "track", "result": path, "frames": len(result), "lost": lost, "left_out": out}
-    statements = [*result_in_words(result), *mend_in_words(result, path), *apart]
+    elsewhere = () if watched is None else np.flatnonzero(watched.since >= 0).tolist()
+    statements = [*result_in_words(result), *mend_in_words(result, path, elsewhere), *apart]
     return about | {"statements": statements, "ms_per_frame": timing.median, "files": files}
 
 

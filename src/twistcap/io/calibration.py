@@ -57,10 +57,20 @@ def read_rig(path: str | Path, unit: Unit | None = None, floor: float | None = 0
     return rig
 
 
-def write_rig(rig: Rig, path: str | Path, unit: Unit = "m") -> None:
-    """Write a rig so that `read_rig`, Pose2Sim and aniposelib read it; `unit` is that of the translations."""
+def knows_floor(path: str | Path) -> bool:
+    """Whether z = 0 is the floor in a calibration file; ``floor = false`` in its ``[metadata]`` says that it is not."""
+    metadata = read_toml(path, "calibration", "check [cameras] calibration").get("metadata")
+    return not (isinstance(metadata, dict) and metadata.get("floor") is False)
+
+
+def write_rig(rig: Rig, path: str | Path, unit: Unit = "m", floor: bool = True) -> None:
+    """Write a rig so that `read_rig`, Pose2Sim and aniposelib read it.
+
+    `unit` is that of the translations, and `floor` whether z = 0 is known to be the floor.
+    """
     tables = [_table(camera, _TO_METRES[unit]) for camera in rig]
-    Path(path).write_text("\n".join([*tables, f'[metadata]\nunit = "{unit}"\nadjusted = false\nerror = 0.0\n']))
+    metadata = f'[metadata]\nunit = "{unit}"\nadjusted = false\nerror = 0.0\n' + ("" if floor else "floor = false\n")
+    Path(path).write_text("\n".join([*tables, metadata]))
 
 
 def _camera(where: str, key: str, table: Mapping[str, Any], scale: float) -> Camera:

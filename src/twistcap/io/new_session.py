@@ -11,7 +11,7 @@ from pathlib import Path
 
 from twistcap.camera import Rig
 from twistcap.errors import InputError
-from twistcap.io.calibration import Unit, read_rig
+from twistcap.io.calibration import Unit, knows_floor, read_rig
 from twistcap.io.cameras.axes import Up, check_z_up
 from twistcap.io.model_file import is_address, is_model_file
 from twistcap.io.video import Source, check_size, open_source
@@ -76,7 +76,9 @@ def draft_session(videos: Sequence[str], calibration: Path, unit: Unit | None = 
     if up is None:
         check_z_up(rig, f"calibration {calibration}", "say --up {} (or --up z{})")
     paths = matched([path for text in videos for path in recordings(text)], rig.names)
-    return replace(drafted(rig, paths, calibration, unit), up=up)
+    floor = knows_floor(calibration)
+    notes = () if floor else ("The calibration does not know the floor: floor = false is set.",)
+    return replace(drafted(rig, paths, calibration, unit), up=up, floor_known=floor, notes=notes)
 
 
 def drafted(rig: Rig, paths: Mapping[str, str], calibration: Path, unit: Unit | None = None) -> Draft:

@@ -15,6 +15,7 @@ from twistcap.adjust.cameras.since import zero_beside
 from twistcap.adjust.refine.measure import SequenceImages
 from twistcap.adjust.refine.settings import RefineConfig
 from twistcap.adjust.sequence import SmoothMotion, claimed_sigma, design_effect
+from twistcap.adjust.watch import KNOCK
 from twistcap.arrays import AnyArray, Float
 from twistcap.body import Body, Posed
 from twistcap.camera import Camera, Rig
@@ -34,9 +35,6 @@ _LONGEST = 0.05  # rad and m that a camera moves in one step
 _DAMPING = 1e-3
 _STEPS = 3  # of the solver in each round
 _LOOKS = 60  # frames in which a camera that was turned is looked for
-
-# How far a camera may stand from where it was calibrated, rad and m: a knock turns it far and moves it little.
-_PRIOR = np.repeat([np.deg2rad(6.0), 0.02], 3)
 
 Report = Callable[[str, int, int], None]
 
@@ -179,7 +177,7 @@ class CameraProblem:
         given: Mapping[int, Float], effect: float = 1.0,
     ) -> None:  # fmt: skip
         self.body, self.contours, self.measured, self.given = body, contours, measured, given
-        self.prior = _PRIOR / (INFLATION * np.sqrt(effect))
+        self.prior = KNOCK / (INFLATION * np.sqrt(effect))
         self.motion, self.order = SmoothMotion(body), {c: k for k, c in enumerate(measured)}
 
     def energies(self, x: Standpoints) -> dict[str, float]:

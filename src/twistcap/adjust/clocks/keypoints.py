@@ -9,7 +9,7 @@ import numpy as np
 
 from twistcap.arrays import Float
 from twistcap.body import Body, Posed
-from twistcap.camera import Rig
+from twistcap.camera import Camera, Rig
 from twistcap.errors import check
 from twistcap.estimate import Keypoints
 from twistcap.solve.blocks import PoseTrack
@@ -28,8 +28,10 @@ class KeypointClock:
     sigma: float
 
 
-def keypoint_clock(body: Body, rig: Rig, track: PoseTrack, keypoints: Sequence[Keypoints]) -> KeypointClock:
-    """By how many frames keypoints differ from the frames of a track, which are numbered alike.
+def keypoint_clock(
+    body: Body, rig: Rig, track: PoseTrack, keypoints: Sequence[Keypoints], lags: Float
+) -> KeypointClock:
+    """By how many frames keypoints differ from the images that they were found in, which are numbered alike.
 
     The mean difference of each landmark in each camera does not count: a detector's joints are not the body's.
     Offsets are tried, and the best is made finer by a parabola. The standard deviation is the jackknife's.
@@ -38,6 +40,7 @@ def keypoint_clock(body: Body, rig: Rig, track: PoseTrack, keypoints: Sequence[K
         body, rig: of the track; the cameras as calibrated, in whose pixels the keypoints are.
         track: poses at frames 0, 1, … as times.
         keypoints: of the same numbers.
+        lags: (C, F) frames by which the image of each camera and number was taken after the time of the track's frame.
 
     Raises InputError for fewer than 24 frames, or keypoints that no offset brings together with the track.
     """
@@ -45,13 +48,18 @@ def keypoint_clock(body: Body, rig: Rig, track: PoseTrack, keypoints: Sequence[K
     names = [n for n in keypoints[0].names if n in body.landmarks.names]
     own, theirs = ([list(of).index(n) for n in names] for of in (body.landmarks.names, keypoints[0].names))
     seen = np.stack([k.pixels[:, theirs] for k in keypoints])  # (F, C, L, 2)
-    marks = np.stack([Posed(body, pose).landmarks[own] for pose in track.poses])
-    shown = np.stack([[camera.project(points)[0] for camera in rig] for points in marks])
+    times = (track.times + lags).T
+    shown = np.stack([[_pixels(body, track, c, t)[own] for c, t in zip(rig, row, strict=True)] for row in times])
     costs = np.array([_costs(shown, seen, shift) for shift in _tried()])  # (S, F), NaN where there is none
     blocks = np.arange(len(seen)) * _BLOCKS // len(seen)
     left_out = np.array([_best(costs[:, blocks != b]) for b in range(_BLOCKS)])
     sigma = float(np.sqrt((_BLOCKS - 1) / _BLOCKS * np.sum((left_out - left_out.mean()) ** 2)))
     return KeypointClock(_best(costs), max(sigma, 0.5 * _FINE / _BLOCKS))
+
+
+def _pixels(body: Body, track: PoseTrack, camera: Camera, time: float) -> Float:
+    """(L, 2) where a camera sees the landmarks at a time of the track."""
+    return camera.project(Posed(body, track.at(time).pose).landmarks)[0]
 
 
 def _tried() -> Float:

@@ -39,7 +39,8 @@ class ProofRule(Checked):
         probes: s after the first frame, of the frames that are searched, as many as are needed, two at least.
         different, same: m between landmarks, the greatest, from which on two poses are different, and up to which they
             are the same.
-        met: probes that must have found a pose on the track.
+        together: m, the same up to which two tracks have come together.
+        met: probes that must have found a pose on the track, or one from which another track leads to it.
         standing: share of the best score that the track must have in the mean over the probes.
         clear: share by which its scores must exceed those of the next different poses, in each probe; where more probes
             than `met` have found it, it must only be the best.
@@ -52,6 +53,7 @@ class ProofRule(Checked):
     probes: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75, 1.25, 2.0)
     different: float = 0.2
     same: float = 0.15
+    together: float = 0.05
     met: Count = 2
     standing: Share = 0.96
     clear: Share = 0.05
@@ -102,7 +104,7 @@ class Proof:
 
     Attributes:
         track: itself.
-        met: probes that have found a pose on it.
+        met: probes that have found a pose on it, or one from which a track leads to where it was begun.
         standing: its scores over the best ones, mean of the probes.
         margin, least: share by which its scores exceed those of the next different poses, mean and least of the probes.
         agreement: of the contour with the images, least of the probes.
@@ -131,6 +133,8 @@ class Proof:
 def proof_of(track: Track, probes: Sequence[Probe], others: Sequence[Track], rule: ProofRule) -> Proof:
     """How a track stands beside others."""
     standing, margin, met, agreement = list[float](), list[float](), 0, 1.0
+    begun, distance = track.poses[track.start], probes[0].instant.apart
+    leading = {other.start for other in others if distance(begun, other.poses[track.start]) <= rule.together}
     for probe in probes:
         own, instant = probe.instant.measured(track.poses[probe.at]), probe.instant
         tracked = [instant.measured(other.poses[probe.at]) for other in others if other is not track]
@@ -140,7 +144,8 @@ def proof_of(track: Track, probes: Sequence[Probe], others: Sequence[Track], rul
         standing.append(own.score / best)
         margin.append((own.score - rival) / best)
         good = _NEAR * max((c.score for c in probe.candidates), default=0.0)
-        met += any(score >= good and apart <= rule.same for score, apart in found[: len(probe.candidates)])
+        on_it = any(score >= good and apart <= rule.same for score, apart in found[: len(probe.candidates)])
+        met += on_it or probe.at in leading
         agreement = min(agreement, own.agreement)
     return Proof(track, met, float(np.mean(standing)), float(np.mean(margin)), min(margin), agreement)
 
