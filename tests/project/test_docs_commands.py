@@ -6,14 +6,18 @@ import re
 import shlex
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from support.commands import run
+from twistcap.body import Body
 from twistcap.camera import Rig
 from twistcap.estimate import Estimate
+from twistcap.io.calibration import read_rig
+from twistcap.io.cameras import write_cameras
 from twistcap.io.recording import open_recording
 from twistcap.io.result import ResultWriter
 from twistcap.io.session import load_session
@@ -115,9 +119,11 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for source, session in (("walk.toml", "walk"), ("t_pose/session.toml", "../walk")):
         (folder / source).parent.mkdir(exist_ok=True)
         (folder / source).write_text(f'base = "{session}/session.toml"\n')
-    for kind, name in (("qualisys", "Calib.qca.txt"), ("opencap", "opencap/Videos")):
-        (folder / name).parent.mkdir(exist_ok=True)
-        assert run("convert", folder / "Calib.toml", folder / name, "--to", kind) == 0
+    assert run("convert", folder / "Calib.toml", folder / "Calib.qca.txt", "--to", "qualisys") == 0
+    turn = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # from a world in which -y is up
+    lying = Rig(tuple(replace(c, T_cam_world=c.T_cam_world @ turn) for c in read_rig(folder / "Calib.toml")))
+    (folder / "opencap").mkdir()
+    write_cameras(lying, folder / "opencap" / "Videos", "opencap")
     project = folder / "Pose2Sim_project"
     shutil.copytree(walk / "videos", project / "Trial_1" / "videos")
     (project / "calibration").mkdir()
@@ -130,7 +136,7 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def write_walk(path: Path, body: object, rig: Rig) -> None:
+def write_walk(path: Path, body: Body, rig: Rig) -> None:
     with ResultWriter(path, body, rig, {}, room=FRAMES) as writer:
         for n, pose in enumerate(gait(body, fps=FPS, frames=FRAMES)):
             writer.append(Estimate(n, n / FPS, pose, np.eye(body.dof) * 1e-6))

@@ -28,7 +28,7 @@ runs.forEach((run) => {
   const lost = run.lost.filter(Boolean).length;
   const note = lost ? make("span", { class: "lost" }, ` (${lost} of ${run.lost.length} frames lost)`) : "";
   const statements = make("details", {}, make("summary", {}, "lost frames and cameras"), ...run.statements.map((text) => make("div", {}, text)));
-  legend.append(make("label", {}, box, swatch, run.name, note), " ", statements, " ");
+  legend.append(make("span", { class: "run" }, make("label", {}, box, swatch, run.name, note), " ", statements), " ");
 });
 function toggle(key, text) {
   const box = make("input", { type: "checkbox", id: `show-${key}`, change: (e) => { state[key] = e.target.checked; refresh(); } });
