@@ -195,7 +195,7 @@ def _histogram(found: Calibration, folder: Path) -> Path:
         bins = np.linspace(0, top, 60).tolist()
         axes.hist(np.minimum(own, top), bins=bins, histtype="step", color=colour, label=camera.name, lw=1.4)
     axes.set(xlabel="px off", ylabel="points", xlim=(0, top))
-    axes.legend(fontsize=8, loc="upper right")
+    axes.legend(fontsize=8, loc="upper center")
     return _saved(drawing, folder / "histogram.png")
 
 
