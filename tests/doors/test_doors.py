@@ -12,7 +12,7 @@ import pytest
 
 from support.cameras import ring
 from support.results import estimate, two_links
-from twistcap.doors import _hdf5_dump, hdf5
+from twistcap.doors import _hdf5_dump, child, hdf5
 from twistcap.doors.npz import npz_arrays, read_npz
 from twistcap.doors.schema import Schema, checked, real, whole, word
 from twistcap.doors.text import finite_number, read_text
@@ -116,8 +116,21 @@ def test_a_crash_stays_in_the_child(tmp_path: Path, code: str, monkeypatch: pyte
     (tmp_path / "child.py").write_text(code)
     monkeypatch.setattr(_hdf5_dump, "__file__", str(tmp_path / "child.py"))
     monkeypatch.setattr(hdf5, "_SECONDS", 0.2)
+    monkeypatch.setattr(child, "_WAITING", 10)
     with pytest.raises(InputError, match=r"r\.h5 cannot be read"):
         read_result(path)
+
+
+def test_a_reader_may_wait_for_the_processor_but_not_for_ever(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twelve times its processor time by the clock, as on a busy machine, and without end."""
+    np.savez(tmp_path / "a.npz", a=np.arange(3))
+    script = tmp_path / "child.py"
+    script.write_text("import shutil, sys, time; time.sleep(1.2); shutil.copy(sys.argv[1], sys.argv[2])")
+    found = child.arrays_by_child(str(script), tmp_path / "a.npz", "a", (), seconds=0.1, memory=1 << 30)
+    np.testing.assert_array_equal(found["a"], np.arange(3))
+    monkeypatch.setattr(child, "_WAITING", 1)
+    with pytest.raises(InputError, match="a cannot be read: it keeps the reader busy without end"):
+        child.arrays_by_child(str(script), tmp_path / "a.npz", "a", (), seconds=0.1, memory=1 << 30)
 
 
 def test_our_own_file_needs_no_child_until_it_is_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -164,14 +164,20 @@ def test_the_command_writes_events_and_cycles_between_them(
     assert "two events 'a'" in refusal(capsys, "gait", path, *twice)
 
 
-def test_bands_hold_for_cycles_between_heel_strikes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bands_hold_for_both_legs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A norm is of a leg from its own heel strike, so that the walk's own knee is within it on both sides. Cycles from
+    one foot's strikes hold the other leg half a cycle off: no band may stand behind them."""
     made(tmp_path / "r.h5", walk(BODY, fps=FPS, frames=N, speed=1.2))
-    rows = [[percent, 0.0, 60.0] for percent in range(101)]
-    (tmp_path / "n.json").write_text(json.dumps({"A": {"Free": {"KneeAngles": {"X": rows}}}}))
-    pictures = list[bytes]()
-    for norms in ([], ["--norms", tmp_path / "n.json"]):
-        document(capsys, "gait", tmp_path / "r.h5", "--out", tmp_path, "--cycles", "heel_strike_r", *norms)
-        pictures.append((tmp_path / "cycles.png").read_bytes())
-    assert pictures[0] != pictures[1]
-    other = refusal(capsys, "gait", tmp_path / "r.h5", "--cycles", "toe_off_l", "--norms", tmp_path / "n.json")
-    assert "from heel strike to heel strike, not from toe_off_l; leave them away, or take heel_strike_r" in other
+    document(capsys, "gait", tmp_path / "r.h5", "--out", tmp_path)
+    with (tmp_path / "cycles.csv").open() as file:
+        rows = [row for row in csv.DictReader(file) if row["coordinate"].startswith("knee_angle")]
+    right, left = (np.array([float(row["mean_deg"]) for row in rows if row["side"] == side]) for side in "rl")
+    assert np.abs(left - right).max() < 3 < 30 < np.abs(np.roll(left[:-1], 50) - right[:-1]).max()
+    norm = [[percent, angle - 3, angle + 3] for percent, angle in enumerate(right.tolist())]
+    (tmp_path / "n.json").write_text(json.dumps({"A": {"Free": {"KneeAngles": {"X": norm}}}}))
+    plain = (tmp_path / "cycles.png").read_bytes()
+    document(capsys, "gait", tmp_path / "r.h5", "--out", tmp_path, "--norms", tmp_path / "n.json")
+    assert (tmp_path / "cycles.png").read_bytes() != plain
+    for event in ("heel_strike_r", "toe_off_l"):
+        sentence = refusal(capsys, "gait", tmp_path / "r.h5", "--cycles", event, "--norms", tmp_path / "n.json")
+        assert f"each leg's own heel strike, and {event} would start the cycles of both legs" in sentence

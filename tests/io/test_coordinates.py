@@ -113,6 +113,36 @@ def test_isb_angles_of_the_arm_by_scipy(body: Body, poses: list[Pose], side: str
     np.testing.assert_array_less(-1e-9, column(table, f"isb_shoulder_elevation_{side}"))
 
 
+def test_isb_angles_of_trunk_and_neck_by_grood_and_suntays_vectors(body: Body, poses: list[Pose]) -> None:
+    table = coordinates_of(body, poses, angles="isb")
+    pelvis, thorax, head = (trunk_frame(body, poses, segment) for segment in ("pelvis", "thorax", "head"))
+    for joint, upper, lower in (("trunk", pelvis, thorax), ("neck", thorax, head)):
+        for name, angle in zip(("extension", "bending", "rotation"), grood_suntay(upper, lower, True), strict=True):
+            assert degrees_apart(column(table, f"isb_{joint}_{name}"), angle) < 0.01, name
+
+
+@pytest.mark.parametrize("side", ["r", "l"])
+def test_isb_angles_of_elbow_and_wrist_by_grood_and_suntays_vectors(body: Body, poses: list[Pose], side: str) -> None:
+    """The forearm's x is where the palm faces: at rest to the thigh."""
+    rest = [Pose.rest(body)]
+    at_rest = world_frame(body, rest, f"elbow_{side}", f"wrist_{side}", f"elbow_flex_{side}", 1.0)[0]
+    palm, up = (-1.0 if side == "r" else 1.0) * at_rest[:, 2], at_rest[:, 1]
+    neutral = np.stack([palm, up, np.cross(palm, up)], axis=1)
+    humerus = world_frame(body, poses, f"shoulder_{side}", f"elbow_{side}", f"elbow_flex_{side}", 1.0)
+    forearm, hand = (
+        np.array([Posed(body, p).segment_transforms[body.segment(f"{segment}_{side}"), :3, :3] for p in poses])
+        @ neutral
+        for segment in ("radius", "hand")
+    )
+    table = coordinates_of(body, poses, angles="isb")
+    for joint, upper, lower, names in (
+        ("elbow", humerus, forearm, ("flexion", "carrying", "pronation")),
+        ("wrist", forearm, hand, ("flexion", "deviation", "rotation")),
+    ):
+        for name, angle in zip(names, grood_suntay(upper, lower, side == "r"), strict=True):
+            assert degrees_apart(column(table, f"isb_{joint}_{name}_{side}"), angle) < 0.01, name
+
+
 def test_signs_of_isb_angles(body: Body) -> None:
     """One movement at a time, known by where it takes the limb; both sides alike."""
     q = np.zeros(len(body.coordinate_names))

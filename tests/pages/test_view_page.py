@@ -213,6 +213,10 @@ def test_every_control_of_the_viewer_is_reached(
         assert (paper.max() < 60) == (scheme == "dark")
         browser.click(*browser.centre("#theme"))
         assert (picture(browser, tmp_path / "other.png")[2, 2].max() < 60) == (scheme == "light")
+        bright = "parts.map(p => p.getStyle().match(/\\d+/g).slice(0, 3).reduce((a, b) => a + +b / 765, 0))"
+        parts = "[twistcapView.scene.ground(), first.name.material.color, first.edges.material.color]"
+        ground, *drawn = browser.run(f"(first => (parts => {bright})({parts}))(twistcapView.scene.frusta[0])")
+        assert min(abs(one - ground) for one in drawn) > 0.3  # cameras stand out from the ground, dark or light
         assert browser.problems == []
 
 

@@ -170,37 +170,3 @@ def test_the_python_that_a_newcomer_copies_runs(page: str, tmp_path: Path, capsy
     capsys.readouterr()
     exec(re.sub(r'"[^"]*session\.toml"', repr(str(session / "session.toml")), code), {})
     assert len(capsys.readouterr().out.splitlines()) == 3
-
-
-def test_the_commands_of_the_first_pages_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Those of getting-started and README that need nothing but twistcap, one after another as they stand there, on
-    fewer and smaller frames; `ELSEWHERE` says why others are not run here."""
-    monkeypatch.chdir(tmp_path)
-    pages = [ROOT / "docs" / "getting-started.md", ROOT / "README.md"]
-    first = [shlex.join(words[1:]) for page in pages for words in shown_commands(page)]
-    first += re.findall(r"^\| [^|]+ \| `twistcap ([^`]+)` \|$", pages[1].read_text(encoding="utf-8"), re.MULTILINE)
-    each = [line.replace("/tmp/walk", "studio/walk") for line in dict.fromkeys(first)]
-    unused = {start for start in ELSEWHERE if not any(f"{line}$".startswith(start) for line in each)}
-    done = [line for line in each if not f"{line}$".startswith(tuple(ELSEWHERE))]
-    assert not unused and {line.split()[0] for line in done} >= {"studio", "track", "evaluate", "view", "export"}
-    for line in done:
-        quick = " --frames 3 --size 192x140" if line.startswith("studio") else ""
-        assert run(*shlex.split(line + quick)) == 0, line
-    assert (tmp_path / "walk.html").is_file() and (tmp_path / "out/walk/report.html").is_file()
-    assert (tmp_path / "out/walk/angles.mot").is_file()
-
-
-ELSEWHERE = {
-    "new ": "needs videos and a calibration; tests/io/test_new_session.py",
-    "init ": "waits for clicks; tests/pages/test_init_page.py",
-    "track walk/session.toml": "the user's own recording; the studio's is tracked by the same command",
-    "view out/walk/result.h5$": "serves until it is stopped, unless it saves; tests/pages/test_view_page.py",
-    "gait ": "needs a stride of frames; tests/evaluate/test_gait.py",
-    "study ": "needs a study file; tests/commands/test_study.py",
-    "evaluate out/walk/result.h5 --reference joints.trc": "the user's reference; tests/evaluate/test_reference.py",
-    "body fit": "the user's own recording; tests/adjust/test_bodyfit.py",
-    "refine ": "takes minutes on a machine of two cores; tests/adjust/test_refine.py",
-    "calibrate ": "the user's videos of a board; tests/calibrate/test_board.py",
-    "sync ": "the user's own recording; tests/commands/test_sync.py",
-    "motions build": "the user's motion files; tests/motion/test_motion_library.py",
-}

@@ -72,7 +72,7 @@ def again(found: Calibration) -> list[str]:
         name = row["camera"]
         empty = _empty_side(found, c)
         if empty:
-            out.append(f"Camera {name}: no point was seen in the {empty} of its image; show the board there.")
+            out.append(f"Camera {name}: no point was seen in {empty} of its image; show the board there.")
         if row["focal_sigma"] > _FOCAL:
             reason = f"its focal length is known to {100 * row['focal_sigma']:.1f} % only"
             out.append(f"Camera {name}: {reason}; tilt the board before it, near, by 30 to 45 degrees each way.")
@@ -149,7 +149,7 @@ def _lonely(found: Calibration) -> list[str]:
     for s in found.adjustment.sightings:
         if s.moment != SCENE:
             seen.setdefault(s.camera, set()).add(s.moment)
-    shared = dict.fromkeys(seen, 0)
+    shared = dict.fromkeys(sorted(seen), 0)
     for a, b in combinations(sorted(seen), 2):
         both = len(seen[a] & seen[b])
         shared[a], shared[b] = max(shared[a], both), max(shared[b], both)
@@ -159,7 +159,7 @@ def _lonely(found: Calibration) -> list[str]:
 
 
 def _empty_side(found: Calibration, camera: int) -> str:
-    """The part of the image without points, in words; nothing where little is empty."""
+    """How much of the emptiest half of the image has no points, in words; nothing where little is empty."""
     own = [s for s in found.adjustment.sightings if s.camera == camera]
     bare = coverage(own, found.rig[camera].size) == 0
     if bare.mean() < _EMPTY:
@@ -170,4 +170,4 @@ def _empty_side(found: Calibration, camera: int) -> str:
         "left half": bare[:, : columns // 2], "right half": bare[:, columns // 2 :],
     }  # fmt: skip
     name, part = max(halves.items(), key=lambda item: float(item[1].mean()))
-    return f"{name}'s margin" if part.mean() < 0.5 else name
+    return f"{100 * part.mean():.0f} % of the {name}"

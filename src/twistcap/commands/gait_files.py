@@ -29,7 +29,7 @@ _STRIKES = tuple(f"heel_strike_{side}" for side in SIDES)
 class Wishes:
     """How a walk is measured; `limits` names the event from which to which cycles go, None for gait's own strides.
 
-    Raises InputError for norms where cycles do not go from heel strike to heel strike.
+    Raises InputError for norms with `limits`: a norm is of a leg from its own heel strike, and limits are one for all.
     """
 
     how: Filter = field(default_factory=Filter)
@@ -39,9 +39,9 @@ class Wishes:
     limits: str | None = None
 
     def __post_init__(self) -> None:
-        if self.norms and self.limits not in (None, *_STRIKES):
-            mend = f"leave them away, or take {' or '.join(_STRIKES)}"
-            raise InputError(f"gait norms: they go from heel strike to heel strike, not from {self.limits}; {mend}.")
+        if self.norms and self.limits is not None:
+            why = f"and {self.limits} would start the cycles of both legs"
+            raise InputError(f"gait norms: they go from each leg's own heel strike, {why}; leave the one or the other.")
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,7 +16,7 @@ from matplotlib.patches import Ellipse
 
 from twistcap import se3
 from twistcap.arrays import Float
-from twistcap.calibrate.advice import again, camera_rows, sentences
+from twistcap.calibrate.advice import again, camera_rows, distances, sentences
 from twistcap.calibrate.calibrate import Calibration
 from twistcap.calibrate.sightings import SCENE
 from twistcap.calibrate.world import centre_covariance
@@ -92,7 +93,10 @@ _IMAGES = (
     " (lines). Red points were taken for wrong. Lines that turn together are a lens that was not learned there; empty"
     " parts of an image were never seen."
 )
-_HISTOGRAM = "How many points of each camera are how far off. A second hump is a clock, or a camera that was moved."
+_HISTOGRAM = (
+    "How many points of each camera are how far off; the last column has all that are farther. A second hump is a"
+    " clock, or a camera that was moved."
+)
 
 
 def _places_caption(found: Calibration) -> str:
@@ -102,7 +106,7 @@ def _places_caption(found: Calibration) -> str:
 
 def _images(found: Calibration, folder: Path) -> Path:
     count = len(found.rig)
-    columns = min(count, 3)
+    columns = min(math.ceil(math.sqrt(count)), 3)
     lines = -(-count // columns)
     width, height = found.rig[0].size
     drawing = Drawing(figsize=(12, lines * (12 / columns * height / width + 0.35)), layout="constrained")
@@ -134,6 +138,7 @@ def _places(found: Calibration, folder: Path) -> Path:
         axes.set_title(name, fontsize=10)
         axes.set_aspect("equal", adjustable="datalim")
         axes.grid(alpha=0.3)
+        axes.margins(0.12)  # room for the names
         for c in range(len(found.rig)):
             _draw_camera(axes, found, c, axis)
         _draw_boards(axes, found, axis)
@@ -183,12 +188,14 @@ def _histogram(found: Calibration, folder: Path) -> Path:
         )
         for c in range(len(found.rig))
     ]
-    top = max(float(np.nanpercentile(np.concatenate(sizes), 98)), 0.1)
+    right = np.concatenate([distances(found, c) for c in range(len(found.rig))])
+    top = max(2.0 * float(np.percentile(right, 98)), 0.1)
     for c, (camera, own) in enumerate(zip(found.rig, sizes, strict=True)):
         colour = _COLOURS[c % len(_COLOURS)]
-        axes.hist(own, bins=np.linspace(0, top, 60).tolist(), histtype="step", color=colour, label=camera.name, lw=1.4)
+        bins = np.linspace(0, top, 60).tolist()
+        axes.hist(np.minimum(own, top), bins=bins, histtype="step", color=colour, label=camera.name, lw=1.4)
     axes.set(xlabel="px off", ylabel="points", xlim=(0, top))
-    axes.legend(fontsize=8)
+    axes.legend(fontsize=8, loc="upper center")
     return _saved(drawing, folder / "histogram.png")
 
 

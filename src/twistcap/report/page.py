@@ -73,12 +73,6 @@ def write_report(
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    links = [
-        f'<a href="{_link(folder, path)}"><code>{escape(path.name)}</code></a> {escape(text)}'
-        for path, text in (files or {}).items()
-    ]
-    cite = "Made with twistcap. Please cite its repository and the methods that it follows:"
-    papers = "".join(f"<li>{escape(paper)}</li>" for paper in METHODS)
     parts = [
         f"<h1>{escape(title)}</h1>",
         f'<p class="lead">{escape(lead)}</p>',
@@ -92,17 +86,12 @@ def write_report(
         _table("Cameras", cameras),
         _table("Measures", rows),
         _list("Notes", [escape(note) for note in notes]),
-        _list("Files", links),
-        f"<footer>{cite}<ul>{papers}</ul></footer>",
+        _list("Files", _links(folder, files or {})),
+        _FOOTER,
     ]
     path = folder / name
-    css = (resources.files("twistcap.report") / "report.css").read_text(encoding="utf-8")
-    head = '<meta charset="utf-8">\n<meta name="viewport" content="width=device-width, initial-scale=1">'
-    head += f"\n<title>{escape(title)}</title>\n<style>\n{css}</style>"
-    body = "\n".join(part for part in parts if part)
-    text = f'<!doctype html>\n<html lang="en">\n<head>\n{head}\n</head>\n<body>\n{body}\n</body>\n</html>\n'
     with replacing(path) as part:
-        part.write_text(text, encoding="utf-8")
+        part.write_text(_document(title, parts), encoding="utf-8")
     return path
 
 
@@ -125,6 +114,28 @@ def number(value: float | None) -> str:
 def unit(name: str) -> str:
     """A unit as people write it, escaped."""
     return {"deg": "°"}.get(name, escape(name))
+
+
+_FOOTER = (
+    "<footer>Made with twistcap. Please cite its repository and the methods that it follows:"
+    f"<ul>{''.join(f'<li>{escape(paper)}</li>' for paper in METHODS)}</ul></footer>"
+)
+
+
+def _document(title: str, parts: Sequence[str]) -> str:
+    """The page of its parts, without those that are empty."""
+    css = (resources.files("twistcap.report") / "report.css").read_text(encoding="utf-8")
+    head = '<meta charset="utf-8">\n<meta name="viewport" content="width=device-width, initial-scale=1">'
+    head += f"\n<title>{escape(title)}</title>\n<style>\n{css}</style>"
+    body = "\n".join(part for part in parts if part)
+    return f'<!doctype html>\n<html lang="en">\n<head>\n{head}\n</head>\n<body>\n{body}\n</body>\n</html>\n'
+
+
+def _links(folder: Path, files: Mapping[Path, str]) -> list[str]:
+    return [
+        f'<a href="{_link(folder, path)}"><code>{escape(path.name)}</code></a> {escape(text)}'
+        for path, text in files.items()
+    ]
 
 
 def _cards(headlines: Sequence[Headline]) -> str:

@@ -165,7 +165,7 @@ listeners.push((frame) => {
   plots.forEach(point);
 });
 
-window.twistcapView = { seek, setPlaying, state, runs, plots, shown: () => range };
+window.twistcapView = { seek, setPlaying, state, runs, plots, scene: scene3d, shown: () => range };
 themeButton();
 seek(0);
 document.body.dataset.ready = "yes";

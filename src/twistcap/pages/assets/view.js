@@ -1,6 +1,6 @@
 /* The viewer: 3D scene, images with outlines and time line, all driven by `seek`; the plots are in plots.js. */
 const COLOURS = data.runs.length > 1 ? ["#2f7de1", "#ef8a24", "#35a368", "#a758cf", "#c8466a", "#5a6270"] : ["#2f7de1"];
-const LOST = "#e5484d", DROPPED = "#9aa3ad", DOUBT = "#5d6875", OUT = "#d98a00";
+const LOST = "#e5484d", DROPPED = "#9aa3ad", OUT = "#d98a00";
 const colourOf = (k) => COLOURS[k % COLOURS.length];
 const runs = data.runs.map((run, k) => ({
   ...run, colour: colourOf(k), visible: true, transforms: unpack(run.transforms), angles: unpack(run.angles),
@@ -28,7 +28,7 @@ runs.forEach((run) => {
   const lost = run.lost.filter(Boolean).length;
   const note = lost ? make("span", { class: "lost" }, ` (${lost} of ${run.lost.length} frames lost)`) : "";
   const statements = make("details", {}, make("summary", {}, "lost frames and cameras"), ...run.statements.map((text) => make("div", {}, text)));
-  legend.append(make("label", {}, box, swatch, run.name, note), " ", statements, " ");
+  legend.append(make("span", { class: "run" }, make("label", {}, box, swatch, run.name, note), " ", statements), " ");
 });
 function toggle(key, text) {
   const box = make("input", { type: "checkbox", id: `show-${key}`, change: (e) => { state[key] = e.target.checked; refresh(); } });
@@ -81,8 +81,7 @@ function frustum(camera, depth) {
   const corners = camera.corners.map((c) => new THREE.Vector3(...c).sub(centre).multiplyScalar(depth).add(centre));
   const points = [];
   corners.forEach((c, k) => points.push(centre, c, c, corners[(k + 1) % 4]));
-  const group = new THREE.Group();
-  group.add(new THREE.LineSegments(new THREE.BufferGeometry().setFromPoints(points), new THREE.LineBasicMaterial({ color: 0x4a5563 })));
+  const group = new THREE.Group(), edges = new THREE.LineSegments(new THREE.BufferGeometry().setFromPoints(points), new THREE.LineBasicMaterial());
   const [a, b, c, d] = corners, screen = new THREE.BufferGeometry();
   screen.setAttribute("position", new THREE.Float32BufferAttribute([a, b, c, d].flatMap((p) => p.toArray()), 3));
   screen.setAttribute("uv", new THREE.Float32BufferAttribute([0, 1, 1, 1, 1, 0, 0, 0], 2));
@@ -93,13 +92,16 @@ function frustum(camera, depth) {
   const material = new THREE.MeshBasicMaterial({ map: texture, side: THREE.DoubleSide, transparent: true, opacity: 0.9 });
   const plane = new THREE.Mesh(screen, material);
   plane.visible = false;
-  group.add(plane, label(camera.name, centre));
-  return { group, plane, texture, canvas };
+  const name = label(camera.name, centre);
+  group.add(edges, plane, name);
+  const tint = () => { edges.material.color.set(colour("--soft")); name.material.color.set(colour("--ink")); };
+  return { group, plane, texture, canvas, name, edges, tint };
 }
 
+/** A name in white, which the material's colour turns into another. */
 function label(text, at) {
   const canvas = make("canvas", { width: 256, height: 64 }), pen = canvas.getContext("2d");
-  pen.font = "600 34px sans-serif"; pen.textAlign = "center"; pen.fillStyle = "#1b2430"; pen.fillText(text, 128, 44);
+  pen.font = "600 34px sans-serif"; pen.textAlign = "center"; pen.fillStyle = "#fff"; pen.fillText(text, 128, 44);
   const sprite = new THREE.Sprite(new THREE.SpriteMaterial({ map: new THREE.CanvasTexture(canvas), depthTest: false }));
   sprite.position.copy(at).add(new THREE.Vector3(0, 0, 0.14)); sprite.scale.set(0.6, 0.15, 1);
   return sprite;
@@ -145,6 +147,7 @@ function buildScene() {
     truth = colour("--truth");
     scene.background = new THREE.Color(colour("--ground"));
     points.material.color.set(truth); sticks.material.color.set(truth);
+    frusta.forEach((f) => f.tint());
     grid.material.opacity = isDark() ? 0.25 : 1;
   };
   grid.material.transparent = true;
@@ -184,7 +187,7 @@ function buildScene() {
     showReference(points, sticks, frame, side);
     draw();
   });
-  return { frusta, draw };
+  return { frusta, draw, ground: () => scene.background };
 }
 
 /** The 3D view by keys: arrows turn, + and − come near and go away. */
@@ -324,7 +327,7 @@ function drawMarks() {
     if (row < 0) return;
     const bottom = (k + 1) * height - 1, high = Math.round((height - 4) * run.probability[row]);
     if (run.lost[row] || run.dropped[row]) bar(frame, k * height, height - 1, run.lost[row] ? LOST + "55" : DROPPED + "77");
-    bar(frame, bottom - 3 - high, high, run.lost[row] ? LOST : DOUBT);
+    bar(frame, bottom - 3 - high, high, run.lost[row] ? LOST : colour("--soft"));
     if (run.lost[row] || run.dropped[row]) bar(frame, bottom - 3, 3, run.lost[row] ? LOST : DROPPED);
     if (run.cameras[row].includes("left out")) bar(frame, k * height, 3, OUT);
   }));
