@@ -109,7 +109,10 @@ class Result:
     def within(self, first: int, last: int) -> Result:
         """The frames of a range of frame numbers, both included."""
         n = np.flatnonzero((self.indices >= first) & (self.indices <= last))
-        arrays = ("indices", "times", "roots", "q", "covariances", "iterations", "lost", "support", "probability")
+        arrays = (
+            "indices", "times", "roots", "q", "covariances", "iterations", "lost", "support", "probability",
+            "part_probability", "left_out", "missing",
+        )  # fmt: skip
         words = {name: tuple(getattr(self, name)[k] for k in n) for name in ("statuses", "predicted")}
         energies = {name: row[n] for name, row in self.energies.items()}
         return replace(self, energies=energies, **words, **{name: getattr(self, name)[n] for name in arrays})
