@@ -22,11 +22,11 @@ from twistcap.acquire.silhouette import KeyView, difference_mask, one_person
 from twistcap.arrays import Bool, UInt8
 from twistcap.camera import Camera, Rectifier, Rig
 from twistcap.doors.images import read_image
+from twistcap.doors.strict import validated
 from twistcap.doors.text import read_toml
 from twistcap.errors import InputError
 from twistcap.io.calibration import read_rig
 from twistcap.io.session import Table
-from twistcap.io.strict import validated
 
 
 class ViewEntry(Table):
@@ -71,7 +71,7 @@ def read_key_views(path: Path | str) -> tuple[dict[str, KeyView], float | None]:
 
 
 def _opened(path: Path) -> tuple[KeyViewsFile, Rig]:
-    file: KeyViewsFile = validated(KeyViewsFile, read_toml(path, "key views"), str(path), {})
+    file: KeyViewsFile = validated(KeyViewsFile, read_toml(path, "key views"), str(path))
     return file, read_rig(path.parent / file.calibration)
 
 
