@@ -206,7 +206,8 @@ def test_no_fault_at_any_write_loses_a_frame(kind: str, tmp_path: Path) -> None:
     assert min(map(int, done.stdout.split())) > 30  # calls
 
 
-def test_a_file_that_may_not_grow(tmp_path: Path) -> None:
+@pytest.mark.parametrize("size", [300_000, 700_000])
+def test_a_file_that_may_not_grow(size: int, tmp_path: Path) -> None:
     """A real limit of the kernel's: one sentence, no signal, all frames readable."""
     code = f"""
 import resource, sys
@@ -215,7 +216,7 @@ from support.cameras import ring
 from support.results import estimate, two_links
 from twistcap.errors import InputError
 from twistcap.io.result import ResultWriter
-resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
+resource.setrlimit(resource.RLIMIT_FSIZE, ({size}, {size}))
 try:
     with ResultWriter({str(tmp_path / "r.h5")!r}, two_links(), ring(), {{}}) as writer:
         for k in range(10**6):
