@@ -13,6 +13,8 @@ from twistcap.arrays import AnyArray
 from twistcap.doors.npz import npz_arrays
 from twistcap.errors import InputError
 
+_PATIENCE = 60  # times the processor time: on a busy machine a child waits far longer than it works
+
 
 def arrays_by_child(
     script: str, path: Path, source: str, arguments: Sequence[str], seconds: float, memory: int
@@ -30,7 +32,7 @@ def arrays_by_child(
         try:
             done = subprocess.run(
                 [*command, *arguments], env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True,
-                errors="replace", timeout=10 * seconds, check=False,
+                errors="replace", timeout=_PATIENCE * seconds, check=False,
             )  # fmt: skip
         except subprocess.TimeoutExpired as error:
             raise InputError(f"{source} cannot be read: it keeps the reader busy without end.") from error
