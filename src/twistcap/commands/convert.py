@@ -42,7 +42,8 @@ def convert(
     axis: Any = up
     if up is not None:
         check_choice("--up", up, get_args(Up))
-    rig, statement = read_cameras(source, of, Asked(units[unit], size and terminal.image_size(size)), axis)
+    pixels = None if size is None else terminal.image_size(size)
+    rig, statement = read_cameras(source, of, Asked(units[unit], pixels), axis)
     write_cameras(rig, out, to)
     if json:
         centres = {camera.name: camera.centre for camera in rig}
