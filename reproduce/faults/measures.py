@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from reproduce.faults.runs import PARTS, Run
-from twistcap.arrays import Bool, Float
+from twistcap.arrays import Bool, Float, runs
 from twistcap.cues.support import SupportRule
 from twistcap.evaluate.metrics import LOST_FRAME_MM, Row, row
 
@@ -94,9 +94,8 @@ def _count(which: Bool) -> int:
 
 def delays(lost: Bool, flagged: Bool) -> list[float]:
     """Frames from the beginning of each stretch of lost frames (N,) to its first flagged one; infinite without."""
-    edges = np.diff(np.concatenate([[0], lost.astype(int), [0]]))
     out: list[float] = []
-    for first, end in zip(np.flatnonzero(edges > 0), np.flatnonzero(edges < 0), strict=True):
+    for first, end in runs(lost):
         said = np.flatnonzero(flagged[first:end])
         out.append(float(said[0]) if len(said) else np.inf)
     return out

@@ -1,4 +1,4 @@
-"""Array aliases used in signatures; shapes and units stand in the docstrings."""
+"""Array aliases used in signatures, whose docstrings say shapes and units; and the runs of true values in an array."""
 
 from __future__ import annotations
 
@@ -13,3 +13,9 @@ Int = NDArray[np.int32]
 Bool = NDArray[np.bool_]
 UInt8 = NDArray[np.uint8]
 AnyArray = NDArray[Any]
+
+
+def runs(flags: AnyArray) -> list[tuple[int, int]]:
+    """First row and row after the last of each run of true rows (N,)."""
+    steps = np.diff(np.concatenate([[0], np.asarray(flags, int), [0]]))
+    return list(zip(np.flatnonzero(steps == 1).tolist(), np.flatnonzero(steps == -1).tolist(), strict=True))

@@ -283,8 +283,8 @@ def test_universal_and_local_axes(tmp_path: Path) -> None:
 
 
 BAD_RIGS = {
-    'colour = "red"': "colour: unknown key",
-    '[joints.tip]\nkindd = "ball"': "joints.tip.kindd: unknown key",
+    'colour = "red"': "unknown key 'colour' at the top",
+    '[joints.tip]\nkindd = "ball"': r"unknown key 'kindd' in \[joints.tip\]; did you mean 'kind'",
     '[joints.tipp]\nkind = "ball"': "tipp",
     '[joints.tip]\nkind = "revolute"': "needs axes",
     '[joints.tip]\nkind = "revolute"\naxes = [[0,0,0]]': "no length",

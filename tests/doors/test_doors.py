@@ -116,7 +116,7 @@ def test_a_crash_stays_in_the_child(tmp_path: Path, code: str, monkeypatch: pyte
     (tmp_path / "child.py").write_text(code)
     monkeypatch.setattr(_hdf5_dump, "__file__", str(tmp_path / "child.py"))
     monkeypatch.setattr(hdf5, "_SECONDS", 0.2)
-    monkeypatch.setattr(child, "_WAITING", 10)
+    monkeypatch.setattr(child, "_PATIENCE", 10)
     with pytest.raises(InputError, match=r"r\.h5 cannot be read"):
         read_result(path)
 
@@ -128,7 +128,7 @@ def test_a_reader_may_wait_for_the_processor_but_not_for_ever(tmp_path: Path, mo
     script.write_text("import shutil, sys, time; time.sleep(1.2); shutil.copy(sys.argv[1], sys.argv[2])")
     found = child.arrays_by_child(str(script), tmp_path / "a.npz", "a", (), seconds=0.1, memory=1 << 30)
     np.testing.assert_array_equal(found["a"], np.arange(3))
-    monkeypatch.setattr(child, "_WAITING", 1)
+    monkeypatch.setattr(child, "_PATIENCE", 1)
     with pytest.raises(InputError, match="a cannot be read: it keeps the reader busy without end"):
         child.arrays_by_child(str(script), tmp_path / "a.npz", "a", (), seconds=0.1, memory=1 << 30)
 

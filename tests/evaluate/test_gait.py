@@ -10,13 +10,13 @@ import pytest
 
 from support.cameras import ring
 from support.commands import document, refusal, run
-from twistcap.arrays import Float
+from twistcap.arrays import Float, runs
 from twistcap.body import Body, Pose
 from twistcap.body.humanoid import humanoid
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate
 from twistcap.evaluate.gait import cycles, facing, gait_of, parameters, symmetry
-from twistcap.evaluate.smoothing import butterworth, runs
+from twistcap.evaluate.smoothing import butterworth
 from twistcap.io.coordinates import coordinates_of
 from twistcap.io.motion_files import poses_from_mot, read_mot
 from twistcap.io.norms import PERCENT

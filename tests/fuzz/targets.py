@@ -16,12 +16,14 @@ import numpy as np
 from support.cameras import ring
 from support.networks import one_stage_model
 from support.results import estimate, two_links
+from support.videos import with_sound
 from twistcap.body import Pose
 from twistcap.body.gltf import load_glb, save_glb
 from twistcap.body.humanoid import humanoid
 from twistcap.body.obj_rig import load_makehuman
 from twistcap.body.rig_spec import read_rig as read_rig_spec
 from twistcap.calibrate.board import Board, read_board
+from twistcap.calibrate.scene import read_scene
 from twistcap.camera import Rig
 from twistcap.errors import naming
 from twistcap.evaluate.load import load_reference
@@ -31,15 +33,20 @@ from twistcap.io.calibration import read_rig, write_rig
 from twistcap.io.cameras import Asked, read_cameras, write_cameras
 from twistcap.io.deepmimic import read_deepmimic
 from twistcap.io.keypoints import LAYOUTS, read_clicks, read_openpose
+from twistcap.io.keyviews import read_key_views, read_uncut
 from twistcap.io.markers import write_trc
 from twistcap.io.masks import read_masks
 from twistcap.io.motion_files import poses_of_file, write_mot
 from twistcap.io.motion_library import read_library, write_library
+from twistcap.io.norms import read_norms
 from twistcap.io.onnx_detector import load_network
 from twistcap.io.pose_file import body_at, read_pose, write_pose
 from twistcap.io.prior_file import read_prior, write_prior
+from twistcap.io.projects import found_project
 from twistcap.io.result import ResultWriter, read_result, read_state
 from twistcap.io.session import load_session
+from twistcap.io.soundtrack import read_sound
+from twistcap.io.study import load_study
 from twistcap.io.video import open_source
 from twistcap.io.videowriter import VideoWriter
 from twistcap.motion import MotionLibrary
@@ -133,6 +140,14 @@ def targets(folder: Path) -> Mapping[str, Target]:
         **{f"calibration {name}": (file, _cameras(name, folder)) for name, file in CAMERA_FILES.items()},
         "calibration board": ("board.toml", read_board),
         "session": ("session.toml", load_session),
+        "study": ("study.toml", load_study),
+        "study table": ("trials.csv", lambda p: _study(p, folder)),
+        "key views": ("keyviews.toml", lambda p: (_key_views(p, folder), read_key_views(p))),
+        "pictures to cut": ("keyviews.toml", lambda p: (_key_views(p, folder), read_uncut(p))),
+        "measured points": ("scene.json", lambda p: read_scene(p).sightings(RIG.names[:1])),
+        "gait norms": ("norms.json", read_norms),
+        "project": ("sessionMetadata.yaml", lambda p: _project(p, folder)),
+        "sound": ("heard.mp4", lambda p: read_sound(p, 2.0)),
         "rig": ("hinge.rig.toml", read_rig_spec),
         "skeleton table": ("table.toml", read_table),
         "pose": ("pose.json", lambda p: read_pose(p, body_at(p, man))),
@@ -211,6 +226,32 @@ def _cameras(name: str, seeds: Path) -> Callable[[Path], Any]:
     return read
 
 
+def _study(path: Path, seeds: Path) -> Any:
+    (path.parent / "study.toml").write_text((seeds / "study.toml").read_text())
+    with naming(path):
+        return load_study(path.parent / "study.toml")
+
+
+def _key_views(path: Path, seeds: Path) -> None:
+    """What the file names."""
+    for name in ("Calib.toml", "plate.png", "mask.png"):
+        if not (path.parent / name).exists():
+            shutil.copyfile(seeds / name, path.parent / name)
+
+
+def _project(path: Path, seeds: Path) -> Any:
+    """A folder of OpenCap whose notes are damaged."""
+    folder = path.parent / "project"
+    if not folder.exists():
+        shutil.copytree(seeds / "opencap", folder / "Videos")
+        for camera in (folder / "Videos").iterdir():
+            camera.rename(camera.with_name(camera.name.capitalize()))
+        (folder / "Videos" / "Cam0" / "InputMedia" / "walk").mkdir(parents=True)
+    shutil.copyfile(path, folder / path.name)
+    with naming(path):
+        return found_project(folder)
+
+
 def _times(rows: int) -> Any:
     return np.arange(rows) / 60
 
@@ -251,6 +292,14 @@ def _write(folder: Path) -> None:
     _write_cameras(folder)
     for name, text in (
         ("session.toml", SESSION),
+        ("study.toml", 'trials = "trials.csv"\n[body]\nfit = true\n[session]\nscale = 0.5\n'),
+        ("trials.csv", "subject,trial,session,stature\nanna,walk,session.toml,1.7\nanna,run,session.toml,\n"),
+        ("sessionMetadata.yaml", "mass_kg: 70.0\nheight_m: 1.81\n"),
+        (
+            "keyviews.toml",
+            'calibration = "Calib.toml"\nbody_line = 1.0\n[views.front]\n'
+            f'camera = "{RIG.names[0]}"\nimage = "plate.png"\nmask = "mask.png"\n',
+        ),
         ("a.asf", ASF),
         ("m.obj", OBJ),
         ("t.target", "0 0.1 0 0\n3 0 0.2 0\n"),
@@ -261,6 +310,8 @@ def _write(folder: Path) -> None:
     ):
         (folder / name).write_text(text)
     documents: dict[str, Any] = {
+        "norms.json": {"Schwartz2008": {"Free": {"KneeAngles": {"X": [[k, -5.0, 5.0] for k in range(0, 101, 10)]}}}},
+        "scene.json": {f"p{k}": {"world_m": [k, 0, 1], "pixels": {RIG.names[0]: [k, 2], "b": None}} for k in range(6)},
         "clicks.json": {RIG.names[0]: {"knee_r": [3, 4]}},
         "people.json": {"people": [{"pose_keypoints_2d": [1.0] * 3 * len(LAYOUTS["body_25"])}]},
         "clip.json": {"Frames": [[0.1, 1, 2, 3, 1, 0, 0, 0, 1, 0, 0, 0, 0.3]] * 3},
@@ -293,10 +344,13 @@ def _write(folder: Path) -> None:
     for ending in ("png", "jpg", "bmp", "tif", "ppm"):
         cv2.imwrite(str(folder / f"0001.{ending}"), picture)
     width, height = RIG[0].size
-    cv2.imwrite(str(folder / "mask.png"), np.zeros((height, width), np.uint8))
+    for name in ("mask.png", "plate.png"):
+        cv2.imwrite(str(folder / name), np.zeros((height, width), np.uint8))
     with VideoWriter(folder / "a.mp4", 30.0) as video:
         for k in range(6):
             video.write(np.full((32, 48, 3), 40 * k, np.uint8))
+    shutil.copyfile(folder / "a.mp4", folder / "heard.mp4")
+    with_sound(folder / "heard.mp4", 0.5 * np.sin(np.arange(24_000) / 9), 16_000)
     with ResultWriter(folder / "result.h5", SMALL, RIG, {"videos": {"cam0": "a.mp4"}}) as writer:
         writer.save_state(np.arange(50, dtype=np.uint8))
         for k in range(5):

@@ -6,7 +6,7 @@ import re
 import signal
 import subprocess
 import sys
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import h5py
@@ -206,7 +206,8 @@ def test_no_fault_at_any_write_loses_a_frame(kind: str, tmp_path: Path) -> None:
     assert min(map(int, done.stdout.split())) > 30  # calls
 
 
-def test_a_file_that_may_not_grow(tmp_path: Path) -> None:
+@pytest.mark.parametrize("size", [300_000, 700_000])
+def test_a_file_that_may_not_grow(size: int, tmp_path: Path) -> None:
     """A real limit of the kernel's: one sentence, no signal, all frames readable."""
     code = f"""
 import resource, sys
@@ -215,7 +216,7 @@ from support.cameras import ring
 from support.results import estimate, two_links
 from twistcap.errors import InputError
 from twistcap.io.result import ResultWriter
-resource.setrlimit(resource.RLIMIT_FSIZE, (300_000, 300_000))
+resource.setrlimit(resource.RLIMIT_FSIZE, ({size}, {size}))
 try:
     with ResultWriter({str(tmp_path / "r.h5")!r}, two_links(), ring(), {{}}) as writer:
         for k in range(10**6):
@@ -266,6 +267,20 @@ def test_room_that_was_not_used_is_given_back(tmp_path: Path) -> None:
             np.testing.assert_array_equal(file["frames/energies/late"][:4], [np.nan, np.nan, np.nan, 2.0])
     with h5py.File(path) as file:
         assert all(file["frames"][name].shape[0] == 4 for name in ("index", "q", "covariance", "energies/late"))
+
+
+def test_some_of_the_frames(tmp_path: Path) -> None:
+    """Every row of every dataset goes with its frame, the flags of parts and cameras too."""
+    with ResultWriter(tmp_path / "r.h5", two_links(), ring(), {}) as writer:
+        for k in range(6):
+            parts = np.full(len(two_links().segment_names), 0.1 * k)
+            writer.append(replace(estimate(k), part_probability=parts, left_out=(k % 2,), missing=(k % 3,)))
+    whole = read_result(tmp_path / "r.h5")
+    few = whole.within(2, 4)
+    assert {name: len(rows) for name, rows in few.rows.items()} == dict.fromkeys(whole.rows, 3)
+    for mine, theirs in zip(few.estimates, whole.estimates[2:5], strict=True):
+        assert (mine.index, mine.left_out, mine.missing) == (theirs.index, theirs.left_out, theirs.missing)
+        np.testing.assert_array_equal(mine.part_probability, theirs.part_probability)
 
 
 def test_layout_is_as_documented(tmp_path: Path) -> None:

@@ -301,7 +301,7 @@ def test_a_user_s_table(tmp_path: Path, shared_data: Path, body: Body) -> None:
     [
         ("pelvis =", "basin =", "unknown segment 'basin'"),
         ("tibia_r =", "#", "it lacks 'tibia_r'"),
-        ("up = [0, 1, 0]", "over = [0, 1, 0]", "segments.pelvis.over: unknown key"),
+        ("up = [0, 1, 0]", "over = [0, 1, 0]", r"unknown key 'over' in \[segments.pelvis\]"),
         ("up = [0, 1, 0]", "up = [0, 1]", "segments.pelvis.up"),
         (", up = [0, 1, 0]", "", "give either up or down"),
         ("down = [0, -1, 0]", 'down = "shin"', "points to 'shin'"),

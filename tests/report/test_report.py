@@ -17,13 +17,14 @@ from support.box import BOX, hinged_box
 from twistcap import se3
 from twistcap.arrays import AnyArray
 from twistcap.body import Pose, Posed
+from twistcap.body.model import split_side
 from twistcap.camera import Camera, Rig, look_at
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate.metrics import row
 from twistcap.report import Figure, Statement, angle_plot, draw_overlay, joint_error_plot, overlay_video, write_report
 from twistcap.report.overlay import LOST, bones_of, mosaic_for, part_colours, visible_projection
 from twistcap.report.page import headline_rows, number
-from twistcap.report.plots import AngleSeries, spans, split_side
+from twistcap.report.plots import AngleSeries, spans
 
 CHROMIUM = Path("/usr/bin/chromium")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import av
 import numpy as np
 
 from twistcap.io.videowriter import VideoWriter
@@ -24,6 +25,28 @@ def write(path: Path, count: int = COUNT, size: tuple[int, int] = (384, 280)) ->
     with VideoWriter(path, fps=60) as writer:
         for k in range(count):
             writer.write(picture(k, size))
+    return path
+
+
+def with_sound(path: Path, samples: np.ndarray, rate: int) -> Path:
+    """The video with a sound track of samples (N,) in [-1, 1]."""
+    part = path.with_name(f"{path.stem}-sound{path.suffix}")
+    with av.open(str(path)) as source, av.open(str(part), "w") as goal:
+        picture, sound = (
+            goal.add_stream_from_template(source.streams.video[0]),
+            goal.add_stream("alac", rate, layout="mono"),
+        )
+        for packet in source.demux(video=0):
+            if packet.dts is not None:
+                packet.stream = picture
+                goal.mux(packet)
+        for start in range(0, len(samples), 4096):
+            piece = (32767 * samples[None, start : start + 4096]).astype(np.int16)
+            frame = av.AudioFrame.from_ndarray(piece, "s16p", "mono")
+            frame.sample_rate, frame.pts = rate, start
+            goal.mux(sound.encode(frame))
+        goal.mux(sound.encode(None))
+    part.replace(path)
     return path
 
 

@@ -10,7 +10,8 @@ from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
-from pygltflib import GLTF2, Accessor, BufferView
+import pygltflib as gl
+from scipy.spatial.transform import Rotation
 
 from twistcap.arrays import AnyArray, Float
 from twistcap.body.rig_spec import RigSpec
@@ -32,7 +33,7 @@ ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 class Buffers:
     """Reads accessors of one file as float64 arrays."""
 
-    def __init__(self, gltf: GLTF2, path: Path) -> None:
+    def __init__(self, gltf: gl.GLTF2, path: Path) -> None:
         self.gltf, self.path = gltf, path
         self._data: dict[int, bytes] = {}
 
@@ -84,19 +85,21 @@ class Buffers:
 
 
 class Packer:
-    """Collects arrays into the one binary chunk of a GLB."""
+    """Collects arrays into the one binary chunk of a GLB, after what it has in it."""
 
-    def __init__(self, gltf: GLTF2) -> None:
-        self.gltf, self.blob = gltf, bytearray()
+    def __init__(self, gltf: gl.GLTF2) -> None:
+        held: Any = gltf.binary_blob()
+        self.gltf, self.blob = gltf, bytearray(held or b"")
+        self.blob += b"\0" * (-len(self.blob) % 4)
 
     def add(self, values: AnyArray, kind: str, target: int | None = None, bounds: bool = False) -> int:
         """Append an array of glTF type `kind`, with min and max if `bounds`; returns the number of its accessor."""
         data = np.ascontiguousarray(values)
         self.gltf.bufferViews.append(
-            BufferView(buffer=0, byteOffset=len(self.blob), byteLength=data.nbytes, target=target)
+            gl.BufferView(buffer=0, byteOffset=len(self.blob), byteLength=data.nbytes, target=target)
         )
         rows = data.reshape(-1, _WIDTHS[kind])
-        accessor = Accessor(
+        accessor = gl.Accessor(
             bufferView=len(self.gltf.bufferViews) - 1, componentType=_CODES[data.dtype], count=len(rows), type=kind
         )
         if bounds:
@@ -115,6 +118,31 @@ class Packer:
         rising = keys[0] >= 0 and np.isfinite(keys[-1]) and np.all(np.diff(keys) > 0)
         check(str(source), rising, "the times of an animation must rise, from 0 or later")
         return self.add(keys, "SCALAR", bounds=True)
+
+    def add_channel(self, animation: gl.Animation, keys: int, node: int, path: str, values: Float) -> None:
+        """Move a node: by rotations (T, 4; x y z w) or translations (T, 3), as the `path` says, at key times."""
+        output = self.add(values.astype(np.float32), "VEC4" if path == "rotation" else "VEC3")
+        animation.samplers.append(gl.AnimationSampler(input=keys, output=output, interpolation="LINEAR"))
+        target = gl.AnimationChannelTarget(node=node, path=path)
+        animation.channels.append(gl.AnimationChannel(sampler=len(animation.samplers) - 1, target=target))
+
+    def save(self, path: Path | str) -> None:
+        """Write the GLB. Raises InputError where it cannot be written."""
+        if not self.gltf.buffers:
+            self.gltf.buffers.append(gl.Buffer())
+        self.gltf.buffers[0].byteLength = len(self.blob)
+        self.gltf.set_binary_blob(bytes(self.blob))
+        try:
+            self.gltf.save_binary(str(path))
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
+
+
+def quaternions(turns: Float) -> Float:
+    """(T, …, 4) x y z w of rotations (T, …, 3, 3), continuous in time."""
+    q = Rotation.from_matrix(turns.reshape(-1, 3, 3)).as_quat(canonical=True).reshape(*turns.shape[:-2], 4)
+    flips = np.where(np.sum(q[1:] * q[:-1], axis=-1, keepdims=True) < 0, -1.0, 1.0)
+    return q * np.cumprod(np.concatenate([np.ones_like(q[:1, ..., :1]), flips]), axis=0)
 
 
 def noted(notes: Mapping[str, Any] | None) -> dict[str, Any]:

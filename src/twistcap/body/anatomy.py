@@ -7,7 +7,7 @@ centres, and the hinge axes of knee and elbow in place of the lines between the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,20 +15,11 @@ import numpy as np
 from twistcap import se3
 from twistcap.arrays import Float
 from twistcap.body.model import Body
+from twistcap.body.proportions import JOINTS
 from twistcap.body.shape import joint_origin
 
 UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # columns: these axes in our rest frame
-# The coordinates of the joint that moves each bone.
-_JOINTS: Mapping[str, Sequence[str]] = {
-    "thorax": tuple(f"{part}_{way}" for part in ("lumbar", "thorax") for way in ("extension", "bending", "rotation")),
-    "head": ("neck_extension", "neck_bending", "neck_rotation"),
-    "humerus": ("arm_add", "arm_flex", "arm_rot"),
-    "forearm": ("elbow_flex", "pro_sup"),
-    "hand": ("wrist_flex",),
-    "femur": ("hip_flexion", "hip_adduction", "hip_rotation"),
-    "tibia": ("knee_angle",),
-    "foot": ("ankle_angle", "subtalar_angle"),
-}
+_TOLD_BY = {"thorax": ("torso", "thorax"), "forearm": ("ulna", "radius")}  # bones that two joints of ours move
 # Long bones: landmarks at both ends, the hinge across, and the sign of its axis to the right.
 _LONG = {
     "humerus": ("shoulder", "elbow", "elbow_flex", 1.0),
@@ -57,18 +48,19 @@ def bones_of(body: Body) -> dict[str, Bone]:
     root = int(np.argmax(body.segment_joint < 0)) if np.any(body.segment_joint < 0) else 0
     bones = {"pelvis": Bone(root, se3.transform(_pelvis_axes(body), _mark(body, "mid_hip", root)))}
     for name in ("thorax", "head"):
-        if (segment := _moved_by(body, _JOINTS[name], "")) is not None:
+        if (segment := _moved_by(body, name, "")) is not None:
             bones[name] = Bone(segment, se3.transform(UPRIGHT, joint_origin(body, segment)))
     for side in ("_r", "_l"):
         for name in ("humerus", "forearm", "hand", "femur", "tibia", "foot"):
-            segment, frame = _moved_by(body, _JOINTS[name], side), _frame(body, name, side, bones)
+            segment, frame = _moved_by(body, name, side), _frame(body, name, side, bones)
             if segment is not None and frame is not None:
                 bones[name + side] = Bone(segment, frame)
     return bones
 
 
-def _moved_by(body: Body, names: Sequence[str], side: str) -> int | None:
-    """The segment nearest to the root that all coordinates of a joint move; None for a joint that the body lacks."""
+def _moved_by(body: Body, bone: str, side: str) -> int | None:
+    """The segment nearest to the root that all coordinates of a bone's joint move; None where the body lacks it."""
+    names = [name for segment in _TOLD_BY.get(bone, (bone,)) for name in JOINTS[segment]]
     own = [body.coordinate(name + side) for name in names if name + side in body.coordinate_names]
     moved = np.flatnonzero(body.chain[:, own].all(axis=1)) if own else np.zeros(0, int)
     return int(moved[np.argmin(body.chain[moved].sum(axis=1))]) if len(moved) else None

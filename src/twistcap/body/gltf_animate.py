@@ -17,12 +17,12 @@ from scipy.spatial.transform import Rotation
 
 from twistcap import se3
 from twistcap.arrays import Float
-from twistcap.body._gltf_buffers import TO_REST, Packer, noted
+from twistcap.body._gltf_buffers import TO_REST, Packer, noted, quaternions
 from twistcap.body.gltf import Rigged, load_rigged
 from twistcap.body.kinematics import Pose, Posed
 from twistcap.body.model import Body
 from twistcap.body.rig import RestJoints, in_tree_order, rest_joints
-from twistcap.errors import InputError, check
+from twistcap.errors import check
 
 _STILL = 1e-5  # rad or m by which a bone that has no channel may differ from its rest
 
@@ -76,25 +76,16 @@ def animate_glb(
     Raises InputError for a file that is not binary, times that do not rise from 0, or if it cannot be written.
     """
     scene, gltf = motion.rigged.scene, motion.rigged.scene.gltf
-    blob: bytes = gltf.binary_blob() or b""
-    check(str(scene.path), blob and gltf.buffers[0].uri is None, "motion goes into a GLB, not into a .gltf")
+    whole = gltf.binary_blob() and gltf.buffers[0].uri is None
+    check(str(scene.path), whole, "motion goes into a GLB, not into a .gltf")
     pack = Packer(gltf)
-    pack.blob = bytearray(blob + b"\0" * (-len(blob) % 4))
     keys = pack.add_times(times, len(motion.places), path)
     animation = gl.Animation(name=name, extras=noted(notes))
     for node, kind, values in _channels(motion):
-        output = pack.add(values.astype(np.float32), "VEC4" if kind == "rotation" else "VEC3")
-        animation.samplers.append(gl.AnimationSampler(input=keys, output=output, interpolation="LINEAR"))
-        target = gl.AnimationChannelTarget(node=node, path=kind)
-        animation.channels.append(gl.AnimationChannel(sampler=len(animation.samplers) - 1, target=target))
+        pack.add_channel(animation, keys, node, kind, values)
         _without_matrix(gltf.nodes[node])
     gltf.animations.insert(0, animation)
-    gltf.buffers[0].byteLength = len(pack.blob)
-    gltf.set_binary_blob(bytes(pack.blob))
-    try:
-        gltf.save_binary(str(path))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
+    pack.save(path)
 
 
 def _channels(motion: BoneMotion) -> list[tuple[int, str, Float]]:
@@ -112,18 +103,11 @@ def _channels(motion: BoneMotion) -> list[tuple[int, str, Float]]:
         world[:, n] = motion.turns[:, joint[n]]
         turns = above.swapaxes(1, 2) @ world[:, n]
         if np.abs(turns - local[n]).max() > _STILL:
-            out.append((n, "rotation", _quaternions(turns)))
+            out.append((n, "rotation", quaternions(turns)))
     root = scene.joints[motion.rest.root]
     above = scene.world[scene.parents[root]] if scene.parents[root] >= 0 else np.eye(4)
     places = (motion.places - above[:3, 3]) @ np.linalg.inv(above[:3, :3]).T
     return [*out, (root, "translation", places)]
-
-
-def _quaternions(turns: Float) -> Float:
-    """(T, 4) x y z w, continuous in time."""
-    q = Rotation.from_matrix(turns).as_quat(canonical=True)
-    flips = np.cumprod(np.where(np.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0))
-    return q * np.concatenate([[1.0], flips])[:, None]
 
 
 def _rotation(matrices: Float) -> Float:

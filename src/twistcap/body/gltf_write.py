@@ -8,15 +8,13 @@ from typing import Any
 
 import numpy as np
 import pygltflib as gl
-from scipy.spatial.transform import Rotation
 
 from twistcap import se3
 from twistcap.arrays import Float
-from twistcap.body._gltf_buffers import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, EXTRAS, TO_REST, Packer, noted
+from twistcap.body._gltf_buffers import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, EXTRAS, TO_REST, Packer, noted, quaternions
 from twistcap.body.kinematics import Pose, Posed, vertex_normals
 from twistcap.body.model import Body
 from twistcap.body.shape import joint_origins
-from twistcap.errors import InputError
 
 
 def save_glb(
@@ -38,12 +36,7 @@ def save_glb(
     if poses:
         _add_animation(gltf, pack, body, origins, poses, pack.add_times(times, len(poses), path))
         gltf.animations[-1].extras = noted(notes)
-    gltf.buffers.append(gl.Buffer(byteLength=len(pack.blob)))
-    gltf.set_binary_blob(bytes(pack.blob))
-    try:
-        gltf.save_binary(str(path))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
+    pack.save(path)
 
 
 def _extras(body: Body) -> dict[str, Any]:
@@ -102,11 +95,8 @@ def _add_animation(gltf: gl.GLTF2, pack: Packer, body: Body, origins: Float, pos
     rotations, translations = local_motions(body, origins, poses)
     animation = gl.Animation(name="motion")
     for s in range(len(origins)):
-        for path, values, kind in (("rotation", rotations, "VEC4"), ("translation", translations, "VEC3")):
-            output = pack.add(values[:, s].astype(np.float32), kind)
-            animation.samplers.append(gl.AnimationSampler(input=keys, output=output, interpolation="LINEAR"))
-            target = gl.AnimationChannelTarget(node=s, path=path)
-            animation.channels.append(gl.AnimationChannel(sampler=len(animation.samplers) - 1, target=target))
+        for path, values in (("rotation", rotations), ("translation", translations)):
+            pack.add_channel(animation, keys, s, path, values[:, s])
     gltf.animations.append(animation)
 
 
@@ -118,9 +108,4 @@ def local_motions(body: Body, origins: Float, poses: Sequence[Pose]) -> tuple[Fl
     frames = C @ motions @ se3.transform(np.eye(3), origins) @ C.T
     above = body.segment_parent
     local = np.where((above >= 0)[:, None, None], se3.inverse(frames[:, above]) @ frames, frames)
-    turns = Rotation.from_matrix(local[..., :3, :3].reshape(-1, 3, 3))
-    quaternions = turns.as_quat(canonical=True).reshape(*local.shape[:2], 4)
-    for t in range(1, len(quaternions)):
-        opposite = np.sum(quaternions[t] * quaternions[t - 1], axis=-1, keepdims=True) < 0
-        quaternions[t] = np.where(opposite, -quaternions[t], quaternions[t])
-    return quaternions, local[..., :3, 3]
+    return quaternions(local[..., :3, :3]), local[..., :3, 3]

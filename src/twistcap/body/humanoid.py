@@ -26,23 +26,10 @@ from twistcap.body.shape import rescaled
 from twistcap.errors import check
 
 Variant = Literal["full", "legs"]
-Vector = tuple[float, float, float]
-_FLEX, _SIDE, _TURN = (0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
-# Talocrural and subtalar axes after Inman, "The Joints of the Ankle" (1976), as gait models use them; right side.
-_ANKLE, _SUBTALAR = (-0.105, -0.979, -0.174), (0.787, 0.121, 0.605)
-# Joints of a side, outwards: segment, centre, axes of the right side by coordinate, landmark at the centre.
-_CLAVICLE = ("clavicle", P.CLAVICLE, {"clavicle_elevation": (-1, 0, 0), "clavicle_protraction": _TURN}, "")
-_ARM = (
-    ("humerus", P.SHOULDER, {"arm_add": _SIDE, "arm_flex": _FLEX, "arm_rot": _TURN}, "shoulder"),
-    ("ulna", P.ELBOW, {"elbow_flex": _FLEX}, "elbow"),
-    ("radius", P.WRIST, {"pro_sup": _TURN}, "wrist"),
-)
-_HAND = ("hand", P.WRIST, {"wrist_flex": _SIDE}, "")
-_LEG = (
-    ("femur", P.HIP, {"hip_flexion": _FLEX, "hip_adduction": _SIDE, "hip_rotation": _TURN}, "hip"),
-    ("tibia", P.KNEE, {"knee_angle": (0.0, 1.0, 0.0)}, "knee"),
-    ("foot", P.ANKLE, {"ankle_angle": _ANKLE, "subtalar_angle": _SUBTALAR}, "ankle"),
-)
+# Joints of a side, outwards: segment, centre, landmark at the centre.
+_CLAVICLE, _HAND = ("clavicle", P.CLAVICLE, ""), ("hand", P.WRIST, "")
+_ARM = (("humerus", P.SHOULDER, "shoulder"), ("ulna", P.ELBOW, "elbow"), ("radius", P.WRIST, "wrist"))
+_LEG = (("femur", P.HIP, "hip"), ("tibia", P.KNEE, "knee"), ("foot", P.ANKLE, "ankle"))
 _SOLE = (("toe", P.TOE_X - 0.01, -0.022), ("small_toe", 0.155, 0.036), ("heel", P.HEEL_X + 0.004, 0.0))
 
 _OUT = {"arm": (P.SHOULDER, np.deg2rad(42.0)), "leg": (P.HIP, np.deg2rad(7.0))}  # how limbs are held in modelling
@@ -80,7 +67,7 @@ def humanoid(
 
 def limb_motions() -> dict[str, Float]:
     """Motions (4, 4) of the left "arm" and "leg" from the neutral to the modelling pose."""
-    omega = np.array(_SIDE)
+    omega = np.array(P.SIDE)
     return {n: se3.exp(angle * np.concatenate([omega, -np.cross(omega, at)])) for n, (at, angle) in _OUT.items()}
 
 
@@ -105,28 +92,29 @@ class _Skeleton:
 
     def __init__(self) -> None:
         self.names, self.parent, self.twists = list[str](), list[int](), list[Float]()
+        self.limits_deg = list[tuple[float, float]]()
         self.segments: dict[str, int] = {"pelvis": -1}
         self.marks: dict[str, tuple[str, Float]] = {"mid_hip": ("pelvis", np.zeros(3))}
 
-    def joint(self, segment: str, above: str, at: Vector, axes: Mapping[str, Vector], side: str = "") -> None:
-        """A segment on a joint of one coordinate per axis, all through one point; axes are those of the right side."""
+    def joint(self, segment: str, above: str, at: P.Vector, side: str = "") -> None:
+        """A segment on its joint, whose axes all go through one point."""
         last, place = self.segments[above], _placed(at, side)
-        for name, axis in axes.items():
-            mirrored = np.array(axis) * ([-1.0, 1.0, -1.0] if side == "l" else 1.0)  # as an axial vector
-            omega = mirrored / np.linalg.norm(axis)
+        for name, (axis, limits_deg) in P.JOINTS[segment].items():
+            omega = np.array(P.of_side(axis, side)) / np.linalg.norm(axis)
             self.parent.append(last)
-            self.names.append(_sided(name, side))
+            self.names.append(P.sided(name, side))
             self.twists.append(np.concatenate([omega, -np.cross(omega, place)]))
+            self.limits_deg.append(limits_deg)
             last = len(self.names) - 1
-        self.segments[_sided(segment, side)] = last
+        self.segments[P.sided(segment, side)] = last
 
-    def mark(self, name: str, segment: str, at: Vector, side: str = "") -> None:
-        self.marks[_sided(name, side)] = (_sided(segment, side), _placed(at, side))
+    def mark(self, name: str, segment: str, at: P.Vector, side: str = "") -> None:
+        self.marks[P.sided(name, side)] = (P.sided(segment, side), _placed(at, side))
 
-    def limb(self, joints: Sequence[tuple[str, Vector, Mapping[str, Vector], str]], above: str, side: str) -> None:
+    def limb(self, joints: Sequence[tuple[str, P.Vector, str]], above: str, side: str) -> None:
         """The joints of a side, one on the other, the first one on a segment of the trunk."""
-        for segment, at, axes, mark in joints:
-            self.joint(segment, above, at, axes, side)
+        for segment, at, mark in joints:
+            self.joint(segment, above, at, side)
             above = f"{segment}_{side}"
             if mark:
                 self.mark(mark, segment, at, side)
@@ -134,7 +122,7 @@ class _Skeleton:
     def body(self, variant: str) -> Body:
         """The body without a surface."""
         names = tuple(self.segments)
-        limits = np.deg2rad([P.LIMITS_DEG[n if n in P.LIMITS_DEG else n[:-2]] for n in self.names])
+        limits = np.deg2rad(self.limits_deg)
         owners = np.array([names.index(segment) for segment, _ in self.marks.values()], np.int32)
         marks = Landmarks(tuple(self.marks), owners, np.array([at for _, at in self.marks.values()], dtype=np.float64))
         return Body(
@@ -144,21 +132,16 @@ class _Skeleton:
         )  # fmt: skip
 
 
-def _sided(name: str, side: str) -> str:
-    return f"{name}_{side}" if side else name
-
-
-def _placed(at: Vector, side: str) -> Float:
+def _placed(at: P.Vector, side: str) -> Float:
     return np.array(at) * [1.0, -1.0 if side == "r" else 1.0, 1.0]
 
 
 def _add_trunk(s: _Skeleton, thorax: bool, neck: bool) -> str:
     """Spine, head and its landmarks; the name of the segment that carries the arms."""
-    spine = [("torso", "pelvis", P.LUMBAR, "lumbar"), ("thorax", "torso", P.THORAX, "thorax")][: 1 + thorax]
+    spine = [("torso", "pelvis", P.LUMBAR), ("thorax", "torso", P.THORAX)][: 1 + thorax]
     chest = spine[-1][0]
-    for segment, above, at, prefix in [*spine, ("head", chest, P.NECK, "neck")][: len(spine) + neck]:
-        axes = {f"{prefix}_extension": _FLEX, f"{prefix}_bending": _SIDE, f"{prefix}_rotation": _TURN}
-        s.joint(segment, above, at, axes)
+    for segment, above, at in [*spine, ("head", chest, P.NECK)][: len(spine) + neck]:
+        s.joint(segment, above, at)
     head = "head" if neck else chest
     for mark, at in (("neck", P.NECK), ("head_top", (0.0, 0.0, P.TOP)), ("nose", (0.116, 0.0, 0.683))):
         s.mark(mark, head, at)

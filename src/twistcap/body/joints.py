@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twistcap import se3
 from twistcap.arrays import Float
 from twistcap.body.model import Body
-from twistcap.body.shape import joint_origin
+from twistcap.body.shape import joint_coordinates, joint_origin, meeting_point
 from twistcap.errors import InputError
 
 
@@ -49,7 +48,7 @@ def joints_of(body: Body) -> list[Joint]:
         whole = joint_origin(body, s)
         for n, run in enumerate(runs):
             own = name if n == len(runs) - 1 else f"{name}_{n + 1}"
-            origin = whole if len(runs) == 1 else _meeting_point(body, run, whole)[0]
+            origin = whole if len(runs) == 1 else meeting_point(body.twists[run], whole)[0]
             moved_by = run[-1] if run else int(body.segment_joint[s])
             joints.append(Joint(own, parent, s, tuple(run), moved_by, origin))
             parent = len(joints) - 1
@@ -59,23 +58,9 @@ def joints_of(body: Body) -> list[Joint]:
 
 def _runs(body: Body, segment: int) -> list[list[int]]:
     """The coordinates between a segment and the one above, in runs whose axes meet in a point."""
-    above = int(body.segment_parent[segment])
-    top = int(body.segment_joint[above]) if above >= 0 else -1
-    k, chain = int(body.segment_joint[segment]), list[int]()
-    while k not in (-1, top):
-        chain.insert(0, k)
-        k = int(body.parent[k])
     runs: list[list[int]] = [[]]
-    for k in chain:
-        if runs[-1] and _meeting_point(body, [*runs[-1], k], np.zeros(3))[1] > 1e-7:
+    for k in reversed(joint_coordinates(body, segment)):
+        if runs[-1] and meeting_point(body.twists[[*runs[-1], k]], np.zeros(3))[1] > 1e-7:
             runs.append([])
         runs[-1].append(k)
     return runs
-
-
-def _meeting_point(body: Body, coordinates: list[int], guess: Float) -> tuple[Float, float]:
-    """(3,) the point on all axes that is nearest to a guess, and how far it misses them, m."""
-    w, v = body.twists[coordinates, :3], body.twists[coordinates, 3:]
-    rows, rhs = -se3.hat(w).reshape(-1, 3), v.reshape(-1)  # ω × p = −v
-    point = guess + np.linalg.lstsq(rows, rhs - rows @ guess, rcond=1e-9)[0]
-    return point, float(np.max(np.abs(rows @ point - rhs)))

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from twistcap.arrays import Bool, Float
-from twistcap.body.model import Body
+from twistcap.body.model import Body, unsided
 
 _NAMED_AFTER = {"head_top": "head", "wrist": "arm", "elbow": "arm", "ankle": "leg", "knee": "leg"}
 
@@ -55,7 +55,7 @@ def _limb_name(body: Body, part: Bool) -> str:
     ends = [name for name, segment in zip(marks.names, marks.segments, strict=True) if part[segment]]
     for landmark, limb in _NAMED_AFTER.items():
         for name in ends:
-            if name.removesuffix("_r").removesuffix("_l") == landmark:
+            if unsided(name) == landmark:
                 return limb + name[len(landmark) :]
     return body.segment_names[int(np.argmax(part))]
 

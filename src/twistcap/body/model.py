@@ -146,9 +146,14 @@ class Body:
         return edges_of(self.faces)
 
 
+def split_side(name: str) -> tuple[str, str]:
+    """``knee_angle_r`` -> ("knee_angle", "r"); the side of what has none is empty."""
+    return (name[:-2], name[-1]) if name[-2:] in ("_r", "_l") else (name, "")
+
+
 def unsided(name: str) -> str:
     """The name of a segment, coordinate or landmark without its side, ``_r`` or ``_l``."""
-    return name.removesuffix("_r").removesuffix("_l")
+    return split_side(name)[0]
 
 
 def partners(names: Sequence[str]) -> list[int]:

@@ -21,7 +21,8 @@ from twistcap import se3
 from twistcap.arrays import Float, Int
 from twistcap.body.model import Body
 from twistcap.body.rig import SkinnedMesh, build_body, in_tree_order, weights_matrix
-from twistcap.body.rig_spec import RigSpec, read_rig, validated_model
+from twistcap.body.rig_spec import RigSpec, read_rig
+from twistcap.doors.strict import validated
 from twistcap.doors.text import finite_number, number_array, read_json_table, read_text
 from twistcap.errors import InputError, check, naming
 
@@ -143,7 +144,7 @@ class _Rig(BaseModel):
 
 def _skinned(mesh: ObjMesh, path: Path, weights: Path) -> SkinnedMesh:
     content = read_json_table(path)
-    rig = validated_model(content if "bones" in content else {"bones": content}, _Rig, path)
+    rig = validated(_Rig, content if "bones" in content else {"bones": content}, str(path))
     names = list(rig.bones)
     parents = [_parent(names, name, rig.bones[name], path) for name in names]
     order = in_tree_order(parents)

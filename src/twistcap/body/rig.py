@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 
@@ -16,7 +17,8 @@ from twistcap.body.rig_spec import JointSpec, LandmarkSpec, RigSpec
 from twistcap.errors import InputError, check
 
 _MOST_WEIGHTS = 25_000_000  # numbers of a dense binding
-_AXES_OF = {"revolute": 1, "universal": 2, "ball": 3}
+KINDS: tuple[Literal["revolute", "universal", "ball"], ...] = ("revolute", "universal", "ball")
+"""Of joints with one, two and three axes."""
 
 
 @dataclass(frozen=True)
@@ -182,7 +184,7 @@ class _Tree:
 
 
 def _coordinates(name: str, joint: JointSpec, where: str) -> tuple[Float, list[str], list[tuple[float, float]]]:
-    count = _AXES_OF[joint.kind]
+    count = ["fixed", *KINDS].index(joint.kind)
     if joint.axes is None and joint.kind != "ball":
         raise InputError(f"{where}: a {joint.kind} joint needs axes ({count} of them).")
     axes = np.eye(3) if joint.axes is None else np.array(joint.axes, dtype=float).reshape(-1, 3)

@@ -7,19 +7,27 @@ gives segments, coordinates and signs of the built-in humanoid; all other bones 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from twistcap.arrays import Float, Int
-from twistcap.body.rig import SkinnedMesh
+from twistcap.body import proportions as P
+from twistcap.body.rig import KINDS, SkinnedMesh
 from twistcap.body.rig_spec import Aim, Axis, JointSpec, LandmarkSpec, RigSpec, Vector
 from twistcap.errors import InputError
 
 _MIDDLE = ("pelvis", "spine", "neck", "head")
 _SIDED = ("arm", "forearm", "hand", "thigh", "shin", "foot", "toe")
 _OPTIONAL = ("head", "toe")
+_TRUNK = {"spine": "torso", "neck": "head"}
+"""The humanoid's segment by role."""
+_LIMBS = {
+    "arm": ("humerus", "forearm"), "forearm": ("ulna", "hand"), "hand": ("radius", ""),
+    "thigh": ("femur", "shin"), "shin": ("tibia", "foot"), "foot": ("foot", "toe"),
+}  # fmt: skip
+"""The same, and the role that each points to."""
 _LIKELY = 0.6  # share of the bones from which a rig is taken for a known one with gaps
 _HEIGHTS = (0.4, 3.5)  # m; what is beyond is in another unit
 
@@ -105,9 +113,10 @@ def _spec(mesh: SkinnedMesh, joints: Mapping[str, int]) -> RigSpec:
     if not _HEIGHTS[0] < height < _HEIGHTS[1]:
         raise InputError(f"{mesh.source}: the body is {height:.3g} m high; export it in metres.")
     named = {role: mesh.joints[b] for role, b in joints.items()}
-    specs = {named["pelvis"]: JointSpec(segment="pelvis"), **_trunk(named)}
-    for side, sign in (("r", 1.0), ("l", -1.0)):
-        specs |= _limbs(named, side, sign)
+    specs = {named["pelvis"]: JointSpec(segment="pelvis")}
+    specs |= {named[role]: _joint(segment, "") for role, segment in _TRUNK.items()}
+    for side in "rl":
+        specs |= _limbs(named, side)
     return spec.model_copy(update={"joints": specs, "landmarks": _landmarks(mesh, joints, *at)})
 
 
@@ -120,58 +129,24 @@ def _forward(mesh: SkinnedMesh, joints: Mapping[str, int]) -> Axis:
     return axis[k, bool(ahead[k] > 0)]
 
 
-def _ball(segment: str, names: Sequence[str], limits: Sequence[tuple[float, float]], sign: float, first: str,
-          aim: Aim | None = None) -> JointSpec:  # fmt: skip
-    """A joint of flexion about −y, and of bending and rotation that mirror; `first` names the outermost."""
-    flex, side, turn = (0.0, -1.0, 0.0), (sign, 0.0, 0.0), (0.0, 0.0, sign)
-    axes: list[Vector] = [flex, side, turn] if first == "flexion" else [side, flex, turn]
-    return JointSpec(kind="ball", axes=axes, names=list(names), limits_deg=list(limits), segment=segment, aim=aim)
-
-
-def _trunk(named: Mapping[str, str]) -> dict[str, JointSpec]:
-    out: dict[str, JointSpec] = {}
-    for role, stem, segment, limits in (
-        ("spine", "lumbar", "torso", [(-60.0, 25.0), (-35.0, 35.0), (-45.0, 45.0)]),
-        ("neck", "neck", "head", [(-60.0, 75.0), (-45.0, 45.0), (-80.0, 80.0)]),
-    ):
-        names = [f"{stem}_{way}" for way in ("extension", "bending", "rotation")]
-        out[named[role]] = _ball(segment, names, limits, 1.0, "flexion")
-    return out
-
-
-def _limbs(named: Mapping[str, str], side: str, sign: float) -> dict[str, JointSpec]:
-    """Arms and legs of a side, turned straight down in the rest pose."""
-
-    def bone(role: str) -> str:
-        return named[f"{role}_{side}"]
-
-    def down(role: str) -> Aim:
-        return Aim(at=bone(role), along=(0.0, 0.0, -1.0))
-
-    def hinge(segment: str, name: str, axis: Vector, limits: tuple[float, float], aim: Aim | None = None) -> JointSpec:
-        return JointSpec(kind="revolute", axes=[axis], names=[f"{name}_{side}"], limits_deg=[limits],
-                         segment=f"{segment}_{side}", aim=aim)  # fmt: skip
-
-    arm = [f"{name}_{side}" for name in ("arm_add", "arm_flex", "arm_rot")]
-    hip = [f"hip_{way}_{side}" for way in ("flexion", "adduction", "rotation")]
-    ankle: list[Vector] = [(-0.105 * sign, -0.979, -0.174 * sign), (0.787 * sign, 0.121, 0.605 * sign)]
-    foot = JointSpec(
-        kind="universal", axes=ankle, names=[f"ankle_angle_{side}", f"subtalar_angle_{side}"],
-        limits_deg=[(-50.0, 30.0), (-25.0, 35.0)], segment=f"foot_{side}",
-        aim=Aim(at=bone("toe"), along="file") if f"toe_{side}" in named else None,
+def _joint(segment: str, side: str, aim: Aim | None = None) -> JointSpec:
+    """The joint that moves a segment of the built-in humanoid."""
+    own = P.JOINTS[segment]
+    return JointSpec(
+        kind=KINDS[len(own) - 1], axes=[P.of_side(axis, side) for axis, _ in own.values()],
+        names=[P.sided(name, side) for name in own], limits_deg=[limits for _, limits in own.values()],
+        segment=P.sided(segment, side), aim=aim,
     )  # fmt: skip
-    arm_limits, hip_limits = (
-        [(-180.0, 45.0), (-60.0, 180.0), (-90.0, 90.0)],
-        [(-30.0, 125.0), (-50.0, 30.0), (-45.0, 45.0)],
-    )
-    return {
-        bone("arm"): _ball(f"humerus_{side}", arm, arm_limits, sign, "adduction", down("forearm")),
-        bone("forearm"): hinge("ulna", "elbow_flex", (0.0, -1.0, 0.0), (0.0, 150.0), down("hand")),
-        bone("hand"): hinge("radius", "pro_sup", (0.0, 0.0, sign), (-90.0, 90.0)),
-        bone("thigh"): _ball(f"femur_{side}", hip, hip_limits, sign, "flexion", down("shin")),
-        bone("shin"): hinge("tibia", "knee_angle", (0.0, 1.0, 0.0), (-10.0, 145.0), down("foot")),
-        bone("foot"): foot,
-    }
+
+
+def _limbs(named: Mapping[str, str], side: str) -> dict[str, JointSpec]:
+    """Arms and legs of a side, turned straight down in the rest pose."""
+    out: dict[str, JointSpec] = {}
+    for role, (segment, below) in _LIMBS.items():
+        at = named.get(f"{below}_{side}")
+        along = "file" if role == "foot" else (0.0, 0.0, -1.0)
+        out[named[f"{role}_{side}"]] = _joint(segment, side, Aim(at=at, along=along) if at else None)
+    return out
 
 
 def _landmarks(

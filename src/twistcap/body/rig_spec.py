@@ -25,20 +25,18 @@ Coordinates of one joint turn about their axes one after the other, the first in
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from twistcap.arrays import Float
+from twistcap.doors.strict import validated
 from twistcap.doors.text import read_toml
-from twistcap.errors import InputError
 
 Vector = tuple[float, float, float]
 Axis = Literal["x", "-x", "y", "-y", "z", "-z"]
-_Model = TypeVar("_Model", bound=BaseModel)
 
 
 class Aim(BaseModel):
@@ -102,25 +100,7 @@ class RigSpec(BaseModel):
 def read_rig(path: Path | str) -> RigSpec:
     """The rig description of a TOML file. Raises InputError if it is missing, no TOML, or has an unknown key or a wrong
     value."""
-    return parsed_toml(path, RigSpec)
-
-
-def parsed_toml(path: Path | str, model: type[_Model]) -> _Model:
-    """A TOML file as a pydantic model. Raises InputError if it is missing, no TOML, or has an unknown key or a wrong
-    value."""
-    return validated_model(read_toml(Path(path), ""), model, path)
-
-
-def validated_model(content: Mapping[str, Any], model: type[_Model], path: Path | str) -> _Model:
-    """The tables of a file as a pydantic model. Raises InputError for an unknown key or a wrong value."""
-    try:
-        return model.model_validate(content)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"]) or "table"
-        unknown = first["type"] == "extra_forbidden"
-        what = "unknown key" if unknown else first["msg"].removeprefix("Value error, ")
-        raise InputError(f"{path}: {where}: {what}.") from error
+    return validated(RigSpec, read_toml(Path(path), ""), str(path))
 
 
 def _unit(axis: str) -> Float:

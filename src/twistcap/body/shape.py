@@ -51,14 +51,17 @@ def joint_origin(body: Body, segment: int) -> Float:
     it is the centre of their own surface."""
     if int(body.segment_joint[segment]) < 0:
         return _centroid(body, segment)
-    axes = body.twists[joint_coordinates(body, segment)]
-    w, v = axes[:, :3], axes[:, 3:]
-    normal = -se3.hat(w)  # the point p of each axis solves ω × p = −v
-    rows, rhs = -normal.reshape(-1, 3), -v.reshape(-1)
     prior = body.landmarks.points[body.landmarks.segments == segment]
     guess = prior[0] if len(prior) else _centroid(body, segment)
     # The joint may be anywhere on a hinge's axis: take the point nearest to the segment's own landmark.
-    return guess + np.linalg.lstsq(rows, rhs - rows @ guess, rcond=1e-9)[0]
+    return meeting_point(body.twists[joint_coordinates(body, segment)], guess)[0]
+
+
+def meeting_point(axes: Float, guess: Float) -> tuple[Float, float]:
+    """(3,) the point on the axes of all twists (K, 6) that is nearest to a guess, and how far it misses them, m."""
+    rows, rhs = se3.hat(axes[:, :3]).reshape(-1, 3), -axes[:, 3:].reshape(-1)  # of each axis ω × p = −v
+    point = guess + np.linalg.lstsq(rows, rhs - rows @ guess, rcond=1e-9)[0]
+    return point, float(np.max(np.abs(rows @ point - rhs), initial=0.0))
 
 
 def joint_coordinates(body: Body, segment: int) -> list[int]:

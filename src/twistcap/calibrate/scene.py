@@ -31,6 +31,7 @@ class Scene:
     names: tuple[str, ...]
     points: Float
     pixels: Mapping[str, Mapping[int, Float]]
+    source: str = "measured points"  # the file, for messages
 
     def sightings(self, cameras: Sequence[str]) -> list[Sighting]:
         """What each camera sees of it. Raises InputError for a camera that sees too little."""
@@ -38,7 +39,8 @@ class Scene:
         for c, camera in enumerate(cameras):
             own = self.pixels.get(camera, {})
             if len(own) < _FEWEST:
-                raise InputError(f"camera {camera} sees {len(own)} measured points; it needs at least {_FEWEST}.")
+                few = f"camera {camera} sees {len(own)} measured points; it needs at least {_FEWEST}"
+                raise InputError(f"{self.source}: {few}.")
             out.append(Sighting(c, SCENE, np.array(list(own), np.int32), np.array(list(own.values())), solid="scene"))
         return out
 
@@ -58,7 +60,7 @@ def read_scene(path: Path) -> Scene:
                 continue
             pixels.setdefault(camera, {})[k] = number_array(pixel, (2,), f"{where}: 'pixels' of {camera}")
     check(f"points {path}", len(points) >= _FEWEST, f"it holds {len(points)} points; at least {_FEWEST} are needed")
-    return Scene(tuple(table), np.array(points), pixels)
+    return Scene(tuple(table), np.array(points), pixels, f"points {path}")
 
 
 def calibrated_by_scene(

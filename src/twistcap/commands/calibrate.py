@@ -109,15 +109,8 @@ def write(found: Calibration, folder: Path, json: bool = False) -> None:
     write_rig(found.rig, path, floor=found.floor_known)
     page = write_calibration_page(found, folder, f"Calibration {folder.resolve().name}")
     if json:
-        terminal.emit(
-            {
-                "id": "calibrate",
-                "file": path,
-                "page": page,
-                "cameras": camera_rows(found),
-                "statements": sentences(found),
-            }
-        )
+        about = {"id": "calibrate", "file": path, "page": page}
+        terminal.emit(about | {"cameras": camera_rows(found), "statements": sentences(found)})
         return
     typer.echo(path)
     typer.echo(page)

@@ -222,12 +222,11 @@ def show(document: dict[str, Any]) -> None:
     columns = ["camera", "was off, px", "turned, deg", "moved, mm", "agreed before", "and now"]
     terminal.show_table("cameras: against the calibration given, ± 1σ", columns, rows, ["camera"])
     for r in document["cameras"]:
-        words.print(_sentence(r), markup=False, soft_wrap=True)
+        terminal.say(_sentence(r))
     if document["calibration"] is None:
         words.print("Nothing is written.")
     else:
-        again = f"Track again with [cameras] calibration = {str(document['calibration'])!r}."
-        words.print(again, markup=False, soft_wrap=True)
+        terminal.say(f"Track again with [cameras] calibration = {str(document['calibration'])!r}.")
 
 
 def _sentence(row: dict[str, Any]) -> str:

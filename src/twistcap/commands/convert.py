@@ -8,7 +8,7 @@ from typing import Annotated, Any, get_args
 import typer
 
 from twistcap.commands import terminal
-from twistcap.errors import InputError, check_choice
+from twistcap.errors import check_choice
 
 
 def convert(
@@ -42,7 +42,8 @@ def convert(
     axis: Any = up
     if up is not None:
         check_choice("--up", up, get_args(Up))
-    rig, statement = read_cameras(source, of, Asked(units[unit], _size(size)), axis)
+    pixels = None if size is None else terminal.image_size(size)
+    rig, statement = read_cameras(source, of, Asked(units[unit], pixels), axis)
     write_cameras(rig, out, to)
     if json:
         centres = {camera.name: camera.centre for camera in rig}
@@ -55,12 +56,3 @@ def convert(
         typer.echo(
             f"Camera {camera.name}: at ({x:.3f}, {y:.3f}, {z:.3f}) m, {camera.size[0]}×{camera.size[1]} px.", err=True
         )
-
-
-def _size(text: str | None) -> tuple[int, int] | None:
-    if text is None:
-        return None
-    width, _, height = text.lower().partition("x")
-    if not (width.isdigit() and height.isdigit() and 0 < len(width) < 6 and 0 < len(height) < 6):
-        raise InputError(f"--size is {text!r}; write WIDTHxHEIGHT, such as 1920x1080.")
-    return int(width), int(height)

@@ -11,7 +11,7 @@ import numpy as np
 
 from twistcap.commands.cameras import ELSEWHERE
 from twistcap.commands.clocks import suspects
-from twistcap.commands.terminal import progress, words
+from twistcap.commands.terminal import progress, say
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
 from twistcap.io.result import Result, ResultWriter, read_result, read_state
@@ -74,7 +74,7 @@ def follow(frames: Iterable[Frame], total: int, tracker: Tracker, writer: Result
                 timing.ms.append(1000 * (time.perf_counter() - start))
                 writer.append(estimate)
                 for sentence in believed.news(estimate, suspects(tracker)):
-                    words.print(sentence, markup=False, soft_wrap=True)
+                    say(sentence)
                 advance(f"{timing.ms[-1]:.0f} ms{'  LOST' if estimate.lost else ''}")
         except InputError as error:
             if not len(writer):

@@ -9,8 +9,6 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.console import Console
-from rich.table import Table
 
 from twistcap.commands import terminal
 from twistcap.commands.terminal import words
@@ -62,11 +60,7 @@ def refine(
     if cameras or camera:
         _mend(result, folder, loaded, camera or [], bool(set_ or again or span), json)
         return
-    document = run_refine(result, folder, loaded, parsed_settings(set_ or []), span, again)
-    if json:
-        terminal.emit(document)
-    else:
-        show(document)
+    terminal.finish(run_refine(result, folder, loaded, parsed_settings(set_ or []), span, again), json, show)
 
 
 def _mend(path: Path, folder: Path, session: Any, names: list[str], more: bool, json: bool) -> None:
@@ -75,11 +69,7 @@ def _mend(path: Path, folder: Path, session: Any, names: list[str], more: bool, 
 
     if more:
         raise InputError("--cameras goes without --frames, --set and --again; refine the poses after tracking again.")
-    document = mend_cameras(path, folder, session or _session(read_result(path), path), names)
-    if json:
-        terminal.emit(document)
-    else:
-        show(document)
+    terminal.finish(mend_cameras(path, folder, session or _session(read_result(path), path), names), json, show)
 
 
 def run_refine(
@@ -89,8 +79,8 @@ def run_refine(
     """Refine a result into a folder, with its own session or another; what ``--json`` prints."""
     from twistcap.adjust.refine import RefineConfig
     from twistcap.adjust.refine import refine as refined
+    from twistcap.doors.strict import dataclass_from
     from twistcap.io.result import read_result
-    from twistcap.io.strict import dataclass_from
     from twistcap.report.words import result_in_words
 
     result = read_result(path)
@@ -117,8 +107,8 @@ def run_refine(
 
 def _session(result: Any, path: Path) -> Any:
     """The session that the result was tracked with, as the file keeps it."""
+    from twistcap.doors.strict import validated
     from twistcap.io.session import Session
-    from twistcap.io.strict import validated
 
     data = {key: value for key, value in result.config.items() if key != "refined"}
     if "videos" not in data:
@@ -186,13 +176,9 @@ def _written(result: Any, refinement: Any, session: Any, views: Any, folder: Pat
 
 def show(document: dict[str, Any]) -> None:
     """Print the end of a run for a person."""
-    table = Table(title="shape", title_justify="left")
-    for name in ("segments", "length", "± (1σ)", "girth", "± (1σ)"):
-        table.add_column(name, justify="left" if name == "segments" else "right")
     lengths, girths = ({item["group"]: _per_cent(item) for item in document[kind]} for kind in ("lengths", "girths"))
-    for group in lengths | girths:
-        table.add_row(group, *lengths.get(group, ("", "")), *girths.get(group, ("", "")))
-    Console(highlight=False).print(table)
+    rows = [[group, *lengths.get(group, ("", "")), *girths.get(group, ("", ""))] for group in lengths | girths]
+    terminal.show_table("shape", ["segments", "length", "± (1σ)", "girth", "± (1σ)"], rows, ["segments"])
     for bone in document["bones"]:
         words.print(f"{bone['segment']}: {bone['before_mm']:.0f} mm before, {bone['after_mm']:.0f} mm after")
     moved = ", ".join(f"{step:.1f}" for step in document["moved_mm"])
@@ -203,7 +189,7 @@ def show(document: dict[str, Any]) -> None:
     if not document["helped"]:
         words.print("The images agree less than before: refining did not help, and the track is kept as it was.")
     for sentence in document["statements"]:
-        words.print(sentence, markup=False, soft_wrap=True)
+        terminal.say(sentence)
     for path in document["files"]:
         typer.echo(path)
 

@@ -8,7 +8,7 @@ import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from twistcap.commands.terminal import words
+from twistcap.commands.terminal import say, words
 from twistcap.io.start_report import StartReport
 
 _SAME = 0.005  # a length factor that differs less is not shown
@@ -28,7 +28,7 @@ def show_start(report: StartReport | None) -> None:
     table.add_row(f"median of {len(report.names)}", *map(_pixels, report.medians), style="bold")
     words.print(table)
     for sentence in (*sizes_in_words(report), *report.warnings):
-        words.print(sentence, markup=False, soft_wrap=True)
+        say(sentence)
 
 
 def sizes_in_words(report: StartReport) -> list[str]:

@@ -8,7 +8,7 @@ from typing import Annotated, cast
 import typer
 
 from twistcap.commands import terminal
-from twistcap.errors import InputError, check_choice
+from twistcap.errors import check_choice
 
 
 def studio(
@@ -47,9 +47,10 @@ def studio(
     check_choice("--condition", condition, ("exact", "mismatch"))
     spans = [terminal.frame_range(text) for text in drop or []]
     config = StudioConfig(
-        seed=seed, views=views, size=_size(size), frames=frames, fps=fps, condition=cast(Condition, condition),
-        hard=hard, one_colour=one_colour, colour=not grey, speed_factor=speed, dropped=tuple(s for s in spans if s),
-        uniform_noise=noise, rectangles=rectangles, occluders=occluders, motion_blur=blur,
+        seed=seed, views=views, size=terminal.image_size(size), frames=frames, fps=fps, hard=hard,
+        condition=cast(Condition, condition), one_colour=one_colour, colour=not grey, speed_factor=speed,
+        dropped=tuple(s for s in spans if s), uniform_noise=noise, rectangles=rectangles, occluders=occluders,
+        motion_blur=blur,
     )  # fmt: skip
     with terminal.progress("rendering", frames) as advance:
         session = write_session(capture(config), out, progress=lambda done, total: advance(""))
@@ -58,10 +59,3 @@ def studio(
         terminal.emit({"id": "studio", "session": session, **said})
     else:
         terminal.words.print(f"Now run: twistcap track {session}")
-
-
-def _size(text: str) -> tuple[int, int]:
-    width, _, height = text.lower().partition("x")
-    if not (width.isdigit() and height.isdigit()):
-        raise InputError(f"--size is {text!r}; write WIDTHxHEIGHT, such as 384x280.")
-    return int(width), int(height)

@@ -50,10 +50,7 @@ def study(
     loaded = load_study(study)
     folder = terminal.output_folder(out or loaded.about.output.folder or Path("out") / study.stem).resolve()
     document = run_study(loaded, folder, workers or os.cpu_count() or 1, cluster, overwrite)
-    if json:
-        terminal.emit(document)
-    else:
-        _show(document)
+    terminal.finish(document, json, _show)
     raise typer.Exit(1 if document["failed"] else 0)
 
 
@@ -137,7 +134,7 @@ class Jobs:
 
 def _tell(name: str, outcome: Outcome, advance: terminal.Advance) -> None:
     if outcome.message:
-        words.print(f"{name} failed: {outcome.message}", markup=False, soft_wrap=True)
+        terminal.say(f"{name} failed: {outcome.message}")
     advance(name)
 
 
@@ -176,7 +173,7 @@ def _show(document: dict[str, Any]) -> None:
     words.print(f"{document['done']} of {document['trials']} trials are done. {spent}")
     failed = list(document["failed"].items())
     for name, message in failed[:_SHOWN]:
-        words.print(f"failed: {name}: {message}", markup=False, soft_wrap=True)
+        terminal.say(f"failed: {name}: {message}")
     if len(failed) > _SHOWN:
         words.print(f"and {len(failed) - _SHOWN} more, see trials.csv")
     for path in document["files"]:

@@ -48,11 +48,7 @@ def sync(
       twistcap sync walk/session.toml --start given --dry-run
     """
     check_choice("--start", start, ("auto", "sound", "motion", "given"))
-    document = synchronise(session, start, count, not dry_run)
-    if json:
-        terminal.emit(document)
-    else:
-        tell(document)
+    terminal.finish(synchronise(session, start, count, not dry_run), json, tell)
 
 
 @dataclass(frozen=True)
@@ -256,15 +252,10 @@ def _keypoint_clock(session: Any, recording: Any, poses: tuple[Any, ...], lags: 
 def tell(document: dict[str, Any]) -> None:
     """The end of a run, for a person."""
     rows = [
-        [
-            r["camera"],
-            f"{r['before_s']:.4f}",
-            f"{r['after_s']:.4f}",
-            f"{r['moved_frames']:+.2f}",
-            f"{r['sigma_frames']:.3f}",
-        ]
+        [r["camera"], f"{r['before_s']:.4f}", f"{r['after_s']:.4f}", f"{r['moved_frames']:+.2f}",
+         f"{r['sigma_frames']:.3f}"]
         for r in document["cameras"]
-    ]
+    ]  # fmt: skip
     columns = ["camera", "before, s", "after, s", "frames", "± (1σ), frames"]
     terminal.show_table("clocks: offset of each camera", columns, rows, ["camera"])
     if "keypoints" in document:
@@ -273,5 +264,5 @@ def tell(document: dict[str, Any]) -> None:
     if document["frames"]:
         words.print(f"frames = [{document['frames'][0]}, {document['frames'][1]}]: all cameras have these")
     for doubt in document["unsure"]:
-        words.print(f"Not sure: {doubt}.", markup=False, soft_wrap=True)
+        terminal.say(f"Not sure: {doubt}.")
     words.print(f"{'written into' if document['written'] else 'not written into'} {document['session']}")

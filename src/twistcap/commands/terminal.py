@@ -74,6 +74,16 @@ def tell_compiling() -> None:
         words.print("The first run on this machine compiles the kernels; it takes some minutes, later runs do not.")
 
 
+def say(sentence: str) -> None:
+    """A sentence on stderr, as it is: names of files may have brackets, and lines are not broken."""
+    words.print(sentence, markup=False, soft_wrap=True)
+
+
+def finish(document: Mapping[str, Any], json: bool, tell: Callable[[Any], None]) -> None:
+    """The end of a run: its document for programs, or what `tell` makes of it for people."""
+    (emit if json else tell)(document)
+
+
 def emit(document: Mapping[str, Any]) -> None:
     """Print one JSON document on stdout; NaN and infinity become null."""
     typer.echo(json.dumps(_plain(document), indent=2, ensure_ascii=False, allow_nan=False))
@@ -128,6 +138,14 @@ def frame_range(text: str | None) -> tuple[int, int] | None:
     if not (colon and first.isdigit() and last.isdigit()):
         raise InputError(f"--frames is {text!r}; write FIRST:LAST, both included, such as 0:99.")
     return int(first), int(last)
+
+
+def image_size(text: str) -> tuple[int, int]:
+    """``1920x1080`` as (width, height). Raises InputError where it reads otherwise."""
+    width, _, height = text.lower().partition("x")
+    if not (width.isdigit() and height.isdigit() and 0 < len(width) < 6 and 0 < len(height) < 6):
+        raise InputError(f"--size is {text!r}; write WIDTHxHEIGHT, such as 1920x1080.")
+    return int(width), int(height)
 
 
 def _plain(value: Any) -> Any:

@@ -57,11 +57,7 @@ def track(
     said = {"tracker.method": method, "frames": terminal.frame_range(frames), "scale": scale}
     loaded = load_session(session, said | parsed_settings(set_ or []))
     folder = terminal.output_folder(out or loaded.output.folder or Path("out") / session.stem)
-    document = run_session(loaded, folder, Begin(resume, overwrite, videos_changed))
-    if json:
-        terminal.emit(document)
-    else:
-        tell(document)
+    terminal.finish(run_session(loaded, folder, Begin(resume, overwrite, videos_changed)), json, tell)
 
 
 @dataclass(frozen=True)
@@ -126,9 +122,9 @@ def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Ti
         views, made = recording.views, made_of(session, recording.views)
     for source in views.sources:
         if source.note:
-            words.print(f"{source.note}.", markup=False, soft_wrap=True)
+            terminal.say(f"{source.note}.")
     if recording.note:
-        words.print(recording.note, markup=False, soft_wrap=True)
+        terminal.say(recording.note)
     show_start(recording.report)
     tracker = session_tracker(session, recording.body, views, watch=True)
     tracker.start(recording.first_pose, recording.first_time)
@@ -207,7 +203,7 @@ def tell(document: dict[str, Any]) -> None:
     pace = "nothing left to track" if np.isnan(speed) else f"{speed:.1f} ms each (median)"
     words.print(f"{document['frames']} frames, {pace}")
     for sentence in document["statements"]:
-        words.print(sentence, markup=False, soft_wrap=True)
+        terminal.say(sentence)
     for path in document["files"]:
         typer.echo(path)
 

@@ -13,9 +13,7 @@ from twistcap.arrays import AnyArray
 from twistcap.doors.npz import npz_arrays
 from twistcap.errors import InputError
 
-_WAITING = (
-    100  # seconds for one of the processor: the child stops itself by that, and a busy machine may give it little
-)
+_PATIENCE = 60  # times the processor time: on a busy machine a child waits far longer than it works
 
 
 def arrays_by_child(
@@ -34,7 +32,7 @@ def arrays_by_child(
         try:
             done = subprocess.run(
                 [*command, *arguments], env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True,
-                errors="replace", timeout=_WAITING * seconds, check=False,
+                errors="replace", timeout=_PATIENCE * seconds, check=False,
             )  # fmt: skip
         except subprocess.TimeoutExpired as error:
             raise InputError(f"{source} cannot be read: it keeps the reader busy without end.") from error

@@ -9,7 +9,6 @@ from scipy.optimize import minimize_scalar
 
 from twistcap import se3
 from twistcap.arrays import Float
-from twistcap.body import Posed
 from twistcap.errors import InputError
 from twistcap.evaluate.load import Reference
 from twistcap.io.result import Result
@@ -26,7 +25,7 @@ def aligned(result: Result, reference: Reference, clock: bool, world: bool) -> R
     Raises InputError as `clock_offset` and `world_motion`.
     """
     body, notes = result.body, list(reference.notes)
-    marks = np.stack([Posed(body, pose).landmarks for pose in result.poses])
+    marks = result.landmarks
     points = np.full((len(marks), len(reference.names), 3), np.nan)
     for k, name in enumerate(reference.names):
         if name in body.landmarks.names:

@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from twistcap.arrays import Float
+from twistcap.body.model import split_side
 from twistcap.evaluate.filters import Filter, Filtered, Motion, filtered
 from twistcap.evaluate.gait import SIDES, Gait, cycles, facing, facing_covariances, normalised
 from twistcap.io.coordinates import Angles, Coordinates
@@ -72,8 +73,4 @@ def _cycles(walk: Filtered, own: Sequence[int], curves: Float, side: str) -> lis
 
 def own_angles(table: Coordinates, side: str) -> list[int]:
     """Columns of the angles of a side, and of the trunk."""
-    return [k for k, name in enumerate(table.names) if table.turning[k] and _side(name) in (side, "")]
-
-
-def _side(name: str) -> str:
-    return name[-1] if name[-2:] in ("_r", "_l") else ""
+    return [k for k, name in enumerate(table.names) if table.turning[k] and split_side(name)[1] in (side, "")]

@@ -19,12 +19,12 @@ from typing import Literal, cast
 import numpy as np
 from scipy.signal import find_peaks
 
-from twistcap.arrays import Float
+from twistcap.arrays import Float, runs
 from twistcap.doors.text import brief, finite_number
 from twistcap.errors import InputError
 from twistcap.evaluate.filters import Filtered
 from twistcap.evaluate.gait import frame_rate, places
-from twistcap.evaluate.smoothing import butterworth, runs
+from twistcap.evaluate.smoothing import butterworth
 from twistcap.io.result import Result
 
 Condition = Literal["rises above", "falls below", "maximum", "minimum"]

@@ -16,10 +16,10 @@ import numpy as np
 from scipy.signal import welch
 
 from twistcap.adjust.refine.problem import accelerations
-from twistcap.arrays import Bool, Float
+from twistcap.arrays import Bool, Float, runs
 from twistcap.body import Body, Pose
 from twistcap.errors import InputError, check_choice
-from twistcap.evaluate.smoothing import butterworth, runs
+from twistcap.evaluate.smoothing import butterworth
 from twistcap.io.coordinates import Angles, Coordinates, coordinates_of
 from twistcap.predict import MotionNoise
 from twistcap.predict.history import covariance_about

@@ -165,8 +165,7 @@ def _joint_errors(result: Result, names: Sequence[str], points: Float) -> Errors
     shared = compared_landmarks(marks.names, names)
     if not shared:
         return None
-    mine = np.stack([Posed(result.body, pose).landmarks for pose in result.poses])
-    mine = mine[:, [marks.index(name) for name in shared]]
+    mine = result.landmarks[:, [marks.index(name) for name in shared]]
     theirs = points[:, [names.index(name) for name in shared]]
     difference = metrics.differences(mine, theirs)
     raw, rest = metrics.distances_mm(difference), metrics.distances_mm(metrics.without_offset(difference))
@@ -179,7 +178,7 @@ def _angle_errors(result: Result, names: Sequence[str], angles: Float) -> Errors
     shared = tuple(n for n, turns in zip(body.coordinate_names, turning, strict=True) if turns and n in names)
     if not shared:
         return None
-    q = np.stack([pose.q for pose in result.poses])[:, [body.coordinate(name) for name in shared]]
+    q = result.q[:, [body.coordinate(name) for name in shared]]
     theirs = angles[:, [names.index(name) for name in shared]]
     difference = metrics.angle_differences_deg(q, theirs)
     return Errors(shared, theirs, difference, metrics.without_offset(difference))
@@ -188,7 +187,7 @@ def _angle_errors(result: Result, names: Sequence[str], angles: Float) -> Errors
 def _agreements(result: Result, errors: Errors) -> list[Agreement]:
     """Of the coordinates as exports have them, so that other programs find the same numbers in the files."""
     body, names = result.body, errors.names
-    q = np.stack([pose.q for pose in result.poses])[:, [body.coordinate(name) for name in names]]
+    q = result.q[:, [body.coordinate(name) for name in names]]
     ours, theirs = (opensim_angles(body, names, angles) for angles in (q, errors.reference))
     return agreements(names, metrics.angle_differences_deg(ours, theirs), np.degrees(theirs))
 

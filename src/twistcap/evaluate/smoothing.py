@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
-from twistcap.arrays import Bool, Float
+from twistcap.arrays import Bool, Float, runs
 from twistcap.errors import InputError
 
 _ORDER = 2  # of one pass; there and back it is 4
@@ -31,9 +31,3 @@ def butterworth(values: Float, rate: float, cutoff: float, known: Bool | None = 
         if end - start >= _LEAST:
             out[start:end] = sosfiltfilt(sos, values[start:end], axis=0)
     return out
-
-
-def runs(known: Bool) -> list[tuple[int, int]]:
-    """Start and end (exclusive) of each run of true frames."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(np.int8)))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

@@ -36,7 +36,7 @@ def read_rig(path: str | Path, unit: Unit | None = None, floor: float | None = 0
     and what `check_plausible` raises.
     """
     path = Path(path)
-    tables = read_toml(path, "calibration", "check [cameras] calibration")
+    tables = read_toml(Path(path), "calibration", "check [cameras] calibration")
     metadata = tables.get("metadata", {})
     given = unit or (metadata.get("unit") if isinstance(metadata, dict) else None) or "m"
     if not isinstance(given, str) or given not in _TO_METRES:
@@ -59,7 +59,7 @@ def read_rig(path: str | Path, unit: Unit | None = None, floor: float | None = 0
 
 def knows_floor(path: str | Path) -> bool:
     """Whether z = 0 is the floor in a calibration file; ``floor = false`` in its ``[metadata]`` says that it is not."""
-    metadata = read_toml(path, "calibration", "check [cameras] calibration").get("metadata")
+    metadata = read_toml(Path(path), "calibration", "check [cameras] calibration").get("metadata")
     return not (isinstance(metadata, dict) and metadata.get("floor") is False)
 
 

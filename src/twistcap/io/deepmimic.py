@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from twistcap import se3
 from twistcap.arrays import Float
+from twistcap.doors.strict import validated
 from twistcap.doors.text import number_array, read_json_table
 from twistcap.errors import InputError, naming
-from twistcap.io.strict import validated
 from twistcap.motion.skeleton import SkeletonMotion
 
 SKELETON = "humanoid3d.txt"
@@ -69,7 +69,7 @@ def read_deepmimic(path: Path | str, skeleton: Path | str | None = None) -> Skel
 def _joints(path: Path) -> tuple[_Joint, ...]:
     if not path.is_file():
         raise InputError(f"{path}: DeepMimic's skeleton is not there; put it beside the clip or give skeleton=….")
-    skeleton: _Skeleton = validated(_SkeletonFile, read_json_table(path), str(path), {}).Skeleton
+    skeleton: _Skeleton = validated(_SkeletonFile, read_json_table(path), str(path)).Skeleton
     for s, joint in enumerate(skeleton.Joints[1:], start=1):
         if joint.Type not in _WIDTHS or not 0 <= joint.Parent < s:
             raise InputError(f"{path}: joint {joint.Name!r} has an unknown type or comes before its parent.")

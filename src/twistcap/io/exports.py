@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from twistcap.body import Posed
 from twistcap.body.gltf_animate import animate_glb, bone_motion
 from twistcap.body.gltf_write import save_glb
 from twistcap.errors import InputError, check, check_choice
@@ -124,8 +123,7 @@ def _write_bvh(result: Result, path: Path, options: ExportOptions) -> None:
 
 
 def _write_landmarks(result: Result, path: Path, options: ExportOptions) -> None:
-    points = np.stack([Posed(result.body, pose).landmarks for pose in result.poses])
-    points[~(result.known | options.fill)] = np.nan
+    points = np.where((result.known | options.fill)[:, None, None], result.landmarks, np.nan)
     write_trc(path, result.times, result.body.landmarks.names, points, axes=options.axes)
 
 

@@ -14,28 +14,38 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from twistcap.acquire.silhouette import KeyView, difference_mask, one_person
 from twistcap.arrays import Bool, UInt8
 from twistcap.camera import Camera, Rectifier, Rig
 from twistcap.doors.images import read_image
+from twistcap.doors.strict import validated
 from twistcap.doors.text import read_toml
-from twistcap.errors import InputError
+from twistcap.errors import InputError, naming
 from twistcap.io.calibration import read_rig
 from twistcap.io.session import Table
-from twistcap.io.strict import validated
+
+
+def _named(path: Path) -> Path:
+    if "\0" in str(path):
+        raise ValueError("it is no name of a file")
+    return path
+
+
+File = Annotated[Path, AfterValidator(_named)]
 
 
 class ViewEntry(Table):
     """``[views.ROLE]``."""
 
     camera: str
-    image: Path | None = None
-    background: Path | None = None
-    mask: Path | None = None
+    image: File | None = None
+    background: File | None = None
+    mask: File | None = None
 
 
 class ViewEntries(Table):
@@ -50,7 +60,7 @@ class ViewEntries(Table):
 class KeyViewsFile(Table):
     """The file; see the module's head."""
 
-    calibration: Path
+    calibration: File
     body_line: float | None = Field(default=None, gt=0)
     views: ViewEntries
 
@@ -66,12 +76,12 @@ def read_key_views(path: Path | str) -> tuple[dict[str, KeyView], float | None]:
     """
     path = Path(path)
     file, rig = _opened(path)
-    views = {role: _view(role, e, rig, path.parent) for role, e in file.entries.items()}
-    return views, file.body_line
+    with naming(path):
+        return {role: _view(role, e, rig, path.parent) for role, e in file.entries.items()}, file.body_line
 
 
 def _opened(path: Path) -> tuple[KeyViewsFile, Rig]:
-    file: KeyViewsFile = validated(KeyViewsFile, read_toml(path, "key views"), str(path), {})
+    file: KeyViewsFile = validated(KeyViewsFile, read_toml(path, "key views"), str(path))
     return file, read_rig(path.parent / file.calibration)
 
 
@@ -92,10 +102,11 @@ def read_uncut(path: Path | str) -> dict[str, Uncut]:
     """
     path = Path(path)
     file, rig = _opened(path)
-    uncut = {role: _uncut(role, e, rig, path) for role, e in file.entries.items() if e.image is not None}
-    if not uncut:
-        raise InputError(f'{path}: no view names an `image`; give [views.front] image = "front.png" and so on.')
-    _refuse_shared(uncut, file.entries, path)
+    with naming(path):
+        uncut = {role: _uncut(role, e, rig, path) for role, e in file.entries.items() if e.image is not None}
+        if not uncut:
+            raise InputError('no view names an `image`; give [views.front] image = "front.png" and so on.')
+        _refuse_shared(uncut, file.entries, path)
     return uncut
 
 

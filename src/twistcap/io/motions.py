@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from twistcap import se3
-from twistcap.arrays import Bool, Float
+from twistcap.arrays import Bool, Float, runs
 from twistcap.body import Body
 from twistcap.errors import InputError
 from twistcap.io.asf import AMC_RATE, read_amc
@@ -121,12 +121,7 @@ def _of_result(path: Path) -> tuple[Body, MotionClip]:
 
 def longest_run(good: Bool) -> slice:
     """The longest stretch of true values of (N,)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(np.int8), [0]])))
-    starts, ends = edges[::2], edges[1::2]
-    if not len(starts):
-        return slice(0, 0)
-    best = int(np.argmax(ends - starts))
-    return slice(int(starts[best]), int(ends[best]))
+    return slice(*max(runs(good), key=lambda run: run[1] - run[0], default=(0, 0)))
 
 
 def _even_rate(path: Path, times: Float) -> float:

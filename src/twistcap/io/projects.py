@@ -132,9 +132,9 @@ def _opencap(folder: Path, trial: str | None) -> Project | None:
             synced = [f for f in files if f.stem.endswith("_sync")]
             videos.append((camera.name, str((synced or files)[0])))
     metadata = folder / "sessionMetadata.yaml"
-    height = re.search(r"(?m)^height_m:\s*([0-9.]+)\s*$", read_text(metadata)) if metadata.is_file() else None
+    height = re.search(r"(?m)^height_m:\s*([0-2]\.\d{1,9})\s*$", read_text(metadata)) if metadata.is_file() else None
     floor = "OpenCap's world begins at its checkerboard, so the height of the floor is not known: floor = false is set."
-    stature = float(height[1]) if height and height[1].count(".") <= 1 and height[1] != "." else None
+    stature = float(height[1]) if height else None
     return Project("OpenCap", folder / "Videos", "opencap", videos, stature=stature, floor_known=False, notes=(floor,))
 
 

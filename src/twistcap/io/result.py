@@ -9,17 +9,15 @@ import os
 import zlib
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from importlib.metadata import version
 from pathlib import Path
-from platform import python_version
 from typing import Any
 
 import numpy as np
 
 from twistcap.arrays import AnyArray, Bool, Float, Int, UInt8
-from twistcap.body import Body, Landmarks, Pose
+from twistcap.body import Body, Landmarks, Pose, Posed
 from twistcap.camera import Camera, Rig
 from twistcap.doors.hdf5 import read_hdf5, trust
 from twistcap.doors.schema import flag
@@ -38,6 +36,7 @@ from twistcap.io.result_image import (
     NONE,
     SLOTS,
     image_of,
+    installed_versions,
     state_row,
     value_of,
 )
@@ -45,6 +44,7 @@ from twistcap.io.result_schema import BODY, HEAD, RIG, STATE, frames_of, of_grou
 from twistcap.se3 import is_motion
 
 _LEAST_ROOM = 64  # frames, where nobody has said how many will come
+_WHOLE = ("body", "rig", "config", "versions", "recording")  # of a result, what has no row for each frame
 
 
 @dataclass(frozen=True)
@@ -70,9 +70,7 @@ class Result:
     predicted: tuple[str, ...]  # N words, the source of the pose that each frame started from; see `Estimate`
     config: Mapping[str, Any]  # what the run was configured with, as JSON data
     versions: Mapping[str, str]  # of the programs, by name
-    recording: Mapping[str, Any] = field(
-        default_factory=dict[str, Any]
-    )  # what it was tracked in, see `provenance.made_of`
+    recording: Mapping[str, Any] = field(default_factory=dict[str, Any])  # tracked in, see `provenance.made_of`
 
     @staticmethod
     def without_frames(
@@ -109,15 +107,24 @@ class Result:
     def within(self, first: int, last: int) -> Result:
         """The frames of a range of frame numbers, both included."""
         n = np.flatnonzero((self.indices >= first) & (self.indices <= last))
-        arrays = ("indices", "times", "roots", "q", "covariances", "iterations", "lost", "support", "probability")
-        words = {name: tuple(getattr(self, name)[k] for k in n) for name in ("statuses", "predicted")}
-        energies = {name: row[n] for name, row in self.energies.items()}
-        return replace(self, energies=energies, **words, **{name: getattr(self, name)[n] for name in arrays})
+
+        def chosen(rows: Any) -> Any:
+            if isinstance(rows, Mapping):
+                return {name: row[n] for name, row in rows.items()}
+            return tuple(rows[k] for k in n) if isinstance(rows, tuple) else rows[n]
+
+        each = [f.name for f in fields(self) if f.name not in _WHOLE]
+        return replace(self, **{name: chosen(getattr(self, name)) for name in each})
 
     @cached_property
     def poses(self) -> tuple[Pose, ...]:
         """N poses."""
         return tuple(Pose(root, q) for root, q in zip(self.roots, self.q, strict=True))
+
+    @cached_property
+    def landmarks(self) -> Float:
+        """(N, L, 3) landmarks of the body, m."""
+        return np.array([Posed(self.body, pose).landmarks for pose in self.poses]).reshape(len(self), -1, 3)
 
     @cached_property
     def sigmas(self) -> Float:
@@ -353,12 +360,6 @@ def _held(path: str | Path) -> dict[str, Any]:
     if version < FORMAT_VERSION:
         raise InputError(f"{path} was written by an older twistcap (format {version}); track the recording again.")
     return held
-
-
-def installed_versions() -> dict[str, str]:
-    """Versions of this package and of those that shape its numbers."""
-    packages = ("twistcap", "numpy", "scipy", "numba", "opencv-python-headless", "av", "h5py")
-    return {"python": python_version(), **{name: version(name) for name in packages}}
 
 
 def _body_of(held: Mapping[str, Any]) -> Body:

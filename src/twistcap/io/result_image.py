@@ -12,7 +12,9 @@ import json
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib.metadata import version
 from operator import attrgetter
+from platform import python_version
 from typing import TYPE_CHECKING, Any
 
 import h5py
@@ -129,6 +131,12 @@ class _Bytes(io.BytesIO):
 def state_row(frames: int, data: UInt8) -> AnyArray:
     """(3,) what is written of a state beside it: frames written until then, bytes, CRC-32."""
     return np.array([frames, len(data), zlib.crc32(data.tobytes())], np.int64)
+
+
+def installed_versions() -> dict[str, str]:
+    """Versions of this package and of those that shape its numbers."""
+    packages = ("twistcap", "numpy", "scipy", "numba", "opencv-python-headless", "av", "h5py")
+    return {"python": python_version(), **{name: version(name) for name in packages}}
 
 
 def _write_head(file: h5py.File, result: Result) -> None:

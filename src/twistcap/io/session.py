@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field, PrivateAttr
 
+from twistcap.doors.strict import dataclass_from, validated
 from twistcap.doors.text import read_toml
 from twistcap.errors import InputError
 from twistcap.io.session_tables import (
@@ -37,7 +38,6 @@ from twistcap.io.session_tables import (
     PriorTable,
     Table,
 )  # fmt: skip
-from twistcap.io.strict import dataclass_from, validated
 
 if TYPE_CHECKING:
     from twistcap.motion import MotionLibrary

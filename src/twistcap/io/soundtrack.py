@@ -25,6 +25,8 @@ def read_sound(path: str | Path, longest: float) -> Float | None:
             picture, sound = container.streams.video[0], container.streams.audio[0]
             began = float((picture.start_time or 0) * (picture.time_base or 0))
             heard = float((sound.start_time or 0) * (sound.time_base or 0))
+            if abs(heard - began) > longest:  # no recording begins so; a forged one would fill the memory
+                return None
             resampler, out, count = av.AudioResampler("flt", "mono", RATE), list[Float](), 0
             for frame in container.decode(sound):
                 for piece in resampler.resample(frame):

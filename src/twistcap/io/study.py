@@ -12,10 +12,10 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
+from twistcap.doors.strict import validated
 from twistcap.doors.text import read_lines, read_toml, toml_value
 from twistcap.errors import InputError
 from twistcap.io.session import DataPath, Output, Session, Table, load_session
-from twistcap.io.strict import validated
 
 BODY = "body"
 """The folder of a subject in which its fitted body lies."""

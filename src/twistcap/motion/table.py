@@ -29,7 +29,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from twistcap.arrays import Float
-from twistcap.body.rig_spec import parsed_toml
+from twistcap.doors.strict import validated
+from twistcap.doors.text import read_toml
 from twistcap.errors import InputError, check
 from twistcap.motion.skeleton import SkeletonMotion
 
@@ -155,4 +156,4 @@ def body_table() -> SkeletonTable:
 
 def read_table(path: Path | str) -> SkeletonTable:
     """A skeleton's table; an InputError if it is missing, no TOML, or has an unknown key or a wrong value."""
-    return parsed_toml(path, SkeletonTable)
+    return validated(SkeletonTable, read_toml(Path(path), ""), str(path))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import threading
 from collections.abc import Mapping
@@ -24,6 +23,7 @@ from twistcap.io.pose_file import write_pose
 from twistcap.io.recording import check_first_pose
 from twistcap.io.session import Session
 from twistcap.io.start_report import StartReport, start_report
+from twistcap.io.tidy import write_rows
 from twistcap.io.unaided import Silhouette
 from twistcap.pages.assemble import jpeg
 from twistcap.pages.outlines import body_outlines, flat
@@ -227,11 +227,8 @@ def write_clicks(path: Path, clicks: Clicks) -> None:
     if path.suffix.lower() == ".json":
         path.write_text(json.dumps(clicks, indent=1) + "\n", encoding="utf-8")
         return
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(("camera", "joint", "x", "y"))
-        for camera, joints in clicks.items():
-            writer.writerows((camera, joint, round(x, 2), round(y, 2)) for joint, (x, y) in joints.items())
+    each = ((camera, joint, *pixel) for camera, joints in clicks.items() for joint, pixel in joints.items())
+    write_rows(path, ("camera", "joint", "x", "y"), ((*at, round(x, 2), round(y, 2)) for *at, x, y in each))
 
 
 def clicks_of(keypoints: Keypoints, rig: Rig, joints: tuple[str, ...]) -> Clicks:

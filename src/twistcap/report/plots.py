@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from twistcap.arrays import AnyArray, Bool, Float
+from twistcap.arrays import AnyArray, Bool, Float, runs
+from twistcap.body.model import split_side
 from twistcap.evaluate.metrics import percentile_known
 from twistcap.io.files import replacing
 from twistcap.io.norms import PERCENT
@@ -36,11 +37,6 @@ class AngleSeries:
     sigma: Float | None = None  # (N, J) standard deviations, rad; None where they are not known
 
 
-def split_side(name: str) -> tuple[str, str]:
-    """``knee_angle_r`` -> ("knee_angle", "r"); the side of a middle coordinate is empty."""
-    return (name[:-2], name[-1]) if name[-2:] in ("_r", "_l") else (name, "")
-
-
 def angle_plot(
     path: Path | str, estimate: AngleSeries, truth: AngleSeries | None = None, lost: Bool | None = None,
     dropped: Bool | None = None, title: str = "",
@@ -59,10 +55,7 @@ def angle_plot(
                 colour = _DARK[split_side(name)[1]]
                 values = np.degrees(truth.angles[:, truth.names.index(name)])
                 axis.plot(truth.times, values, "--", color=colour, lw=1.1, dashes=(4, 2.5), zorder=4)
-        low, high = axis.get_ylim()  # at least 10° high, so that a very small motion does not fill the panel
-        extra = max(0.0, _LEAST_SPAN_DEG - (high - low)) / 2
-        axis.set_ylim(low - extra, high + extra)
-        axis.set_title(f"{panel.replace('_', ' ')} (°)", loc="left", fontsize=9, fontweight="bold")
+        _finish_angles(axis, panel)
     more: list[Line2D | Patch] = []
     if estimate.sigma is not None:
         more.append(Patch(color="#777777", alpha=0.25, label="± 2σ"))
@@ -83,6 +76,14 @@ def _draw_angle(axis: Axes, series: AngleSeries, name: str) -> None:
     axis.plot(series.times, values, color=colour, lw=1.6, zorder=3)
 
 
+def _finish_angles(axis: Axes, panel: str) -> None:
+    """Title of a panel, at least 10° high, so that a very small motion does not fill it."""
+    low, high = axis.get_ylim()
+    extra = max(0.0, _LEAST_SPAN_DEG - (high - low)) / 2
+    axis.set_ylim(low - extra, high + extra)
+    axis.set_title(f"{panel.replace('_', ' ')} (°)", loc="left", fontsize=9, fontweight="bold")
+
+
 def cycle_plot(
     path: Path | str, curves: Mapping[str, tuple[Float, Float]], norms: Mapping[str, tuple[Float, Float]] | None = None,
     title: str = "Gait cycles: mean ± standard deviation",
@@ -99,10 +100,7 @@ def cycle_plot(
             (mean, sd), colour = curves[name], _COLOURS[split_side(name)[1]]
             axis.fill_between(PERCENT, mean - sd, mean + sd, color=colour, alpha=0.22, lw=0, zorder=2)
             axis.plot(PERCENT, mean, color=colour, lw=1.6, zorder=3)
-        low, high = axis.get_ylim()
-        extra = max(0.0, _LEAST_SPAN_DEG - (high - low)) / 2
-        axis.set_ylim(low - extra, high + extra)
-        axis.set_title(f"{panel.replace('_', ' ')} (°)", loc="left", fontsize=9, fontweight="bold")
+        _finish_angles(axis, panel)
     shown = [Patch(color=_NORM, alpha=0.45, label="norm ± 1 SD")] if set(panels) & set(bands) else []
     return _saved(path, figure, names, shown)
 
@@ -153,9 +151,7 @@ def _grid(names: Sequence[str], title: str, along: str = "time (s)") -> tuple[Fi
 def spans(times: Float, flags: AnyArray) -> list[tuple[float, float]]:
     """Stretches of flagged frames, each frame from half way to half way between its neighbours."""
     edges = np.concatenate([times[:1], (times[1:] + times[:-1]) / 2, times[-1:]])
-    steps = np.diff(np.concatenate([[0], np.asarray(flags, int), [0]]))
-    starts, ends = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1)
-    return [(float(edges[a]), float(edges[b])) for a, b in zip(starts, ends, strict=True)]
+    return [(float(edges[a]), float(edges[b])) for a, b in runs(flags)]
 
 
 def _saved(path: Path | str, figure: Figure, names: Sequence[str], more: Sequence[Line2D | Patch]) -> Path:

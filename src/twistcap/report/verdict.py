@@ -11,11 +11,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from twistcap.arrays import Float
+from twistcap.body.model import split_side
 from twistcap.evaluate.metrics import Row, row
 from twistcap.io.coordinates import coordinates_of
 from twistcap.io.result import Result
 from twistcap.report.page import Statement
-from twistcap.report.plots import split_side
 from twistcap.report.words import in_spans
 
 RELIABLE, CARE = 2.0, 5.0

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from twistcap.arrays import AnyArray, Bool, Float, Int
+from twistcap.arrays import Bool, Float, Int, runs
 from twistcap.body.limbs import most_of_limbs, named_limbs
 from twistcap.estimate import Estimate
 from twistcap.io.result import Result
@@ -103,12 +103,6 @@ def in_spans(indices: Int, rows: Bool, notes: Sequence[str] = ()) -> str:
     noted = [f"{span} ({note})" if note else span for span, note in zip(each, notes or [""] * len(each), strict=True)]
     more = [f"and {len(noted) - _SPANS} spans more"] if len(noted) > _SPANS else []
     return ", ".join([*noted[:_SPANS], *more])
-
-
-def runs(rows: AnyArray) -> list[tuple[int, int]]:
-    """First row and row after the last of each run of true rows (N,)."""
-    steps = np.diff(np.concatenate([[0], np.asarray(rows, int), [0]]))
-    return list(zip(np.flatnonzero(steps == 1).tolist(), np.flatnonzero(steps == -1).tolist(), strict=True))
 
 
 def _lost(result: Result) -> str:

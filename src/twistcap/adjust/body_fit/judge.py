@@ -11,6 +11,7 @@ import numpy as np
 from twistcap.adjust.body_fit.observe import MARGIN, cropped, observe
 from twistcap.arrays import AnyArray, Bool, Float
 from twistcap.body import Body, Pose, Posed
+from twistcap.body.model import unsided
 from twistcap.camera import Camera, Rig
 from twistcap.cues.levelset import LevelSetContour
 from twistcap.estimate import Frame
@@ -37,7 +38,7 @@ class Agreement:
 
     def by_part(self) -> dict[str, tuple[float, float]]:
         """Mean and 95th percentile, mm, of each kind of segment that is seen."""
-        kinds = np.array([name.removesuffix("_r").removesuffix("_l") for name in self.part])
+        kinds = np.array(list(map(unsided, self.part)))
         own = {str(kind): self.mm[kinds == kind] for kind in dict.fromkeys(kinds.tolist())}
         return {kind: (float(mm.mean()), float(np.percentile(mm, 95))) for kind, mm in own.items()}
 

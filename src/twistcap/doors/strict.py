@@ -1,4 +1,4 @@
-"""Strict configuration: an unknown key is an error that names the nearest one that exists."""
+"""The door for tables, by pydantic models or dataclasses: an unknown key is told with the nearest that exists."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from twistcap.doors.text import brief
 from twistcap.errors import InputError
 
 T = TypeVar("T")
+M = TypeVar("M", bound=BaseModel)
 
 
 def unknown_key(source: str, key: str, table: str, valid: Iterable[str]) -> InputError:
@@ -24,12 +25,12 @@ def unknown_key(source: str, key: str, table: str, valid: Iterable[str]) -> Inpu
     return InputError(f"{source}: unknown key {key!r} {where}; {hint}")
 
 
-def validated(model: type[BaseModel], data: Mapping[str, Any], source: str, context: Mapping[str, Any]) -> Any:
+def validated(model: type[M], data: Mapping[str, Any], source: str, context: Mapping[str, Any] | None = None) -> M:
     """`model` made from `data`. Raises InputError for the first thing wrong, with the key, the file and what would be
     right.
     """
     try:
-        return model.model_validate(data, context=dict(context))
+        return model.model_validate(data, context=dict(context or {}))
     except ValidationError as error:
         raise _described(error, model, source) from error
 
@@ -80,7 +81,7 @@ def _described(error: ValidationError, model: type[BaseModel], source: str) -> I
 def _wrong_value(source: str, key: str, error: Any) -> InputError:
     message = str(error["msg"]).removeprefix("Value error, ").rstrip(".")
     if error["type"] == "value_error":
-        return InputError(f"{source}: {key or 'the session'}: {message}.")
+        return InputError(f"{source}: {key}: {message}." if key else f"{source}: {message}.")
     return InputError(f"{source}: {key!r} is {brief(error['input'])}; {message[0].lower()}{message[1:]}.")
 
 
