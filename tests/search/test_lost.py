@@ -19,6 +19,7 @@ from twistcap.build import build
 from twistcap.estimate import Frame
 from twistcap.predict import Prediction
 from twistcap.search.limb import LimbRule, placed
+from twistcap.search.lost import LostBody
 from twistcap.search.placing import Stance
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import Settings, Tracker
@@ -105,6 +106,23 @@ def test_a_limb_is_looked_for_unasked_where_it_is_better_elsewhere() -> None:
         assert (found is not pose, more > nats) == (moved, moved)
     off = np.linalg.norm(Posed(scene.body, found).landmarks - scene.landmarks[12], axis=1)
     assert off.max() < 0.08
+
+
+def test_images_that_are_not_believed_move_nothing_and_teach_nothing() -> None:
+    """In noise the images seem to show a body anywhere."""
+    scene, frames = _scene()
+    *_, (_, tracker) = islice(_tracked(lambda frame: frame), 14)
+    away = tracker.state.past.last
+    away = Pose(se3.transform(away.root[:3, :3], away.root[:3, 3] + (0.5, 0.0, 0.0)), away.q)
+    none = np.zeros((scene.body.dof, scene.body.dof))
+    problem = posed_problem(tracker.state, frames[14], tracker.model, Prediction(away, "motion", none, none))
+    search, memory = LostBody(), tracker.state.searches["lost body"]
+    fit = problem.measured(away)
+    revision, _ = search.revise(memory, problem, fit)
+    assert revision is not None  # the body is seen to be elsewhere
+    revision, after = search.revise(memory, replace(problem, trust=0.5), fit)
+    assert revision is None
+    assert after.known is memory.known
 
 
 def test_clutter_that_changes_at_once_does_not_make_a_body_lost() -> None:

@@ -149,6 +149,8 @@ class LostBody(Checked):
             now = Judged(problem, found, known.check(found.posed, found.sights, problem))
             return self._at(problem, found), self._learned(self._signed(memory, now), now, 1.0)
         now = Judged(problem, fit, known.check(fit.posed, fit.sights, problem))
+        if not problem.trusted:  # in noise a body may seem to be anywhere, and noise is no lesson
+            return None, self._signed(memory, now)
         if not known.sure:
             return None, self._learned(self._signed(memory, now), now, 1.0)
         now, suspicion = judged(self.contradiction, memory.suspicion, known, now)

@@ -65,6 +65,9 @@ def _stepped(state: Any, frame: Frame, model: Model | DifferentialModel) -> tupl
     fit = align(problem)
     if prediction.name == "motion" and frame.keypoints is None:
         problem = doubted(problem, fit)
+        if not problem.trusted and problem.start is not prediction.pose:  # what a search finds in noise is no body
+            fit = align(problem := replace(problem.at(prediction.pose), information=prediction.information))
+            problem = doubted(problem, fit)
         if problem.trust == 0.0:
             return unseen(problem, prediction)
         fit = fit if problem.trusted else align(problem)
