@@ -192,7 +192,7 @@ def test_a_mask_that_cannot_be_written_is_told_plainly(keyviews: Path) -> None:
 @pytest.mark.parametrize("mask", ["front.png", "./side.png", "anna_front_mask.png"])
 def test_a_mask_must_not_lie_where_another_picture_does(keyviews: Path, mask: str) -> None:
     keyviews.write_text(keyviews.read_text().replace("side_mask.png", mask))
-    with pytest.raises(InputError, match=r"^\[views\.\w+\]: `mask` .* is another picture too"):
+    with pytest.raises(InputError, match=r"anna.toml: \[views\.\w+\]: `mask` .* is another picture too"):
         cutting_of(keyviews)
 
 

@@ -39,6 +39,8 @@ QUICK = {
 result, and a file in place of a server."""
 ELSEWHERE = {
     "README.md: refine ": "a track with its images, as on docs/how-to/refine.md",
+    "export out/walk/result.h5 --to glb --into": "needs a character of others; tests/io/test_animation.py",
+    "export out/walk/result.h5 --to bvh --into": "the same",
     "init ": "waits for clicks; tests/pages/test_init_page.py",
     "body silhouettes": "waits for strokes; tests/pages/test_cut_page.py",
     "body keyviews": "needs four photographs; tests/acquire/test_keyviews.py",
