@@ -35,6 +35,14 @@ class Tracked:
     lost: AnyArray
     covariances: AnyArray = field(default_factory=lambda: np.zeros(0))
 
+    @property
+    def q(self) -> AnyArray:
+        return np.array([pose.q for pose in self.poses])
+
+    @property
+    def landmarks(self) -> AnyArray:
+        return np.array([Posed(self.body, pose).landmarks for pose in self.poses])
+
 
 def camera(dist: tuple[float, ...] = (0.0,) * 5) -> Camera:
     K = np.array([[200.0, 0, 80], [0, 200.0, 100], [0, 0, 1]])
