@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from support.twins import check_twin
-from twistcap.arrays import Bool, Float, Float32, Int
+from twistcap.arrays import Float, Float32, Int
 from twistcap.camera import Camera
-from twistcap.search.backdrop import Backdrop, small_camera, small_features
+from twistcap.search.backdrop import Backdrop, Background, background_of, small_camera, small_features
 from twistcap.search.evidence import (
     covered_evidence,
     covered_evidence_reference,
@@ -20,14 +20,14 @@ from twistcap.search.evidence import (
 from twistcap.search.placing import moved_evidence, moved_evidence_reference, points_evidence
 
 
-def _scene(rng: np.random.Generator) -> tuple[Float32, tuple[Float32, Float32, Bool], Float, Int]:
+def _scene(rng: np.random.Generator) -> tuple[Float32, Background, Float, Int]:
     features = rng.random((14, 18, 3)).astype(np.float32)
     mean, variance = rng.random((7, 9, 3)).astype(np.float32), rng.uniform(0.001, 0.1, (7, 9, 3)).astype(np.float32)
     known = rng.random((7, 9)) < 0.7
     moments = rng.random((4, 3))
     colours = np.concatenate([rng.random((4, 1)), moments, moments**2 + rng.uniform(0, 0.1, (4, 3))], axis=1)
     part = rng.integers(-1, 4, (14, 18)).astype(np.int32)
-    return features, (mean, variance, known), colours, part
+    return features, background_of(mean, variance, known), colours, part
 
 
 def test_kernels_are_their_readable_twins() -> None:
@@ -76,7 +76,7 @@ def camera(size: tuple[int, int], fx: float) -> Camera:
 def test_a_colour_that_is_like_neither_speaks_for_neither() -> None:
     """As a black picture: it is far from every part, and from what is behind."""
     one = np.full((1, 1, 3), 0.5, np.float32)
-    background = one, np.full((1, 1, 3), 0.01, np.float32), np.ones((1, 1), np.bool_)
+    background = background_of(one, np.full((1, 1, 3), 0.01, np.float32), np.ones((1, 1), np.bool_))
     colours = np.array([[1.0, *[0.2] * 3, *[0.2**2 + 0.01 - 4e-4] * 3]])
     palette = np.ones(1), np.full((1, 3), 0.5), np.ones((1, 3))
     far = evidence_maps(np.full((1, 1, 3), 9.0, np.float32), background, palette, colours, 3.0)

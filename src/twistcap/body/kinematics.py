@@ -185,30 +185,29 @@ def skin_points_reference(transforms: Float, segments: Int, weights: Float, loca
 
 
 @njit(cache=True, nogil=True)
-def points_at(
-    root: Float, twists: Float, parent: Int, segment_joint: Int, q: Float, segments: Int, weights: Float, local: Float
-) -> Float:
-    """(M, N, 3) surface points (N,) at M poses of one root and joint coordinates (M, J); else as in `_chain` and
-    `skin_points`.
+def points_at(base: Float, twists: Float, parent: Int, q: Float, joints: Int, weights: Float, local: Float) -> Float:
+    """(M, N, 3) surface points at M sets (M, J) of a branch's coordinates, which hangs on a base (4, 4).
+
+    Points have the coordinates (N, K) that move them, −1 for the base, their weights (N, K) and rest places (N, 3).
     """
-    out = np.empty((len(q), len(segments), 3))
-    transforms = np.empty((len(segment_joint), 4, 4))
+    out, J = np.empty((len(q), len(joints), 3)), len(twists)
+    moved = joints % (J + 1)  # the base is the last
+    transforms = np.empty((J + 1, 4, 4))
+    transforms[J] = base
     for m in range(len(q)):
-        joints = _chain(root, twists, parent, q[m])
-        for s in range(len(segment_joint)):
-            transforms[s] = root if segment_joint[s] < 0 else joints[segment_joint[s]]
-        out[m] = skin_points(transforms, segments, weights, local)
+        transforms[:J] = _chain(base, twists, parent, q[m])
+        out[m] = skin_points(transforms, moved, weights, local)
     return out
 
 
 def points_at_reference(
-    root: Float, twists: Float, parent: Int, segment_joint: Int, q: Float, segments: Int, weights: Float, local: Float
+    base: Float, twists: Float, parent: Int, q: Float, joints: Int, weights: Float, local: Float
 ) -> Float:
     """Readable twin of `points_at`."""
     out: list[Float] = []
     for each in q:
-        transforms = np.concatenate([chain_reference(root, twists, parent, each), root[None]])[segment_joint]
-        out.append(skin_points_reference(transforms, segments, weights, local))
+        transforms = np.concatenate([chain_reference(base, twists, parent, each), base[None]])
+        out.append(skin_points_reference(transforms, joints, weights, local))
     return np.array(out)
 
 

@@ -28,6 +28,13 @@ _PALETTE = 8  # colours by which pixels are described that were never seen witho
 
 
 Palette = tuple[Float, Float, Float]
+Background = tuple[Float32, Float32, Float32, Bool]
+"""(h, w, C) mean and inverse variance of each pixel, (h, w) half the log determinant, and where they are known."""
+
+
+def background_of(mean: Float32, variance: Float32, known: Bool) -> Background:
+    """A background by mean and variance (h, w, C) of each pixel, where they are known (h, w)."""
+    return mean, 1.0 / variance, 0.5 * np.log(variance).sum(axis=2), known
 
 
 @dataclass(frozen=True)
@@ -70,10 +77,10 @@ class Backdrop:
         variance = np.maximum(square - mean * mean, 0.0) + np.maximum(near[1] - near[0] ** 2, 0.0)
         return np.ascontiguousarray(mean, np.float32), np.ascontiguousarray(variance + FLOOR, np.float32)
 
-    @property
-    def background(self) -> tuple[Float32, Float32, Bool]:
-        """Mean and variance of each pixel, and where they are known."""
-        return (*self.moments, self.known)
+    @cached_property
+    def background(self) -> Background:
+        """What is known of each pixel."""
+        return background_of(*self.moments, self.known)
 
     def _palette(self) -> Palette:
         step = max(1, np.count_nonzero(self.known) // 2000)

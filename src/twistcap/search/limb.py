@@ -27,6 +27,7 @@ from twistcap.search.placing import points_evidence
 from twistcap.search.recollection import Recollection
 
 _POINTS = 40  # of a limb's surface, by which its places are judged roughly
+_ROOT = 6  # coordinates of the root, which come first
 _AGAINST = 0.25  # nats that one pixel may say against a place in blurred pictures
 _LACKING, _IN_VIEW, _LATE, _UNSEEN = 0, 1, 4, 6  # signs of a limb, see `flag.image_signs`
 
@@ -102,13 +103,18 @@ def regained(
     if not evidence.views:
         return None
     rng, masks = np.random.default_rng(seed), limbs(now.problem.body)
-    before = most = evidence.of(now.fit.pose)
+    before = most = None
     pose, found, usual = now.fit.pose, list[int](), known.nats.sum(axis=0) @ groups.T
     for i in lost:
-        other, nats = placed(rule, known, evidence, masks[i], rng, pose, most, rough)
+        steps = _places(rule, known, evidence, masks[i], rng, pose, rough)
+        if steps is None:
+            continue
+        if most is None:
+            before = most = evidence.of(pose)
+        other, nats = _settled(rule, evidence, masks[i], rng, pose, most, steps)
         if nats >= most + max(rule.gain, rule.share * float(usual[i])):
             pose, most, found = other, nats, [*found, i]
-    if not found:
+    if not found or before is None:
         return None
     fit = now.problem.align(pose, crop=True)
     gain = evidence.of(fit.pose) - before
@@ -137,40 +143,50 @@ def placed(
 
     It is looked for only if some place is better than where it is, roughly, by the fraction `rough`.
     """
-    body = evidence.body
-    best = [(most, pose)]
+    steps = _places(rule, known, evidence, limb, rng, pose, rough)
+    return (pose, most) if steps is None else _settled(rule, evidence, limb, rng, pose, most, steps)
+
+
+def _places(
+    rule: LimbRule, known: Recollection, evidence: Evidence, limb: Bool, rng: np.random.Generator, pose: Pose,
+    rough: float,
+) -> Float | None:  # fmt: skip
+    """Steps (N, 6 + J) to where a limb is roughly best; None where none is better by the fraction `rough`."""
     roughly = _Roughly.of(evidence, pose, limb)
-    steps = [_climbed(rule, rng, roughly, limb, pose, _shown(known, limb, body, pose))]
-    here = roughly.gains(pose, np.zeros((1, body.dof)))[0]
-    there = roughly.gains(pose, steps[0]).max()
-    if there - here < rough * there:
-        return pose, most
+    steps = [*_shown(known, limb, evidence.body, pose), *anywhere(rng, limb, pose, evidence.body, rule.many)]
+    steps = _climbed(rule, rng, roughly, limb, np.array(steps))
+    here, there = roughly.gains(np.zeros((1, evidence.body.dof)))[0], roughly.gains(steps).max()
+    return None if there - here < rough * there else steps
+
+
+def _settled(
+    rule: LimbRule, evidence: Evidence, limb: Bool, rng: np.random.Generator, pose: Pose, most: float, steps: Float
+) -> tuple[Pose, float]:
+    """The best of a pose, of steps from it, and of draws about the best ones; and its evidence."""
+    limits, best = evidence.body.limits, [(most, pose)]
+    rounds = [steps]
     for sd in (*rule.near, None):
-        poses = [start.retract(step) for (_, start), each in zip(best, steps, strict=True) for step in each]
-        tried = [(evidence.of(p), p) for p in (p.within(body.limits) for p in poses)]
+        poses = [start.retract(step) for (_, start), each in zip(best, rounds, strict=True) for step in each]
+        tried = [(evidence.of(p), p) for p in (p.within(limits) for p in poses)]
         best = sorted([*best, *tried], key=lambda item: -item[0])[: rule.kept]
         if sd is not None:
-            steps = [about(rng, limb, sd, rule.draws // len(best)) for _ in best]
+            rounds = [about(rng, limb, sd, rule.draws // len(best)) for _ in best]
     return best[0][1], best[0][0]
 
 
-def _climbed(
-    rule: LimbRule, rng: np.random.Generator, roughly: _Roughly, limb: Bool, pose: Pose, shown: list[Float]
-) -> Float:
-    """The roughly best steps (N, 6 + J) of those shown and of many anywhere; and as many that are best in blurred
-    pictures, each moved to where it is better still.
+def _climbed(rule: LimbRule, rng: np.random.Generator, roughly: _Roughly, limb: Bool, steps: Float) -> Float:
+    """The roughly best of steps (N, 6 + J); and as many that are best in blurred pictures, each moved to where it is
+    better still.
     """
-    steps = np.array([*shown, *anywhere(rng, limb, pose, roughly.body, rule.many)])
     sharp, coarse = (
-        steps[np.argsort(-level.gains(pose, steps))[: rule.climbing]]
-        for level in (roughly, roughly.blurred(rule.blurs[0]))
+        steps[np.argsort(-level.gains(steps))[: rule.climbing]] for level in (roughly, roughly.blurred(rule.blurs[0]))
     )
     steps = coarse
     for sd, blur in zip(rule.climb, rule.blurs, strict=True):
         level = roughly.blurred(blur)
         moves = about(rng, limb, sd, rule.tries * len(steps)).reshape(len(steps), rule.tries, -1)
         tried = np.concatenate([steps[:, None], steps[:, None] + moves], axis=1)
-        gains = level.gains(pose, tried.reshape(-1, tried.shape[2])).reshape(tried.shape[:2])
+        gains = level.gains(tried.reshape(-1, tried.shape[2])).reshape(tried.shape[:2])
         steps = tried[np.arange(len(steps)), gains.argmax(axis=1)]
     return np.concatenate([sharp, steps])
 
@@ -187,17 +203,22 @@ class _Roughly:
     """What a body gains by a limb, by points of its surface and without drawing it.
 
     Attributes:
-        body: whose limb it is.
-        points: (P,) its vertices that are asked.
-        parts: that they belong to.
-        views: (3, 4) projection and (S, h, w) nats by which each pixel favours each part over what it shows without the
-            limb. Where that is the body, it is no less than 0: the limb may be behind.
+        base: (4, 4) what the limb hangs on, at the pose.
+        joints, q: (K,) coordinates of the limb, and their values.
+        limits, twists, parent: of those coordinates; −1 is the base.
+        points: segments' coordinates (P, k), weights (P, k), places at rest (P, 3) and part (P,) of surface points.
+        views: (3, 4) projection and (parts, h, w) nats by which each pixel favours each part of the limb over what it
+            shows without it. Where that is the body, it is no less than 0: the limb may be behind.
         px_per_m: of each view, at the body.
     """
 
-    body: Body
-    points: Int
-    parts: Int
+    base: Float
+    joints: Int
+    q: Float
+    limits: Float
+    twists: Float
+    parent: Int
+    points: tuple[Int, Float, Float, Int]
     views: list[tuple[Float, Float32]]
     px_per_m: list[float]
 
@@ -205,18 +226,19 @@ class _Roughly:
     def of(evidence: Evidence, pose: Pose, limb: Bool) -> _Roughly:
         """Of a limb of a body at a pose."""
         body, posed = evidence.body, Posed(evidence.body, pose)
-        own = limb_parts(body, limb)
-        vertices, others = np.flatnonzero(own[body.vertex_part]), body.faces[~own[body.face_part]]
-        labels = np.append(body.face_part[~own[body.face_part]], np.int32(-1))  # −1 picks the last one
-        views, px_per_m = list[tuple[Float, Float32]](), list[float]()
-        for view in evidence.views:
-            pixels, nearness = projected(view.camera, posed.vertices)
-            px_per_m.append(max(view.camera.px_per_m(nearness), 1.0))
-            part = labels[rasterise(pixels, nearness, others, (0, 0), view.camera.size)[0]]
-            here = np.take_along_axis(view.maps, np.maximum(part, 0)[None], axis=0)[0]
-            views.append((view.camera.P, np.where(part >= 0, np.maximum(view.maps - here, 0.0), view.maps)))
-        some = vertices[:: max(1, len(vertices) // _POINTS)].astype(np.int32)
-        return _Roughly(body, some, np.unique(body.vertex_part[some]), views, px_per_m)
+        joints, own = np.flatnonzero(limb) - _ROOT, limb_parts(body, limb)
+        within = np.full(len(body.twists) + 1, -1, np.int32)  # the last is that of the root
+        within[joints] = np.arange(len(joints))
+        above = body.parent[joints[0]]
+        base = posed.joint_transforms[above] if above >= 0 else pose.root
+        vertices = np.flatnonzero(own[body.vertex_part])
+        some = vertices[:: max(1, len(vertices) // _POINTS)]
+        points = within[body.segment_joint][body.skin_segments[some]], body.skin_weights[some], body.vertices[some]
+        views, px_per_m = _freed(evidence, posed, own)
+        return _Roughly(
+            base, joints, pose.q[joints], body.limits[joints], body.twists[joints], within[body.parent[joints]],
+            (*points, (np.cumsum(own) - 1)[body.vertex_part[some]]), views, px_per_m,
+        )  # fmt: skip
 
     def blurred(self, size: float) -> _Roughly:
         """The same where each pixel says what it and those about it, `size` m wide, say together, and where none says
@@ -224,18 +246,27 @@ class _Roughly:
         """
         views = list[tuple[Float, Float32]]()
         for (P, maps), px in zip(self.views, self.px_per_m, strict=True):
-            width, blurred = max(1, round(size * px)), maps.copy()
-            for s in self.parts:
-                blurred[s] = cv2.blur(np.maximum(maps[s], -_AGAINST), (width, width))
-            views.append((P, blurred))
+            width = max(1, round(size * px))
+            views.append((P, np.array([cv2.blur(m, (width, width)) for m in np.maximum(maps, -_AGAINST)])))
         return replace(self, views=views)
 
-    def gains(self, pose: Pose, steps: Float) -> Float:
-        """(N,) nats at its points, at steps (N, 6 + J) of the limb's joints from a pose."""
-        body, q = self.body, np.clip(pose.q + steps[:, 6:], *self.body.limits.T)
-        points = points_at(
-            pose.root, body.twists, body.parent, body.segment_joint, q,
-            body.skin_segments[self.points], body.skin_weights[self.points], body.vertices[self.points],
-        )  # fmt: skip
-        part = body.vertex_part[self.points]
+    def gains(self, steps: Float) -> Float:
+        """(N,) nats at its points, at steps (N, 6 + J) of the limb's joints."""
+        q = np.clip(self.q + steps[:, _ROOT + self.joints], *self.limits.T)
+        joints, weights, local, part = self.points
+        points = points_at(self.base, self.twists, self.parent, q, joints, weights, local)
         return np.sum([points_evidence(maps, P, points, part) for P, maps in self.views], axis=0)
+
+
+def _freed(evidence: Evidence, posed: Posed, own: Bool) -> tuple[list[tuple[Float, Float32]], list[float]]:
+    """Each view without a limb's parts (S,), see `_Roughly`, and its pixels per m at the body."""
+    body, views, px_per_m = evidence.body, list[tuple[Float, Float32]](), list[float]()
+    others = body.faces[~own[body.face_part]]
+    labels = np.append(body.face_part[~own[body.face_part]], np.int32(-1))  # −1 picks the last one
+    for view in evidence.views:
+        pixels, nearness = projected(view.camera, posed.vertices)
+        px_per_m.append(max(view.camera.px_per_m(nearness), 1.0))
+        part = labels[rasterise(pixels, nearness, others, (0, 0), view.camera.size)[0]]
+        here = np.take_along_axis(view.maps, np.maximum(part, 0)[None], axis=0)[0]
+        views.append((view.camera.P, np.where(part >= 0, np.maximum(view.maps[own] - here, 0.0), view.maps[own])))
+    return views, px_per_m
