@@ -247,3 +247,12 @@ def test_a_session_over_another_one(path: Path) -> None:
     changed(other, "../s.toml", "none.toml")
     with pytest.raises(InputError, match=r"none\.toml cannot be read"):
         load_session(other)
+
+
+def test_a_session_toml_has_the_name_of_its_folder(tmp_path: Path) -> None:
+    """`new` and `studio` call all of theirs so; headings and folders of two sessions must differ."""
+    for name, title in (("session.toml", "walk"), ("run.toml", "run")):
+        path = tmp_path / "walk" / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text('[cameras]\ncalibration = "Calib.toml"\n[videos]\ncam01 = "a.mp4"\n')
+        assert load_session(path).title == title

@@ -55,7 +55,7 @@ def gait(
     from twistcap.evaluate.filters import Filter
     from twistcap.io.norms import read_norms
     from twistcap.io.result import read_result
-    from twistcap.report.verdict import graded
+    from twistcap.report.verdict import TURNS, graded
 
     wanted = tuple(parsed_event(text) for text in event or [])
     bands = read_norms(norms, norms_speed) if norms else {}
@@ -68,8 +68,8 @@ def gait(
         return
     _show(str(result), found.parameters)
     typer.echo(found.filter)
-    for statement in graded(found.sigmas):
-        typer.echo(statement.text)
+    for sentence in (*(statement.text for statement in graded(found.sigmas)), TURNS):
+        typer.echo(sentence)
     for name in (one.name for one in wanted):
         typer.echo(f"{name}: {', '.join(f'{time:.3f}' for time in found.events[name]) or 'never'} s")
     for path in found.files:

@@ -56,7 +56,7 @@ def track(
 
     said = {"tracker.method": method, "frames": terminal.frame_range(frames), "scale": scale}
     loaded = load_session(session, said | parsed_settings(set_ or []))
-    folder = terminal.output_folder(out or loaded.output.folder or Path("out") / session.stem)
+    folder = terminal.output_folder(out or loaded.output.folder or Path("out") / loaded.title)
     terminal.finish(run_session(loaded, folder, Begin(resume, overwrite, videos_changed)), json, tell)
 
 
