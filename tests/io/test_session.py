@@ -256,3 +256,13 @@ def test_a_session_toml_has_the_name_of_its_folder(tmp_path: Path) -> None:
         path.parent.mkdir(exist_ok=True)
         path.write_text('[cameras]\ncalibration = "Calib.toml"\n[videos]\ncam01 = "a.mp4"\n')
         assert load_session(path).title == title
+
+
+def test_what_a_result_keeps_of_a_session_is_a_session(tmp_path: Path) -> None:
+    """`refine` and `view` read it again; a session that named no first pose was refused there."""
+    path = tmp_path / "a.toml"
+    path.write_text('[cameras]\ncalibration = "Calib.toml"\n[videos]\ncam01 = "a.mp4"\n')
+    for first_pose in ("", "[first_pose]\nauto = true\n", '[first_pose]\nfile = "pose.json"\n'):
+        path.write_text(path.read_text().partition("[first_pose]")[0] + first_pose)
+        kept = load_session(path).model_dump(mode="json")
+        assert Session.model_validate(kept, context={"folder": Path()}).model_dump(mode="json") == kept
