@@ -137,6 +137,8 @@ def timed(work: Callable[[], Any]) -> tuple[float, float]:
 
     wall, before = time.perf_counter(), cpu()
     work()
+    for child in active_children():  # what a child has spent counts when it has ended
+        child.join()
     return time.perf_counter() - wall, cpu() - before
 
 

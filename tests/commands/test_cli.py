@@ -125,6 +125,20 @@ def test_resume_goes_on(method: str, made: Path, tmp_path: Path, capsys: pytest.
     np.testing.assert_array_equal(cut.covariances, whole.covariances)
 
 
+def test_a_finished_track_is_not_tracked_again(
+    made: Path, tracked: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its file stays as it is, to the last byte; the other files are written anew."""
+    out = Path(shutil.copytree(tracked, tmp_path / "o"))
+    (out / "angles.csv").unlink()
+    quick = ("--resume", "--set", "output.overlay=false")
+    assert run("track", made / "session.toml", "--out", out, *quick) == 0
+    said = capsys.readouterr()
+    assert "all 8 frames are tracked: there is nothing to do" in said.err + said.out
+    assert (out / "result.h5").read_bytes() == (tracked / "result.h5").read_bytes()
+    assert (out / "angles.csv").read_bytes() == (tracked / "angles.csv").read_bytes()
+
+
 def test_motions_carry_the_track_over_missing_images(
     session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -167,3 +167,24 @@ def test_command(body: Body, poses: list[Pose], tmp_path: Path, capsys: pytest.C
     assert "isb_knee_flexion_r" in (tmp_path / "out" / "cycles.csv").read_text()
     assert all(len(line) <= 80 for line in capsys.readouterr().out.splitlines() if "│" in line)
     assert "angles is" in refusal(capsys, "gait", tmp_path / "r.h5", "--angles", "euler")
+
+
+def test_cycles_say_which_angles_are_reliable(
+    body: Body, poses: list[Pose], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the σ that the covariance claims, which does not fall with the number of strides."""
+    sigma = np.full(body.dof, np.radians(1.0))
+    for name, degrees in (("hip_rotation_r", 8.0), ("knee_angle_l", 3.0)):
+        sigma[6 + body.coordinate(name)] = np.radians(degrees)
+    with ResultWriter(tmp_path / "r.h5", body, ring(), {}) as writer:
+        for n, pose in enumerate(poses[:200]):
+            writer.append(Estimate(n, n / FPS, pose, np.diag(sigma**2)))
+    found = document(capsys, "gait", tmp_path / "r.h5", "--out", tmp_path / "out")
+    odd = {name: grade for name, grade in found["reliable"].items() if grade != "yes"}
+    assert odd == {"hip_rotation_r": "no", "knee_angle_l": "care"}
+    assert found["sigma_deg"]["hip_rotation_r"] == pytest.approx(8.0)
+    with (tmp_path / "out" / "cycles.csv").open() as file:
+        rows = [row for row in csv.DictReader(file) if row["coordinate"] == "hip_rotation_r"]
+    assert {(row["side"], row["sigma_deg"], row["reliable"]) for row in rows} == {("r", "8.0000", "no")}
+    assert run("gait", tmp_path / "r.h5", "--out", tmp_path / "out") == 0
+    assert "Not reliable, σ above 5°: hip rotation right (8.0°)." in capsys.readouterr().out

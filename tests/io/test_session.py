@@ -247,3 +247,22 @@ def test_a_session_over_another_one(path: Path) -> None:
     changed(other, "../s.toml", "none.toml")
     with pytest.raises(InputError, match=r"none\.toml cannot be read"):
         load_session(other)
+
+
+def test_a_session_toml_has_the_name_of_its_folder(tmp_path: Path) -> None:
+    """`new` and `studio` call all of theirs so; headings and folders of two sessions must differ."""
+    for name, title in (("session.toml", "walk"), ("run.toml", "run")):
+        path = tmp_path / "walk" / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text('[cameras]\ncalibration = "Calib.toml"\n[videos]\ncam01 = "a.mp4"\n')
+        assert load_session(path).title == title
+
+
+def test_what_a_result_keeps_of_a_session_is_a_session(tmp_path: Path) -> None:
+    """`refine` and `view` read it again; a session that named no first pose was refused there."""
+    path = tmp_path / "a.toml"
+    path.write_text('[cameras]\ncalibration = "Calib.toml"\n[videos]\ncam01 = "a.mp4"\n')
+    for first_pose in ("", "[first_pose]\nauto = true\n", '[first_pose]\nfile = "pose.json"\n'):
+        path.write_text(path.read_text().partition("[first_pose]")[0] + first_pose)
+        kept = load_session(path).model_dump(mode="json")
+        assert Session.model_validate(kept, context={"folder": Path()}).model_dump(mode="json") == kept

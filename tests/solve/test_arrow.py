@@ -32,6 +32,23 @@ def test_the_arrow_is_solved_as_the_dense_matrix(frames: int, reach: int) -> Non
     np.testing.assert_allclose(marginals.shared, inverse[frames * D :, frames * D :], atol=1e-12)
 
 
+def test_rounding_does_not_grow_along_a_long_track() -> None:
+    """Accelerations over some hundred frames, as in `refine`: variances became negative, and as large as 1e9."""
+    rng, (F, D) = np.random.default_rng(2), (300, 4)
+    arrow = Arrow(F, D, 1, 2)
+    arrow.corner[:] = 1.0
+    for t in range(F):
+        J = rng.normal(size=(D, D))
+        arrow.add_pose(t, np.zeros(D), J.T @ J)
+        if t + 2 < F:
+            turn = np.linalg.qr(rng.normal(size=(D, D)))[0]
+            J = tuple(k * turn for k in (1.0, -2.0, 1.0))
+            arrow.add_rows((t, t + 1, t + 2), J, np.zeros((D, 1)), np.full(D, 10.0), np.zeros(D))
+    inverse, found = np.linalg.inv(whole_matrix(arrow)), arrow.marginals().poses
+    blocks = [inverse[t * D : (t + 1) * D, t * D : (t + 1) * D] for t in range(F)]
+    np.testing.assert_allclose(found, blocks, rtol=1e-6, atol=1e-9)
+
+
 def test_rows_add_up_to_the_least_squares_of_all() -> None:
     """Against stacked rows: signs, order and the coupling of frames and border."""
     rng = np.random.default_rng(1)

@@ -76,6 +76,8 @@ def follow(frames: Iterable[Frame], total: int, tracker: Tracker, writer: Result
                 for sentence in believed.news(estimate, suspects(tracker)):
                     say(sentence)
                 advance(f"{timing.ms[-1]:.0f} ms{'  LOST' if estimate.lost else ''}")
+            if len(writer):
+                writer.save_state(to_bytes(tracker.state))  # a track that is finished has nothing to do again
         except InputError as error:
             if not len(writer):
                 raise

@@ -36,7 +36,7 @@ def gait(
 ) -> None:
     """Find heel strikes, toe-offs and strides of a walk; time, length and joint angles over 0 to 100 % of the cycle.
 
-    Writes events.csv, gait.csv (parameters), strides.csv, cycles.csv (mean and standard deviation) and cycles.png.
+    Writes events.csv, gait.csv (parameters), strides.csv, cycles.csv (mean, standard deviation, σ) and cycles.png.
     Angles of the pelvis are those of a walk along x, whatever its heading.
 
     An event is NAME = SIGNAL rises above NUMBER, falls below NUMBER, maximum or minimum. A signal is a landmark's x, y
@@ -55,6 +55,7 @@ def gait(
     from twistcap.evaluate.filters import Filter
     from twistcap.io.norms import read_norms
     from twistcap.io.result import read_result
+    from twistcap.report.verdict import TURNS, graded
 
     wanted = tuple(parsed_event(text) for text in event or [])
     bands = read_norms(norms, norms_speed) if norms else {}
@@ -67,6 +68,8 @@ def gait(
         return
     _show(str(result), found.parameters)
     typer.echo(found.filter)
+    for sentence in (*(statement.text for statement in graded(found.sigmas)), TURNS):
+        typer.echo(sentence)
     for name in (one.name for one in wanted):
         typer.echo(f"{name}: {', '.join(f'{time:.3f}' for time in found.events[name]) or 'never'} s")
     for path in found.files:
@@ -75,6 +78,7 @@ def gait(
 
 def _emit(found: Measured) -> None:
     from twistcap.evaluate.gait import symmetry
+    from twistcap.report.verdict import grade_of
 
     gait = found.gait
     shown = {side: {name: vars(m) for name, m in values.items()} for side, values in found.parameters.items()}
@@ -83,6 +87,7 @@ def _emit(found: Measured) -> None:
         "parameters": shown,
         "strikes": dict(gait.strikes), "toe_offs": dict(gait.toe_offs), "events": dict(found.events),
         "symmetry_percent": symmetry(found.parameters), "filter": found.filter, "cutoff_hz": found.cutoffs,
+        "sigma_deg": found.sigmas, "reliable": {name: grade_of(sigma) for name, sigma in found.sigmas.items()},
         "files": list(found.files),
     })  # fmt: skip
 

@@ -21,6 +21,7 @@ from twistcap.io.files import replacing
 from twistcap.io.norms import PERCENT, Band
 from twistcap.io.result import Result
 from twistcap.report.plots import cycle_plot
+from twistcap.report.verdict import grade_of, kept_by_most
 
 _STRIKES = tuple(f"heel_strike_{side}" for side in SIDES)
 
@@ -61,6 +62,11 @@ class Measured:
         """Hz, by joint angle."""
         return _cutoffs(self.walk)
 
+    @property
+    def sigmas(self) -> dict[str, float]:
+        """Degrees, by cycle: the σ that most of it keeps."""
+        return cycle_sigmas(self.cycles)
+
 
 def run_gait(read: Result, folder: Path, wishes: Wishes | None = None) -> Measured:
     """Measure the walk of a result, and write its files into the folder. Raises InputError for a body without feet,
@@ -81,10 +87,16 @@ def run_gait(read: Result, folder: Path, wishes: Wishes | None = None) -> Measur
 
 
 def draw_cycles(folder: Path, curves: Mapping[str, Cycle], norms: Mapping[str, Band], title: str | None = None) -> Path:
-    """``cycles.png``, with published bands where there are some."""
+    """``cycles.png``, with published bands where there are some. What is not reliable is dashed."""
     drawn = {name: (c.mean, c.deviation) for name, c in curves.items()}
     bands = {name: (band.lower, band.upper) for name, band in norms.items()}
-    return cycle_plot(folder / "cycles.png", drawn, bands, *([title] if title else []))
+    unsure = {name for name, sigma in cycle_sigmas(curves).items() if grade_of(sigma) == "no"}
+    return cycle_plot(folder / "cycles.png", drawn, bands, *([title] if title else []), unsure=unsure)
+
+
+def cycle_sigmas(curves: Mapping[str, Cycle]) -> dict[str, float]:
+    """Degrees, by the name of the cycle: the σ that most of it keeps."""
+    return {name: float(kept_by_most(cycle.sigma)) for name, cycle in curves.items()}
 
 
 def _cutoffs(walk: Filtered) -> dict[str, float]:
@@ -138,12 +150,14 @@ def _write_strides(folder: Path, found: Gait) -> Path:
 
 
 def _write_cycles(folder: Path, curves: Mapping[str, Cycle]) -> Path:
+    reliable = {name: grade_of(sigma) for name, sigma in cycle_sigmas(curves).items()}
     rows = [
-        [c.side, f"{p:.0f}", c.coordinate, f"{m:.4f}", f"{s:.4f}", c.strides, f"{c.cutoff:.2f}"]
-        for c in curves.values()
-        for p, m, s in zip(PERCENT, c.mean, c.deviation, strict=True)
-    ]
-    head = ["side", "percent", "coordinate", "mean_deg", "sd_deg", "strides", "cutoff_hz"]
+        [c.side, f"{p:.0f}", c.coordinate, f"{m:.4f}", f"{d:.4f}", f"{s:.4f}", c.strides, f"{c.cutoff:.2f}",
+         reliable[name]]
+        for name, c in curves.items()
+        for p, m, d, s in zip(PERCENT, c.mean, c.deviation, c.sigma, strict=True)
+    ]  # fmt: skip
+    head = ["side", "percent", "coordinate", "mean_deg", "sd_deg", "sigma_deg", "strides", "cutoff_hz", "reliable"]
     return _table(folder / "cycles.csv", head, rows)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from twistcap.body import Posed
 from twistcap.camera import Rig
-from twistcap.commands.gait_files import draw_cycles
+from twistcap.commands.gait_files import cycle_sigmas, draw_cycles
 from twistcap.errors import InputError
 from twistcap.estimate import UNSEEN, Frame
 from twistcap.evaluate.cycles import cycles_of, walking_angles
@@ -28,7 +28,7 @@ from twistcap.io.video import Views
 from twistcap.report import Figure, Headline, angle_plot, overlay_video, write_report
 from twistcap.report.overlay import bones_of, draw_mosaic, mosaic_for
 from twistcap.report.plots import AngleSeries
-from twistcap.report.verdict import camera_rows, chosen_rows, verdict_of
+from twistcap.report.verdict import camera_rows, chosen_rows, graded, verdict_of
 from twistcap.report.words import result_in_words
 
 _STRIDES = 2  # of each side, from which a walk has cycles
@@ -97,6 +97,7 @@ def write_cycles(result: Result, folder: Path, norms: Mapping[str, Band]) -> tup
     curves = cycles_of(found, result.times, walk)
     caption = "Joint angles over the gait cycle, if this is a walk: mean ± standard deviation. "
     caption += in_words(how, {cycle.coordinate: cycle.cutoff for cycle in curves.values()})
+    caption = " ".join([caption, *(statement.text for statement in graded(cycle_sigmas(curves)))])
     return draw_cycles(folder, curves, norms), caption
 
 

@@ -56,7 +56,7 @@ def track(
 
     said = {"tracker.method": method, "frames": terminal.frame_range(frames), "scale": scale}
     loaded = load_session(session, said | parsed_settings(set_ or []))
-    folder = terminal.output_folder(out or loaded.output.folder or Path("out") / session.stem)
+    folder = terminal.output_folder(out or loaded.output.folder or Path("out") / loaded.title)
     terminal.finish(run_session(loaded, folder, Begin(resume, overwrite, videos_changed)), json, tell)
 
 
@@ -149,6 +149,9 @@ def _resumed(session: Any, path: Path, done: Any, begin: Begin, lock: Any) -> tu
     tracker = session_tracker(session, done.body, views, watch=True)
     count = resumed(tracker, path)
     rest = views.starting_at(int(done.indices[count - 1]) + 1) if count else views
+    if not len(rest):
+        words.print(f"all {count} frames are tracked: there is nothing to do but to write the files anew")
+        return views, Timing(), watched_by(tracker)
     words.print(f"going on after {count} frames: {len(rest)} frames to go")
     with ResultWriter.resume(path, count, len(views), lock) as writer:
         return views, _kept(rest, tracker, writer, path), watched_by(tracker)

@@ -1,4 +1,4 @@
-"""Joint angles over cycles of a result, gait's or those between events: their mean and standard deviation."""
+"""Joint angles over cycles of a result, gait's or those between events: mean, spread, and how sure the mean is."""
 
 from __future__ import annotations
 
@@ -20,13 +20,16 @@ from twistcap.io.result import Result
 class Cycle:
     """A coordinate over the cycles of a side: mean and standard deviation (101,), degrees, at 0, 1 … 100 %.
 
-    `cutoff` is that of the filter (Hz). The side is empty where cycles are of no side.
+    `sigma` (101,), degrees, is what the covariance claims of a frame there. It does not fall with the number of
+    strides: what the images leave open is much the same in each. `cutoff` is that of the filter (Hz). The side is empty
+    where cycles are of no side.
     """
 
     coordinate: str
     side: str
     mean: Float
     deviation: Float
+    sigma: Float
     strides: int
     cutoff: float
 
@@ -45,8 +48,8 @@ def cycles_of(found: Gait, times: Float, walk: Filtered) -> Mapping[str, Cycle]:
     out: dict[str, Cycle] = {}
     for side in SIDES:
         own = own_angles(walk.table, side)
-        curves = cycles(found, times, walk.values[:, own], side)
-        for k, cycle in zip(own, _cycles(walk, own, curves, side), strict=False):
+        curves, sigmas = (cycles(found, times, columns[:, own], side) for columns in (walk.values, walk.sigmas))
+        for k, cycle in zip(own, _cycles(walk, own, curves, sigmas, side), strict=False):
             out[f"{walk.table.names[k].removesuffix('_' + side)}_{side}"] = cycle
     return out
 
@@ -54,19 +57,21 @@ def cycles_of(found: Gait, times: Float, walk: Filtered) -> Mapping[str, Cycle]:
 def cycles_between(limits: Float, times: Float, walk: Filtered) -> Mapping[str, Cycle]:
     """All angles from each of the `limits` (s) to the next, by name; cycles with frames not known are left out."""
     own = [k for k, turns in enumerate(walk.table.turning) if turns]
-    curves = normalised(list(pairwise(limits.tolist())), times, walk.values[:, own])
-    curves = curves[np.isfinite(curves).all(axis=(1, 2))]
-    return {cycle.coordinate: cycle for cycle in _cycles(walk, own, curves, "")}
+    spans = list(pairwise(limits.tolist()))
+    curves, sigmas = (normalised(spans, times, columns[:, own]) for columns in (walk.values, walk.sigmas))
+    known = np.isfinite(curves).all(axis=(1, 2))
+    return {cycle.coordinate: cycle for cycle in _cycles(walk, own, curves[known], sigmas[known], "")}
 
 
-def _cycles(walk: Filtered, own: Sequence[int], curves: Float, side: str) -> list[Cycle]:
-    """Of curves (cycles, 101, C) of the columns `own`; none where there are no cycles."""
+def _cycles(walk: Filtered, own: Sequence[int], curves: Float, sigmas: Float, side: str) -> list[Cycle]:
+    """Of curves and sigmas (cycles, 101, C) of the columns `own`; none where there are no cycles."""
     count = len(curves)
     if not count:
         return []
     means, deviations = curves.mean(axis=0), curves.std(axis=0, ddof=1 if count > 1 else 0)
+    claimed = np.sqrt(np.mean(sigmas**2, axis=0))
     return [
-        Cycle(walk.table.names[k], side, means[:, c], deviations[:, c], count, float(walk.cutoffs[k]))
+        Cycle(walk.table.names[k], side, means[:, c], deviations[:, c], claimed[:, c], count, float(walk.cutoffs[k]))
         for c, k in enumerate(own)
     ]
 

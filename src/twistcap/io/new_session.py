@@ -199,7 +199,7 @@ def session_lines(draft: Draft, folder: Path, stature: float | None) -> str:
         "\n# [tracker]",
         '# method = "direct"   # or "levelset"',
         "\n[output]",
-        '# folder = "out/session"   # relative to where twistcap is started',
+        f'# folder = "out/{folder.resolve().name}"   # relative to where twistcap is started',
         'exports = ["trc", "csv"]   # also mot, bvh, glb, c3d, opensim',
     ]
     return "\n".join(lines) + "\n"

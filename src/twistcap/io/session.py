@@ -78,8 +78,10 @@ class Session(Table):
 
     @property
     def title(self) -> str:
-        """Name of the session file, for headings."""
-        return Path(self._source).stem
+        """Name of the session file, for headings and folders; of its folder where it is called ``session.toml``, as
+        ``twistcap new`` and ``studio`` call all of theirs."""
+        path = Path(self._source)
+        return (path.resolve().parent.name or path.stem) if path.name == "session.toml" else path.stem
 
     @property
     def fits_lengths(self) -> bool:

@@ -171,7 +171,7 @@ class FirstPoseTable(Table):
     `plates` is a folder of pictures without the person, ``CAM.png``, for that.
     """
 
-    auto: bool = False
+    auto: bool | None = None
     plates: DataPath | None = None
     file: DataPath | None = None
     frame: int | None = None
@@ -189,7 +189,7 @@ class FirstPoseTable(Table):
         given = [name for name in SOURCES if getattr(self, name)]
         if len(given) > 1:
             raise ValueError(f"give one of auto, file, clicks, keypoints and detector, not {' and '.join(given)}")
-        if not given and "auto" in self.model_fields_set:
+        if not given and self.auto is False:
             raise ValueError("auto is false; give one of file, clicks, keypoints and detector")
         return self
 

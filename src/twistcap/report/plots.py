@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -86,11 +86,11 @@ def _finish_angles(axis: Axes, panel: str) -> None:
 
 def cycle_plot(
     path: Path | str, curves: Mapping[str, tuple[Float, Float]], norms: Mapping[str, tuple[Float, Float]] | None = None,
-    title: str = "Gait cycles: mean ± standard deviation",
+    title: str = "Gait cycles: mean ± standard deviation", unsure: Collection[str] = (),
 ) -> Path:  # fmt: skip
     """Mean and standard deviation (101,) in degrees of coordinates over 0 to 100 % of the cycle, right and left in
     one panel; a coordinate of the middle has a curve over the strides of each side. `norms` are lower and upper edges
-    (101,) of published bands, by the name of the panel, drawn grey behind."""
+    (101,) of published bands, by the name of the panel, drawn grey behind. `unsure` curves are dashed."""
     names, bands = list(curves), norms or {}
     figure, panels = _grid(names, title, "% of the cycle")
     for panel, axis in panels.items():
@@ -99,9 +99,13 @@ def cycle_plot(
         for name in (name for name in names if split_side(name)[0] == panel):
             (mean, sd), colour = curves[name], _COLOURS[split_side(name)[1]]
             axis.fill_between(PERCENT, mean - sd, mean + sd, color=colour, alpha=0.22, lw=0, zorder=2)
-            axis.plot(PERCENT, mean, color=colour, lw=1.6, zorder=3)
+            axis.plot(PERCENT, mean, color=colour, lw=1.6, zorder=3, ls="--" if name in unsure else "-")
         _finish_angles(axis, panel)
-    shown = [Patch(color=_NORM, alpha=0.45, label="norm ± 1 SD")] if set(panels) & set(bands) else []
+    shown: list[Line2D | Patch] = []
+    if set(panels) & set(bands):
+        shown.append(Patch(color=_NORM, alpha=0.45, label="norm ± 1 SD"))
+    if set(names) & set(unsure):
+        shown.append(Line2D([], [], color="#333333", ls="--", label="not reliable"))
     return _saved(path, figure, names, shown)
 
 

@@ -20,13 +20,25 @@ from twistcap.report.words import in_spans
 
 RELIABLE, CARE = 2.0, 5.0
 """Degrees of σ."""
+GRADES: tuple[tuple[str, str, float, bool | None], ...] = (
+    ("yes", f"Reliable, σ within {RELIABLE:g}°", RELIABLE, True),
+    ("care", f"Use with care, σ of {RELIABLE:g}° to {CARE:g}°", CARE, None),
+    ("no", f"Not reliable, σ above {CARE:g}°", np.inf, False),
+)
+"""Of an angle: in a word, in words, up to which σ (degrees), and whether that is good."""
 _MOST = 95.0  # per cent of the frames that must be within
 _DOUBT = 0.2  # probability of loss from which a frame that is not lost is named
 _USABLE = 0.9  # share of the frames
 _SIDES = {"r": "right", "l": "left"}
+TURNS = (
+    "Turns of thighs, upper arms, head and pelvis about their long axes can be twice as wrong as their σ says: "
+    "they hardly change what cameras see."
+)
+"""What claims do not cover; measured in docs/concepts/covariance.md and docs/how-to/gait.md."""
 _CAVEAT = (
     f"In brackets is the σ that {_MOST:g} % of the frames keep. It is what the images leave open. A body or cameras "
     "that are a little wrong shift angles by constants that it does not contain; compare with a reference to find them."
+    f" {TURNS}"
 )
 
 
@@ -77,19 +89,28 @@ def _angles(result: Result) -> list[Statement]:
         return []
     poses = [pose for pose, use in zip(result.poses, known, strict=True) if use]
     table = coordinates_of(result.body, poses, result.covariances[known])
-    worst = np.percentile(table.in_degrees[1], _MOST, axis=0)
+    worst = kept_by_most(table.in_degrees[1])
     sigmas = {name: float(s) for name, s, turns in zip(table.names, worst, table.turning, strict=True) if turns}
-    grades = (
-        (f"Reliable, σ within {RELIABLE:g}°", 0.0, RELIABLE, True),
-        (f"Use with care, σ of {RELIABLE:g}° to {CARE:g}°", RELIABLE, CARE, None),
-        (f"Not reliable, σ above {CARE:g}°", CARE, np.inf, False),
-    )
+    return [*graded(sigmas), _place(table.names, worst)]
+
+
+def kept_by_most(sigmas: Float) -> Float:
+    """The σ that 95 % of the rows of (N, …) keep."""
+    return np.asarray(np.percentile(sigmas, _MOST, axis=0))
+
+
+def grade_of(sigma: float) -> str:
+    """``yes``, ``care`` or ``no``: whether an angle of this σ (degrees) can be relied on; ``no`` where it is NaN."""
+    return next((grade for grade, _, most, _ in GRADES if sigma <= most), GRADES[-1][0])
+
+
+def graded(sigmas: Mapping[str, float]) -> list[Statement]:
+    """Joint angles by grade, those that have any, with their σ (degrees)."""
     out = list[Statement]()
-    for words, low, high, good in grades:
-        names = {name: sigma for name, sigma in sigmas.items() if low < sigma <= high or (low == 0.0 == sigma)}
-        if names:
+    for grade, words, _, good in GRADES:
+        if names := {name: sigma for name, sigma in sigmas.items() if grade_of(sigma) == grade}:
             out.append(Statement(f"{words}: {named(names)}.", good))
-    return [*out, _place(table.names, worst)]
+    return out
 
 
 def _place(names: Sequence[str], worst: Float) -> Statement:

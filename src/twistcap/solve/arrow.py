@@ -153,6 +153,7 @@ def diagonal_blocks(factor: Float, frames: int, D: int) -> Float:
         G = np.concatenate([np.zeros((0, D)), *(_block(factor, t, j, D) for j in range(1, m + 1))]) @ here
         S = window[: m * D, : m * D]
         beside = -S @ G
-        out[t] = here.T @ here - G.T @ beside
+        block = here.T @ here - G.T @ beside
+        out[t] = 0.5 * (block + block.T)  # rounding that is not symmetric would grow from frame to frame, without end
         window = np.block([[out[t], beside.T], [beside, S]])
     return out
