@@ -138,6 +138,10 @@ def test_a_missing_camera_is_no_evidence() -> None:
         (2, 0.98, 0.1, 0.08, 0.9, True),
         (1, 0.98, 0.1, 0.08, 0.9, False),  # one search alone, and not clearly better
         (1, 0.98, 0.3, 0.08, 0.9, True),
+        (1, 0.98, 0.3, 0.02, 0.9, False),  # not in each frame
+        (2, 0.98, 0.1, 0.02, 0.9, True),  # two searches: clear in the mean is enough
+        (2, 0.98, 0.05, 0.02, 0.9, False),
+        (3, 0.98, 0.05, 0.02, 0.9, True),  # three: the best is enough
         (2, 0.9, 0.3, 0.08, 0.9, False),  # elsewhere something explains the images better
         (2, 0.98, 0.1, -0.1, 0.9, False),
         (2, 0.98, 0.1, 0.08, 0.4, False),

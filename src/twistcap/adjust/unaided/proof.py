@@ -42,9 +42,9 @@ class ProofRule(Checked):
         together: m, the same up to which two tracks have come together.
         met: probes that must have found a pose on the track, or one from which another track leads to it.
         standing: share of the best score that the track must have in the mean over the probes.
-        clear: share by which its scores must exceed those of the next different poses, in each probe; where more probes
-            than `met` have found it, it must only be the best.
-        alone: the same in the mean, from which on a track is believed that fewer probes have met.
+        clear: share by which its scores must exceed those of the next different poses, in the mean over the probes; in
+            none may another be better. Where more probes than `met` have found it, that is enough.
+        alone, each: the same, and in each probe, from which on a track is believed that fewer probes have met.
         agreeing: fraction of the contour that must agree with the images along it.
         hopeless: standing below which a track is given up.
     """
@@ -56,8 +56,9 @@ class ProofRule(Checked):
     together: float = 0.05
     met: Count = 2
     standing: Share = 0.96
-    clear: Share = 0.05
+    clear: Share = 0.08
     alone: Share = 0.2
+    each: Share = 0.05
     agreeing: Share = 0.6
     hopeless: Share = 0.75
 
@@ -124,10 +125,13 @@ class Proof:
 
     def holds(self, rule: ProofRule, probes: int) -> bool:
         """Whether it is believed, of so many probes; a single picture must do where there is no other."""
-        clear = 0.0 if self.met > rule.met else rule.clear  # one search more than asked has come to it
-        if self.standing < rule.standing or self.least < clear or self.agreement < rule.agreeing:
+        if self.standing < rule.standing or self.least < 0.0 or self.agreement < rule.agreeing:
             return False
-        return self.met >= min(rule.met, probes) or self.margin >= rule.alone
+        if self.met > rule.met:  # one search more than asked has come to it
+            return True
+        if self.met >= min(rule.met, probes):  # scores are nats: what the probes say of it adds up
+            return self.margin >= rule.clear
+        return self.margin >= rule.alone and self.least >= rule.each
 
 
 def proof_of(track: Track, probes: Sequence[Probe], others: Sequence[Track], rule: ProofRule) -> Proof:
