@@ -8,16 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 
 from twistcap.adjust.unaided.hull import middle_of_sight
 from twistcap.adjust.unaided.scenery import Scenery
 from twistcap.adjust.unaided.search import Candidate, Instant, UnaidedRule
+from twistcap.arrays import Float
 from twistcap.body import Pose
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
-from twistcap.ranges import Checked, Count, Share
+from twistcap.ranges import Checked, Count, Range, Share
 from twistcap.search.lost import LostBody
 from twistcap.search.placing import Stance
 from twistcap.track import Tracker
@@ -36,6 +38,7 @@ class ProofRule(Checked):
 
     Attributes:
         search: in each of them.
+        beside, pace: m about a place that was asked for in which a person is looked for, and m/s by which that grows.
         probes: s after the first frame, of the frames that are searched, as many as are needed, two at least.
         different, same: m between landmarks, the greatest, from which on two poses are different, and up to which they
             are the same.
@@ -50,6 +53,8 @@ class ProofRule(Checked):
     """
 
     search: UnaidedRule = field(default_factory=UnaidedRule)
+    beside: Annotated[float, Range(0.1, 50.0)] = 0.6
+    pace: float = 1.5
     probes: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75, 1.25, 2.0)
     different: float = 0.2
     same: float = 0.15
@@ -166,6 +171,7 @@ class Unaided:
         count, rate: number of frames, and frames per second.
         floor: its height, m.
         known: stances beside the bundled ones.
+        asked: (3,) m, a place of the person in the first frame; None looks for whoever stands out most.
     """
 
     rule: ProofRule
@@ -176,6 +182,7 @@ class Unaided:
     rate: float
     floor: float = 0.0
     known: Sequence[Stance] = ()
+    asked: Float | None = None
 
     def found(self) -> Proof:
         """The track that is proved, of as few probes as are needed.
@@ -205,9 +212,12 @@ class Unaided:
         return sorted({int(k) for k in wanted if k < self.count})
 
     def _probe(self, at: int, frame: Frame) -> Probe:
-        instant = Instant(self.rule.search, self.model, frame, self.scenery.evidence(frame.images, self.model.body))
-        centre = middle_of_sight(self.model.rig)[:2]
-        return Probe(at, instant, instant.candidates(centre, self.floor, self.known))
+        rule, centre = self.rule.search, middle_of_sight(self.model.rig)
+        if self.asked is not None:
+            reach = min(rule.reach, self.rule.beside + self.rule.pace * at / self.rate)
+            rule, centre = replace(rule, reach=reach), self.asked
+        instant = Instant(rule, self.model, frame, self.scenery.evidence(frame.images, self.model.body))
+        return Probe(at, instant, instant.candidates(centre[:2], self.floor, self.known))
 
     def _begin(self, tracks: list[Track], probe: Probe, frames: Sequence[Frame]) -> None:
         """A track from a probe's best pose, where no track has come there."""
