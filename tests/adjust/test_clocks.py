@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from twistcap.adjust.clocks import Signal, coincidence, estimate_clocks, keypoint_clock, sound_signal
 from twistcap.body import Posed
@@ -30,6 +31,21 @@ def test_a_clap_is_heard() -> None:
         sound[int(at * rate) : int(at * rate) + 800] += rng.normal(size=800)
     found = coincidence([sound_signal(s, rate) for s in sounds], [0.0, 0.0], 500, 1.0, 0.15)
     assert abs(found.offsets[1] + 0.75) < 0.004
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_claps_that_fall_between_two_samples_are_the_same_in_all_cameras(seed: int) -> None:
+    rng, rate, signals = np.random.default_rng(seed), 48_000, list[Signal]()
+    starts, claps = rng.permutation([0.0, 2.5, *rng.uniform(0, 2.5, 2)]), rng.uniform(2.5, 5.5, 3)
+    for start in starts:
+        sound = 0.01 * rng.normal(size=6 * rate)
+        for k in np.rint((claps - start) * rate).astype(int):
+            tail = np.exp(-np.arange(min(4800, len(sound) - k)) / (0.01 * rate))
+            sound[k : k + len(tail)] += 0.8 * tail * rng.normal(size=len(tail))
+        signals.append(sound_signal(np.clip(sound, -1, 1), rate))
+    found = coincidence(signals, [0.0] * 4, 500.0, 2.4, 0.15)
+    np.testing.assert_allclose(found.offsets, starts - starts[0], atol=0.004)
+    assert found.margin.min() > 0.1
 
 
 def test_a_late_camera_is_found_by_the_body() -> None:
