@@ -1,7 +1,7 @@
 """How well `twistcap calibrate` does: on rendered boards with known cameras, and on real recordings.
 
-    python -m benchmarks.calibration rendered --cameras 4 --seeds 3
-    python -m benchmarks.calibration projected --seeds 20
+    python -m benchmarks.calibration rendered --cameras 4 --seeds 0-2
+    python -m benchmarks.calibration projected --seeds 0-19
     python -m benchmarks.calibration charuco
     python -m benchmarks.calibration balance
 
@@ -123,18 +123,38 @@ def rays_of(camera: Camera, fine: int = 3) -> Float:
     return camera.normalised(np.stack([x, y], axis=-1))
 
 
-def drawn(camera: Camera, rays: Float, T: Float, board: Board, picture: AnyArray) -> Float:
+def drawn(camera: Camera, rays: Float, T: Float, board: Board, picture: AnyArray, fine: int = 3) -> Float:
     """(H, W) the board before grey, white paper about it."""
     pixels = len(picture) / board.size[1] * board.square
     rim = round(0.5 * pixels)
     paper = cv2.copyMakeBorder(picture, rim, rim, rim, rim, cv2.BORDER_CONSTANT, value=255)
+    image = np.full(SIZE[::-1], 90.0)
+    rows, columns = where_paper(camera, T, board)
+    rays = rays[fine * rows.start : fine * rows.stop, fine * columns.start : fine * columns.stop]
+    if not rays.size:
+        return image
     M = camera.T_cam_world @ T
     to_plane = np.linalg.inv(M[:3, [0, 1, 3]])
     at = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1) @ to_plane.T
     at = (at[..., :2] / at[..., 2:] / board.square * pixels - 0.5 + rim).astype(np.float32)
     at = np.where(np.isfinite(at), at, -1e4).astype(np.float32)
-    fine = cv2.remap(paper, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=90)
-    return cv2.resize(fine.astype(np.float32), SIZE, interpolation=cv2.INTER_AREA).astype(float)
+    parts = cv2.remap(paper, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderValue=90).astype(np.float32)
+    size = (columns.stop - columns.start, rows.stop - rows.start)
+    image[rows, columns] = cv2.resize(parts, size, interpolation=cv2.INTER_AREA)
+    return image
+
+
+def where_paper(camera: Camera, T: Float, board: Board) -> tuple[slice, slice]:
+    """Rows and columns of the image in which the paper about a board at T may be."""
+    rim, (w, h) = 0.6 * board.square, board.size
+    x, y = np.meshgrid(np.linspace(-rim, w + rim, 20), np.linspace(-rim, h + rim, 20))
+    points = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
+    pixels, depth = camera.project(se3.apply(T, points))
+    if depth.min() < 0.1:
+        return slice(0, SIZE[1]), slice(0, SIZE[0])
+    (left, top), (right, bottom) = np.floor(pixels.min(axis=0)) - 2, np.ceil(pixels.max(axis=0)) + 3
+    column, row = np.clip([left, right], 0, SIZE[0]).astype(int), np.clip([top, bottom], 0, SIZE[1]).astype(int)
+    return slice(int(row[0]), int(row[1])), slice(int(column[0]), int(column[1]))
 
 
 def spoiled(pixels: Float, rng: np.random.Generator) -> Float:
@@ -186,10 +206,10 @@ def lens_sigmas(found: Calibration, camera: int) -> Float:
     return np.sqrt(np.diagonal(found.adjustment.lenses[camera]))
 
 
-def simulated(kind: str, seeds: int, cameras: int, moments: int) -> None:
+def simulated(kind: str, seeds: Sequence[int], cameras: int, moments: int) -> None:
     """Errors over all seeds, in the world of the board on the floor and after the best rigid motion; the covariance."""
     raw, moved, scores = list[Float](), list[Float](), list[Float]()
-    for seed in range(seeds):
+    for seed in seeds:
         made = (rendered if kind == "rendered" else projected)(seed, cameras, moments)
         found, true = calibration_of(made)
         raw.append(errors(found.rig, true))
@@ -330,14 +350,15 @@ def main() -> None:
     """Print the measures of one case."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("case", choices=["rendered", "projected", "charuco", "balance"])
-    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--seeds", default="0-2")
     parser.add_argument("--cameras", type=int, default=4)
     parser.add_argument("--moments", type=int, default=100)
     given = parser.parse_args()
     if given.case in ("charuco", "balance"):
         (charuco if given.case == "charuco" else balance)()
         return
-    simulated(given.case, given.seeds, given.cameras, given.moments)
+    first, _, last = given.seeds.partition("-")
+    simulated(given.case, range(int(first), int(last or first) + 1), given.cameras, given.moments)
 
 
 if __name__ == "__main__":

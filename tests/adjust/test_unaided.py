@@ -123,6 +123,15 @@ def test_an_empty_scene_is_refused_in_a_sentence() -> None:
         _unaided([replace(frame, images=rooms) for frame in frames]).found()
 
 
+def test_only_the_person_who_is_asked_for_is_looked_for() -> None:
+    scene, frames = _scene()
+    middle = Posed(scene.body, scene.true_poses[0]).vertices.mean(axis=0)
+    asked = replace(_unaided(frames[:1]), asked=middle + np.array([0.2, -0.2, 0.1]))
+    assert asked.found().met == 1
+    with pytest.raises(InputError, match=r"\[first_pose\] auto: "):
+        replace(asked, asked=middle + np.array([1.8, 0.0, 0.0])).found()
+
+
 def test_a_missing_camera_is_no_evidence() -> None:
     scene, frames = _scene()
     search = _unaided(frames)
@@ -138,6 +147,10 @@ def test_a_missing_camera_is_no_evidence() -> None:
         (2, 0.98, 0.1, 0.08, 0.9, True),
         (1, 0.98, 0.1, 0.08, 0.9, False),  # one search alone, and not clearly better
         (1, 0.98, 0.3, 0.08, 0.9, True),
+        (1, 0.98, 0.3, 0.02, 0.9, False),  # not in each frame
+        (2, 0.98, 0.1, 0.02, 0.9, True),  # two searches: clear in the mean is enough
+        (2, 0.98, 0.05, 0.02, 0.9, False),
+        (3, 0.98, 0.05, 0.02, 0.9, True),  # three: the best is enough
         (2, 0.9, 0.3, 0.08, 0.9, False),  # elsewhere something explains the images better
         (2, 0.98, 0.1, -0.1, 0.9, False),
         (2, 0.98, 0.1, 0.08, 0.4, False),

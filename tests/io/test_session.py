@@ -91,6 +91,11 @@ def test_command_line_over_session_over_defaults(path: Path) -> None:
         ("1.8", "nan", "'body.stature' is nan"),
         ("[2, 9]", "[2]", "the list 'frames' has too few entries; it needs 2"),
         ("[2, 9]", "[-2, 9]", "'frames.0' is -2"),
+        (
+            'file = "pose.json"',
+            'file = "pose.json"\nat = { cam0 = [1, 2] }',
+            "at says whom to look for, but file gives",
+        ),
         ('file = "pose.json"', "auto = false", "auto is false; give one of file, clicks, keypoints and detector"),
         (
             "[first_pose]",

@@ -63,6 +63,7 @@ ELSEWHERE = {
     "opensim-cmd": "OpenSim's own; tests/io/test_opensim.py runs the same set-ups by its library",
     "ssh ": "another machine",
     "dask ": "serves until it is stopped; tests/commands/test_study.py starts both by their classes",
+    "python -m benchmarks": "minutes to hours; tests/reproduce/test_public.py holds that they use public names only",
     "python -m reproduce": "minutes to hours; tests/reproduce/test_command.py, and `reproduce studio --quick` there",
     "JOBS=2 python -m reproduce": "hours",
 }

@@ -168,11 +168,13 @@ SOURCES = ("auto", "file", "clicks", "keypoints", "detector")
 class FirstPoseTable(Table):
     """``[first_pose]``: one of file, clicks, keypoints and detector, or none: it is found in the images.
 
-    `plates` is a folder of pictures without the person, ``CAM.png``, for that.
+    For that, `plates` is a folder of pictures without the person, ``CAM.png``, and `at` says who is meant: by camera,
+    a pixel (x, y) of the first frame on the trunk.
     """
 
     auto: bool | None = None
     plates: DataPath | None = None
+    at: dict[str, tuple[float, float]] = {}
     file: DataPath | None = None
     frame: int | None = None
     clicks: DataPath | None = None
@@ -191,6 +193,8 @@ class FirstPoseTable(Table):
             raise ValueError(f"give one of auto, file, clicks, keypoints and detector, not {' and '.join(given)}")
         if not given and self.auto is False:
             raise ValueError("auto is false; give one of file, clicks, keypoints and detector")
+        if self.at and not self.unaided:
+            raise ValueError(f"at says whom to look for, but {given[0]} gives the pose; leave one of them out")
         return self
 
     @property

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from twistcap.adjust.first_pose.triangulate import nearest_points
 from twistcap.adjust.unaided import Proof, ProofRule, Unaided, middle_of_sight, scenery_of
 from twistcap.adjust.unaided.scenery import Still
-from twistcap.arrays import AnyArray, Bool
+from twistcap.arrays import AnyArray, Bool, Float
 from twistcap.body import Body, Pose
 from twistcap.build import build
 from twistcap.camera import Camera, Rig
@@ -28,6 +29,7 @@ _PX_PER_M = 110.0  # of the images that are searched; a person is 190 px high
 _PICTURES = 25  # by which the background is known
 _STANCES = 20  # that are taken from a motion library
 _LEAST_S = 0.9  # s in which a person who moves leaves most of the place where he was
+_MEET_M = 0.4  # by which rays may miss the place where they meet: no one clicks the same point of a trunk twice
 _COLOURS: Channels = "lab"
 _ENDINGS = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 
@@ -36,7 +38,8 @@ def found_unaided(session: Session, body: Body, views: Views, floor: float | Non
     """The first pose of the frames, from their images alone.
 
     Raises:
-        InputError: where it is not clear enough to be believed, or a plate cannot be read.
+        InputError: where it is not clear enough to be believed, a plate cannot be read, or the pixels of
+            ``[first_pose] at`` are none of one person.
     """
     middle = middle_of_sight(views.image_rig)
     views = replace(views, scale=views.scale * _smaller(views.image_rig, middle))
@@ -50,8 +53,32 @@ def found_unaided(session: Session, body: Body, views: Views, floor: float | Non
     ground = middle[2] - 1.0 if floor is None else floor
     return Unaided(
         ProofRule(), model, scenery, lambda places: _read(views, places), len(views), views.fps / session.step,
-        float(ground), _known(session, body),
+        float(ground), _known(session, body), asked_for(session.first_pose.at, views.rig),
     ).found()  # fmt: skip
+
+
+def asked_for(pixels: Mapping[str, tuple[float, float]], rig: Rig) -> Float | None:
+    """(3,) m, where the rays through pixels (x, y) of cameras meet, None without any.
+
+    Raises InputError for an unknown camera, one camera alone, a pixel outside its image, and rays that do not meet.
+    """
+    if not pixels:
+        return None
+    if strange := [name for name in pixels if name not in rig.names]:
+        raise InputError(f"[first_pose] at names {strange[0]}; the cameras are {', '.join(rig.names)}.")
+    cameras = [rig[rig.names.index(name)] for name in pixels]
+    for camera, (x, y) in zip(cameras, pixels.values(), strict=True):
+        if not (0 <= x < camera.size[0] and 0 <= y < camera.size[1]):
+            raise InputError(f"[first_pose] at: ({x:g}, {y:g}) is outside the image of {camera.name}, {camera.size}.")
+    if len(cameras) < 2:
+        raise InputError(f"[first_pose] at has only {cameras[0].name}; give the person's pixel in a second camera too.")
+    centres = np.stack([camera.centre for camera in cameras])
+    ways = np.stack([camera.rays(pixel)[0] for camera, pixel in zip(cameras, pixels.values(), strict=True)])
+    place = nearest_points(centres, ways[:, None], np.ones((len(cameras), 1)))[0]
+    miss = float(np.linalg.norm(np.cross(place - centres, ways), axis=1).max())
+    if not miss < _MEET_M:
+        raise InputError(f"[first_pose] at: the pixels miss each other by {miss:.2f} m; give one person's.")
+    return place
 
 
 @dataclass(frozen=True)

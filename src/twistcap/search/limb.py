@@ -226,7 +226,7 @@ class _Roughly:
     def of(evidence: Evidence, pose: Pose, limb: Bool) -> _Roughly:
         """Of a limb of a body at a pose."""
         body, posed = evidence.body, Posed(evidence.body, pose)
-        joints, own = np.flatnonzero(limb) - _ROOT, limb_parts(body, limb)
+        joints, own = np.flatnonzero(limb).astype(np.int32) - _ROOT, limb_parts(body, limb)
         within = np.full(len(body.twists) + 1, -1, np.int32)  # the last is that of the root
         within[joints] = np.arange(len(joints))
         above = body.parent[joints[0]]

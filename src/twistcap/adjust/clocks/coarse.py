@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import cv2
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 from scipy.signal import correlate
 
 from twistcap.arrays import AnyArray, Float
@@ -16,6 +17,7 @@ _WIDTH = 160  # px of the images whose motion is measured
 _NOISE = 4.0  # grey levels by which a pixel changes without motion
 _FLOOR = 0.5  # grey levels per second, below which motion does not count
 _HOP = 0.002  # s of sound, of which the loudness is one sample
+_BLUR = 2.0  # samples: a clap falls into one of them in one camera, and between two in another
 _QUIET = 1e-3  # of full loudness: below it nothing is heard
 _SWEEPS = 3  # in which each camera is placed again, all others given
 
@@ -69,7 +71,7 @@ def sound_signal(samples: Float, rate: float) -> Signal:
     loud = np.log(np.sqrt(np.mean(samples[: count * hop].reshape(count, hop) ** 2, axis=1)) + _QUIET)
     rise = np.maximum(np.diff(loud), 0.0) ** 2
     times = np.arange(1, len(rise) + 1, dtype=np.float64) * (hop / rate)
-    return Signal(times, np.asarray(rise, np.float64))
+    return Signal(times, np.asarray(gaussian_filter1d(rise, _BLUR), np.float64))
 
 
 def _small(image: AnyArray | None) -> AnyArray | None:

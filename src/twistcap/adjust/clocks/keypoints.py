@@ -18,6 +18,8 @@ _WIDEST = 10.0  # frames that are tried, to both sides
 _FINE = 0.1  # frames from one tried offset to the next
 _BLOCKS = 8  # spans of time, each left out once for the standard deviation
 _SCALE = 3.0  # px from which a difference counts less
+_ROUNDS = 3  # of offset and likeness
+_LIKENESSES = np.arange(0.0, 1.01, 0.05)
 
 
 @dataclass(frozen=True)
@@ -33,8 +35,12 @@ def keypoint_clock(
 ) -> KeypointClock:
     """By how many frames keypoints differ from the images that they were found in, which are numbered alike.
 
-    The mean difference of each landmark in each camera does not count: a detector's joints are not the body's.
-    Offsets are tried, and the best is made finer by a parabola. The standard deviation is the jackknife's.
+    The mean difference of each landmark in each camera does not count: a detector's joints are not the body's. What
+    else they differ by changes slowly, with the pose, and would pass for an offset where a movement does not come back
+    to where it began. So the part of each difference that the frame before foretells does not count either: an
+    autoregression of order 1, fitted with the offset (Cochrane and Orcutt 1949,
+    https://doi.org/10.1080/01621459.1949.10483290). Offsets are tried, and the best is made finer by a parabola. The
+    standard deviation is the jackknife's.
 
     Args:
         body, rig: of the track; the cameras as calibrated, in whose pixels the keypoints are.
@@ -50,11 +56,16 @@ def keypoint_clock(
     seen = np.stack([k.pixels[:, theirs] for k in keypoints])  # (F, C, L, 2)
     times = (track.times + lags).T
     shown = np.stack([[_pixels(body, track, c, t)[own] for c, t in zip(rig, row, strict=True)] for row in times])
-    costs = np.array([_costs(shown, seen, shift) for shift in _tried()])  # (S, F), NaN where there is none
+    seen, shown = _smooth(seen), _smooth(shown)
+    offset, likeness, costs = 0.0, 0.0, np.zeros(0)
+    for _ in range(_ROUNDS):
+        costs = np.array([_costs(_off(shown, seen, shift), likeness) for shift in _tried()])  # (S, F)
+        offset = _best(costs)
+        likeness = _likeness(_off(shown, seen, offset))
     blocks = np.arange(len(seen)) * _BLOCKS // len(seen)
     left_out = np.array([_best(costs[:, blocks != b]) for b in range(_BLOCKS)])
     sigma = float(np.sqrt((_BLOCKS - 1) / _BLOCKS * np.sum((left_out - left_out.mean()) ** 2)))
-    return KeypointClock(_best(costs), max(sigma, 0.5 * _FINE / _BLOCKS))
+    return KeypointClock(offset, max(sigma, 0.5 * _FINE / _BLOCKS))
 
 
 def _pixels(body: Body, track: PoseTrack, camera: Camera, time: float) -> Float:
@@ -62,26 +73,46 @@ def _pixels(body: Body, track: PoseTrack, camera: Camera, time: float) -> Float:
     return camera.project(Posed(body, track.at(time).pose).landmarks)[0]
 
 
+def _smooth(pixels: Float) -> Float:
+    """Over three frames: else a track that trembles fits better halfway between two frames, where it is a mean."""
+    before, after = np.roll(pixels, 1, axis=0), np.roll(pixels, -1, axis=0)
+    before[0], after[-1] = pixels[0], pixels[-1]
+    return 0.25 * before + 0.5 * pixels + 0.25 * after
+
+
 def _tried() -> Float:
     return np.arange(-_WIDEST, _WIDEST + 0.5 * _FINE, _FINE)
 
 
-def _costs(shown: Float, seen: Float, shift: float) -> Float:
-    """(F,) mean robust cost of the keypoints of each number, compared with the track at ``number + shift``."""
-    at = np.arange(len(seen)) + shift
+def _off(shown: Float, seen: Float, shift: float) -> Float:
+    """(F, C, L, 2) px by which keypoints differ from the track at ``number + shift``, each less its median over time.
+
+    NaN where that is not known, and near both ends, so that the same numbers count at all offsets.
+    """
+    at, margin = np.arange(len(seen)) + shift, int(_WIDEST)
     k = np.clip(np.floor(at).astype(int), 0, len(shown) - 2)
     part = (at - k)[:, None, None, None]
     off = seen - ((1.0 - part) * shown[k] + part * shown[k + 1])
-    # The same numbers count at all offsets.
-    off[: int(_WIDEST)], off[len(off) - int(_WIDEST) :] = np.nan, np.nan
-    inner = off[int(_WIDEST) : len(off) - int(_WIDEST)]
+    off[:margin], off[len(off) - margin :] = np.nan, np.nan
+    inner = off[margin : len(off) - margin]
     known = np.isfinite(inner).all(axis=-1).sum(axis=0) >= 0.5 * len(inner)
     off[:, ~known] = np.nan
-    off -= np.nan_to_num(np.nanmedian(np.where(known[None, ..., None], inner, 0.0), axis=0))
-    squares = np.sum(off * off, axis=-1) / _SCALE**2
+    return off - np.nan_to_num(np.nanmedian(np.where(known[None, ..., None], inner, 0.0), axis=0))
+
+
+def _likeness(off: Float) -> float:
+    """Fraction of a difference that is found again in the next frame: that of the least cost."""
+    return float(_LIKENESSES[np.argmin([np.nanmean(_costs(off, share)) for share in _LIKENESSES])])
+
+
+def _costs(off: Float, likeness: float) -> Float:
+    """(F,) mean robust cost of differences (F, C, L, 2), less what the frame before foretells; NaN without any."""
+    news = off[1:] - likeness * off[:-1]
+    squares = np.sum(news * news, axis=-1) / _SCALE**2
     cost, finite = np.log1p(squares), np.isfinite(squares)
     counted = finite.sum(axis=(1, 2))
-    return np.where(counted > 0, np.where(finite, cost, 0.0).sum(axis=(1, 2)) / np.maximum(counted, 1), np.nan)
+    mean = np.where(counted > 0, np.where(finite, cost, 0.0).sum(axis=(1, 2)) / np.maximum(counted, 1), np.nan)
+    return np.concatenate([[np.nan], mean])
 
 
 def _best(costs: Float) -> float:

@@ -8,16 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Annotated
 
 import numpy as np
 
 from twistcap.adjust.unaided.hull import middle_of_sight
 from twistcap.adjust.unaided.scenery import Scenery
 from twistcap.adjust.unaided.search import Candidate, Instant, UnaidedRule
+from twistcap.arrays import Float
 from twistcap.body import Pose
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
-from twistcap.ranges import Checked, Count, Share
+from twistcap.ranges import Checked, Count, Range, Share
 from twistcap.search.lost import LostBody
 from twistcap.search.placing import Stance
 from twistcap.track import Tracker
@@ -36,28 +38,32 @@ class ProofRule(Checked):
 
     Attributes:
         search: in each of them.
+        beside, pace: m about a place that was asked for in which a person is looked for, and m/s by which that grows.
         probes: s after the first frame, of the frames that are searched, as many as are needed, two at least.
         different, same: m between landmarks, the greatest, from which on two poses are different, and up to which they
             are the same.
         together: m, the same up to which two tracks have come together.
         met: probes that must have found a pose on the track, or one from which another track leads to it.
         standing: share of the best score that the track must have in the mean over the probes.
-        clear: share by which its scores must exceed those of the next different poses, in each probe; where more probes
-            than `met` have found it, it must only be the best.
-        alone: the same in the mean, from which on a track is believed that fewer probes have met.
+        clear: share by which its scores must exceed those of the next different poses, in the mean over the probes; in
+            none may another be better. Where more probes than `met` have found it, that is enough.
+        alone, each: the same, and in each probe, from which on a track is believed that fewer probes have met.
         agreeing: fraction of the contour that must agree with the images along it.
         hopeless: standing below which a track is given up.
     """
 
     search: UnaidedRule = field(default_factory=UnaidedRule)
+    beside: Annotated[float, Range(0.1, 50.0)] = 0.6
+    pace: float = 1.5
     probes: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75, 1.25, 2.0)
     different: float = 0.2
     same: float = 0.15
     together: float = 0.05
     met: Count = 2
     standing: Share = 0.96
-    clear: Share = 0.05
+    clear: Share = 0.08
     alone: Share = 0.2
+    each: Share = 0.05
     agreeing: Share = 0.6
     hopeless: Share = 0.75
 
@@ -124,10 +130,13 @@ class Proof:
 
     def holds(self, rule: ProofRule, probes: int) -> bool:
         """Whether it is believed, of so many probes; a single picture must do where there is no other."""
-        clear = 0.0 if self.met > rule.met else rule.clear  # one search more than asked has come to it
-        if self.standing < rule.standing or self.least < clear or self.agreement < rule.agreeing:
+        if self.standing < rule.standing or self.least < 0.0 or self.agreement < rule.agreeing:
             return False
-        return self.met >= min(rule.met, probes) or self.margin >= rule.alone
+        if self.met > rule.met:  # one search more than asked has come to it
+            return True
+        if self.met >= min(rule.met, probes):  # scores are nats: what the probes say of it adds up
+            return self.margin >= rule.clear
+        return self.margin >= rule.alone and self.least >= rule.each
 
 
 def proof_of(track: Track, probes: Sequence[Probe], others: Sequence[Track], rule: ProofRule) -> Proof:
@@ -162,6 +171,7 @@ class Unaided:
         count, rate: number of frames, and frames per second.
         floor: its height, m.
         known: stances beside the bundled ones.
+        asked: (3,) m, a place of the person in the first frame; None looks for whoever stands out most.
     """
 
     rule: ProofRule
@@ -172,6 +182,7 @@ class Unaided:
     rate: float
     floor: float = 0.0
     known: Sequence[Stance] = ()
+    asked: Float | None = None
 
     def found(self) -> Proof:
         """The track that is proved, of as few probes as are needed.
@@ -201,9 +212,12 @@ class Unaided:
         return sorted({int(k) for k in wanted if k < self.count})
 
     def _probe(self, at: int, frame: Frame) -> Probe:
-        instant = Instant(self.rule.search, self.model, frame, self.scenery.evidence(frame.images, self.model.body))
-        centre = middle_of_sight(self.model.rig)[:2]
-        return Probe(at, instant, instant.candidates(centre, self.floor, self.known))
+        rule, centre = self.rule.search, middle_of_sight(self.model.rig)
+        if self.asked is not None:
+            reach = min(rule.reach, self.rule.beside + self.rule.pace * at / self.rate)
+            rule, centre = replace(rule, reach=reach), self.asked
+        instant = Instant(rule, self.model, frame, self.scenery.evidence(frame.images, self.model.body))
+        return Probe(at, instant, instant.candidates(centre[:2], self.floor, self.known))
 
     def _begin(self, tracks: list[Track], probe: Probe, frames: Sequence[Frame]) -> None:
         """A track from a probe's best pose, where no track has come there."""
