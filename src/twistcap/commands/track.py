@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -130,7 +130,7 @@ def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Ti
     tracker.start(recording.first_pose, recording.first_time)
     config = session.model_dump(mode="json")
     with ResultWriter(path, recording.body, recording.rig, config, made, len(views), lock) as writer:
-        return views, _kept(views, tracker, writer, path), watched_by(tracker)
+        return views, _kept(_shown(session, views), tracker, writer, path), watched_by(tracker)
 
 
 def _resumed(session: Any, path: Path, done: Any, begin: Begin, lock: Any) -> tuple[Any, Timing, Any]:
@@ -154,22 +154,35 @@ def _resumed(session: Any, path: Path, done: Any, begin: Begin, lock: Any) -> tu
         return views, Timing(), watched_by(tracker)
     words.print(f"going on after {count} frames: {len(rest)} frames to go")
     with ResultWriter.resume(path, count, len(views), lock) as writer:
-        return views, _kept(rest, tracker, writer, path), watched_by(tracker)
+        return views, _kept(_shown(session, rest), tracker, writer, path), watched_by(tracker)
 
 
 def session_tracker(session: Any, body: Any, views: Any, watch: bool = False) -> Any:
     """The session's tracker, with a watch on the cameras' clocks or without.
 
-    Training motion is brought to the rate of the frames that are read.
+    Training motion is brought to the rate of the frames that are read; keypoints help to find a body that is lost.
     """
+    from twistcap.adjust.refinding import with_keypoints
     from twistcap.build import of_method
     from twistcap.commands.clocks import watching
-    from twistcap.track import Tracker
+    from twistcap.io.keypoint_source import KeypointSource
+    from twistcap.track import Model, Tracker
 
     library = session.motion_library
     motions = None if library is None else library.resampled(views.fps / session.step)
     model = of_method(body, views.image_rig, session.tracker_settings, session.pose_prior, motions)
+    if session.keypoints != "start" and session.keypoint_table is not None and isinstance(model, Model):
+        model = with_keypoints(model, views.rig, KeypointSource(session.keypoint_table, views))
     return Tracker(watching(model) if watch else model)
+
+
+def _shown(session: Any, views: Any) -> Any:
+    """The frames, with their keypoints where these are a cue."""
+    from twistcap.io.keypoint_source import KeypointSource
+
+    if session.keypoints != "cue":
+        return views
+    return replace(views, keypoints=KeypointSource(session.keypoint_table, views))
 
 
 def _kept(views: Any, tracker: Any, writer: Any, path: Path) -> Timing:

@@ -21,6 +21,7 @@ from twistcap.arrays import UInt8
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
+from twistcap.io.keypoints import NoKeypoints
 from twistcap.io.model_file import is_model_file
 from twistcap.io.onnx_detector import detected_by_model, load_detector
 
@@ -44,8 +45,8 @@ def detected(name: str, images: Sequence[UInt8 | None], rig: Rig, people: str | 
     """What a detector finds in one image of each camera; None is a camera without one, for model files alone.
 
     `name` is a model file, as in `io.model_file`, or an installed detector; `people` a model file that finds people.
-    Raises InputError as `detector` and `load_detector`; where nobody is found in two views, or an image is missing; for
-    an answer that is no `Keypoints` of this rig.
+    Raises InputError as `detector` and `load_detector`, and for an answer that is no `Keypoints` of this rig;
+    NoKeypoints where nobody is found in two views, or an image is missing.
     """
     if is_model_file(name):
         return detected_by_model(load_detector(name, people), images, rig)
@@ -54,7 +55,7 @@ def detected(name: str, images: Sequence[UInt8 | None], rig: Rig, people: str | 
     offered_by = detector(name)
     given = [image for image in images if image is not None]
     if len(given) < len(images):
-        raise InputError(f"a camera has no image of this frame, and detector {name!r} needs all; take another frame.")
+        raise NoKeypoints(f"a camera has no image of this frame, and detector {name!r} needs all; take another frame.")
     return _checked(offered_by(given, rig), name, rig)
 
 

@@ -49,6 +49,10 @@ LAYOUTS: Mapping[str, tuple[str, ...]] = {
 }  # fmt: skip
 
 
+class NoKeypoints(InputError):
+    """A frame has none: no file, no picture, or nobody in the pictures."""
+
+
 def read_openpose(
     files: Mapping[str, Path | str],
     cameras: Sequence[str],
@@ -116,7 +120,7 @@ def of_people(people: Sequence[Float], choice: Sequence[int | None], layout: str
 
 def openpose_files(folders: Mapping[str, Path | str], frame: int | Mapping[str, int]) -> dict[str, Path]:
     """The JSON file of a frame in each camera's folder: number `frame`, or that of the camera, of its files in the
-    order of their names. Raises InputError if a folder has fewer JSON files.
+    order of their names. Raises NoKeypoints if a folder has fewer JSON files.
     """
     out: dict[str, Path] = {}
     numbers = dict.fromkeys(folders, frame) if isinstance(frame, int) else frame
@@ -124,7 +128,7 @@ def openpose_files(folders: Mapping[str, Path | str], frame: int | Mapping[str, 
         frame = numbers[camera]
         files = sorted(Path(folder).glob("*.json"))
         if not 0 <= frame < len(files):
-            raise InputError(f"{folder}: frame {frame} of {camera} is needed, but there are {len(files)} JSON files.")
+            raise NoKeypoints(f"{folder}: frame {frame} of {camera} is needed, but there are {len(files)} JSON files.")
         out[camera] = files[frame]
     return out
 

@@ -19,7 +19,7 @@ from twistcap.arrays import AnyArray, Float, UInt8
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
-from twistcap.io.keypoints import LAYOUTS, of_people
+from twistcap.io.keypoints import LAYOUTS, NoKeypoints, of_people
 from twistcap.io.model_file import model_bytes
 from twistcap.io.people import same_person
 
@@ -182,13 +182,13 @@ def _letter(network: Network, image: UInt8) -> tuple[AnyArray, float]:
 def detected_by_model(detector: OnnxDetector, images: Sequence[UInt8 | None], rig: Rig) -> Keypoints:
     """The keypoints of the person on whom the views agree, in images as recorded; None is a camera without one.
 
-    Raises InputError where nobody is seen by two cameras.
+    Raises NoKeypoints where nobody is seen by two cameras.
     """
     people = [np.zeros((0, 0, 3)) if image is None else detector.people(image) for image in images]
     empty = [name for name, found in zip(rig.names, people, strict=True) if not len(found)]
     if len(people) - len(empty) < 2:
         nobody = f"finds nobody in {', '.join(empty)}, and two views are needed"
-        raise InputError(f"model {detector.pose.name} {nobody}; choose another frame, or click the first pose.")
+        raise NoKeypoints(f"model {detector.pose.name} {nobody}; choose another frame, or click the first pose.")
     layout = _LAYOUTS[max(found.shape[1] for found in people)]
     people = [found if len(found) else np.zeros((0, len(LAYOUTS[layout]), 3)) for found in people]
     choice, _ = same_person(rig, people)

@@ -27,7 +27,15 @@ from twistcap.io.calibration import read_rig
 from twistcap.io.cameras.axes import check_z_up, with_z_up
 from twistcap.io.clocks import Clock, Timeline, image_times
 from twistcap.io.detectors import detected
-from twistcap.io.keypoints import check_person, of_people, openpose_files, read_clicks, read_openpose, read_people
+from twistcap.io.keypoints import (
+    NoKeypoints,
+    check_person,
+    of_people,
+    openpose_files,
+    read_clicks,
+    read_openpose,
+    read_people,
+)
 from twistcap.io.masks import read_masks, rectified_masks
 from twistcap.io.people import same_person
 from twistcap.io.plausible import check_plausible, check_upright
@@ -305,8 +313,8 @@ def detections_of(table: DetectorTable, rig: Rig, views: Views) -> list[Keypoint
 def _files_at(table: KeypointSet, rig: Rig, frame: int, views: Views | None) -> dict[str, Path]:
     if views is None or views.timeline.in_step:
         return openpose_files(table.folders, frame)
-    if frame >= len(views.sources[views.timeline.reference]):
-        raise InputError(f"[first_pose] keypoints: frame {frame} is after the end of the video; name earlier frames.")
+    if not 0 <= frame < len(views.sources[views.timeline.reference]):
+        raise NoKeypoints(f"[first_pose] keypoints: frame {frame} is after the end of the video; name earlier frames.")
     numbers = {name: k for name, k in zip(rig.names, views.numbers(frame), strict=True) if k is not None}
     folders = {name: folder for name, folder in table.folders.items() if name in numbers}
     return openpose_files(folders, numbers)

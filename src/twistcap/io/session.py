@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, PrivateAttr
 
@@ -59,6 +59,7 @@ class Session(Table):
     step: int = Field(1, ge=1, le=100_000)
     fps: float | None = Field(None, ge=0.01, le=100_000)
     time_offset: float = 0.0
+    keypoints: Literal["start", "search", "cue"] = "search"
     scale: float = Field(1.0, ge=0.02, le=4)
     cameras: Cameras
     videos: dict[str, DataPath]
@@ -88,6 +89,11 @@ class Session(Table):
         """Whether the first pose changes the body's lengths: as said, else not those of a GLB, which is somebody."""
         said = self.first_pose.fit_lengths
         return not isinstance(self.body, GlbBody) if said is None else said
+
+    @property
+    def keypoint_table(self) -> KeypointSet | DetectorTable | None:
+        """Where keypoints come from, if they are named."""
+        return self.first_pose.keypoints or self.first_pose.detector
 
     @property
     def tracker_settings(self) -> Settings:
@@ -124,8 +130,8 @@ def load_session(path: str | Path, overrides: Mapping[str, Any] | None = None) -
     """Read and check a session file.
 
     `overrides` are what the command line says, by dotted key (``tracker.method``); None values are passed over. Raises
-    InputError for a file that cannot be read, an unknown key, a wrong value, a missing table, or a predictor or
-    method that does not fit ``[motions]`` and ``[prior]``.
+    InputError for a file that cannot be read, an unknown key, a wrong value, a missing table, or a predictor, a
+    method or a use of keypoints that does not fit the other tables.
     """
     path = Path(path)
     data = _expanded(_with_base(read_toml(path, "session"), path), path)
@@ -173,9 +179,15 @@ def _check_fitting(session: Session, source: str) -> None:
         lacks = "tracker.predictor is 'motion', but no [motions] names a library"
         raise InputError(f"{source}: {lacks}; give its path there, of twistcap motions build.")
     tables = " and ".join(f"[{name}]" for name in ("prior", "motions") if getattr(session, name) is not None)
+    alone = "tracker.method 'differential' uses brightness alone"
     if method == "differential" and tables:
-        alone = "tracker.method 'differential' uses brightness alone"
         raise InputError(f"{source}: {alone}; remove {tables}, or choose 'direct'.")
+    if session.keypoints == "cue":
+        if session.keypoint_table is None:
+            lacks = "keypoints are to be a cue, but [first_pose] names neither keypoints nor a detector"
+            raise InputError(f"{source}: {lacks}; name one, or remove the key.")
+        if method == "differential":
+            raise InputError(f"{source}: {alone}; remove keypoints = 'cue', or choose 'direct'.")
 
 
 def _with_base(data: dict[str, Any], path: Path) -> dict[str, Any]:

@@ -15,7 +15,7 @@ import numpy as np
 from twistcap.arrays import AnyArray, Float
 from twistcap.camera import Camera, Rectifier, Rig
 from twistcap.errors import InputError
-from twistcap.estimate import Frame
+from twistcap.estimate import Frame, Keypoints
 from twistcap.flow import image_between
 from twistcap.io.clocks import RATE, Between, Clock, Timeline, image_times
 from twistcap.io.sources import ImageSource, VideoSource
@@ -95,6 +95,7 @@ class Views:
     timeline: Timeline
     time_offset: float = 0.0
     moved: bool = True  # whether images are brought to the time of their frame; else they are the nearest as taken
+    keypoints: Callable[[int], Keypoints | None] | None = None  # those of each frame by its number, as a cue
 
     def __len__(self) -> int:
         return len(self.indices)
@@ -139,7 +140,8 @@ class Views:
         with ExitStack() as stack:
             ready = [stack.enter_context(_ahead(self._images(c))) for c in range(len(self.rig))]
             for index in self.indices:
-                yield Frame(index, self.time(index), tuple(next(images) for images in ready))
+                keypoints = None if self.keypoints is None else self.keypoints(index)
+                yield Frame(index, self.time(index), tuple(next(images) for images in ready), keypoints)
 
     def _images(self, camera: int) -> Iterator[AnyArray | None]:
         """One camera's image of each frame."""

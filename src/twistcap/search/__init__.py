@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -16,7 +16,7 @@ from twistcap.features import Channels
 from twistcap.predict.history import Moment, Past
 from twistcap.search.judge import Judge
 
-__all__ = ["Beginning", "Judge", "Problem", "Revision", "Search"]
+__all__ = ["Beginning", "Judge", "Problem", "Proposals", "Revision", "Search"]
 
 Views = Mapping[int, View]
 """Views by camera."""
@@ -90,6 +90,10 @@ class Problem(Protocol):
     def in_sight(self, fit: Fit) -> Float:
         """(S,) in [0, 1] how far each part is in sight."""
         ...
+
+
+Proposals = Callable[[Problem], Sequence[Pose]]
+"""Poses that a frame may show, beside those that a search knows itself; asked only while it searches."""
 
 
 @dataclass(frozen=True)

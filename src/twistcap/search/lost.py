@@ -19,7 +19,7 @@ from twistcap.camera import Rig
 from twistcap.cues.observation import Fit
 from twistcap.predict.history import Moment, Past, jumped, rested
 from twistcap.ranges import Checked, Count, Range, Share
-from twistcap.search import Beginning, Problem, Revision
+from twistcap.search import Beginning, Problem, Proposals, Revision
 from twistcap.search.beside import BesideRule, agreement, beside
 from twistcap.search.contradiction import ContradictionRule, Judged, Suspicion, judged
 from twistcap.search.evidence import Evidence
@@ -88,6 +88,7 @@ class LostBody(Checked):
         doubted, wary: fractions that the doubt in what was found, and in what jumped, keeps from frame to frame.
         margin: m about a hypothesis within which images are looked at.
         limbed: hypotheses whose limbs are looked for one after the other; they may be as they never were before.
+        proposals: more poses to judge, as those of keypoints.
     """
 
     after: float = 0.1
@@ -116,6 +117,7 @@ class LostBody(Checked):
     contradiction: ContradictionRule = field(default_factory=ContradictionRule)
     beside: BesideRule = field(default_factory=BesideRule)
     limb: LimbRule = field(default_factory=LimbRule)
+    proposals: Proposals | None = None
     name: str = field(default="lost body", init=False)
 
     def start(self, body: Body, rig: Rig) -> LostMemory:
@@ -320,11 +322,12 @@ class LostBody(Checked):
         return Hypothesis(pose, nats)
 
     def _modes(self, known: Recollection, problem: Problem, placing: Placing, last: Moment) -> list[Hypothesis]:
-        """What is worth a fit: where the body was or is expected, and where its stances fit the pictures."""
+        """What is worth a fit: where the body was, is expected or proposed, and where its stances fit the pictures."""
         stances = [*known.stances, *(stance.mirrored(problem.body) for stance in known.stances)]
         reach = min(self.reach + self.speed * (problem.frame.time - last.time), self.farthest)
         places = placing.places(stances[:: max(1, len(stances) // 3)], last.pose.root[:2, 3], reach)
-        near = [placing.hypothesis(pose) for pose in (problem.start, problem.past.last, last.pose)]
+        proposed = () if self.proposals is None else self.proposals(problem)
+        near = [placing.hypothesis(pose) for pose in (problem.start, problem.past.last, last.pose, *proposed)]
         return placing.distinct([*placing.standing(stances, places), *near])
 
     def _ratio(self, known: Recollection, evidence: Evidence, h: Hypothesis, usually: float) -> float:
