@@ -96,6 +96,7 @@ def _reported(scene: Any, pictures: list[Any], result: Any, folder: Path, timing
         video = outputs.write_overlay(result, pictures, scene.rig.pinhole(), folder, scene.config.fps, "twistcap demo")
         units = {row["unit"]: row["metric"] for row in reversed(comparison.rows)}  # the first of each
         wanted = {units[unit]: units[unit] for unit in ("deg", "mm", "frames") if unit in units}
+        wanted |= {"KHE": "error of knees, hips and elbows"}
         speed = Headline("per frame, without decoding", f"{timing.median:.0f}", "ms")
         lead = f"A synthetic walk in {len(scene.rig)} views, tracked from its first pose and compared with its truth."
         headlines = [*headline_rows(comparison.rows, wanted), speed]
