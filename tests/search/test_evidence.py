@@ -8,7 +8,15 @@ import pytest
 from support.twins import check_twin
 from twistcap.arrays import Float, Float32, Int
 from twistcap.camera import Camera
-from twistcap.search.backdrop import Backdrop, Background, background_of, small_camera, small_features
+from twistcap.search.backdrop import (
+    Backdrop,
+    Background,
+    background_of,
+    over_time,
+    small_camera,
+    small_features,
+    with_lesson,
+)
 from twistcap.search.evidence import (
     covered_evidence,
     covered_evidence_reference,
@@ -52,6 +60,19 @@ def test_kernels_are_their_readable_twins() -> None:
     labels = np.ascontiguousarray(part[::2, ::2])
     for a, b in zip(covered_evidence(maps, labels), covered_evidence_reference(maps, labels), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-5)
+
+
+def test_a_lesson_and_what_it_says_are_their_readable_twins() -> None:
+    rng = np.random.default_rng(1)
+    features, off = rng.random((9, 11, 3)).astype(np.float32), rng.random((9, 11)) < 0.6
+    sums = np.zeros((9, 11, 7), np.float32)
+    for _ in range(3):
+        sums = check_twin(
+            with_lesson, sums, features + rng.normal(0, 0.01, features.shape).astype(np.float32), off, 0.9
+        )
+    mean, variance = check_twin(over_time, sums, atol=1e-6)
+    np.testing.assert_array_equal(mean[sums[..., 0] == 0], 0.0)
+    check_twin(background_of, mean, variance + np.float32(4e-4), off, rtol=1e-5)
 
 
 @pytest.mark.parametrize("size", [(480, 360), (317, 239), (98, 220), (1001, 333)])

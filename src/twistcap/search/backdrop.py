@@ -12,6 +12,7 @@ from typing import cast
 
 import cv2
 import numpy as np
+from numba import njit
 
 from twistcap.arrays import AnyArray, Bool, Float, Float32
 from twistcap.camera import Camera
@@ -32,8 +33,22 @@ Background = tuple[Float32, Float32, Float32, Bool]
 """(h, w, C) mean and inverse variance of each pixel, (h, w) half the log determinant, and where they are known."""
 
 
+@njit(cache=True, nogil=True)
 def background_of(mean: Float32, variance: Float32, known: Bool) -> Background:
     """A background by mean and variance (h, w, C) of each pixel, where they are known (h, w)."""
+    inverse, spread = np.empty_like(variance), np.empty(known.shape, np.float32)
+    for r in range(known.shape[0]):
+        for c in range(known.shape[1]):
+            product = 1.0
+            for k in range(variance.shape[2]):
+                inverse[r, c, k] = 1.0 / variance[r, c, k]
+                product *= variance[r, c, k]
+            spread[r, c] = 0.5 * np.log(product)
+    return mean, inverse, spread, known
+
+
+def background_of_reference(mean: Float32, variance: Float32, known: Bool) -> Background:
+    """Readable twin of `background_of`."""
     return mean, 1.0 / variance, 0.5 * np.log(variance).sum(axis=2), known
 
 
@@ -70,12 +85,9 @@ class Backdrop:
     @cached_property
     def moments(self) -> tuple[Float32, Float32]:
         """(h, w, C) mean and variance of each pixel; what varies from pixel to pixel is variance as well."""
-        C = self.sums.shape[2] // 2
-        n = np.maximum(self.sums[..., :1], np.float32(1e-6))
-        mean, square = self.sums[..., 1 : 1 + C] / n, self.sums[..., 1 + C :] / n
-        near = [cv2.blur(np.ascontiguousarray(a), (3, 3)).reshape(a.shape) for a in (mean, mean * mean)]
-        variance = np.maximum(square - mean * mean, 0.0) + np.maximum(near[1] - near[0] ** 2, 0.0)
-        return np.ascontiguousarray(mean, np.float32), np.ascontiguousarray(variance + FLOOR, np.float32)
+        mean, variance = over_time(self.sums)
+        near = [np.asarray(cv2.blur(a, (3, 3)), np.float32).reshape(a.shape) for a in (mean, mean * mean)]
+        return mean, variance + np.maximum(near[1] - near[0] * near[0], 0.0) + np.float32(FLOOR)
 
     @cached_property
     def background(self) -> Background:
@@ -105,13 +117,50 @@ class Backdrop:
         if before.shape[:2] != features.shape[:2]:
             before = np.zeros((*features.shape[:2], 1 + 2 * features.shape[2]), np.float32)
         lessons = self.lessons + 1
-        taught = Backdrop(_with_lesson(before, features, off, _MEMORY / (_MEMORY + 1.0)), self.palette, lessons)
+        taught = Backdrop(with_lesson(before, features, off, _MEMORY / (_MEMORY + 1.0)), self.palette, lessons)
         return replace(taught, palette=taught._palette()) if lessons & (lessons - 1) == 0 else taught
 
 
-def _with_lesson(sums: Float32, features: Float32, off: Bool, keep: float) -> Float32:
+@njit(cache=True, nogil=True)
+def with_lesson(sums: Float32, features: Float32, off: Bool, keep: float) -> Float32:
+    """Sums (h, w, 1 + 2C) of which a fraction is kept and to which values (h, w, C) come, where `off` (h, w)."""
+    out, C, kept = sums.copy(), features.shape[2], np.float32(keep)
+    for r in range(off.shape[0]):
+        for c in range(off.shape[1]):
+            if off[r, c]:
+                out[r, c, 0] = kept * sums[r, c, 0] + np.float32(1.0)
+                for k in range(C):
+                    value = features[r, c, k]
+                    out[r, c, 1 + k] = kept * sums[r, c, 1 + k] + value
+                    out[r, c, 1 + C + k] = kept * sums[r, c, 1 + C + k] + value * value
+    return out
+
+
+def with_lesson_reference(sums: Float32, features: Float32, off: Bool, keep: float) -> Float32:
+    """Readable twin of `with_lesson`."""
     values = np.concatenate([np.ones_like(features[..., :1]), features, features * features], axis=2)
     return np.where(off[..., None], np.float32(keep) * sums + values, sums)
+
+
+@njit(cache=True, nogil=True)
+def over_time(sums: Float32) -> tuple[Float32, Float32]:
+    """Mean and variance (h, w, C) of each pixel, from its sums (h, w, 1 + 2C)."""
+    height, width, C = sums.shape[0], sums.shape[1], sums.shape[2] // 2
+    mean, variance = np.empty((height, width, C), np.float32), np.empty((height, width, C), np.float32)
+    for r in range(height):
+        for c in range(width):
+            share = np.float32(1.0) / max(sums[r, c, 0], np.float32(1e-6))
+            for k in range(C):
+                m = sums[r, c, 1 + k] * share
+                mean[r, c, k] = m
+                variance[r, c, k] = max(sums[r, c, 1 + C + k] * share - m * m, np.float32(0.0))
+    return mean, variance
+
+
+def over_time_reference(sums: Float32) -> tuple[Float32, Float32]:
+    """Readable twin of `over_time`."""
+    mean, square = np.split(sums[..., 1:] / np.maximum(sums[..., :1], 1e-6), 2, axis=2)
+    return np.asarray(mean, np.float32), np.asarray(np.maximum(square - mean * mean, 0.0), np.float32)
 
 
 def small_camera(camera: Camera, backdrop: Backdrop, place: Float) -> Camera:
