@@ -50,8 +50,8 @@ class Arm:
 
 
 def unsearched(model: Model) -> Model:
-    """Without the searches for limbs that are lost, which would mend what an arm is to show."""
-    return replace(model, searches=tuple(s for s in model.searches if s.name not in ("slipped limbs", "lost body")))
+    """Without the search for what is lost, which would mend what an arm is to show."""
+    return replace(model, searches=tuple(s for s in model.searches if s.name != "lost body"))
 
 
 @dataclass(frozen=True)

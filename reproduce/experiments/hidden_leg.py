@@ -16,11 +16,11 @@ import numpy as np
 from reproduce.arms import Arm, Comparison, Trace, by_arm
 from reproduce.scenes.disturbed import Board, boarded
 from twistcap.body import Posed
+from twistcap.cues.visibility import OcclusionRule
 from twistcap.estimate import Estimate
 from twistcap.evaluate.metrics import Row, row
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import Model, Settings
-from twistcap.track.visibility import OcclusionRule
 
 LEG = ("femur_r", "tibia_r", "foot_r")
 HIDDEN = (15, 44)  # frames in which no view shows the leg

@@ -32,7 +32,6 @@ from twistcap.motion import MotionLibrary
 from twistcap.render import render
 from twistcap.search.lost import LostBody
 from twistcap.search.placing import PlacingRule
-from twistcap.search.slipped import SlippedLimbs
 from twistcap.track import Model, Settings, track
 
 SESSION = Path(__file__).parents[2] / "examples" / "balance_4view.toml"
@@ -58,8 +57,7 @@ ARMS = {
 
 def drawn(model: Model, seed: int) -> Model:
     """The model with the searches' draws of a seed."""
-    lost = LostBody(placing=PlacingRule(seed=seed))
-    return replace(model, searches=(SlippedLimbs(seed=seed), lost))
+    return replace(model, searches=(LostBody(placing=PlacingRule(seed=seed)),))
 
 
 @dataclass(frozen=True)

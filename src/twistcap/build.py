@@ -13,6 +13,7 @@ from twistcap.cues.contour import ContourCue
 from twistcap.cues.direct import DirectContour
 from twistcap.cues.keypoints import Keypoints2D
 from twistcap.cues.levelset import LevelSetContour
+from twistcap.cues.visibility import OcclusionRule
 from twistcap.differential.model import DifferentialModel
 from twistcap.errors import InputError
 from twistcap.motion import MotionLibrary, motion_predictor
@@ -25,11 +26,9 @@ from twistcap.priors.standing import Expectation, JointLimits, RestPose
 from twistcap.registry import Registry
 from twistcap.search import Search
 from twistcap.search.lost import LostBody
-from twistcap.search.slipped import SlippedLimbs
 from twistcap.settings import Settings
 from twistcap.track.model import Model
 from twistcap.track.schedule import Schedule
-from twistcap.track.visibility import OcclusionRule
 
 # A line here, or an entry point of the same group in an installed package, makes a name for Settings.plugins.
 CUES = Registry("cue", "twistcap.cues", {})
@@ -84,11 +83,10 @@ def build(
     )  # fmt: skip
     if prior is not None:
         priors = (*priors, PosePrior(matched(prior, body), PriorRule(settings.prior_strength)))
-    searches = SlippedLimbs(), LostBody()
     return Model(
         body, rig.pinhole(), (contour, *brightness, *more.cues),
         (*more.predictors, *predictors_of(settings, body, rig, motions)), (*priors, *more.priors),
-        (*searches, *more.searches), Schedule(looks, contour.alternations, contour.slip),
+        (LostBody(), *more.searches), Schedule(looks, contour.alternations, contour.slip),
         None if prior is None else OcclusionRule(), channels=settings.channels, despeckle=settings.despeckle,
     )  # fmt: skip
 

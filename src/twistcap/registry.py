@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -42,6 +42,20 @@ class Registry:
             if point.name == name:
                 return point.load()
         raise InputError(f"there is no {self.kind} {name!r}; choose one of {', '.join(self.names()) or 'none'}.")
+
+
+def check_owners(kind: str, owners: Sequence[Any]) -> None:
+    """See that each of a model's cues, predictors or searches has a name of its own, and says what it remembers.
+
+    Raises:
+        InputError: where one does not.
+    """
+    names = [owner.name for owner in owners]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InputError(f"model: two {kind} have the name {twice[0]!r}; each needs a name of its own.")
+    for owner in owners:
+        memory_type(owner)
 
 
 def memory_type(owner: Any) -> Any:

@@ -10,7 +10,6 @@ import pytest
 
 from support.twins import check_twin
 from twistcap.region import lines
-from twistcap.region.compare import BLOCK, background_moments, label_evidence
 from twistcap.region.densities import add_interpolated, heaviside, histograms
 from twistcap.region.levelset import nearest_with_normal, signed_distance, zero_crossings
 from twistcap.region.matching import relax
@@ -110,27 +109,6 @@ def test_fields_are_relaxed_as_by_the_twin(size: tuple[int, int]) -> None:
     field, warped = rng.normal(size=(*size, 2)).astype(np.float32), rng.normal(size=(*size, 3)).astype(np.float32)
     source, weight = rng.normal(size=size).astype(np.float32), (rng.random(size) < 0.7).astype(np.float32)
     check_twin(relax, field, warped, source, weight, 1.5, 5, rtol=1e-4, atol=1e-4)
-
-
-@pytest.mark.parametrize("size", [(31, 46), (32, 44), (3, 3)])
-def test_labels_are_compared_as_by_the_twins(size: tuple[int, int]) -> None:
-    rng = np.random.default_rng(4)
-    features, off = rng.uniform(size=(*size, 3)).astype(np.float32), rng.uniform(size=size) < 0.3
-    off[:, : size[1] // 2] = False
-    background = check_twin(background_moments, features, off, np.ones_like(off), 2, rtol=1e-6)
-    check_twin(background_moments, features, np.zeros_like(off), np.ones_like(off), 2)
-    asked = np.zeros_like(off)
-    asked[-1, -2:] = True
-    some = check_twin(background_moments, features, off, asked, 2, rtol=1e-6)
-    np.testing.assert_array_equal(some[-1, -1], background[-1, -1])
-    assert np.count_nonzero(some.any(axis=2)) <= 2
-    assert background.shape == (-(-size[0] // BLOCK), -(-size[1] // BLOCK), 6)
-    colours = rng.uniform(size=(4, 7))
-    colours[2, 0] = 0.0
-    part, other = rng.integers(-1, 4, (2, *size)).astype(np.int32)
-    told = check_twin(label_evidence, features, background, colours, part, other, 4e-4, 3.0, rtol=1e-6)
-    assert told != 0.0
-    assert label_evidence(features, background, colours, part, part, 4e-4, 3.0) == 0.0
 
 
 def test_histograms_are_those_of_the_twins() -> None:

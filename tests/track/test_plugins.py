@@ -9,11 +9,11 @@ import pytest
 
 from support.mean_colour import LevelTerm, MeanColour
 from twistcap.build import CUES, build
+from twistcap.cues.visibility import OcclusionRule
 from twistcap.errors import InputError
 from twistcap.io.state import from_bytes, to_bytes
 from twistcap.studio import StudioConfig, capture
 from twistcap.track import Settings, step
-from twistcap.track.visibility import OcclusionRule
 
 
 @pytest.fixture(autouse=True)

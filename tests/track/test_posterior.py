@@ -41,7 +41,7 @@ def test_limits_and_the_rest_pose_are_no_news_frame_after_frame() -> None:
     state = blind.start(Pose(scene.first_pose.root, q))
     sigma = []
     for k in range(6):
-        expected = problem_of(scene, blind, state, k).spread
+        expected = problem_of(scene, blind, state, k).uncertainty.spread
         state, estimate = step(state, scene.frame(k), blind)
         np.testing.assert_allclose(estimate.covariance, expected, rtol=1e-6, atol=1e-9)
         sigma.append(np.sqrt(np.diag(estimate.covariance)[6:]))
@@ -50,7 +50,7 @@ def test_limits_and_the_rest_pose_are_no_news_frame_after_frame() -> None:
 
 def test_images_are_news() -> None:
     scene, model, state = settled()
-    expected = problem_of(scene, model, state, 3).spread
+    expected = problem_of(scene, model, state, 3).uncertainty.spread
     _, estimate = step(state, scene.frame(3), model)
     assert np.all(np.diag(estimate.covariance) < np.diag(expected))
 

@@ -8,11 +8,16 @@ cue, whose shared error is a random offset of the segment. Nothing in here is re
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 from twistcap.arrays import Float
 from twistcap.cues.observation import Fit
 from twistcap.predict.inertia import INFLATION
+from twistcap.solve import covariance, inverse
+from twistcap.terms import Quadratic
 from twistcap.terms.accumulate import add_offset_variance
 
 OFFSET = 0.007
@@ -41,3 +46,41 @@ def claimed(posterior: Float, images: Float, fit: Fit, trust: float = 1.0) -> Fl
     true = factor / INFLATION**2 * (images + OFFSET**2 * together)
     found = posterior + posterior @ (true - images) @ posterior * (trust / INFLATION**2)
     return 0.5 * (found + found.T)
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """What is known of a pose before its images.
+
+    Attributes:
+        covariance: (6 + J, 6 + J) of the last pose's step, of what images and motion say.
+        claimed: the same as it is claimed, of samples that err together.
+        process_noise: (6 + J, 6 + J) what the time since then adds to both.
+    """
+
+    covariance: Float
+    claimed: Float
+    process_noise: Float
+
+    @property
+    def spread(self) -> Float:
+        """(6 + J, 6 + J) covariance of the step from the expected pose to the truth."""
+        return self.covariance + self.process_noise
+
+    def after(self, fit: Fit, trust: float) -> tuple[Float, Float]:
+        """Covariance of a fit, and the one that is claimed; of images that are believed by `trust`, 0 … 1.
+
+        The images add to what was known, as a Kalman filter would have it. A limb that nothing shows grows less certain
+        from frame to frame. Where the solve failed, only that happens.
+        """
+        spread = self.spread
+        if fit.status == "failed" or (known := inverse(spread)) is None:
+            return spread, self.claimed + self.process_noise
+        posterior = with_information(known, [fit.news / (INFLATION**2 / trust)])
+        images = fit.news - sum(term.linearize(fit.before).hessian for term in fit.fresh)
+        return posterior, claimed(posterior, images, fit, trust)
+
+
+def with_information(known: Float, more: Sequence[Float]) -> Float:
+    """Covariance (6 + J, 6 + J) of information that is known, and more (6 + J, 6 + J) that is independent of it."""
+    return covariance(Quadratic(0.0, np.zeros(len(known)), sum(more, known)))

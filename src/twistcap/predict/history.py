@@ -172,6 +172,17 @@ class Past:
         seen_time = moment.time if moment.seen else self.seen_time
         return replace(self, moments=(*before, moment)[-REMEMBERED:], seen_time=seen_time, started=True)
 
+    def tracked(self, expected: Pose, predicted: str, moment: Moment, jump: bool) -> Past:
+        """With a moment that images showed, and what it says of how far bodies are from where they are expected.
+
+        What predicted the pose by training motion says nothing of that, nor does a jump.
+        """
+        if not self.started or jump or predicted == "motion":
+            return self.advanced(moment)
+        kind = "constant_velocity" if self.moving and predicted != "hold" else "hold"
+        spread = self.spread.learnt(expected, moment.pose, moment.time - self.seen_time, kind)
+        return replace(self, spread=spread).advanced(moment)
+
     def with_last(self, moment: Moment) -> Past:
         """With another latest moment."""
         return replace(self, moments=(*self.moments[:-1], moment))

@@ -1,4 +1,4 @@
-"""Looking for the body elsewhere: what a search is. One file for each, and one judge for all."""
+"""Looking for the body elsewhere: what a search is."""
 
 from __future__ import annotations
 
@@ -14,9 +14,8 @@ from twistcap.cues.view import View
 from twistcap.estimate import Frame
 from twistcap.features import Channels
 from twistcap.predict.history import Moment, Past
-from twistcap.search.judge import Judge
 
-__all__ = ["Beginning", "Judge", "Problem", "Proposals", "Revision", "Search"]
+__all__ = ["Beginning", "Problem", "Proposals", "Revision", "Search"]
 
 Views = Mapping[int, View]
 """Views by camera."""
@@ -52,23 +51,12 @@ class Problem(Protocol):
         """Whether the images are believed entirely; in noise a limb may seem to be anywhere."""
         ...
 
-    def judge(self, posed: Posed, margin: float | None = None) -> Judge:
-        """The judge of hypotheses against a posed body, which looks `margin` m about it.
-
-        Without a margin it looks where the frame's views are.
-        """
-        ...
-
-    def align(self, pose: Pose, crop: bool = False) -> Fit:
-        """The fit that starts from a pose; with `crop` the images are cropped anew about it."""
+    def align(self, pose: Pose) -> Fit:
+        """The fit that starts from a pose, in images about it."""
         ...
 
     def afresh(self, pose: Pose, margin: float) -> Fit:
         """The fit that starts from a pose as if no frame had been seen before, in images `margin` m about it."""
-        ...
-
-    def without(self, camera_index: int) -> Problem:
-        """The same, one more camera left out."""
         ...
 
     def excluding(self, left_out: frozenset[int]) -> Problem:
@@ -136,10 +124,6 @@ class Search(Protocol):
 
     def start(self, body: Body, rig: Rig) -> Any:
         """The memory before the first frame."""
-        ...
-
-    def wanted_margin(self, past: Past, time: float) -> float | None:
-        """m about the expected body within which it wants to look before the fit; None where it does not."""
         ...
 
     def begin(self, memory: Any, problem: Problem) -> tuple[Beginning | None, Any]:

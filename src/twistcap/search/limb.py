@@ -1,7 +1,9 @@
 """A single limb is looked for where the rest of the body is right: in the whole pictures, by what has been learnt.
 
-What compares two poses within one frame (`slipped`) goes by the background about the body in that frame, and by how
-well a limb used to agree; a limb that has been wrong for a while, or from the start, it takes for right.
+A contour pulls a limb from a hand's breadth away, and an arm in a somersault goes farther than that between two frames.
+So poses of that limb alone are drawn, anywhere within its joints' limits and about the best, and judged by the pixels
+that they cover (annealed search of one branch of the body: Deutscher and Reid, IJCV 2005,
+doi:10.1023/B:VISI.0000043757.18370.9c).
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ from twistcap.search.recollection import Recollection
 _POINTS = 40  # of a limb's surface, by which its places are judged roughly
 _ROOT = 6  # coordinates of the root, which come first
 _AGAINST = 0.25  # nats that one pixel may say against a place in blurred pictures
-_LACKING, _IN_VIEW, _LATE, _UNSEEN = 0, 1, 4, 6  # signs of a limb, see `flag.image_signs`
+_LACKING, _IN_VIEW, _AGAINST_IT, _LATE, _SILENT, _UNSEEN = 0, 1, 3, 4, 5, 6  # signs of a limb, see `flag.image_signs`
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,8 @@ class LimbRule(Checked):
         lacking: evidence that a limb lacks, over what is usual, from which on it is lost.
         in_view: the same of late in the camera in which most lacks; one frame says little.
         late: fraction of its contour points of late that do not agree, over what is usual, from which on it is.
+        slipped: fraction of its contour points that do not agree now, over what is usual, from which on it is looked at
+            at once, though it is not lost yet.
         unseen: how much less of it is seen of late than usually, from which on it may be elsewhere, in full view.
         gain, share: nats by which the pictures must favour it elsewhere, and the least fraction of what is usual.
         less: by how much less it must lack, or its contour points disagree.
@@ -54,34 +58,41 @@ class LimbRule(Checked):
         again, longest: frames until it is looked for again where it was not found, which double up to the longest.
         every: frames between looks at limbs that nothing speaks against, one after the other: what lies before the body
             in its colours has no sign of being wrong.
-        rough: by what fraction such a limb must be better elsewhere, roughly, to be looked for at all.
+        few, worth: of such a limb, how many of the roughly best poses are drawn; and the fraction of what is usual that
+            one of them must gain for it to be looked for at all.
     """
 
     lacking: float = 0.35
     in_view: float = 0.55
     late: Share = 0.4
+    slipped: Share = 0.2
     unseen: Share = 0.5
     gain: float = 20.0
     share: Share = 0.25
     less: float = 0.05
     clear: float = 0.4
-    many: Count = 600
-    climbing: Count = 24
-    tries: Count = 10
+    many: Count = 150
+    climbing: Count = 12
+    tries: Count = 8
     climb: tuple[float, ...] = (0.7, 0.5, 0.3, 0.15)
     blurs: tuple[float, ...] = (0.2, 0.2, 0.1, 0.05)
     near: tuple[float, ...] = (0.5, 0.25, 0.125)
     draws: Count = 48
     kept: Count = 3
     again: Count = 2
-    longest: Count = 8
+    longest: Count = 4
     every: Count = 6
-    rough: Share = 0.3
+    few: Count = 12
+    worth: Share = 0.1
 
     def lost(self, signs: Float, lately: Float) -> list[int]:
         """Limbs that seem to be lost, by their signs (G, SIGNS) now and lately; the last group is no limb."""
         doubtful = (signs[:-1, _LACKING] > self.lacking) | (signs[:-1, _LATE] > self.late)
         return np.flatnonzero(doubtful | (lately[:-1, _IN_VIEW] > self.in_view)).tolist()
+
+    def slipping(self, signs: Float) -> list[int]:
+        """Limbs whose contour suddenly no longer agrees with the images, by their signs (G, SIGNS) now."""
+        return np.flatnonzero(signs[:-1, _AGAINST_IT] + signs[:-1, _SILENT] > self.slipped).tolist()
 
     def hidden(self, lately: Float) -> list[int]:
         """Limbs of which little has been seen of late."""
@@ -89,34 +100,30 @@ class LimbRule(Checked):
 
 
 def regained(
-    rule: LimbRule, known: Recollection, now: Judged, groups: Bool, lost: list[int], seed: int, rough: float = 0.0
+    rule: LimbRule, known: Recollection, now: Judged, groups: Bool, asked: list[int], seed: int, sure: bool
 ) -> tuple[Judged, list[int]] | None:
-    """The frame fitted with lost limbs elsewhere, and which; None where the pictures do not show them clearly.
+    """The frame fitted with limbs elsewhere, and which; None where the pictures do not show them clearly.
 
     Args:
         groups: (G, S) the segments of each limb and of the rest of the body.
-        lost: limbs that are looked for.
+        asked: that are looked for.
         seed: of the draws.
-        rough: by what fraction they must be better elsewhere, roughly.
+        sure: whether they are surely lost; else they are looked for only where a look is worth it.
     """
     evidence = known.evidence(now.problem)
     if not evidence.views:
         return None
     rng, masks = np.random.default_rng(seed), limbs(now.problem.body)
-    before = most = None
     pose, found, usual = now.fit.pose, list[int](), known.nats.sum(axis=0) @ groups.T
-    for i in lost:
-        steps = _places(rule, known, evidence, masks[i], rng, pose, rough)
-        if steps is None:
-            continue
-        if most is None:
-            before = most = evidence.of(pose)
-        other, nats = _settled(rule, evidence, masks[i], rng, pose, most, steps)
-        if nats >= most + max(rule.gain, rule.share * float(usual[i])):
+    before = most = evidence.of(pose)
+    for i in asked:
+        worth = 0.0 if sure else max(rule.gain, rule.worth * float(usual[i]))
+        other, nats = placed(rule, known, evidence, masks[i], rng, pose, most, worth)
+        if nats >= most + rule.gain:  # the fit will add to that
             pose, most, found = other, nats, [*found, i]
-    if not found or before is None:
+    if not found:
         return None
-    fit = now.problem.align(pose, crop=True)
+    fit = now.problem.align(pose)
     gain = evidence.of(fit.pose) - before
     if gain < max(rule.gain, rule.share * float(usual[found].sum())):
         return None
@@ -137,26 +144,19 @@ def _wrong(known: Recollection, now: Judged, groups: Bool) -> Float:
 
 def placed(
     rule: LimbRule, known: Recollection, evidence: Evidence, limb: Bool, rng: np.random.Generator,
-    pose: Pose, most: float, rough: float = 0.0,
+    pose: Pose, most: float, worth: float = 0.0,
 ) -> tuple[Pose, float]:  # fmt: skip
     """The pose with one limb where the evidence is greatest, and its evidence.
 
-    It is looked for only if some place is better than where it is, roughly, by the fraction `rough`.
+    It is looked for only if one of the roughly best few places gains `worth` nats.
     """
-    steps = _places(rule, known, evidence, limb, rng, pose, rough)
-    return (pose, most) if steps is None else _settled(rule, evidence, limb, rng, pose, most, steps)
-
-
-def _places(
-    rule: LimbRule, known: Recollection, evidence: Evidence, limb: Bool, rng: np.random.Generator, pose: Pose,
-    rough: float,
-) -> Float | None:  # fmt: skip
-    """Steps (N, 6 + J) to where a limb is roughly best; None where none is better by the fraction `rough`."""
-    roughly = _Roughly.of(evidence, pose, limb)
-    steps = [*_shown(known, limb, evidence.body, pose), *anywhere(rng, limb, pose, evidence.body, rule.many)]
-    steps = _climbed(rule, rng, roughly, limb, np.array(steps))
-    here, there = roughly.gains(np.zeros((1, evidence.body.dof)))[0], roughly.gains(steps).max()
-    return None if there - here < rough * there else steps
+    body, roughly = evidence.body, _Roughly.of(evidence, pose, limb)
+    steps = np.array([*_shown(known, limb, body, pose), *anywhere(rng, limb, pose, body, rule.many)])
+    steps = _climbed(rule, rng, roughly, limb, steps)
+    few = (evidence.of(pose.retract(step).within(body.limits)) for step in steps[: rule.few])
+    if worth > 0.0 and max(few) < most + worth:
+        return pose, most
+    return _settled(rule, evidence, limb, rng, pose, most, steps)
 
 
 def _settled(
@@ -176,7 +176,7 @@ def _settled(
 
 def _climbed(rule: LimbRule, rng: np.random.Generator, roughly: _Roughly, limb: Bool, steps: Float) -> Float:
     """The roughly best of steps (N, 6 + J); and as many that are best in blurred pictures, each moved to where it is
-    better still.
+    better still. They take turns, the best first.
     """
     sharp, coarse = (
         steps[np.argsort(-level.gains(steps))[: rule.climbing]] for level in (roughly, roughly.blurred(rule.blurs[0]))
@@ -188,7 +188,7 @@ def _climbed(rule: LimbRule, rng: np.random.Generator, roughly: _Roughly, limb: 
         tried = np.concatenate([steps[:, None], steps[:, None] + moves], axis=1)
         gains = level.gains(tried.reshape(-1, tried.shape[2])).reshape(tried.shape[:2])
         steps = tried[np.arange(len(steps)), gains.argmax(axis=1)]
-    return np.concatenate([sharp, steps])
+    return np.stack([sharp, steps], axis=1).reshape(-1, steps.shape[1])
 
 
 def _shown(known: Recollection, limb: Bool, body: Body, pose: Pose) -> list[Float]:

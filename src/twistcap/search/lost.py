@@ -27,6 +27,7 @@ from twistcap.search.flag import MOST_USUAL, USUAL, at_limits, contour_signs, di
 from twistcap.search.limb import LimbRule, placed, regained
 from twistcap.search.placing import Hypothesis, Placing, PlacingRule
 from twistcap.search.recollection import Covered, Recollection
+from twistcap.search.stances import bundled, lowest
 from twistcap.stages import stage
 
 
@@ -125,9 +126,6 @@ class LostBody(Checked):
         groups = flag_groups(body)
         return LostMemory(Recollection.blank(body, rig), groups, np.zeros(len(groups)), np.zeros(len(groups)))
 
-    def wanted_margin(self, past: Past, time: float) -> float | None:
-        """It looks at whole images itself."""
-
     def begin(self, memory: LostMemory, problem: Problem) -> tuple[Beginning | None, LostMemory]:
         """Where the images show the body, after a gap, or while it is nowhere."""
         if not memory.known.lessons or not (memory.nowhere or self._gap(problem.past, problem.frame.time)):
@@ -209,8 +207,7 @@ class LostBody(Checked):
         if not asked:
             return now, last, memory
         with stage("search"):
-            rough = 0.0 if lost else self.limb.rough
-            found = regained(self.limb, memory.known, now, memory.groups, asked, memory.frames, rough)
+            found = regained(self.limb, memory.known, now, memory.groups, asked, memory.frames, sure=bool(lost))
         if found is None and lost:
             pause = min(max(2 * memory.limb_pause, self.limb.again), self.limb.longest)
             memory = replace(memory, limb_pause=pause, limb_waiting=pause)
@@ -224,9 +221,10 @@ class LostBody(Checked):
         return now, rested(last, now.fit.pose, coordinates), memory
 
     def _due_limbs(self, memory: LostMemory) -> list[int]:
-        """The limb whose turn it is, if it is time for a look."""
+        """Limbs that are looked at unasked: those that slip, else the one whose turn it is, if it is time for that."""
+        slipping = [] if memory.signs is None else self.limb.slipping(memory.signs)
         turn, wait = divmod(memory.frames, self.limb.every)
-        return [] if wait else [turn % (len(memory.groups) - 1)]
+        return slipping or ([] if wait else [turn % (len(memory.groups) - 1)])
 
     def _missed(self, memory: LostMemory) -> bool:
         """Whether lost limbs have just been looked for in vain: what they hang on may be wrong."""
@@ -322,13 +320,17 @@ class LostBody(Checked):
         return Hypothesis(pose, nats)
 
     def _modes(self, known: Recollection, problem: Problem, placing: Placing, last: Moment) -> list[Hypothesis]:
-        """What is worth a fit: where the body was, is expected or proposed, and where its stances fit the pictures."""
-        stances = [*known.stances, *(stance.mirrored(problem.body) for stance in known.stances)]
+        """What is worth a fit: where the body was, is expected or proposed, and where stances fit the pictures: those
+        that it has shown, their mirror images, and those that bodies take.
+        """
+        shown, floor = known.stances, lowest(problem.body, known.stances)
+        raised = (replace(stance, height=stance.height + floor) for stance in bundled(problem.body))
+        stances = [*shown, *(stance.mirrored(problem.body) for stance in shown)]
         reach = min(self.reach + self.speed * (problem.frame.time - last.time), self.farthest)
         places = placing.places(stances[:: max(1, len(stances) // 3)], last.pose.root[:2, 3], reach)
         proposed = () if self.proposals is None else self.proposals(problem)
         near = [placing.hypothesis(pose) for pose in (problem.start, problem.past.last, last.pose, *proposed)]
-        return placing.distinct([*placing.standing(stances, places), *near])
+        return placing.distinct([*placing.standing([*stances, *raised], places), *near])
 
     def _ratio(self, known: Recollection, evidence: Evidence, h: Hypothesis, usually: float) -> float:
         """Evidence over what is usual for a body that is seen like that; less where little of it is seen."""

@@ -100,13 +100,14 @@ class Placing:
         return np.linspace(0, len(self.body.vertices) - 1, _POINTS).astype(np.int32)
 
     def rough(self, points: Float, offsets: Float, any_part: bool = False) -> Float:
-        """(N,) evidence of a body's points (P, 3) at each of the offsets (N, 3); with `any_part`, where any part may be
-        anywhere on the body.
+        """(N,) evidence of a body's points (P, 3) at each of the offsets (N, 3), by the pixels that its
+        surface covers: what is far away covers few. With `any_part`, any part may be anywhere on the body.
         """
         part = np.zeros(len(points), np.int32) if any_part else self.body.vertex_part[self._sample]
         out = np.zeros(len(offsets))
         for view in self.evidence.views:
-            out += moved_evidence(view.any_part if any_part else view.maps, view.camera.P, points, part, offsets)
+            maps, area = view.any_part if any_part else view.maps, view.camera.K[0, 0] * view.camera.K[1, 1]
+            out += area * moved_evidence(maps, view.camera.P, points, part, offsets)
         return out
 
     def points(self, pose: Pose) -> Float:
@@ -196,7 +197,9 @@ def _grid(steps: Float) -> Float:
 
 @njit(cache=True, nogil=True)
 def moved_evidence(maps: Float32, P: Float, points: Float, part: Int, offsets: Float) -> Float:
-    """(N,) sum of the evidence (S, h, w) at the projections of points (M, 3) of parts (M,), moved by offsets (N, 3)."""
+    """(N,) sum of the evidence (S, h, w) at the projections of points (M, 3) of parts (M,), moved by offsets (N, 3),
+    each divided by the square of its depth.
+    """
     height, width = maps.shape[1:]
     out = np.zeros(len(offsets))
     base = points @ np.ascontiguousarray(P[:, :3].T)
@@ -212,7 +215,7 @@ def moved_evidence(maps: Float32, P: Float, points: Float, part: Int, offsets: F
             c = int((base[m, 0] + a) / w + 0.5)
             r = int((base[m, 1] + b) / w + 0.5)
             if 0 <= c < width and 0 <= r < height:
-                out[n] += maps[part[m], r, c]
+                out[n] += maps[part[m], r, c] / (w * w)
     return out
 
 
@@ -236,14 +239,20 @@ def points_evidence(maps: Float32, P: Float, points: Float, part: Int) -> Float:
 
 def points_evidence_reference(maps: Float32, P: Float, points: Float, part: Int) -> Float:
     """Readable twin of `points_evidence`."""
-    none = np.zeros((1, 3))
-    return np.array([moved_evidence_reference(maps, P, each, part, none)[0] for each in points])
+    return np.array([_at_pixels(maps, P, each, part)[0].sum() for each in points])
 
 
 def moved_evidence_reference(maps: Float32, P: Float, points: Float, part: Int, offsets: Float) -> Float:
     """Readable twin of `moved_evidence`."""
+    nats, depth = _at_pixels(maps, P, points + offsets[:, None], part)
+    return (nats / depth**2).sum(axis=1)
+
+
+def _at_pixels(maps: Float32, P: Float, points: Float, part: Int) -> tuple[Float, Float]:
+    """(...) evidence at the projections of points (..., 3), 0 off the image, and their depth."""
     height, width = maps.shape[1:]
-    x, y, w = np.moveaxis((points + offsets[:, None]) @ P[:, :3].T + P[:, 3], -1, 0)
-    c, r = (np.trunc(a / np.where(w > 0.0, w, 1.0) + 0.5).astype(int) for a in (x, y))
+    x, y, w = np.moveaxis(points @ P[:, :3].T + P[:, 3], -1, 0)
+    depth = np.where(w > 0.0, w, 1.0)
+    c, r = (np.trunc(a / depth + 0.5).astype(int) for a in (x, y))
     inside = (w > 0.0) & (c >= 0) & (c < width) & (r >= 0) & (r < height)
-    return np.where(inside, maps[part, np.where(inside, r, 0), np.where(inside, c, 0)], 0.0).sum(axis=1)
+    return np.where(inside, maps[part, np.where(inside, r, 0), np.where(inside, c, 0)], 0.0), depth

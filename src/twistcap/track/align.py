@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -25,14 +24,12 @@ from twistcap.cues.observation import (
 from twistcap.cues.view import View
 from twistcap.estimate import Frame
 from twistcap.features import Channels
-from twistcap.predict.claims import claimed
+from twistcap.predict.claims import Uncertainty
 from twistcap.predict.history import Past
-from twistcap.predict.inertia import INFLATION
 from twistcap.render import render, reprojected, visible_contour
-from twistcap.search.judge import Judge, judge_of
-from twistcap.solve import PoseProblem, covariance, inverse, minimise
+from twistcap.solve import PoseProblem, minimise
 from twistcap.stages import stage
-from twistcap.terms import Quadratic, Term
+from twistcap.terms import Term
 from twistcap.threads import each_view
 from twistcap.track.model import MARGIN, Model
 from twistcap.track.state import State
@@ -82,12 +79,6 @@ class FrameProblem:
     def trusted(self) -> bool:
         return self.trust == 1.0
 
-    def judge(self, posed: Posed, margin: float | None = None) -> Judge:
-        """See `search.Problem`."""
-        views = self.views if margin is None else self._around(posed.pose, margin)
-        colours = [self.colours(i, view.features.shape[2]) for i, view in views.items()]
-        return judge_of(self.model.judge, list(views.values()), colours, posed)
-
     def colours(self, camera_index: int, channels: int) -> Float:
         """See `search.Problem`."""
         known = self.state.cues["contour"]
@@ -105,12 +96,8 @@ class FrameProblem:
         """The problem with the body expected elsewhere, and the images about it."""
         return replace(self, start=pose, views=self.model.views(self.frame, pose, margin, self.left_out))
 
-    def without(self, camera_index: int) -> FrameProblem:
-        """See `search.Problem`."""
-        return self.excluding(self.left_out | {camera_index})
-
     def excluding(self, left_out: frozenset[int]) -> FrameProblem:
-        """The same without these cameras."""
+        """See `search.Problem`."""
         return replace(self, left_out=left_out, views={i: v for i, v in self.views.items() if i not in left_out})
 
     def look(self, camera_index: int, posed: Posed) -> Sight | None:
@@ -119,10 +106,9 @@ class FrameProblem:
         views = self.model.views(self.frame, posed.pose, left_out=others)
         return _sight(posed, camera_index, views[camera_index], self.model.schedule.contour_spacing) if views else None
 
-    def align(self, pose: Pose, crop: bool = False) -> Fit:
+    def align(self, pose: Pose) -> Fit:
         """See `search.Problem`."""
-        views = self._around(pose, MARGIN) if crop else self.views
-        return align(replace(self, start=pose, views=views))
+        return align(self.at(pose))
 
     def measured(self, pose: Pose) -> Fit:
         """What the images say of a pose as it is."""
@@ -139,48 +125,15 @@ class FrameProblem:
             return np.ones(len(self.body.segment_names))
         return rule.in_sight(fit.agreement, fit.visibility.occluded)
 
-    def claimed(self, fit: Fit, posterior: Float) -> Float:
-        """Covariance that is claimed of a fit whose samples err together, from its posterior."""
-        if fit.status == "failed" or self._known is None:
-            return self.state.claimed + self.process_noise
-        images = fit.news - sum(term.linearize(fit.before).hessian for term in fit.fresh)
-        return claimed(posterior, images, fit, self.trust)
-
-    def posterior(self, fit: Fit) -> Float:
-        """Covariance of a fit: what this frame's images add to what was known, as a Kalman filter would have it.
-
-        A limb that nothing shows grows less certain from frame to frame. Where the solve failed, only that happens.
-        """
-        if fit.status == "failed" or (known := self._known) is None:
-            return self.spread
-        scale = INFLATION**2 / self.trust
-        return covariance(Quadratic(0.0, np.zeros(len(known)), fit.news / scale + known))
-
     @property
-    def spread(self) -> Float:
-        """(6 + J, 6 + J) covariance of the step from the expected pose to the truth."""
-        return self.state.covariance + self.process_noise
-
-    @cached_property
-    def _known(self) -> Float | None:
-        return inverse(self.spread)
-
-    def _around(self, pose: Pose, margin: float) -> Mapping[int, View]:
-        """The same cameras' images about another pose."""
-        return {i: view for i, view in self.model.views(self.frame, pose, margin).items() if i in self.views}
+    def uncertainty(self) -> Uncertainty:
+        """Before the images."""
+        return Uncertainty(self.state.covariance, self.state.claimed, self.process_noise)
 
     def unfitted(self, pose: Pose) -> Fit:
         """A pose of which nothing has been measured yet."""
         occluded = self.state.occluded
         return Fit.started(Posed(self.body, pose), Visibility(occluded, np.zeros_like(occluded)))
-
-
-def with_claims(model: Model, posed: Posed, known: Float) -> Float:
-    """A covariance (6 + J, 6 + J) with what the priors claim of a pose."""
-    claims = [claim for prior in model.priors if (claim := prior.claimed(posed)) is not None]
-    if not claims or (information := inverse(known)) is None:
-        return known
-    return covariance(Quadratic(0.0, np.zeros(len(known)), sum(claims, information)))
 
 
 def align(problem: FrameProblem) -> Fit:

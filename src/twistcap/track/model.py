@@ -7,25 +7,22 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from twistcap.arrays import AnyArray
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Rig
 from twistcap.cues import Cue
 from twistcap.cues.support import SupportRule
 from twistcap.cues.view import View, crop_view
-from twistcap.errors import InputError
+from twistcap.cues.visibility import OcclusionRule
 from twistcap.estimate import Frame
 from twistcap.features import Channels
 from twistcap.predict import MotionNoise, MotionSpread, Predictor
 from twistcap.predict.history import Moment, Past
 from twistcap.priors import Prior
-from twistcap.registry import memory_type
+from twistcap.registry import check_owners
 from twistcap.search import Search
 from twistcap.search.flag import FlagRule
-from twistcap.search.judge import JudgeRule
 from twistcap.track.schedule import Schedule
 from twistcap.track.state import State
-from twistcap.track.visibility import OcclusionRule
 
 MARGIN = 0.15
 """m about the expected body within which images are looked at."""
@@ -46,7 +43,6 @@ class Model:
         occlusion: when the information about a part that is not in sight is taken out; None: never.
         support: how far the images are believed, and when a part is lost.
         flag: how probable it is that a part is lost.
-        judge: how searches compare poses.
         noise: how far bodies are from where they are predicted.
         channels: what region statistics look at.
         despeckle: px across of a median filter of all images.
@@ -63,7 +59,6 @@ class Model:
     occlusion: OcclusionRule | None = None
     support: SupportRule = field(default_factory=SupportRule)
     flag: FlagRule = field(default_factory=FlagRule)
-    judge: JudgeRule = field(default_factory=JudgeRule)
     noise: MotionNoise = field(default_factory=MotionNoise)
     channels: Channels = "lab"
     despeckle: int = 1
@@ -71,13 +66,7 @@ class Model:
 
     def __post_init__(self) -> None:
         for kind in ("cues", "predictors", "searches"):
-            owners = getattr(self, kind)
-            names = [owner.name for owner in owners]
-            twice = sorted({name for name in names if names.count(name) > 1})
-            if twice:
-                raise InputError(f"model: two {kind} have the name {twice[0]!r}; each needs a name of its own.")
-            for owner in owners:
-                memory_type(owner)
+            check_owners(kind, getattr(self, kind))
 
     def with_cue(self, cue: Cue) -> Model:
         """With a cue in the place of the one of its name."""
@@ -93,15 +82,13 @@ class Model:
         return State(past, zero, zero, np.ones(parts), np.zeros(parts, np.bool_), (), (), 0, cues, predictors, searches)
 
     def views(
-        self, frame: Frame, pose: Pose, margin: float | None = None, left_out: Collection[int] = ()
+        self, frame: Frame, pose: Pose, margin: float = MARGIN, left_out: Collection[int] = ()
     ) -> Mapping[int, View]:
         """The images about a pose, by camera; a dropped image, or a camera that is left out, is simply not there."""
         posed, out = Posed(self.body, pose), dict[int, View]()
         for i, image in enumerate(frame.images):
-            view = None if image is None or i in left_out else self._view(image, i, posed, margin)
-            if view is not None:
+            if image is None or i in left_out:
+                continue
+            if (view := crop_view(image, self.rig[i], posed, margin, self.channels)) is not None:
                 out[i] = view
         return out
-
-    def _view(self, image: AnyArray, camera: int, posed: Posed, margin: float | None) -> View | None:
-        return crop_view(image, self.rig[camera], posed, MARGIN if margin is None else margin, self.channels)

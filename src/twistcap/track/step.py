@@ -18,12 +18,14 @@ from twistcap.differential.step import step as by_brightness
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
 from twistcap.predict import Prediction
-from twistcap.predict.history import Moment, Past, jumped
+from twistcap.predict.claims import with_information
+from twistcap.predict.history import Moment, jumped
 from twistcap.search.flag import flag_groups, in_images, segment_deviations, support_signs
 from twistcap.search.lost import LostMemory
+from twistcap.solve import inverse
 from twistcap.stages import next_frame, stage
 from twistcap.threads import ahead
-from twistcap.track.align import FrameProblem, align, with_claims
+from twistcap.track.align import FrameProblem, align
 from twistcap.track.model import Model
 from twistcap.track.state import State
 
@@ -88,10 +90,9 @@ def predicted(state: State, frame: Frame, model: Model) -> tuple[Prediction, Sta
 
 
 def posed_problem(state: State, frame: Frame, model: Model, prediction: Prediction) -> FrameProblem:
-    """The frame as a problem, with the images about the expected body, or as far about it as a search wants to look."""
-    wanted = [m for s in model.searches if (m := s.wanted_margin(state.past, frame.time)) is not None]
+    """The frame as a problem, with the images about the expected body."""
     left_out = frozenset(state.left_out)
-    views = model.views(frame, prediction.pose, max(wanted, default=None), left_out)
+    views = model.views(frame, prediction.pose, left_out=left_out)
     ahead(lambda: [(view.grey, view.features) for view in list(views.values())[::-1]])
     return FrameProblem(
         model, state, frame, prediction.pose, prediction.covariance, prediction.information, views, left_out=left_out
@@ -152,18 +153,17 @@ def learned(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool)
     """The state after a frame, and its estimate."""
     model, state, frame = problem.model, problem.state, problem.frame
     lesson = model.learn_every if state.learned % model.learn_every == 0 else 0
-    posterior = problem.posterior(fit)
+    posterior, claimed = problem.uncertainty.after(fit, problem.trust)
     with stage("remember"):
         cues = {cue.name: cue.learn(state.cues[cue.name], fit, lesson) for cue in model.cues}
-    past = _advanced(problem, fit, prediction, jump)
+    past = state.past.tracked(prediction.pose, prediction.name, Moment(frame.time, fit.pose), jump)
     predictors = {p.name: p.learn(state.predictors[p.name], fit, past, frame) for p in model.predictors}
     support = problem.support(fit)
-    claimed = problem.claimed(fit, posterior)
     after = State(
         past, posterior, claimed, support, _occluded(model, fit), tuple(sorted(problem.left_out)),
         state.prints, state.learned + 1, cues, predictors, state.searches
     )  # fmt: skip
-    claims, least = with_claims(model, fit.posed, claimed), float(support.min())
+    claims, least = _with_priors(model, fit.posed, claimed), float(support.min())
     by_part, probability = _loss(after, model, fit, claims)
     lost = probability >= model.flag.lost
     return after, Estimate(
@@ -186,13 +186,10 @@ def _loss(state: State, model: Model, fit: Fit, covariance: Float) -> tuple[Floa
     return np.where(judged, limbs, np.nan)[groups.argmax(axis=0)], model.flag.whole(limbs[judged])
 
 
-def _advanced(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool) -> Past:
-    """The past with this frame, and with what it says of how far bodies are from where they are predicted."""
-    past, time = problem.past, problem.frame.time
-    if past.started and not jump and prediction.name != "motion":
-        kind = "constant_velocity" if past.moving and prediction.name != "hold" else "hold"
-        past = replace(past, spread=past.spread.learnt(prediction.pose, fit.pose, time - past.seen_time, kind))
-    return past.advanced(Moment(time, fit.pose))
+def _with_priors(model: Model, posed: Posed, known: Float) -> Float:
+    """A covariance (6 + J, 6 + J) with what the priors claim of a pose."""
+    claims = [claim for prior in model.priors if (claim := prior.claimed(posed)) is not None]
+    return known if not claims or (information := inverse(known)) is None else with_information(information, claims)
 
 
 def _occluded(model: Model, fit: Fit) -> Bool:

@@ -14,7 +14,6 @@ import numpy as np
 
 from twistcap import se3
 from twistcap.adjust.unaided.hull import places
-from twistcap.adjust.unaided.stances import bundled, turned_round
 from twistcap.arrays import Bool, Float
 from twistcap.body import Pose, Posed
 from twistcap.body.limbs import limbs
@@ -24,6 +23,7 @@ from twistcap.search.beside import agreement
 from twistcap.search.draws import about, anywhere
 from twistcap.search.evidence import Evidence
 from twistcap.search.placing import Hypothesis, Placing, PlacingRule, Stance, headings
+from twistcap.search.stances import bundled, turned_round
 from twistcap.track.align import FrameProblem
 from twistcap.track.model import Model
 from twistcap.track.step import posed_problem, predicted

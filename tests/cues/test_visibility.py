@@ -8,7 +8,7 @@ import pytest
 from twistcap.body.humanoid import humanoid
 from twistcap.body.limbs import segments_above
 from twistcap.cues.observation import Agreement
-from twistcap.track.visibility import OcclusionRule
+from twistcap.cues.visibility import OcclusionRule
 
 LEG = ("femur_r", "tibia_r", "foot_r")
 BODY = humanoid()

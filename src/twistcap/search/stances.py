@@ -5,7 +5,7 @@ They are written in the joint coordinates of the built-in humanoid; another body
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -58,6 +58,11 @@ def bundled(body: Body) -> list[Stance]:
         other = stance.mirrored(body)
         out += [stance] if np.allclose(other.q, stance.q) else [stance, other]
     return out
+
+
+def lowest(body: Body, stances: Sequence[Stance]) -> float:
+    """Height (m) of the lowest point of a body in some stances: of the floor, if it stands on one in any of them."""
+    return min(stance.height - _height(body, stance.facing(np.eye(3))) for stance in stances) if stances else 0.0
 
 
 def grounded(body: Body, poses: list[Pose]) -> list[Stance]:
