@@ -17,10 +17,12 @@ from twistcap.body.humanoid import humanoid
 from twistcap.body.limbs import limbs
 from twistcap.build import build
 from twistcap.estimate import Frame
-from twistcap.predict import Prediction
+from twistcap.predict import Moment, Prediction
+from twistcap.search.evidence import Evidence, EvidenceView
 from twistcap.search.limb import LimbRule, placed
 from twistcap.search.lost import LostBody
-from twistcap.search.placing import Stance
+from twistcap.search.placing import Placing, PlacingRule, Stance
+from twistcap.search.stances import bundled
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import Model, Settings, Tracker, track
 from twistcap.track.step import posed_problem
@@ -106,6 +108,39 @@ def test_a_limb_is_looked_for_unasked_where_it_is_better_elsewhere() -> None:
         assert (found is not pose, more > nats) == (moved, moved)
     off = np.linalg.norm(Posed(scene.body, found).landmarks - scene.landmarks[12], axis=1)
     assert off.max() < 0.08
+
+
+def test_a_body_in_a_stance_that_it_never_showed_is_found() -> None:
+    """It walks; all that the recording has shown is a squat, elsewhere."""
+    scene, frames = _scene()
+    *_, (_, tracker) = islice(_tracked(lambda frame: frame), 12)
+    state, squat = tracker.state, next(s for s in bundled(scene.body) if s.height < 0.6)
+    away = Pose(se3.transform(np.eye(3), np.array([1.0, 1.0, squat.height])), squat.q)
+    past = replace(state.past, moments=(Moment(frames[11].time, away),))
+    none = np.zeros((scene.body.dof, scene.body.dof))
+    problem = posed_problem(state.with_past(past), frames[12], tracker.model, Prediction(away, "hold", none, none))
+    known = state.searches["lost body"].known
+    known = replace(known, turns=squat.turn[None], heights=np.array([squat.height]), angles=squat.q[None])
+    found = LostBody().found(known, problem, known.evidence(problem), -np.inf)
+    assert found is not None
+    assert np.linalg.norm(Posed(scene.body, found).landmarks - scene.landmarks[12], axis=1).max() < 0.06
+
+
+def test_places_count_by_the_pixels_that_a_body_covers_there() -> None:
+    """As many points of a body twice as far away show it, but a quarter of the pixels."""
+    scene, _ = _scene()
+    views = [
+        EvidenceView(i, camera, np.ones((len(scene.body.segment_names), *camera.size[::-1]), np.float32))
+        for i, camera in enumerate(scene.rig)
+    ]
+    camera, middle = scene.rig[0], scene.first_pose.root[:3, 3]
+    centre = -camera.T_cam_world[:3, :3].T @ camera.T_cam_world[:3, 3]
+    placing = Placing(Evidence(scene.body, views[:1]), PlacingRule())
+    points, offsets = placing.points(scene.first_pose), np.array([np.zeros(3), middle - centre])
+    near, far = placing.rough(points, offsets, any_part=True)
+    root, q = scene.first_pose.root, scene.first_pose.q
+    drawn = [placing.evidence.of(Pose(se3.transform(root[:3, :3], middle + offset), q)) for offset in offsets]
+    np.testing.assert_allclose([near / far, drawn[0] / drawn[1]], 4.0, rtol=0.15)
 
 
 def test_an_arm_thrown_faster_than_a_contour_reaches_is_kept() -> None:
