@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from support.walks import in_a_circle
 from twistcap import se3
 from twistcap.adjust.clocks import Signal, coincidence, estimate_clocks, keypoint_clock, sound_signal
 from twistcap.adjust.clocks.fine import Clocked, ClockProblem, moments_posed
@@ -18,7 +19,6 @@ from twistcap.flow import image_between
 from twistcap.settings import Settings
 from twistcap.solve.blocks import PoseTrack
 from twistcap.studio import Capture, StudioConfig, capture
-from twistcap.studio.scene import default_body, default_poses
 
 
 def test_signals_are_brought_together() -> None:
@@ -67,17 +67,12 @@ def test_a_late_camera_is_found_by_the_body() -> None:
 
 
 @pytest.fixture(scope="module")
-def in_a_circle() -> Capture:
-    """Someone who walks, and turns by 200 degrees in 40 frames."""
-    config = StudioConfig(seed=3, frames=40)
-    body = default_body(config)
-    turns = [se3.exp(np.array([0, 0, np.deg2rad(5.0) * k, 0, 0, 0])) for k in range(40)]
-    walk = default_poses(config, body, 0.0)
-    return capture(config, body, [replace(p, root=turn @ p.root) for p, turn in zip(walk, turns, strict=True)])
+def circle() -> Capture:
+    return in_a_circle()
 
 
-def test_a_camera_that_is_turned_a_little_does_not_pass_for_late(in_a_circle: Capture) -> None:
-    scene = in_a_circle
+def test_a_camera_that_is_turned_a_little_does_not_pass_for_late(circle: Capture) -> None:
+    scene = circle
     frames = list(scene.frames())
     given = [Estimate(k, k / 60, pose, np.eye(scene.body.dof)) for k, pose in enumerate(scene.true_poses)]
     camera = scene.rig[1]
@@ -87,9 +82,9 @@ def test_a_camera_that_is_turned_a_little_does_not_pass_for_late(in_a_circle: Ca
     np.testing.assert_allclose(60 * found.late, 0.0, atol=0.1)
 
 
-def test_the_quadratic_of_clocks_is_that_of_their_energy(in_a_circle: Capture) -> None:
+def test_the_quadratic_of_clocks_is_that_of_their_energy(circle: Capture) -> None:
     """By central differences, of a pose, a clock and a turn."""
-    scene, rng = in_a_circle, np.random.default_rng(0)
+    scene, rng = circle, np.random.default_rng(0)
     given = [Estimate(k, k / 60, scene.true_poses[k], np.eye(scene.body.dof)) for k in range(3)]
     images = SequenceImages(scene.rig, RefineConfig(), Settings(method="direct"), scene.body)
     assert list(images.read((scene.frame(k) for k in range(3)), given)) == [1, 2, 3]
