@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from twistcap import se3
-from twistcap.arrays import AnyArray, Bool, Float, Int
+from twistcap.arrays import AnyArray, Bool, Float
 from twistcap.calibrate.adjust import Adjustment, Guess, Setup, adjust
 from twistcap.calibrate.detect import on_one_plane
 from twistcap.calibrate.lens import Kind, Lens
@@ -197,7 +197,7 @@ def _pairs(seen: Mapping[tuple[int, int], list[Float]], count: int) -> dict[tupl
     return out
 
 
-def _agreed(every: Float, moment: Int) -> tuple[int, Float]:
+def _agreed(every: Float, moment: AnyArray) -> tuple[int, Float]:
     """Of motions (N, 4, 4), each one that a moment (N,) allows: the one like those of most moments, in how many, and
     the mean of the first like it of each."""
     like = [_alike(T, every) for T in every]
