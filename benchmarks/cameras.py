@@ -29,7 +29,8 @@ from twistcap.studio.config import stream
 from twistcap.studio.scene import default_body
 from twistcap.track import Tracker
 
-FPS, FRAMES, TURN = 60.0, 150, np.deg2rad(2.0)
+FPS, FRAMES, TURN = 60.0, 480, np.deg2rad(2.0)
+USED = 150  # frames from which the camera is found, as `twistcap refine --cameras` has it
 
 
 @dataclass(frozen=True)
@@ -89,6 +90,7 @@ def mended(filmed: Bumped, estimates: Sequence[Estimate], named: Sequence[tuple[
     if not out:
         return
     chosen = [e for e in estimates if e.index >= out[0]]
+    chosen = chosen[:: max(1, -(-len(chosen) // USED))]
     found = mended_cameras(lambda: [filmed.frames[e.index] for e in chosen], filmed.scene.body, rig, chosen, [c])
     sigma = found.sigmas[c]
     print(f"  off before {off(rig[c].T_cam_world, filmed.truth)}, after {off(found.places[c], filmed.truth)} (deg, mm)")

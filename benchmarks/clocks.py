@@ -16,6 +16,7 @@ import os
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import av
@@ -35,8 +36,8 @@ from twistcap.studio.config import stream
 from twistcap.studio.picture import marred
 from twistcap.studio.scene import default_body
 
-LONGEST, LENGTH = 2.5, 5.5  # s by which cameras start apart, s that each of them films
-FRAMES = 150  # frames that are tracked, and by which joints are compared
+LONGEST, LENGTH = 2.5, 9.5  # s by which cameras start apart, s that each of them films
+FRAMES = 150  # frames by which joints are compared
 DATA = Path(os.environ.get("TWISTCAP_DATA", "../shared/data"))
 
 
@@ -68,7 +69,7 @@ def film(folder: Path, seed: int, condition: str = "exact", views: int = 4) -> F
         write_rig(scene.rig, folder / name / "Calib.toml")
         np.savez(folder / name / "first.npz", root=[p.root for p in truth], q=[p.q for p in truth],
                  coordinate_names=np.array(body.coordinate_names))  # fmt: skip
-        (folder / name / "session.toml").write_text(session_text(scene, frames))
+        (folder / name / "session.toml").write_text(session_text(scene, (first, len(own[0]) - 1)))
     claps = np.zeros(0)
     for c in range(views):
         write_video(scene, c, at, own[c], starts[c], folder / "apart" / f"{scene.rig.names[c]}.mp4")
@@ -112,7 +113,7 @@ def session_text(scene: Capture, frames: tuple[int, int]) -> str:
 
 
 def joint_error(session: Path, filmed: Filmed) -> float:
-    """Mean distance (mm) of the joints from the truth, over all tracked frames."""
+    """Mean distance (mm) of the joints from the truth, over the first frames."""
     from twistcap.commands.track import session_tracker
 
     recording = open_recording(load_session(session))
@@ -121,7 +122,7 @@ def joint_error(session: Path, filmed: Filmed) -> float:
     joints = [i for i, n in enumerate(filmed.body.landmarks.names)
               if n.rsplit("_", 1)[0] in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")]  # fmt: skip
     off = list[float]()
-    for frame in recording.views:
+    for frame in islice(recording.views, FRAMES):
         found = Posed(recording.body, tracker.step(frame).pose).landmarks
         true = Posed(filmed.body, filmed.truth[frame.index]).landmarks
         off.append(float(np.linalg.norm(found[joints] - true[joints], axis=1).mean()))
@@ -184,7 +185,7 @@ def main() -> None:
     parser.add_argument("what", choices=["studio", "keypoints"])
     parser.add_argument("--seeds", default="8-15")
     parser.add_argument("--condition", default="exact", choices=["exact", "mismatch"])
-    parser.add_argument("--frames", type=int, default=150)
+    parser.add_argument("--frames", type=int, default=400)
     parser.add_argument("--start", default="auto")
     given = parser.parse_args()
     first, _, last = given.seeds.partition("-")

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from support.walks import in_a_circle
+from twistcap import se3
 from twistcap.adjust.clocks import Signal, coincidence, estimate_clocks, keypoint_clock, sound_signal
+from twistcap.adjust.clocks.fine import Clocked, ClockProblem, moments_posed
+from twistcap.adjust.refine.measure import SequenceImages
+from twistcap.adjust.refine.settings import RefineConfig
 from twistcap.body import Posed
 from twistcap.estimate import Estimate, Frame, Keypoints
 from twistcap.flow import image_between
+from twistcap.settings import Settings
 from twistcap.solve.blocks import PoseTrack
-from twistcap.studio import StudioConfig, capture
+from twistcap.studio import Capture, StudioConfig, capture
 
 
 def test_signals_are_brought_together() -> None:
@@ -56,6 +64,40 @@ def test_a_late_camera_is_found_by_the_body() -> None:
     found = estimate_clocks(frames, scene.body, scene.rig, given, np.zeros((4, 12)), 0, rounds=4)
     np.testing.assert_allclose(60 * found.late, late, atol=0.26)  # of 12 frames; 0.13 is measured
     assert found.sigma[0] == 0 and np.all(found.sigma[1:] > 0)
+
+
+@pytest.fixture(scope="module")
+def circle() -> Capture:
+    return in_a_circle()
+
+
+def test_a_camera_that_is_turned_a_little_does_not_pass_for_late(circle: Capture) -> None:
+    scene = circle
+    frames = list(scene.frames())
+    given = [Estimate(k, k / 60, pose, np.eye(scene.body.dof)) for k, pose in enumerate(scene.true_poses)]
+    camera = scene.rig[1]
+    turned = replace(camera, T_cam_world=se3.exp(np.deg2rad([0, 0.1, 0, 0, 0, 0])) @ camera.T_cam_world)
+    rig = replace(scene.rig, cameras=(scene.rig[0], turned, *scene.rig.cameras[2:]))
+    found = estimate_clocks(frames, scene.body, rig, given, np.zeros((4, 40)), 0)
+    np.testing.assert_allclose(60 * found.late, 0.0, atol=0.1)
+
+
+def test_the_quadratic_of_clocks_is_that_of_their_energy(circle: Capture) -> None:
+    """By central differences, of a pose, a clock and a turn."""
+    scene, rng = circle, np.random.default_rng(0)
+    given = [Estimate(k, k / 60, scene.true_poses[k], np.eye(scene.body.dof)) for k in range(3)]
+    images = SequenceImages(scene.rig, RefineConfig(), Settings(method="direct"), scene.body)
+    assert list(images.read((scene.frame(k) for k in range(3)), given)) == [1, 2, 3]
+    track, lags = PoseTrack(tuple(e.pose for e in given), np.arange(3) / 60), np.full((4, 3), 0.004)
+    x = Clocked(track, 0.002 * rng.normal(size=4), 0.001 * rng.normal(size=(4, 3)))
+    problem = ClockProblem(scene.body, images.contours(moments_posed(scene.body, x, lags), True), lags, 0, scene.rig)  # pyright: ignore[reportArgumentType]
+    arrow, D = problem.linearised(x), track.pose_dof
+    gradient = np.concatenate([arrow.pull.ravel(), arrow.shared_pull])
+    for k in (1, D + 4, D + 9, 3 * D + 2, 3 * D + 4, 3 * D + 12):
+        step = np.zeros(3 * D + 16)
+        step[k] = 1e-6
+        up, down = (sum(problem.energies(problem.retract(x, s)).values()) for s in (step, -step))
+        assert (up - down) / 2e-6 == pytest.approx(gradient[k], rel=1e-5)
 
 
 def test_keypoints_that_are_early_are_found_in_cameras_that_are_not_in_step() -> None:

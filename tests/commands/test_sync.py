@@ -170,3 +170,21 @@ def test_frames_since_a_camera_is_mostly_left_out() -> None:
     assert _since(out) == 40
     out[200::3] = out[201::3] = True
     assert _since(out) == 200
+
+
+def test_where_nothing_is_clear_the_clearer_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One weak clap against a regular walk: the sound is right, and it is said that neither is sure."""
+    names, late = ("cam0", "cam1", "cam2"), np.array([0.0, 1.3, 0.7])
+
+    def signals(_session: object, _names: object, _given: object, way: str) -> list[Signal]:
+        rng, times = np.random.default_rng(4), np.arange(0.0, 6.0, 1 / 60)
+        if way == "motion":
+            return [Signal(times, np.sin(2 * np.pi * (times + o) / 0.55)) for o in (0.0, 0.2, 0.4)]
+        fine = np.arange(0.0, 6.0, 0.002)
+        claps = [0.25 * np.exp(-(((fine + o - 3.0) / 0.004) ** 2)) for o in late]
+        return [Signal(fine, clap + 0.02 * rng.normal(size=len(fine))) for clap in claps]
+
+    monkeypatch.setattr(sync, "_signals", signals)
+    clocks, way, doubts = sync._coarse(None, names, {n: Clock() for n in names}, "auto")  # pyright: ignore[reportPrivateUsage]
+    assert way == "sound" and np.allclose([clocks[n].offset for n in names], late, atol=0.005)
+    assert any("neither sound nor motion is clear" in doubt for doubt in doubts)

@@ -39,7 +39,7 @@ class Options:
 
     kinds: tuple[Kind, ...] = ("brown", "fisheye")
     looks: int = 400
-    moments: tuple[int, int] = (120, 25)
+    moments: tuple[int, int] = (240, 50)
     floor: int | None = None
     clocks: bool = True
 

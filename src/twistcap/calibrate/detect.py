@@ -10,11 +10,11 @@ from typing import Any
 import cv2
 import numpy as np
 
-from twistcap.arrays import AnyArray, Float, Int, UInt8
+from twistcap.arrays import AnyArray, Bool, Float, Int, UInt8
 from twistcap.calibrate.board import Board
 
 _FEWEST = 6  # points of a board by which its place is found
-_OFF_PLANE = 0.05  # of the board's extent in the image, by which a point may miss the plane of the others
+_OFF_PLANE = 0.05  # of the board's extent in the image, by which lenses may bend it
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,8 @@ class Detector:
         ids, pixels = self._finder(grey)
         found = Found(ids, pixels, 0.0)
         if len(found) >= _FEWEST:
-            found = found.kept(on_one_plane(self.board.points[ids, :2], pixels))
+            extent = float(np.ptp(pixels, axis=0).max())
+            found = found.kept(on_one_plane(self.board.points[ids, :2], pixels, max(2.0, _OFF_PLANE * extent)))
         if len(found) < _FEWEST or _in_one_line(self.board.points[found.ids, :2]):
             return None
         return replace(found, blur=edge_width(grey, found.pixels))
@@ -101,10 +102,9 @@ def is_mirrored(board: Board, images: Sequence[UInt8]) -> bool:
     return any(find(np.ascontiguousarray(image[:, ::-1])) is not None for find in finds for image in images)
 
 
-def on_one_plane(plane: Float, pixels: Float) -> AnyArray:
-    """(N,) which pixels fit points (N, 2) of a plane, whatever its place; lenses may bend it a little."""
-    extent = float(np.ptp(pixels, axis=0).max())
-    found: Any = cv2.findHomography(plane, pixels, cv2.RANSAC, max(2.0, _OFF_PLANE * extent))[1]
+def on_one_plane(plane: Float, image: Float, off: float) -> Bool:
+    """(N,) which points of an image fit points (N, 2) of a plane to within `off`, whatever its place."""
+    found: Any = cv2.findHomography(plane, image, cv2.RANSAC, off)[1]
     return np.zeros(len(plane), np.bool_) if found is None else np.ravel(found).astype(np.bool_)
 
 

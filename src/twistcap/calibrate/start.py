@@ -10,14 +10,17 @@ import cv2
 import numpy as np
 
 from twistcap import se3
-from twistcap.arrays import AnyArray, Float
+from twistcap.arrays import AnyArray, Bool, Float
 from twistcap.calibrate.adjust import Adjustment, Guess, Setup, adjust
+from twistcap.calibrate.detect import on_one_plane
 from twistcap.calibrate.lens import Kind, Lens
 from twistcap.calibrate.sightings import Sighting, by_moment, chosen
 from twistcap.calibrate.terms import Solid
 from twistcap.errors import InputError
 
+_OFF_PLANE = 6.0  # px by which a right point may miss the plane of the others, seen through a lens not yet known
 _FEWEST, _MOST = 3, 30  # sightings by which a lens is fitted
+_TILTED = 3  # times that a lens is fitted, at most: with a better lens a flat board may be seen tilted the other way
 _OPENINGS = (0.7, 1.0, 1.4, 1.9, 2.5)  # rad across the image, with which a fisheye lens is begun
 _TURN, _SHIFT = np.deg2rad(6.0), 0.12  # rad, and share of the distance, within which two moments agree on two cameras
 _CLEAR = 10.0  # nats of evidence that a lens needs to be called a fisheye
@@ -66,6 +69,9 @@ def placed(lens: Lens, numbers: Float, s: Sighting, solid: Solid) -> list[Float]
         return []
     points, image = solid.points[s.ids[good]], np.ascontiguousarray(xy[good])
     flat = bool(np.ptp(points[:, 2]) == 0.0)
+    if flat:  # one wrong point may tilt the board the other way
+        right = on_one_plane(points[:, :2], image, _OFF_PLANE / float(np.exp(numbers[0])))
+        points, image = (points[right], image[right]) if right.sum() >= 4 else (points, image)
     flag = cv2.SOLVEPNP_IPPE if flat else cv2.SOLVEPNP_SQPNP
     try:
         count, turns, shifts, _ = cv2.solvePnPGeneric(points, image, np.eye(3), np.zeros(4), flags=flag)
@@ -110,24 +116,40 @@ def _fit(few: Sequence[Sighting], solid: Solid, lens: Lens, name: str) -> LensFi
 
 def _misfits(few: Sequence[Sighting], solid: Solid, lens: Lens, numbers: Float) -> float:
     """Mean distance, px, of each sighting from its own best place."""
-    out = list[float]()
-    for s in few:
-        places = placed(lens, numbers, s, solid)
-        out.append(min((misfit(T, [s], {s.camera: np.eye(4)}, [lens], [numbers], solid) for T in places), default=1e3))
-    return float(np.mean(out))
+    return float(np.mean([_best_place(s, solid, lens, numbers)[0] for s in few]))
+
+
+def _best_place(s: Sighting, solid: Solid, lens: Lens, numbers: Float) -> tuple[float, Float | None]:
+    """Of the places that a sighting may mean, the least distance of its points, px, and that place."""
+    own, places = {s.camera: np.eye(4)}, placed(lens, numbers, s, solid)
+    off = [(misfit(T, [s], own, [lens], [numbers], solid), T) for T in places]
+    return min(off, key=lambda pair: pair[0], default=(1e3, None))
 
 
 def _fit_from(few: Sequence[Sighting], solid: Solid, lens: Lens, numbers: Float) -> LensFit | None:
-    boards = {s.moment: places[0] for s in few if (places := placed(lens, numbers, s, solid))}
-    if len(boards) < _FEWEST:
-        return None
-    guess = Guess((lens,), (numbers,), (np.eye(4),), boards, (1.0,), (0.0,))
-    own = tuple(s for s in few if s.moment in boards)
-    try:
-        out = adjust(Setup(guess, own, {"board": solid}))
-    except InputError:
-        return None
-    return LensFit(lens, out.guess.numbers[0], out)
+    """The lens, begun with these numbers; and begun again, where it shows a board tilted the other way."""
+    fit: LensFit | None = None
+    for _ in range(_TILTED):
+        ways = {s.moment: _best_place(s, solid, lens, numbers)[1] for s in few}
+        boards = {m: T for m, T in ways.items() if T is not None}
+        if len(boards) < _FEWEST or (fit is not None and not _tilted(boards, fit.adjustment.guess.boards)):
+            return fit
+        guess = Guess((lens,), (numbers,), (np.eye(4),), boards, (1.0,), (0.0,))
+        own = tuple(s for s in few if s.moment in boards)
+        try:
+            out = adjust(Setup(guess, own, {"board": solid}))
+        except InputError:
+            return fit
+        if fit is not None and out.energy >= fit.adjustment.energy:
+            return fit
+        numbers = out.guess.numbers[0]
+        fit = LensFit(lens, numbers, out)
+    return fit
+
+
+def _tilted(boards: Mapping[int, Float], others: Mapping[int, Float]) -> bool:
+    """Whether a board is turned otherwise, or is no longer there."""
+    return any(m not in others or not _alike(T, others[m][None])[0] for m, T in boards.items())
 
 
 def _brown_starts(few: Sequence[Sighting], solid: Solid, lens: Lens) -> list[Float]:
@@ -169,28 +191,31 @@ def _pairs(seen: Mapping[tuple[int, int], list[Float]], count: int) -> dict[tupl
     for a, b in combinations(range(count), 2):
         shared = sorted({m for c, m in seen if c == a} & {m for c, m in seen if c == b})
         choices = [[B @ se3.inverse(A) for A in seen[a, m] for B in seen[b, m]] for m in shared]
-        votes = [(_agreeing(T, choices), k, T) for k, ways in enumerate(choices) for T in ways]
-        if votes:
-            most = max(votes, key=lambda vote: (vote[0], -vote[1]))
-            out[a, b] = (most[0], _middle(most[2], choices))
+        if shared:
+            every, moment = np.concatenate(choices), np.repeat(np.arange(len(shared)), [len(ways) for ways in choices])
+            out[a, b] = _agreed(every, moment)
     return out
 
 
-def _agreeing(T: Float, choices: Sequence[Sequence[Float]]) -> int:
-    return sum(any(_alike(T, other) for other in ways) for ways in choices)
+def _agreed(every: Float, moment: AnyArray) -> tuple[int, Float]:
+    """Of motions (N, 4, 4), each one that a moment (N,) allows: the one like those of most moments, in how many, and
+    the mean of the first like it of each."""
+    like = [_alike(T, every) for T in every]
+    votes = np.array([len(np.unique(moment[own])) for own in like])
+    best = int(np.argmax(votes))
+    T, others = every[best], np.flatnonzero(like[best])
+    own = every[others[np.unique(moment[others], return_index=True)[1]]]
+    turn = np.median(se3.log_rotation(own[:, :3, :3] @ T[:3, :3].T), axis=0)
+    mean = se3.transform(se3.exp_rotation(turn) @ T[:3, :3], np.median(own[:, :3, 3], axis=0))
+    return int(votes[best]), mean
 
 
-def _middle(T: Float, choices: Sequence[Sequence[Float]]) -> Float:
-    """The mean of the motions that agree with T."""
-    alike = [next(o for o in ways if _alike(T, o)) for ways in choices if any(_alike(T, o) for o in ways)]
-    turn = np.median([se3.log_rotation(o[:3, :3] @ T[:3, :3].T) for o in alike], axis=0)
-    return se3.transform(se3.exp_rotation(turn) @ T[:3, :3], np.median([o[:3, 3] for o in alike], axis=0))
-
-
-def _alike(T: Float, other: Float) -> bool:
-    turn = np.linalg.norm(se3.log_rotation(T[:3, :3] @ other[:3, :3].T))
+def _alike(T: Float, others: Float) -> Bool:
+    """(N,) which of some motions are nearly T."""
+    cosine = 0.5 * (np.einsum("ij,nij->n", T[:3, :3], others[:, :3, :3]) - 1.0)
     reach = max(float(np.linalg.norm(T[:3, 3])), 0.1)
-    return bool(turn < _TURN and np.linalg.norm(T[:3, 3] - other[:3, 3]) < _SHIFT * reach)
+    near = np.linalg.norm(T[:3, 3] - others[:, :3, 3], axis=1) < _SHIFT * reach
+    return np.asarray(near & (cosine > np.cos(_TURN)), np.bool_)
 
 
 def _tree(joined: Mapping[tuple[int, int], tuple[int, Float]], count: int) -> dict[int, Float]:

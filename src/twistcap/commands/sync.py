@@ -17,7 +17,9 @@ if TYPE_CHECKING:
     from twistcap.adjust.clocks import Coarse, KeypointClock
     from twistcap.io.clocks import Clock
 
-_PASSES = 5  # of tracking and estimating, at most
+_PASSES = 5  # of tracking and estimating, at most, until the clocks settle
+_FIRST = 100  # frames of the first pass; twice as many, and again, where the settled clocks are not known well
+_AIM = 0.02  # frames, standard deviation of a clock that is known well
 _SETTLED = 0.1  # frames by which clocks may move in the last pass
 _SURE = 0.1  # frames, of the standard deviation of a clock that is sure
 _LOST = 0.1  # fraction of frames that may be lost, or without a camera, where clocks are sure
@@ -32,7 +34,7 @@ _KEPT = 0.07  # s by which coarse offsets may differ from the given ones that ar
 def sync(
     session: Annotated[Path, typer.Argument(help="Session TOML; its clocks are written.", metavar="SESSION")],
     start: Annotated[str, typer.Option(help="auto, sound, motion, or given: where to begin.")] = "auto",
-    count: Annotated[int, typer.Option("--frames", min=24, help="Number of frames that are tracked.")] = 100,
+    count: Annotated[int, typer.Option("--frames", min=24, help="Most frames that are tracked.")] = 400,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say the clocks, and write nothing.")] = False,
     json: terminal.Json = False,
 ) -> None:
@@ -58,12 +60,13 @@ class _Pass:
     late: Any
     sigma: Any
     frame: float  # s from one frame to the next
+    tracked: int  # frames
     doubts: tuple[str, ...]
     together: tuple[int, int]
     keypoints: KeypointClock | None
 
 
-def synchronise(path: Path, start: str = "auto", count: int = 100, write: bool = True) -> dict[str, Any]:
+def synchronise(path: Path, start: str = "auto", count: int = 400, write: bool = True) -> dict[str, Any]:
     """Estimate the clocks of a session and write them; what ``--json`` prints."""
     from twistcap.io.clocks import Clock
     from twistcap.io.recording import rig_of
@@ -74,16 +77,7 @@ def synchronise(path: Path, start: str = "auto", count: int = 100, write: bool =
     names = rig_of(session).names
     given = {name: Clock(**session.clocks[name].model_dump()) if name in session.clocks else Clock() for name in names}
     clocks, way, doubts = _coarse(session, names, given, start)
-    n = 0
-    while True:
-        n, found = n + 1, _one_pass(session, clocks, count)
-        clocks = {
-            k: replace(c, offset=c.offset + float(s)) for (k, c), s in zip(clocks.items(), found.late, strict=True)
-        }
-        moved = float(np.abs(found.late).max()) / found.frame
-        words.print(f"pass {n}: clocks moved by up to {moved:.2f} frames")
-        if moved < _SETTLED or n == _PASSES:
-            break
+    clocks, found, moved = _settled(session, clocks, count)
     if moved >= _SETTLED:
         doubts = (*doubts, f"the clocks still moved by {moved:.2f} frames in the last pass")
     first = clocks[names[0]].offset - given[names[0]].offset  # the first camera's clock stays
@@ -102,6 +96,23 @@ def synchronise(path: Path, start: str = "auto", count: int = 100, write: bool =
     return about | {"unsure": [*doubts, *found.doubts]}
 
 
+def _settled(session: Any, clocks: dict[str, Clock], count: int) -> tuple[dict[str, Clock], _Pass, float]:
+    """Passes until the clocks stand still and are known well, or no frames are left; and the last move, in frames."""
+    n, frames = 0, min(_FIRST, count)
+    while True:
+        n, found = n + 1, _one_pass(session, clocks, frames)
+        clocks = {
+            k: replace(c, offset=c.offset + float(s)) for (k, c), s in zip(clocks.items(), found.late, strict=True)
+        }
+        moved, sigma = (float(np.abs(s).max()) / found.frame for s in (found.late, found.sigma))
+        words.print(f"pass {n}, {found.tracked} frames: clocks moved by up to {moved:.2f} frames, known to {sigma:.3f}")
+        if moved >= _SETTLED and n < _PASSES:
+            continue
+        if moved >= _SETTLED or sigma <= _AIM or found.tracked < frames or frames == count:
+            return clocks, found, moved
+        n, frames = 0, min(2 * frames, count)
+
+
 def _row(name: str, before: Clock, after: Clock, sigma: float, frame: float) -> dict[str, Any]:
     moved = (after.offset - before.offset) / frame
     return {"camera": name, "before_s": before.offset, "after_s": after.offset, "moved_frames": moved,
@@ -118,36 +129,47 @@ def _within(frames: tuple[int, int] | None, together: tuple[int, int]) -> tuple[
 def _coarse(
     session: Any, names: tuple[str, ...], given: dict[str, Clock], start: str
 ) -> tuple[dict[str, Clock], str, tuple[str, ...]]:
-    """Clocks to begin with, how they were found, and doubts."""
+    """Clocks to begin with, how they were found, and doubts: by the first way that is clear, else the clearest."""
+    found: dict[str, Coarse] = {}
     for way in ("sound", "motion"):
         if start not in (way, "auto"):
             continue
         signals = _signals(session, names, given, way)
         if signals is None and start == way:
             raise InputError(f"--start is {way!r}, but a camera has none; choose another, or leave it out.")
-        if signals is None:
-            continue
-        from twistcap.adjust.clocks import coincidence
-
-        offsets = [given[name].offset for name in names]
-        shared = min(5.0, 0.4 * min(s.times[-1] - s.times[0] for s in signals))
-        found = coincidence(signals, offsets, _RATE[way], shared, _APART)
-        near = bool(np.abs(found.offsets - (np.array(offsets) - offsets[0])).max() < _KEPT)
-        clear = found.correlation.min() > _AGREE[way] and found.margin.min() > _MARGIN
-        if near:
-            ambiguous = found.margin.min() <= _MARGIN and found.correlation.min() > _AGREE[way]
-            return given, "the session's clocks", (_doubt(way, names, found),) if ambiguous else ()
-        if clear or start == way or way == "motion":
-            clocks = {
-                n: replace(given[n], offset=offsets[0] + float(o)) for n, o in zip(names, found.offsets, strict=True)
-            }
-            return clocks, way, () if clear else (_doubt(way, names, found),)
-    return given, "the session's clocks", ()
+        if signals is not None:
+            found[way] = _together(signals, [given[name].offset for name in names], way)
+            if _clearness(way, found[way]) > 1.0:
+                break
+    if not found:
+        return given, "the session's clocks", ()
+    best = max(found, key=lambda way: _clearness(way, found[way]))
+    doubts = () if _clearness(best, found[best]) > 1.0 else (_doubt(best, names, found),)
+    offsets = np.array([given[name].offset for name in names])
+    if np.abs(found[best].offsets - (offsets - offsets[0])).max() < _KEPT:
+        ambiguous = found[best].correlation.min() > _AGREE[best]
+        return given, "the session's clocks", doubts if ambiguous else ()
+    moved = offsets[0] + found[best].offsets
+    return {n: replace(given[n], offset=float(o)) for n, o in zip(names, moved, strict=True)}, best, doubts
 
 
-def _doubt(way: str, names: tuple[str, ...], found: Coarse) -> str:
-    worst = int(np.argmin(found.margin))
-    return f"the {way} of {names[worst]} fits that of the others at several offsets; film a clap that all cameras hear"
+def _together(signals: list[Any], offsets: list[float], way: str) -> Coarse:
+    from twistcap.adjust.clocks import coincidence
+
+    shared = min(5.0, 0.4 * min(s.times[-1] - s.times[0] for s in signals))
+    return coincidence(signals, offsets, _RATE[way], shared, _APART)
+
+
+def _clearness(way: str, found: Coarse) -> float:
+    """How clearly signals agree at the offsets found, and nowhere else; they are believed above 1."""
+    return float(min(found.correlation.min() / _AGREE[way], found.margin.min() / _MARGIN))
+
+
+def _doubt(best: str, names: tuple[str, ...], found: dict[str, Coarse]) -> str:
+    worst = names[int(np.argmin(found[best].margin))]
+    chosen = f"; neither sound nor motion is clear, and the {best} is clearer" if len(found) > 1 else ""
+    fits = f"the {best} of {worst} fits that of the others at several offsets"
+    return f"{fits}{chosen}; film a clap that all cameras hear"
 
 
 def _signals(session: Any, names: tuple[str, ...], given: dict[str, Clock], way: str) -> list[Any] | None:
@@ -202,7 +224,7 @@ def _one_pass(session: Any, clocks: dict[str, Clock], count: int) -> _Pass:
     frame = timeline.intervals[timeline.reference]
     doubts = _doubts(rig.names, estimates, found.sigma / frame)
     keypoints = _keypoint_clock(session, recording, found.poses.poses, (views.lags + found.late[:, None]) / frame)
-    return _Pass(found.late, found.sigma, frame, doubts, together, keypoints)
+    return _Pass(found.late, found.sigma, frame, len(estimates), doubts, together, keypoints)
 
 
 def _window(session: Any, count: int) -> tuple[Any, tuple[int, int]]:

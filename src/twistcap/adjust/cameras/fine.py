@@ -1,4 +1,7 @@
-"""Places of cameras that were bumped, and the poses of all frames, in one least squares; the other cameras are held."""
+"""Places of cameras that were bumped, and the poses of all frames, in one least squares.
+
+The other cameras hold the world; each may be turned a little, as calibrations are, and as contours are drawn aside.
+"""
 
 from __future__ import annotations
 
@@ -34,6 +37,7 @@ _SETTLED = 2e-5  # rad and m by which the cameras may still move in the last rou
 _LONGEST = 0.05  # rad and m that a camera moves in one step
 _DAMPING = 1e-3
 _STEPS = 3  # of the solver in each round
+_STILL = np.repeat([np.deg2rad(0.1), 1e-5], 3)  # (6,) rad and m by which a camera stands off that was not bumped
 _LOOKS = 60  # frames in which a camera that was turned is looked for
 
 Report = Callable[[str, int, int], None]
@@ -93,9 +97,9 @@ def mended_cameras(
     first, second = tee(frames())
     for done, _ in zip(images.read(first, own), as_given.read(second, alone), strict=True):
         tell("reading", done)
-    x = Standpoints(PoseTrack(tuple(e.pose for e in own), np.array([e.time for e in own])),
-                    {c: camera.T_cam_world for c, camera in found.items()})  # fmt: skip
-    return _settled(images, as_given, x, tell)
+    track = PoseTrack(tuple(e.pose for e in own), np.array([e.time for e in own]))
+    x = Standpoints(track, {c: camera.T_cam_world for c, camera in enumerate(turned)})
+    return _settled(images, as_given, x, wrong, tell)
 
 
 @dataclass
@@ -127,26 +131,29 @@ def _looked_for(
 
 @dataclass(frozen=True)
 class Standpoints:
-    """The variables: the poses of all frames, and by number `T_cam_world` of the cameras that are to be found."""
+    """The variables: the poses of all frames, and by number `T_cam_world` of the cameras."""
 
     track: PoseTrack
     places: Mapping[int, Float]
 
 
-def _settled(images: SequenceImages, as_given: SequenceImages, x: Standpoints, tell: _Progress) -> MendedCameras:
+def _settled(
+    images: SequenceImages, as_given: SequenceImages, x: Standpoints, wrong: Sequence[int], tell: _Progress
+) -> MendedCameras:
     """Rounds of measuring and solving until the cameras stand still.
 
     Images about the body `as_given` cameras see it tell how well these agree: it may be far from where they stand.
     """
-    body, moved, calibrated = images.body, list[float](), {c: as_given.rig[c].T_cam_world for c in x.places}
-    effect = 1.0
+    body, moved, effect = images.body, list[float](), 1.0
+    given = {c: camera.T_cam_world for c, camera in enumerate(as_given.rig)}
+    known = {c: KNOCK if c in wrong else _STILL for c in given}
     while True:
         coarse, images = len(moved) < _COARSE_ROUNDS, images.standing_at(x.places)
         measured = images.contours([[Posed(body, p) for p in x.track.poses]] * images.cameras, coarse)
         contours = cast(Sequence[Sequence[PointNormalTerm | None]], measured)  # which the direct cue makes
-        problem = CameraProblem(body, contours, x.places, calibrated, effect)
+        problem = CameraProblem(body, contours, x.places, given, known, effect)
         solution = minimise(problem, x, _STEPS, _DAMPING)
-        steps = [se3.log(solution.x.places[c] @ np.linalg.inv(x.places[c])) for c in x.places]
+        steps = [se3.log(solution.x.places[c] @ np.linalg.inv(x.places[c])) for c in wrong]
         x, effect = solution.x, design_effect(problem.seen(solution.x))
         moved.append(float(np.abs(steps).max()))
         tell.rounds += 1
@@ -154,19 +161,20 @@ def _settled(images: SequenceImages, as_given: SequenceImages, x: Standpoints, t
         if len(moved) >= _ROUNDS or (not coarse and moved[-1] < _SETTLED):
             break
     sigma = claimed_sigma(solution.system, effect)
-    sigmas = {c: sigma[6 * k : 6 * k + 6] for k, c in enumerate(x.places)}
+    sigmas = {c: sigma[6 * c : 6 * c + 6] for c in wrong}
     posed = [Posed(body, pose) for pose in x.track.poses]
-    rest = images.agreeing(posed, [c for c in range(images.cameras) if c not in calibrated])
-    after, as_given.colours = images.standing_at(x.places).agreeing(posed, tuple(x.places)), images.colours
-    before = as_given.agreeing(posed, tuple(x.places))
-    before = {c: zero_beside(before[c], after[c]) for c in x.places}
+    images, places = images.standing_at(x.places), {c: x.places[c] for c in wrong}
+    rest = images.agreeing(posed, [c for c in given if c not in wrong])
+    after, as_given.colours = images.agreeing(posed, wrong), images.colours
+    before = as_given.agreeing(posed, wrong)
+    before = {c: zero_beside(before[c], after[c]) for c in wrong}
     others = float(np.nanmean(np.stack(tuple(rest.values()))))
-    return MendedCameras(x.places, sigmas, before, after, others, tuple(moved), x.track)
+    return MendedCameras(places, sigmas, before, after, others, tuple(moved), x.track)
 
 
 class CameraProblem:
-    """Contours (C lists of F terms, None without one) that were `measured` with cameras there, a wide prior about where
-    the cameras were `given`, and smooth motion.
+    """Contours (C lists of F terms, None without one) that were `measured` with cameras there, what is `known` of how
+    far each stands from where it was `given` (6,), rad and m, and smooth motion.
 
     Contours count at their own noise. What is claimed of them is `INFLATION` times that, and the root of the design
     `effect`; so the prior is made narrower by as much.
@@ -174,16 +182,16 @@ class CameraProblem:
 
     def __init__(
         self, body: Body, contours: Sequence[Sequence[PointNormalTerm | None]], measured: Mapping[int, Float],
-        given: Mapping[int, Float], effect: float = 1.0,
+        given: Mapping[int, Float], known: Mapping[int, Float], effect: float = 1.0,
     ) -> None:  # fmt: skip
         self.body, self.contours, self.measured, self.given = body, contours, measured, given
-        self.prior = KNOCK / (INFLATION * np.sqrt(effect))
+        self.prior = {c: sigma / (INFLATION * np.sqrt(effect)) for c, sigma in known.items()}
         self.motion, self.order = SmoothMotion(body), {c: k for k, c in enumerate(measured)}
 
     def energies(self, x: Standpoints) -> dict[str, float]:
         """By term."""
         contour = sum(term.energy(posed) for term, posed in self.seen(x))
-        prior = sum(0.5 * float(np.sum((self._off(x, c) / self.prior) ** 2)) for c in self.order)
+        prior = sum(0.5 * float(np.sum((self._off(x, c) / self.prior[c]) ** 2)) for c in self.order)
         return {"contour": contour, "camera": prior, **self.motion.energies(x.track)}
 
     def linearised(self, x: Standpoints) -> Arrow:
@@ -194,10 +202,10 @@ class CameraProblem:
             self._add(arrow, x, (camera, t), term, posed)
         self.motion.add_to(arrow, x.track)
         for c, k in self.order.items():
-            own, off = slice(6 * k, 6 * k + 6), self._off(x, c)
-            by_step = se3.inverse_left_jacobian(off) / self.prior[:, None]
-            arrow.value += 0.5 * float(np.sum((off / self.prior) ** 2))
-            arrow.shared_pull[own] += by_step.T @ (off / self.prior)
+            own, off, prior = slice(6 * k, 6 * k + 6), self._off(x, c), self.prior[c]
+            by_step = se3.inverse_left_jacobian(off) / prior[:, None]
+            arrow.value += 0.5 * float(np.sum((off / prior) ** 2))
+            arrow.shared_pull[own] += by_step.T @ (off / prior)
             arrow.corner[own, own] += by_step.T @ by_step
         return arrow
 

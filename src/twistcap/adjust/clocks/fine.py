@@ -1,16 +1,20 @@
-"""Clocks from the tracked body: poses of all frames and a time offset for each camera, in one least squares.
+"""Clocks from the tracked body: poses of all frames, and each camera's time offset and turn, in one least squares.
 
 A point that moves at v is v·Δt off in the images of a camera whose clock is Δt off. Each image is compared with the
-body at its own time, between two frames of the track.
+body at its own time, between two frames of the track. A camera that is turned a little, or whose contours are all drawn
+to one side, must not pass for one that is late: so a small turn of each is found with its clock.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
+from twistcap import se3
+from twistcap.adjust.cameras.fine import by_camera
 from twistcap.adjust.refine.measure import SequenceImages
 from twistcap.adjust.refine.settings import RefineConfig
 from twistcap.adjust.sequence import SmoothMotion, claimed_sigma, design_effect
@@ -19,16 +23,19 @@ from twistcap.body import Body, Posed
 from twistcap.camera import Rig
 from twistcap.errors import check
 from twistcap.estimate import Estimate, Frame
+from twistcap.predict.inertia import INFLATION
 from twistcap.settings import Settings
 from twistcap.solve import Arrow, minimise
 from twistcap.solve.blocks import Moment, PoseTrack
-from twistcap.terms import PointTerm
+from twistcap.terms import PointNormalTerm
+from twistcap.terms.accumulate import normal_equations
 
 _ROUNDS = 8
 _COARSE_ROUNDS = 2
 _SETTLED = 5e-5  # s by which clocks may still move in the last round
 _LONGEST = 0.03  # s that a clock moves in one step
 _WIDE = 0.1  # s, standard deviation of a clock before anything is seen
+_TURNED = np.deg2rad(0.1)  # standard deviation of a camera's turn from its calibration, and of a bias like it
 _DAMPING = 1e-3
 _STEPS = 3  # of the solver in each round
 
@@ -72,31 +79,36 @@ def estimate_clocks(
     for done in images.read(frames, estimates):
         report("reading", done, len(estimates) * (1 + rounds))
     track = PoseTrack(tuple(e.pose for e in estimates), np.array([e.time for e in estimates]))
-    x, moved, effect, solution = Clocked(track, np.zeros(len(rig))), list[float](), 1.0, None
+    x = Clocked(track, np.zeros(len(rig)), np.zeros((len(rig), 3)))
+    moved, effect, solution = list[float](), 1.0, None
     while len(moved) < rounds:
         coarse = len(moved) < min(_COARSE_ROUNDS, rounds - 1)
-        contours = images.contours(moments_posed(body, x, lags), coarse)
-        problem = ClockProblem(body, contours, lags, reference)
+        measured = images.contours(moments_posed(body, x, lags), coarse)
+        contours = cast(Sequence[Sequence[PointNormalTerm | None]], measured)  # which the direct cue makes
+        problem = ClockProblem(body, contours, lags, reference, images.rig, effect)
         solution = minimise(problem, x, _STEPS, _DAMPING)
         moved.append(float(np.abs(solution.x.late - x.late).max()))
-        x, effect = solution.x, design_effect(problem.seen(x))
+        x, effect = solution.x, design_effect(problem.seen(solution.x))
         report(
             f"round {len(moved)} of at most {rounds}", len(estimates) * (1 + len(moved)), len(estimates) * (1 + rounds)
         )
         if not coarse and moved[-1] < _SETTLED:
             break
     assert solution is not None
-    sigma = claimed_sigma(solution.system, effect)
+    sigma = claimed_sigma(solution.system, effect)[: len(rig)]
     sigma[reference] = 0.0
     return Clocks(x.late, sigma, tuple(moved), x.track)
 
 
 @dataclass(frozen=True)
 class Clocked:
-    """The variables: the poses of all frames, and (C,) s by which each camera is late."""
+    """The variables: the poses of all frames, (C,) s by which each camera is late, and (C, 3) rad by which it is turned
+    from its calibration, in its own axes.
+    """
 
     track: PoseTrack
     late: Float
+    turns: Float
 
 
 def moments_posed(body: Body, x: Clocked, lags: Float) -> list[list[Posed]]:
@@ -107,47 +119,57 @@ def moments_posed(body: Body, x: Clocked, lags: Float) -> list[list[Posed]]:
 
 
 class ClockProblem:
-    """Contours (C lists of F terms, None without one), limits, rest pose and smooth motion."""
+    """Contours (C lists of F terms, None without one) of cameras as calibrated, limits, rest pose and smooth motion.
 
-    def __init__(self, body: Body, contours: Sequence[Sequence[PointTerm | None]], lags: Float, reference: int) -> None:
+    Contours count at their own noise, and what is claimed of them is `INFLATION` times that, and the root of the design
+    `effect`; so what is known of the cameras' turns is made narrower by as much.
+    """
+
+    def __init__(
+        self, body: Body, contours: Sequence[Sequence[PointNormalTerm | None]], lags: Float, reference: int, rig: Rig,
+        effect: float = 1.0,
+    ) -> None:  # fmt: skip
         self.body, self.contours, self.lags, self.reference = body, contours, lags, reference
-        self.motion = SmoothMotion(body)
+        self.motion, self.places = SmoothMotion(body), [camera.T_cam_world for camera in rig]
+        self.known = np.repeat([_WIDE, _TURNED / (INFLATION * np.sqrt(effect))], (len(rig), 3 * len(rig)))
 
     def energies(self, x: Clocked) -> dict[str, float]:
         """By term."""
-        contour = sum(term.energy(Posed(self.body, at.pose)) for _, term, at in self._sights(x))
-        clock = 0.5 * float(np.sum((x.late / _WIDE) ** 2))
-        return {"contour": contour, "clock": clock, **self.motion.energies(x.track)}
+        contour = sum(term.energy(posed) for term, posed in self.seen(x))
+        camera = 0.5 * float(np.sum((_shared(x) / self.known) ** 2))
+        return {"contour": contour, "camera": camera, **self.motion.energies(x.track)}
 
     def linearised(self, x: Clocked) -> Arrow:
-        """The quadratic of all poses' steps and of the clocks'."""
-        arrow = Arrow(len(x.track.poses), x.track.pose_dof, len(x.late), 2)
+        """The quadratic of all poses' steps, and of the clocks' and turns'."""
+        shared = _shared(x)
+        arrow = Arrow(len(x.track.poses), x.track.pose_dof, len(shared), 2)
         arrow.longest, arrow.shared_longest = 0.5, _LONGEST
         for camera, term, at in self._sights(x):
-            quadratic = term.linearize(Posed(self.body, at.pose))
-            arrow.value += quadratic.value
-            _add(arrow, at, camera, quadratic.gradient, quadratic.hessian)
+            self._add(arrow, x, camera, term, at)
         self.motion.add_to(arrow, x.track)
-        arrow.value += 0.5 * float(np.sum((x.late / _WIDE) ** 2))
-        arrow.shared_pull += x.late / _WIDE**2
-        arrow.corner += np.eye(len(x.late)) / _WIDE**2
+        arrow.value += 0.5 * float(np.sum((shared / self.known) ** 2))
+        arrow.shared_pull += shared / self.known**2
+        arrow.corner += np.diag(self.known**-2)
         self._hold(arrow)
         return arrow
 
     def retract(self, x: Clocked, step: Float) -> Clocked:
-        """After a step (F D + C,)."""
-        poses = x.track.dof
-        return Clocked(x.track.retract(step[:poses]), x.late + step[poses:])
+        """After a step (F D + 4 C,)."""
+        poses, cameras = x.track.dof, len(x.late)
+        late, turns = np.split(_shared(x) + step[poses:], [cameras])
+        return Clocked(x.track.retract(step[:poses]), late, turns.reshape(cameras, 3))
 
-    def seen(self, x: Clocked) -> Iterator[tuple[PointTerm, Posed]]:
-        """Each term, and the body at its image's time."""
+    def seen(self, x: Clocked) -> Iterator[tuple[PointNormalTerm, Posed]]:
+        """Each term, of the camera as it is turned, and the body at its image's time."""
         return ((term, Posed(self.body, at.pose)) for _, term, at in self._sights(x))
 
-    def _sights(self, x: Clocked) -> Iterator[tuple[int, PointTerm, Moment]]:
+    def _sights(self, x: Clocked) -> Iterator[tuple[int, PointNormalTerm, Moment]]:
         for camera, terms in enumerate(self.contours):
+            turn = np.linalg.inv(self.places[camera]) @ se3.exp(_twist(x, camera)) @ self.places[camera]
             for t, term in enumerate(terms):
                 if term is not None:
-                    yield camera, term, x.track.at(float(x.track.times[t] + self.lags[camera, t] + x.late[camera]))
+                    time = float(x.track.times[t] + self.lags[camera, t] + x.late[camera])
+                    yield camera, replace(term, P=term.P @ turn), x.track.at(time)
 
     def _hold(self, arrow: Arrow) -> None:
         """The reference's clock does not move."""
@@ -155,15 +177,33 @@ class ClockProblem:
         arrow.border[:, :, k], arrow.corner[k], arrow.corner[:, k], arrow.shared_pull[k] = 0.0, 0.0, 0.0, 0.0
         arrow.corner[k, k] = 1.0
 
+    def _add(self, arrow: Arrow, x: Clocked, camera: int, term: PointNormalTerm, at: Moment) -> None:
+        """Add an image's quadratic. The steps of two frames and the camera's clock move the pose at its time."""
+        (t, u), (by_t, by_u), D = at.frames, at.by_frame, x.track.pose_dof
+        posed = Posed(self.body, at.pose)
+        energy, points, rows = term.rows(posed)
+        twist = _twist(x, camera)
+        by_twist = by_camera(se3.exp(twist) @ self.places[camera], points.at(posed), rows.gradient)
+        by_turn = by_twist @ se3.left_jacobian(twist)[:, :3]
+        gradient, hessian = normal_equations(posed, points, rows, by_turn)
+        arrow.value += energy
+        arrow.add_pose(t, by_t.T @ gradient[:D], by_t.T @ hessian[:D, :D] @ by_t)
+        arrow.add_pose(u, by_u.T @ gradient[:D], by_u.T @ hessian[:D, :D] @ by_u)
+        arrow.band[t, u - t] += by_u.T @ hessian[:D, :D] @ by_t
+        moves = np.zeros((D + 3, 4))  # of the pose and the turn, by the clock and the turn
+        moves[:D, 0], moves[D:, 1:] = at.velocity, np.eye(3)
+        own, by_own = np.r_[camera, len(x.late) + 3 * camera + np.arange(3)], hessian @ moves
+        arrow.border[t][:, own] += by_t.T @ by_own[:D]
+        arrow.border[u][:, own] += by_u.T @ by_own[:D]
+        arrow.corner[np.ix_(own, own)] += moves.T @ by_own
+        arrow.shared_pull[own] += moves.T @ gradient
 
-def _add(arrow: Arrow, at: Moment, camera: int, gradient: Float, hessian: Float) -> None:
-    """Add the quadratic of a pose between two frames, which their steps and the camera's clock move."""
-    (t, u), (by_t, by_u), velocity = at.frames, at.by_frame, at.velocity
-    arrow.add_pose(t, by_t.T @ gradient, by_t.T @ hessian @ by_t)
-    arrow.add_pose(u, by_u.T @ gradient, by_u.T @ hessian @ by_u)
-    arrow.band[t, u - t] += by_u.T @ hessian @ by_t
-    by_time = hessian @ velocity
-    arrow.border[t, :, camera] += by_t.T @ by_time
-    arrow.border[u, :, camera] += by_u.T @ by_time
-    arrow.corner[camera, camera] += velocity @ by_time
-    arrow.shared_pull[camera] += velocity @ gradient
+
+def _twist(x: Clocked, camera: int) -> Float:
+    """(6,) left twist of a camera from where it was calibrated."""
+    return np.concatenate([x.turns[camera], np.zeros(3)])
+
+
+def _shared(x: Clocked) -> Float:
+    """(4 C,) clocks, then turns."""
+    return np.concatenate([x.late, x.turns.ravel()])
