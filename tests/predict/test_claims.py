@@ -21,7 +21,7 @@ from twistcap.solve import inverse
 from twistcap.studio import StudioConfig, capture
 from twistcap.studio.config import Condition
 from twistcap.terms import PointNormalTerm
-from twistcap.terms.accumulate import NARROWEST, add_shared_variance
+from twistcap.terms.shared import NARROWEST, add_shared_variance
 from twistcap.track import step
 
 NOISE_PX, DRAWS = 0.5, 300

@@ -14,7 +14,7 @@ import numpy as np
 from twistcap.arrays import Float
 from twistcap.cues.observation import Fit
 from twistcap.predict.inertia import INFLATION
-from twistcap.terms.accumulate import add_shared_variance
+from twistcap.terms.shared import add_shared_variance
 
 OFFSET = 0.003
 """m, standard deviation of each shared error, where residuals are as large as the noise says. The one factor on what is
