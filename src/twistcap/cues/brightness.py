@@ -1,4 +1,4 @@
-"""The brightness cue: visible surface points remember how bright they were in the frame before."""
+"""The brightness cue: visible surface points remember how bright they were, as if the light were even."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from twistcap.body import Body, Posed
 from twistcap.camera import Rig
+from twistcap.cues.light import Light
 from twistcap.cues.memory import Look, Memory, Retention, remember
 from twistcap.cues.observation import Evidence, Fit, Level, Sight
 from twistcap.cues.view import View
@@ -17,8 +18,13 @@ from twistcap.render import RenderedView
 from twistcap.stages import stage
 from twistcap.terms import PhotometricTerm
 
-Memories = tuple[Memory | None, ...]
-"""Of each camera; None before its first image."""
+
+@dataclass(frozen=True)
+class Memories:
+    """What each camera remembers under even light, None before its first image; and the light."""
+
+    views: tuple[Memory | None, ...]
+    light: Light
 
 
 @dataclass(frozen=True)
@@ -42,35 +48,41 @@ class Brightness(Checked):
     scale: Positive = 2.0
     jump: Positive = 0.06
     share: Share = 0.8
-    update: Share = 0.2
+    update: Share = 0.05
     depth_tolerance: float = 0.012
     name: str = field(default="photometric", init=False)
 
     def start(self, body: Body, rig: Rig) -> Memories:
         """No view remembers anything."""
-        return (None,) * len(rig)
+        return Memories((None,) * len(rig), Light.even())
 
     def measure(self, sight: Sight, memory: Memories, level: Level) -> Evidence | None:
-        """Brightness constancy of one view; None before its first frame."""
-        of_view = memory[sight.camera_index]
+        """Brightness constancy of one view, under the light of the rendered pose; None before its first frame."""
+        of_view = memory.views[sight.camera_index]
         if of_view is None:
             return None
         with stage("photometric"):
             which = len(self.blurs) - 1 if level.fine else 0
-            return Evidence(self.term(sight.view, sight.seen, of_view, which))
+            lit = _lit(of_view, memory.light, sight.seen.posed) if level.fine else of_view
+            return Evidence(self.term(sight.view, sight.seen, lit, which))
 
     def learn(self, memory: Memories, fit: Fit, lesson: int) -> Memories:
-        """The memories as the settled frame shows them."""
-        out = list(memory)
+        """The memories as the settled frame shows them, and in a lesson the light."""
+        posed, shown, light = fit.posed, dict[int, Memory](), memory.light
         for sight in fit.sights:
             i = sight.camera_index
-            out[i] = self.remember(sight.view, sight.seen, fit.posed, memory[i], lesson > 0)
-        return tuple(out)
+            old = memory.views[i]
+            before = None if old is None else _lit(old, light, posed)
+            shown[i] = self.remember(sight.view, sight.seen, posed, before, lesson > 0)
+        if lesson:
+            views = [(m.normal, m.points.part, m.value[:, 0, 0]) for m in shown.values()]
+            light = light.learnt(views, posed, lesson)
+        even = {i: m.lit(1.0 / light.on(m.normal, m.points.part, posed)) for i, m in shown.items()}
+        return Memories(tuple(even.get(i, old) for i, old in enumerate(memory.views)), light)
 
     def remember(self, view: View, seen: RenderedView, posed: Posed, old: Memory | None, lesson: bool) -> Memory:
-        """Memory for the next frame; `seen` chooses the points now visible, `posed` (the settled pose) places them.
-
-        In a `lesson` new points fill the empty cells.
+        """Memory under this frame's light; `seen` chooses the points now visible, `posed` (the settled pose) places
+        them. In a `lesson` new points fill the empty cells.
         """
         rule, image = self._retention(seen), view.blurred(self.blurs[-1] * seen.px_per_m)
         return remember(Look(view.picture, (image[None],), seen, posed), old, rule, fresh=lesson or old is None)
@@ -79,13 +91,18 @@ class Brightness(Checked):
         return Retention(cell_of(seen, self.points), "strongest", self.update, self.depth_tolerance, self.jump)
 
     def term(self, view: View, seen: RenderedView, memory: Memory, level: int) -> PhotometricTerm:
-        """Brightness constancy of the remembered points that the rendered view says are visible."""
+        """Brightness constancy of the remembered points, under this frame's light, that the rendered view shows."""
         blur, fine = self.blurs[level] * seen.px_per_m, memory.samples()[0]
         visible, _ = seen.visible(memory.points, self.depth_tolerance)
         samples = fine if level in (-1, len(self.blurs) - 1) else memory.blurred(blur)
         weight = np.where(visible, self.share / self.sigma**2, 0.0)
         scale = np.full(len(visible), self.scale * self.sigma)
         return PhotometricTerm(view.camera.P, samples, view.blurred(blur), weight, scale)
+
+
+def _lit(memory: Memory, light: Light, posed: Posed) -> Memory:
+    """What is remembered under even light, as the light shows it at a pose."""
+    return memory.lit(light.on(memory.normal, memory.points.part, posed))
 
 
 def cell_of(seen: RenderedView, count: int) -> int:

@@ -20,7 +20,7 @@ from twistcap.cues.view import Picture
 from twistcap.render import RenderedView, SurfacePoints
 from twistcap.terms.photometric import EXPOSURE, Samples, sampled
 
-_OF_POINTS = ("value", "gradient", "trust", "inside", "missed", "pixels")
+_OF_POINTS = ("normal", "value", "gradient", "trust", "inside", "missed", "pixels")
 _RIM = 2  # px from the image's border, and from the body's rims, that the most textured points keep
 
 
@@ -30,6 +30,7 @@ class Memory:
 
     Attributes:
         points: places on the surface.
+        normal: (N, 3) unit outward normals there, in the rest pose of the points' parts.
         value: (N, L, C) brightness at L levels in C channels, which follows the image slowly.
         gradient: (N, L, C, 2) image gradient there, 1/px of the level.
         trust: (N,) running probability that the image moves with the body there.
@@ -41,6 +42,7 @@ class Memory:
     """
 
     points: SurfacePoints
+    normal: Float
     value: Float
     gradient: Float
     trust: Float
@@ -61,6 +63,11 @@ class Memory:
     def blurred(self, sigma: float) -> Samples:
         """The points as the last frame's grey has them under a Gaussian of `sigma` px."""
         return Samples(self.points, *sampled(self.picture.blurred(sigma), self.pixels))
+
+    def lit(self, light: Float) -> Memory:
+        """The points with their brightness times a factor (N,)."""
+        by_point = light[:, None, None]
+        return replace(self, value=self.value * by_point, gradient=self.gradient * by_point[..., None])
 
     def of(self, which: Int | Bool) -> Memory:
         """Some of the points."""
@@ -182,7 +189,7 @@ def _kept(look: Look, memory: Memory, rule: Retention, occupied: Bool) -> Memory
         which = np.sort(which)
     at = np.rint(pixels[which]).astype(np.int32)
     shown = Memory(
-        memory.points[which], followed(was, now, which, rule.update),
+        memory.points[which], memory.normal[which], followed(was, now, which, rule.update),
         followed(memory.gradient, slope, which, rule.update), trust[which], _inside(look, rule, at[:, 1], at[:, 0]),
         np.zeros(len(which), np.int32), pixels[which], look.picture, look.seen.mask,
     )  # fmt: skip
@@ -207,8 +214,10 @@ def _fresh(look: Look, rule: Retention, occupied: Bool) -> Memory:
     if look.posed is not seen.posed:
         pixels, _ = projected(seen.camera, points.at(look.posed))
     N = len(points)
+    turns = seen.posed.segment_transforms[points.part, :3, :3]
+    normal = np.einsum("nji,nj->ni", turns, seen.surface_normals(rows, columns))
     new = Memory(
-        points, *look.brightness(pixels), np.full(N, rule.trust), _inside(look, rule, rows, columns),
+        points, normal, *look.brightness(pixels), np.full(N, rule.trust), _inside(look, rule, rows, columns),
         np.zeros(N, np.int32), pixels, look.picture, seen.mask,
     )  # fmt: skip
     known = np.asarray(np.isfinite(new.value).all(axis=(1, 2)), np.bool_)

@@ -105,12 +105,20 @@ class RenderedView:
 
     def surface_points(self, rows: Int, columns: Int) -> SurfacePoints:
         """The surface seen at pixels (N,), all of which must lie on the body."""
+        return surface_points(self.posed.body, *self._corners(rows, columns))
+
+    def surface_normals(self, rows: Int, columns: Int) -> Float:
+        """(N, 3) unit outward normals, in the world, of the surface seen at pixels (N,) on the body."""
+        normals = blended(self.posed.vertex_normals, *self._corners(rows, columns))
+        return normals / np.maximum(np.sqrt((normals * normals).sum(axis=1, keepdims=True)), 1e-12)
+
+    def _corners(self, rows: Int, columns: Int) -> tuple[Int, Float]:
+        """Vertices (N, 3) of the triangles seen at pixels (N,), and their weights there."""
         body = self.posed.body
         face = self.face_index[rows, columns]
         at = np.stack([columns, rows], axis=1).astype(float)
         w = self.nearness if self.camera.inverse_depth else project(self.camera.P, self.posed.vertices)[1]
-        weights = barycentric(face, body.faces, self.pixels, w, at)
-        return surface_points(body, body.faces[face], weights)
+        return body.faces[face], barycentric(face, body.faces, self.pixels, w, at)
 
     def visible(self, points: SurfacePoints, tolerance: float, posed: Posed | None = None) -> tuple[Bool, Float]:
         """Which points (N,), at this or another pose, are at most `tolerance` m behind what is seen; all pixels."""
