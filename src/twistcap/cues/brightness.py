@@ -48,7 +48,7 @@ class Brightness(Checked):
     scale: Positive = 2.0
     jump: Positive = 0.06
     share: Share = 0.8
-    update: Share = 0.05
+    update: Share = 0.1
     depth_tolerance: float = 0.012
     name: str = field(default="photometric", init=False)
 
