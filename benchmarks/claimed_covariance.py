@@ -27,9 +27,14 @@ KINDS: Mapping[str, tuple[str, ...]] = {
     "hip rotation": ("hip_rotation",),
     "knee": ("knee_angle",),
     "ankle": ("ankle_angle",),
+    "subtalar": ("subtalar",),
     "shoulder": ("arm_add", "arm_flex"),
+    "upper arm rotation": ("arm_rot",),
     "elbow": ("elbow_flex",),
+    "pronation": ("pro_sup",),
     "trunk": ("lumbar",),
+    "lumbar rotation": ("lumbar_rotation",),
+    "neck": ("neck",),
 }
 """Kinds of joint coordinates by how their names begin; the root's turn and place come beside them."""
 
