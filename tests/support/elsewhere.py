@@ -1,4 +1,4 @@
-"""Someone who walks, is away for 20 frames, and then crouches with raised arms three metres farther on."""
+"""Someone who walks, is away for 20 frames, and then crouches with raised arms four metres farther on."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def scene() -> tuple[Capture, list[Frame]]:
     q = np.clip(q, *body.limits.T)
     root = se3.exp(np.r_[0.0, 0.0, 2.4, 0.0, 0.0, 0.0])
     low = Posed(body, Pose(root, q)).vertices[:, 2].min()
-    root[:3, 3] = walk[GAP[0] - 1].root[:3, 3] * (1.0, 1.0, 0.0) + (3.2, 0.3, -low)
+    root[:3, 3] = walk[GAP[0] - 1].root[:3, 3] * (1.0, 1.0, 0.0) + (4.0, 0.3, -low)
     poses = [*walk, *[Pose(root, q)] * 6]
     made = capture(StudioConfig(seed=2, frames=len(poses), fps=30.0, dropped=((GAP[0], GAP[-1]),)), body, poses)
     return made, list(made.frames())
