@@ -88,7 +88,9 @@ def test_files_are_those_of_the_frame(filmed: Path, tmp_path: Path) -> None:
     found, truth = source(6), keypoints(5)
     assert found is not None
     knee = (slice(None), found.names.index("knee_r"))
-    assert np.allclose(found.pixels[knee], truth.pixels[:, truth.names.index("knee_r")])
+    agreeing = np.isfinite(found.pixels[knee]).all(axis=1)  # a view that the others contradict gives none
+    assert agreeing.sum() >= 3
+    assert np.allclose(found.pixels[knee][agreeing], truth.pixels[agreeing, truth.names.index("knee_r")])
     assert source(0) is None  # file -1
     assert source(GAP[4]) is None  # nobody
     camera = views.rig.names[0]
