@@ -56,6 +56,9 @@ def test_kernels_are_their_readable_twins() -> None:
     np.testing.assert_allclose(
         moved_evidence(maps, P, points, of, offsets), moved_evidence_reference(maps, P, points, of, offsets), atol=1e-5
     )
+    beside = points * [1e-3, 1e-3, 0.0] + [0.0, 0.0, 1e-3 - P[2, 3]]  # a thousandth of a metre from the camera
+    at_most = 4.0 * np.abs(maps).max() * len(points)
+    assert np.abs(moved_evidence(maps, P, beside, of, np.zeros((1, 3)))).max() <= at_most
     check_twin(points_evidence, maps, P, points.reshape(3, 10, 3), of[:10], rtol=1e-5)
     labels = np.ascontiguousarray(part[::2, ::2])
     for a, b in zip(covered_evidence(maps, labels), covered_evidence_reference(maps, labels), strict=True):

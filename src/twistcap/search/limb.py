@@ -30,8 +30,8 @@ from twistcap.search.recollection import Recollection
 
 _POINTS = 40  # of a limb's surface, by which its places are judged roughly
 _ROOT = 6  # coordinates of the root, which come first
-_AGAINST = 0.25  # nats that one pixel may say against a place in blurred pictures
-_LACKING, _IN_VIEW, _AGAINST_IT, _LATE, _SILENT, _UNSEEN = 0, 1, 3, 4, 5, 6  # signs of a limb, see `flag.image_signs`
+_WORST = 0.25  # nats that one pixel may say against a place in blurred pictures
+_LACKING, _IN_VIEW, _DISAGREEING, _LATE, _SILENT, _UNSEEN = 0, 1, 3, 4, 5, 6  # signs of a limb, see `flag.image_signs`
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class LimbRule(Checked):
 
     def slipping(self, signs: Float) -> list[int]:
         """Limbs whose contour suddenly no longer agrees with the images, by their signs (G, SIGNS) now."""
-        return np.flatnonzero(signs[:-1, _AGAINST_IT] + signs[:-1, _SILENT] > self.slipped).tolist()
+        return np.flatnonzero(signs[:-1, _DISAGREEING] + signs[:-1, _SILENT] > self.slipped).tolist()
 
     def hidden(self, lately: Float) -> list[int]:
         """Limbs of which little has been seen of late."""
@@ -247,7 +247,7 @@ class _Roughly:
         views = list[tuple[Float, Float32]]()
         for (P, maps), px in zip(self.views, self.px_per_m, strict=True):
             width = max(1, round(size * px))
-            views.append((P, np.array([cv2.blur(m, (width, width)) for m in np.maximum(maps, -_AGAINST)])))
+            views.append((P, np.array([cv2.blur(m, (width, width)) for m in np.maximum(maps, -_WORST)])))
         return replace(self, views=views)
 
     def gains(self, steps: Float) -> Float:

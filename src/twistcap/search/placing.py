@@ -24,6 +24,7 @@ from twistcap.search.evidence import Evidence
 _UP = np.array([0.0, 0.0, 1.0])
 _FLIP = np.diag([1.0, -1.0, 1.0])
 _POINTS = 120  # of the surface, by which a hypothesis is judged roughly
+_NEAREST = 0.5  # m; what is nearer to a camera counts as from there, or its few points would outweigh the other views
 
 
 @dataclass(frozen=True)
@@ -198,7 +199,7 @@ def _grid(steps: Float) -> Float:
 @njit(cache=True, nogil=True)
 def moved_evidence(maps: Float32, P: Float, points: Float, part: Int, offsets: Float) -> Float:
     """(N,) sum of the evidence (S, h, w) at the projections of points (M, 3) of parts (M,), moved by offsets (N, 3),
-    each divided by the square of its depth.
+    each divided by the square of its depth, which counts as `_NEAREST` at least.
     """
     height, width = maps.shape[1:]
     out = np.zeros(len(offsets))
@@ -215,7 +216,7 @@ def moved_evidence(maps: Float32, P: Float, points: Float, part: Int, offsets: F
             c = int((base[m, 0] + a) / w + 0.5)
             r = int((base[m, 1] + b) / w + 0.5)
             if 0 <= c < width and 0 <= r < height:
-                out[n] += maps[part[m], r, c] / (w * w)
+                out[n] += maps[part[m], r, c] / max(w, _NEAREST) ** 2
     return out
 
 
@@ -245,7 +246,7 @@ def points_evidence_reference(maps: Float32, P: Float, points: Float, part: Int)
 def moved_evidence_reference(maps: Float32, P: Float, points: Float, part: Int, offsets: Float) -> Float:
     """Readable twin of `moved_evidence`."""
     nats, depth = _at_pixels(maps, P, points + offsets[:, None], part)
-    return (nats / depth**2).sum(axis=1)
+    return (nats / np.maximum(depth, _NEAREST) ** 2).sum(axis=1)
 
 
 def _at_pixels(maps: Float32, P: Float, points: Float, part: Int) -> tuple[Float, Float]:
