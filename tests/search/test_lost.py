@@ -77,17 +77,13 @@ def test_a_first_pose_beside_the_person_is_moved_there() -> None:
     assert errors[-1] < 0.02
 
 
-@pytest.mark.parametrize("joint", ["hip_flexion_r", "arm_flex_l"])
-def test_a_limb_that_was_wrong_from_the_start_is_found(joint: str) -> None:
+@pytest.mark.parametrize("joint", ["hip_flexion_r", "arm_flex_l", "neck"])
+def test_a_limb_of_the_first_pose_that_is_wrong_is_set_right(joint: str) -> None:
     scene, _ = _scene()
     q = scene.first_pose.q.copy()
-    q[scene.body.coordinate_names.index(joint)] += np.deg2rad(70.0)
-    errors = [
-        error
-        for (error, _), _ in zip(_tracked(lambda frame: frame, Pose(scene.first_pose.root, q)), range(16), strict=False)
-    ]
-    assert errors[0] > 0.15
-    assert errors[-1] < 0.03
+    q[[name.startswith(joint) for name in scene.body.coordinate_names]] += np.deg2rad(60.0)
+    errors = [error for error, _ in islice(_tracked(lambda frame: frame, Pose(scene.first_pose.root, q)), 2)]
+    assert max(errors) < 0.05
 
 
 def test_a_limb_is_looked_for_unasked_where_it_is_better_elsewhere() -> None:

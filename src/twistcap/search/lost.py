@@ -20,7 +20,7 @@ from twistcap.cues.observation import Fit
 from twistcap.predict.history import Moment, Past, jumped, rested
 from twistcap.ranges import Checked, Count, Range, Share
 from twistcap.search import Beginning, Problem, Proposals, Revision
-from twistcap.search.beside import BesideRule, agreement, beside
+from twistcap.search.beside import BesideRule, agreement, beside, limbs_beside
 from twistcap.search.contradiction import ContradictionRule, Judged, Suspicion, judged
 from twistcap.search.evidence import Evidence
 from twistcap.search.flag import MOST_USUAL, USUAL, at_limits, contour_signs, displaced, flag_groups, image_signs
@@ -145,7 +145,11 @@ class LostBody(Checked):
             memory, frames=memory.frames + 1, found=self.doubted * memory.found, jumped=self.wary * memory.jumped
         )
         known = memory.known
-        if not problem.past.started and problem.views and (found := beside(self.beside, problem, fit)) is not fit:
+        if (
+            not problem.past.started
+            and problem.views
+            and (found := self._begun(problem, fit, memory.groups)) is not fit
+        ):
             now = Judged(problem, found, known.check(found.posed, found.sights, problem))
             return self._at(problem, found), self._learned(self._signed(memory, now), now, 1.0)
         now = Judged(problem, fit, known.check(fit.posed, fit.sights, problem))
@@ -170,6 +174,10 @@ class LostBody(Checked):
             if revision is None:
                 memory = self._learned(replace(memory, waiting=0), now, float(np.nan_to_num(ratio, nan=1.0)))
         return replace(revision or Revision(now.fit, last), left_out=now.problem.left_out), memory
+
+    def _begun(self, problem: Problem, fit: Fit, groups: Bool) -> Fit:
+        """The first frame's fit, beside its first pose where the contours agree better."""
+        return limbs_beside(self.beside, problem, beside(self.beside, problem, fit), groups)
 
     def _relit(self, known: Recollection, now: Judged) -> bool:
         """Whether no camera's background is what it was, though the contour agrees: a light has been switched."""
