@@ -58,18 +58,20 @@ def test_the_light_is_found_under_clothes_of_any_colour() -> None:
     for view in range(8):
         normal, part = points(view)
         texture = np.exp(rng.normal(0, 0.1, len(part)))
-        light = light.learnt([(normal, part, cloth[part] * texture * lambert(normal, part))], POSED, 3)
+        light = light.learnt(
+            [(normal, part, cloth[part] * texture * lambert(normal, part))], POSED.segment_transforms, 3
+        )
     normal, part = points(99)
-    ratio = np.log(lambert(normal, part) / light.on(normal, part, POSED))
+    ratio = np.log(lambert(normal, part) / light.on(normal, part, POSED.segment_transforms))
     before = np.log(lambert(normal, part))
     assert before.std() > 0.15 and (ratio - ratio.mean()).std() < 0.035
 
 
 def test_nothing_is_learnt_where_nothing_is_seen() -> None:
     normal, part = points(3, 40)
-    dark = Light.even().learnt([(normal, part, np.full(40, np.nan))], POSED, 3)
+    dark = Light.even().learnt([(normal, part, np.full(40, np.nan))], POSED.segment_transforms, 3)
     assert not dark.coefficients.any()
-    np.testing.assert_array_equal(dark.on(normal, part, POSED), np.ones(40))
+    np.testing.assert_array_equal(dark.on(normal, part, POSED.segment_transforms), np.ones(40))
 
 
 def test_turns_about_long_axes_are_followed_although_shading_stays() -> None:

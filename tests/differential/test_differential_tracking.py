@@ -189,3 +189,20 @@ def test_a_view_of_a_camera_beside_its_axis() -> None:
     marks = state_of(pose, [camera]).posed(scene().body).landmarks
     there = camera.project(scene().landmarks[0])[0]
     assert np.abs(view.pixels(marks) - there).max() < 2.0  # of 95 px; perspective is what is left
+
+
+def test_the_light_before_each_camera_is_learnt() -> None:
+    model, start = the_model()
+    found = Track.of(start)
+    for pair in images():
+        found, _ = followed(found, pair, few(model))
+    for light, memory, view, camera in zip(found.lights, found.memories, found.state.views, scene().rig, strict=True):
+        assert memory is not None
+        turns = view.rotation @ found.state.posed(model).segment_transforms[memory.points.part, :3, :3]
+        normal = np.einsum("nij,nj->ni", turns, memory.normal)
+        lamps, world = scene().look.lights, normal @ camera.T_cam_world[:3, :3]
+        shaded = np.maximum(world @ lamps[:-1, :3].T, 0.0) @ lamps[:-1, 3:].mean(axis=1)
+        true = np.log(shaded + lamps[-1, 3:].mean() * (0.85 + 0.15 * world[:, 2]))
+        still = np.tile(np.eye(4), (len(model.segment_names), 1, 1))
+        learnt = np.log(light.on(normal, np.zeros(len(normal), np.int32), still))
+        assert np.std(true - learnt) < 0.85 * np.std(true)

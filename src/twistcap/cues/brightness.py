@@ -76,8 +76,8 @@ class Brightness(Checked):
             shown[i] = self.remember(sight.view, sight.seen, posed, before, lesson > 0)
         if lesson:
             views = [(m.normal, m.points.part, m.value[:, 0, 0]) for m in shown.values()]
-            light = light.learnt(views, posed, lesson)
-        even = {i: m.lit(1.0 / light.on(m.normal, m.points.part, posed)) for i, m in shown.items()}
+            light = light.learnt(views, posed.segment_transforms, lesson)
+        even = {i: m.lit(1.0 / light.on(m.normal, m.points.part, posed.segment_transforms)) for i, m in shown.items()}
         return Memories(tuple(even.get(i, old) for i, old in enumerate(memory.views)), light)
 
     def remember(self, view: View, seen: RenderedView, posed: Posed, old: Memory | None, lesson: bool) -> Memory:
@@ -102,7 +102,7 @@ class Brightness(Checked):
 
 def _lit(memory: Memory, light: Light, posed: Posed) -> Memory:
     """What is remembered under even light, as the light shows it at a pose."""
-    return memory.lit(light.on(memory.normal, memory.points.part, posed))
+    return memory.lit(light.on(memory.normal, memory.points.part, posed.segment_transforms))
 
 
 def cell_of(seen: RenderedView, count: int) -> int:

@@ -16,7 +16,6 @@ import numpy as np
 from numba import njit
 
 from twistcap.arrays import Float, Int
-from twistcap.body import Posed
 
 TERMS = 8
 """Spherical harmonics of degrees 1 and 2 of a normal."""
@@ -34,7 +33,8 @@ class Light:
     """The light, as the surface shows it.
 
     Attributes:
-        coefficients: (8,) of the logarithm of the light by the harmonics of a normal in the world.
+        coefficients: (8,) of the logarithm of the light by the harmonics of a normal where the light stays in place: in
+            the world, or before a camera.
         information, vector: (8, 8) and (8,) normal equations of all that was seen; what is old counts less.
     """
 
@@ -47,15 +47,17 @@ class Light:
         """The same from everywhere."""
         return Light(np.zeros(TERMS), np.zeros((TERMS, TERMS)), np.zeros(TERMS))
 
-    def on(self, normal: Float, part: Int, posed: Posed) -> Float:
-        """(N,) light, relative to even light, on points with normals (N, 3) in the rest pose of their parts (N,)."""
-        return light_on(normal, part, posed.segment_transforms, self.coefficients)
+    def on(self, normal: Float, part: Int, transforms: Float) -> Float:
+        """(N,) light, relative to even light, on points with normals (N, 3) in the rest pose of their parts (N,);
+        `transforms` (S, 4, 4) are the motions of the parts from there.
+        """
+        return light_on(normal, part, transforms, self.coefficients)
 
-    def learnt(self, views: Sequence[LitPoints], posed: Posed, frames: int) -> Light:
-        """After what the views show, which stands for so many frames."""
+    def learnt(self, views: Sequence[LitPoints], transforms: Float, frames: int) -> Light:
+        """After what the views show of the moved parts (S, 4, 4), which stands for so many frames."""
         information, vector = _MEMORY**frames * self.information, _MEMORY**frames * self.vector
         for normal, part, brightness in views:
-            A, b = light_equations(normal, part, posed.segment_transforms, brightness, self.coefficients)
+            A, b = light_equations(normal, part, transforms, brightness, self.coefficients)
             information, vector = information + frames * A, vector + frames * b
         found = np.linalg.solve(information + _EVEN * np.eye(TERMS), vector)
         return Light(np.asarray(found, np.float64), information, vector)

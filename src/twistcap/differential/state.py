@@ -15,6 +15,7 @@ from twistcap.arrays import AnyArray, Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Camera
 from twistcap.camera.scaled import ROOT, ScaledView
+from twistcap.cues.light import Light
 from twistcap.cues.memory import Memory
 
 _DEPTH = 1e-3
@@ -55,18 +56,19 @@ class Track:
     """A track between two frames: everything that the next one depends on.
 
     These are the state in the last frame (before the first, in that), its last step (6 V + J,), and the memories of the
-    V views, None before a view's first image.
+    V views, under even light and None before a view's first image, with the light before each camera.
     """
 
     state: State
     velocity: Float
     memories: tuple[Memory | None, ...]
+    lights: tuple[Light, ...]
 
     @staticmethod
     def of(state: State) -> Track:
         """Before the first frame, whose state is known."""
         views = len(state.views)
-        return Track(state, np.zeros(ROOT * views + len(state.q)), (None,) * views)
+        return Track(state, np.zeros(ROOT * views + len(state.q)), (None,) * views, (Light.even(),) * views)
 
     @property
     def started(self) -> bool:

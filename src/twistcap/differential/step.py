@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 
+from twistcap import se3
 from twistcap.arrays import AnyArray, Bool, Float
 from twistcap.body import Body
 from twistcap.cues.background import STILL, dominant_motion
@@ -106,7 +107,7 @@ class _Follow:
     def first(self) -> tuple[Track, Found]:
         """The state is known, and remembered."""
         V, D = len(self.pictures), len(self.track.velocity)
-        track = replace(self.track, memories=self._remembered(self.model.variables(self.track.state), []))
+        track = self._learned(self.model.variables(self.track.state), [], self.track.velocity)
         return track, Found(self.track.state, np.ones(V), 0.0, np.zeros((D, D)), np.zeros((V, EXPOSURE)))
 
     def next(self) -> tuple[Track, Found]:
@@ -129,8 +130,7 @@ class _Follow:
                 x, steps, hessian, energy = found.x, steps + found.steps, found.system.hessian, found.energy
                 if found.status != "max_iterations":
                     break
-        track = Track(state_at(x), state_at(x).minus(before), self._remembered(x, seen))
-        return track, self._found(x, seen, energy, hessian, steps)
+        return self._learned(x, seen, state_at(x).minus(before)), self._found(x, seen, energy, hessian, steps)
 
     def _found(self, x: Variables, seen: Sequence[Evidence], energy: float, hessian: Float, steps: int) -> Found:
         V, D, known = len(self.pictures), len(self.track.velocity), inverse(hessian)
@@ -160,8 +160,19 @@ class _Follow:
         for v, (memory, picture) in enumerate(zip(self.track.memories, self.pictures, strict=True)):
             if memory is not None and picture is not None:
                 visible, _ = render(posed_at(x, self.model.body), state.views[v]).visible(memory.points, 0.03)
-                out.append(evidence(v, self.model, memory, level, picture, visible, motions[v]))
+                lit = memory.lit(self._light(v, memory, x))
+                out.append(evidence(v, self.model, lit, level, picture, visible, motions[v]))
         return out
+
+    def _before(self, v: int, x: Variables) -> Float:
+        """(S, 4, 4) the motions of the parts from their rest pose into the frame of a camera."""
+        return (
+            se3.transform(state_at(x).views[v].rotation, np.zeros(3)) @ posed_at(x, self.model.body).segment_transforms
+        )
+
+    def _light(self, v: int, memory: Memory, x: Variables) -> Float:
+        """(N,) the light on what is remembered."""
+        return self.track.lights[v].on(memory.normal, memory.points.part, self._before(v, x))
 
     def _searched(self, seen: Sequence[Evidence], x: Variables) -> Variables:
         """With limbs where a coarse search puts them."""
@@ -172,21 +183,27 @@ class _Follow:
         reach, spread = np.deg2rad(self.model.config.search_deg), np.deg2rad(self.model.config.stray_deg)
         return with_state(x, searched(self.model.body, state_at(x), cost, reach, spread))
 
-    def _remembered(self, x: Variables, seen: Sequence[Evidence]) -> tuple[Memory | None, ...]:
-        """The memories as the frame shows them."""
-        model, posed, out = self.model, posed_at(x, self.model.body), list(self.track.memories)
+    def _learned(self, x: Variables, seen: Sequence[Evidence], velocity: Float) -> Track:
+        """The track with what the frame shows: the points' brightness, and the light."""
+        model, posed, memories = self.model, posed_at(x, self.model.body), list(self.track.memories)
+        lights = list(self.track.lights)
         for e in seen:
-            old = out[e.number]
+            old = memories[e.number]
             assert old is not None
             trust = old.trust.copy()
             trust[e.which] = 0.5 * (trust[e.which] + e.support)
-            out[e.number] = replace(old, trust=trust) if model.rule.update < 1.0 else None
+            memories[e.number] = replace(old, trust=trust) if model.rule.update < 1.0 else None
         for v, picture in enumerate(self.pictures):
             if picture is not None:
+                old = memories[v]
+                lit = None if old is None else old.lit(self._light(v, old, x))
                 levels = picture.levels(model.rule.levels, model.config.colour)
                 look = Look(picture, levels, render(posed, x[view_block(v)]), posed, x[exposure_block(v)].values)
-                out[v] = remember(look, out[v], model.retention)
-        return tuple(out)
+                shown, transforms = remember(look, lit, model.retention), self._before(v, x)
+                normal, part = shown.normal, shown.points.part
+                lights[v] = lights[v].learnt([(normal, part, shown.value[:, 0, 0])], transforms, 1)
+                memories[v] = shown.lit(1.0 / lights[v].on(normal, part, transforms))
+        return Track(state_at(x), velocity, tuple(memories), tuple(lights))
 
 
 def misfit(seen: Sequence[Evidence], x: Variables) -> float:
