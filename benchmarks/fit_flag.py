@@ -36,7 +36,7 @@ SMOOTH = 1.0  # of the weights, as of a Gaussian prior
 
 @dataclass(frozen=True)
 class Seen:
-    """N frames of one capture with G limbs: signs of loss now and lately (N, G, SIGNS), deviation that is claimed of
+    """N frames of one capture with G limbs: signs of loss now and lately (N, G, SIGNS), standard deviation of
     each limb's place (N, G), which limbs (N, G) are lost and which are judged, s that the body is unseen (0: seen).
     """
 
@@ -81,7 +81,8 @@ def measured(take: Take) -> Seen:
         memory, blank = tracker.state.searches["lost body"], np.zeros((len(groups), SIGNS))
         signs.append(blank if memory.signs is None else memory.signs)
         lately.append(blank if memory.lately is None else memory.lately)
-        deviation = segment_deviations(Posed(body, estimate.pose), estimate.covariance)
+        known = tracker.state.covariance if estimate.seen else estimate.covariance
+        deviation = segment_deviations(Posed(body, estimate.pose), known)
         deviations.append([deviation[group].max() for group in groups])
         parts = np.zeros(len(deviation)) if estimate.part_probability is None else estimate.part_probability
         judged.append([not np.isnan(parts[group]).all() for group in groups])

@@ -21,8 +21,8 @@ from twistcap.solve import inverse
 from twistcap.studio import StudioConfig, capture
 from twistcap.studio.config import Condition
 from twistcap.terms import PointNormalTerm
-from twistcap.terms.accumulate import add_offset_variance
-from twistcap.track import step
+from twistcap.terms.shared import NARROWEST, add_shared_variance
+from twistcap.track import Tracker, step
 
 NOISE_PX, DRAWS = 0.5, 300
 
@@ -49,13 +49,13 @@ def information_of(terms: Sequence[PointNormalTerm], posed: Posed) -> Float:
     return np.asarray(sum(term.linearize(posed).hessian for term in terms), np.float64)
 
 
-def offset_variance(terms: Sequence[PointNormalTerm], posed: Posed) -> Float:
-    """Variance of the gradient where each segment has an offset of its own in each term."""
+def shared_variance(terms: Sequence[PointNormalTerm], posed: Posed) -> Float:
+    """Variance of the gradient where the points of each term and of its segments err together."""
     out = np.zeros((posed.body.dof, posed.body.dof))
     for term in terms:
         _, points, rows = term.rows(posed)
-        check_twin(add_offset_variance, points.bound_to(posed), rows.gradient, rows.weight, posed.projector, out)
-        add_offset_variance(points.bound_to(posed), rows.gradient, rows.weight, posed.projector, out)
+        check_twin(add_shared_variance, points.bound_to(posed), rows.gradient, rows.weight, posed.projector, out)
+        add_shared_variance(points.bound_to(posed), rows.gradient, rows.weight, posed.projector, out)
     return out
 
 
@@ -73,14 +73,21 @@ def moved(term: PointNormalTerm, along: Float) -> PointNormalTerm:
 def errors(
     posed: Posed, terms: Sequence[PointNormalTerm], gain: Float, rng: np.random.Generator, offset: float, noise: float
 ) -> Float:
-    """(DRAWS, 6 + J) steps of least squares from measurements with noise, and segments that lie off in each view."""
+    """(DRAWS, 6 + J) steps of least squares from measurements with noise, and displacements that points share."""
     out = np.zeros((DRAWS, len(gain)))
     parts = len(posed.body.segment_names)
     slopes = [term.rows(posed)[2].gradient for term in terms]
     for draw in out:
         for term, slope in zip(terms, slopes, strict=True):
-            shift = offset * rng.standard_normal((parts, 3))
-            by_point = np.einsum("nk,nki->ni", term.points.weights, shift[term.points.segments])
+            places, by_point = term.points.at(posed), np.tile(offset * rng.standard_normal(3), (len(slope), 1))
+            for part in range(parts):
+                own = np.sum(term.points.weights * (term.points.segments == part), axis=1)
+                if not own.any():
+                    continue
+                apart = places - own @ places / own.sum()
+                apart /= max(np.sqrt(own @ np.sum(apart**2, axis=1) / own.sum()), NARROWEST)
+                field = rng.standard_normal(3) + apart @ rng.standard_normal((3, 3))
+                by_point += offset * own[:, None] * field
             apart = np.sum(slope * by_point, axis=1) + noise * rng.standard_normal(len(slope))
             draw -= gain @ moved(term, apart).linearize(posed).gradient
     return out
@@ -91,10 +98,10 @@ def within(found: Float, covariance: Float) -> float:
     return float(np.mean(np.abs(found) < 2.0 * np.sqrt(np.diagonal(covariance))))
 
 
-def test_of_segments_that_lie_off_the_variance_is_right_and_that_of_independent_samples_is_not() -> None:
+def test_of_points_that_err_together_the_variance_is_right_and_that_of_independent_samples_is_not() -> None:
     posed, terms = contours()
     rng, offset = np.random.default_rng(0), 0.01
-    information, together = information_of(terms, posed), offset_variance(terms, posed)
+    information, together = information_of(terms, posed), shared_variance(terms, posed)
     gain = inverse(information + np.eye(len(information)))
     assert gain is not None
     found = errors(posed, terms, gain, rng, offset, NOISE_PX)
@@ -120,13 +127,13 @@ def test_of_independent_samples_the_residuals_tell_the_variance() -> None:
 def test_a_claim_is_the_variance_of_what_the_gain_makes_of_prediction_and_images(trust: float) -> None:
     posed, terms = contours()
     terms = [moved(term, np.full(len(term.weight), NOISE_PX)) for term in terms]
-    information, together = information_of(terms, posed), offset_variance(terms, posed)
+    information, together = information_of(terms, posed), shared_variance(terms, posed)
     prior = np.diag(np.linspace(50.0, 500.0, len(information)))
     share = trust / INFLATION**2
     posterior = np.asarray(np.linalg.inv(prior + share * information), np.float64)
     factor = factor_of(terms, posed)
     assert factor == pytest.approx(1.0, rel=0.05)
-    gradients = share**2 / trust * factor * (information + OFFSET**2 * together)
+    gradients = share**2 / trust * factor * (information + factor * OFFSET**2 * together)
     expected = posterior @ (prior + gradients) @ posterior
     np.testing.assert_allclose(
         claimed(posterior, information, fit_of(posed, terms), trust), expected, rtol=1e-4, atol=1e-9
@@ -168,3 +175,17 @@ def test_nothing_that_is_claimed_enters_the_track(monkeypatch: pytest.MonkeyPatc
     np.testing.assert_array_equal(tracks[0][0], tracks[1][0])
     np.testing.assert_array_equal(tracks[0][1], tracks[1][1])
     assert np.all(np.diagonal(tracks[1][2]) > np.diagonal(tracks[0][2]))
+
+
+def test_the_flag_reads_nothing_of_what_is_claimed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Claims grow where a body fits badly; a bad fit may be no loss."""
+    scene = capture(StudioConfig(seed=3, views=2, frames=4, size=(192, 144)))
+    said = list[Float]()
+    for offset in (OFFSET, 30.0 * OFFSET):
+        monkeypatch.setattr(claims, "OFFSET", offset)
+        tracker = Tracker(build(scene.body, scene.rig))
+        tracker.start(scene.first_pose)
+        estimates = [tracker.step(frame) for frame in scene.frames()]
+        said.append(np.array([(e.probability, np.median(np.diagonal(e.covariance))) for e in estimates]))
+    np.testing.assert_array_equal(said[0][:, 0], said[1][:, 0])
+    assert np.all(said[1][1:, 1] > 4.0 * said[0][1:, 1])

@@ -2,8 +2,9 @@
 
 The gain of a frame is that of independent samples. Its error is not: what a view shows of a segment lies off as a
 whole, where a girth, a joint or a camera is wrong, an edge is blurred, or a template has drifted. So the claim is a
-cluster-robust covariance (Liang and Zeger, DOI 10.1093/biomet/73.1.13), with one cluster for each segment, view and
-cue, whose shared error is a random offset of the segment. Nothing in here is read by the tracker.
+cluster-robust covariance (Liang and Zeger, DOI 10.1093/biomet/73.1.13), with clusters for each view and cue, and in it
+for each segment. What a view shares is an offset; what a segment shares is an offset too, and a displacement that is
+linear in the place: a wrong girth, a turn, a stretch. Nothing in here is read by the tracker.
 """
 
 from __future__ import annotations
@@ -18,11 +19,11 @@ from twistcap.cues.observation import Fit
 from twistcap.predict.inertia import INFLATION
 from twistcap.solve import covariance, inverse
 from twistcap.terms import Quadratic
-from twistcap.terms.accumulate import add_offset_variance
+from twistcap.terms.shared import add_shared_variance
 
-OFFSET = 0.007
-"""m, standard deviation of the offset of each segment in each view and cue, where residuals are as large as the noise
-says. The one factor on what is claimed; derived in docs/concepts/covariance.md."""
+OFFSET = 0.004
+"""m, standard deviation of each shared error, where residuals are as large as the noise says. The one factor on what is
+claimed; derived in docs/concepts/covariance.md."""
 
 
 def claimed(posterior: Float, images: Float, fit: Fit, trust: float = 1.0) -> Float:
@@ -41,9 +42,10 @@ def claimed(posterior: Float, images: Float, fit: Fit, trust: float = 1.0) -> Fl
     factor = 2.0 * sum(fit.energies[name] for name in {name for name, _ in judging}) / count
     together, posed = np.zeros_like(images), fit.before
     for _, points, rows in fit.entered:
-        add_offset_variance(points.bound_to(posed), rows.gradient, rows.weight, posed.projector, together)
+        add_shared_variance(points.bound_to(posed), rows.gradient, rows.weight, posed.projector, together)
+    # Shared errors fall with the residuals themselves: a body that fits twice as well lies half as far off.
     # Gradients enter the posterior times trust / INFLATION²; their variance is taken out, and the true one put in.
-    true = factor / INFLATION**2 * (images + OFFSET**2 * together)
+    true = factor / INFLATION**2 * (images + factor * OFFSET**2 * together)
     found = posterior + posterior @ (true - images) @ posterior * (trust / INFLATION**2)
     return 0.5 * (found + found.T)
 

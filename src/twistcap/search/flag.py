@@ -43,13 +43,13 @@ _SLOPE = 1.0 / np.concatenate([np.diff(knots) for knots in KNOTS])
 
 # By benchmarks/fit_flag.py --seeds 1000-1087.
 LIMB = (
-    -10.69, 0, 0, 0, 0, 0, 0.2123, 0, 0, 0, 0, 0, 0, 0.6815, 0.202, 0, 0, 0, 0, 0, 0, 0, 0.9876, 0.8035, 0.2764, 0,
-    0, 0.7485, 0, 0, 0, 0, 0.5786, 0.4016, 0, 0, 0, 0.06134, 1.838, 0.9421, 0.498, 0.8004, 0, 0.2174, 0.9943,
-    0.04404, 0, 0, 0, 0, 0, 0.3249, 0, 0, 0.6624, 0.3064, 0, 0, 0, 0, 0, 0, 0, 0.6733, 0.009594, 0, 0.2289, 1.2, 0,
-    0, 0, 0, 0, 0.9225, 0.4751, 0.711, 0.5524, 0.9981, 0.8646, 1.219, 0, 0, 0, 0.9463, 0, 0, 0, 0.1562,
+    -13.27, 0, 0, 0, 0, 0, 0, 0, 0.261, 0, 0, 0, 0, 0.8449, 0, 0, 0, 0, 0, 0.3421, 0.6254, 0.3538, 0.8472, 0.4814,
+    0, 0, 0, 0.2144, 0.02664, 0, 0.3173, 0, 0.508, 0, 0, 0, 0, 0, 4.547, 0, 0.6465, 0, 0.9086, 1.337, 0.1048, 0, 0,
+    0, 0, 0, 0, 0, 0, 0, 0.4139, 0, 0, 0, 0, 0.01858, 0, 0, 0, 0.498, 0, 0, 0, 0, 0.622, 0.4343, 0, 0, 1.226,
+    0.7788, 0.9118, 0, 0.4451, 0.5116, 1.001, 0.6301, 0, 0, 0, 1.87, 0, 0, 0, 0,
 )  # fmt: skip
-BODY = (0.4876, 0, 0.9511)
-BLIND = (-0.8176, 2.033, 0.2807)
+BODY = (0.2972, 0.02533, 0.9431)
+BLIND = (0.2043, 2.586, 0.2213)
 
 
 def flag_groups(body: Body) -> Bool:
@@ -156,7 +156,7 @@ class FlagRule(Checked):
 
     def limbs(self, signs: Float, lately: Float, deviation: Float) -> Float:
         """(G,) probability that each limb is lost, from its signs (G, SIGNS) now and lately, and from the standard
-        deviation (G,) m that is claimed of its place.
+        deviation (G,) m of its place.
         """
         return _logistic(self.limb[0] + ramps(signs, lately, deviation) @ np.array(self.limb[1:]))
 

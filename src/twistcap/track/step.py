@@ -164,7 +164,7 @@ def learned(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool)
         state.prints, state.learned + 1, cues, predictors, state.searches
     )  # fmt: skip
     claims, least = _with_priors(model, fit.posed, claimed), float(support.min())
-    by_part, probability = _loss(after, model, fit, claims)
+    by_part, probability = _loss(after, model, fit)
     lost = probability >= model.flag.lost
     return after, Estimate(
         frame.index, frame.time, fit.pose, claims, fit.energies, fit.status, fit.steps,
@@ -172,15 +172,19 @@ def learned(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool)
     )  # fmt: skip
 
 
-def _loss(state: State, model: Model, fit: Fit, covariance: Float) -> tuple[Float, float]:
-    """(S,) probability that each part is lost, NaN in limbs that no image shows, and that any other limb is."""
+def _loss(state: State, model: Model, fit: Fit) -> tuple[Float, float]:
+    """(S,) probability that each part is lost, NaN in limbs that no image shows, and that any other limb is.
+
+    It goes by the tracker's own covariance: what is claimed grows where a body does not fit, and a fit may be poor and
+    not lost.
+    """
     memory = next((m for m in state.searches.values() if isinstance(m, LostMemory)), None)
     groups = flag_groups(model.body) if memory is None else memory.groups
     if memory is None or memory.signs is None or memory.lately is None:
         signs = lately = support_signs(groups, state.support)
     else:
         signs, lately = memory.signs, memory.lately
-    deviation = segment_deviations(fit.posed, covariance)
+    deviation = segment_deviations(fit.posed, state.covariance)
     limbs = model.flag.limbs(signs, lately, np.array([deviation[group].max() for group in groups]))
     judged = in_images(groups, fit.agreement)
     return np.where(judged, limbs, np.nan)[groups.argmax(axis=0)], model.flag.whole(limbs[judged])
