@@ -16,6 +16,7 @@ from twistcap import se3
 from twistcap.arrays import Bool, Float
 from twistcap.body import Pose
 from twistcap.body.limbs import limbs
+from twistcap.body.model import partners
 from twistcap.cues.observation import Fit
 from twistcap.ranges import Checked, Count, Range, Share, Signed
 from twistcap.search import Problem
@@ -84,13 +85,17 @@ def limbs_beside(rule: BesideRule, problem: Problem, fit: Fit, groups: Bool) -> 
 
 
 def _limb_placed(rule: BesideRule, problem: Problem, fit: Fit, limb: Bool, group: Bool) -> Fit:
-    """The fit whose limb and whole body agree best, of draws; the rest of the body starts from where it was."""
+    """The fit whose limb and whole body agree best, of draws and of the limb as that of the other side is; the rest of
+    the body starts from where it was.
+    """
     rng, body, here = np.random.default_rng(0), problem.body, fit.pose
+    as_other = Pose(here.root, here.q[partners(body.coordinate_names)]).minus(here)
 
     def score(other: Fit) -> float:
         return _agreement_of(other, group, rule.points) + agreement(other)
 
-    steps, best, moved = anywhere(rng, limb, here, body, 2 * rule.draws), fit, np.zeros(len(limb))
+    steps = np.vstack([np.where(limb, as_other, 0.0), anywhere(rng, limb, here, body, 2 * rule.draws)])
+    best, moved = fit, np.zeros(len(limb))
     for near in (*rule.near, 0.0):
         poses = [here.retract(step).within(body.limits) for step in steps]
         best = max([best, *(problem.afresh(pose, rule.margin) for pose in poses)], key=score)

@@ -73,7 +73,7 @@ def add_shared_variance(
     """
     blocks, touched, places = _moments(surface, gradient, row_weight)
     S, D = len(blocks), projector.shape[1]
-    whole, by, active = np.zeros((D, 3)), np.zeros((D, 12)), np.zeros(D, dtype=np.int64)
+    whole, by, active = np.zeros((D, 3)), np.zeros((D, 12)), np.zeros(D, np.int32)
     for b in range(S):
         if places[b, 0] == 0.0:
             continue
