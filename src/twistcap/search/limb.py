@@ -46,7 +46,8 @@ class LimbRule(Checked):
             at once, though it is not lost yet.
         unseen: how much less of it is seen of late than usually, from which on it may be elsewhere, in full view.
         gain, share: nats by which the pictures must favour it elsewhere, and the least fraction of what is usual.
-        less: by how much less it must lack, or its contour points disagree.
+        less, plenty: by how much less it must lack, or its contour points disagree; or the evidence that it must gain,
+            as a fraction of what is usual: the contour of a limb in the background's colours says little anywhere.
         clear: the least sum of that and of the evidence that it gains, as a fraction of what is usual.
         many: poses of the limb anywhere within its limits that are judged roughly.
         climbing, tries: how many are kept of the roughly best, in sharp and in blurred pictures, and places that are
@@ -70,6 +71,7 @@ class LimbRule(Checked):
     gain: float = 20.0
     share: Share = 0.25
     less: float = 0.05
+    plenty: Share = 0.6
     clear: float = 0.4
     many: Count = 150
     climbing: Count = 12
@@ -129,8 +131,9 @@ def regained(
         return None
     other = Judged(now.problem, fit, known.check(fit.posed, fit.sights, now.problem))
     less = np.mean(_wrong(known, now, groups)[found] - _wrong(known, other, groups)[found])
-    clear = gain / max(float(usual[found].sum()), 1.0) + less
-    return (other, found) if less > rule.less and clear > rule.clear else None
+    gained = gain / max(float(usual[found].sum()), 1.0)
+    clear = gained + less > rule.clear and (less > rule.less or gained > rule.plenty)
+    return (other, found) if clear else None
 
 
 def _wrong(known: Recollection, now: Judged, groups: Bool) -> Float:
