@@ -30,6 +30,7 @@ from twistcap.search.recollection import Recollection
 
 _POINTS = 40  # of a limb's surface, by which its places are judged roughly
 _ROOT = 6  # coordinates of the root, which come first
+_LITTLE = 100.0  # nats; of a limb whose usual evidence is less, little is known
 _WORST = 0.25  # nats that one pixel may say against a place in blurred pictures
 _LACKING, _IN_VIEW, _DISAGREEING, _LATE, _SILENT, _UNSEEN = 0, 1, 3, 4, 5, 6  # signs of a limb, see `flag.image_signs`
 
@@ -131,7 +132,7 @@ def regained(
         return None
     other = Judged(now.problem, fit, known.check(fit.posed, fit.sights, now.problem))
     less = np.mean(_wrong(known, now, groups)[found] - _wrong(known, other, groups)[found])
-    gained = gain / max(float(usual[found].sum()), 1.0)
+    gained = gain / max(float(usual[found].sum()), _LITTLE)
     clear = gained + less > rule.clear and (less > rule.less or gained > rule.plenty)
     return (other, found) if clear else None
 
