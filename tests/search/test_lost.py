@@ -106,13 +106,14 @@ def test_a_limb_is_looked_for_unasked_where_it_is_better_elsewhere() -> None:
     assert off.max() < 0.08
 
 
-def test_a_body_in_a_stance_that_it_never_showed_is_found() -> None:
-    """It walks; all that the recording has shown is a squat, elsewhere."""
+def test_a_body_in_a_stance_that_it_never_showed_is_found_far_away_after_long() -> None:
+    """It walks; all that the recording has shown is a squat, elsewhere, longer ago than the history goes."""
     scene, frames = _scene()
     *_, (_, tracker) = islice(_tracked(lambda frame: frame), 12)
     state, squat = tracker.state, next(s for s in bundled(scene.body) if s.height < 0.6)
-    away = Pose(se3.transform(np.eye(3), np.array([1.0, 1.0, squat.height])), squat.q)
-    past = replace(state.past, moments=(Moment(frames[11].time, away),))
+    away = Pose(se3.transform(np.eye(3), np.array([2.0, 2.0, squat.height])), squat.q)
+    moments = (Moment(frames[11].time, away, seen=False),)
+    past = replace(state.past, moments=moments, seen_time=frames[11].time - 5.0)
     none = np.zeros((scene.body.dof, scene.body.dof))
     problem = posed_problem(state.with_past(past), frames[12], tracker.model, Prediction(away, "hold", none, none))
     known = state.searches["lost body"].known

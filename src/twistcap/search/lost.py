@@ -334,7 +334,7 @@ class LostBody(Checked):
         shown, floor = known.stances, lowest(problem.body, known.stances)
         raised = (replace(stance, height=stance.height + floor) for stance in bundled(problem.body))
         stances = [*shown, *(stance.mirrored(problem.body) for stance in shown)]
-        reach = min(self.reach + self.speed * (problem.frame.time - last.time), self.farthest)
+        reach = min(self.reach + self.speed * (problem.frame.time - problem.past.seen_time), self.farthest)
         places = placing.places(stances[:: max(1, len(stances) // 3)], last.pose.root[:2, 3], reach)
         proposed = () if self.proposals is None else self.proposals(problem)
         near = [placing.hypothesis(pose) for pose in (problem.start, problem.past.last, last.pose, *proposed)]
