@@ -118,9 +118,18 @@ def test_a_body_in_a_stance_that_it_never_showed_is_found_far_away_after_long() 
     problem = posed_problem(state.with_past(past), frames[12], tracker.model, Prediction(away, "hold", none, none))
     known = state.searches["lost body"].known
     known = replace(known, turns=squat.turn[None], heights=np.array([squat.height]), angles=squat.q[None])
-    found = LostBody().found(known, problem, known.evidence(problem), -np.inf)
-    assert found is not None
-    assert np.linalg.norm(Posed(scene.body, found).landmarks - scene.landmarks[12], axis=1).max() < 0.06
+    evidence = known.evidence(problem)
+    _check_found(LostBody().found(known, problem, evidence, -np.inf), 12)
+    gone = Pose(se3.transform(np.eye(3), np.array([17.0, 2.0, squat.height])), squat.q)  # what was found there ran away
+    run_away = replace(problem, state=state.with_past(replace(past, moments=(Moment(frames[11].time, gone),))))
+    surely = Moment(frames[11].time - 5.0, away)
+    _check_found(LostBody().found(known, run_away, evidence, -np.inf, surely), 12)
+
+
+def _check_found(pose: Pose | None, frame: int) -> None:
+    scene, _ = _scene()
+    assert pose is not None
+    assert np.linalg.norm(Posed(scene.body, pose).landmarks - scene.landmarks[frame], axis=1).max() < 0.06
 
 
 def test_places_count_by_the_pixels_that_a_body_covers_there() -> None:

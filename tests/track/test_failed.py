@@ -115,14 +115,14 @@ def test_bad_input_is_no_failed_frame() -> None:
 @pytest.mark.parametrize("at", [0, 2])
 def test_brightness_alone_fails_alike(at: int, monkeypatch: pytest.MonkeyPatch) -> None:
     model = of_method(scene().body, scene().rig, Settings(method="differential"))
-    state, statuses, original = model.start(scene().first_pose), list[str](), _Follow._remembered
+    state, statuses, original = model.start(scene().first_pose), list[str](), _Follow._learned
 
     def remembered(self: _Follow, *arguments: Any) -> Any:
         if len(statuses) == at and any(picture is not None for picture in self.pictures):
             raise np.linalg.LinAlgError("Singular matrix")
         return original(self, *arguments)
 
-    monkeypatch.setattr(_Follow, "_remembered", remembered)
+    monkeypatch.setattr(_Follow, "_learned", remembered)
     for frame in scene().frames():
         state, estimate = step(state, frame, model)
         statuses.append(estimate.status)

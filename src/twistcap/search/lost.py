@@ -46,6 +46,7 @@ class LostMemory:
         waiting: frames until the next search for the body.
         limb_waiting, limb_pause: frames until the next one for a limb, and between the last ones.
         nowhere: whether the last one found the body nowhere.
+        surely: when and where the body was last without doubt; from there on it is looked for.
         usual: (G, 3) what the contour usually says against each, see `contour_signs`.
         signs, lately: (G, SIGNS) of loss, of each limb and the rest of the body; now, and their running mean.
     """
@@ -60,6 +61,7 @@ class LostMemory:
     limb_waiting: int = 0
     limb_pause: int = 0
     nowhere: bool = False
+    surely: Moment | None = None
     usual: Float | None = None
     signs: Float | None = None
     lately: Float | None = None
@@ -173,6 +175,8 @@ class LostBody(Checked):
                 revision, memory = self._elsewhere(memory, now, ratio, self.margin)
             if revision is None:
                 memory = self._learned(replace(memory, waiting=0), now, float(np.nan_to_num(ratio, nan=1.0)))
+                if ratio >= self.accepted and memory.found.max() < 0.5:
+                    memory = replace(memory, surely=Moment(problem.frame.time, now.fit.pose))
         return replace(revision or Revision(now.fit, last), left_out=now.problem.left_out), memory
 
     def _begun(self, problem: Problem, fit: Fit, groups: Bool) -> Fit:
@@ -297,14 +301,16 @@ class LostBody(Checked):
                 return None
             more = self.better * float(memory.known.nats.sum())
             least = -np.inf if here is None else evidence.of(here) + more
-            return self.found(memory.known, problem, evidence, least)
+            return self.found(memory.known, problem, evidence, least, memory.surely)
 
-    def found(self, known: Recollection, problem: Problem, evidence: Evidence, least: float) -> Pose | None:
+    def found(
+        self, known: Recollection, problem: Problem, evidence: Evidence, least: float, surely: Moment | None = None
+    ) -> Pose | None:
         """The pose that the images show; None where they show no body clearly enough, or with less evidence."""
         placing = Placing(evidence, self.placing)
-        last = (problem.past.seen or problem.past.moments)[-1]
+        last = replace((problem.past.seen or problem.past.moments)[-1], time=problem.past.seen_time)
         usually = float(evidence.by_part(last.pose)[1].sum())
-        modes = self._modes(known, problem, placing, last)
+        modes = self._modes(known, problem, placing, surely or last)
         fitted = [
             self._fitted(problem, evidence, h) for h in modes if self._ratio(known, evidence, h, usually) >= self.worth
         ]
@@ -334,7 +340,7 @@ class LostBody(Checked):
         shown, floor = known.stances, lowest(problem.body, known.stances)
         raised = (replace(stance, height=stance.height + floor) for stance in bundled(problem.body))
         stances = [*shown, *(stance.mirrored(problem.body) for stance in shown)]
-        reach = min(self.reach + self.speed * (problem.frame.time - problem.past.seen_time), self.farthest)
+        reach = min(self.reach + self.speed * (problem.frame.time - last.time), self.farthest)
         places = placing.places(stances[:: max(1, len(stances) // 3)], last.pose.root[:2, 3], reach)
         proposed = () if self.proposals is None else self.proposals(problem)
         near = [placing.hypothesis(pose) for pose in (problem.start, problem.past.last, last.pose, *proposed)]
