@@ -132,6 +132,16 @@ def _check_found(pose: Pose | None, frame: int) -> None:
     assert np.linalg.norm(Posed(scene.body, pose).landmarks - scene.landmarks[frame], axis=1).max() < 0.06
 
 
+def test_a_pose_pays_for_having_turned_faster_than_people_do() -> None:
+    here, rule = _scene()[0].first_pose, LostBody()
+    about = Pose(
+        se3.transform(se3.exp_rotation([0.0, 0.0, np.deg2rad(150.0)]) @ here.root[:3, :3], np.zeros(3)), here.q
+    )
+    costs = [rule._too_fast(about, Moment(0.0, here), seconds) for seconds in (0.1, 0.3, 0.6, 0.8)]
+    assert costs[0] == rule.better and 0.0 < costs[2] < costs[1] and costs[3] == 0.0
+    assert rule._too_fast(here, Moment(0.0, here), 0.0) == 0.0
+
+
 def test_places_count_by_the_pixels_that_a_body_covers_there() -> None:
     """As many points of a body twice as far away show it, but a quarter of the pixels."""
     scene, _ = _scene()

@@ -31,10 +31,10 @@ _DOUBT = 0.2  # probability of loss from which a frame that is not lost is named
 _USABLE = 0.9  # share of the frames
 _SIDES = {"r": "right", "l": "left"}
 TURNS = (
-    "Turns of thighs, upper arms, head and pelvis about their long axes can be twice as wrong as their σ says: "
+    "Turns of thighs and of the chest about their long axes can be half as wrong again as their σ says: "
     "they hardly change what cameras see."
 )
-"""What claims do not cover; measured in docs/concepts/covariance.md and docs/how-to/gait.md."""
+"""What claims do not cover; measured in docs/concepts/covariance.md."""
 _CAVEAT = (
     f"In brackets is the σ that {_MOST:g} % of the frames keep. It is what the images leave open. A body or cameras "
     "that are a little wrong shift angles by constants that it does not contain; compare with a reference to find them."

@@ -12,6 +12,7 @@ from typing import Annotated
 
 import numpy as np
 
+from twistcap import se3
 from twistcap.arrays import Bool, Float
 from twistcap.body import Body, Pose
 from twistcap.body.limbs import limbs
@@ -82,6 +83,7 @@ class LostBody(Checked):
         seen: fraction of the pixels that the body covered when it was seen last, below which too little of it is seen.
         worth: evidence from which on a hypothesis is fitted.
         reach, speed, farthest: m, m/s and m: how far away it is looked for, with the time since it was seen.
+        turned, turning: rad and rad/s: how far it may have turned, with the time; one rad farther costs `better`.
         every, first: frames between lessons, and between the first ten.
         again: frames between searches.
         relit: fraction of the background that fits, over what is usual, below which it is another one.
@@ -106,6 +108,8 @@ class LostBody(Checked):
     reach: float = 1.0
     speed: float = 2.5
     farthest: Annotated[float, Range(0.0, 50.0)] = 4.0
+    turned: float = 0.5
+    turning: float = 3.0
     every: Count = 10
     first: Count = 3
     again: Count = 3
@@ -115,7 +119,7 @@ class LostBody(Checked):
     doubted: Share = 0.85
     wary: Share = 0.95
     margin: float = 0.3
-    limbed: Count = 2
+    limbed: Count = 4
     placing: PlacingRule = field(default_factory=PlacingRule)
     contradiction: ContradictionRule = field(default_factory=ContradictionRule)
     beside: BesideRule = field(default_factory=BesideRule)
@@ -175,7 +179,7 @@ class LostBody(Checked):
                 revision, memory = self._elsewhere(memory, now, ratio, self.margin)
             if revision is None:
                 memory = self._learned(replace(memory, waiting=0), now, float(np.nan_to_num(ratio, nan=1.0)))
-                if ratio >= self.accepted and memory.found.max() < 0.5:
+                if ratio >= self.learned and memory.found.max() < 0.5:
                     memory = replace(memory, surely=Moment(problem.frame.time, now.fit.pose))
         return replace(revision or Revision(now.fit, last), left_out=now.problem.left_out), memory
 
@@ -309,22 +313,30 @@ class LostBody(Checked):
         """The pose that the images show; None where they show no body clearly enough, or with less evidence."""
         placing = Placing(evidence, self.placing)
         last = replace((problem.past.seen or problem.past.moments)[-1], time=problem.past.seen_time)
-        usually = float(evidence.by_part(last.pose)[1].sum())
-        modes = self._modes(known, problem, placing, surely or last)
-        fitted = [
-            self._fitted(problem, evidence, h) for h in modes if self._ratio(known, evidence, h, usually) >= self.worth
-        ]
-        if not fitted:
-            return None
-        fitted.sort(key=lambda h: -h.nats)
+        usually, usual = float(evidence.by_part(last.pose)[1].sum()), float(known.nats.sum())
+
+        def standing(h: Hypothesis) -> float:
+            return h.nats - usual * self._too_fast(h.pose, last, problem.frame.time)
+
+        worth = [
+            h for h in self._modes(known, problem, placing, surely or last)
+            if self._ratio(known, evidence, h, usually) >= self.worth
+        ]  # fmt: skip
+        near = [placing.hypothesis(pose) for pose in (problem.start, last.pose)]
+        fitted = sorted((self._fitted(problem, evidence, h) for h in [*worth, *near]), key=standing, reverse=True)
         for h in fitted[: self.limbed]:
             fitted.append(self._fitted(problem, evidence, self._with_limbs_placed(known, evidence, h)))
-        best = max(fitted, key=lambda h: h.nats)
+        best = max(fitted, key=standing)
         refined = placing.refined(best)
         if refined.nats > best.nats:
-            best = max(best, self._fitted(problem, evidence, refined), key=lambda h: h.nats)
+            best = max(best, self._fitted(problem, evidence, refined), key=standing)
         clear = self._ratio(known, evidence, best, usually) >= self.accepted and best.nats >= least
         return best.pose if clear else None
+
+    def _too_fast(self, pose: Pose, last: Moment, time: float) -> float:
+        """Fraction of the usual evidence that a pose pays for having turned faster than people do."""
+        turn = float(np.linalg.norm(se3.log_rotation(pose.root[:3, :3] @ last.pose.root[:3, :3].T)))
+        return self.better * float(np.clip(turn - self.turned - self.turning * (time - last.time), 0.0, 1.0))
 
     def _with_limbs_placed(self, known: Recollection, evidence: Evidence, h: Hypothesis) -> Hypothesis:
         """With each limb where the evidence is greatest."""
