@@ -164,7 +164,7 @@ class _Follow:
                 out.append(evidence(v, self.model, lit, level, picture, visible, motions[v]))
         return out
 
-    def _before(self, v: int, x: Variables) -> Float:
+    def _in_camera(self, v: int, x: Variables) -> Float:
         """(S, 4, 4) the motions of the parts from their rest pose into the frame of a camera."""
         return (
             se3.transform(state_at(x).views[v].rotation, np.zeros(3)) @ posed_at(x, self.model.body).segment_transforms
@@ -172,7 +172,7 @@ class _Follow:
 
     def _light(self, v: int, memory: Memory, x: Variables) -> Float:
         """(N,) the light on what is remembered."""
-        return self.track.lights[v].on(memory.normal, memory.points.part, self._before(v, x))
+        return self.track.lights[v].on(memory.normal, memory.points.part, self._in_camera(v, x))
 
     def _searched(self, seen: Sequence[Evidence], x: Variables) -> Variables:
         """With limbs where a coarse search puts them."""
@@ -199,7 +199,7 @@ class _Follow:
                 lit = None if old is None else old.lit(self._light(v, old, x))
                 levels = picture.levels(model.rule.levels, model.config.colour)
                 look = Look(picture, levels, render(posed, x[view_block(v)]), posed, x[exposure_block(v)].values)
-                shown, transforms = remember(look, lit, model.retention), self._before(v, x)
+                shown, transforms = remember(look, lit, model.retention), self._in_camera(v, x)
                 normal, part = shown.normal, shown.points.part
                 lights[v] = lights[v].learnt([(normal, part, shown.value[:, 0, 0])], transforms, 1)
                 memories[v] = shown.lit(1.0 / lights[v].on(normal, part, transforms))
