@@ -33,7 +33,7 @@ from twistcap.estimate import Frame
 from twistcap.search.placing import PlacingRule
 from twistcap.studio import Capture, StudioConfig, capture
 
-QUICK = UnaidedRule(PlacingRule(turns=12, places=2, modes=16, draws=6), fitted=12, mended=(4, 2), anywhere=16, about=8)
+QUICK = UnaidedRule(PlacingRule(turns=12, places=2, modes=16, draws=6), fitted=12, mended=(4, 2))
 
 
 @cache

@@ -100,7 +100,7 @@ def test_a_limb_is_looked_for_unasked_where_it_is_better_elsewhere() -> None:
     bent = truth.retract(np.where(arm, 0.9, 0.0)).within(scene.body.limits)
     for pose, moved in ((truth, False), (bent, True)):
         nats = evidence.of(pose)
-        found, more = placed(rule, known, evidence, arm, np.random.default_rng(0), pose, nats, 40.0)
+        found, more = placed(rule, known.angles, evidence, arm, np.random.default_rng(0), pose, nats, 40.0)
         assert (found is not pose, more > nats) == (moved, moved)
     off = np.linalg.norm(Posed(scene.body, found).landmarks - scene.landmarks[12], axis=1)
     assert off.max() < 0.08

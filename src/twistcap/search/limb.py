@@ -8,6 +8,7 @@ doi:10.1023/B:VISI.0000043757.18370.9c).
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import cv2
@@ -121,7 +122,7 @@ def regained(
     before = most = evidence.of(pose)
     for i in asked:
         worth = 0.0 if sure else max(rule.gain, rule.worth * float(usual[i]))
-        other, nats = placed(rule, known, evidence, masks[i], rng, pose, most, worth)
+        other, nats = placed(rule, known.angles, evidence, masks[i], rng, pose, most, worth)
         if nats >= most + rule.gain:  # the fit will add to that
             pose, most, found = other, nats, [*found, i]
     if not found:
@@ -147,15 +148,16 @@ def _wrong(known: Recollection, now: Judged, groups: Bool) -> Float:
 
 
 def placed(
-    rule: LimbRule, known: Recollection, evidence: Evidence, limb: Bool, rng: np.random.Generator,
+    rule: LimbRule, angles: Iterable[Float], evidence: Evidence, limb: Bool, rng: np.random.Generator,
     pose: Pose, most: float, worth: float = 0.0,
 ) -> tuple[Pose, float]:  # fmt: skip
     """The pose with one limb where the evidence is greatest, and its evidence.
 
-    It is looked for only if one of the roughly best few places gains `worth` nats.
+    Among the places tried are those of some joint angles (J,), and of the other side's. It is looked for only if one of
+    the roughly best few places gains `worth` nats.
     """
     body, roughly = evidence.body, _Roughly.of(evidence, pose, limb)
-    steps = np.array([*_shown(known, limb, body, pose), *anywhere(rng, limb, pose, body, rule.many)])
+    steps = np.array([*_shown(angles, limb, body, pose), *anywhere(rng, limb, pose, body, rule.many)])
     steps = _climbed(rule, rng, roughly, limb, steps)
     few = (evidence.of(pose.retract(step).within(body.limits)) for step in steps[: rule.few])
     if worth > 0.0 and max(few) < most + worth:
@@ -195,11 +197,11 @@ def _climbed(rule: LimbRule, rng: np.random.Generator, roughly: _Roughly, limb: 
     return np.stack([sharp, steps], axis=1).reshape(-1, steps.shape[1])
 
 
-def _shown(known: Recollection, limb: Bool, body: Body, pose: Pose) -> list[Float]:
-    """Steps (6 + J,) to where the limb has been, and to the mirror images of where the one of the other side has."""
+def _shown(angles: Iterable[Float], limb: Bool, body: Body, pose: Pose) -> list[Float]:
+    """Steps (6 + J,) to a limb of some joint angles (J,), and to the mirror images of the one of the other side."""
     other = partners(body.coordinate_names)
-    angles = [a for q in known.angles for a in (q, q[other])]
-    return [np.where(limb, Pose(pose.root, q).minus(pose), 0.0) for q in angles]
+    both = [a for q in angles for a in (q, q[other])]
+    return [np.where(limb, Pose(pose.root, q).minus(pose), 0.0) for q in both]
 
 
 @dataclass(frozen=True)

@@ -342,7 +342,7 @@ class LostBody(Checked):
         """With each limb where the evidence is greatest."""
         rng, pose, nats = np.random.default_rng(self.placing.seed), h.pose, h.nats
         for limb in limbs(evidence.body):
-            pose, nats = placed(self.limb, known, evidence, limb, rng, pose, nats)
+            pose, nats = placed(self.limb, known.angles, evidence, limb, rng, pose, nats)
         return Hypothesis(pose, nats)
 
     def _modes(self, known: Recollection, problem: Problem, placing: Placing, last: Moment) -> list[Hypothesis]:

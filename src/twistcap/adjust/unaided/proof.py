@@ -20,7 +20,6 @@ from twistcap.body import Pose
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
 from twistcap.ranges import Checked, Count, Range, Share
-from twistcap.search.lost import LostBody
 from twistcap.search.placing import Stance
 from twistcap.track import Tracker
 from twistcap.track.model import Model
@@ -142,21 +141,26 @@ class Proof:
 def proof_of(track: Track, probes: Sequence[Probe], others: Sequence[Track], rule: ProofRule) -> Proof:
     """How a track stands beside others."""
     standing, margin, met, agreement = list[float](), list[float](), 0, 1.0
-    begun, distance = track.poses[track.start], probes[0].instant.apart
-    leading = {other.start for other in others if distance(begun, other.poses[track.start]) <= rule.together}
+    joined = {other.start for other in others if _join(track, other, probes, rule.together)}
     for probe in probes:
         own, instant = probe.instant.measured(track.poses[probe.at]), probe.instant
-        tracked = [instant.measured(other.poses[probe.at]) for other in others if other is not track]
+        tracked = [instant.measured(other.poses[probe.at]) for other in others if other.start not in joined]
         found = [(c.score, instant.apart(c.pose, own.pose)) for c in (*probe.candidates, *tracked)]
         best = max([own.score, 1e-9, *(score for score, _ in found)])
-        rival = max((score for score, apart in found if apart > rule.different), default=0.0)
+        rivals = found[1:] if probe.at in joined else found  # what was found first has led to this track
+        rival = max((score for score, apart in rivals if apart > rule.different), default=0.0)
         standing.append(own.score / best)
         margin.append((own.score - rival) / best)
         good = _NEAR * max((c.score for c in probe.candidates), default=0.0)
         on_it = any(score >= good and apart <= rule.same for score, apart in found[: len(probe.candidates)])
-        met += on_it or probe.at in leading
+        met += on_it or probe.at in joined
         agreement = min(agreement, own.agreement)
     return Proof(track, met, float(np.mean(standing)), float(np.mean(margin)), min(margin), agreement)
+
+
+def _join(one: Track, other: Track, probes: Sequence[Probe], near: float) -> bool:
+    """Whether two tracks are together in a probe's frame: from there on they are one, wherever they were begun."""
+    return any(p.instant.apart(one.poses[p.at], other.poses[p.at]) <= near for p in probes)
 
 
 @dataclass(frozen=True)
@@ -221,11 +225,10 @@ class Unaided:
 
     def _begin(self, tracks: list[Track], probe: Probe, frames: Sequence[Frame]) -> None:
         """A track from a probe's best pose, where no track has come there."""
-        plain = replace(self.model, searches=tuple(s for s in self.model.searches if not isinstance(s, LostBody)))
         for c in probe.candidates[:1]:
             far = (probe.instant.apart(c.pose, t.poses[probe.at]) > self.rule.same for t in tracks)
             if all(far):
-                tracks.append(Track(plain, frames, probe.at, c.pose))
+                tracks.append(Track(self.model, frames, probe.at, c.pose))
 
     def _refusal(self, best: Proof | None) -> str:
         if best is None:

@@ -14,14 +14,14 @@ import numpy as np
 
 from twistcap import se3
 from twistcap.adjust.unaided.hull import places
-from twistcap.arrays import Bool, Float
+from twistcap.arrays import Float
 from twistcap.body import Pose, Posed
 from twistcap.body.limbs import limbs
 from twistcap.estimate import Frame
 from twistcap.ranges import Checked, Count, Range
 from twistcap.search.beside import agreement
-from twistcap.search.draws import about, anywhere
 from twistcap.search.evidence import Evidence
+from twistcap.search.limb import LimbRule, placed
 from twistcap.search.placing import Hypothesis, Placing, PlacingRule, Stance, headings
 from twistcap.search.stances import bundled, turned_round
 from twistcap.track.align import FrameProblem
@@ -39,7 +39,7 @@ class UnaidedRule(Checked):
         near: m, spacing of the places tried about each.
         fitted: hypotheses that the tracker fits.
         mended: of those, hypotheses that are mended limb by limb, in each round.
-        anywhere, about: draws of each limb anywhere, and about the best.
+        limb: how a limb of theirs is looked for.
         margin: m about a hypothesis within which images are looked at.
         different: m between landmarks from which on two poses are different.
     """
@@ -49,8 +49,7 @@ class UnaidedRule(Checked):
     near: float = 0.12
     fitted: Count = 30
     mended: tuple[Count, ...] = (6, 3)
-    anywhere: Count = 40
-    about: Count = 16
+    limb: LimbRule = field(default_factory=LimbRule)
     margin: Annotated[float, Range(0.0, 2.0)] = 0.3
     different: float = 0.15
 
@@ -141,25 +140,13 @@ class Instant:
 
     def mended(self, candidate: Candidate, others: Sequence[Pose], seed: int) -> Candidate:
         """A candidate with the limbs of others, or drawn anew, and fitted, where that has more evidence."""
-        h, rng = Hypothesis(candidate.pose, candidate.nats), np.random.default_rng(seed)
+        pose, nats, rng = candidate.pose, candidate.nats, np.random.default_rng(seed)
         for limb in limbs(self.model.body):
-            h = self._with_limb(h, limb, [pose.q for pose in others], rng)
+            pose, nats = placed(self.rule.limb, [other.q for other in others], self.evidence, limb, rng, pose, nats)
+        h = Hypothesis(pose, nats)
         h = Placing(self.evidence, replace(self.rule.placing, seed=seed)).refined(h)
         other = self.fitted(h.pose)
         return max(candidate, other, key=lambda c: c.score)
-
-    def _with_limb(self, h: Hypothesis, limb: Bool, others: Sequence[Float], rng: np.random.Generator) -> Hypothesis:
-        """The best of one limb as others have it, drawn anywhere, and drawn about the best of those."""
-        taken = [np.where(limb[6:], q, h.pose.q) for q in others]
-        steps = anywhere(rng, limb, h.pose, self.model.body, self.rule.anywhere)
-        best = self._best(h, [Pose(h.pose.root, q) for q in taken] + [h.pose.retract(step) for step in steps])
-        for sd in self.rule.placing.near:
-            best = self._best(best, [best.pose.retract(step) for step in about(rng, limb, sd, self.rule.about)])
-        return best
-
-    def _best(self, h: Hypothesis, poses: Sequence[Pose]) -> Hypothesis:
-        within = [pose.within(self.model.body.limits) for pose in poses]
-        return max([h, *(Hypothesis(pose, self.evidence.of(pose)) for pose in within)], key=lambda h: h.nats)
 
     def different(self, candidates: Sequence[Candidate]) -> list[Candidate]:
         """The best first, without those that are nearly the same as a better one."""
