@@ -164,9 +164,11 @@ def test_what_is_believed(
     assert Proof(track, met, standing, margin, least, agreement).holds(ProofRule(), 4) is believed
 
 
-@pytest.mark.parametrize(("apart_m", "met"), [(0.03, 2), (0.1, 1)])
-def test_a_search_whose_track_leads_to_another_has_met_it(apart_m: float, met: int) -> None:
-    """What the second search has found is off by a limb, which its track finds on the way to the first frame."""
+@pytest.mark.parametrize(("apart_m", "met", "margin"), [(0.03, 2, 1.0), (0.1, 1, 0.5)])
+def test_searches_whose_tracks_come_together_have_met(apart_m: float, met: int, margin: float) -> None:
+    """What the second search has found is off by a limb, which its track finds on the way to the first frame: then it
+    is no rival either.
+    """
     scene, _ = _scene()
     right, aside = scene.true_poses[0], se3.transform(np.eye(3), np.array([apart_m, 0.0, 0.0]))
     off = Pose(se3.transform(np.eye(3), np.array([0.3, 0.0, 0.0])) @ right.root, right.q)
@@ -175,7 +177,8 @@ def test_a_search_whose_track_leads_to_another_has_met_it(apart_m: float, met: i
         Probe(k, cast(Instant, _Alike(scene.body)), [Candidate(pose, 100.0, 0.9)])
         for k, pose in enumerate([right, off])
     ]
-    assert proof_of(tracks[0], probes, tracks, ProofRule()).met == met
+    proof = proof_of(tracks[0], probes, tracks, ProofRule())
+    assert (proof.met, proof.margin) == (met, margin)
 
 
 def _track_of(start: int, poses: list[Pose]) -> Track:

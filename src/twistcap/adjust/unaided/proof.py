@@ -20,6 +20,9 @@ from twistcap.body import Pose
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
 from twistcap.ranges import Checked, Count, Range, Share
+from twistcap.search import Search
+from twistcap.search.beside import BesideRule
+from twistcap.search.lost import LostBody
 from twistcap.search.placing import Stance
 from twistcap.track import Tracker
 from twistcap.track.model import Model
@@ -27,6 +30,7 @@ from twistcap.track.model import Model
 Read = Callable[[range], Iterable[Frame]]
 """Frames by their places in the recording."""
 
+_AS_IT_IS = BesideRule(good=0.0, limb_poor=0.0)
 _NEAR = 0.97  # of the best score of a probe, that a pose must have for a track to have met what the probe found
 _CLICKS = "click its joints with `twistcap init`, or give [first_pose] keypoints"
 
@@ -158,6 +162,11 @@ def proof_of(track: Track, probes: Sequence[Probe], others: Sequence[Track], rul
     return Proof(track, met, float(np.mean(standing)), float(np.mean(margin)), min(margin), agreement)
 
 
+def _as_begun(search: Search) -> Search:
+    """The search, for a track whose first pose has been looked for by evidence: what its contour says adds nothing."""
+    return replace(search, beside=_AS_IT_IS) if isinstance(search, LostBody) else search
+
+
 def _join(one: Track, other: Track, probes: Sequence[Probe], near: float) -> bool:
     """Whether two tracks are together in a probe's frame: from there on they are one, wherever they were begun."""
     return any(p.instant.apart(one.poses[p.at], other.poses[p.at]) <= near for p in probes)
@@ -203,9 +212,12 @@ class Unaided:
             probes.append(self._probe(at, frames[at]))
             self._begin(tracks, probes[-1], frames)
             proofs = [proof_of(track, probes, tracks, self.rule) for track in tracks]
-            best = max(proofs, key=lambda p: p.standing, default=None)
-            if best is not None and len(probes) >= min(2, len(places)) and best.holds(self.rule, len(places)):
-                return best
+            proofs.sort(key=lambda p: -p.standing)
+            best = proofs[0] if proofs else None
+            if len(probes) >= min(2, len(places)):
+                for proof in proofs:
+                    if proof.holds(self.rule, len(places)):
+                        return proof
             tracks = [p.track for p in proofs if p.standing >= self.rule.hopeless]
         raise InputError(self._refusal(best))
 
@@ -225,10 +237,11 @@ class Unaided:
 
     def _begin(self, tracks: list[Track], probe: Probe, frames: Sequence[Frame]) -> None:
         """A track from a probe's best pose, where no track has come there."""
+        fitted = replace(self.model, searches=tuple(map(_as_begun, self.model.searches)))
         for c in probe.candidates[:1]:
             far = (probe.instant.apart(c.pose, t.poses[probe.at]) > self.rule.same for t in tracks)
             if all(far):
-                tracks.append(Track(self.model, frames, probe.at, c.pose))
+                tracks.append(Track(fitted, frames, probe.at, c.pose))
 
     def _refusal(self, best: Proof | None) -> str:
         if best is None:
