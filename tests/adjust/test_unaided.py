@@ -142,26 +142,27 @@ def test_a_missing_camera_is_no_evidence() -> None:
 
 
 @pytest.mark.parametrize(
-    ("met", "standing", "margin", "least", "agreement", "believed"),
+    ("met", "standing", "margins", "agreement", "believed"),
     [
-        (2, 0.98, 0.1, 0.08, 0.9, True),
-        (1, 0.98, 0.1, 0.08, 0.9, False),  # one search alone, and not clearly better
-        (1, 0.98, 0.3, 0.08, 0.9, True),
-        (1, 0.98, 0.3, 0.02, 0.9, False),  # not in each frame
-        (2, 0.98, 0.1, 0.02, 0.9, True),  # two searches: clear in the mean is enough
-        (2, 0.98, 0.05, 0.02, 0.9, False),
-        (3, 0.98, 0.05, 0.02, 0.9, True),  # three: the best is enough
-        (2, 0.9, 0.3, 0.08, 0.9, False),  # elsewhere something explains the images better
-        (2, 0.98, 0.1, -0.1, 0.9, False),
-        (2, 0.98, 0.1, 0.08, 0.4, False),
+        (2, 0.98, (0.12, 0.08), 0.9, True),
+        (1, 0.98, (0.12, 0.08), 0.9, False),  # one search alone, and not clearly better
+        (1, 0.98, (0.5, -0.02), 0.9, True),
+        (1, 0.98, (0.5, -0.1), 0.9, False),  # in one frame something else is better
+        (1, 0.98, (0.12, 0.08, 0.12, 0.08), 0.9, True),  # as clear in more frames
+        (2, 0.98, (0.16, 0.02), 0.9, True),  # two searches: clear in the mean is enough
+        (2, 0.98, (0.08, 0.02), 0.9, False),
+        (3, 0.98, (0.08, 0.02), 0.9, True),  # three: the best is enough
+        (3, 0.98, (0.08, -0.02), 0.9, False),
+        (2, 0.9, (0.5, 0.08), 0.9, False),  # elsewhere something explains the images better
+        (2, 0.98, (0.12, 0.08), 0.4, False),
     ],
 )
 def test_what_is_believed(
-    met: int, standing: float, margin: float, least: float, agreement: float, believed: bool
+    met: int, standing: float, margins: tuple[float, ...], agreement: float, believed: bool
 ) -> None:
     scene, frames = _scene()
     track = Track(build(scene.body, scene.rig), frames[:1], 0, scene.first_pose)
-    assert Proof(track, met, standing, margin, least, agreement).holds(ProofRule(), 4) is believed
+    assert Proof(track, met, standing, margins, agreement).holds(ProofRule(), 4) is believed
 
 
 @pytest.mark.parametrize(("apart_m", "met", "margin"), [(0.03, 2, 1.0), (0.1, 1, 0.5)])
@@ -178,7 +179,7 @@ def test_searches_whose_tracks_come_together_have_met(apart_m: float, met: int, 
         for k, pose in enumerate([right, off])
     ]
     proof = proof_of(tracks[0], probes, tracks, ProofRule())
-    assert (proof.met, proof.margin) == (met, margin)
+    assert (proof.met, float(np.mean(proof.margins))) == (met, margin)
 
 
 def _track_of(start: int, poses: list[Pose]) -> Track:

@@ -121,7 +121,7 @@ def start_in_words(proof: Proof, views: Views) -> str:
     """What was found, in a sentence."""
     x, y, z = proof.first.root[:3, 3]
     start = views.indices[proof.track.start]
-    clear = f"contour agreement {proof.agreement:.2f}, {100 * proof.margin:.0f} % clearer than any other"
+    clear = f"contour agreement {proof.agreement:.2f}, {100 * np.mean(proof.margins):.0f} % clearer than any other"
     return f"first pose found by itself at ({x:.2f}, {y:.2f}, {z:.2f}) m in frame {start}: {clear}."
 
 

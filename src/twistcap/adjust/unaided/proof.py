@@ -19,7 +19,7 @@ from twistcap.arrays import Float
 from twistcap.body import Pose
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
-from twistcap.ranges import Checked, Count, Range, Share
+from twistcap.ranges import Checked, Count, Range, Share, Signed
 from twistcap.search import Search
 from twistcap.search.beside import BesideRule
 from twistcap.search.lost import LostBody
@@ -50,7 +50,8 @@ class ProofRule(Checked):
         standing: share of the best score that the track must have in the mean over the probes.
         clear: share by which its scores must exceed those of the next different poses, in the mean over the probes; in
             none may another be better. Where more probes than `met` have found it, that is enough.
-        alone, each: the same, and in each probe, from which on a track is believed that fewer probes have met.
+        alone, each: that share, summed over the probes, and the least in any, from which on a track is believed that no
+            other probe has met: nothing explains the images nearly as well.
         agreeing: fraction of the contour that must agree with the images along it.
         hopeless: standing below which a track is given up.
     """
@@ -65,8 +66,8 @@ class ProofRule(Checked):
     met: Count = 2
     standing: Share = 0.96
     clear: Share = 0.08
-    alone: Share = 0.2
-    each: Share = 0.05
+    alone: float = 0.4
+    each: Signed = -0.03
     agreeing: Share = 0.6
     hopeless: Share = 0.75
 
@@ -115,15 +116,14 @@ class Proof:
         track: itself.
         met: probes that have found a pose on it, or one from which a track leads to where it was begun.
         standing: its scores over the best ones, mean of the probes.
-        margin, least: share by which its scores exceed those of the next different poses, mean and least of the probes.
+        margins: share of each probe by which its score exceeds that of the next different pose.
         agreement: of the contour with the images, least of the probes.
     """
 
     track: Track
     met: int
     standing: float
-    margin: float
-    least: float
+    margins: tuple[float, ...]
     agreement: float
 
     @property
@@ -133,13 +133,14 @@ class Proof:
 
     def holds(self, rule: ProofRule, probes: int) -> bool:
         """Whether it is believed, of so many probes; a single picture must do where there is no other."""
-        if self.standing < rule.standing or self.least < 0.0 or self.agreement < rule.agreeing:
+        least, margin = min(self.margins), float(np.mean(self.margins))
+        if self.standing < rule.standing or self.agreement < rule.agreeing:
             return False
-        if self.met > rule.met:  # one search more than asked has come to it
+        if sum(self.margins) >= rule.alone and least >= rule.each:  # scores are nats: what the probes say of it adds up
             return True
-        if self.met >= min(rule.met, probes):  # scores are nats: what the probes say of it adds up
-            return self.margin >= rule.clear
-        return self.margin >= rule.alone and self.least >= rule.each
+        if self.met > rule.met:  # one search more than asked has come to it
+            return least >= 0.0
+        return least >= 0.0 and self.met >= min(rule.met, probes) and margin >= rule.clear
 
 
 def proof_of(track: Track, probes: Sequence[Probe], others: Sequence[Track], rule: ProofRule) -> Proof:
@@ -159,7 +160,7 @@ def proof_of(track: Track, probes: Sequence[Probe], others: Sequence[Track], rul
         on_it = any(score >= good and apart <= rule.same for score, apart in found[: len(probe.candidates)])
         met += on_it or probe.at in joined
         agreement = min(agreement, own.agreement)
-    return Proof(track, met, float(np.mean(standing)), float(np.mean(margin)), min(margin), agreement)
+    return Proof(track, met, float(np.mean(standing)), tuple(margin), agreement)
 
 
 def _as_begun(search: Search) -> Search:
@@ -246,5 +247,5 @@ class Unaided:
     def _refusal(self, best: Proof | None) -> str:
         if best is None:
             return f"[first_pose] auto: nobody stands out from the background in two cameras at once; {_CLICKS}."
-        said = f"contour agreement {best.agreement:.2f}, margin {100 * best.margin:.0f} %"
+        said = f"contour agreement {best.agreement:.2f}, margin {100 * np.mean(best.margins):.0f} %"
         return f"[first_pose] auto: the person's first pose is not clear ({said}); {_CLICKS}."
