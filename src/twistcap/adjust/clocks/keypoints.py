@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import gaussian_filter1d
 
 from twistcap.arrays import Float
 from twistcap.body import Body, Posed
@@ -17,6 +19,7 @@ from twistcap.solve.blocks import PoseTrack
 _WIDEST = 10.0  # frames that are tried, to both sides
 _FINE = 0.1  # frames from one tried offset to the next
 _BLOCKS = 8  # spans of time, each left out once for the standard deviation
+_SMOOTH = 2.0  # frames, standard deviation
 _SCALE = 3.0  # px from which a difference counts less
 _ROUNDS = 3  # of offset and likeness
 _LIKENESSES = np.arange(0.0, 1.01, 0.05)
@@ -74,10 +77,13 @@ def _pixels(body: Body, track: PoseTrack, camera: Camera, time: float) -> Float:
 
 
 def _smooth(pixels: Float) -> Float:
-    """Over three frames: else a track that trembles fits better halfway between two frames, where it is a mean."""
-    before, after = np.roll(pixels, 1, axis=0), np.roll(pixels, -1, axis=0)
-    before[0], after[-1] = pixels[0], pixels[-1]
-    return 0.25 * before + 0.5 * pixels + 0.25 * after
+    """Over some frames: else a track that trembles fits better halfway between two frames. NaN where it was."""
+    known = np.isfinite(pixels)
+    sums, counts = (
+        gaussian_filter1d(a, _SMOOTH, axis=0, mode="nearest")
+        for a in (np.where(known, pixels, 0.0), known.astype(float))
+    )
+    return np.where(known, sums / np.maximum(counts, 1e-9), np.nan)
 
 
 def _tried() -> Float:
@@ -89,10 +95,8 @@ def _off(shown: Float, seen: Float, shift: float) -> Float:
 
     NaN where that is not known, and near both ends, so that the same numbers count at all offsets.
     """
-    at, margin = np.arange(len(seen)) + shift, int(_WIDEST)
-    k = np.clip(np.floor(at).astype(int), 0, len(shown) - 2)
-    part = (at - k)[:, None, None, None]
-    off = seen - ((1.0 - part) * shown[k] + part * shown[k + 1])
+    margin, numbers = int(_WIDEST), np.arange(len(seen))
+    off = seen - CubicSpline(numbers, shown)(np.clip(numbers + shift, 0, len(seen) - 1))  # a chord would smooth as well
     off[:margin], off[len(off) - margin :] = np.nan, np.nan
     inner = off[margin : len(off) - margin]
     known = np.isfinite(inner).all(axis=-1).sum(axis=0) >= 0.5 * len(inner)
