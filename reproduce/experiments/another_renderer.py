@@ -1,7 +1,7 @@
 """renderer: people that another renderer has filmed, in rooms and clothes that are not the studio's.
 
-The captures `blender_*` have their truth. Each is tracked with the exact body and with the humanoid, in all four
-cameras and in each pair of neighbours. Seed 0 takes the pictures as they are, each other seed adds its own noise of
+The captures `blender_*` have their truth. Each is tracked with the exact body, the humanoid, and the humanoid after
+`body fit` to the same capture, in all four cameras; the first two also in each pair of neighbours. Seed 0 takes the pictures as they are, each other seed adds its own noise of
 1.5 grey levels.
 
     TWISTCAP_DATA=... python -m reproduce renderer --seeds 0-7
@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ from reproduce.arms import Findings
 from reproduce.faults.measures import delays
 from reproduce.recorded import data_file
 from reproduce.running import Tell, jobs, over_seeds
+from twistcap.adjust.body_fit import Take, fit_body
 from twistcap.arrays import Bool, Float
 from twistcap.body import Body, Posed
 from twistcap.build import build
@@ -33,6 +34,7 @@ from twistcap.io.session import load_session
 from twistcap.track import Tracker
 
 CLIPS, BODIES = ("run", "kick", "spin"), {"exact": "glb.toml", "humanoid": "humanoid.toml"}
+FITTED = "fitted humanoid"
 JOINTS = tuple(f"{joint}_{side}" for joint in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist") for side in "rl")
 CAMERAS = ("cam01", "cam02", "cam03", "cam04")
 PAIRS = tuple(zip(CAMERAS, (*CAMERAS[1:], CAMERAS[0]), strict=True))
@@ -41,7 +43,7 @@ SOON = 5  # frames within which a lost stretch should be flagged
 
 Subject = tuple[str, str, tuple[str, ...]]
 """Clip, body, cameras."""
-FOUR: tuple[Subject, ...] = tuple(product(CLIPS, BODIES, (CAMERAS,)))
+FOUR: tuple[Subject, ...] = tuple(product(CLIPS, (*BODIES, FITTED), (CAMERAS,)))
 TWO: tuple[Subject, ...] = tuple(product(CLIPS, BODIES, PAIRS))
 
 
@@ -66,8 +68,8 @@ def tracked(subject: Subject, seed: int) -> Tracked:
     """A subject's track, in the pictures of a seed, against its truth."""
     clip, body, cameras = subject
     folder = data_file(f"blender_{clip}")
-    recording = open_recording(load_session(folder / BODIES[body]))
-    session = load_session(folder / BODIES[body], {"cameras.use": list(cameras)} if cameras != CAMERAS else {})
+    recording, path = _subject(folder, body)
+    session = load_session(path, {"cameras.use": list(cameras)} if cameras != CAMERAS else {})
     views = views_of(session, rig_of(session))
     tracker = Tracker(build(recording.body, views.image_rig, session.tracker_settings))
     tracker.start(recording.first_pose, recording.first_time)
@@ -75,6 +77,18 @@ def tracked(subject: Subject, seed: int) -> Tracked:
     with np.load(folder / "truth.npz") as truth:
         places = dict(zip(truth["names"], truth["X"].transpose(1, 0, 2), strict=True))
     return _against(recording, estimates, np.stack([places[joint] for joint in JOINTS], axis=1))
+
+
+@cache
+def _subject(folder: Path, body: str) -> tuple[Recording, Path]:
+    """The recording with a body and its first pose, and its session."""
+    path = folder / BODIES.get(body, BODIES["humanoid"])
+    recording = open_recording(load_session(path))
+    if body == FITTED:
+        take = Take(recording.views.image_rig, recording.views, recording.first_pose)
+        fitted = fit_body(recording.body, [take])
+        recording = replace(recording, body=fitted.body, first_pose=fitted.first_poses[0])
+    return recording, path
 
 
 def noisy(frames: Any, seed: int) -> Iterator[Frame]:
@@ -130,7 +144,9 @@ class AnotherRenderer:
     """The experiment; see `Experiment`."""
 
     id: str = "renderer"
-    says: str = "people that another renderer has filmed: exact body and humanoid, in four cameras"
+    says: str = (
+        "people that another renderer has filmed: exact body, humanoid, and humanoid after body fit, in four cameras"
+    )
     subjects: Sequence[Subject] = FOUR
 
     def run(self, seeds: Sequence[int], progress: Tell, out: Path | None = None) -> Findings:

@@ -79,10 +79,8 @@ def _pixels(body: Body, track: PoseTrack, camera: Camera, time: float) -> Float:
 def _smooth(pixels: Float) -> Float:
     """Over some frames: else a track that trembles fits better halfway between two frames. NaN where it was."""
     known = np.isfinite(pixels)
-    sums, counts = (
-        gaussian_filter1d(a, _SMOOTH, axis=0, mode="nearest")
-        for a in (np.where(known, pixels, 0.0), known.astype(float))
-    )
+    summed = (np.where(known, pixels, 0.0), known.astype(float))
+    sums, counts = (gaussian_filter1d(a, _SMOOTH, axis=0, mode="nearest") for a in summed)
     return np.where(known, sums / np.maximum(counts, 1e-9), np.nan)
 
 
