@@ -1,8 +1,8 @@
 """renderer: people that another renderer has filmed, in rooms and clothes that are not the studio's.
 
 The captures `blender_*` have their truth. Each is tracked with the exact body, the humanoid, and the humanoid after
-`body fit` to the same capture, in all four cameras; the first two also in each pair of neighbours. Seed 0 takes the pictures as they are, each other seed adds its own noise of
-1.5 grey levels.
+`body fit` to the same capture, in all four cameras; the first two also in each pair of neighbours. Seed 0 takes the
+pictures as they are, each other seed adds its own noise of 1.5 grey levels.
 
     TWISTCAP_DATA=... python -m reproduce renderer --seeds 0-7
 """
@@ -144,9 +144,7 @@ class AnotherRenderer:
     """The experiment; see `Experiment`."""
 
     id: str = "renderer"
-    says: str = (
-        "people that another renderer has filmed: exact body, humanoid, and humanoid after body fit, in four cameras"
-    )
+    says: str = "people that another renderer has filmed: exact body, humanoid, and that after body fit"
     subjects: Sequence[Subject] = FOUR
 
     def run(self, seeds: Sequence[int], progress: Tell, out: Path | None = None) -> Findings:
