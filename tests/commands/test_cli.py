@@ -343,6 +343,17 @@ def test_interrupt_keeps_the_result(
     assert len(read_result(tmp_path / "result.h5")) == 3
 
 
+def test_a_result_without_a_frame_is_named(
+    tracked: Path, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    kept, empty = read_result(tracked / "result.h5"), tmp_path / "empty.h5"
+    with ResultWriter(empty, kept.body, kept.rig, {}):
+        pass
+    compared = ("evaluate", empty, "--reference", made / "truth.npz")
+    for command in (("export", empty, "--to", "csv"), ("gait", empty), ("view", empty), compared):
+        assert f"{empty} has no frame" in refusal(capsys, *command)
+
+
 def test_bad_sessions(session: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Every line of the issue's list of bad input that shows before the first frame."""
     whole = {path: path.read_text() for path in (session, session.parent / "Calib.toml")}

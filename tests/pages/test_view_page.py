@@ -363,7 +363,7 @@ def test_a_view_says_what_is_wrong(made: Path, tmp_path: Path, capsys: pytest.Ca
         ((result, "--reference", tmp_path / "none.trc"), "does not exist"),
         ((result, "--save", tmp_path / "no" / "folder.html"), "cannot be written"),
         ((result, "--session", tmp_path / "none.toml"), "cannot be read"),
-        ((empty,), "no result has a frame"),
+        ((empty,), f"{empty} has no frame"),
     ):
         assert run("view", *arguments) == 2
         told = capsys.readouterr().err.strip().splitlines()[-1]

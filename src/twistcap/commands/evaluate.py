@@ -45,11 +45,10 @@ def evaluate(
       twistcap evaluate out/result.h5 --reference masks --json
     """
     from twistcap.evaluate.reference import evaluate as compare
-    from twistcap.io.result import read_result
 
     comparison = compare(
-        read_result(result), reference, time_offset, exclude=exclude or (), axes=cast("WorldAxes", axes), align=align,
-        register=register,
+        terminal.tracked(result), reference, time_offset, exclude=exclude or (), axes=cast("WorldAxes", axes),
+        align=align, register=register,
     )  # fmt: skip
     if json:
         terminal.emit({"id": "evaluate", **comparison.as_dict()})

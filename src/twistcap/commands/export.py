@@ -51,11 +51,9 @@ def export(
     """
     from twistcap.io.exports import ExportOptions
     from twistcap.io.exports import export as written
-    from twistcap.io.result import read_result
 
     options = ExportOptions(cast("WorldAxes", axes), cast("Angles", angles), fill, fps, into, rig)
-    read, wanted = read_result(result), terminal.frame_range(frames)
-    path = written(read.within(*wanted) if wanted else read, to, result.parent, out, options)
+    path = written(terminal.tracked(result, frames), to, result.parent, out, options)
     if json:
         terminal.emit({"id": "export", "format": to, "file": path})
     else:

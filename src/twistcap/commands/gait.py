@@ -54,14 +54,12 @@ def gait(
     from twistcap.evaluate.events import parsed_event
     from twistcap.evaluate.filters import Filter
     from twistcap.io.norms import read_norms
-    from twistcap.io.result import read_result
     from twistcap.report.verdict import TURNS, graded
 
     wanted = tuple(parsed_event(text) for text in event or [])
     bands = read_norms(norms, norms_speed) if norms else {}
     wishes = Wishes(Filter(cast("Kind", filter_), cutoff), cast("Angles", angles), bands, wanted, cycles)
-    read, span = read_result(result), terminal.frame_range(frames)
-    read = read.within(*span) if span else read
+    read = terminal.tracked(result, frames)
     found = run_gait(read, terminal.output_folder(out or result.parent), wishes)
     if json:
         _emit(found)

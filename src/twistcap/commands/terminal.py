@@ -8,7 +8,7 @@ import sys
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -18,6 +18,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from twistcap.errors import InputError
+
+if TYPE_CHECKING:
+    from twistcap.io.result import Result
 
 words = Console(stderr=True, highlight=False)
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document alone on standard output.")]
@@ -138,6 +141,17 @@ def frame_range(text: str | None) -> tuple[int, int] | None:
     if not (colon and first.isdigit() and last.isdigit()):
         raise InputError(f"--frames is {text!r}; write FIRST:LAST, both included, such as 0:99.")
     return int(first), int(last)
+
+
+def tracked(path: Path, frames: str | None = None) -> Result:
+    """The result in a file, of the frames FIRST:LAST if given. Raises InputError where it has none of them."""
+    from twistcap.io.result import read_result
+
+    span, result = frame_range(frames), read_result(path)
+    result = result.within(*span) if span else result
+    if not len(result):
+        raise InputError(f"result file {path} has no frame{f' in {frames}' if frames else ''}.")
+    return result
 
 
 def image_size(text: str) -> tuple[int, int]:

@@ -74,6 +74,8 @@ def _page(paths: list[Path], reference: Path | None, session: Path | None, width
 
     results = dict(zip(_names(paths), map(read_result, paths), strict=True))
     first = next(iter(results.values()))
+    if not any(map(len, results.values())):
+        raise InputError(f"result file {paths[0]} has no frame; there is nothing to view.")
     with words.status("reading images, drawing outlines"):
         sources = _sources(first, session, images)
         truth = None if reference is None else load_reference(reference, first.body, partial(frame_times, first))

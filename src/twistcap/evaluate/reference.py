@@ -15,7 +15,7 @@ from twistcap.arrays import AnyArray, Float
 from twistcap.body import Posed
 from twistcap.camera import Camera, Rectifier
 from twistcap.doors.images import read_image
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 from twistcap.evaluate import metrics
 from twistcap.evaluate.agreement import Agreement, Distance, agreements, distances
 from twistcap.evaluate.alignment import aligned
@@ -99,6 +99,7 @@ def evaluate(
 
     Raises InputError for a reference that is missing, unreadable, or has nothing in common with the result.
     """
+    check("evaluate", len(result.indices) > 0, "the result has no frame")
     path = Path(reference)
     path = path / "truth.npz" if (path / "truth.npz").is_file() else path
     case = case or (path.name if path.is_dir() else path.stem)
