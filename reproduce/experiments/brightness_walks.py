@@ -36,8 +36,9 @@ _SIDE = DifferentialConfig(turns="planar", colour=False)
 _OBLIQUE = DifferentialConfig(colour=False, perspective=True)
 _PLATES, _FEW = DifferentialConfig(search_deg=30.0, stray_deg=12.0), Rule(levels=3, carry=0.6, update=0.1)
 # What limbs do between two frames at 60 per second.
-_ARM = Limb(("arm_flex", "elbow_flex"), steps_deg=(8.0, 10.0), counts=(5, 7), stray_deg=(1.5, 2.5))
+_ARM = Limb(("arm_flex", "elbow_flex"), steps_deg=(8.0, 10.0), counts=(13, 13), stray_deg=(2.7, 4.5))
 _LEG = Limb(("hip_flexion", "knee_angle"), steps_deg=(10.0, 18.0), counts=(5, 9), stray_deg=(4.0, 7.0))
+_WALK = SequenceConfig(passes=2, limbs=(_LEG, _ARM), share=0.03)
 _SIDE_STUDIO = StudioConfig(frames=101)
 
 
@@ -135,7 +136,7 @@ T1 = DifferentialTrial(
     (("tracked", _SIDE),),
     _OneView("T-1", 3.0),
     picture=_norm_picture,
-    sequence=SequenceConfig(passes=1, limbs=(_ARM,)),
+    sequence=_WALK,
 )
 T2 = DifferentialTrial(
     "T-2",
@@ -144,7 +145,7 @@ T2 = DifferentialTrial(
     _both_legs,
     (("tracked", _OBLIQUE),),
     _OneView("T-2", 5.0, 3.0),
-    sequence=SequenceConfig(passes=2, limbs=(_LEG, _ARM)),
+    sequence=_WALK,
 )
 T3 = DifferentialTrial(
     "T-3",
