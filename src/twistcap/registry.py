@@ -10,6 +10,9 @@ from typing import Any, get_type_hints
 
 from twistcap.errors import InputError
 
+NAME_BYTES = 20
+"""Of a name in a result file."""
+
 
 @dataclass(frozen=True)
 class Registry:
@@ -45,7 +48,8 @@ class Registry:
 
 
 def check_owners(kind: str, owners: Sequence[Any]) -> None:
-    """See that each of a model's cues, predictors or searches has a name of its own, and says what it remembers.
+    """See that each of a model's cues, predictors or searches has a name of its own that a result file can hold, and
+    says what it remembers.
 
     Raises:
         InputError: where one does not.
@@ -55,6 +59,8 @@ def check_owners(kind: str, owners: Sequence[Any]) -> None:
     if twice:
         raise InputError(f"model: two {kind} have the name {twice[0]!r}; each needs a name of its own.")
     for owner in owners:
+        if not owner.name.isascii() or len(owner.name) > NAME_BYTES:
+            raise InputError(f"model: the name {owner.name!r} must be of {NAME_BYTES} letters of ASCII at most.")
         memory_type(owner)
 
 

@@ -14,6 +14,7 @@ from twistcap.adjust.clocks.fine import Clocked, ClockProblem, moments_posed
 from twistcap.adjust.refine.measure import SequenceImages
 from twistcap.adjust.refine.settings import RefineConfig
 from twistcap.body import Posed
+from twistcap.camera import Rig, look_at
 from twistcap.estimate import Estimate, Frame, Keypoints
 from twistcap.flow import image_between
 from twistcap.settings import Settings
@@ -113,6 +114,21 @@ def test_keypoints_that_are_early_are_found_in_cameras_that_are_not_in_step() ->
         given.append(Keypoints(names, pixels + 3.0, np.ones((4, len(names)))))  # joints of another body
     found = keypoint_clock(scene.body, scene.rig, track, given, np.repeat(late[:, None], 60, axis=1))
     assert abs(found.offset - 1.3) < 0.05 and found.sigma < 0.1
+
+
+def test_landmarks_behind_a_camera_tell_nothing_of_a_clock() -> None:
+    scene, numbers = capture(StudioConfig(seed=2, frames=60)), np.arange(60, dtype=float)
+    names, track = scene.body.landmarks.names, PoseTrack(scene.true_poses, numbers)
+    amid = replace(
+        scene.rig[0], T_cam_world=look_at(scene.true_poses[30].root[:3, 3] + [0.2, 0.0, 0.0], (5.0, 0.0, 1.0))
+    )
+    rig, given = Rig((amid, *scene.rig[1:])), list[Keypoints]()
+    for k in numbers:
+        points = Posed(scene.body, track.at(k + 1.3).pose).landmarks
+        pixels = np.stack([camera.project(points)[0] for camera in rig])
+        given.append(Keypoints(names, pixels, np.isfinite(pixels).all(axis=2).astype(float)))
+    assert not all(np.isfinite(k.pixels[0]).all() for k in given)
+    assert abs(keypoint_clock(scene.body, rig, track, given, np.zeros((4, 60))).offset - 1.3) < 0.2
 
 
 def test_keypoints_whose_error_changes_slowly_do_not_pass_for_late_ones() -> None:

@@ -186,3 +186,23 @@ def test_agreement_is_that_of_the_files(result: Result, body: Body, tmp_path: Pa
         difference = np.degrees(ours.get(name) - theirs.get(name))
         assert found[name].bias == pytest.approx(difference.mean(), abs=1e-5), name
         assert found[name].rmse == pytest.approx(np.sqrt(np.mean(difference**2)), abs=1e-5), name
+
+
+def test_arms_raised_past_the_lock_agree(body: Body, tmp_path: Path) -> None:
+    """Beyond 90° both ways of writing a shoulder are right; each system may take another."""
+    times, rng = np.arange(240) / 60, np.random.default_rng(0)
+    q, arms = np.zeros((240, len(body.coordinate_names))), list[int]()
+    for side in "rl":
+        own = [body.coordinate(f"arm_{part}_{side}") for part in ("add", "flex", "rot")]
+        q[:, own[0]] = -np.radians(10 + 75 * (1 - np.cos(np.pi * times)))
+        q[:, own[1]], q[:, own[2]] = np.radians(rng.uniform(-10, 10)), np.radians(20 * np.sin(times))
+        arms += own
+    noisy = q.copy()
+    noisy[:, arms] += np.radians(2) * rng.standard_normal((240, len(arms)))
+    rest = Pose.rest(body).root
+    with ResultWriter(tmp_path / "r.h5", body, ring(), {}) as writer:
+        for n, row in enumerate(noisy):
+            writer.append(Estimate(n, float(times[n]), Pose(rest, row), np.eye(body.dof) * 1e-5))
+    write_mot(tmp_path / "theirs.mot", body, times, [Pose(rest, row) for row in q])
+    found = evaluate(read_result(tmp_path / "r.h5"), tmp_path / "theirs.mot").agreements
+    assert max(a.rmse for a in found if a.name.startswith("arm_")) < 15.0

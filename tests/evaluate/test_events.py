@@ -16,8 +16,10 @@ from twistcap.body import Pose
 from twistcap.body.humanoid import humanoid
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate
+from twistcap.evaluate.cycles import cycles_between
 from twistcap.evaluate.events import Event, event_times, parsed_event
-from twistcap.evaluate.filters import Filter, Motion, filtered
+from twistcap.evaluate.filters import Filter, Filtered, Motion, filtered
+from twistcap.io.coordinates import Coordinates
 from twistcap.io.result import Result, ResultWriter, read_result
 from twistcap.studio.motion import gait as walk
 
@@ -141,6 +143,17 @@ def test_events_of_noisy_walks_are_within_two_frames(seed: int, tmp_path: Path) 
     assert len(inner) >= 2
     assert max(np.abs(found - time).min() for time in inner) < 2 / FPS
     assert max(np.abs(truth - time).min() for time in found) < 2 / FPS
+
+
+def test_cycles_with_a_frame_that_is_not_known_are_left_out() -> None:
+    """Though it falls between two of the 101 samples."""
+    times, values = np.arange(1200) / 100, np.sin(np.arange(1200) / 100)[:, None]
+    values[[150, 451]] = np.nan
+    table = Coordinates(("knee_angle_r",), np.array([True]), values, np.ones_like(values))
+    walk = Filtered(table, values, np.ones_like(values), np.array([6.0]))
+    for shift in (0.0, 0.005, 0.015):
+        found = cycles_between(np.array([0.0, 3.0, 6.0, 9.0]) + shift, times, walk)
+        assert found["knee_angle_r"].strides == 1
 
 
 def test_the_command_writes_events_and_cycles_between_them(

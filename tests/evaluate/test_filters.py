@@ -51,7 +51,7 @@ def test_the_cutoff_keeps_within_bounds() -> None:
     still = rng.normal(size=N)
     assert noise_cutoff(still, np.full(N, 10.0), FPS, KNOWN) == BOUNDS[0]
     assert noise_cutoff(still, none, FPS, KNOWN) == BOUNDS[1]
-    assert noise_cutoff(still, none, 20.0, KNOWN) == pytest.approx(0.39 * 20)
+    assert noise_cutoff(still, none, 20.0, KNOWN) == pytest.approx(0.45 * 20)
     assert noise_cutoff(still, none, FPS, ~KNOWN) == BOUNDS[0]
 
 

@@ -80,6 +80,20 @@ def test_clocks_are_written_and_comments_stay(tmp_path: Path) -> None:
     assert "# mine" in path.read_text() and "3.0" not in path.read_text()
 
 
+def test_frames_of_other_tables_and_comments_of_the_next_table_stay(tmp_path: Path) -> None:
+    path, base = tmp_path / "session.toml", tmp_path / "base.toml"
+    base.write_text('[cameras]\ncalibration = "C.toml"\n[videos]\na = "a.mp4"\nb = "b.mp4"\n')
+    path.write_text(
+        'base = "base.toml"\n[clocks.a]\noffset = 1.0\n\n# by Anna, see page 12\n'
+        '[first_pose.keypoints]\nframes = [3, 4]\nfolders = {a = "k"}\n'
+    )
+    write_clocks(path, {"a": Clock(0.2)}, (5, 90))
+    session = load_session(path)
+    assert session.frames == (5, 90) and session.clocks["a"].offset == 0.2
+    assert session.first_pose.keypoints is not None and session.first_pose.keypoints.frames == (3, 4)
+    assert "# by Anna, see page 12\n[first_pose.keypoints]" in path.read_text()
+
+
 def test_a_session_that_cannot_be_changed_stays(tmp_path: Path) -> None:
     path = tmp_path / "session.toml"
     text = 'clocks = { a = { offset = 1.0 } }\n[cameras]\ncalibration = "C.toml"\n[videos]\na = "a.mp4"\n'

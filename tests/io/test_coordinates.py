@@ -13,6 +13,7 @@ from twistcap.body.humanoid import humanoid
 from twistcap.body.shape import joints_moved
 from twistcap.errors import InputError
 from twistcap.io.coordinates import Coordinates, coordinates_of, opensim_angles
+from twistcap.se3 import transform
 from twistcap.studio.motion import gait
 
 
@@ -181,6 +182,27 @@ def test_standard_deviations_by_finite_differences(body: Body, poses: list[Pose]
     wanted = np.sqrt(np.einsum("tci,tij,tcj->tc", by_step, A @ A.swapaxes(1, 2), by_step))
     wanted[:, table.turning] = np.minimum(wanted[:, table.turning], np.pi)
     np.testing.assert_allclose(table.sigmas, wanted, atol=1e-7, rtol=1e-5)
+
+
+def test_isb_angles_of_the_shoulder_are_continuous() -> None:
+    """Of arms that hang a little inwards, in a walk: the plane of elevation passes 180°."""
+    plain = humanoid()
+    walk = gait(plain, frames=200)
+    inward = np.zeros(len(plain.coordinate_names))
+    inward[[plain.coordinate(f"arm_add_{side}") for side in "rl"]] = np.radians(3.0)
+    table = coordinates_of(plain, [Pose(p.root, p.q + inward) for p in walk], angles="isb")
+    for part in ("plane", "rotation"):
+        assert np.abs(np.diff(column(table, f"isb_shoulder_{part}_r"))).max() < 90
+
+
+def test_lost_poses_that_turn_leave_no_whole_turn(body: Body, poses: list[Pose]) -> None:
+    known = np.ones(len(poses), bool)
+    known[10:30] = False
+    steps = np.clip(np.arange(len(poses)) - 10, 0, 20) / 20  # a whole turn while nothing is known
+    turns = transform(Rotation.from_rotvec(2 * np.pi * steps[:, None] * [0.0, 0.0, 1.0]).as_matrix(), np.zeros(3))
+    turned = [Pose(turn @ p.root, p.q) for turn, p in zip(turns, poses, strict=True)]
+    whole, found = coordinates_of(body, poses), coordinates_of(body, turned, known=known)
+    np.testing.assert_allclose(found.values[known], whole.values[known], atol=1e-9)
 
 
 def test_an_angle_that_is_not_defined_has_a_sigma_of_180_degrees(body: Body) -> None:

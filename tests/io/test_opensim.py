@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -177,6 +178,9 @@ def test_what_opensim_cannot_hold_is_told(tmp_path: Path) -> None:
     body = two_links()
     with pytest.raises(InputError, match="sliding"):
         opensim_model(body, body.landmarks)
+    plain = humanoid()
+    with pytest.raises(InputError, match="look inward"):
+        opensim_model(replace(plain, faces=plain.faces[:, ::-1].copy()), plain.landmarks)
     with pytest.raises(InputError, match="lost in every frame; with --fill"):
         write_opensim(tmp_path / "o", walk(tmp_path, BODIES["plain"], lost=True))
     write_opensim(tmp_path / "o", walk(tmp_path, BODIES["plain"], lost=True), fill=True)

@@ -70,6 +70,9 @@ def test_what_cannot_be_saved_or_told_apart_is_refused() -> None:
         replace(model, cues=(*model.cues, Untyped()))
     with pytest.raises(InputError, match="two cues have the name 'mean colour'"):
         replace(model, cues=(MeanColour(), MeanColour()))
+    for name in ("prädiktor", "a name that is longer than a file holds"):
+        with pytest.raises(InputError, match="20 letters of ASCII at most"):
+            replace(model, cues=(type("Named", (MeanColour,), {"name": name})(),))
     for wrong in ("mean_colour", ("mean_colour", "mean_colour")):
         with pytest.raises(InputError, match="give a list of names, each once"):
             Settings(plugins=wrong)  # type: ignore[arg-type]

@@ -164,9 +164,10 @@ def _write_rows(path: Path, trial: Trial, result: Result, output: StudyOutput) -
 
 
 def _frame_rows(trial: Trial, result: Result, output: StudyOutput) -> Iterator[tuple[Any, ...]]:
-    table = coordinates_of(result.body, result.poses, result.covariances, output.angles, output.axes)
+    shown = result.known | output.fill
+    table = coordinates_of(result.body, result.poses, result.covariances, output.angles, output.axes, shown)
     values, sigmas = table.in_degrees
-    values[~(result.known | output.fill)] = sigmas[~(result.known | output.fill)] = np.nan
+    values[~shown] = sigmas[~shown] = np.nan
     times = [repr(float(time)) for time in result.times]
     for n, flag in enumerate(tidy.flags(result)):
         at = trial.subject, trial.trial, int(result.indices[n]), times[n]

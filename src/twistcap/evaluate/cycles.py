@@ -55,11 +55,14 @@ def cycles_of(found: Gait, times: Float, walk: Filtered) -> Mapping[str, Cycle]:
 
 
 def cycles_between(limits: Float, times: Float, walk: Filtered) -> Mapping[str, Cycle]:
-    """All angles from each of the `limits` (s) to the next, by name; cycles with frames not known are left out."""
+    """All angles from each of the `limits` (s) to the next, by name; cycles with frames that are not known are left
+    out."""
     own = [k for k, turns in enumerate(walk.table.turning) if turns]
     spans = list(pairwise(limits.tolist()))
     curves, sigmas = (normalised(spans, times, columns[:, own]) for columns in (walk.values, walk.sigmas))
-    known = np.isfinite(curves).all(axis=(1, 2))
+    missing = times[~np.isfinite(walk.values[:, own]).all(axis=1)]
+    whole = np.array([not np.any((missing >= start) & (missing <= end)) for start, end in spans], np.bool_)
+    known = np.isfinite(curves).all(axis=(1, 2)) & whole
     return {cycle.coordinate: cycle for cycle in _cycles(walk, own, curves[known], sigmas[known], "")}
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.signal import welch
 
 from twistcap.adjust.refine.problem import accelerations
-from twistcap.arrays import Bool, Float, runs
+from twistcap.arrays import Bool, Float, even_clock, runs
 from twistcap.body import Body, Pose
 from twistcap.errors import InputError, check_choice
 from twistcap.evaluate.smoothing import butterworth
@@ -29,7 +29,7 @@ Kind = Literal["butterworth", "smoother"]
 KINDS: tuple[Kind, ...] = ("butterworth", "smoother")
 BOUNDS = (3.0, 12.0)
 """Hz, of a cutoff that is chosen: movement has no less, and joint angles hardly more (Winter 2009, ch. 3)."""
-_MOST = 0.39  # of the rate, as far as `butterworth` goes
+_MOST = 0.45  # of the rate; half of it is the last that `butterworth` takes
 _SEGMENT = 1.0  # s of the pieces whose spectra are averaged: steps of a walk fall together, so that there are no gaps
 _LEAST = 12  # frames that have a spectrum
 _HALF_POWER = (np.sqrt(2.0) - 1.0) ** 0.25  # of the frequency at which 1 / (1 + x⁴) is a half
@@ -74,13 +74,13 @@ class Motion:
 
 def filtered(motion: Motion, how: Filter, angles: Angles = "opensim") -> Filtered:
     """The coordinates of a motion, filtered. Raises InputError for a cutoff too high or poses of no covariance."""
-    table = coordinates_of(motion.body, motion.poses, motion.covariances, angles)
+    table = coordinates_of(motion.body, motion.poses, motion.covariances, angles, known=motion.known)
     values, sigmas = table.in_degrees
     if how.kind == "smoother":
         smooth = coordinates_of(motion.body, smoothed(motion), None, angles).in_degrees[0]
         smooth[~motion.known] = np.nan
         return Filtered(table, smooth, sigmas, _smoother_cutoffs(motion, table, angles))
-    rate = 1.0 / float(np.median(np.diff(motion.times)))
+    rate = even_clock(motion.times)[0]
     cutoffs = np.full(values.shape[1], how.cutoff or 0.0)
     if how.cutoff is None:
         cutoffs = np.array([noise_cutoff(v, s, rate, motion.known) for v, s in zip(values.T, sigmas.T, strict=True)])

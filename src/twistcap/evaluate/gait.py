@@ -15,7 +15,7 @@ import numpy as np
 from scipy.signal import find_peaks
 
 from twistcap import se3
-from twistcap.arrays import Bool, Float
+from twistcap.arrays import UNEVEN, Bool, Float, even_clock
 from twistcap.body import Body, Pose, Posed
 from twistcap.errors import InputError
 from twistcap.evaluate.smoothing import butterworth
@@ -64,7 +64,7 @@ class Gait:
     toe_offs: Mapping[str, Float]
     strides: tuple[Stride, ...]
     frame: float  # s, one step of the clock
-    heading: Float  # (N,) rad from the world's x towards y; 0 in frames that are not known
+    heading: Float  # (N,) rad from the world's x towards y; between known frames where it is not known
 
     def of(self, side: str) -> tuple[Stride, ...]:
         return tuple(stride for stride in self.strides if stride.side == side)
@@ -160,17 +160,22 @@ class _Walk:
 
 
 def _level_angle(forward: Float) -> Float:
-    return np.where(np.isfinite(forward[:, 0]), np.arctan2(forward[:, 1], forward[:, 0]), 0.0)
+    """(N,) rad, continuous; between known frames where the walk is not known, so that it makes no whole turn there."""
+    known = np.flatnonzero(np.isfinite(forward[:, 0]))
+    if not len(known):
+        return np.zeros(len(forward))
+    angles = np.unwrap(np.arctan2(forward[known, 1], forward[known, 0]))
+    return np.interp(np.arange(len(forward)), known, angles)
 
 
 def frame_rate(times: Float) -> float:
     """Frames per second. Raises InputError for few frames, or times that are not even."""
-    steps = np.diff(times)
     if len(times) < 12:
         raise InputError(f"gait: there are {len(times)} frames; gait needs a stride, and 12 frames at least.")
-    if np.ptp(steps) > 0.1 * np.median(steps):
+    rate, ticks, off = even_clock(times)
+    if np.any(np.diff(ticks) != 1) or off > UNEVEN:
         raise InputError("gait: the frames are not evenly spaced in time; take a part of the recording where they are.")
-    return float(1.0 / np.median(steps))
+    return rate
 
 
 def places(body: Body, poses: Sequence[Pose], name: str) -> Float:

@@ -21,6 +21,7 @@ from twistcap.evaluate.agreement import Agreement, Distance, agreements, distanc
 from twistcap.evaluate.alignment import aligned
 from twistcap.evaluate.load import Reference, load_reference
 from twistcap.evaluate.metrics import Row, row
+from twistcap.io.angles import nearest, shoulders_of
 from twistcap.io.coordinates import opensim_angles
 from twistcap.io.markers import WorldAxes
 from twistcap.io.result import Result
@@ -190,6 +191,11 @@ def _agreements(result: Result, errors: Errors) -> list[Agreement]:
     body, names = result.body, errors.names
     q = result.q[:, [body.coordinate(name) for name in names]]
     ours, theirs = (opensim_angles(body, names, angles) for angles in (q, errors.reference))
+    for _, trio in shoulders_of(body):  # either may have taken the other way past its gimbal lock
+        own = [body.coordinate_names[k] for k in trio]
+        if set(own) <= set(names):
+            columns = [names.index(name) for name in own]
+            ours[:, columns] = nearest(ours[:, columns], theirs[:, columns])
     return agreements(names, metrics.angle_differences_deg(ours, theirs), np.degrees(theirs))
 
 

@@ -21,10 +21,11 @@ def butterworth(values: Float, rate: float, cutoff: float, known: Bool | None = 
     filtered by themselves; frames that are not known are NaN, and so are runs of fewer than 12 frames. Raises
     InputError for a cutoff that is not between 0 and half the rate.
     """
-    corrected = cutoff / (2 ** (1 / _PASSES) - 1) ** (1 / (2 * _ORDER))
-    if not 0 < corrected < rate / 2:
-        most = rate / 2 * cutoff / corrected if cutoff > 0 else rate / 2
-        raise InputError(f"the cutoff is {cutoff:g} Hz; at {rate:g} frames per second it must be below {most:.3g} Hz.")
+    if not 0 < cutoff < rate / 2:
+        most = f"above 0 and below {rate / 2:.3g} Hz"
+        raise InputError(f"the cutoff is {cutoff:g} Hz; at {rate:g} frames per second it must be {most}.")
+    turned = np.tan(np.pi * cutoff / rate) / (2 ** (1 / _PASSES) - 1) ** (1 / (2 * _ORDER))  # as the filter warps it
+    corrected = rate / np.pi * np.arctan(turned)
     sos = butter(_ORDER, corrected, fs=rate, output="sos")
     out = np.full(values.shape, np.nan)
     for start, end in runs(np.ones(len(values), np.bool_) if known is None else known):

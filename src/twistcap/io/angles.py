@@ -54,7 +54,7 @@ def decomposed(rotations: Float, axes: Float, near: Float) -> Float:
     R = axes @ rotations @ axes.T  # about x, y, z now, backwards if left-handed
     out = np.zeros((len(R), 3))
     for t in range(len(R)):
-        out[t] = _nearest(hand * _xyz_angles(R[t], hand * (near[0] if t == 0 else out[t - 1, 0])), near)
+        out[t] = nearest(hand * _xyz_angles(R[t], hand * (near[0] if t == 0 else out[t - 1, 0])), near)
         near = out[t]
     return out
 
@@ -68,12 +68,12 @@ def _xyz_angles(R: Float, first_if_locked: float) -> Float:
     return np.array([first_if_locked, middle, both - np.sign(R[0, 2]) * first_if_locked])
 
 
-def _nearest(angles: Float, near: Float) -> Float:
-    """Of the two solutions, each up to whole turns, the one nearest to given angles."""
-    a, b, c = angles
-    both = np.array([[a, b, c], [a + np.pi, np.pi - b, c + np.pi]])
+def nearest(angles: Float, near: Float) -> Float:
+    """Of the two solutions for one rotation (..., 3), each up to whole turns, the one nearest to given angles."""
+    both = np.stack([angles, angles * [1.0, -1.0, 1.0] + np.pi])
     both -= 2 * np.pi * np.round((both - near) / (2 * np.pi))
-    return both[np.argmin(np.sum((both - near) ** 2, axis=1))]
+    first, second = np.sum((both - near) ** 2, axis=-1, keepdims=True)
+    return np.where(first <= second, both[0], both[1])
 
 
 def pelvis_point(body: Body) -> Float:

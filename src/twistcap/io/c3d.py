@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from twistcap.arrays import Float, Int
+from twistcap.arrays import UNEVEN, AnyArray, Float, Int, even_clock, runs
 from twistcap.body import Body, Landmarks, Posed
 from twistcap.body.anatomy import bones_of
 from twistcap.body.surface_markers import surface_markers
@@ -31,7 +31,6 @@ _MM = 1000.0
 _TO_VISUAL3D = [2, 0, 1]  # of the columns x forward, y up, z right
 _LABELS = {"pelvis": "pelvis", "thorax": "torso", "head": "head", "humerus": "uarm", "forearm": "larm", "hand": "hand",
            "femur": "thigh", "tibia": "shank", "foot": "foot"}  # fmt: skip
-_UNEVEN = 0.1  # steps by which a frame may be off an even clock
 _MOST_ENTRIES = 254  # of a parameter
 _WORST = 25.0  # mm; residuals above it all count alike
 
@@ -39,9 +38,9 @@ _WORST = 25.0  # mm; residuals above it all count alike
 def write_c3d(path: Path | str, result: Result, axes: WorldAxes = "opensim", fill: bool = False) -> None:
     """Writes a result, in mm; frames that the recording dropped, and without `fill` those lost or unseen, are gaps.
 
-    TWISTCAP:LOST holds first and last frame of each span that is lost or unseen, TWISTCAP:START the time of the first
-    frame, s. Raises InputError where ezc3d is not installed, for frames that are not evenly spaced or too many, or if
-    the file cannot be written.
+    TWISTCAP:LOST holds first and last frame of each span that is lost, unseen or dropped, counted as in the file,
+    from 1 for the recording's frame 0; TWISTCAP:START the time of the first frame, s. Raises InputError where ezc3d
+    is not installed, for frames that are not evenly spaced or too many, or if the file cannot be written.
     """
     try:
         import ezc3d
@@ -57,7 +56,8 @@ def write_c3d(path: Path | str, result: Result, axes: WorldAxes = "opensim", fil
     first, frames = int(slots[0]), int(slots[-1] - slots[0]) + 1
     words, scale = _residual_words(places, deviations)
     file: Any = ezc3d.c3d()
-    file.header["points"]["first_frame"] = first if 0 <= first <= _MOST_FRAMES - frames else 0
+    numbered = first if 0 <= first <= _MOST_FRAMES - frames else 0
+    file.header["points"]["first_frame"] = numbered
     shown = slots[held] - first
     file["data"]["points"] = _spread(places, shown, frames, np.nan)
     file["data"]["rotations"] = _spread(matrices, shown, frames, np.nan)
@@ -68,7 +68,9 @@ def write_c3d(path: Path | str, result: Result, axes: WorldAxes = "opensim", fil
     file.add_parameter("ROTATION", "RATE", [rate])
     file.add_parameter("TWISTCAP", "START", [float(result.times[0])])
     file.add_parameter("TWISTCAP", "AXES", [axes])
-    file.add_parameter("TWISTCAP", "LOST", _spans(slots[~result.known]))
+    file.add_parameter(
+        "TWISTCAP", "LOST", _spans(np.isin(np.arange(frames), slots[result.known] - first), numbered + 1)
+    )
     with replacing(path) as part:
         file.write(str(part))
         _put_residuals(part, _spread(words, shown, frames, -1.0), scale)
@@ -76,12 +78,10 @@ def write_c3d(path: Path | str, result: Result, axes: WorldAxes = "opensim", fil
 
 def _clock(path: Path, times: Float) -> tuple[float, Int]:
     """Frames per second, and the number of each frame (N,) on an even clock that starts with the recording."""
-    rate = 1.0 / float(np.median(np.diff(times))) if len(times) > 1 else 60.0
+    rate, slots, off = even_clock(times) if len(times) > 1 else (60.0, np.zeros(1, np.int32), 0.0)
     rate = round(rate, 3)  # 59.94 and 60 stay apart; what a clock of microseconds adds does not
     first = round(float(times[0]) * rate)
-    steps = (times - times[0]) * rate
-    slots = np.round(steps).astype(np.int64)
-    if np.any(np.abs(steps - slots) > _UNEVEN) or np.any(np.diff(slots) < 1):
+    if off > UNEVEN or np.any(np.diff(slots) < 1):
         raise InputError(f"{path}: the frames are not evenly spaced in time, as C3D wants them; export csv, or trc.")
     return rate, slots + first
 
@@ -162,9 +162,7 @@ def _put_residuals(path: Path, words: Float, scale: float) -> None:
     points.flush()
 
 
-def _spans(frames: Int) -> list[float]:
-    """First and last of each run of successive numbers, one after the other; as many as a parameter holds."""
-    if not len(frames):
-        return []
-    runs = np.split(frames, np.flatnonzero(np.diff(frames) > 1) + 1)
-    return [float(end) for run in runs for end in (run[0], run[-1])][:_MOST_ENTRIES]
+def _spans(known: AnyArray, first: int) -> list[float]:
+    """First and last of each run of frames that are not `known` (N,), numbered from `first` on, one after the other; as
+    many as a parameter holds."""
+    return [float(first + end) for start, stop in runs(~known) for end in (start, stop - 1)][:_MOST_ENTRIES]

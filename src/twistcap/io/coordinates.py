@@ -48,9 +48,11 @@ class Coordinates:
 
 def coordinates_of(
     body: Body, poses: Sequence[Pose], covariances: Float | None = None, angles: Angles = "opensim",
-    axes: WorldAxes = "opensim",
+    axes: WorldAxes = "opensim", known: Bool | None = None,
 ) -> Coordinates:  # fmt: skip
     """The coordinates of T poses; without covariances (T, 6 + J, 6 + J) of the pose step their sigmas are 0.
+
+    Angles are continuous over all frames, or over the `known` (T,) ones: a lost pose that turns leaves no whole turn.
 
     `axes` are those of the file, see `io.markers`. Standard deviations are carried to first order, by the rates of the
     angles; at a gimbal lock, where an angle is not defined, they are 180°. Raises InputError for unknown angles, axes.
@@ -61,6 +63,10 @@ def coordinates_of(
     pelvis = _pelvis(body, roots, TO_FILE[axes])
     joints = _opensim(body, poses) if angles == "opensim" else _isb(body, poses)
     values, turning = np.hstack([pelvis.values, joints.values]), np.concatenate([pelvis.turning, joints.turning])
+    if known is not None and not known.all():
+        values[known] = coordinates_of(
+            body, [pose for pose, use in zip(poses, known, strict=True) if use], None, angles, axes
+        ).values
     sigmas = np.zeros_like(values)
     if covariances is not None:
         by_step = np.concatenate([pelvis.by_step, joints.by_step], axis=1)

@@ -81,7 +81,8 @@ def isb_joints(body: Body) -> list[IsbJoint]:
 
 
 def _elevation(R: Float) -> Float:
-    """Plane of elevation, elevation ≥ 0 and axial rotation (T, 3), with ``R = Ry(plane) Rx(−elevation) Ry(rotation)``.
+    """Plane of elevation, elevation ≥ 0 and axial rotation (T, 3), with ``R = Ry(plane) Rx(−elevation) Ry(rotation)``,
+    continuous over T frames.
 
     At elevation 0 only the sum of the other two is known; the plane is 0 there.
     """
@@ -91,4 +92,5 @@ def _elevation(R: Float) -> Float:
     )
     locked = sine < 1e-9
     out[locked, 0], out[locked, 2] = 0.0, np.arctan2(R[locked, 0, 2], R[locked, 0, 0])
+    out[:, ::2] = np.unwrap(out[:, ::2], axis=0)
     return out

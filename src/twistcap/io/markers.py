@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from twistcap.arrays import Float
+from twistcap.arrays import Float, even_clock
 from twistcap.doors.npz import read_npz
 from twistcap.doors.schema import Schema, real, word
 from twistcap.doors.text import finite_number, read_lines
@@ -139,6 +139,5 @@ def read_keypoints3d(path: Path | str, times: Float | None = None) -> Markers:
 
 
 def frame_rate(times: Float) -> float:
-    """Frames per second of evenly spaced times (N,) s; 0 for a single one."""
-    span = float(times[-1] - times[0]) if len(times) > 1 else 0.0
-    return round((len(times) - 1) / span, 6) if span > 0 else 0.0
+    """Frames per second of evenly spaced times (N,) s, some of which may be missing; 0 for a single one."""
+    return round(even_clock(times)[0], 6) if len(times) > 1 else 0.0

@@ -154,7 +154,8 @@ def write_csv(
     Units stand in the column names: `_deg` and `_m`, standard deviations end in `_std_deg` and `_std_m`. Frames that
     are lost or unseen have empty cells, unless `fill`. Raises InputError if the file cannot be written.
     """
-    table = coordinates_of(result.body, result.poses, result.covariances, angles, axes)
+    known = None if fill else result.known
+    table = coordinates_of(result.body, result.poses, result.covariances, angles, axes, known)
     named = [f"_{'deg' if turns else 'm'}" for turns in table.turning]
     head = [name + unit for name, unit in zip(table.names, named, strict=True)]
     head += [f"{name}_std{unit}" for name, unit in zip(table.names, named, strict=True)]

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from twistcap import se3
-from twistcap.arrays import Bool, Float, runs
+from twistcap.arrays import UNEVEN, Bool, Float, even_clock, runs
 from twistcap.body import Body
 from twistcap.errors import InputError
 from twistcap.io.asf import AMC_RATE, read_amc
 from twistcap.io.bvh import read_bvh, write_bvh
 from twistcap.io.deepmimic import read_deepmimic
-from twistcap.io.markers import WorldAxes, frame_rate
+from twistcap.io.markers import WorldAxes
 from twistcap.io.motion_files import poses_of_file, write_mot
 from twistcap.io.result import read_result
 from twistcap.motion import MotionClip, SkeletonMotion, SkeletonTable, body_table, read_table, retarget, skeleton_of
@@ -125,10 +125,11 @@ def longest_run(good: Bool) -> slice:
 
 
 def _even_rate(path: Path, times: Float) -> float:
-    steps = np.diff(times)
-    if not len(steps) or not np.all(steps > 0) or np.ptp(steps) > 0.05 * np.median(steps):
-        raise InputError(f"motion {path}: its times must rise in even steps; resample it.")
-    return frame_rate(times)
+    if len(times) > 1 and np.all(np.diff(times) > 0):
+        rate, ticks, off = even_clock(times)
+        if ticks[-1] == len(times) - 1 and off < UNEVEN:
+            return round(rate, 6)
+    raise InputError(f"motion {path}: its times must rise in even steps; resample it.")
 
 
 def _carried(source: Body, clip: MotionClip, body: Body, scale: float | None) -> MotionClip:

@@ -197,6 +197,10 @@ def _masses(body: Body, joints: Sequence[Joint], origins: Sequence[Float]) -> li
             out[n] = _solid((points - origin) @ convert.REST_TO_OPENSIM.T)
     corners = body.vertices[body.faces]
     whole = _WATER * float(np.sum(np.linalg.det(corners))) / 6.0
+    if whole <= 0:
+        raise InputError(
+            f"body {body.name!r}: its faces look inward, so that it has no volume; turn their corners round."
+        )
     share = whole / sum(mass for mass, _, _ in out)
     return [(share * mass, centre, share * inertia) for mass, centre, inertia in out]
 

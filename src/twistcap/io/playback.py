@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from twistcap.arrays import Bool, Float
+from twistcap.arrays import Bool, Float, even_clock
 from twistcap.body import Pose
 from twistcap.errors import check
 from twistcap.io.result import Result
@@ -35,8 +35,8 @@ class Playback:
 
     @property
     def rate(self) -> float:
-        """Frames per second; the median step, so that dropped frames do not count."""
-        return float(1.0 / np.median(np.diff(self.times))) if len(self.times) > 1 else _ALONE_HZ
+        """Frames per second; dropped frames do not count."""
+        return even_clock(self.times)[0] if len(self.times) > 1 else _ALONE_HZ
 
     @property
     def flags(self) -> dict[str, Any]:

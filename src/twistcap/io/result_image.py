@@ -23,6 +23,7 @@ import numpy as np
 from twistcap.arrays import AnyArray, UInt8
 from twistcap.body import Body
 from twistcap.estimate import Estimate
+from twistcap.registry import NAME_BYTES
 
 if TYPE_CHECKING:
     from twistcap.io.result import Result
@@ -45,7 +46,7 @@ FIELDS: Mapping[str, tuple[str, Any]] = {  # datasets of the frames: attribute o
     "part_probability": ("part_probability", "f4"),
     "left_out": ("left_out", "bool"),
     "missing": ("missing", "bool"),
-    "predicted": ("predicted", h5py.string_dtype("ascii", 20)),
+    "predicted": ("predicted", h5py.string_dtype("ascii", NAME_BYTES)),
     "index": ("index", "i8"),  # the last one to be written: it says that the frame is whole
 }
 CAMERAS = ("left_out", "missing")

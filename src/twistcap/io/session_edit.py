@@ -21,8 +21,9 @@ def write_clocks(
 ) -> None:
     """Put ``[clocks]`` into a session file, in place of the one there.
 
-    `frames` replaces the line ``frames = …`` if there is one, `keypoints` is ``offset`` of [first_pose.keypoints].
-    Raises InputError, and leaves the file, where the result would not be a session with these values.
+    `frames` replaces the session's own ``frames = …``, or is put before its first table; `keypoints` is ``offset`` of
+    [first_pose.keypoints]. Raises InputError, and leaves the file, where the result would not be a session with these
+    values.
     """
     before = read_text(path)
     text = before
@@ -30,7 +31,7 @@ def write_clocks(
         lines = _without(before.splitlines(), "clocks")
         text = "\n".join(lines).rstrip() + "\n" + "".join(_table(name, clock) for name, clock in clocks.items())
     if frames is not None:
-        text = re.sub(r"(?m)^frames\s*=\s*\[[^\]]*\]", f"frames = [{frames[0]}, {frames[1]}]", text, count=1)
+        text = _with_frames(text, frames)
     if keypoints is not None:
         text = _with_offset(text, keypoints)
     trial = path.with_name(f".{path.name}.trial")
@@ -40,6 +41,7 @@ def write_clocks(
         written = {name: Clock(**table.model_dump()) for name, table in session.clocks.items()}
         table = session.first_pose.keypoints
         held = all(written.get(name) == clock for name, clock in clocks.items())
+        held = held and (frames is None or session.frames == frames)
         if not held or (keypoints is not None and (table is None or table.offset != keypoints)):
             raise InputError("the values do not stand where they are looked for")
     except InputError as error:
@@ -58,15 +60,25 @@ def _table(name: str, clock: Clock) -> str:
     return f"\n[clocks.{key}]\noffset = {clock.offset!r}  # s, by twistcap sync\n{rate}{fps}"
 
 
+def _with_frames(text: str, frames: tuple[int, int]) -> str:
+    lines, line = text.splitlines(), f"frames = [{frames[0]}, {frames[1]}]"
+    first = next((k for k, line in enumerate(lines) if _HEADER.match(line)), len(lines))
+    head, tables = "\n".join(lines[:first]), "\n".join(lines[first:])
+    changed, count = re.subn(r"(?m)^\s*frames\s*=\s*\[[^\]]*\]", line, head, count=1)
+    return "\n".join([changed if count else f"{line}\n{head}".rstrip("\n"), tables]) + "\n"
+
+
 def _without(lines: list[str], table: str) -> list[str]:
-    """The lines less those of a table and of its sub-tables."""
-    out, inside = list[str](), False
+    """The lines less those of a table and of its sub-tables; what is said above the next table stays."""
+    out, aside, inside = list[str](), list[str](), False
     for line in lines:
         header = _HEADER.match(line)
         if header:
             inside = header[1].split(".")[0].strip() == table
-        if not inside:
-            out.append(line)
+        if inside:
+            aside = [*aside, line] if not header and line.strip()[:1] in ("", "#") else []
+        else:
+            out, aside = [*out, *aside, line], []
     return out
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
-from twistcap.arrays import Float
+from twistcap.arrays import Bool, Float
 from twistcap.body import Body, Posed
 from twistcap.camera import Camera, Rig
 from twistcap.errors import check
@@ -20,6 +20,7 @@ _WIDEST = 10.0  # frames that are tried, to both sides
 _FINE = 0.1  # frames from one tried offset to the next
 _BLOCKS = 8  # spans of time, each left out once for the standard deviation
 _SMOOTH = 2.0  # frames, standard deviation
+_WEIGHT = 0.9  # of the smoothing that must fall on known frames
 _SCALE = 3.0  # px from which a difference counts less
 _ROUNDS = 3  # of offset and likeness
 _LIKENESSES = np.arange(0.0, 1.01, 0.05)
@@ -77,11 +78,12 @@ def _pixels(body: Body, track: PoseTrack, camera: Camera, time: float) -> Float:
 
 
 def _smooth(pixels: Float) -> Float:
-    """Over some frames: else a track that trembles fits better halfway between two frames. NaN where it was."""
+    """Over some frames: else a track that trembles fits better halfway between two frames. NaN where it was,
+    and beside."""
     known = np.isfinite(pixels)
     summed = (np.where(known, pixels, 0.0), known.astype(float))
     sums, counts = (gaussian_filter1d(a, _SMOOTH, axis=0, mode="nearest") for a in summed)
-    return np.where(known, sums / np.maximum(counts, 1e-9), np.nan)
+    return np.where(known & (counts > _WEIGHT), sums / np.maximum(counts, 1e-9), np.nan)
 
 
 def _tried() -> Float:
@@ -93,13 +95,24 @@ def _off(shown: Float, seen: Float, shift: float) -> Float:
 
     NaN where that is not known, and near both ends, so that the same numbers count at all offsets.
     """
-    margin, numbers = int(_WIDEST), np.arange(len(seen))
-    off = seen - CubicSpline(numbers, shown)(np.clip(numbers + shift, 0, len(seen) - 1))  # a chord would smooth as well
+    margin, numbers, known = int(_WIDEST), np.arange(len(seen)), np.isfinite(shown)
+    at = np.clip(numbers + shift, 0, len(seen) - 1)
+    there = CubicSpline(numbers, _filled(shown, known))(at)  # a chord would smooth as well
+    whole = np.floor(at).astype(int)
+    there[~(known[whole] & known[np.minimum(whole + 1, len(seen) - 1)])] = np.nan  # behind a camera
+    off = seen - there
     off[:margin], off[len(off) - margin :] = np.nan, np.nan
     inner = off[margin : len(off) - margin]
     known = np.isfinite(inner).all(axis=-1).sum(axis=0) >= 0.5 * len(inner)
     off[:, ~known] = np.nan
     return off - np.nan_to_num(np.nanmedian(np.where(known[None, ..., None], inner, 0.0), axis=0))
+
+
+def _filled(shown: Float, known: Bool) -> Float:
+    """The same with what is not known as in the frame before, or in the first that is."""
+    latest = np.maximum.accumulate(np.where(known, np.arange(len(shown)).reshape(-1, 1, 1, 1), -1), axis=0)
+    filled = np.take_along_axis(shown, np.where(latest < 0, known.argmax(axis=0), latest), axis=0)
+    return np.nan_to_num(filled)
 
 
 def _likeness(off: Float) -> float:
