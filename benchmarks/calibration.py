@@ -259,7 +259,7 @@ def charuco() -> None:
         every = np.concatenate([np.linalg.norm(r, axis=1) for r in a.residuals])
         right = np.concatenate([np.linalg.norm(r[k], axis=1) for r, k in zip(a.residuals, a.kept, strict=True)])
         print(f"{name}: rms {rms(every):.3f} over {len(every)}, {rms(right):.3f} over the {len(right)} taken for right")
-        print("  frames later than the first:", found.late.round(3), "+-", a.clocks.round(3))
+        print("  frames later than the first:", found.late[0].round(3), "+-", found.late[1].round(3))
         compare(found, supplied)
 
 

@@ -26,7 +26,7 @@ _LATE = 0.1  # frames
 
 def camera_rows(found: Calibration) -> list[dict[str, Any]]:
     """What is known of each camera: a row of plain numbers, px, m, degrees, frames."""
-    out, a = list[dict[str, Any]](), found.adjustment
+    out, a, (late, late_sigmas) = list[dict[str, Any]](), found.adjustment, found.late
     for c, camera in enumerate(found.rig):
         sizes = distances(found, c)
         own = [s for s in a.sightings if s.camera == c]
@@ -39,7 +39,7 @@ def camera_rows(found: Calibration) -> list[dict[str, Any]]:
             "covered": float(np.mean(coverage(own, camera.size) > 0)), "centre_m": camera.centre,
             "centre_sigma_m": np.sqrt(np.diagonal(centre_covariance(camera.T_cam_world, a.places[c]))),
             "turn_sigma_deg": float(np.rad2deg(np.sqrt(np.trace(a.places[c][:3, :3])))),
-            "late_frames": float(found.late[c]), "late_sigma": float(a.clocks[c]),
+            "late_frames": float(late[c]), "late_sigma": float(late_sigmas[c]),
         }  # fmt: skip
         out.append(row)
     return out

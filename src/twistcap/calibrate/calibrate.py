@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +23,7 @@ from twistcap.io.video import Source
 LONE = 10_000_000  # moments from here on are of pictures of one camera alone
 _SAMPLES = 24  # images of each camera by which the variant of the board is found
 _SHIFTED = 0.5  # frames; a clock that is later is paired with other frames
+_PAIRINGS = 4
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ class Calibration:
         adjustment: what they rest on, with covariances; in the same world.
         board: as it was found to be.
         fits: of each lens alone.
-        shifts: whole frames by which each camera shows a later moment than the first; sightings are paired so.
+        shifts: whole frames by which each camera shows a later moment; sightings are paired so.
         floor_known: whether a board on the floor says where the world is; else up is a guess by the images.
     """
 
@@ -65,12 +66,15 @@ class Calibration:
     floor_known: bool
 
     @property
-    def late(self) -> Float:
-        """(C,) frames by which each camera shows a later moment than the first."""
-        return np.array(self.shifts, float) + np.array(self.adjustment.guess.late)
+    def late(self) -> tuple[Float, Float]:
+        """(C,) frames by which each camera shows a later moment than the first, and their standard deviations."""
+        late, sigmas = np.array(self.shifts) + np.array(self.adjustment.guess.late), self.adjustment.clocks
+        return late - late[0], np.where(np.arange(len(late)) > 0, np.hypot(sigmas, sigmas[0]), 0.0)
 
 
 Report = Callable[[str], None]
+More = Callable[[int, Sequence[int]], Sequence[Sighting]]
+"""Sightings of a camera in further frames, with the motion of their points."""
 
 
 def calibrated(
@@ -88,30 +92,56 @@ def calibrated(
     """
     options, lone, names = options or Options(), lone or {}, tuple(sources)
     board = found_variant([*sources.values(), *lone.values()], board)
-    shared = seen(list(sources.values()), board, options, report)
+    own = list(sources.values())
+    shared = seen(own, board, options, report)
     alone = alone_seen(lone, names, board, options, report)
     sizes = {c: source.size for c, source in enumerate(sources.values())}
-    return of_sightings([*shared, *alone], board, names, sizes, options, report)
+
+    def more(camera: int, frames: Sequence[int]) -> list[Sighting]:
+        wanted = sorted({f + d for f in frames for d in (-1, 0, 1) if f + d >= 0})
+        found = moving(look([own[camera]], board, wanted, report))
+        return [replace(s, camera=camera) for s in found if s.motion is not None]
+
+    return of_sightings([*shared, *alone], board, names, sizes, options, report, more)
 
 
 def of_sightings(
     sightings: Sequence[Sighting], board: Board, names: Sequence[str], sizes: Mapping[int, tuple[int, int]],
-    options: Options, report: Report = lambda note: None,
+    options: Options, report: Report = lambda note: None, more: More | None = None,
 ) -> Calibration:  # fmt: skip
-    """Calibrate by what was seen; `sizes` (w, h) px by camera."""
+    """Calibrate by what was seen; `sizes` (w, h) px by camera.
+
+    Where a clock is late by more than half a frame, its frames are paired with others, and all is adjusted again;
+    `more` looks where they have not been looked at.
+    """
     solid, fits = flat(board.points), list[LensFit]()
-    every = by_camera(sightings)
+    of_each = by_camera(sightings)
     for c, name in enumerate(names):
         report(f"lens of {name}")
-        fits.append(fitted_lens(sharp(every.get(c, [])), solid, sizes[c], name, options.kinds))
-    used = _used(sightings, sizes, options)
+        fits.append(fitted_lens(sharp(of_each.get(c, [])), solid, sizes[c], name, options.kinds))
     if len(names) > 1 and not board.one_way:
         raise InputError("a chessboard of this size looks the same upside down; use one of an even and an odd side.")
-    report("chaining the cameras")
-    guess = chained(used, fits, solid, names)
-    used = [s for s in used if s.moment in guess.boards]
-    setup = Setup(guess, tuple(used), {"board": solid}, _first(guess), clocks=options.clocks)
-    adjustment, shifts = _with_clocks(setup, report)
+    shifts, every = (0,) * len(names), {(s.camera, s.moment): s for s in sightings}
+
+    def fitted() -> tuple[Setup, Adjustment]:
+        report("chaining the cameras")
+        used = _used(_paired(every.values(), shifts), sizes, options)
+        guess = chained(used, fits, solid, names)
+        setup = Setup(
+            guess, tuple(s for s in used if s.moment in guess.boards), {"board": solid}, _first(guess),
+            clocks=options.clocks,
+        )  # fmt: skip
+        return setup, _of_all(adjust(setup, report), names)
+
+    setup, adjustment = fitted()
+    for _ in range(_PAIRINGS):
+        whole = [round(late) if abs(late) > _SHIFTED else 0 for late in adjustment.guess.late]
+        if not any(whole):
+            break
+        report("pairing frames by the clocks")
+        shifts = tuple(n + by for n, by in zip(shifts, whole, strict=True))
+        every |= _looked_again(every, shifts, more)
+        setup, adjustment = fitted()
     adjustment, known = _in_world(adjustment, setup, board, options.floor, report)
     rig = Rig(adjustment.cameras(names))
     return Calibration(rig, adjustment, board, tuple(fits), shifts, known)
@@ -171,36 +201,66 @@ def _of_several(sightings: Sequence[Sighting]) -> list[Sighting]:
 
 
 def _used(sightings: Sequence[Sighting], sizes: Mapping[int, tuple[int, int]], options: Options) -> list[Sighting]:
-    """Moments that several cameras share, those of one camera alone for its lens, and the floor."""
+    """Moments that several cameras share, those of one camera alone for its lens, and the floor.
+
+    With clocks, cameras share moments of which the motion is known, unless these join fewer cameras.
+    """
     good, (together, alone) = sharp(sightings), options.moments
     several = _of_several(good)
-    still = [s for s in several if s.motion is not None]
-    several = still if options.clocks and len(still) > 0.5 * len(several) else several
+    moved = _of_several([s for s in several if s.motion is not None])
+    several = moved if options.clocks and _groups(moved) == _groups(several) else several
     used = {(s.camera, s.moment): s for s in chosen(several, sizes, together)}
-    for own in by_camera([s for s in good if (s.camera, s.moment) not in used]).values():
-        used |= {(s.camera, s.moment): s for s in chosen(own, sizes, alone)}
+    count = len(sizes)
+    for c, own in by_camera([s for s in good if (s.camera, s.moment) not in used]).items():
+        for s in chosen(own, sizes, alone):  # what has no motion must not say that clocks agree
+            one = replace(s, moment=LONE * (1 + count + c) + s.moment) if options.clocks and s.moment < LONE else s
+            used[one.camera, one.moment] = one
     used |= {(s.camera, s.moment): s for s in sightings if s.moment == options.floor}
     return list(used.values())
+
+
+def _groups(sightings: Sequence[Sighting]) -> set[frozenset[int]]:
+    """The cameras that moments join."""
+    groups = set[frozenset[int]]()
+    for own in by_moment(sightings).values():
+        here = frozenset(s.camera for s in own)
+        joined = {group for group in groups if group & here}
+        groups = groups - joined | {here.union(*joined)}
+    return groups
+
+
+def _paired(sightings: Iterable[Sighting], shifts: Sequence[int]) -> list[Sighting]:
+    """With the moments that the cameras' frames show."""
+    return [replace(s, moment=s.moment + shifts[s.camera]) if s.moment < LONE else s for s in sightings]
+
+
+def _looked_again(
+    every: Mapping[tuple[int, int], Sighting], shifts: Sequence[int], more: More | None
+) -> dict[tuple[int, int], Sighting]:
+    """What late cameras show in those moments that others show, by camera and frame."""
+    known = [s for s in every.values() if s.moment < LONE and s.motion is not None]
+    moments, there = {s.moment + shifts[s.camera] for s in known}, {(s.camera, s.moment) for s in known}
+    out: dict[tuple[int, int], Sighting] = {}
+    for c, shift in enumerate(shifts):
+        frames = sorted(m - shift for m in moments if (c, m - shift) not in there)
+        if shift and more is not None and frames:
+            out |= {(c, s.moment): s for s in more(c, frames)}
+    return out
+
+
+def _of_all(found: Adjustment, names: Sequence[str]) -> Adjustment:
+    lost = [name for c, name in enumerate(names) if c not in {s.camera for s in found.sightings}]
+    if lost:
+        raise InputError(
+            f"camera {lost[0]} does not agree with the others in any picture of the board; is its video of the same"
+            " recording, and its clock within a frame or two of theirs?"
+        )
+    return found
 
 
 def _first(guess: Guess) -> int:
     """The camera whose axes are the world's."""
     return next(c for c, place in enumerate(guess.places) if np.array_equal(place, np.eye(4)))
-
-
-def _with_clocks(setup: Setup, report: Report) -> tuple[Adjustment, tuple[int, ...]]:
-    """Adjust; where a clock is late by more than half a frame, pair its frames with others, and adjust again."""
-    out, shifts = adjust(setup, report), (0,) * len(setup.guess.lenses)
-    whole = tuple(round(late) if abs(late) > _SHIFTED else 0 for late in out.guess.late)
-    if not any(whole):
-        return out, shifts
-    report("pairing frames by the clocks")
-    paired = [replace(s, moment=s.moment + whole[s.camera]) if s.moment < LONE else s for s in setup.sightings]
-    late = tuple(x - n for x, n in zip(out.guess.late, whole, strict=True))
-    boards = {**setup.guess.boards, **out.guess.boards}
-    used = tuple(s for s in paired if s.moment in boards)
-    again = adjust(replace(setup, guess=replace(out.guess, late=late, boards=boards), sightings=used), report)
-    return again, whole
 
 
 def _in_world(
