@@ -20,6 +20,7 @@ _HINT = 0.08  # frames of lateness that are worth a closer look; one step of the
 _SIGMAS = 1.0  # of its standard deviation as claimed, which is more than twice the true one
 _KEPT = 0.9  # of what was seen of a camera's place, from lesson to lesson: a knock comes at any time
 _TURNED = np.deg2rad(0.3)  # by which one step must turn a camera; it finds about a third of a turn
+_STANDS_OUT = 3.0  # times the turn of most others: a body that does not fit turns all cameras alike
 _SURE = 2.0  # standard deviations as claimed, by which a camera must stand elsewhere
 KNOCK = np.repeat([np.deg2rad(6.0), 0.02], 3)
 """(6,) how far a camera may stand from where it was calibrated, rad and m: a knock turns it far and moves it little."""
@@ -69,7 +70,9 @@ class Watched:
         information, gradient = self.places
         step = np.linalg.solve(information + np.diag((INFLATION / KNOCK) ** 2), gradient[..., None])
         sigmas = np.sqrt(np.sum(step * (information @ step), axis=(1, 2))) / INFLATION
-        return (sigmas > _SURE) & (np.linalg.norm(step[:, :3, 0], axis=1) > _TURNED)
+        turned = np.linalg.norm(step[:, :3, 0], axis=1)
+        usual = np.array([np.median(np.delete(turned, c)) for c in range(len(turned))])
+        return (sigmas > _SURE) & (turned > np.maximum(_TURNED, _STANDS_OUT * usual))
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,9 @@ from twistcap.errors import check
 _STILL = 1e-5  # rad or m by which a bone that has no channel may differ from its rest
 
 
+_MEND = "give the file that the session names, and its rig file with --rig where it has one"
+
+
 @dataclass(frozen=True)
 class BoneMotion:
     """The motion of a file's B joints over T frames, in glTF's axes (y up).
@@ -57,7 +60,7 @@ def bone_motion(body: Body, poses: Sequence[Pose], source: Path | str, rig: Path
     """
     rigged = load_rigged(source, rig)
     same = rigged.body.segment_names == body.segment_names and rigged.body.coordinate_names == body.coordinate_names
-    check(str(source), same, "its joints are not those of the tracked body; give the file that the session names")
+    check(str(source), same, f"its joints are not those of the tracked body; {_MEND}")
     rest = rest_joints(rigged.mesh, rigged.spec)
     motions = np.array([Posed(body, pose).segment_transforms for pose in poses])
     turns = TO_REST.T @ motions[:, rest.owner, :3, :3] @ rest.frames[:, :3, :3]

@@ -78,7 +78,7 @@ def mend_in_words(result: Any, path: Path, elsewhere: Collection[int] = ()) -> l
     stand `elsewhere`.
     """
     out = result.left_out
-    if not len(out) or len(result.rig) - out[-1].sum() < 2:
+    if not len(out) or len(result.rig) - len({*np.flatnonzero(out[-1]), *elsewhere}) < 2:
         return []
     mend = f"If it was bumped, twistcap refine {path} --cameras finds its new place; if late, twistcap sync its offset."
     told = list[str]()

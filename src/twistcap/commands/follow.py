@@ -19,6 +19,8 @@ from twistcap.io.state import from_bytes, to_bytes
 from twistcap.report.words import CONTRADICTS
 from twistcap.track import Tracker
 
+_LEFT_OUT, _BELIEVED = f"is left out; it {CONTRADICTS}", "is believed again"
+_HERE = "no longer seems to stand elsewhere"
 STATE_EVERY = 10
 """Frames from one saved state to the next; what follows the last one is tracked again, and comes out alike."""
 
@@ -42,23 +44,21 @@ class Believed:
 
     names: tuple[str, ...]
     out: frozenset[int] = frozenset()
-    said: set[tuple[int, bool]] = field(default_factory=set[tuple[int, bool]])
-    elsewhere: set[int] = field(default_factory=set[int])
+    said: set[tuple[int, str]] = field(default_factory=set[tuple[int, str]])
+    elsewhere: frozenset[int] = frozenset()
 
     def news(self, estimate: Estimate, elsewhere: Collection[int] = ()) -> list[str]:
         """Sentences about the cameras that are left out, believed again, or seem to be elsewhere since the last frame.
 
         `elsewhere` are those that the watch suspects.
         """
-        suspects = sorted({*elsewhere} - self.elsewhere)
-        self.elsewhere.update(suspects)
-        changed = [(camera, camera not in self.out) for camera in sorted(self.out ^ set(estimate.left_out))]
+        out, suspects = frozenset(estimate.left_out), frozenset(elsewhere)
+        changed = [(c, _LEFT_OUT if c in out else _BELIEVED) for c in sorted(self.out ^ out)]
+        changed += [(c, ELSEWHERE if c in suspects else _HERE) for c in sorted(self.elsewhere ^ suspects)]
         fresh = [change for change in changed if change not in self.said]
-        self.out = frozenset(estimate.left_out)
+        self.out, self.elsewhere = out, suspects
         self.said.update(fresh)
-        did = {True: f"is left out; it {CONTRADICTS}", False: "is believed again"}
-        changes = [(camera, did[out]) for camera, out in fresh] + [(camera, ELSEWHERE) for camera in suspects]
-        return [f"frame {estimate.index}: camera {self.names[camera]} {what}" for camera, what in changes]
+        return [f"frame {estimate.index}: camera {self.names[c]} {what}" for c, what in fresh]
 
 
 def follow(frames: Iterable[Frame], total: int, tracker: Tracker, writer: ResultWriter) -> Timing:

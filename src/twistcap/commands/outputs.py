@@ -20,7 +20,7 @@ from twistcap.evaluate.gait import SIDES, gait_of
 from twistcap.evaluate.load import Reference
 from twistcap.evaluate.metrics import Row
 from twistcap.io.coordinates import coordinates_of, opensim_angles
-from twistcap.io.exports import FORMATS, ExportOptions, export, format_of
+from twistcap.io.exports import ExportOptions, export, offered_formats
 from twistcap.io.norms import Band
 from twistcap.io.result import Result
 from twistcap.io.session import Session
@@ -69,16 +69,21 @@ def write_overlay(
 def write_page(
     folder: Path, title: str, lead: str, headlines: Sequence[Headline], rows: Sequence[Row], plots: Mapping[Path, str],
     result: Result, stills: Sequence[Figure] = (), norms: Mapping[str, Band] | None = None,
+    statements: Sequence[str] | None = None,
 ) -> Path:  # fmt: skip
-    """``report.html`` about a result and the files of the folder: first a verdict, then what it rests on."""
+    """``report.html`` about a result and the files of the folder: first a verdict, then what it rests on.
+
+    `statements` are the sentences with which the run ended, by default those about its lost frames and cameras.
+    """
     video = folder / "overlay.mp4"
     if (cycles := write_cycles(result, folder, norms or {})) is not None:
         plots = {**plots, cycles[0]: cycles[1]}
     about = {"result.h5": "everything, see docs/formats/result-file.md", "angles.png": "joint angles"}
-    about |= {found.file_name: found.about for found in map(format_of, FORMATS.names())}
+    about |= {found.file_name: found.about for found in offered_formats()}
     files = {folder / name: words for name, words in about.items() if (folder / name).is_file()}
+    statements = result_in_words(result) if statements is None else statements
     return write_report(
-        folder, title, rows, lead=lead, verdict=verdict_of(result), statements=result_in_words(result),
+        folder, title, rows, lead=lead, verdict=verdict_of(result), statements=statements,
         headlines=headlines, stills=stills, figures=[Figure(path, caption) for path, caption in plots.items()],
         cameras=camera_rows(result), video=video if video.is_file() else None, files=files,
     )  # fmt: skip

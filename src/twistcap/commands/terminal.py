@@ -41,6 +41,12 @@ def run_command(app: typer.Typer, name: str, arguments: Sequence[str] | None, ca
     except OSError as error:  # a full disk, a folder that may not be written
         print(f"{name}: {error.filename or 'a file'} cannot be used: {error.strerror or error}.", file=sys.stderr)
         sys.exit(2)
+    except (SystemExit, SystemError) as error:  # by Ctrl-C, as typer and numba's kernels pass it on
+        reasons = (error.__cause__, error.__context__, getattr(error.__context__, "__cause__", None))
+        if any(isinstance(reason, KeyboardInterrupt) for reason in reasons):
+            print(f"{name}: interrupted; nothing more is written.", file=sys.stderr)
+            sys.exit(130)
+        raise
 
 
 @contextmanager

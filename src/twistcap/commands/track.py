@@ -93,14 +93,14 @@ def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str,
     with WriteLock(path) as lock:
         views, timing, watched = _tracked(session, path, begin, lock)
         result = read_result(path)
-        files = [path, *_outputs(session, views, result, folder, timing, norms)]
         with words.status("comparing the cameras' clocks"):
             apart = clocks_in_words(session, views, result, watched)
+        elsewhere = () if watched is None else np.flatnonzero(watched.since >= 0).tolist()
+        statements = [*result_in_words(result), *mend_in_words(result, path, elsewhere), *apart]
+        files = [path, *_outputs(session, views, result, folder, timing, norms, statements)]
     lost = result.indices[result.lost].tolist()
     out = {name: result.indices[rows].tolist() for name, rows in zip(result.rig.names, result.left_out.T, strict=True)}
     about = {"id": "track", "result": path, "frames": len(result), "lost": lost, "left_out": out}
-    elsewhere = () if watched is None else np.flatnonzero(watched.since >= 0).tolist()
-    statements = [*result_in_words(result), *mend_in_words(result, path, elsewhere), *apart]
     return about | {"statements": statements, "ms_per_frame": timing.median, "files": files}
 
 
@@ -193,7 +193,9 @@ def _kept(views: Any, tracker: Any, writer: Any, path: Path) -> Timing:
         raise typer.Exit(130) from None
 
 
-def _outputs(session: Any, views: Any, result: Any, folder: Path, timing: Timing, norms: Any) -> list[Path]:
+def _outputs(
+    session: Any, views: Any, result: Any, folder: Path, timing: Timing, norms: Any, statements: list[str]
+) -> list[Path]:
     from twistcap.commands import outputs
     from twistcap.report import Headline
 
@@ -209,7 +211,8 @@ def _outputs(session: Any, views: Any, result: Any, folder: Path, timing: Timing
             lead = f"{len(views.rig)} cameras, {views.fps:g} fps, images at {session.scale:g} of their size."
             plots = {folder / "angles.png": "Joint angles, ± 2σ"}
             stills = outputs.recorded_stills(result, views)
-            files.append(outputs.write_page(folder, session.title, lead, headlines, [], plots, result, stills, norms))
+            page = (folder, session.title, lead, headlines, [], plots, result, stills, norms, statements)
+            files.append(outputs.write_page(*page))
     return files
 
 

@@ -6,7 +6,8 @@ A format is a function that gives an `ExportFormat`, named in `FORMATS` or as an
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -14,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from twistcap.body.gltf_animate import animate_glb, bone_motion
+from twistcap.body.gltf_animate import BoneMotion, animate_glb, bone_motion
 from twistcap.body.gltf_write import save_glb
 from twistcap.errors import InputError, check, check_choice
 from twistcap.io.bvh import write_bone_bvh, write_bvh
@@ -24,7 +25,7 @@ from twistcap.io.files import replacing, unwritable, write_lines
 from twistcap.io.markers import TO_FILE, WorldAxes, write_trc
 from twistcap.io.motion_files import write_csv, write_mot
 from twistcap.io.opensim_package import write_opensim
-from twistcap.io.playback import playback
+from twistcap.io.playback import Playback, playback
 from twistcap.io.result import Result
 from twistcap.registry import Registry
 
@@ -77,8 +78,18 @@ class ExportFormat:
 
 
 def format_of(name: str) -> ExportFormat:
-    """The format of a name. Raises InputError for a name that nobody has registered."""
-    return FORMATS.get(name)()
+    """The format of a name. Raises InputError for a name that nobody has registered, or that stands for no format."""
+    made: Any = FORMATS.get(name)
+    made = made if isinstance(made, ExportFormat) else made()
+    check(f"export: {name}", isinstance(made, ExportFormat), f"it is {made!r}, which is no ExportFormat")
+    return made
+
+
+def offered_formats() -> Iterator[ExportFormat]:
+    """All formats, without those of installed packages that cannot be loaded."""
+    for name in FORMATS.names():
+        with nullcontext() if name in _OWN else suppress(Exception):
+            yield format_of(name)
 
 
 def export(
@@ -108,8 +119,14 @@ def _write_glb(result: Result, path: Path, options: ExportOptions) -> None:
         if options.into is None:
             save_glb(result.body, part, played.poses, played.times, played.flags)
         else:
-            motion = bone_motion(result.body, played.poses, options.into, options.rig)
+            motion = _bones(result, played, options.into, options.rig)
             animate_glb(motion, part, played.times, played.flags)
+
+
+def _bones(result: Result, played: Playback, into: Path, rig: Path | None) -> BoneMotion:
+    """The motion of the bones of a GLB; without a rig file that of the session, if it is still there."""
+    named = str(result.config.get("body", {}).get("rig") or "")
+    return bone_motion(result.body, played.poses, into, rig or (named if named and Path(named).is_file() else None))
 
 
 def _write_bvh(result: Result, path: Path, options: ExportOptions) -> None:
@@ -118,7 +135,7 @@ def _write_bvh(result: Result, path: Path, options: ExportOptions) -> None:
     if options.into is None:
         write_bvh(path, result.body, played.poses, played.rate)
     else:
-        write_bone_bvh(path, bone_motion(result.body, played.poses, options.into, options.rig), played.rate)
+        write_bone_bvh(path, _bones(result, played, options.into, options.rig), played.rate)
     write_lines(path.with_suffix(".flags.json"), [json.dumps(played.flags)])
 
 

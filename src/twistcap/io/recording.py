@@ -78,10 +78,17 @@ def _opened(session: Session, rig: Rig, views: Views, body: Body) -> Recording:
         start, pose = _first_pose(session, rig, body, views)
         return Recording(session, rig, views, start.body, pose, report=start.report)
     check_z_up(rig, f"calibration {session.cameras.calibration}")
-    proof = found_unaided(session, body, views, floor_of(session))
+    shown = _shown_from(session, rig, views)
+    proof = found_unaided(session, body, shown, floor_of(session))
     start = _with_girths(session, rig, _Start(body, (float(views.indices[0]),), (proof.first,)))
     check_first_pose(session, rig, start.body, proof.first)
-    return Recording(session, rig, views, start.body, proof.first, start_in_words(proof, views))
+    return Recording(session, rig, views, start.body, proof.first, start_in_words(proof, shown))
+
+
+def _shown_from(session: Session, rig: Rig, views: Views) -> Views:
+    """All frames of the session's file from the first on that is tracked: few tell little of where somebody is."""
+    whole = views_of(session.whole, rig).starting_at(views.indices[0])
+    return whole if len(whole) > len(views) and whole.indices[0] == views.indices[0] else views
 
 
 def open_together(sessions: Sequence[Session]) -> list[Recording]:

@@ -73,9 +73,16 @@ class Session(Table):
     output: Output = Output()
     _source: str = PrivateAttr(default="")
 
-    def remember(self, source: str) -> None:
-        """The file that messages name."""
-        self._source = source
+    _whole: tuple[int, int] | None = PrivateAttr(default=None)
+
+    def remember(self, source: str, frames: tuple[int, int] | None) -> None:
+        """The file that messages name, and the frames that it gives; the command line may have asked for fewer."""
+        self._source, self._whole = source, frames
+
+    @property
+    def whole(self) -> Session:
+        """The same with all frames of the file."""
+        return self.model_copy(update={"frames": self._whole})
 
     @property
     def title(self) -> str:
@@ -135,6 +142,7 @@ def load_session(path: str | Path, overrides: Mapping[str, Any] | None = None) -
     """
     path = Path(path)
     data = _expanded(_with_base(read_toml(path, "session"), path), path)
+    own = data.get("frames")
     for key, value in (overrides or {}).items():
         if value is not None:
             *above, last = key.split(".")
@@ -147,7 +155,9 @@ def load_session(path: str | Path, overrides: Mapping[str, Any] | None = None) -
     data["first_pose"] = _first_pose(data.get("first_pose", {}), path.parent / FIRST_POSE)
     folder = path.parent / str(data.get("data", "."))
     session: Session = validated(Session, data, str(path), {"folder": folder})
-    session.remember(str(path))
+    asked = data.get("frames") != own
+    whole = validated(Session, data | {"frames": own}, str(path), {"folder": folder}) if asked else session
+    session.remember(str(path), whole.frames)
     tracker_settings(session.tracker, str(path))
     _check_fitting(session, str(path))
     return session

@@ -48,7 +48,7 @@ def write_page(
         Headline("IoU with the tracker's segmentation", number(iou["value"])),
     ]
     lead = "Lengths, girths, cross-sections and a smooth offset of the surface, fitted to the edges in all views."
-    figures = [Figure(path, f"The body {path.stem} the fit.") for path in pictures]
+    figures = [Figure(path, f"The body {path.stem} the fit.", photo=True) for path in pictures]
     texts = ("the fitted body", "the pose of the first frame", "the session with both")
     links, notes = dict(zip(files, texts, strict=False)), [f"Factors relative to the given body: {changed}."]
     heading = f"Body fitted to {title}"

@@ -37,10 +37,12 @@ class Headline:
 
 @dataclass(frozen=True)
 class Figure:
-    """A picture to put into the page, with a caption: the path of a PNG, or a JPEG's bytes."""
+    """A picture to put into the page, with a caption: the path of a PNG, or a JPEG's bytes. A `photo` keeps its colours
+    on a dark page."""
 
     picture: Path | bytes
     caption: str
+    photo: bool = False
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,7 @@ def write_report(
         _list("What to do", [escape(line) for line in advice]),
         _stills(stills),
         _video(folder, video),
-        "\n".join(_figure(figure, "plot") for figure in figures),
+        "\n".join(_figure(figure, "plot photo" if figure.photo else "plot") for figure in figures),
         _table("Cameras", cameras),
         _table("Measures", rows),
         _list("Notes", [escape(note) for note in notes]),
@@ -180,7 +182,8 @@ def _figure(figure: Figure, kind: str) -> str:
     content, mime = (picture, "jpeg") if isinstance(picture, bytes) else (picture.read_bytes(), "png")
     image = f'<img alt="{caption}" src="data:image/{mime};base64,{base64.b64encode(content).decode()}">'
     scroll = f'<div class="scroll" tabindex="0" role="region" aria-label="{caption}">{image}</div>'
-    return f'<figure class="{kind}">{scroll if kind == "plot" else image}<figcaption>{caption}</figcaption></figure>'
+    shown = scroll if kind.startswith("plot") else image
+    return f'<figure class="{kind}">{shown}<figcaption>{caption}</figcaption></figure>'
 
 
 def _table(title: str, rows: Sequence[Row]) -> str:

@@ -138,6 +138,6 @@ def _cameras(result: Result) -> list[Statement]:
     out = result.left_out.mean(axis=0)
     odd = [f"{name} in {100 * share:.0f} %" for name, share in zip(result.rig.names, out, strict=True) if share > 0]
     if not odd:
-        return [Statement(f"All {len(result.rig)} cameras agree with one another.", True)]
+        return [Statement(f"None of the {len(result.rig)} cameras was left out.", True)]
     words = f"Cameras that disagree with the others and were left out: {', '.join(odd)} of the frames. Check them."
     return [Statement(words, False if out.max() > 1 - _USABLE else None)]
