@@ -337,6 +337,7 @@ def test_the_command_writes_a_session_that_tracks(tmp_path, capsys) -> None:
 def test_the_command_refuses_in_one_sentence(tmp_path, capsys) -> None:
     assert "cannot be read" in refusal(capsys, "body", "fit", tmp_path / "none.toml", "--out", tmp_path / "body")
     assert "FIRST:LAST" in refusal(capsys, "body", "fit", tmp_path / "none.toml", "--frames", "3")
+    assert "is a result, not a session; give" in refusal(capsys, "body", "fit", tmp_path / "result.h5")
 
 
 @pytest.mark.parametrize("field", ["rounds", "steps", "frames"])

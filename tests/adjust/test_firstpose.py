@@ -329,7 +329,12 @@ def test_bad_clicks(tmp_path: Path, text: str, says: str) -> None:
 def test_bad_openpose(tmp_path: Path) -> None:
     good = write_person(tmp_path / "good.json", np.ones((25, 3)))
     for path, kwargs, says in (
-        (write_person(tmp_path / "short.json", np.ones((17, 3))), {}, "75 numbers"),
+        (
+            write_person(tmp_path / "short.json", np.ones((17, 3))),
+            {},
+            "51 numbers; format 'body_25b' has 75, so set .* = 'coco_17'",
+        ),
+        (good, {"layout": "coco_17"}, "75 numbers; .* has 51, so set format = 'body_25' or 'body_25b'"),
         (write_person(tmp_path / "nan.json", np.full((25, 3), np.nan)), {}, "write a finite number"),
         (tmp_path / "none.json", {}, "cannot be read"),
         (good, {"person": 3}, "holds 1"),

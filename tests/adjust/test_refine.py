@@ -434,6 +434,11 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert run("view", output["result"], "--images", 0, "--save", tmp_path / "page.html") == 0
     assert run("export", output["result"], "--to", "mot") == 0
     assert run("evaluate", output["result"], "--reference", walk / "truth.npz", "--json") == 0
+    walk.rename(tmp_path / "moved")
+    capsys.readouterr()
+    assert run("refine", out / "result.h5") == 2
+    told = capsys.readouterr().err
+    assert "does not exist; if the recording has moved, give --session." in told and "[videos]" not in told
 
 
 def test_the_command_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -110,6 +110,19 @@ def test_export_refuses(tracked: Path, tmp_path: Path, capsys: pytest.CaptureFix
     assert "choose one of trc, mot, bvh, csv, glb" in refusal(capsys, "export", tracked / "result.h5", "--to", "fbx")
     assert "does not exist" in refusal(capsys, "export", tmp_path / "none.h5", "--to", "trc")
     assert "no HDF5 file" in refusal(capsys, "export", tracked / "angles.csv", "--to", "trc")
+    told = refusal(capsys, "export", tracked / "result.h5", "--to", "trc", "--out", tmp_path / "foo.csv")
+    assert f"--out is {tmp_path / 'foo.csv'}; name a file that ends in .trc." in told
+    told = refusal(capsys, "view", tracked / "result.h5", "--save", tmp_path / "x.txt")
+    assert f"--save is {tmp_path / 'x.txt'}; name a file that ends in .html." in told
+    assert not list(tmp_path.iterdir())
+
+
+def test_folders_of_files_are_made(tracked: Path, tmp_path: Path) -> None:
+    made = tmp_path / "new" / "folder"
+    assert run("export", tracked / "result.h5", "--to", "trc", "--out", made / "a.trc") == 0
+    assert run("export", tracked / "result.h5", "--to", "opensim", "--out", made / "model") == 0
+    assert run("view", tracked / "result.h5", "--save", made / "deep" / "a.html") == 0
+    assert (made / "a.trc").is_file() and (made / "model").is_dir() and (made / "deep" / "a.html").is_file()
 
 
 @pytest.mark.parametrize("method", ["direct", "differential"])
@@ -363,8 +376,11 @@ def test_bad_sessions(session: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
     rotations = [line for line in whole[calib].splitlines() if line.startswith("rotation")]
     cases = [
         (session, "cam02.mp4", "none.mp4", "none.mp4 does not exist"),
-        (session, "cam02 =", "cam09 =", "'cam09', which has no calibration"),
+        (session, "cam02 =", "cam09 =", "[videos] names the camera 'cam09', which has no calibration"),
+        (session, "cam02 =", "# cam02 =", "the camera 'cam02' is calibrated but has no entry in [videos]"),
+        (session, "[first_pose]", "[clocks.cam09]\n[first_pose]", "[clocks] names the camera 'cam09'"),
         (session, "cam02.mp4", short, f"unequal length: {session.parent / 'videos' / short} has 5 frames"),
+        (session, "body.glb", "nope.glb", f"[body] path: {session.parent / 'nope.glb'} does not exist"),
         (session, "fps =", "fsp =", "unknown key 'fsp' at the top; did you mean 'fps'?"),
         (session, "frame = 0", "frame = 3", "has no frame 3"),
         (calib, translations[0], "translation = [nan, 0.0, 1.0]", "'cam01.translation.0' is nan"),
@@ -373,7 +389,8 @@ def test_bad_sessions(session: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
     ]
     for file, old, new, sentence in cases:
         replace(file, old, new)
-        assert sentence in refusal(capsys, "track", session, "--out", tmp_path / "out"), sentence
+        told = refusal(capsys, "track", session, "--out", tmp_path / "out")
+        assert sentence in told and (str(session) in told or not sentence.startswith("[")), sentence
         for path, text in whole.items():
             path.write_text(text)
     assert "unknown key 'metod' in [tracker]" in refusal(capsys, "track", session, "--set", "tracker.metod=direct")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import fields
 from pathlib import Path
 
@@ -10,7 +11,15 @@ import pytest
 from support.commands import document, refusal, run
 from twistcap.settings import Settings
 
+FILE = 'file = "first_pose.npz"\nframe = 0\nrefine = false'
 PAGE = Path(__file__).parents[2] / "docs" / "formats" / "settings.md"
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("studio") / "walk"
+    assert run("studio", folder, "--size", "96x70", "--views", "2", "--frames", "2") == 0
+    return folder
 
 
 def test_every_setting_is_listed_with_its_default(capsys: pytest.CaptureFixture[str]) -> None:
@@ -30,9 +39,32 @@ def test_the_list_is_readable(capsys: pytest.CaptureFixture[str]) -> None:
     assert "tracker.surface_sigma" in capsys.readouterr().out
 
 
-def test_a_session_is_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_session_is_checked(walk: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "no file is named" in refusal(capsys, "session")
-    assert run("studio", tmp_path / "walk", "--size", "96x70", "--views", "2", "--frames", "2") == 0
-    found = document(capsys, "session", tmp_path / "walk" / "session.toml")
+    found = document(capsys, "session", walk / "session.toml")
     assert len(found["cameras"]) == 2
-    assert run("session", tmp_path / "walk" / "session.toml") == 0
+    assert run("session", walk / "session.toml") == 0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("fps = 60.0", "frames = [50, 20]", "frames: [50, 20] is no range; write [first, last]"),
+        ("fps = 60.0", "frames = [0, 20]", "has only 2 frames (0 to 1); set frames = [0, 1]"),
+        ("body.glb", "nope.glb", "[body] path: {}/nope.glb does not exist"),
+        ("first_pose.npz", "x.json", "[first_pose] file: {}/x.json does not exist"),
+        ("cam02.mp4", "none.mp4", "none.mp4 does not exist; check its path in [videos]"),
+        (FILE, 'detector = "rtmo.onnx"', "model {}/rtmo.onnx does not exist; check the path"),
+        (FILE, 'detector = "nobodys"', "detector 'nobodys' is not installed"),
+        (FILE, 'keypoints = { folders = { cam01 = "k" } }', "keypoint folders of cam01: {}/k does not exist"),
+        ("[first_pose]", '[prior]\npath = "p.npz"\n[first_pose]', "[prior] path: {}/p.npz does not exist"),
+    ],
+)
+def test_what_a_track_would_refuse_is_refused(
+    walk: Path, tmp_path: Path, old: str, new: str, told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = Path(shutil.copytree(walk, tmp_path / "walk")) / "session.toml"
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new))
+    sentence = refusal(capsys, "session", path)
+    assert told.format(path.parent) in sentence and str(path.parent) in sentence

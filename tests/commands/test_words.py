@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from support.commands import document, run
+from twistcap.commands import refine, terminal
 from twistcap.io.result import read_result
 from twistcap.io.synthetic import write_session
 from twistcap.studio import StudioConfig, capture
@@ -88,3 +89,21 @@ def test_what_is_printed_and_written_tells_it(faulty: Path, out: Path, capsys: p
     with (out / "angles.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert rows[GAP[0]]["probability_lost_arm_l"] == "" and float(rows[0]["probability_lost_arm_l"]) < 0.5
+
+
+@pytest.mark.parametrize(("done", "total"), [(0, None), (147, 315)])
+def test_a_bar_of_a_finished_run_is_full(done: int, total: int | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    bar = terminal._bar()
+    monkeypatch.setattr(terminal, "_bar", lambda: bar)
+    with terminal.status("refining") as report:
+        report("round 3", done, total)
+    assert bar.finished and bar.tasks[0].total == (total or 1)
+
+
+def test_lengths_that_were_held_are_not_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    bones = [("femur_r", 402.0, 402.1), ("tibia_r", 402.0, 398.0)]
+    rows = [{"segment": name, "before_mm": before, "after_mm": after} for name, before, after in bones]
+    about = {"lengths": [], "girths": [], "bones": rows, "moved_mm": [1.0], "frames": 9, "joints_held": False}
+    refine.show(about | {"helped": True, "statements": [], "files": []})
+    told = capsys.readouterr()
+    assert "tibia_r: 402 mm before, 398 mm after" in told.err + told.out and "femur_r" not in told.err + told.out

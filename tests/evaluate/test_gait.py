@@ -195,6 +195,18 @@ def test_command(body: Body, poses: list[Pose], tmp_path: Path, capsys: pytest.C
     assert "angles is" in refusal(capsys, "gait", tmp_path / "r.h5", "--angles", "euler")
 
 
+def test_no_stride_is_said_without_a_table(
+    body: Body, poses: list[Pose], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with ResultWriter(tmp_path / "r.h5", body, ring(), {}) as writer:
+        for n in range(20):
+            writer.append(Estimate(n, n / FPS, poses[0], np.eye(body.dof) * 1e-6))
+    assert run("gait", tmp_path / "r.h5") == 0
+    out = capsys.readouterr().out
+    assert "No stride was found in 20 frames (" in out and "film two steps of each foot" in out and "nan" not in out
+    assert (tmp_path / "strides.csv").is_file() and not (tmp_path / "cycles.png").exists()
+
+
 def test_cycles_say_which_angles_are_reliable(
     body: Body, poses: list[Pose], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

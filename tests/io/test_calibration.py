@@ -93,6 +93,14 @@ def test_bad_entries_are_refused(calib: Path, pattern: str, new: str, message: s
 def test_missing_and_empty_file(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be read: No such file"):
         read_rig(tmp_path / "none.toml")
+    for name in ("Calib.qca.txt", "a.xcp", "intri.yml", "cam 1.pickle"):
+        with pytest.raises(
+            InputError, match=r"of another program; make a Calib.toml of it:  twistcap convert .*Calib.toml"
+        ):
+            read_rig(tmp_path / name)
+    (tmp_path / "cam01.mp4").write_bytes(b"\x00\xff\xfe")
+    with pytest.raises(InputError, match=r"cam01\.mp4 is not a text file in UTF-8; it is no calibration: check"):
+        read_rig(tmp_path / "cam01.mp4")
     (tmp_path / "empty.toml").write_text("[metadata]\nerror = 1\n")
     with pytest.raises(InputError, match="holds no camera"):
         read_rig(tmp_path / "empty.toml")

@@ -126,8 +126,9 @@ def test_what_does_not_fit_is_one_sentence(recorded: Path, capsys: pytest.Captur
     (recorded / "empty").mkdir()
     for videos, extra, words in (
         ((good, small), (), "80×64"),
-        ((recorded / "none.mp4",), (), "no camera"),
-        ((f"cam2={recorded / 'none.mp4'}",), (), "does not exist"),
+        ((recorded / "none.mp4",), (), "none.mp4 does not exist; check --videos"),
+        ((f"cam2={recorded / 'none.mp4'}",), (), "none.mp4 does not exist; check --videos"),
+        ((recorded / "none" / "%04d.png",), (), "%04d.png does not exist; check --videos"),
         ((recorded / "empty",), (), "neither videos nor images"),
         ((recorded / "*.avi",), (), "no file matches"),
         ((good,), ("--unit", "km"), "--unit"),
@@ -166,6 +167,20 @@ def test_a_camera_is_known_by_its_folder() -> None:
         "cam1": "x/cam1/GOPR01.mp4",
         "cam10": "x/cam10/GOPR01.mp4",
     }
+
+
+def test_commands_may_be_copied_where_a_path_has_blanks(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    calibration, videos = recorded / "Calib.toml", recorded / "videos"
+    assert run("new", recorded / "a walk", "--calibration", calibration, "--videos", videos) == 0
+    told, path = capsys.readouterr().err, recorded / "a walk" / "session.toml"
+    assert f"twistcap init '{path}'" in told and f"twistcap track '{path}'" in told
+
+
+def test_a_folder_that_cannot_be_made_is_said(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    said = ("--calibration", recorded / "Calib.toml", "--videos", recorded / "videos")
+    assert run("new", "/proc/mine", *said) == 2
+    assert "folder /proc/mine cannot be made" in (told := capsys.readouterr().err)
+    assert "choose another folder." in told and "--out" not in told
 
 
 @pytest.mark.parametrize("codec", ["mpeg4", "libx264"])
@@ -212,9 +227,11 @@ def test_a_world_that_is_not_z_up_is_turned_as_said(recorded: Path, capsys: pyte
     told = capsys.readouterr().err
     assert "y is up, not z; say --up y (or --up z if the cameras lie" in told and "[cameras]" not in told
     assert new(recorded, recorded / "videos", extra=("--up", "y")) == 0
+    assert "by the images" not in capsys.readouterr().err
     heights = [camera.centre[2] for camera in rig_of(load_session(recorded / "mine" / "session.toml"))]
     np.testing.assert_allclose(heights, 1.2, atol=1e-6)
     assert new(recorded, recorded / "videos", extra=("--up", "z", "--force")) == 0  # as said, whatever the images say
+    assert "Up is z, as said with --up; by the images it is y, so look at it." in capsys.readouterr().err
     assert load_session(recorded / "mine" / "session.toml").cameras.up == "z"
 
 

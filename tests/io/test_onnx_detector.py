@@ -125,7 +125,7 @@ def test_a_stranger_s_file_is_told_in_a_sentence(tmp_path: Path) -> None:
     (tmp_path / "ort.onnx").write_bytes(b"\x10\x00\x00\x00ORTM" + bytes(200))  # ONNX Runtime's own format
     with pytest.raises(InputError, match="no ONNX file"):
         load_detector(str(tmp_path / "ort.onnx"))
-    with pytest.raises(InputError, match=r"none\.onnx"):
+    with pytest.raises(InputError, match=r"none\.onnx does not exist; check the path"):
         load_detector(str(tmp_path / "none.onnx"))
 
 

@@ -119,6 +119,8 @@ def test_lengths_sizes_and_ranges(tmp_path: Path, video: Path, rig: Rig) -> None
     assert len(open_views({"cam0": video, "cam1": short}, rig, last=24)) == 25
     with pytest.raises(InputError, match=r"asks for frame 30, but .*short.mp4 has only 25 frames"):
         open_views({"cam0": video, "cam1": short}, rig, last=30)
+    with pytest.raises(InputError, match=r"has only 25 frames \(0 to 24\); set frames = \[0, 24\]"):
+        open_views({"cam0": video, "cam1": short}, rig, first=500, last=600)
     with pytest.raises(InputError, match=r"frames = \[9, 3\] is no range"):
         open_views({"cam0": video, "cam1": short}, rig, first=9, last=3)
     small = write(tmp_path / "small.mp4", 3, (300, 200))

@@ -424,6 +424,15 @@ def test_a_poor_detector_is_told(answer: Any, words: str, session: Path, monkeyp
         clicking_of(load_session(session), session, detector="fake")
 
 
+def test_a_detector_that_fails_is_told(session: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def detect(images: Any, rig: Any) -> Keypoints:
+        raise ValueError("boom")
+
+    monkeypatch.setattr(detectors, "entry_points", lambda group: FakePoints(detect))
+    with pytest.raises(InputError, match=r"detector 'fake' failed: ValueError: boom\."):
+        clicking_of(load_session(session), session, detector="fake")
+
+
 def test_a_detector_that_is_not_there_is_told(session: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run("init", session, "--detector", "nobodys") == 2
     assert "'nobodys' is not installed" in capsys.readouterr().err

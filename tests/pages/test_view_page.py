@@ -361,7 +361,7 @@ def test_a_view_says_what_is_wrong(made: Path, tmp_path: Path, capsys: pytest.Ca
         ((tmp_path / "none.h5",), "does not exist"),
         ((result, result), "twice"),
         ((result, "--reference", tmp_path / "none.trc"), "does not exist"),
-        ((result, "--save", tmp_path / "no" / "folder.html"), "cannot be written"),
+        ((result, "--save", "/proc/no/page.html"), "folder /proc/no cannot be made"),
         ((result, "--session", tmp_path / "none.toml"), "cannot be read"),
         ((empty,), f"{empty} has no frame"),
     ):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -116,7 +117,8 @@ def write(found: Calibration, folder: Path, json: bool = False) -> None:
     typer.echo(page)
     for sentence in sentences(found):
         typer.echo(sentence, err=True)
-    typer.echo(f"Next, begin a session:  twistcap new DIR --calibration {path} --videos VIDEOS", err=True)
+    begin = f"twistcap new DIR --calibration {quote(str(path))} --videos VIDEOS"
+    typer.echo(f"Next, begin a session:  {begin}", err=True)
 
 
 def _check_alone(alone: dict[str, Any], sources: dict[str, Any]) -> None:

@@ -49,10 +49,12 @@ def export(
 
       twistcap export out/result.h5 --to glb --into hero.glb --out hero-walk.glb
     """
-    from twistcap.io.exports import ExportOptions
+    from twistcap.io.exports import ExportOptions, format_of
     from twistcap.io.exports import export as written
 
     options = ExportOptions(cast("WorldAxes", axes), cast("Angles", angles), fill, fps, into, rig)
+    if out is not None:
+        terminal.output_file(out, "--out", Path(format_of(to).file_name).suffix)
     path = written(terminal.tracked(result, frames), to, result.parent, out, options)
     if json:
         terminal.emit({"id": "export", "format": to, "file": path})

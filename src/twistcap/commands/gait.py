@@ -64,10 +64,14 @@ def gait(
     if json:
         _emit(found)
         return
-    _show(str(result), found.parameters)
-    typer.echo(found.filter)
-    for sentence in (*(statement.text for statement in graded(found.sigmas)), TURNS):
-        typer.echo(sentence)
+    if found.gait.strides:
+        _show(str(result), found.parameters)
+    else:
+        over = f"{len(read)} frames ({read.times[-1] - read.times[0]:.1f} s)"
+        typer.echo(f"No stride was found in {over}; film two steps of each foot, or give --event and --cycles.")
+    if found.cycles:
+        for sentence in (found.filter, *(statement.text for statement in graded(found.sigmas)), TURNS):
+            typer.echo(sentence)
     for name in (one.name for one in wanted):
         typer.echo(f"{name}: {', '.join(f'{time:.3f}' for time in found.events[name]) or 'never'} s")
     for path in found.files:

@@ -109,11 +109,16 @@ def _session(result: Any, path: Path) -> Any:
     """The session that the result was tracked with, as the file keeps it."""
     from twistcap.doors.strict import validated
     from twistcap.io.session import Session
+    from twistcap.io.video import is_there
 
     data = {key: value for key, value in result.config.items() if key != "refined"}
     if "videos" not in data:
         raise InputError(f"{path} was not made from a session and names no videos; give a session with --session.")
-    return validated(Session, data, str(path), {"folder": Path()})
+    session = validated(Session, data, str(path), {"folder": Path()})
+    for video in session.videos.values():
+        if not is_there(video):
+            raise InputError(f"{path}: its video {video} does not exist; if the recording has moved, give --session.")
+    return session
 
 
 def _views(session: Any, rig: Any, indices: list[int], path: Path) -> Any:
@@ -180,7 +185,9 @@ def show(document: dict[str, Any]) -> None:
     rows = [[group, *lengths.get(group, ("", "")), *girths.get(group, ("", ""))] for group in lengths | girths]
     terminal.show_table("shape", ["segments", "length", "± (1σ)", "girth", "± (1σ)"], rows, ["segments"])
     for bone in document["bones"]:
-        words.print(f"{bone['segment']}: {bone['before_mm']:.0f} mm before, {bone['after_mm']:.0f} mm after")
+        before, after = (f"{bone[key]:.0f} mm" for key in ("before_mm", "after_mm"))
+        if before != after:
+            words.print(f"{bone['segment']}: {before} before, {after} after")
     moved = ", ".join(f"{step:.1f}" for step in document["moved_mm"])
     words.print(f"{document['frames']} frames; the landmarks moved {moved} mm from round to round")
     if document["joints_held"]:

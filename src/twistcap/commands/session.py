@@ -21,7 +21,7 @@ def session(
     ] = False,
     json: terminal.Json = False,
 ) -> None:
-    """Check a session file, or list the settings of the tracker.
+    """Check a session file and all that it names, or list the settings of the tracker.
 
     Examples:
 
@@ -35,8 +35,10 @@ def session(
     if session is None:
         raise InputError("session: no file is named; give a session.toml, or --explain.")
     from twistcap.io.session import load_session
+    from twistcap.io.session_check import check_session
 
     loaded = load_session(session)
+    check_session(loaded)
     changed = {name: value for name, value in vars(loaded.tracker_settings).items() if name in loaded.tracker}
     document = {"id": "session", "session": session, "cameras": sorted(loaded.videos), "tracker": changed}
     if json:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from shlex import quote
 from typing import Annotated, cast
 
 import typer
@@ -58,4 +59,4 @@ def studio(
         said = {"folder": out, "frames": frames, "views": views, "seed": seed}
         terminal.emit({"id": "studio", "session": session, **said})
     else:
-        terminal.words.print(f"Now run: twistcap track {session}")
+        terminal.say(f"Now run: twistcap track {quote(str(session))}")

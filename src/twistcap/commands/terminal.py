@@ -59,7 +59,10 @@ def progress(title: str, total: int) -> Generator[Advance]:
 
 @contextmanager
 def status(title: str) -> Generator[Callable[..., None]]:
-    """A bar on stderr for work of unknown length; call the function that it gives with (note, done, total)."""
+    """A bar on stderr for work of unknown length; call the function that it gives with (note, done, total).
+
+    It is full at the end, also where less was to be done than was said.
+    """
     with _bar() as bar:
         task = bar.add_task(title, total=None, note="")
 
@@ -67,6 +70,8 @@ def status(title: str) -> Generator[Callable[..., None]]:
             bar.update(task, completed=done, total=total, note=note)
 
         yield report
+        whole = bar.tasks[0].total or 1
+        bar.update(task, completed=whole, total=whole)
 
 
 def _bar() -> Progress:
@@ -134,9 +139,16 @@ def output_folder(path: str | Path) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        mend = "choose another with --out"
-        raise InputError(f"output folder {folder} cannot be made: {error.strerror}; {mend}.") from error
+        raise InputError(f"folder {folder} cannot be made: {error.strerror}; choose another folder.") from error
     return folder
+
+
+def output_file(path: Path, option: str, ending: str) -> None:
+    """See that a file has the ending of what is written, unless that is a folder, and make its folder."""
+    special = path.exists() and not path.is_file() and not path.is_dir()  # such as /dev/stdout
+    if ending and path.suffix.lower() != ending and not special:
+        raise InputError(f"{option} is {path}; name a file that ends in {ending}.")
+    output_folder(path.parent)
 
 
 def frame_range(text: str | None) -> tuple[int, int] | None:

@@ -41,6 +41,8 @@ def view(
     """
     from twistcap.io.files import replacing
 
+    if save is not None:
+        terminal.output_file(save, "--save", ".html")
     page = _page(results, reference, session, width, images)
     if save is None:
         serve(page, {}, port)

@@ -14,6 +14,12 @@ from twistcap.errors import InputError
 
 T = TypeVar("T")
 M = TypeVar("M", bound=BaseModel)
+_KINDS = {
+    "float_type": "a number", "float_parsing": "a number", "finite_number": "a finite number",
+    "int_type": "a whole number", "int_parsing": "a whole number", "int_from_float": "a whole number",
+    "bool_type": "true or false", "bool_parsing": "true or false", "string_type": "a text in quotes",
+    "dict_type": "a table", "model_type": "a table", "model_attributes_type": "a table", "dataclass_type": "a table",
+}  # fmt: skip
 
 
 def unknown_key(source: str, key: str, table: str, valid: Iterable[str]) -> InputError:
@@ -30,9 +36,11 @@ def validated(model: type[M], data: Mapping[str, Any], source: str, context: Map
     right.
     """
     try:
-        return model.model_validate(data, context=dict(context or {}))
+        made = model.model_validate(data, context=dict(context or {}))
     except ValidationError as error:
-        raise _described(error, model, source) from error
+        raise _described(error, model, data, source) from error
+    _check_kinds(data, made, source, ())
+    return made
 
 
 def dataclass_from(kind: type[T], table: Mapping[str, Any], source: str, where: str) -> T:
@@ -43,11 +51,11 @@ def dataclass_from(kind: type[T], table: Mapping[str, Any], source: str, where: 
     """
     _check_keys(kind, table, source, where)
     try:
-        return TypeAdapter(kind).validate_python(dict(table))
+        made = TypeAdapter(kind).validate_python(dict(table))
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join([where, *map(str, first["loc"])])
-        raise _wrong_value(source, key, first) from error
+        raise _wrong_value(source, error.errors(), table, (where,)) from error
+    _check_kinds(table, made, source, (where,))
+    return made
 
 
 def _check_keys(kind: type[Any], table: Mapping[str, Any], source: str, where: str) -> None:
@@ -61,9 +69,10 @@ def _check_keys(kind: type[Any], table: Mapping[str, Any], source: str, where: s
                 _check_keys(cast("type[Any]", below), cast("Mapping[str, Any]", value), source, f"{where}.{key}")
 
 
-def _described(error: ValidationError, model: type[BaseModel], source: str) -> InputError:
+def _described(error: ValidationError, model: type[BaseModel], data: Mapping[str, Any], source: str) -> InputError:
     # An unknown key first: it is often why a needed one is missing.
-    chosen = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")[0]
+    faults = sorted(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
+    chosen = faults[0]
     loc = chosen["loc"]
     holder, tagless = _walk(model, loc[:-1])
     if chosen["type"] == "extra_forbidden" and holder is not None:
@@ -75,14 +84,66 @@ def _described(error: ValidationError, model: type[BaseModel], source: str) -> I
         )
     if chosen["type"] == "missing":
         return InputError(f"{source}: the key {path!r} is missing; add it.")
-    return _wrong_value(source, path, chosen)
+    return _wrong_value(source, faults, data)
 
 
-def _wrong_value(source: str, key: str, error: Any) -> InputError:
-    message = str(error["msg"]).removeprefix("Value error, ").rstrip(".")
-    if error["type"] == "value_error":
+def _wrong_value(source: str, faults: Sequence[Any], data: Any, above: tuple[str, ...] = ()) -> InputError:
+    """The first fault; where a value may be of several kinds, with all that it may be."""
+    first = faults[0]
+    path = _given_path(data, first["loc"])
+    key = ".".join(map(str, [*above, *(path[:-1] if path and isinstance(path[-1], int) else path)]))
+    if first["type"] == "value_error":
+        message = str(first["msg"]).removeprefix("Value error, ").removeprefix(f"{key}: ").rstrip(".")
         return InputError(f"{source}: {key}: {message}." if key else f"{source}: {message}.")
-    return InputError(f"{source}: {key!r} is {brief(error['input'])}; {message[0].lower()}{message[1:]}.")
+    if first["type"] == "union_tag_invalid":
+        kind, tag = first["ctx"]["discriminator"].strip("'"), first["ctx"]["tag"]
+        choice = " or ".join(first["ctx"]["expected_tags"].rsplit(", ", 1))
+        return InputError(f"{source}: '{key}.{kind}' is {brief(tag)}; it must be {choice}.")
+    wanted = dict.fromkeys(_wanted(fault) for fault in faults if _given_path(data, fault["loc"]) == path)
+    verb = "holds" if path and isinstance(path[-1], int) else "is"
+    return InputError(f"{source}: {key!r} {verb} {brief(first['input'])}; it must be {' or '.join(wanted)}.")
+
+
+def _wanted(fault: Any) -> str:
+    """What a value must be, for one who knows TOML and not Python."""
+    kind, value = fault["type"], fault["input"]
+    if kind in ("tuple_type", "list_type"):
+        return f"a list, such as [{brief(value) if isinstance(value, str) else f'0, {brief(value)}'}]"
+    if kind == "too_long":
+        return f"a list of {fault['ctx']['max_length']} or fewer"
+    message = str(fault["msg"]).rstrip(".").removeprefix("Input should be ")
+    return _KINDS.get(kind) or {"True": "true", "False": "false"}.get(message, f"{message[0].lower()}{message[1:]}")
+
+
+def _given_path(data: Any, loc: Sequence[int | str]) -> list[int | str]:
+    """The location of a fault as far as what was given has it: without the tags of unions."""
+    path = list[int | str]()
+    for part in loc:
+        listed = enumerate(data) if isinstance(data, (list, tuple)) else ()
+        entries: dict[Any, Any] = dict(data if isinstance(data, Mapping) else listed)
+        if part in entries:
+            path.append(part)
+            data = entries[part]
+    return path
+
+
+def _check_kinds(given: Any, made: Any, source: str, path: tuple[str, ...]) -> None:
+    """Raises InputError for a text or a truth that was taken for a number, and a number that was for a truth."""
+    if isinstance(made, (int, float)):
+        if isinstance(given, str) or isinstance(given, bool) != isinstance(made, bool):
+            wanted = _KINDS["bool_type" if isinstance(made, bool) else "float_type"]
+            raise InputError(f"{source}: {'.'.join(path)!r} is {brief(given)}; it must be {wanted}.")
+    elif isinstance(given, Mapping):
+        for (key, value), became in zip(given.items(), _made_of(given, made), strict=False):
+            _check_kinds(value, became, source, (*path, str(key)))
+    elif isinstance(given, (list, tuple)) and isinstance(made, (list, tuple)):
+        for value, became in zip(given, made, strict=False):
+            _check_kinds(value, became, source, path)
+
+
+def _made_of(given: Mapping[str, Any], made: Any) -> Iterable[Any]:
+    """What became of each entry; the keys of a table may have changed, such as paths."""
+    return made.values() if isinstance(made, Mapping) else [getattr(made, key, None) for key in given]
 
 
 def _walk(model: type[BaseModel], loc: Sequence[int | str]) -> tuple[type[BaseModel] | None, list[str]]:

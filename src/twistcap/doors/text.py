@@ -44,7 +44,7 @@ def read_text(path: Path, lenient: bool = False) -> str:
     except (OSError, EOFError, zlib.error) as error:
         raise InputError(f"{path} cannot be unpacked: {error}.") from error
     except UnicodeDecodeError as error:
-        raise InputError(f"{path} is not a text file in UTF-8: byte {error.start} is none of a character.") from error
+        raise InputError(f"{path} is not a text file in UTF-8.") from error
 
 
 def read_lines(path: Path) -> list[str]:
@@ -109,7 +109,11 @@ def read_toml(path: Path, what: str, mend: str = "check the path") -> dict[str, 
     if not path.is_file():
         why = "it is no file" if path.exists() else "No such file or directory"
         raise InputError(f"{what} {path} cannot be read: {why}; {mend}.".lstrip())
-    return parsed_toml(read_text(path), f"{what} {path}".strip())
+    try:
+        text = read_text(path)
+    except InputError as error:
+        raise InputError(f"{str(error).rstrip('.')}; it is no {what or 'TOML file'}: {mend}.") from error
+    return parsed_toml(text, f"{what} {path}".strip())
 
 
 def parsed_toml(text: str, source: str) -> dict[str, Any]:
@@ -172,6 +176,8 @@ def _leaves(content: Any, source: str) -> Iterator[tuple[tuple[Any, ...], Any]]:
 
 
 def _reason(error: Exception) -> str:
+    if isinstance(error, UnicodeDecodeError):
+        return "it is no text in UTF-8"
     return "it is nested too deep" if isinstance(error, RecursionError) else str(error)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from shlex import quote
 from typing import Any, Literal
 
 import cv2
@@ -25,6 +26,7 @@ Unit = Literal["m", "mm"]
 _TO_METRES: dict[str, float] = {"m": 1.0, "mm": 1e-3}
 _GREATEST, _WIDEST = 1e6, 1 << 15  # of a number of a camera: px, m; of a side of its images, px
 _FIELDS = ("size", "matrix", "rotation", "translation")  # a table with none of them is no camera
+_FOREIGN = (".qca.txt", ".xcp", ".yml", ".yaml", ".xml", ".pickle")  # what `io.cameras` reads
 
 
 def read_rig(path: str | Path, unit: Unit | None = None, floor: float | None = 0.0) -> Rig:
@@ -36,6 +38,9 @@ def read_rig(path: str | Path, unit: Unit | None = None, floor: float | None = 0
     and what `check_plausible` raises.
     """
     path = Path(path)
+    if path.name.lower().endswith(_FOREIGN):
+        mend = f"make a Calib.toml of it:  twistcap convert {quote(str(path))} Calib.toml"
+        raise InputError(f"calibration {path} is of another program; {mend}")
     tables = read_toml(Path(path), "calibration", "check [cameras] calibration")
     metadata = tables.get("metadata", {})
     given = unit or (metadata.get("unit") if isinstance(metadata, dict) else None) or "m"

@@ -56,7 +56,13 @@ def detected(name: str, images: Sequence[UInt8 | None], rig: Rig, people: str | 
     given = [image for image in images if image is not None]
     if len(given) < len(images):
         raise NoKeypoints(f"a camera has no image of this frame, and detector {name!r} needs all; take another frame.")
-    return _checked(offered_by(given, rig), name, rig)
+    try:
+        offered = offered_by(given, rig)
+    except InputError:
+        raise
+    except Exception as error:  # whatever a stranger's code raises
+        raise InputError(f"detector {name!r} failed: {type(error).__name__}: {error}.") from error
+    return _checked(offered, name, rig)
 
 
 def _checked(offered: Any, name: str, rig: Rig) -> Keypoints:

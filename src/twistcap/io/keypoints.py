@@ -99,7 +99,7 @@ def read_people(
     _expect_cameras([*files, *(grids or {})], cameras, "the keypoints")
     L, out = len(LAYOUTS[layout]), list[Float]()
     for camera in cameras:
-        people = _read_people(Path(files[camera]), L) if camera in files else np.zeros((0, L, 3))
+        people = _read_people(Path(files[camera]), layout) if camera in files else np.zeros((0, L, 3))
         grid = (grids or {}).get(camera, Grid())
         people[..., :2] = (people[..., :2] - grid.offset) / grid.scale
         people[..., 2] = np.clip(people[..., 2], 0.0, 1.0)
@@ -171,20 +171,31 @@ def _expect_cameras(named: Sequence[str], cameras: Sequence[str], where: str) ->
             raise InputError(f"{where}: camera {camera!r} has no calibration; the rig has {', '.join(cameras)}.")
 
 
-def _read_people(path: Path, L: int) -> Float:
+def _read_people(path: Path, layout: str) -> Float:
     """(P, L, 3) x, y, confidence of everybody in a file of OpenPose (``people``) or EasyMocap (``annots``)."""
     content = read_json_table(path)
     listed, key = ("annots", "keypoints") if "annots" in content else ("people", "pose_keypoints_2d")
     people: Any = content.get(listed)
     if not isinstance(people, list):
         raise InputError(f"{path}: field 'people' (a list) is missing; an OpenPose keypoint file has one.")
+    L = len(LAYOUTS[layout])
     out = np.zeros((len(people), L, 3))
     for k, person in enumerate(people):
         given = person.get(key) if isinstance(person, dict) else None
         if listed == "annots" and isinstance(given, list) and all(isinstance(row, list) for row in given):
             given = [number for row in given for number in row]
+        if isinstance(given, list) and len(given) != 3 * L:
+            raise InputError(
+                f"{path}: {key!r} of person {k} holds {len(given)} numbers; {_other_layout(given, layout)}."
+            )
         out[k] = number_array(given, (3 * L,), f"{path}: {key!r} of person {k}").reshape(L, 3)
     return out
+
+
+def _other_layout(numbers: Sequence[Any], layout: str) -> str:
+    fitting = [repr(name) for name, names in LAYOUTS.items() if 3 * len(names) == len(numbers)]
+    mend = f"set format = {' or '.join(fitting)}" if fitting else "set the format that they have"
+    return f"format {layout!r} has {3 * len(LAYOUTS[layout])}, so {mend}"
 
 
 def _csv_rows(path: Path) -> list[tuple[str, str, Any, Any, Any]]:

@@ -36,6 +36,13 @@ def is_address(name: str) -> bool:
     return name.lower().startswith(("https://", "http://"))
 
 
+def check_there(name: str) -> None:
+    """Raises InputError where a name is that of a file that does not exist."""
+    where = _split(name)[0]
+    if is_model_file(where) and not is_address(where) and not Path(where).expanduser().exists():
+        raise InputError(f"model {where} does not exist; check the path that is given as detector or people.")
+
+
 def model_bytes(name: str) -> bytes:
     """The ONNX file of a name.
 
@@ -43,6 +50,7 @@ def model_bytes(name: str) -> bytes:
     or is a ZIP file without one ONNX file; and for an address without checksum: the sentence says which the file has.
     """
     where, checksum = _split(name)
+    check_there(where)
     data = _fetched(where, checksum) if is_address(where) else read_bytes(Path(where).expanduser(), LARGEST)
     if checksum is not None and _sha256(data) != checksum:
         raise InputError(f"model {where} has the checksum {_sha256(data)}, not {checksum}; get the file again.")

@@ -8,13 +8,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from glob import glob
 from pathlib import Path
+from shlex import quote
 
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.io.calibration import Unit, knows_floor, read_rig
-from twistcap.io.cameras.axes import Up, check_z_up
+from twistcap.io.cameras.axes import Up, axis_up, check_z_up
 from twistcap.io.model_file import is_address, is_model_file
-from twistcap.io.video import Source, check_size, open_source
+from twistcap.io.video import Source, check_size, is_there, open_source
 
 VIDEO_ENDINGS = {".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mpg", ".mpeg", ".mts"}
 _IMAGES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff"}
@@ -77,8 +78,10 @@ def draft_session(videos: Sequence[str], calibration: Path, unit: Unit | None = 
         check_z_up(rig, f"calibration {calibration}", "say --up {} (or --up z{})")
     paths = matched([path for text in videos for path in recordings(text)], rig.names)
     floor = knows_floor(calibration)
-    notes = () if floor else ("The calibration does not know the floor: floor = false is set.",)
-    return replace(drafted(rig, paths, calibration, unit), up=up, floor_known=floor, notes=notes)
+    notes = [] if floor else ["The calibration does not know the floor: floor = false is set."]
+    if up is not None and (seen := axis_up(rig)) not in (up, None):
+        notes.append(f"Up is {up}, as said with --up; by the images it is {seen}, so look at it.")
+    return replace(drafted(rig, paths, calibration, unit), up=up, floor_known=floor, notes=tuple(notes))
 
 
 def drafted(rig: Rig, paths: Mapping[str, str], calibration: Path, unit: Unit | None = None) -> Draft:
@@ -145,10 +148,11 @@ def _named(title: str, cameras: Sequence[str]) -> list[str]:
 def recordings(text: str) -> list[tuple[str | None, str]]:
     """The recordings of one argument: each video of a folder of videos; a folder of images as one."""
     name, equals, path = text.partition("=")
-    if equals and not Path(text).exists():
-        return [(name, path)]
-    if "%" in text:
-        return [(None, text)]
+    named = bool(equals) and not Path(text).exists()
+    if not any(c in text for c in "*?[") and not is_there(path if named else text):
+        raise InputError(f"{path if named else text} does not exist; check --videos.")
+    if named or "%" in text:
+        return [(name, path) if named else (None, text)]
     files = sorted(glob(text)) if any(c in text for c in "*?[") else [text]
     if not files:
         raise InputError(f"no file matches {text}; check --videos.")
@@ -263,7 +267,7 @@ def missing(draft: Draft, session: Path, stature: float | None) -> list[str]:
         out.append("The frame rate: 60 is set. Put the true one into fps.")
     pose = session.parent / "first_pose.json"
     if not pose.is_file() and not draft.keypoints and draft.detector is None:
-        by_clicks = f"click it with:  twistcap init {session}"
+        by_clicks = f"click it with:  twistcap init {quote(str(session))}"
         out.append(f"The first pose: track looks for it in the images. If it is not clear there, {by_clicks}")
         out.append("Keypoints: none are named. They can replace the search ([first_pose.keypoints] in the file).")
     return out
@@ -273,7 +277,7 @@ def next_steps(draft: Draft, session: Path, failed: bool = False) -> list[str]:
     """What comes next, in sentences with the command; `failed` where keypoints gave no first pose."""
     if len(draft.rig) < 2:
         return ["Next, film with a second camera, calibrate both, and begin anew."]
-    clocks, init, track = (f"twistcap {command} {session}" for command in ("sync", "init", "track"))
+    clocks, init, track = (f"twistcap {command} {quote(str(session))}" for command in ("sync", "init", "track"))
     steps = [f"find the clocks of the cameras:  {clocks}"] if _rates_differ(draft) else []
     steps += [f"click the first pose:  {init}"] if failed else []
     steps.append(f"track:  {track}")

@@ -21,7 +21,7 @@ from twistcap.body.gltf import load_glb
 from twistcap.body.humanoid import humanoid
 from twistcap.body.obj_rig import load_makehuman
 from twistcap.camera import Camera, Rig
-from twistcap.errors import InputError
+from twistcap.errors import InputError, naming
 from twistcap.estimate import Keypoints
 from twistcap.io.calibration import read_rig
 from twistcap.io.cameras.axes import check_z_up, with_z_up
@@ -43,7 +43,7 @@ from twistcap.io.pose_file import body_at, read_pose
 from twistcap.io.session import CameraGrid, DetectorTable, GlbBody, HumanoidBody, KeypointSet, Session
 from twistcap.io.start_report import StartReport, check_body_upright, start_report
 from twistcap.io.unaided import found_unaided, start_in_words
-from twistcap.io.video import Views, open_source, open_views
+from twistcap.io.video import Views, check_names, open_source, open_views
 
 
 @dataclass(frozen=True)
@@ -122,6 +122,14 @@ def rig_of(session: Session) -> Rig:
     elif floor_of(session) is not None:
         check_z_up(rig, f"calibration {session.cameras.calibration}")
     use = session.cameras.use or rig.names
+    with naming(session.source):
+        _check_use(session, rig, use)
+    rig = Rig(tuple(_on_grid(rig[rig.names.index(name)], session.cameras.grid.get(name)) for name in use))
+    check_plausible(rig, floor=floor_of(session), source=f"calibration {session.cameras.calibration}")
+    return rig
+
+
+def _check_use(session: Session, rig: Rig, use: Sequence[str]) -> None:
     for name in use:
         if name not in rig.names:
             missing = f"which {session.cameras.calibration} does not hold; it has {', '.join(rig.names)}"
@@ -129,9 +137,6 @@ def rig_of(session: Session) -> Rig:
     for name in session.cameras.grid:
         if name not in use:
             raise InputError(f"[cameras.grid] names {name!r}, which is not in use; remove it.")
-    rig = Rig(tuple(_on_grid(rig[rig.names.index(name)], session.cameras.grid.get(name)) for name in use))
-    check_plausible(rig, floor=floor_of(session), source=f"calibration {session.cameras.calibration}")
-    return rig
 
 
 def _on_grid(camera: Camera, grid: CameraGrid | None) -> Camera:
@@ -151,10 +156,12 @@ def floor_of(session: Session) -> float | None:
 def views_of(session: Session, rig: Rig) -> Views:
     """The frames of the session."""
     first, last = session.frames or (None, None)
-    clocks = _clocks(session)
+    with naming(session.source):
+        clocks, paths = _clocks(session), _videos(session, rig)
+        check_names(paths, rig)
     return open_views(
-        _videos(session, rig), rig, first, last, session.step, session.scale, session.fps, session.time_offset, clocks
-    )
+        paths, rig, first, last, session.step, session.scale, session.fps, session.time_offset, clocks
+    )  # fmt: skip
 
 
 def timeline_of(session: Session, rig: Rig) -> Timeline:
@@ -181,6 +188,9 @@ def body_of(session: Session) -> Body:
     body = session.body
     if isinstance(body, HumanoidBody):
         return humanoid(**body.model_dump(exclude={"kind"}))
+    for key, path in body.model_dump(include={"path", "rig", "weights", "spec"}, exclude_none=True).items():
+        if not Path(path).exists():
+            raise InputError(f"{session.source or 'body'}: [body] {key}: {path} does not exist; check its path.")
     if isinstance(body, GlbBody):
         loaded = load_glb(body.path, body.rig)
     else:

@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Field, PrivateAttr
+from pydantic import Field, PrivateAttr, field_validator
 
 from twistcap.doors.strict import dataclass_from, validated
 from twistcap.doors.text import read_toml
@@ -72,8 +72,19 @@ class Session(Table):
     tracker: dict[str, Any] = Field({})
     output: Output = Output()
     _source: str = PrivateAttr(default="")
-
     _whole: tuple[int, int] | None = PrivateAttr(default=None)
+
+    @field_validator("frames")
+    @classmethod
+    def _forward(cls, frames: tuple[int, int] | None) -> tuple[int, int] | None:
+        if frames is not None and frames[0] > frames[1]:
+            raise ValueError(f"{list(frames)} is no range; write [first, last], the smaller number first")
+        return frames
+
+    @property
+    def source(self) -> str:
+        """The file that messages name; empty for what a result keeps of one."""
+        return self._source
 
     def remember(self, source: str, frames: tuple[int, int] | None) -> None:
         """The file that messages name, and the frames that it gives; the command line may have asked for fewer."""
@@ -141,6 +152,8 @@ def load_session(path: str | Path, overrides: Mapping[str, Any] | None = None) -
     method or a use of keypoints that does not fit the other tables.
     """
     path = Path(path)
+    if path.suffix.lower() in (".h5", ".hdf5"):
+        raise InputError(f"{path} is a result, not a session; give the session.toml that it was tracked with.")
     data = _expanded(_with_base(read_toml(path, "session"), path), path)
     own = data.get("frames")
     for key, value in (overrides or {}).items():

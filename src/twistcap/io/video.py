@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import re
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -37,6 +39,12 @@ def open_source(path: str | Path) -> Source:
     return VideoSource(text)
 
 
+def is_there(path: str) -> bool:
+    """Whether something is where `open_source` would look: a file, or the folder of a pattern or a glob."""
+    head = re.split(r"[%*?]", path)[0]
+    return Path(path).exists() if head == path else Path(os.path.dirname(head)).is_dir()
+
+
 def open_views(
     paths: Mapping[str, str | Path],
     rig: Rig,
@@ -65,7 +73,7 @@ def open_views(
     Raises InputError: a missing video, a camera without one (or the other way round), a wrong size, unequal lengths of
     videos that are paired by number, no time in common, fewer frames than asked.
     """
-    _check_names(paths, rig)
+    check_names(paths, rig)
     sources = tuple(open_source(paths[camera.name]) for camera in rig)
     for source, camera in zip(sources, rig, strict=True):
         check_size(source, camera)
@@ -200,7 +208,8 @@ def _ahead(images: Iterator[AnyArray | None]) -> Generator[Iterator[AnyArray | N
         pool.shutdown(cancel_futures=True)
 
 
-def _check_names(paths: Mapping[str, str | Path], rig: Rig) -> None:
+def check_names(paths: Mapping[str, str | Path], rig: Rig) -> None:
+    """Raises InputError where there is a video without a camera, or a camera without a video."""
     for name in paths:
         if name not in rig.names:
             known = f"the calibration holds {', '.join(rig.names)}: rename it or calibrate it."
@@ -222,7 +231,8 @@ def check_size(source: Source, camera: Camera) -> None:
 
 def _checked_last(sources: Sequence[Source], first: int, last: int | None) -> int:
     shortest, longest = min(sources, key=len), max(sources, key=len)
-    count, mend = len(shortest), f"set frames = [{first}, {len(shortest) - 1}]."
+    count = len(shortest)
+    mend = f"set frames = [{first if first < count else 0}, {count - 1}]."
     if last is None and count != len(longest):
         raise InputError(
             f"videos are of unequal length: {shortest.name} has {count} frames, {longest.name} has"

@@ -16,7 +16,7 @@ from matplotlib.patches import Ellipse
 
 from twistcap import se3
 from twistcap.arrays import Float
-from twistcap.calibrate.advice import again, camera_rows, distances, sentences
+from twistcap.calibrate.advice import camera_rows, distances, sentences
 from twistcap.calibrate.calibrate import Calibration
 from twistcap.calibrate.sightings import SCENE
 from twistcap.calibrate.world import centre_covariance
@@ -37,8 +37,9 @@ def write_calibration_page(found: Calibration, folder: Path, title: str = "Calib
             Figure(_images(found, Path(scratch)), _IMAGES),
             Figure(_histogram(found, Path(scratch)), _HISTOGRAM),
         ]
-        remarks = [sentence for sentence in sentences(found) if sentence not in again(found)]
-        todo = again(found) or ["Nothing: every camera saw enough. Do not move the cameras any more."]
+        said = sentences(found)
+        remarks, todo = said[: len(rows)], said[len(rows) :]  # a line for each camera comes first
+        todo = todo or ["Nothing: every camera saw enough. Do not move the cameras any more."]
         about = {folder / "Calib.toml": "the calibration; read by twistcap, Pose2Sim and aniposelib"}
         return write_report(
             folder, title, _table(rows), lead=_lead(found), headlines=_headlines(rows), figures=figures,
