@@ -27,7 +27,7 @@ from twistcap.search.draws import about, anywhere
 from twistcap.search.evidence import Evidence
 from twistcap.search.flag import hidden, lacking
 from twistcap.search.placing import points_evidence
-from twistcap.search.recollection import Recollection
+from twistcap.search.recollection import Check, Recollection
 
 _POINTS = 40  # of a limb's surface, by which its places are judged roughly
 _ROOT = 6  # coordinates of the root, which come first
@@ -61,6 +61,8 @@ class LimbRule(Checked):
         again, longest: frames until it is looked for again where it was not found, which double up to the longest.
         every: frames between looks at limbs that nothing speaks against, one after the other: what lies before the body
             in its colours has no sign of being wrong.
+        bare: evidence of the body that nothing covers in a camera, over what is usual, as a fraction of that of the
+            least limb, from which on there is such a look in each frame: some limb may belong there.
         few, worth: of such a limb, how many of the roughly best poses are drawn; and the fraction of what is usual that
             one of them must gain for it to be looked for at all.
     """
@@ -86,6 +88,7 @@ class LimbRule(Checked):
     again: Count = 2
     longest: Count = 4
     every: Count = 6
+    bare: Share = 0.15
     few: Count = 12
     worth: Share = 0.1
 
@@ -97,6 +100,16 @@ class LimbRule(Checked):
     def slipping(self, signs: Float) -> list[int]:
         """Limbs whose contour suddenly no longer agrees with the images, by their signs (G, SIGNS) now."""
         return np.flatnonzero(signs[:-1, _DISAGREEING] + signs[:-1, _SILENT] > self.slipped).tolist()
+
+    def due(self, known: Recollection, check: Check, groups: Bool, frames: int) -> list[int]:
+        """The limb whose turn it is to be looked at though nothing speaks against it, if it is time for that."""
+        limbs = len(groups) - 1
+        bare = (check.uncovered - known.uncovered).sum(axis=1).max()
+        least = (known.nats.sum(axis=0) @ groups[:-1].T).min(initial=np.inf)
+        if bare > self.bare * max(float(least), _LITTLE):
+            return [frames % limbs]
+        turn, wait = divmod(frames, self.every)
+        return [] if wait else [turn % limbs]
 
     def hidden(self, lately: Float) -> list[int]:
         """Limbs of which little has been seen of late."""

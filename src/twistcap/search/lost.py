@@ -219,7 +219,7 @@ class LostBody(Checked):
             lost, memory = [], replace(memory, limb_waiting=memory.limb_waiting - 1)
         elif not lost:
             memory = replace(memory, limb_pause=0)
-        asked = lost or [limb for limb in self._due_limbs(memory) if not out_of_sight[memory.groups[limb]].any()]
+        asked = lost or [limb for limb in self._due_limbs(memory, now) if not out_of_sight[memory.groups[limb]].any()]
         if not asked:
             return now, last, memory
         with stage("search"):
@@ -236,11 +236,10 @@ class LostBody(Checked):
         memory = replace(self._signed(replace(memory, found=doubt), now), limb_pause=0)
         return now, rested(last, now.fit.pose, coordinates), memory
 
-    def _due_limbs(self, memory: LostMemory) -> list[int]:
+    def _due_limbs(self, memory: LostMemory, now: Judged) -> list[int]:
         """Limbs that are looked at unasked: those that slip, else the one whose turn it is, if it is time for that."""
         slipping = [] if memory.signs is None else self.limb.slipping(memory.signs)
-        turn, wait = divmod(memory.frames, self.limb.every)
-        return slipping or ([] if wait else [turn % (len(memory.groups) - 1)])
+        return slipping or self.limb.due(memory.known, now.check, memory.groups, memory.frames)
 
     def _missed(self, memory: LostMemory) -> bool:
         """Whether lost limbs have just been looked for in vain: what they hang on may be wrong."""
