@@ -193,6 +193,22 @@ def test_marker_files(tracked: Tracked, tmp_path: Path) -> None:
     assert turned["joints, mean, offset removed"] > 10
 
 
+def test_a_note_names_the_axes_with_which_points_would_be_near(tracked: Tracked, tmp_path: Path) -> None:
+    tracked.poses = [Pose(pose.root @ se3.transform(np.eye(3), (0.4, 0.9, 0.3)), pose.q) for pose in tracked.poses]
+    points = np.stack([Posed(tracked.body, pose).landmarks[:2] for pose in tracked.poses]) + np.array([0, 0, 0.031])
+    write_trc(tmp_path / "walk.trc", tracked.times, ("RHip", "RAnkle"), points, axes="z_up")
+    [note] = evaluate(tracked, tmp_path / "walk.trc").notes
+    assert note.endswith(" mm off; with --axes z_up they would be 31 mm off")
+    off = rows_of(evaluate(tracked, tmp_path / "walk.trc"))["joints, median"]
+    assert note.startswith(f"the points are {off:.0f} mm off")
+    assert evaluate(tracked, tmp_path / "walk.trc", axes="z_up").notes == ()
+    turned = evaluate(tracked, tmp_path / "walk.trc", register=True)
+    assert not any("--axes" in note for note in turned.notes)
+    # Nowhere near: no axes are named.
+    write_trc(tmp_path / "far.trc", tracked.times, ("RHip", "RAnkle"), points + np.array([5, 7, 9]), axes="z_up")
+    assert evaluate(tracked, tmp_path / "far.trc").notes == ()
+
+
 def test_motion_files_whatever_their_knee_sign(tracked: Tracked, tmp_path: Path) -> None:
     tracked.poses = [Pose(pose.root, pose.q + np.radians(30.0)) for pose in tracked.poses]
     write_mot(tmp_path / "walk.mot", tracked.body, tracked.times, [Pose(p.root, p.q + 0.01) for p in tracked.poses])

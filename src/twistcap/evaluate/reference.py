@@ -18,13 +18,15 @@ from twistcap.doors.images import read_image
 from twistcap.errors import InputError, check
 from twistcap.evaluate import metrics
 from twistcap.evaluate.agreement import Agreement, Distance, agreements, distances
-from twistcap.evaluate.alignment import aligned
+from twistcap.evaluate.alignment import aligned, better_axes
 from twistcap.evaluate.load import Reference, load_reference
 from twistcap.evaluate.metrics import Row, row
 from twistcap.io.angles import nearest, shoulders_of
 from twistcap.io.coordinates import opensim_angles
 from twistcap.io.markers import WorldAxes
 from twistcap.io.result import Result
+
+_WITH_AXES = (".trc", ".c3d")  # files of points, which do not say how their world lies
 
 
 @dataclass(frozen=True)
@@ -111,7 +113,11 @@ def evaluate(
     truth = load_reference(path, result.body, lambda rows: frame_times(result, rows), axes)
     truth = replace(truth, times=truth.times + time_offset).without(exclude)
     truth = aligned(result, truth, align, register) if align or register else truth
-    return compare(result, truth, case, str(path))
+    found = compare(result, truth, case, str(path))
+    if found.joints is None or register or path.suffix.lower() not in _WITH_AXES:
+        return found
+    note = better_axes(_placed(result, found.joints.names), found.joints.reference, axes)
+    return replace(found, notes=(*found.notes, note)) if note else found
 
 
 def frame_times(result: Result, rows: int) -> Float:
@@ -163,15 +169,18 @@ def compared_landmarks(ours: Sequence[str], theirs: Sequence[str]) -> tuple[str,
 
 
 def _joint_errors(result: Result, names: Sequence[str], points: Float) -> Errors | None:
-    marks = result.body.landmarks
-    shared = compared_landmarks(marks.names, names)
+    shared = compared_landmarks(result.body.landmarks.names, names)
     if not shared:
         return None
-    mine = result.landmarks[:, [marks.index(name) for name in shared]]
     theirs = points[:, [names.index(name) for name in shared]]
-    difference = metrics.differences(mine, theirs)
+    difference = metrics.differences(_placed(result, shared), theirs)
     raw, rest = metrics.distances_mm(difference), metrics.distances_mm(metrics.without_offset(difference))
     return Errors(shared, theirs, raw, rest)
+
+
+def _placed(result: Result, names: Sequence[str]) -> Float:
+    """(N, K, 3) m, landmarks of the tracked body."""
+    return result.landmarks[:, [result.body.landmarks.index(name) for name in names]]
 
 
 def _angle_errors(result: Result, names: Sequence[str], angles: Float) -> Errors | None:
