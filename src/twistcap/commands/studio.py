@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from shlex import quote
 from typing import Annotated, cast
 
 import typer
@@ -41,6 +40,7 @@ def studio(
 
       twistcap studio /tmp/gap --drop 20:24 && twistcap track /tmp/gap/session.toml
     """
+    from twistcap.io.files import pasted
     from twistcap.io.synthetic import write_session
     from twistcap.studio import StudioConfig, capture
     from twistcap.studio.config import Condition
@@ -59,4 +59,4 @@ def studio(
         said = {"folder": out, "frames": frames, "views": views, "seed": seed}
         terminal.emit({"id": "studio", "session": session, **said})
     else:
-        terminal.say(f"Now run: twistcap track {quote(str(session))}")
+        terminal.say(f"Now run: twistcap track {pasted(session)}")

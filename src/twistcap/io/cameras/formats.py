@@ -32,7 +32,7 @@ class CameraFormat:
 
 def _read_toml(path: Path, asked: Asked) -> Rig:
     units = {None: None, 1.0: "m", 1e-3: "mm"}
-    return read_rig(path, units.get(asked.unit), floor=None)  # pyright: ignore[reportArgumentType]
+    return read_rig(path, units.get(asked.unit), floor=None, key="its path")  # pyright: ignore[reportArgumentType]
 
 
 FORMATS: dict[str, CameraFormat] = {
