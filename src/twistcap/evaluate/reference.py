@@ -106,9 +106,11 @@ def evaluate(
     path = Path(reference)
     path = path / "truth.npz" if (path / "truth.npz").is_file() else path
     case = case or (path.name if path.is_dir() else path.stem)
+    check("evaluate", abs(time_offset) < 1e11, f"the time offset is {time_offset:g}; give seconds, such as 0.0217")
     if path.is_dir():
-        if time_offset:
-            raise InputError(f"masks in {path} are matched by frame number; leave the time offset out.")
+        given = {"time offset": time_offset, "exclude": exclude, "align": align, "register": register}
+        if unused := [name for name, value in given.items() if value]:
+            raise InputError(f"masks in {path} are matched by frame number; leave {unused[0]} out.")
         return _against_masks(result, path, case)
     truth = load_reference(path, result.body, lambda rows: frame_times(result, rows), axes)
     truth = replace(truth, times=truth.times + time_offset).without(exclude)
