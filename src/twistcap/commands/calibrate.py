@@ -59,6 +59,7 @@ def calibrate(
     sources = sources_of([*(videos or []), *(more or [])])
     if (points is None) != bool(sources):
         raise InputError("give videos of the board, as --videos, or measured points, as --points; one of the two.")
+    terminal.output_folder(folder)  # before the work
     with terminal.status("calibrating") as report:
         if points is not None:
             found = _by_points(points, board_of(board), options, alone, report)

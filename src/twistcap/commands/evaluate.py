@@ -62,7 +62,7 @@ def evaluate(
     if comparison.joints:
         _show_distances(comparison.distances)
     for note in comparison.notes:
-        terminal.words.print(f"note: {note}")
+        terminal.say(f"note: {note}")
 
 
 def _show_agreements(found: list[Agreement]) -> None:

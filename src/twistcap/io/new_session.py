@@ -149,8 +149,12 @@ def recordings(text: str) -> list[tuple[str | None, str]]:
     """The recordings of one argument: each video of a folder of videos; a folder of images as one."""
     name, equals, path = text.partition("=")
     named = bool(equals) and not Path(text).exists()
+    if not (path if named else text):
+        raise InputError(f"--videos is {text!r}; give a path, or CAMERA=PATH.")
     if not any(c in text for c in "*?[") and not is_there(path if named else text):
         raise InputError(f"{path if named else text} does not exist; check --videos.")
+    if named and Path(path).is_dir() and not _has_images(Path(path)):
+        raise InputError(f"folder {path} holds no images; give camera {name!r} one video, or a folder of images.")
     if named or "%" in text:
         return [(name, path) if named else (None, text)]
     files = sorted(glob(text)) if any(c in text for c in "*?[") else [text]
@@ -159,14 +163,18 @@ def recordings(text: str) -> list[tuple[str | None, str]]:
     return [(None, inside) for file in files for inside in _in_folder(Path(file))]
 
 
+def _has_images(folder: Path) -> bool:
+    return any(path.suffix.lower() in _IMAGES for path in folder.iterdir())
+
+
 def _in_folder(path: Path) -> list[str]:
     if not path.is_dir():
         return [str(path)]
-    inside = sorted(path.iterdir())
-    if any(p.suffix.lower() in _IMAGES for p in inside):
+    if _has_images(path):
         return [str(path)]
+    inside = sorted(path.iterdir())
     folders = [p for p in inside if p.is_dir()]
-    pictures = [str(p) for p in folders if any(q.suffix.lower() in _IMAGES for q in p.iterdir())]
+    pictures = [str(p) for p in folders if _has_images(p)]
     below = [str(q) for p in folders for q in sorted(p.iterdir()) if q.suffix.lower() in VIDEO_ENDINGS]
     videos = [str(p) for p in inside if p.suffix.lower() in VIDEO_ENDINGS] or pictures or below
     if not videos:
