@@ -87,6 +87,8 @@ def test_what_mends_a_camera_is_said_where_it_is_left_out_to_the_end() -> None:
     assert rig.names[1] in sentence and "twistcap refine out/result.h5 --cameras" in sentence
     first, second = mend_in_words(result, Path("out/result.h5"), [3])
     assert first == sentence and f"Camera {rig.names[3]} seems to stand elsewhere" in second
+    (sentence,) = mend_in_words(SimpleNamespace(rig=rig, left_out=out), Path("a walk/result.h5"))
+    assert "twistcap refine 'a walk/result.h5' --cameras" in sentence
     out[5:, 2:] = True  # and one camera mends no others
     assert mend_in_words(result, Path("out/result.h5"), [0]) == []
 

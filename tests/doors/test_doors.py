@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import io
+import tracemalloc
 import zipfile
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+import h5py
 import numpy as np
 import pytest
 
@@ -162,3 +164,27 @@ def test_sentences_are_short_and_harmless() -> None:
         raise InputError(f"the name {'x' * 5000}\x1b[2J\n is unknown; take another.")
     text = str(caught.value)
     assert len(text) < 300 and text.isprintable() and text.startswith("/a/file") and text.endswith("take another.")
+
+
+def test_what_is_read_is_in_memory_but_once(tmp_path: Path) -> None:
+    """Of a file of somebody else: neither its bytes nor its arrays are copied."""
+    values = np.arange(1 << 21, dtype=float)
+    with h5py.File(tmp_path / "r.h5", "w") as file:
+        file["values"] = values
+    hdf5.read_hdf5(tmp_path / "r.h5", "file")
+    tracemalloc.start()
+    found = hdf5.read_hdf5(tmp_path / "r.h5", "file")["values"]
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 1.3 * values.nbytes
+    np.testing.assert_array_equal(found, values)
+    assert found.flags.writeable and found.flags.aligned
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_arrays_of_any_order_come_in_rows(order: Literal["C", "F"]) -> None:
+    values, file = np.asarray(np.arange(24.0).reshape(2, 3, 4), order=order), io.BytesIO()
+    np.savez_compressed(file, values=values, one=np.array(3), none=np.zeros((0, 3)))
+    found = npz_arrays(file.getvalue(), "it")
+    np.testing.assert_array_equal(found["values"], values)
+    assert found["values"].flags.c_contiguous and found["one"].shape == () and found["none"].shape == (0, 3)

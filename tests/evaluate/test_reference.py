@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -156,6 +157,19 @@ def test_masks_in_another_shape_or_folder_are_refused(tracked: Tracked, tmp_path
         evaluate(tracked, tmp_path)
 
 
+@pytest.mark.parametrize("given", [{"align": True}, {"register": True}, {"exclude": ["hip_r"]}, {"time_offset": 0.1}])
+def test_masks_take_no_options_of_points(tracked: Tracked, tmp_path: Path, given: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=f"leave {next(iter(given)).replace('_', ' ')} out"):
+        evaluate(tracked, tmp_path, **given)
+
+
+@pytest.mark.parametrize("offset", [float("nan"), float("inf"), 1e300])
+def test_a_time_offset_is_seconds(tracked: Tracked, tmp_path: Path, offset: float) -> None:
+    write_truth(tmp_path / "truth.npz", tracked)
+    with pytest.raises(InputError, match=r"the time offset is .*; give seconds"):
+        evaluate(tracked, tmp_path / "truth.npz", time_offset=offset)
+
+
 def test_references_with_nothing_in_common_are_refused(tracked: Tracked, tmp_path: Path) -> None:
     write_truth(tmp_path / "truth.npz", tracked)
     with pytest.raises(InputError, match="no frame in common"):
@@ -191,6 +205,22 @@ def test_marker_files(tracked: Tracked, tmp_path: Path) -> None:
     # The world turned by 90°: feet stay, the walk does not.
     turned = rows_of(evaluate(tracked, tmp_path / "walk.trc", axes="pose2sim"))
     assert turned["joints, mean, offset removed"] > 10
+
+
+def test_a_note_names_the_axes_with_which_points_would_be_near(tracked: Tracked, tmp_path: Path) -> None:
+    tracked.poses = [Pose(pose.root @ se3.transform(np.eye(3), (0.4, 0.9, 0.3)), pose.q) for pose in tracked.poses]
+    points = np.stack([Posed(tracked.body, pose).landmarks[:2] for pose in tracked.poses]) + np.array([0, 0, 0.031])
+    write_trc(tmp_path / "walk.trc", tracked.times, ("RHip", "RAnkle"), points, axes="z_up")
+    [note] = evaluate(tracked, tmp_path / "walk.trc").notes
+    assert note.endswith(" mm off; with --axes z_up they would be 31 mm off")
+    off = rows_of(evaluate(tracked, tmp_path / "walk.trc"))["joints, median"]
+    assert note.startswith(f"the points are {off:.0f} mm off")
+    assert evaluate(tracked, tmp_path / "walk.trc", axes="z_up").notes == ()
+    turned = evaluate(tracked, tmp_path / "walk.trc", register=True)
+    assert not any("--axes" in note for note in turned.notes)
+    # Nowhere near: no axes are named.
+    write_trc(tmp_path / "far.trc", tracked.times, ("RHip", "RAnkle"), points + np.array([5, 7, 9]), axes="z_up")
+    assert evaluate(tracked, tmp_path / "far.trc").notes == ()
 
 
 def test_motion_files_whatever_their_knee_sign(tracked: Tracked, tmp_path: Path) -> None:
@@ -244,6 +274,9 @@ def test_names_of_markers_and_exclusions() -> None:
     assert parsed_exclusion("wrist_r", 100) == ("wrist_r", slice(0, 100))
     with pytest.raises(InputError, match="NAME:FIRST-LAST"):
         parsed_exclusion("wrist_r:a-b", 100)
+    for empty in ("wrist_r:9-3", "wrist_r:90-100", "wrist_r:100"):
+        with pytest.raises(InputError, match="rows 0 to 99"):
+            parsed_exclusion(empty, 100)
 
 
 def test_rows_of_a_motion_file_that_are_nan_are_not_known(tracked: Tracked, tmp_path: Path) -> None:

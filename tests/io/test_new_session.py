@@ -145,6 +145,21 @@ def test_what_does_not_fit_is_one_sentence(recorded: Path, capsys: pytest.Captur
     assert new(recorded, good, extra=("--force",)) == 0
 
 
+@pytest.mark.parametrize("content", [b"\x89PNG\r\n\x1a\n\xff\xfe", None])
+def test_a_calibration_that_is_none_is_named_with_its_option(
+    recorded: Path, content: bytes | None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = recorded / "Calib.toml"
+    path.unlink()
+    if content is not None:
+        path.write_bytes(content)
+    assert new(recorded, recorded / "videos") == 2
+    told = capsys.readouterr().err
+    assert str(path) in told and "check --calibration." in told and "[cameras]" not in told
+    assert run("convert", path, recorded / "other.toml") == 2
+    assert "[cameras]" not in capsys.readouterr().err
+
+
 def test_unlike_rates_are_told_and_paired_by_time(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
     slow = video(recorded / "slow" / "cam10.mp4", fps=25)
     assert new(recorded, recorded / "videos" / "cam1.mp4", slow) == 0

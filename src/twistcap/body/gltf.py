@@ -90,9 +90,7 @@ def _open(path: Path) -> GLTF2:
     """pygltflib takes whatever JSON it is given, so that is checked first."""
     data = read_bytes(path, LARGEST_BUFFER)
     binary = data[:4] == b"glTF"
-    check(
-        str(path), binary or data.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] == b"{", "it is no GLB or glTF; check [body] path"
-    )
+    check(str(path), binary or data.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] == b"{", "it is no GLB or glTF; check its path")
     length = int.from_bytes(data[12:16], "little")
     if binary and (len(data) < 20 or data[16:20] != b"JSON" or 20 + length > len(data)):
         raise InputError(f"{path}: not a glTF file (its first chunk is no JSON, or cut off).")

@@ -28,6 +28,7 @@ def board(
       twistcap board big.pdf --board charuco:9x6:80:60:5X5_100 --paper a1
     """
     from twistcap.calibrate.board import board_of
+    from twistcap.io.files import pasted
     from twistcap.report.board import PAPERS, write_board
 
     check_choice("--paper", paper, (*PAPERS, "fit"))
@@ -42,4 +43,4 @@ def board(
         terminal.emit({"id": "board", "file": path, "about": about, "board": made.words})
         return
     typer.echo(path)
-    typer.echo(f"{made.words}. Calibrate with --board {about}; measure the ruler after printing.", err=True)
+    typer.echo(f"{made.words}. Calibrate with --board {pasted(about)}; measure the ruler after printing.", err=True)

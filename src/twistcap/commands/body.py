@@ -46,7 +46,7 @@ def keyviews(
     acquired = build(measure(key_views, line))
     page = draw_steps(key_views, acquired, folder / "steps.png")
     save_glb(acquired.body, folder / "body.glb")
-    words.print(f"stature {acquired.measured.stature:.3f} m. Wrote {folder / 'body.glb'}. Look at {page}.")
+    terminal.say(f"stature {acquired.measured.stature:.3f} m. Wrote {folder / 'body.glb'}. Look at {page}.")
 
 
 @body.command()

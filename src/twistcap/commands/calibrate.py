@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -60,6 +59,7 @@ def calibrate(
     sources = sources_of([*(videos or []), *(more or [])])
     if (points is None) != bool(sources):
         raise InputError("give videos of the board, as --videos, or measured points, as --points; one of the two.")
+    terminal.output_folder(folder)  # before the work
     with terminal.status("calibrating") as report:
         if points is not None:
             found = _by_points(points, board_of(board), options, alone, report)
@@ -103,6 +103,7 @@ def write(found: Calibration, folder: Path, json: bool = False) -> None:
     """``Calib.toml`` and the page; the numbers in the terminal."""
     from twistcap.calibrate.advice import camera_rows, sentences
     from twistcap.io.calibration import write_rig
+    from twistcap.io.files import pasted
     from twistcap.report.calibration import write_calibration_page
 
     terminal.output_folder(folder)
@@ -117,7 +118,7 @@ def write(found: Calibration, folder: Path, json: bool = False) -> None:
     typer.echo(page)
     for sentence in sentences(found):
         typer.echo(sentence, err=True)
-    begin = f"twistcap new DIR --calibration {quote(str(path))} --videos VIDEOS"
+    begin = f"twistcap new DIR --calibration {pasted(path)} --videos VIDEOS"
     typer.echo(f"Next, begin a session:  {begin}", err=True)
 
 

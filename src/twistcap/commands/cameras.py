@@ -77,10 +77,13 @@ def mend_in_words(result: Any, path: Path, elsewhere: Collection[int] = ()) -> l
     """A sentence that says how cameras are mended that were left out often, also at the end, or were suspected there to
     stand `elsewhere`.
     """
+    from twistcap.io.files import pasted
+
     out = result.left_out
     if not len(out) or len(result.rig) - len({*np.flatnonzero(out[-1]), *elsewhere}) < 2:
         return []
-    mend = f"If it was bumped, twistcap refine {path} --cameras finds its new place; if late, twistcap sync its offset."
+    bumped = f"If it was bumped, twistcap refine {pasted(path)} --cameras finds its new place"
+    mend = f"{bumped}; if late, twistcap sync its offset."
     told = list[str]()
     for c, name in enumerate(result.rig.names):
         if out[-1, c] and out[:, c].sum() >= _OFTEN:

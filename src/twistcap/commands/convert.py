@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
 from twistcap.commands import terminal
-from twistcap.errors import check_choice
+from twistcap.errors import InputError, check_choice
+
+if TYPE_CHECKING:
+    from twistcap.io.cameras import CameraFormat
 
 
 def convert(
@@ -37,13 +40,15 @@ def convert(
     from twistcap.io.cameras.axes import Up
 
     units = {None: None, "m": 1.0, "mm": 1e-3}
-    check_choice("--unit", unit, units)
+    if unit is not None:
+        check_choice("--unit", unit, ("m", "mm"))
     check_choice("--to", to, FORMATS)
     axis: Any = up
     if up is not None:
         check_choice("--up", up, get_args(Up))
     pixels = None if size is None else terminal.image_size(size)
     rig, statement = read_cameras(source, of, Asked(units[unit], pixels), axis)
+    _check_out(source, out, FORMATS[to])
     write_cameras(rig, out, to)
     if json:
         centres = {camera.name: camera.centre for camera in rig}
@@ -56,3 +61,13 @@ def convert(
         typer.echo(
             f"Camera {camera.name}: at ({x:.3f}, {y:.3f}, {z:.3f}) m, {camera.size[0]}×{camera.size[1]} px.", err=True
         )
+
+
+def _check_out(source: Path, out: Path, kind: CameraFormat) -> None:
+    """See that OUT is a place for the format, and not the calibration that was read."""
+    if kind.folder:
+        terminal.output_folder(out)
+        return
+    if out.resolve() == source.resolve():
+        raise InputError(f"OUT is {out}, the calibration that is read; name another file.")
+    terminal.output_file(out, "OUT", kind.ending)

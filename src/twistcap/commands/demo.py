@@ -40,7 +40,7 @@ def demo(
         return
     terminal.show_rows("The studio walk against its truth", document["rows"])
     words.print(f"{document['ms_per_frame']:.1f} ms per frame (median, without rendering)")
-    words.print(f"Look at {document['report']}.")
+    terminal.say(f"Look at {document['report']}.")
 
 
 def run_demo(

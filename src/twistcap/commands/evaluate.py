@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from twistcap.commands import terminal
+from twistcap.errors import check_choice
 
 if TYPE_CHECKING:
     from twistcap.evaluate.agreement import Agreement, Distance
@@ -45,7 +46,9 @@ def evaluate(
       twistcap evaluate out/result.h5 --reference masks --json
     """
     from twistcap.evaluate.reference import evaluate as compare
+    from twistcap.io.markers import TO_FILE
 
+    check_choice("--axes", axes, TO_FILE)
     comparison = compare(
         terminal.tracked(result), reference, time_offset, exclude=exclude or (), axes=cast("WorldAxes", axes),
         align=align, register=register,
@@ -59,7 +62,7 @@ def evaluate(
     if comparison.joints:
         _show_distances(comparison.distances)
     for note in comparison.notes:
-        terminal.words.print(f"note: {note}")
+        terminal.say(f"note: {note}")
 
 
 def _show_agreements(found: list[Agreement]) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, cast
 import typer
 
 from twistcap.commands import terminal
+from twistcap.errors import check_choice
 
 if TYPE_CHECKING:
     from twistcap.io.coordinates import Angles
@@ -49,9 +50,13 @@ def export(
 
       twistcap export out/result.h5 --to glb --into hero.glb --out hero-walk.glb
     """
+    from twistcap.io.coordinates import ANGLES
     from twistcap.io.exports import ExportOptions, format_of
     from twistcap.io.exports import export as written
+    from twistcap.io.markers import TO_FILE
 
+    check_choice("--axes", axes, TO_FILE)
+    check_choice("--angles", angles, ANGLES)
     options = ExportOptions(cast("WorldAxes", axes), cast("Angles", angles), fill, fps, into, rig)
     if out is not None:
         terminal.output_file(out, "--out", Path(format_of(to).file_name).suffix)

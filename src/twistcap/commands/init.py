@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
+from twistcap.commands import terminal
 from twistcap.commands.terminal import words
 from twistcap.commands.view import serve
 from twistcap.errors import InputError
@@ -45,7 +46,7 @@ def init(
         if auto:
             start_unaided(clicking)
         html = page("init", f"First pose of {session.parent.resolve().name}", clicking.document())
-    words.print(f"Save writes {clicking.target.path}.")
+    terminal.say(f"Save writes {clicking.target.path}.")
     serve(html, {**clicking.answers, "/save": partial(save, clicking)}, port)
 
 
@@ -97,6 +98,8 @@ def target_of(session: Any, path: Path, out: Path | None) -> Any:
     table = session.first_pose
     if out is not None and out.suffix.lower() != ".json":
         raise InputError(f"--out is {out}; a pose is written as JSON, so name a file that ends in .json.")
+    if out is not None:
+        terminal.output_folder(out.parent)  # before the clicks
     if out is None and table.file is not None and Path(table.file).suffix.lower() == ".json":
         return Target(Path(table.file), "file")
     if out is None and table.clicks is not None:

@@ -41,6 +41,7 @@ def build(
     from twistcap.io.motions import read_motion
     from twistcap.motion import MotionLibrary
 
+    terminal.output_file(out, "OUT", ".npz")
     body = humanoid(cast(Literal["full", "legs"], variant))  # which checks it
     names = [name.strip() for name in coordinates.split(",")] if coordinates else None
     skeletons = [skeleton if path.suffix.lower() == ".amc" else None for path in files]

@@ -59,6 +59,10 @@ def new(
         raise InputError(f"--stature is {stature}; it is the person's height in metres, such as 1.75.")
     if people is not None and detector is None:
         raise InputError("--people is for --detector; name both.")
+    if detector is not None:
+        from twistcap.io.detectors import check_detector
+
+        check_detector(detector, people)
     given = [*(videos or []), *(more or [])]
     draft, known = _drafted(folder, calibration, given, project, trial, up, unit)
     draft = replace(draft, detector=detector, people=people)

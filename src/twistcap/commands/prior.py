@@ -47,6 +47,7 @@ def train(
 
     from twistcap.io.prior_file import trained_prior, write_prior
 
+    terminal.output_file(out, "OUT", ".npz")
     names = [name.strip() for name in coordinates.split(",")] if coordinates else None
     sigma = None if sigma_deg is None else float(np.radians(sigma_deg))
     made = trained_prior(files, every, names, sigma, _factors(scale or []))

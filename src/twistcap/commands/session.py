@@ -10,7 +10,6 @@ from typing import Annotated, Any, get_type_hints
 import typer
 
 from twistcap.commands import terminal
-from twistcap.commands.terminal import words
 from twistcap.errors import InputError
 
 
@@ -44,8 +43,8 @@ def session(
     if json:
         terminal.emit(document)
         return
-    words.print(f"{session} is a session with {len(loaded.videos)} videos: {', '.join(sorted(loaded.videos))}")
-    words.print(f"settings of the tracker that it changes: {', '.join(changed) or 'none'}")
+    terminal.say(f"{session} is a session with {len(loaded.videos)} videos: {', '.join(sorted(loaded.videos))}")
+    terminal.say(f"settings of the tracker that it changes: {', '.join(changed) or 'none'}")
 
 
 def explained(settings: type[Any], prefix: str = "tracker") -> list[dict[str, str]]:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from shlex import quote
 from typing import Annotated, cast
 
 import typer
 
 from twistcap.commands import terminal
-from twistcap.errors import check_choice
+from twistcap.errors import check, check_choice
 
 
 def studio(
@@ -25,10 +24,10 @@ def studio(
     grey: Annotated[bool, typer.Option("--grey", help="Grey images.")] = False,
     speed: Annotated[float, typer.Option(help="Factor on the speed of the walk.")] = 1.0,
     drop: Annotated[list[str] | None, typer.Option(help="FIRST:LAST frames without images.")] = None,
-    noise: Annotated[float, typer.Option(help="Fraction of the pixels that become uniform noise.")] = 0.0,
-    rectangles: Annotated[int, typer.Option(help="Number of random rectangles painted over each image.")] = 0,
-    occluders: Annotated[int, typer.Option(help="Number of things in front of the person.")] = 0,
-    blur: Annotated[int, typer.Option(help="Number of sub-frames for motion blur.")] = 1,
+    noise: Annotated[float, typer.Option(min=0, max=1, help="Fraction of the pixels that become uniform noise.")] = 0.0,
+    rectangles: Annotated[int, typer.Option(min=0, help="Number of random rectangles painted over each image.")] = 0,
+    occluders: Annotated[int, typer.Option(min=0, help="Number of things in front of the person.")] = 0,
+    blur: Annotated[int, typer.Option(min=1, help="Number of sub-frames for motion blur.")] = 1,
     json: terminal.Json = False,
 ) -> None:
     """Render a synthetic recording: videos, Calib.toml, body.glb, masks, truth, and a session.toml to track.
@@ -41,22 +40,26 @@ def studio(
 
       twistcap studio /tmp/gap --drop 20:24 && twistcap track /tmp/gap/session.toml
     """
+    from twistcap.io.files import pasted
     from twistcap.io.synthetic import write_session
     from twistcap.studio import StudioConfig, capture
     from twistcap.studio.config import Condition
 
     check_choice("--condition", condition, ("exact", "mismatch"))
-    spans = [terminal.frame_range(text) for text in drop or []]
+    for option, value in (("--fps", fps), ("--speed", speed)):
+        check(option, 0 < value < float("inf"), f"it is {value:g}; give a number above 0")
+    spans = [terminal.frame_range(text, "--drop") for text in drop or []]
     config = StudioConfig(
         seed=seed, views=views, size=terminal.image_size(size), frames=frames, fps=fps, hard=hard,
         condition=cast(Condition, condition), one_colour=one_colour, colour=not grey, speed_factor=speed,
         dropped=tuple(s for s in spans if s), uniform_noise=noise, rectangles=rectangles, occluders=occluders,
         motion_blur=blur,
     )  # fmt: skip
+    terminal.output_folder(out)
     with terminal.progress("rendering", frames) as advance:
         session = write_session(capture(config), out, progress=lambda done, total: advance(""))
     if json:
         said = {"folder": out, "frames": frames, "views": views, "seed": seed}
         terminal.emit({"id": "studio", "session": session, **said})
     else:
-        terminal.say(f"Now run: twistcap track {quote(str(session))}")
+        terminal.say(f"Now run: twistcap track {pasted(session)}")

@@ -287,4 +287,4 @@ def tell(document: dict[str, Any]) -> None:
         words.print(f"frames = [{document['frames'][0]}, {document['frames'][1]}]: all cameras have these")
     for doubt in document["unsure"]:
         terminal.say(f"Not sure: {doubt}.")
-    words.print(f"{'written into' if document['written'] else 'not written into'} {document['session']}")
+    terminal.say(f"{'written into' if document['written'] else 'not written into'} {document['session']}")

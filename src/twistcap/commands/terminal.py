@@ -151,13 +151,13 @@ def output_file(path: Path, option: str, ending: str) -> None:
     output_folder(path.parent)
 
 
-def frame_range(text: str | None) -> tuple[int, int] | None:
+def frame_range(text: str | None, option: str = "--frames") -> tuple[int, int] | None:
     """``10:20`` as frames 10 to 20, both included. Raises InputError where it reads otherwise."""
     if text is None:
         return None
     first, colon, last = text.partition(":")
     if not (colon and first.isdigit() and last.isdigit()):
-        raise InputError(f"--frames is {text!r}; write FIRST:LAST, both included, such as 0:99.")
+        raise InputError(f"{option} is {text!r}; write FIRST:LAST, both included, such as 0:99.")
     return int(first), int(last)
 
 
@@ -165,17 +165,18 @@ def tracked(path: Path, frames: str | None = None) -> Result:
     """The result in a file, of the frames FIRST:LAST if given. Raises InputError where it has none of them."""
     from twistcap.io.result import read_result
 
-    span, result = frame_range(frames), read_result(path)
-    result = result.within(*span) if span else result
+    span, whole = frame_range(frames), read_result(path)
+    result = whole.within(*span) if span else whole
     if not len(result):
-        raise InputError(f"result file {path} has no frame{f' in {frames}' if frames else ''}.")
+        held = f" in {frames}; it has {whole.indices[0]} to {whole.indices[-1]}, see --frames" if len(whole) else ""
+        raise InputError(f"result file {path} has no frame{held}.")
     return result
 
 
 def image_size(text: str) -> tuple[int, int]:
     """``1920x1080`` as (width, height). Raises InputError where it reads otherwise."""
     width, _, height = text.lower().partition("x")
-    if not (width.isdigit() and height.isdigit() and 0 < len(width) < 6 and 0 < len(height) < 6):
+    if not all(side.isdigit() and len(side) < 6 and int(side) for side in (width, height)):
         raise InputError(f"--size is {text!r}; write WIDTHxHEIGHT, such as 1920x1080.")
     return int(width), int(height)
 

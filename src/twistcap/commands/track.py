@@ -77,6 +77,8 @@ class Begin:
     def __post_init__(self) -> None:
         if self.resume and self.overwrite:
             raise InputError("--resume and --overwrite exclude each other; give one.")
+        if self.videos_changed and not self.resume:
+            raise InputError("--videos-changed is for --resume; give both.")
 
 
 def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str, Any]:
@@ -189,7 +191,7 @@ def _kept(views: Any, tracker: Any, writer: Any, path: Path) -> Timing:
     try:
         return follow(views, len(views), tracker, writer)
     except KeyboardInterrupt:
-        words.print(f"interrupted: the first {len(writer)} frames are kept in {path}; go on with --resume")
+        terminal.say(f"interrupted: the first {len(writer)} frames are kept in {path}; go on with --resume")
         raise typer.Exit(130) from None
 
 

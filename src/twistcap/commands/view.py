@@ -106,7 +106,7 @@ def _sources(result: Any, session: Path | None, images: int | None) -> dict[str,
     if images == 0 or (session is None and images is None):
         if images is None and videos:
             reason = f"{', '.join(videos.values())[:200]}; --session SESSION or --images {_FRAMES} shows them"
-            words.print(f"no images: the result names {reason}.", markup=False)
+            terminal.say(f"no images: the result names {reason}.")
         return {}
     return {camera.name: source for camera in result.rig if (source := _source(camera, videos, session)) is not None}
 
@@ -123,8 +123,8 @@ def _source(camera: Any, videos: dict[str, str], session: Path | None) -> Any:
         source = None
     if source is None:
         reason = f"its video {path or ''} is not found: no images; give --session"
-        words.print(f"camera {camera.name}: {reason}.", markup=False)
+        terminal.say(f"camera {camera.name}: {reason}.")
         return None
     check_size(source, camera)
-    words.print(f"camera {camera.name}: images of {path}", markup=False)
+    terminal.say(f"camera {camera.name}: images of {path}")
     return source

@@ -39,4 +39,4 @@ def arrays_by_child(
         if done.returncode:
             why = done.stderr.strip().splitlines()[-1:] if done.returncode == 2 else ["it is damaged"]
             raise InputError(f"{source} cannot be read: {''.join(why) or 'it is damaged'}.")
-        return npz_arrays(out.read_bytes(), source)
+        return npz_arrays(out, source)

@@ -27,8 +27,11 @@ def read_bytes(path: Path, most: int = LARGEST) -> bytes:
             raise InputError(f"{path} cannot be read: it is no file; check its path.")
         with path.open("rb") as file:
             data = file.read(most + 1)
+    except InputError:
+        raise
     except (OSError, ValueError) as error:  # ValueError: a path with a null byte
-        raise InputError(f"{path} cannot be read: {getattr(error, 'strerror', None) or error}.") from error
+        why = getattr(error, "strerror", None) or error
+        raise InputError(f"{path} cannot be read: {why}; check its path.") from error
     if len(data) > most:
         raise InputError(f"{path} is larger than {most >> 20} MB; it is not the kind of file that belongs here.")
     return data

@@ -10,13 +10,17 @@ from scipy.optimize import minimize_scalar
 from twistcap import se3
 from twistcap.arrays import Float
 from twistcap.errors import InputError
+from twistcap.evaluate import metrics
 from twistcap.evaluate.load import Reference
+from twistcap.io.markers import TO_FILE, WorldAxes
 from twistcap.io.result import Result
 
 _LEAST_FRAMES = 10
 _LEAST_SHARE = 0.5  # of the frames that overlap best
 _AS_GOOD = 0.01  # of the variance
 _STILL = 1e-6  # rad or m/s; what moves less tells no time
+_FAR = 250.0  # mm, the median from which on the world's axes are doubted
+_CLEARLY = 1 / 3  # of that error, below which other axes are named
 
 
 def aligned(result: Result, reference: Reference, clock: bool, world: bool) -> Reference:
@@ -113,3 +117,20 @@ def world_motion(ours: Float, theirs: Float) -> tuple[Float, Float]:
     U, _, Vt = np.linalg.svd((a - a.mean(axis=0)).T @ (b - b.mean(axis=0)))
     R = Vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(Vt.T @ U.T))]) @ U.T
     return R, b.mean(axis=0) - R @ a.mean(axis=0)
+
+
+def better_axes(ours: Float, theirs: Float, axes: WorldAxes) -> str:
+    """A note that names other axes of the reference's file, where its points lie far off and would be near with those;
+    "" otherwise.
+
+    `ours` and `theirs` are (N, K, 3) m, theirs NaN where unknown and read with `axes`, see `io.markers`.
+    """
+    off = {name: _median_mm(ours, theirs @ TO_FILE[axes].T @ to_file) for name, to_file in TO_FILE.items()}
+    best, now = min(off, key=lambda name: off[name]), off[axes]
+    if not (now > _FAR and off[best] < _CLEARLY * now):
+        return ""
+    return f"the points are {now:.0f} mm off; with --axes {best} they would be {off[best]:.0f} mm off"
+
+
+def _median_mm(ours: Float, theirs: Float) -> float:
+    return metrics.percentile_known(metrics.distances_mm(metrics.differences(ours, theirs)), 50)

@@ -83,7 +83,10 @@ def parsed_exclusion(text: str, rows: int) -> tuple[str, slice]:
     name, first, last = match.groups()
     if first is None:
         return name, slice(0, rows)
-    return name, slice(int(first), int(last or first) + 1)
+    start, stop = int(first), int(last or first) + 1
+    if not start < stop <= rows:
+        raise InputError(f"exclusion {text!r} is no range of rows; write FIRST-LAST of rows 0 to {rows - 1}.")
+    return name, slice(start, stop)
 
 
 def load_reference(

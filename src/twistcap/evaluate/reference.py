@@ -18,13 +18,15 @@ from twistcap.doors.images import read_image
 from twistcap.errors import InputError, check
 from twistcap.evaluate import metrics
 from twistcap.evaluate.agreement import Agreement, Distance, agreements, distances
-from twistcap.evaluate.alignment import aligned
+from twistcap.evaluate.alignment import aligned, better_axes
 from twistcap.evaluate.load import Reference, load_reference
 from twistcap.evaluate.metrics import Row, row
 from twistcap.io.angles import nearest, shoulders_of
 from twistcap.io.coordinates import opensim_angles
 from twistcap.io.markers import WorldAxes
 from twistcap.io.result import Result
+
+_WITH_AXES = (".trc", ".c3d")  # files of points, which do not say how their world lies
 
 
 @dataclass(frozen=True)
@@ -104,14 +106,20 @@ def evaluate(
     path = Path(reference)
     path = path / "truth.npz" if (path / "truth.npz").is_file() else path
     case = case or (path.name if path.is_dir() else path.stem)
+    check("evaluate", abs(time_offset) < 1e11, f"the time offset is {time_offset:g}; give seconds, such as 0.0217")
     if path.is_dir():
-        if time_offset:
-            raise InputError(f"masks in {path} are matched by frame number; leave the time offset out.")
+        given = {"time offset": time_offset, "exclude": exclude, "align": align, "register": register}
+        if unused := [name for name, value in given.items() if value]:
+            raise InputError(f"masks in {path} are matched by frame number; leave {unused[0]} out.")
         return _against_masks(result, path, case)
     truth = load_reference(path, result.body, lambda rows: frame_times(result, rows), axes)
     truth = replace(truth, times=truth.times + time_offset).without(exclude)
     truth = aligned(result, truth, align, register) if align or register else truth
-    return compare(result, truth, case, str(path))
+    found = compare(result, truth, case, str(path))
+    if found.joints is None or register or path.suffix.lower() not in _WITH_AXES:
+        return found
+    note = better_axes(_placed(result, found.joints.names), found.joints.reference, axes)
+    return replace(found, notes=(*found.notes, note)) if note else found
 
 
 def frame_times(result: Result, rows: int) -> Float:
@@ -163,15 +171,18 @@ def compared_landmarks(ours: Sequence[str], theirs: Sequence[str]) -> tuple[str,
 
 
 def _joint_errors(result: Result, names: Sequence[str], points: Float) -> Errors | None:
-    marks = result.body.landmarks
-    shared = compared_landmarks(marks.names, names)
+    shared = compared_landmarks(result.body.landmarks.names, names)
     if not shared:
         return None
-    mine = result.landmarks[:, [marks.index(name) for name in shared]]
     theirs = points[:, [names.index(name) for name in shared]]
-    difference = metrics.differences(mine, theirs)
+    difference = metrics.differences(_placed(result, shared), theirs)
     raw, rest = metrics.distances_mm(difference), metrics.distances_mm(metrics.without_offset(difference))
     return Errors(shared, theirs, raw, rest)
+
+
+def _placed(result: Result, names: Sequence[str]) -> Float:
+    """(N, K, 3) m, landmarks of the tracked body."""
+    return result.landmarks[:, [result.body.landmarks.index(name) for name in names]]
 
 
 def _angle_errors(result: Result, names: Sequence[str], angles: Float) -> Errors | None:

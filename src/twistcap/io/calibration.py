@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from shlex import quote
 from typing import Any, Literal
 
 import cv2
@@ -20,28 +19,30 @@ from twistcap.camera import Camera, Rig
 from twistcap.doors.images import MOST_PIXELS
 from twistcap.doors.text import number_array, read_toml
 from twistcap.errors import InputError, check
+from twistcap.io.files import pasted
 from twistcap.io.plausible import check_plausible
 
 Unit = Literal["m", "mm"]
 _TO_METRES: dict[str, float] = {"m": 1.0, "mm": 1e-3}
 _GREATEST, _WIDEST = 1e6, 1 << 15  # of a number of a camera: px, m; of a side of its images, px
 _FIELDS = ("size", "matrix", "rotation", "translation")  # a table with none of them is no camera
+_KEY = "[cameras] calibration"  # which names the file, mostly
 _FOREIGN = (".qca.txt", ".xcp", ".yml", ".yaml", ".xml", ".pickle")  # what `io.cameras` reads
 
 
-def read_rig(path: str | Path, unit: Unit | None = None, floor: float | None = 0.0) -> Rig:
+def read_rig(path: str | Path, unit: Unit | None = None, floor: float | None = 0.0, key: str = _KEY) -> Rig:
     """Read a calibration and check that it can be true.
 
     `unit` is that of the translations; None takes ``unit`` in the file's ``[metadata]``, and metres where there is
-    none. `floor` is its height, m; None where the world's z is not upward. Raises InputError for a missing file; a
-    missing, malformed, non-finite or impossible entry;
-    and what `check_plausible` raises.
+    none. `floor` is its height, m; None where the world's z is not upward; `key` is what names the file, for messages.
+    Raises InputError for a missing file; a missing, malformed, non-finite or impossible entry; and what
+    `check_plausible` raises.
     """
     path = Path(path)
     if path.name.lower().endswith(_FOREIGN):
-        mend = f"make a Calib.toml of it:  twistcap convert {quote(str(path))} Calib.toml"
+        mend = f"make a Calib.toml of it:  twistcap convert {pasted(path)} Calib.toml"
         raise InputError(f"calibration {path} is of another program; {mend}")
-    tables = read_toml(Path(path), "calibration", "check [cameras] calibration")
+    tables = read_toml(path, "calibration", f"check {key}")
     metadata = tables.get("metadata", {})
     given = unit or (metadata.get("unit") if isinstance(metadata, dict) else None) or "m"
     if not isinstance(given, str) or given not in _TO_METRES:
@@ -64,7 +65,7 @@ def read_rig(path: str | Path, unit: Unit | None = None, floor: float | None = 0
 
 def knows_floor(path: str | Path) -> bool:
     """Whether z = 0 is the floor in a calibration file; ``floor = false`` in its ``[metadata]`` says that it is not."""
-    metadata = read_toml(Path(path), "calibration", "check [cameras] calibration").get("metadata")
+    metadata = read_toml(Path(path), "calibration", f"check {_KEY}").get("metadata")
     return not (isinstance(metadata, dict) and metadata.get("floor") is False)
 
 

@@ -22,7 +22,7 @@ from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
 from twistcap.io.keypoints import NoKeypoints
-from twistcap.io.model_file import is_model_file
+from twistcap.io.model_file import check_there, is_model_file
 from twistcap.io.onnx_detector import detected_by_model, load_detector
 
 GROUP = "twistcap.detectors"
@@ -39,6 +39,14 @@ def detector(name: str) -> Detector:
         return next(iter(offered.select(name=name))).load()
     except (ImportError, AttributeError) as error:
         raise InputError(f"detector {name!r} cannot be loaded: {error}.") from error
+
+
+def check_detector(name: str, people: str | None) -> None:
+    """Raises InputError where a model file does not exist, or a detector is not installed."""
+    for model in (name, people or ""):
+        check_there(model)
+    if not is_model_file(name):
+        detector(name)
 
 
 def detected(name: str, images: Sequence[UInt8 | None], rig: Rig, people: str | None = None) -> Keypoints:

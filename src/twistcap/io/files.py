@@ -7,6 +7,7 @@ import os
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -40,6 +41,11 @@ def unwritable(path: str | Path, error: OSError, what: str = "") -> InputError:
     full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
     mend = "make room, or choose another place" if full else "choose another place"
     return InputError(f"{what} {path} cannot be written: {error.strerror or error}; {mend}.".lstrip())
+
+
+def pasted(path: str | Path) -> str:
+    """A path as a shell takes it, for commands in messages: blanks and brackets do not split it."""
+    return quote(str(path))
 
 
 def write_at(descriptor: int, data: bytes | memoryview, offset: int) -> None:

@@ -82,7 +82,7 @@ def read_key_views(path: Path | str) -> tuple[dict[str, KeyView], float | None]:
 
 def _opened(path: Path) -> tuple[KeyViewsFile, Rig]:
     file: KeyViewsFile = validated(KeyViewsFile, read_toml(path, "key views"), str(path))
-    return file, read_rig(path.parent / file.calibration)
+    return file, read_rig(path.parent / file.calibration, key=f"calibration in {path}")
 
 
 @dataclass(frozen=True)

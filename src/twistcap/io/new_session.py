@@ -8,12 +8,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from glob import glob
 from pathlib import Path
-from shlex import quote
 
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.io.calibration import Unit, knows_floor, read_rig
 from twistcap.io.cameras.axes import Up, axis_up, check_z_up
+from twistcap.io.files import pasted
 from twistcap.io.model_file import is_address, is_model_file
 from twistcap.io.video import Source, check_size, is_there, open_source
 
@@ -73,7 +73,7 @@ def draft_session(videos: Sequence[str], calibration: Path, unit: Unit | None = 
     for a video that does not open or whose ends cannot be decoded, matches no camera or has another size than its
     calibration, for cameras that two videos claim, and where `up` is not said and is surely not z.
     """
-    rig = read_rig(calibration, unit, floor=None)
+    rig = read_rig(calibration, unit, floor=None, key="--calibration")
     if up is None:
         check_z_up(rig, f"calibration {calibration}", "say --up {} (or --up z{})")
     paths = matched([path for text in videos for path in recordings(text)], rig.names)
@@ -149,8 +149,12 @@ def recordings(text: str) -> list[tuple[str | None, str]]:
     """The recordings of one argument: each video of a folder of videos; a folder of images as one."""
     name, equals, path = text.partition("=")
     named = bool(equals) and not Path(text).exists()
+    if not (path if named else text):
+        raise InputError(f"--videos is {text!r}; give a path, or CAMERA=PATH.")
     if not any(c in text for c in "*?[") and not is_there(path if named else text):
         raise InputError(f"{path if named else text} does not exist; check --videos.")
+    if named and Path(path).is_dir() and not _has_images(Path(path)):
+        raise InputError(f"folder {path} holds no images; give camera {name!r} one video, or a folder of images.")
     if named or "%" in text:
         return [(name, path) if named else (None, text)]
     files = sorted(glob(text)) if any(c in text for c in "*?[") else [text]
@@ -159,14 +163,18 @@ def recordings(text: str) -> list[tuple[str | None, str]]:
     return [(None, inside) for file in files for inside in _in_folder(Path(file))]
 
 
+def _has_images(folder: Path) -> bool:
+    return any(path.suffix.lower() in _IMAGES for path in folder.iterdir())
+
+
 def _in_folder(path: Path) -> list[str]:
     if not path.is_dir():
         return [str(path)]
-    inside = sorted(path.iterdir())
-    if any(p.suffix.lower() in _IMAGES for p in inside):
+    if _has_images(path):
         return [str(path)]
+    inside = sorted(path.iterdir())
     folders = [p for p in inside if p.is_dir()]
-    pictures = [str(p) for p in folders if any(q.suffix.lower() in _IMAGES for q in p.iterdir())]
+    pictures = [str(p) for p in folders if _has_images(p)]
     below = [str(q) for p in folders for q in sorted(p.iterdir()) if q.suffix.lower() in VIDEO_ENDINGS]
     videos = [str(p) for p in inside if p.suffix.lower() in VIDEO_ENDINGS] or pictures or below
     if not videos:
@@ -267,7 +275,7 @@ def missing(draft: Draft, session: Path, stature: float | None) -> list[str]:
         out.append("The frame rate: 60 is set. Put the true one into fps.")
     pose = session.parent / "first_pose.json"
     if not pose.is_file() and not draft.keypoints and draft.detector is None:
-        by_clicks = f"click it with:  twistcap init {quote(str(session))}"
+        by_clicks = f"click it with:  twistcap init {pasted(session)}"
         out.append(f"The first pose: track looks for it in the images. If it is not clear there, {by_clicks}")
         out.append("Keypoints: none are named. They can replace the search ([first_pose.keypoints] in the file).")
     return out
@@ -277,7 +285,7 @@ def next_steps(draft: Draft, session: Path, failed: bool = False) -> list[str]:
     """What comes next, in sentences with the command; `failed` where keypoints gave no first pose."""
     if len(draft.rig) < 2:
         return ["Next, film with a second camera, calibrate both, and begin anew."]
-    clocks, init, track = (f"twistcap {command} {quote(str(session))}" for command in ("sync", "init", "track"))
+    clocks, init, track = (f"twistcap {command} {pasted(session)}" for command in ("sync", "init", "track"))
     steps = [f"find the clocks of the cameras:  {clocks}"] if _rates_differ(draft) else []
     steps += [f"click the first pose:  {init}"] if failed else []
     steps.append(f"track:  {track}")

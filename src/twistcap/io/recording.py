@@ -264,7 +264,7 @@ def _from_instants(
     """One fit over the keypoints of these frames and of those that only serve the lengths."""
     instants, rigs = list(own), [rig] * len(own)
     for extra in session.first_pose.lengths_from:
-        theirs = read_rig(extra.calibration, extra.unit, floor=None) if extra.calibration else rig
+        theirs = rig_of_lengths(extra, rig)
         instants += keypoints_of(extra, theirs)
         rigs += [theirs] * (len(instants) - len(rigs))
     fits = fit_keypoints_sequence(body, rigs, instants, fit_lengths=session.fits_lengths)[: len(own)]
@@ -272,6 +272,13 @@ def _from_instants(
     report = start_report(session, rig, body, own[near], fits[near])
     sigmas = tuple(np.sqrt(np.diag(fit.covariance)) for fit in fits)
     return _Start(fits[0].body, frames, tuple(fit.pose for fit in fits), sigmas, report)
+
+
+def rig_of_lengths(table: KeypointSet, rig: Rig) -> Rig:
+    """The cameras of keypoints that only give lengths: their own, or the session's."""
+    if not table.calibration:
+        return rig
+    return read_rig(table.calibration, table.unit, floor=None, key="calibration of [first_pose] lengths_from")
 
 
 def _with_girths(session: Session, rig: Rig, start: _Start) -> _Start:

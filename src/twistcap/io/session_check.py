@@ -7,13 +7,11 @@ from pathlib import Path
 
 from twistcap.camera import Rig
 from twistcap.errors import InputError, naming
-from twistcap.io.calibration import read_rig
-from twistcap.io.detectors import detector
+from twistcap.io.detectors import check_detector
 from twistcap.io.keypoints import read_clicks
 from twistcap.io.masks import read_masks
-from twistcap.io.model_file import check_there, is_model_file
 from twistcap.io.pose_file import body_at, read_pose
-from twistcap.io.recording import body_of, keypoints_of, rig_of, views_of
+from twistcap.io.recording import body_of, keypoints_of, rig_of, rig_of_lengths, views_of
 from twistcap.io.session import Session
 from twistcap.io.video import Views
 
@@ -42,12 +40,9 @@ def _check_keypoints(session: Session, rig: Rig, views: Views) -> None:
     if start.keypoints is not None:
         keypoints_of(start.keypoints, rig, views)
     for extra in start.lengths_from:
-        keypoints_of(extra, read_rig(extra.calibration, extra.unit, floor=None) if extra.calibration else rig)
+        keypoints_of(extra, rig_of_lengths(extra, rig))
     if start.detector is not None:
-        for name in (start.detector.model, start.detector.people):
-            check_there(name or "")
-        if not is_model_file(start.detector.model):
-            detector(start.detector.model)
+        check_detector(start.detector.model, start.detector.people)
 
 
 def _named(session: Session) -> Iterator[tuple[str, str | None]]:

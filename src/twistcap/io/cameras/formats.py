@@ -16,34 +16,36 @@ from twistcap.io.cameras.storage import read_easymocap, read_opencv, write_easym
 from twistcap.io.cameras.studios import read_qualisys, read_vicon, write_qualisys, write_vicon
 from twistcap.io.cameras.tables import read_caliscope, read_opencap, write_caliscope, write_opencap
 from twistcap.io.cameras.texts import read_colmap, read_projections, write_colmap, write_projections
+from twistcap.io.files import unwritable
 from twistcap.io.plausible import check_plausible
 
 
 @dataclass(frozen=True)
 class CameraFormat:
-    """A format: `read(path, asked)`, `write(rig, path)`, whether a path is a folder, and what it is."""
+    """A format: `read(path, asked)`, `write(rig, path)`; whether a path is a folder, or else the ending of its file."""
 
     name: str
     about: str
     read: Callable[[Path, Asked], Rig]
     write: Callable[[Rig, Path], None]
     folder: bool = False
+    ending: str = ""
 
 
 def _read_toml(path: Path, asked: Asked) -> Rig:
     units = {None: None, 1.0: "m", 1e-3: "mm"}
-    return read_rig(path, units.get(asked.unit), floor=None)  # pyright: ignore[reportArgumentType]
+    return read_rig(path, units.get(asked.unit), floor=None, key="its path")  # pyright: ignore[reportArgumentType]
 
 
 FORMATS: dict[str, CameraFormat] = {
     f.name: f
     for f in (
-        CameraFormat("toml", "Calib.toml of Pose2Sim and aniposelib", _read_toml, write_rig),
-        CameraFormat("caliscope", "camera_array.toml", read_caliscope, write_caliscope),
+        CameraFormat("toml", "Calib.toml of Pose2Sim and aniposelib", _read_toml, write_rig, ending=".toml"),
+        CameraFormat("caliscope", "camera_array.toml", read_caliscope, write_caliscope, ending=".toml"),
         CameraFormat("opencv", "OpenCV's .yml or .xml, one for each camera", read_opencv, write_opencv, True),
         CameraFormat("easymocap", "intri.yml and extri.yml", read_easymocap, write_easymocap, True),
-        CameraFormat("qualisys", ".qca.txt", read_qualisys, write_qualisys),
-        CameraFormat("vicon", ".xcp", read_vicon, write_vicon),
+        CameraFormat("qualisys", ".qca.txt", read_qualisys, write_qualisys, ending=".txt"),
+        CameraFormat("vicon", ".xcp", read_vicon, write_vicon, ending=".xcp"),
         CameraFormat("opencap", "pickles, one for each camera", read_opencap, write_opencap, True),
         CameraFormat("colmap", "cameras.txt and images.txt", read_colmap, write_colmap, True),
         CameraFormat("projections", "3 × 4 matrices as text", read_projections, write_projections, True),
@@ -107,4 +109,4 @@ def write_cameras(rig: Rig, path: Path, name: str) -> None:
     try:
         format_named(name).write(rig, path)
     except OSError as error:
-        raise InputError(f"calibration {path} cannot be written: {error.strerror or error}.") from error
+        raise unwritable(path, error, "calibration") from error
