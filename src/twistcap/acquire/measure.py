@@ -231,15 +231,15 @@ def _as_deep(leg: Float, other: Float) -> Float:
     return out
 
 
-def _arms_seen(side: KeyView, arms: list[Float], margin: int = 3) -> Bool:
-    """(H, W) where forearms and hands are seen in the side view, with a margin (px) around them."""
+def _arms_seen(side: KeyView, arms: list[Float]) -> Bool:
+    """(H, W) where forearms and hands are seen in the side view, with a margin of 3 px around them."""
     out = np.zeros(side.mask.shape, np.uint8)
     for arm in arms:
         pixels = side.camera.project(arm[len(arm) // 2 :])[0]
         for one, two in itertools.pairwise(pixels):
             hull = cv2.convexHull(np.concatenate([one, two]).astype(np.float32))
             cv2.fillConvexPoly(out, np.round(hull).astype(np.int32), 1)
-    return cv2.dilate(out, np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)) > 0
+    return cv2.dilate(out, np.ones((7, 7), np.uint8)) > 0
 
 
 def _beside_arms(trunk: Float, side: KeyView, arms: Bool) -> Float:

@@ -22,6 +22,8 @@ from twistcap.doors.text import number_array, read_json_table
 from twistcap.errors import InputError, check
 
 _FEWEST = 6  # measured points that a camera must see
+_SIGMA = 0.003  # m, of the measured points
+_CLICKED = 0.5  # px, of where they are found in the images
 
 
 @dataclass(frozen=True)
@@ -65,13 +67,13 @@ def read_scene(path: Path) -> Scene:
 
 def calibrated_by_scene(
     scene: Scene, sightings: Sequence[Sighting], board: Board, names: Sequence[str],
-    sizes: Mapping[int, tuple[int, int]], options: Options | None = None, sigma: float = 0.003, clicked: float = 0.5,
+    sizes: Mapping[int, tuple[int, int]], options: Options | None = None,
     report: Callable[[str], None] = lambda note: None,
 ) -> Calibration:  # fmt: skip
     """Calibrate by measured points, which fix the world, and pictures of a board by each camera alone.
 
     Args:
-        scene: the points, each measured to `sigma` m, and found in the images to `clicked` px.
+        scene: the points.
         sightings: of the board; no two cameras share a moment.
 
     Raises InputError: for a camera that saw too little of either; points that no place of a camera explains.
@@ -82,9 +84,9 @@ def calibrated_by_scene(
         report(f"lens of {name}")
         fits.append(fitted_lens(sharp(every.get(c, [])), solid, sizes[c], name, options.kinds))
     used = [s for own in every.values() for s in chosen(sharp(own), sizes, options.moments[1])]
-    points, seen = measured(scene.points, sigma), scene.sightings(names)
+    points, seen = measured(scene.points, _SIGMA), scene.sightings(names)
     guess = _guess(fits, used, solid, seen, points, names)
-    seen = [replace(s, rough=max(clicked / guess.noise[s.camera], 1.0)) for s in seen]
+    seen = [replace(s, rough=max(_CLICKED / guess.noise[s.camera], 1.0)) for s in seen]
     used = [s for s in used if s.moment in guess.boards]
     report("adjusting")
     setup = Setup(guess, (*used, *seen), {"board": solid, "scene": points}, gauge=None)

@@ -32,5 +32,5 @@ def read_c3d_arrays(path: str | Path, what: str) -> dict[str, Any]:
         if file.read(2)[1:] != b"\x50":
             raise InputError(f"{source} is no C3D file; check its path.")
     memory = _MEMORY + _TIMES * path.stat().st_size
-    arrays = arrays_by_child(_c3d_dump.__file__, path, source, (), _SECONDS, memory)
+    arrays = arrays_by_child(_c3d_dump.__file__, path, source, _SECONDS, memory)
     return checked(arrays, _C3D, source, "export it again")

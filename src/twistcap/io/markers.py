@@ -42,38 +42,29 @@ class Markers:
     points: Float
 
 
-def write_trc(
-    path: Path | str,
-    times: Float,
-    names: Sequence[str],
-    points: Float,
-    unit: Literal["m", "mm"] = "m",
-    axes: WorldAxes = "opensim",
-) -> None:
-    """Writes a TRC; NaN becomes an empty field.
+def write_trc(path: Path | str, times: Float, names: Sequence[str], points: Float, axes: WorldAxes = "opensim") -> None:
+    """Writes a TRC in m; NaN becomes an empty field.
 
-    `times` (N,) are in s, `points` (N, M, 3) in the world, z up, m; `unit` is that of the file. For `axes` see the head
-    of this module. Raises InputError for shapes that do not fit each other, or if the file cannot be written.
+    `times` (N,) are in s, `points` (N, M, 3) in the world, z up, m. For `axes` see the head of this module. Raises
+    InputError for shapes that do not fit each other, or if the file cannot be written.
     """
-    check_choice("write_trc: unit", unit, ("m", "mm"))
     check_choice("write_trc: axes", axes, TO_FILE)
     path, points = Path(path), np.asarray(points, dtype=float)
     if points.shape != (len(times), len(names), 3):
         raise InputError(f"{path}: points are {points.shape}, but there are {len(times)} times and {len(names)} names.")
-    values = points @ TO_FILE[axes].T / _UNITS[unit]
-    digits = 6 if unit == "m" else 3
+    values = points @ TO_FILE[axes].T
     rate = f"{frame_rate(np.asarray(times)):.10g}"
     labels = [f"{axis}{m + 1}" for m in range(len(names)) for axis in "XYZ"]
     lines = [
         f"PathFileType\t4\t(X/Y/Z)\t{path.name}",
         "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
-        "\t".join([rate, rate, str(len(times)), str(len(names)), unit, rate, "1", str(len(times))]),
+        "\t".join([rate, rate, str(len(times)), str(len(names)), "m", rate, "1", str(len(times))]),
         "Frame#\tTime\t" + "\t\t\t".join(names) + "\t\t",
         "\t\t" + "\t".join(labels),
         "",
     ]
     for n, (time, row) in enumerate(zip(times, values.reshape(len(values), -1), strict=True), start=1):
-        fields = ["" if np.isnan(v) else f"{v:.{digits}f}" for v in row]
+        fields = ["" if np.isnan(v) else f"{v:.6f}" for v in row]
         last = fields.pop() if fields else ""  # OpenSim does not count an empty field at the end of a line
         lines.append("\t".join([str(n), repr(float(time)), *fields, last or " "]))
     write_lines(path, lines)

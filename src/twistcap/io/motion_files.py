@@ -7,7 +7,6 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -103,26 +102,23 @@ def _mot_row(path: Path, at: int, line: str, columns: list[str]) -> list[float]:
     return [np.nan if field.lower() == "nan" else finite_number(field, f"{path}: line {at}") for field in fields]
 
 
-def poses_from_mot(
-    table: MotionTable, body: Body, axes: WorldAxes = "opensim", knee: Literal["auto", "positive", "negative"] = "auto"
-) -> tuple[list[Pose], list[str]]:
+def poses_from_mot(table: MotionTable, body: Body, axes: WorldAxes = "opensim") -> tuple[list[Pose], list[str]]:
     """Poses of a body from a motion file, matched by coordinate names; missing coordinates are 0.
 
-    `knee` is the sign of knee flexion in the file; gait2392 and others bend to negative angles. "auto" takes columns as
-    negative if their mean is below −5°. For `axes` see `io.markers`.
+    gait2392 and others bend knees to negative angles: they are taken for that if their mean is below −5°. For `axes`
+    see `io.markers`.
 
     Returns one pose per row, and the names of the columns that the body does not have. Raises InputError if a used
     column holds NaN, or none of the columns is known to the body.
     """
     check_choice("poses_from_mot: axes", axes, TO_FILE)
-    check_choice("poses_from_mot: knee", knee, ("auto", "positive", "negative"))
     known = {*convert.PELVIS_ANGLES, *convert.PELVIS_PLACE, *body.coordinate_names}
     unknown = [name for name in table.columns if name not in known]
     if len(unknown) == len(table.columns):
         raise InputError(f"the motion file: none of its columns is a coordinate of body {body.name!r}.")
     q = np.stack([table.get(name) for name in body.coordinate_names], axis=1).reshape(len(table.times), -1)
     knees = [k for k, name in enumerate(body.coordinate_names) if name.startswith("knee_angle")]
-    if knees and (knee == "negative" or (knee == "auto" and float(np.mean(q[:, knees])) < _NEGATIVE_KNEE)):
+    if knees and float(np.mean(q[:, knees])) < _NEGATIVE_KNEE:
         q[:, knees] *= -1.0
     given = np.array([name in table.columns for name in body.coordinate_names], bool)
     q -= given * convert.zeros_of(body)

@@ -72,7 +72,7 @@ def _check_steps(data: bytes) -> None:
             raise pickle.UnpicklingError(f"it has the step {step.name}")
 
 
-def read_number_pickle(path: Path, what: str = "calibration") -> dict[str, Any]:
+def read_number_pickle(path: Path) -> dict[str, Any]:
     """The table in a pickle, of numbers, text and numeric arrays.
 
     Raises InputError for a file that would build anything else, is damaged, or has no table.
@@ -82,11 +82,11 @@ def read_number_pickle(path: Path, what: str = "calibration") -> dict[str, Any]:
         _check_steps(data)
         content = _Numbers(io.BytesIO(data)).load()
     except Exception as error:  # a damaged pickle fails in any way
-        raise InputError(f"{what} {path} is no pickle of numbers, text and arrays alone ({error}).") from error
+        raise InputError(f"calibration {path} is no pickle of numbers, text and arrays alone ({error}).") from error
     if not isinstance(content, dict) or not all(isinstance(key, str) for key in content):
-        raise InputError(f"{what} {path} holds no table by names.")
+        raise InputError(f"calibration {path} holds no table by names.")
     for key, value in content.items():
         array = isinstance(value, (np.ndarray, np.generic)) and value.dtype.kind in _KINDS
         if not (array or isinstance(value, (int, float, str, bool, list, tuple, type(None)))):
-            raise InputError(f"{what} {path}: {key!r} is neither a number, text nor an array of numbers.")
+            raise InputError(f"calibration {path}: {key!r} is neither a number, text nor an array of numbers.")
     return content

@@ -46,10 +46,10 @@ class StartReport:
     lengths: Mapping[str, float]
     warnings: tuple[str, ...]
 
-    def worst(self, count: int = 6) -> list[tuple[str, Float]]:
-        """The joints of the largest residuals, the worst first, each with its residual (C,) by camera."""
+    def worst(self) -> list[tuple[str, Float]]:
+        """The six joints of the largest residuals, the worst first, each with its residual (C,) by camera."""
         most = np.nan_to_num(self.residual_px, nan=-1.0).max(axis=0)
-        order = [k for k in np.argsort(-most, kind="stable")[:count] if most[k] >= 0]
+        order = [k for k in np.argsort(-most, kind="stable")[:6] if most[k] >= 0]
         return [(self.names[k], self.residual_px[:, k]) for k in order]
 
     @property

@@ -64,9 +64,8 @@ class Clicks:
 
 
 def fit_clicks(
-    body: Body, clicks: Sequence[Mapping[str, Sequence[float]]], *, facing_deg: Sequence[float] | None = None,
-    start: State | None = None,
-) -> ClickedStart:  # fmt: skip
+    body: Body, clicks: Sequence[Mapping[str, Sequence[float]]], *, facing_deg: Sequence[float] | None = None
+) -> ClickedStart:
     """The state and dimensions of a body whose joints were clicked.
 
     Clicks are (x, y) px of each view by landmark name; a view may lack some. `facing_deg` is the direction that the
@@ -76,8 +75,8 @@ def fit_clicks(
     Raises InputError for an unknown name, fewer than four clicks in a view, or numbers that are not finite.
     """
     skeleton, known = Skeleton(body), gathered(body, clicks)
-    starts = [start] if start is not None else _starts(body, known, facing_deg)
-    x = min((_minimised(skeleton, known, begin) for begin in starts), key=lambda end: end.energy).x
+    ends = [_minimised(skeleton, known, start) for start in _starts(body, known, facing_deg)]
+    x = min(ends, key=lambda end: end.energy).x
     proportions, state = skeleton.proportions(x["shape"].values), state_at(x)
     fitted = rescaled(body, proportions.lengths, proportions.girths, proportions.stature)
     at = Posed(fitted, Pose(np.eye(4), state.q)).landmarks[known.marks]
