@@ -28,7 +28,7 @@ def test_signals_are_brought_together() -> None:
     true = np.array([0.0, 1.234, -2.1])
     cut = [(times >= 5 + o) & (times < 13 + o) for o in true]
     signals = [Signal(times[c] - times[c][0], wave[c] + rng.normal(size=c.sum())) for c in cut]
-    found = coincidence(signals, [0.0] * 3, 240, 2.0, 0.15)
+    found = coincidence(signals, 240, 2.0, 0.15)
     np.testing.assert_allclose(found.offsets, true, atol=0.02)
     assert found.margin.min() > 0.05
 
@@ -38,7 +38,7 @@ def test_a_clap_is_heard() -> None:
     sounds = [0.01 * rng.normal(size=4 * rate) for _ in range(2)]
     for sound, at in zip(sounds, (1.5, 2.25), strict=True):
         sound[int(at * rate) : int(at * rate) + 800] += rng.normal(size=800)
-    found = coincidence([sound_signal(s, rate) for s in sounds], [0.0, 0.0], 500, 1.0, 0.15)
+    found = coincidence([sound_signal(s, rate) for s in sounds], 500, 1.0, 0.15)
     assert abs(found.offsets[1] + 0.75) < 0.004
 
 
@@ -52,7 +52,7 @@ def test_claps_that_fall_between_two_samples_are_the_same_in_all_cameras(seed: i
             tail = np.exp(-np.arange(min(4800, len(sound) - k)) / (0.01 * rate))
             sound[k : k + len(tail)] += 0.8 * tail * rng.normal(size=len(tail))
         signals.append(sound_signal(np.clip(sound, -1, 1), rate))
-    found = coincidence(signals, [0.0] * 4, 500.0, 2.4, 0.15)
+    found = coincidence(signals, 500.0, 2.4, 0.15)
     np.testing.assert_allclose(found.offsets, starts - starts[0], atol=0.004)
     assert found.margin.min() > 0.1
 

@@ -53,7 +53,6 @@ class Calibration:
         rig: the cameras.
         adjustment: what they rest on, with covariances; in the same world.
         board: as it was found to be.
-        fits: of each lens alone.
         shifts: whole frames by which each camera shows a later moment; sightings are paired so.
         floor_known: whether a board on the floor says where the world is; else up is a guess by the images.
     """
@@ -61,7 +60,6 @@ class Calibration:
     rig: Rig
     adjustment: Adjustment
     board: Board
-    fits: tuple[LensFit, ...]
     shifts: tuple[int, ...]
     floor_known: bool
 
@@ -144,7 +142,7 @@ def of_sightings(
         setup, adjustment = fitted()
     adjustment, known = _in_world(adjustment, setup, board, options.floor, report)
     rig = Rig(adjustment.cameras(names))
-    return Calibration(rig, adjustment, board, tuple(fits), shifts, known)
+    return Calibration(rig, adjustment, board, shifts, known)
 
 
 def found_variant(sources: Sequence[Source], board: Board) -> Board:

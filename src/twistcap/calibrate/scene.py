@@ -28,9 +28,8 @@ _CLICKED = 0.5  # px, of where they are found in the images
 
 @dataclass(frozen=True)
 class Scene:
-    """Measured points: names, places (P, 3), world, m, and pixels (x, y) by camera and number of the point."""
+    """Measured points: places (P, 3), world, m, and pixels (x, y) by camera and number of the point."""
 
-    names: tuple[str, ...]
     points: Float
     pixels: Mapping[str, Mapping[int, Float]]
     source: str = "measured points"  # the file, for messages
@@ -62,7 +61,7 @@ def read_scene(path: Path) -> Scene:
                 continue
             pixels.setdefault(camera, {})[k] = number_array(pixel, (2,), f"{where}: 'pixels' of {camera}")
     check(f"points {path}", len(points) >= _FEWEST, f"it holds {len(points)} points; at least {_FEWEST} are needed")
-    return Scene(tuple(table), np.array(points), pixels, f"points {path}")
+    return Scene(np.array(points), pixels, f"points {path}")
 
 
 def calibrated_by_scene(
@@ -91,7 +90,7 @@ def calibrated_by_scene(
     report("adjusting")
     setup = Setup(guess, (*used, *seen), {"board": solid, "scene": points}, gauge=None)
     adjustment = adjust(setup, report)
-    return Calibration(Rig(adjustment.cameras(names)), adjustment, board, tuple(fits), (0,) * len(names), True)
+    return Calibration(Rig(adjustment.cameras(names)), adjustment, board, (0,) * len(names), True)
 
 
 def _guess(

@@ -138,7 +138,7 @@ def _coarse(
         if signals is None and start == way:
             raise InputError(f"--start is {way!r}, but a camera has none; choose another, or leave it out.")
         if signals is not None:
-            found[way] = _together(signals, [given[name].offset for name in names], way)
+            found[way] = _together(signals, way)
             if _clearness(way, found[way]) > 1.0:
                 break
     if not found:
@@ -153,11 +153,11 @@ def _coarse(
     return {n: replace(given[n], offset=float(o)) for n, o in zip(names, moved, strict=True)}, best, doubts
 
 
-def _together(signals: list[Any], offsets: list[float], way: str) -> Coarse:
+def _together(signals: list[Any], way: str) -> Coarse:
     from twistcap.adjust.clocks import coincidence
 
     shared = min(5.0, 0.4 * min(s.times[-1] - s.times[0] for s in signals))
-    return coincidence(signals, offsets, _RATE[way], shared, _APART)
+    return coincidence(signals, _RATE[way], shared, _APART)
 
 
 def _clearness(way: str, found: Coarse) -> float:

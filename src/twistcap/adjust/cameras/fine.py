@@ -54,7 +54,6 @@ class MendedCameras:
             and as mended.
         others: that share in the other cameras, all frames together.
         moved: rad and m by which the cameras moved in each round.
-        poses: of the frames.
     """
 
     places: Mapping[int, Float]
@@ -63,7 +62,6 @@ class MendedCameras:
     after: Mapping[int, Float]
     others: float
     moved: tuple[float, ...]
-    poses: PoseTrack
 
 
 def mended_cameras(
@@ -169,7 +167,7 @@ def _settled(
     before = as_given.agreeing(posed, wrong)
     before = {c: zero_beside(before[c], after[c]) for c in wrong}
     others = float(np.nanmean(np.stack(tuple(rest.values()))))
-    return MendedCameras(places, sigmas, before, after, others, tuple(moved), x.track)
+    return MendedCameras(places, sigmas, before, after, others, tuple(moved))
 
 
 class CameraProblem:

@@ -46,13 +46,12 @@ Report = Callable[[str, int, int], None]
 class Clocks:
     """How late the cameras are: what an image shows is `late` (C,) s after what its clock says.
 
-    `sigma` (C,) are the standard deviations; those of the camera that stands for the time are 0. `moved` are s by
-    which the clocks moved in each round. `poses` are those of the frames, all images at their own times.
+    `sigma` (C,) are the standard deviations; those of the camera that stands for the time are 0. `poses` are those of
+    the frames, all images at their own times.
     """
 
     late: Float
     sigma: Float
-    moved: tuple[float, ...]
     poses: PoseTrack
 
 
@@ -95,7 +94,7 @@ def estimate_clocks(
     assert solution is not None
     sigma = claimed_sigma(solution.system, effect)[: len(rig)]
     sigma[reference] = 0.0
-    return Clocks(x.late, sigma, tuple(moved), x.track)
+    return Clocks(x.late, sigma, x.track)
 
 
 @dataclass(frozen=True)

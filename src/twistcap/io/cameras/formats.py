@@ -21,13 +21,11 @@ from twistcap.io.plausible import check_plausible
 
 @dataclass(frozen=True)
 class CameraFormat:
-    """A format: `read(path, asked)`, `write(rig, path)`, whether a path is a folder, and what it is."""
+    """A format: `read(path, asked)` and `write(rig, path)`."""
 
     name: str
-    about: str
     read: Callable[[Path, Asked], Rig]
     write: Callable[[Rig, Path], None]
-    folder: bool = False
 
 
 def _read_toml(path: Path, asked: Asked) -> Rig:
@@ -38,15 +36,15 @@ def _read_toml(path: Path, asked: Asked) -> Rig:
 FORMATS: dict[str, CameraFormat] = {
     f.name: f
     for f in (
-        CameraFormat("toml", "Calib.toml of Pose2Sim and aniposelib", _read_toml, write_rig),
-        CameraFormat("caliscope", "camera_array.toml", read_caliscope, write_caliscope),
-        CameraFormat("opencv", "OpenCV's .yml or .xml, one for each camera", read_opencv, write_opencv, True),
-        CameraFormat("easymocap", "intri.yml and extri.yml", read_easymocap, write_easymocap, True),
-        CameraFormat("qualisys", ".qca.txt", read_qualisys, write_qualisys),
-        CameraFormat("vicon", ".xcp", read_vicon, write_vicon),
-        CameraFormat("opencap", "pickles, one for each camera", read_opencap, write_opencap, True),
-        CameraFormat("colmap", "cameras.txt and images.txt", read_colmap, write_colmap, True),
-        CameraFormat("projections", "3 × 4 matrices as text", read_projections, write_projections, True),
+        CameraFormat("toml", _read_toml, write_rig),  # Pose2Sim and aniposelib
+        CameraFormat("caliscope", read_caliscope, write_caliscope),
+        CameraFormat("opencv", read_opencv, write_opencv),
+        CameraFormat("easymocap", read_easymocap, write_easymocap),
+        CameraFormat("qualisys", read_qualisys, write_qualisys),
+        CameraFormat("vicon", read_vicon, write_vicon),
+        CameraFormat("opencap", read_opencap, write_opencap),
+        CameraFormat("colmap", read_colmap, write_colmap),
+        CameraFormat("projections", read_projections, write_projections),
     )
 }
 
