@@ -87,8 +87,11 @@ def synchronise(path: Path, start: str = "auto", count: int = 400, write: bool =
     if write:
         write_clocks(path, clocks, span, keypoints)
     rows = [
-        _row(name, given[name], clocks[name], float(s), found.frame) for name, s in zip(names, found.sigma, strict=True)
-    ]
+        {"camera": name, "before_s": given[name].offset, "after_s": clocks[name].offset,
+         "moved_frames": (clocks[name].offset - given[name].offset) / found.frame,
+         "sigma_frames": float(s) / found.frame}
+        for name, s in zip(names, found.sigma, strict=True)
+    ]  # fmt: skip
     about = {"id": "sync", "session": path, "written": write, "began_with": way, "cameras": rows, "frames": span}
     if found.keypoints is not None and session.first_pose.keypoints is not None:
         before, sigma = session.first_pose.keypoints.offset, found.keypoints.sigma
@@ -111,12 +114,6 @@ def _settled(session: Any, clocks: dict[str, Clock], count: int) -> tuple[dict[s
         if moved >= _SETTLED or sigma <= _AIM or found.tracked < frames or frames == count:
             return clocks, found, moved
         n, frames = 0, min(2 * frames, count)
-
-
-def _row(name: str, before: Clock, after: Clock, sigma: float, frame: float) -> dict[str, Any]:
-    moved = (after.offset - before.offset) / frame
-    return {"camera": name, "before_s": before.offset, "after_s": after.offset, "moved_frames": moved,
-            "sigma_frames": sigma / frame}  # fmt: skip
 
 
 def _within(frames: tuple[int, int] | None, together: tuple[int, int]) -> tuple[int, int] | None:

@@ -25,15 +25,16 @@ def trust(path: str | Path) -> None:
     _own.add(_stamp(path))
 
 
-def read_hdf5(path: str | Path, what: str) -> dict[str, AnyArray]:
+def read_hdf5(path: str | Path) -> dict[str, AnyArray]:
     """Arrays by path ("frames/q") and attributes by path and name ("body@name").
 
     Raises InputError for a file that is missing, damaged, or holds what no result holds.
     """
-    source = f"{what} {path}"
+    source = f"result file {path}"
     try:
         if not Path(path).is_file():
-            raise InputError(f"{source} cannot be opened: it {_absence(path)}; check its path.")
+            absence = "is no file" if Path(path).exists() else "does not exist"
+            raise InputError(f"{source} cannot be opened: it {absence}; check its path.")
         with open(path, "rb"):
             pass
         if _stamp(path) in _own:
@@ -47,10 +48,6 @@ def read_hdf5(path: str | Path, what: str) -> dict[str, AnyArray]:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{source} cannot be read: {error}.") from error
-
-
-def _absence(path: str | Path) -> str:
-    return "is no file" if Path(path).exists() else "does not exist"
 
 
 def _stamp(path: str | Path) -> tuple[int, ...]:

@@ -143,14 +143,7 @@ def _from_mot(path: Path, body: Body) -> Reference:
     names = complete_coordinates(body, table.columns)
     angles = np.full((len(known), len(names)), np.nan)
     angles[known] = np.stack([pose.q for pose in poses])[:, [body.coordinate(name) for name in names]]
-    flipped = [
-        name
-        for name in names
-        if name.startswith("knee_angle") and _opposite(angles[known, names.index(name)], whole.get(name))
-    ]
+    knees = [(name, angles[known, k], whole.get(name)) for k, name in enumerate(names) if name.startswith("knee_angle")]
+    flipped = [name for name, ours, theirs in knees if np.allclose(ours, -theirs) and np.any(ours)]
     notes = tuple(f"{name} was negative in flexion and has its sign changed" for name in flipped)
     return Reference(table.times, coordinate_names=names, angles=angles, notes=notes)
-
-
-def _opposite(one: Float, other: Float) -> bool:
-    return bool(np.allclose(one, -other) and np.any(one))

@@ -38,7 +38,7 @@ def read_c3d(path: Path | str, axes: WorldAxes = "opensim") -> Markers:
     `axes` is how the file's world lies in ours. The time of frame n is n / rate, by the numbers of the file. Raises
     InputError for a file that cannot be read, or has another unit than m, cm and mm.
     """
-    held = read_c3d_arrays(path, "the C3D")
+    held = read_c3d_arrays(path)
     unit = str(held["unit"])
     if unit not in _UNITS:
         raise InputError(f"{path}: POINT:UNITS is {unit!r}; it must be one of {', '.join(_UNITS)}.")

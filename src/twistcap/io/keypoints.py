@@ -54,12 +54,9 @@ class NoKeypoints(InputError):
 
 
 def read_openpose(
-    files: Mapping[str, Path | str],
-    cameras: Sequence[str],
-    layout: str = "body_25b",
-    person: int | Mapping[str, int] = 0,
-    grids: Mapping[str, Grid] | None = None,
-) -> Keypoints:
+    files: Mapping[str, Path | str], cameras: Sequence[str], layout: str = "body_25b",
+    person: int | Mapping[str, int] = 0, grids: Mapping[str, Grid] | None = None,
+) -> Keypoints:  # fmt: skip
     """Keypoints of one frame from one OpenPose-style JSON file per camera.
 
     Args:

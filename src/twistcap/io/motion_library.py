@@ -34,10 +34,7 @@ def read_library(path: str | Path) -> MotionLibrary:
         raise InputError(f"{path}: {mend}.")
     with naming(path):
         return MotionLibrary(
-            names=tuple(data["names"].tolist()),
-            rate=float(data["rate"]),
-            clip_names=tuple(data["clip_names"].tolist()),
-            starts=data["starts"],
-            q=data["q"].astype(np.float32),
+            names=tuple(data["names"].tolist()), rate=float(data["rate"]),
+            clip_names=tuple(data["clip_names"].tolist()), starts=data["starts"], q=data["q"].astype(np.float32),
             roots=data["roots"],
-        )
+        )  # fmt: skip

@@ -23,15 +23,10 @@ COORDINATE_FILES = (".mot", ".sto", ".h5", ".hdf5")
 
 
 def read_motion(
-    path: Path | str,
-    body: Body,
-    *,
-    skeleton: Path | str | None = None,
-    table: Path | str | SkeletonTable | None = None,
-    rate: float | None = None,
-    scale: float | None = None,
+    path: Path | str, body: Body, *, skeleton: Path | str | None = None,
+    table: Path | str | SkeletonTable | None = None, rate: float | None = None, scale: float | None = None,
     axes: WorldAxes = "opensim",
-) -> MotionClip:
+) -> MotionClip:  # fmt: skip
     """The motion of a file in a body's coordinates, z up.
 
     BVH, AMC and DeepMimic's JSON are retargeted (`motion.retarget`); a rest pose that stands as first frame is cut.

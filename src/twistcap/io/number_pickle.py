@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from twistcap.arrays import Float
 from twistcap.doors.text import read_bytes
 from twistcap.errors import InputError
 
@@ -32,12 +31,6 @@ _STEPS = {
 }  # fmt: skip
 
 
-def _array(kind: object, shape: object, code: object) -> Float:
-    """An empty array; its state follows."""
-    del kind, shape, code
-    return np.zeros(0)
-
-
 def _dtype(code: object, *rest: object) -> np.dtype[Any]:
     del rest
     if not isinstance(code, str) or not _CODE.match(code):
@@ -45,16 +38,10 @@ def _dtype(code: object, *rest: object) -> np.dtype[Any]:
     return np.dtype(code)
 
 
-def _scalar(kind: np.dtype[Any], data: bytes) -> Any:
-    return np.frombuffer(data, kind)[0]
-
-
 _BUILDERS: dict[tuple[str, str], Any] = {("numpy", "dtype"): _dtype, ("numpy", "ndarray"): "an array"}
 for _core in ("core", "_core"):
-    _BUILDERS |= {
-        (f"numpy.{_core}.multiarray", "_reconstruct"): _array,
-        (f"numpy.{_core}.multiarray", "scalar"): _scalar,
-    }
+    _BUILDERS[f"numpy.{_core}.multiarray", "_reconstruct"] = lambda kind, shape, code: np.zeros(0)  # its state follows
+    _BUILDERS[f"numpy.{_core}.multiarray", "scalar"] = lambda kind, data: np.frombuffer(data, kind)[0]
 
 
 class _Numbers(pickle.Unpickler):

@@ -45,12 +45,9 @@ def read_prior(path: str | Path) -> ParzenPrior:
 
 
 def trained_prior(
-    paths: Sequence[str | Path],
-    every: int = 1,
-    coordinates: Sequence[str] | None = None,
-    sigma: float | None = None,
+    paths: Sequence[str | Path], every: int = 1, coordinates: Sequence[str] | None = None, sigma: float | None = None,
     scale: Mapping[str, float] | None = None,
-) -> ParzenPrior:
+) -> ParzenPrior:  # fmt: skip
     """A prior of all samples of some motions.
 
     Args:
