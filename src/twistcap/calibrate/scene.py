@@ -101,8 +101,7 @@ def _guess(
     places = list[Float]()
     for s, name in zip(seen, names, strict=True):
         ways = placed(lenses[s.camera], numbers[s.camera], s, points)
-        if not ways:
-            raise InputError(f"camera {name}: no place explains its measured points; check their numbers and pixels.")
+        check(f"camera {name}", ways, "no place explains its measured points; check their numbers and pixels")
         own = {s.camera: np.eye(4)}
         places.append(min(ways, key=lambda T, s=s, own=own: misfit(T, [s], own, lenses, numbers, points)))
     boards = {

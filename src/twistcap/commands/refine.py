@@ -12,7 +12,7 @@ import typer
 
 from twistcap.commands import terminal
 from twistcap.commands.terminal import words
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 
 
 def refine(
@@ -128,8 +128,7 @@ def _views(session: Any, rig: Any, indices: list[int], path: Path) -> Any:
     if len(indices) < 3:
         raise InputError(f"{path}: only {len(indices)} frames are chosen; refining needs at least 3 (see --frames).")
     steps = set(np.diff(indices).tolist())
-    if len(steps) > 1:
-        raise InputError(f"{path}: its frames are not evenly spaced; choose evenly spaced ones with --frames.")
+    check(str(path), len(steps) <= 1, "its frames are not evenly spaced; choose evenly spaced ones with --frames")
     views = views_of(session.model_copy(update={"frames": (indices[0], indices[-1])}), rig)
     return replace(views, indices=range(indices[0], indices[-1] + 1, steps.pop()))
 

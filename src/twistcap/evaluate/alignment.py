@@ -9,7 +9,7 @@ from scipy.optimize import minimize_scalar
 
 from twistcap import se3
 from twistcap.arrays import Float
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 from twistcap.evaluate.load import Reference
 from twistcap.io.result import Result
 
@@ -108,8 +108,7 @@ def world_motion(ours: Float, theirs: Float) -> tuple[Float, Float]:
     Kabsch 1976, DOI 10.1107/S0567739476001873. Raises InputError for fewer than three known points.
     """
     both = np.isfinite(ours).all(axis=2) & np.isfinite(theirs).all(axis=2)
-    if both.sum() < 3:
-        raise InputError("alignment: fewer than three points of the reference are known; leave out --register.")
+    check("alignment", both.sum() >= 3, "fewer than three points of the reference are known; leave out --register")
     a, b = theirs[both], ours[both]
     U, _, Vt = np.linalg.svd((a - a.mean(axis=0)).T @ (b - b.mean(axis=0)))
     R = Vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(Vt.T @ U.T))]) @ U.T

@@ -18,7 +18,7 @@ from twistcap.arrays import Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.gltf_animate import BoneMotion
 from twistcap.body.joints import Joint, joints_of
-from twistcap.errors import InputError, naming
+from twistcap.errors import InputError, check, naming
 from twistcap.io.angles import decomposed
 from twistcap.io.files import write_lines
 from twistcap.io.markers import TO_FILE
@@ -76,8 +76,7 @@ def _rest(offsets: Float, parents: Any) -> Float:
 
 def _unit(path: Path, rest: Float) -> float:
     size = float(np.ptp(rest, axis=0).max())
-    if not (np.isfinite(size) and size > 0):
-        raise InputError(f"{path}: its joints have no distances between them.")
+    check(str(path), np.isfinite(size) and size > 0, "its joints have no distances between them")
     return min(UNITS, key=lambda unit: abs(np.log(unit * size / _ADULT)))
 
 
@@ -89,8 +88,7 @@ def write_bvh(path: Path | str, body: Body, poses: Sequence[Pose], fps: float) -
     several root segments, or if the file cannot be written.
     """
     path = Path(path)
-    if not fps > 0:
-        raise InputError(f"{path}: the frame rate is {fps}; it must be positive.")
+    check(str(path), fps > 0, f"the frame rate is {fps}; it must be positive")
     with naming(path):
         joints = joints_of(body)
     lines = ["HIERARCHY", *_hierarchy(body, joints, 0, 0), "MOTION"]
@@ -107,8 +105,7 @@ def write_bone_bvh(path: Path | str, motion: BoneMotion, fps: float) -> None:
     Joints above the root are left out. Raises InputError for a frame rate (1/s) that is not positive, or if the file
     cannot be written.
     """
-    if not fps > 0:
-        raise InputError(f"{path}: the frame rate is {fps}; it must be positive.")
+    check(str(path), fps > 0, f"the frame rate is {fps}; it must be positive")
     mesh, heads, rest = motion.rigged.mesh, motion.bind[:, :3, 3], motion.bind[:, :3, :3]
     order = list[int]()
 

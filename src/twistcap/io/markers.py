@@ -18,7 +18,7 @@ from twistcap.arrays import Float, even_clock
 from twistcap.doors.npz import read_npz
 from twistcap.doors.schema import Schema, real, word
 from twistcap.doors.text import finite_number, read_lines
-from twistcap.errors import InputError, check_choice
+from twistcap.errors import InputError, check, check_choice
 from twistcap.io.files import write_lines
 from twistcap.io.keypoints import LAYOUTS
 
@@ -81,14 +81,12 @@ def read_trc(path: Path | str, axes: WorldAxes = "opensim") -> Markers:
         raise InputError(f"{path}: not a TRC file (its first line must start with PathFileType).")
     header = dict(zip(lines[1].split(), lines[2].split(), strict=False))
     unit = header.get("Units", "")
-    if unit not in _UNITS:
-        raise InputError(f"{path}: Units is {unit!r}; it must be one of {', '.join(_UNITS)}.")
+    check(str(path), unit in _UNITS, f"Units is {unit!r}; it must be one of {', '.join(_UNITS)}")
     names = tuple(name.strip() for name in lines[3].split("\t")[2:] if name.strip())
     if header.get("NumMarkers") != str(len(names)):
         raise InputError(f"{path}: NumMarkers is {header.get('NumMarkers')}, but line 4 names {len(names)} markers.")
     rows = [_trc_row(path, n, line, len(names)) for n, line in enumerate(lines[5:], start=6) if line.strip()]
-    if not rows:
-        raise InputError(f"{path}: it has no frames.")
+    check(str(path), rows, "it has no frames")
     table = np.array(rows)
     points = table[:, 2:].reshape(len(table), len(names), 3) * _UNITS[unit]
     return Markers(names, table[:, 1], points @ TO_FILE[axes])
@@ -101,8 +99,7 @@ def _trc_row(path: Path, at: int, line: str, markers: int) -> list[float]:
     if any(fields[width:]):
         raise InputError(f"{path}: line {at} has more than {width} fields, 3 for each of {markers} markers.")
     fields = (fields + [""] * width)[:width]
-    if not fields[1]:
-        raise InputError(f"{path}: line {at}: Time is missing.")
+    check(str(path), fields[1], f"line {at}: Time is missing")
     blank = ("", "nan")
     return [np.nan if field.lower() in blank else finite_number(field, f"{path}: line {at}") for field in fields]
 
@@ -124,8 +121,7 @@ def read_keypoints3d(path: Path | str, times: Float | None = None) -> Markers:
         times = np.arange(len(X)) / float(data["fps"])
     if times is None:
         raise InputError(f"{path}: it has no clock; give it times or fps.")
-    if len(times) != len(X):
-        raise InputError(f"{path}: X has {len(X)} frames, but there are {len(times)} times.")
+    check(str(path), len(times) == len(X), f"X has {len(X)} frames, but there are {len(times)} times")
     return Markers(names, np.asarray(times, dtype=float), X)
 
 

@@ -15,7 +15,7 @@ from twistcap.body import Body, Pose
 from twistcap.body.humanoid import humanoid
 from twistcap.body.limbs import most_of_limbs, named_limbs
 from twistcap.doors.text import finite_number, read_lines
-from twistcap.errors import InputError, check_choice
+from twistcap.errors import InputError, check, check_choice
 from twistcap.io import angles as convert
 from twistcap.io.coordinates import Angles, coordinates_of
 from twistcap.io.files import replacing, write_lines
@@ -49,8 +49,7 @@ def write_mot(
     head names their rows. Raises InputError for unequal numbers, or if the file cannot be written.
     """
     path = Path(path)
-    if len(times) != len(poses):
-        raise InputError(f"{path}: there are {len(poses)} poses, but {len(times)} times.")
+    check(str(path), len(times) == len(poses), f"there are {len(poses)} poses, but {len(times)} times")
     table = coordinates_of(body, poses, angles=angles, axes=axes)
     values, _ = table.in_degrees
     lost = np.zeros(len(times), np.bool_) if known is None else ~known
@@ -77,16 +76,14 @@ def read_mot(path: Path | str) -> MotionTable:
     path = Path(path)
     lines = [line.strip() for line in read_lines(path)]
     ends = [n for n, line in enumerate(lines) if line.lower() == "endheader"]
-    if not ends:
-        raise InputError(f"{path}: not a MOT or STO file (no line 'endheader').")
+    check(str(path), ends, "not a MOT or STO file (no line 'endheader')")
     header = dict(line.lower().split("=", 1) for line in lines[: ends[0]] if re.match(r"\w+=", line))
     start = next((n for n in range(ends[0] + 1, len(lines)) if lines[n]), len(lines) - 1)
     columns = lines[start].split()
     if not columns or columns[0].lower() != "time":
         raise InputError(f"{path}: its first column is {columns[0] if columns else ''!r}; it must be time.")
     rows = [_mot_row(path, n + 1, lines[n], columns) for n in range(start + 1, len(lines)) if lines[n]]
-    if not rows:
-        raise InputError(f"{path}: it has no rows.")
+    check(str(path), rows, "it has no rows")
     table = np.array(rows)
     values = table[:, 1:]
     if header.get("indegrees", "yes").strip() == "yes":

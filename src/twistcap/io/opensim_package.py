@@ -11,7 +11,7 @@ import numpy as np
 from twistcap.arrays import Float
 from twistcap.body import Body, Landmarks, Pose, Posed
 from twistcap.body.surface_markers import surface_markers
-from twistcap.errors import InputError
+from twistcap.errors import check
 from twistcap.io.files import write_lines
 from twistcap.io.markers import WorldAxes, write_trc
 from twistcap.io.motion_files import write_mot
@@ -47,8 +47,7 @@ def write_opensim(folder: Path, result: Result, axes: WorldAxes = "opensim", fil
     pose. Raises InputError for a body that OpenSim cannot hold, or where a file cannot be written.
     """
     body, known = result.body, result.known | fill
-    if not known.any():
-        raise InputError(f"{folder}: the body is lost in every frame; with --fill the predicted poses are written.")
+    check(str(folder), known.any(), "the body is lost in every frame; with --fill the predicted poses are written")
     (folder / "Geometry").mkdir(parents=True, exist_ok=True)
     stuck, centres = surface_markers(body), _centres(body)
     _write_xml(folder / "model.osim", opensim_model(body, stuck, axes))

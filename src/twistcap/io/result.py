@@ -22,7 +22,7 @@ from twistcap.camera import Camera, Rig
 from twistcap.doors.hdf5 import read_hdf5, trust
 from twistcap.doors.schema import flag
 from twistcap.doors.text import parsed_json
-from twistcap.errors import InputError, naming
+from twistcap.errors import InputError, check, naming
 from twistcap.estimate import UNSEEN, Estimate
 from twistcap.io.calibration import check_camera
 from twistcap.io.files import replacing, unwritable, write_at
@@ -369,8 +369,7 @@ def _check_frames(rows: Mapping[str, Any], body: Body, cameras: int) -> None:
             raise InputError(f"frames: {name} has {rows[name].shape[1]} columns, not {columns}; track it again.")
     if np.any(np.diff(rows["index"]) <= 0) or np.any(np.diff(rows["time"]) <= 0):
         raise InputError("frames: their numbers or times do not rise; track the recording again.")
-    if not np.all(is_motion(rows["root"])):
-        raise InputError("frames: a root is no rigid motion; track the recording again.")
+    check("frames", np.all(is_motion(rows["root"])), "a root is no rigid motion; track the recording again")
 
 
 def _table_of(held: Mapping[str, Any], name: str, source: str) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 
 from twistcap.doors.strict import validated
 from twistcap.doors.text import read_lines, read_toml, toml_value
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 from twistcap.io.session import DataPath, Output, Session, Table, load_session
 
 BODY = "body"
@@ -106,8 +106,7 @@ def load_study(path: Path) -> Study:
     about: StudyFile = validated(StudyFile, read_toml(path, "study"), str(path), context)
     source = Path(about.trials).absolute()
     trials = tuple(_in_folders(source) if source.is_dir() else _in_table(source))
-    if not trials:
-        raise InputError(f"study {path}: {source} names no trial; it needs rows, or SUBJECT/TRIAL/session.toml.")
+    check(f"study {path}", trials, f"{source} names no trial; it needs rows, or SUBJECT/TRIAL/session.toml")
     for trial in trials:
         _check_names(trial, source)
     (name, count), *_ = Counter(trial.name for trial in trials).most_common(1)
