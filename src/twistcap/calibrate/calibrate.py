@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twistcap.arrays import Float
-from twistcap.calibrate.adjust import Adjustment, Guess, Setup, adjust
+from twistcap.calibrate.adjust import Adjustment, Setup, adjust
 from twistcap.calibrate.board import Board
 from twistcap.calibrate.detect import Detector, is_mirrored, variants
 from twistcap.calibrate.lens import Kind
@@ -125,10 +125,9 @@ def of_sightings(
         report("chaining the cameras")
         used = _used(_paired(every.values(), shifts), sizes, options)
         guess = chained(used, fits, solid, names)
-        setup = Setup(
-            guess, tuple(s for s in used if s.moment in guess.boards), {"board": solid}, _first(guess),
-            clocks=options.clocks,
-        )  # fmt: skip
+        first = next(c for c, place in enumerate(guess.places) if np.array_equal(place, np.eye(4)))
+        used = tuple(s for s in used if s.moment in guess.boards)
+        setup = Setup(guess, used, {"board": solid}, first, clocks=options.clocks)
         return setup, _of_all(adjust(setup, report), names)
 
     setup, adjustment = fitted()
@@ -254,11 +253,6 @@ def _of_all(found: Adjustment, names: Sequence[str]) -> Adjustment:
             " recording, and its clock within a frame or two of theirs?"
         )
     return found
-
-
-def _first(guess: Guess) -> int:
-    """The camera whose axes are the world's."""
-    return next(c for c, place in enumerate(guess.places) if np.array_equal(place, np.eye(4)))
 
 
 def _in_world(

@@ -180,7 +180,8 @@ def _written(result: Any, refinement: Any, session: Any, views: Any, folder: Pat
 
 def show(document: dict[str, Any]) -> None:
     """Print the end of a run for a person."""
-    lengths, girths = ({item["group"]: _per_cent(item) for item in document[kind]} for kind in ("lengths", "girths"))
+    lengths, girths = ({i["group"]: (f"{100 * (i['factor'] - 1):+.1f} %", f"{100 * i['sigma']:.1f} %")
+                        for i in document[kind]} for kind in ("lengths", "girths"))  # fmt: skip
     rows = [[group, *lengths.get(group, ("", "")), *girths.get(group, ("", ""))] for group in lengths | girths]
     terminal.show_table("shape", ["segments", "length", "± (1σ)", "girth", "± (1σ)"], rows, ["segments"])
     for bone in document["bones"]:
@@ -198,7 +199,3 @@ def show(document: dict[str, Any]) -> None:
         terminal.say(sentence)
     for path in document["files"]:
         typer.echo(path)
-
-
-def _per_cent(item: dict[str, Any]) -> tuple[str, str]:
-    return f"{100 * (item['factor'] - 1):+.1f} %", f"{100 * item['sigma']:.1f} %"
