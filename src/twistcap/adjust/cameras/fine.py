@@ -54,6 +54,7 @@ class MendedCameras:
             and as mended.
         others: that share in the other cameras, all frames together.
         moved: rad and m by which the cameras moved in each round.
+        poses: of the frames.
     """
 
     places: Mapping[int, Float]
@@ -62,6 +63,7 @@ class MendedCameras:
     after: Mapping[int, Float]
     others: float
     moved: tuple[float, ...]
+    poses: PoseTrack
 
 
 def mended_cameras(
@@ -167,7 +169,7 @@ def _settled(
     before = as_given.agreeing(posed, wrong)
     before = {c: zero_beside(before[c], after[c]) for c in wrong}
     others = float(np.nanmean(np.stack(tuple(rest.values()))))
-    return MendedCameras(places, sigmas, before, after, others, tuple(moved))
+    return MendedCameras(places, sigmas, before, after, others, tuple(moved), x.track)
 
 
 class CameraProblem:
