@@ -51,8 +51,7 @@ def read_rig(path: str | Path, unit: Unit | None = None, floor: float | None = 0
         for key, table in tables.items()
         if key != "metadata" and isinstance(table, dict) and any(field in table for field in _FIELDS)
     )
-    if not cameras:
-        raise InputError(f"calibration {path} holds no camera: it needs one table per camera, such as [cam01].")
+    check(f"calibration {path} holds no camera", cameras, "it needs one table per camera, such as [cam01]")
     names = [camera.name for camera in cameras]
     for name in names:
         if names.count(name) > 1:
