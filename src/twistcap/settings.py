@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from twistcap.differential.settings import DifferentialConfig
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 from twistcap.features import Channels
 from twistcap.motion import MotionKind
 from twistcap.ranges import Checked, Positive
@@ -65,5 +65,4 @@ class Settings(Checked, where="tracker"):
         super().__post_init__()
         if isinstance(self.plugins, str) or len(set(self.plugins)) < len(self.plugins):
             raise InputError(f"tracker: plugins is {self.plugins!r}; give a list of names, each once.")
-        if self.despeckle not in (1, 3, 5):
-            raise InputError(f"tracker: despeckle is {self.despeckle}; it must be 1, 3 or 5.")
+        check("tracker", self.despeckle in (1, 3, 5), f"despeckle is {self.despeckle}; it must be 1, 3 or 5")

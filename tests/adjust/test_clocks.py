@@ -9,7 +9,7 @@ import pytest
 
 from support.walks import in_a_circle
 from twistcap import se3
-from twistcap.adjust.clocks import Signal, coincidence, estimate_clocks, keypoint_clock, sound_signal
+from twistcap.adjust.clocks import Signal, coincidence, estimate_clocks, fine, keypoint_clock, sound_signal
 from twistcap.adjust.clocks.fine import Clocked, ClockProblem, moments_posed
 from twistcap.adjust.refine.measure import SequenceImages
 from twistcap.adjust.refine.settings import RefineConfig
@@ -28,7 +28,7 @@ def test_signals_are_brought_together() -> None:
     true = np.array([0.0, 1.234, -2.1])
     cut = [(times >= 5 + o) & (times < 13 + o) for o in true]
     signals = [Signal(times[c] - times[c][0], wave[c] + rng.normal(size=c.sum())) for c in cut]
-    found = coincidence(signals, [0.0] * 3, 240, 2.0, 0.15)
+    found = coincidence(signals, 240, 2.0, 0.15)
     np.testing.assert_allclose(found.offsets, true, atol=0.02)
     assert found.margin.min() > 0.05
 
@@ -38,7 +38,7 @@ def test_a_clap_is_heard() -> None:
     sounds = [0.01 * rng.normal(size=4 * rate) for _ in range(2)]
     for sound, at in zip(sounds, (1.5, 2.25), strict=True):
         sound[int(at * rate) : int(at * rate) + 800] += rng.normal(size=800)
-    found = coincidence([sound_signal(s, rate) for s in sounds], [0.0, 0.0], 500, 1.0, 0.15)
+    found = coincidence([sound_signal(s, rate) for s in sounds], 500, 1.0, 0.15)
     assert abs(found.offsets[1] + 0.75) < 0.004
 
 
@@ -52,17 +52,18 @@ def test_claps_that_fall_between_two_samples_are_the_same_in_all_cameras(seed: i
             tail = np.exp(-np.arange(min(4800, len(sound) - k)) / (0.01 * rate))
             sound[k : k + len(tail)] += 0.8 * tail * rng.normal(size=len(tail))
         signals.append(sound_signal(np.clip(sound, -1, 1), rate))
-    found = coincidence(signals, [0.0] * 4, 500.0, 2.4, 0.15)
+    found = coincidence(signals, 500.0, 2.4, 0.15)
     np.testing.assert_allclose(found.offsets, starts - starts[0], atol=0.004)
     assert found.margin.min() > 0.1
 
 
-def test_a_late_camera_is_found_by_the_body() -> None:
+def test_a_late_camera_is_found_by_the_body(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fine, "_ROUNDS", 4)
     scene = capture(StudioConfig(seed=3, frames=16))
     late = np.array([0, 2, 0, 0])  # frames: the second camera shows what is to come
     frames = [Frame(k, k / 60, tuple(scene.image(k + n, c) for c, n in enumerate(late))) for k in range(12)]
     given = [Estimate(k, k / 60, scene.true_poses[k], np.eye(scene.body.dof)) for k in range(12)]
-    found = estimate_clocks(frames, scene.body, scene.rig, given, np.zeros((4, 12)), 0, rounds=4)
+    found = estimate_clocks(frames, scene.body, scene.rig, given, np.zeros((4, 12)), 0)
     np.testing.assert_allclose(60 * found.late, late, atol=0.26)  # of 12 frames; 0.13 is measured
     assert found.sigma[0] == 0 and np.all(found.sigma[1:] > 0)
 

@@ -87,7 +87,7 @@ def test_cameras_are_found_and_their_errors_are_those_claimed() -> None:
 def test_the_kind_of_lens_is_told_by_the_pictures(kind: Kind) -> None:
     made = filmed(1, cameras=3, moments=40, kind=kind)
     found = calibrated(made, Options(floor=0))
-    assert [fit.lens.kind for fit in found.fits] == [kind] * 3
+    assert [lens.kind for lens in found.adjustment.guess.lenses] == [kind] * 3
     focal, turn, centre = errors(found, truth(made))
     assert focal.max() < 8e-3 and turn.max() < 0.8 and centre.max() < 0.03
 

@@ -44,7 +44,7 @@ def test_measured_points_give_the_places_of_the_cameras(tmp_path: Path) -> None:
     path, rig, seen = written(tmp_path / "points.json")
     scene = read_scene(path)
     sizes = dict.fromkeys(range(3), SIZE)
-    found = calibrated_by_scene(scene, seen, BIG, rig.names, sizes, Options(kinds=("brown",)), 0.002, 0.4)
+    found = calibrated_by_scene(scene, seen, BIG, rig.names, sizes, Options(kinds=("brown",)))
     for c, (a, b) in enumerate(zip(found.rig, rig, strict=True)):
         assert a.K[0, 0] == pytest.approx(b.K[0, 0], rel=5e-3)
         assert np.linalg.norm(a.centre - b.centre) < 0.012

@@ -128,11 +128,11 @@ def test_a_reader_may_wait_for_the_processor_but_not_for_ever(tmp_path: Path, mo
     np.savez(tmp_path / "a.npz", a=np.arange(3))
     script = tmp_path / "child.py"
     script.write_text("import shutil, sys, time; time.sleep(1.2); shutil.copy(sys.argv[1], sys.argv[2])")
-    found = child.arrays_by_child(str(script), tmp_path / "a.npz", "a", (), seconds=0.1, memory=1 << 30)
+    found = child.arrays_by_child(str(script), tmp_path / "a.npz", "a", seconds=0.1, memory=1 << 30)
     np.testing.assert_array_equal(found["a"], np.arange(3))
     monkeypatch.setattr(child, "_PATIENCE", 1)
     with pytest.raises(InputError, match="a cannot be read: it keeps the reader busy without end"):
-        child.arrays_by_child(str(script), tmp_path / "a.npz", "a", (), seconds=0.1, memory=1 << 30)
+        child.arrays_by_child(str(script), tmp_path / "a.npz", "a", seconds=0.1, memory=1 << 30)
 
 
 def test_our_own_file_needs_no_child_until_it_is_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

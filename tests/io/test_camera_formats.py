@@ -38,9 +38,8 @@ def rig_with(dist: list[float]) -> Rig:
 @pytest.mark.parametrize("name", list(FORMATS))
 def test_what_is_written_is_read(name: str, tmp_path: Path) -> None:
     rig = rig_with(LENSES.get(name, [-0.2, 0.08, 0.001, -0.0006, -0.01]))
-    path = tmp_path / (
-        "out" if FORMATS[name].folder else {"qualisys": "a.qca.txt", "vicon": "a.xcp"}.get(name, "a.toml")
-    )
+    files = {"qualisys": "a.qca.txt", "vicon": "a.xcp", "toml": "a.toml", "caliscope": "a.toml"}
+    path = tmp_path / files.get(name, "out")
     write_cameras(rig, path, name)
     assert format_of(path).name == name
     read, _ = read_cameras(path, asked=Asked(1.0 if name == "colmap" else None, SIZE), up="z")

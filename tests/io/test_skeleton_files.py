@@ -167,9 +167,9 @@ def test_bvh_by_hand_and_against_pybvh(tmp_path: Path, cmu: Path) -> None:
     np.testing.assert_allclose(motion.offsets[1], [0, -0.8, 0], atol=1e-12)  # taken as centimetres
     end = np.array([0.01, 0.02, 0.03]) + root.apply([0, -0.8, 0]) + knee.apply([0, -0.85, 0.1])
     np.testing.assert_allclose(motion.positions[0, 2], end, atol=1e-12)
-    real = read_bvh(cmu / "131_01.bvh", unit=1.0)
+    real = read_bvh(cmu / "131_01.bvh")
     nodes = pybvh.read_bvh_file(cmu / "131_01.bvh").node_positions()
-    np.testing.assert_allclose(real.positions[::20], nodes[::20], atol=1e-9)
+    np.testing.assert_allclose(real.positions[::20], nodes[::20] * 0.0254 / 0.45, atol=1e-9)
 
 
 @pytest.mark.parametrize(("name", "height"), [("01_01.bvh", 1.45), ("131_01.bvh", 1.37)])

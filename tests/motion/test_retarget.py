@@ -19,7 +19,6 @@ from twistcap.body.humanoid import humanoid
 from twistcap.body.shape import joint_origin
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate
-from twistcap.io.bvh import write_bvh
 from twistcap.io.motion_files import poses_from_mot, read_mot, write_mot
 from twistcap.io.motions import read_motion, read_skeleton, write_motion
 from twistcap.io.result import ResultWriter
@@ -190,13 +189,11 @@ def test_a_thorax_shares_what_one_trunk_joint_does(shared_data: Path, body: Body
 
 def test_bvh_of_ours_comes_back(tmp_path: Path, body: Body) -> None:
     clip = moving(body)
-    write_bvh(tmp_path / "a.bvh", body, clip.poses(), clip.rate, scale=100.0)
     write_motion(tmp_path / "b.bvh", body, clip)
-    for name in ("a.bvh", "b.bvh"):
-        back = read_motion(tmp_path / name, body)
-        assert back.rate == pytest.approx(clip.rate)
-        np.testing.assert_allclose(back.q, clip.q, atol=1e-4)
-        np.testing.assert_allclose(back.roots, clip.roots, atol=1e-5)
+    back = read_motion(tmp_path / "b.bvh", body)
+    assert back.rate == pytest.approx(clip.rate)
+    np.testing.assert_allclose(back.q, clip.q, atol=1e-4)
+    np.testing.assert_allclose(back.roots, clip.roots, atol=1e-5)
     with pytest.raises(InputError, match="unknown ending"):
         write_motion(tmp_path / "c.fbx", body, clip)
     with pytest.raises(InputError, match="coordinates are not those"):

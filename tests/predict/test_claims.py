@@ -30,7 +30,8 @@ NOISE_PX, DRAWS = 0.5, 300
 def fit_of(posed: Posed, terms: Sequence[PointNormalTerm], judging: bool = True) -> Fit:
     agreement = Agreement(np.zeros(1, np.int32), np.zeros(1), np.zeros(1)) if judging else None
     entered = [(Evidence(term, 0, agreement), *term.rows(posed)[1:]) for term in terms]
-    fit = Fit.started(posed, Visibility.full(len(posed.body.segment_names)))
+    nothing = np.zeros(len(posed.body.segment_names), np.bool_)
+    fit = Fit.started(posed, Visibility(nothing, nothing))
     return replace(fit, entered=entered, energies={"contour": sum(term.energy(posed) for term in terms)})
 
 

@@ -16,6 +16,7 @@ from twistcap.body.kinematics import vertex_normals, vertex_normals_reference
 from twistcap.camera import AnyCamera, ScaledView
 from twistcap.camera.projection import project, projected
 from twistcap.render import ContourPoints, RenderedView, render, visible_contour
+from twistcap.render import contour as contour_module
 from twistcap.render.contour import reprojected
 from twistcap.render.raster import barycentric, rasterise, rasterise_reference
 from twistcap.render.view import body_window, surface_points
@@ -121,9 +122,9 @@ def test_surface_points_of_pixels_project_back() -> None:
         assert np.linalg.norm(back - np.stack([columns, rows], axis=1), axis=1).max() < tolerance
 
 
-def contour_of(body: Body, inner_gap: float = 0.04, spacing: float = 2.0) -> tuple[RenderedView, ContourPoints]:
+def contour_of(body: Body, spacing: float = 2.0) -> tuple[RenderedView, ContourPoints]:
     view = render(rest(body), camera_at(EYE))
-    return view, visible_contour(view, spacing, inner_gap)
+    return view, visible_contour(view, spacing)
 
 
 def check_on_outline(contour: ContourPoints, a: np.ndarray, b: np.ndarray, radius: float) -> None:
@@ -176,8 +177,9 @@ def test_hidden_contours_are_dropped() -> None:
     assert abs(torso[0]) < 15  # the torso's outline does run behind the arm's disc
 
 
-def test_inner_contours_need_a_gap() -> None:
-    _, contour = contour_of(arm_before_torso(), inner_gap=3.0)
+def test_inner_contours_need_a_gap(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(contour_module, "_INNER_GAP", 3.0)
+    _, contour = contour_of(arm_before_torso())
     assert np.all(contour.outer)
 
 

@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from twistcap.acquire.outline import corners, skeleton
 from twistcap.arrays import Bool, Float
-from twistcap.errors import InputError, check
+from twistcap.errors import check
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,7 @@ def arm_corner(arm: Bool, trunk_side: Float, height: float) -> ArmCorner:
     reach = max(4, round(0.05 * height)), max(8, round(0.1 * height))
     index, _ = corners(smooth, reach, np.deg2rad(140.0), closed=False)
     inner = index[(index > 0.15 * len(path)) & (index < 0.75 * len(path))]  # beyond are hand and trunk
-    if len(inner) == 0:
-        raise InputError("key view 'elbows': an arm is straight; hold the upper arms out sideways, the forearms up.")
+    check("key view 'elbows'", len(inner) != 0, "an arm is straight; hold the upper arms out sideways, the forearms up")
     corner = int(inner[0])
     near, far = round(0.035 * height), round(0.11 * height)
     limbs = (smooth[max(0, corner - far) : max(2, corner - near)], smooth[corner + near : corner + far])

@@ -37,7 +37,7 @@ class Measured:
 
     `to_world` (4, 4) leads to the world. Slices are control points (n, 4, 3) by part (trunk, arm_r, arm_l, leg_r,
     leg_l), joints are centres (3,) by landmark name, in the pose of the front view. The separation is that of the front
-    view, corners and parts those of the joint view, px.
+    view, corners those of the joint view, px.
     """
 
     to_world: Float
@@ -46,7 +46,6 @@ class Measured:
     joints: dict[str, Float]
     separation: Separation
     corners: dict[str, ArmCorner]
-    parts: Separation
 
 
 def measure(views: Mapping[str, KeyView], body_line: float | None = None) -> Measured:
@@ -81,7 +80,7 @@ def measure(views: Mapping[str, KeyView], body_line: float | None = None) -> Mea
         joints |= _arm_joints(views, slices[f"arm_{s}"], front.pits[k], elbows.arms[k], corners[s], s)
         joints[f"shoulder_{s}"][0] = _mid_depth(slices["trunk"], joints[f"shoulder_{s}"][2])
     joints = _straight(_shifted(_even_shoulders(joints), stature))
-    return Measured(to_world, stature, slices, joints, front, corners, elbows)
+    return Measured(to_world, stature, slices, joints, front, corners)
 
 
 def _even_shoulders(joints: dict[str, Float]) -> dict[str, Float]:
@@ -231,15 +230,15 @@ def _as_deep(leg: Float, other: Float) -> Float:
     return out
 
 
-def _arms_seen(side: KeyView, arms: list[Float], margin: int = 3) -> Bool:
-    """(H, W) where forearms and hands are seen in the side view, with a margin (px) around them."""
+def _arms_seen(side: KeyView, arms: list[Float]) -> Bool:
+    """(H, W) where forearms and hands are seen in the side view, with a margin of 3 px around them."""
     out = np.zeros(side.mask.shape, np.uint8)
     for arm in arms:
         pixels = side.camera.project(arm[len(arm) // 2 :])[0]
         for one, two in itertools.pairwise(pixels):
             hull = cv2.convexHull(np.concatenate([one, two]).astype(np.float32))
             cv2.fillConvexPoly(out, np.round(hull).astype(np.int32), 1)
-    return cv2.dilate(out, np.ones((2 * margin + 1, 2 * margin + 1), np.uint8)) > 0
+    return cv2.dilate(out, np.ones((7, 7), np.uint8)) > 0
 
 
 def _beside_arms(trunk: Float, side: KeyView, arms: Bool) -> Float:

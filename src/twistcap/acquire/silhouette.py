@@ -49,10 +49,10 @@ def difference_mask(image: AnyArray, plate: AnyArray) -> Bool:
     return _at_half_contrast(change, mask)
 
 
-def _at_half_contrast(change: Float, mask: AnyArray, rim: int = 4) -> Bool:
+def _at_half_contrast(change: Float, mask: AnyArray) -> Bool:
     """The mask (H, W) eroded by the median depth at which the change reaches half of its value farther inside. Noise is
     small, so that a mask of all above noise contains the outer blur of the edge."""
-    near, far = (cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (n * rim + 1,) * 2) for n in (2, 4))
+    near, far = (cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (n, n)) for n in (9, 17))
     core = cv2.erode(mask, near)
     inner = cv2.dilate(np.where(core > 0, change, 0.0), far)
     half = ((core > 0) | ((mask > 0) & (change > 0.5 * inner))).astype(np.uint8)

@@ -70,9 +70,7 @@ def bone_motion(body: Body, poses: Sequence[Pose], source: Path | str, rig: Path
     return BoneMotion(rigged, rest, turns, head @ TO_REST)
 
 
-def animate_glb(
-    motion: BoneMotion, path: Path | str, times: Float, notes: Mapping[str, Any] | None = None, name: str = "twistcap"
-) -> None:
+def animate_glb(motion: BoneMotion, path: Path | str, times: Float, notes: Mapping[str, Any] | None = None) -> None:
     """Write the file with the motion as its first animation, keys at `times` (T,) s, `notes` in its extras; everything
     else stays.
 
@@ -83,7 +81,7 @@ def animate_glb(
     check(str(scene.path), whole, "motion goes into a GLB, not into a .gltf")
     pack = Packer(gltf)
     keys = pack.add_times(times, len(motion.places), path)
-    animation = gl.Animation(name=name, extras=noted(notes))
+    animation = gl.Animation(name="twistcap", extras=noted(notes))
     for node, kind, values in _channels(motion):
         pack.add_channel(animation, keys, node, kind, values)
         _without_matrix(gltf.nodes[node])

@@ -26,6 +26,11 @@ class Landmarks:
     def index(self, name: str) -> int:
         return self.names.index(name)
 
+    def and_those(self, other: Landmarks) -> Landmarks:
+        """These points, and then others."""
+        segments = np.concatenate([self.segments, other.segments]).astype(np.int32)
+        return Landmarks((*self.names, *other.names), segments, np.concatenate([self.points, other.points]))
+
 
 @dataclass(frozen=True)
 class Body:

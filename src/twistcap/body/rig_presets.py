@@ -16,7 +16,7 @@ from twistcap.arrays import Float, Int
 from twistcap.body import proportions as P
 from twistcap.body.rig import KINDS, SkinnedMesh
 from twistcap.body.rig_spec import Aim, Axis, JointSpec, LandmarkSpec, RigSpec, Vector
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 
 _MIDDLE = ("pelvis", "spine", "neck", "head")
 _SIDED = ("arm", "forearm", "hand", "thigh", "shin", "foot", "toe")
@@ -110,8 +110,7 @@ def _spec(mesh: SkinnedMesh, joints: Mapping[str, int]) -> RigSpec:
     spec = RigSpec(up="y", forward=forward, keep=[], root=mesh.joints[joints["pelvis"]], origin="mid_hip")
     at = mesh.vertices @ spec.to_rest().T, mesh.frames[:, :3, 3] @ spec.to_rest().T
     height = float(np.ptp(at[0][:, 2]))
-    if not _HEIGHTS[0] < height < _HEIGHTS[1]:
-        raise InputError(f"{mesh.source}: the body is {height:.3g} m high; export it in metres.")
+    check(str(mesh.source), _HEIGHTS[0] < height < _HEIGHTS[1], f"the body is {height:.3g} m high; export it in metres")
     named = {role: mesh.joints[b] for role, b in joints.items()}
     specs = {named["pelvis"]: JointSpec(segment="pelvis")}
     specs |= {named[role]: _joint(segment, "") for role, segment in _TRUNK.items()}

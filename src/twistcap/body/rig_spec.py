@@ -92,8 +92,8 @@ class RigSpec(BaseModel):
 
     def to_rest(self) -> Float:
         """(3, 3) from the file's axes and units to ours: x forward, y left, z up, m."""
-        up = _unit(self.up)
-        forward = _unit(self.forward or ("z" if self.up == "y" else "x"))
+        up = unit_vector(self.up)
+        forward = unit_vector(self.forward or ("z" if self.up == "y" else "x"))
         return self.scale * np.stack([forward, np.cross(up, forward), up])
 
 
@@ -103,5 +103,6 @@ def read_rig(path: Path | str) -> RigSpec:
     return validated(RigSpec, read_toml(Path(path), ""), str(path))
 
 
-def _unit(axis: str) -> Float:
+def unit_vector(axis: str) -> Float:
+    """(3,) along an axis, such as "-x"."""
     return (-1.0 if axis.startswith("-") else 1.0) * np.eye(3)["xyz".index(axis[-1])]

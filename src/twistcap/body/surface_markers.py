@@ -31,7 +31,6 @@ class _Site:
 
 
 _OUT, _IN, _FRONT, _BACK, _UP = (0, 0, 1), (0, 0, -1), (1, 0, 0), (-1, 0, 0), (0, 1, 0)
-_CHEST = {"shoulder_r": 0.5, "shoulder_l": 0.5}
 _CROWN = {"ear_r": 0.3, "ear_l": 0.3, "head_top": 0.4}
 _MIDDLE: Mapping[str, _Site] = {
     "C7": _Site("thorax", {"neck": 1.0}, _BACK),

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from twistcap.arrays import Float
-from twistcap.calibrate.adjust import Adjustment, Guess, Setup, adjust
+from twistcap.calibrate.adjust import Adjustment, Setup, adjust
 from twistcap.calibrate.board import Board
 from twistcap.calibrate.detect import Detector, is_mirrored, variants
 from twistcap.calibrate.lens import Kind
@@ -53,7 +53,6 @@ class Calibration:
         rig: the cameras.
         adjustment: what they rest on, with covariances; in the same world.
         board: as it was found to be.
-        fits: of each lens alone.
         shifts: whole frames by which each camera shows a later moment; sightings are paired so.
         floor_known: whether a board on the floor says where the world is; else up is a guess by the images.
     """
@@ -61,7 +60,6 @@ class Calibration:
     rig: Rig
     adjustment: Adjustment
     board: Board
-    fits: tuple[LensFit, ...]
     shifts: tuple[int, ...]
     floor_known: bool
 
@@ -127,10 +125,9 @@ def of_sightings(
         report("chaining the cameras")
         used = _used(_paired(every.values(), shifts), sizes, options)
         guess = chained(used, fits, solid, names)
-        setup = Setup(
-            guess, tuple(s for s in used if s.moment in guess.boards), {"board": solid}, _first(guess),
-            clocks=options.clocks,
-        )  # fmt: skip
+        first = next(c for c, place in enumerate(guess.places) if np.array_equal(place, np.eye(4)))
+        used = tuple(s for s in used if s.moment in guess.boards)
+        setup = Setup(guess, used, {"board": solid}, first, clocks=options.clocks)
         return setup, _of_all(adjust(setup, report), names)
 
     setup, adjustment = fitted()
@@ -144,7 +141,7 @@ def of_sightings(
         setup, adjustment = fitted()
     adjustment, known = _in_world(adjustment, setup, board, options.floor, report)
     rig = Rig(adjustment.cameras(names))
-    return Calibration(rig, adjustment, board, tuple(fits), shifts, known)
+    return Calibration(rig, adjustment, board, shifts, known)
 
 
 def found_variant(sources: Sequence[Source], board: Board) -> Board:
@@ -256,11 +253,6 @@ def _of_all(found: Adjustment, names: Sequence[str]) -> Adjustment:
             " recording, and its clock within a frame or two of theirs?"
         )
     return found
-
-
-def _first(guess: Guess) -> int:
-    """The camera whose axes are the world's."""
-    return next(c for c, place in enumerate(guess.places) if np.array_equal(place, np.eye(4)))
 
 
 def _in_world(

@@ -108,8 +108,9 @@ def on_one_plane(plane: Float, image: Float, off: float) -> Bool:
     return np.zeros(len(plane), np.bool_) if found is None else np.ravel(found).astype(np.bool_)
 
 
-def edge_width(grey: UInt8, pixels: Float, reach: int = 5) -> float:
+def edge_width(grey: UInt8, pixels: Float) -> float:
     """Width of the edges about points (N, 2), px: contrast over the steepest slope there, in the median."""
+    reach = 5
     padded = cv2.copyMakeBorder(grey, reach, reach, reach, reach, cv2.BORDER_REPLICATE).astype(np.float32)
     widths = list[float]()
     for x, y in np.round(pixels).astype(int):

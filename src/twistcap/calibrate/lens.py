@@ -76,13 +76,9 @@ class Lens:
                 bent, by_xy, _ = bend(xy, numbers[PINHOLE:])
                 det = by_xy[:, 0, 0] * by_xy[:, 1, 1] - by_xy[:, 0, 1] * by_xy[:, 1, 0]
                 r = wanted - bent
-                step = np.stack(
-                    [
-                        by_xy[:, 1, 1] * r[:, 0] - by_xy[:, 0, 1] * r[:, 1],
-                        by_xy[:, 0, 0] * r[:, 1] - by_xy[:, 1, 0] * r[:, 0],
-                    ],
-                    axis=1,
-                )
+                by_x, by_y = by_xy[:, :, 0], by_xy[:, :, 1]
+                across = by_y[:, 1] * r[:, 0] - by_y[:, 0] * r[:, 1]
+                step = np.stack([across, by_x[:, 0] * r[:, 1] - by_x[:, 1] * r[:, 0]], axis=1)
                 xy = xy + np.clip(step / det[:, None], -0.5, 0.5)
             missed = np.abs(bend(xy, numbers[PINHOLE:])[0] - wanted).max(axis=1)
         return np.where((missed < 1e-6)[:, None], xy, np.nan)

@@ -22,13 +22,14 @@ from twistcap.doors.text import number_array, read_json_table
 from twistcap.errors import InputError, check
 
 _FEWEST = 6  # measured points that a camera must see
+_SIGMA = 0.003  # m, of the measured points
+_CLICKED = 0.5  # px, of where they are found in the images
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Measured points: names, places (P, 3), world, m, and pixels (x, y) by camera and number of the point."""
+    """Measured points: places (P, 3), world, m, and pixels (x, y) by camera and number of the point."""
 
-    names: tuple[str, ...]
     points: Float
     pixels: Mapping[str, Mapping[int, Float]]
     source: str = "measured points"  # the file, for messages
@@ -60,18 +61,18 @@ def read_scene(path: Path) -> Scene:
                 continue
             pixels.setdefault(camera, {})[k] = number_array(pixel, (2,), f"{where}: 'pixels' of {camera}")
     check(f"points {path}", len(points) >= _FEWEST, f"it holds {len(points)} points; at least {_FEWEST} are needed")
-    return Scene(tuple(table), np.array(points), pixels, f"points {path}")
+    return Scene(np.array(points), pixels, f"points {path}")
 
 
 def calibrated_by_scene(
     scene: Scene, sightings: Sequence[Sighting], board: Board, names: Sequence[str],
-    sizes: Mapping[int, tuple[int, int]], options: Options | None = None, sigma: float = 0.003, clicked: float = 0.5,
+    sizes: Mapping[int, tuple[int, int]], options: Options | None = None,
     report: Callable[[str], None] = lambda note: None,
 ) -> Calibration:  # fmt: skip
     """Calibrate by measured points, which fix the world, and pictures of a board by each camera alone.
 
     Args:
-        scene: the points, each measured to `sigma` m, and found in the images to `clicked` px.
+        scene: the points.
         sightings: of the board; no two cameras share a moment.
 
     Raises InputError: for a camera that saw too little of either; points that no place of a camera explains.
@@ -82,14 +83,14 @@ def calibrated_by_scene(
         report(f"lens of {name}")
         fits.append(fitted_lens(sharp(every.get(c, [])), solid, sizes[c], name, options.kinds))
     used = [s for own in every.values() for s in chosen(sharp(own), sizes, options.moments[1])]
-    points, seen = measured(scene.points, sigma), scene.sightings(names)
+    points, seen = measured(scene.points, _SIGMA), scene.sightings(names)
     guess = _guess(fits, used, solid, seen, points, names)
-    seen = [replace(s, rough=max(clicked / guess.noise[s.camera], 1.0)) for s in seen]
+    seen = [replace(s, rough=max(_CLICKED / guess.noise[s.camera], 1.0)) for s in seen]
     used = [s for s in used if s.moment in guess.boards]
     report("adjusting")
     setup = Setup(guess, (*used, *seen), {"board": solid, "scene": points}, gauge=None)
     adjustment = adjust(setup, report)
-    return Calibration(Rig(adjustment.cameras(names)), adjustment, board, tuple(fits), (0,) * len(names), True)
+    return Calibration(Rig(adjustment.cameras(names)), adjustment, board, (0,) * len(names), True)
 
 
 def _guess(
@@ -100,8 +101,7 @@ def _guess(
     places = list[Float]()
     for s, name in zip(seen, names, strict=True):
         ways = placed(lenses[s.camera], numbers[s.camera], s, points)
-        if not ways:
-            raise InputError(f"camera {name}: no place explains its measured points; check their numbers and pixels.")
+        check(f"camera {name}", ways, "no place explains its measured points; check their numbers and pixels")
         own = {s.camera: np.eye(4)}
         places.append(min(ways, key=lambda T, s=s, own=own: misfit(T, [s], own, lenses, numbers, points)))
     boards = {

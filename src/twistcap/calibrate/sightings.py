@@ -40,10 +40,7 @@ class Sighting:
 
 
 def look(
-    sources: Sequence[Source],
-    board: Board,
-    frames: Sequence[int],
-    progress: Callable[[str], None] = lambda note: None,
+    sources: Sequence[Source], board: Board, frames: Sequence[int], progress: Callable[[str], None] = lambda note: None
 ) -> list[Sighting]:
     """Sightings in these frames of each camera's source; the moment is the frame number."""
     find, out = Detector(board), list[Sighting]()

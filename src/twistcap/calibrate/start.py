@@ -104,19 +104,16 @@ def chained(sightings: Sequence[Sighting], fits: Sequence[LensFit], solid: Solid
 
 
 def _fit(few: Sequence[Sighting], solid: Solid, lens: Lens, name: str) -> LensFit:
-    starts = _brown_starts(few, solid, lens) if lens.kind == "brown" else _fisheye_starts(lens)
-    best = min(starts, key=lambda numbers: _misfits(few, solid, lens, numbers))
+    if lens.kind == "brown":
+        starts = _brown_starts(few, solid, lens)
+    else:
+        starts = [_plain(lens, lens.side / opening) for opening in _OPENINGS]  # px for each rad
+    best = min(starts, key=lambda numbers: float(np.mean([_best_place(s, solid, lens, numbers)[0] for s in few])))
     fit = _fit_from(few, solid, lens, best)
     if fit is None:
-        raise InputError(
-            f"camera {name}: no lens explains its pictures of the board; check --board, and film it again."
-        )
+        why = "no lens explains its pictures of the board; check --board, and film it again"
+        raise InputError(f"camera {name}: {why}.")
     return fit
-
-
-def _misfits(few: Sequence[Sighting], solid: Solid, lens: Lens, numbers: Float) -> float:
-    """Mean distance, px, of each sighting from its own best place."""
-    return float(np.mean([_best_place(s, solid, lens, numbers)[0] for s in few]))
 
 
 def _best_place(s: Sighting, solid: Solid, lens: Lens, numbers: Float) -> tuple[float, Float | None]:
@@ -165,10 +162,6 @@ def _brown_starts(few: Sequence[Sighting], solid: Solid, lens: Lens) -> list[Flo
         return starts
     sane = 0.2 * lens.side < found[0, 0] < 20.0 * lens.side and np.abs(dist).max() < 2.0
     return [*starts, lens.numbers(np.asarray(found, float), np.ravel(dist).astype(float)[:5])] if sane else starts
-
-
-def _fisheye_starts(lens: Lens) -> list[Float]:
-    return [_plain(lens, lens.side / opening) for opening in _OPENINGS]  # px for each rad
 
 
 def _plain(lens: Lens, focal: float) -> Float:

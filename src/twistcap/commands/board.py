@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from twistcap.commands import terminal
-from twistcap.errors import InputError, check_choice
+from twistcap.errors import check, check_choice
 
 
 def board(
@@ -32,8 +32,7 @@ def board(
     from twistcap.report.board import PAPERS, write_board
 
     check_choice("--paper", paper, (*PAPERS, "fit"))
-    if path.suffix.lower() != ".pdf":
-        raise InputError(f"{path}: the board is a PDF; name a file that ends in .pdf.")
+    check(str(path), path.suffix.lower() == ".pdf", "the board is a PDF; name a file that ends in .pdf")
     made = board_of(kind)
     terminal.output_folder(path.parent)
     write_board(made, path, paper)

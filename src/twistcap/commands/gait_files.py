@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from twistcap.arrays import Float
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 from twistcap.evaluate.cycles import Cycle, cycles_between, cycles_of, walking_angles
 from twistcap.evaluate.events import Event, event_times
 from twistcap.evaluate.filters import Filter, Filtered, in_words
@@ -120,8 +120,7 @@ def _curves(
 ) -> Mapping[str, Cycle]:
     if limits is None:
         return cycles_of(found, read.times, walk)
-    if limits not in events:
-        raise InputError(f"cycles: there is no event {limits!r}; there are {', '.join(events)}.")
+    check("cycles", limits in events, f"there is no event {limits!r}; there are {', '.join(events)}")
     return cycles_between(events[limits], read.times, walk)
 
 

@@ -12,7 +12,7 @@ import typer
 
 from twistcap.commands import terminal
 from twistcap.commands.terminal import words
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 
 
 def refine(
@@ -128,8 +128,7 @@ def _views(session: Any, rig: Any, indices: list[int], path: Path) -> Any:
     if len(indices) < 3:
         raise InputError(f"{path}: only {len(indices)} frames are chosen; refining needs at least 3 (see --frames).")
     steps = set(np.diff(indices).tolist())
-    if len(steps) > 1:
-        raise InputError(f"{path}: its frames are not evenly spaced; choose evenly spaced ones with --frames.")
+    check(str(path), len(steps) <= 1, "its frames are not evenly spaced; choose evenly spaced ones with --frames")
     views = views_of(session.model_copy(update={"frames": (indices[0], indices[-1])}), rig)
     return replace(views, indices=range(indices[0], indices[-1] + 1, steps.pop()))
 
@@ -181,7 +180,8 @@ def _written(result: Any, refinement: Any, session: Any, views: Any, folder: Pat
 
 def show(document: dict[str, Any]) -> None:
     """Print the end of a run for a person."""
-    lengths, girths = ({item["group"]: _per_cent(item) for item in document[kind]} for kind in ("lengths", "girths"))
+    lengths, girths = ({i["group"]: (f"{100 * (i['factor'] - 1):+.1f} %", f"{100 * i['sigma']:.1f} %")
+                        for i in document[kind]} for kind in ("lengths", "girths"))  # fmt: skip
     rows = [[group, *lengths.get(group, ("", "")), *girths.get(group, ("", ""))] for group in lengths | girths]
     terminal.show_table("shape", ["segments", "length", "± (1σ)", "girth", "± (1σ)"], rows, ["segments"])
     for bone in document["bones"]:
@@ -199,7 +199,3 @@ def show(document: dict[str, Any]) -> None:
         terminal.say(sentence)
     for path in document["files"]:
         typer.echo(path)
-
-
-def _per_cent(item: dict[str, Any]) -> tuple[str, str]:
-    return f"{100 * (item['factor'] - 1):+.1f} %", f"{100 * item['sigma']:.1f} %"

@@ -47,11 +47,8 @@ def start_document(report: StartReport | None) -> dict[str, Any] | None:
     return {
         "median_px": dict(zip(report.cameras, report.medians, strict=True)),
         "worst_px": {joint: dict(zip(report.cameras, px, strict=True)) for joint, px in report.worst()},
-        "stature_m": report.stature,
-        "stated_m": report.stated,
-        "lengths": report.lengths,
-        "warnings": report.warnings,
-    }
+        "stature_m": report.stature, "stated_m": report.stated, "lengths": report.lengths, "warnings": report.warnings,
+    }  # fmt: skip
 
 
 def _pixels(value: Any) -> str:

@@ -87,8 +87,11 @@ def synchronise(path: Path, start: str = "auto", count: int = 400, write: bool =
     if write:
         write_clocks(path, clocks, span, keypoints)
     rows = [
-        _row(name, given[name], clocks[name], float(s), found.frame) for name, s in zip(names, found.sigma, strict=True)
-    ]
+        {"camera": name, "before_s": given[name].offset, "after_s": clocks[name].offset,
+         "moved_frames": (clocks[name].offset - given[name].offset) / found.frame,
+         "sigma_frames": float(s) / found.frame}
+        for name, s in zip(names, found.sigma, strict=True)
+    ]  # fmt: skip
     about = {"id": "sync", "session": path, "written": write, "began_with": way, "cameras": rows, "frames": span}
     if found.keypoints is not None and session.first_pose.keypoints is not None:
         before, sigma = session.first_pose.keypoints.offset, found.keypoints.sigma
@@ -113,12 +116,6 @@ def _settled(session: Any, clocks: dict[str, Clock], count: int) -> tuple[dict[s
         n, frames = 0, min(2 * frames, count)
 
 
-def _row(name: str, before: Clock, after: Clock, sigma: float, frame: float) -> dict[str, Any]:
-    moved = (after.offset - before.offset) / frame
-    return {"camera": name, "before_s": before.offset, "after_s": after.offset, "moved_frames": moved,
-            "sigma_frames": sigma / frame}  # fmt: skip
-
-
 def _within(frames: tuple[int, int] | None, together: tuple[int, int]) -> tuple[int, int] | None:
     """The session's frames as far as all cameras have them; None where they need not change."""
     if frames is None or (together[0] <= frames[0] and frames[1] <= together[1]):
@@ -138,7 +135,7 @@ def _coarse(
         if signals is None and start == way:
             raise InputError(f"--start is {way!r}, but a camera has none; choose another, or leave it out.")
         if signals is not None:
-            found[way] = _together(signals, [given[name].offset for name in names], way)
+            found[way] = _together(signals, way)
             if _clearness(way, found[way]) > 1.0:
                 break
     if not found:
@@ -153,11 +150,11 @@ def _coarse(
     return {n: replace(given[n], offset=float(o)) for n, o in zip(names, moved, strict=True)}, best, doubts
 
 
-def _together(signals: list[Any], offsets: list[float], way: str) -> Coarse:
+def _together(signals: list[Any], way: str) -> Coarse:
     from twistcap.adjust.clocks import coincidence
 
     shared = min(5.0, 0.4 * min(s.times[-1] - s.times[0] for s in signals))
-    return coincidence(signals, offsets, _RATE[way], shared, _APART)
+    return coincidence(signals, _RATE[way], shared, _APART)
 
 
 def _clearness(way: str, found: Coarse) -> float:

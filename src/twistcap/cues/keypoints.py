@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from twistcap.body import Body, Posed
+from twistcap.body import Posed
 from twistcap.camera import Rig
 from twistcap.cues.observation import Alternation
 from twistcap.estimate import Keypoints
@@ -54,7 +54,7 @@ class Keypoints2D(Checked):
         if not known:
             return []
         columns, landmarks = (np.array(pair) for pair in zip(*known, strict=True))
-        points = _rigid_points(posed.body, landmarks)
+        points = SurfacePoints(marks.segments[landmarks, None], np.ones((len(known), 1)), marks.points[landmarks])
         out: list[KeypointTerm] = []
         for k, camera in enumerate(rig):
             xy = camera.normalised(keypoints.pixels[k, columns])
@@ -66,8 +66,3 @@ class Keypoints2D(Checked):
                 scale = float(self.robust * np.median(px_per_m))
                 out.append(KeypointTerm(camera.P, points, np.where(seen[:, None], target, 0.0), weight, scale))
         return out
-
-
-def _rigid_points(body: Body, which: np.ndarray) -> SurfacePoints:
-    marks = body.landmarks
-    return SurfacePoints(marks.segments[which, None], np.ones((len(which), 1)), marks.points[which])

@@ -99,11 +99,6 @@ class Visibility:
     occluded: Bool
     reappeared: Bool
 
-    @staticmethod
-    def full(parts: int) -> Visibility:
-        """All of S parts in sight."""
-        return Visibility(np.zeros(parts, np.bool_), np.zeros(parts, np.bool_))
-
 
 @dataclass(frozen=True)
 class Alternation:

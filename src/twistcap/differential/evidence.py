@@ -149,7 +149,7 @@ def evidence(
     behind[memory.missed[which] > 0] = np.nan  # what was seen at its pixel was not the point's own
     prior = np.ones(len(which))
     if model.config.support == "em":
-        shape = _shape_prior(factor * memory.inside[which])
+        shape = 0.95 / (1.0 + np.exp(-(factor * memory.inside[which] - _REACH) / 0.7))  # inside the projected shape
         prior = np.clip(0.5 * (shape + memory.trust[which]), 0.02, 0.98)
     samples = memory.samples(level, which)
     return Evidence(number, model.body, samples, which, image, factor, prior, behind, Neighbourhood.about(at), prior)
@@ -161,8 +161,3 @@ def _thinned(cells: Float, visible: Bool) -> Int:
     at = np.rint(cells[seen]).astype(np.int64)
     _, first = np.unique(at[:, 0] * 100_000 + at[:, 1], return_index=True)
     return seen[first].astype(np.int32)
-
-
-def _shape_prior(inside: Float) -> Float:
-    """Fraction of the pixels so far inside the projected shape (px) that are the body's own."""
-    return 0.95 / (1.0 + np.exp(-(inside - _REACH) / 0.7))

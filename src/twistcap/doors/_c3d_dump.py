@@ -5,7 +5,6 @@ read, as `_hdf5_dump` is for HDF5: ezc3d is C++.
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from twistcap.doors._hdf5_dump import main
 _MOST = 1 << 26  # numbers in all
 
 
-def dumped(path: str, _: Sequence[str] = ()) -> dict[str, Any]:
+def dumped(path: str) -> dict[str, Any]:
     """`points` (N, P, 3) in the file's unit, NaN in gaps, their `labels` (P), `rate`, `first`, `unit`, and `matrices`
     (N, R, 4, 4) with `segments` (R), where the file has as many of them as frames. Raises ValueError, in words for the
     user, where ezc3d is not installed or the file holds too much; and whatever ezc3d raises for damage.

@@ -1,16 +1,15 @@
 """Everything in an HDF5 file as plain arrays. Run as a script, it is the child process in which strangers' files are
 read: HDF5 is C, and a forged file can crash it. It needs only numpy and h5py.
 
-    python _hdf5_dump.py FILE OUT.npz SECONDS BYTES [NAME…]
+    python _hdf5_dump.py FILE OUT.npz SECONDS BYTES
 
-The names are the groups at the top that are wanted (all where there are none). What is refused goes to stderr, with
-exit code 2.
+What is refused goes to stderr, with exit code 2.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,7 @@ _RATIO = 20  # times its size, that a large file may unpack to
 _WORD = 4096  # characters of a word in a dataset
 
 
-def dumped(path: str, tops: Sequence[str] = ()) -> dict[str, Any]:
+def dumped(path: str) -> dict[str, Any]:
     """Arrays by path ("frames/q"), and attributes by path and name ("body@name").
 
     Raises ValueError, in words for the user, for links out of the file, data that is stored elsewhere, filters, types
@@ -37,7 +36,7 @@ def dumped(path: str, tops: Sequence[str] = ()) -> dict[str, Any]:
             raise ValueError("it is no HDF5 file")
     allowed, out = _UNPACKED + _RATIO * Path(path).stat().st_size, dict[str, Any]()
     with h5py.File(path, "r", locking=False) as file:  # unlocked: a running track may be looked at
-        for name, node in _nodes(file, tops):
+        for name, node in _nodes(file):
             if isinstance(node, h5py.Dataset):
                 allowed -= _size(name, node)
                 if allowed < 0:
@@ -48,20 +47,19 @@ def dumped(path: str, tops: Sequence[str] = ()) -> dict[str, Any]:
     return out
 
 
-def _nodes(file: Any, tops: Sequence[str]) -> Iterator[tuple[str, Any]]:
+def _nodes(file: Any) -> Iterator[tuple[str, Any]]:
     """Path and object of the file itself, and of all that hangs below by hard links, once each."""
     waiting, seen = [("", file)], 0
     while waiting:
         name, node = waiting.pop()
         yield name, node
         for key in node if isinstance(node, h5py.Group) else ():
-            if name or not tops or key in tops:
-                below, seen = f"{name}/{key}".lstrip("/"), seen + 1
-                if not isinstance(node.get(key, getlink=True), h5py.HardLink):
-                    raise ValueError(f"{below} is a link to elsewhere")
-                if seen > _MOST or below.count("/") >= _DEEPEST:
-                    raise ValueError("it holds more groups than a result")
-                waiting.append((below, node[key]))
+            below, seen = f"{name}/{key}".lstrip("/"), seen + 1
+            if not isinstance(node.get(key, getlink=True), h5py.HardLink):
+                raise ValueError(f"{below} is a link to elsewhere")
+            if seen > _MOST or below.count("/") >= _DEEPEST:
+                raise ValueError("it holds more groups than a result")
+            waiting.append((below, node[key]))
 
 
 def _size(name: str, dataset: Any) -> int:
@@ -95,8 +93,8 @@ def _attribute(name: str, value: Any) -> Any:
     return array
 
 
-def main(dumped: Callable[[str, Sequence[str]], dict[str, Any]]) -> int:
-    """What the child does, with limits of time and memory: `dumped` (path, names) gives the arrays."""
+def main(dumped: Callable[[str], dict[str, Any]]) -> int:
+    """What the child does, with limits of time and memory: `dumped` (path) gives the arrays."""
     path, out, seconds, most = sys.argv[1], sys.argv[2], int(sys.argv[3]), int(sys.argv[4])
     try:
         import resource
@@ -107,8 +105,7 @@ def main(dumped: Callable[[str, Sequence[str]], dict[str, Any]]) -> int:
     except (ImportError, ValueError, OSError):  # not on this system
         pass
     try:
-        arrays = dumped(path, sys.argv[5:])
-        np.savez(out, **arrays)
+        np.savez(out, **dumped(path))
     except Exception as error:  # whatever h5py makes of damage; the parent says it in one sentence
         print(error if type(error) is ValueError else "it is damaged", file=sys.stderr)
         return 2

@@ -19,18 +19,18 @@ _C3D: Schema = {
 }  # fmt: skip
 
 
-def read_c3d_arrays(path: str | Path, what: str) -> dict[str, Any]:
+def read_c3d_arrays(path: str | Path) -> dict[str, Any]:
     """`points` (N, P, 3) with `labels` (P), `rate` 1/s, `first` frame, `unit`; where there are segments, `matrices`
     (N, R, 4, 4) with `segments` (R).
 
-    `what` it is stands in messages. Raises InputError for a file that is missing, damaged, or no C3D.
+    Raises InputError for a file that is missing, damaged, or no C3D.
     """
-    path, source = Path(path), f"{what} {path}"
+    path, source = Path(path), f"the C3D {path}"
     if not path.is_file():
         raise InputError(f"{source} does not exist; check its path.")
     with path.open("rb") as file:
         if file.read(2)[1:] != b"\x50":
             raise InputError(f"{source} is no C3D file; check its path.")
     memory = _MEMORY + _TIMES * path.stat().st_size
-    arrays = arrays_by_child(_c3d_dump.__file__, path, source, (), _SECONDS, memory)
+    arrays = arrays_by_child(_c3d_dump.__file__, path, source, _SECONDS, memory)
     return checked(arrays, _C3D, source, "export it again")

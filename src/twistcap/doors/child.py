@@ -6,7 +6,6 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
 from pathlib import Path
 
 from twistcap.arrays import AnyArray
@@ -16,10 +15,8 @@ from twistcap.errors import InputError
 _PATIENCE = 60  # times the processor time: on a busy machine a child waits far longer than it works
 
 
-def arrays_by_child(
-    script: str, path: Path, source: str, arguments: Sequence[str], seconds: float, memory: int
-) -> dict[str, AnyArray]:
-    """What a script, called as ``script FILE OUT.npz SECONDS BYTES [ARGUMENT…]``, writes of a file.
+def arrays_by_child(script: str, path: Path, source: str, seconds: float, memory: int) -> dict[str, AnyArray]:
+    """What a script, called as ``script FILE OUT.npz SECONDS BYTES``, writes of a file.
 
     It may take so many seconds of processor time and bytes of memory. Raises InputError where it fails; `source` is the
     file, for messages.
@@ -31,8 +28,8 @@ def arrays_by_child(
         environment = {key: value for key, value in os.environ.items() if not key.startswith("HDF5_")} | limits
         try:
             done = subprocess.run(
-                [*command, *arguments], env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True,
-                errors="replace", timeout=_PATIENCE * seconds, check=False,
+                command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace",
+                timeout=_PATIENCE * seconds, check=False,
             )  # fmt: skip
         except subprocess.TimeoutExpired as error:
             raise InputError(f"{source} cannot be read: it keeps the reader busy without end.") from error

@@ -7,7 +7,6 @@ memory, and hands plain arrays back; here they are checked like those of an NPZ.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from pathlib import Path
 
 from twistcap.arrays import AnyArray
@@ -26,33 +25,29 @@ def trust(path: str | Path) -> None:
     _own.add(_stamp(path))
 
 
-def read_hdf5(path: str | Path, what: str, tops: Sequence[str] = ()) -> dict[str, AnyArray]:
-    """Arrays by path ("frames/q") and attributes by path and name ("body@name"); `tops` are the groups to read, all
-    where there are none.
+def read_hdf5(path: str | Path) -> dict[str, AnyArray]:
+    """Arrays by path ("frames/q") and attributes by path and name ("body@name").
 
     Raises InputError for a file that is missing, damaged, or holds what no result holds.
     """
-    source = f"{what} {path}"
+    source = f"result file {path}"
     try:
         if not Path(path).is_file():
-            raise InputError(f"{source} cannot be opened: it {_absence(path)}; check its path.")
+            absence = "is no file" if Path(path).exists() else "does not exist"
+            raise InputError(f"{source} cannot be opened: it {absence}; check its path.")
         with open(path, "rb"):
             pass
         if _stamp(path) in _own:
-            return _hdf5_dump.dumped(str(path), tops)
+            return _hdf5_dump.dumped(str(path))
         size = os.stat(path).st_size
         seconds, memory = _SECONDS + size // _RATE, _MEMORY + 4 * size
-        return arrays_by_child(_hdf5_dump.__file__, Path(path), source, tops, seconds, memory)
+        return arrays_by_child(_hdf5_dump.__file__, Path(path), source, seconds, memory)
     except OSError as error:
         raise InputError(f"{source} cannot be read: {error.strerror or 'it is damaged'}.") from error
     except ValueError as error:
         if isinstance(error, InputError):
             raise
         raise InputError(f"{source} cannot be read: {error}.") from error
-
-
-def _absence(path: str | Path) -> str:
-    return "is no file" if Path(path).exists() else "does not exist"
 
 
 def _stamp(path: str | Path) -> tuple[int, ...]:

@@ -9,12 +9,13 @@ from scipy.optimize import minimize_scalar
 
 from twistcap import se3
 from twistcap.arrays import Float
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 from twistcap.evaluate import metrics
 from twistcap.evaluate.load import Reference
 from twistcap.io.markers import TO_FILE, WorldAxes
 from twistcap.io.result import Result
 
+_WIDEST = 2.0  # s
 _LEAST_FRAMES = 10
 _LEAST_SHARE = 0.5  # of the frames that overlap best
 _AS_GOOD = 0.01  # of the variance
@@ -52,8 +53,8 @@ def aligned(result: Result, reference: Reference, clock: bool, world: bool) -> R
     return replace(reference, notes=tuple(notes))
 
 
-def clock_offset(times: Float, angles: Float, points: Float, reference: Reference, widest: float = 2.0) -> float:
-    """Seconds to add to the reference's clock, between −`widest` and `widest`.
+def clock_offset(times: Float, angles: Float, points: Float, reference: Reference) -> float:
+    """Seconds to add to the reference's clock, between −2 and 2.
 
     `angles` (N, C) rad and `points` (N, P, 3) m are ours at `times` (N,) s, in the order of the reference's coordinates
     and points, NaN where we lack one. Angles are compared, or speeds of points where there are none: neither depends on
@@ -70,7 +71,7 @@ def clock_offset(times: Float, angles: Float, points: Float, reference: Referenc
         return at_angles if by_angle else _speeds(times, at_points)
 
     step = 0.5 * float(np.median(np.diff(times)))
-    offsets = np.arange(-widest, widest + step, step)
+    offsets = np.arange(-_WIDEST, _WIDEST + step, step)
     costs, shares = (np.array(v) for v in zip(*[_cost(ours, theirs(float(o))) for o in offsets], strict=True))
     usable = shares >= max(_LEAST_SHARE * shares.max(), _LEAST_FRAMES / len(times))
     if not np.any(usable & np.isfinite(costs)):
@@ -111,8 +112,7 @@ def world_motion(ours: Float, theirs: Float) -> tuple[Float, Float]:
     Kabsch 1976, DOI 10.1107/S0567739476001873. Raises InputError for fewer than three known points.
     """
     both = np.isfinite(ours).all(axis=2) & np.isfinite(theirs).all(axis=2)
-    if both.sum() < 3:
-        raise InputError("alignment: fewer than three points of the reference are known; leave out --register.")
+    check("alignment", both.sum() >= 3, "fewer than three points of the reference are known; leave out --register")
     a, b = theirs[both], ours[both]
     U, _, Vt = np.linalg.svd((a - a.mean(axis=0)).T @ (b - b.mean(axis=0)))
     R = Vt.T @ np.diag([1.0, 1.0, np.sign(np.linalg.det(Vt.T @ U.T))]) @ U.T

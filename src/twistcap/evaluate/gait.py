@@ -17,7 +17,7 @@ from scipy.signal import find_peaks
 from twistcap import se3
 from twistcap.arrays import UNEVEN, Bool, Float, even_clock
 from twistcap.body import Body, Pose, Posed
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 from twistcap.evaluate.smoothing import butterworth
 from twistcap.io.norms import PERCENT
 
@@ -170,8 +170,7 @@ def _level_angle(forward: Float) -> Float:
 
 def frame_rate(times: Float) -> float:
     """Frames per second. Raises InputError for few frames, or times that are not even."""
-    if len(times) < 12:
-        raise InputError(f"gait: there are {len(times)} frames; gait needs a stride, and 12 frames at least.")
+    check("gait", len(times) >= 12, f"there are {len(times)} frames; gait needs a stride, and 12 frames at least")
     rate, ticks, off = even_clock(times)
     if np.any(np.diff(ticks) != 1) or off > UNEVEN:
         raise InputError("gait: the frames are not evenly spaced in time; take a part of the recording where they are.")

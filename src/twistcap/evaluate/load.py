@@ -13,7 +13,7 @@ from twistcap.arrays import Float
 from twistcap.body import Body
 from twistcap.doors.npz import read_npz
 from twistcap.doors.schema import Schema, real, word
-from twistcap.errors import InputError, check_choice, naming
+from twistcap.errors import InputError, check, check_choice, naming
 from twistcap.evaluate.other_systems import landmark_name, read_c3d
 from twistcap.io.angles import complete_coordinates
 from twistcap.io.markers import CLOCK, TO_FILE, WorldAxes, read_keypoints3d, read_trc
@@ -138,22 +138,14 @@ def _from_mot(path: Path, body: Body) -> Reference:
     with a NaN are not known."""
     table = read_mot(path)
     known = np.all(np.isfinite(table.values), axis=1).reshape(-1)
-    if not known.any():
-        raise InputError(f"{path}: every row holds a NaN; give a file with rows that are whole.")
+    check(str(path), known.any(), "every row holds a NaN; give a file with rows that are whole")
     whole = replace(table, times=table.times[known], values=table.values[known])
     with naming(path):
         poses, _ = poses_from_mot(whole, body)
     names = complete_coordinates(body, table.columns)
     angles = np.full((len(known), len(names)), np.nan)
     angles[known] = np.stack([pose.q for pose in poses])[:, [body.coordinate(name) for name in names]]
-    flipped = [
-        name
-        for name in names
-        if name.startswith("knee_angle") and _opposite(angles[known, names.index(name)], whole.get(name))
-    ]
+    knees = [(name, angles[known, k], whole.get(name)) for k, name in enumerate(names) if name.startswith("knee_angle")]
+    flipped = [name for name, ours, theirs in knees if np.allclose(ours, -theirs) and np.any(ours)]
     notes = tuple(f"{name} was negative in flexion and has its sign changed" for name in flipped)
     return Reference(table.times, coordinate_names=names, angles=angles, notes=notes)
-
-
-def _opposite(one: Float, other: Float) -> bool:
-    return bool(np.allclose(one, -other) and np.any(one))

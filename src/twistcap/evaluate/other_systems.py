@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from twistcap.doors.c3d import read_c3d_arrays
-from twistcap.errors import InputError
+from twistcap.errors import check
 from twistcap.io.markers import TO_FILE, Markers, WorldAxes
 
 _UNITS: Mapping[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
@@ -38,10 +38,9 @@ def read_c3d(path: Path | str, axes: WorldAxes = "opensim") -> Markers:
     `axes` is how the file's world lies in ours. The time of frame n is n / rate, by the numbers of the file. Raises
     InputError for a file that cannot be read, or has another unit than m, cm and mm.
     """
-    held = read_c3d_arrays(path, "the C3D")
+    held = read_c3d_arrays(path)
     unit = str(held["unit"])
-    if unit not in _UNITS:
-        raise InputError(f"{path}: POINT:UNITS is {unit!r}; it must be one of {', '.join(_UNITS)}.")
+    check(str(path), unit in _UNITS, f"POINT:UNITS is {unit!r}; it must be one of {', '.join(_UNITS)}")
     names, points = [landmark_name(str(name)) for name in held["labels"]], held["points"]
     if "segments" in held:
         at = {_joint_of(str(label)): r for r, label in enumerate(held["segments"])}

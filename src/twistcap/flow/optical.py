@@ -75,8 +75,7 @@ def moved_mask(mask: Bool, flow: Float32) -> Bool:
 
 
 def _chosen(preset: str, settings: FlowSettings | None) -> FlowSettings:
-    if preset not in PRESETS:
-        raise InputError(f"optical_flow: preset is {preset!r}; it must be one of {', '.join(map(repr, PRESETS))}.")
+    check("optical_flow", preset in PRESETS, f"preset is {preset!r}; it must be one of {', '.join(map(repr, PRESETS))}")
     s = PRESETS[preset] if settings is None else settings
     for name, holds, wanted in (
         ("factor", 0 < s.factor < 1, "between 0 and 1"),

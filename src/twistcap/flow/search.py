@@ -35,19 +35,15 @@ def large_displacements(
     def matched(labels: Float32, apart: float, rounds: int, loop: int) -> tuple[Float32, Float32]:
         return match_blocks(images, nodes, labels, _table(loop), rule._replace(apart=apart), rounds)
 
-    labels, cost = matched(_labels(flow, mask.shape, s.step), s.apart, 0, 0)
+    here = resized_flow(flow, (mask.shape[0], mask.shape[1]))[:: s.step, :: s.step]
+    still = np.concatenate([here, np.zeros((*here.shape[:2], LABEL - 2), np.float32)], axis=2)  # not turned
+    labels, cost = matched(still, s.apart, 0, 0)
     for loop in range(s.loops):
         proposed, _ = matched(labels, _LOOSE, s.rounds, loop)
         order = _order(nodes, s.every, loop)
         expand(images, nodes, labels, cost, proposed, order, rule, (window, _LEAST))
         labels, cost = matched(labels, s.apart, s.polish, loop)
     return spread(labels, s.step, *mask.shape)
-
-
-def _labels(flow: Float32, shape: tuple[int, ...], step: int) -> Float32:
-    """(h, w, 4) motions of the nodes, not turned."""
-    here = resized_flow(flow, (shape[0], shape[1]))[::step, ::step]
-    return np.concatenate([here, np.zeros((*here.shape[:2], LABEL - 2), np.float32)], axis=2)
 
 
 def _order(nodes: Bool, every: int, loop: int) -> Int:

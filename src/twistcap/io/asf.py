@@ -15,7 +15,7 @@ import numpy as np
 from twistcap import se3
 from twistcap.arrays import Float
 from twistcap.doors.text import finite_number, read_lines
-from twistcap.errors import InputError, naming
+from twistcap.errors import InputError, check, naming
 from twistcap.motion.skeleton import SkeletonMotion
 
 _DEEPEST = 200  # bones in a row
@@ -53,8 +53,7 @@ def read_amc(path: Path | str, skeleton: Path | str | None = None, rate: float =
     naming the line, or for a bone that the ASF does not have.
     """
     path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such file; check its path.")
+    check(str(path), path.is_file(), "there is no such file; check its path")
     asf = read_asf(skeleton if skeleton is not None else _asf_beside(path))
     names, parents, offsets = _joints(asf)
     frames = _frames(path, asf)
@@ -81,13 +80,11 @@ def read_asf(path: Path | str) -> AsfSkeleton:
     path = Path(path)
     sections = _sections(path)
     for needed in ("bonedata", "hierarchy"):
-        if needed not in sections:
-            raise InputError(f"{path}: not an ASF skeleton (no section :{needed}).")
+        check(str(path), needed in sections, f"not an ASF skeleton (no section :{needed})")
     units = {words[0].lower(): words[-1].lower() for _, words in sections.get("units", []) if words}
     degree = 1.0 if units.get("angle", "deg").startswith("rad") else np.pi / 180.0
     length = _number(path, 0, units.get("length", "1"))
-    if not 1e-4 < length < 1e4:
-        raise InputError(f"{path}: the length in :units is {length:g}; it must be above 0, such as 0.45.")
+    check(str(path), 1e-4 < length < 1e4, f"the length in :units is {length:g}; it must be above 0, such as 0.45")
     unit = _INCH / length
     bones = {"root": _root(path, sections.get("root", []), degree), **_bones(path, sections["bonedata"], degree)}
     return AsfSkeleton(bones, _parents(path, sections["hierarchy"], bones), unit, degree)
@@ -152,8 +149,7 @@ def _axis(path: Path, number: int, words: list[str], degree: float) -> Float:
     """C: for the order XYZ, ``Rz Ry Rx``."""
     angles = _numbers(path, number, words[:3], 3) * degree
     order = words[3].lower() if len(words) > 3 else "xyz"
-    if sorted(order) != ["x", "y", "z"]:
-        raise InputError(f"{path}: line {number}: the order {order!r} must hold x, y and z.")
+    check(str(path), sorted(order) == ["x", "y", "z"], f"line {number}: the order {order!r} must hold x, y and z")
     out = np.eye(3)
     for axis, angle in zip(order, angles, strict=True):
         out = _about(axis, angle) @ out
@@ -170,8 +166,7 @@ def _parents(path: Path, lines: list[Line], bones: dict[str, _Bone]) -> dict[str
         if words[0].lower() in ("begin", "end"):
             continue
         for name in words:
-            if name not in bones:
-                raise InputError(f"{path}: line {number}: no bone is called {name!r}.")
+            check(str(path), name in bones, f"line {number}: no bone is called {name!r}")
         parents.update(dict.fromkeys(words[1:], words[0]))
     for name in parents:
         above, steps = name, 0
@@ -226,8 +221,7 @@ def _frames(path: Path, asf: AsfSkeleton) -> list[dict[str, Line]]:
             raise InputError(f"{path}: line {number}: a frame must start with its number.")
         else:
             frames[-1][words[0]] = (number, words[1:])
-    if not frames:
-        raise InputError(f"{path}: it has no frames.")
+    check(str(path), frames, "it has no frames")
     return frames
 
 
@@ -242,8 +236,7 @@ def _values(path: Path, frames: list[dict[str, Line]], name: str, dof: int) -> F
 
 
 def _numbers(path: Path, number: int, words: list[str], count: int) -> Float:
-    if len(words) != count:
-        raise InputError(f"{path}: line {number}: {count} numbers must stand here, not {len(words)}.")
+    check(str(path), len(words) == count, f"line {number}: {count} numbers must stand here, not {len(words)}")
     return np.array([_number(path, number, word) for word in words])
 
 

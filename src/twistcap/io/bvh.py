@@ -18,11 +18,11 @@ from twistcap.arrays import Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.gltf_animate import BoneMotion
 from twistcap.body.joints import Joint, joints_of
-from twistcap.errors import InputError, naming
+from twistcap.errors import InputError, check, naming
 from twistcap.io.angles import decomposed
 from twistcap.io.files import write_lines
 from twistcap.io.markers import TO_FILE
-from twistcap.motion.skeleton import SkeletonMotion, Up
+from twistcap.motion.skeleton import SkeletonMotion
 
 _TO_FILE = TO_FILE["pose2sim"]  # our (x, y, z) -> (y, z, x)
 _ZYX = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
@@ -31,12 +31,12 @@ UNITS = (1.0, 0.0254 / 0.45, 0.0254, 0.01, 0.001)
 _ADULT = 1.65  # m; both the height and the span of the arms are near it
 
 
-def read_bvh(path: Path | str, unit: float | None = None, up: Up | None = None) -> SkeletonMotion:
+def read_bvh(path: Path | str) -> SkeletonMotion:
     """The motion of a BVH; end sites become joints named after theirs, `<joint>_end`.
 
-    `unit` is in metres; None takes that of `UNITS` which makes an adult of the rest pose. `up` None takes the axis
-    along which the rest pose is drawn. Raises InputError if it cannot be read or is no BVH with three rotations a
-    joint, or for numbers that are not finite.
+    The unit is that of `UNITS` which makes an adult of the rest pose; up is the axis along which the rest pose is
+    drawn. Raises InputError if it cannot be read or is no BVH with three rotations a joint, or for numbers that are not
+    finite.
     """
     path = Path(path)
     try:
@@ -50,19 +50,12 @@ def read_bvh(path: Path | str, unit: float | None = None, up: Up | None = None) 
     places, turns = bvh.to_rotmat()
     moving = np.asarray(tree.joint_idx)
     local = np.where(moving[:, None, None] >= 0, turns[:, moving], np.eye(3))
-    scale = unit if unit is not None else _unit(path, _rest(offsets, tree.parent_idx))
-    upright = up or ("z" if str(bvh.rest_up).endswith("z") else "y")
+    unit = _unit(path, _rest(offsets, tree.parent_idx))
+    up = "z" if str(bvh.rest_up).endswith("z") else "y"
     # The root's own offset is not added to its channels, as in Blender and pybvh.
     with naming(path):
         return SkeletonMotion.from_local(
-            path.stem,
-            _names(bvh, tree),
-            list(tree.parent_idx),
-            offsets * scale,
-            local,
-            places * scale,
-            bvh.fps,
-            upright,
+            path.stem, _names(bvh, tree), list(tree.parent_idx), offsets * unit, local, places * unit, bvh.fps, up
         )
 
 
@@ -83,41 +76,37 @@ def _rest(offsets: Float, parents: Any) -> Float:
 
 def _unit(path: Path, rest: Float) -> float:
     size = float(np.ptp(rest, axis=0).max())
-    if not (np.isfinite(size) and size > 0):
-        raise InputError(f"{path}: its joints have no distances between them.")
+    check(str(path), np.isfinite(size) and size > 0, "its joints have no distances between them")
     return min(UNITS, key=lambda unit: abs(np.log(unit * size / _ADULT)))
 
 
-def write_bvh(path: Path | str, body: Body, poses: Sequence[Pose], fps: float, scale: float = 1.0) -> None:
-    """Writes skeleton and motion.
+def write_bvh(path: Path | str, body: Body, poses: Sequence[Pose], fps: float) -> None:
+    """Writes skeleton and motion, in m.
 
     Axes of one joint that do not meet in a point (ankle and subtalar) become two BVH joints, so that the file's forward
-    kinematics are the body's. `scale` is in file units per metre; 100 for software that reads centimetres. Raises
-    InputError for a frame rate (1/s) that is not positive, sliding coordinates, several root segments, or if the file
-    cannot be written.
+    kinematics are the body's. Raises InputError for a frame rate (1/s) that is not positive, sliding coordinates,
+    several root segments, or if the file cannot be written.
     """
     path = Path(path)
-    if not fps > 0:
-        raise InputError(f"{path}: the frame rate is {fps}; it must be positive.")
+    check(str(path), fps > 0, f"the frame rate is {fps}; it must be positive")
     with naming(path):
         joints = joints_of(body)
-    lines = ["HIERARCHY", *_hierarchy(body, joints, 0, 0, scale), "MOTION"]
+    lines = ["HIERARCHY", *_hierarchy(body, joints, 0, 0), "MOTION"]
     lines += [f"Frames: {len(poses)}", f"Frame Time: {1.0 / fps:.8f}"]
     place, turns = _channels(body, joints, poses)
     order = _depth_first(joints, 0)
-    rows = np.hstack([place * scale, np.degrees(turns[:, order]).reshape(len(poses), -1)])
+    rows = np.hstack([place, np.degrees(turns[:, order]).reshape(len(poses), -1)])
     write_lines(path, [*lines, *(" ".join(f"{v:.6f}" for v in row) for row in rows)])
 
 
-def write_bone_bvh(path: Path | str, motion: BoneMotion, fps: float, scale: float = 1.0) -> None:
+def write_bone_bvh(path: Path | str, motion: BoneMotion, fps: float) -> None:
     """Writes the motion of a rig of the user's own: its bone names, offsets as in its rest pose, y up as in its file.
 
-    Joints above the root are left out. `scale` is in file units per metre. Raises InputError for a frame rate (1/s)
-    that is not positive, or if the file cannot be written.
+    Joints above the root are left out. Raises InputError for a frame rate (1/s) that is not positive, or if the file
+    cannot be written.
     """
-    if not fps > 0:
-        raise InputError(f"{path}: the frame rate is {fps}; it must be positive.")
-    mesh, heads, rest = motion.rigged.mesh, motion.bind[:, :3, 3] * scale, motion.bind[:, :3, :3]
+    check(str(path), fps > 0, f"the frame rate is {fps}; it must be positive")
+    mesh, heads, rest = motion.rigged.mesh, motion.bind[:, :3, 3], motion.bind[:, :3, :3]
     order = list[int]()
 
     def lines(b: int, depth: int) -> list[str]:
@@ -140,29 +129,29 @@ def write_bone_bvh(path: Path | str, motion: BoneMotion, fps: float, scale: floa
         order[0]: world[:, order[0]]
     }
     turns = [np.degrees(decomposed(local[b], _ZYX, np.zeros(3))) for b in order]
-    rows = np.hstack([motion.places * scale, *turns])
+    rows = np.hstack([motion.places, *turns])
     text = [*tree, f"Frame Time: {1.0 / fps:.8f}", *(" ".join(f"{v:.6f}" for v in row) for row in rows)]
     write_lines(Path(path), text)
 
 
-def _hierarchy(body: Body, joints: list[Joint], number: int, depth: int, scale: float) -> list[str]:
+def _hierarchy(body: Body, joints: list[Joint], number: int, depth: int) -> list[str]:
     joint, tab = joints[number], "\t" * depth
     start = joints[joint.parent].origin if joint.parent >= 0 else joint.origin  # the root's place is in its channels
     head = "ROOT" if joint.parent < 0 else "JOINT"
     places = "6 Xposition Yposition Zposition" if joint.parent < 0 else "3"
-    lines = [f"{tab}{head} {joint.name}", f"{tab}{{", _offset(joint.origin - start, depth + 1, scale)]
+    lines = [f"{tab}{head} {joint.name}", f"{tab}{{", _offset(joint.origin - start, depth + 1)]
     lines.append(f"{tab}\tCHANNELS {places} Zrotation Yrotation Xrotation")
     below = [n for n, other in enumerate(joints) if other.parent == number]
     for n in below:
-        lines += _hierarchy(body, joints, n, depth + 1, scale)
+        lines += _hierarchy(body, joints, n, depth + 1)
     if not below:
-        end = _offset(_tip(body, joint) - joint.origin, depth + 2, scale)
+        end = _offset(_tip(body, joint) - joint.origin, depth + 2)
         lines += [f"{tab}\tEnd Site", f"{tab}\t{{", end, f"{tab}\t}}"]
     return [*lines, f"{tab}}}"]
 
 
-def _offset(vector: Float, depth: int, scale: float) -> str:
-    return _offset_line(_TO_FILE @ vector * scale, depth)
+def _offset(vector: Float, depth: int) -> str:
+    return _offset_line(_TO_FILE @ vector, depth)
 
 
 def _offset_line(vector: Float, depth: int) -> str:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from twistcap.arrays import UNEVEN, AnyArray, Float, Int, even_clock, runs
-from twistcap.body import Body, Landmarks, Posed
+from twistcap.body import Landmarks, Posed
 from twistcap.body.anatomy import bones_of
 from twistcap.body.surface_markers import surface_markers
 from twistcap.errors import InputError
@@ -48,7 +48,7 @@ def write_c3d(path: Path | str, result: Result, axes: WorldAxes = "opensim", fil
         raise InputError("C3D needs ezc3d; install it with: pip install 'twistcap[c3d]'.") from error
     path, body = Path(path), result.body
     rate, slots = _clock(path, result.times)
-    marks = _points_of(body)
+    marks = body.landmarks.and_those(surface_markers(body))
     _expect_room(path, int(slots[-1] - slots[0]) + 1, len(marks.names))
     held = np.flatnonzero(fill | result.known).astype(np.int32)
     places, deviations = _placed(result, marks, held, TO_FILE[axes])
@@ -96,13 +96,6 @@ def _expect_room(path: Path, frames: int, points: int) -> None:
     if frames > room(points):
         held = f"a C3D of {points} points has room for {room(points)} frames, the result has {frames}"
         raise InputError(f"{path}: {held}; export it in parts, each with --frames FIRST:LAST and --out.")
-
-
-def _points_of(body: Body) -> Landmarks:
-    """Landmarks and surface markers."""
-    marks, stuck = body.landmarks, surface_markers(body)
-    segments = np.concatenate([marks.segments, stuck.segments]).astype(np.int32)
-    return Landmarks((*marks.names, *stuck.names), segments, np.concatenate([marks.points, stuck.points]))
 
 
 def _placed(result: Result, marks: Landmarks, held: Int, to_file: Float) -> tuple[Float, Float]:

@@ -52,8 +52,7 @@ def read_rig(path: str | Path, unit: Unit | None = None, floor: float | None = 0
         for key, table in tables.items()
         if key != "metadata" and isinstance(table, dict) and any(field in table for field in _FIELDS)
     )
-    if not cameras:
-        raise InputError(f"calibration {path} holds no camera: it needs one table per camera, such as [cam01].")
+    check(f"calibration {path} holds no camera", cameras, "it needs one table per camera, such as [cam01]")
     names = [camera.name for camera in cameras]
     for name in names:
         if names.count(name) > 1:
@@ -101,8 +100,7 @@ def _camera(where: str, key: str, table: Mapping[str, Any], scale: float) -> Cam
 
 
 def _numbers(where: str, table: Mapping[str, Any], field: str, shape: tuple[int | None, ...]) -> Float:
-    if field not in table:
-        raise InputError(f"{where}: the field '{field}' is missing; add it to the file.")
+    check(where, field in table, f"the field '{field}' is missing; add it to the file")
     value = table[field]
     if len(shape) == 1 and isinstance(value, list) and all(isinstance(row, list) for row in value):
         value = [item for row in value for item in row]  # a column
@@ -143,8 +141,7 @@ def check_camera(where: str, camera: Camera) -> None:
             f"{where}: the principal point ({K[0, 2]:g}, {K[1, 2]:g}) is far outside the image of"
             f" {[int(n) for n in size]} pixels; check that 'matrix' and 'size' belong together."
         )
-    if not se3.is_motion(camera.T_cam_world, 1e-3):
-        raise InputError(f"{where}: its place is no rigid motion; calibrate it again.")
+    check(where, se3.is_motion(camera.T_cam_world, 1e-3), "its place is no rigid motion; calibrate it again")
 
 
 def _table(camera: Camera, scale: float) -> str:

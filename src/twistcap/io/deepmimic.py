@@ -13,7 +13,7 @@ from twistcap import se3
 from twistcap.arrays import Float
 from twistcap.doors.strict import validated
 from twistcap.doors.text import number_array, read_json_table
-from twistcap.errors import InputError, naming
+from twistcap.errors import InputError, check, naming
 from twistcap.motion.skeleton import SkeletonMotion
 
 SKELETON = "humanoid3d.txt"
@@ -67,8 +67,7 @@ def read_deepmimic(path: Path | str, skeleton: Path | str | None = None) -> Skel
 
 
 def _joints(path: Path) -> tuple[_Joint, ...]:
-    if not path.is_file():
-        raise InputError(f"{path}: DeepMimic's skeleton is not there; put it beside the clip or give skeleton=….")
+    check(str(path), path.is_file(), "DeepMimic's skeleton is not there; put it beside the clip or give skeleton=…")
     skeleton: _Skeleton = validated(_SkeletonFile, read_json_table(path), str(path)).Skeleton
     for s, joint in enumerate(skeleton.Joints[1:], start=1):
         if joint.Type not in _WIDTHS or not 0 <= joint.Parent < s:
@@ -92,8 +91,7 @@ def _of_quaternions(path: Path, values: Float) -> Float:
 
 def _even(path: Path, durations: Float, places: Float, local: Float) -> tuple[float, Float, Float]:
     """Time step, places and rotations at even times."""
-    if not len(durations):
-        raise InputError(f"{path}: one frame is no motion.")
+    check(str(path), len(durations), "one frame is no motion")
     step = float(np.median(durations))
     if not (np.all(durations > 0) and 1e-4 < step < 10.0 and np.all(np.abs(np.log(durations / step)) < _UNEVEN)):
         raise InputError(f"{path}: the duration of a frame is not positive, or far from that of the others.")

@@ -1,6 +1,7 @@
 """Export formats by name: our own, and those that installed packages offer in the group ``twistcap.exports``.
 
-A format is a function that gives an `ExportFormat`, named in `FORMATS` or as an entry point (see ARCHITECTURE.md).
+A format is an `ExportFormat`, or a function that gives one, named in `FORMATS` or as an entry point
+(see ARCHITECTURE.md).
 """
 
 from __future__ import annotations
@@ -9,7 +10,6 @@ import json
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -144,28 +144,23 @@ def _write_landmarks(result: Result, path: Path, options: ExportOptions) -> None
     write_trc(path, result.times, result.body.landmarks.names, points, axes=options.axes)
 
 
-def _write_mot(result: Result, path: Path, options: ExportOptions) -> None:
-    write_mot(
-        path, result.body, result.times, result.poses, options.axes, options.angles, result.known, options.fill
-    )  # fmt: skip
+def _write_mot(result: Result, path: Path, o: ExportOptions) -> None:
+    write_mot(path, result.body, result.times, result.poses, o.axes, o.angles, result.known, o.fill)
 
 
-def _write_csv(result: Result, path: Path, options: ExportOptions) -> None:
-    write_csv(path, result, options.axes, options.angles, options.fill)
-
-
-def _write_c3d(result: Result, path: Path, options: ExportOptions) -> None:
-    write_c3d(path, result, options.axes, options.fill)
-
-
-def _write_opensim(result: Result, path: Path, options: ExportOptions) -> None:
-    write_opensim(path, result, options.axes, options.fill)
-
-
-trc = partial(ExportFormat, "joints.trc", "joint centres (OpenSim, Mokka)", _write_landmarks)
-mot = partial(ExportFormat, "angles.mot", "joint angles (OpenSim)", _write_mot)
-bvh = partial(ExportFormat, "motion.bvh", "skeleton and motion (Blender, MotionBuilder)", _write_bvh)
-csv = partial(ExportFormat, "angles.csv", "joint angles and their standard deviations", _write_csv)
-glb = partial(ExportFormat, "motion.glb", "skinned body and motion (any glTF viewer)", _write_glb)
-c3d = partial(ExportFormat, "motion.c3d", "points and segments (Visual3D, Mokka, Vicon)", _write_c3d)
-opensim = partial(ExportFormat, "opensim", "model, markers, motion and set-ups (OpenSim)", _write_opensim)
+trc = ExportFormat("joints.trc", "joint centres (OpenSim, Mokka)", _write_landmarks)
+mot = ExportFormat("angles.mot", "joint angles (OpenSim)", _write_mot)
+bvh = ExportFormat("motion.bvh", "skeleton and motion (Blender, MotionBuilder)", _write_bvh)
+csv = ExportFormat(
+    "angles.csv", "joint angles and their standard deviations",
+    lambda result, path, options: write_csv(path, result, options.axes, options.angles, options.fill),
+)  # fmt: skip
+glb = ExportFormat("motion.glb", "skinned body and motion (any glTF viewer)", _write_glb)
+c3d = ExportFormat(
+    "motion.c3d", "points and segments (Visual3D, Mokka, Vicon)",
+    lambda result, path, options: write_c3d(path, result, options.axes, options.fill),
+)  # fmt: skip
+opensim = ExportFormat(
+    "opensim", "model, markers, motion and set-ups (OpenSim)",
+    lambda result, path, options: write_opensim(path, result, options.axes, options.fill),
+)  # fmt: skip

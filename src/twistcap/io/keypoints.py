@@ -17,7 +17,7 @@ import numpy as np
 
 from twistcap.arrays import Float
 from twistcap.doors.text import finite_number, number_array, read_json_table, read_text
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 from twistcap.estimate import Keypoints
 from twistcap.io.session import Grid
 
@@ -54,12 +54,9 @@ class NoKeypoints(InputError):
 
 
 def read_openpose(
-    files: Mapping[str, Path | str],
-    cameras: Sequence[str],
-    layout: str = "body_25b",
-    person: int | Mapping[str, int] = 0,
-    grids: Mapping[str, Grid] | None = None,
-) -> Keypoints:
+    files: Mapping[str, Path | str], cameras: Sequence[str], layout: str = "body_25b",
+    person: int | Mapping[str, int] = 0, grids: Mapping[str, Grid] | None = None,
+) -> Keypoints:  # fmt: skip
     """Keypoints of one frame from one OpenPose-style JSON file per camera.
 
     Args:
@@ -84,8 +81,7 @@ def read_openpose(
 
 def check_person(file: Path | str, chosen: int, count: int) -> None:
     """Raises InputError where a file of so many people does not hold the one who is chosen."""
-    if not 0 <= chosen < count:
-        raise InputError(f"{file}: person {chosen} is needed, but the file holds {count} (counted from 0).")
+    check(str(file), 0 <= chosen < count, f"person {chosen} is needed, but the file holds {count} (counted from 0)")
 
 
 def read_people(
@@ -167,8 +163,7 @@ def clicked(clicks: Mapping[tuple[str, str], tuple[float, float, float]], camera
 
 def _expect_cameras(named: Sequence[str], cameras: Sequence[str], where: str) -> None:
     for camera in named:
-        if camera not in cameras:
-            raise InputError(f"{where}: camera {camera!r} has no calibration; the rig has {', '.join(cameras)}.")
+        check(where, camera in cameras, f"camera {camera!r} has no calibration; the rig has {', '.join(cameras)}")
 
 
 def _read_people(path: Path, layout: str) -> Float:
@@ -217,6 +212,5 @@ def _json_rows(path: Path) -> list[tuple[str, str, Any, Any, Any]]:
             if not isinstance(value, list) or len(value) not in (2, 3):
                 raise InputError(f"{path}: {camera}.{joint} must be [x, y] or [x, y, confidence], not {value!r}.")
             rows.append((camera, joint, value[0], value[1], value[2] if len(value) == 3 else 1.0))
-    if not rows:
-        raise InputError(f"{path}: no joint is given; the file must be {{camera: {{joint: [x, y]}}}}.")
+    check(str(path), rows, "no joint is given; the file must be {camera: {joint: [x, y]}}")
     return rows

@@ -18,7 +18,7 @@ from twistcap.arrays import Float, even_clock
 from twistcap.doors.npz import read_npz
 from twistcap.doors.schema import Schema, real, word
 from twistcap.doors.text import finite_number, read_lines
-from twistcap.errors import InputError, check_choice
+from twistcap.errors import InputError, check, check_choice
 from twistcap.io.files import write_lines
 from twistcap.io.keypoints import LAYOUTS
 
@@ -42,38 +42,29 @@ class Markers:
     points: Float
 
 
-def write_trc(
-    path: Path | str,
-    times: Float,
-    names: Sequence[str],
-    points: Float,
-    unit: Literal["m", "mm"] = "m",
-    axes: WorldAxes = "opensim",
-) -> None:
-    """Writes a TRC; NaN becomes an empty field.
+def write_trc(path: Path | str, times: Float, names: Sequence[str], points: Float, axes: WorldAxes = "opensim") -> None:
+    """Writes a TRC in m; NaN becomes an empty field.
 
-    `times` (N,) are in s, `points` (N, M, 3) in the world, z up, m; `unit` is that of the file. For `axes` see the head
-    of this module. Raises InputError for shapes that do not fit each other, or if the file cannot be written.
+    `times` (N,) are in s, `points` (N, M, 3) in the world, z up, m. For `axes` see the head of this module. Raises
+    InputError for shapes that do not fit each other, or if the file cannot be written.
     """
-    check_choice("write_trc: unit", unit, ("m", "mm"))
     check_choice("write_trc: axes", axes, TO_FILE)
     path, points = Path(path), np.asarray(points, dtype=float)
     if points.shape != (len(times), len(names), 3):
         raise InputError(f"{path}: points are {points.shape}, but there are {len(times)} times and {len(names)} names.")
-    values = points @ TO_FILE[axes].T / _UNITS[unit]
-    digits = 6 if unit == "m" else 3
+    values = points @ TO_FILE[axes].T
     rate = f"{frame_rate(np.asarray(times)):.10g}"
     labels = [f"{axis}{m + 1}" for m in range(len(names)) for axis in "XYZ"]
     lines = [
         f"PathFileType\t4\t(X/Y/Z)\t{path.name}",
         "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
-        "\t".join([rate, rate, str(len(times)), str(len(names)), unit, rate, "1", str(len(times))]),
+        "\t".join([rate, rate, str(len(times)), str(len(names)), "m", rate, "1", str(len(times))]),
         "Frame#\tTime\t" + "\t\t\t".join(names) + "\t\t",
         "\t\t" + "\t".join(labels),
         "",
     ]
     for n, (time, row) in enumerate(zip(times, values.reshape(len(values), -1), strict=True), start=1):
-        fields = ["" if np.isnan(v) else f"{v:.{digits}f}" for v in row]
+        fields = ["" if np.isnan(v) else f"{v:.6f}" for v in row]
         last = fields.pop() if fields else ""  # OpenSim does not count an empty field at the end of a line
         lines.append("\t".join([str(n), repr(float(time)), *fields, last or " "]))
     write_lines(path, lines)
@@ -90,14 +81,12 @@ def read_trc(path: Path | str, axes: WorldAxes = "opensim") -> Markers:
         raise InputError(f"{path}: not a TRC file (its first line must start with PathFileType).")
     header = dict(zip(lines[1].split(), lines[2].split(), strict=False))
     unit = header.get("Units", "")
-    if unit not in _UNITS:
-        raise InputError(f"{path}: Units is {unit!r}; it must be one of {', '.join(_UNITS)}.")
+    check(str(path), unit in _UNITS, f"Units is {unit!r}; it must be one of {', '.join(_UNITS)}")
     names = tuple(name.strip() for name in lines[3].split("\t")[2:] if name.strip())
     if header.get("NumMarkers") != str(len(names)):
         raise InputError(f"{path}: NumMarkers is {header.get('NumMarkers')}, but line 4 names {len(names)} markers.")
     rows = [_trc_row(path, n, line, len(names)) for n, line in enumerate(lines[5:], start=6) if line.strip()]
-    if not rows:
-        raise InputError(f"{path}: it has no frames.")
+    check(str(path), rows, "it has no frames")
     table = np.array(rows)
     points = table[:, 2:].reshape(len(table), len(names), 3) * _UNITS[unit]
     return Markers(names, table[:, 1], points @ TO_FILE[axes])
@@ -110,8 +99,7 @@ def _trc_row(path: Path, at: int, line: str, markers: int) -> list[float]:
     if any(fields[width:]):
         raise InputError(f"{path}: line {at} has more than {width} fields, 3 for each of {markers} markers.")
     fields = (fields + [""] * width)[:width]
-    if not fields[1]:
-        raise InputError(f"{path}: line {at}: Time is missing.")
+    check(str(path), fields[1], f"line {at}: Time is missing")
     blank = ("", "nan")
     return [np.nan if field.lower() in blank else finite_number(field, f"{path}: line {at}") for field in fields]
 
@@ -133,8 +121,7 @@ def read_keypoints3d(path: Path | str, times: Float | None = None) -> Markers:
         times = np.arange(len(X)) / float(data["fps"])
     if times is None:
         raise InputError(f"{path}: it has no clock; give it times or fps.")
-    if len(times) != len(X):
-        raise InputError(f"{path}: X has {len(X)} frames, but there are {len(times)} times.")
+    check(str(path), len(times) == len(X), f"X has {len(X)} frames, but there are {len(times)} times")
     return Markers(names, np.asarray(times, dtype=float), X)
 
 

@@ -7,7 +7,6 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from twistcap.body import Body, Pose
 from twistcap.body.humanoid import humanoid
 from twistcap.body.limbs import most_of_limbs, named_limbs
 from twistcap.doors.text import finite_number, read_lines
-from twistcap.errors import InputError, check_choice
+from twistcap.errors import InputError, check, check_choice
 from twistcap.io import angles as convert
 from twistcap.io.coordinates import Angles, coordinates_of
 from twistcap.io.files import replacing, write_lines
@@ -50,8 +49,7 @@ def write_mot(
     head names their rows. Raises InputError for unequal numbers, or if the file cannot be written.
     """
     path = Path(path)
-    if len(times) != len(poses):
-        raise InputError(f"{path}: there are {len(poses)} poses, but {len(times)} times.")
+    check(str(path), len(times) == len(poses), f"there are {len(poses)} poses, but {len(times)} times")
     table = coordinates_of(body, poses, angles=angles, axes=axes)
     values, _ = table.in_degrees
     lost = np.zeros(len(times), np.bool_) if known is None else ~known
@@ -78,16 +76,14 @@ def read_mot(path: Path | str) -> MotionTable:
     path = Path(path)
     lines = [line.strip() for line in read_lines(path)]
     ends = [n for n, line in enumerate(lines) if line.lower() == "endheader"]
-    if not ends:
-        raise InputError(f"{path}: not a MOT or STO file (no line 'endheader').")
+    check(str(path), ends, "not a MOT or STO file (no line 'endheader')")
     header = dict(line.lower().split("=", 1) for line in lines[: ends[0]] if re.match(r"\w+=", line))
     start = next((n for n in range(ends[0] + 1, len(lines)) if lines[n]), len(lines) - 1)
     columns = lines[start].split()
     if not columns or columns[0].lower() != "time":
         raise InputError(f"{path}: its first column is {columns[0] if columns else ''!r}; it must be time.")
     rows = [_mot_row(path, n + 1, lines[n], columns) for n in range(start + 1, len(lines)) if lines[n]]
-    if not rows:
-        raise InputError(f"{path}: it has no rows.")
+    check(str(path), rows, "it has no rows")
     table = np.array(rows)
     values = table[:, 1:]
     if header.get("indegrees", "yes").strip() == "yes":
@@ -103,26 +99,23 @@ def _mot_row(path: Path, at: int, line: str, columns: list[str]) -> list[float]:
     return [np.nan if field.lower() == "nan" else finite_number(field, f"{path}: line {at}") for field in fields]
 
 
-def poses_from_mot(
-    table: MotionTable, body: Body, axes: WorldAxes = "opensim", knee: Literal["auto", "positive", "negative"] = "auto"
-) -> tuple[list[Pose], list[str]]:
+def poses_from_mot(table: MotionTable, body: Body, axes: WorldAxes = "opensim") -> tuple[list[Pose], list[str]]:
     """Poses of a body from a motion file, matched by coordinate names; missing coordinates are 0.
 
-    `knee` is the sign of knee flexion in the file; gait2392 and others bend to negative angles. "auto" takes columns as
-    negative if their mean is below −5°. For `axes` see `io.markers`.
+    gait2392 and others bend knees to negative angles: they are taken for that if their mean is below −5°. For `axes`
+    see `io.markers`.
 
     Returns one pose per row, and the names of the columns that the body does not have. Raises InputError if a used
     column holds NaN, or none of the columns is known to the body.
     """
     check_choice("poses_from_mot: axes", axes, TO_FILE)
-    check_choice("poses_from_mot: knee", knee, ("auto", "positive", "negative"))
     known = {*convert.PELVIS_ANGLES, *convert.PELVIS_PLACE, *body.coordinate_names}
     unknown = [name for name in table.columns if name not in known]
     if len(unknown) == len(table.columns):
         raise InputError(f"the motion file: none of its columns is a coordinate of body {body.name!r}.")
     q = np.stack([table.get(name) for name in body.coordinate_names], axis=1).reshape(len(table.times), -1)
     knees = [k for k, name in enumerate(body.coordinate_names) if name.startswith("knee_angle")]
-    if knees and (knee == "negative" or (knee == "auto" and float(np.mean(q[:, knees])) < _NEGATIVE_KNEE)):
+    if knees and float(np.mean(q[:, knees])) < _NEGATIVE_KNEE:
         q[:, knees] *= -1.0
     given = np.array([name in table.columns for name in body.coordinate_names], bool)
     q -= given * convert.zeros_of(body)

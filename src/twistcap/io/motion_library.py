@@ -8,7 +8,7 @@ import numpy as np
 
 from twistcap.doors.npz import read_npz
 from twistcap.doors.schema import Schema, real, whole, word
-from twistcap.errors import InputError, naming
+from twistcap.errors import check, naming
 from twistcap.io.files import write_npz
 from twistcap.motion import MotionLibrary
 
@@ -30,14 +30,10 @@ def read_library(path: str | Path) -> MotionLibrary:
     """
     mend = "it is no motion library; make one with twistcap motions build"
     data = read_npz(path, "motion library", {"format": word(), **_KEYS}, mend)
-    if str(data["format"]) != FORMAT:
-        raise InputError(f"{path}: {mend}.")
+    check(str(path), str(data["format"]) == FORMAT, mend)
     with naming(path):
         return MotionLibrary(
-            names=tuple(data["names"].tolist()),
-            rate=float(data["rate"]),
-            clip_names=tuple(data["clip_names"].tolist()),
-            starts=data["starts"],
-            q=data["q"].astype(np.float32),
+            names=tuple(data["names"].tolist()), rate=float(data["rate"]),
+            clip_names=tuple(data["clip_names"].tolist()), starts=data["starts"], q=data["q"].astype(np.float32),
             roots=data["roots"],
-        )
+        )  # fmt: skip

@@ -10,7 +10,7 @@ from twistcap import se3
 from twistcap.arrays import UNEVEN, Bool, Float, even_clock, runs
 from twistcap.body import Body
 from twistcap.errors import InputError
-from twistcap.io.asf import AMC_RATE, read_amc
+from twistcap.io.asf import read_amc
 from twistcap.io.bvh import read_bvh, write_bvh
 from twistcap.io.deepmimic import read_deepmimic
 from twistcap.io.markers import WorldAxes
@@ -23,15 +23,10 @@ COORDINATE_FILES = (".mot", ".sto", ".h5", ".hdf5")
 
 
 def read_motion(
-    path: Path | str,
-    body: Body,
-    *,
-    skeleton: Path | str | None = None,
-    table: Path | str | SkeletonTable | None = None,
-    rate: float | None = None,
-    scale: float | None = None,
+    path: Path | str, body: Body, *, skeleton: Path | str | None = None,
+    table: Path | str | SkeletonTable | None = None, rate: float | None = None, scale: float | None = None,
     axes: WorldAxes = "opensim",
-) -> MotionClip:
+) -> MotionClip:  # fmt: skip
     """The motion of a file in a body's coordinates, z up.
 
     BVH, AMC and DeepMimic's JSON are retargeted (`motion.retarget`); a rest pose that stands as first frame is cut.
@@ -79,16 +74,15 @@ def write_motion(path: Path | str, body: Body, clip: MotionClip, axes: WorldAxes
         raise InputError(f"motion {path} has an unknown ending; motions are written as .mot, .sto or .bvh.")
 
 
-def read_skeleton(path: Path | str, skeleton: Path | str | None = None, rate: float = AMC_RATE) -> SkeletonMotion:
-    """The motion of a skeleton file as it stands: .bvh, .amc (frames per second: `rate`), .txt or .json of DeepMimic.
-    Raises InputError as `read_motion`.
-    """
+def read_skeleton(path: Path | str, skeleton: Path | str | None = None) -> SkeletonMotion:
+    """The motion of a skeleton file as it stands: .bvh, .amc, .txt or .json of DeepMimic. Raises InputError as
+    `read_motion`."""
     path = Path(path)
     kind = path.suffix.lower()
     if kind == ".bvh":
         return read_bvh(path)
     if kind == ".amc":
-        return read_amc(path, skeleton, rate)
+        return read_amc(path, skeleton)
     if kind in (".txt", ".json"):
         return read_deepmimic(path, skeleton)
     raise InputError(f"motion {path} has an unknown ending; give {', '.join(SKELETON_FILES + COORDINATE_FILES)}.")

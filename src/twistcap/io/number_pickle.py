@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from twistcap.arrays import Float
 from twistcap.doors.text import read_bytes
 from twistcap.errors import InputError
 
@@ -32,12 +31,6 @@ _STEPS = {
 }  # fmt: skip
 
 
-def _array(kind: object, shape: object, code: object) -> Float:
-    """An empty array; its state follows."""
-    del kind, shape, code
-    return np.zeros(0)
-
-
 def _dtype(code: object, *rest: object) -> np.dtype[Any]:
     del rest
     if not isinstance(code, str) or not _CODE.match(code):
@@ -45,16 +38,10 @@ def _dtype(code: object, *rest: object) -> np.dtype[Any]:
     return np.dtype(code)
 
 
-def _scalar(kind: np.dtype[Any], data: bytes) -> Any:
-    return np.frombuffer(data, kind)[0]
-
-
 _BUILDERS: dict[tuple[str, str], Any] = {("numpy", "dtype"): _dtype, ("numpy", "ndarray"): "an array"}
 for _core in ("core", "_core"):
-    _BUILDERS |= {
-        (f"numpy.{_core}.multiarray", "_reconstruct"): _array,
-        (f"numpy.{_core}.multiarray", "scalar"): _scalar,
-    }
+    _BUILDERS[f"numpy.{_core}.multiarray", "_reconstruct"] = lambda kind, shape, code: np.zeros(0)  # its state follows
+    _BUILDERS[f"numpy.{_core}.multiarray", "scalar"] = lambda kind, data: np.frombuffer(data, kind)[0]
 
 
 class _Numbers(pickle.Unpickler):
@@ -72,7 +59,7 @@ def _check_steps(data: bytes) -> None:
             raise pickle.UnpicklingError(f"it has the step {step.name}")
 
 
-def read_number_pickle(path: Path, what: str = "calibration") -> dict[str, Any]:
+def read_number_pickle(path: Path) -> dict[str, Any]:
     """The table in a pickle, of numbers, text and numeric arrays.
 
     Raises InputError for a file that would build anything else, is damaged, or has no table.
@@ -82,11 +69,11 @@ def read_number_pickle(path: Path, what: str = "calibration") -> dict[str, Any]:
         _check_steps(data)
         content = _Numbers(io.BytesIO(data)).load()
     except Exception as error:  # a damaged pickle fails in any way
-        raise InputError(f"{what} {path} is no pickle of numbers, text and arrays alone ({error}).") from error
+        raise InputError(f"calibration {path} is no pickle of numbers, text and arrays alone ({error}).") from error
     if not isinstance(content, dict) or not all(isinstance(key, str) for key in content):
-        raise InputError(f"{what} {path} holds no table by names.")
+        raise InputError(f"calibration {path} holds no table by names.")
     for key, value in content.items():
         array = isinstance(value, (np.ndarray, np.generic)) and value.dtype.kind in _KINDS
         if not (array or isinstance(value, (int, float, str, bool, list, tuple, type(None)))):
-            raise InputError(f"{what} {path}: {key!r} is neither a number, text nor an array of numbers.")
+            raise InputError(f"calibration {path}: {key!r} is neither a number, text nor an array of numbers.")
     return content

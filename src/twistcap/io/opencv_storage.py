@@ -23,10 +23,9 @@ _SCALAR = re.compile(r"^([\w.\-]+):[ \t]+\"?([^\s\"\[!][^\n\"]*)\"?[ \t]*$", re.
 _NAMES = re.compile(r"^names:[ \t]*\n((?:[ \t]*-[ \t]*[^\n]+\n?)+)|^names:\s*\[([^\]]*)\]", re.M)
 
 
-def read_storage(path: Path, what: str = "calibration") -> dict[str, Any]:
+def read_storage(path: Path) -> dict[str, Any]:
     """Matrices (rows, columns), numbers and texts by name, and ``names``, a list. Raises InputError."""
-    text = read_text(path)
-    source = f"{what} {path}"
+    text, source = read_text(path), f"calibration {path}"
     if text.lstrip().startswith("<"):
         return _of_xml(parsed_xml(text, source), source)
     check(source, ":" in text, "it is no YAML or XML file of OpenCV")

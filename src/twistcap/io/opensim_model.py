@@ -158,14 +158,11 @@ def _coordinate(parent: ET.Element, name: str, default: float, low: float, high:
 def _spatial(joint: ET.Element, turning: Sequence[tuple[str, Float, float]], moving: Sequence[str]) -> None:
     """Rotations about up to three axes, each (coordinate, axis, angle at 0), and translations along x, y and z."""
     out = ET.SubElement(joint, "SpatialTransform")
-    for n, (axis, turn) in enumerate(zip(_three([axis for _, axis, _ in turning]), _padded(turning), strict=True), 1):
-        _transform_axis(out, f"rotation{n}", turn[0] if turn else "", axis, turn[2] if turn else 0.0)
+    for n, axis in enumerate(_three([axis for _, axis, _ in turning])):
+        name, _, start = turning[n] if n < len(turning) else ("", axis, 0.0)
+        _transform_axis(out, f"rotation{n + 1}", name, axis, start)
     for n, axis in enumerate(np.eye(3)):
         _transform_axis(out, f"translation{n + 1}", moving[n] if moving else "", axis, 0.0)
-
-
-def _padded(turning: Sequence[tuple[str, Float, float]]) -> list[tuple[str, Float, float] | None]:
-    return [*turning, *[None] * (3 - len(turning))]
 
 
 def _three(axes: Sequence[Float]) -> list[Float]:

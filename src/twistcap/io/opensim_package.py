@@ -11,7 +11,7 @@ import numpy as np
 from twistcap.arrays import Float
 from twistcap.body import Body, Landmarks, Pose, Posed
 from twistcap.body.surface_markers import surface_markers
-from twistcap.errors import InputError
+from twistcap.errors import check
 from twistcap.io.files import write_lines
 from twistcap.io.markers import WorldAxes, write_trc
 from twistcap.io.motion_files import write_mot
@@ -47,8 +47,7 @@ def write_opensim(folder: Path, result: Result, axes: WorldAxes = "opensim", fil
     pose. Raises InputError for a body that OpenSim cannot hold, or where a file cannot be written.
     """
     body, known = result.body, result.known | fill
-    if not known.any():
-        raise InputError(f"{folder}: the body is lost in every frame; with --fill the predicted poses are written.")
+    check(str(folder), known.any(), "the body is lost in every frame; with --fill the predicted poses are written")
     (folder / "Geometry").mkdir(parents=True, exist_ok=True)
     stuck, centres = surface_markers(body), _centres(body)
     _write_xml(folder / "model.osim", opensim_model(body, stuck, axes))
@@ -59,9 +58,10 @@ def write_opensim(folder: Path, result: Result, axes: WorldAxes = "opensim", fil
     shown = [pose for pose, there in zip(result.poses, known, strict=True) if there]
     for name, marks in {"markers": stuck, "joints": centres}.items():
         write_trc(folder / f"{name}.trc", result.times[known], marks.names, _moved(body, marks, shown), axes=axes)
-    standing = _moved(body, _joined(stuck, centres), [Pose.rest(body)] * len(_STATIC))
+    both = stuck.and_those(centres)
+    standing = _moved(body, both, [Pose.rest(body)] * len(_STATIC))
     standing[..., 2] -= standing[..., 2].min()
-    write_trc(folder / "static.trc", _STATIC, _joined(stuck, centres).names, standing, axes=axes)
+    write_trc(folder / "static.trc", _STATIC, both.names, standing, axes=axes)
     _write_xml(folder / "ik.xml", _inverse_kinematics(stuck.names, result.times[known]))
     _write_xml(folder / "scale.xml", _scaling({*stuck.names, *centres.names}))
 
@@ -76,11 +76,6 @@ def _centres(body: Body) -> Landmarks:
 def _centre_name(mark: str) -> str:
     name, _, side = mark.rpartition("_")
     return side.upper() + _CENTRES[name] if name in _CENTRES else mark
-
-
-def _joined(one: Landmarks, other: Landmarks) -> Landmarks:
-    segments = np.concatenate([one.segments, other.segments]).astype(np.int32)
-    return Landmarks((*one.names, *other.names), segments, np.concatenate([one.points, other.points]))
 
 
 def _moved(body: Body, marks: Landmarks, poses: Sequence[Pose]) -> Float:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from twistcap import se3
 from twistcap.arrays import Bool, Float
 from twistcap.camera import Camera, Rig
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 
 _NEAREST, _FARTHEST = 0.05, 100.0  # plausible distances between two cameras, m
 _UNDERGROUND = 0.3  # m below the floor that no joint of a person and not every camera can be
@@ -72,8 +72,7 @@ def _check_common_view(rig: Rig, reach: float, source: str) -> None:
 
 def _check_person(rig: Rig, points: Float, floor: float | None, source: str) -> None:
     """A person's points are finite, above ground and in view."""
-    if not np.all(np.isfinite(points)):
-        raise InputError(f"{source}: the first pose holds NaN; check the keypoints of the first frame.")
+    check(source, np.all(np.isfinite(points)), "the first pose holds NaN; check the keypoints of the first frame")
     if floor is not None and points[:, 2].min() < floor - _UNDERGROUND:
         raise InputError(
             f"{source}: the person of the first pose is underground (lowest point {points[:, 2].min() - floor:.2f} m"

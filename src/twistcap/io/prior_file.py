@@ -10,7 +10,7 @@ import numpy as np
 from twistcap.arrays import Float
 from twistcap.doors.npz import read_npz
 from twistcap.doors.schema import Schema, real, word
-from twistcap.errors import InputError, naming
+from twistcap.errors import InputError, check, naming
 from twistcap.io.angles import complete_coordinates
 from twistcap.io.files import write_npz
 from twistcap.io.motion_files import poses_of_file
@@ -45,12 +45,9 @@ def read_prior(path: str | Path) -> ParzenPrior:
 
 
 def trained_prior(
-    paths: Sequence[str | Path],
-    every: int = 1,
-    coordinates: Sequence[str] | None = None,
-    sigma: float | None = None,
+    paths: Sequence[str | Path], every: int = 1, coordinates: Sequence[str] | None = None, sigma: float | None = None,
     scale: Mapping[str, float] | None = None,
-) -> ParzenPrior:
+) -> ParzenPrior:  # fmt: skip
     """A prior of all samples of some motions.
 
     Args:
@@ -67,8 +64,7 @@ def trained_prior(
         raise InputError("prior: give one motion file or more, and every how many frames to take (1 or more).")
     motions = [_motion(Path(path)) for path in paths]
     names = tuple(coordinates or [n for n in motions[0][0] if all(n in known for known, _ in motions)])
-    if not names:
-        raise InputError(f"prior: {', '.join(map(str, paths))} have no joint coordinate in common.")
+    check("prior", names, f"{', '.join(map(str, paths))} have no joint coordinate in common")
     parts: list[Float] = []
     for path, (known, q) in zip(paths, motions, strict=True):
         for name in names:
@@ -91,8 +87,7 @@ def adjusted(prior: ParzenPrior, sigma: float | None, scale: Mapping[str, float]
 def scale_of(names: Sequence[str], scale: Mapping[str, float] | None) -> Float | None:
     """(J,) scales of the coordinates, 1 where none is given."""
     for name in scale or {}:
-        if name not in names:
-            raise InputError(f"prior: scale names {name!r}, which is none of its coordinates ({', '.join(names)}).")
+        check("prior", name in names, f"scale names {name!r}, which is none of its coordinates ({', '.join(names)})")
     return np.array([float(scale.get(name, 1.0)) for name in names]) if scale else None
 
 

@@ -22,7 +22,7 @@ from twistcap.camera import Camera, Rig
 from twistcap.doors.hdf5 import read_hdf5, trust
 from twistcap.doors.schema import flag
 from twistcap.doors.text import parsed_json
-from twistcap.errors import InputError, naming
+from twistcap.errors import InputError, check, naming
 from twistcap.estimate import UNSEEN, Estimate
 from twistcap.io.calibration import check_camera
 from twistcap.io.files import replacing, unwritable, write_at
@@ -136,23 +136,15 @@ class Result:
         """The frames as the tracker gave them."""
         return tuple(
             Estimate(
-                index=int(self.indices[n]),
-                time=float(self.times[n]),
-                pose=pose,
-                covariance=self.covariances[n],
+                index=int(self.indices[n]), time=float(self.times[n]), pose=pose, covariance=self.covariances[n],
                 energies={k: float(v[n]) for k, v in self.energies.items() if np.isfinite(v[n])},
-                status=self.statuses[n],
-                iterations=int(self.iterations[n]),
-                lost=bool(self.lost[n]),
-                support=float(self.support[n]),
-                predicted=self.predicted[n],
-                probability=float(self.probability[n]),
+                status=self.statuses[n], iterations=int(self.iterations[n]), lost=bool(self.lost[n]),
+                support=float(self.support[n]), predicted=self.predicted[n], probability=float(self.probability[n]),
                 part_probability=None if np.isnan(self.part_probability[n]).all() else self.part_probability[n],
-                left_out=_true(self.left_out[n]),
-                missing=_true(self.missing[n]),
+                left_out=_true(self.left_out[n]), missing=_true(self.missing[n]),
             )
             for n, pose in enumerate(self.poses)
-        )
+        )  # fmt: skip
 
 
 class ResultWriter:
@@ -312,27 +304,16 @@ def read_result(path: str | Path) -> Result:
         body = _body_of(of_group(held, "body", BODY, source))
         _check_frames(rows, body, len(rig["names"]))
         return Result(
-            body=body,
-            rig=Rig(tuple(_camera_of(source, rig, i) for i in range(len(rig["names"])))),
-            indices=rows["index"],
-            times=rows["time"],
-            roots=rows["root"],
-            q=rows["q"],
-            covariances=rows["covariance"],
+            body=body, rig=Rig(tuple(_camera_of(source, rig, i) for i in range(len(rig["names"])))),
+            indices=rows["index"], times=rows["time"], roots=rows["root"], q=rows["q"], covariances=rows["covariance"],
             energies={k.removeprefix("energies/"): row for k, row in rows.items() if k.startswith("energies/")},
-            statuses=tuple(rows["status"].tolist()),
-            iterations=rows["iterations"],
-            lost=rows["lost"],
-            support=rows["support"],
-            probability=rows["probability"],
-            part_probability=rows["part_probability"],
-            left_out=rows["left_out"],
-            missing=rows["missing"],
-            predicted=tuple(rows["predicted"].tolist()),
+            statuses=tuple(rows["status"].tolist()), iterations=rows["iterations"], lost=rows["lost"],
+            support=rows["support"], probability=rows["probability"], part_probability=rows["part_probability"],
+            left_out=rows["left_out"], missing=rows["missing"], predicted=tuple(rows["predicted"].tolist()),
             config=_table_of(held, "config", source),
             versions={k.removeprefix("versions@"): str(v) for k, v in held.items() if k.startswith("versions@")},
             recording=_table_of(held, "recording", source),
-        )
+        )  # fmt: skip
 
 
 def read_state(path: str | Path) -> tuple[int, UInt8] | None:
@@ -351,7 +332,7 @@ def read_state(path: str | Path) -> tuple[int, UInt8] | None:
 
 def _held(path: str | Path) -> dict[str, Any]:
     """All arrays of a file that is a result of this format."""
-    held, source = read_hdf5(path, "result file"), f"result file {path}"
+    held, source = read_hdf5(path), f"result file {path}"
     if str(held.get("@format", "")) != FORMAT:
         raise InputError(f"{path} is an HDF5 file, but no twistcap result; give the result.h5 that track wrote.")
     version = int(of_group(held, "", HEAD, source)["@format_version"])
@@ -388,8 +369,7 @@ def _check_frames(rows: Mapping[str, Any], body: Body, cameras: int) -> None:
             raise InputError(f"frames: {name} has {rows[name].shape[1]} columns, not {columns}; track it again.")
     if np.any(np.diff(rows["index"]) <= 0) or np.any(np.diff(rows["time"]) <= 0):
         raise InputError("frames: their numbers or times do not rise; track the recording again.")
-    if not np.all(is_motion(rows["root"])):
-        raise InputError("frames: a root is no rigid motion; track the recording again.")
+    check("frames", np.all(is_motion(rows["root"])), "a root is no rigid motion; track the recording again")
 
 
 def _table_of(held: Mapping[str, Any], name: str, source: str) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from pydantic import Field, PrivateAttr, field_validator
 
 from twistcap.doors.strict import dataclass_from, validated
 from twistcap.doors.text import read_toml
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 from twistcap.io.session_tables import (
     FIRST_POSE,
     SOURCES,
@@ -209,8 +209,7 @@ def _check_fitting(session: Session, source: str) -> None:
         if session.keypoint_table is None:
             lacks = "keypoints are to be a cue, but [first_pose] names neither keypoints nor a detector"
             raise InputError(f"{source}: {lacks}; name one, or remove the key.")
-        if method == "differential":
-            raise InputError(f"{source}: {alone}; remove keypoints = 'cue', or choose 'direct'.")
+        check(source, method != "differential", f"{alone}; remove keypoints = 'cue', or choose 'direct'")
 
 
 def _with_base(data: dict[str, Any], path: Path) -> dict[str, Any]:
@@ -219,8 +218,7 @@ def _with_base(data: dict[str, Any], path: Path) -> dict[str, Any]:
         return data
     base = path.parent / str(data.pop("base"))
     below = read_toml(base, "session")
-    if "base" in below:
-        raise InputError(f"session {path}: its base {base} has a base itself; name the last one.")
+    check(f"session {path}", "base" not in below, f"its base {base} has a base itself; name the last one")
     below["data"] = os.path.relpath(base.parent / str(_expanded(below.get("data", "."), base)), path.parent)
     return _merged(_without_replaced(below, data), data)
 

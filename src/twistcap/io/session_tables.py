@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, model_validator
 
@@ -156,10 +156,7 @@ class DetectorTable(Table):
     frames: tuple[Annotated[int, Field(ge=0)], ...] = ()
 
 
-def _by_name(given: Any) -> Any:
-    return {"model": given} if isinstance(given, str) else given
-
-
+_BY_NAME = BeforeValidator(lambda given: {"model": given} if isinstance(given, str) else given)
 FIRST_POSE = "first_pose.json"
 """The file beside a session that is its first pose, where the session names none."""
 SOURCES = ("auto", "file", "clicks", "keypoints", "detector")
@@ -179,7 +176,7 @@ class FirstPoseTable(Table):
     frame: int | None = None
     clicks: DataPath | None = None
     keypoints: KeypointSet | None = None
-    detector: Annotated[DetectorTable | None, BeforeValidator(_by_name)] = None
+    detector: Annotated[DetectorTable | None, _BY_NAME] = None
     lengths_from: tuple[KeypointSet, ...] = ()
     fit_lengths: bool | None = None
     masks: DataPath | None = None

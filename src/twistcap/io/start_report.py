@@ -14,7 +14,7 @@ import numpy as np
 from twistcap.adjust.first_pose import FirstPose, fit_keypoints
 from twistcap.adjust.first_pose.keypoints import Evidence, evidence
 from twistcap.adjust.first_pose.triangulate import triangulate
-from twistcap.arrays import Bool, Float
+from twistcap.arrays import Float
 from twistcap.body import Body
 from twistcap.body.model import unsided
 from twistcap.camera import Rig
@@ -33,23 +33,22 @@ _TALLER = ("head_top", "nose", "neck"), ("ankle_r", "ankle_l", "heel_r", "heel_l
 class StartReport:
     """A first pose that was fitted to keypoints or clicks.
 
-    `residual_px` (C, L) is NaN where no keypoint is; `used` (C, L) are those that counted. `lengths` are the factors by
-    kind of segment against a body of the fitted stature.
+    `residual_px` (C, L) is NaN where no keypoint is. `lengths` are the factors by kind of segment against a body of the
+    fitted stature.
     """
 
     cameras: tuple[str, ...]
     names: tuple[str, ...]
     residual_px: Float
-    used: Bool
     stature: float  # m, as fitted
     stated: float  # m, of [body]
     lengths: Mapping[str, float]
     warnings: tuple[str, ...]
 
-    def worst(self, count: int = 6) -> list[tuple[str, Float]]:
-        """The joints of the largest residuals, the worst first, each with its residual (C,) by camera."""
+    def worst(self) -> list[tuple[str, Float]]:
+        """The six joints of the largest residuals, the worst first, each with its residual (C,) by camera."""
         most = np.nan_to_num(self.residual_px, nan=-1.0).max(axis=0)
-        order = [k for k in np.argsort(-most, kind="stable")[:count] if most[k] >= 0]
+        order = [k for k in np.argsort(-most, kind="stable")[:6] if most[k] >= 0]
         return [(self.names[k], self.residual_px[:, k]) for k in order]
 
     @property
@@ -65,9 +64,7 @@ def start_report(session: Session, rig: Rig, generic: Body, keypoints: Keypoints
     size = stature if session.fits_lengths else rest_height(fit_keypoints(generic, rig, keypoints).body)
     lengths = {unsided(name): factor for name, factor in fit.proportions.lengths.items()}
     warnings = [*_size_warning(session, size, stated), *_residual_warnings(session, generic, rig, keypoints, fit)]
-    return StartReport(
-        fit.cameras, fit.names, fit.residual_px, fit.used, stature, stated, lengths, tuple(warnings)
-    )  # fmt: skip
+    return StartReport(fit.cameras, fit.names, fit.residual_px, stature, stated, lengths, tuple(warnings))
 
 
 def rest_height(body: Body) -> float:

@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 
 from twistcap.doors.strict import validated
 from twistcap.doors.text import read_lines, read_toml, toml_value
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 from twistcap.io.session import DataPath, Output, Session, Table, load_session
 
 BODY = "body"
@@ -105,9 +105,12 @@ def load_study(path: Path) -> Study:
     context = {"folder": path.parent}
     about: StudyFile = validated(StudyFile, read_toml(path, "study"), str(path), context)
     source = Path(about.trials).absolute()
-    trials = tuple(_in_folders(source) if source.is_dir() else _in_table(source))
-    if not trials:
-        raise InputError(f"study {path}: {source} names no trial; it needs rows, or SUBJECT/TRIAL/session.toml.")
+    if source.is_dir():
+        found = sorted(source.glob("*/*/session.toml"))
+        trials = tuple(Trial(session.parts[-3], session.parts[-2], session, {}) for session in found)
+    else:
+        trials = tuple(_in_table(source))
+    check(f"study {path}", trials, f"{source} names no trial; it needs rows, or SUBJECT/TRIAL/session.toml")
     for trial in trials:
         _check_names(trial, source)
     (name, count), *_ = Counter(trial.name for trial in trials).most_common(1)
@@ -125,11 +128,6 @@ def _check_names(trial: Trial, source: Path) -> None:
         raise InputError(
             f"{source}: a trial of {trial.subject} is called {BODY!r}; that folder is the body's, rename it."
         )
-
-
-def _in_folders(folder: Path) -> Iterator[Trial]:
-    for session in sorted(folder.glob("*/*/session.toml")):
-        yield Trial(session.parts[-3], session.parts[-2], session, {})
 
 
 def _in_table(path: Path) -> Iterator[Trial]:

@@ -24,12 +24,9 @@ Images = Literal["video", "png"]
 
 
 def write_session(
-    capture: Capture,
-    folder: Path | str,
-    images: Images | None = None,
-    masks: bool = True,
+    capture: Capture, folder: Path | str, images: Images | None = None, masks: bool = True,
     progress: Callable[[int, int], None] | None = None,
-) -> Path:
+) -> Path:  # fmt: skip
     """Render a capture into a folder that `twistcap track` and `twistcap evaluate` can read.
 
     Written are ``session.toml``, ``Calib.toml``, ``body.glb``, ``first_pose.npz`` (what the tracker may know),
@@ -91,10 +88,9 @@ def session_text(capture: Capture, images: Images) -> str:
 
 def _pose_arrays(body: Body, poses: Sequence[Pose]) -> dict[str, AnyArray]:
     return {
-        "root": np.stack([p.root for p in poses]),
-        "q": np.stack([p.q for p in poses]),
+        "root": np.stack([p.root for p in poses]), "q": np.stack([p.q for p in poses]),
         "coordinate_names": np.array(body.coordinate_names),
-    }
+    }  # fmt: skip
 
 
 def _check_drops(config: StudioConfig, images: Images) -> None:

@@ -17,7 +17,7 @@ from twistcap.body import Body, Pose
 from twistcap.build import build
 from twistcap.camera import Camera, Rig
 from twistcap.doors.images import read_image
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 from twistcap.features import Channels
 from twistcap.io.masks import rectified_masks
 from twistcap.io.session import Session
@@ -76,8 +76,7 @@ def asked_for(pixels: Mapping[str, tuple[float, float]], rig: Rig) -> Float | No
     ways = np.stack([camera.rays(pixel)[0] for camera, pixel in zip(cameras, pixels.values(), strict=True)])
     place = nearest_points(centres, ways[:, None], np.ones((len(cameras), 1)))[0]
     miss = float(np.linalg.norm(np.cross(place - centres, ways), axis=1).max())
-    if not miss < _MEET_M:
-        raise InputError(f"[first_pose] at: the pixels miss each other by {miss:.2f} m; give one person's.")
+    check("[first_pose] at", miss < _MEET_M, f"the pixels miss each other by {miss:.2f} m; give one person's")
     return place
 
 

@@ -46,16 +46,9 @@ def is_there(path: str) -> bool:
 
 
 def open_views(
-    paths: Mapping[str, str | Path],
-    rig: Rig,
-    first: int | None = None,
-    last: int | None = None,
-    step: int = 1,
-    scale: float = 1.0,
-    fps: float | None = None,
-    time_offset: float = 0.0,
-    clocks: Mapping[str, Clock] | None = None,
-) -> Views:
+    paths: Mapping[str, str | Path], rig: Rig, first: int | None = None, last: int | None = None, step: int = 1,
+    scale: float = 1.0, fps: float | None = None, time_offset: float = 0.0, clocks: Mapping[str, Clock] | None = None,
+) -> Views:  # fmt: skip
     """Open every camera's recording and check that all fit the rig and one another.
 
     Where images of the same number were taken together, frames are paired by number, else by time. A frame is then an

@@ -39,22 +39,18 @@ def within_limits(body: Body, q: Float, rate: float) -> tuple[Float, Bool]:
     """
     q, bridged = q.copy(), np.zeros(len(q), dtype=bool)
     for joint in square_joints(body):
-        sets = _both_sets(q[:, joint], body.limits[joint])
-        taken = _cheapest(sets, body.limits[joint])
+        angles, limits = q[:, joint], body.limits[joint]
+        both = np.stack([angles, angles * [1.0, -1.0, 1.0] + np.pi])
+        sets = both - 2 * np.pi * np.round((both - limits.mean(axis=1)) / (2 * np.pi))  # towards the limits' middle
+        taken = _cheapest(sets, limits)
         q[:, joint] = sets[taken, np.arange(len(q))]
         for n in np.flatnonzero(np.diff(taken)):
             bridged |= _bridge(q, joint, int(n), max(1, round(0.5 * _BRIDGE * rate)))
     return q, bridged
 
 
-def _both_sets(angles: Float, limits: Float) -> Float:
-    """(2, N, 3) both sets of the angles (N, 3), each moved by whole turns towards the middle of the limits."""
-    both = np.stack([angles, angles * [1.0, -1.0, 1.0] + np.pi])
-    return both - 2 * np.pi * np.round((both - limits.mean(axis=1)) / (2 * np.pi))
-
-
 def _cheapest(sets: Float, limits: Float) -> Int:
-    """(N,) set of each frame: least violation of the limits and crossings, by dynamic programming."""
+    """(N,) which of the sets (2, N, 3) is taken: least violation of limits and crossings, by dynamic programming."""
     beyond = np.sum((sets - np.clip(sets, limits[:, 0], limits[:, 1])) ** 2, axis=2)
     crossing = _CROSSING * (1.0 + (2.0 * np.minimum(*np.abs(np.cos(sets[..., 1])))) ** 2)
     cost, came = beyond[:, 0].copy(), np.zeros((2, sets.shape[1]), dtype=np.int32)

@@ -15,7 +15,7 @@ from twistcap import se3
 from twistcap.arrays import Bool, Float, Int
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.shape import joint_origin
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 from twistcap.motion.branches import within_limits
 from twistcap.motion.clip import MotionClip
 from twistcap.motion.skeleton import SkeletonMotion
@@ -75,8 +75,7 @@ def _source_leg(motion: SkeletonMotion, known: Calibration) -> float:
         joints = [known.joints.get(f"{part}_{side}") for part in ("femur", "tibia", "foot")]
         points = [rest[j] for j in joints if j is not None]
         lengths.append(_path(points) * 2.0 / (len(points) - 1))
-    if not min(lengths) > 0:
-        raise InputError(f"motion {motion.name!r}: its legs have no length, so that its path cannot be scaled.")
+    check(f"motion {motion.name!r}", min(lengths) > 0, "its legs have no length, so that its path cannot be scaled")
     return float(np.mean(lengths))
 
 

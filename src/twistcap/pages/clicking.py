@@ -89,15 +89,11 @@ class Clicking:
                 {"name": c.name, "size": list(c.size), "image": None if image is None else jpeg(image, 1920, 88)}
                 for c, image in zip(self.rig, self.images, strict=True)
             ],
-            "joints": main,
-            "more": [name for name in joints if name not in main],
+            "joints": main, "more": [name for name in joints if name not in main], "clicks": self.clicks,
             "coordinates": [{"name": n, "limits": pair} for n, pair in zip(names, limits, strict=True)],
-            "clicks": self.clicks,
-            "sliders": self.target.kind == "file",
-            "least_iou": LEAST_IOU,
-            "target": str(self.target.path),
+            "sliders": self.target.kind == "file", "least_iou": LEAST_IOU, "target": str(self.target.path),
             "state": None if self.shown is None else self._state(),
-        }
+        }  # fmt: skip
 
     def fit(self, question: Mapping[str, Any]) -> dict[str, Any]:
         """Fit the body to ``{"clicks": {camera: {joint: [x, y]}}, "held": {coordinate: degrees}}``. Raises InputError

@@ -46,17 +46,11 @@ class Cutting:
 
     def document(self) -> dict[str, Any]:
         """What the page starts with."""
-        views = [
-            {
-                "name": role,
-                "size": [view.image.shape[1], view.image.shape[0]],
-                "image": jpeg(view.image, 1920, 88),
-                "target": str(view.target),
-                "outline": [] if view.known is None else outline(view.known),
-            }
+        return {"views": [
+            {"name": role, "size": [view.image.shape[1], view.image.shape[0]], "image": jpeg(view.image, 1920, 88),
+             "target": str(view.target), "outline": [] if view.known is None else outline(view.known)}
             for role, view in self.views.items()
-        ]
-        return {"views": views}
+        ]}  # fmt: skip
 
     def cut(self, question: Mapping[str, Any]) -> dict[str, Any]:
         """Cut ``{"view": role, "rectangle": [x, y, x, y] | null, "strokes": [{"inside", "points", "width"}]}``.

@@ -41,12 +41,9 @@ class Options:
 
 
 def view_page(
-    results: Mapping[str, Result],
-    sources: Mapping[str, Source] | None = None,
-    reference: Reference | None = None,
-    title: str = "twistcap",
-    options: Options | None = None,
-) -> str:
+    results: Mapping[str, Result], sources: Mapping[str, Source] | None = None, reference: Reference | None = None,
+    title: str = "twistcap", options: Options | None = None,
+) -> str:  # fmt: skip
     """The viewer as one HTML file.
 
     Of `results`, by the name they are shown under, the first one's cameras are drawn; those without a source of images
@@ -119,30 +116,21 @@ def _run(name: str, result: Result, indices: Int, shown: Int, rig: Rig, width: i
         for camera in rig
     ]
     return {
-        "name": name,
-        "rows": rows,
+        "name": name, "rows": rows, "transforms": packed(transforms), "outlines": outlines,
         "body": {
-            "vertices": packed(body.vertices),
-            "normals": packed(unit_vertex_normals(body.vertices, body.faces)),
-            "faces": packed(body.faces.astype(np.uint32)),
-            "segments": packed(body.skin_segments.astype(np.uint16)),
+            "vertices": packed(body.vertices), "normals": packed(unit_vertex_normals(body.vertices, body.faces)),
+            "faces": packed(body.faces.astype(np.uint32)), "segments": packed(body.skin_segments.astype(np.uint16)),
             "weights": packed(body.skin_weights),
         },
-        "transforms": packed(transforms),
-        "lost": result.lost.astype(int).tolist(),
+        "lost": result.lost.astype(int).tolist(), "probability": np.round(result.probability, 3).tolist(),
         "dropped": [int(status in UNSEEN) for status in result.statuses],
-        "probability": np.round(result.probability, 3).tolist(),
         "limbs": [limb_in_words(limb) for limb in limbs],
         "limb_probability": packed(most_of_limbs(limbs, result.part_probability)),
-        "notes": [frame_in_words(e, limbs, names) for e in result.estimates],
-        "statements": result_in_words(result),
+        "notes": [frame_in_words(e, limbs, names) for e in result.estimates], "statements": result_in_words(result),
         "cameras": [[camera_in_words(e, c) for c in range(len(names))] for e in result.estimates],
-        "coordinates": list(body.coordinate_names),
-        "units": ["°" if table.turning[k] else " m" for k in own],
-        "angles": packed(angles),
-        "sigmas": packed(np.nan_to_num(sigmas)),
-        "outlines": outlines,
-    }
+        "coordinates": list(body.coordinate_names), "units": ["°" if table.turning[k] else " m" for k in own],
+        "angles": packed(angles), "sigmas": packed(np.nan_to_num(sigmas)),
+    }  # fmt: skip
 
 
 def _reference(reference: Reference, body: Body, times: Float, rig: Rig, shown: Int, width: int) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree  # type: ignore[attr-defined]
 from scipy.special import logsumexp, softmax
 
 from twistcap.arrays import Float
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 
 _SAME = 4  # decimals, rad: samples that agree so far are one, as where a file was given twice
 
@@ -42,14 +42,15 @@ class ParzenPrior:
 
     def __post_init__(self) -> None:
         J = len(self.names)
-        _expect(J > 0 and len(set(self.names)) == J, "its coordinate names must be given, each once")
-        _expect(self.samples.ndim == 2 and self.samples.shape[1] == J, f"its samples must be (N, {J}), as its names")
-        _expect(len(self.samples) > 0, "it has no samples; train it on a motion")
-        _expect(bool(np.isfinite(self.samples).all()), "a sample is not finite; cut the frames without values")
-        _expect(bool(0 < self.sigma < np.inf), f"sigma is {self.sigma}; it must be positive and finite")
+        check("prior", J > 0 and len(set(self.names)) == J, "its coordinate names must be given, each once")
+        shape = self.samples.shape
+        check("prior", len(shape) == 2 and shape[1] == J, f"its samples must be (N, {J}), as its names")
+        check("prior", len(self.samples) > 0, "it has no samples; train it on a motion")
+        check("prior", np.isfinite(self.samples).all(), "a sample is not finite; cut the frames without values")
+        check("prior", 0 < self.sigma < np.inf, f"sigma is {self.sigma}; it must be positive and finite")
         if self.scale is not None:
-            _expect(self.scale.shape == (J,), f"its scale must be ({J},), one for each coordinate")
-            _expect(bool(np.all((self.scale > 0) & (self.scale < np.inf))), "its scales must be positive and finite")
+            check("prior", self.scale.shape == (J,), f"its scale must be ({J},), one for each coordinate")
+            check("prior", np.all((self.scale > 0) & (self.scale < np.inf)), "its scales must be positive and finite")
 
     @staticmethod
     def trained(
@@ -133,8 +134,3 @@ def _different(samples: Float) -> Float:
 def nearest_distances(samples: Float) -> Float:
     """(N,) distance of each sample (N, J) from its nearest neighbour."""
     return np.asarray(cKDTree(samples).query(samples, k=2)[0])[:, 1]
-
-
-def _expect(holds: bool, message: str) -> None:
-    if not holds:
-        raise InputError(f"prior: {message}.")

@@ -63,20 +63,18 @@ def reprojected(contour: ContourPoints, posed: Posed, P: Float) -> ContourPoints
     return replace(contour, pixels=pixels, inverse_depth=inverse_depth)
 
 
-def visible_contour(view: RenderedView, spacing: float = 3.0, inner_gap: float = _INNER_GAP) -> ContourPoints:
-    """Contour points about `spacing` px apart along the outline, and where another part is `inner_gap` m behind."""
-    return contour_on_edges(view, spacing, inner_gap)[0]
+def visible_contour(view: RenderedView, spacing: float = 3.0) -> ContourPoints:
+    """Contour points about `spacing` px apart along the outline, and where another part is 4 cm behind."""
+    return contour_on_edges(view, spacing)[0]
 
 
-def contour_on_edges(
-    view: RenderedView, spacing: float = 3.0, inner_gap: float = _INNER_GAP
-) -> tuple[ContourPoints, Int, Float]:
+def contour_on_edges(view: RenderedView, spacing: float = 3.0) -> tuple[ContourPoints, Int, Float]:
     """`visible_contour`, and for each point the vertices (N, 2) of its edge and their weights (N, 2)."""
     body = view.posed.body
     mesh = body.faces, *body.edges, body.face_part, body.vertex_part
     drawn = view.face_index, view.nearness_image
     ends, weights, part, outer, pixels, image_normals, inverse_depth = contour_samples(
-        view.camera.P, view.pixels, view.nearness, view.posed.vertex_normals, mesh, drawn, spacing, inner_gap
+        view.camera.P, view.pixels, view.nearness, view.posed.vertex_normals, mesh, drawn, spacing, _INNER_GAP
     )
     points = surface_points(body, ends, weights)
     return ContourPoints(points, pixels, image_normals, part, outer, inverse_depth), ends, weights

@@ -65,11 +65,6 @@ def lowest(body: Body, stances: Sequence[Stance]) -> float:
     return min(stance.height - _height(body, stance.facing(np.eye(3))) for stance in stances) if stances else 0.0
 
 
-def grounded(body: Body, poses: list[Pose]) -> list[Stance]:
-    """Poses as stances."""
-    return [Stance(pose.root[:3, :3], _height(body, pose), pose.q) for pose in poses]
-
-
 def turned_round(body: Body, pose: Pose) -> Pose:
     """The pose that faces the other way and fills nearly the same space: right limbs take the places of left ones.
 

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from twistcap.body.humanoid import Variant
-from twistcap.errors import InputError
+from twistcap.errors import check
 from twistcap.ranges import Checked, Count, Positive
 
 Condition = Literal["exact", "mismatch"]
@@ -62,7 +62,6 @@ class StudioConfig(Checked):
         _expect(min(self.size) >= 16, "size", self.size, "at least 16 pixels each way")
         _expect(self.frames >= 1, "frames", self.frames, "1 or more")
         _expect(self.condition in ("exact", "mismatch"), "condition", self.condition, "'exact' or 'mismatch'")
-        _expect(self.motion_blur >= 1, "motion_blur", self.motion_blur, "1 or more")
         knots = np.atleast_1d(self.uniform_noise)
         _expect(bool(np.all((knots >= 0) & (knots <= 1))), "uniform_noise", self.uniform_noise, "in [0, 1]")
         shaped = all(len(span) in (2, 3) and span[0] <= span[1] for span in self.dropped)
@@ -80,8 +79,7 @@ class StudioConfig(Checked):
 
 
 def _expect(holds: bool, field: str, value: object, wanted: str) -> None:
-    if not holds:
-        raise InputError(f"studio: {field} is {value}; it must be {wanted}.")
+    check("studio", holds, f"{field} is {value}; it must be {wanted}")
 
 
 def stream(seed: int, purpose: str, *index: int) -> np.random.Generator:

@@ -15,7 +15,7 @@ from scipy.interpolate import PchipInterpolator
 from twistcap import se3
 from twistcap.arrays import Float, Int
 from twistcap.body import Body, Pose, Posed
-from twistcap.errors import InputError
+from twistcap.errors import check
 
 _PHASES = 120  # samples of one cycle for the root motion
 _HARMONICS = 8
@@ -69,8 +69,7 @@ def gait(
     Raises InputError for a rate, speed or cadence that is not positive.
     """
     for name, value in (("fps", fps), ("speed", speed), ("cadence", 1.0 if cadence is None else cadence)):
-        if not value > 0:
-            raise InputError(f"gait: {name} is {value}; it must be positive.")
+        check("gait", value > 0, f"{name} is {value}; it must be positive")
     steps = cadence if cadence is not None else float(np.sqrt(speed * 60.0 / _WALK_RATIO))
     cycle = _cycle_of_stride(body, speed * 120.0 / steps)
     phases = phase + np.arange(frames) / fps * steps / 120.0

@@ -76,7 +76,6 @@ class Fitted:
         frames: of each take, by number, those with a pose before or after.
         begun, begun_poses: the body at the start of the fit, as tracked in those frames.
         factors: stature, lengths and girths against the body given, or a model's parameters.
-        errors_px: root mean square distance to the edges before every step.
     """
 
     body: Body
@@ -86,7 +85,6 @@ class Fitted:
     begun: Body
     begun_poses: tuple[dict[int, Pose], ...]
     factors: dict[str, float]
-    errors_px: tuple[float, ...]
 
 
 def fit_body(
@@ -105,7 +103,7 @@ def fit_body(
     body, build = symmetric(body), build or Stretches()
     first_poses = tuple(take.first_pose for take in takes)
     first = moments = _tracked(body, first_poses, takes, rule, report)
-    x, errors = Sculpted(Freedom(body, build, False), body, (), {}, np.zeros(0)), list[float]()
+    x = Sculpted(Freedom(body, build, False), body, (), {}, np.zeros(0))
     for n in range(rule.rounds):
         moments = moments if n == 0 else _tracked(x.body, first_poses, takes, rule, report)
         if n == 1:  # from here on every vertex is free
@@ -113,7 +111,6 @@ def fit_body(
         x = replace(x, poses=tuple(m.pose for m in moments))
         for _ in range(rule.steps):
             x, error = _shaped(x, takes, moments)
-            errors.append(error)
             report(f"{error:.2f} px to the edges")
         moments = [replace(m, pose=pose) for m, pose in zip(moments, x.poses, strict=True)]
         known = {m.take: m.pose for m in moments if m.first}  # a first frame that was not chosen keeps its pose
@@ -122,7 +119,7 @@ def fit_body(
     poses, begun = (tuple({m.frame.index: m.pose for m in of} for of in _by_take(some, len(takes)))
                     for some in (moments, first))  # fmt: skip
     frames = tuple({m.frame.index: m.frame for m in of} for of in _by_take([*first, *moments], len(takes)))
-    return Fitted(x.body, first_poses, poses, frames, body, begun, factors, tuple(errors))
+    return Fitted(x.body, first_poses, poses, frames, body, begun, factors)
 
 
 @dataclass(frozen=True)

@@ -15,14 +15,14 @@ from twistcap.body.model import partners
 from twistcap.body.shape import joint_origins
 
 _MIRROR = np.array([1.0, -1.0, 1.0])  # in the plane that parts left (+y) from right
+_APART = 0.015  # m, mean distance of mirrored pairs, at most
 
 
-def symmetric(body: Body, tolerance: float = 0.015) -> Body:
-    """The mean of a body and its mirror image; the body itself where its mesh has no mirrored pairs within a mean
-    distance (`tolerance`, m)."""
+def symmetric(body: Body) -> Body:
+    """The mean of a body and its mirror image; the body itself where its mesh has no mirrored pairs."""
     partner = mirrored_vertices(body)
     mirrored = body.vertices[partner] * _MIRROR
-    if not _in_pairs(partner) or np.linalg.norm(mirrored - body.vertices, axis=1).mean() > tolerance:
+    if not _in_pairs(partner) or np.linalg.norm(mirrored - body.vertices, axis=1).mean() > _APART:
         return body
     centres, marks = joint_origins(body), body.landmarks.points
     joints = centres[partners(body.segment_names)] * _MIRROR

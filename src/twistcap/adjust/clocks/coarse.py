@@ -40,13 +40,12 @@ class Coarse:
     """Offsets (C,) s that bring signals together, the first 0.
 
     `correlation` (C,) is the mean correlation with the other signals; `margin` (C,) by how much the next different
-    offset is worse. `before` (C,) is the correlation at the offsets that were given.
+    offset is worse.
     """
 
     offsets: Float
     correlation: Float
     margin: Float
-    before: Float
 
 
 def motion_signal(images: Iterable[AnyArray | None], times: Float) -> Signal:
@@ -82,14 +81,13 @@ def _small(image: AnyArray | None) -> AnyArray | None:
     return cv2.GaussianBlur(cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA), (0, 0), 1.0)
 
 
-def coincidence(signals: Sequence[Signal], given: Sequence[float], rate: float, overlap: float, apart: float) -> Coarse:
+def coincidence(signals: Sequence[Signal], rate: float, overlap: float, apart: float) -> Coarse:
     """Offsets at which all signals agree best.
 
     Each camera is placed where its correlation with those that are placed already is best, and again with all others.
 
     Args:
         signals: of each camera, on its own clock.
-        given: (C,) s, offsets that are held to be right so far.
         rate: 1/s, at which signals are compared.
         overlap: s that two signals must have in common.
         apart: s by which an offset must differ to be another one.
@@ -111,20 +109,11 @@ def coincidence(signals: Sequence[Signal], given: Sequence[float], rate: float, 
     wide = int(apart * rate)
     placed = [_placed(pairs, shifts, [a for a in order if a != b], b, wide) for b in range(len(even))]
     offsets = shifts / rate - (starts - starts[0])
-    now = np.rint((np.asarray(given) - given[0] + starts - starts[0]) * rate).astype(int)
-    before = [float(np.mean([_value(pairs[a, b], now[b] - now[a]) for a in order if a != b])) for b in range(len(even))]
-    return Coarse(
-        offsets, np.array([t[1] for t in placed]), np.array([t[2] for t in placed]), np.array(before, np.float64)
-    )
+    return Coarse(offsets, np.array([t[1] for t in placed]), np.array([t[2] for t in placed]))
 
 
 Curve = tuple[int, Float]
 """Correlations by shift; the first shift, in samples."""
-
-
-def _value(curve: Curve, shift: int) -> float:
-    first, values = curve
-    return float(values[shift - first]) if 0 <= shift - first < len(values) else 0.0
 
 
 def _placed(

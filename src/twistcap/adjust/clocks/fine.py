@@ -46,19 +46,18 @@ Report = Callable[[str, int, int], None]
 class Clocks:
     """How late the cameras are: what an image shows is `late` (C,) s after what its clock says.
 
-    `sigma` (C,) are the standard deviations; those of the camera that stands for the time are 0. `moved` are s by
-    which the clocks moved in each round. `poses` are those of the frames, all images at their own times.
+    `sigma` (C,) are the standard deviations; those of the camera that stands for the time are 0. `poses` are those of
+    the frames, all images at their own times.
     """
 
     late: Float
     sigma: Float
-    moved: tuple[float, ...]
     poses: PoseTrack
 
 
 def estimate_clocks(
     frames: Iterable[Frame], body: Body, rig: Rig, estimates: Sequence[Estimate], lags: Float, reference: int,
-    tracker: Settings | None = None, rounds: int = _ROUNDS, report: Report | None = None,
+    tracker: Settings | None = None, report: Report | None = None,
 ) -> Clocks:  # fmt: skip
     """Clocks of all cameras against that of one, by the contours of a body that was tracked.
 
@@ -68,7 +67,6 @@ def estimate_clocks(
         lags: (C, F) s, time of each image, by what is known of its clock, after that of its frame.
         reference: number of the camera whose clock is right.
         tracker: settings of the contour cue.
-        rounds: in which images are measured, at most.
         report: is called with the progress.
 
     Raises InputError for fewer than three frames, or frames that are not those of the estimates.
@@ -77,27 +75,26 @@ def estimate_clocks(
     settings = replace(tracker or Settings(), method="direct")
     images, report = SequenceImages(rig.pinhole(), RefineConfig(), settings, body), report or (lambda *_: None)
     for done in images.read(frames, estimates):
-        report("reading", done, len(estimates) * (1 + rounds))
+        report("reading", done, len(estimates) * (1 + _ROUNDS))
     track = PoseTrack(tuple(e.pose for e in estimates), np.array([e.time for e in estimates]))
     x = Clocked(track, np.zeros(len(rig)), np.zeros((len(rig), 3)))
     moved, effect, solution = list[float](), 1.0, None
-    while len(moved) < rounds:
-        coarse = len(moved) < min(_COARSE_ROUNDS, rounds - 1)
+    while len(moved) < _ROUNDS:
+        coarse = len(moved) < _COARSE_ROUNDS
         measured = images.contours(moments_posed(body, x, lags), coarse)
         contours = cast(Sequence[Sequence[PointNormalTerm | None]], measured)  # which the direct cue makes
         problem = ClockProblem(body, contours, lags, reference, images.rig, effect)
         solution = minimise(problem, x, _STEPS, _DAMPING)
         moved.append(float(np.abs(solution.x.late - x.late).max()))
         x, effect = solution.x, design_effect(problem.seen(solution.x))
-        report(
-            f"round {len(moved)} of at most {rounds}", len(estimates) * (1 + len(moved)), len(estimates) * (1 + rounds)
-        )
+        done = len(estimates) * (1 + len(moved))
+        report(f"round {len(moved)} of at most {_ROUNDS}", done, len(estimates) * (1 + _ROUNDS))
         if not coarse and moved[-1] < _SETTLED:
             break
     assert solution is not None
     sigma = claimed_sigma(solution.system, effect)[: len(rig)]
     sigma[reference] = 0.0
-    return Clocks(x.late, sigma, tuple(moved), x.track)
+    return Clocks(x.late, sigma, x.track)
 
 
 @dataclass(frozen=True)

@@ -65,7 +65,8 @@ def keypoint_clock(
     for _ in range(_ROUNDS):
         costs = np.array([_costs(_off(shown, seen, shift), likeness) for shift in _tried()])  # (S, F)
         offset = _best(costs)
-        likeness = _likeness(_off(shown, seen, offset))
+        off = _off(shown, seen, offset)  # the fraction of it that is found again in the next frame has the least cost
+        likeness = float(_LIKENESSES[np.argmin([np.nanmean(_costs(off, share)) for share in _LIKENESSES])])
     blocks = np.arange(len(seen)) * _BLOCKS // len(seen)
     left_out = np.array([_best(costs[:, blocks != b]) for b in range(_BLOCKS)])
     sigma = float(np.sqrt((_BLOCKS - 1) / _BLOCKS * np.sum((left_out - left_out.mean()) ** 2)))
@@ -113,11 +114,6 @@ def _filled(shown: Float, known: Bool) -> Float:
     latest = np.maximum.accumulate(np.where(known, np.arange(len(shown)).reshape(-1, 1, 1, 1), -1), axis=0)
     filled = np.take_along_axis(shown, np.where(latest < 0, known.argmax(axis=0), latest), axis=0)
     return np.nan_to_num(filled)
-
-
-def _likeness(off: Float) -> float:
-    """Fraction of a difference that is found again in the next frame: that of the least cost."""
-    return float(_LIKENESSES[np.argmin([np.nanmean(_costs(off, share)) for share in _LIKENESSES])])
 
 
 def _costs(off: Float, likeness: float) -> Float:

@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from twistcap import se3
-from twistcap.adjust.first_pose.skeleton import Proportions, Scaling, Skeleton
+from twistcap.adjust.first_pose.skeleton import Scaling, Skeleton
 from twistcap.arrays import Bool, Float, Int
 from twistcap.body import Body, Posed, rescaled
 from twistcap.body.kinematics import Pose
@@ -41,17 +41,13 @@ _UPRIGHT = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])  # z 
 
 @dataclass(frozen=True)
 class ClickedStart:
-    """A state fitted to clicks, with the body of the fitted dimensions and its factors against the generic one.
-
-    `residual_px` (V, L) is the distance of each click from its landmark, NaN where there was none; the covariance
-    (6 V + J, 6 V + J) is that of the state's step, with the uncertainty of the body's dimensions.
+    """A state fitted to clicks, with the body of the fitted dimensions; `residual_px` (V, L) is the distance of each
+    click from its landmark, NaN where there was none.
     """
 
     body: Body
     state: State
-    proportions: Proportions
     residual_px: Float
-    covariance: Float
 
 
 @dataclass(frozen=True)
@@ -64,9 +60,8 @@ class Clicks:
 
 
 def fit_clicks(
-    body: Body, clicks: Sequence[Mapping[str, Sequence[float]]], *, facing_deg: Sequence[float] | None = None,
-    start: State | None = None,
-) -> ClickedStart:  # fmt: skip
+    body: Body, clicks: Sequence[Mapping[str, Sequence[float]]], *, facing_deg: Sequence[float] | None = None
+) -> ClickedStart:
     """The state and dimensions of a body whose joints were clicked.
 
     Clicks are (x, y) px of each view by landmark name; a view may lack some. `facing_deg` is the direction that the
@@ -76,16 +71,14 @@ def fit_clicks(
     Raises InputError for an unknown name, fewer than four clicks in a view, or numbers that are not finite.
     """
     skeleton, known = Skeleton(body), gathered(body, clicks)
-    starts = [start] if start is not None else _starts(body, known, facing_deg)
-    x = min((_minimised(skeleton, known, begin) for begin in starts), key=lambda end: end.energy).x
+    ends = [_minimised(skeleton, known, start) for start in _starts(body, known, facing_deg)]
+    x = min(ends, key=lambda end: end.energy).x
     proportions, state = skeleton.proportions(x["shape"].values), state_at(x)
     fitted = rescaled(body, proportions.lengths, proportions.girths, proportions.stature)
     at = Posed(fitted, Pose(np.eye(4), state.q)).landmarks[known.marks]
     off = np.stack([view.pixels(at) for view in state.views]) - known.pixels
     residual = np.where(known.known, np.linalg.norm(off, axis=-1), np.nan)
-    size = ROOT * len(state.views) + len(state.q)
-    covariance = click_problem(known, x).covariance(x)[:size, :size]
-    return ClickedStart(fitted, state, proportions, residual, covariance)
+    return ClickedStart(fitted, state, residual)
 
 
 def gathered(body: Body, clicks: Sequence[Mapping[str, Sequence[float]]]) -> Clicks:

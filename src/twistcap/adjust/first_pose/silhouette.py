@@ -17,7 +17,7 @@ from twistcap.camera import Camera, Rectifier, Rig
 from twistcap.errors import InputError, check
 from twistcap.region.compare import iou
 from twistcap.render import render, visible_contour
-from twistcap.solve import Arrow, BlockProblem, Dense, PoseTrack, Variables, minimise
+from twistcap.solve import BlockProblem, PoseTrack, Variables, minimise
 from twistcap.terms import BlockGaussian, BlockTerm, GaussianTerm, OnPose
 
 Groups = Mapping[str, Sequence[str]]
@@ -28,14 +28,13 @@ class Refined:
     """A body with its girths, and its pose at each of F instants, refined on silhouettes.
 
     `girths` are factors of the segments against the body given, `iou` (F, C) is the overlap of model and mask, NaN
-    without mask, and `covariances` (6 + J, 6 + J) are those of the pose steps.
+    without mask.
     """
 
     body: Body
     poses: tuple[Pose, ...]
     girths: Mapping[str, float]
     iou: Float
-    covariances: tuple[Float, ...]
 
 
 # Lengths as fractions of the person's height in the image.
@@ -86,26 +85,25 @@ def refine_on_silhouettes(
         "poses": PoseTrack(tuple(poses), np.arange(float(len(poses)))),
         "girths": Girths(np.zeros(len(names)), generic=body, groups=names),
     }
-    x, system = Variables(blocks, ("poses", "girths"), dict.fromkeys(blocks, _LONGEST)), None
+    x = Variables(blocks, ("poses", "girths"), dict.fromkeys(blocks, _LONGEST))
     motion: RestMotion | None = None
     for i in range(_ITERATIONS):
         reach = _REACH[0] * (_REACH[1] / _REACH[0]) ** (i / (_ITERATIONS - 1))
         if names and i % _REFRESH == 0:
             motion = x["girths"].rest_motion()
         terms = [term for f, instant in enumerate(instants) for term in instant.terms(x, motion, f, reach)]
-        x, system = _stepped(x, [*terms, *priors])
-    assert isinstance(system, Arrow)
+        x = _stepped(x, [*terms, *priors])
     refined, girths = x["poses"].poses, x["girths"]
     overlaps = [instant.overlaps(Posed(girths.body, p)) for instant, p in zip(instants, refined, strict=True)]
-    return Refined(girths.body, refined, girths.factors, np.array(overlaps), tuple(system.marginals().poses))
+    return Refined(girths.body, refined, girths.factors, np.array(overlaps))
 
 
-def _stepped(x: Variables, terms: Sequence[BlockTerm]) -> tuple[Variables, Dense | Arrow]:
-    """All poses, inside their limits, and girths after one step; the system of the step."""
-    solution = minimise(BlockProblem(terms, reach=0), x, damping=_DAMPING)
-    track = solution.x["poses"]
+def _stepped(x: Variables, terms: Sequence[BlockTerm]) -> Variables:
+    """All poses, inside their limits, and girths after one step."""
+    x = minimise(BlockProblem(terms, reach=0), x, damping=_DAMPING).x
+    track = x["poses"]
     inside = replace(track, poses=tuple(pose.within(x["girths"].generic.limits) for pose in track.poses))
-    return replace(solution.x, blocks={**solution.x.blocks, "poses": inside}), solution.system
+    return replace(x, blocks={**x.blocks, "poses": inside})
 
 
 @dataclass(frozen=True)

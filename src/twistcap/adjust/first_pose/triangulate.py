@@ -9,9 +9,11 @@ import numpy as np
 from twistcap.arrays import Bool, Float
 from twistcap.camera import Rig
 
+_REACH = 4.0  # standard deviations
 
-def triangulate(rig: Rig, pixels: Float, confidence: Float, sigma_px: Float, reach: float = 4.0) -> tuple[Float, Bool]:
-    """Points (L, 3) in the world seen by at least two views within `reach` standard deviations, and these views (C, L).
+
+def triangulate(rig: Rig, pixels: Float, confidence: Float, sigma_px: Float) -> tuple[Float, Bool]:
+    """Points (L, 3) in the world seen by at least two views within four standard deviations, and these views (C, L).
 
     Points are NaN where fewer than two views agree. Pixels are (C, L, 2), NaN where nothing was seen; their confidence,
     0 there, and standard deviation are (C, L).
@@ -25,12 +27,12 @@ def triangulate(rig: Rig, pixels: Float, confidence: Float, sigma_px: Float, rea
         chosen = np.zeros_like(weight)
         chosen[list(pair)] = np.minimum(weight[pair[0]], weight[pair[1]])
         points = nearest_points(centres, directions, chosen)
-        votes = np.where(_residuals(rig, pixels, points) < reach * sigma_px, weight, 0.0).sum(axis=0)
+        votes = np.where(_residuals(rig, pixels, points) < _REACH * sigma_px, weight, 0.0).sum(axis=0)
         better = votes > score
         best[better], score[better] = points[better], votes[better]
     for _ in range(2):
-        best = nearest_points(centres, directions, weight * (_residuals(rig, pixels, best) < reach * sigma_px))
-    inliers = (_residuals(rig, pixels, best) < reach * sigma_px) & (weight > 0)
+        best = nearest_points(centres, directions, weight * (_residuals(rig, pixels, best) < _REACH * sigma_px))
+    inliers = (_residuals(rig, pixels, best) < _REACH * sigma_px) & (weight > 0)
     return best, np.asarray(inliers)
 
 

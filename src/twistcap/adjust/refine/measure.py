@@ -113,10 +113,10 @@ class SequenceImages:
     def standing_at(self, places: Mapping[int, Float]) -> SequenceImages:
         """The same images, taken by cameras that stand elsewhere: `T_cam_world` (4, 4) by number."""
         out = copy(self)
-        out.views = [
-            own if i not in places else [view and _standing_at(view, places[i]) for view in own]
-            for i, own in enumerate(self.views)
-        ]
+        out.views = list(self.views)
+        for i, T in places.items():
+            views = self.views[i]
+            out.views[i] = [view and replace(view, camera=replace(view.camera, T_cam_world=T)) for view in views]
         return out
 
     def _one_camera(
@@ -166,10 +166,6 @@ class SequenceImages:
             for before, old, rendered, points in recent
             if t - before in config.strides
         ]
-
-
-def _standing_at(view: View, T_cam_world: Float) -> View:
-    return replace(view, camera=replace(view.camera, T_cam_world=T_cam_world))
 
 
 def followed_points(view: View, seen: RenderedView, count: int) -> SurfacePoints:

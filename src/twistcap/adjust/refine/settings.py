@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from twistcap.errors import InputError
+from twistcap.errors import check
 from twistcap.ranges import Checked, Count, Positive
 
 
@@ -42,5 +42,4 @@ class RefineConfig(Checked, where="refine"):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not self.strides:
-            raise InputError("refine: strides are empty; give one or more, each 1 or more.")
+        check("refine", self.strides, "strides are empty; give one or more, each 1 or more")

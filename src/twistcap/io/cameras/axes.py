@@ -8,7 +8,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from twistcap import se3
-from twistcap.arrays import Float
+from twistcap.body.rig_spec import unit_vector
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 
@@ -21,8 +21,8 @@ def axis_up(rig: Rig) -> Up | None:
     """The axis that is up by the images, of cameras that are held upright; None where no axis is near enough."""
     up = -np.mean([camera.T_cam_world[1, :3] for camera in rig], axis=0)
     size = float(np.linalg.norm(up))
-    found = max(get_args(Up), key=lambda axis: float(up @ _vector(axis)))
-    return found if size > 1e-6 and float(up @ _vector(found)) > _CLEAR * size else None
+    found = max(get_args(Up), key=lambda axis: float(up @ unit_vector(axis)))
+    return found if size > 1e-6 and float(up @ unit_vector(found)) > _CLEAR * size else None
 
 
 def up_instead_of_z(rig: Rig) -> Up | None:
@@ -34,7 +34,7 @@ def up_instead_of_z(rig: Rig) -> Up | None:
 
 def with_z_up(rig: Rig, up: Up) -> Rig:
     """The rig in the world in which the axis `up` is z: the others are turned on by one place, never mirrored."""
-    third = _vector(up)
+    third = unit_vector(up)
     first = np.roll(np.abs(third), 1)
     turn = np.stack([first, np.cross(third, first), third])
     back = se3.transform(turn.T, np.zeros(3))
@@ -64,7 +64,3 @@ def checked_up(rig: Rig, said: Up | None, source: str) -> tuple[Rig, str]:
         return rig, "Up is z: the images agree."
     reason = "the images do not say what is up" if found is None else f"up is {found} by the images, not z"
     raise InputError(f"{source}: {reason}; say it: --up {found or 'z'} turns that axis to z.")
-
-
-def _vector(axis: str) -> Float:
-    return (-1.0 if axis.startswith("-") else 1.0) * np.eye(3)["xyz".index(axis[-1])]

@@ -25,7 +25,6 @@ class CameraFormat:
     """A format: `read(path, asked)`, `write(rig, path)`; whether a path is a folder, or else the ending of its file."""
 
     name: str
-    about: str
     read: Callable[[Path, Asked], Rig]
     write: Callable[[Rig, Path], None]
     folder: bool = False
@@ -40,15 +39,15 @@ def _read_toml(path: Path, asked: Asked) -> Rig:
 FORMATS: dict[str, CameraFormat] = {
     f.name: f
     for f in (
-        CameraFormat("toml", "Calib.toml of Pose2Sim and aniposelib", _read_toml, write_rig, ending=".toml"),
-        CameraFormat("caliscope", "camera_array.toml", read_caliscope, write_caliscope, ending=".toml"),
-        CameraFormat("opencv", "OpenCV's .yml or .xml, one for each camera", read_opencv, write_opencv, True),
-        CameraFormat("easymocap", "intri.yml and extri.yml", read_easymocap, write_easymocap, True),
-        CameraFormat("qualisys", ".qca.txt", read_qualisys, write_qualisys, ending=".txt"),
-        CameraFormat("vicon", ".xcp", read_vicon, write_vicon, ending=".xcp"),
-        CameraFormat("opencap", "pickles, one for each camera", read_opencap, write_opencap, True),
-        CameraFormat("colmap", "cameras.txt and images.txt", read_colmap, write_colmap, True),
-        CameraFormat("projections", "3 × 4 matrices as text", read_projections, write_projections, True),
+        CameraFormat("toml", _read_toml, write_rig, ending=".toml"),  # Pose2Sim and aniposelib
+        CameraFormat("caliscope", read_caliscope, write_caliscope, ending=".toml"),
+        CameraFormat("opencv", read_opencv, write_opencv, True),
+        CameraFormat("easymocap", read_easymocap, write_easymocap, True),
+        CameraFormat("qualisys", read_qualisys, write_qualisys, ending=".txt"),
+        CameraFormat("vicon", read_vicon, write_vicon, ending=".xcp"),
+        CameraFormat("opencap", read_opencap, write_opencap, True),
+        CameraFormat("colmap", read_colmap, write_colmap, True),
+        CameraFormat("projections", read_projections, write_projections, True),
     )
 }
 

@@ -52,11 +52,7 @@ def made(
     """
     R, t = place
     most = 4 if fisheye else 5
-    check(
-        where,
-        not np.any(dist[most:]),
-        f"at most {most} distortion coefficients are supported; calibrate with fewer",
-    )
+    check(where, not np.any(dist[most:]), f"at most {most} distortion coefficients are supported; calibrate with fewer")
     out = Camera(name, K, se3.transform(rotation(where, R), t), size, np.concatenate([dist, np.zeros(5)])[:5], fisheye)
     check_camera(where, out)
     return out

@@ -72,11 +72,8 @@ def write_easymocap(rig: Rig, path: Path) -> None:
     outer: dict[str, Any] = {"names": list(rig.names)}
     for c in rig:
         inner |= {
-            f"K_{c.name}": c.K,
-            f"dist_{c.name}": c.dist[None],
-            f"W_{c.name}": c.size[0],
-            f"H_{c.name}": c.size[1],
-        }
+            f"K_{c.name}": c.K, f"dist_{c.name}": c.dist[None], f"W_{c.name}": c.size[0], f"H_{c.name}": c.size[1],
+        }  # fmt: skip
         R, t = c.T_cam_world[:3, :3], c.T_cam_world[:3, 3:]
         outer |= {f"R_{c.name}": np.asarray(cv2.Rodrigues(R)[0], float), f"Rot_{c.name}": R, f"T_{c.name}": t}
     for name, entries in zip(_PAIR, (inner, outer), strict=True):
