@@ -336,5 +336,5 @@ def test_garbage(tmp_path: Path, name: str) -> None:
     with pytest.raises(InputError, match="No such file"):
         load_glb(tmp_path / name)
     (tmp_path / name).write_bytes(b"not a mesh at all")
-    with pytest.raises(InputError, match=r"no GLB or glTF; check \[body\] path"):
+    with pytest.raises(InputError, match=r"no GLB or glTF; check its path"):
         load_glb(tmp_path / name)

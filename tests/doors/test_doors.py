@@ -171,9 +171,9 @@ def test_what_is_read_is_in_memory_but_once(tmp_path: Path) -> None:
     values = np.arange(1 << 21, dtype=float)
     with h5py.File(tmp_path / "r.h5", "w") as file:
         file["values"] = values
-    hdf5.read_hdf5(tmp_path / "r.h5", "file")
+    hdf5.read_hdf5(tmp_path / "r.h5")
     tracemalloc.start()
-    found = hdf5.read_hdf5(tmp_path / "r.h5", "file")["values"]
+    found = hdf5.read_hdf5(tmp_path / "r.h5")["values"]
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert most < 1.3 * values.nbytes

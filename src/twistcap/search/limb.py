@@ -62,7 +62,7 @@ class LimbRule(Checked):
         every: frames between looks at limbs that nothing speaks against, one after the other: what lies before the body
             in its colours has no sign of being wrong.
         bare: evidence of the body that nothing covers in a camera, over what is usual, as a fraction of that of the
-            least limb, from which on there is such a look in each frame: some limb may belong there.
+            least limb, from which on all limbs are looked at: one of them may belong there.
         few, worth: of such a limb, how many of the roughly best poses are drawn; and the fraction of what is usual that
             one of them must gain for it to be looked for at all.
     """
@@ -88,7 +88,7 @@ class LimbRule(Checked):
     again: Count = 2
     longest: Count = 4
     every: Count = 6
-    bare: Share = 0.15
+    bare: Share = 0.25
     few: Count = 12
     worth: Share = 0.1
 
@@ -102,12 +102,14 @@ class LimbRule(Checked):
         return np.flatnonzero(signs[:-1, _DISAGREEING] + signs[:-1, _SILENT] > self.slipped).tolist()
 
     def due(self, known: Recollection, check: Check, groups: Bool, frames: int) -> list[int]:
-        """The limb whose turn it is to be looked at though nothing speaks against it, if it is time for that."""
+        """Limbs that are looked at though nothing speaks against them: all where the body's colours lie bare, else the
+        one whose turn it is, if it is time for that.
+        """
         limbs = len(groups) - 1
         bare = (check.uncovered - known.uncovered).sum(axis=1).max()
         least = (known.nats.sum(axis=0) @ groups[:-1].T).min(initial=np.inf)
         if bare > self.bare * max(float(least), _LITTLE):
-            return [frames % limbs]
+            return list(range(limbs))
         turn, wait = divmod(frames, self.every)
         return [] if wait else [turn % limbs]
 
