@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from importlib import import_module
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -42,13 +40,11 @@ from twistcap.body.shape import (
     stretch_maps,
 )
 from twistcap.build import build
-from twistcap.camera import Camera, Rig, look_at
+from twistcap.camera import Camera, look_at
 from twistcap.camera.projection import projected
-from twistcap.cli import main
 from twistcap.cues.view import View
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
-from twistcap.io.result import ResultWriter, read_result
 from twistcap.predict import MotionNoise
 from twistcap.render import SurfacePoints, render
 from twistcap.solve import Arrow
@@ -405,49 +401,3 @@ def test_bad_input(scene: Capture, wrong: tuple[list[Frame], Body, list[Estimate
             RefineConfig(joint=value)
     with pytest.raises(InputError, match="rounds is 0; it must be a whole number"):
         RefineConfig(rounds=0)
-
-
-def run(*arguments: object) -> int:
-    with pytest.raises(SystemExit) as done:
-        main([str(a) for a in arguments])
-    return int(done.value.code or 0)
-
-
-def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    walk, out = tmp_path / "walk", tmp_path / "out"
-    assert run("studio", walk, "--size", "192x140", "--views", "2", "--frames", "6") == 0
-    assert run("track", walk / "session.toml", "--out", out, "--set", "output.overlay=false") == 0
-    capsys.readouterr()
-    few = ("--set", "rounds=2", "--set", "points=100")
-    assert run("refine", out / "result.h5", "--frames", "1:5", "--json", *few) == 0
-    output = json.loads(capsys.readouterr().out)
-    assert output["frames"] == 5 and len(output["moved_mm"]) == 2
-    refined = read_result(output["result"])
-    assert list(refined.indices) == [1, 2, 3, 4, 5] and "refined" in refined.config
-    assert Path(output["result"]) == out / "refined" / "refined.h5" and (out / "refined" / "angles.png").is_file()
-    assert run("refine", output["result"], "--out", tmp_path / "once more", *few) == 0
-    capsys.readouterr()
-    again = ("--again", "--out", tmp_path / "again", "--json")
-    assert run("refine", out / "result.h5", "--frames", "1:5", *again, *few) == 0
-    twice = json.loads(capsys.readouterr().out)
-    assert twice["frames"] == 5 and twice["lengths"] != output["lengths"]  # against the same body, after more rounds
-    assert run("view", output["result"], "--images", 0, "--save", tmp_path / "page.html") == 0
-    assert run("export", output["result"], "--to", "mot") == 0
-    assert run("evaluate", output["result"], "--reference", walk / "truth.npz", "--json") == 0
-    walk.rename(tmp_path / "moved")
-    capsys.readouterr()
-    assert run("refine", out / "result.h5") == 2
-    told = capsys.readouterr().err
-    assert "does not exist; if the recording has moved, give --session." in told and "[videos]" not in told
-
-
-def test_the_command_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run("refine", tmp_path / "none.h5") == 2
-    assert "does not exist" in capsys.readouterr().err
-    path = tmp_path / "result.h5"
-    with ResultWriter(path, BODY, Rig((Camera("c", np.eye(3), np.eye(4), (8, 8)),)), {}) as writer:
-        writer.append(Estimate(0, 0.0, a_pose(0), np.eye(BODY.dof)))
-    assert run("refine", path) == 2
-    assert "names no videos; give a session with --session" in capsys.readouterr().err
-    assert run("refine", path, "--set", "round=3") == 2
-    assert "did you mean 'rounds'?" in capsys.readouterr().err

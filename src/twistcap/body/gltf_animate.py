@@ -25,8 +25,6 @@ from twistcap.body.rig import RestJoints, in_tree_order, rest_joints
 from twistcap.errors import check
 
 _STILL = 1e-5  # rad or m by which a bone that has no channel may differ from its rest
-
-
 _MEND = "give the file that the session names, and its rig file with --rig where it has one"
 
 

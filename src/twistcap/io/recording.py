@@ -87,6 +87,8 @@ def _opened(session: Session, rig: Rig, views: Views, body: Body) -> Recording:
 
 def _shown_from(session: Session, rig: Rig, views: Views) -> Views:
     """All frames of the session's file from the first on that is tracked: few tell little of where somebody is."""
+    if session.frames == session.whole.frames:
+        return views
     whole = views_of(session.whole, rig).starting_at(views.indices[0])
     return whole if len(whole) > len(views) and whole.indices[0] == views.indices[0] else views
 
