@@ -29,13 +29,13 @@ from twistcap.evaluate.cycles import cycles_of, walking_angles
 from twistcap.evaluate.events import event_times, parsed_event
 from twistcap.evaluate.filters import Filter
 from twistcap.evaluate.gait import SIDES, cycles, facing, gait_of
+from twistcap.hindsight import tracked
 from twistcap.io.coordinates import coordinates_of
 from twistcap.io.result import Result, ResultWriter, read_result
 from twistcap.studio import StudioConfig, capture
 from twistcap.studio.config import stream
 from twistcap.studio.motion import gait as walk
 from twistcap.studio.scene import default_body, default_poses, ring
-from twistcap.track import track
 
 FPS, FRAMES, TRACKED, FINE = 60.0, 300, 240, 20
 RIG = ring(2, 4.0, 1.2, (0.0, 0.0, 0.9), (384, 280))  # a result file has cameras; nothing is seen by these
@@ -81,7 +81,7 @@ def noisy(seed: int, folder: Path) -> tuple[str, Truth, Result]:
     return f"sigma {np.degrees(sigma):.1f} deg", truth, result
 
 
-def tracked(seed: int, condition: Any, width: int, folder: Path) -> tuple[str, Truth, Result]:
+def filmed(seed: int, condition: Any, width: int, folder: Path) -> tuple[str, Truth, Result]:
     size = (width, round(width * 280 / 384))
     config = StudioConfig(seed=seed, size=size, frames=TRACKED, fps=FPS, condition=condition)
     scene, body = capture(config), default_body(config)
@@ -90,7 +90,7 @@ def tracked(seed: int, condition: Any, width: int, folder: Path) -> tuple[str, T
     rng = stream(seed, "gait")
     truth = Truth(body, list(scene.true_poses), fine, float(rng.uniform(1.15, 1.45)), float(rng.uniform(0, 1)))
     model = build(scene.body, scene.rig)
-    result = written(scene.body, scene.rig, track(scene.frames(), model, scene.first_pose), folder)
+    result = written(scene.body, scene.rig, tracked(scene.frames(), model, scene.first_pose), folder)
     return f"tracked, {condition}, {np.sum(result.lost)} frames lost", truth, result
 
 
@@ -170,7 +170,7 @@ def main() -> None:
         for seed in range(first, last + 1):
             place = Path(folder)
             how = arguments.condition, arguments.width
-            made = tracked(seed, *how, place) if arguments.tracked else noisy(seed, place)
+            made = filmed(seed, *how, place) if arguments.tracked else noisy(seed, place)
             words = measured(*made[1:])
             print(" | ".join([f"seed {seed}", made[0], *words]), flush=True)
             for name, row in of_angles(*made[1:]).items():

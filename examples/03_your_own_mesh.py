@@ -9,9 +9,9 @@ from pathlib import Path
 from twistcap.body.gltf import load_glb, save_glb
 from twistcap.body.humanoid import humanoid
 from twistcap.build import build
+from twistcap.hindsight import tracked
 from twistcap.studio import StudioConfig, capture
 from twistcap.studio.motion import gait
-from twistcap.track import track
 
 
 def main(frames: int = 10) -> bool:
@@ -22,7 +22,7 @@ def main(frames: int = 10) -> bool:
     body = load_glb(path)  # a foreign file: put its axes, limits and names into legs.rig.toml beside it
     scene = StudioConfig(seed=3, views=3, frames=frames, variant="legs")
     walk = capture(scene, body, gait(body, fps=scene.fps, frames=frames))
-    estimates = list(track(walk.frames(), build(walk.body, walk.rig), walk.first_pose))
+    estimates = list(tracked(walk.frames(), build(walk.body, walk.rig), walk.first_pose))
     for estimate in estimates:
         print(f"frame {estimate.index:3d}  support {estimate.support:.2f}  {'LOST' if estimate.lost else 'held'}")
     return not any(estimate.lost for estimate in estimates)

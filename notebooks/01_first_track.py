@@ -17,7 +17,7 @@ plt.axis("off")
 
 # %%
 model = tc.build.build(walk.body, walk.rig)
-estimates = list(tc.track.track(frames, model, walk.first_pose))
+estimates = list(tc.tracked(frames, model, walk.first_pose))
 estimates[-1].status, estimates[-1].lost
 
 # %%

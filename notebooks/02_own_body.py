@@ -38,7 +38,7 @@ print(f"{height:.3f} m tall; the built-in one has {np.ptp(tc.humanoid().vertices
 # %%
 scene = tc.StudioConfig(seed=3, views=2, size=(256, 188), frames=6)
 walk = tc.capture(scene, body, gait(body, fps=scene.fps, frames=scene.frames))
-estimates = list(tc.track.track(walk.frames(), tc.build.build(walk.body, walk.rig), walk.first_pose))
+estimates = list(tc.tracked(walk.frames(), tc.build.build(walk.body, walk.rig), walk.first_pose))
 off = [
     1000 * np.linalg.norm(tc.Posed(walk.body, e.pose).landmarks - walk.landmarks[e.index], axis=1).mean()
     for e in estimates

@@ -98,8 +98,8 @@ def joint_error_mm(estimates):
     return 1000 * float(np.mean([np.linalg.norm(p - t, axis=1) for p, t in zip(posed, walk.landmarks, strict=True)]))
 
 
-without = list(tc.track.track(frames, model, walk.first_pose))
-with_it = list(tc.track.track(frames, model, walk.first_pose, cues=[MeanBrightness()]))
+without = list(tc.tracked(frames, model, walk.first_pose))
+with_it = list(tc.tracked(frames, model, walk.first_pose, cues=[MeanBrightness()]))
 print(f"joints: {joint_error_mm(without):.1f} mm off without the cue, {joint_error_mm(with_it):.1f} mm with it")
 print(sorted(with_it[-1].energies))
 assert with_it[-1].energies["mean brightness"] > 0.0 and "mean brightness" not in without[-1].energies

@@ -11,7 +11,7 @@ import twistcap as tc
 
 def followed(views, dropped=()):
     walk = tc.capture(tc.StudioConfig(seed=2, views=views, size=(256, 188), frames=14, dropped=dropped))
-    return walk, list(tc.track.track(walk.frames(), tc.build.build(walk.body, walk.rig), walk.first_pose))
+    return walk, list(tc.tracked(walk.frames(), tc.build.build(walk.body, walk.rig), walk.first_pose))
 
 
 walk, estimates = followed(3)

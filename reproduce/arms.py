@@ -19,10 +19,11 @@ from twistcap.build import build
 from twistcap.camera import Camera, Rig
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate.metrics import Row, lost_sequence
+from twistcap.hindsight import tracked
 from twistcap.motion import MotionLibrary
 from twistcap.priors import ParzenPrior
 from twistcap.studio import Capture
-from twistcap.track import Model, Settings, track
+from twistcap.track import Model, Settings
 
 
 @dataclass(frozen=True)
@@ -184,7 +185,7 @@ def _trace(
     experiment: Comparison, arm: Arm, scene: Capture, frames: Sequence[Frame], motions: MotionLibrary | None
 ) -> Trace:
     given = (prior_of(arm.prior, scene), motions if arm.tracker.predictor == "motion" else None)
-    estimates = list(track(frames, arm.model(scene.body, scene.rig, *given), scene.first_pose))
+    estimates = list(tracked(frames, arm.model(scene.body, scene.rig, *given), scene.first_pose))
     errors = np.array([experiment.error(scene, e) for e in estimates])
     joints = joint_errors_mm(scene, scene.body, [e.pose for e in estimates], [e.index for e in estimates])
     index, camera = experiment.shown

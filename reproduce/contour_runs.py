@@ -17,8 +17,9 @@ from twistcap.body import Pose, Posed
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
 from twistcap.evaluate import Row, metrics, row
+from twistcap.hindsight import tracked
 from twistcap.studio import Capture
-from twistcap.track import Model, track
+from twistcap.track import Model
 
 ARM = ("elbow_r", "elbow_l", "wrist_r", "wrist_l")
 
@@ -45,7 +46,7 @@ class Run:
 
 def run(scene: Capture, frames: Sequence[Frame], model: Model) -> Run:
     """Track a scene's frames from its first pose and hold them against the truth."""
-    poses = [e.pose for e in track(frames, model, scene.first_pose)]
+    poses = [e.pose for e in tracked(frames, model, scene.first_pose)]
     indices = [frame.index for frame in frames]
     joints = joint_errors_mm(scene, scene.body, poses, indices)
     names = [name for name in metrics.JOINT_CENTRES if name in scene.body.landmarks.names]

@@ -17,6 +17,7 @@ from twistcap.body.humanoid import humanoid
 from twistcap.build import build
 from twistcap.estimate import Estimate, Frame, Keypoints
 from twistcap.evaluate import metrics
+from twistcap.hindsight import Hindsight
 from twistcap.priors import ParzenPrior
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import Tracker
@@ -74,12 +75,12 @@ def tracked(case: Case, pictures: Pictures) -> tuple[Body, Pose, list[Estimate],
     body, pose = first_pose(case, scene)
     tracker = Tracker(build(body, scene.rig, case.tracker, prior_of(case.prior, scene)))
     tracker.start(pose)
-    estimates: list[Estimate] = []
-    times: list[float] = []
+    hindsight, estimates, times = Hindsight(tracker), list[Estimate](), list[float]()
     for frame in pictures.of(case):
         began = perf_counter()
-        estimates.append(tracker.step(frame))
+        corrected, estimate = hindsight.step(frame)
         times.append(1000.0 * (perf_counter() - began))
+        estimates[len(estimates) - len(corrected) :] = [*corrected, estimate]
     return body, pose, estimates, times
 
 

@@ -29,6 +29,7 @@ from twistcap.build import build
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate import Row, row
 from twistcap.evaluate.metrics import LOST_FRAME_MM, distances_mm, within_sigmas, without_offset
+from twistcap.hindsight import Hindsight
 from twistcap.io.recording import Recording, open_recording, rig_of, views_of
 from twistcap.io.session import load_session
 from twistcap.track import Tracker
@@ -73,7 +74,7 @@ def tracked(subject: Subject, seed: int) -> Tracked:
     views = views_of(session, rig_of(session))
     tracker = Tracker(build(recording.body, views.image_rig, session.tracker_settings))
     tracker.start(recording.first_pose, recording.first_time)
-    estimates = [tracker.step(frame) for frame in noisy(views, seed)]
+    estimates = list(Hindsight(tracker).through(noisy(views, seed)))
     with np.load(folder / "truth.npz") as truth:
         places = dict(zip(truth["names"], truth["X"].transpose(1, 0, 2), strict=True))
     return _against(recording, estimates, np.stack([places[joint] for joint in JOINTS], axis=1))

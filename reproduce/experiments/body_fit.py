@@ -29,8 +29,8 @@ from twistcap.evaluate.metrics import (
     mean_known,
     row,
 )
+from twistcap.hindsight import tracked
 from twistcap.studio import Capture, StudioConfig, capture
-from twistcap.track import track
 
 BONES = (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
 GIRTH, LENGTH, KHE = 2.0, 1.0, 0.2  # per cent, per cent, degrees
@@ -84,7 +84,7 @@ def fitted_seed(seed: int) -> dict[str, float]:
 
 def _tracked(scene: Capture, frames: Sequence[Frame], body: Body) -> tuple[float, bool]:
     """KHE, degrees, and whether the sequence was lost."""
-    estimates = list(track(frames, build(body, scene.rig), scene.first_pose))
+    estimates = list(tracked(frames, build(body, scene.rig), scene.first_pose))
     joints = joint_errors_mm(scene, body, [e.pose for e in estimates], [e.index for e in estimates])
     return mean_known(np.abs(khe_errors_deg(scene, body, estimates))), lost_sequence(joints)
 

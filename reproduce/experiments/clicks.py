@@ -22,9 +22,9 @@ from twistcap.body.humanoid import humanoid
 from twistcap.build import build
 from twistcap.estimate import Keypoints
 from twistcap.evaluate.metrics import Row, row
+from twistcap.hindsight import tracked
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.config import stream
-from twistcap.track import track
 
 JOINTS = ("shoulder_r", "wrist_r", "wrist_l", "hip_l", "ankle_r", "ankle_l")
 VIEWS, NOISE_PX = (0, 1), 1.5  # clicked views, and how surely people click
@@ -85,7 +85,7 @@ def clicked_seed(seed: int) -> Clicked:
     scene = capture(StudioConfig(seed=seed, views=4, frames=FRAMES))
     start = fit_keypoints(humanoid(), scene.rig, clicked(scene))
     frames = list(scene.frames())
-    estimates = list(track(frames, build(start.body, scene.rig), start.pose))
+    estimates = list(tracked(frames, build(start.body, scene.rig), start.pose))
     before = joint_errors_mm(scene, start.body, [start.pose], [0])
     joints = joint_errors_mm(scene, start.body, [e.pose for e in estimates], [e.index for e in estimates])
     shot = shot_of("as clicked", scene, frames[0], Posed(start.body, start.pose))

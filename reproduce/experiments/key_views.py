@@ -33,10 +33,11 @@ from twistcap.body.obj_rig import load_makehuman
 from twistcap.build import build as model_of
 from twistcap.estimate import Frame
 from twistcap.evaluate.metrics import Row, mean_known, row
+from twistcap.hindsight import tracked
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.config import stream
 from twistcap.studio.mismatch import wrong_pose
-from twistcap.track import Settings, Tracker, track
+from twistcap.track import Settings, Tracker
 
 TARGETS = (
     ("universal-male-young-averagemuscle-averageweight", "caucasian-male-young"),
@@ -160,7 +161,7 @@ def carried(pose: Pose, true: Body, body: Body) -> Pose:
 
 
 def _tracked(scene: Capture, frames: Sequence[Frame], body: Body, arm: str, start: Pose, config: Settings) -> Tracked:
-    estimates = list(track(frames, model_of(body, scene.rig, config), start))
+    estimates = list(tracked(frames, model_of(body, scene.rig, config), start))
     joints = joint_errors_mm(scene, body, [e.pose for e in estimates], [e.index for e in estimates])
     shot = shot_of(arm, scene, frames[-1], Posed(body, estimates[-1].pose))
     khe = mean_known(np.abs(khe_errors_deg(scene, body, estimates)))

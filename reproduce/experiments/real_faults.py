@@ -32,10 +32,11 @@ from twistcap.camera import Rig
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate import Row, evaluate, row
 from twistcap.evaluate.metrics import JOINT_CENTRES, LOST_FRAME_MM
+from twistcap.hindsight import Hindsight
 from twistcap.io.recording import Recording, open_recording, rig_of, views_of
 from twistcap.io.result import ResultWriter, read_result
 from twistcap.io.session import load_session
-from twistcap.track import Model, State, Tracker, step
+from twistcap.track import Model, State, Tracker
 
 LENGTHS, PHASES, SOON = (5, 20, 60), 12, 10  # frames of a gap; where it begins; frames after it
 FIRST, LAST = 12, 99  # frames between which gaps and what follows them lie
@@ -114,8 +115,8 @@ class RealFaults:
         tracker, path = Tracker(build(recording.body, views.image_rig)), folder / f"two people without {without}.h5"
         tracker.start(recording.first_pose, recording.first_time)
         with ResultWriter(path, recording.body, rig_of(session), {}) as writer:
-            for frame in views:
-                writer.append(tracker.step(frame))
+            for estimate in Hindsight(tracker).through(views):
+                writer.append(estimate)
         result, reference = read_result(path), data_file("balance_4view") / "reference" / "keypoints3d_world.npz"
         found = evaluate(result, reference, CLOCK, exclude=FLAWED)
         lost = np.isin(result.indices, found.lost_frames)
@@ -154,11 +155,9 @@ def _undisturbed(model: Model, recording: Recording, frames: Sequence[Frame]) ->
 
 def _tracked(model: Model, state: State, frames: Iterable[Frame]) -> list[Estimate]:
     """The track that goes on from a state."""
-    estimates = list[Estimate]()
-    for frame in frames:
-        state, estimate = step(state, frame, model)
-        estimates.append(estimate)
-    return estimates
+    tracker = Tracker(model)
+    tracker.state = state
+    return list(Hindsight(tracker).through(frames))
 
 
 def _apart_mm(body: Body, one: Estimate, other: Estimate) -> float:

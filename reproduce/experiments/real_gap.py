@@ -25,6 +25,7 @@ from twistcap.camera import Rig
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate import Row, row
 from twistcap.evaluate.metrics import iou
+from twistcap.hindsight import tracked
 from twistcap.io import recording as recordings
 from twistcap.io.masks import read_masks
 from twistcap.io.session import load_session
@@ -32,7 +33,7 @@ from twistcap.motion import MotionLibrary
 from twistcap.render import render
 from twistcap.search.lost import LostBody
 from twistcap.search.placing import PlacingRule
-from twistcap.track import Model, Settings, track
+from twistcap.track import Model, Settings
 
 SESSION = Path(__file__).parents[2] / "examples" / "balance_4view.toml"
 GAP = (43, 57)  # first and last frame without images
@@ -80,7 +81,7 @@ class RealGap:
             used = motions if config.predictor == "motion" else None
             draws, model = seeds if name == "guarded" else seeds[:1], build(body, rig, config, motions=used)
             model = with_autoregression(model, motions) if name == LINEAR else model
-            runs = [list(track(shown, drawn(model, seed), recording.first_pose)) for seed in draws]
+            runs = [list(tracked(shown, drawn(model, seed), recording.first_pose)) for seed in draws]
             reference = reference or runs[0]
             rows += self._rows(name, body, recording.rig, rig.pinhole(), runs, reference)
             progress(name, done, len(ARMS))

@@ -27,6 +27,7 @@ from reproduce.running import Tell
 from twistcap.build import build
 from twistcap.cues.levelset import LevelSetContour
 from twistcap.evaluate import Row, evaluate, row
+from twistcap.hindsight import Hindsight
 from twistcap.io.recording import open_recording, rig_of, views_of
 from twistcap.io.result import ResultWriter, read_result
 from twistcap.io.session import load_session
@@ -113,12 +114,14 @@ def tracked(file: Path, changed: Settings, path: Path, modified: Callable[[Model
     views = views_of(session, rig_of(session))
     tracker = Tracker(modified(build(start.body, views.image_rig, session.tracker_settings, session.pose_prior)))
     tracker.start(start.first_pose, start.first_time)
-    times: list[float] = []
+    hindsight, times = Hindsight(tracker), list[float]()
     with ResultWriter(path, start.body, start.rig, session.model_dump(mode="json")) as writer:
         for frame in views:
             began = perf_counter()
-            writer.append(tracker.step(frame))
+            corrected, estimate = hindsight.step(frame)
             times.append(1000.0 * (perf_counter() - began))
+            writer.correct(corrected)
+            writer.append(estimate)
     return float(np.median(times[1:]))
 
 

@@ -26,11 +26,11 @@ from twistcap.body import Body, Posed, rescaled
 from twistcap.build import build
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate.metrics import Row, row
+from twistcap.hindsight import tracked
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.config import stream
 from twistcap.studio.mismatch import with_joint_noise
 from twistcap.studio.scene import default_body
-from twistcap.track import track
 
 # The wrong body: each kind of segment is longer or shorter by this fraction, each joint offset by so many metres.
 LENGTH, JOINT = 0.05, 0.015
@@ -141,9 +141,9 @@ def run_seed(id: str, seed: int) -> list[Shaped]:
     experiment = next(e for e in REFINEMENTS if e.id == id)
     scene = experiment.scene(seed)
     frames, body = list(scene.frames()), wrong_shape(scene.true_body, seed)
-    estimates = list(track(frames, build(body, scene.rig), scene.first_pose))
+    estimates = list(tracked(frames, build(body, scene.rig), scene.first_pose))
     first: Refined = refine(frames, body, scene.rig, estimates)
-    anew = list(track(frames, build(first.body, scene.rig), first.estimates[0].pose))
+    anew = list(tracked(frames, build(first.body, scene.rig), first.estimates[0].pose))
     second = refine(frames, first.body, scene.rig, anew, shape=first.shape)
     return [
         _traced("tracked", scene, frames, body, estimates),

@@ -25,9 +25,9 @@ from twistcap.build import build
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
 from twistcap.evaluate.metrics import row
+from twistcap.hindsight import tracked
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.studio.scene import default_body
-from twistcap.track import track
 
 MOTIONS = ("walk", "run", "jog", "jump", "kick", "punch", "spin", "roll")
 VIEWS = (4, 3)
@@ -86,7 +86,7 @@ def started(motion: str, views: int, seed: int) -> Start:
         first = proved(scene, frames).first
     except InputError:
         return Start(motion, views, seed, np.nan)
-    *_, last = track(frames[: AFTER + 1], build(scene.body, scene.rig), first)
+    *_, last = tracked(frames[: AFTER + 1], build(scene.body, scene.rig), first)
     return Start(motion, views, seed, float(joint_errors_mm(scene, scene.body, [last.pose], [last.index]).mean()))
 
 

@@ -16,6 +16,7 @@ from twistcap.build import build
 from twistcap.camera import Rig
 from twistcap.estimate import UNSEEN, Estimate
 from twistcap.evaluate.metrics import JOINT_CENTRES, LOST_FRAME_MM
+from twistcap.hindsight import Hindsight
 from twistcap.track import Model, Tracker
 
 PARTS: dict[str, tuple[str, ...]] = {
@@ -146,10 +147,11 @@ def _answers(take: Take, model: Model) -> tuple[list[Estimate], list[Float], str
     """An estimate of every frame, the parts' support (P,) in each, and what the tracker raised."""
     tracker = Tracker(model)
     tracker.start(take.first_pose)
-    estimates, supports = list[Estimate](), list[Float]()
+    hindsight, estimates, supports = Hindsight(tracker), list[Estimate](), list[Float]()
     for frame in take.frames():
         try:
-            estimates.append(tracker.step(frame))
+            corrected, estimate = hindsight.step(frame)
+            estimates[len(estimates) - len(corrected) :] = [*corrected, estimate]
         except Exception as error:  # the bench counts them
             missing = take.count - len(estimates)
             last = estimates[-1] if estimates else _nothing(take)

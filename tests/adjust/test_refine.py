@@ -45,13 +45,14 @@ from twistcap.camera.projection import projected
 from twistcap.cues.view import View
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
+from twistcap.hindsight import tracked
 from twistcap.predict import MotionNoise
 from twistcap.render import SurfacePoints, render
 from twistcap.solve import Arrow
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.terms import PointNormalTerm
 from twistcap.terms.photometric import sampled
-from twistcap.track import Settings, track
+from twistcap.track import Settings
 
 Array = NDArray[np.float64]
 BODY = humanoid("full")
@@ -252,7 +253,7 @@ def wrong(scene: Capture) -> tuple[list[Frame], Body, list[Estimate]]:
     """A track with thighs and upper arms 6 % too long."""
     body = rescaled(scene.true_body, dict.fromkeys(("femur_r", "femur_l", "humerus_r", "humerus_l"), 1.06))
     frames = list(scene.frames())
-    return frames, body, list(track(frames, build(body, scene.rig), scene.first_pose))
+    return frames, body, list(tracked(frames, build(body, scene.rig), scene.first_pose))
 
 
 def joint_error(scene: Capture, body: Body, estimates: list[Estimate] | tuple[Estimate, ...]) -> float:
@@ -280,7 +281,7 @@ def test_another_track_goes_on_from_the_shape_found(
     frames, body, estimates = wrong
     few = RefineConfig(rounds=2, coarse_rounds=1, joint=0.0)
     first = refine(frames, body, scene.rig, estimates, few)
-    anew = list(track(frames, build(first.body, scene.rig), first.estimates[0].pose))
+    anew = list(tracked(frames, build(first.body, scene.rig), first.estimates[0].pose))
     assert joint_error(scene, first.body, anew) < joint_error(scene, body, estimates)
     second = refine(frames, first.body, scene.rig, anew, few, shape=first.shape)
     given, now = joint_distances(body), joint_distances(second.body)

@@ -17,8 +17,8 @@ from twistcap.cues.light import (
     light_on,
     light_on_reference,
 )
+from twistcap.hindsight import tracked
 from twistcap.studio import StudioConfig, capture
-from twistcap.track import track
 
 Array = np.ndarray
 BODY = humanoid()
@@ -78,7 +78,7 @@ def test_turns_about_long_axes_are_followed_although_shading_stays() -> None:
     """Root mean squares were 2.3° and 2.5° where the shading counted as texture."""
     scene = capture(StudioConfig(seed=9, frames=60))
     model = replace(build(scene.body, scene.rig), searches=())
-    found = np.array([e.pose.q for e in track(scene.frames(), model, scene.first_pose)])
+    found = np.array([e.pose.q for e in tracked(scene.frames(), model, scene.first_pose)])
     error = np.degrees(found - np.array([pose.q for pose in scene.true_poses]))
     of = scene.body.coordinate
     hips = error[10:, [of("hip_rotation_r"), of("hip_rotation_l")]]

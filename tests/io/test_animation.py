@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from support.blender import NAMES, blender, needs_blender, person
 from support.pages_shared import run
+from twistcap import hindsight
 from twistcap.arrays import Float
 from twistcap.body import Posed
 from twistcap.body.gltf import load_glb
@@ -23,7 +24,6 @@ from twistcap.evaluate.metrics import JOINT_CENTRES
 from twistcap.io.result import ResultWriter, read_result
 from twistcap.studio import StudioConfig, capture
 from twistcap.studio.motion import gait
-from twistcap.track import track
 
 FRAMES, FPS = 12, 60.0
 TOLERANCE = 1e-4  # m
@@ -39,7 +39,7 @@ def tracked(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     scene = StudioConfig(seed=5, views=3, frames=FRAMES, fps=FPS)
     walk = capture(scene, body, gait(body, fps=FPS, frames=FRAMES))
     with ResultWriter(result, body, walk.rig, {}) as writer:
-        for estimate in track(walk.frames(), build(body, walk.rig), walk.first_pose):
+        for estimate in hindsight.tracked(walk.frames(), build(body, walk.rig), walk.first_pose):
             writer.append(estimate)
     return source, result, np.array([Posed(body, pose).landmarks for pose in walk.true_poses])
 

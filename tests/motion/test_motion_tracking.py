@@ -11,11 +11,12 @@ from twistcap.build import build
 from twistcap.cues.observation import Agreement
 from twistcap.cues.support import SupportRule
 from twistcap.errors import InputError
+from twistcap.hindsight import tracked
 from twistcap.motion import MotionClip, MotionLibrary, motion_predictor
 from twistcap.predict import Moment
 from twistcap.studio import StudioConfig, capture
 from twistcap.studio.motion import gait
-from twistcap.track import Settings, track
+from twistcap.track import Settings
 
 FPS = 60.0
 
@@ -29,7 +30,7 @@ def test_without_an_image_the_answer_is_the_prediction() -> None:
     blind = {8, 9}
     frames = [replace(f, images=tuple(None for _ in f.images)) if f.index in blind else f for f in scene.frames()]
     model = build(scene.body, scene.rig, Settings(predictor="motion", motion="scaled"), motions=library)
-    found = list(track(frames, model, scene.first_pose))
+    found = list(tracked(frames, model, scene.first_pose))
     seen = [Moment(e.time, e.pose) for e in found[:8]]
     for k in sorted(blind):
         expected, _ = motion_predictor("scaled", library, scene.body).predict(seen, frames[k].time)
@@ -57,7 +58,7 @@ def test_images_of_mere_noise_tell_nothing() -> None:
     ]
     library = MotionLibrary.of([clip], FPS)
     model = build(scene.body, scene.rig, Settings(predictor="motion"), motions=library)
-    found = list(track(frames, model, scene.first_pose))
+    found = list(tracked(frames, model, scene.first_pose))
     assert [found[k].status for k in noisy] == ["not_found"] * 5
     assert all(found[k].seen for k in (*range(10), 15))
 

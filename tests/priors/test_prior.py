@@ -18,6 +18,7 @@ from twistcap.body.humanoid import humanoid
 from twistcap.build import build
 from twistcap.cli import main
 from twistcap.errors import InputError
+from twistcap.hindsight import tracked
 from twistcap.io.motion_files import write_mot
 from twistcap.io.prior_file import adjusted, read_prior, trained_prior, write_prior
 from twistcap.io.session import load_session
@@ -25,7 +26,6 @@ from twistcap.priors import ParzenPrior, PriorRule, kernel_width, matched
 from twistcap.solve import PoseProblem, minimise
 from twistcap.studio import StudioConfig, capture
 from twistcap.studio.motion import gait
-from twistcap.track import track
 
 BODY = humanoid()
 NAMES = ("hip_flexion_r", "knee_angle_r", "elbow_flex_l")
@@ -271,7 +271,7 @@ def test_a_hidden_leg_follows_the_rest_of_the_body() -> None:
     errors, claims = dict[bool, float](), dict[bool, float]()
     for helped in (False, True):
         model = build(scene.body, scene.rig, prior=prior if helped else None)
-        last = list(track(frames, model, scene.first_pose))[-1]
+        last = list(tracked(frames, model, scene.first_pose))[-1]
         errors[helped] = float(np.degrees(np.abs(last.pose.q[knee] - scene.true_poses[-1].q[knee])))
         claims[helped] = float(np.degrees(np.sqrt(last.covariance[6 + knee, 6 + knee])))
         assert ("prior" in last.energies) == helped and np.linalg.eigvalsh(last.covariance).min() > 0

@@ -28,6 +28,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("differential",),
     ("settings",),
     ("track",),
+    ("hindsight",),
     ("build",),
     ("adjust",),
     ("studio",),

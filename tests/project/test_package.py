@@ -26,7 +26,7 @@ def test_every_name_at_the_top_is_there(name: str) -> None:
 
 
 def test_the_lists_of_names_agree() -> None:
-    assert sorted((*twistcap._HOMES, *twistcap._ROOMS)) == sorted(twistcap.__all__)
+    assert sorted((*twistcap._HOMES, "build")) == sorted(twistcap.__all__)
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
         _ = twistcap.nonsense
 
@@ -86,7 +86,7 @@ class Watcher:
 def test_track_takes_cues_and_priors_of_ones_own() -> None:
     walk = twistcap.capture(twistcap.StudioConfig(0, 2, (192, 140), frames=2))
     model, cue, prior = twistcap.build.build(walk.body, walk.rig), Watcher(), Watcher("other")
-    estimates = list(twistcap.track.track(walk.frames(), model, walk.first_pose, cues=[cue], priors=[prior]))
+    estimates = list(twistcap.tracked(walk.frames(), model, walk.first_pose, cues=[cue], priors=[prior]))
     assert len(estimates) == 2 and set(cue.asked) == {"cue"} and set(prior.asked) == {"prior"}
     with pytest.raises(twistcap.InputError, match="neither cues nor priors"):
-        twistcap.track.track([], DifferentialModel(walk.body, rig=walk.rig), walk.first_pose, cues=[cue])
+        twistcap.tracked([], DifferentialModel(walk.body, rig=walk.rig), walk.first_pose, cues=[cue])

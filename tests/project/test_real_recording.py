@@ -9,11 +9,11 @@ import numpy as np
 from twistcap.body import Posed
 from twistcap.build import build
 from twistcap.evaluate.metrics import iou
+from twistcap.hindsight import tracked
 from twistcap.io.masks import read_masks
 from twistcap.io.recording import open_recording
 from twistcap.io.session import load_session
 from twistcap.render import render
-from twistcap.track import track
 
 SESSION = Path(__file__).parents[2] / "examples" / "balance_4view.toml"
 BODY_25B = {"shoulder_l": 5, "shoulder_r": 6, "elbow_l": 7, "elbow_r": 8, "knee_l": 13, "knee_r": 14, "ankle_r": 16}
@@ -23,7 +23,7 @@ def test_the_man_on_the_beam(shared_data: Path, monkeypatch) -> None:
     monkeypatch.setenv("TWISTCAP_DATA", str(shared_data))
     folder = shared_data / "balance_4view"
     recording = open_recording(load_session(SESSION, {"frames": [0, 7]}))
-    estimates = list(track(recording.views, build(recording.body, recording.views.image_rig), recording.first_pose))
+    estimates = list(tracked(recording.views, build(recording.body, recording.views.image_rig), recording.first_pose))
     assert not any(e.lost for e in estimates)
 
     masks = read_masks(str(folder / "masks"), recording.rig, 0)

@@ -17,6 +17,7 @@ from twistcap.cues.levelset import LevelSetContour
 from twistcap.cues.view import View, crop_view
 from twistcap.errors import InputError
 from twistcap.features import Channels
+from twistcap.hindsight import tracked
 from twistcap.io.session import tracker_settings
 from twistcap.region.densities import heaviside, parzen_densities, parzen_log_ratio
 from twistcap.region.lines import LineSettings, ratio_lines
@@ -24,7 +25,7 @@ from twistcap.region.models import Density, RegionModel, log_ratio_by_part, near
 from twistcap.render import RenderedView, render, visible_contour
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.terms import PointNormalTerm, PointRayTerm
-from twistcap.track import Settings, track
+from twistcap.track import Settings
 
 MODELS = (RegionModel("local", rho=8.0), RegionModel("global"), RegionModel("parzen"))
 DENSITIES: tuple[Density, ...] = ("local", "global", "parzen")
@@ -234,7 +235,7 @@ def test_one_line_of_a_session_chooses_the_model(method: str) -> None:
     angles = []
     for settings in (config, replace(config, density="local")):
         model = build(scene.body, scene.rig, settings)
-        angles.append(list(track(scene.frames(), model, scene.first_pose))[-1].pose.q)
+        angles.append(list(tracked(scene.frames(), model, scene.first_pose))[-1].pose.q)
     assert np.abs(angles[0] - angles[1]).max() > 1e-4
 
 

@@ -17,6 +17,7 @@ from twistcap.body.humanoid import humanoid
 from twistcap.body.limbs import limbs
 from twistcap.build import build
 from twistcap.estimate import Frame
+from twistcap.hindsight import tracked
 from twistcap.predict import Moment, Prediction
 from twistcap.search.evidence import Evidence, EvidenceView
 from twistcap.search.limb import LimbRule, placed
@@ -24,7 +25,7 @@ from twistcap.search.lost import LostBody
 from twistcap.search.placing import Placing, PlacingRule, Stance
 from twistcap.search.stances import bundled
 from twistcap.studio import Capture, StudioConfig, capture
-from twistcap.track import Model, Settings, Tracker, track
+from twistcap.track import Model, Settings, Tracker
 from twistcap.track.step import posed_problem
 
 FAULT = range(16, 34)
@@ -172,7 +173,7 @@ def test_an_arm_thrown_faster_than_a_contour_reaches_is_kept() -> None:
 
     def off(model: Model) -> float:
         """m by which the farthest landmark is off at the end."""
-        last = list(track(scene.frames(), model, scene.first_pose))[-1]
+        last = list(tracked(scene.frames(), model, scene.first_pose))[-1]
         return float(np.linalg.norm(Posed(scene.body, last.pose).landmarks - scene.landmarks[-1], axis=1).max())
 
     assert off(replace(model, searches=())) > 0.15

@@ -16,8 +16,9 @@ from twistcap.cues.levelset import LevelSetContour
 from twistcap.differential.model import DifferentialModel
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame, Keypoints
+from twistcap.hindsight import tracked
 from twistcap.studio import Capture, StudioConfig, capture
-from twistcap.track import Model, Settings, track
+from twistcap.track import Model, Settings
 
 JOINTS = ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
 
@@ -28,8 +29,8 @@ def walk(views: int = 3, frames: int = 8, fps: float = 60.0) -> tuple[Capture, t
     return scene, tuple(scene.frames())
 
 
-def tracked(scene: Capture, frames: Iterable[Frame], settings: Settings | None = None) -> list[Estimate]:
-    return list(track(frames, build(scene.body, scene.rig, settings), scene.first_pose))
+def tracked_scene(scene: Capture, frames: Iterable[Frame], settings: Settings | None = None) -> list[Estimate]:
+    return list(tracked(frames, build(scene.body, scene.rig, settings), scene.first_pose))
 
 
 def joint_errors_mm(scene: Capture, estimate: Estimate) -> np.ndarray:
@@ -41,7 +42,7 @@ def joint_errors_mm(scene: Capture, estimate: Estimate) -> np.ndarray:
 @pytest.mark.parametrize("method", ["direct", "levelset"])
 def test_a_walk_is_tracked_to_millimetres(method: str) -> None:
     scene, frames = walk()
-    estimates = tracked(scene, frames, Settings(method=method))  # type: ignore[arg-type]
+    estimates = tracked_scene(scene, frames, Settings(method=method))  # type: ignore[arg-type]
     assert np.mean([joint_errors_mm(scene, e).mean() for e in estimates]) < 8.0
     assert not any(e.lost for e in estimates)
     assert all(np.isfinite(e.covariance).all() and e.energies["contour"] > 0 for e in estimates)
@@ -49,14 +50,14 @@ def test_a_walk_is_tracked_to_millimetres(method: str) -> None:
 
 def test_hold_needs_no_velocity() -> None:
     scene, frames = walk()
-    last = tracked(scene, frames, Settings(predictor="hold"))[-1]
+    last = tracked_scene(scene, frames, Settings(predictor="hold"))[-1]
     assert joint_errors_mm(scene, last).mean() < 8.0
 
 
 def test_dropped_frames_are_predicted_and_grow_uncertain() -> None:
     scene, frames = walk()
     dropped = tuple(replace(f, images=(None,) * len(scene.rig)) if 3 <= f.index <= 4 else f for f in frames)
-    estimates = tracked(scene, dropped)
+    estimates = tracked_scene(scene, dropped)
     assert [e.status for e in estimates[3:5]] == ["no_images", "no_images"]
     spread = [float(np.trace(e.covariance[6:, 6:])) for e in estimates]
     assert spread[2] < spread[3] < spread[4] and spread[6] < spread[4]
@@ -66,7 +67,7 @@ def test_dropped_frames_are_predicted_and_grow_uncertain() -> None:
 def test_one_camera_may_drop_a_frame() -> None:
     scene, frames = walk()
     dropped = tuple(replace(f, images=(None, *f.images[1:])) if f.index == 4 else f for f in frames)
-    estimates = tracked(scene, dropped)
+    estimates = tracked_scene(scene, dropped)
     assert joint_errors_mm(scene, estimates[4]).mean() < 15.0
 
 
@@ -79,7 +80,7 @@ def keypoints_of(scene: Capture, index: int) -> Keypoints:
 def test_keypoints_alone_carry_the_pose() -> None:
     scene, frames = walk()
     blind = [replace(f, images=(None,) * 3, keypoints=keypoints_of(scene, f.index)) for f in frames]
-    last = tracked(scene, blind, Settings(keypoint_sigma=0.01))[-1]  # they are exact here
+    last = tracked_scene(scene, blind, Settings(keypoint_sigma=0.01))[-1]  # they are exact here
     assert last.status != "no_images"
     assert joint_errors_mm(scene, last).mean() < 15.0
 
@@ -89,7 +90,7 @@ def test_a_person_is_found_from_a_pose_far_off() -> None:
     away = scene.first_pose.root.copy()
     away[:3, 3] += [0.0, 0.5, 0.0]  # found from as far off on seeds 2 to 5; from 0.7 m not on all
     model = build(scene.body, scene.rig, Settings(first_sigma_m=0.001))
-    estimates = list(track(frames, model, Pose(away, scene.first_pose.q)))
+    estimates = list(tracked(frames, model, Pose(away, scene.first_pose.q)))
     assert joint_errors_mm(scene, estimates[0]).max() < 200.0
     assert not estimates[-1].lost and joint_errors_mm(scene, estimates[-1]).max() < 150.0
 
@@ -100,7 +101,7 @@ def test_an_arm_that_one_camera_saw_is_found_again_when_the_other_sees_it() -> N
     frames = list(scene.frames())
 
     def arm_mm(model: Model) -> float:
-        return float(joint_errors_mm(scene, list(track(frames, model, scene.first_pose))[-1]).max())
+        return float(joint_errors_mm(scene, list(tracked(frames, model, scene.first_pose))[-1]).max())
 
     model = build(scene.body, scene.rig)
     searched, without = arm_mm(model), arm_mm(replace(model, searches=()))
@@ -117,7 +118,7 @@ def test_a_limb_on_other_ground_keeps_its_colours() -> None:
         model = build(fast.body, fast.rig)
         cues = (DirectContour(colour_mass=colour_mass), *model.cues[1:])
         plain = replace(model, cues=cues, predictors=model.predictors[-1:], searches=())
-        return float(joint_errors_mm(fast, list(track(frames, plain, fast.first_pose))[-1]).max())
+        return float(joint_errors_mm(fast, list(tracked(frames, plain, fast.first_pose))[-1]).max())
 
     remembered, forgotten = worst_mm(DirectContour().colour_mass), worst_mm(0.0)
     print(remembered, forgotten)
@@ -135,7 +136,7 @@ def test_the_method_without_contours_has_a_model_of_its_own() -> None:
 
 def test_equal_runs_give_equal_numbers() -> None:
     scene, frames = walk()
-    first, second = (tracked(scene, frames[:3]) for _ in range(2))
+    first, second = (tracked_scene(scene, frames[:3]) for _ in range(2))
     assert np.array_equal(first[-1].pose.q, second[-1].pose.q)
 
 
@@ -170,7 +171,7 @@ def test_a_value_that_is_not_finite_is_reported() -> None:
     spoilt[spoilt.shape[0] // 2, spoilt.shape[1] // 2] = np.nan
     bad = replace(frames[0], images=(frames[0].images[0], spoilt, frames[0].images[2]))
     with pytest.raises(InputError, match="holds a value that is not finite"):
-        tracked(scene, [bad])
+        tracked_scene(scene, [bad])
 
 
 def test_a_body_with_wrong_thighs_bends_its_hips_less_where_the_tracker_knows_of_it() -> None:
@@ -184,7 +185,7 @@ def test_a_body_with_wrong_thighs_bends_its_hips_less_where_the_tracker_knows_of
     errors = []
     for sigma in (0.0, 0.01):
         model = build(wrong, scene.rig, Settings(surface_sigma=sigma))
-        found = list(track(scene.frames(), model, scene.first_pose))
+        found = list(tracked(scene.frames(), model, scene.first_pose))
         assert not any(e.lost for e in found)
         errors.append(np.mean([np.abs(e.pose.q - scene.true_poses[e.index].q)[hips] for e in found]))
     assert np.rad2deg(errors[1]) < 0.7 * np.rad2deg(errors[0]) and np.rad2deg(errors[0]) > 0.8, np.rad2deg(errors)

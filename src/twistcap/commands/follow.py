@@ -14,6 +14,7 @@ from twistcap.commands.clocks import suspects
 from twistcap.commands.terminal import progress, say
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
+from twistcap.hindsight import Hindsight, Passed
 from twistcap.io.result import Result, ResultWriter, read_result, read_state
 from twistcap.io.state import from_bytes, to_bytes
 from twistcap.report.words import CONTRADICTS
@@ -61,17 +62,23 @@ class Believed:
         return [f"frame {estimate.index}: camera {self.names[c]} {what}" for c, what in fresh]
 
 
-def follow(frames: Iterable[Frame], total: int, tracker: Tracker, writer: ResultWriter) -> Timing:
-    """Track all frames; each is in the file before the next is touched. The InputError of a bad frame says so."""
-    timing, believed = Timing(), Believed(tracker.model.rig.names)
+def follow(
+    frames: Iterable[Frame], total: int, tracker: Tracker, writer: ResultWriter, passed: Iterable[Passed] = ()
+) -> Timing:
+    """Track all frames; each is in the file before the next is touched. The InputError of a bad frame says so.
+
+    `passed` are frames that have been tracked before.
+    """
+    timing, believed, hindsight = Timing(), Believed(tracker.model.rig.names), Hindsight(tracker, passed=passed)
     with progress("tracking", total) as advance:
         try:
             for frame in frames:
                 if len(writer) % STATE_EVERY == 0:
                     writer.save_state(to_bytes(tracker.state))
                 start = time.perf_counter()
-                estimate = tracker.step(frame)
+                corrected, estimate = hindsight.step(frame)
                 timing.ms.append(1000 * (time.perf_counter() - start))
+                writer.correct(corrected)
                 writer.append(estimate)
                 for sentence in believed.news(estimate, suspects(tracker)):
                     say(sentence)

@@ -136,14 +136,15 @@ def _views(session: Any, rig: Any, indices: list[int], path: Path) -> Any:
 def _tracked_again(session: Any, refinement: Any, views: Any) -> list[Any]:
     """Estimates of the same frames, tracked with the refined body from its first pose."""
     from twistcap.commands.track import session_tracker
+    from twistcap.hindsight import Hindsight
 
     tracker = session_tracker(session, refinement.body, views)
     tracker.start(refinement.estimates[0].pose, refinement.estimates[0].time)
     retracked: list[Any] = []
     with terminal.status("tracking again") as report:
-        for frame in views:
-            retracked.append(tracker.step(frame))
-            report(f"frame {frame.index}", len(retracked), len(views))
+        for estimate in Hindsight(tracker).through(views):
+            retracked.append(estimate)
+            report(f"frame {estimate.index}", len(retracked), len(views))
     return retracked
 
 

@@ -196,6 +196,7 @@ def _one_pass(session: Any, clocks: dict[str, Clock], count: int) -> _Pass:
     """Track with these clocks, and estimate them anew."""
     from twistcap.adjust.clocks import estimate_clocks
     from twistcap.commands.track import session_tracker
+    from twistcap.hindsight import Hindsight
     from twistcap.io.recording import open_recording
     from twistcap.io.session import ClockTable
 
@@ -208,8 +209,8 @@ def _one_pass(session: Any, clocks: dict[str, Clock], count: int) -> _Pass:
     tracker.start(recording.first_pose, recording.first_time)
     estimates = list[Any]()
     with terminal.progress("tracking", len(views)) as advance:
-        for frame in views:
-            estimates.append(tracker.step(frame))
+        for estimate in Hindsight(tracker).through(views):
+            estimates.append(estimate)
             advance("")
     timeline = views.timeline
     with terminal.status("estimating clocks") as report:

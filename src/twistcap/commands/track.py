@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -155,8 +156,9 @@ def _resumed(session: Any, path: Path, done: Any, begin: Begin, lock: Any) -> tu
         words.print(f"all {count} frames are tracked: there is nothing to do but to write the files anew")
         return views, Timing(), watched_by(tracker)
     words.print(f"going on after {count} frames: {len(rest)} frames to go")
+    passed = _passed(_shown(session, views), done.estimates[:count])
     with ResultWriter.resume(path, count, len(views), lock) as writer:
-        return views, _kept(_shown(session, rest), tracker, writer, path), watched_by(tracker)
+        return views, _kept(_shown(session, rest), tracker, writer, path, passed), watched_by(tracker)
 
 
 def session_tracker(session: Any, body: Any, views: Any, watch: bool = False) -> Any:
@@ -187,9 +189,18 @@ def _shown(session: Any, views: Any) -> Any:
     return replace(views, keypoints=KeypointSource(session.keypoint_table, views))
 
 
-def _kept(views: Any, tracker: Any, writer: Any, path: Path) -> Timing:
+def _passed(views: Any, estimates: Sequence[Any]) -> Iterator[Any]:
+    """The last frames that have been tracked, which may be looked at again."""
+    from twistcap.hindsight import LookBack, Passed
+
+    last = estimates[-LookBack().frames :]
+    if last:
+        yield from map(Passed, views.starting_at(last[0].index), last)
+
+
+def _kept(views: Any, tracker: Any, writer: Any, path: Path, passed: Iterable[Any] = ()) -> Timing:
     try:
-        return follow(views, len(views), tracker, writer)
+        return follow(views, len(views), tracker, writer, passed)
     except KeyboardInterrupt:
         terminal.say(f"interrupted: the first {len(writer)} frames are kept in {path}; go on with --resume")
         raise typer.Exit(130) from None

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -218,16 +218,24 @@ class ResultWriter:
 
     def append(self, estimate: Estimate) -> None:
         """Write one frame. Raises InputError where the disk is full."""
-        if self._count == self._capacity or not estimate.energies.keys() <= set(self._energies):
+        self._put_row(self._count, estimate)
+        self._count += 1
+        self._held = max(self._held, self._count)
+
+    def correct(self, estimates: Sequence[Estimate]) -> None:
+        """Write the last frames anew, the oldest first. Raises InputError where the disk is full."""
+        for row, estimate in enumerate(estimates, self._count - len(estimates)):
+            self._put_row(row, estimate)
+
+    def _put_row(self, row: int, estimate: Estimate) -> None:
+        if row == self._capacity or not estimate.energies.keys() <= set(self._energies):
             names = dict.fromkeys((*self._energies, *estimate.energies))
             self._rebuild(*self._written(), self._wanted_room(), names)
         for name in self._energies:
-            self._put(f"frames/energies/{name}", self._count, estimate.energies.get(name, np.nan))
+            self._put(f"frames/energies/{name}", row, estimate.energies.get(name, np.nan))
         for name in FIELDS:
             shape = self._places[f"frames/{name}"].shape
-            self._put(f"frames/{name}", self._count, value_of(estimate, name, shape))
-        self._count += 1
-        self._held = max(self._held, self._count)
+            self._put(f"frames/{name}", row, value_of(estimate, name, shape))
 
     def _wanted_room(self) -> int:
         """Frames that have room from now on."""

@@ -67,6 +67,13 @@ class LostMemory:
     signs: Float | None = None
     lately: Float | None = None
 
+    def begun_anew(self) -> LostMemory:
+        """For another track through the same recording: nothing is doubted or waited for yet."""
+        none = np.zeros(len(self.groups))
+        return replace(
+            self, found=none, jumped=none, waiting=0, limb_waiting=0, limb_pause=0, nowhere=False, surely=None
+        )
+
 
 @dataclass(frozen=True)
 class LostBody(Checked):
@@ -131,6 +138,10 @@ class LostBody(Checked):
         """Nothing is known."""
         groups = flag_groups(body)
         return LostMemory(Recollection.blank(body, rig), groups, np.zeros(len(groups)), np.zeros(len(groups)))
+
+    def put_elsewhere(self, before: LostMemory, after: LostMemory) -> Bool:
+        """(G,) which limbs, and whether the rest of the body, a search has found elsewhere between two memories."""
+        return after.found > before.found
 
     def begin(self, memory: LostMemory, problem: Problem) -> tuple[Beginning | None, LostMemory]:
         """Where the images show the body, after a gap, or while it is nowhere."""

@@ -1,0 +1,268 @@
+"""What is found late was lost before: frames that have passed are tracked again, backward in time.
+
+A limb that follows something wrong often shows no sign of it. When a search finds it elsewhere, the frames before were
+wrong as well. From there the body is tracked backward until both tracks meet. The pictures say how far back the second
+track is right: by the evidence of `search.evidence`, under all that the recording has taught by then.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import accumulate
+from typing import Any
+
+import numpy as np
+
+from twistcap.arrays import Bool
+from twistcap.body import Pose, Posed
+from twistcap.body.limbs import limbs
+from twistcap.cues import Cue
+from twistcap.differential.model import DifferentialModel
+from twistcap.errors import InputError
+from twistcap.estimate import UNSEEN, Estimate, Frame
+from twistcap.predict.history import Moment
+from twistcap.priors import Prior
+from twistcap.ranges import Checked, Count, Share
+from twistcap.search.lost import LostBody, LostMemory
+from twistcap.stages import stage
+from twistcap.track import Model, State, Tracker, step
+from twistcap.track.align import FrameProblem
+
+
+@dataclass(frozen=True)
+class LookBack(Checked):
+    """How far back frames are tracked again, and when that is believed.
+
+    Attributes:
+        frames: at most, of those that have passed.
+        megabytes: of pictures at most, that are kept for it.
+        met: m between two places of what was found, within which the two tracks are one.
+        gain, share: nats by which the pictures must favour the second track in all its frames together, and the least
+            fraction of what is usual for what was found in one frame.
+    """
+
+    frames: Count = 60
+    megabytes: Count = 500
+    met: float = 0.03
+    gain: float = 20.0
+    share: Share = 0.25
+
+
+@dataclass(frozen=True)
+class Passed:
+    """A frame that has been tracked, and what is said of it by now."""
+
+    frame: Frame
+    estimate: Estimate
+
+    @property
+    def seen(self) -> Frame:
+        """The frame without pictures that told nothing, in a time that runs backward."""
+        missing = self.estimate.missing
+        images = tuple(None if i in missing else image for i, image in enumerate(self.frame.images))
+        return replace(self.frame, time=-self.frame.time, images=images)
+
+    @property
+    def size(self) -> int:
+        """Bytes of its pictures."""
+        return sum(image.nbytes for image in self.frame.images if image is not None)
+
+
+@dataclass(frozen=True)
+class Again:
+    """A passed frame, tracked again from what was found later.
+
+    Attributes:
+        estimate: the second one.
+        apart: m between both places of what was found.
+        gain: nats by which the pictures favour it.
+    """
+
+    estimate: Estimate
+    apart: float
+    gain: float
+
+
+class Hindsight:
+    """A tracker that corrects its last estimates where it finds out later that they were wrong."""
+
+    def __init__(self, tracker: Tracker, rule: LookBack = LookBack(), passed: Iterable[Passed] = ()) -> None:
+        """Go on with a tracker that has been started; `passed` are its last frames, where there were any."""
+        self.tracker, self.rule, self._passed, self._bytes = tracker, rule, deque[Passed](), 0
+        for one in passed:
+            self._keep(one)
+
+    def step(self, frame: Frame) -> tuple[list[Estimate], Estimate]:
+        """Track one frame: the last estimates that are corrected by it, the oldest first, and its own."""
+        tracker, before = self.tracker, self.tracker.state
+        estimate = tracker.step(frame)
+        if not isinstance(tracker.model, Model):
+            return [], estimate
+        with stage("look back"):
+            tracker.state, corrected = looked_back(self.rule, tracker.model, before, tracker.state, self._passed, frame)
+        for k, better in enumerate(reversed(corrected), 1):
+            self._passed[-k] = replace(self._passed[-k], estimate=better)
+        self._keep(Passed(frame, estimate))
+        return corrected, estimate
+
+    def through(self, frames: Iterable[Frame]) -> Iterator[Estimate]:
+        """What is known of each frame in the end; it comes when nothing can correct it any more."""
+        waiting = deque[Estimate]()
+        for frame in frames:
+            corrected, estimate = self.step(frame)
+            for k, better in enumerate(reversed(corrected), 1):
+                waiting[-k] = better
+            waiting.append(estimate)
+            while len(waiting) > len(self._passed):
+                yield waiting.popleft()
+        yield from waiting
+
+    def _keep(self, one: Passed) -> None:
+        self._passed.append(one)
+        self._bytes += one.size
+        while len(self._passed) > self.rule.frames or (self._bytes > 1e6 * self.rule.megabytes and self._passed):
+            self._bytes -= self._passed.popleft().size
+
+
+def tracked(
+    frames: Iterable[Frame], model: Model | DifferentialModel, first_pose: Pose, *,
+    cues: Sequence[Cue] = (), priors: Sequence[Prior] = (),
+) -> Iterator[Estimate]:  # fmt: skip
+    """Track a body through a recording, one estimate for each frame; with cues and priors beside the model's.
+
+    An estimate comes when nothing can correct it any more, some frames late. `Tracker` gives them at once.
+
+    Raises:
+        InputError: for cues or priors beside a model that has none, the differential one.
+    """
+    if cues or priors:
+        if isinstance(model, DifferentialModel):
+            raise InputError("tracked: the differential tracker takes neither cues nor priors; leave them out.")
+        model = replace(model, cues=(*model.cues, *cues), priors=(*model.priors, *priors))
+    return _through(frames, Tracker(model), first_pose)
+
+
+def _through(frames: Iterable[Frame], tracker: Tracker, first_pose: Pose) -> Iterator[Estimate]:
+    rest = iter(frames)
+    for frame in rest:
+        tracker.start(first_pose, frame.time)
+        hindsight = Hindsight(tracker)
+        yield from hindsight.through(_and_then(frame, rest))
+
+
+def _and_then(first: Frame, rest: Iterator[Frame]) -> Iterator[Frame]:
+    yield first
+    yield from rest
+
+
+def looked_back(
+    rule: LookBack, model: Model, before: State, state: State, passed: Sequence[Passed], frame: Frame
+) -> tuple[State, list[Estimate]]:
+    """The state after a frame, and better estimates of the last frames before it, the oldest first.
+
+    Args:
+        rule: when they are better.
+        model: of the track.
+        before, state: before and after the frame.
+        passed: frames before it, the latest last.
+        frame: itself.
+    """
+    found = _found(model, before, state)
+    if found is None or not found.any() or not passed:
+        return state, []
+    memory = _memory(state)
+    usual = float(memory.known.nats.sum(axis=0) @ memory.groups[found].sum(axis=0))
+    needed = max(rule.gain, rule.share * usual)
+    ways = list(_both_ways(rule, model, state, passed, found, needed))
+    best = max(ways, key=lambda way: max(_sums(way), default=0.0), default=[])
+    sums = _sums(best)
+    if max(sums, default=0.0) < needed:
+        return state, []
+    better = best[: int(np.argmax(sums)) + 1]
+    moments = list(state.past.moments)
+    for k, again in enumerate(better, 2):
+        moments[-k] = Moment(moments[-k].time, again.estimate.pose)
+    return state.with_past(replace(state.past, moments=tuple(moments))), [a.estimate for a in reversed(better)]
+
+
+def _sums(way: Sequence[Again]) -> list[float]:
+    return list(accumulate(again.gain for again in way))
+
+
+def _found(model: Model, before: State, after: State) -> Bool | None:
+    """(G,) which limbs, and the rest of the body, a search has put elsewhere in the last frame."""
+    search = next((s for s in model.searches if isinstance(s, LostBody)), None)
+    if search is None or not before.past.started:
+        return None
+    return search.put_elsewhere(before.searches[search.name], after.searches[search.name])
+
+
+def _memory(state: State) -> LostMemory:
+    return next(memory for memory in state.searches.values() if isinstance(memory, LostMemory))
+
+
+def _both_ways(
+    rule: LookBack, model: Model, state: State, passed: Sequence[Passed], found: Bool, needed: float
+) -> Sequence[list[Again]]:
+    """The frames before, the latest first, tracked backward: with the whole body as it is then, and with nothing but
+    what was found; until the tracks meet, or the pictures no longer favour any.
+    """
+    body, memory = model.body, _memory(state)
+    own = memory.groups[found].any(axis=0)
+    masks = limbs(body)
+    moved = np.any(
+        [mask[6:] for mask, of in zip(masks, found[:-1], strict=True) if of] or [np.zeros(body.dof - 6)], axis=0
+    )
+    ways: tuple[list[Again], list[Again]] = ([], [])
+    for one, estimate in _backward(model, state, passed):
+        first = one.estimate.pose
+        apart = float(_apart(model, first, estimate.pose)[own].max())
+        if apart < rule.met:
+            break
+        problem = FrameProblem(
+            model, state, one.seen, first, state.covariance, state.covariance, {}, left_out=frozenset(state.left_out)
+        )
+        evidence = memory.known.evidence(problem)
+        poses = (
+            [estimate.pose]
+            if found[-1]
+            else [estimate.pose, Pose(first.root, np.where(moved, estimate.pose.q, first.q))]
+        )
+        usual = evidence.of(first)
+        for way, pose in zip(ways, poses, strict=False):
+            way.append(Again(replace(estimate, pose=pose, time=one.frame.time), apart, evidence.of(pose) - usual))
+        if all(max(sums) - sums[-1] > needed for way in ways if (sums := _sums(way))):
+            break
+    return ways
+
+
+def _apart(model: Model, one: Pose, other: Pose) -> Any:
+    """(S,) m between the middles of a segment at two poses."""
+    places = (Posed(model.body, pose).segment_middles for pose in (one, other))
+    return np.linalg.norm(next(places) - next(places), axis=1)
+
+
+def _backward(model: Model, state: State, passed: Sequence[Passed]) -> Iterator[tuple[Passed, Estimate]]:
+    """The frames before, the latest first, with what a track says that runs backward from the present pose."""
+    model = replace(model, predictors=tuple(p for p in model.predictors if p.name != "motion"))
+    state = _turned(model, state)
+    for one in reversed(passed):
+        state, estimate = step(state, one.seen, model)
+        if estimate.status in (*UNSEEN, "failed"):
+            return
+        yield one, estimate
+
+
+def _turned(model: Model, state: State) -> State:
+    """The state from which a track runs backward: what the recording has taught stays, the last velocity is turned."""
+    *_, before, last = (state.past.moments[-1], *state.past.moments)[-2:]
+    between = last.time - before.time
+    step_on = last.pose.minus(before.pose) if between > 0.0 else np.zeros(model.body.dof)
+    then = Moment(-last.time - between, last.pose.retract(step_on))
+    past = replace(state.past, moments=(then, Moment(-last.time, last.pose)), seen_time=-last.time)
+    cues = {c.name: c.start(model.body, model.rig) for c in model.cues} | {"contour": state.cues["contour"]}
+    predictors = {p.name: p.start(model.body, model.rig) for p in model.predictors}
+    searches = {name: m.begun_anew() if isinstance(m, LostMemory) else m for name, m in state.searches.items()}
+    return replace(state, past=past, cues=cues, predictors=predictors, searches=searches, prints=())

@@ -1,0 +1,186 @@
+"""Frames that were wrong are tracked again from what is found later; frames that were right stay as they are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from reproduce.faults.kinds import kind_of, take_of
+from reproduce.faults.runs import errors_mm
+from reproduce.faults.take import Take
+from twistcap.body import Body, Pose, Posed
+from twistcap.body.limbs import named_limbs
+from twistcap.build import build
+from twistcap.commands.follow import follow, resumed
+from twistcap.differential.model import DifferentialModel
+from twistcap.estimate import Estimate, Frame
+from twistcap.evaluate.metrics import JOINT_CENTRES
+from twistcap.hindsight import Hindsight, LookBack, Passed, looked_back, tracked
+from twistcap.io.result import ResultWriter, read_result
+from twistcap.search.lost import LostMemory
+from twistcap.studio import Capture, StudioConfig, capture
+from twistcap.track import Model, State, Tracker
+
+WRONG = range(12, 20)  # frames in which the arm is taken to be elsewhere
+ARM = "arm_r"
+
+
+@cache
+def walk() -> tuple[Capture, Model, list[Passed], State, State]:
+    """A walk that is tracked rightly, and the states before and after its last frame."""
+    scene = capture(StudioConfig(seed=3, views=3, frames=21))
+    tracker, passed, before = Tracker(build(scene.body, scene.rig)), list[Passed](), None
+    tracker.start(scene.first_pose)
+    for frame in scene.frames():
+        before = tracker.state
+        passed.append(Passed(frame, tracker.step(frame)))
+    assert before is not None
+    return scene, tracker.model, passed, before, tracker.state
+
+
+def bent(body: Body, pose: Pose) -> Pose:
+    """With the right arm 70° elsewhere."""
+    own = body.chain[named_limbs(body)[ARM]].any(axis=0) & ~body.chain[named_limbs(body)["trunk"]].any(axis=0)
+    swing = np.zeros(len(pose.q))
+    swing[np.flatnonzero(own)[:2]] = np.deg2rad(70.0)
+    return Pose(pose.root, np.clip(pose.q + swing, *body.limits.T))
+
+
+def with_poses(state: State, passed: list[Passed], last: Pose) -> State:
+    """The state as if these had been the poses."""
+    moments = [replace(m, pose=p.estimate.pose) for m, p in zip(state.past.moments, passed, strict=False)]
+    moments[len(passed) :] = [replace(state.past.moments[-1], pose=last)]
+    return state.with_past(replace(state.past, moments=tuple(moments)))
+
+
+def with_found(state: State, limb: str | None) -> State:
+    """The state as if a search had just found a limb; None: the whole body."""
+    ((name, memory),) = state.searches.items()
+    assert isinstance(memory, LostMemory)
+    own = named_limbs(walk()[0].body).get(limb or "", np.ones(memory.groups.shape[1], np.bool_))
+    found = np.array([1.0 if (group & own).any() else 0.0 for group in memory.groups])
+    return replace(state, searches={name: replace(memory, found=found)})
+
+
+def errors(scene: Capture, estimates: list[Estimate]) -> np.ndarray:
+    marks = [scene.body.landmarks.index(f"{joint}_r") for joint in ("elbow", "wrist")]
+    found = np.array([Posed(scene.body, e.pose).landmarks[marks] for e in estimates])
+    true = np.array([Posed(scene.true_body, scene.true_poses[e.index]).landmarks[marks] for e in estimates])
+    return 1000.0 * np.linalg.norm(found - true, axis=2).max(axis=1)
+
+
+@pytest.mark.parametrize("limb", [ARM, None])
+def test_frames_with_a_wrong_arm_are_put_right_and_no_others(limb: str | None) -> None:
+    scene, model, passed, before, state = walk()
+    last, passed = passed[-1], passed[:-1]
+    wrong = [
+        replace(p, estimate=replace(p.estimate, pose=bent(scene.body, p.estimate.pose))) if k in WRONG else p
+        for k, p in enumerate(passed)
+    ]
+    assert errors(scene, [wrong[k].estimate for k in WRONG]).min() > 150.0
+    state = with_poses(with_found(state, limb), wrong, last.estimate.pose)
+    after, better = looked_back(LookBack(), model, before, state, wrong, last.frame)
+    assert [e.index for e in better] == list(WRONG)
+    assert errors(scene, better).max() < 30.0
+    assert [e.time for e in better] == [passed[k].frame.time for k in WRONG]
+    poses = [m.pose for m in after.past.moments]
+    assert all(np.array_equal(poses[e.index].q, e.pose.q) for e in better)
+    assert all(np.array_equal(poses[k].q, passed[k].estimate.pose.q) for k in range(WRONG.start))
+
+
+def test_what_was_found_wrongly_corrects_nothing() -> None:
+    scene, model, passed, before, state = walk()
+    last, passed = passed[-1], passed[:-1]
+    state = with_poses(with_found(state, ARM), passed, bent(scene.body, last.estimate.pose))
+    after, better = looked_back(LookBack(), model, before, state, passed, last.frame)
+    assert not better and after is state
+
+
+def test_where_nothing_was_found_the_tracker_is_as_it_is() -> None:
+    scene, model, passed, before, state = walk()
+    after, better = looked_back(LookBack(), model, before, state, passed[:-1], passed[-1].frame)
+    assert not better and after is state
+    found = list(tracked(scene.frames(), model, scene.first_pose))
+    assert [e.index for e in found] == list(range(21))
+    assert all(np.array_equal(e.pose.q, p.estimate.pose.q) for e, p in zip(found, passed, strict=True))
+
+
+def test_estimates_come_when_nothing_can_correct_them() -> None:
+    scene, model, passed, *_ = walk()
+    one = passed[0].size / 1e6
+    for rule, late in ((LookBack(frames=5), 5), (LookBack(megabytes=int(4.5 * one) or 1), None)):
+        tracker, read = Tracker(model), list[int]()
+        tracker.start(scene.first_pose)
+
+        def frames(read: list[int] = read) -> Iterator[Frame]:
+            for p in passed:
+                read.append(p.frame.index)
+                yield p.frame
+
+        first = next(Hindsight(tracker, rule).through(frames()))
+        assert first.index == 0 and (late is None or len(read) == late + 1)
+        assert len(read) * one < rule.megabytes + 2 * one or late is not None
+
+
+def test_the_differential_tracker_does_not_look_back() -> None:
+    scene = capture(StudioConfig(0, 2, (192, 140), frames=3))
+    found = list(tracked(scene.frames(), DifferentialModel(scene.body, rig=scene.rig), scene.first_pose))
+    assert [e.index for e in found] == [0, 1, 2]
+
+
+@cache
+def dropping() -> tuple[Take, list[Frame]]:
+    """Raised arms with missing images; the left one is lost without a sign for some frames and found again."""
+    take = take_of(4164, kind_of(4164))
+    return take, list(take.frames())[:36]
+
+
+def test_a_limb_that_was_lost_without_a_sign_is_right_in_the_end() -> None:
+    take, frames = dropping()
+    model, tracker = build(take.scene.body, take.scene.rig), Tracker(build(take.scene.body, take.scene.rig))
+    tracker.start(take.first_pose)
+    at_once = [tracker.step(frame) for frame in frames]
+    in_the_end = list(tracked(frames, model, take.first_pose))
+    first, last = (errors_mm(take, [e.pose for e in es], JOINT_CENTRES).max(axis=1) for es in (at_once, in_the_end))
+    assert first.max() > 150.0, "the scene no longer shows what it is for"
+    assert last.max() < 120.0
+
+
+class Killed(Exception):
+    """In the middle of a run."""
+
+
+def until_killed(frames: list[Frame]) -> Iterator[Frame]:
+    yield from frames
+    raise Killed
+
+
+@pytest.mark.parametrize("stop", [22, 27, 34])
+def test_a_track_that_is_resumed_looks_back_alike(tmp_path: Path, stop: int) -> None:
+    take, frames = dropping()
+    body, rig, model = take.scene.body, take.scene.rig, build(take.scene.body, take.scene.rig)
+
+    def started() -> Tracker:
+        tracker = Tracker(model)
+        tracker.start(take.first_pose)
+        return tracker
+
+    with ResultWriter(tmp_path / "whole.h5", body, rig, {}, room=len(frames)) as writer:
+        follow(frames, len(frames), started(), writer)
+    with ResultWriter(tmp_path / "cut.h5", body, rig, {}, room=len(frames)) as writer, pytest.raises(Killed):
+        follow(until_killed(frames[:stop]), len(frames), started(), writer)
+    tracker = started()
+    count = resumed(tracker, tmp_path / "cut.h5")
+    assert count == stop // 10 * 10
+    passed = map(Passed, frames[:count], read_result(tmp_path / "cut.h5").estimates)
+    with ResultWriter.resume(tmp_path / "cut.h5", count, len(frames)) as writer:
+        follow(frames[count:], len(frames), tracker, writer, passed)
+    whole, cut = (read_result(tmp_path / name) for name in ("whole.h5", "cut.h5"))
+    assert all(np.array_equal(a, cut.rows[name], equal_nan=a.dtype.kind == "f") for name, a in whole.rows.items())
+    assert all(a < b for a, b in pairwise(whole.times))
