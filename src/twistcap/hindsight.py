@@ -265,4 +265,5 @@ def _turned(model: Model, state: State) -> State:
     cues = {c.name: c.start(model.body, model.rig) for c in model.cues} | {"contour": state.cues["contour"]}
     predictors = {p.name: p.start(model.body, model.rig) for p in model.predictors}
     searches = {name: m.begun_anew() if isinstance(m, LostMemory) else m for name, m in state.searches.items()}
-    return replace(state, past=past, cues=cues, predictors=predictors, searches=searches, prints=())
+    support = np.ones_like(state.support)  # as at the start of any track
+    return replace(state, past=past, support=support, cues=cues, predictors=predictors, searches=searches, prints=())

@@ -71,8 +71,9 @@ class LostMemory:
         """For another track through the same recording: nothing is doubted or waited for yet."""
         none = np.zeros(len(self.groups))
         return replace(
-            self, found=none, jumped=none, waiting=0, limb_waiting=0, limb_pause=0, nowhere=False, surely=None
-        )
+            self, found=none, jumped=none, waiting=0, limb_waiting=0, limb_pause=0, nowhere=False, surely=None,
+            signs=None, lately=None,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
