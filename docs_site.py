@@ -12,7 +12,7 @@ ROOT = Path(__file__).parent
 PAGES = ("CONVENTIONS.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md")
 FOLDERS = ("reproduce", "benchmarks", "notebooks")  # whose README is a page
 REFERENCE = {
-    "Track": ("twistcap.track", "twistcap.build", "twistcap.settings", "twistcap.estimate"),
+    "Track": ("twistcap.track", "twistcap.hindsight", "twistcap.build", "twistcap.settings", "twistcap.estimate"),
     "Bodies": ("twistcap.body", "twistcap.body.humanoid", "twistcap.body.gltf", "twistcap.body.shape"),
     "Cameras": ("twistcap.camera", "twistcap.io.calibration"),
     "Files": (

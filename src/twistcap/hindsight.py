@@ -11,11 +11,10 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate
-from typing import Any
 
 import numpy as np
 
-from twistcap.arrays import Bool
+from twistcap.arrays import Bool, Float
 from twistcap.body import Pose, Posed
 from twistcap.body.limbs import limbs
 from twistcap.cues import Cue
@@ -72,16 +71,9 @@ class Passed:
 
 @dataclass(frozen=True)
 class Again:
-    """A passed frame, tracked again from what was found later.
-
-    Attributes:
-        estimate: the second one.
-        apart: m between both places of what was found.
-        gain: nats by which the pictures favour it.
-    """
+    """What a track says of a passed frame that runs backward, and the nats by which the pictures favour it."""
 
     estimate: Estimate
-    apart: float
     gain: float
 
 
@@ -101,7 +93,7 @@ class Hindsight:
         if not isinstance(tracker.model, Model):
             return [], estimate
         with stage("look back"):
-            tracker.state, corrected = looked_back(self.rule, tracker.model, before, tracker.state, self._passed, frame)
+            tracker.state, corrected = looked_back(self.rule, tracker.model, before, tracker.state, self._passed)
         for k, better in enumerate(reversed(corrected), 1):
             self._passed[-k] = replace(self._passed[-k], estimate=better)
         self._keep(Passed(frame, estimate))
@@ -158,7 +150,7 @@ def _and_then(first: Frame, rest: Iterator[Frame]) -> Iterator[Frame]:
 
 
 def looked_back(
-    rule: LookBack, model: Model, before: State, state: State, passed: Sequence[Passed], frame: Frame
+    rule: LookBack, model: Model, before: State, state: State, passed: Sequence[Passed]
 ) -> tuple[State, list[Estimate]]:
     """The state after a frame, and better estimates of the last frames before it, the oldest first.
 
@@ -167,35 +159,29 @@ def looked_back(
         model: of the track.
         before, state: before and after the frame.
         passed: frames before it, the latest last.
-        frame: itself.
     """
     found = _found(model, before, state)
-    if found is None or not found.any() or not passed:
+    if not found.any():
         return state, []
-    memory = _memory(state)
-    usual = float(memory.known.nats.sum(axis=0) @ memory.groups[found].sum(axis=0))
-    needed = max(rule.gain, rule.share * usual)
-    ways = list(_both_ways(rule, model, state, passed, found, needed))
-    best = max(ways, key=lambda way: max(_sums(way), default=0.0), default=[])
+    known, groups = _memory(state).known, _memory(state).groups
+    needed = max(rule.gain, rule.share * float(known.nats.sum(axis=0) @ groups[found].sum(axis=0)))
+    ways = _tracked_again(rule, model, state, passed, found, needed)
+    best = max(ways, key=lambda way: max(_sums(way), default=0.0))
     sums = _sums(best)
     if max(sums, default=0.0) < needed:
         return state, []
-    better = best[: int(np.argmax(sums)) + 1]
+    better = [again.estimate for again in best[: int(np.argmax(sums)) + 1]]
     moments = list(state.past.moments)
-    for k, again in enumerate(better, 2):
-        moments[-k] = Moment(moments[-k].time, again.estimate.pose)
-    return state.with_past(replace(state.past, moments=tuple(moments))), [a.estimate for a in reversed(better)]
+    for k, estimate in enumerate(better, 2):
+        moments[-k] = Moment(moments[-k].time, estimate.pose)
+    return state.with_past(replace(state.past, moments=tuple(moments))), better[::-1]
 
 
-def _sums(way: Sequence[Again]) -> list[float]:
-    return list(accumulate(again.gain for again in way))
-
-
-def _found(model: Model, before: State, after: State) -> Bool | None:
-    """(G,) which limbs, and the rest of the body, a search has put elsewhere in the last frame."""
+def _found(model: Model, before: State, after: State) -> Bool:
+    """(G,) which limbs, and whether the rest of the body, a search has put elsewhere in the last frame."""
     search = next((s for s in model.searches if isinstance(s, LostBody)), None)
     if search is None or not before.past.started:
-        return None
+        return np.zeros(1, np.bool_)
     return search.put_elsewhere(before.searches[search.name], after.searches[search.name])
 
 
@@ -203,45 +189,50 @@ def _memory(state: State) -> LostMemory:
     return next(memory for memory in state.searches.values() if isinstance(memory, LostMemory))
 
 
-def _both_ways(
+def _sums(way: Sequence[Again]) -> list[float]:
+    """Nats of so many frames together."""
+    return list(accumulate(again.gain for again in way))
+
+
+def _tracked_again(
     rule: LookBack, model: Model, state: State, passed: Sequence[Passed], found: Bool, needed: float
-) -> Sequence[list[Again]]:
-    """The frames before, the latest first, tracked backward: with the whole body as it is then, and with nothing but
-    what was found; until the tracks meet, or the pictures no longer favour any.
+) -> tuple[list[Again], list[Again]]:
+    """The frames before, the latest first, in two ways: with the whole body of the track that runs backward, and with
+    nothing of it but the limbs that were found, if only limbs were. They end where the tracks meet, or where the
+    pictures favour neither any longer.
     """
-    body, memory = model.body, _memory(state)
-    own = memory.groups[found].any(axis=0)
-    masks = limbs(body)
-    moved = np.any(
-        [mask[6:] for mask, of in zip(masks, found[:-1], strict=True) if of] or [np.zeros(body.dof - 6)], axis=0
-    )
-    ways: tuple[list[Again], list[Again]] = ([], [])
+    memory, ways = _memory(state), (list[Again](), list[Again]())
+    own, moved = memory.groups[found].any(axis=0), _joints(model, found)
     for one, estimate in _backward(model, state, passed):
-        first = one.estimate.pose
-        apart = float(_apart(model, first, estimate.pose)[own].max())
-        if apart < rule.met:
+        first, second = one.estimate.pose, estimate.pose
+        if _apart(model, first, second)[own].max() < rule.met:
             break
-        problem = FrameProblem(
-            model, state, one.seen, first, state.covariance, state.covariance, {}, left_out=frozenset(state.left_out)
-        )
-        evidence = memory.known.evidence(problem)
-        poses = (
-            [estimate.pose]
-            if found[-1]
-            else [estimate.pose, Pose(first.root, np.where(moved, estimate.pose.q, first.q))]
-        )
+        poses = [second] if found[-1] else [second, Pose(first.root, np.where(moved, second.q, first.q))]
+        evidence = memory.known.evidence(_problem(model, state, one))
         usual = evidence.of(first)
         for way, pose in zip(ways, poses, strict=False):
-            way.append(Again(replace(estimate, pose=pose, time=one.frame.time), apart, evidence.of(pose) - usual))
+            way.append(Again(replace(estimate, pose=pose, time=one.frame.time), evidence.of(pose) - usual))
         if all(max(sums) - sums[-1] > needed for way in ways if (sums := _sums(way))):
             break
     return ways
 
 
-def _apart(model: Model, one: Pose, other: Pose) -> Any:
-    """(S,) m between the middles of a segment at two poses."""
-    places = (Posed(model.body, pose).segment_middles for pose in (one, other))
-    return np.linalg.norm(next(places) - next(places), axis=1)
+def _joints(model: Model, found: Bool) -> Bool:
+    """(J,) coordinates of the limbs that were found (G,)."""
+    own = [limb[6:] for limb, put in zip(limbs(model.body), found[:-1], strict=True) if put]
+    return np.any(own, axis=0) if own else np.zeros(model.body.dof - 6, np.bool_)
+
+
+def _problem(model: Model, state: State, one: Passed) -> FrameProblem:
+    """A passed frame, as it is judged by what is known now."""
+    none = np.zeros_like(state.covariance)
+    out = frozenset(state.left_out)
+    return FrameProblem(model, state, one.seen, one.estimate.pose, none, none, {}, left_out=out)
+
+
+def _apart(model: Model, one: Pose, other: Pose) -> Float:
+    """(S,) m between the middles of each segment at two poses."""
+    return np.linalg.norm(Posed(model.body, one).segment_middles - Posed(model.body, other).segment_middles, axis=1)
 
 
 def _backward(model: Model, state: State, passed: Sequence[Passed]) -> Iterator[tuple[Passed, Estimate]]:

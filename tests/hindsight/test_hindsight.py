@@ -85,7 +85,7 @@ def test_frames_with_a_wrong_arm_are_put_right_and_no_others(limb: str | None) -
     ]
     assert errors(scene, [wrong[k].estimate for k in WRONG]).min() > 150.0
     state = with_poses(with_found(state, limb), wrong, last.estimate.pose)
-    after, better = looked_back(LookBack(), model, before, state, wrong, last.frame)
+    after, better = looked_back(LookBack(), model, before, state, wrong)
     assert [e.index for e in better] == list(WRONG)
     assert errors(scene, better).max() < 30.0
     assert [e.time for e in better] == [passed[k].frame.time for k in WRONG]
@@ -98,13 +98,13 @@ def test_what_was_found_wrongly_corrects_nothing() -> None:
     scene, model, passed, before, state = walk()
     last, passed = passed[-1], passed[:-1]
     state = with_poses(with_found(state, ARM), passed, bent(scene.body, last.estimate.pose))
-    after, better = looked_back(LookBack(), model, before, state, passed, last.frame)
+    after, better = looked_back(LookBack(), model, before, state, passed)
     assert not better and after is state
 
 
 def test_where_nothing_was_found_the_tracker_is_as_it_is() -> None:
     scene, model, passed, before, state = walk()
-    after, better = looked_back(LookBack(), model, before, state, passed[:-1], passed[-1].frame)
+    after, better = looked_back(LookBack(), model, before, state, passed[:-1])
     assert not better and after is state
     found = list(tracked(scene.frames(), model, scene.first_pose))
     assert [e.index for e in found] == list(range(21))

@@ -28,9 +28,10 @@ STATE_EVERY = 10
 
 @dataclass
 class Timing:
-    """Milliseconds of the tracker alone, decoding apart, frame by frame."""
+    """Milliseconds of the tracker alone, decoding apart, frame by frame; and the frames that were corrected later."""
 
     ms: list[float] = field(default_factory=list[float])
+    corrected: set[int] = field(default_factory=set[int])
 
     @property
     def median(self) -> float:
@@ -79,6 +80,7 @@ def follow(
                 corrected, estimate = hindsight.step(frame)
                 timing.ms.append(1000 * (time.perf_counter() - start))
                 writer.correct(corrected)
+                timing.corrected.update(e.index for e in corrected)
                 writer.append(estimate)
                 for sentence in believed.news(estimate, suspects(tracker)):
                     say(sentence)

@@ -104,7 +104,8 @@ def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str,
     lost = result.indices[result.lost].tolist()
     out = {name: result.indices[rows].tolist() for name, rows in zip(result.rig.names, result.left_out.T, strict=True)}
     about = {"id": "track", "result": path, "frames": len(result), "lost": lost, "left_out": out}
-    return about | {"statements": statements, "ms_per_frame": timing.median, "files": files}
+    about |= {"corrected": sorted(timing.corrected), "statements": statements}
+    return about | {"ms_per_frame": timing.median, "files": files}
 
 
 def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Timing, Any]:
@@ -234,6 +235,8 @@ def tell(document: dict[str, Any]) -> None:
     speed = document["ms_per_frame"]
     pace = "nothing left to track" if np.isnan(speed) else f"{speed:.1f} ms each (median)"
     words.print(f"{document['frames']} frames, {pace}")
+    if corrected := len(document["corrected"]):
+        terminal.say(f"frames corrected by what was found later: {corrected}")
     for sentence in document["statements"]:
         terminal.say(sentence)
     for path in document["files"]:
