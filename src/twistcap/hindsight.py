@@ -39,7 +39,8 @@ class LookBack(Checked):
         megabytes: of pictures at most, that are kept for it.
         met: m between two places of what was found, within which the two tracks are one.
         gain, share: nats by which the pictures must favour the second track in all its frames together, and the least
-            fraction of what is usual for what was found in one frame.
+            fraction of what is usual for what was found in one frame. A second track that loses as much again goes away
+            from the first one, where that was right: what it began from was found wrongly.
     """
 
     frames: Count = 60
@@ -160,24 +161,26 @@ def looked_back(
         before, state: before and after the frame.
         passed: frames before it, the latest last.
     """
-    found = _found(model, before, state)
+    found = _put_elsewhere(model, before, state)
     if not found.any():
         return state, []
     known, groups = _memory(state).known, _memory(state).groups
     needed = max(rule.gain, rule.share * float(known.nats.sum(axis=0) @ groups[found].sum(axis=0)))
-    ways = _tracked_again(rule, model, state, passed, found, needed)
-    best = max(ways, key=lambda way: max(_sums(way), default=0.0))
-    sums = _sums(best)
-    if max(sums, default=0.0) < needed:
+    ways = [
+        (max(sums), way) for way in _tracked_again(rule, model, state, passed, found, needed)
+        if (sums := _sums(way)) and sums[-1] > max(sums) - needed
+    ]  # fmt: skip
+    most, best = max(ways, key=lambda way: way[0], default=(0.0, []))
+    if most < needed:
         return state, []
-    better = [again.estimate for again in best[: int(np.argmax(sums)) + 1]]
+    better = [again.estimate for again in best[: int(np.argmax(_sums(best))) + 1]]
     moments = list(state.past.moments)
     for k, estimate in enumerate(better, 2):
         moments[-k] = Moment(moments[-k].time, estimate.pose)
     return state.with_past(replace(state.past, moments=tuple(moments))), better[::-1]
 
 
-def _found(model: Model, before: State, after: State) -> Bool:
+def _put_elsewhere(model: Model, before: State, after: State) -> Bool:
     """(G,) which limbs, and whether the rest of the body, a search has put elsewhere in the last frame."""
     search = next((s for s in model.searches if isinstance(s, LostBody)), None)
     if search is None or not before.past.started:
@@ -198,12 +201,15 @@ def _tracked_again(
     rule: LookBack, model: Model, state: State, passed: Sequence[Passed], found: Bool, needed: float
 ) -> tuple[list[Again], list[Again]]:
     """The frames before, the latest first, in two ways: with the whole body of the track that runs backward, and with
-    nothing of it but the limbs that were found, if only limbs were. They end where the tracks meet, or where the
-    pictures favour neither any longer.
+    nothing of it but the limbs that were found, if only limbs were. They end where the tracks meet, or where both lose
+    what they had gained. There is none where only a search leads back to the first track: both jump there, and nothing
+    says which of them is right.
     """
     memory, ways = _memory(state), (list[Again](), list[Again]())
     own, moved = memory.groups[found].any(axis=0), _joints(model, found)
-    for one, estimate in _backward(model, state, passed):
+    for one, estimate, put in _backward(model, state, passed):
+        if put[-1] if found[-1] else (put & found).any():
+            return [], []
         first, second = one.estimate.pose, estimate.pose
         if _apart(model, first, second)[own].max() < rule.met:
             break
@@ -235,15 +241,18 @@ def _apart(model: Model, one: Pose, other: Pose) -> Float:
     return np.linalg.norm(Posed(model.body, one).segment_middles - Posed(model.body, other).segment_middles, axis=1)
 
 
-def _backward(model: Model, state: State, passed: Sequence[Passed]) -> Iterator[tuple[Passed, Estimate]]:
-    """The frames before, the latest first, with what a track says that runs backward from the present pose."""
+def _backward(model: Model, state: State, passed: Sequence[Passed]) -> Iterator[tuple[Passed, Estimate, Bool]]:
+    """The frames before, the latest first, with what a track says that runs backward from the present pose; and (G,)
+    what its searches have put elsewhere.
+    """
     model = replace(model, predictors=tuple(p for p in model.predictors if p.name != "motion"))
     state = _turned(model, state)
     for one in reversed(passed):
+        before = state
         state, estimate = step(state, one.seen, model)
         if estimate.status in (*UNSEEN, "failed"):
             return
-        yield one, estimate
+        yield one, estimate, _put_elsewhere(model, before, state)
 
 
 def _turned(model: Model, state: State) -> State:
