@@ -29,6 +29,8 @@ from twistcap.stages import stage
 from twistcap.track import Model, State, Tracker, step
 from twistcap.track.align import FrameProblem
 
+_JUST = 3  # frames in which a track that a search has put elsewhere settles there
+
 
 @dataclass(frozen=True)
 class LookBack(Checked):
@@ -207,12 +209,12 @@ def _tracked_again(
     """
     memory, ways = _memory(state), (list[Again](), list[Again]())
     own, moved = memory.groups[found].any(axis=0), _joints(model, found)
+    since = _JUST
     for one, estimate, put in _backward(model, state, passed):
-        if put[-1] if found[-1] else (put & found).any():
-            return [], []
+        since = 0 if (put[-1] if found[-1] else (put & found).any()) else since + 1
         first, second = one.estimate.pose, estimate.pose
         if _apart(model, first, second)[own].max() < rule.met:
-            break
+            return ways if since >= _JUST else ([], [])
         poses = [second] if found[-1] else [second, Pose(first.root, np.where(moved, second.q, first.q))]
         evidence = memory.known.evidence(_problem(model, state, one))
         usual = evidence.of(first)

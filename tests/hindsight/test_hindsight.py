@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ import pytest
 from reproduce.faults.kinds import kind_of, take_of
 from reproduce.faults.runs import errors_mm
 from reproduce.faults.take import Take
+from twistcap import hindsight
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.limbs import named_limbs
 from twistcap.build import build
@@ -21,7 +23,7 @@ from twistcap.commands.follow import follow, resumed
 from twistcap.differential.model import DifferentialModel
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate.metrics import JOINT_CENTRES
-from twistcap.hindsight import Hindsight, LookBack, Passed, looked_back, tracked
+from twistcap.hindsight import Again, Hindsight, LookBack, Passed, looked_back, tracked
 from twistcap.io.result import ResultWriter, read_result
 from twistcap.search.lost import LostMemory
 from twistcap.studio import Capture, StudioConfig, capture
@@ -53,10 +55,10 @@ def bent(body: Body, pose: Pose) -> Pose:
 
 
 def with_poses(state: State, passed: list[Passed], last: Pose) -> State:
-    """The state as if these had been the poses."""
-    moments = [replace(m, pose=p.estimate.pose) for m, p in zip(state.past.moments, passed, strict=False)]
-    moments[len(passed) :] = [replace(state.past.moments[-1], pose=last)]
-    return state.with_past(replace(state.past, moments=tuple(moments)))
+    """The state as if these had been the poses; that before the last is as a search leaves it, at rest."""
+    poses = [*(p.estimate.pose for p in passed[:-1]), last, last]
+    moments = tuple(replace(m, pose=pose) for m, pose in zip(state.past.moments, poses, strict=True))
+    return state.with_past(replace(state.past, moments=moments))
 
 
 def with_found(state: State, limb: str | None) -> State:
@@ -100,6 +102,41 @@ def test_what_was_found_wrongly_corrects_nothing() -> None:
     state = with_poses(with_found(state, ARM), passed, bent(scene.body, last.estimate.pose))
     after, better = looked_back(LookBack(), model, before, state, passed)
     assert not better and after is state
+
+
+@pytest.mark.parametrize(
+    ("gains", "believed"),
+    [((900.0, 800.0), 2), ((900.0, -5.0), 1), ((900.0, -890.0), 0), ((3.0, 2.0), 0), ((), 0)],
+)
+def test_how_far_a_second_track_is_believed(
+    gains: tuple[float, ...], believed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Up to where it gains no more; not if it gains little, nor if it loses again what it has gained."""
+    _, model, passed, before, state = walk()
+    way = [Again(p.estimate, gain) for p, gain in zip(reversed(passed[:-1]), gains, strict=False)]
+    monkeypatch.setattr(hindsight, "_tracked_again", lambda *_: (way, []))
+    _, better = looked_back(LookBack(), model, before, with_found(state, ARM), passed[:-1])
+    assert [e.index for e in better] == list(range(20 - believed, 20))
+
+
+def test_a_second_track_that_jumps_back_is_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The arm was found wrongly; the track that runs backward finds the true one by a search of its own."""
+    scene, model, passed, before, state = walk()
+    wrong, last = [*passed[:-1]], passed[-1].estimate.pose
+    for k in WRONG:
+        wrong[k] = replace(
+            passed[k], estimate=replace(passed[k].estimate, pose=bent(scene.body, passed[k].estimate.pose))
+        )
+    state = with_poses(with_found(state, ARM), wrong, last)
+    original = hindsight._backward
+
+    def jumping(*arguments: Any) -> Iterator[Any]:
+        for one, estimate, put in original(*arguments):
+            yield one, estimate, put | (one.frame.index == 12)
+
+    assert looked_back(LookBack(), model, before, state, wrong)[1]
+    monkeypatch.setattr(hindsight, "_backward", jumping)
+    assert not looked_back(LookBack(), model, before, state, wrong)[1]
 
 
 def test_where_nothing_was_found_the_tracker_is_as_it_is() -> None:
