@@ -8,6 +8,9 @@ function column(run, j, values) {
   return run.rows.map((row) => (row < 0 ? null : values(row * J + j)));
 }
 
+/** With so many digits, and no minus before a zero. */
+const written = (value, digits) => (+value.toFixed(digits) || 0).toFixed(digits);
+
 /** Curves of one coordinate: of every result with its band of ± 2σ, and of the reference. */
 function curvesOf(name) {
   const series = [{}], table = [data.times], bands = [], read = [];
@@ -21,14 +24,14 @@ function curvesOf(name) {
     read.push((frame) => {
       const row = run.rows[frame], i = row * run.coordinates.length + j;
       const digits = run.units[j] === "°" ? 1 : 3;
-      return row < 0 ? null : [run.colour, `${run.angles[i].toFixed(digits)}${run.units[j]} ± ${(2 * run.sigma[i]).toFixed(digits)}${run.units[j]}`];
+      return row < 0 ? null : [run.colour, `${written(run.angles[i], digits)}${run.units[j]} ± ${(2 * run.sigma[i]).toFixed(digits)}${run.units[j]}`];
     });
   }
   const r = data.reference ? data.reference.coordinates.indexOf(name) : -1;
   if (r >= 0) {
     table.push(data.reference.angles_deg.map((row) => row[r]));
     series.push({ stroke: () => colour("--truth"), width: 1.2, dash: [5, 4], points: { show: false } });
-    read.push((frame) => { const v = data.reference.angles_deg[frame][r]; return v === null ? null : ["var(--truth)", `reference ${v.toFixed(1)}°`]; });
+    read.push((frame) => { const v = data.reference.angles_deg[frame][r]; return v === null ? null : ["var(--truth)", `reference ${written(v, 1)}°`]; });
   }
   return { series, table, bands, read };
 }
