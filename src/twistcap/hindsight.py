@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import accumulate
+from itertools import accumulate, chain
 
 import numpy as np
 
@@ -141,15 +141,9 @@ def tracked(
 
 def _through(frames: Iterable[Frame], tracker: Tracker, first_pose: Pose) -> Iterator[Estimate]:
     rest = iter(frames)
-    for frame in rest:
-        tracker.start(first_pose, frame.time)
-        hindsight = Hindsight(tracker)
-        yield from hindsight.through(_and_then(frame, rest))
-
-
-def _and_then(first: Frame, rest: Iterator[Frame]) -> Iterator[Frame]:
-    yield first
-    yield from rest
+    for first in rest:
+        tracker.start(first_pose, first.time)
+        yield from Hindsight(tracker).through(chain([first], rest))
 
 
 def looked_back(
