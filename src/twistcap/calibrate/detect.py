@@ -12,6 +12,7 @@ import numpy as np
 
 from twistcap.arrays import AnyArray, Bool, Float, Int, UInt8
 from twistcap.calibrate.board import Board
+from twistcap.calibrate.corners import refined
 
 _FEWEST = 6  # points of a board by which its place is found
 _OFF_PLANE = 0.05  # of the board's extent in the image, by which lenses may bend it
@@ -51,7 +52,14 @@ class Detector:
             found = found.kept(on_one_plane(self.board.points[ids, :2], pixels, max(2.0, _OFF_PLANE * extent)))
         if len(found) < _FEWEST or _in_one_line(self.board.points[found.ids, :2]):
             return None
-        return replace(found, blur=edge_width(grey, found.pixels))
+        return self._refined(grey, replace(found, blur=edge_width(grey, found.pixels)))
+
+    def _refined(self, grey: UInt8, found: Found) -> Found:
+        """With corners by the board's picture; as they were found where these are fewer. Tags have no saddles."""
+        if self.board.kind == "aruco":
+            return found
+        ids, pixels = refined(255 - grey if self.board.inverted else grey, self.board, found.ids, found.pixels, found.blur)
+        return replace(found, ids=ids, pixels=pixels) if len(ids) >= _FEWEST else found
 
     def _finder(self, grey: UInt8) -> tuple[Int, Float]:
         kind = self.board.kind
