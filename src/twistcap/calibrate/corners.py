@@ -1,10 +1,10 @@
 """Corners of a board to a few hundredths of a pixel: the image about each is compared with the board's own picture.
 
-A saddle's gradients tell of its corner only as far as no other edge is near; those of a board's tags are. The picture has
-these edges too. So it is drawn as a homography shows it, as blurred as the image is, and moved about each corner
+A saddle's gradients tell of its corner only as far as no other edge is near; those of a board's tags are. The picture
+has these edges too. So it is drawn as a homography shows it, as blurred as the image is, and moved about each corner
 until it fits, brightness and contrast free: Lucas and Kanade's method (Baker and Matthews, DOI
-10.1023/B:VISI.0000011205.11775.fd). The tags themselves do not count, since prints place them to a pixel
-only. Corners that the detector missed are looked for where their neighbours say.
+10.1023/B:VISI.0000011205.11775.fd). The tags themselves do not count, since prints place them to a pixel only.
+Corners that the detector missed are looked for where their neighbours say.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ _STEP = 1.0  # px, at most
 _FITS = 0.8  # correlation of image and picture about a corner
 _NEAR = 0.25  # squares from where it was looked for
 _FEWEST = 20  # px to compare
+_SURE = 0.1  # px, standard deviation
 _NEIGHBOURS = 4  # that say where a missing corner is
 
 
@@ -41,91 +42,109 @@ def refined(grey: UInt8, board: Board, ids: Int, pixels: Float, width: float) ->
     H, _ = cv2.findHomography(plane[ids], pixels)
     if H is None:
         return ids, pixels
-    by_plane = _through(H, plane)
-    start = by_plane + _shifts(by_plane, ids, pixels - by_plane[ids])
-    windows = _windows(grey, board, H, by_plane, start, width)
-    return windows.fitted(np.arange(len(plane), dtype=np.int32))
+    corners = _through(H, plane)
+    start = corners + _shifts(corners, ids, pixels - corners[ids])
+    return _windows(grey, board, H, corners, start, width).fitted(np.arange(len(plane), dtype=np.int32))
 
 
 @dataclass
 class _Windows:
-    """The image about each corner (N, n, n), which of its pixels count, and the drawn board: coefficients of a spline.
+    """About each of N corners, K pixels of the image (N, K); fewer of some corners, whose rest does not count (N, K).
 
-    `at` (N, n, n, 2) are row and column of the pixels in the drawn board, `shift` (N, 2) rows and columns by which the
-    image shows it elsewhere; `least` (N,) px is how far a corner may move.
+    `drawn` is the board and its slopes by rows and columns, as splines; `at` (N, K, 2) row and column of
+    the pixels there. `corners` (N, 2) are where the homography has them, px, and `shift` (N, 2) by how many rows and
+    columns the image shows them elsewhere; `far` (N,) px is how far they may move.
     """
 
     image: Float
     counts: Bool
     drawn: tuple[Float, Float, Float]
     at: Float
-    shift: Float
     corners: Float
-    least: Float
+    shift: Float
+    far: Float
 
     def fitted(self, ids: Int) -> tuple[Int, Float]:
-        """Those that fit, with their pixels."""
-        start, moves = self.shift.copy(), np.full(len(ids), np.inf)
+        """Those of the corners that fit, and their pixels."""
+        start, moved = self.shift, np.full(len(ids), np.inf)
         for _ in range(_STEPS):
             step = self._step()
-            self.shift, moves = self.shift + step, np.abs(step).max(axis=1)
-            if moves.max() < _SETTLED:
+            self.shift, moved = self.shift + step, np.abs(step).max(axis=1)
+            if moved.max() < _SETTLED:
                 break
-        near = np.linalg.norm(self.shift - start, axis=1) < self.least
-        good = near & (moves < 10 * _SETTLED) & (self._correlation() > _FITS)
-        good &= self.counts.sum(axis=(1, 2)) >= _FEWEST
+        good = (np.linalg.norm(self.shift - start, axis=1) < self.far) & (moved < 10 * _SETTLED)
+        good &= (self.counts.sum(axis=1) >= _FEWEST) & (self._correlation() > _FITS) & (self._sigma() < _SURE)
         return ids[good], (self.corners + self.shift[:, ::-1])[good]
 
     def _seen(self, which: int) -> Float:
-        """(N, n, n) the drawn board, or its slope by rows or columns, where the image's pixels show it."""
-        places = np.moveaxis(self.at - self.shift[:, None, None, :], -1, 0)
-        return map_coordinates(self.drawn[which], places, order=3, prefilter=False, mode="nearest") * self.counts
+        """(N, K) the drawn board, or one of its slopes, where the image's pixels show it."""
+        places = np.moveaxis(self.at - self.shift[:, None], -1, 0)
+        return map_coordinates(self.drawn[which], places, order=3, prefilter=False, mode="nearest")
 
     def _step(self) -> Float:
-        """(N, 2) Gauss and Newton's, brightness and contrast eliminated."""
-        shown, down, across = (self._seen(k) for k in range(3))
-        rows = np.stack([-down, -across, shown, self.counts.astype(float)], axis=-1).reshape(len(self.shift), -1, 4)
-        contrast = self._gain(shown)[:, None]
-        rows[..., :2] *= contrast[..., None]
-        normal = rows.transpose(0, 2, 1) @ rows + 1e-6 * np.eye(4)
-        pull = rows.transpose(0, 2, 1) @ (self.image * self.counts).reshape(len(self.shift), -1, 1)
+        """(N, 2) Gauss and Newton's, with brightness and contrast."""
+        _, normal, pull = self._normal()
         return np.clip(np.linalg.solve(normal, pull)[:, :2, 0], -_STEP, _STEP)
 
-    def _gain(self, shown: Float) -> Float:
-        a, b = (self._centred(x) for x in (shown, self.image))
-        return np.sum(a * b, axis=(1, 2)) / np.maximum(np.sum(a * a, axis=(1, 2)), 1e-9)
+    def _sigma(self) -> Float:
+        """(N,) px, standard deviation of where the corners are: large where one edge alone is seen."""
+        rows, normal, pull = self._normal()
+        covariance = np.linalg.inv(normal)
+        left = (self.image * self.counts)[..., None] - rows @ (covariance @ pull)
+        free = np.maximum(self.counts.sum(axis=1) - rows.shape[-1], 1)
+        return np.sqrt(np.sum(left * left, axis=(1, 2)) / free * (covariance[:, 0, 0] + covariance[:, 1, 1]))
+
+    def _normal(self) -> tuple[Float, Float, Float]:
+        """Derivatives of the pixels (N, K, 4) by shift, contrast and brightness; the normal equations."""
+        shown, down, across = (self._seen(k) for k in range(3))
+        a, b = self._centred(shown), self._centred(self.image)
+        contrast = (np.sum(a * b, axis=1) / np.maximum(np.sum(a * a, axis=1), 1e-9))[:, None]
+        rows = np.stack([-contrast * down, -contrast * across, shown, np.ones_like(shown)], axis=-1)
+        rows *= self.counts[..., None]
+        pull = rows.transpose(0, 2, 1) @ self.image[..., None]
+        return rows, rows.transpose(0, 2, 1) @ rows + 1e-6 * np.eye(4), pull
 
     def _correlation(self) -> Float:
         a, b = self._centred(self._seen(0)), self._centred(self.image)
-        norms = np.sqrt(np.sum(a * a, axis=(1, 2)) * np.sum(b * b, axis=(1, 2)))
-        return np.sum(a * b, axis=(1, 2)) / np.maximum(norms, 1e-9)
+        norms = np.sqrt(np.sum(a * a, axis=1) * np.sum(b * b, axis=1))
+        return np.sum(a * b, axis=1) / np.maximum(norms, 1e-9)
 
     def _centred(self, values: Float) -> Float:
         """Less the mean of those that count; 0 elsewhere."""
-        count = np.maximum(self.counts.sum(axis=(1, 2), keepdims=True), 1)
-        mean = np.sum(values * self.counts, axis=(1, 2), keepdims=True) / count
-        return (values - mean) * self.counts
+        count = np.maximum(self.counts.sum(axis=1, keepdims=True), 1)
+        return (values - np.sum(values * self.counts, axis=1, keepdims=True) / count) * self.counts
 
 
-def _windows(grey: UInt8, board: Board, H: Float, by_plane: Float, start: Float, width: float) -> _Windows:
+def _windows(grey: UInt8, board: Board, H: Float, corners: Float, start: Float, width: float) -> _Windows:
     side = board.square * _scale(H, board.points[:, :2])  # (N,) px
     reach = int(np.ceil(min(float(_MOST), np.sqrt(2.0) * _REACH * float(side.max()))))
-    inside = np.all((start > 0) & (start < np.array(grey.shape[::-1]) - 1.0), axis=1)
-    origin = np.floor(by_plane.min(axis=0)) - 2 * reach - 4
-    size = (np.ceil(by_plane.max(axis=0)) + 2 * reach + 4 - origin).astype(int)
-    drawn = _drawn(board, H, origin, size, width)
-    span = np.arange(-reach, reach + 1)
-    x, y = (np.round(start[:, k]).astype(int)[:, None, None] + grid for k, grid in enumerate(np.meshgrid(span, span)))
-    shown = (x >= 0) & (x < grey.shape[1]) & (y >= 0) & (y < grey.shape[0])
+    x, y = (p.reshape(len(start), -1) for p in _about(start, reach))
+    in_plane = _through(np.linalg.inv(H), np.stack([x, y], axis=-1) - (start - corners)[:, None])
+    counts = _near(board, in_plane, side) & (x >= 0) & (x < grey.shape[1]) & (y >= 0) & (y < grey.shape[0])
+    own = np.argsort(~counts, axis=1, kind="stable")[:, : max(1, int(counts.sum(axis=1).max()))]
+    x, y, counts = (np.take_along_axis(a, own, axis=1) for a in (x, y, counts))
     image = grey[np.clip(y, 0, grey.shape[0] - 1), np.clip(x, 0, grey.shape[1] - 1)].astype(float)
-    shift = start - by_plane
-    in_plane = _through(np.linalg.inv(H), np.stack([x, y], axis=-1) - shift[:, None, None, :])
-    off = np.abs(in_plane - board.points[:, None, None, :2]).max(axis=-1)
+    origin = np.floor(corners.min(axis=0)).astype(int) - 2 * reach
+    size = np.ceil(corners.max(axis=0)).astype(int) + 2 * reach - origin
+    at = np.stack([y - origin[1], x - origin[0]], axis=-1).astype(float)
+    drawn = _drawn(board, H, origin, size, width)
+    return _Windows(image, counts, drawn, at, corners, (start - corners)[:, ::-1], _NEAR * side)
+
+
+def _about(pixels: Float, reach: int) -> tuple[Int, Int]:
+    """(N, n, n) columns and rows of the image's pixels about some."""
+    span = np.arange(-reach, reach + 1)
+    across, down = np.meshgrid(span, span)
+    middle = np.round(pixels).astype(int)[:, :, None, None]
+    return middle[:, 0] + across, middle[:, 1] + down
+
+
+def _near(board: Board, in_plane: Float, side: Float) -> Bool:
+    """(N, K) which points of the board's plane are near their corner, and not of a tag; a pixel beside it is of it."""
+    off = np.abs(in_plane - board.points[:, None, :2]).max(axis=-1)
     amid = np.abs(in_plane % board.square - 0.5 * board.square).max(axis=-1)  # m from the middle of a square
-    tag = 0.5 * board.marker + board.square / side[:, None, None] if board.marker else 0.0  # and a pixel about it
-    counts = shown & (off < _REACH * board.square) & (amid > tag) & inside[:, None, None]
-    at = np.stack([y - origin[1], x - origin[0]], axis=-1)
-    return _Windows(image, counts, drawn, at, shift[:, ::-1].copy(), by_plane, _NEAR * side)
+    tag = 0.5 * board.marker + board.square / side[:, None] if board.marker else 0.0
+    return np.asarray((off < _REACH * board.square) & (amid > tag), np.bool_)
 
 
 def _drawn(board: Board, H: Float, origin: Float, size: AnyArray, width: float) -> tuple[Float, Float, Float]:
@@ -160,10 +179,9 @@ def _scale(H: Float, points: Float) -> Float:
     return np.sqrt(np.abs(across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0])) / 2e-4
 
 
-def _shifts(by_plane: Float, ids: Int, found: Float) -> Float:
+def _shifts(corners: Float, ids: Int, found: Float) -> Float:
     """(P, 2) px by which corners are elsewhere: those that were `found`, and for others what their neighbours say."""
-    far = np.linalg.norm(by_plane[:, None] - by_plane[ids], axis=-1)
-    near = np.argsort(far, axis=1)[:, :_NEIGHBOURS]
-    out = np.median(found[near], axis=1)
+    apart = np.linalg.norm(corners[:, None] - corners[ids], axis=-1)
+    out = np.median(found[np.argsort(apart, axis=1)[:, :_NEIGHBOURS]], axis=1)
     out[ids] = found
     return out

@@ -58,7 +58,8 @@ class Detector:
         """With corners by the board's picture; as they were found where these are fewer. Tags have no saddles."""
         if self.board.kind == "aruco":
             return found
-        ids, pixels = refined(255 - grey if self.board.inverted else grey, self.board, found.ids, found.pixels, found.blur)
+        shown = np.asarray(255 - grey if self.board.inverted else grey, np.uint8)
+        ids, pixels = refined(shown, self.board, found.ids, found.pixels, found.blur)
         return replace(found, ids=ids, pixels=pixels) if len(ids) >= _FEWEST else found
 
     def _finder(self, grey: UInt8) -> tuple[Int, Float]:
