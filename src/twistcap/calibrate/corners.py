@@ -10,6 +10,7 @@ Corners that the detector missed are looked for where their neighbours say.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -25,12 +26,12 @@ _STEP = 1.0  # px, at most
 _FITS = 0.8  # correlation of image and picture about a corner
 _NEAR = 0.25  # squares from where it was looked for
 _FEWEST = 20  # px to compare
-_SURE = 0.1  # px, standard deviation
+SURE = 0.1  # px, standard deviation
 _NEIGHBOURS = 4  # that say where a missing corner is
 
 
-def refined(grey: UInt8, board: Board, ids: Int, pixels: Float, width: float) -> tuple[Int, Float]:
-    """Ids and pixels of all corners of a board that an image shows.
+def refined(grey: UInt8, board: Board, ids: Int, pixels: Float, width: float) -> tuple[Int, Float, Float]:
+    """Ids and pixels of all corners of a board that an image shows, and their standard deviations (N,), px.
 
     Args:
         grey: (H, W).
@@ -39,9 +40,9 @@ def refined(grey: UInt8, board: Board, ids: Int, pixels: Float, width: float) ->
         width: of the image's edges there, px; see `edge_width`.
     """
     plane = board.points[:, :2]
-    H, _ = cv2.findHomography(plane[ids], pixels)
+    H: Any = cv2.findHomography(plane[ids], pixels)[0]
     if H is None:
-        return ids, pixels
+        return ids[:0], pixels[:0], np.zeros(0)
     corners = _through(H, plane)
     start = corners + _shifts(corners, ids, pixels - corners[ids])
     return _windows(grey, board, H, corners, start, width).fitted(np.arange(len(plane), dtype=np.int32))
@@ -64,22 +65,24 @@ class _Windows:
     shift: Float
     far: Float
 
-    def fitted(self, ids: Int) -> tuple[Int, Float]:
-        """Those of the corners that fit, and their pixels."""
+    def fitted(self, ids: Int) -> tuple[Int, Float, Float]:
+        """Those of the corners that fit, their pixels, and the standard deviations of these."""
         start, moved = self.shift, np.full(len(ids), np.inf)
         for _ in range(_STEPS):
             step = self._step()
             self.shift, moved = self.shift + step, np.abs(step).max(axis=1)
             if moved.max() < _SETTLED:
                 break
+        sigma = self._sigma()
         good = (np.linalg.norm(self.shift - start, axis=1) < self.far) & (moved < 10 * _SETTLED)
-        good &= (self.counts.sum(axis=1) >= _FEWEST) & (self._correlation() > _FITS) & (self._sigma() < _SURE)
-        return ids[good], (self.corners + self.shift[:, ::-1])[good]
+        good &= (self.counts.sum(axis=1) >= _FEWEST) & (self._correlation() > _FITS) & (sigma < SURE)
+        return ids[good], (self.corners + self.shift[:, ::-1])[good], sigma[good]
 
     def _seen(self, which: int) -> Float:
         """(N, K) the drawn board, or one of its slopes, where the image's pixels show it."""
         places = np.moveaxis(self.at - self.shift[:, None], -1, 0)
-        return map_coordinates(self.drawn[which], places, order=3, prefilter=False, mode="nearest")
+        shown = map_coordinates(self.drawn[which], places, order=3, prefilter=False, mode="nearest")
+        return np.asarray(shown, np.float64)
 
     def _step(self) -> Float:
         """(N, 2) Gauss and Newton's, with brightness and contrast."""
@@ -92,7 +95,8 @@ class _Windows:
         covariance = np.linalg.inv(normal)
         left = (self.image * self.counts)[..., None] - rows @ (covariance @ pull)
         free = np.maximum(self.counts.sum(axis=1) - rows.shape[-1], 1)
-        return np.sqrt(np.sum(left * left, axis=(1, 2)) / free * (covariance[:, 0, 0] + covariance[:, 1, 1]))
+        variance = np.sum(left * left, axis=(1, 2)) / free * (covariance[:, 0, 0] + covariance[:, 1, 1])
+        return np.asarray(np.sqrt(variance), np.float64)
 
     def _normal(self) -> tuple[Float, Float, Float]:
         """Derivatives of the pixels (N, K, 4) by shift, contrast and brightness; the normal equations."""
@@ -119,10 +123,13 @@ def _windows(grey: UInt8, board: Board, H: Float, corners: Float, start: Float, 
     side = board.square * _scale(H, board.points[:, :2])  # (N,) px
     reach = int(np.ceil(min(float(_MOST), np.sqrt(2.0) * _REACH * float(side.max()))))
     x, y = (p.reshape(len(start), -1) for p in _about(start, reach))
-    in_plane = _through(np.linalg.inv(H), np.stack([x, y], axis=-1) - (start - corners)[:, None])
-    counts = _near(board, in_plane, side) & (x >= 0) & (x < grey.shape[1]) & (y >= 0) & (y < grey.shape[0])
+    to_plane = np.asarray(np.linalg.inv(H), np.float64)
+    in_plane = _through(to_plane, np.stack([x, y], axis=-1) - (start - corners)[:, None])
+    shown = (x >= 0) & (x < grey.shape[1]) & (y >= 0) & (y < grey.shape[0])
+    counts = np.asarray(_near(board, in_plane, side) & shown, np.bool_)
     own = np.argsort(~counts, axis=1, kind="stable")[:, : max(1, int(counts.sum(axis=1).max()))]
-    x, y, counts = (np.take_along_axis(a, own, axis=1) for a in (x, y, counts))
+    x, y = np.take_along_axis(x, own, axis=1), np.take_along_axis(y, own, axis=1)
+    counts = np.take_along_axis(counts, own, axis=1)
     image = grey[np.clip(y, 0, grey.shape[0] - 1), np.clip(x, 0, grey.shape[1] - 1)].astype(float)
     origin = np.floor(corners.min(axis=0)).astype(int) - 2 * reach
     size = np.ceil(corners.max(axis=0)).astype(int) + 2 * reach - origin
@@ -131,7 +138,7 @@ def _windows(grey: UInt8, board: Board, H: Float, corners: Float, start: Float, 
     return _Windows(image, counts, drawn, at, corners, (start - corners)[:, ::-1], _NEAR * side)
 
 
-def _about(pixels: Float, reach: int) -> tuple[Int, Int]:
+def _about(pixels: Float, reach: int) -> tuple[AnyArray, AnyArray]:
     """(N, n, n) columns and rows of the image's pixels about some."""
     span = np.arange(-reach, reach + 1)
     across, down = np.meshgrid(span, span)
