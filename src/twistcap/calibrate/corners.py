@@ -87,7 +87,7 @@ class _Windows:
     def _step(self) -> Float:
         """(N, 2) Gauss and Newton's, with brightness and contrast."""
         _, normal, pull = self._normal()
-        return np.clip(np.linalg.solve(normal, pull)[:, :2, 0], -_STEP, _STEP)
+        return np.asarray(np.clip(np.linalg.solve(normal, pull)[:, :2, 0], -_STEP, _STEP), np.float64)
 
     def _sigma(self) -> Float:
         """(N,) px, standard deviation of where the corners are: large where one edge alone is seen."""
@@ -111,7 +111,7 @@ class _Windows:
     def _correlation(self) -> Float:
         a, b = self._centred(self._seen(0)), self._centred(self.image)
         norms = np.sqrt(np.sum(a * a, axis=1) * np.sum(b * b, axis=1))
-        return np.sum(a * b, axis=1) / np.maximum(norms, 1e-9)
+        return np.asarray(np.sum(a * b, axis=1) / np.maximum(norms, 1e-9), np.float64)
 
     def _centred(self, values: Float) -> Float:
         """Less the mean of those that count; 0 elsewhere."""
