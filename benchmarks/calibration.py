@@ -31,7 +31,7 @@ from twistcap.calibrate.board import Board, board_of
 from twistcap.calibrate.calibrate import Calibration, Options, alone_seen, of_sightings
 from twistcap.calibrate.detect import Detector
 from twistcap.calibrate.scene import Scene, calibrated_by_scene, read_scene
-from twistcap.calibrate.sightings import Sighting, evened, moving
+from twistcap.calibrate.sightings import Sighting, moving
 from twistcap.calibrate.world import lying
 from twistcap.camera import Camera, Rig, look_at
 from twistcap.io.cameras import read_cameras
@@ -113,8 +113,8 @@ def rendered(seed: int, cameras: int, moments: int) -> Filmed:
             image = cv2.GaussianBlur(image, (0, 0), rng.uniform(0.5, 0.9)) + 2.0 * rng.normal(size=image.shape)
             found = find(np.clip(np.round(image), 0, 255).astype(np.uint8))
             if found is not None:
-                out.append(Sighting(c, m, found.ids, spoiled(found.pixels, rng), found.blur, rough=found.sigma))
-    return Filmed(rig, BOARD, places[0], evened(out))
+                out.append(Sighting(c, m, found.ids, spoiled(found.pixels, rng), found.blur))
+    return Filmed(rig, BOARD, places[0], out)
 
 
 def rays_of(camera: Camera, fine: int = 3) -> Float:

@@ -46,7 +46,6 @@ def test_corners_of_a_small_board_are_found_to_a_few_hundredths_of_a_pixel(inver
     found = Detector(board)(image)
     assert found is not None and len(found) == len(true)
     assert off(found.pixels, true[found.ids]) < 0.03
-    assert 0.5 < found.sigma / (np.sqrt(2.0) * off(found.pixels, true[found.ids])) < 2.0  # what it claims
 
 
 def test_wrong_corners_are_left_out_or_mended() -> None:
@@ -54,7 +53,7 @@ def test_wrong_corners_are_left_out_or_mended() -> None:
     ids, rng = np.arange(len(true), dtype=np.int32), np.random.default_rng(1)
     start = true + 0.3 * rng.normal(size=true.shape)
     start[[3, 17]] += 7.0
-    found, pixels, _ = refined(image, BOARD, ids, start, 2.2)
+    found, pixels = refined(image, BOARD, ids, start, 2.2)
     assert len(found) >= len(ids) - 2 and np.linalg.norm(pixels - true[found], axis=1).max() < 0.15
 
 
@@ -65,6 +64,6 @@ def test_corners_that_are_hidden_or_half_in_the_image_are_left_out() -> None:
     hand = true[9].astype(int)
     image[hand[1] - 8 : hand[1] + 9, hand[0] - 9 : hand[0] + 10] = 120
     inside = np.flatnonzero(true[:, 0] < edge - 12).astype(np.int32)
-    found, pixels, _ = refined(image, BOARD, inside, true[inside], 2.2)
+    found, pixels = refined(image, BOARD, inside, true[inside], 2.2)
     assert 9 not in found and 15 < len(found) < len(true)
     assert np.linalg.norm(pixels - true[found], axis=1).max() < 0.2

@@ -26,12 +26,12 @@ _STEP = 1.0  # px, at most
 _FITS = 0.8  # correlation of image and picture about a corner
 _NEAR = 0.25  # squares from where it was looked for
 _FEWEST = 20  # px to compare
-SURE = 0.1  # px, standard deviation
+_SURE = 0.1  # px, standard deviation
 _NEIGHBOURS = 4  # that say where a missing corner is
 
 
-def refined(grey: UInt8, board: Board, ids: Int, pixels: Float, width: float) -> tuple[Int, Float, Float]:
-    """Ids and pixels of all corners of a board that an image shows, and their standard deviations (N,), px.
+def refined(grey: UInt8, board: Board, ids: Int, pixels: Float, width: float) -> tuple[Int, Float]:
+    """Ids and pixels of all corners of a board that an image shows.
 
     Args:
         grey: (H, W).
@@ -42,7 +42,7 @@ def refined(grey: UInt8, board: Board, ids: Int, pixels: Float, width: float) ->
     plane = board.points[:, :2]
     H: Any = cv2.findHomography(plane[ids], pixels)[0]
     if H is None:
-        return ids[:0], pixels[:0], np.zeros(0)
+        return ids, pixels
     corners = _through(H, plane)
     start = corners + _shifts(corners, ids, pixels - corners[ids])
     return _windows(grey, board, H, corners, start, width).fitted(np.arange(len(plane), dtype=np.int32))
@@ -65,18 +65,17 @@ class _Windows:
     shift: Float
     far: Float
 
-    def fitted(self, ids: Int) -> tuple[Int, Float, Float]:
-        """Those of the corners that fit, their pixels, and the standard deviations of these."""
+    def fitted(self, ids: Int) -> tuple[Int, Float]:
+        """Those of the corners that fit, and their pixels."""
         start, moved = self.shift, np.full(len(ids), np.inf)
         for _ in range(_STEPS):
             step = self._step()
             self.shift, moved = self.shift + step, np.abs(step).max(axis=1)
             if moved.max() < _SETTLED:
                 break
-        sigma = self._sigma()
         good = (np.linalg.norm(self.shift - start, axis=1) < self.far) & (moved < 10 * _SETTLED)
-        good &= (self.counts.sum(axis=1) >= _FEWEST) & (self._correlation() > _FITS) & (sigma < SURE)
-        return ids[good], (self.corners + self.shift[:, ::-1])[good], sigma[good]
+        good &= (self.counts.sum(axis=1) >= _FEWEST) & (self._correlation() > _FITS) & (self._sigma() < _SURE)
+        return ids[good], (self.corners + self.shift[:, ::-1])[good]
 
     def _seen(self, which: int) -> Float:
         """(N, K) the drawn board, or one of its slopes, where the image's pixels show it."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from twistcap.arrays import AnyArray, Bool, Float, Int, UInt8
 from twistcap.calibrate.board import Board
-from twistcap.calibrate.corners import SURE, refined
+from twistcap.calibrate.corners import refined
 
 _FEWEST = 6  # points of a board by which its place is found
 _OFF_PLANE = 0.05  # of the board's extent in the image, by which lenses may bend it
@@ -20,15 +20,11 @@ _OFF_PLANE = 0.05  # of the board's extent in the image, by which lenses may ben
 
 @dataclass(frozen=True)
 class Found:
-    """Points of a board in one image: their ids (N,), pixels (N, 2), and the mean width of the edges there, px.
-
-    `sigma` is the median standard deviation of the points, px, so far as their image alone tells; 1 where it does not.
-    """
+    """Points of a board in one image: their ids (N,), pixels (N, 2), and the mean width of the edges there, px."""
 
     ids: Int
     pixels: Float
     blur: float
-    sigma: float = 1.0
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -63,10 +59,8 @@ class Detector:
         if self.board.kind == "aruco":
             return found
         shown = np.asarray(255 - grey if self.board.inverted else grey, np.uint8)
-        ids, pixels, sigmas = refined(shown, self.board, found.ids, found.pixels, found.blur)
-        if len(ids) < _FEWEST:
-            return replace(found, sigma=SURE)
-        return replace(found, ids=ids, pixels=pixels, sigma=float(np.median(sigmas)))
+        ids, pixels = refined(shown, self.board, found.ids, found.pixels, found.blur)
+        return replace(found, ids=ids, pixels=pixels) if len(ids) >= _FEWEST else found
 
     def _finder(self, grey: UInt8) -> tuple[Int, Float]:
         kind = self.board.kind

@@ -49,15 +49,9 @@ def look(
         for k, image in zip(own, source.read(own), strict=True):
             found = None if image is None else find(image)
             if found is not None:
-                out.append(Sighting(c, k, found.ids, found.pixels, found.blur, rough=found.sigma))
+                out.append(Sighting(c, k, found.ids, found.pixels, found.blur))
             progress(source.name)
-    return evened(out)
-
-
-def evened(sightings: Sequence[Sighting]) -> list[Sighting]:
-    """The same, `rough` by what is usual for their camera."""
-    usual = {c: float(np.median([s.rough for s in own])) for c, own in by_camera(sightings).items()}
-    return [replace(s, rough=s.rough / usual[s.camera]) for s in sightings]
+    return out
 
 
 def moving(sightings: Sequence[Sighting]) -> list[Sighting]:
