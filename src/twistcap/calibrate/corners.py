@@ -45,7 +45,8 @@ def refined(grey: UInt8, board: Board, ids: Int, pixels: Float, width: float) ->
         return ids, pixels
     corners = _through(H, plane)
     start = corners + _shifts(corners, ids, pixels - corners[ids])
-    return _windows(grey, board, H, corners, start, width).fitted(np.arange(len(plane), dtype=np.int32))
+    inside = np.flatnonzero(np.all((start >= 0.0) & (start < grey.shape[::-1]), axis=1)).astype(np.int32)
+    return _windows(grey, board, H, inside, corners[inside], start[inside], width).fitted(inside)
 
 
 @dataclass
@@ -118,14 +119,17 @@ class _Windows:
         return (values - np.sum(values * self.counts, axis=1, keepdims=True) / count) * self.counts
 
 
-def _windows(grey: UInt8, board: Board, H: Float, corners: Float, start: Float, width: float) -> _Windows:
-    side = board.square * _scale(H, board.points[:, :2])  # (N,) px
+def _windows(
+    grey: UInt8, board: Board, H: Float, ids: Int, corners: Float, start: Float, width: float
+) -> _Windows:  # fmt: skip
+    plane = board.points[ids, :2]
+    side = board.square * _scale(H, plane)  # (N,) px
     reach = int(np.ceil(min(float(_MOST), np.sqrt(2.0) * _REACH * float(side.max()))))
     x, y = (p.reshape(len(start), -1) for p in _about(start, reach))
     to_plane = np.asarray(np.linalg.inv(H), np.float64)
     in_plane = _through(to_plane, np.stack([x, y], axis=-1) - (start - corners)[:, None])
     shown = (x >= 0) & (x < grey.shape[1]) & (y >= 0) & (y < grey.shape[0])
-    counts = np.asarray(_near(board, in_plane, side) & shown, np.bool_)
+    counts = np.asarray(_near(board, plane, in_plane, side) & shown, np.bool_)
     own = np.argsort(~counts, axis=1, kind="stable")[:, : max(1, int(counts.sum(axis=1).max()))]
     x, y = np.take_along_axis(x, own, axis=1), np.take_along_axis(y, own, axis=1)
     counts = np.take_along_axis(counts, own, axis=1)
@@ -145,9 +149,9 @@ def _about(pixels: Float, reach: int) -> tuple[AnyArray, AnyArray]:
     return middle[:, 0] + across, middle[:, 1] + down
 
 
-def _near(board: Board, in_plane: Float, side: Float) -> Bool:
+def _near(board: Board, plane: Float, in_plane: Float, side: Float) -> Bool:
     """(N, K) which points of the board's plane are near their corner, and not of a tag; a pixel beside it is of it."""
-    off = np.abs(in_plane - board.points[:, None, :2]).max(axis=-1)
+    off = np.abs(in_plane - plane[:, None]).max(axis=-1)
     amid = np.abs(in_plane % board.square - 0.5 * board.square).max(axis=-1)  # m from the middle of a square
     tag = 0.5 * board.marker + board.square / side[:, None] if board.marker else 0.0
     return np.asarray((off < _REACH * board.square) & (amid > tag), np.bool_)
