@@ -193,7 +193,7 @@ function buildScene() {
     showReference(points, sticks, frame, side);
     draw();
   });
-  return { frusta, draw, ground: () => scene.background };
+  return { frusta, draw, ground: () => scene.background, drawn: () => renderer.info.render.frame };
 }
 
 /** The 3D view by keys: arrows turn, + and − come near and go away. */
