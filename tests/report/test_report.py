@@ -24,7 +24,7 @@ from twistcap.evaluate.metrics import row
 from twistcap.report import Figure, Statement, angle_plot, draw_overlay, joint_error_plot, overlay_video, write_report
 from twistcap.report.overlay import LOST, bones_of, mosaic_for, part_colours, visible_projection
 from twistcap.report.page import headline_rows, number
-from twistcap.report.plots import AngleSeries, spans
+from twistcap.report.plots import AngleSeries, envelope, spans
 
 CHROMIUM = Path("/usr/bin/chromium")
 
@@ -140,6 +140,31 @@ def test_plots_show_both_sides_and_lost_frames(tmp_path: Path) -> None:
     errors[4] = np.inf
     picture = cv2.imread(str(joint_error_plot(tmp_path / "c.png", times, ("knee_r", "knee_l", "hip_r"), errors)))
     assert _has_colour(picture[..., ::-1], right, 12)
+
+
+def test_envelopes_hold_every_frame_of_a_column() -> None:
+    rng = np.random.default_rng(0)
+    times, low = np.sort(rng.uniform(3, 9, 1000)), rng.normal(size=1000)
+    low[200:300] = low[500] = np.nan
+    starts, lowest, highest = envelope(times, low, low + 1, 50)
+    column = np.searchsorted(starts, times, side="right") - 1
+    assert 50 <= len(starts) <= 51 and np.isnan(lowest).sum() >= 3
+    for k in range(len(starts)):
+        own = low[(column == k) & np.isfinite(low)]
+        expected = (own.min(), own.max() + 1) if own.size else (np.nan, np.nan)
+        np.testing.assert_equal((lowest[k], highest[k]), expected)
+    few = envelope(times[::100], low[::100], low[::100], 1000)
+    np.testing.assert_array_equal(few, (times[::100], low[::100], low[::100]))  # a frame a column: as it is
+
+
+def test_bands_of_long_recordings_are_bands(tmp_path: Path) -> None:
+    """Of 6 000 frames every seventh has a large σ: all of the panel's width is under its band."""
+    times, sigma = np.arange(6000) / 60, np.where(np.arange(6000) % 7 == 0, 0.2, 0.01)[:, None]
+    series = AngleSeries(times, ("knee_angle_r",), np.zeros((6000, 1)), sigma)
+    picture = cv2.imread(str(angle_plot(tmp_path / "a.png", series)))[..., ::-1].astype(int)
+    tinted = (picture[..., 0] - picture[..., 2] > 40) & (picture[..., 2] > 120)  # pale orange: the band, not the curve
+    rows = tinted.sum(axis=1)
+    assert (rows > 0.9 * rows.max()).sum() > 40 and rows.max() > 200
 
 
 class Links(HTMLParser):

@@ -11,6 +11,7 @@ import signal
 import subprocess
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -41,6 +42,7 @@ class Browser:
         os.close(ours[0])
         os.close(theirs[1])
         self.problems: list[str] = []
+        self._frames: list[tuple[float, dict[str, Any]]] = []  # of the screencast, with their times of arrival
         self._session: str | None = None
         pages = self.call("Target.getTargets")["targetInfos"]
         page = next(target["targetId"] for target in pages if target["type"] == "page")
@@ -76,6 +78,8 @@ class Browser:
         parameters = message.get("params", {})
         if message.get("method") == "Runtime.exceptionThrown":
             self.problems.append(_told(parameters["exceptionDetails"]))
+        if message.get("method") == "Page.screencastFrame":
+            self._frames.append((time.monotonic(), parameters))
         if message.get("method") == "Network.requestWillBeSent":
             url = parameters["request"]["url"]
             if not url.startswith(("data:", "blob:", "file:", "http://127.0.0.1")):
@@ -84,6 +88,21 @@ class Browser:
     def open(self, url: str, ready: str = "document.body.dataset.ready === 'yes'") -> None:
         self.call("Page.navigate", url=url)
         self.wait(ready)
+
+    def first_picture(self, url: str, shows: Callable[[bytes], bool], seconds: float = 60.0) -> float:
+        """Opens a page. Seconds from then until a picture (JPEG) of it is here that `shows` what is wanted."""
+        self.call("Page.startScreencast", format="jpeg", quality=60)
+        start = time.monotonic()
+        self.call("Page.navigate", url=url)
+        while time.monotonic() < start + seconds:
+            for arrived, frame in self._frames:
+                if shows(base64.b64decode(frame["data"])):
+                    self.call("Page.stopScreencast")
+                    return arrived - start
+                self.call("Page.screencastFrameAck", sessionId=frame["sessionId"])
+            self._frames.clear()
+            self.run("0")
+        raise AssertionError(f"the page never showed it; {self.problems}")
 
     def run(self, script: str) -> Any:
         """Value of an expression in the page."""

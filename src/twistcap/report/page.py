@@ -180,7 +180,9 @@ def _figure(figure: Figure, kind: str) -> str:
     """A plot is as wide as it must be to be read, and scrolls where the page is narrower."""
     picture, caption = figure.picture, escape(figure.caption)
     content, mime = (picture, "jpeg") if isinstance(picture, bytes) else (picture.read_bytes(), "png")
-    image = f'<img alt="{caption}" src="data:image/{mime};base64,{base64.b64encode(content).decode()}">'
+    image = (
+        f'<img decoding="async" alt="{caption}" src="data:image/{mime};base64,{base64.b64encode(content).decode()}">'
+    )
     scroll = f'<div class="scroll" tabindex="0" role="region" aria-label="{caption}">{image}</div>'
     shown = scroll if kind.startswith("plot") else image
     return f'<figure class="{kind}">{shown}<figcaption>{caption}</figcaption></figure>'

@@ -24,6 +24,7 @@ _COLOURS = {"r": "#e8790c", "l": "#1780d6", "": "#3d8f6d"}
 _DARK = {"r": "#6e3500", "l": "#0a3a66", "": "#16452f"}
 _SIDES = {"r": "right", "l": "left", "": "middle"}
 _LEAST_SPAN_DEG = 10.0
+_COLUMNS = 360  # of pixels in a panel, about
 _LOST, _DROPPED, _NORM = "#e5484d", "#9aa3ad", "#aab2bd"
 
 
@@ -68,12 +69,21 @@ def angle_plot(
 
 
 def _draw_angle(axis: Axes, series: AngleSeries, name: str) -> None:
+    """The curve and its band, as tall in each column of pixels as its frames are."""
     k, colour = series.names.index(name), _COLOURS[split_side(name)[1]]
     values = np.degrees(series.angles[:, k])
     if series.sigma is not None:
         band = 2 * np.degrees(series.sigma[:, k])
-        axis.fill_between(series.times, values - band, values + band, color=colour, alpha=0.22, lw=0, zorder=2)
-    axis.plot(series.times, values, color=colour, lw=1.6, zorder=3)
+        edges = envelope(series.times, values - band, values + band)
+        axis.fill_between(*edges, color=colour, alpha=0.3, lw=0, zorder=2)
+    axis.fill_between(*envelope(series.times, values, values), color=colour, alpha=0.75, lw=1.2, zorder=3)
+
+
+def envelope(times: Float, low: Float, high: Float, columns: int = _COLUMNS) -> tuple[Float, Float, Float]:
+    """First time, lowest `low` and highest `high` (N,) of each column of an axis; NaN only where all of it is NaN."""
+    column = np.floor((times - times[0]) / max(np.ptp(times), 1e-9) * columns)
+    starts = np.flatnonzero(np.diff(column, prepend=-1.0))
+    return times[starts], np.fmin.reduceat(low, starts), np.fmax.reduceat(high, starts)
 
 
 def _finish_angles(axis: Axes, panel: str) -> None:

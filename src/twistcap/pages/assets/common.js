@@ -21,6 +21,9 @@ function make(tag, attributes = {}, ...children) {
   return element;
 }
 
+/** The pen of a small canvas, kept in memory: a canvas on the graphics card costs more to set up than to draw. */
+const pen2d = (canvas) => canvas.getContext("2d", { willReadFrequently: true });
+
 /** Size of a rem, px: the pages grow with the screen. */
 const em = () => parseFloat(getComputedStyle(document.documentElement).fontSize);
 

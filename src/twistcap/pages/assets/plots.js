@@ -17,10 +17,10 @@ function curvesOf(name) {
   for (const run of runs) {
     const j = run.coordinates.indexOf(name);
     if (j < 0) continue;
-    const hi = table.length, hidden = { stroke: "transparent", width: 0, points: { show: false } };
+    const hidden = { paths: () => null, points: { show: false } };  // they count for the height
+    bands.push([table.length, run.colour + "55"]);
     table.push(column(run, j, (i) => run.angles[i] + 2 * run.sigma[i]), column(run, j, (i) => run.angles[i] - 2 * run.sigma[i]), column(run, j, (i) => run.angles[i]));
     series.push(hidden, { ...hidden }, { stroke: run.colour, width: 1.5, points: { show: false } });
-    bands.push({ series: [hi, hi + 1], fill: run.colour + "33" });
     read.push((frame) => {
       const row = run.rows[frame], i = row * run.coordinates.length + j;
       const digits = run.units[j] === "°" ? 1 : 3;
@@ -34,6 +34,41 @@ function curvesOf(name) {
     read.push((frame) => { const v = data.reference.angles_deg[frame][r]; return v === null ? null : ["var(--truth)", `reference ${written(v, 1)}°`]; });
   }
   return { series, table, bands, read };
+}
+
+/** A band in the columns of pixels that have frames, each as tall as its frames are; a part for each stretch without
+ * gaps. The band lies between the columns `hi` and `hi` + 1 of the plot's table. */
+function bandParts(u, hi) {
+  const [times, upper, lower] = [0, hi, hi + 1].map((k) => u.data[k]), [from, to] = u.series[0].idxs, parts = [];
+  let part = null;
+  for (let i = Math.max(0, from - 1); i <= Math.min(times.length - 1, to + 1); i++) {
+    if (upper[i] === null) { part = null; continue; }
+    const x = Math.round(u.valToPos(times[i], "x", true)), last = (part ?? parts.at(-1))?.at(-1);
+    const top = u.valToPos(upper[i], "y", true), bottom = u.valToPos(lower[i], "y", true);
+    if (last?.x === x) { last.top = Math.min(last.top, top); last.bottom = Math.max(last.bottom, bottom); continue; }
+    if (!part) parts.push(part = []);
+    part.push({ x, top, bottom });
+  }
+  return parts;
+}
+
+function drawBand(u, hi, fill) {
+  const pen = u.ctx;
+  pen.save();
+  pen.beginPath();
+  pen.rect(u.bbox.left, u.bbox.top, u.bbox.width, u.bbox.height);
+  pen.clip();
+  pen.beginPath();
+  for (const part of bandParts(u, hi)) {
+    const end = part.at(-1);
+    part.forEach(({ x, top }, k) => (k ? pen.lineTo(x, top) : pen.moveTo(x, top)));
+    pen.lineTo(end.x + 1, end.top);
+    pen.lineTo(end.x + 1, end.bottom);
+    part.reverse().forEach(({ x, bottom }) => pen.lineTo(x, bottom));
+  }
+  pen.fillStyle = fill;
+  pen.fill();
+  pen.restore();
 }
 
 const unitOf = (name) => { const run = runs.find((one) => one.coordinates.includes(name)); return run.units[run.coordinates.indexOf(name)]; };
@@ -57,11 +92,11 @@ function axesNow(unit) {
 function buildPlot(one) {
   const { series, table, bands } = one.curves = curvesOf(one.name);
   one.plot = new uPlot({
-    ...sizeOf(one.holder), legend: { show: false }, series, bands, axes: axesNow(unitOf(one.name)),
+    ...sizeOf(one.holder), legend: { show: false }, series, axes: axesNow(unitOf(one.name)),
     cursor: { y: false, drag: { x: true, y: false }, sync: { key: "time" }, points: { show: false } },
     scales: { x: { time: false, min: range[0], max: range[1] }, y: { range: heightOf(unitOf(one.name)) } },
     hooks: {
-      ready: [() => point(one)], drawClear: [shade],
+      ready: [() => point(one)], drawClear: [shade], drawAxes: [(u) => bands.forEach((one) => drawBand(u, ...one))],
       setCursor: [(u) => { pointed = u.cursor.idx ?? null; for (const other of plots) readOut(other); }],
       setScale: [(u, key) => { if (key === "x") spread(u.scales.x.min, u.scales.x.max); }],
     },
@@ -172,4 +207,3 @@ window.twistcapView = { seek, setPlaying, state, runs, plots, scene: scene3d, sh
 themeButton();
 seek(0);
 document.body.dataset.ready = "yes";
-requestAnimationFrame(() => requestAnimationFrame(() => { document.body.dataset.painted = Math.round(performance.now()); }));

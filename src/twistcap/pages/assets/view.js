@@ -100,7 +100,7 @@ function frustum(camera, depth) {
 
 /** A name in white, which the material's colour turns into another. */
 function label(text, at) {
-  const canvas = make("canvas", { width: 256, height: 64 }), pen = canvas.getContext("2d");
+  const canvas = make("canvas", { width: 256, height: 64 }), pen = pen2d(canvas);
   pen.font = "600 34px sans-serif"; pen.textAlign = "center"; pen.fillStyle = "#fff"; pen.fillText(text, 128, 44);
   const sprite = new THREE.Sprite(new THREE.SpriteMaterial({ map: new THREE.CanvasTexture(canvas), depthTest: false }));
   sprite.position.copy(at).add(new THREE.Vector3(0, 0, 0.14)); sprite.scale.set(0.6, 0.15, 1);
@@ -158,17 +158,23 @@ function buildScene() {
   const controls = new OrbitControls(eye, renderer.domElement);
   controls.target.copy(middle);
   controls.update();
-  const draw = () => renderer.render(scene, eye);
+  let due = 0, size = "";
+  const render = () => { cancelAnimationFrame(due); due = 0; renderer.render(scene, eye); };
+  const draw = () => { due ||= requestAnimationFrame(render); };  // however often it is asked for, once a picture
   controls.addEventListener("change", draw);
   themeListeners.push(() => { tint(); draw(); });
   keys(renderer.domElement, eye, controls);
+  /** Whether the canvas has got another size; it is empty then. */
   const resize = () => {
-    renderer.setSize(box.clientWidth, box.clientHeight);
-    eye.aspect = box.clientWidth / box.clientHeight;
+    const { clientWidth: width, clientHeight: height } = box;
+    if (size === (size = `${width} ${height}`)) return false;
+    renderer.setSize(width, height);
+    eye.aspect = width / height;
     eye.updateProjectionMatrix();
-    draw();
+    return true;
   };
-  new ResizeObserver(resize).observe(box);
+  resize();
+  new ResizeObserver(() => { if (resize()) render(); }).observe(box);
   const away = new THREE.Vector3().subVectors(eye.position, middle).normalize();
   const look = (distance) => { eye.position.copy(middle).addScaledVector(away, distance); controls.target.copy(middle); controls.update(); draw(); };
   const near = eye.position.distanceTo(middle), wide = 2.2 * Math.max(near / 2.2, ...far);
@@ -187,7 +193,7 @@ function buildScene() {
     showReference(points, sticks, frame, side);
     draw();
   });
-  return { frusta, draw, ground: () => scene.background };
+  return { frusta, draw, ground: () => scene.background, drawn: () => renderer.info.render.frame };
 }
 
 /** The 3D view by keys: arrows turn, + and − come near and go away. */
@@ -221,7 +227,6 @@ function showReference(points, sticks, frame, side) {
 
 /* ---- images ---- */
 const views = document.getElementById("views");
-const scene3d = buildScene();
 const pictures = data.cameras.map((camera, c) => {
   if (!camera.images.length) return null;
   const canvas = make("canvas", { width: camera.size[0], height: camera.size[1] });
@@ -235,6 +240,7 @@ if (!pictures.some(Boolean)) document.getElementById("stage").classList.add("bar
 const pictured = pictures.filter(Boolean).length, columns = Math.ceil(Math.sqrt(pictured));
 views.style.gridTemplateColumns = `repeat(${columns}, minmax(0, 1fr))`;
 views.style.gridTemplateRows = `repeat(${Math.ceil(pictured / columns)}, minmax(0, 1fr))`;
+const scene3d = buildScene();  // its box has its size now
 
 /** An image is decoded when it is first wanted; null where there is none. */
 function imageOf(c, k) {
@@ -265,7 +271,7 @@ function trace(pen, curves) {
 function paint(c, frame) {
   const picture = pictures[c];
   if (!picture) return;
-  const k = shownAt(frame), image = imageOf(c, k), pen = picture.canvas.getContext("2d");
+  const k = shownAt(frame), image = imageOf(c, k), pen = pen2d(picture.canvas);
   if (k + 1 < data.shown.length) imageOf(c, k + 1);
   pen.fillStyle = "#14181f";
   pen.fillRect(0, 0, picture.canvas.width, picture.canvas.height);
@@ -273,7 +279,7 @@ function paint(c, frame) {
   if (scene3d) {
     const { plane, texture, canvas } = scene3d.frusta[c];
     plane.visible = Boolean(image) && state.images;
-    canvas.getContext("2d").drawImage(picture.canvas, 0, 0);
+    pen2d(canvas).drawImage(picture.canvas, 0, 0);
     texture.needsUpdate = true;
   }
   if (state.outlines) for (const run of runs) {
@@ -317,7 +323,7 @@ const THUMB = 8;  // px, half of the slider's knob
 const stepOf = () => (strip.clientWidth - 2 * THUMB) / Math.max(1, data.indices.length - 1);
 
 function drawMarks() {
-  const height = runs.length > 1 ? 14 : 22, step = stepOf(), wide = Math.max(2, step), pen = strip.getContext("2d");
+  const height = runs.length > 1 ? 14 : 22, step = stepOf(), wide = Math.max(2, step), pen = pen2d(strip);
   strip.width = strip.clientWidth;
   strip.height = height * runs.length;
   strip.style.height = `${strip.height}px`;
