@@ -59,10 +59,9 @@ class LimbRule(Checked):
         draws: poses that are drawn in each round.
         kept: poses that the next round starts from.
         again, longest: frames until it is looked for again where it was not found, which double up to the longest.
-        every: frames between looks at limbs that nothing speaks against, one after the other: what lies before the body
-            in its colours has no sign of being wrong.
         bare: evidence of the body that nothing covers in a camera, over what is usual, as a fraction of that of the
             least limb, from which on all limbs are looked at: one of them may belong there.
+        every: frames between such looks, which seldom find one.
         few, worth: of such a limb, how many of the roughly best poses are drawn; and the fraction of what is usual that
             one of them must gain for it to be looked for at all.
     """
@@ -87,8 +86,8 @@ class LimbRule(Checked):
     kept: Count = 3
     again: Count = 2
     longest: Count = 4
-    every: Count = 6
     bare: Share = 0.25
+    every: Count = 6
     few: Count = 12
     worth: Share = 0.1
 
@@ -102,16 +101,14 @@ class LimbRule(Checked):
         return np.flatnonzero(signs[:-1, _DISAGREEING] + signs[:-1, _SILENT] > self.slipped).tolist()
 
     def due(self, known: Recollection, check: Check, groups: Bool, frames: int) -> list[int]:
-        """Limbs that are looked at though nothing speaks against them: all where the body's colours lie bare, else the
-        one whose turn it is, if it is time for that.
+        """Limbs that are looked at though nothing speaks against them: all where the body's colours lie bare, if it is
+        time for that.
         """
-        limbs = len(groups) - 1
+        if frames % self.every:
+            return []
         bare = (check.uncovered - known.uncovered).sum(axis=1).max()
         least = (known.nats.sum(axis=0) @ groups[:-1].T).min(initial=np.inf)
-        if bare > self.bare * max(float(least), _LITTLE):
-            return list(range(limbs))
-        turn, wait = divmod(frames, self.every)
-        return [] if wait else [turn % limbs]
+        return list(range(len(groups) - 1)) if bare > self.bare * max(float(least), _LITTLE) else []
 
     def hidden(self, lately: Float) -> list[int]:
         """Limbs of which little has been seen of late."""

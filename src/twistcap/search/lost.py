@@ -249,7 +249,7 @@ class LostBody(Checked):
         return now, rested(last, now.fit.pose, coordinates), memory
 
     def _due_limbs(self, memory: LostMemory, now: Judged) -> list[int]:
-        """Limbs that are looked at unasked: those that slip, else the one whose turn it is, if it is time for that."""
+        """Limbs that are looked at unasked: those that slip, else all where the body's colours lie bare."""
         slipping = [] if memory.signs is None else self.limb.slipping(memory.signs)
         return slipping or self.limb.due(memory.known, now.check, memory.groups, memory.frames)
 
