@@ -193,13 +193,23 @@ class Killed(Exception):
     """In the middle of a run."""
 
 
+def torn_after_two(writer: ResultWriter, estimates: list[Estimate]) -> None:
+    for row, estimate in list(enumerate(estimates, len(writer) - 1 - len(estimates)))[:2]:
+        writer._put_row(row, estimate)
+    raise Killed
+
+
 def until_killed(frames: list[Frame]) -> Iterator[Frame]:
     yield from frames
     raise Killed
 
 
-@pytest.mark.parametrize("stop", [22, 27, 34])
-def test_a_track_that_is_resumed_looks_back_alike(tmp_path: Path, stop: int) -> None:
+@pytest.mark.parametrize(("stop", "torn", "begun"), [(22, False, 20), (27, False, 26), (27, True, 26), (34, False, 30)])
+def test_a_track_that_is_resumed_looks_back_alike(
+    tmp_path: Path, stop: int, torn: bool, begun: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Frame 25 corrects five frames; a kill then, or `torn` after two of them, leaves them to the resumed run."""
+    monkeypatch.setattr("twistcap.commands.follow.STATE_EVERY", 5)
     take, frames = dropping()
     body, rig, model = take.scene.body, take.scene.rig, build(take.scene.body, take.scene.rig)
 
@@ -210,11 +220,16 @@ def test_a_track_that_is_resumed_looks_back_alike(tmp_path: Path, stop: int) -> 
 
     with ResultWriter(tmp_path / "whole.h5", body, rig, {}, room=len(frames)) as writer:
         follow(frames, len(frames), started(), writer)
-    with ResultWriter(tmp_path / "cut.h5", body, rig, {}, room=len(frames)) as writer, pytest.raises(Killed):
-        follow(until_killed(frames[:stop]), len(frames), started(), writer)
+    with monkeypatch.context() as patch:
+        if torn:
+            patch.setattr(ResultWriter, "correct", torn_after_two)
+        with ResultWriter(tmp_path / "cut.h5", body, rig, {}, room=len(frames)) as writer, pytest.raises(Killed):
+            follow(until_killed(frames[:stop]), len(frames), started(), writer)
     tracker = started()
-    count = resumed(tracker, tmp_path / "cut.h5")
-    assert count == stop // 10 * 10
+    count, corrected = resumed(tracker, tmp_path / "cut.h5")
+    assert count == begun
+    with ResultWriter.resume(tmp_path / "cut.h5", count, len(frames)) as writer:
+        writer.correct(corrected)
     passed = map(Passed, frames[:count], read_result(tmp_path / "cut.h5").estimates)
     with ResultWriter.resume(tmp_path / "cut.h5", count, len(frames)) as writer:
         follow(frames[count:], len(frames), tracker, writer, passed)
