@@ -252,7 +252,7 @@ def until_killed(frames: list[Frame]) -> Iterator[Frame]:
 def test_a_track_that_is_resumed_looks_back_alike(
     tmp_path: Path, stop: int, torn: bool, begun: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Frame 25 corrects five frames, and 26 one; what a kill leaves undone (`torn`: after two), the resumed run does."""
+    """Frame 25 corrects five frames, and 26 one; what a kill leaves undone, the resumed run does."""
     monkeypatch.setattr("twistcap.commands.follow.STATE_EVERY", 5)
     take, frames = dropping()
     body, rig, model = take.scene.body, take.scene.rig, build(take.scene.body, take.scene.rig)
