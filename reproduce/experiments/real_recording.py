@@ -120,8 +120,8 @@ def tracked(file: Path, changed: Settings, path: Path, modified: Callable[[Model
             began = perf_counter()
             corrected, estimate = hindsight.step(frame)
             times.append(1000.0 * (perf_counter() - began))
-            writer.correct(corrected)
             writer.append(estimate)
+            writer.correct(corrected)
     return float(np.median(times[1:]))
 
 

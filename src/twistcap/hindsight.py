@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate, chain
+from typing import Annotated
 
 import numpy as np
 
@@ -18,12 +19,13 @@ from twistcap.arrays import Bool, Float
 from twistcap.body import Pose, Posed
 from twistcap.body.limbs import limbs
 from twistcap.cues import Cue
+from twistcap.cues.view import despeckled
 from twistcap.differential.model import DifferentialModel
 from twistcap.errors import InputError
 from twistcap.estimate import UNSEEN, Estimate, Frame
-from twistcap.predict.history import Moment
+from twistcap.predict.history import REMEMBERED, Moment
 from twistcap.priors import Prior
-from twistcap.ranges import Checked, Count, Share
+from twistcap.ranges import Checked, Count, Range, Share
 from twistcap.search.lost import LostBody, LostMemory
 from twistcap.stages import stage
 from twistcap.track import Model, State, Tracker, step
@@ -45,7 +47,7 @@ class LookBack(Checked):
             from the first one, where that was right: what it began from was found wrongly.
     """
 
-    frames: Count = 60
+    frames: Annotated[int, Range(1, REMEMBERED - 1)] = 60
     megabytes: Count = 500
     met: float = 0.03
     gain: float = 20.0
@@ -107,8 +109,8 @@ class Hindsight:
         waiting = deque[Estimate]()
         for frame in frames:
             corrected, estimate = self.step(frame)
-            for k, better in enumerate(reversed(corrected), 1):
-                waiting[-k] = better
+            for k in range(1, 1 + min(len(corrected), len(waiting))):  # not those that had passed before
+                waiting[-k] = corrected[-k]
             waiting.append(estimate)
             while len(waiting) > len(self._passed):
                 yield waiting.popleft()
@@ -229,7 +231,8 @@ def _problem(model: Model, state: State, one: Passed) -> FrameProblem:
     """A passed frame, as it is judged by what is known now."""
     none = np.zeros_like(state.covariance)
     out = frozenset(state.left_out)
-    return FrameProblem(model, state, one.seen, one.estimate.pose, none, none, {}, left_out=out)
+    frame = despeckled(one.seen, model.despeckle)
+    return FrameProblem(model, state, frame, one.estimate.pose, none, none, {}, left_out=out)
 
 
 def _apart(model: Model, one: Pose, other: Pose) -> Float:

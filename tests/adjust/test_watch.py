@@ -35,7 +35,7 @@ def watched(scene: Capture, moments: int = 0, turned_deg: float = 0.0) -> Watche
     tracker.start(scene.first_pose, 0.0)
     for k in range(FRAMES):
         if k == FRAMES // 2:  # what is remembered outlives an interruption
-            tracker.state = from_bytes(to_bytes(tracker.state), model)
+            tracker.state, _ = from_bytes(to_bytes(tracker.state), model)
         images = [scene.image(EVERY * k + (moments if c == LATE else 0), c) for c in range(4)]
         tracker.step(Frame(k, k / 60.0, tuple(images)))
     memory = tracker.state.cues["camera watch"]

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace as replaced
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ import pytest
 from support.commands import document, refusal, run
 from support.results import estimate, two_links
 from support.videos import corrupted, write
+from twistcap.body import Pose
 from twistcap.body.humanoid import humanoid
 from twistcap.errors import InputError
 from twistcap.io.calibration import read_rig
@@ -150,6 +152,33 @@ def test_a_finished_track_is_not_tracked_again(
     assert "all 8 frames are tracked: there is nothing to do" in said.err + said.out
     assert (out / "result.h5").read_bytes() == (tracked / "result.h5").read_bytes()
     assert (out / "angles.csv").read_bytes() == (tracked / "angles.csv").read_bytes()
+
+
+@pytest.mark.parametrize("frames", ["0:6", "0:7"])
+def test_a_correction_that_was_cut_off_is_ended(
+    frames: str, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After one of three frames, in the last frame of all or the last but one."""
+
+    def found(rule: Any, model: Any, before: Any, state: Any, passed: Any) -> tuple[Any, list[Any]]:
+        last = [one.estimate for one in list(passed)[-3:]] if len(passed) == 6 else []
+        return state, [replaced(e, pose=Pose(e.pose.root, e.pose.q + 0.1)) for e in last]
+
+    def cut(writer: ResultWriter, estimates: Any) -> None:
+        writer._put_row(len(writer) - 1 - len(estimates), estimates[0])
+        raise KeyboardInterrupt
+
+    quick = ("--frames", frames, "--set", "output.overlay=false", "--set", "output.report=false")
+    track = ("track", made / "session.toml", *quick, "--out")
+    monkeypatch.setattr("twistcap.hindsight.looked_back", found)
+    assert document(capsys, *track, tmp_path / "whole")["corrected"] == [3, 4, 5]
+    with monkeypatch.context() as patch:
+        patch.setattr(ResultWriter, "correct", cut)
+        assert run(*track, tmp_path / "cut") == 130
+    assert document(capsys, *track, tmp_path / "cut", "--resume")["frames"] == int(frames[-1]) + 1
+    whole, ended = (read_result(tmp_path / name / "result.h5") for name in ("whole", "cut"))
+    for name, rows in whole.rows.items():
+        np.testing.assert_array_equal(ended.rows[name], rows)
 
 
 def test_motions_carry_the_track_over_missing_images(

@@ -9,23 +9,25 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
 from reproduce.faults.kinds import kind_of, take_of
 from reproduce.faults.runs import errors_mm
 from reproduce.faults.take import Take
-from twistcap import hindsight
+from twistcap import hindsight, stages
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.limbs import named_limbs
 from twistcap.build import build
 from twistcap.commands.follow import follow, resumed
 from twistcap.differential.model import DifferentialModel
+from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate.metrics import JOINT_CENTRES
 from twistcap.hindsight import Again, Hindsight, LookBack, Passed, looked_back, tracked
 from twistcap.io.result import ResultWriter, read_result
-from twistcap.search.lost import LostMemory
+from twistcap.search.lost import LostBody, LostMemory
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import Model, State, Tracker
 
@@ -165,6 +167,48 @@ def test_estimates_come_when_nothing_can_correct_them() -> None:
         assert len(read) * one < rule.megabytes + 2 * one or late is not None
 
 
+def test_what_came_before_the_first_frame_is_corrected_in_silence(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tracker that goes on gives estimates of the frames that it gets, whatever it finds out of those before."""
+    _, model, passed, before, _ = walk()
+    tracker = Tracker(model)
+    tracker.state = before
+    monkeypatch.setattr(hindsight, "looked_back", lambda *given: (given[3], [p.estimate for p in passed[-3:-1]]))
+    found = Hindsight(tracker, passed=passed[:-1]).through([passed[-1].frame])
+    assert [e.index for e in found] == [20]
+
+
+def test_the_poses_of_all_frames_that_may_be_corrected_are_remembered() -> None:
+    with pytest.raises(InputError, match="frames is 128; it must be a whole number from 1 to 127"):
+        LookBack(frames=128)
+
+
+def test_passed_frames_are_judged_in_pictures_like_those_that_were_learned() -> None:
+    _, model, passed, _, state = walk()
+    image = passed[0].frame.images[0]
+    assert image is not None
+    judged = hindsight._problem(replace(model, despeckle=3), state, passed[0]).frame.images[0]
+    assert np.array_equal(judged, cv2.medianBlur(image, 3))
+
+
+def test_a_limb_may_be_put_elsewhere_twice_in_a_row() -> None:
+    """It was found wrongly in the frame before. A frame in which no search could see anything finds nothing."""
+    _, model, _, before, state = walk()
+    search = next(s for s in model.searches if isinstance(s, LostBody))
+    first, then = (with_found(s, ARM).searches[search.name] for s in (before, state))
+    assert search.put_elsewhere(first, then).tolist() == (then.found > 0.0).tolist()
+    assert not search.put_elsewhere(first, first).any()
+    assert not search.put_elsewhere(first, replace(then, found=search.doubted * first.found)).any()
+
+
+def test_frames_that_are_tracked_again_count_as_one_in_the_stopwatch() -> None:
+    scene, model, passed, before, state = walk()
+    state = with_poses(with_found(state, ARM), passed[:-1], bent(scene.body, passed[-1].estimate.pose))
+    with stages.record() as times:
+        stages.next_frame()
+        looked_back(LookBack(), model, before, state, passed[:-1])
+    assert times and {len(seconds) for seconds in times.values()} == {1}
+
+
 def test_the_differential_tracker_does_not_look_back() -> None:
     scene = capture(StudioConfig(0, 2, (192, 140), frames=3))
     found = list(tracked(scene.frames(), DifferentialModel(scene.body, rig=scene.rig), scene.first_pose))
@@ -193,13 +237,23 @@ class Killed(Exception):
     """In the middle of a run."""
 
 
+def torn_after_two(writer: ResultWriter, estimates: list[Estimate]) -> None:
+    for row, estimate in list(enumerate(estimates, len(writer) - 1 - len(estimates)))[:2]:
+        writer._put_row(row, estimate)
+    raise Killed
+
+
 def until_killed(frames: list[Frame]) -> Iterator[Frame]:
     yield from frames
     raise Killed
 
 
-@pytest.mark.parametrize("stop", [22, 27, 34])
-def test_a_track_that_is_resumed_looks_back_alike(tmp_path: Path, stop: int) -> None:
+@pytest.mark.parametrize(("stop", "torn", "begun"), [(22, False, 20), (26, False, 26), (27, True, 26), (34, False, 30)])
+def test_a_track_that_is_resumed_looks_back_alike(
+    tmp_path: Path, stop: int, torn: bool, begun: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Frame 25 corrects five frames, and 26 one; what a kill leaves undone, the resumed run does."""
+    monkeypatch.setattr("twistcap.commands.follow.STATE_EVERY", 5)
     take, frames = dropping()
     body, rig, model = take.scene.body, take.scene.rig, build(take.scene.body, take.scene.rig)
 
@@ -210,11 +264,16 @@ def test_a_track_that_is_resumed_looks_back_alike(tmp_path: Path, stop: int) -> 
 
     with ResultWriter(tmp_path / "whole.h5", body, rig, {}, room=len(frames)) as writer:
         follow(frames, len(frames), started(), writer)
-    with ResultWriter(tmp_path / "cut.h5", body, rig, {}, room=len(frames)) as writer, pytest.raises(Killed):
-        follow(until_killed(frames[:stop]), len(frames), started(), writer)
+    with monkeypatch.context() as patch:
+        if torn:
+            patch.setattr(ResultWriter, "correct", torn_after_two)
+        with ResultWriter(tmp_path / "cut.h5", body, rig, {}, room=len(frames)) as writer, pytest.raises(Killed):
+            follow(until_killed(frames[:stop]), len(frames), started(), writer)
     tracker = started()
-    count = resumed(tracker, tmp_path / "cut.h5")
-    assert count == stop // 10 * 10
+    count, corrected = resumed(tracker, tmp_path / "cut.h5")
+    assert count == begun
+    with ResultWriter.resume(tmp_path / "cut.h5", count, len(frames)) as writer:
+        writer.correct(corrected)
     passed = map(Passed, frames[:count], read_result(tmp_path / "cut.h5").estimates)
     with ResultWriter.resume(tmp_path / "cut.h5", count, len(frames)) as writer:
         follow(frames[count:], len(frames), tracker, writer, passed)

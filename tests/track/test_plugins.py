@@ -30,7 +30,7 @@ def test_a_cue_of_one_line_tracks_is_reported_saved_and_restored() -> None:
         state, estimate = step(state, scene.frame(k), model)
     assert estimate.energies["mean colour"] > 0.0
     assert state.cues["mean colour"].frames.max() > 0
-    again = from_bytes(to_bytes(state), build(scene.body, scene.rig, Settings(plugins=("mean_colour",))))
+    again, _ = from_bytes(to_bytes(state), build(scene.body, scene.rig, Settings(plugins=("mean_colour",))))
     np.testing.assert_array_equal(again.cues["mean colour"].mean, state.cues["mean colour"].mean)
     one, other = step(state, scene.frame(3), model)[1], step(again, scene.frame(3), model)[1]
     np.testing.assert_array_equal(one.pose.q, other.pose.q)

@@ -12,7 +12,7 @@ import numpy as np
 from twistcap.commands.cameras import ELSEWHERE
 from twistcap.commands.clocks import suspects
 from twistcap.commands.terminal import progress, say
-from twistcap.errors import InputError
+from twistcap.errors import InputError, check
 from twistcap.estimate import Estimate, Frame
 from twistcap.hindsight import Hindsight, Passed
 from twistcap.io.result import Result, ResultWriter, read_result, read_state
@@ -79,9 +79,11 @@ def follow(
                 start = time.perf_counter()
                 corrected, estimate = hindsight.step(frame)
                 timing.ms.append(1000 * (time.perf_counter() - start))
-                writer.correct(corrected)
-                timing.corrected.update(e.index for e in corrected)
                 writer.append(estimate)
+                if corrected:
+                    writer.save_state(to_bytes(tracker.state, corrected))  # a kill from here on corrects them later
+                    writer.correct(corrected)
+                    timing.corrected.update(e.index for e in corrected)
                 for sentence in believed.news(estimate, suspects(tracker)):
                     say(sentence)
                 advance(f"{timing.ms[-1]:.0f} ms{'  LOST' if estimate.lost else ''}")
@@ -114,10 +116,13 @@ def in_use(path: Path, frames: int) -> InputError:
     return InputError(f"{path} holds {frames} tracked frames; {mend}.")
 
 
-def resumed(tracker: Tracker, path: Path) -> int:
-    """Bring a tracker to the last saved state of a file, if it fits its settings; frames that were tracked by then."""
+def resumed(tracker: Tracker, path: Path) -> tuple[int, tuple[Estimate, ...]]:
+    """Bring a tracker to the last saved state of a file, if it fits its settings; frames that were tracked by then, and
+    those before the last of them that it corrects, in the file or not.
+    """
     saved = read_state(path)
     if saved is None:
         raise InputError(f"{path} holds no state to go on from; track anew without --resume.")
-    tracker.state = from_bytes(saved[1], tracker.model)
-    return saved[0]
+    tracker.state, corrected = from_bytes(saved[1], tracker.model)
+    check(str(path), len(corrected) <= max(0, saved[0] - 1), "its stored state is damaged; track anew")
+    return saved[0], corrected

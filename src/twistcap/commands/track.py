@@ -142,7 +142,7 @@ def _resumed(session: Any, path: Path, done: Any, begin: Begin, lock: Any) -> tu
     from twistcap.commands.clocks import watched_by
     from twistcap.io.provenance import check_same, made_of
     from twistcap.io.recording import rig_of, views_of
-    from twistcap.io.result import ResultWriter
+    from twistcap.io.result import ResultWriter, read_result
 
     rig = rig_of(session)
     if rig.names != done.rig.names:
@@ -151,7 +151,11 @@ def _resumed(session: Any, path: Path, done: Any, begin: Begin, lock: Any) -> tu
     views = views_of(session, rig)
     check_same(path, done.recording, made_of(session, views), begin.videos_changed)
     tracker = session_tracker(session, done.body, views, watch=True)
-    count = resumed(tracker, path)
+    count, corrected = resumed(tracker, path)
+    if corrected:  # the run before may have ended while it wrote them
+        with ResultWriter.resume(path, count, len(views), lock) as writer:
+            writer.correct(corrected)
+        done = read_result(path)
     rest = views.starting_at(int(done.indices[count - 1]) + 1) if count else views
     if not len(rest):
         words.print(f"all {count} frames are tracked: there is nothing to do but to write the files anew")

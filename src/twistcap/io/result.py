@@ -223,8 +223,8 @@ class ResultWriter:
         self._held = max(self._held, self._count)
 
     def correct(self, estimates: Sequence[Estimate]) -> None:
-        """Write the last frames anew, the oldest first. Raises InputError where the disk is full."""
-        for row, estimate in enumerate(estimates, self._count - len(estimates)):
+        """Write those before the last frame anew, the oldest first. Raises InputError where the disk is full."""
+        for row, estimate in enumerate(estimates, self._count - 1 - len(estimates)):
             self._put_row(row, estimate)
 
     def _put_row(self, row: int, estimate: Estimate) -> None:

@@ -10,7 +10,7 @@ import io
 import json
 import types
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
 
@@ -21,6 +21,7 @@ from twistcap.body import Body, Pose, Posed
 from twistcap.differential.model import DifferentialModel
 from twistcap.doors.npz import npz_arrays
 from twistcap.errors import InputError
+from twistcap.estimate import Estimate
 from twistcap.registry import memory_type
 from twistcap.se3 import is_motion
 from twistcap.track.model import Model
@@ -30,12 +31,13 @@ _DAMAGE = (
     KeyError, IndexError, AttributeError, zipfile.BadZipFile,
 )  # fmt: skip
 _MEMORIES = ("cues", "predictors", "searches")
+_CORRECTED = "corrected"  # no state has a field of this name
 
 
-def to_bytes(state: Any) -> UInt8:
-    """(N,) bytes of a state, with checksums."""
+def to_bytes(state: Any, corrected: Sequence[Estimate] = ()) -> UInt8:
+    """(N,) bytes of a state, and of the estimates that it corrects, with checksums."""
     arrays: list[AnyArray] = []
-    layout = _packed(state, arrays)
+    layout = _packed(state, arrays) | {_CORRECTED: _packed(corrected, arrays)}
     buffer = io.BytesIO()
     text = np.frombuffer(json.dumps(layout, allow_nan=True).encode(), np.uint8)
     named: dict[str, Any] = {str(k): array for k, array in enumerate(arrays)}
@@ -43,8 +45,8 @@ def to_bytes(state: Any) -> UInt8:
     return np.frombuffer(buffer.getvalue(), np.uint8)
 
 
-def from_bytes(data: UInt8, model: Model | DifferentialModel) -> Any:
-    """The state of a model that `to_bytes` wrote.
+def from_bytes(data: UInt8, model: Model | DifferentialModel) -> tuple[Any, tuple[Estimate, ...]]:
+    """The state of a model, and the estimates that it corrects, which `to_bytes` wrote.
 
     Raises:
         InputError: for bytes that are damaged, or of a model with other cues, predictors or searches.
@@ -53,16 +55,18 @@ def from_bytes(data: UInt8, model: Model | DifferentialModel) -> Any:
         file = npz_arrays(data.tobytes(), "the stored state of the track")
         layout = json.loads(file["layout"].tobytes())
         arrays = [file[str(k)] for k in range(len(file) - 1)]
-        state = _Reader(arrays, model.body).state(layout, model)
-        _check_sizes(state, model)
-        return state
+        reader = _Reader(arrays, model.body)
+        corrected = reader.read(tuple[Estimate, ...], layout.pop(_CORRECTED, []))
+        state = reader.state(layout, model)
+        _check_sizes(state, corrected, model)
+        return state, corrected
     except InputError:
         raise
     except _DAMAGE as error:
         raise InputError("the stored state of the track is damaged; track anew.") from error
 
 
-def _check_sizes(state: Any, model: Model | DifferentialModel) -> None:
+def _check_sizes(state: Any, corrected: Sequence[Estimate], model: Model | DifferentialModel) -> None:
     """Raises ValueError for arrays of another body; kernels would read past their ends."""
     if not isinstance(model, Model):
         return
@@ -72,8 +76,13 @@ def _check_sizes(state: Any, model: Model | DifferentialModel) -> None:
         given, usual = getattr(state, item.name), getattr(fresh, item.name)
         if isinstance(usual, np.ndarray) and (given.shape, given.dtype) != (usual.shape, usual.dtype):
             raise ValueError(item.name)
-    if any(m.pose.q.shape != rest.q.shape or not is_motion(m.pose.root, 1e-3) for m in state.past.moments):
+    poses = [one.pose for one in (*state.past.moments, *corrected)]
+    if any(pose.q.shape != rest.q.shape or not is_motion(pose.root, 1e-3) for pose in poses):
         raise ValueError("past")
+    parts = [e.part_probability for e in corrected if e.part_probability is not None]
+    given = {*(e.covariance.shape for e in corrected), *(p.shape for p in parts)}
+    if not given <= {fresh.covariance.shape, fresh.support.shape}:
+        raise ValueError("corrected")
 
 
 def _packed(value: Any, arrays: list[AnyArray]) -> Any:

@@ -142,7 +142,7 @@ class LostBody(Checked):
 
     def put_elsewhere(self, before: LostMemory, after: LostMemory) -> Bool:
         """(G,) which limbs, and whether the rest of the body, a search has found elsewhere between two memories."""
-        return after.found > before.found
+        return np.asarray((after.frames > before.frames) & (after.found > self.doubted * before.found), np.bool_)
 
     def begin(self, memory: LostMemory, problem: Problem) -> tuple[Beginning | None, LostMemory]:
         """Where the images show the body, after a gap, or while it is nowhere."""

@@ -8,6 +8,7 @@ from twistcap.body import Pose
 from twistcap.differential.model import DifferentialModel
 from twistcap.estimate import Estimate, Frame
 from twistcap.settings import Settings
+from twistcap.stages import next_frame
 from twistcap.track.model import Model
 from twistcap.track.state import State
 from twistcap.track.step import step
@@ -28,5 +29,6 @@ class Tracker:
 
     def step(self, frame: Frame) -> Estimate:
         """Track one frame."""
+        next_frame()
         self.state, estimate = step(self.state, frame, self.model)
         return estimate

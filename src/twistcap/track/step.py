@@ -23,7 +23,7 @@ from twistcap.predict.history import Moment, jumped
 from twistcap.search.flag import flag_groups, in_images, segment_deviations, support_signs
 from twistcap.search.lost import LostMemory
 from twistcap.solve import inverse
-from twistcap.stages import next_frame, stage
+from twistcap.stages import stage
 from twistcap.threads import ahead
 from twistcap.track.align import FrameProblem, align
 from twistcap.track.model import Model
@@ -42,7 +42,6 @@ def step(state: Any, frame: Frame, model: Model | DifferentialModel) -> tuple[An
     Raises:
         InputError: for an image with a value that is not finite.
     """
-    next_frame()
     try:
         return _stepped(state, frame, model)
     except InputError:
