@@ -57,6 +57,18 @@ def test_wrong_corners_are_left_out_or_mended() -> None:
     assert len(found) >= len(ids) - 2 and np.linalg.norm(pixels - true[found], axis=1).max() < 0.15
 
 
+def test_corners_beside_the_image_are_left_out() -> None:
+    image, true = drawn(BOARD, LYING)
+    found, pixels = refined(image, BOARD, np.arange(len(true), dtype=np.int32), true - 1000.0, 2.2)
+    assert len(found) == len(pixels) == 0
+
+
+def test_corners_without_an_edge_stay_as_they_were_found() -> None:
+    image, true = drawn(BOARD, LYING)
+    found, pixels = refined(image, BOARD, np.arange(len(true), dtype=np.int32), true, np.inf)
+    assert len(found) == len(true) and np.array_equal(pixels, true)
+
+
 def test_corners_that_are_hidden_or_half_in_the_image_are_left_out() -> None:
     image, true = drawn(BOARD, LYING)
     edge = int(true[4, 0])

@@ -170,7 +170,7 @@ def checked(least):
 for resume in (False, True):
     nth, answer = 0, ""
     while answer != "whole":
-        nth += 1 if nth < 10 else 17
+        nth += 1 if nth < 10 else 9
         for name in os.listdir(os.path.dirname(path)):
             os.unlink(os.path.join(os.path.dirname(path), name))
         least = 0

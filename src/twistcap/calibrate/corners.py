@@ -41,11 +41,13 @@ def refined(grey: UInt8, board: Board, ids: Int, pixels: Float, width: float) ->
     """
     plane = board.points[:, :2]
     H: Any = cv2.findHomography(plane[ids], pixels)[0]
-    if H is None:
+    if H is None or not np.isfinite(width):  # no edge was near the corners that were found
         return ids, pixels
     corners = _through(H, plane)
     start = corners + _shifts(corners, ids, pixels - corners[ids])
     inside = np.flatnonzero(np.all((start >= 0.0) & (start < grey.shape[::-1]), axis=1)).astype(np.int32)
+    if not len(inside):
+        return ids[:0], pixels[:0]
     return _windows(grey, board, H, inside, corners[inside], start[inside], width).fitted(inside)
 
 
