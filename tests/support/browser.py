@@ -117,6 +117,10 @@ class Browser:
             assert time.monotonic() < end, f"never came true: {condition}; {self.problems}"
             time.sleep(0.05)
 
+    def drawn(self) -> None:
+        """Until all that was asked for so far is drawn: the 3D view draws with the screen's next picture."""
+        self.run("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
     def mouse(self, kind: str, x: float, y: float, button: str = "left") -> None:
         held = 1 if kind != "mouseReleased" and button == "left" else 0
         self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button=button, buttons=held, clickCount=1)
