@@ -11,7 +11,7 @@ import pytest
 
 from support.cameras import ring
 from twistcap.arrays import Float
-from twistcap.body import Body, Pose, Posed
+from twistcap.body import Body, Landmarks, Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.body.surface_markers import surface_markers
 from twistcap.errors import InputError
@@ -47,8 +47,9 @@ def read(path: Path) -> dict:
     return ezc3d.c3d(str(path))
 
 
-def points_of(body: Body, pose: Pose) -> tuple[tuple[str, ...], Float]:
-    stuck, posed = surface_markers(body), Posed(body, pose)
+def points_of(body: Body, pose: Pose, stuck: Landmarks | None = None) -> tuple[tuple[str, ...], Float]:
+    """Names and places of all points; markers that were `stuck` to the body before need not be found again."""
+    stuck, posed = surface_markers(body) if stuck is None else stuck, Posed(body, pose)
     moved = np.einsum("nij,nj->ni", posed.segment_transforms[stuck.segments][:, :3, :3], stuck.points)
     moved += posed.segment_transforms[stuck.segments][:, :3, 3]
     return (*body.landmarks.names, *stuck.names), np.concatenate([posed.landmarks, moved])
@@ -86,8 +87,9 @@ def test_residuals_are_the_standard_deviations_of_the_points(result: Result, tmp
     assert (frames[LOST][:, 3] == -1).all() and (frames[DROPPED][:, 3] == -1).all()
     rng, covariance = np.random.default_rng(1), result.covariances[0]
     steps = rng.multivariate_normal(np.zeros(result.body.dof), covariance, size=400)
-    _, at_rest = points_of(result.body, result.poses[0])
-    moved = np.array([points_of(result.body, result.poses[0].retract(step))[1] for step in steps]) - at_rest
+    body, pose, stuck = result.body, result.poses[0], surface_markers(result.body)
+    _, at_rest = points_of(body, pose, stuck)
+    moved = np.array([points_of(body, pose.retract(step), stuck)[1] for step in steps]) - at_rest
     sigma = 1000 * np.sqrt(np.mean(np.sum(moved**2, axis=2), axis=0))
     assert sigma.max() > 1.5 * sigma.min()
     np.testing.assert_allclose(frames[0][:, 3], sigma, rtol=0.15)

@@ -183,7 +183,7 @@ class ResultWriter:
         result, or that another process is writing.
         """
         writer = cls.__new__(cls)
-        writer._begin(path, read_result(path), read_state(path), frames, room, lock)
+        writer._begin(path, *_result_and_state(path), frames, room, lock)
         return writer
 
     def _begin(
@@ -268,7 +268,7 @@ class ResultWriter:
     def _written(self) -> tuple[Result, tuple[int, UInt8] | None]:
         """What this writer has written so far."""
         self._trust()
-        return read_result(self.path), read_state(self.path)
+        return _result_and_state(self.path)
 
     def _rebuild(self, result: Result, state: tuple[int, UInt8] | None, capacity: int, energies: Iterable[str]) -> None:
         """A file of the same, with another capacity, and room for the state to grow, in the place of the old one."""
@@ -305,7 +305,22 @@ def read_result(path: str | Path) -> Result:
     """Read a result file, finished or not: all frames that are complete. Raises InputError for a file that is missing,
     no HDF5, no result, of another format, or holds what no track writes.
     """
-    held, source = _held(path), f"result file {path}"
+    return _result_of(path, _held(path))
+
+
+def read_state(path: str | Path) -> tuple[int, UInt8] | None:
+    """The latest whole state: frames that had been written, and its bytes (N,). Raises InputError as `read_result`."""
+    return _state_of(path, _held(path))
+
+
+def _result_and_state(path: str | Path) -> tuple[Result, tuple[int, UInt8] | None]:
+    """Both, of a file that is read once."""
+    held = _held(path)
+    return _result_of(path, held), _state_of(path, held)
+
+
+def _result_of(path: str | Path, held: Mapping[str, Any]) -> Result:
+    source = f"result file {path}"
     lenses = {"fisheye": flag("C")} if "rig/fisheye" in held else {}
     rows, rig = frames_of(held, source), of_group(held, "rig", {**RIG, **lenses}, source)
     with naming(path):
@@ -324,11 +339,8 @@ def read_result(path: str | Path) -> Result:
         )  # fmt: skip
 
 
-def read_state(path: str | Path) -> tuple[int, UInt8] | None:
-    """The latest state that is whole: how many frames had been written, and its bytes (N,); None where there is none.
-    Raises InputError as `read_result`.
-    """
-    held, source = _held(path), f"result file {path}"
+def _state_of(path: str | Path, held: Mapping[str, Any]) -> tuple[int, UInt8] | None:
+    source = f"result file {path}"
     complete, about = len(frames_of(held, source)["index"]), of_group(held, "state", STATE, source)["about"]
     for slot in np.argsort(-about[:, 0]):
         frames, size, checksum = map(int, about[slot])
