@@ -138,7 +138,10 @@ def bracket_matrix(twist: ArrayLike) -> Float:
 
 def _block_triangular(on: Float, below: Float) -> Float:
     """(..., 6, 6) of the same block (..., 3, 3) twice on the diagonal, and one below it."""
-    return np.block([[on, np.zeros_like(on)], [below, on]])
+    out = np.zeros((*on.shape[:-2], 6, 6))  # np.block takes longer than all the rest here
+    out[..., :3, :3] = out[..., 3:, 3:] = on
+    out[..., 3:, :3] = below
+    return out
 
 
 def left_jacobian(twist: ArrayLike) -> Float:
@@ -153,6 +156,8 @@ def left_jacobian(twist: ArrayLike) -> Float:
     for n in range(18, 0, -1):
         series = eye + ad @ series / (n + 1)
     phi = np.linalg.norm(xi[..., :3], axis=-1)[..., None, None]
+    if np.all(phi < 1.0):
+        return series
     f = np.where(phi < 1.0, 1.0, phi)
     s, c = np.sin(f), np.cos(f)
     ad2 = ad @ ad

@@ -173,6 +173,9 @@ def _saved(path: Path | str, figure: Figure, names: Sequence[str], more: Sequenc
     sides = dict.fromkeys(split_side(name)[1] for name in names)
     entries = [*(Line2D([], [], color=_COLOURS[s], lw=2, label=_SIDES[s]) for s in sides), *more]
     figure.legend(handles=entries, loc="outside upper right", ncols=len(entries), frameon=False, fontsize=9)
+    if (engine := figure.get_layout_engine()) is not None:
+        engine.execute(figure)  # once; else savefig also draws all into nothing to find the places
+        figure.set_layout_engine("none")
     with replacing(path) as part:
         figure.savefig(part, facecolor="white")
     return Path(path)
