@@ -175,6 +175,7 @@ def test_the_viewer_tells_limbs_and_cameras(saved: Path) -> None:
         assert "2 of 6 frames lost: 2–3 (left arm)" in told and "camera cam02 was left out in 1 frame: 3" in told
         x, y, w, h = browser.run("(({x, y, width, height}) => [x, y, width, height])(marks.getBoundingClientRect())")
         browser.mouse("mouseMoved", x + w - 8, y + h / 2)
+        browser.drawn()
         title = browser.run("document.getElementById('marks').title")
         assert "frame 5" in title and "one: probability of loss 0.10 (left arm 0.10, head 0.05" in title
         browser.click(x + 8 + 0.4 * (w - 16), y + h / 2)
@@ -261,16 +262,20 @@ def test_plots_read_out_zoom_and_resize(made: Path, saved: Path) -> None:
         assert f"{angle:.1f}° ± {2 * sigma:.1f}°" in text and "reference" in text
         x, y = browser.centre(f"{plot} .u-over")
         browser.mouse("mouseMoved", x, y, "none")
+        browser.drawn()
         assert " at 0.0" in browser.run(f"document.querySelector('{plot} output').textContent")
         browser.drag((x - 40, y), (x + 40, y))
+        browser.drawn()
         low, high = browser.run("twistcapView.shown()")
         assert 0 < low < high < 5 / 60
         ranges = "p => [p.plot.scales.x.min, p.plot.scales.x.max]"
         shown = browser.run(f"twistcapView.plots.filter(p => p.plot).map({ranges})")
         np.testing.assert_allclose(shown, [[low, high]] * len(shown))  # all plots together
         browser.click(*browser.centre("#zoom-all"))
+        browser.drawn()
         np.testing.assert_allclose(browser.run("twistcapView.shown()"), [0, 5 / 60], atol=1e-5)
         browser.click(*browser.centre("#zoom-in"))
+        browser.drawn()
         assert np.ptp(browser.run("twistcapView.shown()")) < 4.5 / 60
         units = browser.run("twistcapView.plots[0].plot.axes.map(a => a._values[0])")
         assert units[0].endswith(" s") and units[1].endswith("°")
