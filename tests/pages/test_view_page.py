@@ -21,6 +21,7 @@ from support.pages_shared import (
     asked,
     has_colour,
     needs_browser,
+    paper,
     picture,
     run,
     served,
@@ -174,6 +175,7 @@ def test_the_viewer_tells_limbs_and_cameras(saved: Path) -> None:
         assert "2 of 6 frames lost: 2–3 (left arm)" in told and "camera cam02 was left out in 1 frame: 3" in told
         x, y, w, h = browser.run("(({x, y, width, height}) => [x, y, width, height])(marks.getBoundingClientRect())")
         browser.mouse("mouseMoved", x + w - 8, y + h / 2)
+        browser.drawn()
         title = browser.run("document.getElementById('marks').title")
         assert "frame 5" in title and "one: probability of loss 0.10 (left arm 0.10, head 0.05" in title
         browser.click(x + 8 + 0.4 * (w - 16), y + h / 2)
@@ -209,10 +211,9 @@ def test_every_control_of_the_viewer_is_reached(
         tiles = browser.run("[...document.querySelectorAll('#views .view')].map(t => t.getBoundingClientRect().bottom)")
         assert max(tiles) <= browser.run("views.getBoundingClientRect().bottom") + 1  # none is cut off
         browser.run("scrollTo(0, 0)")
-        paper = picture(browser, tmp_path / "page.png")[2, 2]
-        assert (paper.max() < 60) == (scheme == "dark")
+        assert (paper(browser, tmp_path / "page.png") < 60) == (scheme == "dark")
         browser.click(*browser.centre("#theme"))
-        assert (picture(browser, tmp_path / "other.png")[2, 2].max() < 60) == (scheme == "light")
+        assert (paper(browser, tmp_path / "other.png") < 60) == (scheme == "light")
         bright = "parts.map(p => p.getStyle().match(/\\d+/g).slice(0, 3).reduce((a, b) => a + +b / 765, 0))"
         parts = "[twistcapView.scene.ground(), first.name.material.color, first.edges.material.color]"
         ground, *drawn = browser.run(f"(first => (parts => {bright})({parts}))(twistcapView.scene.frusta[0])")
@@ -261,16 +262,20 @@ def test_plots_read_out_zoom_and_resize(made: Path, saved: Path) -> None:
         assert f"{angle:.1f}° ± {2 * sigma:.1f}°" in text and "reference" in text
         x, y = browser.centre(f"{plot} .u-over")
         browser.mouse("mouseMoved", x, y, "none")
+        browser.drawn()
         assert " at 0.0" in browser.run(f"document.querySelector('{plot} output').textContent")
         browser.drag((x - 40, y), (x + 40, y))
+        browser.drawn()
         low, high = browser.run("twistcapView.shown()")
         assert 0 < low < high < 5 / 60
         ranges = "p => [p.plot.scales.x.min, p.plot.scales.x.max]"
         shown = browser.run(f"twistcapView.plots.filter(p => p.plot).map({ranges})")
         np.testing.assert_allclose(shown, [[low, high]] * len(shown))  # all plots together
         browser.click(*browser.centre("#zoom-all"))
+        browser.drawn()
         np.testing.assert_allclose(browser.run("twistcapView.shown()"), [0, 5 / 60], atol=1e-5)
         browser.click(*browser.centre("#zoom-in"))
+        browser.drawn()
         assert np.ptp(browser.run("twistcapView.shown()")) < 4.5 / 60
         units = browser.run("twistcapView.plots[0].plot.axes.map(a => a._values[0])")
         assert units[0].endswith(" s") and units[1].endswith("°")

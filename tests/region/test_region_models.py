@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -163,6 +164,7 @@ def test_lines_of_known_ratios_end_where_the_ratio_turns() -> None:
     assert np.all(weight > 1.0) and np.all(evidence > 3.0)
 
 
+@cache
 def seen_from_one_camera(channels: Channels = "lab") -> tuple[Capture, View, RenderedView]:
     scene = capture(StudioConfig(seed=2, views=2, frames=3))
     posed = Posed(scene.true_body, scene.true_poses[0])

@@ -1,8 +1,13 @@
-"""A headless Chromium driven over its debugging pipe (Chrome DevTools Protocol); standard library alone."""
+"""A headless Chromium driven over its debugging pipe (Chrome DevTools Protocol); standard library alone.
+
+All pages of a worker are in one Chromium, which takes a second or more to start; each is in a context of its own, with
+its own storage and cache, and is gone at its end.
+"""
 
 from __future__ import annotations
 
 import base64
+import contextlib
 import json
 import os
 import re
@@ -24,15 +29,14 @@ _FLAGS = (
 )
 
 
-class Browser:
-    """One page in a browser of its own. Use as a context manager."""
+class _Chromium:
+    """The process and its pipe; an answer or an event is a message."""
 
-    def __init__(self, size: tuple[int, int] = (1300, 900)) -> None:
+    def __init__(self) -> None:
         self._profile = tempfile.mkdtemp(prefix="twistcap-browser-")
         ours, theirs = os.pipe(), os.pipe()  # what we write and it reads; what it writes and we read
         self._write, self._read, self._buffer, self._count = ours[1], theirs[0], b"", 0
-        command = [str(CHROMIUM), *_FLAGS.split(), f"--window-size={size[0]},{size[1]}"]
-        command += [f"--user-data-dir={self._profile}", "about:blank"]
+        command = [str(CHROMIUM), *_FLAGS.split(), f"--user-data-dir={self._profile}", "about:blank"]
         # Chromium reads from descriptor 3 and writes to 4.
         moved = f'exec 3<&{ours[0]} 4>&{theirs[1]}; exec "$@"'
         self._process = subprocess.Popen(
@@ -41,38 +45,86 @@ class Browser:
         )  # fmt: skip
         os.close(ours[0])
         os.close(theirs[1])
-        self.problems: list[str] = []
-        self._frames: list[tuple[float, dict[str, Any]]] = []  # of the screencast, with their times of arrival
-        self._session: str | None = None
-        pages = self.call("Target.getTargets")["targetInfos"]
-        page = next(target["targetId"] for target in pages if target["type"] == "page")
-        self._session = self.call("Target.attachToTarget", targetId=page, flatten=True)["sessionId"]
-        for domain in ("Page", "Runtime", "Log", "Network"):
-            self.call(f"{domain}.enable")
-        width, height = size
-        self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
 
-    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
-        """One command and its answer; what the page complains of meanwhile goes to `problems`."""
+    @property
+    def lives(self) -> bool:
+        return self._process.poll() is None
+
+    def send(self, session: str | None, method: str, parameters: dict[str, Any]) -> int:
+        """The number that the answer to a command will have."""
         self._count += 1
         question: dict[str, Any] = {"id": self._count, "method": method, "params": parameters}
-        if self._session is not None:
-            question["sessionId"] = self._session
+        if session is not None:
+            question["sessionId"] = session
         os.write(self._write, json.dumps(question).encode() + b"\0")
-        while True:
-            message = self._message()
-            if message.get("id") == self._count:
-                assert "error" not in message, message["error"]
-                return message["result"]
-            self._note(message)
+        return self._count
 
-    def _message(self) -> dict[str, Any]:
+    def message(self) -> dict[str, Any]:
         while b"\0" not in self._buffer:
             chunk = os.read(self._read, 1 << 20)
             assert chunk, "the browser has gone"
             self._buffer += chunk
         line, _, self._buffer = self._buffer.partition(b"\0")
         return json.loads(line)
+
+    def end(self) -> None:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGTERM)
+        self._process.wait(timeout=20)
+        os.close(self._write)
+        os.close(self._read)
+        shutil.rmtree(self._profile, ignore_errors=True)
+
+
+_running: list[_Chromium] = []  # one at most
+
+
+def _chromium() -> _Chromium:
+    if _running and not _running[0].lives:
+        end()
+    if not _running:
+        _running.append(_Chromium())
+    return _running[0]
+
+
+def end() -> None:
+    """Ends the Chromium of this process, if there is one."""
+    while _running:
+        _running.pop().end()
+
+
+class Browser:
+    """One page in a context of its own. Use as a context manager."""
+
+    def __init__(self, size: tuple[int, int] = (1300, 900)) -> None:
+        self._chromium, self._session, self._answers = _chromium(), None, dict[int, dict[str, Any]]()
+        self.problems: list[str] = []
+        self._frames: list[tuple[float, dict[str, Any]]] = []  # of the screencast, with their times of arrival
+        self._context = self.call("Target.createBrowserContext")["browserContextId"]
+        page = self.call(
+            "Target.createTarget", url="about:blank", browserContextId=self._context, width=size[0], height=size[1]
+        )
+        attached = self.call("Target.attachToTarget", targetId=page["targetId"], flatten=True)
+        self._session: str | None = attached["sessionId"]
+        for domain in ("Page", "Runtime", "Log", "Network"):
+            self.call(f"{domain}.enable")
+        self.call("Emulation.setFocusEmulationEnabled", enabled=True)  # whichever window was opened last
+        self.resize(*size)
+
+    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """One command and its answer; what the page complains of meanwhile goes to `problems`."""
+        return self._answer(self._chromium.send(self._session, method, parameters))
+
+    def _answer(self, number: int) -> dict[str, Any]:
+        while number not in self._answers:
+            message = self._chromium.message()
+            if "id" in message:
+                self._answers[message["id"]] = message
+            elif message.get("sessionId") == self._session:
+                self._note(message)
+        answer = self._answers.pop(number)
+        assert "error" not in answer, answer["error"]
+        return answer["result"]
 
     def _note(self, message: dict[str, Any]) -> None:
         parameters = message.get("params", {})
@@ -137,9 +189,15 @@ class Browser:
 
     def key(self, key: str, code: int = 0, text: str = "", shift: bool = False) -> None:
         """One key pressed and let go, with the code that Windows has for it."""
+        self.keys(1, key, code, text, shift)
+
+    def keys(self, times: int, key: str, code: int = 0, text: str = "", shift: bool = False) -> None:
+        """One key several times, as fast as the page takes it: a large page is drawn once for many of them."""
         about: dict[str, Any] = {"key": key, "windowsVirtualKeyCode": code, "modifiers": 8 if shift else 0}
-        self.call("Input.dispatchKeyEvent", type="keyDown", **about, **({"text": text} if text else {}))
-        self.call("Input.dispatchKeyEvent", type="keyUp", **about)
+        down, up = {"type": "keyDown", **about, **({"text": text} if text else {})}, {"type": "keyUp", **about}
+        events = (down, up) * times
+        for number in [self._chromium.send(self._session, "Input.dispatchKeyEvent", event) for event in events]:
+            self._answer(number)
 
     def touch(self, kind: str, *points: tuple[float, float]) -> None:
         """All fingers that are down now."""
@@ -159,8 +217,11 @@ class Browser:
         x, y = self.run(f"(r => [r.x + r.width / 2, r.y + r.height / 2])({box})")
         return x, y
 
-    def screenshot(self, path: Path) -> Path:
-        content = self.call("Page.captureScreenshot", format="png")["data"]
+    def screenshot(self, path: Path, size: tuple[int, int] | None = None) -> Path:
+        """What is seen once all that was asked for is drawn; only so much of the upper left as `size` says."""
+        self.drawn()
+        part = {} if size is None else {"clip": {"x": 0, "y": 0, "width": size[0], "height": size[1], "scale": 1}}
+        content = self.call("Page.captureScreenshot", format="png", **part)["data"]
         path.write_bytes(base64.b64decode(content))
         return path
 
@@ -170,11 +231,10 @@ class Browser:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        os.killpg(self._process.pid, signal.SIGTERM)
-        self._process.wait(timeout=20)
-        os.close(self._write)
-        os.close(self._read)
-        shutil.rmtree(self._profile, ignore_errors=True)
+        if not self._chromium.lives:
+            return
+        self._session = None
+        self.call("Target.disposeBrowserContext", browserContextId=self._context)
 
 
 def _told(details: dict[str, Any]) -> str:

@@ -83,6 +83,13 @@ def picture(browser: Browser, path: Path) -> AnyArray:
     return image[..., ::-1].astype(int)
 
 
+def paper(browser: Browser, path: Path) -> int:
+    """Brightness of the page's corner, 0 to 255."""
+    corner = cv2.imread(str(browser.screenshot(path, (8, 8))))
+    assert corner is not None
+    return int(corner[2, 2].max())
+
+
 def has_colour(image: AnyArray, rgb: tuple[int, int, int], tolerance: int = 12, pixels: int = 30) -> bool:
     return bool((np.abs(image - rgb).max(axis=-1) <= tolerance).sum() >= pixels)
 
@@ -94,10 +101,8 @@ def unreachable(browser: Browser) -> list[str]:
     """Controls of a page that the tab key never comes to, or that a finger would miss: smaller than 16 px, or out of
     the page."""
     browser.run(f"window.controls = [...document.querySelectorAll('{CONTROLS}')]; window.visited = new Set()")
-    browser.run("document.activeElement.blur()")
-    for _ in range(int(browser.run("controls.length")) + 12):
-        browser.key("Tab", 9)
-        browser.run("visited.add(document.activeElement)")
+    browser.run("document.activeElement.blur(); addEventListener('focusin', (event) => visited.add(event.target))")
+    browser.keys(int(browser.run("controls.length")) + 12, "Tab", 9)
     small = (
         "(r => Math.min(r.width, r.height) < 16 || r.left < 0 || r.right > innerWidth + 1)(c.getBoundingClientRect())"
     )
