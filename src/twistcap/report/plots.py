@@ -25,6 +25,14 @@ _DARK = {"r": "#6e3500", "l": "#0a3a66", "": "#16452f"}
 _SIDES = {"r": "right", "l": "left", "": "middle"}
 _LEAST_SPAN_DEG = 10.0
 _COLUMNS = 360  # of pixels in a panel, about
+_PANEL = (3.2, 1.9)  # inches of a panel with its labels and title
+_LABELS, _TITLE, _HEAD, _FOOT = (
+    0.45,
+    0.32,
+    0.25,
+    0.4,
+)  # inches for numbers, a panel's title, the figure's, the axis below
+_WIDE, _LEGEND = 3, 0.28  # columns from which on the legend is beside the figure's title; inches for it below that
 _LOST, _DROPPED, _NORM = "#e5484d", "#9aa3ad", "#aab2bd"
 
 
@@ -91,7 +99,7 @@ def _finish_angles(axis: Axes, panel: str) -> None:
     low, high = axis.get_ylim()
     extra = max(0.0, _LEAST_SPAN_DEG - (high - low)) / 2
     axis.set_ylim(low - extra, high + extra)
-    axis.set_title(f"{panel.replace('_', ' ')} (°)", loc="left", fontsize=9, fontweight="bold")
+    axis.set_title(f"{panel.replace('_', ' ')} (°)", loc="left", y=1.02, fontsize=9, fontweight="bold")
 
 
 def cycle_plot(
@@ -129,7 +137,7 @@ def joint_error_plot(path: Path | str, times: Float, names: Sequence[str], error
             if split_side(name)[0] == panel:
                 axis.plot(times, errors_mm[:, k], color=_COLOURS[split_side(name)[1]], lw=1.5, zorder=3)
         axis.set_ylim(0, top)
-        axis.set_title(panel.replace("_", " "), loc="left", fontsize=9, fontweight="bold")
+        axis.set_title(panel.replace("_", " "), loc="left", y=1.02, fontsize=9, fontweight="bold")
     return _saved(path, figure, names, [Line2D([], [], color="#b9c0c8", label="median of all joints")])
 
 
@@ -146,10 +154,20 @@ def _grid(names: Sequence[str], title: str, along: str = "time (s)") -> tuple[Fi
     stems = list(dict.fromkeys(split_side(name)[0] for name in names))
     panels, columns = len(stems), min(4, max(1, math.ceil(math.sqrt(len(stems)))))
     rows = math.ceil(panels / columns)
-    figure = Figure(figsize=(3.2 * columns, 1.9 * rows + 0.9), dpi=130, layout="constrained")
+    head = _HEAD + (_LEGEND if columns < _WIDE else 0.0)
+    width, height = _PANEL[0] * columns, _PANEL[1] * rows + head + _FOOT
+    figure = Figure(figsize=(width, height), dpi=130)
     FigureCanvasAgg(figure)
-    figure.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
-    cells = figure.subplots(rows, columns, sharex=True, squeeze=False).ravel().tolist()
+    figure.suptitle(title, x=0.01, y=1.0 - 0.08 / height, ha="left", va="top", fontsize=12, fontweight="bold")
+    # Places are given: finding them would draw all text of all panels several times, a second or more.
+    cells = figure.subplots(
+        rows, columns, sharex=True, squeeze=False,
+        gridspec_kw={
+            "left": _LABELS / width, "right": 1.0 - 0.1 / width, "wspace": _LABELS / (_PANEL[0] - _LABELS),
+            "bottom": (_FOOT + 0.05) / height, "top": 1.0 - (head + _TITLE) / height,
+            "hspace": _TITLE / (_PANEL[1] - _TITLE),
+        },
+    ).ravel().tolist()  # fmt: skip
     for k, axis in enumerate(cells):
         axis.set_visible(k < panels)
         axis.grid(True, color="#e6e9ed", lw=0.8)
@@ -172,10 +190,11 @@ def _saved(path: Path | str, figure: Figure, names: Sequence[str], more: Sequenc
     """The figure in a file, with a legend."""
     sides = dict.fromkeys(split_side(name)[1] for name in names)
     entries = [*(Line2D([], [], color=_COLOURS[s], lw=2, label=_SIDES[s]) for s in sides), *more]
-    figure.legend(handles=entries, loc="outside upper right", ncols=len(entries), frameon=False, fontsize=9)
-    if (engine := figure.get_layout_engine()) is not None:
-        engine.execute(figure)  # once; else savefig also draws all into nothing to find the places
-        figure.set_layout_engine("none")
+    below = _LEGEND if figure.get_figwidth() < _WIDE * _PANEL[0] else 0.0
+    figure.legend(
+        handles=entries, loc="upper right", ncols=len(entries), frameon=False, fontsize=9, borderaxespad=0.1,
+        bbox_to_anchor=(1.0, 1.0 - below / figure.get_figheight()), columnspacing=1.2, handlelength=1.6,
+    )  # fmt: skip
     with replacing(path) as part:
         figure.savefig(part, facecolor="white")
     return Path(path)
