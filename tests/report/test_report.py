@@ -21,10 +21,17 @@ from twistcap.body.model import split_side
 from twistcap.camera import Camera, Rig, look_at
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate.metrics import row
-from twistcap.report import Figure, Statement, angle_plot, draw_overlay, joint_error_plot, overlay_video, write_report
-from twistcap.report.overlay import LOST, bones_of, mosaic_for, part_colours, visible_projection
-from twistcap.report.page import headline_rows, number
-from twistcap.report.plots import AngleSeries, envelope, spans
+from twistcap.report.overlay import (
+    LOST,
+    bones_of,
+    draw_overlay,
+    mosaic_for,
+    overlay_video,
+    part_colours,
+    visible_projection,
+)
+from twistcap.report.page import Figure, Statement, headline_rows, number, write_report
+from twistcap.report.plots import AngleSeries, angle_plot, envelope, joint_error_plot, spans
 
 CHROMIUM = Path("/usr/bin/chromium")
 

@@ -80,8 +80,8 @@ def _reported(scene: Any, pictures: list[Any], result: Any, folder: Path, timing
     from twistcap.evaluate.reference import compare
     from twistcap.io.exports import export
     from twistcap.io.synthetic import write_truth
-    from twistcap.report import Headline, joint_error_plot
-    from twistcap.report.page import headline_rows
+    from twistcap.report.page import Headline, headline_rows
+    from twistcap.report.plots import joint_error_plot
     from twistcap.report.verdict import chosen_rows
 
     with words.status("writing plots, exports and the overlay"):

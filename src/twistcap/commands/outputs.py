@@ -25,9 +25,9 @@ from twistcap.io.norms import Band
 from twistcap.io.result import Result
 from twistcap.io.session import Session
 from twistcap.io.video import Views
-from twistcap.report import Figure, Headline, angle_plot, overlay_video, write_report
-from twistcap.report.overlay import bones_of, draw_mosaic, mosaic_for
-from twistcap.report.plots import AngleSeries
+from twistcap.report.overlay import bones_of, draw_mosaic, mosaic_for, overlay_video
+from twistcap.report.page import Figure, Headline, write_report
+from twistcap.report.plots import AngleSeries, angle_plot
 from twistcap.report.verdict import camera_rows, chosen_rows, graded, verdict_of
 from twistcap.report.words import result_in_words
 

@@ -215,7 +215,7 @@ def _outputs(
     session: Any, views: Any, result: Any, folder: Path, timing: Timing, norms: Any, statements: list[str]
 ) -> list[Path]:
     from twistcap.commands import outputs
-    from twistcap.report import Headline
+    from twistcap.report.page import Headline
 
     lost = int(np.sum(result.lost))
     with words.status("writing plots, exports and the overlay"):
