@@ -25,6 +25,7 @@ from support.pages_shared import (
     picture,
     run,
     served,
+    shows_a_body,
     studio_walk,
     unreachable,
 )
@@ -300,18 +301,11 @@ def long(made: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "long.html"
 
 
-def _shows_a_body(jpeg: bytes) -> bool:
-    image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
-    assert image is not None
-    upper = image[: image.shape[0] // 2].astype(int)  # above the time line and the plots
-    return bool((upper[..., 0] - upper[..., 2] > 60).sum() > 1000)
-
-
 @needs_browser
-def test_a_long_recording_shows_the_body_first_and_draws_it_once_a_picture(long: Path) -> None:
+def test_a_long_recording_shows_the_body_and_draws_it_once_a_picture(long: Path) -> None:
     """However often frames are wanted: software takes 0.1 s or more to draw the body."""
     with Browser((1280, 800)) as browser:
-        browser.first_picture(long.as_uri(), _shows_a_body)
+        browser.first_picture(long.as_uri(), shows_a_body)
         browser.wait("document.body.dataset.ready === 'yes'")
         once = "new Promise((done) => requestAnimationFrame(() => setTimeout(done)))"
         seeks = "for (let k = 0; k < 5; k++) twistcapView.seek(1000 * k)"

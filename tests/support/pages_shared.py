@@ -90,6 +90,14 @@ def paper(browser: Browser, path: Path) -> int:
     return int(corner[2, 2].max())
 
 
+def shows_a_body(jpeg: bytes) -> bool:
+    """Whether a picture of the viewer has a blue body in its upper half, above the time line and the plots."""
+    image = cv2.imdecode(np.frombuffer(jpeg, np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None
+    upper = image[: image.shape[0] // 2].astype(int)
+    return bool((upper[..., 0] - upper[..., 2] > 60).sum() > 1000)
+
+
 def has_colour(image: AnyArray, rgb: tuple[int, int, int], tolerance: int = 12, pixels: int = 30) -> bool:
     return bool((np.abs(image - rgb).max(axis=-1) <= tolerance).sum() >= pixels)
 

@@ -83,8 +83,8 @@ class Lens:
                 across = by_y[:, 1] * r[:, 0] - by_y[:, 0] * r[:, 1]
                 step = np.stack([across, by_x[:, 0] * r[:, 1] - by_x[:, 1] * r[:, 0]], axis=1)
                 earlier, last, xy = last, xy, xy + np.clip(step / det[:, None], -0.5, 0.5)
-                if np.array_equal(xy, earlier, equal_nan=True):  # it rests, or its last bits go to and fro
-                    xy = last if left % 2 else xy
+                if np.array_equal(xy, earlier, equal_nan=True):  # it rests, or its last bits go to and fro for ever
+                    xy = last if left % 2 else xy  # as after all steps
                     break
             missed = np.abs(bend(xy, dist)[0] - wanted).max(axis=1)
         return np.where((missed < 1e-6)[:, None], xy, np.nan)

@@ -26,13 +26,9 @@ _SIDES = {"r": "right", "l": "left", "": "middle"}
 _LEAST_SPAN_DEG = 10.0
 _COLUMNS = 360  # of pixels in a panel, about
 _PANEL = (3.2, 1.9)  # inches of a panel with its labels and title
-_LABELS, _TITLE, _HEAD, _FOOT = (
-    0.45,
-    0.32,
-    0.25,
-    0.4,
-)  # inches for numbers, a panel's title, the figure's, the axis below
-_WIDE, _LEGEND = 3, 0.28  # columns from which on the legend is beside the figure's title; inches for it below that
+_LABELS, _TITLE = 0.45, 0.32  # inches of these
+_HEAD, _LEGEND, _FOOT = 0.25, 0.28, 0.4  # inches of the figure's title, a legend below it, and the labels at the foot
+_WIDE = 3  # columns from which on the legend is beside the title
 _LOST, _DROPPED, _NORM = "#e5484d", "#9aa3ad", "#aab2bd"
 
 
@@ -99,7 +95,12 @@ def _finish_angles(axis: Axes, panel: str) -> None:
     low, high = axis.get_ylim()
     extra = max(0.0, _LEAST_SPAN_DEG - (high - low)) / 2
     axis.set_ylim(low - extra, high + extra)
-    axis.set_title(f"{panel.replace('_', ' ')} (°)", loc="left", y=1.02, fontsize=9, fontweight="bold")
+    _titled(axis, f"{panel.replace('_', ' ')} (°)")
+
+
+def _titled(axis: Axes, text: str) -> None:
+    """The height is given: else it is found anew in each drawing, from all the labels of the axis."""
+    axis.set_title(text, loc="left", y=1.02, fontsize=9, fontweight="bold")
 
 
 def cycle_plot(
@@ -137,7 +138,7 @@ def joint_error_plot(path: Path | str, times: Float, names: Sequence[str], error
             if split_side(name)[0] == panel:
                 axis.plot(times, errors_mm[:, k], color=_COLOURS[split_side(name)[1]], lw=1.5, zorder=3)
         axis.set_ylim(0, top)
-        axis.set_title(panel.replace("_", " "), loc="left", y=1.02, fontsize=9, fontweight="bold")
+        _titled(axis, panel.replace("_", " "))
     return _saved(path, figure, names, [Line2D([], [], color="#b9c0c8", label="median of all joints")])
 
 
@@ -190,7 +191,8 @@ def _saved(path: Path | str, figure: Figure, names: Sequence[str], more: Sequenc
     """The figure in a file, with a legend."""
     sides = dict.fromkeys(split_side(name)[1] for name in names)
     entries = [*(Line2D([], [], color=_COLOURS[s], lw=2, label=_SIDES[s]) for s in sides), *more]
-    below = _LEGEND if figure.get_figwidth() < _WIDE * _PANEL[0] else 0.0
+    gridspec = figure.axes[0].get_gridspec()
+    below = _LEGEND if gridspec is not None and gridspec.ncols < _WIDE else 0.0
     figure.legend(
         handles=entries, loc="upper right", ncols=len(entries), frameon=False, fontsize=9, borderaxespad=0.1,
         bbox_to_anchor=(1.0, 1.0 - below / figure.get_figheight()), columnspacing=1.2, handlelength=1.6,
