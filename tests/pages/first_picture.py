@@ -1,4 +1,4 @@
-"""Seconds until the viewer shows a body: PYTHONPATH=tests python benchmarks/first_picture.py PAGE.html [TIMES].
+"""Seconds until the viewer shows a body: PYTHONPATH=tests python tests/pages/first_picture.py PAGE.html [TIMES].
 
 The page is made by `twistcap view result.h5 --save PAGE.html`. It is opened in a headless Chromium, which draws in
 software, at 1280 x 800 and 3840 x 2160 px; the median of so many times (3).
