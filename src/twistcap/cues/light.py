@@ -116,7 +116,7 @@ def light_equations(
         masses[s] += weight[n]
         for k in range(TERMS + 1):
             means[s, k] += weight[n] * rows[n, k]
-    A = np.zeros((TERMS, TERMS + 1))
+    A, y = np.zeros((TERMS, TERMS)), np.zeros(TERMS)
     for n in range(N):
         if weight[n] == 0.0:
             continue
@@ -124,12 +124,13 @@ def light_equations(
         for k in range(TERMS + 1):
             rows[n, k] -= means[s, k] / masses[s]
         for i in range(TERMS):
-            for k in range(i, TERMS + 1):
+            y[i] += weight[n] * rows[n, i] * rows[n, TERMS]
+            for k in range(i, TERMS):
                 A[i, k] += weight[n] * rows[n, i] * rows[n, k]
     for i in range(TERMS):
         for k in range(i):
             A[i, k] = A[k, i]
-    return np.ascontiguousarray(A[:, :TERMS]), np.ascontiguousarray(A[:, TERMS])
+    return A, y
 
 
 def harmonics_reference(normal: Float, part: Int, transforms: Float) -> Float:

@@ -54,10 +54,7 @@ def expand(
         motion, present = proposed[i, j], labels[i, j]
         if abs(motion[0] - present[0]) + abs(motion[1] - present[1]) < least:
             continue
-        top, left = max(i - reach, 0), max(j - reach, 0)
-        inside = np.zeros((h, w), np.bool_)
-        inside[top : i + reach + 1, left : j + reach + 1] = nodes[top : i + reach + 1, left : j + reach + 1]
-        window = (inside, np.argwhere(inside).astype(np.int32))
+        window = _window(nodes, i, j, reach)
         _propose(images, motion, (i, j), rule, window, (proposal, price))
         _edges(labels, proposal, parting, window, edges)
         _fields(labels, proposal, nodes, (cost, price), parting, window, field)
@@ -66,9 +63,23 @@ def expand(
             accepted += 1
             for a, b in window[1]:
                 if _belief(field, messages, a, b) < 0.0:
-                    labels[a, b] = proposal[a, b]
                     cost[a, b] = price[a, b]
+                    for c in range(LABEL):
+                        labels[a, b, c] = proposal[a, b, c]
     return accepted
+
+
+@njit(cache=True, nogil=True)
+def _window(nodes: Bool, i: int, j: int, reach: int) -> Window:
+    """The nodes at most `reach` rows and columns from (i, j)."""
+    h, w = nodes.shape
+    inside, places, count = np.zeros((h, w), np.bool_), np.empty((h * w, 2), np.int32), 0
+    for a in range(max(i - reach, 0), min(i + reach + 1, h)):
+        for b in range(max(j - reach, 0), min(j + reach + 1, w)):
+            if nodes[a, b]:
+                inside[a, b], places[count, 0], places[count, 1] = True, a, b
+                count += 1
+    return inside, places[:count]
 
 
 @njit(cache=True, nogil=True, fastmath=FAST)

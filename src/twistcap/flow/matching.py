@@ -91,7 +91,8 @@ def match_blocks(
                     here = block_cost(first, second, mask, (step * i, step * j), candidate, block, left)
                     if here + parting < total:
                         data, total = here, here + parting
-                        mine[:] = candidate
+                        for c in range(LABEL):
+                            mine[c] = candidate[c]
                 cost[i, j] = data
     return labels, cost
 

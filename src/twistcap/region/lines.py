@@ -168,7 +168,7 @@ def _pooled(moments: Float, pixels: Float, part: Int, rho: float) -> Float:
     """(N, F) moments of all lines of the same part under a window of `rho` px, each pair seen once."""
     N, fields = moments.shape
     out = moments.copy()
-    order = np.argsort(part, kind="mergesort")
+    order = _by_part(part)
     scale = 1.0 / (rho * rho)
     for i in range(N):
         n = order[i]
@@ -187,6 +187,21 @@ def _pooled(moments: Float, pixels: Float, part: Int, rho: float) -> Float:
             else:
                 _add_both(out, moments, n, m, weight, fields)
     return out
+
+
+@njit(cache=True, nogil=True)
+def _by_part(part: Int) -> Int:
+    """Numbers of the lines, ordered by their parts (which are not negative); within one as they come."""
+    first = np.zeros(part.max() + 2 if len(part) else 1, np.int32)
+    for n in range(len(part)):
+        first[part[n] + 1] += 1
+    for s in range(1, len(first)):
+        first[s] += first[s - 1]
+    order = np.empty(len(part), np.int32)
+    for n in range(len(part)):
+        order[first[part[n]]] = n
+        first[part[n]] += 1
+    return order
 
 
 @njit(cache=True, nogil=True, fastmath=_FAST, inline="always")
@@ -213,10 +228,12 @@ def pooled_gaussians(
     channels = (fields - 1) // 2
     mean, variance = np.zeros((N, 2, channels)), np.zeros((N, 2, channels))
     pooled = _pooled(moments.reshape(N, 2 * fields), pixels, part, settings.rho).reshape(N, 2, fields)
-    whole = np.zeros((part.max() + 1 if N else 1, 2, fields))
+    whole, everything = np.zeros((part.max() + 1 if N else 1, 2, fields)), np.zeros((2, fields))
     for n in range(N):
-        whole[part[n]] += moments[n]
-    everything = whole.sum(axis=0)
+        for side in range(2):
+            for f in range(fields):
+                whole[part[n], side, f] += moments[n, side, f]
+                everything[side, f] += moments[n, side, f]
     for n in range(N):
         for side in range(2):
             fallback = whole[part[n], side] if whole[part[n], side, 0] > 0.0 else everything[side]
