@@ -37,7 +37,7 @@ demo: $(VENV)/run.stamp
 	$(PY) -m twistcap.cli demo --out demo
 
 test: $(VENV)/dev.stamp
-	$(PY) -m pytest -n $(JOBS) --dist loadscope $(ARGS)
+	$(PY) -m pytest -n $(JOBS) --dist loadscope --no-loadscope-reorder $(ARGS)
 
 blender:
 	$(or $(PYTHON),python3.11) -m venv .venv-bpy

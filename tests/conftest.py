@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,14 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy, as the comma
 
 from twistcap.body import Body
 from twistcap.body.obj_rig import load_makehuman
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """README's Python compiles most kernels, calibration needs next to none of them: side by side by two workers they
+    leave little that is compiled twice. Then come the modules with most tests, so that both end together."""
+    first, size = ("test_docs.py", "calibrate"), Counter(item.path for item in items)
+    begins = {path: [name not in path.parts for name in first] for path in size}
+    items.sort(key=lambda item: (begins[item.path], -size[item.path], item.path))
 
 
 @pytest.fixture(scope="session")
