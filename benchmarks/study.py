@@ -253,7 +253,7 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("kill", "overhead", "growth"))
     parser.add_argument("--kills", type=int, default=2)
-    parser.add_argument("--frames", type=int, default=240, help="of each trial, for the overhead")
+    parser.add_argument("--frames", type=int, default=150, help="of each trial, for the overhead")
     parser.add_argument("--times", type=int, default=3)
     parser.add_argument("--trials", type=int, default=2000, help="of the measured scheduler")
     parser.add_argument("--workers", type=int, default=20, help="of the measured scheduler")
