@@ -315,7 +315,7 @@ def inverse_left_jacobian_one(twist: Float) -> Float:
 
 @njit(cache=True, nogil=True)
 def _product(A: Float, B: Float) -> Float:
-    """``A B`` of square matrices; half a second quicker to compile than with BLAS."""
+    """``A B`` of square matrices, without BLAS, which takes long to compile."""
     out = np.zeros(A.shape)
     for i in range(len(A)):
         for k in range(len(A)):

@@ -188,7 +188,7 @@ def test_orthonormalised_never_mirrors() -> None:
     np.testing.assert_allclose(np.linalg.det(batch[:, :3, :3]), 1.0)
 
 
-@pytest.mark.parametrize("size", [0.0, 1e-9, 1e-5, 1e-2, 0.29, 0.31, 1.0, 3.1])
+@pytest.mark.parametrize("size", [0.0, 1e-9, 1e-5, 1e-2, 0.031, 0.032, 0.29, 0.31, 1.0, 3.1])
 def test_single_versions_agree_with_the_batched_ones(size: float) -> None:
     rng = np.random.default_rng(7)
     for _ in range(20):
