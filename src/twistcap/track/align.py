@@ -34,6 +34,10 @@ from twistcap.threads import each_view
 from twistcap.track.model import MARGIN, Model
 from twistcap.track.state import State
 
+# Damping of a step. What is told least, as the turn of the pelvis between trunk and thighs, has some 3e-4 of its own
+# diagonal: with 1e-3 of that a look goes a quarter of the way, and the track lags. Far from the body steps are careful.
+_FINE, _COARSE = 1e-4, 1e-3
+
 
 @dataclass(frozen=True)
 class FrameProblem:
@@ -171,7 +175,7 @@ def alternated(problem: FrameProblem, fit: Fit, level: Level, steps: int = 1) ->
     masked = [evidence for found in _masked(model, measured, fit.visibility) for evidence in found.values()]
     system = PoseProblem([*standing, *news, *(evidence.term for evidence in masked)])
     with stage("solve"):
-        result = minimise(system, posed, steps=steps)
+        result = minimise(system, posed, steps=steps, damping=_FINE if level.fine else _COARSE)
     known = sum(system.quadratics[id(term)].hessian for term in standing)
     entered = [(evidence, *system.rows[id(evidence.term)]) for evidence in masked if id(evidence.term) in system.rows]
     moved = contour_moved(sights, result.x)
