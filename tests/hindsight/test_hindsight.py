@@ -229,8 +229,8 @@ def test_a_limb_that_was_lost_without_a_sign_is_right_in_the_end() -> None:
     at_once = [tracker.step(frame) for frame in frames]
     in_the_end = list(tracked(frames, model, take.first_pose))
     first, last = (errors_mm(take, [e.pose for e in es], JOINT_CENTRES).max(axis=1) for es in (at_once, in_the_end))
-    assert first.max() > 150.0, "the scene no longer shows what it is for"
-    assert last.max() < 120.0
+    assert first.max() > 120.0, "the scene no longer shows what it is for"
+    assert last.max() < 40.0
 
 
 class Killed(Exception):
@@ -248,11 +248,11 @@ def until_killed(frames: list[Frame]) -> Iterator[Frame]:
     raise Killed
 
 
-@pytest.mark.parametrize(("stop", "torn", "begun"), [(22, False, 20), (26, False, 26), (27, True, 26), (34, False, 30)])
+@pytest.mark.parametrize(("stop", "torn", "begun"), [(22, False, 20), (23, False, 23), (24, True, 23), (34, False, 30)])
 def test_a_track_that_is_resumed_looks_back_alike(
     tmp_path: Path, stop: int, torn: bool, begun: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Frame 25 corrects five frames, and 26 one; what a kill leaves undone, the resumed run does."""
+    """Frame 22 corrects four frames; what a kill leaves undone, the resumed run does."""
     monkeypatch.setattr("twistcap.commands.follow.STATE_EVERY", 5)
     take, frames = dropping()
     body, rig, model = take.scene.body, take.scene.rig, build(take.scene.body, take.scene.rig)

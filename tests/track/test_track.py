@@ -97,15 +97,15 @@ def test_a_person_is_found_from_a_pose_far_off() -> None:
 
 def test_an_arm_that_one_camera_saw_is_found_again_when_the_other_sees_it() -> None:
     """Hidden from one of two cameras for a third of a second, the arm drifts along the rays of the other one."""
-    scene = capture(StudioConfig(seed=4, views=2, frames=34))
+    scene = capture(StudioConfig(seed=4, views=2, frames=45))
     frames = list(scene.frames())
 
     def arm_mm(model: Model) -> float:
-        return float(joint_errors_mm(scene, list(tracked(frames, model, scene.first_pose))[-1]).max())
+        estimates = list(tracked(frames, model, scene.first_pose))
+        return max(float(joint_errors_mm(scene, e).max()) for e in estimates[20:])
 
     model = build(scene.body, scene.rig)
     searched, without = arm_mm(model), arm_mm(replace(model, searches=()))
-    print(searched, without)
     assert searched < 100.0 < 0.5 * without  # lost it is off by the length of the arm
 
 

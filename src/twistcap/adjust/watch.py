@@ -16,8 +16,8 @@ from twistcap.predict.inertia import INFLATION
 
 _FASTEST = 0.4  # rad or m from frame to frame; what moves more has jumped
 _OFF = np.repeat([0.01, 0.03], 3)  # rad and m by which a calibration may be wrong, which is not taken for lateness
-_HINT = 0.08  # frames of lateness that are worth a closer look; one step of the solver finds about a third of it
-_SIGMAS = 1.0  # of its standard deviation as claimed, which is more than twice the true one
+_HINT = 0.06  # frames of lateness that are worth a closer look; one step of the solver finds about a tenth of it
+_SIGMAS = 0.75  # of its standard deviation as claimed, which is more than twice the true one
 _KEPT = 0.9  # of what was seen of a camera's place, from lesson to lesson: a knock comes at any time
 _TURNED = np.deg2rad(0.3)  # by which one step must turn a camera; it finds about a third of a turn
 _STANDS_OUT = 3.0  # times the turn of most others: a body that does not fit turns all cameras alike
@@ -69,7 +69,7 @@ class Watched:
         """
         information, gradient = self.places
         step = np.linalg.solve(information + np.diag((INFLATION / KNOCK) ** 2), gradient[..., None])
-        sigmas = np.sqrt(np.sum(step * (information @ step), axis=(1, 2))) / INFLATION
+        sigmas = np.sqrt(np.maximum(np.sum(step * (information @ step), axis=(1, 2)), 0.0)) / INFLATION
         turned = np.linalg.norm(step[:, :3, 0], axis=1)
         usual = np.array([np.median(np.delete(turned, c)) for c in range(len(turned))])
         return (sigmas > _SURE) & (turned > np.maximum(_TURNED, _STANDS_OUT * usual))
