@@ -43,8 +43,9 @@ class LookBack(Checked):
         megabytes: of pictures at most, that are kept for it.
         met: m between two places of what was found, within which the two tracks are one.
         gain, share: nats by which the pictures must favour the second track in all its frames together, and the least
-            fraction of what is usual for what was found in one frame. A second track that loses as much again goes away
-            from the first one, where that was right: what it began from was found wrongly.
+            fraction of what is usual for what was found in one frame.
+        loss: fraction of what it gained that it may lose again farther back, but always as much as it must gain. One
+            that loses more went away from the first one, where that was right: what it began from was found wrongly.
     """
 
     frames: Annotated[int, Range(1, REMEMBERED - 1)] = 60
@@ -52,6 +53,11 @@ class LookBack(Checked):
     met: float = 0.03
     gain: float = 20.0
     share: Share = 0.25
+    loss: Share = 0.25
+
+    def doubtful(self, sums: Sequence[float], needed: float) -> bool:
+        """Whether a track with such sums of nats, the latest frame first, lost too much again."""
+        return max(sums) - sums[-1] > max(needed, self.loss * max(sums))
 
 
 @dataclass(frozen=True)
@@ -166,7 +172,7 @@ def looked_back(
     needed = max(rule.gain, rule.share * float(known.nats.sum(axis=0) @ groups[found].sum(axis=0)))
     ways = [
         (max(sums), way) for way in _tracked_again(rule, model, state, passed, found, needed)
-        if (sums := _sums(way)) and sums[-1] > max(sums) - needed
+        if (sums := _sums(way)) and not rule.doubtful(sums, needed)
     ]  # fmt: skip
     most, best = max(ways, key=lambda way: way[0], default=(0.0, []))
     if most < needed:
@@ -216,7 +222,7 @@ def _tracked_again(
         usual = evidence.of(first)
         for way, pose in zip(ways, poses, strict=False):
             way.append(Again(replace(estimate, pose=pose, time=one.frame.time), evidence.of(pose) - usual))
-        if all(max(sums) - sums[-1] > needed for way in ways if (sums := _sums(way))):
+        if all(rule.doubtful(sums, needed) for way in ways if (sums := _sums(way))):
             break
     return ways
 

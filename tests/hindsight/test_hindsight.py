@@ -108,12 +108,12 @@ def test_what_was_found_wrongly_corrects_nothing() -> None:
 
 @pytest.mark.parametrize(
     ("gains", "believed"),
-    [((900.0, 800.0), 2), ((900.0, -5.0), 1), ((900.0, -890.0), 0), ((3.0, 2.0), 0), ((), 0)],
+    [((900.0, 800.0), 2), ((900.0, -5.0), 1), ((900.0, -200.0), 1), ((900.0, -300.0), 0), ((3.0, 2.0), 0), ((), 0)],
 )
 def test_how_far_a_second_track_is_believed(
     gains: tuple[float, ...], believed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Up to where it gains no more; not if it gains little, nor if it loses again what it has gained."""
+    """Up to where it gains no more; not if it gains little, nor if it loses much of that again."""
     _, model, passed, before, state = walk()
     way = [Again(p.estimate, gain) for p, gain in zip(reversed(passed[:-1]), gains, strict=False)]
     monkeypatch.setattr(hindsight, "_tracked_again", lambda *_: (way, []))
