@@ -16,7 +16,7 @@ from twistcap.predict.inertia import INFLATION
 
 _FASTEST = 0.4  # rad or m from frame to frame; what moves more has jumped
 _OFF = np.repeat([0.01, 0.03], 3)  # rad and m by which a calibration may be wrong, which is not taken for lateness
-_HINT = 0.06  # frames of lateness that are worth a closer look; one step of the solver finds about a tenth of it
+_HINT = 0.06  # frames of lateness that are worth a closer look; one step of the solver finds a tenth of it or more
 _SIGMAS = 0.75  # of its standard deviation as claimed, which is more than twice the true one
 _KEPT = 0.9  # of what was seen of a camera's place, from lesson to lesson: a knock comes at any time
 _TURNED = np.deg2rad(0.3)  # by which one step must turn a camera; it finds about a third of a turn
