@@ -24,6 +24,7 @@ import numpy as np
 from reproduce.arms import Findings
 from reproduce.recorded import data_file
 from reproduce.running import Tell
+from twistcap.body import Pose
 from twistcap.build import build
 from twistcap.cues.levelset import LevelSetContour
 from twistcap.evaluate import Row, evaluate, row
@@ -89,7 +90,7 @@ class RealRecording:
             for done, (arm, changed) in enumerate(self.arms.items(), 1):
                 path = folder / f"{arm}.h5"
                 ms = tracked(EXAMPLES / self.session, changed, path, self.changed)
-                rows += [*_against_reference(f"{self.id} {arm}", path), row(f"{self.id} {arm}", "frame", ms, "ms")]
+                rows += [*against_reference(f"{self.id} {arm}", path), row(f"{self.id} {arm}", "frame", ms, "ms")]
                 progress(arm, done, len(self.arms))
         return Findings(rows, "", ())
 
@@ -104,8 +105,11 @@ def widened(model: Model) -> Model:
     return replace(model.with_cue(wide), schedule=replace(model.schedule, slip=0.85))
 
 
-def tracked(file: Path, changed: Settings, path: Path, modified: Callable[[Model], Model]) -> float:
-    """Track a session into a result file, from the body and first pose of all its cameras.
+def tracked(
+    file: Path, changed: Settings, path: Path, modified: Callable[[Model], Model] = lambda model: model,
+    started: Callable[[Pose], Pose] = lambda pose: pose,
+) -> float:  # fmt: skip
+    """Track a session into a result file, from the body and first pose of all its cameras, `modified` and `started`.
 
     Returns:
         the median of a frame, ms, decoding apart.
@@ -113,7 +117,7 @@ def tracked(file: Path, changed: Settings, path: Path, modified: Callable[[Model
     session, start = load_session(file, dict(changed)), open_recording(load_session(file))
     views = views_of(session, rig_of(session))
     tracker = Tracker(modified(build(start.body, views.image_rig, session.tracker_settings, session.pose_prior)))
-    tracker.start(start.first_pose, start.first_time)
+    tracker.start(started(start.first_pose), start.first_time)
     hindsight, times = Hindsight(tracker), list[float]()
     with ResultWriter(path, start.body, start.rig, session.model_dump(mode="json")) as writer:
         for frame in views:
@@ -125,7 +129,7 @@ def tracked(file: Path, changed: Settings, path: Path, modified: Callable[[Model
     return float(np.median(times[1:]))
 
 
-def _against_reference(case: str, path: Path) -> list[Row]:
+def against_reference(case: str, path: Path) -> list[Row]:
     """Overlap, joints and lost frames of a result file."""
     data, result = data_file("balance_4view"), read_result(path)
     points = evaluate(result, data / "reference" / "keypoints3d_world.npz", CLOCK, exclude=FLAWED)
