@@ -59,6 +59,10 @@ class Problem(Protocol):
         """The fit that starts from a pose as if no frame had been seen before, in images `margin` m about it."""
         ...
 
+    def relit(self) -> Problem:
+        """The same without what cues have learnt of the body's look."""
+        ...
+
     def excluding(self, left_out: frozenset[int]) -> Problem:
         """The same with just these cameras left out; views that it does not have do not come back."""
         ...

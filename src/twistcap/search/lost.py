@@ -175,15 +175,17 @@ class LostBody(Checked):
             return None, self._signed(memory, now)
         if not known.sure:
             return None, self._learned(self._signed(memory, now), now, 1.0)
+        if (relit := self._relit(known, now)) is not None:
+            memory = replace(memory, known=known.forgotten(), frames=1)
+            memory = self._learned(self._signed(memory, relit), relit, 1.0)
+            return Revision(relit.fit, problem.past.moments[-1], relit=True), memory
         now, suspicion = judged(self.contradiction, memory.suspicion, known, now)
         memory = self._signed(replace(memory, suspicion=suspicion), now)
         ratio, last, revision = known.ratio(now.check), problem.past.moments[-1], None
         usual_known = memory.frames > self.lessons
         if np.isnan(ratio) and known.pixels[list(now.problem.views)].any():  # hardly any of the body is in sight
             ratio = 0.0
-        if ratio < self.least and self._relit(known, now):
-            revision, memory = Revision(now.fit, last, relit=True), replace(memory, known=known.forgotten(), frames=0)
-        elif ratio < self.least and usual_known:
+        if ratio < self.least and usual_known:
             revision, memory = self._elsewhere(memory, now, ratio)
         else:  # or nothing can be said
             now, last, memory = self._with_limbs(memory, now, last)
@@ -199,11 +201,19 @@ class LostBody(Checked):
         """The first frame's fit, beside its first pose where the contours agree better."""
         return limbs_beside(self.beside, problem, beside(self.beside, problem, fit), groups)
 
-    def _relit(self, known: Recollection, now: Judged) -> bool:
-        """Whether no camera's background is what it was, though the contour agrees: a light has been switched."""
+    def _relit(self, known: Recollection, now: Judged) -> Judged | None:
+        """The frame fitted without the body's look, where a light has been switched: no camera's background is what it
+        was, and the contour agrees all the same. The colours of the old light would mislead the fit.
+        """
         fitting = now.check.fitting / known.fitting
         seen = ~np.isnan(fitting)
-        return bool(seen.any() and np.all(fitting[seen] < self.relit) and agreement(now.fit) >= self.agreeing)
+        if not seen.any() or np.any(fitting[seen] >= self.relit):
+            return None
+        problem = now.problem.relit()
+        fit = problem.align(problem.start)
+        if agreement(fit) < self.agreeing:
+            return None
+        return Judged(problem, fit, known.forgotten().check(fit.posed, fit.sights, problem))
 
     def _usual(self, memory: LostMemory) -> Float:
         """(G, 3) what the contour says against each limb and the rest, as of a body that is not exact."""

@@ -100,6 +100,11 @@ class FrameProblem:
         """The problem with the body expected elsewhere, and the images about it."""
         return replace(self, start=pose, views=self.model.views(self.frame, pose, margin, self.left_out))
 
+    def relit(self) -> FrameProblem:
+        """See `search.Problem`."""
+        cues = {cue.name: cue.start(self.body, self.rig) for cue in self.model.cues}
+        return replace(self, state=replace(self.state, cues=cues, learned=0))
+
     def excluding(self, left_out: frozenset[int]) -> FrameProblem:
         """See `search.Problem`."""
         return replace(self, left_out=left_out, views={i: v for i, v in self.views.items() if i not in left_out})

@@ -133,19 +133,12 @@ def searched(problem: FrameProblem, fit: Fit) -> tuple[FrameProblem, Fit | None,
             found, jump = revision.fit, jump or revision.jumped
             past = problem.past.with_last(revision.last)
             problem = replace(problem, state=problem.state.with_past(past))
-            problem = relit(problem) if revision.relit else problem
+            problem = problem.relit() if revision.relit else problem
             problem = problem if revision.left_out is None else problem.excluding(revision.left_out)
         if found is None:
             break
         fit = found
     return replace(problem, state=replace(problem.state, searches=memories)), found, jump
-
-
-def relit(problem: FrameProblem) -> FrameProblem:
-    """The problem without what cues have learnt of the body's look."""
-    model, state = problem.model, problem.state
-    cues = {cue.name: cue.start(model.body, model.rig) for cue in model.cues}
-    return replace(problem, state=replace(state, cues=cues, learned=0))
 
 
 def learned(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool) -> tuple[State, Estimate]:
