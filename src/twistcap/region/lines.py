@@ -2,7 +2,8 @@
 
 The same two local Gaussian densities as the level set, inside and outside (Brox, Rosenhahn and Cremers, "Contours,
 Optic Flow, and Prior Knowledge", eq. 11.7-11.11), on lines across the projected contour only. Every place along a line
-is a hypothesis for the boundary, whose log-likelihood is the sum of the log density ratios on its inner side.
+is a hypothesis for the boundary, whose log-likelihood is the sum of the log density ratios on its inner side. There the
+samples that hold both sides, as mixtures of the densities, tell the place to a fraction of a pixel.
 """
 
 from __future__ import annotations
@@ -18,6 +19,10 @@ _FAST = {"contract", "reassoc", "arcp", "nsz"}  # never `nnan` or `ninf`: images
 
 VisibleParts = tuple[Int, Int]
 """Visible triangle (H, W) of a rendered body at each pixel, -1 off it, and the part (F,) of each triangle."""
+EDGE = 1.0
+"""px from the boundary to a sample that holds one side alone: a pixel's half, and half for lens and bilinear sample."""
+SHARES, PLACES = 16, 4
+"""Steps in which shares of a mixture are told, and places of the boundary that are compared on each side."""
 Lines = tuple[Float, Float, Int, Bool, Float]
 """Pixels (N, 2), unit normals (N, 2), part (N,), whether on the silhouette (N,) and inverse depth (N,), 1/m."""
 Measured = tuple[Float, Float, Float, Float]
@@ -55,8 +60,9 @@ def measured_lines(
     values, first, last = sample_lines(image, visible, lines, step, settings.half)
     moments = line_moments(values, first, last, step)
     mean, variance = pooled_gaussians(moments, lines[0], group, colours, settings)
-    posterior = boundary_posterior(values, first, last, step, mean, variance, settings.clip)
-    return _weighed(lines, posterior, settings)
+    displacement, spread, evidence = boundary_posterior(values, first, last, step, mean, variance, settings.clip)
+    displacement += edge_shift(values, first, last, step, mean, variance, displacement, settings.clip)
+    return _weighed(lines, (displacement, spread, evidence), settings)
 
 
 @njit(cache=True, nogil=True)
@@ -323,3 +329,59 @@ def boundary_posterior(
         spread[n] = step[n] ** 2 * max(sum_d2 / sum_p - middle * middle, 0.0)
         evidence[n] = best - max(np.float32(0.0), total)
     return displacement, spread, evidence
+
+
+@njit(cache=True, nogil=True, fastmath=_FAST)
+def edge_shift(
+    values: Float32, first: Int, last: Int, step: Float, mean: Float, variance: Float, displacement: Float, clip: float
+) -> Float:
+    """How far (N,) px outward of a displacement the boundary lies, by the samples that hold both sides.
+
+    A sample on the boundary is a mixture: a share of the inside and the rest of the outside, and so are its mean and
+    variance. Taken for one side alone, it passes for the side that varies more. Places up to a step away, and at least
+    a pixel, are compared by the likelihood of the mixtures, and the answer is their posterior mean.
+    """
+    N, _, channels = values.shape
+    half, shift = values.shape[1] // 2, np.zeros(N)
+    linear, square = np.zeros((SHARES + 1, channels), np.float32), np.zeros((SHARES + 1, channels), np.float32)
+    constant = np.zeros(SHARES + 1, np.float32)
+    score, sample = np.zeros(2 * PLACES + 1, np.float32), np.zeros(2 * PLACES + 1, np.float32)
+    for n in range(N):
+        _mixtures(mean[n], variance[n], linear, square, constant)
+        h, reach, worth = step[n], max(step[n], 1.0), np.float32(min(step[n], 1.0))
+        lo = max(first[n], int(np.ceil((displacement[n] - reach - EDGE) / h)) + half)
+        hi = min(last[n], int(np.floor((displacement[n] + reach + EDGE) / h)) + half)
+        score[:] = 0.0
+        for k in range(lo, hi + 1):
+            inward, best = displacement[n] - (k - half) * h, np.float32(-np.inf)
+            for i in range(2 * PLACES + 1):
+                share = 0.5 + (inward + (i - PLACES) * reach / PLACES) / (2.0 * EDGE)
+                m = int(min(max(share, 0.0), 1.0) * SHARES + 0.5)
+                if channels == 3:
+                    sample[i] = constant[m] + _parabola(values[n, k], linear[m], square[m], 3)
+                else:
+                    sample[i] = constant[m] + _parabola(values[n, k], linear[m], square[m], channels)
+                best = max(best, sample[i])
+            for i in range(2 * PLACES + 1):
+                score[i] += worth * max(sample[i] - best, np.float32(-clip))
+        sum_p, sum_d, highest = 0.0, 0.0, score.max()
+        for i in range(2 * PLACES + 1):
+            p = _exp(score[i] - highest)
+            sum_p += p
+            sum_d += p * (i - PLACES)
+        shift[n] = reach / PLACES * sum_d / sum_p
+    return shift
+
+
+@njit(cache=True, nogil=True)
+def _mixtures(mean: Float, variance: Float, linear: Float32, square: Float32, constant: Float32) -> None:
+    """Log densities of mixtures, from the outside alone to the inside alone, as parabolas of each channel's value."""
+    for m in range(SHARES + 1):
+        share, spreads, total = m / SHARES, 1.0, 0.0
+        for c in range(mean.shape[1]):
+            mu = share * mean[0, c] + (1.0 - share) * mean[1, c]
+            spread = share**2 * variance[0, c] + (1.0 - share) ** 2 * variance[1, c]
+            spreads *= spread
+            total += mu * mu / spread
+            linear[m, c], square[m, c] = mu / spread, -0.5 / spread
+        constant[m] = -0.5 * (total + np.log(spreads))

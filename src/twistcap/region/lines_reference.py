@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from twistcap.arrays import Float, Float32, Int
-from twistcap.region.lines import Lines, LineSettings, Measured, VisibleParts
+from twistcap.region.lines import EDGE, PLACES, SHARES, Lines, LineSettings, Measured, VisibleParts
 
 
 def measured_lines_reference(
@@ -17,7 +17,9 @@ def measured_lines_reference(
     values, first, last = sample_lines_reference(image, visible, lines, step, s.half)
     moments = line_moments_reference(values, first, last, step)
     mean, variance = pooled_gaussians_reference(moments, lines[0], group, colours, s)
-    return _weighed(lines, *boundary_posterior_reference(values, first, last, step, mean, variance, s.clip), s)
+    posterior = boundary_posterior_reference(values, first, last, step, mean, variance, s.clip)
+    shift = edge_shift_reference(values, first, last, step, mean, variance, posterior[0], s.clip)
+    return _weighed(lines, posterior[0] + shift, *posterior[1:], s)
 
 
 def ratio_lines_reference(
@@ -109,3 +111,28 @@ def boundary_posterior_reference(
         spread[n] = p @ d**2 - displacement[n] ** 2
         evidence[n] = score.max() - max(score[0], score[-1])
     return displacement, spread, evidence
+
+
+def edge_shift_reference(
+    values: Float | Float32, first: Int, last: Int, step: Float, mean: Float, variance: Float, displacement: Float,
+    clip: float,
+) -> Float:  # fmt: skip
+    """Readable twin of `edge_shift`."""
+    half, shift = values.shape[1] // 2, np.zeros(len(values))
+    for n, (lo, hi) in enumerate(zip(first, last, strict=True)):
+        reach = max(step[n], 1.0)
+        tried = displacement[n] + np.linspace(-reach, reach, 2 * PLACES + 1)
+        at = (np.arange(lo, hi + 1) - half) * step[n]
+        near = np.abs(at - displacement[n]) <= reach + EDGE
+        share = np.clip(0.5 + (tried - at[near][:, None]) / (2.0 * EDGE), 0.0, 1.0)  # (samples, places)
+        share = np.floor(share * SHARES + 0.5)[..., None] / SHARES
+        mu = share * mean[n, 0] + (1.0 - share) * mean[n, 1]
+        spread = share**2 * variance[n, 0] + (1.0 - share) ** 2 * variance[n, 1]
+        I = values[n, lo : hi + 1].astype(float)[near][:, None]
+        log_p = -0.5 * ((I - mu) ** 2 / spread + np.log(spread)).sum(axis=2)
+        if len(log_p):
+            log_p = np.maximum(log_p - log_p.max(axis=1, keepdims=True), -clip)
+        score = min(step[n], 1.0) * log_p.sum(axis=0)
+        p = np.exp(score - score.max())
+        shift[n] = p @ tried / p.sum() - displacement[n]
+    return shift
