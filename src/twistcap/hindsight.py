@@ -46,6 +46,8 @@ class LookBack(Checked):
             fraction of what is usual for what was found in one frame.
         loss: fraction of what it gained that it may lose again farther back, but always as much as it must gain. One
             that loses more went away from the first one, where that was right: what it began from was found wrongly.
+        near: m between the two tracks where the second one is left, within which it may lose any amount farther back:
+            they come together there, and beyond it the second one is lost itself.
     """
 
     frames: Annotated[int, Range(1, REMEMBERED - 1)] = 60
@@ -54,10 +56,16 @@ class LookBack(Checked):
     gain: float = 20.0
     share: Share = 0.25
     loss: Share = 0.25
+    near: float = 0.1
 
-    def doubtful(self, sums: Sequence[float], needed: float) -> bool:
-        """Whether a track with such sums of nats, the latest frame first, lost too much again."""
+    def lost(self, way: Sequence[Again], needed: float) -> bool:
+        """Whether a track, the latest frame first, lost too much again."""
+        sums = _sums(way)
         return max(sums) - sums[-1] > max(needed, self.loss * max(sums))
+
+    def doubtful(self, way: Sequence[Again], needed: float) -> bool:
+        """Whether it did so though it had not come near the first one."""
+        return self.lost(way, needed) and way[int(np.argmax(_sums(way)))].apart > self.near
 
 
 @dataclass(frozen=True)
@@ -82,10 +90,17 @@ class Passed:
 
 @dataclass(frozen=True)
 class Again:
-    """What a track says of a passed frame that runs backward, and the nats by which the pictures favour it."""
+    """What a track says of a passed frame that runs backward.
+
+    Attributes:
+        estimate: what it says.
+        gain: nats by which the pictures favour it.
+        apart: m between the first track's place of what was found and its own.
+    """
 
     estimate: Estimate
     gain: float
+    apart: float
 
 
 class Hindsight:
@@ -171,8 +186,8 @@ def looked_back(
     known, groups = _memory(state).known, _memory(state).groups
     needed = max(rule.gain, rule.share * float(known.nats.sum(axis=0) @ groups[found].sum(axis=0)))
     ways = [
-        (max(sums), way) for way in _tracked_again(rule, model, state, passed, found, needed)
-        if (sums := _sums(way)) and not rule.doubtful(sums, needed)
+        (max(_sums(way)), way) for way in _tracked_again(rule, model, state, passed, found, needed)
+        if way and not rule.doubtful(way, needed)
     ]  # fmt: skip
     most, best = max(ways, key=lambda way: way[0], default=(0.0, []))
     if most < needed:
@@ -215,14 +230,15 @@ def _tracked_again(
     for one, estimate, put in _backward(model, state, passed):
         since = 0 if (put[-1] if found[-1] else (put & found).any()) else since + 1
         first, second = one.estimate.pose, estimate.pose
-        if _apart(model, first, second)[own].max() < rule.met:
+        apart = float(_apart(model, first, second)[own].max())
+        if apart < rule.met:
             return ways if since >= _JUST else ([], [])
         poses = [second] if found[-1] else [second, Pose(first.root, np.where(moved, second.q, first.q))]
         evidence = memory.known.evidence(_problem(model, state, one))
         usual = evidence.of(first)
         for way, pose in zip(ways, poses, strict=False):
-            way.append(Again(replace(estimate, pose=pose, time=one.frame.time), evidence.of(pose) - usual))
-        if all(rule.doubtful(sums, needed) for way in ways if (sums := _sums(way))):
+            way.append(Again(replace(estimate, pose=pose, time=one.frame.time), evidence.of(pose) - usual, apart))
+        if all(rule.lost(way, needed) for way in ways if way):
             break
     return ways
 

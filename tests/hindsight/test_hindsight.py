@@ -107,15 +107,20 @@ def test_what_was_found_wrongly_corrects_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    ("gains", "believed"),
-    [((900.0, 800.0), 2), ((900.0, -5.0), 1), ((900.0, -200.0), 1), ((900.0, -300.0), 0), ((3.0, 2.0), 0), ((), 0)],
-)
+    ("gains", "apart", "believed"),
+    [
+        ((900.0, 800.0), 0.3, 2), ((900.0, -5.0), 0.3, 1), ((900.0, -200.0), 0.3, 1), ((900.0, -300.0), 0.3, 0),
+        ((900.0, -300.0), 0.05, 1), ((3.0, 2.0), 0.3, 0), ((3.0, 2.0), 0.05, 0), ((), 0.3, 0),
+    ],
+)  # fmt: skip
 def test_how_far_a_second_track_is_believed(
-    gains: tuple[float, ...], believed: int, monkeypatch: pytest.MonkeyPatch
+    gains: tuple[float, ...], apart: float, believed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Up to where it gains no more; not if it gains little, nor if it loses much of that again."""
+    """Up to where it gains no more; not if it gains little, nor if it loses much of that again without having come near
+    the first track.
+    """
     _, model, passed, before, state = walk()
-    way = [Again(p.estimate, gain) for p, gain in zip(reversed(passed[:-1]), gains, strict=False)]
+    way = [Again(p.estimate, gain, apart) for p, gain in zip(reversed(passed[:-1]), gains, strict=False)]
     monkeypatch.setattr(hindsight, "_tracked_again", lambda *_: (way, []))
     _, better = looked_back(LookBack(), model, before, with_found(state, ARM), passed[:-1])
     assert [e.index for e in better] == list(range(20 - believed, 20))
