@@ -88,7 +88,8 @@ class LostBody(Checked):
         learned: evidence from which on a fit is learned from.
         accepted: evidence from which on a found body is believed.
         better: by how much its evidence must exceed that of the fit, as a fraction of what is usual.
-        seen: fraction of the pixels that the body covered when it was seen last, below which too little of it is seen.
+        seen: fraction of the pixels that the body covered when it was seen last, below which too little of it is seen;
+            and of those that it usually covers, below which it is not without doubt where it is.
         worth: evidence from which on a hypothesis is fitted.
         reach, speed, farthest: m, m/s and m: how far away it is looked for, with the time since it was seen.
         turned, turning: rad and rad/s: how far it may have turned, with the time; one rad farther costs `better`.
@@ -193,7 +194,8 @@ class LostBody(Checked):
                 revision, memory = self._elsewhere(memory, now, ratio, self.margin)
             if revision is None:
                 memory = self._learned(replace(memory, waiting=0), now, float(np.nan_to_num(ratio, nan=1.0)))
-                if ratio >= self.learned and memory.found.max() < 0.5:
+                ample = now.check.pixels.sum() >= self.seen * known.pixels.sum()
+                if ratio >= self.learned and memory.found.max() < 0.5 and ample:
                     memory = replace(memory, surely=Moment(problem.frame.time, now.fit.pose))
         return replace(revision or Revision(now.fit, last), left_out=now.problem.left_out), memory
 
