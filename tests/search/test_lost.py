@@ -23,6 +23,7 @@ from twistcap.search.evidence import Evidence, EvidenceView
 from twistcap.search.limb import LimbRule, placed
 from twistcap.search.lost import LostBody
 from twistcap.search.placing import Placing, PlacingRule, Stance
+from twistcap.search.recollection import Recollection
 from twistcap.search.stances import bundled
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import Model, Settings, Tracker
@@ -223,6 +224,20 @@ def test_images_that_are_not_believed_move_nothing_and_teach_nothing() -> None:
     revision, after = search.revise(memory, replace(problem, trust=0.5), fit)
     assert revision is None
     assert after.known is memory.known
+
+
+def test_a_body_that_shows_little_of_itself_is_not_surely_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What little is seen may agree anywhere, and from there the body would be looked for."""
+    _, frames = _scene()
+    *_, (_, tracker) = islice(_tracked(lambda frame: frame), 14)
+    here, search, memory = tracker.state.past.last, LostBody(), tracker.state.searches["lost body"]
+    monkeypatch.setattr(Recollection, "ratio", lambda *_: 1.0)
+    none = np.zeros((6 + len(here.q),) * 2)
+    for metres, sure in ((12.0, False), (0.0, True)):
+        away = Pose(se3.transform(here.root[:3, :3], here.root[:3, 3] + (metres, 0.0, 0.0)), here.q)
+        problem = posed_problem(tracker.state, frames[13], tracker.model, Prediction(away, "hold", none, none))
+        _, after = search.revise(memory, problem, problem.measured(away))
+        assert (after.surely.pose is away) == sure
 
 
 def test_clutter_that_changes_at_once_does_not_make_a_body_lost() -> None:
