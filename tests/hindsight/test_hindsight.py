@@ -234,7 +234,7 @@ def test_a_limb_that_was_lost_without_a_sign_is_right_in_the_end() -> None:
     at_once = [tracker.step(frame) for frame in frames]
     in_the_end = list(tracked(frames, model, take.first_pose))
     first, last = (errors_mm(take, [e.pose for e in es], JOINT_CENTRES).max(axis=1) for es in (at_once, in_the_end))
-    assert first.max() > 120.0, "the scene no longer shows what it is for"
+    assert first.max() > 80.0, "the scene no longer shows what it is for"
     assert last.max() < 40.0
 
 

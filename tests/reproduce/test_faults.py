@@ -182,9 +182,9 @@ def test_an_unknown_kind_is_told() -> None:
         run_seed(0, kind="nothing")
 
 
-def test_an_arm_that_a_late_camera_folds_before_the_trunk_stays_in_full_view() -> None:
-    """There hardly anything of it would be seen in two views, and nothing would lack: 0.8 m off without a search."""
+def test_an_arm_that_a_late_camera_folds_before_the_trunk_is_found_when_it_is_on_time() -> None:
+    """There hardly anything of it is seen in two views, and nothing lacks. Without a search it stays 0.8 m off."""
     run = tracked(take_of(3110))
     arm = run.parts_mm[:, list(PARTS).index("arm_l")]
-    assert 100.0 < arm[:44].max() < 200.0
+    assert 100.0 < arm[:44].max() < 600.0
     assert arm[44:].max() < 50.0
