@@ -59,7 +59,7 @@ class Problem(Protocol):
         """The fit that starts from a pose as if no frame had been seen before, in images `margin` m about it."""
         ...
 
-    def relit(self) -> Problem:
+    def without_look(self) -> Problem:
         """The same without what cues have learnt of the body's look."""
         ...
 

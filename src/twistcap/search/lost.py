@@ -176,10 +176,10 @@ class LostBody(Checked):
             return None, self._signed(memory, now)
         if not known.sure:
             return None, self._learned(self._signed(memory, now), now, 1.0)
-        if (relit := self._relit(known, now)) is not None:
+        if (again := self._fitted_without_look(known, now)) is not None:
             memory = replace(memory, known=known.forgotten(), frames=1)
-            memory = self._learned(self._signed(memory, relit), relit, 1.0)
-            return Revision(relit.fit, problem.past.moments[-1], relit=True), memory
+            memory = self._learned(self._signed(memory, again), again, 1.0)
+            return Revision(again.fit, problem.past.moments[-1], relit=True), memory
         now, suspicion = judged(self.contradiction, memory.suspicion, known, now)
         memory = self._signed(replace(memory, suspicion=suspicion), now)
         ratio, last, revision = known.ratio(now.check), problem.past.moments[-1], None
@@ -203,7 +203,7 @@ class LostBody(Checked):
         """The first frame's fit, beside its first pose where the contours agree better."""
         return limbs_beside(self.beside, problem, beside(self.beside, problem, fit), groups)
 
-    def _relit(self, known: Recollection, now: Judged) -> Judged | None:
+    def _fitted_without_look(self, known: Recollection, now: Judged) -> Judged | None:
         """The frame fitted without the body's look, where a light has been switched: no camera's background is what it
         was, and the contour agrees all the same. The colours of the old light would mislead the fit.
         """
@@ -211,7 +211,7 @@ class LostBody(Checked):
         seen = ~np.isnan(fitting)
         if not seen.any() or np.any(fitting[seen] >= self.relit):
             return None
-        problem = now.problem.relit()
+        problem = now.problem.without_look()
         fit = problem.align(problem.start)
         if agreement(fit) < self.agreeing:
             return None

@@ -100,7 +100,7 @@ class FrameProblem:
         """The problem with the body expected elsewhere, and the images about it."""
         return replace(self, start=pose, views=self.model.views(self.frame, pose, margin, self.left_out))
 
-    def relit(self) -> FrameProblem:
+    def without_look(self) -> FrameProblem:
         """See `search.Problem`."""
         cues = {cue.name: cue.start(self.body, self.rig) for cue in self.model.cues}
         return replace(self, state=replace(self.state, cues=cues, learned=0))

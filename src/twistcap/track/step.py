@@ -133,7 +133,7 @@ def searched(problem: FrameProblem, fit: Fit) -> tuple[FrameProblem, Fit | None,
             found, jump = revision.fit, jump or revision.jumped
             past = problem.past.with_last(revision.last)
             problem = replace(problem, state=problem.state.with_past(past))
-            problem = problem.relit() if revision.relit else problem
+            problem = problem.without_look() if revision.relit else problem
             problem = problem if revision.left_out is None else problem.excluding(revision.left_out)
         if found is None:
             break
