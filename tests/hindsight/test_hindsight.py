@@ -13,70 +13,24 @@ import cv2
 import numpy as np
 import pytest
 
+from hindsight.walks import ARM, WRONG, bent, errors, walk, with_found, with_poses
 from reproduce.faults.kinds import kind_of, take_of
 from reproduce.faults.runs import errors_mm
 from reproduce.faults.take import Take
 from twistcap import hindsight, stages
-from twistcap.body import Body, Pose, Posed
-from twistcap.body.limbs import named_limbs
 from twistcap.build import build
 from twistcap.commands.follow import follow, resumed
 from twistcap.differential.model import DifferentialModel
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate.metrics import JOINT_CENTRES
-from twistcap.hindsight import Again, Hindsight, LookBack, Passed, looked_back, tracked
+from twistcap.hindsight import Again, Hindsight, LookBack, Passed, back, looked_back, tracked
+from twistcap.hindsight.passed import evidence_in
 from twistcap.io.result import ResultWriter, read_result
-from twistcap.search.lost import LostBody, LostMemory
-from twistcap.studio import Capture, StudioConfig, capture
-from twistcap.track import Model, State, Tracker
-
-WRONG = range(12, 20)  # frames in which the arm is taken to be elsewhere
-ARM = "arm_r"
-
-
-@cache
-def walk() -> tuple[Capture, Model, list[Passed], State, State]:
-    """A walk that is tracked rightly, and the states before and after its last frame."""
-    scene = capture(StudioConfig(seed=3, views=3, frames=21))
-    tracker, passed, before = Tracker(build(scene.body, scene.rig)), list[Passed](), None
-    tracker.start(scene.first_pose)
-    for frame in scene.frames():
-        before = tracker.state
-        passed.append(Passed(frame, tracker.step(frame)))
-    assert before is not None
-    return scene, tracker.model, passed, before, tracker.state
-
-
-def bent(body: Body, pose: Pose) -> Pose:
-    """With the right arm 70° elsewhere."""
-    own = body.chain[named_limbs(body)[ARM]].any(axis=0) & ~body.chain[named_limbs(body)["trunk"]].any(axis=0)
-    swing = np.zeros(len(pose.q))
-    swing[np.flatnonzero(own)[:2]] = np.deg2rad(70.0)
-    return Pose(pose.root, np.clip(pose.q + swing, *body.limits.T))
-
-
-def with_poses(state: State, passed: list[Passed], last: Pose) -> State:
-    """The state as if these had been the poses; that before the last is as a search leaves it, at rest."""
-    poses = [*(p.estimate.pose for p in passed[:-1]), last, last]
-    moments = tuple(replace(m, pose=pose) for m, pose in zip(state.past.moments, poses, strict=True))
-    return state.with_past(replace(state.past, moments=moments))
-
-
-def with_found(state: State, limb: str | None) -> State:
-    """The state as if a search had just found a limb; None: the whole body."""
-    ((name, memory),) = state.searches.items()
-    assert isinstance(memory, LostMemory)
-    own = named_limbs(walk()[0].body).get(limb or "", np.ones(memory.groups.shape[1], np.bool_))
-    found = np.array([1.0 if (group & own).any() else 0.0 for group in memory.groups])
-    return replace(state, searches={name: replace(memory, found=found)})
-
-
-def errors(scene: Capture, estimates: list[Estimate]) -> np.ndarray:
-    marks = [scene.body.landmarks.index(f"{joint}_r") for joint in ("elbow", "wrist")]
-    found = np.array([Posed(scene.body, e.pose).landmarks[marks] for e in estimates])
-    true = np.array([Posed(scene.true_body, scene.true_poses[e.index]).landmarks[marks] for e in estimates])
-    return 1000.0 * np.linalg.norm(found - true, axis=2).max(axis=1)
+from twistcap.search.lost import LostBody
+from twistcap.search.recollection import Recollection
+from twistcap.studio import StudioConfig, capture
+from twistcap.track import Tracker
 
 
 @pytest.mark.parametrize("limb", [ARM, None])
@@ -107,21 +61,18 @@ def test_what_was_found_wrongly_corrects_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    ("gains", "apart", "believed"),
+    ("gains", "believed"),
     [
-        ((900.0, 800.0), 0.3, 2), ((900.0, -5.0), 0.3, 1), ((900.0, -200.0), 0.3, 1), ((900.0, -300.0), 0.3, 0),
-        ((900.0, -300.0), 0.05, 1), ((3.0, 2.0), 0.3, 0), ((3.0, 2.0), 0.05, 0), ((), 0.3, 0),
+        ((900.0, 800.0), 2), ((900.0, -5.0), 1), ((900.0, -200.0), 1), ((900.0, -300.0), 0), ((3.0, 2.0), 0), ((), 0),
     ],
 )  # fmt: skip
 def test_how_far_a_second_track_is_believed(
-    gains: tuple[float, ...], apart: float, believed: int, monkeypatch: pytest.MonkeyPatch
+    gains: tuple[float, ...], believed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Up to where it gains no more; not if it gains little, nor if it loses much of that again without having come near
-    the first track.
-    """
+    """Up to where it gains no more; not if it gains little, nor if it loses much of that again."""
     _, model, passed, before, state = walk()
-    way = [Again(p.estimate, gain, apart) for p, gain in zip(reversed(passed[:-1]), gains, strict=False)]
-    monkeypatch.setattr(hindsight, "_tracked_again", lambda *_: (way, []))
+    way = [Again(p.estimate, gain) for p, gain in zip(reversed(passed[:-1]), gains, strict=False)]
+    monkeypatch.setattr(back, "_tracked_again", lambda *_: (way, []))
     _, better = looked_back(LookBack(), model, before, with_found(state, ARM), passed[:-1])
     assert [e.index for e in better] == list(range(20 - believed, 20))
 
@@ -135,14 +86,14 @@ def test_a_second_track_that_jumps_back_is_not_believed(monkeypatch: pytest.Monk
             passed[k], estimate=replace(passed[k].estimate, pose=bent(scene.body, passed[k].estimate.pose))
         )
     state = with_poses(with_found(state, ARM), wrong, last)
-    original = hindsight._backward
+    original = back._backward
 
     def jumping(*arguments: Any) -> Iterator[Any]:
         for one, estimate, put in original(*arguments):
             yield one, estimate, put | (one.frame.index == 12)
 
     assert looked_back(LookBack(), model, before, state, wrong)[1]
-    monkeypatch.setattr(hindsight, "_backward", jumping)
+    monkeypatch.setattr(back, "_backward", jumping)
     assert not looked_back(LookBack(), model, before, state, wrong)[1]
 
 
@@ -187,12 +138,13 @@ def test_the_poses_of_all_frames_that_may_be_corrected_are_remembered() -> None:
         LookBack(frames=128)
 
 
-def test_passed_frames_are_judged_in_pictures_like_those_that_were_learned() -> None:
+def test_passed_frames_are_judged_in_pictures_like_those_that_were_learned(monkeypatch: pytest.MonkeyPatch) -> None:
     _, model, passed, _, state = walk()
-    image = passed[0].frame.images[0]
+    image, judged = passed[0].frame.images[0], list[Any]()
     assert image is not None
-    judged = hindsight._problem(replace(model, despeckle=3), state, passed[0]).frame.images[0]
-    assert np.array_equal(judged, cv2.medianBlur(image, 3))
+    monkeypatch.setattr(Recollection, "evidence", lambda _, problem: judged.append(problem.frame.images[0]))
+    evidence_in(replace(model, despeckle=3), state, passed[0])
+    assert np.array_equal(judged[0], cv2.medianBlur(image, 3))
 
 
 def test_a_limb_may_be_put_elsewhere_twice_in_a_row() -> None:

@@ -24,12 +24,24 @@ from twistcap.search import Beginning, Problem, Proposals, Revision
 from twistcap.search.beside import BesideRule, agreement, beside, limbs_beside
 from twistcap.search.contradiction import ContradictionRule, Judged, Suspicion, judged
 from twistcap.search.evidence import Evidence
-from twistcap.search.flag import MOST_USUAL, USUAL, at_limits, contour_signs, displaced, flag_groups, image_signs
+from twistcap.search.flag import (
+    MOST_USUAL,
+    USUAL,
+    at_limits,
+    contour_signs,
+    displaced,
+    flag_groups,
+    image_signs,
+    lacking_at_all,
+)
 from twistcap.search.limb import LimbRule, placed, regained
 from twistcap.search.placing import Hypothesis, Placing, PlacingRule
 from twistcap.search.recollection import Covered, Recollection
 from twistcap.search.stances import bundled, lowest
 from twistcap.stages import stage
+
+LACKED = 11
+"""Frames of which it is remembered what evidence lacked."""
 
 
 @dataclass(frozen=True)
@@ -50,6 +62,8 @@ class LostMemory:
         surely: when and where the body was last without doubt; from there on it is looked for.
         usual: (G, 3) what the contour usually says against each, see `contour_signs`.
         signs, lately: (G, SIGNS) of loss, of each limb and the rest of the body; now, and their running mean.
+        lacked: (≤ LACKED, G) fraction of the usual evidence that lacked of each in the last frames before, the latest
+            last.
     """
 
     known: Recollection
@@ -66,14 +80,24 @@ class LostMemory:
     usual: Float | None = None
     signs: Float | None = None
     lately: Float | None = None
+    lacked: Float | None = None
 
     def begun_anew(self) -> LostMemory:
         """For another track through the same recording: nothing is doubted or waited for yet."""
         none = np.zeros(len(self.groups))
         return replace(
             self, found=none, jumped=none, waiting=0, limb_waiting=0, limb_pause=0, nowhere=False, surely=None,
-            signs=None, lately=None,
+            signs=None, lately=None, lacked=None,
         )  # fmt: skip
+
+    @property
+    def remembered(self) -> LostMemory:
+        """With what lacks in the last frame among what has lacked."""
+        if self.signs is None:
+            return self
+        lacks = lacking_at_all(self.signs)[None]
+        lacked = lacks if self.lacked is None else np.concatenate([self.lacked, lacks])[-LACKED:]
+        return replace(self, lacked=lacked)
 
 
 @dataclass(frozen=True)
@@ -160,9 +184,8 @@ class LostBody(Checked):
 
     def revise(self, memory: LostMemory, problem: Problem, fit: Fit) -> tuple[Revision | None, LostMemory]:
         """The body elsewhere, where the fit is lost; else the fit is learned from."""
-        memory = replace(
-            memory, frames=memory.frames + 1, found=self.doubted * memory.found, jumped=self.wary * memory.jumped
-        )
+        found, jumped = self.doubted * memory.found, self.wary * memory.jumped
+        memory = replace(memory.remembered, frames=memory.frames + 1, found=found, jumped=jumped)
         known = memory.known
         if (
             not problem.past.started

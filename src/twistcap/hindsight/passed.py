@@ -1,0 +1,98 @@
+"""Frames that have been tracked, and how they are judged by what is known now."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import accumulate
+
+import numpy as np
+
+from twistcap.arrays import Bool, Float
+from twistcap.body import Pose, Posed
+from twistcap.cues.view import despeckled
+from twistcap.estimate import Estimate, Frame
+from twistcap.predict.history import Moment, Past
+from twistcap.search.evidence import Evidence
+from twistcap.search.lost import LostMemory
+from twistcap.track import Model, State
+from twistcap.track.align import FrameProblem
+
+
+@dataclass(frozen=True)
+class Passed:
+    """A frame that has been tracked, and what is said of it by now."""
+
+    frame: Frame
+    estimate: Estimate
+
+    @property
+    def seen(self) -> Frame:
+        """The frame without pictures that told nothing."""
+        missing = self.estimate.missing
+        images = tuple(None if i in missing else image for i, image in enumerate(self.frame.images))
+        return replace(self.frame, images=images)
+
+    @property
+    def size(self) -> int:
+        """Bytes of its pictures."""
+        return sum(image.nbytes for image in self.frame.images if image is not None)
+
+
+@dataclass(frozen=True)
+class Again:
+    """What a second track says of a passed frame.
+
+    Attributes:
+        estimate: what it says.
+        gain: nats by which the pictures favour it.
+    """
+
+    estimate: Estimate
+    gain: float
+
+
+def sums(way: Sequence[Again]) -> list[float]:
+    """Nats of so many frames together."""
+    return list(accumulate(again.gain for again in way))
+
+
+def lost_memory(state: State) -> LostMemory:
+    """What the search for lost bodies knows."""
+    return next(memory for memory in state.searches.values() if isinstance(memory, LostMemory))
+
+
+def evidence_in(model: Model, state: State, one: Passed) -> Evidence:
+    """What the pictures of a passed frame say of poses, by what is known now."""
+    none = np.zeros_like(state.covariance)
+    out = frozenset(state.left_out)
+    frame = despeckled(one.seen, model.despeckle)
+    problem = FrameProblem(model, state, frame, one.estimate.pose, none, none, {}, left_out=out)
+    return lost_memory(state).known.evidence(problem)
+
+
+def apart(model: Model, one: Pose, other: Pose) -> Float:
+    """(S,) m between the middles of each segment at two poses."""
+    return np.linalg.norm(Posed(model.body, one).segment_middles - Posed(model.body, other).segment_middles, axis=1)
+
+
+def with_coordinates(pose: Pose, which: Bool, other: Pose) -> Pose:
+    """A pose with some coordinates (J,) of another."""
+    return Pose(pose.root, np.where(which, other.q, pose.q))
+
+
+def begun(model: Model, state: State, past: Past) -> State:
+    """The state from which a second track begins: what the recording has taught stays."""
+    cues = {c.name: c.start(model.body, model.rig) for c in model.cues} | {"contour": state.cues["contour"]}
+    predictors = {p.name: p.start(model.body, model.rig) for p in model.predictors}
+    searches = {name: m.begun_anew() if isinstance(m, LostMemory) else m for name, m in state.searches.items()}
+    support = np.ones_like(state.support)  # as at the start of any track
+    return replace(state, past=past, support=support, cues=cues, predictors=predictors, searches=searches, prints=())
+
+
+def corrected(state: State, better: Sequence[Estimate]) -> State:
+    """The state with better poses of the last frames before the present one, the oldest first."""
+    moments = list(state.past.moments)
+    for k, estimate in enumerate(reversed(better), 2):
+        moments[-k] = Moment(moments[-k].time, estimate.pose)
+    return state.with_past(replace(state.past, moments=tuple(moments)))

@@ -1,0 +1,103 @@
+"""A limb that was astray for a few frames is put on its way; one that was right stays as it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hindsight.walks import bent, errors, walk, with_poses
+from reproduce.faults.kinds import kind_of, take_of
+from reproduce.faults.runs import errors_mm
+from twistcap import hindsight
+from twistcap.build import build
+from twistcap.evaluate.metrics import JOINT_CENTRES
+from twistcap.hindsight import Passed, looked_between, tracked
+from twistcap.search.flag import lacking_at_all
+from twistcap.search.lost import LACKED, LostMemory
+from twistcap.track import State
+
+ASTRAY = range(16, 20)  # all frames from there to the present one
+
+
+def with_astray(frames: range) -> tuple[list[Passed], State]:
+    """The frames before the present one as if the arm had been astray, and the state after it."""
+    scene, _, passed, _, state = walk()
+    last, wrong = passed[-1], list(passed[:-1])
+    for k in frames:
+        wrong[k] = replace(wrong[k], estimate=replace(wrong[k].estimate, pose=bent(scene.body, wrong[k].estimate.pose)))
+    state = with_poses(state, wrong, last.estimate.pose)
+    ((name, memory),) = state.searches.items()
+    assert isinstance(memory, LostMemory)
+    lacked = np.zeros((LACKED, len(memory.groups)))
+    lacked[[k - 20 for k in frames if k >= 20 - LACKED]] = 1.0
+    return wrong, replace(state, searches={name: replace(memory, lacked=lacked)})
+
+
+def test_an_arm_that_was_astray_is_put_on_its_way() -> None:
+    scene, model, right, *_ = walk()
+    wrong, state = with_astray(ASTRAY)
+    assert errors(scene, [wrong[k].estimate for k in ASTRAY]).min() > 150.0
+    after, better = looked_between(model, state, wrong, right[-1].estimate)
+    assert [e.index for e in better] == list(ASTRAY)
+    assert [e.time for e in better] == [right[k].frame.time for k in ASTRAY]
+    assert errors(scene, better).max() < 30.0
+    poses = [m.pose for m in after.past.moments]
+    assert all(np.array_equal(poses[e.index].q, e.pose.q) for e in better)
+    assert np.array_equal(poses[ASTRAY.start - 1].q, right[ASTRAY.start - 1].estimate.pose.q)
+
+
+def test_what_was_right_stays() -> None:
+    _, model, right, *_ = walk()
+    wrong, state = with_astray(range(0))
+    after, better = looked_between(model, state, wrong, right[-1].estimate)
+    assert not better and after is state
+
+
+def test_a_way_that_the_pictures_do_not_favour_is_not_taken() -> None:
+    """The arm is astray in the present frame; so is half of the way to it."""
+    scene, model, right, *_ = walk()
+    wrong, state = with_astray(range(0))
+    ((name, memory),) = state.searches.items()
+    assert isinstance(memory, LostMemory) and memory.lacked is not None
+    state = replace(state, searches={name: replace(memory, lacked=np.ones_like(memory.lacked))})
+    last = right[-1].estimate
+    astray = replace(last, pose=bent(scene.body, last.pose))
+    assert not looked_between(model, state, wrong, astray)[1]
+
+
+def test_frames_in_which_nothing_was_seen_have_no_way_between() -> None:
+    _, model, right, *_ = walk()
+    wrong, state = with_astray(ASTRAY)
+    last = right[-1].estimate
+    blind = replace(wrong[-1], estimate=replace(wrong[-1].estimate, status="no_images"))
+    assert not looked_between(model, state, [*wrong[:-1], blind], last)[1]
+    assert not looked_between(model, state, wrong, replace(last, status="not_found"))[1]
+    assert not looked_between(replace(model, searches=()), replace(state, searches={}), wrong, last)[1]
+
+
+def test_what_lacked_is_remembered_frame_by_frame() -> None:
+    """After a frame the last row is of the frame before."""
+    *_, before, state = walk()
+    (first,), (then,) = before.searches.values(), state.searches.values()
+    assert isinstance(first, LostMemory) and isinstance(then, LostMemory)
+    assert first.signs is not None and first.lacked is not None and then.lacked is not None
+    assert len(then.lacked) == LACKED and np.array_equal(then.lacked[-1], lacking_at_all(first.signs))
+    assert np.array_equal(then.lacked[:-1], first.lacked[1:])
+    assert then.begun_anew().lacked is None
+
+
+def test_arms_that_jerks_threw_off_are_right_in_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two cameras: one arm is astray for seven frames, then the other for eleven; both come back by themselves."""
+    take = take_of(5032, kind_of(5032))
+    frames, model = list(take.frames())[:48], build(take.scene.body, take.scene.rig)
+
+    def worst() -> float:
+        poses = [e.pose for e in tracked(frames, model, take.first_pose)]
+        return float(errors_mm(take, poses, JOINT_CENTRES).max())
+
+    after = worst()
+    monkeypatch.setattr(hindsight, "looked_between", lambda _model, state, *_: (state, []))
+    assert worst() > 150.0, "the scene no longer shows what it is for"
+    assert after < 90.0
