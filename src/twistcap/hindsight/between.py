@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from twistcap.arrays import Bool
 from twistcap.body import Pose
 from twistcap.body.limbs import limbs
@@ -43,12 +45,14 @@ class Stretch:
         passed: the frames.
         limb: (J,) coordinates of the limb.
         expected: poses with the limb on its way between, one for each frame.
-        needed: nats by which the pictures must favour them.
+        parts: (S,) segments of the limb.
+        needed: nats by which the pictures must favour them, and that they must show of the limb in each on average.
     """
 
     passed: Sequence[Passed]
     limb: Bool
     expected: Sequence[Pose]
+    parts: Bool
     needed: float
 
     @property
@@ -78,6 +82,12 @@ class _Pictures:
         """Nats by which they favour a stretch."""
         return sum(self.favour(*pair) for pair in zip(stretch.passed, stretch.expected, strict=True))
 
+    def shown(self, stretch: Stretch) -> bool:
+        """Whether they show the limb on its way: behind the body or out of all images it would gain as well."""
+        pairs = zip(stretch.passed, stretch.expected, strict=True)
+        nats = [self.asked[one.frame.index][0].by_part(pose)[0].sum(axis=0)[stretch.parts].sum() for one, pose in pairs]
+        return bool(np.mean(nats) >= stretch.needed)
+
 
 def looked_between(
     model: Model, state: State, passed: Sequence[Passed], estimate: Estimate
@@ -96,7 +106,7 @@ def looked_between(
         if pictures.gain(stretch.middle) > 0.0
     ]  # fmt: skip
     most, best = max(gains, key=lambda pair: pair[0], default=(0.0, None))
-    if best is None or most < best.needed:
+    if best is None or most < best.needed or not pictures.shown(best):
         return state, []
     way = max(_tracked_again(model, state, best, pictures), key=lambda way: sum(again.gain for again in way))
     if not way or sums(way)[-1] < best.needed:
@@ -119,7 +129,7 @@ def _doubtful(model: Model, state: State, passed: Sequence[Passed], estimate: Es
         before, between = list(passed)[-frames - 1], list(passed)[-frames:]
         for g in (g for g in range(len(own)) if lacks[g] >= _SHARE):
             expected = _on_the_way(before, between, estimate, own[g][6:])
-            stretch = Stretch(between, own[g][6:], expected, max(_GAIN, _SHARE * float(usual[g])))
+            stretch = Stretch(between, own[g][6:], expected, groups[g], max(_GAIN, _SHARE * float(usual[g])))
             (tracked,), (way,) = stretch.middle.passed, stretch.middle.expected
             if apart(model, tracked.estimate.pose, way)[groups[g]].max() > _AWAY:
                 yield stretch
