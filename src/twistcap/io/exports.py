@@ -145,7 +145,7 @@ def _write_landmarks(result: Result, path: Path, options: ExportOptions) -> None
 
 
 def _write_mot(result: Result, path: Path, o: ExportOptions) -> None:
-    write_mot(path, result.body, result.times, result.poses, o.axes, o.angles, result.known, o.fill)
+    write_mot(path, result.body, result.times, result.poses, o.axes, o.angles, result.known, o.fill, result.indices)
 
 
 trc = ExportFormat("joints.trc", "joint centres (OpenSim, Mokka)", _write_landmarks)
