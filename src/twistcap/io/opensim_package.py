@@ -43,7 +43,8 @@ def write_opensim(folder: Path, result: Result, axes: WorldAxes = "opensim", fil
     ``markers.xml`` these alone. ``markers.trc`` and ``joints.trc`` are the motion as points, ``angles.mot`` as
     coordinates of the model. Frames that are lost or unseen, without `fill`, are left out of the motion, since OpenSim
     stops there. ``ik.xml`` solves the motion again from the markers. ``scale.xml`` scales a generic model with
-    Rajagopal's names, ``generic.osim``, to ``static.trc``, the rest pose. Raises InputError for a body that OpenSim cannot hold, or where a file cannot be written.
+    Rajagopal's names, ``generic.osim``, to ``static.trc``, the rest pose. Raises InputError for a body that OpenSim
+    cannot hold, or where a file cannot be written.
     """
     body, known = result.body, result.known | fill
     check(str(folder), known.any(), "the body is lost in every frame; with --fill the predicted poses are written")
