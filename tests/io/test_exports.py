@@ -49,7 +49,7 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("installed")
 def test_a_format_of_an_installed_package_is_one_file_and_one_line(result: Result, tmp_path: Path) -> None:
-    assert FORMATS.names() == ("trc", "mot", "bvh", "csv", "glb", "c3d", "opensim", "toy")
+    assert FORMATS.names() == ("trc", "mot", "bvh", "csv", "glb", "usd", "c3d", "opensim", "toy")
     path = export(result, "toy", tmp_path)
     assert path == tmp_path / "places.json"
     np.testing.assert_array_equal(json.loads(path.read_text()), result.roots[:, :3, 3])
@@ -76,10 +76,10 @@ def test_what_cannot_be_written_is_refused(result: Result, tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("key", "value", "formats"),
     [
-        ("axes", "z_up", ("bvh", "glb")),
-        ("angles", "isb", ("trc", "bvh", "glb", "c3d", "opensim")),
+        ("axes", "z_up", ("bvh", "glb", "usd")),
+        ("angles", "isb", ("trc", "bvh", "glb", "usd", "c3d", "opensim")),
         ("fps", 24.0, ("trc", "mot", "csv", "c3d", "opensim", "toy")),
-        ("into", Path("hero.glb"), ("trc", "mot", "csv", "c3d", "opensim", "toy")),
+        ("into", Path("hero.glb"), ("usd", "trc", "mot", "csv", "c3d", "opensim", "toy")),
         ("rig", Path("none.toml"), ("trc", "mot", "csv", "c3d", "opensim", "toy")),
     ],
 )

@@ -27,9 +27,11 @@ from twistcap.io.motion_files import write_csv, write_mot
 from twistcap.io.opensim_package import write_opensim
 from twistcap.io.playback import Playback, playback
 from twistcap.io.result import Result
+from twistcap.io.usd import write_usd
 from twistcap.registry import Registry
 
-_OWN = {name: f"twistcap.io.exports:{name}" for name in ("trc", "mot", "bvh", "csv", "glb", "c3d", "opensim")}
+_NAMES = ("trc", "mot", "bvh", "csv", "glb", "usd", "c3d", "opensim")
+_OWN = {name: f"twistcap.io.exports:{name}" for name in _NAMES}
 FORMATS = Registry("export format", "twistcap.exports", _OWN)
 _PLAYED = ("fps", "into", "rig")  # what files that are played take
 _FASTEST = 1000.0  # frames per second; more fills the memory, and no player shows it
@@ -43,8 +45,9 @@ class ExportOptions:
         axes: how the world of points and angles lies in the file, see `io.markers`.
         angles: whose definitions the joint angles have, see `io.coordinates`.
         fill: whether frames that are lost or unseen hold the predicted pose; else they are empty where the format can
-            say so (all but BVH and GLB).
-        fps: frames per second of BVH and GLB, interpolated. None: BVH has the recording's, GLB a key for each frame.
+            say so (all but BVH, GLB and USD).
+        fps: frames per second of BVH, GLB and USD, interpolated. None: BVH has the recording's, the others a key for
+            each frame.
         into: the rigged GLB that was tracked: GLB and BVH then have its bones, and the GLB all of its content.
         rig: its rig file, where one is not beside it.
 
@@ -150,6 +153,11 @@ def _write_bvh(result: Result, path: Path, options: ExportOptions) -> None:
     write_lines(path.with_suffix(".flags.json"), [json.dumps(played.flags)])
 
 
+def _write_usd(result: Result, path: Path, options: ExportOptions) -> None:
+    played = playback(result)
+    write_usd(path, result.body, played if options.fps is None else played.even(options.fps))
+
+
 def _write_landmarks(result: Result, path: Path, options: ExportOptions) -> None:
     points = np.where((result.known | options.fill)[:, None, None], result.landmarks, np.nan)
     write_trc(path, result.times, result.body.landmarks.names, points, axes=options.axes)
@@ -167,6 +175,7 @@ csv = ExportFormat(
     lambda result, path, options: write_csv(path, result, options.axes, options.angles, options.fill),
 )  # fmt: skip
 glb = ExportFormat("motion.glb", "skinned body and motion (any glTF viewer)", _write_glb, _PLAYED)
+usd = ExportFormat("motion.usd", "skinned body and motion (USD)", _write_usd, ("fps",))
 c3d = ExportFormat(
     "motion.c3d", "points and segments (Visual3D, Mokka, Vicon)",
     lambda result, path, options: write_c3d(path, result, options.axes, options.fill), ("axes",),
