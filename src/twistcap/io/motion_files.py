@@ -63,7 +63,7 @@ def write_mot(
     kept, (values, _) = np.flatnonzero(~lost | fill), table.in_degrees
     head = ["Coordinates", "version=1", f"nRows={len(kept)}", f"nColumns={len(table.names) + 1}", "inDegrees=yes", ""]
     head += ["Units are S.I. units (second, meters, Newtons, ...)", "Angles are in degrees.", ""]
-    head += _lost_spans(lost, times, np.arange(len(times)) if frames is None else frames, fill)
+    head += _lost_spans(lost, times, np.arange(len(times), dtype=np.int32) if frames is None else frames, fill)
     rows = ["\t".join([repr(float(times[n])), *(f"{v:.8f}" for v in values[n])]) for n in kept]
     write_lines(path, [*head, "endheader", "\t".join(["time", *table.names]), *rows])
 
