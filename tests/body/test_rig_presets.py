@@ -10,7 +10,7 @@ import pytest
 from twistcap import se3
 from twistcap.body.humanoid import humanoid
 from twistcap.body.rig import SkinnedMesh, build_body
-from twistcap.body.rig_presets import preset_spec
+from twistcap.body.rig_presets import best_fit, preset_spec
 from twistcap.body.shape import joint_origins
 from twistcap.errors import InputError
 
@@ -65,6 +65,10 @@ def test_a_rig_with_gaps_is_told_and_an_unknown_one_is_left_alone() -> None:
     gap = replace(mesh, joints=tuple("Stump" if "LeftFoot" in name else name for name in mesh.joints))
     with pytest.raises(InputError, match="look like a Mixamo rig, but leftfoot"):
         preset_spec(gap)
-    assert preset_spec(replace(mesh, joints=tuple(f"bone_{k}" for k in range(len(mesh.joints))))) is None
+    strange = replace(mesh, joints=tuple(f"bone_{k}" for k in range(len(mesh.joints))))
+    assert preset_spec(strange) is None
+    assert "only 0 of its 18 bones are found by name" in best_fit(strange).in_words
+    assert "write a rig file (docs/formats/body-files.md)" in best_fit(strange).in_words
+    assert best_fit(mesh).in_words == "it is taken for a Mixamo rig: 15 of its 18 bones are found by name"
     with pytest.raises(InputError, match="175 m high"):
         preset_spec(replace(mesh, vertices=100 * mesh.vertices))

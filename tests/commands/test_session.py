@@ -7,6 +7,7 @@ from dataclasses import fields
 from pathlib import Path
 
 import pytest
+from pygltflib import GLTF2
 
 from support.commands import document, refusal, run
 from twistcap.settings import Settings
@@ -68,3 +69,27 @@ def test_what_a_track_would_refuse_is_refused(
     path.write_text(path.read_text().replace(old, new))
     sentence = refusal(capsys, "session", path)
     assert told.format(path.parent) in sentence and str(path.parent) in sentence
+
+
+@pytest.mark.parametrize("q", ["{}", '{"lumbar_extension": 0.1}'])
+def test_a_glb_of_which_no_rig_is_known_is_said(
+    walk: Path, tmp_path: Path, q: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The studio's body as if another program had written it: its bones have nobody's names."""
+    folder = Path(shutil.copytree(walk, tmp_path / "w"))
+    gltf = GLTF2().load(str(folder / "body.glb"))
+    assert gltf is not None
+    gltf.asset.extras = gltf.skins[0].extras = {}
+    gltf.save(str(folder / "body.glb"))
+    root = "[[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1], [0, 0, 0, 1]]"
+    (folder / "first_pose.json").write_text(f'{{"root": {root}, "q": {q}}}')
+    path = folder / "session.toml"
+    path.write_text(path.read_text().replace(FILE, 'file = "first_pose.json"'))
+    if q != "{}":
+        sentence = refusal(capsys, "session", path)
+        assert "extension'; check [body]; a GLB of no known rig needs a rig file (" in sentence
+    else:
+        sentence = document(capsys, "session", path)["body"]
+        assert "its rig is not known (" in sentence
+        assert "of its 18 bones are found by name" in sentence
+    assert sentence.rstrip(".").endswith("rig file (docs/formats/body-files.md)")

@@ -244,7 +244,21 @@ def test_no_stride_is_said_without_a_table(
     assert run("gait", tmp_path / "r.h5") == 0
     out = capsys.readouterr().out
     assert "No stride was found in 20 frames (" in out and "film two steps of each foot" in out and "nan" not in out
-    assert (tmp_path / "strides.csv").is_file() and not (tmp_path / "cycles.png").exists()
+    assert "lost or unseen" not in out and not (tmp_path / "cycles.png").exists()
+    heads = [(tmp_path / name).read_text().splitlines() for name in ("strides.csv", "cycles.csv")]
+    assert [len(lines) for lines in heads] == [1, 1] and heads[0][0].startswith("side,start,end,toe_off")
+
+
+def test_strides_that_are_left_out_because_of_lost_frames_are_said(
+    body: Body, poses: list[Pose], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with ResultWriter(tmp_path / "r.h5", body, ring(), {}) as writer:
+        for n, pose in enumerate(poses[:200]):
+            writer.append(Estimate(n, n / FPS, pose, np.eye(body.dof) * 1e-6, lost=n % 30 < 2))
+    assert run("gait", tmp_path / "r.h5") == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert "No stride was found in 200 frames (" in out and "14 of them are lost or unseen: 0–1, 30–31, 60–61" in out
+    assert f"the longest part without them has {27 / FPS:.1f} s" in out and "film two steps" not in out
 
 
 def test_cycles_say_which_angles_are_reliable(

@@ -279,10 +279,42 @@ def test_names_of_markers_and_exclusions() -> None:
             parsed_exclusion(empty, 100)
 
 
-def test_rows_of_a_motion_file_that_are_nan_are_not_known(tracked: Tracked, tmp_path: Path) -> None:
+def test_frames_that_a_motion_file_leaves_out_are_not_known(tracked: Tracked, tmp_path: Path) -> None:
     known = np.arange(len(tracked.times)) != 3
     write_mot(tmp_path / "walk.mot", tracked.body, tracked.times, tracked.poses, known=known)
     angles = evaluate(tracked, tmp_path / "walk.mot").angles
     assert angles is not None
     assert np.isnan(angles.raw).any(axis=1).tolist() == (~known).tolist()
     np.testing.assert_allclose(angles.raw[known], 0.0, atol=1e-5)
+    between = evaluate(tracked, tmp_path / "walk.mot", time_offset=0.5 / 60).angles
+    assert between is not None
+    assert np.flatnonzero(np.isnan(between.raw).any(axis=1)).tolist() == [0, 3, 4]  # no line across the gap
+
+
+def test_rows_of_a_motion_file_that_are_nan_are_not_known(tracked: Tracked, tmp_path: Path) -> None:
+    write_mot(tmp_path / "walk.mot", tracked.body, tracked.times, tracked.poses)
+    lines = (tmp_path / "walk.mot").read_text().splitlines()
+    lines[-2] = "\t".join([lines[-2].split("\t")[0], *["nan"] * len(lines[-2].split("\t")[1:])])
+    (tmp_path / "walk.mot").write_text("\n".join(lines))
+    angles = evaluate(tracked, tmp_path / "walk.mot").angles
+    assert angles is not None
+    assert np.flatnonzero(np.isnan(angles.raw).any(axis=1)).tolist() == [len(tracked.times) - 2]
+
+
+def test_angles_of_the_isb_are_compared_with_those_of_the_isb(tmp_path: Path) -> None:
+    """Our own export, its clock moved: nothing is left; a knee that bends 2° more is seen as that."""
+    body, rng = humanoid("full"), np.random.default_rng(4)
+    times, turns = np.arange(40) / 60, rng.normal(scale=0.2, size=(2, len(body.coordinate_names)))
+    poses = [Pose(np.eye(4), turns[0] + np.sin(9 * t) * turns[1]) for t in times]
+    covariances = np.tile(np.eye(body.dof) * 1e-4, (len(times), 1, 1))
+    result = Tracked(body, Rig((camera(),)), times, np.arange(40), poses, np.zeros(40, bool), covariances)
+    write_mot(tmp_path / "isb.mot", body, times + 0.1, poses, angles="isb")
+    found = evaluate(result, tmp_path / "isb.mot", align=True)
+    assert found.angles is not None and len(found.angles.names) == len(found.agreements) > 20
+    assert all(name.startswith("isb_") for name in found.angles.names)
+    assert np.nanmax(np.abs(found.angles.raw)) < 0.01
+    assert np.isfinite(rows_of(found)["angle errors over claimed σ, rms (1 is honest)"])
+    bent = np.eye(len(body.coordinate_names))[body.coordinate("knee_angle_r")] * np.radians(2.0)
+    write_mot(tmp_path / "isb.mot", body, times, [Pose(p.root, p.q + bent) for p in poses], angles="isb")
+    [knee] = [a for a in evaluate(result, tmp_path / "isb.mot").agreements if a.name == "isb_knee_flexion_r"]
+    assert knee.bias == pytest.approx(-2.0, abs=1e-4)

@@ -146,3 +146,19 @@ def test_as_many_frames_as_there_is_room_for(result: Result, tmp_path: Path) -> 
     assert file["data"]["points"].shape[2] == file["data"]["rotations"].shape[3] == most
     np.testing.assert_allclose(file["data"]["rotations"][:, :, 0, most - 1], np.eye(4))
     assert np.isfinite(file["data"]["points"][0, :, most - 1]).all()
+
+
+def test_all_spans_without_the_body_are_listed(body: Body, tmp_path: Path) -> None:
+    """Every other frame is lost: 300 spans, of which a parameter holds 127."""
+    with ResultWriter(tmp_path / "r.h5", body, ring(), {}) as writer:
+        for n in range(601):
+            writer.append(Estimate(n, n / 60, Pose.rest(body), np.eye(body.dof) * 1e-6, lost=n % 2 == 1))
+    write_c3d(tmp_path / "a.c3d", read_result(tmp_path / "r.h5"))
+    file = read(tmp_path / "a.c3d")
+    found = file["parameters"]["TWISTCAP"]
+    assert [len(found[name]["value"]) for name in ("LOST", "LOST2", "LOST3")] == [254, 254, 92]
+    ends = np.concatenate([found[name]["value"] for name in ("LOST", "LOST2", "LOST3")])
+    gaps = np.arange(1, 601, 2) + 1  # as the file counts
+    np.testing.assert_array_equal(ends.reshape(-1, 2), np.stack([gaps, gaps], axis=1))
+    assert np.isnan(file["data"]["points"][0]).all(axis=0).sum() == len(gaps)
+    assert room(74, 5000) < room(74)

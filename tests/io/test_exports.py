@@ -11,7 +11,7 @@ import pytest
 from support.cameras import ring
 from support.results import estimate, two_links
 from twistcap.errors import InputError
-from twistcap.io.exports import FORMATS, export
+from twistcap.io.exports import FORMATS, ExportOptions, export, shared
 from twistcap.io.result import Result, ResultWriter, read_result
 from twistcap.io.session import Output
 
@@ -49,7 +49,7 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("installed")
 def test_a_format_of_an_installed_package_is_one_file_and_one_line(result: Result, tmp_path: Path) -> None:
-    assert FORMATS.names() == ("trc", "mot", "bvh", "csv", "glb", "c3d", "opensim", "toy")
+    assert FORMATS.names() == ("trc", "mot", "bvh", "csv", "glb", "usd", "c3d", "opensim", "toy")
     path = export(result, "toy", tmp_path)
     assert path == tmp_path / "places.json"
     np.testing.assert_array_equal(json.loads(path.read_text()), result.roots[:, :3, 3])
@@ -71,3 +71,37 @@ def test_what_cannot_be_written_is_refused(result: Result, tmp_path: Path) -> No
         pass
     with pytest.raises(InputError, match="no frame"):
         export(read_result(tmp_path / "none.h5"), "csv", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "formats"),
+    [
+        ("axes", "z_up", ("bvh", "glb", "usd")),
+        ("angles", "isb", ("trc", "bvh", "glb", "usd", "c3d", "opensim")),
+        ("fps", 24.0, ("trc", "mot", "csv", "c3d", "opensim", "toy")),
+        ("into", Path("hero.glb"), ("usd", "trc", "mot", "csv", "c3d", "opensim", "toy")),
+        ("rig", Path("none.toml"), ("trc", "mot", "csv", "c3d", "opensim", "toy")),
+    ],
+)
+@pytest.mark.usefixtures("installed")
+def test_options_that_a_format_does_not_take_are_refused(
+    result: Result, tmp_path: Path, key: str, value: object, formats: tuple[str, ...]
+) -> None:
+    """Where one format is asked for; a session's options are those of all its formats."""
+    options = ExportOptions(**{key: value})  # type: ignore[arg-type]
+    for name in formats:
+        with pytest.raises(InputError, match=f"^export: {key}: {name} takes none; leave it away"):
+            export(result, name, tmp_path, options=options)
+        assert shared(options, name) == ExportOptions()
+    assert all(shared(options, name) == options for name in {"mot", "glb"} - {*formats})
+
+
+def test_a_rig_file_without_its_glb_is_refused(result: Result, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="of the GLB of into; give both"):
+        export(result, "glb", tmp_path, options=ExportOptions(rig=tmp_path / "hero.rig.toml"))
+
+
+def test_a_body_of_ours_needs_no_into(result: Result, tmp_path: Path) -> None:
+    own = export(result, "glb", tmp_path)
+    with pytest.raises(InputError, match="body of twistcap, which exports hold as it is; leave --into away"):
+        export(result, "glb", tmp_path, options=ExportOptions(into=own))

@@ -304,9 +304,11 @@ def test_frames_that_are_lost_or_unseen_are_empty_unless_filled(tmp_path: Path, 
     markers, table = read_trc(tmp_path / "joints.trc"), read_mot(tmp_path / "angles.mot")
     assert np.isnan(markers.points).all(axis=(1, 2)).tolist() == empty
     assert np.isnan(markers.points).any(axis=(1, 2)).tolist() == empty
-    assert np.isnan(table.values).all(axis=1).tolist() == empty
-    assert np.isnan(table.values).any(axis=1).tolist() == empty
-    assert "lost or not seen: 2-3\n" in (tmp_path / "angles.mot").read_text()  # filled or not
+    np.testing.assert_array_equal(table.times, result.times[~np.array(empty)])
+    assert np.isfinite(table.values).all()
+    told = "Frames filled with the predicted pose" if fill else "Frames left out"
+    span = f"1-2 ({float(result.times[1])!r} to {float(result.times[2])!r} s)"
+    assert f"{told}, since the body was lost or not seen: {span}\n" in (tmp_path / "angles.mot").read_text()
     rows = rows_of(tmp_path / "angles.csv")
     assert [row["knee_angle_r_deg"] == "" for row in rows] == empty
     assert [row["knee_angle_r_std_deg"] == "" for row in rows] == empty

@@ -170,3 +170,14 @@ def test_the_python_that_a_newcomer_copies_runs(page: str, tmp_path: Path, capsy
     capsys.readouterr()
     exec(re.sub(r'"[^"]*session\.toml"', repr(str(session / "session.toml")), code), {})
     assert len(capsys.readouterr().out.splitlines()) == 3
+
+
+def test_the_options_of_the_reference_are_those_of_mkdocstrings() -> None:
+    """An unknown one stops `make docs`."""
+    handler = pytest.importorskip("mkdocstrings_handlers.python", reason="mkdocs is not installed (make docs)")
+    import yaml
+
+    config = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
+    [plugin] = [one["mkdocstrings"] for one in config["plugins"] if "mkdocstrings" in one]
+    options = plugin["handlers"]["python"]["options"]
+    handler.PythonOptions.from_data(**options)

@@ -149,9 +149,10 @@ def write_walk(path: Path, body: Body, rig: Rig) -> None:
     "page", [page for page in PAGES if next(of_twistcap(page), None)], ids=lambda page: str(page.relative_to(ROOT))
 )
 def test_the_commands_of_a_page_work(
-    page: Path, workshop: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    page: Path, workshop: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One after another, in a copy of the workshop; those of getting-started need nothing and get an empty folder."""
+    """One after another, in a copy of the workshop; those of getting-started need nothing and get an empty folder. Of
+    the study's page the Python that reads its table, too."""
     monkeypatch.chdir(tmp_path)
     if page.name != "getting-started.md":
         shutil.copytree(workshop, tmp_path, dirs_exist_ok=True)
@@ -161,3 +162,8 @@ def test_the_commands_of_a_page_work(
         more = " ".join(extra for start, extra in QUICK.items() if line.startswith(start) and "--save" not in line)
         here = line.replace("/tmp/", "studio/").replace("new walk ", "new fresh ")
         assert run(*shlex.split(f"{here} {more}")) == 0, line
+    if page.name == "study.md" and page.parent.name == "how-to":
+        capsys.readouterr()
+        [code] = re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+        exec(code, {})
+        assert re.fullmatch(r"anna walk1 -?[\d.]+\n", capsys.readouterr().out)

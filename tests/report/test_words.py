@@ -151,6 +151,8 @@ def test_the_verdict_says_what_can_be_used(tmp_path: Path) -> None:
     assert "cam1 in 5 % of the frames" in words[-2]
     assert [line["value"] for line in camera_rows(made)] == [0, 0, 1, 0]
     assert 4 in chosen_rows(made) and len(chosen_rows(made)) == 4
+    away = [replace(e, status="no_images", probability=1.0) if 8 <= k < 19 else e for k, e in enumerate(frames)]
+    assert chosen_rows(result(tmp_path / "d.h5", away)) == [1, 4, 7]  # nothing to see from row 8 to 18
     assert verdict_of(result(tmp_path / "b.h5", [])) == []
     unseen = [replace(e, lost=True, status="no_images", part_probability=None) for e in frames]
     assert verdict_of(result(tmp_path / "c.h5", unseen))[0].good is False

@@ -24,7 +24,7 @@ from twistcap.body.binding import strongest
 from twistcap.body.gltf_write import save_glb
 from twistcap.body.model import Body, Landmarks
 from twistcap.body.rig import SkinnedMesh, build_body, in_tree_order, weights_matrix, welded
-from twistcap.body.rig_presets import preset_spec
+from twistcap.body.rig_presets import best_fit, preset_spec
 from twistcap.body.rig_spec import RigSpec, read_rig
 from twistcap.doors.text import number_array, parsed_json, read_bytes
 from twistcap.errors import InputError, check, naming
@@ -49,20 +49,29 @@ def load_glb(path: Path | str, rig: Path | str | RigSpec | None = None) -> Body:
 
 @dataclass(frozen=True)
 class Rigged:
-    """A parsed file, its mesh in glTF's axes, the meaning of its joints and the body made of it."""
+    """A parsed file, its mesh in glTF's axes, the meaning of its joints and where that is from, and the body of it."""
 
     scene: Scene
     mesh: SkinnedMesh
     spec: RigSpec
     body: Body
+    about: str  # in words; "" for a body of ours
 
 
 def load_rigged(path: Path | str, rig: Path | str | RigSpec | None = None) -> Rigged:
     """As `load_glb`, with what is needed to write motion into the file. Raises InputError as it does, and for a file
     of `save_glb`, whose joints are our own."""
     found = _loaded(Path(path), rig)
-    check(str(path), EXTRAS not in (found.scene.gltf.asset.extras or {}), "it is a body of twistcap; export --to glb")
+    own = EXTRAS in (found.scene.gltf.asset.extras or {})
+    check(str(path), not own, "it is a body of twistcap, which exports hold as it is; leave --into away")
     return found
+
+
+def rig_in_words(path: Path | str, rig: Path | str | None = None) -> str:
+    """Where the meaning of a file's joints is from: a rig file, a known rig, or nowhere; "" for a file of `save_glb`.
+    Errors as `load_glb`."""
+    about = _loaded(Path(path), rig).about
+    return f"body {path}: {about}" if about else ""
 
 
 def _loaded(path: Path, rig: Path | str | RigSpec | None) -> Rigged:
@@ -77,9 +86,10 @@ def _loaded(path: Path, rig: Path | str | RigSpec | None) -> Rigged:
             scene = Scene(gltf, path)
             mesh = _read_mesh(scene, own is not None)
             if own is not None and rig is None:
-                return Rigged(scene, mesh, RigSpec(), _own_body(mesh, own, path))
+                return Rigged(scene, mesh, RigSpec(), _own_body(mesh, own, path), "")
             spec = given or preset_spec(mesh) or RigSpec()
-            return Rigged(scene, mesh, spec, build_body(mesh, spec, _INFLUENCES))
+            about = best_fit(mesh).in_words if given is None else f"its joints are those of the rig file {rig}"
+            return Rigged(scene, mesh, spec, build_body(mesh, spec, _INFLUENCES), about)
     except InputError:
         raise
     except (LookupError, TypeError, AttributeError, ValueError, OverflowError) as error:

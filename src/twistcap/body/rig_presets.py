@@ -29,6 +29,8 @@ _LIMBS = {
 }  # fmt: skip
 """The same, and the role that each points to."""
 _LIKELY = 0.6  # share of the bones from which a rig is taken for a known one with gaps
+RIG_PAGE = "docs/formats/body-files.md"
+"""About rig files, the mend where bones are not known."""
 _HEIGHTS = (0.4, 3.5)  # m; what is beyond is in another unit
 
 
@@ -72,28 +74,55 @@ def plain(name: str) -> str:
     return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
+@dataclass(frozen=True)
+class Fit:
+    """The preset whose bones a mesh has most of, and the joint of each that it has, by role."""
+
+    preset: Preset
+    joints: Mapping[str, int]
+
+    @property
+    def share(self) -> float:
+        return len(self.joints) / len(self.preset.bones)
+
+    @property
+    def missing(self) -> list[str]:
+        """Plain names of the bones that it must have and has not."""
+        needed = {role: bone for role, bone in self.preset.bones.items() if role.split("_")[0] not in _OPTIONAL}
+        return [bone for role, bone in needed.items() if role not in self.joints]
+
+    @property
+    def in_words(self) -> str:
+        """What the joints are taken for, and what to do where that is nothing."""
+        known = f"{len(self.joints)} of its {len(self.preset.bones)} bones are found by name"
+        if not self.missing:
+            return f"it is taken for a {self.preset.name} rig: {known}"
+        return (
+            f"its rig is not known ({self.preset.name} is nearest, but only {known}), so that each joint turns freely; "
+            f"for joint angles with names write a rig file ({RIG_PAGE})"
+        )
+
+
+def best_fit(mesh: SkinnedMesh) -> Fit:
+    """The preset that a mesh is likeliest to have."""
+    return max((Fit(preset, _joints_of(mesh, preset)) for preset in PRESETS), key=lambda fit: fit.share)
+
+
 def preset_spec(mesh: SkinnedMesh) -> RigSpec | None:
     """The rig description of a mesh whose bones have the names of a preset; None where they look like none.
 
     Raises InputError where a preset is likely but bones of it are missing, or the person is not of a person's height.
     """
-    preset, joints = max(((p, _joints_of(mesh, p)) for p in PRESETS), key=lambda found: _share(*found))
-    missing = [
-        bone for role, bone in preset.bones.items() if role not in joints and role.split("_")[0] not in _OPTIONAL
-    ]
-    if missing and _share(preset, joints) < _LIKELY:
+    fit = best_fit(mesh)
+    if fit.missing and fit.share < _LIKELY:
         return None
-    if missing:
-        some = ", ".join(missing[:4])
+    if fit.missing:
+        some = ", ".join(fit.missing[:4])
         raise InputError(
-            f"{mesh.source}: its bones look like a {preset.name} rig, but {some} cannot be found; write a rig file "
-            "beside it (docs/formats/body-files.md)."
+            f"{mesh.source}: its bones look like a {fit.preset.name} rig, but {some} cannot be found; write a rig file "
+            f"beside it ({RIG_PAGE})."
         )
-    return _spec(mesh, joints)
-
-
-def _share(preset: Preset, joints: Mapping[str, int]) -> float:
-    return len(joints) / len(preset.bones)
+    return _spec(mesh, fit.joints)
 
 
 def _joints_of(mesh: SkinnedMesh, preset: Preset) -> dict[str, int]:

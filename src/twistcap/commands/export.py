@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 def export(
     result: Annotated[Path, typer.Argument(help="result.h5 of a track.", metavar="RESULT")],
     to: Annotated[
-        str, typer.Option(help="trc, mot, bvh, csv, glb, c3d, opensim, or a format of an installed package.")
+        str, typer.Option(help="trc, mot, bvh, csv, glb, usd, c3d, opensim, or a format of an installed package.")
     ],
     out: Annotated[
         Path | None, typer.Option(help="File to write (opensim: folder). Default: beside the result.")
@@ -27,7 +27,8 @@ def export(
     angles: Annotated[str, typer.Option(help="Definition of joint angles: opensim, isb.")] = "opensim",
     fill: Annotated[bool, typer.Option("--fill", help="Write predicted poses where the body was lost.")] = False,
     fps: Annotated[
-        float | None, typer.Option(help="Frames per second of bvh and glb, interpolated. Default: the recording's.")
+        float | None,
+        typer.Option(help="Frames per second of bvh, glb and usd. Default: the recording's. Default: the recording's."),
     ] = None,
     into: Annotated[
         Path | None, typer.Option(help="The rigged GLB that was tracked: glb and bvh then have its own bones.")
@@ -36,7 +37,7 @@ def export(
     frames: Annotated[str | None, typer.Option(help="Frames FIRST:LAST, both included. Default: all.")] = None,
     json: terminal.Json = False,
 ) -> None:
-    """Write a result as markers (trc, c3d), joint angles (mot, csv) animation (bvh, glb), or an OpenSim model.
+    """Write a result as markers (trc, c3d), joint angles (mot, csv), animation (bvh, glb, usd), or an OpenSim model.
 
     Examples:
 

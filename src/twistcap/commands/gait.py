@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from twistcap.evaluate.filters import Kind
     from twistcap.evaluate.gait import Measure
     from twistcap.io.coordinates import Angles
+    from twistcap.io.result import Result
 
 
 def gait(
@@ -67,8 +68,7 @@ def gait(
     if found.gait.strides:
         _show(str(result), found.parameters)
     else:
-        over = f"{len(read)} frames ({read.times[-1] - read.times[0]:.1f} s)"
-        typer.echo(f"No stride was found in {over}; film two steps of each foot, or give --event and --cycles.")
+        typer.echo(_why_none(read))
     if found.cycles:
         for sentence in (found.filter, *(statement.text for statement in graded(found.sigmas)), TURNS):
             typer.echo(sentence)
@@ -76,6 +76,22 @@ def gait(
         typer.echo(f"{name}: {', '.join(f'{time:.3f}' for time in found.events[name]) or 'never'} s")
     for path in found.files:
         typer.echo(path)
+
+
+def _why_none(read: Result) -> str:
+    """That no stride was found, why, and what to do."""
+    from twistcap.arrays import runs
+    from twistcap.report.words import in_spans
+
+    none = f"No stride was found in {len(read)} frames ({read.times[-1] - read.times[0]:.1f} s)"
+    if read.known.all():
+        return f"{none}; film two steps of each foot, or give --event and --cycles."
+    longest = max((read.times[b - 1] - read.times[a] for a, b in runs(read.known)), default=0.0)
+    unknown = f"{int((~read.known).sum())} of them are lost or unseen: {in_spans(read.indices, ~read.known)}"
+    return (
+        f"{none}; {unknown}. Strides with such frames are left out, and the longest part without them has "
+        f"{longest:.1f} s. A stride needs two steps of each foot that the cameras see."
+    )
 
 
 def _emit(found: Measured) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from twistcap.errors import InputError, check
 from twistcap.evaluate.cycles import Cycle, cycles_between, cycles_of, walking_angles
 from twistcap.evaluate.events import Event, event_times
 from twistcap.evaluate.filters import Filter, Filtered, in_words
-from twistcap.evaluate.gait import SIDES, UNITS, Gait, Measure, gait_of, parameters, symmetry
+from twistcap.evaluate.gait import SIDES, UNITS, Gait, Measure, Stride, gait_of, parameters, symmetry
 from twistcap.io.coordinates import Angles
 from twistcap.io.files import replacing
 from twistcap.io.norms import PERCENT, Band
@@ -143,7 +143,7 @@ def _write_parameters(folder: Path, measures: Mapping[str, Mapping[str, Measure]
 
 
 def _write_strides(folder: Path, found: Gait) -> Path:
-    names = list(vars(found.strides[0])) if found.strides else ["side"]
+    names = [one.name for one in fields(Stride)]
     rows = [[value if isinstance(value, str) else f"{value:.5f}" for value in vars(s).values()] for s in found.strides]
     return _table(folder / "strides.csv", names, rows)
 

@@ -20,7 +20,7 @@ from twistcap.evaluate.gait import SIDES, gait_of
 from twistcap.evaluate.load import Reference
 from twistcap.evaluate.metrics import Row
 from twistcap.io.coordinates import coordinates_of, opensim_angles
-from twistcap.io.exports import ExportOptions, export, offered_formats
+from twistcap.io.exports import ExportOptions, export, offered_formats, shared
 from twistcap.io.norms import Band
 from twistcap.io.result import Result
 from twistcap.io.session import Session
@@ -38,7 +38,7 @@ def write_files(result: Result, session: Session, views: Views, folder: Path, ti
     """Exports, angle plot and overlay, as the session wants them."""
     wanted = session.output
     options = ExportOptions(wanted.axes, wanted.angles, wanted.fill)
-    files = [export(result, kind, folder, options=options) for kind in wanted.exports]
+    files = [export(result, kind, folder, options=shared(options, kind)) for kind in wanted.exports]
     files.append(write_angle_plot(result, folder))
     if session.output.overlay:
         shown, fps = replace(views, indices=views.indices[: len(result)]), min(views.fps / session.step, 60.0)

@@ -113,7 +113,7 @@ def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Ti
     from twistcap.commands.clocks import watched_by
     from twistcap.commands.start import show_start
     from twistcap.io.provenance import made_of
-    from twistcap.io.recording import open_recording
+    from twistcap.io.recording import body_in_words, open_recording
     from twistcap.io.result import ResultWriter
 
     done = held(path, begin.overwrite)
@@ -127,8 +127,8 @@ def _tracked(session: Any, path: Path, begin: Begin, lock: Any) -> tuple[Any, Ti
     for source in views.sources:
         if source.note:
             terminal.say(f"{source.note}.")
-    if recording.note:
-        terminal.say(recording.note)
+    for said in filter(None, (body_in_words(session), recording.note)):
+        terminal.say(said)
     show_start(recording.report)
     tracker = session_tracker(session, recording.body, views, watch=True)
     tracker.start(recording.first_pose, recording.first_time)

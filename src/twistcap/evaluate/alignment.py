@@ -12,6 +12,7 @@ from twistcap.arrays import Float
 from twistcap.errors import InputError, check
 from twistcap.evaluate import metrics
 from twistcap.evaluate.load import Reference
+from twistcap.evaluate.ours import shared_angles
 from twistcap.io.markers import TO_FILE, WorldAxes
 from twistcap.io.result import Result
 
@@ -36,13 +37,10 @@ def aligned(result: Result, reference: Reference, clock: bool, world: bool) -> R
         if name in body.landmarks.names:
             points[:, k] = marks[:, body.landmarks.index(name)]
     if clock:
-        shared = [n for n in reference.coordinate_names if n in body.coordinate_names]
-        angles = result.q[:, [body.coordinate(n) for n in shared]]
-        picked = replace(
-            reference, coordinate_names=tuple(shared),
-            angles=reference.angles[:, [reference.coordinate_names.index(n) for n in shared]],
-        )  # fmt: skip
-        offset = clock_offset(result.times, angles, points, picked)
+        ours = shared_angles(result, reference.coordinate_names)
+        columns = [reference.coordinate_names.index(name) for name in ours.names]
+        picked = replace(reference, coordinate_names=ours.names, angles=reference.angles[:, columns])
+        offset = clock_offset(result.times, ours.values, points, picked)
         reference = replace(reference, times=reference.times + offset)
         notes.append(f"{offset:.4f} s were added to the reference's clock")
     if world and reference.names:

@@ -16,8 +16,9 @@ from twistcap.doors.schema import Schema, real, word
 from twistcap.errors import InputError, check, check_choice, naming
 from twistcap.evaluate.other_systems import landmark_name, read_c3d
 from twistcap.io.angles import complete_coordinates
+from twistcap.io.isb import ISB
 from twistcap.io.markers import CLOCK, TO_FILE, WorldAxes, read_keypoints3d, read_trc
-from twistcap.io.motion_files import poses_from_mot, read_mot
+from twistcap.io.motion_files import MotionTable, poses_from_mot, read_mot
 
 _CLOCKED: Schema = {"X": real("N", "P", 3, gaps=True, needed=False), "names": word("M", needed=False), **CLOCK}
 _TRUTH: Schema = {
@@ -134,18 +135,39 @@ def _from_npz(path: Path, frame_times: Callable[[int], Float]) -> Reference:
 
 
 def _from_mot(path: Path, body: Body) -> Reference:
-    """Angles of a motion file in the body's own coordinates: knees bend to positive, shoulders turn in our order. Rows
-    with a NaN are not known."""
+    """Angles of a motion file in the body's own coordinates: knees bend to positive, shoulders turn in our order. The
+    ISB's, of our exports, keep their names. Rows with a NaN are not known, nor are the frames that a file of ours
+    leaves out."""
     table = read_mot(path)
     known = np.all(np.isfinite(table.values), axis=1).reshape(-1)
     check(str(path), known.any(), "every row holds a NaN; give a file with rows that are whole")
     whole = replace(table, times=table.times[known], values=table.values[known])
-    with naming(path):
-        poses, _ = poses_from_mot(whole, body)
-    names = complete_coordinates(body, table.columns)
+    isb = tuple(name for name in table.columns if name.startswith(ISB))
+    names, notes = (isb, ()) if isb else (complete_coordinates(body, table.columns), tuple[str, ...]())
     angles = np.full((len(known), len(names)), np.nan)
-    angles[known] = np.stack([pose.q for pose in poses])[:, [body.coordinate(name) for name in names]]
-    knees = [(name, angles[known, k], whole.get(name)) for k, name in enumerate(names) if name.startswith("knee_angle")]
+    if isb:
+        angles[known] = np.stack([whole.get(name) for name in isb], axis=1)
+    else:
+        with naming(path):
+            poses, _ = poses_from_mot(whole, body)
+        angles[known] = np.stack([pose.q for pose in poses])[:, [body.coordinate(name) for name in names]]
+        notes = _flipped(names, angles[known], whole)
+    times, angles = _with_gaps(table, angles)
+    return Reference(times, coordinate_names=names, angles=angles, notes=notes)
+
+
+def _flipped(names: Sequence[str], angles: Float, table: MotionTable) -> tuple[str, ...]:
+    """Notes on the knees of which `angles` (N, C) have the other sign than the file."""
+    knees = [(name, angles[:, k], table.get(name)) for k, name in enumerate(names) if name.startswith("knee_angle")]
     flipped = [name for name, ours, theirs in knees if np.allclose(ours, -theirs) and np.any(ours)]
-    notes = tuple(f"{name} was negative in flexion and has its sign changed" for name in flipped)
-    return Reference(table.times, coordinate_names=names, angles=angles, notes=notes)
+    return tuple(f"{name} was negative in flexion and has its sign changed" for name in flipped)
+
+
+def _with_gaps(table: MotionTable, angles: Float) -> tuple[Float, Float]:
+    """Times (M,) and angles (M, C) with a row of NaN at both ends of each span that the file leaves out, so that
+    nothing is interpolated across it."""
+    ends = np.unique(np.array(table.gaps, float).ravel())
+    ends = ends[~np.isin(ends, table.times)]
+    times = np.concatenate([table.times, ends])
+    order = np.argsort(times, kind="stable") if len(ends) else np.arange(len(times))
+    return times[order], np.concatenate([angles, np.full((len(ends), angles.shape[1]), np.nan)])[order]

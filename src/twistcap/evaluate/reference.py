@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from twistcap.arrays import AnyArray, Float
-from twistcap.body import Posed
+from twistcap.body import Body, Posed
 from twistcap.camera import Camera, Rectifier
 from twistcap.doors.images import read_image
 from twistcap.errors import InputError, check
@@ -21,8 +21,10 @@ from twistcap.evaluate.agreement import Agreement, Distance, agreements, distanc
 from twistcap.evaluate.alignment import aligned, better_axes
 from twistcap.evaluate.load import Reference, load_reference
 from twistcap.evaluate.metrics import Row, row
+from twistcap.evaluate.ours import Angles, shared_angles
 from twistcap.io.angles import nearest, shoulders_of
 from twistcap.io.coordinates import opensim_angles
+from twistcap.io.isb import ISB
 from twistcap.io.markers import WorldAxes
 from twistcap.io.result import Result
 
@@ -65,7 +67,7 @@ class Evaluation:
     overlaps: list[Overlap] = field(default_factory=list[Overlap])  # IoU by mask, where it is a folder of masks
     lost_frames: list[int] = field(default_factory=list[int])  # by the reference (`metrics.lost_frames`)
     notes: tuple[str, ...] = ()  # assumptions
-    agreements: list[Agreement] = field(default_factory=list[Agreement])  # degrees, in OpenSim's angles
+    agreements: list[Agreement] = field(default_factory=list[Agreement])  # degrees, as exports have them
 
     @property
     def distances(self) -> list[Distance]:
@@ -135,12 +137,13 @@ def compare(result: Result, truth: Reference, case: str, source: str = "the refe
     """Compare a result with a reference already in memory (its clock the recording's); see `evaluate`."""
     times = np.asarray(result.times, float)
     points, angles = truth.at(times)
-    _expect_common(result, truth, times, source)
+    own = shared_angles(result, truth.coordinate_names)
+    _expect_common(result, truth, own, times, source)
     joints = _joint_errors(result, truth.names, points)
-    coordinates = _angle_errors(result, truth.coordinate_names, angles)
+    coordinates = _angle_errors(result.body, own, truth.coordinate_names, angles)
     rows, lost = list[Row](), list[int]()
     if coordinates:
-        rows += _angle_rows(case, coordinates) + _honesty_rows(case, result, coordinates)
+        rows += _angle_rows(case, coordinates) + _honesty_rows(case, own, coordinates)
     if joints:
         lost = [int(i) for i in np.asarray(result.indices)[metrics.lost_frames(joints.raw)]]
         rows += _summary(case, "joints", joints.raw, "", "mm")
@@ -148,19 +151,20 @@ def compare(result: Result, truth: Reference, case: str, source: str = "the refe
         rows.append(row(case, "lost frames, by the reference", float(len(lost)), "frames", lost=len(lost)))
         rows.append(row(case, "lost sequence", float(metrics.lost_sequence(joints.raw)), "of 1"))
     rows.append(row(case, "lost frames, by the tracker itself", float(np.sum(result.lost)), "frames"))
-    agreed = _agreements(result, coordinates) if coordinates else []
+    agreed = _agreements(result.body, coordinates) if coordinates else []
     return Evaluation(case, rows, joints, coordinates, lost_frames=lost, notes=truth.notes, agreements=agreed)
 
 
-def _expect_common(result: Result, truth: Reference, times: Float, source: str) -> None:
+def _expect_common(result: Result, truth: Reference, own: Angles, times: Float, source: str) -> None:
     first, last = truth.times[0], truth.times[-1]
     if not np.any((times >= first - 1e-6) & (times <= last + 1e-6)):
         both = f"covers {first:.3f} to {last:.3f} s, the result {times[0]:.3f} to {times[-1]:.3f} s"
         raise InputError(f"{source} {both}: they have no frame in common; check the time offset.")
-    ours = {*result.body.landmarks.names, *result.body.coordinate_names}
     theirs = (*truth.names, *truth.coordinate_names)
-    if not ours & set(theirs):
-        names = f"it has {', '.join(theirs[:12])} …, the body {', '.join(sorted(ours)[:12])} …."
+    if not own.names and not set(result.body.landmarks.names) & set(theirs):
+        ours = {*result.body.landmarks.names, *result.body.coordinate_names}
+        had = f"{', '.join(theirs[:12])} …" if theirs else "none that can be read"
+        names = f"it has {had}, the body {', '.join(sorted(ours)[:12])} …."
         raise InputError(f"{source} has no point or coordinate name in common with body {result.body.name!r}; {names}")
 
 
@@ -185,28 +189,28 @@ def _placed(result: Result, names: Sequence[str]) -> Float:
     return result.landmarks[:, [result.body.landmarks.index(name) for name in names]]
 
 
-def _angle_errors(result: Result, names: Sequence[str], angles: Float) -> Errors | None:
-    body = result.body
+def _angle_errors(body: Body, own: Angles, names: Sequence[str], angles: Float) -> Errors | None:
     turning = np.any(body.twists[:, :3], axis=1)  # a sliding coordinate is no angle
-    shared = tuple(n for n, turns in zip(body.coordinate_names, turning, strict=True) if turns and n in names)
-    if not shared:
+    kept = [k for k, name in enumerate(own.names) if own.isb or turning[body.coordinate(name)]]
+    if not kept:
         return None
-    q = result.q[:, [body.coordinate(name) for name in shared]]
+    shared = tuple(own.names[k] for k in kept)
     theirs = angles[:, [names.index(name) for name in shared]]
-    difference = metrics.angle_differences_deg(q, theirs)
+    difference = metrics.angle_differences_deg(own.values[:, kept], theirs)
     return Errors(shared, theirs, difference, metrics.without_offset(difference))
 
 
-def _agreements(result: Result, errors: Errors) -> list[Agreement]:
+def _agreements(body: Body, errors: Errors) -> list[Agreement]:
     """Of the coordinates as exports have them, so that other programs find the same numbers in the files."""
-    body, names = result.body, errors.names
-    q = result.q[:, [body.coordinate(name) for name in names]]
-    ours, theirs = (opensim_angles(body, names, angles) for angles in (q, errors.reference))
-    for _, trio in shoulders_of(body):  # either may have taken the other way past its gimbal lock
-        own = [body.coordinate_names[k] for k in trio]
-        if set(own) <= set(names):
-            columns = [names.index(name) for name in own]
-            ours[:, columns] = nearest(ours[:, columns], theirs[:, columns])
+    names, theirs = errors.names, errors.reference
+    ours = theirs + np.radians(errors.raw)
+    if not names[0].startswith(ISB):
+        ours, theirs = (opensim_angles(body, names, angles) for angles in (ours, theirs))
+        for _, trio in shoulders_of(body):  # either may have taken the other way past its gimbal lock
+            own = [body.coordinate_names[k] for k in trio]
+            if set(own) <= set(names):
+                columns = [names.index(name) for name in own]
+                ours[:, columns] = nearest(ours[:, columns], theirs[:, columns])
     return agreements(names, metrics.angle_differences_deg(ours, theirs), np.degrees(theirs))
 
 
@@ -225,11 +229,10 @@ def _summary(case: str, noun: str, values: Float, what: str, unit: str) -> list[
     return [row(case, f"{noun}, {name}{what}", value, unit) for name, value in measures]
 
 
-def _honesty_rows(case: str, result: Result, errors: Errors) -> list[Row]:
+def _honesty_rows(case: str, own: Angles, errors: Errors) -> list[Row]:
     """How the angle errors compare with the standard deviations that the tracker claims."""
-    columns = [6 + result.body.coordinate(name) for name in errors.names]
-    covariance = np.asarray(result.covariances, float)[:, columns][:, :, columns]
-    z = metrics.z_scores(np.radians(errors.raw), covariance)
+    columns = [own.names.index(name) for name in errors.names]
+    z = metrics.z_scores(np.radians(errors.raw), own.covariances[:, columns][:, :, columns])
     z = z[np.isfinite(z)]
     if not z.size:
         return []

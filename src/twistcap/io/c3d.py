@@ -11,12 +11,13 @@ There are no analog data.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from twistcap.arrays import UNEVEN, AnyArray, Float, Int, even_clock, runs
+from twistcap.arrays import UNEVEN, Float, Int, even_clock, runs
 from twistcap.body import Landmarks, Posed
 from twistcap.body.anatomy import bones_of
 from twistcap.body.surface_markers import surface_markers
@@ -32,6 +33,7 @@ _TO_VISUAL3D = [2, 0, 1]  # of the columns x forward, y up, z right
 _LABELS = {"pelvis": "pelvis", "thorax": "torso", "head": "head", "humerus": "uarm", "forearm": "larm", "hand": "hand",
            "femur": "thigh", "tibia": "shank", "foot": "foot"}  # fmt: skip
 _MOST_ENTRIES = 254  # of a parameter
+_SPAN_BYTES = 9  # of a span without the body: two numbers, and its part of the parameter's name
 _WORST = 25.0  # mm; residuals above it all count alike
 
 
@@ -39,8 +41,9 @@ def write_c3d(path: Path | str, result: Result, axes: WorldAxes = "opensim", fil
     """Writes a result, in mm; frames that the recording dropped, and without `fill` those lost or unseen, are gaps.
 
     TWISTCAP:LOST holds first and last frame of each span that is lost, unseen or dropped, counted as in the file,
-    from 1 for the recording's frame 0; TWISTCAP:START the time of the first frame, s. Raises InputError where ezc3d
-    is not installed, for frames that are not evenly spaced or too many, or if the file cannot be written.
+    from 1 for the recording's frame 0. It goes on in LOST2, LOST3 …, since a parameter has room for 127 spans.
+    TWISTCAP:START is the time of the first frame, s. Raises InputError where ezc3d is not installed, for frames that
+    are not evenly spaced or too many, or if the file cannot be written.
     """
     try:
         import ezc3d
@@ -49,11 +52,12 @@ def write_c3d(path: Path | str, result: Result, axes: WorldAxes = "opensim", fil
     path, body = Path(path), result.body
     rate, slots = _clock(path, result.times)
     marks = body.landmarks.and_those(surface_markers(body))
-    _expect_room(path, int(slots[-1] - slots[0]) + 1, len(marks.names))
+    first, frames = int(slots[0]), int(slots[-1] - slots[0]) + 1
+    gaps = runs(~np.isin(np.arange(frames), slots[result.known] - first))
+    _expect_room(path, frames, len(marks.names), len(gaps))
     held = np.flatnonzero(fill | result.known).astype(np.int32)
     places, deviations = _placed(result, marks, held, TO_FILE[axes])
     labels, matrices = _segments(result, held, TO_FILE[axes])
-    first, frames = int(slots[0]), int(slots[-1] - slots[0]) + 1
     words, scale = _residual_words(places, deviations)
     file: Any = ezc3d.c3d()
     numbered = first if 0 <= first <= _MOST_FRAMES - frames else 0
@@ -64,13 +68,11 @@ def write_c3d(path: Path | str, result: Result, axes: WorldAxes = "opensim", fil
     point = file["parameters"]["POINT"]
     point["RATE"]["value"], point["UNITS"]["value"], point["SCALE"]["value"] = [rate], ["mm"], [-scale]
     point["LABELS"]["value"] = list(marks.names)
-    file.add_parameter("ROTATION", "LABELS", labels)
-    file.add_parameter("ROTATION", "RATE", [rate])
-    file.add_parameter("TWISTCAP", "START", [float(result.times[0])])
-    file.add_parameter("TWISTCAP", "AXES", [axes])
-    file.add_parameter(
-        "TWISTCAP", "LOST", _spans(np.isin(np.arange(frames), slots[result.known] - first), numbered + 1)
-    )
+    rotation = {"LABELS": labels, "RATE": [rate]}
+    ours = {"START": [float(result.times[0])], "AXES": [axes], **_spans(gaps, numbered + 1)}
+    for group, parameters in {"ROTATION": rotation, "TWISTCAP": ours}.items():
+        for name, value in parameters.items():
+            file.add_parameter(group, name, value)
     with replacing(path) as part:
         file.write(str(part))
         _put_residuals(part, _spread(words, shown, frames, -1.0), scale)
@@ -86,15 +88,17 @@ def _clock(path: Path, times: Float) -> tuple[float, Int]:
     return rate, slots + first
 
 
-def room(points: int) -> int:
-    """Frames that a C3D of so many points and of segments holds. The format counts frames in 16 bits, and so the blocks
-    before the matrices, which ezc3d reads with a sign; what is beyond would be lost without a word."""
-    return min(_MOST_FRAMES, (_MOST_BLOCKS - _HEAD_BLOCKS) * _BLOCK // (16 * points))
+def room(points: int, spans: int = 0) -> int:
+    """Frames that a C3D of so many points, of segments and of spans without the body holds. The format counts frames in
+    16 bits, and so the blocks before the matrices, which ezc3d reads with a sign; what is beyond would be lost without
+    a word."""
+    head = _HEAD_BLOCKS + -(-_SPAN_BYTES * spans // _BLOCK)
+    return min(_MOST_FRAMES, (_MOST_BLOCKS - head) * _BLOCK // (16 * points))
 
 
-def _expect_room(path: Path, frames: int, points: int) -> None:
-    if frames > room(points):
-        held = f"a C3D of {points} points has room for {room(points)} frames, the result has {frames}"
+def _expect_room(path: Path, frames: int, points: int, spans: int) -> None:
+    if frames > (most := room(points, spans)):
+        held = f"a C3D of {points} points has room for {most} frames, the result has {frames}"
         raise InputError(f"{path}: {held}; export it in parts, each with --frames FIRST:LAST and --out.")
 
 
@@ -155,7 +159,8 @@ def _put_residuals(path: Path, words: Float, scale: float) -> None:
     points.flush()
 
 
-def _spans(known: AnyArray, first: int) -> list[float]:
-    """First and last of each run of frames that are not `known` (N,), numbered from `first` on, one after the other; as
-    many as a parameter holds."""
-    return [float(first + end) for start, stop in runs(~known) for end in (start, stop - 1)][:_MOST_ENTRIES]
+def _spans(gaps: Sequence[tuple[int, int]], first: int) -> dict[str, list[float]]:
+    """First and last of each gap, numbered from `first` on, one after the other, by parameter: LOST, LOST2 …"""
+    ends = [float(first + end) for start, stop in gaps for end in (start, stop - 1)]
+    parts = [ends[k : k + _MOST_ENTRIES] for k in range(0, len(ends), _MOST_ENTRIES)] or [[]]
+    return {f"LOST{k}" if k > 1 else "LOST": part for k, part in enumerate(parts, start=1)}

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +27,13 @@ from twistcap.io.motion_files import write_csv, write_mot
 from twistcap.io.opensim_package import write_opensim
 from twistcap.io.playback import Playback, playback
 from twistcap.io.result import Result
+from twistcap.io.usd import write_usd
 from twistcap.registry import Registry
 
-_OWN = {name: f"twistcap.io.exports:{name}" for name in ("trc", "mot", "bvh", "csv", "glb", "c3d", "opensim")}
+_NAMES = ("trc", "mot", "bvh", "csv", "glb", "usd", "c3d", "opensim")
+_OWN = {name: f"twistcap.io.exports:{name}" for name in _NAMES}
 FORMATS = Registry("export format", "twistcap.exports", _OWN)
-_PLAYED = ("bvh", "glb")  # which take a rate of their own
+_PLAYED = ("fps", "into", "rig")  # what files that are played take
 _FASTEST = 1000.0  # frames per second; more fills the memory, and no player shows it
 
 
@@ -43,8 +45,9 @@ class ExportOptions:
         axes: how the world of points and angles lies in the file, see `io.markers`.
         angles: whose definitions the joint angles have, see `io.coordinates`.
         fill: whether frames that are lost or unseen hold the predicted pose; else they are empty where the format can
-            say so (all but BVH and GLB).
-        fps: frames per second of BVH and GLB, interpolated. None: BVH has the recording's, GLB a key for each frame.
+            say so (all but BVH, GLB and USD).
+        fps: frames per second of BVH, GLB and USD, interpolated. None: BVH has the recording's, the others a key for
+            each frame.
         into: the rigged GLB that was tracked: GLB and BVH then have its bones, and the GLB all of its content.
         rig: its rig file, where one is not beside it.
 
@@ -66,6 +69,7 @@ class ExportOptions:
 
 
 DEFAULTS = ExportOptions()
+_OPTIONAL = ("axes", "angles", "fps", "into", "rig")
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,7 @@ class ExportFormat:
     file_name: str  # usual name of the file, such as ``angles.csv``
     about: str  # what is in it, in a few words for the report
     write: Callable[[Result, Path, ExportOptions], Any]
+    takes: tuple[str, ...] = ("axes", "angles")  # the options that change it, beside `fill`
 
 
 def format_of(name: str) -> ExportFormat:
@@ -92,17 +97,26 @@ def offered_formats() -> Iterator[ExportFormat]:
             yield format_of(name)
 
 
+def shared(options: ExportOptions, name: str) -> ExportOptions:
+    """The options of a run of several formats as one of them takes them. Raises InputError for an unknown format."""
+    takes = format_of(name).takes
+    return replace(options, **{key: getattr(DEFAULTS, key) for key in _OPTIONAL if key not in takes})
+
+
 def export(
     result: Result, name: str, folder: Path, path: Path | None = None, options: ExportOptions = DEFAULTS
 ) -> Path:
     """Write a result in the format of a name; returns the file: `path`, or its usual name in the folder. Raises
-    InputError for an unknown format, a result without frames, a rate where the format takes none, or a file that cannot
-    be written.
+    InputError for an unknown format, a result without frames, an option that the format does not take, or a file that
+    cannot be written.
     """
     chosen = format_of(name)
     if not len(result):
         raise InputError("the result has no frame; there is nothing to export.")
-    check("export: fps", options.fps is None or name in _PLAYED, f"{name} takes none; leave it away")
+    for key in _OPTIONAL:
+        given = getattr(options, key) != getattr(DEFAULTS, key)
+        check(f"export: {key}", not given or key in chosen.takes, f"{name} takes none; leave it away")
+    check("export: rig", options.rig is None or options.into is not None, "it is that of the GLB of into; give both")
     path = path or folder / chosen.file_name
     try:
         chosen.write(result, path, options)
@@ -139,28 +153,34 @@ def _write_bvh(result: Result, path: Path, options: ExportOptions) -> None:
     write_lines(path.with_suffix(".flags.json"), [json.dumps(played.flags)])
 
 
+def _write_usd(result: Result, path: Path, options: ExportOptions) -> None:
+    played = playback(result)
+    write_usd(path, result.body, played if options.fps is None else played.even(options.fps))
+
+
 def _write_landmarks(result: Result, path: Path, options: ExportOptions) -> None:
     points = np.where((result.known | options.fill)[:, None, None], result.landmarks, np.nan)
     write_trc(path, result.times, result.body.landmarks.names, points, axes=options.axes)
 
 
 def _write_mot(result: Result, path: Path, o: ExportOptions) -> None:
-    write_mot(path, result.body, result.times, result.poses, o.axes, o.angles, result.known, o.fill)
+    write_mot(path, result.body, result.times, result.poses, o.axes, o.angles, result.known, o.fill, result.indices)
 
 
-trc = ExportFormat("joints.trc", "joint centres (OpenSim, Mokka)", _write_landmarks)
+trc = ExportFormat("joints.trc", "joint centres (OpenSim, Mokka)", _write_landmarks, ("axes",))
 mot = ExportFormat("angles.mot", "joint angles (OpenSim)", _write_mot)
-bvh = ExportFormat("motion.bvh", "skeleton and motion (Blender, MotionBuilder)", _write_bvh)
+bvh = ExportFormat("motion.bvh", "skeleton and motion (Blender, MotionBuilder)", _write_bvh, _PLAYED)
 csv = ExportFormat(
     "angles.csv", "joint angles and their standard deviations",
     lambda result, path, options: write_csv(path, result, options.axes, options.angles, options.fill),
 )  # fmt: skip
-glb = ExportFormat("motion.glb", "skinned body and motion (any glTF viewer)", _write_glb)
+glb = ExportFormat("motion.glb", "skinned body and motion (any glTF viewer)", _write_glb, _PLAYED)
+usd = ExportFormat("motion.usd", "skinned body and motion (USD)", _write_usd, ("fps",))
 c3d = ExportFormat(
     "motion.c3d", "points and segments (Visual3D, Mokka, Vicon)",
-    lambda result, path, options: write_c3d(path, result, options.axes, options.fill),
+    lambda result, path, options: write_c3d(path, result, options.axes, options.fill), ("axes",),
 )  # fmt: skip
 opensim = ExportFormat(
     "opensim", "model, markers, motion and set-ups (OpenSim)",
-    lambda result, path, options: write_opensim(path, result, options.axes, options.fill),
+    lambda result, path, options: write_opensim(path, result, options.axes, options.fill), ("axes",),
 )  # fmt: skip

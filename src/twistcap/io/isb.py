@@ -20,6 +20,8 @@ from twistcap.body import Body
 from twistcap.body.anatomy import Bone, bones_of
 from twistcap.io import angles as convert
 
+ISB = "isb_"
+"""What the names of these angles begin with."""
 _X, _Y, _Z = np.eye(3)
 _ZXY = np.array([_Z, _X, _Y])
 _YXY = np.array([_Y, _X, _Y])
@@ -69,12 +71,12 @@ def isb_joints(body: Body) -> list[IsbJoint]:
     bones, out = bones_of(body), list[IsbJoint]()
     for joint, (above, below, parts) in _TRUNK.items():
         if above in bones and below in bones:
-            out.append(IsbJoint(tuple(f"isb_{joint}_{part}" for part in parts), bones[above], bones[below]))
+            out.append(IsbJoint(tuple(f"{ISB}{joint}_{part}" for part in parts), bones[above], bones[below]))
     for side in ("_r", "_l"):
         for joint, (above, below, parts) in _LIMBS.items():
             upper = bones.get(above, bones.get(above + side))
             if upper is not None and below + side in bones:
-                names = tuple(f"isb_{joint}_{part}{side}" for part in parts)
+                names = tuple(f"{ISB}{joint}_{part}{side}" for part in parts)
                 signs = _KNEE if joint == "knee" else _PLAIN
                 out.append(IsbJoint(names, upper, bones[below + side], joint == "shoulder", side == "_l", signs))
     return out

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from twistcap.arrays import Bool, Float
+from twistcap.arrays import Bool, Float, Int, runs
 from twistcap.body import Body, Pose
 from twistcap.body.humanoid import humanoid
 from twistcap.body.limbs import most_of_limbs, named_limbs
@@ -23,16 +23,22 @@ from twistcap.io.markers import TO_FILE, WorldAxes
 from twistcap.io.result import Result
 
 _LENGTHS = re.compile(r"(_[tpv][xyz]|_beta_t[xyz])$|force|torque|moment", re.IGNORECASE)
+_LEFT_OUT = "Frames left out"
+_SPAN = re.compile(r"\((\S+) to (\S+) s\)")
 _NEGATIVE_KNEE = np.radians(-5.0)  # no walker has a mean knee angle below this
 
 
 @dataclass(frozen=True)
 class MotionTable:
-    """Columns of a MOT or STO: `columns` (C names without time), `times` (N,) s, `values` (N, C) rad, or m and N."""
+    """Columns of a MOT or STO: `columns` (C names without time), `times` (N,) s, `values` (N, C) rad, or m and N.
+
+    `gaps` are first and last time, s, of the spans that `write_mot` left out.
+    """
 
     columns: tuple[str, ...]
     times: Float
     values: Float
+    gaps: tuple[tuple[float, float], ...] = ()
 
     def get(self, name: str) -> Float:
         """(N,) one column, zeros where the file has none of that name."""
@@ -41,32 +47,35 @@ class MotionTable:
 
 def write_mot(
     path: Path | str, body: Body, times: Float, poses: Sequence[Pose], axes: WorldAxes = "opensim",
-    angles: Angles = "opensim", known: Bool | None = None, fill: bool = False,
+    angles: Angles = "opensim", known: Bool | None = None, fill: bool = False, frames: Int | None = None,
 ) -> None:  # fmt: skip
     """Writes the coordinates of N poses (`io.coordinates`): inDegrees=yes, lengths in m.
 
-    `times` (N,) are in s; for `axes` see `io.markers`. Frames that are not `known` (N,) are NaN, unless `fill`; the
-    head names their rows. Raises InputError for unequal numbers, or if the file cannot be written.
+    `times` (N,) are in s; for `axes` see `io.markers`. Frames that are not `known` (N,) are left out, unless `fill`:
+    OpenSim's Storage stops at a row of NaN without a word. The head names them either way, by `frames` (N,), their
+    numbers in the recording, by default 0 … N − 1. Raises InputError for unequal numbers, or if the file cannot be
+    written.
     """
     path = Path(path)
     check(str(path), len(times) == len(poses), f"there are {len(poses)} poses, but {len(times)} times")
-    table = coordinates_of(body, poses, angles=angles, axes=axes)
-    values, _ = table.in_degrees
     lost = np.zeros(len(times), np.bool_) if known is None else ~known
-    values[lost & (not fill)] = np.nan
-    head = ["Coordinates", "version=1", f"nRows={len(times)}", f"nColumns={len(table.names) + 1}", "inDegrees=yes", ""]
+    table = coordinates_of(body, poses, angles=angles, axes=axes, known=None if fill else ~lost)
+    kept, (values, _) = np.flatnonzero(~lost | fill), table.in_degrees
+    head = ["Coordinates", "version=1", f"nRows={len(kept)}", f"nColumns={len(table.names) + 1}", "inDegrees=yes", ""]
     head += ["Units are S.I. units (second, meters, Newtons, ...)", "Angles are in degrees.", ""]
-    head += [*_lost_rows(lost), "endheader"]
-    rows = ["\t".join([repr(float(t)), *(f"{v:.8f}" for v in row)]) for t, row in zip(times, values, strict=True)]
-    write_lines(path, [*head, "\t".join(["time", *table.names]), *rows])
+    head += _lost_spans(lost, times, np.arange(len(times), dtype=np.int32) if frames is None else frames, fill)
+    rows = ["\t".join([repr(float(times[n])), *(f"{v:.8f}" for v in values[n])]) for n in kept]
+    write_lines(path, [*head, "endheader", "\t".join(["time", *table.names]), *rows])
 
 
-def _lost_rows(lost: Bool) -> list[str]:
-    """A line of the head for people: the rows, counted from 1, in which the body was lost or not seen."""
+def _lost_spans(lost: Bool, times: Float, frames: Int, fill: bool) -> list[str]:
+    """A line of the head: first and last frame and time of each span in which the body was lost or not seen."""
     if not lost.any():
         return []
-    rows = np.split(np.flatnonzero(lost) + 1, np.flatnonzero(np.diff(np.flatnonzero(lost)) > 1) + 1)
-    return [f"Rows in which the body was lost or not seen: {', '.join(f'{r[0]}-{r[-1]}' for r in rows)}", ""]
+    ends = [(start, stop - 1) for start, stop in runs(lost)]
+    spans = [f"{frames[a]}-{frames[b]} ({float(times[a])!r} to {float(times[b])!r} s)" for a, b in ends]
+    what = "Frames filled with the predicted pose" if fill else _LEFT_OUT
+    return [f"{what}, since the body was lost or not seen: {', '.join(spans)}", ""]
 
 
 def read_mot(path: Path | str) -> MotionTable:
@@ -89,7 +98,14 @@ def read_mot(path: Path | str) -> MotionTable:
     if header.get("indegrees", "yes").strip() == "yes":
         angular = np.array([not _LENGTHS.search(name) for name in columns[1:]], dtype=bool)
         values = np.where(angular, np.radians(values), values)
-    return MotionTable(tuple(columns[1:]), table[:, 0], values)
+    return MotionTable(tuple(columns[1:]), table[:, 0], values, _gaps(path, lines[: ends[0]]))
+
+
+def _gaps(path: Path, head: Sequence[str]) -> tuple[tuple[float, float], ...]:
+    """First and last time of the spans that the head says are left out."""
+    spans = [span for line in head if line.startswith(_LEFT_OUT) for span in _SPAN.findall(line)]
+    where = f"{path}: {_LEFT_OUT}"
+    return tuple((finite_number(first, where), finite_number(last, where)) for first, last in spans)
 
 
 def _mot_row(path: Path, at: int, line: str, columns: list[str]) -> list[float]:

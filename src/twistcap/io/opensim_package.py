@@ -41,10 +41,10 @@ def write_opensim(folder: Path, result: Result, axes: WorldAxes = "opensim", fil
 
     ``model.osim`` is the fitted body, with ``Geometry`` and the surface markers of `body.surface_markers`;
     ``markers.xml`` these alone. ``markers.trc`` and ``joints.trc`` are the motion as points, ``angles.mot`` as
-    coordinates of the model. Frames that are lost or unseen, without `fill`, are NaN in ``angles.mot``; among the
-    points they are left out, since OpenSim stops at a frame without points. ``ik.xml`` solves the motion again from the
-    markers. ``scale.xml`` scales a generic model with Rajagopal's names, ``generic.osim``, to ``static.trc``, the rest
-    pose. Raises InputError for a body that OpenSim cannot hold, or where a file cannot be written.
+    coordinates of the model. Frames that are lost or unseen, without `fill`, are left out of the motion, since OpenSim
+    stops there. ``ik.xml`` solves the motion again from the markers. ``scale.xml`` scales a generic model with
+    Rajagopal's names, ``generic.osim``, to ``static.trc``, the rest pose. Raises InputError for a body that OpenSim
+    cannot hold, or where a file cannot be written.
     """
     body, known = result.body, result.known | fill
     check(str(folder), known.any(), "the body is lost in every frame; with --fill the predicted poses are written")
@@ -54,7 +54,10 @@ def write_opensim(folder: Path, result: Result, axes: WorldAxes = "opensim", fil
     _write_xml(folder / "markers.xml", document(marker_set(body, stuck)))
     for name, mesh in meshes(body).items():
         write_lines(folder / "Geometry" / f"{name}.obj", mesh.splitlines())
-    write_mot(folder / "angles.mot", body, result.times, result.poses, axes, known=result.known, fill=fill)
+    write_mot(
+        folder / "angles.mot", body, result.times, result.poses, axes, known=result.known, fill=fill,
+        frames=result.indices,
+    )  # fmt: skip
     shown = [pose for pose, there in zip(result.poses, known, strict=True) if there]
     for name, marks in {"markers": stuck, "joints": centres}.items():
         write_trc(folder / f"{name}.trc", result.times[known], marks.names, _moved(body, marks, shown), axes=axes)

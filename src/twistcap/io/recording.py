@@ -17,7 +17,7 @@ from twistcap.adjust.first_pose import (
 )
 from twistcap.arrays import Bool, Float
 from twistcap.body import Body, Pose, Posed, rescaled
-from twistcap.body.gltf import load_glb
+from twistcap.body.gltf import load_glb, rig_in_words
 from twistcap.body.humanoid import humanoid
 from twistcap.body.obj_rig import load_makehuman
 from twistcap.camera import Camera, Rig
@@ -200,6 +200,11 @@ def body_of(session: Session) -> Body:
         loaded = load_makehuman(body.path, body.rig, body.weights, targets, body.spec)
     check_body_upright(loaded, f"body {body.path}")
     return rescaled(loaded, body.lengths, body.girths, body.stature)
+
+
+def body_in_words(session: Session) -> str:
+    """Of a GLB, where the meaning of its joints is from; "" for other bodies. Raises InputError as `body_of`."""
+    return rig_in_words(session.body.path, session.body.rig) if isinstance(session.body, GlbBody) else ""
 
 
 def _first_pose(session: Session, rig: Rig, body: Body, views: Views) -> tuple[_Start, Pose]:

@@ -15,6 +15,7 @@ import numpy as np
 from twistcap.adjust.first_pose import FirstPose, Proportions, fit_keypoints
 from twistcap.arrays import UInt8
 from twistcap.body import Body, Pose, Posed, rescaled
+from twistcap.body.rig_presets import RIG_PAGE
 from twistcap.camera import Camera, Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
@@ -193,7 +194,8 @@ class Clicking:
         angles: dict[str, float] = {}
         for name, value in _mapping(given, "held").items():
             if name not in self.generic.coordinate_names:
-                raise InputError(f"the body {self.generic.name!r} has no coordinate {name!r}.")
+                mend = f"a GLB of no known rig needs a rig file ({RIG_PAGE})"
+                raise InputError(f"the body {self.generic.name!r} has no coordinate {name!r}; {mend}.")
             lower, upper = self.generic.limits[self.generic.coordinate(name)]
             angles[name] = float(np.clip(np.deg2rad(_numbers([value], 1, name)[0]), lower, upper))
         return angles

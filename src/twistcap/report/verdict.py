@@ -12,6 +12,7 @@ import numpy as np
 
 from twistcap.arrays import Float
 from twistcap.body.model import split_side
+from twistcap.estimate import UNSEEN
 from twistcap.evaluate.metrics import Row, row
 from twistcap.io.coordinates import coordinates_of
 from twistcap.io.result import Result
@@ -61,9 +62,12 @@ def camera_rows(result: Result) -> list[Row]:
 
 
 def chosen_rows(result: Result) -> list[int]:
-    """Rows of a few frames to look at: spread over the recording, and the most doubtful one."""
-    spread = [round(share * (len(result) - 1)) for share in (1 / 6, 1 / 2, 5 / 6)]
-    return sorted({*spread, int(np.argmax(np.nan_to_num(result.probability)))}) if len(result) else []
+    """Rows of a few frames to look at: spread over those with images of the body, and the most doubtful one of them;
+    of all frames where no image shows it."""
+    seen = np.flatnonzero(~np.isin(result.statuses, UNSEEN))
+    rows = seen if len(seen) else np.arange(len(result))
+    spread = [int(rows[round(share * (len(rows) - 1))]) for share in (1 / 6, 1 / 2, 5 / 6)] if len(rows) else []
+    return sorted({*spread, int(rows[np.argmax(np.nan_to_num(result.probability[rows]))])}) if spread else []
 
 
 def _frames(result: Result) -> Statement:

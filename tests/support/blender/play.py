@@ -1,4 +1,4 @@
-"""Run by Blender's Python: what its import, by its defaults, makes of a GLB or BVH, at some times, as NPZ.
+"""Run by Blender's Python: what its import, by its defaults, makes of a GLB, BVH or USD, at some times, as NPZ.
 
 python play.py MOTION OUT.npz TIME...
 """
@@ -8,10 +8,12 @@ import sys
 import bpy
 import numpy as np
 
-source, out, *times = sys.argv[sys.argv.index(next(a for a in sys.argv if a.endswith((".glb", ".bvh")))) :]
+source, out, *times = sys.argv[sys.argv.index(next(a for a in sys.argv if a.endswith((".glb", ".bvh", ".usd")))) :]
 bpy.ops.wm.read_factory_settings(use_empty=True)
 if source.endswith(".glb"):
     bpy.ops.import_scene.gltf(filepath=source)
+elif source.endswith(".usd"):
+    bpy.ops.wm.usd_import(filepath=source)
 else:
     bpy.ops.import_anim.bvh(filepath=source)
 scene, fps = bpy.context.scene, bpy.context.scene.render.fps / bpy.context.scene.render.fps_base
@@ -22,7 +24,7 @@ rate = fps  # of a BVH, whose rate Blender does not take, it is told by the file
 if source.endswith(".bvh"):
     with open(source) as file:
         rate = 1.0 / float(next(line for line in file if "Frame Time" in line).split()[-1])
-first = 0.0 if source.endswith(".glb") else 1.0
+first = 1.0 if source.endswith(".bvh") else 0.0
 heads, vertices = [], []
 for time in map(float, times):
     frame = first + time * rate
