@@ -23,7 +23,10 @@ UpAxis = Annotated[
     str | None,
     typer.Option("--up", help="Axis of the calibration that is up: x, -x, y … Default: z; a project's is found."),
 ]
-UnitName = Annotated[str | None, typer.Option("--unit", help="m or mm: unit of the calibration, if it does not say.")]
+UnitName = Annotated[
+    str | None,
+    typer.Option("--unit", help="m or mm: unit of the calibration. Default: what it says, or its cameras tell."),
+]
 Stature = Annotated[float | None, typer.Option(help="Height of the person, m.")]
 DetectorName = Annotated[
     str | None, typer.Option("--detector", help="Keypoint detector for the first pose: MODEL.onnx, or the name of one.")
@@ -85,24 +88,22 @@ def _drafted(
     up: str | None, unit: str | None,
 ) -> tuple[Any, float | None]:  # fmt: skip
     """The draft of calibration and videos, or of another program's project, and the person's stature if that has it."""
-    from twistcap.io.calibration import Unit
     from twistcap.io.cameras.axes import Up
+    from twistcap.io.cameras.units import session_unit
     from twistcap.io.new_session import draft_session
     from twistcap.io.projects import draft_project, found_project
 
-    if unit is not None:
-        check_choice("--unit", unit, ("m", "mm"))
     if up is not None:
         check_choice("--up", up, get_args(Up))
     if calibration is not None and videos:
         for option, value in (("--project", project), ("--trial", trial)):
             if value is not None:
                 raise InputError(f"{option} is for the folder of another program; leave it away, or the videos.")
-        return draft_session(videos, calibration, cast(Unit | None, unit), cast(Up | None, up)), None
+        return draft_session(videos, calibration, session_unit(unit), cast(Up | None, up)), None
     if calibration is not None or videos:
         raise InputError("give both --calibration and --videos, or neither for the folder of another program.")
     found = found_project(project or folder, trial)
-    return draft_project(found, folder, cast(Unit | None, unit), cast(Up | None, up)), found.stature
+    return draft_project(found, folder, unit, cast(Up | None, up)), found.stature
 
 
 def _written(draft: Any, path: Path, stature: float | None) -> _Written:
