@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import cast, get_args
 
 import numpy as np
 
@@ -36,9 +35,9 @@ def unit_of(text: str) -> float:
 
 def session_unit(text: str | None) -> Unit | None:
     """The unit of a calibration that a session reads itself. Raises InputError for another than ``m`` and ``mm``."""
-    if text not in (None, *_NAMES):
+    if text is not None and text not in ("m", "mm"):
         raise InputError(f"--unit is {text!r}; a session reads m and mm only: use twistcap convert for this one.")
-    return cast(Unit | None, text)
+    return text
 
 
 def in_metres(rig: Rig, source: str) -> tuple[Rig, str]:
@@ -63,12 +62,12 @@ def taken_unit(rig: Rig, source: str) -> tuple[Unit, str]:
     """
     apart = camera_distances(rig)
     away = float(np.max([np.linalg.norm(camera.centre) for camera in rig]))
-    units: tuple[Unit, ...] = get_args(Unit)
-    unit = next((u for u in units if _possible(apart * UNITS[u], away * UNITS[u], _NEAREST[u])), None)
-    if unit is None:
+    fitting = [u for u in _NAMES if _possible(apart * UNITS[u], away * UNITS[u], _NEAREST[u])]
+    if not fitting:
         far = _span(apart) if len(apart) else f"{away:.3g} from the origin"
         neither = f"cameras are {far}, which fits neither metres nor millimetres (is one unit a square of the board?)"
         raise InputError(f"{source}: {neither}; say it: --unit mm, or its length in metres, as --unit 0.06.")
+    unit = fitting[0]
     where = f"cameras are {_span(apart * UNITS[unit], ' m')}" if len(apart) else "the file does not say it"
     return unit, f"The calibration is taken to be in {_NAMES[unit]}: {where}. If it is not, give --unit."
 
