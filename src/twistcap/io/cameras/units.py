@@ -62,7 +62,7 @@ def taken_unit(rig: Rig, source: str) -> tuple[Unit, str]:
     """
     apart = camera_distances(rig)
     away = float(np.max([np.linalg.norm(camera.centre) for camera in rig]))
-    fitting = [u for u in _NAMES if _possible(apart * UNITS[u], away * UNITS[u], _NEAREST[u])]
+    fitting: list[Unit] = [u for u in _NAMES if _possible(apart * UNITS[u], away * UNITS[u], _NEAREST[u])]
     if not fitting:
         far = _span(apart) if len(apart) else f"{away:.3g} from the origin"
         neither = f"cameras are {far}, which fits neither metres nor millimetres (is one unit a square of the board?)"
