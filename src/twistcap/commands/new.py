@@ -58,8 +58,7 @@ def new(
     path = folder / "session.toml"
     if path.exists() and not force:
         raise InputError(f"{path} exists; choose another folder, or overwrite it with --force.")
-    if stature is not None and not 0.3 < stature < 3.0:
-        raise InputError(f"--stature is {stature}; it is the person's height in metres, such as 1.75.")
+    check_stature(stature)
     if people is not None and detector is None:
         raise InputError("--people is for --detector; name both.")
     if detector is not None:
@@ -70,6 +69,12 @@ def new(
     draft, known = _drafted(folder, calibration, given, project, trial, up, unit)
     draft = replace(draft, detector=detector, people=people)
     _tell(_written(draft, path, stature or known), json)
+
+
+def check_stature(stature: float | None) -> None:
+    """Raises InputError for a height, m, that nobody has."""
+    if stature is not None and not 0.3 < stature < 3.0:
+        raise InputError(f"--stature is {stature}; it is the person's height in metres, such as 1.75.")
 
 
 @dataclass(frozen=True)
