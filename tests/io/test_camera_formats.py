@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -145,6 +146,15 @@ def test_the_real_qualisys_file(shared_data: Path) -> None:
     np.testing.assert_allclose(rig[2].K, rebuilt[2].K, atol=1e-3)
     np.testing.assert_allclose(rig[2].dist[:4], rebuilt[2].dist[:4])
     assert max(np.linalg.norm(a.centre - b.centre) for a, b in zip(rig, rebuilt, strict=True)) < 0.07
+
+
+def test_a_calibration_of_theia_is_said_to_be_one(tmp_path: Path) -> None:
+    """By its maker's page it is as Qualisys', without a field of view."""
+    write_cameras(rig_with([0.0] * 5), tmp_path / "a.qca.txt", "qualisys")
+    text = (tmp_path / "a.qca.txt").read_text()
+    (tmp_path / "a.qca.txt").write_text(re.sub(r"<fov_video.*?/>", "", text))
+    with pytest.raises(InputError, match="Theia3D's own are not read, but the Qualisys or Vicon file"):
+        read_cameras(tmp_path / "a.qca.txt")
 
 
 def test_the_real_caliscope_file(shared_data: Path) -> None:
