@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 from typing import cast
@@ -22,14 +23,16 @@ from twistcap.adjust.unaided import (
     scenery_of,
     turned_round,
 )
-from twistcap.adjust.unaided.hull import places
+from twistcap.adjust.unaided.hull import height_of, places
 from twistcap.adjust.unaided.proof import Probe, Track, proof_of
 from twistcap.adjust.unaided.search import Candidate
 from twistcap.body import Body, Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.build import build
+from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
+from twistcap.io.cameras.units import scaled
 from twistcap.search.placing import PlacingRule
 from twistcap.studio import Capture, StudioConfig, capture
 
@@ -42,11 +45,12 @@ def _scene() -> tuple[Capture, list[Frame]]:
     return scene, list(scene.frames())
 
 
-def _unaided(frames: list[Frame]) -> Unaided:
+def _unaided(frames: list[Frame], rig: Rig | None = None) -> Unaided:
     scene, every = _scene()
+    rig = rig or scene.rig
     pictures = list(zip(*(frame.images for frame in every[::2]), strict=True))
-    model = build(scene.body, scene.rig)
-    scenery = scenery_of(scene.rig, pictures, middle_of_sight(scene.rig), model.channels)
+    model = build(scene.body, rig)
+    scenery = scenery_of(rig, pictures, middle_of_sight(rig), model.channels)
     rule = ProofRule(QUICK, probes=(0.0, 0.3))
     return Unaided(rule, model, scenery, lambda at: frames[at.start : at.stop], len(frames), 30.0)
 
@@ -121,6 +125,32 @@ def test_an_empty_scene_is_refused_in_a_sentence() -> None:
     rooms = tuple(np.asarray(255 * room, np.uint8) for room in scene.rooms)
     with pytest.raises(InputError, match=r"auto: .*; click its joints with `twistcap init`"):
         _unaided([replace(frame, images=rooms) for frame in frames]).found()
+
+
+@pytest.mark.parametrize("factor", [0.75, 1.0, 1.25])
+def test_the_height_of_what_stands_out_needs_no_body(factor: float) -> None:
+    scene, frames = _scene()
+    search = _unaided(frames, scaled(scene.rig, factor))
+    vertices = factor * Posed(scene.body, scene.true_poses[9]).vertices
+    evidence = search.scenery.evidence(frames[9].images, scene.body)
+    assert height_of(evidence, vertices.mean(axis=0), 0.0) == pytest.approx(np.ptp(vertices[:, 2]), abs=0.1)
+    assert height_of(evidence, np.array([9.0, 9.0, 1.0]), 0.0) == 0.0
+
+
+def test_a_calibration_of_wrong_scale_is_blamed() -> None:
+    """By the height of what stands out, which knows of no body."""
+    scene, frames = _scene()
+    factor, blamed = 1.25, r"1\.2. times too large"
+    search = _unaided(frames, scaled(scene.rig, factor))
+    tall = factor * float(np.ptp(Posed(scene.body, scene.true_poses[0]).vertices[:, 2]))
+    with pytest.raises(
+        InputError, match=f"in calibration C.toml the person is .* lengths are probably {blamed}"
+    ) as told:
+        replace(search, calibration="calibration C.toml").found()
+    found = re.search(r"about ([\d.]+) m tall, but \[body\] is ([\d.]+) m", str(told.value))
+    assert found is not None
+    assert float(found[1]) == pytest.approx(tall, abs=0.08)
+    assert float(found[2]) == pytest.approx(float(np.ptp(scene.body.vertices[:, 2])), abs=0.01)
 
 
 def test_only_the_person_who_is_asked_for_is_looked_for() -> None:

@@ -39,7 +39,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("convert Calib.toml x.mp4", "OUT is x.mp4; name a file that ends in .toml."),
         ("convert Calib.toml Calib.toml", "OUT is Calib.toml, the calibration that is read; name another file."),
         ("convert Calib.toml notes.txt --to opencv", "folder notes.txt cannot be made: File exists; choose"),
-        ("convert Calib.toml x.toml --unit km", "--unit is 'km'; it must be one of m, mm."),
+        ("convert Calib.toml x.toml --unit km", "--unit is 'km'; write m, cm, mm, or the length of one unit in m"),
         ("convert Calib.toml x.toml --size 0x0", "--size is '0x0'; write WIDTHxHEIGHT"),
         ("studio new --drop foo", "--drop is 'foo'; write FIRST:LAST"),
         ("studio new --fps nan", "--fps: it is nan; give a number above 0."),

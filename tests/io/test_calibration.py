@@ -15,6 +15,7 @@ from twistcap import se3
 from twistcap.camera import Camera, Rig, look_at
 from twistcap.errors import InputError
 from twistcap.io.calibration import read_rig, write_rig
+from twistcap.io.cameras import write_cameras
 from twistcap.io.plausible import check_plausible, check_upright
 
 PERSON = np.array([[0, 0, 0.02], [0, 0, 0.9], [0, 0.2, 1.4], [0, 0, 1.75]])
@@ -53,6 +54,15 @@ def test_millimetres_and_rotation_matrix(calib: Path) -> None:
     np.testing.assert_allclose(read_rig(calib, "mm")[1].centre, metres[1].centre, atol=1e-9)
     with pytest.raises(InputError, match=r"cam0.*cam1.* m apart.*millimetres.*unit = \"mm\""):
         read_rig(calib)
+
+
+@pytest.mark.parametrize("name", ["a.toml", "a.xcp", "a.yml", "a.qca.txt", "P.txt", "easy"])
+def test_calibrations_of_other_programs_are_to_be_converted(name: str, tmp_path: Path) -> None:
+    """A camera_array.toml of caliscope among them, and folders."""
+    path = tmp_path / name
+    write_cameras(ring(), path, {"easy": "easymocap"}.get(name, "caliscope"))
+    with pytest.raises(InputError, match=rf"{name} is of another program; make a Calib.toml of it:  twistcap convert"):
+        read_rig(path)
 
 
 def test_real_file_agrees_with_opencv(shared_data: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -139,18 +140,104 @@ def test_vicon_by_the_book(tmp_path: Path) -> None:
 def test_the_real_qualisys_file(shared_data: Path) -> None:
     """The rebuilt calibration differs from it by up to 6 cm (its README); cam03 has the same grid."""
     folder = shared_data / "balance_4view"
-    rig, note = read_cameras(folder / "calibration/Calib.qca.txt")
+    rig, notes = read_cameras(folder / "calibration/Calib.qca.txt")
     rebuilt = read_rig(folder / "Calib.toml")
-    assert note == "Up is z: the images agree."
+    assert notes == ["Up is z: the images agree."]
     np.testing.assert_allclose(rig[2].K, rebuilt[2].K, atol=1e-3)
     np.testing.assert_allclose(rig[2].dist[:4], rebuilt[2].dist[:4])
     assert max(np.linalg.norm(a.centre - b.centre) for a, b in zip(rig, rebuilt, strict=True)) < 0.07
+
+
+def test_a_calibration_of_theia_is_said_to_be_one(tmp_path: Path) -> None:
+    """By its maker's page it is as Qualisys', without a field of view."""
+    write_cameras(rig_with([0.0] * 5), tmp_path / "a.qca.txt", "qualisys")
+    text = (tmp_path / "a.qca.txt").read_text()
+    (tmp_path / "a.qca.txt").write_text(re.sub(r"<fov_video.*?/>", "", text))
+    with pytest.raises(InputError, match="Theia3D's own are not read, but the Qualisys or Vicon file"):
+        read_cameras(tmp_path / "a.qca.txt")
 
 
 def test_the_real_caliscope_file(shared_data: Path) -> None:
     path = shared_data / "charuco_4cam/tests/sessions/post_optimization/camera_array.toml"
     rig, _ = read_cameras(path)
     assert rig.names == ("cam_0", "cam_1", "cam_2", "cam_3") and rig[0].K[0, 0] == 903.550124089999
+
+
+def in_units(rig: Rig, unit: float) -> Rig:
+    """The rig as a file has it whose unit is so many metres."""
+    places = [se3.transform(c.T_cam_world[:3, :3], c.T_cam_world[:3, 3] / unit) for c in rig]
+    return Rig(tuple(replace(c, T_cam_world=T) for c, T in zip(rig, places, strict=True)))
+
+
+@pytest.mark.parametrize("name", ["opencv", "easymocap", "caliscope", "projections", "toml"])
+@pytest.mark.parametrize(("unit", "told"), [(1.0, "metres"), (1e-3, "millimetres"), (0.06, None), (0.01, None)])
+def test_a_unit_that_a_file_does_not_say_is_told(name: str, unit: float, told: str | None, tmp_path: Path) -> None:
+    """By the distances of the cameras, 5.7 to 8 m; of squares of a board it is asked for."""
+    rig, path = rig_with([0.0] * 5), tmp_path / "out.toml"
+    write_cameras(in_units(rig, unit), path, name)
+    if name == "toml":
+        path.write_text(path.read_text().replace('unit = "m"\n', ""))
+    if told is None:
+        with pytest.raises(InputError, match=r"out.toml: cameras are .* apart, which fits neither.*: --unit mm, or"):
+            read_cameras(path, name, Asked(size=SIZE), up="z")
+        read, notes = read_cameras(path, name, Asked(unit, SIZE), up="z")
+        assert len(notes) == 1
+    else:
+        read, notes = read_cameras(path, name, Asked(size=SIZE), up="z")
+        assert (
+            notes[1]
+            == f"The calibration is taken to be in {told}: cameras are 5.66 to 8 m apart. If it is not, give --unit."
+        )
+    np.testing.assert_allclose([c.centre for c in read], [c.centre for c in rig], atol=1e-6)
+
+
+def test_caliscope_keeps_the_numbers_of_cameras(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`new` pairs each video with the camera of its number."""
+    rig = rig_with([0.0] * 5)
+    for names, numbers in (
+        (("cam_1", "cam_2", "cam_3", "cam_4"), (1, 2, 3, 4)),
+        (("c07", "c03", "c11", "c02"), (7, 3, 11, 2)),
+        (("left1", "right1", "front", "back"), (0, 1, 2, 3)),
+    ):
+        named = Rig(tuple(replace(c, name=name) for c, name in zip(rig, names, strict=True)))
+        write_cameras(named, tmp_path / "Calib.toml", "toml")
+        told = document(capsys, "convert", tmp_path / "Calib.toml", tmp_path / "a.toml", "--to", "caliscope")
+        read, _ = read_cameras(tmp_path / "a.toml")
+        by_name = {c.name: c.centre for c in read}
+        for camera, number in zip(named, numbers, strict=True):
+            np.testing.assert_allclose(by_name[f"cam_{number}"], camera.centre, atol=1e-9)
+        mapping = [s for s in told["statements"] if "other names" in s]
+        assert len(mapping) == (names[0] != "cam_1")
+        assert all(f"{names[0]} = cam_{numbers[0]}, {names[1]} = cam_{numbers[1]}" in s for s in mapping)
+
+
+@pytest.mark.parametrize("given", ["", "intrinsics.yml", "extrinsics.yml"])
+def test_the_pair_of_opencvs_stereo_calibration(given: str, tmp_path: Path) -> None:
+    """As samples/cpp/stereo_calib.cpp writes it, in squares of a board of 60 mm."""
+    left, right = rig_with([-0.2, 0.08, 0.001, -0.0006, 0.0]).cameras[:2]
+    between = right.T_cam_world @ se3.inverse(left.T_cam_world)
+    rows = {
+        "intrinsics.yml": {"M1": left.K, "D1": left.dist[None], "M2": right.K, "D2": right.dist[None]},
+        "extrinsics.yml": {"R": between[:3, :3], "T": between[:3, 3:] / 0.06, "R1": np.eye(3), "R2": np.eye(3)}
+        | {"P1": np.eye(3, 4), "P2": np.eye(3, 4), "Q": np.eye(4)},
+    }
+    for name, entries in rows.items():
+        storage = cv2.FileStorage(str(tmp_path / name), cv2.FILE_STORAGE_WRITE)
+        for key, value in entries.items():
+            storage.write(key, value)
+        storage.release()
+    with pytest.raises(InputError, match="say it: --unit"):
+        read_cameras(tmp_path / given, asked=Asked(size=SIZE), up="-y")
+    read, _ = read_cameras(tmp_path / given, asked=Asked(0.06, SIZE), up="-y")
+    assert read.names == ("1", "2")
+    for a, b in zip(read, (left, right), strict=True):
+        np.testing.assert_allclose(a.K, b.K)
+        np.testing.assert_allclose(a.dist, b.dist)
+    found = read[1].T_cam_world @ se3.inverse(read[0].T_cam_world)
+    np.testing.assert_allclose(found, between, atol=1e-9)
+    (tmp_path / "extrinsics.yml").unlink()
+    with pytest.raises(InputError, match=r"half of OpenCV's stereo calibration; put intrinsics.yml .* one folder"):
+        read_cameras(tmp_path / "intrinsics.yml", asked=Asked(0.06, SIZE), up="-y")
 
 
 @pytest.mark.parametrize("up", ["x", "-x", "y", "-y", "-z"])

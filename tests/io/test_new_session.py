@@ -17,6 +17,7 @@ from twistcap.camera import Camera, Rig, look_at
 from twistcap.cli import main
 from twistcap.errors import InputError
 from twistcap.io.calibration import read_rig, write_rig
+from twistcap.io.cameras.units import scaled
 from twistcap.io.new_session import matched
 from twistcap.io.recording import rig_of, views_of
 from twistcap.io.session import load_session
@@ -248,6 +249,24 @@ def test_a_world_that_is_not_z_up_is_turned_as_said(recorded: Path, capsys: pyte
     assert new(recorded, recorded / "videos", extra=("--up", "z", "--force")) == 0  # as said, whatever the images say
     assert "Up is z, as said with --up; by the images it is y, so look at it." in capsys.readouterr().err
     assert load_session(recorded / "mine" / "session.toml").cameras.up == "z"
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("m", 1.0), ("mm", 1000.0), (None, 15.0)])
+def test_a_calibration_that_says_no_unit_is_told_or_asked_for(
+    recorded: Path, unit: str | None, factor: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By how far the cameras are apart; in squares of a board nothing is taken in silence."""
+    path, rig = recorded / "Calib.toml", read_rig(recorded / "Calib.toml")
+    write_rig(scaled(rig, factor), path)
+    path.write_text(path.read_text().replace('unit = "m"\n', ""))
+    assert new(recorded, recorded / "videos") == (2 if unit is None else 0)
+    told = capsys.readouterr().err
+    assert ("fits neither metres nor millimetres" in told and "--unit" in told) is (unit is None)
+    if unit is not None:
+        assert f"taken to be in {'milli' if unit == 'mm' else ''}metres: cameras are" in told
+        session = load_session(recorded / "mine" / "session.toml")
+        assert session.cameras.unit == unit
+        np.testing.assert_allclose([c.centre for c in rig_of(session)], [rig[0].centre, rig[2].centre], atol=1e-9)
 
 
 @pytest.mark.parametrize("known", [True, False])

@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 
 from support.cameras import ring
-from support.commands import document, refusal
+from support.commands import document, refusal, run
 from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.camera import Rig
-from twistcap.io.calibration import write_rig
+from twistcap.io.calibration import read_rig, write_rig
 from twistcap.io.cameras import write_cameras
 from twistcap.io.cameras.axes import with_z_up
+from twistcap.io.cameras.units import scaled
 from twistcap.io.keypoints import LAYOUTS
 from twistcap.io.projects import paired
 from twistcap.io.recording import rig_of, views_of
@@ -111,6 +112,45 @@ def test_keypoints_that_give_no_pose_lead_to_clicks(tmp_path: Path, capsys: pyte
         f"Next, click the first pose:  twistcap init {path}",
         f"Then, track:  twistcap track {path}",
     ]
+
+
+def test_a_calibration_of_wrong_scale_is_scaled_by_the_stature(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The board's squares were said 1.25 times too large: `new` tells, the person's height mends it."""
+    (tmp_path / "calibration").mkdir()
+    write_rig(scaled(RIG, 1.25), tmp_path / "calibration" / "Calib.toml")
+    for name in RIG.names:
+        video(tmp_path / "videos" / f"{name}.mp4")
+    poses(tmp_path / "pose", "halpe_26", [f"{n}_json" for n in RIG.names])
+    told = document(capsys, "new", tmp_path, "--stature", 1.75)
+    fitted = told["first_pose"]["stature_m"]
+    assert fitted == pytest.approx(1.25 * 1.75, abs=0.06) and "times too large" in told["first_pose"]["warnings"][0]
+    session, out = tmp_path / "session.toml", tmp_path / "out"
+    track = ("track", session, "--out", out, "--set", "output.overlay=false", "--set", "output.exports=[]")
+    document(capsys, *track)
+    assert "goes without" in refusal(capsys, "refine", out / "result.h5", "--stature", 1.75, "--cameras")
+    assert "height in metres" in refusal(capsys, "refine", out / "result.h5", "--stature", 175)
+    told = document(capsys, "refine", out / "result.h5", "--stature", 1.75)
+    assert told["factor"] == pytest.approx(1.75 / fitted, rel=1e-3) and told["to_set"] == []
+    new, old = read_rig(told["calibration"]), read_rig(tmp_path / "calibration" / "Calib.toml")
+    np.testing.assert_allclose([c.centre for c in new], [told["factor"] * c.centre for c in old], atol=1e-9)
+    np.testing.assert_allclose([c.centre for c in new], [c.centre for c in RIG], rtol=0.03)
+    again = document(
+        capsys, *track[:-6], "--out", tmp_path / "b", "--set", f"cameras.calibration={told['calibration']}"
+    )
+    other = "refine", again["result"], "--session", session, "--stature", 1.75
+    assert "not tracked with calibration" in refusal(capsys, *other)
+
+
+def test_a_stature_that_was_not_fitted_scales_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("studio", tmp_path / "walk", "--size", "192x140", "--views", "2", "--frames", "3") == 0
+    out = tmp_path / "out"
+    assert run("track", tmp_path / "walk" / "session.toml", "--out", out, "--set", "output.overlay=false") == 0
+    capsys.readouterr()
+    assert "as images did not fit it; twistcap refine it" in refusal(
+        capsys, "refine", out / "result.h5", "--stature", 2
+    )
 
 
 def test_opencap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

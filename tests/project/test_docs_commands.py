@@ -50,6 +50,7 @@ ELSEWHERE = {
     "calibrate rig --board chessboard": "needs photographs; tests/calibrate/test_scene.py",
     "sync ": "needs a second of frames; tests/commands/test_sync.py",
     "refine out/walk/result.h5 --camera": "needs a bumped camera and 24 frames; tests/commands/test_sync.py",
+    "refine out/walk/refined/refined.h5 --stature": "needs a fitted body; tests/io/test_projects.py",
     "track walk/session.toml --set": "with what --cameras writes; tests/commands/test_sync.py",
     "study gait.toml --out out/gait --cluster": "needs a Dask cluster; tests/commands/test_study.py",
     "motions build": "needs an ASF file of CMU; tests/motion/test_motion_library.py",

@@ -16,4 +16,5 @@ def test_all_but_the_lines_of_the_cameras_is_to_be_done(tmp_path: Path) -> None:
     found = of_sightings(made.sightings, made.board, made.rig.names, sizes, Options(kinds=("brown",)))
     page = write_calibration_page(found, tmp_path).read_text(encoding="utf-8")
     todo = page.partition("What to do")[2].partition("</ul>")[0]
+    assert "--floor" in todo and "By 90 mm a square, the cameras are" not in todo.partition("<li>")[0]
     assert "--floor" in todo and todo.count("<li>") == len(sentences(found)) - len(made.rig)

@@ -13,13 +13,14 @@ from twistcap.calibrate.calibrate import Calibration
 from twistcap.calibrate.sightings import SCENE, Sighting, coverage
 from twistcap.calibrate.world import centre_covariance
 from twistcap.errors import InputError
-from twistcap.io.plausible import check_plausible
+from twistcap.io.plausible import camera_distances, check_plausible
 
 _SURE = 4.0  # standard deviations from which on something is mentioned
 _WRONG = 0.05  # share of wrong points from which on they are mentioned
 _EMPTY = 0.25  # share of the image without any point from which on it is mentioned
 _SHARED = 8  # moments with others that a camera needs
 _FOCAL, _PLACE = 0.003, 0.01  # standard deviations, share and m, above which more filming is advised
+_APART, _AWAY = (0.5, 20.0), (0.2, 15.0)  # m: of the cameras farthest apart; of the board from cameras, mostly
 _STRETCH, _BENT = 0.003, 0.003  # share, m
 _LATE = 0.1  # frames
 
@@ -62,7 +63,7 @@ def sentences(found: Calibration) -> list[str]:
     """What a user should know, the weightiest first."""
     rows = camera_rows(found)
     out = [_line(row) for row in rows]
-    return [*out, *_world(found), *_implausible(found), *_clocks(rows), *_board(found), *again(found)]
+    return [*out, *_world(found), *_implausible(found), *_scale(found), *_clocks(rows), *_board(found), *again(found)]
 
 
 def again(found: Calibration) -> list[str]:
@@ -113,6 +114,32 @@ def _implausible(found: Calibration) -> list[str]:
     return []
 
 
+def _scale(found: Calibration) -> list[str]:
+    """The distances that follow from the square of the board, which the pictures cannot tell: a user can."""
+    apart, away = camera_distances(found.rig), np.percentile(_board_distances(found), (5, 95))
+    facts = [f"the cameras are {_span(apart.min(), apart.max())} apart"] if len(apart) else []
+    facts += [f"the board was {_span(*away)} from them"]
+    odd = len(apart) and not _APART[0] < float(apart.max()) < _APART[1]
+    odd = odd or not _AWAY[0] < float(away[0]) or float(away[1]) > _AWAY[1]
+    known = "its points" if "scene" in found.adjustment.solids else f"{1e3 * found.board.square:g} mm a square"
+    told = f"By {known}, {' and '.join(facts)}"
+    if odd:
+        return [f"{told}: that is hardly so. Measure the squares again, name them in --board, and calibrate again."]
+    return [f"{told}. If that is not so, measure again, and calibrate anew: pictures do not tell the scale."]
+
+
+def _board_distances(found: Calibration) -> Float:
+    """(S,) m from cameras to the middle of the board, of each sighting of it."""
+    guess, middle = found.adjustment.guess, np.append(found.board.points.mean(axis=0), 1.0)
+    seen = [s for s in found.adjustment.sightings if s.moment in guess.boards]
+    places = np.array([(guess.places[s.camera] @ guess.boards[s.moment] @ middle)[:3] for s in seen])
+    return np.linalg.norm(places, axis=1).astype(float)
+
+
+def _span(least: float, most: float) -> str:
+    return f"{least:.2f} m" if f"{least:.2f}" == f"{most:.2f}" else f"{least:.2f} to {most:.2f} m"
+
+
 def _clocks(rows: Sequence[dict[str, Any]]) -> list[str]:
     out = list[str]()
     for row in rows:
@@ -133,7 +160,8 @@ def _board(found: Calibration) -> list[str]:
     out = list[str]()
     if abs(shape[0]) > max(_STRETCH, _SURE * sigmas[0]):
         more = "higher" if shape[0] > 0 else "lower"
-        start = f"The board is {100 * abs(shape[0]):.1f} % {more} than its width says; it was printed so"
+        by = f"{100 * abs(shape[0]):.1f} ± {max(100 * float(sigmas[0]), 0.1):.1f} %"
+        start = f"The board is {by} {more} than its width says; it was printed so"
         out.append(f"{start}: measure its squares both ways. This was allowed for.")
     bent = float(np.abs(shape[1:]).max())
     if bent > max(_BENT, _SURE * float(sigmas[1 + int(np.abs(shape[1:]).argmax())])):

@@ -19,7 +19,10 @@ def convert(
     out: Annotated[Path, typer.Argument(help="File or folder to write.", metavar="OUT")],
     to: Annotated[str, typer.Option(help="Format of OUT: see below.")] = "toml",
     of: Annotated[str | None, typer.Option("--format", help="Format of IN, if its name does not say.")] = None,
-    unit: Annotated[str | None, typer.Option(help="m or mm: unit of IN, if it is not the usual one.")] = None,
+    unit: Annotated[
+        str | None,
+        typer.Option(help="Unit of IN: m, cm, mm, or its length in m. Default: what IN says, or its cameras tell."),
+    ] = None,
     up: Annotated[str | None, typer.Option(help="Axis of IN that is up: x, -x, y, -y, z or -z.")] = None,
     size: Annotated[str | None, typer.Option(help="Size of the images, if IN lacks it, as 1920x1080.")] = None,
     json: terminal.Json = False,
@@ -38,24 +41,25 @@ def convert(
     """
     from twistcap.io.cameras import FORMATS, Asked, read_cameras, write_cameras
     from twistcap.io.cameras.axes import Up
+    from twistcap.io.cameras.units import unit_of
 
-    units = {None: None, "m": 1.0, "mm": 1e-3}
-    if unit is not None:
-        check_choice("--unit", unit, ("m", "mm"))
     check_choice("--to", to, FORMATS)
     axis: Any = up
     if up is not None:
         check_choice("--up", up, get_args(Up))
-    pixels = None if size is None else terminal.image_size(size)
-    rig, statement = read_cameras(source, of, Asked(units[unit], pixels), axis)
+    asked = Asked(None if unit is None else unit_of(unit), None if size is None else terminal.image_size(size))
+    rig, statements = read_cameras(source, of, asked, axis)
     _check_out(source, out, FORMATS[to])
-    write_cameras(rig, out, to)
+    if renamed := write_cameras(rig, out, to):
+        statements.append(renamed)
     if json:
         centres = {camera.name: camera.centre for camera in rig}
-        terminal.emit({"id": "convert", "file": out, "centres_m": centres, "up": statement})
+        about = {"id": "convert", "file": out, "centres_m": centres}
+        terminal.emit(about | {"up": statements[0], "statements": statements})
         return
     typer.echo(out)
-    typer.echo(statement, err=True)
+    for statement in statements:
+        typer.echo(statement, err=True)
     for camera in rig:
         x, y, z = camera.centre
         typer.echo(

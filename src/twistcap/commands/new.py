@@ -23,7 +23,10 @@ UpAxis = Annotated[
     str | None,
     typer.Option("--up", help="Axis of the calibration that is up: x, -x, y … Default: z; a project's is found."),
 ]
-UnitName = Annotated[str | None, typer.Option("--unit", help="m or mm: unit of the calibration, if it does not say.")]
+UnitName = Annotated[
+    str | None,
+    typer.Option("--unit", help="m or mm: unit of the calibration. Default: what it says, or its cameras tell."),
+]
 Stature = Annotated[float | None, typer.Option(help="Height of the person, m.")]
 DetectorName = Annotated[
     str | None, typer.Option("--detector", help="Keypoint detector for the first pose: MODEL.onnx, or the name of one.")
@@ -55,8 +58,7 @@ def new(
     path = folder / "session.toml"
     if path.exists() and not force:
         raise InputError(f"{path} exists; choose another folder, or overwrite it with --force.")
-    if stature is not None and not 0.3 < stature < 3.0:
-        raise InputError(f"--stature is {stature}; it is the person's height in metres, such as 1.75.")
+    check_stature(stature)
     if people is not None and detector is None:
         raise InputError("--people is for --detector; name both.")
     if detector is not None:
@@ -67,6 +69,12 @@ def new(
     draft, known = _drafted(folder, calibration, given, project, trial, up, unit)
     draft = replace(draft, detector=detector, people=people)
     _tell(_written(draft, path, stature or known), json)
+
+
+def check_stature(stature: float | None) -> None:
+    """Raises InputError for a height, m, that nobody has."""
+    if stature is not None and not 0.3 < stature < 3.0:
+        raise InputError(f"--stature is {stature}; it is the person's height in metres, such as 1.75.")
 
 
 @dataclass(frozen=True)
@@ -85,24 +93,22 @@ def _drafted(
     up: str | None, unit: str | None,
 ) -> tuple[Any, float | None]:  # fmt: skip
     """The draft of calibration and videos, or of another program's project, and the person's stature if that has it."""
-    from twistcap.io.calibration import Unit
     from twistcap.io.cameras.axes import Up
+    from twistcap.io.cameras.units import session_unit
     from twistcap.io.new_session import draft_session
     from twistcap.io.projects import draft_project, found_project
 
-    if unit is not None:
-        check_choice("--unit", unit, ("m", "mm"))
     if up is not None:
         check_choice("--up", up, get_args(Up))
     if calibration is not None and videos:
         for option, value in (("--project", project), ("--trial", trial)):
             if value is not None:
                 raise InputError(f"{option} is for the folder of another program; leave it away, or the videos.")
-        return draft_session(videos, calibration, cast(Unit | None, unit), cast(Up | None, up)), None
+        return draft_session(videos, calibration, session_unit(unit), cast(Up | None, up)), None
     if calibration is not None or videos:
         raise InputError("give both --calibration and --videos, or neither for the folder of another program.")
     found = found_project(project or folder, trial)
-    return draft_project(found, folder, cast(Unit | None, unit), cast(Up | None, up)), found.stature
+    return draft_project(found, folder, unit, cast(Up | None, up)), found.stature
 
 
 def _written(draft: Any, path: Path, stature: float | None) -> _Written:

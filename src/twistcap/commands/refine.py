@@ -35,12 +35,16 @@ def refine(
         list[str] | None,
         typer.Option("--camera", metavar="CAMERA", help="Mend this one, also where it was not left out."),
     ] = None,
+    stature: Annotated[
+        float | None, typer.Option(help="Height of the person, m: scale the cameras by it, in place of poses and body.")
+    ] = None,
     json: terminal.Json = False,
 ) -> None:
     """Refine a track over all its frames together: poses, segment lengths, girths and joint centres.
 
     Writes refined.h5 (for view, export and evaluate), angles.png, the session's exports and overlay.mp4. With --cameras
-    it finds out where bumped or badly calibrated cameras stand, and writes a new Calib.toml.
+    it finds out where bumped or badly calibrated cameras stand, and writes a new Calib.toml. With --stature that is the
+    old one, scaled so that the person is so tall.
 
     Examples:
 
@@ -51,12 +55,17 @@ def refine(
       twistcap refine out/walk/result.h5 --frames 0:59 --set joint=0 --out out/walk-refined
 
       twistcap refine out/walk/result.h5 --cameras
+
+      twistcap refine out/walk/refined/refined.h5 --stature 1.75
     """
     from twistcap.commands.track import parsed_settings
     from twistcap.io.session import load_session
 
     loaded = None if session is None else load_session(session)
     span, folder = terminal.frame_range(frames), out or result.parent / "refined"
+    if stature is not None:
+        _scale(result, folder, loaded, stature, bool(set_ or again or span or cameras or camera), json)
+        return
     if cameras or camera:
         _mend(result, folder, loaded, camera or [], bool(set_ or again or span), json)
         return
@@ -70,6 +79,18 @@ def _mend(path: Path, folder: Path, session: Any, names: list[str], more: bool, 
     if more:
         raise InputError("--cameras goes without --frames, --set and --again; refine the poses after tracking again.")
     terminal.finish(mend_cameras(path, folder, session or _session(read_result(path), path), names), json, show)
+
+
+def _scale(path: Path, folder: Path, session: Any, stature: float, more: bool, json: bool) -> None:
+    from twistcap.commands.new import check_stature
+    from twistcap.commands.scale import scaled_cameras, show
+    from twistcap.io.result import read_result
+
+    if more:
+        raise InputError("--stature goes without --cameras, --frames, --set and --again; refine again after tracking.")
+    check_stature(stature)
+    session = session or _session(read_result(path), path)
+    terminal.finish(scaled_cameras(path, folder, session, stature), json, show)
 
 
 def run_refine(

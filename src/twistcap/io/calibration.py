@@ -27,7 +27,7 @@ _TO_METRES: dict[str, float] = {"m": 1.0, "mm": 1e-3}
 _GREATEST, _WIDEST = 1e6, 1 << 15  # of a number of a camera: px, m; of a side of its images, px
 _FIELDS = ("size", "matrix", "rotation", "translation")  # a table with none of them is no camera
 _KEY = "[cameras] calibration"  # which names the file, mostly
-_FOREIGN = (".qca.txt", ".xcp", ".yml", ".yaml", ".xml", ".pickle")  # what `io.cameras` reads
+_FOREIGN = (".txt", ".xcp", ".yml", ".yaml", ".xml", ".pickle")  # what `io.cameras` reads
 
 
 def read_rig(path: str | Path, unit: Unit | None = None, floor: float | None = 0.0, key: str = _KEY) -> Rig:
@@ -35,13 +35,21 @@ def read_rig(path: str | Path, unit: Unit | None = None, floor: float | None = 0
 
     `unit` is that of the translations; None takes ``unit`` in the file's ``[metadata]``, and metres where there is
     none. `floor` is its height, m; None where the world's z is not upward; `key` is what names the file, for messages.
-    Raises InputError for a missing file; a missing, malformed, non-finite or impossible entry; and what
-    `check_plausible` raises.
+    Raises InputError as `parsed_rig`, and what `check_plausible` raises.
     """
-    path = Path(path)
-    if path.name.lower().endswith(_FOREIGN):
-        mend = f"make a Calib.toml of it:  twistcap convert {pasted(path)} Calib.toml"
-        raise InputError(f"calibration {path} is of another program; {mend}")
+    rig = parsed_rig(Path(path), unit, key)
+    check_plausible(rig, floor=floor, source=f"calibration {path}")
+    return rig
+
+
+def parsed_rig(path: Path, unit: Unit | None = None, key: str = _KEY) -> Rig:
+    """As `read_rig`, wherever its cameras stand.
+
+    Raises InputError for a missing file, one of another program, and a missing, malformed, non-finite or impossible
+    entry.
+    """
+    if path.name.lower().endswith(_FOREIGN) or path.is_dir():
+        raise _foreign(path)
     tables = read_toml(path, "calibration", f"check {key}")
     metadata = tables.get("metadata", {})
     given = unit or (metadata.get("unit") if isinstance(metadata, dict) else None) or "m"
@@ -52,14 +60,25 @@ def read_rig(path: str | Path, unit: Unit | None = None, floor: float | None = 0
         for key, table in tables.items()
         if key != "metadata" and isinstance(table, dict) and any(field in table for field in _FIELDS)
     )
+    if not cameras and isinstance(tables.get("cameras"), dict):
+        raise _foreign(path)
     check(f"calibration {path} holds no camera", cameras, "it needs one table per camera, such as [cam01]")
     names = [camera.name for camera in cameras]
     for name in names:
         if names.count(name) > 1:
             raise InputError(f"calibration {path}: two cameras are named {name!r}; give each its own name.")
-    rig = Rig(cameras)
-    check_plausible(rig, floor=floor, source=f"calibration {path}")
-    return rig
+    return Rig(cameras)
+
+
+def _foreign(path: Path) -> InputError:
+    mend = f"make a Calib.toml of it:  twistcap convert {pasted(path)} Calib.toml"
+    return InputError(f"calibration {path} is of another program; {mend}")
+
+
+def says_unit(path: Path) -> bool:
+    """Whether a calibration file names its unit in its ``[metadata]``."""
+    metadata = read_toml(path, "calibration", f"check {_KEY}").get("metadata")
+    return isinstance(metadata, dict) and metadata.get("unit") is not None
 
 
 def knows_floor(path: str | Path) -> bool:

@@ -13,6 +13,7 @@ from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.io.calibration import Unit, knows_floor, read_rig
 from twistcap.io.cameras.axes import Up, axis_up, check_z_up
+from twistcap.io.cameras.units import toml_unit
 from twistcap.io.files import pasted
 from twistcap.io.model_file import is_address, is_model_file
 from twistcap.io.video import Source, check_size, is_there, open_source
@@ -73,12 +74,15 @@ def draft_session(videos: Sequence[str], calibration: Path, unit: Unit | None = 
     for a video that does not open or whose ends cannot be decoded, matches no camera or has another size than its
     calibration, for cameras that two videos claim, and where `up` is not said and is surely not z.
     """
+    unit, told = toml_unit(calibration, unit, "--calibration")
     rig = read_rig(calibration, unit, floor=None, key="--calibration")
     if up is None:
         check_z_up(rig, f"calibration {calibration}", "say --up {} (or --up z{})")
     paths = matched([path for text in videos for path in recordings(text)], rig.names)
     floor = knows_floor(calibration)
-    notes = [] if floor else ["The calibration does not know the floor: floor = false is set."]
+    notes = [told] if told else []
+    if not floor:
+        notes.append("The calibration does not know the floor: floor = false is set.")
     if up is not None and (seen := axis_up(rig)) not in (up, None):
         notes.append(f"Up is {up}, as said with --up; by the images it is {seen}, so look at it.")
     return replace(drafted(rig, paths, calibration, unit), up=up, floor_known=floor, notes=tuple(notes))

@@ -6,6 +6,7 @@ A mirrored board pose can have an error of 0.3 px while the heels are half a met
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,12 +31,11 @@ def check_plausible(
     height, m; None where the world's z is not upward. Messages name the source. Raises InputError: cameras inside each
     other, implausibly far apart, without a common view or all underground; a person underground or outside every view.
     """
-    pairs = [(rig[i], rig[j]) for i in range(len(rig)) for j in range(i + 1, len(rig))]
-    distances = [float(np.linalg.norm(a.centre - b.centre)) for a, b in pairs]
-    for (a, b), distance in zip(pairs, distances, strict=True):
+    distances = camera_distances(rig)
+    for (a, b), distance in zip(combinations(rig, 2), distances, strict=True):
         _check_distance(f"{source}: cameras {a.name!r} and {b.name!r}", distance)
     if len(rig) > 1:
-        _check_common_view(rig, max(distances), source)
+        _check_common_view(rig, float(distances.max()), source)
     heights = np.array([camera.centre[2] for camera in rig])
     if floor is not None and heights.max() - floor < -_UNDERGROUND:
         raise InputError(
@@ -45,6 +45,11 @@ def check_plausible(
         )
     if points is not None:
         _check_person(rig, np.asarray(points, float).reshape(-1, 3), floor, source)
+
+
+def camera_distances(rig: Rig) -> Float:
+    """(P,) m between the cameras of each pair."""
+    return np.array([np.linalg.norm(a.centre - b.centre) for a, b in combinations(rig, 2)], dtype=float)
 
 
 def _check_distance(cameras: str, distance: float) -> None:

@@ -17,6 +17,7 @@ from twistcap.errors import InputError
 from twistcap.io.calibration import Unit, write_rig
 from twistcap.io.cameras import Asked, format_named
 from twistcap.io.cameras.axes import Up, axis_up, up_instead_of_z, with_z_up
+from twistcap.io.cameras.units import session_unit, toml_unit, unit_of
 from twistcap.io.keypoints import LAYOUTS
 from twistcap.io.new_session import VIDEO_ENDINGS, Draft, drafted
 from twistcap.io.video import open_source
@@ -58,7 +59,7 @@ def found_project(folder: Path, trial: str | None = None) -> Project:
     raise InputError(f"{folder} is no project of {known}; give --calibration and --videos.")
 
 
-def draft_project(project: Project, folder: Path, unit: Unit | None = None, up: Up | None = None) -> Draft:
+def draft_project(project: Project, folder: Path, unit: str | None = None, up: Up | None = None) -> Draft:
     """The draft of a session in `folder`; a calibration that a session cannot read is converted, into Calib.toml there.
 
     `unit` and `up` are those of the calibration. Raises InputError as `draft_session`; where the axis that is up is not
@@ -66,21 +67,25 @@ def draft_project(project: Project, folder: Path, unit: Unit | None = None, up: 
     """
     if not project.videos:
         raise InputError(f"the {project.program} project at {project.calibration} has no videos where they should be.")
-    factor = {"m": 1.0, "mm": 1e-3, None: 1e-3 if project.program == "FreeMoCap" else None}[unit]
+    unit = unit or ("mm" if project.program == "FreeMoCap" else None)
     size = open_source(project.videos[0][1]).size
-    rig = format_named(project.format).read(project.calibration, Asked(factor, size))
+    asked = Asked(None if unit is None else unit_of(unit), size)
+    rig, told = format_named(project.format).read(project.calibration, asked)
     found = up or (up_instead_of_z(rig) or "z" if project.format == "toml" else axis_up(rig))
     if found is None:
         raise InputError(f"calibration {project.calibration}: the images do not say what is up; say it with --up.")
     notes = [f"A {project.program} project; its calibration is {project.calibration}.", *project.notes]
+    notes += [told] if told else []
     if found != "z":
         notes.append(f"Up is {found} in its calibration, {'as said' if up else 'by the images'}: it is turned to z.")
     titles = {name or Path(path).stem: path for name, path in project.videos}
     cameras = _paired(project, list(titles), rig.names)
     file: Path = project.calibration
-    given: Unit | None = "mm" if factor == 1e-3 else unit
-    if project.format != "toml":
-        file, given = folder / "Calib.toml", None
+    given: Unit | None = None
+    if project.format == "toml":
+        given, _ = toml_unit(file, session_unit(unit), "its path")
+    else:
+        file = folder / "Calib.toml"
         folder.mkdir(parents=True, exist_ok=True)
         write_rig(with_z_up(rig, found), file)
         notes.append(f"Its calibration was converted: {file}.")

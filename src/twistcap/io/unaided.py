@@ -54,6 +54,7 @@ def found_unaided(session: Session, body: Body, views: Views, floor: float | Non
     return Unaided(
         ProofRule(), model, scenery, lambda places: _read(views, places), len(views), views.fps / session.step,
         float(ground), _known(session, body), asked_for(session.first_pose.at, views.rig),
+        f"calibration {session.cameras.calibration}",
     ).found()  # fmt: skip
 
 

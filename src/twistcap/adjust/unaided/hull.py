@@ -14,6 +14,8 @@ _BODY = 0.4  # m across of what is gathered to one body
 _APART = 0.5  # m between two places
 _TALL = 2.4  # m above the floor that are looked at
 _LOW = 0.3  # m below it
+_FINE, _GAP = 0.04, 3  # m between the layers by which a height is measured; so many empty ones end a body
+_HIGHEST = 4.0  # m above the floor, for bodies that a calibration has too large
 
 
 def middle_of_sight(rig: Rig) -> Float:
@@ -49,6 +51,17 @@ def places(evidence: Evidence, centre: Float, reach: float, floor: float, count:
         if len(out) == count:
             break
     return np.array(out).reshape(-1, 3)
+
+
+def height_of(evidence: Evidence, place: Float, floor: float) -> float:
+    """m from the lowest to the highest point of what stands out about a place (3,), in one piece; 0 without any."""
+    side, z = np.arange(-0.3, 0.31, _VOXEL), np.arange(floor - _LOW, floor + _HIGHEST, _FINE)
+    voxels = np.stack(np.meshgrid(place[0] + side, place[1] + side, z, indexing="ij"), axis=-1)
+    layers = _inside(evidence, voxels.reshape(-1, 3)).reshape(-1, len(z)).max(axis=0)
+    there = np.flatnonzero(layers)
+    pieces = np.split(there, np.flatnonzero(np.diff(there) > _GAP) + 1)
+    body = max(pieces, key=lambda piece: float(layers[piece].sum()))
+    return float(z[body[-1]] - z[body[0]]) if len(body) else 0.0
 
 
 def _height(inside: Float, i: int, j: int, half: int, z: Float) -> float:

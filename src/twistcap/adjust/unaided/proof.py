@@ -12,7 +12,7 @@ from typing import Annotated
 
 import numpy as np
 
-from twistcap.adjust.unaided.hull import middle_of_sight
+from twistcap.adjust.unaided.hull import height_of, middle_of_sight, places
 from twistcap.adjust.unaided.scenery import Scenery
 from twistcap.adjust.unaided.search import Candidate, Instant, UnaidedRule
 from twistcap.arrays import Float
@@ -32,6 +32,7 @@ Read = Callable[[range], Iterable[Frame]]
 
 _AS_IT_IS = BesideRule(good=0.0, limb_poor=0.0)
 _NEAR = 0.97  # of the best score of a probe, that a pose must have for a track to have met what the probe found
+_ODD = 1.15  # times the body's height, from which on the calibration is blamed
 _CLICKS = "click its joints with `twistcap init`, or give [first_pose] keypoints"
 
 
@@ -186,6 +187,7 @@ class Unaided:
         floor: its height, m.
         known: stances beside the bundled ones.
         asked: (3,) m, a place of the person in the first frame; None looks for whoever stands out most.
+        calibration: of the cameras, for messages.
     """
 
     rule: ProofRule
@@ -197,6 +199,7 @@ class Unaided:
     floor: float = 0.0
     known: Sequence[Stance] = ()
     asked: Float | None = None
+    calibration: str = "the calibration"
 
     def found(self) -> Proof:
         """The track that is proved, of as few probes as are needed.
@@ -205,8 +208,8 @@ class Unaided:
             InputError: where none is.
         """
         frames, probes, tracks, best = list[Frame](), list[Probe](), list[Track](), None
-        places = self._places
-        for at in places:
+        frames_of = self._places
+        for at in frames_of:
             frames += self.read(range(len(frames), at + 1))
             for track in tracks:
                 track.extend(frames)
@@ -215,12 +218,12 @@ class Unaided:
             proofs = [proof_of(track, probes, tracks, self.rule) for track in tracks]
             proofs.sort(key=lambda p: -p.standing)
             best = proofs[0] if proofs else None
-            if len(probes) >= min(2, len(places)):
+            if len(probes) >= min(2, len(frames_of)):
                 for proof in proofs:
-                    if proof.holds(self.rule, len(places)):
+                    if proof.holds(self.rule, len(frames_of)):
                         return proof
             tracks = [p.track for p in proofs if p.standing >= self.rule.hopeless]
-        raise InputError(self._refusal(best))
+        raise InputError(self._refusal(best, probes))
 
     @property
     def _places(self) -> list[int]:
@@ -244,8 +247,24 @@ class Unaided:
             if all(far):
                 tracks.append(Track(fitted, frames, probe.at, c.pose))
 
-    def _refusal(self, best: Proof | None) -> str:
+    def _height(self, probes: Sequence[Probe]) -> float:
+        """m of the person, without a body: of one who seems small the greatest, for people bend; else the median."""
+        centre, reach = middle_of_sight(self.model.rig)[:2], self.rule.search.reach
+        evidence = [probe.instant.evidence for probe in probes]
+        found = [(e, places(e, centre, reach, self.floor, 1)) for e in evidence]
+        heights = np.array([height_of(e, place[0], self.floor) for e, place in found if len(place)] or [0.0])
+        median = float(np.median(heights))
+        return median if median > float(np.ptp(self.model.body.vertices[:, 2])) else float(heights.max())
+
+    def _refusal(self, best: Proof | None, probes: Sequence[Probe]) -> str:
         if best is None:
             return f"[first_pose] auto: nobody stands out from the background in two cameras at once; {_CLICKS}."
         said = f"contour agreement {best.agreement:.2f}, margin {100 * np.mean(best.margins):.0f} %"
-        return f"[first_pose] auto: the person's first pose is not clear ({said}); {_CLICKS}."
+        own, height = float(np.ptp(self.model.body.vertices[:, 2])), self._height(probes)
+        ratio = height / own
+        if ratio == 0.0 or 1.0 / _ODD < ratio < _ODD:
+            return f"[first_pose] auto: the person's first pose is not clear ({said}); {_CLICKS}."
+        larger = f"{ratio:.2f} times too large" if ratio > 1 else f"{1 / ratio:.2f} times too small"
+        fact = f"in {self.calibration} the person is about {height:.2f} m tall, but [body] is {own:.2f} m"
+        mend = "check its board's squares, its unit and [body] stature"
+        return f"[first_pose] auto is not clear ({said}): {fact}; its lengths are probably {larger}: {mend}."

@@ -2,52 +2,77 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from twistcap.camera import Rig
 from twistcap.doors.text import read_text
 from twistcap.errors import InputError, check_choice, naming
-from twistcap.io.calibration import read_rig, write_rig
+from twistcap.io.calibration import parsed_rig, says_unit, write_rig
 from twistcap.io.cameras.axes import Up, checked_up
 from twistcap.io.cameras.parts import Asked
 from twistcap.io.cameras.storage import read_easymocap, read_opencv, write_easymocap, write_opencv
 from twistcap.io.cameras.studios import read_qualisys, read_vicon, write_qualisys, write_vicon
-from twistcap.io.cameras.tables import read_caliscope, read_opencap, write_caliscope, write_opencap
+from twistcap.io.cameras.tables import caliscope_names, read_caliscope, read_opencap, write_caliscope, write_opencap
 from twistcap.io.cameras.texts import read_colmap, read_projections, write_colmap, write_projections
+from twistcap.io.cameras.units import in_metres, scaled
 from twistcap.io.files import unwritable
 from twistcap.io.plausible import check_plausible
 
 
 @dataclass(frozen=True)
 class CameraFormat:
-    """A format: `read(path, asked)`, `write(rig, path)`; whether a path is a folder, or else the ending of its file."""
+    """A format of calibrations.
+
+    Attributes:
+        name: of it.
+        parsed: of a path; in the unit asked for, else in the file's, which counts as metres where it is not known.
+        write: a rig to a path.
+        folder: whether a path is a folder, or else the `ending` of its file.
+        says_unit: whether a file fixes its unit; else its cameras tell it.
+        renamed: names of cameras by which they are read again; None where they stay.
+    """
 
     name: str
-    read: Callable[[Path, Asked], Rig]
+    parsed: Callable[[Path, Asked], Rig]
     write: Callable[[Rig, Path], None]
     folder: bool = False
     ending: str = ""
+    says_unit: Callable[[Path], bool] = lambda path: True
+    renamed: Callable[[Sequence[str]], Sequence[str]] | None = None
+
+    def read(self, path: Path, asked: Asked) -> tuple[Rig, str]:
+        """The rig of a path, m, and a sentence on its unit where that had to be told by its cameras, else "".
+
+        Raises InputError: for a damaged file, one without a size or unit that is not asked for either.
+        """
+        rig = self.parsed(path, asked)
+        known = asked.unit is not None or self.says_unit(path)
+        return (rig, "") if known else in_metres(rig, f"calibration {path}")
+
+
+def _never(path: Path) -> bool:
+    return False
 
 
 def _read_toml(path: Path, asked: Asked) -> Rig:
-    units = {None: None, 1.0: "m", 1e-3: "mm"}
-    return read_rig(path, units.get(asked.unit), floor=None, key="its path")  # pyright: ignore[reportArgumentType]
+    rig = parsed_rig(path, None if asked.unit is None else "m", "its path")
+    return rig if asked.unit is None else scaled(rig, asked.unit)
 
 
 FORMATS: dict[str, CameraFormat] = {
     f.name: f
     for f in (
-        CameraFormat("toml", _read_toml, write_rig, ending=".toml"),  # Pose2Sim and aniposelib
-        CameraFormat("caliscope", read_caliscope, write_caliscope, ending=".toml"),
-        CameraFormat("opencv", read_opencv, write_opencv, True),
-        CameraFormat("easymocap", read_easymocap, write_easymocap, True),
+        CameraFormat("toml", _read_toml, write_rig, ending=".toml", says_unit=says_unit),  # Pose2Sim and aniposelib
+        CameraFormat("caliscope", read_caliscope, write_caliscope, False, ".toml", _never, caliscope_names),
+        CameraFormat("opencv", read_opencv, write_opencv, True, says_unit=_never),
+        CameraFormat("easymocap", read_easymocap, write_easymocap, True, says_unit=_never),
         CameraFormat("qualisys", read_qualisys, write_qualisys, ending=".txt"),
         CameraFormat("vicon", read_vicon, write_vicon, ending=".xcp"),
         CameraFormat("opencap", read_opencap, write_opencap, True),
         CameraFormat("colmap", read_colmap, write_colmap, True),
-        CameraFormat("projections", read_projections, write_projections, True),
+        CameraFormat("projections", read_projections, write_projections, True, says_unit=_never),
     )
 }
 
@@ -83,8 +108,9 @@ def format_of(path: Path) -> CameraFormat:
 
 def read_cameras(
     path: Path, name: str | None = None, asked: Asked | None = None, up: Up | None = None
-) -> tuple[Rig, str]:
-    """A rig out of any format, z up, with a sentence that says how what is up is known.
+) -> tuple[Rig, list[str]]:
+    """A rig out of any format, m, z up, with a sentence that says how what is up is known, and one on its unit where
+    the file does not say that.
 
     Raises InputError: for a file that is missing or damaged; where unit, size or up are not said and must be; for
     cameras that cannot stand so.
@@ -93,19 +119,26 @@ def read_cameras(
         raise InputError(f"calibration {path} does not exist; check its path.")
     with naming(path):
         kind = format_of(path) if name is None else format_named(name)
-        rig = kind.read(path, asked or Asked())
+        rig, unit = kind.read(path, asked or Asked())
         names = rig.names
         for camera in names:
             if names.count(camera) > 1:
                 raise InputError(f"calibration {path}: two cameras are named {camera!r}; give each its own name.")
         rig, statement = checked_up(rig, up, f"calibration {path}")
         check_plausible(rig, floor=None, source=f"calibration {path}")
-    return rig, statement
+    return rig, [statement, *([unit] if unit else [])]
 
 
-def write_cameras(rig: Rig, path: Path, name: str) -> None:
-    """Write a rig in a format. Raises InputError for a lens that it cannot say, or a place that cannot be written."""
+def write_cameras(rig: Rig, path: Path, name: str) -> str:
+    """Write a rig in a format; a sentence where that names cameras otherwise, else "".
+
+    Raises InputError for a lens that the format cannot say, or a place that cannot be written.
+    """
+    kind = format_named(name)
     try:
-        format_named(name).write(rig, path)
+        kind.write(rig, path)
     except OSError as error:
         raise unwritable(path, error, "calibration") from error
+    there = rig.names if kind.renamed is None else kind.renamed(rig.names)
+    pairs = ", ".join(f"{mine} = {theirs}" for mine, theirs in zip(rig.names, there, strict=True) if mine != theirs)
+    return f"In {name} cameras have other names: {pairs}. Name their videos so." if pairs else ""

@@ -19,15 +19,19 @@ _K = ("camera_matrix", "cameraMatrix", "Camera_Matrix", "K", "intrinsic_matrix")
 _DIST = ("distortion_coefficients", "Distortion_Coefficients", "dist_coeffs", "distCoeffs", "D", "dist")
 _R, _T = ("R", "rotation", "rvec", "rotation_matrix"), ("T", "t", "translation", "tvec", "translation_vector")
 _PAIR = ("intri.yml", "extri.yml")
+_STEREO = {"M1", "D1", "M2", "D2"}, {"R", "T"}  # of the pair that OpenCV's stereo_calib writes
 
 
 def read_opencv(path: Path, asked: Asked) -> Rig:
-    """The files of a folder, or one, each a camera by its name: intrinsics, and R and T from world to camera, m.
+    """The files of a folder, or one, each a camera by its name: intrinsics, and R and T from world to camera.
 
-    Names of matrices are those of OpenCV's samples. Raises InputError.
+    Names of matrices are those of OpenCV's samples. The pair of files of its stereo calibration (``intrinsics.yml``,
+    ``extrinsics.yml``) holds the cameras "1" and "2", in the world of the first. Raises InputError.
     """
-    files = [path] if path.is_file() else sorted(p for p in path.glob("*") if p.suffix in (".yml", ".yaml", ".xml"))
+    files = [path] if path.is_file() else _storages(path)
     check(f"calibration {path}", files, "no .yml, .yaml or .xml file is there")
+    if any(_is_half(read_storage(file)) for file in files):
+        return _stereo(path, asked)
     return Rig(tuple(_camera(file, asked) for file in files))
 
 
@@ -45,7 +49,7 @@ def write_opencv(rig: Rig, path: Path) -> None:
 
 
 def read_easymocap(path: Path, asked: Asked) -> Rig:
-    """``intri.yml`` and ``extri.yml`` of a folder, or one of them; m (zju3dv/EasyMocap). Raises InputError."""
+    """``intri.yml`` and ``extri.yml`` of a folder, or one of them (zju3dv/EasyMocap). Raises InputError."""
     folder = path if path.is_dir() else path.parent
     inner, outer = (read_storage(folder / name) for name in _PAIR)
     where = f"calibration {folder / _PAIR[0]}"
@@ -78,6 +82,33 @@ def write_easymocap(rig: Rig, path: Path) -> None:
         outer |= {f"R_{c.name}": np.asarray(cv2.Rodrigues(R)[0], float), f"Rot_{c.name}": R, f"T_{c.name}": t}
     for name, entries in zip(_PAIR, (inner, outer), strict=True):
         (path / name).write_text(storage_lines(entries), encoding="utf-8")
+
+
+def _storages(folder: Path) -> list[Path]:
+    return sorted(p for p in folder.glob("*") if p.suffix in (".yml", ".yaml", ".xml"))
+
+
+def _is_half(held: Mapping[str, Any]) -> bool:
+    """Whether a file is of the pair of a stereo calibration: only the second of them holds rectified matrices."""
+    return held.keys() >= _STEREO[0] or held.keys() >= _STEREO[1] | {"P1", "P2"}
+
+
+def _stereo(path: Path, asked: Asked) -> Rig:
+    """The cameras of such a pair; R and T lead from the first to the second."""
+    where, held = f"calibration {path}", dict[str, Any]()
+    for file in _storages(path if path.is_dir() else path.parent):
+        content = read_storage(file)
+        held |= content if _is_half(content) else {}
+    if not held.keys() >= _STEREO[0] | _STEREO[1]:
+        pair = "intrinsics.yml (M1, D1, M2, D2) and extrinsics.yml (R, T)"
+        raise InputError(f"{where}: it is half of OpenCV's stereo calibration; put {pair} into one folder.")
+    places = (np.eye(3), np.zeros(3)), (_turn(where, held["R"]), held["T"].ravel() * asked.metres(1.0))
+    _three(where, places[1][1])
+    size, cameras = asked.size_or(None, where), list[Camera]()
+    for name, place in zip("12", places, strict=True):
+        K, dist = (_matrix(where, held, (kind + name,)) for kind in "MD")
+        cameras.append(made(f"{where}, camera {name!r}", name, _square(where, K), place, size, dist.ravel()))
+    return Rig(tuple(cameras))
 
 
 def _camera(file: Path, asked: Asked) -> Camera:

@@ -106,6 +106,8 @@ def _qualisys(element: Element, source: str, asked: Asked) -> Camera:
     where = f"{source}, camera {name!r}"
     turned = element.attrib.get("viewrotation", "0")
     check(where, turned in ("0", ""), f"its view is turned by {turned} degrees; export the video and it upright")
+    theia = "Theia3D's own are not read, but the Qualisys or Vicon file that it was given"
+    check(where, element.find("fov_video") is not None, f"<fov_video> is missing; {theia} is")
     view, lens, place = (_child(where, element, tag) for tag in ("fov_video", "intrinsic", "transform"))
     left, top, right, bottom = (_number(where, view, side) for side in ("left", "top", "right", "bottom"))
     keys = ("focalLengthU", "focalLengthV", "centerPointU", "centerPointV")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from twistcap.io.number_pickle import read_number_pickle
 
 
 def read_caliscope(path: Path, asked: Asked) -> Rig:
-    """The cameras of a ``camera_array.toml`` that have a place; m. They are named ``cam_0``. Raises InputError."""
+    """The cameras of a ``camera_array.toml`` that have a place. They are named ``cam_0``. Raises InputError."""
     source = f"calibration {path}"
     tables = read_toml(path, "calibration").get("cameras")
     if not isinstance(tables, dict):
@@ -31,9 +32,9 @@ def read_caliscope(path: Path, asked: Asked) -> Rig:
 
 
 def write_caliscope(rig: Rig, path: Path) -> None:
-    """A ``camera_array.toml``, cameras numbered in order; m."""
+    """A ``camera_array.toml``, cameras by the numbers of `caliscope_names`; m."""
     lines = list[str]()
-    for i, c in enumerate(rig):
+    for i, c in zip(_numbers(rig.names), rig, strict=True):
         turn = np.asarray(cv2.Rodrigues(c.T_cam_world[:3, :3])[0], float).ravel()
         dist = c.dist[:4] if c.fisheye else c.dist
         lines += [
@@ -42,6 +43,11 @@ def write_caliscope(rig: Rig, path: Path) -> None:
             f"translation = {c.T_cam_world[:3, 3].tolist()}", f"fisheye = {str(c.fisheye).lower()}", "",
         ]  # fmt: skip
     write_lines(path, lines)
+
+
+def caliscope_names(names: Sequence[str]) -> list[str]:
+    """Names under which `read_caliscope` reads cameras again: by their own numbers where all end in different ones."""
+    return [f"cam_{i}" for i in _numbers(names)]
 
 
 def read_opencap(path: Path, asked: Asked) -> Rig:
@@ -68,6 +74,12 @@ def write_opencap(rig: Rig, path: Path) -> None:
         file.parent.mkdir(parents=True, exist_ok=True)
         with replacing(file) as part:
             part.write_bytes(pickle.dumps(table, protocol=4))
+
+
+def _numbers(names: Sequence[str]) -> list[int]:
+    ends = [re.search(r"\d{1,9}$", name) for name in names]
+    numbers = [int(end[0]) for end in ends if end]
+    return numbers if len(set(numbers)) == len(names) else list(range(len(names)))
 
 
 def _caliscope(where: str, key: str, table: Mapping[str, Any], asked: Asked) -> Camera:
