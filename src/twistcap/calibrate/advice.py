@@ -25,8 +25,9 @@ _LATE = 0.1  # frames
 
 
 def camera_rows(found: Calibration) -> list[dict[str, Any]]:
-    """What is known of each camera: a row of plain numbers, px, m, degrees, frames."""
+    """What is known of each camera: a row of plain numbers, px, m, degrees, frames of the slowest camera, s."""
     out, a, (late, late_sigmas) = list[dict[str, Any]](), found.adjustment, found.late
+    tick = found.timing.interval
     for c, camera in enumerate(found.rig):
         sizes = distances(found, c)
         own = [s for s in a.sightings if s.camera == c]
@@ -39,7 +40,7 @@ def camera_rows(found: Calibration) -> list[dict[str, Any]]:
             "covered": float(np.mean(coverage(own, camera.size) > 0)), "centre_m": camera.centre,
             "centre_sigma_m": np.sqrt(np.diagonal(centre_covariance(camera.T_cam_world, a.places[c]))),
             "turn_sigma_deg": float(np.rad2deg(np.sqrt(np.trace(a.places[c][:3, :3])))),
-            "late_frames": float(late[c]), "late_sigma": float(late_sigmas[c]),
+            "late_frames": float(late[c]), "late_sigma": float(late_sigmas[c]), "late_s": tick * float(late[c]),
         }  # fmt: skip
         out.append(row)
     return out
@@ -62,7 +63,7 @@ def sentences(found: Calibration) -> list[str]:
     """What a user should know, the weightiest first."""
     rows = camera_rows(found)
     out = [_line(row) for row in rows]
-    return [*out, *_world(found), *_implausible(found), *_clocks(rows), *_board(found), *again(found)]
+    return [*out, *_world(found), *_implausible(found), *_clocks(found, rows), *_board(found), *again(found)]
 
 
 def again(found: Calibration) -> list[str]:
@@ -113,14 +114,16 @@ def _implausible(found: Calibration) -> list[str]:
     return []
 
 
-def _clocks(rows: Sequence[dict[str, Any]]) -> list[str]:
-    out = list[str]()
+def _clocks(found: Calibration, rows: Sequence[dict[str, Any]]) -> list[str]:
+    """In frames where cameras are equally fast, else in seconds."""
+    out, tick, alike = list[str](), found.timing.interval, found.timing.alike
     for row in rows:
         late, sigma = row["late_frames"], row["late_sigma"]
         if abs(late) > max(_LATE, _SURE * sigma):
             which = "later" if late > 0 else "earlier"
-            by = f"{abs(late):.2f} ± {max(sigma, 0.01):.2f} frames {which}"
-            start = f"Camera {row['camera']} shows moments {by} than camera {rows[0]['camera']}"
+            by = f"{abs(late):.2f} ± {max(sigma, 0.01):.2f} frames"
+            by = by if alike else f"{tick * abs(late):.4f} ± {max(tick * sigma, 1e-4):.4f} s"
+            start = f"Camera {row['camera']} shows moments {by} {which} than camera {rows[0]['camera']}"
             out.append(f"{start}; this was allowed for. In the videos of a person, twistcap sync finds it.")
     return out
 

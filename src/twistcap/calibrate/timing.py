@@ -18,6 +18,7 @@ from twistcap.io.clocks import RATE, Clock, Timeline, image_times
 from twistcap.io.video import Source
 
 _ALONE = 0.02  # ticks from a moment up to which a frame stands for it though the board's motion is not known
+_ALIKE = 1e-4  # relative difference of intervals up to which cameras are equally fast
 _EXACT = 1e-6  # ticks; nothing is moved for less
 
 
@@ -42,6 +43,11 @@ class Timing:
     def interval(self) -> float:
         """s of a tick."""
         return max(self.intervals)
+
+    @property
+    def alike(self) -> bool:
+        """Whether all cameras are equally fast, so that their clocks can be compared in frames."""
+        return max(self.intervals) - min(self.intervals) < _ALIKE * min(self.intervals)
 
     @cached_property
     def _origin(self) -> int:
