@@ -22,13 +22,13 @@ from twistcap.errors import InputError
 from twistcap.io.calibration import read_rig
 from twistcap.io.videowriter import VideoWriter
 
-Path_ = Callable[[float], np.ndarray]
-SMALL = Options(kinds=("brown",), moments=(50, 15))
-LENGTH = 6.0  # s
+Board = Callable[[float], np.ndarray]
+SMALL = Options(kinds=("brown",), moments=(40, 12))
+LENGTH = 9.0  # s
 ARC = 1.2  # rad over which the cameras stand
 
 
-def path(seed: int) -> Path_:
+def path(seed: int) -> Board:
     """(4, 4) board to world by time, s: turned this way and that before the cameras, by three swings on each axis."""
     rng = np.random.default_rng(seed)
     phases, speeds = rng.uniform(0, 2 * np.pi, (6, 3)), rng.uniform(0.1, 0.7, (6, 3))
@@ -45,11 +45,11 @@ def rhythm(t: float) -> np.ndarray:
 def _place(swing: np.ndarray) -> np.ndarray:
     upright = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0.0]])
     facing = se3.exp_rotation([0, 0, np.pi / 2 + 0.4 * ARC])
-    return se3.transform(facing @ upright @ se3.exp_rotation(swing[:3]), swing[3:] + [-0.3, -0.3, 1.3])
+    return se3.transform(facing @ upright @ se3.exp_rotation(swing[:3]), swing[3:] + np.array([-0.3, -0.3, 1.3]))
 
 
 def made(
-    late: Sequence[float], rates: Sequence[float], board: Path_, jitter: float = 0.0
+    late: Sequence[float], rates: Sequence[float], board: Board, jitter: float = 0.0
 ) -> tuple[Rig, list[Sighting], Timing]:
     """Sightings of all frames; cameras show moments that are `late` s later."""
     rng = np.random.default_rng(1)
@@ -80,7 +80,7 @@ def check(found: Calibration, rig: Rig, late: Sequence[float]) -> None:
     assert found.late[0] == pytest.approx(np.array(late) / found.timing.interval, abs=0.05)
 
 
-@pytest.mark.parametrize("frames", [8, -150])
+@pytest.mark.parametrize("frames", [-150])
 def test_a_camera_that_was_started_frames_later_is_found(frames: int) -> None:
     late = (0.0, frames / 60)
     rig, seen, timing = made(late, (60, 60), path(3))
@@ -91,8 +91,8 @@ def test_a_camera_that_was_started_frames_later_is_found(frames: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("rates", "jitter"), [((25,) * 4, 0.0), ((30, 25), 0.0), ((59.94, 60), 0.0), ((30, 30), 0.3)],
-    ids=["four", "30 and 25", "59.94 and 60", "variable"],
+    ("rates", "jitter"), [((25,) * 4, 0.0), ((30, 25), 0.0), ((29.97, 30), 0.3)],
+    ids=["four", "30 and 25", "29.97 and 30, which vary"],
 )  # fmt: skip
 def test_cameras_of_any_rates_that_were_started_by_hand(rates: tuple[float, ...], jitter: float) -> None:
     late = [0.0, *np.random.default_rng(4).uniform(-2.5, 2.5, len(rates) - 1)]
@@ -104,31 +104,25 @@ def test_cameras_of_any_rates_that_were_started_by_hand(rates: tuple[float, ...]
 
 
 @pytest.mark.parametrize(("late", "board"), [(0.7, rhythm), (20.0, path(3))], ids=["rhythm", "never at once"])
-def test_a_clock_that_the_motion_does_not_tell_is_named_with_the_mend(late: float, board: Path_) -> None:
-    rig, seen, timing = made((0.0, late), (30, 30), board)
+def test_a_clock_that_the_motion_does_not_tell_is_named_with_the_mend(late: float, board: Board) -> None:
+    rig, seen, timing = made((0.0, late), (12, 12), board)
     with pytest.raises(InputError, match=r"^camera cam1 shows the board elsewhere .*; film again, and turn the board"):
         calibrated(rig, seen, timing)
-
-
-def test_without_clocks_the_message_names_them() -> None:
-    rig, seen, timing = made((0.0, 1.3), (30, 30), path(3))
-    with pytest.raises(InputError, match="clocks differ|does not agree with the others"):
-        calibrated(rig, seen, timing, Options(kinds=("brown",), moments=(50, 15), clocks=False))
 
 
 def test_videos_of_unlike_rates_that_were_started_by_hand(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text, size, at = "charuco:6x4:220:165:4X4_50", (480, 360), path(3)
     board, cameras = board_of(text), list[Camera]()
-    for name, fps, start, angle in (("a", 30, 0.0, 0.0), ("b", 25, 0.8, 0.8)):
+    for name, fps, start, angle in (("a", 20, 0.0, 0.0), ("b", 15, 0.8, 0.8)):
         eye = 3.2 * np.array([np.cos(angle), np.sin(angle), 0.5])
         K = np.array([[430.0, 0, 239.5], [0, 430.0, 179.5], [0, 0, 1]])
         cameras.append(Camera(name, K, look_at(eye, [0, 0, 1.0]), size))
         with VideoWriter(tmp_path / f"{name}.mp4", fps=fps) as writer:
-            for k in range(5 * fps):
+            for k in range(4 * fps):
                 writer.write(_picture(cameras[-1], at(start + k / fps), board.image(40), board.square / 40))
     videos = [word for c in "ab" for word in ("--videos", f"{c}={tmp_path / c}.mp4")]
     told = document(capsys, "calibrate", tmp_path / "rig", "--board", text, "--lens", "brown", *videos)
-    assert told["cameras"][1]["late_s"] == pytest.approx(0.8, abs=0.002)
+    assert told["cameras"][1]["late_s"] == pytest.approx(0.8, abs=0.004)
     found = read_rig(tmp_path / "rig" / "Calib.toml", floor=None)
     reached, true = (r[1].T_cam_world @ se3.inverse(r[0].T_cam_world) for r in (found, cameras))
     assert np.rad2deg(np.linalg.norm(se3.log_rotation(reached[:3, :3] @ true[:3, :3].T))) < 0.2

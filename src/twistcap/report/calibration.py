@@ -41,8 +41,9 @@ def write_calibration_page(found: Calibration, folder: Path, title: str = "Calib
         remarks, todo = said[: len(rows)], said[len(rows) :]  # a line for each camera comes first
         todo = todo or ["Nothing: every camera saw enough. Do not move the cameras any more."]
         about = {folder / "Calib.toml": "the calibration; read by twistcap, Pose2Sim and aniposelib"}
+        table = _table(rows, found.timing.alike)
         return write_report(
-            folder, title, _table(rows, found.timing.alike), lead=_lead(found), headlines=_headlines(rows), figures=figures,
+            folder, title, table, lead=_lead(found), headlines=_headlines(rows), figures=figures,
             files=about, notes=remarks, advice=todo, name="calibration.html",
         )  # fmt: skip
 
