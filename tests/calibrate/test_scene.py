@@ -11,9 +11,9 @@ import pytest
 from support.boards import BIG, SIZE, ring_rig, seen_by
 from support.commands import refusal
 from twistcap import se3
-from twistcap.calibrate.calibrate import LONE, Options
+from twistcap.calibrate.calibrate import Options
 from twistcap.calibrate.scene import calibrated_by_scene, read_scene
-from twistcap.calibrate.sightings import Sighting
+from twistcap.calibrate.sightings import LONE, Sighting
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 

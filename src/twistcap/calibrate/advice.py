@@ -26,8 +26,9 @@ _LATE = 0.1  # frames
 
 
 def camera_rows(found: Calibration) -> list[dict[str, Any]]:
-    """What is known of each camera: a row of plain numbers, px, m, degrees, frames."""
+    """What is known of each camera: a row of plain numbers, px, m, degrees, frames of the slowest camera, s."""
     out, a, (late, late_sigmas) = list[dict[str, Any]](), found.adjustment, found.late
+    tick = found.timing.interval
     for c, camera in enumerate(found.rig):
         sizes = distances(found, c)
         own = [s for s in a.sightings if s.camera == c]
@@ -40,7 +41,7 @@ def camera_rows(found: Calibration) -> list[dict[str, Any]]:
             "covered": float(np.mean(coverage(own, camera.size) > 0)), "centre_m": camera.centre,
             "centre_sigma_m": np.sqrt(np.diagonal(centre_covariance(camera.T_cam_world, a.places[c]))),
             "turn_sigma_deg": float(np.rad2deg(np.sqrt(np.trace(a.places[c][:3, :3])))),
-            "late_frames": float(late[c]), "late_sigma": float(late_sigmas[c]),
+            "late_frames": float(late[c]), "late_sigma": float(late_sigmas[c]), "late_s": tick * float(late[c]),
         }  # fmt: skip
         out.append(row)
     return out
@@ -63,7 +64,8 @@ def sentences(found: Calibration) -> list[str]:
     """What a user should know, the weightiest first."""
     rows = camera_rows(found)
     out = [_line(row) for row in rows]
-    return [*out, *_world(found), *_implausible(found), *_scale(found), *_clocks(rows), *_board(found), *again(found)]
+    world = [*_world(found), *_implausible(found), *_scale(found)]
+    return [*out, *world, *_clocks(found, rows), *_board(found), *again(found)]
 
 
 def again(found: Calibration) -> list[str]:
@@ -125,7 +127,7 @@ def _scale(found: Calibration) -> list[str]:
     told = f"By {known}, {' and '.join(facts)}"
     if odd:
         return [f"{told}: that is hardly so. Measure the squares again, name them in --board, and calibrate again."]
-    return [f"{told}. If that is not so, measure again, and calibrate anew: pictures do not tell the scale."]
+    return [f"{told}. If that is not so, measure and calibrate once more: pictures do not tell the scale."]
 
 
 def _board_distances(found: Calibration) -> Float:
@@ -140,14 +142,16 @@ def _span(least: float, most: float) -> str:
     return f"{least:.2f} m" if f"{least:.2f}" == f"{most:.2f}" else f"{least:.2f} to {most:.2f} m"
 
 
-def _clocks(rows: Sequence[dict[str, Any]]) -> list[str]:
-    out = list[str]()
+def _clocks(found: Calibration, rows: Sequence[dict[str, Any]]) -> list[str]:
+    """In frames where cameras are equally fast, else in seconds."""
+    out, tick, alike = list[str](), found.timing.interval, found.timing.alike
     for row in rows:
         late, sigma = row["late_frames"], row["late_sigma"]
         if abs(late) > max(_LATE, _SURE * sigma):
             which = "later" if late > 0 else "earlier"
-            by = f"{abs(late):.2f} ± {max(sigma, 0.01):.2f} frames {which}"
-            start = f"Camera {row['camera']} shows moments {by} than camera {rows[0]['camera']}"
+            by = f"{abs(late):.2f} ± {max(sigma, 0.01):.2f} frames"
+            by = by if alike else f"{tick * abs(late):.4f} ± {max(tick * sigma, 1e-4):.4f} s"
+            start = f"Camera {row['camera']} shows moments {by} {which} than camera {rows[0]['camera']}"
             out.append(f"{start}; this was allowed for. In the videos of a person, twistcap sync finds it.")
     return out
 

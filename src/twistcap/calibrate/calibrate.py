@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,20 +10,29 @@ import numpy as np
 from twistcap.arrays import Float
 from twistcap.calibrate.adjust import Adjustment, Setup, adjust
 from twistcap.calibrate.board import Board
+from twistcap.calibrate.clocks import motions, offsets
 from twistcap.calibrate.detect import Detector, is_mirrored, variants
 from twistcap.calibrate.lens import Kind
-from twistcap.calibrate.sightings import Sighting, by_camera, by_moment, chosen, look, moving, sharp
+from twistcap.calibrate.sightings import LONE, Looker, Sighting, by_camera, by_moment, chosen, look, sharp
 from twistcap.calibrate.start import LensFit, chained, fitted_lens
-from twistcap.calibrate.terms import flat
+from twistcap.calibrate.terms import Solid, flat
+from twistcap.calibrate.timing import Timing, in_step, started_together
 from twistcap.calibrate.world import lying, moved, upright
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.io.video import Source
 
-LONE = 10_000_000  # moments from here on are of pictures of one camera alone
 _SAMPLES = 24  # images of each camera by which the variant of the board is found
 _SHIFTED = 0.5  # frames; a clock that is later is paired with other frames
 _PAIRINGS = 4
+_DENSE = 0.12  # s from one look to the next, at which the motion of a board in hands is seen
+_AGREE = 0.5  # share of a camera's sightings that must fit, where its clock was not found
+_WORSE = 10.0  # times the noise of a camera by itself, from which on it does not fit the others
+_OTHER_CLOCK = (
+    "camera {name} shows the board elsewhere than the others at the same time, and how the board moves does not tell by"
+    " how much its clock differs; film again, and turn the board briskly this way and that where {name} and another"
+    " camera see it."
+)
 
 
 @dataclass(frozen=True)
@@ -53,20 +62,23 @@ class Calibration:
         rig: the cameras.
         adjustment: what they rest on, with covariances; in the same world.
         board: as it was found to be.
-        shifts: whole frames by which each camera shows a later moment; sightings are paired so.
+        timing: when each camera's frames were taken; sightings are paired so.
         floor_known: whether a board on the floor says where the world is; else up is a guess by the images.
     """
 
     rig: Rig
     adjustment: Adjustment
     board: Board
-    shifts: tuple[int, ...]
+    timing: Timing
     floor_known: bool
 
     @property
     def late(self) -> tuple[Float, Float]:
-        """(C,) frames by which each camera shows a later moment than the first, and their standard deviations."""
-        late, sigmas = np.array(self.shifts) + np.array(self.adjustment.guess.late), self.adjustment.clocks
+        """(C,) ticks by which each camera shows a later moment than the first, and their standard deviations.
+
+        A tick is a frame of the slowest camera.
+        """
+        late, sigmas = np.array(self.timing.shifts) + np.array(self.adjustment.guess.late), self.adjustment.clocks
         return late - late[0], np.where(np.arange(len(late)) > 0, np.hypot(sigmas, sigmas[0]), 0.0)
 
 
@@ -82,66 +94,89 @@ def calibrated(
     """Calibrate cameras by recordings of one board.
 
     Args:
-        sources: of each camera, in step: frame k of all shows the same moment, to about a frame.
+        sources: of each camera, started at any time; their rates may differ.
         lone: pictures of the board by one camera alone, for its lens, by camera.
         report: called with what is being done.
 
-    Raises InputError: for a board that is not found, mirrored, or seen too little; cameras that nothing joins.
+    Raises InputError: for a board that is not found, mirrored, or seen too little; cameras that nothing joins, or whose
+    clocks differ and are not found.
     """
     options, lone, names = options or Options(), lone or {}, tuple(sources)
     board = found_variant([*sources.values(), *lone.values()], board)
     own = list(sources.values())
-    shared = seen(own, board, options, report)
+    timing = started_together(own)
+    step, looker = _step(timing, options), Looker(own, board, timing.times, report)
+    shared = seen(looker, timing, step, options)
     alone = alone_seen(lone, names, board, options, report)
     sizes = {c: source.size for c, source in enumerate(sources.values())}
-
-    def more(camera: int, frames: Sequence[int]) -> list[Sighting]:
-        wanted = sorted({f + d for f in frames for d in (-1, 0, 1) if f + d >= 0})
-        found = moving(look([own[camera]], board, wanted, report))
-        return [replace(s, camera=camera) for s in found if s.motion is not None]
-
-    return of_sightings([*shared, *alone], board, names, sizes, options, report, more)
+    return of_sightings([*shared, *alone], board, names, sizes, options, report, looker, timing, step)
 
 
 def of_sightings(
     sightings: Sequence[Sighting], board: Board, names: Sequence[str], sizes: Mapping[int, tuple[int, int]],
-    options: Options, report: Report = lambda note: None, more: More | None = None,
+    options: Options, report: Report = lambda note: None, more: More | None = None, timing: Timing | None = None,
+    step: int = 1,
 ) -> Calibration:  # fmt: skip
     """Calibrate by what was seen; `sizes` (w, h) px by camera.
 
-    Where a clock is late by more than half a frame, its frames are paired with others, and all is adjusted again;
-    `more` looks where they have not been looked at.
+    Clocks are found coarsely by how the board moves. Where one is then late by more than half a frame, its frames are
+    paired with others, and all is adjusted again.
+
+    Args:
+        sightings: the moment of each is the number of its frame.
+        more: looks in frames that were not looked at.
+        timing: when the frames were taken; None where those of one number were taken together.
+        step: ticks from one frame that was looked at to the next.
     """
-    solid, fits = flat(board.points), list[LensFit]()
-    of_each = by_camera(sightings)
-    for c, name in enumerate(names):
-        report(f"lens of {name}")
-        fits.append(fitted_lens(sharp(of_each.get(c, [])), solid, sizes[c], name, options.kinds))
+    solid, of_each = flat(board.points), by_camera(sightings)
+    fits = [_lens(of_each.get(c, []), solid, sizes[c], name, options, report) for c, name in enumerate(names)]
     if len(names) > 1 and not board.one_way:
         raise InputError("a chessboard of this size looks the same upside down; use one of an even and an odd side.")
-    shifts, every = (0,) * len(names), {(s.camera, s.moment): s for s in sightings}
+    every, timing = {(s.camera, s.moment): s for s in sightings}, timing or in_step(sightings, len(names))
+    timing, lost = _by_motion(sightings, fits, solid, timing) if options.clocks else (timing, [])
 
-    def fitted() -> tuple[Setup, Adjustment]:
+    def fitted(timing: Timing) -> tuple[Setup, Adjustment]:
+        every.update(_looked_again(every, timing, step, sizes, options, more))
         report("chaining the cameras")
-        used = _used(_paired(every.values(), shifts), sizes, options)
+        floor = _floor(timing, options)
+        used = _used(timing.paired(every.values(), floor), sizes, options, floor)
         guess = chained(used, fits, solid, names)
         first = next(c for c, place in enumerate(guess.places) if np.array_equal(place, np.eye(4)))
         used = tuple(s for s in used if s.moment in guess.boards)
         setup = Setup(guess, used, {"board": solid}, first, clocks=options.clocks)
-        return setup, _of_all(adjust(setup, report), names)
+        return setup, _agreeing(setup, names, lost, report)
 
-    setup, adjustment = fitted()
+    setup, adjustment = fitted(timing)
     for _ in range(_PAIRINGS):
-        whole = [round(late) if abs(late) > _SHIFTED else 0 for late in adjustment.guess.late]
-        if not any(whole):
+        ticks = [round(late) if abs(late) > _SHIFTED else 0 for late in adjustment.guess.late]
+        if not any(ticks):
             break
         report("pairing frames by the clocks")
-        shifts = tuple(n + by for n, by in zip(shifts, whole, strict=True))
-        every |= _looked_again(every, shifts, more)
-        setup, adjustment = fitted()
-    adjustment, known = _in_world(adjustment, setup, board, options.floor, report)
-    rig = Rig(adjustment.cameras(names))
-    return Calibration(rig, adjustment, board, shifts, known)
+        timing = timing.later(ticks)
+        setup, adjustment = fitted(timing)
+    adjustment, known = _in_world(adjustment, setup, board, _floor(timing, options), options, report)
+    return Calibration(Rig(adjustment.cameras(names)), adjustment, board, timing, known)
+
+
+def _floor(timing: Timing, options: Options) -> int | None:
+    """The moment at which the board lies on the floor."""
+    return None if options.floor is None else round(timing.moment(0, options.floor))
+
+
+def _lens(
+    own: Sequence[Sighting], solid: Solid, size: tuple[int, int], name: str, options: Options, report: Report
+) -> LensFit:
+    report(f"lens of {name}")
+    return fitted_lens(sharp(own), solid, size, name, options.kinds)
+
+
+def _by_motion(
+    sightings: Sequence[Sighting], fits: Sequence[LensFit], solid: Solid, timing: Timing
+) -> tuple[Timing, list[int]]:
+    """The clocks to a tick or so, and the cameras whose clocks are not found; the rest is left to the adjustment."""
+    by, lost = offsets(motions(sightings, fits, solid, timing.times))
+    ticks = by / timing.interval
+    return timing.later([round(n) if abs(n) >= 1.0 else 0 for n in ticks.tolist()]), lost
 
 
 def found_variant(sources: Sequence[Source], board: Board) -> Board:
@@ -161,20 +196,21 @@ def found_variant(sources: Sequence[Source], board: Board) -> Board:
     return best
 
 
-def seen(sources: Sequence[Source], board: Board, options: Options, report: Report) -> list[Sighting]:
-    """Sightings of all cameras in frames that are spread over the recording, with the motion of their points."""
-    length = max(len(source) for source in sources)
+def _step(timing: Timing, options: Options) -> int:
+    """Ticks from one frame that is looked at to the next; where clocks are to be found, the motion must be seen."""
+    length = max(round(float(times[-1] - times[0]) / timing.interval) + 1 for times in timing.times)
     step = max(1, -(-length // options.looks))
-    frames = list(range(0, length, step))
-    first = look(sources, board, frames, report)
-    if options.floor is not None and options.floor not in frames:
-        first += look(sources, board, [options.floor], report)
-    if step > 1:
-        sizes = {c: source.size for c, source in enumerate(sources)}
-        wanted = {s.moment for s in chosen(_of_several(sharp(first)), sizes, options.moments[0])}
-        beside = sorted({m + d for m in wanted for d in (-1, 1)} & set(range(length)) - {s.moment for s in first})
-        first += look(sources, board, beside, report)
-    return moving(first)
+    wanted = options.clocks and len(timing.times) > 1
+    return min(step, max(1, int(_DENSE / timing.interval))) if wanted else step
+
+
+def seen(looker: Looker, timing: Timing, step: int, options: Options) -> list[Sighting]:
+    """Sightings of all cameras in frames that are spread over the recording; the moment is the frame."""
+    out = list[Sighting]()
+    for c, times in enumerate(timing.times):
+        frames = list(range(0, len(times), max(1, round(step * timing.interval / timing.intervals[c]))))
+        out += looker.at(c, sorted({*frames, *([] if c or options.floor is None else [options.floor])}))
+    return out
 
 
 def alone_seen(
@@ -197,7 +233,9 @@ def _of_several(sightings: Sequence[Sighting]) -> list[Sighting]:
     return [s for own in by_moment(sightings).values() if len(own) > 1 for s in own]
 
 
-def _used(sightings: Sequence[Sighting], sizes: Mapping[int, tuple[int, int]], options: Options) -> list[Sighting]:
+def _used(
+    sightings: Sequence[Sighting], sizes: Mapping[int, tuple[int, int]], options: Options, floor: int | None
+) -> list[Sighting]:
     """Moments that several cameras share, those of one camera alone for its lens, and the floor.
 
     With clocks, cameras share moments of which the motion is known, unless these join fewer cameras.
@@ -212,7 +250,7 @@ def _used(sightings: Sequence[Sighting], sizes: Mapping[int, tuple[int, int]], o
         for s in chosen(own, sizes, alone):  # what has no motion must not say that clocks agree
             one = replace(s, moment=LONE * (1 + count + c) + s.moment) if options.clocks and s.moment < LONE else s
             used[one.camera, one.moment] = one
-    used |= {(s.camera, s.moment): s for s in sightings if s.moment == options.floor}
+    used |= {(s.camera, s.moment): s for s in sightings if s.moment == floor}
     return list(used.values())
 
 
@@ -226,44 +264,57 @@ def _groups(sightings: Sequence[Sighting]) -> set[frozenset[int]]:
     return groups
 
 
-def _paired(sightings: Iterable[Sighting], shifts: Sequence[int]) -> list[Sighting]:
-    """With the moments that the cameras' frames show."""
-    return [replace(s, moment=s.moment + shifts[s.camera]) if s.moment < LONE else s for s in sightings]
-
-
 def _looked_again(
-    every: Mapping[tuple[int, int], Sighting], shifts: Sequence[int], more: More | None
-) -> dict[tuple[int, int], Sighting]:
-    """What late cameras show in those moments that others show, by camera and frame."""
-    known = [s for s in every.values() if s.moment < LONE and s.motion is not None]
-    moments, there = {s.moment + shifts[s.camera] for s in known}, {(s.camera, s.moment) for s in known}
+    every: Mapping[tuple[int, int], Sighting], timing: Timing, step: int, sizes: Mapping[int, tuple[int, int]],
+    options: Options, more: More | None,
+) -> dict[tuple[int, int], Sighting]:  # fmt: skip
+    """By camera and frame, what cameras show in those moments, every `step` ticks, that are worth adjusting."""
+    near, off = dict[tuple[int, int], Sighting](), dict[tuple[int, int], float]()
+    for (c, frame), s in every.items():
+        if frame < LONE:
+            exact = timing.moment(c, frame)
+            key = (c, step * round(exact / step))
+            if abs(exact - key[1]) < off.get(key, np.inf):
+                near[key], off[key] = replace(s, moment=key[1]), abs(exact - key[1])
+    wanted = {s.moment for s in chosen(_of_several(sharp(list(near.values()))), sizes, options.moments[0])}
+    floor = _floor(timing, options)
+    wanted |= set() if floor is None else {floor}
     out: dict[tuple[int, int], Sighting] = {}
-    for c, shift in enumerate(shifts):
-        frames = sorted(m - shift for m in moments if (c, m - shift) not in there)
-        if shift and more is not None and frames:
-            out |= {(c, s.moment): s for s in more(c, frames)}
+    for c in range(len(sizes)):
+        frames = {frame for m in wanted if (frame := timing.frame(c, m)) is not None}
+        lacking = sorted(f for f in frames if (c, f) not in every or every[c, f].motion is None)
+        out |= {(c, s.moment): s for s in more(c, lacking)} if more is not None and lacking else {}
     return out
 
 
-def _of_all(found: Adjustment, names: Sequence[str]) -> Adjustment:
-    lost = [name for c, name in enumerate(names) if c not in {s.camera for s in found.sightings}]
-    if lost:
-        raise InputError(
-            f"camera {lost[0]} does not agree with the others in any picture of the board; is its video of the same"
-            " recording, and its clock within a frame or two of theirs?"
-        )
+def _agreeing(setup: Setup, names: Sequence[str], lost: Sequence[int], report: Report) -> Adjustment:
+    """The adjustment. Raises InputError where a camera does not agree with the others; `lost` are of unknown clocks."""
+    try:
+        found = adjust(setup, report)
+    except InputError:
+        if lost:
+            raise InputError(_OTHER_CLOCK.format(name=names[lost[0]])) from None
+        raise
+    for c, name in enumerate(names):
+        asked, kept = (sum(s.camera == c and s.moment < LONE for s in side.sightings) for side in (setup, found))
+        noise = float(found.sigmas[c]) / setup.guess.noise[c]
+        if c in lost and (kept < _AGREE * asked or noise > _WORSE):
+            raise InputError(_OTHER_CLOCK.format(name=name))
+        if all(s.camera != c for s in found.sightings):
+            why = "does not agree with the others in any picture of the board; is its video of the same recording?"
+            raise InputError(f"camera {name} {why}")
     return found
 
 
 def _in_world(
-    out: Adjustment, setup: Setup, board: Board, floor: int | None, report: Report
+    out: Adjustment, setup: Setup, board: Board, floor: int | None, options: Options, report: Report
 ) -> tuple[Adjustment, bool]:
     """The same in a world that is up: that of the board on the floor, which then does not move, or a guess."""
     if floor is None:
         return replace(out, guess=moved(out.guess, upright(out.guess))), False
     if floor not in out.guess.boards:
         raise InputError(
-            f"--floor: the board is not seen well enough in frame {floor}; name a frame where it lies in view."
+            f"--floor: the board is not seen well enough in frame {options.floor}; name a frame where it lies in view."
         )
     report("floor")
     there = moved(out.guess, lying(board) @ np.linalg.inv(out.guess.boards[floor]))

@@ -18,6 +18,10 @@ from twistcap.errors import InputError
 from twistcap.solve import Arrow, BlockProblem, Variables
 from twistcap.terms.protocols import BlockTerm, Place, Slope
 
+_TOO_FEW = (
+    "calibrate: too few pictures of the board fit together to determine the cameras; it was seen too little, or the"
+    " cameras' clocks differ. Film it again, and turn it briskly where two cameras see it."
+)
 _MOST = 100.0  # a factor beyond it says that the fit is wrong, not that points are few
 
 
@@ -30,7 +34,7 @@ def marginals(problem: BlockProblem, x: Variables, sightings: Sequence[BlockTerm
     try:
         shared = system.marginals().shared if isinstance(system, Arrow) else problem.covariance(x)
     except InputError as error:
-        raise InputError("calibrate: the board was seen too little to determine the cameras; film it again.") from error
+        raise InputError(_TOO_FEW) from error
     pulls = np.array([_pull(term, x, system) for term in sightings])
     return shared * float(np.clip(np.sum((pulls @ shared) * pulls) / len(shared), 1.0, _MOST))
 

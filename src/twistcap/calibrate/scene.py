@@ -17,6 +17,7 @@ from twistcap.calibrate.calibrate import Calibration, Options
 from twistcap.calibrate.sightings import SCENE, Sighting, by_camera, chosen, sharp
 from twistcap.calibrate.start import LensFit, fitted_lens, misfit, placed
 from twistcap.calibrate.terms import Solid, flat, measured
+from twistcap.calibrate.timing import in_step
 from twistcap.camera import Rig
 from twistcap.doors.text import number_array, read_json_table
 from twistcap.errors import InputError, check
@@ -90,7 +91,7 @@ def calibrated_by_scene(
     report("adjusting")
     setup = Setup(guess, (*used, *seen), {"board": solid, "scene": points}, gauge=None)
     adjustment = adjust(setup, report)
-    return Calibration(Rig(adjustment.cameras(names)), adjustment, board, (0,) * len(names), True)
+    return Calibration(Rig(adjustment.cameras(names)), adjustment, board, in_step((), len(names)), True)
 
 
 def _guess(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -15,7 +15,9 @@ from twistcap.io.video import Source
 
 _CELLS = (6, 4)  # of an image, by which coverage is counted
 SCENE = -1
+LONE = 10_000_000  # moments from here on are of pictures of one camera alone
 _FEWEST = 6  # points of a board by which its place is found
+_GAP = 1.6  # usual intervals; frames that are farther apart show nothing of the motion between them
 _BLURRED = 1.5  # times the usual edge width, beyond which a sighting is left out where there are others
 
 
@@ -54,22 +56,64 @@ def look(
     return out
 
 
-def moving(sightings: Sequence[Sighting]) -> list[Sighting]:
-    """The same sightings with the motion of their points, where those of the frames before and after are known."""
+@dataclass(frozen=True)
+class Looker:
+    """Looks for the board in frames of each camera, in none twice. `times` (F,) s are those of each camera's frames."""
+
+    sources: Sequence[Source]
+    board: Board
+    times: Sequence[Float]
+    progress: Callable[[str], None] = lambda note: None
+    known: dict[tuple[int, int], Sighting | None] = field(default_factory=dict[tuple[int, int], Sighting | None])
+
+    def at(self, camera: int, frames: Sequence[int]) -> list[Sighting]:
+        """Sightings in these frames, with the motion of their points where the frames beside are known."""
+        count = len(self.sources[camera])
+        new = sorted({f for f in frames if 0 <= f < count and (camera, f) not in self.known})
+        seen = look([self.sources[camera]], self.board, new, self.progress)
+        self.known.update(dict.fromkeys(((camera, f) for f in new), None))
+        self.known.update({(camera, s.moment): replace(s, camera=camera) for s in seen})
+        there = {d + f for f in frames for d in (-1, 0, 1)}
+        own = [s for f in sorted(there) if (s := self.known.get((camera, f))) is not None]
+        return [s for s in moving(own, self.times) if s.moment in set(frames)]
+
+    def __call__(self, camera: int, frames: Sequence[int]) -> list[Sighting]:
+        """Sightings in these frames of which the motion is known: those beside are looked at too."""
+        self.at(camera, [f + d for f in frames for d in (-1, 0, 1)])
+        return [s for s in self.at(camera, frames) if s.motion is not None]
+
+
+def moving(sightings: Sequence[Sighting], times: Sequence[Float] | None = None) -> list[Sighting]:
+    """The same sightings with the motion of their points, where those of the frames before and after are known.
+
+    `times` (F,) s are those of each camera's frames; None where they are even.
+    """
     there = {(s.camera, s.moment): dict(zip(s.ids.tolist(), s.pixels, strict=True)) for s in sightings}
-    return [
-        _moving(s, there.get((s.camera, s.moment - 1), {}), there.get((s.camera, s.moment + 1), {})) for s in sightings
-    ]
+    out = list[Sighting]()
+    for s in sightings:
+        before, after = (there.get((s.camera, s.moment + d), {}) for d in (-1, 1))
+        gaps = (1.0, 1.0) if times is None or not before or not after else _gaps(times[s.camera], s.moment)
+        out.append(_moving(s, before, after, gaps))
+    return out
 
 
-def _moving(s: Sighting, before: Mapping[int, Float], after: Mapping[int, Float]) -> Sighting:
-    """One sighting with its motion; points that a neighbour lacks are left out."""
+def _gaps(times: Float, frame: int) -> tuple[float, float]:
+    """From the frame before to this one, and on to the next, in usual intervals."""
+    usual = float(np.median(np.diff(times)))
+    return float(times[frame] - times[frame - 1]) / usual, float(times[frame + 1] - times[frame]) / usual
+
+
+def _moving(
+    s: Sighting, before: Mapping[int, Float], after: Mapping[int, Float], gaps: tuple[float, float]
+) -> Sighting:
+    """One sighting with its motion, by the parabola through three frames; without points that one of them lacks."""
     known = np.array([k in before and k in after for k in s.ids.tolist()], np.bool_)
-    if known.sum() < min(_FEWEST, len(s.ids)):
+    if known.sum() < min(_FEWEST, len(s.ids)) or max(gaps) > _GAP:
         return s
     ids, pixels = s.ids[known], s.pixels[known]
-    first, last = (np.array([side[k] for k in ids.tolist()]) for side in (before, after))
-    motion = np.stack([0.5 * (last - first), 0.5 * (last + first) - pixels])
+    back, on = (np.array([side[k] for k in ids.tolist()]) - pixels for side in (before, after))
+    h, k = gaps
+    motion = np.stack([h * h * on - k * k * back, h * on + k * back]) / (h * k * (h + k))
     return replace(s, ids=ids, pixels=pixels, motion=motion)
 
 

@@ -83,6 +83,11 @@ def placed(lens: Lens, numbers: Float, s: Sighting, solid: Solid) -> list[Float]
     return [T for T in out if np.all(np.isfinite(T)) and np.all(se3.apply(T, points)[:, 2] > 0.0)]
 
 
+def likeliest_place(s: Sighting, solid: Solid, fit: LensFit) -> Float | None:
+    """`T_cam_board` by one sighting and a known lens; None where it means none."""
+    return _best_place(s, solid, fit.lens, fit.numbers)[1]
+
+
 def chained(sightings: Sequence[Sighting], fits: Sequence[LensFit], solid: Solid, names: Sequence[str]) -> Guess:
     """All cameras and boards in the axes of one camera, along the pairs that agree in most moments.
 
@@ -118,8 +123,8 @@ def _fit(few: Sequence[Sighting], solid: Solid, lens: Lens, name: str) -> LensFi
 
 def _best_place(s: Sighting, solid: Solid, lens: Lens, numbers: Float) -> tuple[float, Float | None]:
     """Of the places that a sighting may mean, the least distance of its points, px, and that place."""
-    own, places = {s.camera: np.eye(4)}, placed(lens, numbers, s, solid)
-    off = [(misfit(T, [s], own, [lens], [numbers], solid), T) for T in places]
+    s = replace(s, camera=0)
+    off = [(misfit(T, [s], {0: np.eye(4)}, [lens], [numbers], solid), T) for T in placed(lens, numbers, s, solid)]
     return min(off, key=lambda pair: pair[0], default=(1e3, None))
 
 

@@ -27,10 +27,12 @@ LensOf = Annotated[
 Points = Annotated[
     Path | None, typer.Option(help="JSON of measured points of the scene, instead of videos; with --lens-of.")
 ]
-Floor = Annotated[int | None, typer.Option(min=0, help="Frame in which the board lies on the floor, face up.")]
+Floor = Annotated[
+    int | None, typer.Option(min=0, help="Frame of the first camera in which the board lies on the floor, face up.")
+]
 Lens = Annotated[str, typer.Option(help="auto, brown (OpenCV's 5 numbers) or fisheye.")]
 Looks = Annotated[int, typer.Option(min=3, help="Frames of each video in which the board is looked for.")]
-Clocks = Annotated[bool, typer.Option(help="Estimate by how much cameras show another moment.")]
+Clocks = Annotated[bool, typer.Option(help="Find by how much cameras show other moments.")]
 
 
 def calibrate(
@@ -39,6 +41,8 @@ def calibrate(
     clocks: Clocks = True, json: terminal.Json = False,
 ) -> None:  # fmt: skip
     """Calibrate cameras by videos of a board that is carried about: DIR/Calib.toml and DIR/calibration.html.
+
+    Cameras may have been started by hand, and have different frame rates.
 
     Examples:
 
@@ -93,9 +97,6 @@ def sources_of(texts: list[str]) -> dict[str, Any]:
         if name in out:
             raise InputError(f"camera {name!r} is given two recordings; write CAMERA=PATH.")
         out[name] = open_source(path)
-    rates = [source.fps for source in out.values() if source.fps]
-    if rates and max(rates) > 1.01 * min(rates):
-        raise InputError("the videos differ in frames per second; convert them to one rate.")
     return out
 
 

@@ -41,8 +41,9 @@ def write_calibration_page(found: Calibration, folder: Path, title: str = "Calib
         remarks, todo = said[: len(rows)], said[len(rows) :]  # a line for each camera comes first
         todo = todo or ["Nothing: every camera saw enough. Do not move the cameras any more."]
         about = {folder / "Calib.toml": "the calibration; read by twistcap, Pose2Sim and aniposelib"}
+        table = _table(rows, found.timing.alike)
         return write_report(
-            folder, title, _table(rows), lead=_lead(found), headlines=_headlines(rows), figures=figures,
+            folder, title, table, lead=_lead(found), headlines=_headlines(rows), figures=figures,
             files=about, notes=remarks, advice=todo, name="calibration.html",
         )  # fmt: skip
 
@@ -71,7 +72,8 @@ def _verdict(value: float, good: float, bad: float) -> bool | None:
     return True if value < good else False if value > bad else None
 
 
-def _table(rows: Sequence[dict[str, Any]]) -> list[Row]:
+def _table(rows: Sequence[dict[str, Any]], alike: bool) -> list[Row]:
+    """`alike`: whether all cameras are equally fast; else clocks are in seconds."""
     out = list[Row]()
     for r in rows:
         name = r["camera"]
@@ -84,7 +86,7 @@ def _table(rows: Sequence[dict[str, Any]]) -> list[Row]:
             row(name, "focal length", r["focal_px"], "px"),
             row(name, "place, ±1σ, worst axis", 1e3 * float(np.max(r["centre_sigma_m"])), "mm"),
             row(name, "direction, ±1σ", r["turn_sigma_deg"], "deg"),
-            row(name, "shows later moments by", r["late_frames"], "frames"),
+            row(name, "shows later moments by", r["late_frames"] if alike else r["late_s"], "frames" if alike else "s"),
         ]
     return out
 
