@@ -15,7 +15,7 @@ from twistcap.build import build
 from twistcap.evaluate.metrics import JOINT_CENTRES
 from twistcap.hindsight import Passed, looked_between, tracked
 from twistcap.search.flag import lacking_at_all
-from twistcap.search.lost import LACKED, LostMemory
+from twistcap.search.memory import LACKED, LostMemory
 from twistcap.track import State
 
 ASTRAY = range(16, 20)  # all frames from there to the present one

@@ -13,7 +13,7 @@ from twistcap.body.limbs import named_limbs
 from twistcap.build import build
 from twistcap.estimate import Estimate
 from twistcap.hindsight import Passed
-from twistcap.search.lost import LostMemory
+from twistcap.search.memory import LostMemory
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import Model, State, Tracker
 

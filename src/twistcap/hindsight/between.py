@@ -28,7 +28,7 @@ from twistcap.hindsight.passed import (
 )
 from twistcap.predict.history import Moment
 from twistcap.search.evidence import Evidence
-from twistcap.search.lost import LACKED, LostMemory
+from twistcap.search.memory import LACKED, LostMemory
 from twistcap.track import Model, State, step
 
 _FRAMES = (1, 2, 3, 4, 6, 8, LACKED)  # that a limb may be astray; long stretches are looked at more seldom

@@ -14,7 +14,7 @@ from twistcap.cues.view import despeckled
 from twistcap.estimate import Estimate, Frame
 from twistcap.predict.history import Moment, Past
 from twistcap.search.evidence import Evidence
-from twistcap.search.lost import LostMemory
+from twistcap.search.memory import LostMemory
 from twistcap.track import Model, State
 from twistcap.track.align import FrameProblem
 

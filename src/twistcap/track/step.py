@@ -21,7 +21,7 @@ from twistcap.predict import Prediction
 from twistcap.predict.claims import with_information
 from twistcap.predict.history import Moment, jumped
 from twistcap.search.flag import flag_groups, in_images, segment_deviations, support_signs
-from twistcap.search.lost import LostMemory
+from twistcap.search.memory import LostMemory
 from twistcap.solve import inverse
 from twistcap.stages import stage
 from twistcap.threads import ahead
