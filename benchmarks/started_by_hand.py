@@ -18,7 +18,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from benchmarks.calibration import aligned, errors
+from reproduce.measures.cameras import aligned, errors
 from twistcap import se3
 from twistcap.arrays import Float, UInt8
 from twistcap.calibrate.board import board_of
