@@ -22,7 +22,7 @@ from twistcap.camera import Rig
 from twistcap.doors.text import number_array, read_json_table
 from twistcap.errors import InputError, check
 
-_FEWEST = 6  # measured points that a camera must see
+FEWEST = 6  # measured points that a camera must see
 _SIGMA = 0.003  # m, of the measured points
 _CLICKED = 0.5  # px, of where they are found in the images
 
@@ -40,8 +40,8 @@ class Scene:
         out = list[Sighting]()
         for c, camera in enumerate(cameras):
             own = self.pixels.get(camera, {})
-            if len(own) < _FEWEST:
-                few = f"camera {camera} sees {len(own)} measured points; it needs at least {_FEWEST}"
+            if len(own) < FEWEST:
+                few = f"camera {camera} sees {len(own)} measured points; it needs at least {FEWEST}"
                 raise InputError(f"{self.source}: {few}.")
             out.append(Sighting(c, SCENE, np.array(list(own), np.int32), np.array(list(own.values())), solid="scene"))
         return out
@@ -50,18 +50,23 @@ class Scene:
 def read_scene(path: Path) -> Scene:
     """Points of a JSON table: by name ``world_m`` [x, y, z] and ``pixels``, [x, y] by camera, or null where it
     does not see it. Raises InputError."""
-    table, pixels = read_json_table(path), dict[str, dict[int, Float]]()
-    points = list[Float]()
+    return scene_of(read_json_table(path), path)
+
+
+def scene_of(table: Mapping[str, Any], path: Path) -> Scene:
+    """Points of a table as `read_scene` reads it from `path`. Raises InputError."""
+    pixels, points = dict[str, dict[int, Float]](), list[Float]()
     for k, (name, entry) in enumerate(table.items()):
         where = f"points {path}, {name!r}"
         held: Any = entry if isinstance(entry, dict) else {}
-        check(where, isinstance(held.get("pixels"), dict), "it needs 'world_m', three numbers, and 'pixels', by camera")
+        needs = "it needs 'world_m', three numbers, and 'pixels', by camera; `twistcap calibrate --click` asks for them"
+        check(where, isinstance(held.get("pixels"), dict), needs)
         points.append(number_array(held.get("world_m"), (3,), f"{where}: 'world_m'"))
         for camera, pixel in held["pixels"].items():
             if pixel is None:  # not seen
                 continue
             pixels.setdefault(camera, {})[k] = number_array(pixel, (2,), f"{where}: 'pixels' of {camera}")
-    check(f"points {path}", len(points) >= _FEWEST, f"it holds {len(points)} points; at least {_FEWEST} are needed")
+    check(f"points {path}", len(points) >= FEWEST, f"it holds {len(points)} points; at least {FEWEST} are needed")
     return Scene(np.array(points), pixels, f"points {path}")
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from twistcap.commands import terminal
+from twistcap.commands.points import clicked
 from twistcap.errors import InputError, check_choice
 
 if TYPE_CHECKING:
@@ -27,18 +28,23 @@ LensOf = Annotated[
 Points = Annotated[
     Path | None, typer.Option(help="JSON of measured points of the scene, instead of videos; with --lens-of.")
 ]
+Click = Annotated[
+    list[str] | None,
+    typer.Option(help="With --points: click them in the browser, in this video or picture folder of each camera."),
+]
 Floor = Annotated[
     int | None, typer.Option(min=0, help="Frame of the first camera in which the board lies on the floor, face up.")
 ]
 Lens = Annotated[str, typer.Option(help="auto, brown (OpenCV's 5 numbers) or fisheye.")]
 Looks = Annotated[int, typer.Option(min=3, help="Frames of each video in which the board is looked for.")]
+Port = Annotated[int, typer.Option(min=0, max=65535, help="Of --click, on 127.0.0.1; 0 chooses a free one.")]
 Clocks = Annotated[bool, typer.Option(help="Find by how much cameras show other moments.")]
 
 
 def calibrate(
     folder: Folder, board: TheBoard, videos: terminal.Videos = None, more: terminal.MoreVideos = None,
-    lone: LensOf = None, points: Points = None, floor: Floor = None, lens: Lens = "auto", looks: Looks = 400,
-    clocks: Clocks = True, json: terminal.Json = False,
+    lone: LensOf = None, points: Points = None, click: Click = None, floor: Floor = None, lens: Lens = "auto",
+    looks: Looks = 400, clocks: Clocks = True, port: Port = 0, json: terminal.Json = False,
 ) -> None:  # fmt: skip
     """Calibrate cameras by videos of a board that is carried about: DIR/Calib.toml and DIR/calibration.html.
 
@@ -53,6 +59,8 @@ def calibrate(
       twistcap calibrate rig --board chessboard:8x5:60 --videos together/ --lens-of left=lens/left
 
       twistcap calibrate rig --board chessboard:8x5:60 --points points.json --lens-of lenses/
+
+      twistcap calibrate rig --board chessboard:8x5:60 --points points.json --click scene/ --lens-of lenses/
     """
     from twistcap.calibrate.board import board_of
     from twistcap.calibrate.calibrate import Options, calibrated
@@ -63,7 +71,10 @@ def calibrate(
     sources = sources_of([*(videos or []), *(more or [])])
     if (points is None) != bool(sources):
         raise InputError("give videos of the board, as --videos, or measured points, as --points; one of the two.")
+    if click and json:
+        raise InputError("--click opens a page; it does not go with --json.")
     terminal.output_folder(folder)  # before the work
+    points = _clicked(points, click, alone, port) if click else points
     with terminal.status("calibrating") as report:
         if points is not None:
             found = _by_points(points, board_of(board), options, alone, report)
@@ -78,12 +89,23 @@ def _by_points(points: Path, board: Any, options: Any, alone: dict[str, Any], re
     from twistcap.calibrate.scene import calibrated_by_scene, read_scene
 
     scene = read_scene(points)
-    if not alone:
-        raise InputError("--points needs pictures of the board by each camera, as --lens-of, for the lenses.")
+    _check_lenses(alone)
     board, names = found_variant(list(alone.values()), board), tuple(alone)
     sightings = alone_seen(alone, names, board, options, report)
     sizes = {c: source.size for c, source in enumerate(alone.values())}
     return calibrated_by_scene(scene, sightings, board, names, sizes, options, report=report)
+
+
+def _clicked(points: Path | None, click: list[str], alone: dict[str, Any], port: int) -> Path:
+    if points is None:
+        raise InputError("--click is for measured points; name their JSON with --points.")
+    _check_lenses(alone)
+    return clicked(points, sources_of(click), alone, port)
+
+
+def _check_lenses(alone: dict[str, Any]) -> None:
+    if not alone:
+        raise InputError("--points needs pictures of the board by each camera, as --lens-of, for the lenses.")
 
 
 def sources_of(texts: list[str]) -> dict[str, Any]:

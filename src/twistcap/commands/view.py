@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import time
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from threading import Event, Thread
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,6 +14,10 @@ from twistcap.commands import terminal
 from twistcap.commands.terminal import words
 from twistcap.errors import InputError
 
+if TYPE_CHECKING:
+    from twistcap.pages.server import PageServer
+
+_LAST_WORD = 0.3  # s in which the last answer reaches the page
 _FRAMES = 120  # with images
 
 
@@ -55,17 +61,25 @@ def view(
         typer.echo(save)
 
 
-def serve(page: str, answers: Any, port: int) -> None:
-    """Serve until Ctrl-C; the address goes to stdout."""
+def serve(page: str, answers: Any, port: int, done: Event | None = None) -> None:
+    """Serve until Ctrl-C, or until `done`; the address goes to stdout."""
     from twistcap.pages.server import page_server
 
     with page_server(page, answers, port) as server:
         typer.echo(server.url)
         words.print("Open the page at this address. Ctrl-C ends. From another machine: ssh -L PORT:127.0.0.1:PORT HOST")
+        if done is not None:
+            Thread(target=_closed_when, args=(done, server), daemon=True).start()
         try:
             server.serve_forever()
         except KeyboardInterrupt:
             words.print("closed")
+
+
+def _closed_when(done: Event, server: PageServer) -> None:
+    done.wait()
+    time.sleep(_LAST_WORD)
+    server.shutdown()
 
 
 def _page(paths: list[Path], reference: Path | None, session: Path | None, width: int, images: int | None) -> str:

@@ -18,9 +18,11 @@ from twistcap.arrays import AnyArray
 _MODULES: Mapping[str, str] = {"three": "three.module.min.js", "orbit": "OrbitControls.js"}
 _SCRIPTS: Mapping[str, tuple[str, ...]] = {
     "view": ("view.js", "plots.js"),
-    "init": ("loupe.js", "init.js"),
+    "init": ("loupe.js", "picking.js", "init.js"),
+    "points": ("loupe.js", "picking.js", "points.js"),
     "cut": ("cut.js",),
 }
+_STYLES: Mapping[str, tuple[str, ...]] = {"init": ("picking.css",), "points": ("picking.css",)}
 _TYPES: Mapping[str, str] = {"float32": "f4", "uint8": "u1", "uint16": "u2", "uint32": "u4"}
 
 
@@ -52,7 +54,7 @@ def jpeg(image: AnyArray, width: int, quality: int = 80) -> str:
 
 
 def page(name: str, title: str, data: Mapping[str, Any]) -> str:
-    """The HTML of ``assets/NAME.html`` with ``common.css``, its scripts, the libraries and `data` inside.
+    """The HTML of ``assets/NAME.html`` with its styles and scripts, the libraries and `data` inside.
 
     The title is escaped here. `data` is what JSON can hold, finite numbers only; the script finds it in ``#data``.
     """
@@ -60,7 +62,7 @@ def page(name: str, title: str, data: Mapping[str, Any]) -> str:
     modules = {key: f"data:text/javascript;base64,{code}" for key, code in codes.items()}
     parts = {
         "title": escape(title),
-        "style": asset("common.css"),
+        "style": "\n".join(map(asset, ("common.css", *_STYLES.get(name, ())))),
         "script": "\n".join(map(asset, ("common.js", *_SCRIPTS[name]))),
         "data": json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
         "plot_style": asset("vendor/uPlot.min.css"),
