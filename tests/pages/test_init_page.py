@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from support.browser import Browser
+from support.commands import heeds_interrupts
 from support.pages_shared import asked, has_colour, needs_browser, paper, picture, run, served, studio_walk, unreachable
 from twistcap.adjust.first_pose import Proportions
 from twistcap.body import Pose, Posed, rescaled
@@ -325,11 +326,6 @@ def test_poor_proportions_in_a_pose_file_are_told(tmp_path: Path) -> None:
     path.write_text('{"proportions": {"stature": 1.0}}')
     with pytest.raises(InputError, match="stature, lengths and girths"):
         body_at(path, body)
-
-
-def heeds_interrupts() -> None:
-    """What a shell starts in the background ignores them, and so would all that it starts."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 @pytest.mark.parametrize("command", ["init", "view"])

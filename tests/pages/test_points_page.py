@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from support.browser import Browser
-from support.commands import refusal
+from support.commands import heeds_interrupts, refusal
 from support.pages_shared import asked, needs_browser, served, unreachable
 from twistcap import se3
 from twistcap.calibrate.board import board_of
@@ -143,7 +143,7 @@ def running(folder: Path, *words: object) -> Generator[tuple[str, subprocess.Pop
     """A command in a folder, and the address that it prints."""
     command = [sys.executable, "-m", "twistcap", *map(str, words)]
     with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder, preexec_fn=heeds_interrupts
     ) as process:  # fmt: skip
         assert process.stdout is not None
         try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 from typing import Any
 
 import pytest
@@ -32,3 +33,8 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     lines = [line for line in err.splitlines() if line.startswith("twistcap: ")]
     assert out == "" and len(lines) == 1 and "Traceback" not in err, err
     return lines[0]
+
+
+def heeds_interrupts() -> None:
+    """Before a command: what a shell starts in the background ignores them, and so would all that it starts."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
