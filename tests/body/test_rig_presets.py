@@ -69,6 +69,6 @@ def test_a_rig_with_gaps_is_told_and_an_unknown_one_is_left_alone() -> None:
     assert preset_spec(strange) is None
     assert "only 0 of its 18 bones are found by name" in best_fit(strange).in_words
     assert "write a rig file (docs/formats/body-files.md)" in best_fit(strange).in_words
-    assert best_fit(mesh).in_words == "it is taken for a Mixamo rig: 15 of its 18 bones are found by name"
+    assert best_fit(mesh).in_words == "it is taken for the rig of Mixamo: 15 of its 18 bones are found by name"
     with pytest.raises(InputError, match="175 m high"):
         preset_spec(replace(mesh, vertices=100 * mesh.vertices))

@@ -11,10 +11,12 @@ from hindsight.walks import bent, errors, walk, with_poses
 from reproduce.faults.kinds import kind_of, take_of
 from reproduce.faults.runs import errors_mm
 from twistcap import hindsight
+from twistcap.arrays import Float
+from twistcap.body import Pose
 from twistcap.build import build
 from twistcap.evaluate.metrics import JOINT_CENTRES
-from twistcap.hindsight import Passed, looked_between, tracked
-from twistcap.search.flag import lacking_at_all
+from twistcap.hindsight import Passed, between, looked_between, tracked
+from twistcap.search.flag import shortfall
 from twistcap.search.memory import LACKED, LostMemory
 from twistcap.track import State
 
@@ -67,6 +69,27 @@ def test_a_way_that_the_pictures_do_not_favour_is_not_taken() -> None:
     assert not looked_between(model, state, wrong, astray)[1]
 
 
+@pytest.mark.parametrize("shown", [0.0, 500.0])
+def test_a_limb_must_be_shown_on_its_way(shown: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Behind the body or out of the images it would gain by that nothing speaks against it."""
+    _, model, right, *_ = walk()
+    wrong, state = with_astray(ASTRAY)
+    tracked_poses = [one.estimate.pose for one in wrong]
+
+    class Elsewhere:
+        """Pictures that favour any other pose, and show each part of the body by as much."""
+
+        def of(self, pose: Pose) -> float:
+            return 0.0 if any(pose is one for one in tracked_poses) else 1e4
+
+        def by_part(self, pose: Pose) -> tuple[Float, Float]:
+            nats = np.full((1, len(model.body.segment_names)), shown)
+            return nats, np.ones_like(nats)
+
+    monkeypatch.setattr(between, "evidence_in", lambda *_: Elsewhere())
+    assert bool(looked_between(model, state, wrong, right[-1].estimate)[1]) == bool(shown)
+
+
 def test_frames_in_which_nothing_was_seen_have_no_way_between() -> None:
     _, model, right, *_ = walk()
     wrong, state = with_astray(ASTRAY)
@@ -83,7 +106,7 @@ def test_what_lacked_is_remembered_frame_by_frame() -> None:
     (first,), (then,) = before.searches.values(), state.searches.values()
     assert isinstance(first, LostMemory) and isinstance(then, LostMemory)
     assert first.signs is not None and first.lacked is not None and then.lacked is not None
-    assert len(then.lacked) == LACKED and np.array_equal(then.lacked[-1], lacking_at_all(first.signs))
+    assert len(then.lacked) == LACKED and np.array_equal(then.lacked[-1], shortfall(first.signs))
     assert np.array_equal(then.lacked[:-1], first.lacked[1:])
     assert then.begun_anew().lacked is None
 

@@ -96,7 +96,7 @@ class Fit:
         """What the joints are taken for, and what to do where that is nothing."""
         known = f"{len(self.joints)} of its {len(self.preset.bones)} bones are found by name"
         if not self.missing:
-            return f"it is taken for a {self.preset.name} rig: {known}"
+            return f"it is taken for the rig of {self.preset.name}: {known}"
         return (
             f"its rig is not known ({self.preset.name} is nearest, but only {known}), so that each joint turns freely; "
             f"for joint angles with names write a rig file ({RIG_PAGE})"

@@ -13,7 +13,7 @@ from twistcap.calibrate.calibrate import Calibration
 from twistcap.calibrate.sightings import SCENE, Sighting, coverage
 from twistcap.calibrate.world import centre_covariance
 from twistcap.errors import InputError
-from twistcap.io.plausible import camera_distances, check_plausible
+from twistcap.io.plausible import camera_distances, check_plausible, span_in_words
 
 _SURE = 4.0  # standard deviations from which on something is mentioned
 _WRONG = 0.05  # share of wrong points from which on they are mentioned
@@ -119,8 +119,8 @@ def _implausible(found: Calibration) -> list[str]:
 def _scale(found: Calibration) -> list[str]:
     """The distances that follow from the square of the board, which the pictures cannot tell: a user can."""
     apart, away = camera_distances(found.rig), np.percentile(_board_distances(found), (5, 95))
-    facts = [f"the cameras are {_span(apart.min(), apart.max())} apart"] if len(apart) else []
-    facts += [f"the board was {_span(*away)} from them"]
+    facts = [f"the cameras are {span_in_words(apart)} apart"] if len(apart) else []
+    facts += [f"the board was {span_in_words(away)} from them"]
     odd = len(apart) and not _APART[0] < float(apart.max()) < _APART[1]
     odd = odd or not _AWAY[0] < float(away[0]) or float(away[1]) > _AWAY[1]
     known = "its points" if "scene" in found.adjustment.solids else f"{1e3 * found.board.square:g} mm a square"
@@ -136,10 +136,6 @@ def _board_distances(found: Calibration) -> Float:
     seen = [s for s in found.adjustment.sightings if s.moment in guess.boards]
     places = np.array([(guess.places[s.camera] @ guess.boards[s.moment] @ middle)[:3] for s in seen])
     return np.linalg.norm(places, axis=1).astype(float)
-
-
-def _span(least: float, most: float) -> str:
-    return f"{least:.2f} m" if f"{least:.2f}" == f"{most:.2f}" else f"{least:.2f} to {most:.2f} m"
 
 
 def _clocks(found: Calibration, rows: Sequence[dict[str, Any]]) -> list[str]:

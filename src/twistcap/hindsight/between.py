@@ -121,12 +121,12 @@ def _doubtful(model: Model, state: State, passed: Sequence[Passed], estimate: Es
     if memory is None or memory.lacked is None or not memory.known.sure or estimate.status in _BLIND:
         return
     lacked, groups, own = memory.lacked, memory.groups, limbs(model.body)
-    usual = groups @ memory.known.nats.sum(axis=0)
+    usual, latest = groups @ memory.known.nats.sum(axis=0), list(passed)[-LACKED - 1 :]
     for frames in (n for n in _FRAMES if estimate.index % ((n + 1) // 2) == 0):
-        if len(passed) <= frames or any(one.estimate.status in _BLIND for one in list(passed)[-frames - 1 :]):
+        if len(latest) <= frames or any(one.estimate.status in _BLIND for one in latest[-frames - 1 :]):
             return
         lacks = lacked[-frames:].clip(min=0.0).sum(axis=0)
-        before, between = list(passed)[-frames - 1], list(passed)[-frames:]
+        before, between = latest[-frames - 1], latest[-frames:]
         for g in (g for g in range(len(own)) if lacks[g] >= _SHARE):
             expected = _on_the_way(before, between, estimate, own[g][6:])
             stretch = Stretch(between, own[g][6:], expected, groups[g], max(_GAIN, _SHARE * float(usual[g])))
@@ -163,12 +163,12 @@ def _tracked_again(
 
 def _expecting(model: Model, state: State, pose: Pose, time: float) -> State:
     """The state before a frame in which the body is expected at a pose."""
-    last, *_ = state.past.moments[::-1]
-    since = max(last.time - state.past.moments[-2].time, 1e-3) if state.past.moving else 1e-3
+    before, last = state.past.moments[-2:]  # a frame that is tracked again has some before it
+    since = max(last.time - before.time, 1e-3)
     moments = (Moment(time - 2.0 * since, pose), Moment(time - since, pose))
-    begun_there = begun(model, state, replace(state.past, moments=moments, seen_time=time - since))
+    there = begun(model, state, replace(state.past, moments=moments, seen_time=time - since))
     searches = {
         name: replace(m, waiting=1, limb_waiting=1) if isinstance(m, LostMemory) else m
-        for name, m in begun_there.searches.items()
+        for name, m in there.searches.items()
     }
-    return replace(begun_there, searches=searches)  # it has been found; nothing is searched for
+    return replace(there, searches=searches)  # it has been found; nothing is searched for

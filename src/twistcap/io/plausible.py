@@ -52,6 +52,12 @@ def camera_distances(rig: Rig) -> Float:
     return np.array([np.linalg.norm(a.centre - b.centre) for a, b in combinations(rig, 2)], dtype=float)
 
 
+def span_in_words(lengths: ArrayLike, unit: str = " m") -> str:
+    """The least and the greatest of some lengths, such as ``2.1 to 6.4 m``."""
+    least, most = (f"{float(length):.3g}" for length in (np.min(lengths), np.max(lengths)))
+    return f"{least}{unit}" if least == most else f"{least} to {most}{unit}"
+
+
 def _check_distance(cameras: str, distance: float) -> None:
     """Two cameras do not stand inside each other or implausibly far apart."""
     if distance < _NEAREST:

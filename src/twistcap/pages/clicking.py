@@ -28,7 +28,7 @@ from twistcap.io.tidy import write_rows
 from twistcap.io.unaided import Silhouette
 from twistcap.pages.assemble import jpeg
 from twistcap.pages.outlines import body_outlines, flat
-from twistcap.pages.server import Answer
+from twistcap.pages.server import Answer, mapping_of
 from twistcap.region.compare import iou
 from twistcap.render.view import render
 
@@ -179,10 +179,10 @@ class Clicking:
 
     def _checked_clicks(self, given: Any) -> Clicks:
         clicks: Clicks = {}
-        for camera, joints in _mapping(given, "clicks").items():
+        for camera, joints in mapping_of(given, "clicks").items():
             if camera not in self.rig.names:
                 raise InputError(f"clicks: camera {camera!r} is unknown; the rig has {', '.join(self.rig.names)}.")
-            for joint, pixel in _mapping(joints, f"clicks of {camera}").items():
+            for joint, pixel in mapping_of(joints, f"clicks of {camera}").items():
                 if joint not in self.generic.landmarks.names:
                     raise InputError(f"clicks: joint {joint!r} is unknown to body {self.generic.name!r}.")
                 x, y = _numbers(pixel, 2, f"{joint} in {camera}")
@@ -192,7 +192,7 @@ class Clicking:
     def _checked_angles(self, given: Any) -> dict[str, float]:
         """Angles in rad, within the limits."""
         angles: dict[str, float] = {}
-        for name, value in _mapping(given, "held").items():
+        for name, value in mapping_of(given, "held").items():
             if name not in self.generic.coordinate_names:
                 mend = f"a GLB of no known rig needs a rig file ({RIG_PAGE})"
                 raise InputError(f"the body {self.generic.name!r} has no coordinate {name!r}; {mend}.")
@@ -244,12 +244,6 @@ def _named_pixels(camera: Camera, names: tuple[str, ...], points: Any) -> dict[s
     pixels, depth = camera.project(points)
     seen = (depth > 0) & np.isfinite(pixels).all(axis=1)
     return {name: pixel for name, pixel, s in zip(names, pixels.round(1).tolist(), seen, strict=True) if s}
-
-
-def _mapping(given: Any, what: str) -> Mapping[str, Any]:
-    if not isinstance(given, dict):
-        raise InputError(f"{what} must be an object, not {given!r}.")
-    return given
 
 
 def _numbers(given: Any, count: int, what: str) -> list[float]:

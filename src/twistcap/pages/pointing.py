@@ -15,7 +15,7 @@ from twistcap.doors.text import number_array, read_json_table
 from twistcap.errors import InputError
 from twistcap.io.files import replacing
 from twistcap.pages.assemble import jpeg
-from twistcap.pages.server import Answer
+from twistcap.pages.server import Answer, mapping_of
 
 Pixels = dict[str, dict[str, list[float] | None]]
 """Pixels by camera and point; None where the camera does not see it."""
@@ -54,19 +54,23 @@ class Pointing:
         """Write ``{"clicks": {camera: {point: [x, y] | null}}}``. Raises InputError for an unknown camera or point, a
         pixel out of its picture, or a file that cannot be written.
         """
-        clicks = self._checked(question.get("clicks"))
-        with self._lock:
-            self._write(clicks)
-        few = self._few(clicks)
+        few = self._few(self._kept(question))
         return {"saved": str(self.target), "note": f"Still too few: {few}." if few else "Calibrate goes on with it."}
 
     def go(self, question: Mapping[str, Any]) -> dict[str, Any]:
         """Save, and let calibration go on. Raises InputError as `save`, and where a camera has too few points."""
-        answer = self.save(question)
-        if few := self._few(self._checked(question.get("clicks"))):
+        if few := self._few(self._kept(question)):
             raise InputError(f"saved, but each camera needs at least {FEWEST} points: {few}.")
         self.done.set()
-        return answer | {"note": "Calibration goes on in the terminal; close this page.", "closed": True}
+        note = "Calibration goes on in the terminal; close this page."
+        return {"saved": str(self.target), "note": note, "closed": True}
+
+    def _kept(self, question: Mapping[str, Any]) -> Pixels:
+        """The clicks of a question, which are in the file now."""
+        clicks = self._checked(question.get("clicks"))
+        with self._lock:
+            self._write(clicks)
+        return clicks
 
     def _few(self, clicks: Pixels) -> str:
         counts = {c: sum(p is not None for p in clicks.get(c, {}).values()) for c in self.images}
@@ -74,11 +78,11 @@ class Pointing:
 
     def _checked(self, given: Any) -> Pixels:
         clicks: Pixels = {}
-        for camera, points in _mapping(given, "clicks").items():
+        for camera, points in mapping_of(given, "clicks").items():
             if camera not in self.images:
                 raise InputError(f"clicks: camera {camera!r} is unknown; there are {', '.join(self.images)}.")
             height, width = self.images[camera].shape[:2]
-            for name, pixel in _mapping(points, f"clicks of {camera}").items():
+            for name, pixel in mapping_of(points, f"clicks of {camera}").items():
                 if name not in self.table:
                     raise InputError(f"clicks: there is no point {name!r}.")
                 own = clicks.setdefault(camera, {})
@@ -87,7 +91,7 @@ class Pointing:
                     continue
                 x, y = number_array(pixel, (2,), f"{name} in {camera}").tolist()
                 if not (-0.5 <= x <= width - 0.5 and -0.5 <= y <= height - 0.5):
-                    raise InputError(f"{name} in {camera} is out of the picture; click it anew, or remove it.")
+                    raise InputError(f"{name} in {camera} is out of the picture; click it again, or remove it.")
                 own[name] = [round(x, 2), round(y, 2)]
         return clicks
 
@@ -125,9 +129,3 @@ def read_table(path: Path) -> dict[str, Any]:
 
 def _with_pixels(entry: Any) -> Any:
     return {**entry, "pixels": entry.get("pixels", {})} if isinstance(entry, dict) else entry
-
-
-def _mapping(given: Any, what: str) -> Mapping[str, Any]:
-    if not isinstance(given, dict):
-        raise InputError(f"{what} must be an object.")
-    return given

@@ -81,6 +81,13 @@ class _Handler(BaseHTTPRequestHandler):
         """Requests are not worth a line each."""
 
 
+def mapping_of(given: Any, what: str) -> Mapping[str, Any]:
+    """An object of a question. Raises InputError for anything else."""
+    if not isinstance(given, dict):
+        raise InputError(f"{what} must be an object, not {given!r}.")
+    return given
+
+
 def page_server(page: str, answers: Mapping[str, Answer] | None = None, port: int = 0) -> PageServer:
     """A server on 127.0.0.1 that gives `page` at its `url` and answers POSTs below it; call ``serve_forever``.
 

@@ -122,7 +122,7 @@ def lacking(groups: Bool, known: Recollection, check: Check) -> tuple[Float, Flo
     return all_views, np.where(usual > _FEWEST, less / np.maximum(usual, 1e-9), 0.0).max(axis=0)
 
 
-def lacking_at_all(signs: Float) -> Float:
+def shortfall(signs: Float) -> Float:
     """(G,) evidence that lacks, or that a hidden limb does not give, over what is usual; of `image_signs`."""
     clear, unseen = signs[:, 0], signs[:, 6]
     return unseen + (1.0 - unseen) * clear

@@ -24,15 +24,7 @@ from twistcap.search import Beginning, Problem, Proposals, Revision
 from twistcap.search.beside import BesideRule, agreement, beside, limbs_beside
 from twistcap.search.contradiction import ContradictionRule, Judged, judged
 from twistcap.search.evidence import Evidence
-from twistcap.search.flag import (
-    MOST_USUAL,
-    USUAL,
-    at_limits,
-    contour_signs,
-    displaced,
-    flag_groups,
-    image_signs,
-)
+from twistcap.search.flag import MOST_USUAL, USUAL, at_limits, contour_signs, displaced, flag_groups, image_signs
 from twistcap.search.limb import LimbRule, placed, regained
 from twistcap.search.memory import LostMemory
 from twistcap.search.placing import Hypothesis, Placing, PlacingRule

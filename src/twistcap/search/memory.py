@@ -9,7 +9,7 @@ import numpy as np
 from twistcap.arrays import Bool, Float
 from twistcap.predict.history import Moment
 from twistcap.search.contradiction import Suspicion
-from twistcap.search.flag import lacking_at_all
+from twistcap.search.flag import shortfall
 from twistcap.search.recollection import Recollection
 
 LACKED = 11
@@ -67,6 +67,6 @@ class LostMemory:
         """With what lacks in the last frame among what has lacked."""
         if self.signs is None:
             return self
-        lacks = lacking_at_all(self.signs)[None]
+        lacks = shortfall(self.signs)[None]
         lacked = lacks if self.lacked is None else np.concatenate([self.lacked, lacks])[-LACKED:]
         return replace(self, lacked=lacked)

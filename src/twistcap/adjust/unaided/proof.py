@@ -208,8 +208,8 @@ class Unaided:
             InputError: where none is.
         """
         frames, probes, tracks, best = list[Frame](), list[Probe](), list[Track](), None
-        frames_of = self._places
-        for at in frames_of:
+        probed = self._places
+        for at in probed:
             frames += self.read(range(len(frames), at + 1))
             for track in tracks:
                 track.extend(frames)
@@ -218,9 +218,9 @@ class Unaided:
             proofs = [proof_of(track, probes, tracks, self.rule) for track in tracks]
             proofs.sort(key=lambda p: -p.standing)
             best = proofs[0] if proofs else None
-            if len(probes) >= min(2, len(frames_of)):
+            if len(probes) >= min(2, len(probed)):
                 for proof in proofs:
-                    if proof.holds(self.rule, len(frames_of)):
+                    if proof.holds(self.rule, len(probed)):
                         return proof
             tracks = [p.track for p in proofs if p.standing >= self.rule.hopeless]
         raise InputError(self._refusal(best, probes))

@@ -11,7 +11,7 @@ from twistcap.arrays import Float
 from twistcap.camera import Rig
 from twistcap.errors import InputError
 from twistcap.io.calibration import Unit, parsed_rig, says_unit
-from twistcap.io.plausible import camera_distances
+from twistcap.io.plausible import camera_distances, span_in_words
 
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}  # m
 _NAMES: dict[Unit, str] = {
@@ -64,11 +64,11 @@ def taken_unit(rig: Rig, source: str) -> tuple[Unit, str]:
     away = float(np.max([np.linalg.norm(camera.centre) for camera in rig]))
     fitting: list[Unit] = [u for u in _NAMES if _possible(apart * UNITS[u], away * UNITS[u], _NEAREST[u])]
     if not fitting:
-        far = _span(apart) if len(apart) else f"{away:.3g} from the origin"
+        far = f"{span_in_words(apart, '')} apart" if len(apart) else f"{away:.3g} from the origin"
         neither = f"cameras are {far}, which fits neither metres nor millimetres (is one unit a square of the board?)"
         raise InputError(f"{source}: {neither}; say it: --unit mm, or its length in metres, as --unit 0.06.")
     unit = fitting[0]
-    where = f"cameras are {_span(apart * UNITS[unit], ' m')}" if len(apart) else "the file does not say it"
+    where = f"cameras are {span_in_words(apart * UNITS[unit])} apart" if len(apart) else "the file does not say it"
     return unit, f"The calibration is taken to be in {_NAMES[unit]}: {where}. If it is not, give --unit."
 
 
@@ -82,9 +82,3 @@ def scaled(rig: Rig, factor: float) -> Rig:
 
 def _possible(apart: Float, away: float, nearest: float) -> bool:
     return bool(np.all(apart <= _FARTHEST)) and away <= _FARTHEST and (not len(apart) or apart.max() >= nearest)
-
-
-def _span(apart: Float, unit: str = "") -> str:
-    """Distances in words."""
-    least, most = (f"{d:.3g}" for d in (apart.min(), apart.max()))
-    return f"{least}{unit} apart" if least == most else f"{least} to {most}{unit} apart"
