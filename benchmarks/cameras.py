@@ -69,8 +69,13 @@ def tracked(filmed: Bumped) -> tuple[list[Estimate], list[tuple[int, ...]]]:
     estimates, named = list[Estimate](), list[tuple[int, ...]]()
     for frame in filmed.frames:
         estimates.append(tracker.step(frame))
-        named.append((*estimates[-1].left_out, *suspects(tracker)))
+        named.append((*estimates[-1].left_out, *suspects(tracker), *_turned(estimates[-1])))
     return estimates, named
+
+
+def _turned(estimate: Estimate) -> list[int]:
+    """Cameras whose pictures are turned back."""
+    return [] if estimate.bumps is None else np.flatnonzero(np.any(estimate.bumps, axis=1)).tolist()
 
 
 def off(T_cam_world: Float, truth: Camera) -> tuple[float, float]:

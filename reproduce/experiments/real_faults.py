@@ -1,7 +1,7 @@
 """real-faults: the recording `balance_4view` with faults, and the same trial with a second person in the pictures.
 
 - All images removed for 5, 20 and 60 frames at twelve phases each: is the man found again within ten frames?
-- One camera turned by 2 degrees from frame 50 on: is it left out, and does the track go on?
+- One camera turned by 2 degrees from frame 50 on: is it named, and does the track go on?
 - `balance_two_people`: a second person hides the man in part. All four cameras, then each one left out.
 
 The undisturbed track stands for the truth of gaps and bumps, the reference for two people.
@@ -97,7 +97,7 @@ class RealFaults:
         case = f"{self.id} {CAMERAS[camera]} bumped"
         estimates = _tracked(model, states[BUMPED], bumped(frames[BUMPED:], model.rig, camera))
         apart = np.array([_apart_mm(model.body, e, p) for e, p in zip(estimates, plain[BUMPED:], strict=True)])
-        named = [k for k, e in enumerate(estimates) if camera in e.left_out]
+        named = [k for k, e in enumerate(estimates) if _named(e, camera)]
         lost = apart > LOST_FRAME_MM
         silent = int(np.sum(lost & ~np.array([e.lost for e in estimates])))
         return [
@@ -128,6 +128,11 @@ class RealFaults:
             row(case, "flagged falsely", float((result.lost & ~lost).sum()), "frames", at_most=0.0),
             row(case, "joints, median", float(median or np.inf), "mm", at_most=30.0),
         ]
+
+
+def _named(estimate: Estimate, camera: int) -> bool:
+    """Whether a camera is said to be elsewhere than it was calibrated."""
+    return camera in estimate.left_out or (estimate.bumps is not None and bool(np.any(estimate.bumps[camera])))
 
 
 def bumped(frames: Sequence[Frame], rig: Rig, camera: int) -> Iterator[Frame]:

@@ -66,6 +66,7 @@ class Estimate:
             them is in no image; None where nothing was seen of the body.
         left_out: cameras of the rig that contradict the others and are not believed.
         missing: cameras whose picture was missing, blank, or the one before once more.
+        bumps: (C, 3) turn of each camera from where it is calibrated, in its own frame, rad; None where none was.
     """
 
     index: int
@@ -82,6 +83,7 @@ class Estimate:
     part_probability: Float | None = None
     left_out: tuple[int, ...] = ()
     missing: tuple[int, ...] = ()
+    bumps: Float | None = None
 
     @property
     def seen(self) -> bool:

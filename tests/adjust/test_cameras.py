@@ -9,11 +9,13 @@ import pytest
 
 from support.blocks import FixedShape, step_between
 from support.walks import in_a_circle
+from twistcap import se3
 from twistcap.adjust.cameras import agreement_at, holds_from, mended_cameras, turned_towards
-from twistcap.adjust.cameras.fine import CameraProblem, Standpoints
+from twistcap.adjust.cameras.fine import CameraProblem, Standpoints, turned_by_background
 from twistcap.adjust.watch import KNOCK
 from twistcap.body import Posed
 from twistcap.camera import Camera
+from twistcap.camera.bump import bumped
 from twistcap.estimate import Estimate, Frame
 from twistcap.render import render, visible_contour
 from twistcap.solve import Arrow, BlockProblem, CameraBlock, PoseTrack, Variables, Vector, minimise
@@ -111,6 +113,40 @@ def test_cameras_that_were_not_bumped_may_be_turned_a_little() -> None:
     place = mended_cameras(lambda: frames, scene.body, rig, given, [1]).places[1]
     centre = -place[:3, :3].T @ place[:3, 3]
     assert np.linalg.norm(centre - scene.rig[1].centre) < 0.0105  # 8 mm are measured; 13 if the others are held
+
+
+def test_a_turn_that_the_background_has_told_is_taken_over() -> None:
+    scene, turn = in_a_circle(), np.deg2rad([0.9, -1.5, 0.6])
+    frames = list(scene.frames())[::2]
+    given = [Estimate(f.index, f.time, scene.true_poses[f.index], np.eye(scene.body.dof)) for f in frames]
+    seen = [replace(e, bumps=np.outer(np.eye(len(scene.rig))[1], turn)) for e in given]
+    was = bumped(scene.rig[1], -turn)  # before it was turned to where it is
+    rig = replace(scene.rig, cameras=(scene.rig[0], was, *scene.rig.cameras[2:]))
+    assert set(turned_by_background(rig, seen, [1, 2])) == {1}
+    swaying = [replace(e, bumps=e.bumps * (k % 2)) for k, e in enumerate(seen) if e.bumps is not None]
+    assert turned_by_background(rig, swaying, [1]) == {} == turned_by_background(rig, given, [1])
+    found, alone = (mended_cameras(lambda: frames, scene.body, rig, e, [1]) for e in (seen, given))
+    off = se3.log_rotation(found.places[1][:3, :3] @ scene.rig[1].T_cam_world[:3, :3].T)
+    assert np.rad2deg(np.linalg.norm(off)) < 0.04
+    assert np.linalg.norm(found.sigmas[1][:3]) < 0.8 * np.linalg.norm(alone.sigmas[1][:3])
+
+
+def test_another_camera_that_stands_turned_is_believed_as_it_stands() -> None:
+    """Its calibration is not where it was filmed from, and its turn is known."""
+    scene, turn = in_a_circle(), np.deg2rad([0.9, -1.5, 0.6])
+    frames = list(scene.frames())[::2]
+    seen = [
+        Estimate(f.index, f.time, scene.true_poses[f.index], np.eye(scene.body.dof),
+                 bumps=np.outer(np.eye(len(scene.rig))[2], turn))
+        for f in frames
+    ]  # fmt: skip
+    off = CameraBlock(scene.rig[1]).retract(np.r_[0.0, np.deg2rad(1.0), np.zeros(4)]).camera
+    rig = replace(scene.rig, cameras=(scene.rig[0], off, bumped(scene.rig[2], -turn), *scene.rig.cameras[3:]))
+    found = mended_cameras(lambda: frames, scene.body, rig, seen, [1])
+    place = found.places[1]
+    centre = -place[:3, :3].T @ place[:3, 3]
+    assert np.linalg.norm(centre - scene.rig[1].centre) < 0.012
+    assert found.others > 0.8
 
 
 def some_contour(scene: Capture, t: int, c: int, rng: np.random.Generator) -> PointNormalTerm:

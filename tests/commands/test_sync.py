@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -14,6 +14,8 @@ from support.cameras import ring
 from support.commands import document, run
 from twistcap import se3
 from twistcap.adjust.clocks import Signal
+from twistcap.arrays import Bool, Float
+from twistcap.camera import Rig
 from twistcap.commands import cameras, sync
 from twistcap.commands.cameras import _doubt, _since, mend_cameras, mend_in_words  # pyright: ignore[reportPrivateUsage]
 from twistcap.estimate import Estimate
@@ -82,13 +84,18 @@ def test_a_walk_in_step_tells_that_it_is_not_sure(monkeypatch: pytest.MonkeyPatc
 def test_what_mends_a_camera_is_said_where_it_is_left_out_to_the_end() -> None:
     rig, out = ring(), np.zeros((30, 4), np.bool_)
     out[5:, 1], out[5:20, 2] = True, True  # the other one is believed again
-    result = SimpleNamespace(rig=rig, left_out=out)
+    still = np.zeros((30, 4, 3))
+    result = SimpleNamespace(rig=rig, left_out=out, bumps=still)
     (sentence,) = mend_in_words(result, Path("out/result.h5"))
     assert rig.names[1] in sentence and "twistcap refine out/result.h5 --cameras" in sentence
     first, second = mend_in_words(result, Path("out/result.h5"), [3])
     assert first == sentence and f"Camera {rig.names[3]} seems to stand elsewhere" in second
-    (sentence,) = mend_in_words(SimpleNamespace(rig=rig, left_out=out), Path("a walk/result.h5"))
+    (sentence,) = mend_in_words(SimpleNamespace(rig=rig, left_out=out, bumps=still), Path("a walk/result.h5"))
     assert "twistcap refine 'a walk/result.h5' --cameras" in sentence
+    bumped = still.copy()
+    bumped[20:, 3] = 0.02
+    _, second = mend_in_words(SimpleNamespace(rig=rig, left_out=out, bumps=bumped), Path("out/result.h5"))
+    assert f"Camera {rig.names[3]} still stands bumped. twistcap refine out/result.h5 --cameras" in second
     out[5:, 2:] = True  # and one camera mends no others
     assert mend_in_words(result, Path("out/result.h5"), [0]) == []
 
@@ -119,6 +126,16 @@ def test_a_bumped_camera_is_mended(walk: Path, tmp_path: Path, capsys: pytest.Ca
     )
 
 
+@dataclass(frozen=True)
+class Mended:
+    """What `mend_cameras` reads of a result."""
+
+    rig: Rig
+    left_out: Bool
+    bumps: Float
+    estimates: list[Estimate]
+
+
 @pytest.mark.parametrize(("unit", "up"), [("m", None), ("mm", None), (None, "y"), ("mm", "y")])
 def test_a_mended_calibration_is_in_the_world_and_unit_of_the_session(
     walk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, unit: str | None, up: str | None
@@ -138,7 +155,7 @@ def test_a_mended_calibration_is_in_the_world_and_unit_of_the_session(
     rig = rig_of(session)
     place = se3.exp(np.r_[0.03, 0.01, 0.0, 0.02, 0.0, 0.01]) @ rig[1].T_cam_world
     few = [Estimate(k, k / FPS, cast(Any, None), np.zeros((0, 0))) for k in range(5)]  # poses are not looked at
-    result = SimpleNamespace(rig=rig, left_out=np.ones((5, 4), np.bool_), estimates=few)
+    result = Mended(rig, np.ones((5, 4), np.bool_), np.zeros((5, 4, 3)), few)
     monkeypatch.setattr("twistcap.io.result.read_result", lambda path: result)
     monkeypatch.setattr("twistcap.io.recording.views_of", lambda *_: None)
     monkeypatch.setattr(cameras, "_suspected", lambda *_: {})

@@ -1,4 +1,4 @@
-"""A recording with a bumped camera, a blank picture and a gap: the command says so, and so do all of its files."""
+"""A recording with a camera that is bumped and then moved, a blank picture and a gap: all outputs say so."""
 
 from __future__ import annotations
 
@@ -10,17 +10,19 @@ import numpy as np
 import pytest
 
 from support.commands import document, run
+from twistcap.camera.bump import turned_back
 from twistcap.commands import refine, terminal
 from twistcap.io.result import read_result
 from twistcap.io.synthetic import write_session
 from twistcap.studio import StudioConfig, capture
 
-BUMPED, BLANK, GAP = range(12, 24), (6, 7), range(30, 36)
+BUMPED, MOVED, BLANK, GAP = range(9, 13), range(15, 25), (6, 7), range(30, 36)
+BUMP = np.deg2rad([0.8, 1.4, -0.5])
 
 
 @pytest.fixture(scope="module")
 def faulty(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The session of a walk in three cameras: the first is bumped, the last shows grey, then all show nothing."""
+    """The session of a walk in three cameras: one is bumped, then zoomed; one shows grey; all show nothing."""
     folder = tmp_path_factory.mktemp("faulty")
     scene = capture(StudioConfig(seed=2, views=3, frames=42, fps=30.0, size=(320, 240)))
     write_session(scene, folder, "png", masks=False)
@@ -28,11 +30,12 @@ def faulty(tmp_path_factory: pytest.TempPathFactory) -> Path:
     def picture(camera: int, k: int) -> Path:
         return folder / "videos" / scene.rig.names[camera] / f"{k:04d}.png"
 
-    for k in BUMPED:
+    larger = np.array([[1.15, 0.0, 14.0], [0.0, 1.15, 6.0]])
+    for k in (*BUMPED, *MOVED):
         image = cv2.imread(str(picture(0, k)))
         assert image is not None
-        moved = np.array([[1.0, 0.0, 14.0], [0.0, 1.0, 6.0]])
-        cv2.imwrite(str(picture(0, k)), cv2.warpAffine(image, moved, image.shape[1::-1]))
+        bumped = turned_back(image, scene.rig[0], -BUMP)
+        cv2.imwrite(str(picture(0, k)), cv2.warpAffine(image, larger, image.shape[1::-1]) if k in MOVED else bumped)
     for k in BLANK:
         cv2.imwrite(str(picture(2, k)), np.full((240, 320, 3), 40, np.uint8))
     for k in GAP:
@@ -50,8 +53,10 @@ def out(faulty: Path) -> Path:
 def test_the_result_holds_limbs_and_cameras(out: Path) -> None:
     result = read_result(out / "result.h5")
     first_out = np.flatnonzero(result.left_out[:, 0])
-    assert set(range(BUMPED[3], BUMPED[-1])) <= set(first_out) and not result.left_out[:, 1:].any()
-    assert first_out[0] in BUMPED and first_out[-1] < BUMPED[-1] + 12  # it is taken back
+    assert set(range(MOVED[3], MOVED[-1])) <= set(first_out) and not result.left_out[:, 1:].any()
+    assert first_out[0] in MOVED and first_out[-1] < MOVED[-1] + 12  # it is taken back
+    np.testing.assert_array_equal(np.flatnonzero(result.bumps.any(axis=(1, 2))), BUMPED)
+    np.testing.assert_allclose(result.bumps[BUMPED, 0], np.tile(BUMP, (len(BUMPED), 1)), atol=np.deg2rad(0.1))
     shown = np.zeros((len(result), 3), bool)
     shown[list(GAP)], shown[list(BLANK), 2] = True, True
     np.testing.assert_array_equal(result.missing, shown)
@@ -64,7 +69,7 @@ def test_resumed_frames_hold_the_same(out: Path, faulty: Path, tmp_path: Path) -
     assert run("track", faulty, "--out", tmp_path, "--frames", "0:25", *quiet) == 0
     assert run("track", faulty, "--out", tmp_path, "--resume", *quiet) == 0
     resumed = read_result(tmp_path / "result.h5")
-    for name in ("q", "probability", "part_probability", "left_out", "missing", "lost"):
+    for name in ("q", "probability", "part_probability", "left_out", "missing", "bumps", "lost"):
         np.testing.assert_array_equal(getattr(resumed, name), getattr(whole, name))
 
 
@@ -72,10 +77,11 @@ def test_the_command_tells_it(faulty: Path, tmp_path: Path, capsys: pytest.Captu
     quiet = ("--set", "output.overlay=false", "--set", "output.report=false")
     output = document(capsys, "track", faulty, "--out", tmp_path, *quiet)
     assert output["left_out"]["cam01"] and output["left_out"]["cam02"] == []
-    lost, left_out, nothing, blank = output["statements"]
+    lost, left_out, bumped, nothing, blank = output["statements"]
     assert lost.startswith(f"{len(output['lost'])} of 42 frames lost: ") and lost.endswith(f"–{GAP[-1]} (no images)")
     assert left_out.startswith(f"camera cam01 was left out in {len(output['left_out']['cam01'])} frames: ")
     assert left_out.endswith("; it contradicts the others (bumped, frozen, late or swapped?)")
+    assert bumped.startswith(f"camera cam01 was out of its place in 4 frames: {BUMPED[0]}–{BUMPED[-1]} (turned by 1.7°")
     assert nothing.startswith(f"no camera showed anything new in 6 frames: {GAP[0]}–{GAP[-1]} (")
     assert blank.startswith("camera cam03 showed nothing new in 2 frames: 6–7 (")
 
@@ -84,7 +90,10 @@ def test_what_is_printed_and_written_tells_it(faulty: Path, out: Path, capsys: p
     assert run("track", faulty, "--out", out, "--overwrite", "--set", "output.overlay=false") == 0
     printed, page = capsys.readouterr().err, (out / "report.html").read_text()
     for text in (printed, page):
-        assert "camera cam01 was left out in" in text and "(no images)" in text
+        assert "camera cam01 was left out in" in text and "camera cam01 was out of its place in" in text
+        assert "(no images)" in text
+    assert f"frame {BUMPED[0]}: camera cam01 was bumped, or sways; its pictures are turned back" in printed
+    assert f"frame {BUMPED[-1] + 1}: camera cam01 stands again as it was calibrated" in printed
     assert printed.count("camera cam01 is left out") == 1 and printed.count("camera cam01 is believed again") == 1
     with (out / "angles.csv").open() as file:
         rows = list(csv.DictReader(file))

@@ -335,8 +335,12 @@ def test_frames_must_fit_the_body_and_the_cameras(name: str, tmp_path: Path) -> 
         rows, frames = file[f"frames/{name}"][:], file["frames"]
         del frames[name]
         frames[name] = np.hstack([rows, rows[:, :1]])
-        for other in {"left_out": ["missing"], "missing": ["left_out"], "q": ["covariance"]}.get(name, []):
-            del frames[other]  # else the two would not fit each other
-            frames[other] = np.zeros((len(rows), 9, 9)) if name == "q" else frames[name][:]
+        columns = frames[name].shape[1]
+        wide = {"covariance": np.zeros((len(rows), 9, 9)), "bumps": np.zeros((len(rows), columns, 3))}
+        of_cameras = [other for other in ("left_out", "missing", "bumps") if other != name]
+        others = {"left_out": of_cameras, "missing": of_cameras, "q": ["covariance"]}.get(name, [])
+        for other in others:  # else they would not fit each other
+            del frames[other]
+            frames[other] = wide.get(other, np.zeros((len(rows), columns), np.bool_))
     with pytest.raises(InputError, match=r"frames: \w+ has . columns, not"):
         read_result(path)

@@ -21,7 +21,15 @@ from twistcap.estimate import Estimate, Frame
 from twistcap.io.result import Result, ResultWriter, read_result
 from twistcap.report.overlay import LOST, draw_mosaic, mosaic_for
 from twistcap.report.verdict import camera_rows, chosen_rows, verdict_of
-from twistcap.report.words import camera_in_words, doubtful, doubtful_in_words, result_in_words, state_in_words
+from twistcap.report.words import (
+    camera_in_words,
+    cameras_in_words,
+    doubtful,
+    doubtful_in_words,
+    frame_in_words,
+    result_in_words,
+    state_in_words,
+)
 
 BODY, LIMBS = humanoid(), named_limbs(humanoid())
 
@@ -100,6 +108,26 @@ def test_a_frame_says_why_it_is_lost() -> None:
     assert [camera_in_words(out, c, c != 3) for c in range(4)] == ["", "left out", "nothing new", "no image"]
 
 
+def test_a_bumped_camera_is_said_to_be(tmp_path: Path) -> None:
+    bumps = np.zeros((2, 3))
+    bumps[1] = np.radians([0.0, 2.0, 0.0])
+    turned = estimate(3, bumps=bumps)
+    assert [camera_in_words(turned, c) for c in range(2)] == ["", "bumped by 2.0°"]
+    assert frame_in_words(turned, LIMBS, ("cam0", "cam1")) == "camera cam1 is bumped by 2.0°"
+    made = result(tmp_path / "a.h5", [estimate(0), estimate(1, bumps=0.5 * bumps), turned, estimate(4)])
+    (sentence,) = cameras_in_words(made)
+    assert sentence.startswith(
+        "camera cam1 was out of its place in 2 frames: 2–6 (turned by 2.0° at most; its pictures"
+    )
+    words = [statement.text for statement in verdict_of(made)]
+    assert any("bumped or sway: cam1 by 2.0° from frame 2 on. Their pictures were" in text for text in words)
+    believed = Believed(("cam0", "cam1"))
+    told = [believed.news(e) for e in made.estimates]
+    assert [len(sentences) for sentences in told] == [0, 1, 0, 1]
+    assert told[1] == ["frame 2: camera cam1 was bumped, or sways; its pictures are turned back"]
+    assert told[3] == ["frame 8: camera cam1 stands again as it was calibrated"]
+
+
 def test_the_first_time_that_a_camera_is_left_out_is_told() -> None:
     believed = Believed(("cam0", "cam1"))
     told = [believed.news(estimate(k, left_out=out)) for k, out in enumerate([(), (1,), (1,), (), (1,), ()])]
@@ -149,7 +177,7 @@ def test_the_verdict_says_what_can_be_used(tmp_path: Path) -> None:
     assert by_grade["Not reliable"] == (False, "Not reliable, σ above 5°: pro sup (9.0°).")
     assert by_grade["Reliable"][0] is True and "knee angle left (1.0°)" in by_grade["Reliable"][1]
     assert "cam1 in 5 % of the frames" in words[-2]
-    assert [line["value"] for line in camera_rows(made)] == [0, 0, 1, 0]
+    assert [line["value"] for line in camera_rows(made)] == [0, 0, 0, 1, 0, 0]
     assert 4 in chosen_rows(made) and len(chosen_rows(made)) == 4
     away = [replace(e, status="no_images", probability=1.0) if 8 <= k < 19 else e for k, e in enumerate(frames)]
     assert chosen_rows(result(tmp_path / "d.h5", away)) == [1, 4, 7]  # nothing to see from row 8 to 18

@@ -86,7 +86,7 @@ def test_small_images_have_the_size_of_what_was_learnt(size: tuple[int, int]) ->
         first = small_camera(seen, Backdrop.blank(), np.array([0.0, 0.0, 4.0]))
         image = np.zeros((*size[::-1], 3), np.uint8)
         features = small_features(image, first.size, "lab")
-        learnt = Backdrop.blank().learnt(features, np.zeros(features.shape[:2], np.bool_), 20.0)
+        learnt = Backdrop.blank().learnt(features, np.ones(features.shape[:2], np.bool_))
         again = small_camera(seen, learnt, np.array([0.0, 0.0, 7.0]))
         assert again.size == learnt.size == first.size
         assert small_features(image, again.size, "lab").shape[:2] == learnt.known.shape

@@ -45,9 +45,10 @@ def test_a_quiet_body_is_not_lost_and_a_contradicted_one_is() -> None:
 
 
 def test_what_is_not_seen_is_the_less_sure_the_longer_and_the_wider() -> None:
-    blind = [FlagRule().blind(s, 0.05) for s in (0.0, 0.02, 0.1, 0.5, 5.0)]
+    blind = [FlagRule().blind(s, 0.05, False) for s in (0.0, 0.02, 0.1, 0.5, 5.0)]
     assert np.all(np.diff(blind) >= 0.0)
-    assert FlagRule().blind(0.02, 0.02) < 0.5 < FlagRule().blind(5.0, 1.0)
+    assert FlagRule().blind(0.02, 0.02, False) < 0.5 < FlagRule().blind(5.0, 1.0, False)
+    assert FlagRule().blind(0.02, 0.02, True) == FlagRule().gone > 0.5
 
 
 def test_a_limb_with_a_segment_in_no_image_is_not_judged() -> None:

@@ -12,11 +12,14 @@ import numpy as np
 import pytest
 
 from twistcap import se3
+from twistcap.arrays import Float
 from twistcap.body import Pose, Posed
 from twistcap.body.humanoid import humanoid
 from twistcap.body.limbs import limbs
 from twistcap.build import build
-from twistcap.estimate import Frame
+from twistcap.camera.bump import turned_back
+from twistcap.cues.view import steadied
+from twistcap.estimate import Frame, Keypoints
 from twistcap.hindsight import tracked
 from twistcap.predict import Moment, Prediction
 from twistcap.search.evidence import Evidence, EvidenceView
@@ -30,6 +33,7 @@ from twistcap.track import Model, Settings, Tracker
 from twistcap.track.step import posed_problem
 
 FAULT = range(16, 34)
+BUMP = np.deg2rad([0.9, -1.6, 0.8])
 
 
 @cache
@@ -265,19 +269,99 @@ def test_a_body_that_is_nowhere_is_held() -> None:
     assert np.linalg.norm(roots[-1] - roots[-4]) < 0.03
 
 
-def test_a_bumped_camera_is_left_out_and_taken_back() -> None:
-    def bumped(frame: Frame) -> Frame:
+def _turned(frame: Frame, cameras: tuple[int, ...]) -> Frame:
+    """The frame as if some cameras had been turned by 2 degrees."""
+    rig, images = _scene()[0].rig, list(frame.images)
+    for i in cameras:
+        image = images[i]
+        assert image is not None
+        images[i] = turned_back(image, rig[i], -BUMP)
+    return replace(frame, images=tuple(images))
+
+
+@pytest.mark.parametrize("cameras", [(0,), (0, 1, 2)])
+def test_bumped_cameras_are_turned_back_until_they_stand_again(cameras: tuple[int, ...]) -> None:
+    track = [(error, tracker.state) for error, tracker in _tracked(lambda frame: _turned(frame, cameras))]
+    assert max(error for error, _ in track) < 0.04
+    assert all(state.left_out == () for _, state in track)
+    for k, (_, state) in enumerate(track):
+        moved = [i for i in range(3) if np.any(state.bumps[i])]
+        assert moved == (list(cameras) if k in FAULT else [])
+        np.testing.assert_allclose(state.bumps[moved], np.tile(BUMP, (len(moved), 1)), atol=np.deg2rad(0.05))
+
+
+@pytest.mark.parametrize("cameras", [(0,), (1, 2)])
+def test_a_camera_that_is_bumped_while_nobody_is_in_sight(cameras: tuple[int, ...]) -> None:
+    def faulty(frame: Frame) -> Frame:
+        seen = _empty(frame) if frame.index < FAULT[8] else frame
+        return _turned(seen, cameras) if frame.index >= FAULT[4] else seen
+
+    track = [(error, tracker.state.bumps) for error, tracker in _tracked(faulty)]
+    assert min(error for error, _ in track[FAULT[8] : FAULT[8] + 4]) < 0.02
+    assert max(error for error, _ in track[FAULT[12] :]) < 0.03
+    np.testing.assert_allclose(track[FAULT[12]][1][list(cameras)], np.tile(BUMP, (len(cameras), 1)), atol=0.001)
+
+
+def test_a_camera_that_all_but_stands_as_it_did_is_left_in_peace() -> None:
+    """Else it would be looked at, and found turned, in every frame."""
+    rig, little = _scene()[0].rig, np.deg2rad([0.02, 0.03, 0.03])
+
+    def faulty(frame: Frame) -> Frame:
+        if frame.index < FAULT[4]:
+            return _turned(frame, (0,))
         first = frame.images[0]
         assert first is not None
-        moved = cv2.warpAffine(first, np.array([[1.0, 0.0, 14.0], [0.0, 1.0, 6.0]]), first.shape[1::-1])
-        return replace(frame, images=(np.asarray(moved, np.uint8), *frame.images[1:]))
+        return replace(frame, images=(turned_back(first, rig[0], -little), *frame.images[1:]))
 
-    track = [(error, tracker.state.left_out) for error, tracker in _tracked(bumped)]
+    states = [tracker.state for _, tracker in _tracked(faulty)]
+    assert np.any(states[FAULT[3]].bumps[0])
+    assert not any(np.any(state.bumps) for state in states[FAULT[6] :])
+    unrest = [state.searches["lost body"].unrest.restless[0] for state in states[FAULT[6] : FAULT[-1]]]
+    assert np.all(np.diff(unrest) < 0.0)
+
+
+def test_cameras_that_sway_are_followed() -> None:
+    rig = _scene()[0].rig
+
+    def swayed(k: int) -> Float:
+        return np.outer([1.0, -1.3, 0.8], np.deg2rad([0.6, 0.9, 0.4])) * np.sin(0.4 * (k - FAULT[0]))
+
+    def swaying(frame: Frame) -> Frame:
+        turns = swayed(frame.index)
+        images = [turned_back(image, c, -b) for image, c, b in zip(frame.images, rig, turns, strict=True)]
+        return replace(frame, images=tuple(images))
+
+    track = [(error, tracker.state.bumps) for error, tracker in _tracked(swaying)]
+    assert max(error for error, _ in track) < 0.04
+    off = [np.linalg.norm(track[k][1] - swayed(k), axis=1).max() for k in FAULT]
+    assert np.rad2deg(max(off)) < 0.25 and np.rad2deg(np.median(off)) < 0.08
+
+
+def test_keypoints_of_a_turned_camera_do_not_count() -> None:
+    scene, frames = _scene()
+    keypoints = Keypoints(("knee_r",), np.zeros((3, 1, 2)), np.ones((3, 1)))
+    turned = steadied(replace(frames[0], keypoints=keypoints), np.outer([0.0, 1.0, 0.0], BUMP), scene.rig)
+    assert turned.keypoints is not None and turned.keypoints.confidence.ravel().tolist() == [1.0, 0.0, 1.0]
+    assert [now is before for now, before in zip(turned.images, frames[0].images, strict=True)] == [True, False, True]
+
+
+def test_a_moved_camera_is_left_out_and_taken_back() -> None:
+    """It has not only been turned: no turn explains its picture."""
+
+    def moved(frame: Frame) -> Frame:
+        first = frame.images[0]
+        assert first is not None
+        larger = np.array([[1.15, 0.0, 14.0], [0.0, 1.15, 6.0]])
+        return replace(
+            frame, images=(np.asarray(cv2.warpAffine(first, larger, (320, 240)), np.uint8), *frame.images[1:])
+        )
+
+    track = [(error, tracker.state) for error, tracker in _tracked(moved)]
     assert max(error for error, _ in track) < 0.25  # which two cameras and a walk leave
-    out = [cameras for _, cameras in track]
+    out = [state.left_out for _, state in track]
     assert all(cameras == () for cameras in out[: FAULT[0]])
     assert all(cameras == (0,) for cameras in out[FAULT[0] + 4 : FAULT[-1]])
-    assert out[-1] == ()
+    assert out[-1] == () and not any(np.any(state.bumps) for _, state in track)
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from twistcap.adjust.first_pose import fit_keypoints
 from twistcap.body import Pose
 from twistcap.camera import Rig
+from twistcap.camera.bump import bumped
 from twistcap.errors import InputError
 from twistcap.estimate import Keypoints
 from twistcap.search import Problem
@@ -32,8 +33,9 @@ class KeypointPoses:
         keypoints = problem.frame.keypoints or self.keypoints(problem.frame.index)
         if keypoints is None:
             return ()
+        rig = Rig(tuple(bumped(camera, bump) for camera, bump in zip(self.rig, problem.bumps, strict=True)))
         try:
-            found = fit_keypoints(problem.body, self.rig, keypoints, fit_lengths=False, start=problem.past.last)
+            found = fit_keypoints(problem.body, rig, keypoints, fit_lengths=False, start=problem.past.last)
         except InputError:  # too few joints are seen in this frame
             return ()
         return (found.pose,)

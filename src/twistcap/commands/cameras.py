@@ -28,8 +28,8 @@ _NUMBERS = (
 def mend_cameras(path: Path, out: Path, session: Any, names: Sequence[str] = ()) -> dict[str, Any]:
     """Estimate where cameras of a result stand, and write a new calibration into a folder; what ``--json`` prints.
 
-    Without names, those that the tracker left out or suspected are mended. Each is looked for by itself; others that
-    are wrong are not believed until they are mended.
+    Without names, those are mended that the tracker left out, turned back or suspected. Each is looked for by itself;
+    others that are wrong are not believed until they are mended.
 
     Raises InputError where no camera is wrong, or too few frames or cameras are left.
     """
@@ -48,7 +48,8 @@ def mend_cameras(path: Path, out: Path, session: Any, names: Sequence[str] = ())
     for c in wrong:
         views = views_of(session, mended)
         others = [k for k in wrong if k != c and mended[k] is result.rig[k]]
-        row, place = _mended(result, views, session, c, others, suspected.get(c, 0))
+        known = [k for k in wrong if mended[k] is not result.rig[k]]
+        row, place = _mended(_as_mended(result, known), views, session, c, others, suspected.get(c, 0))
         rows.append(row)
         if row["sure"]:
             camera = replace(mended[c], T_cam_world=place)
@@ -79,14 +80,16 @@ def mend_in_words(result: Any, path: Path, elsewhere: Collection[int] = ()) -> l
     """
     from twistcap.io.files import pasted
 
-    out = result.left_out
+    out = _wrong_in(result)
     if not len(out) or len(result.rig) - len({*np.flatnonzero(out[-1]), *elsewhere}) < 2:
         return []
-    bumped = f"If it was bumped, twistcap refine {pasted(path)} --cameras finds its new place"
-    mend = f"{bumped}; if late, twistcap sync its offset."
+    refine = f"twistcap refine {pasted(path)} --cameras finds its new place"
+    mend = f"If it was bumped, {refine}; if late, twistcap sync its offset."
     told = list[str]()
     for c, name in enumerate(result.rig.names):
-        if out[-1, c] and out[:, c].sum() >= _OFTEN:
+        if out[-1, c] and np.any(result.bumps[-1, c]):
+            told.append(f"Camera {name} still stands bumped. {refine}.")
+        elif out[-1, c] and out[:, c].sum() >= _OFTEN:
             told.append(f"Camera {name} was left out to the end. {mend}")
         elif c in elsewhere:
             told.append(f"Camera {name} {ELSEWHERE}. {mend}")
@@ -121,10 +124,10 @@ def _wrong(result: Any, names: Sequence[str], suspected: Collection[int], path: 
                 f"--camera names {name!r}, which {path} does not have; it has {', '.join(result.rig.names)}."
             )
     wrong = [result.rig.names.index(name) for name in names]
-    often = np.flatnonzero(result.left_out.sum(axis=0) >= _OFTEN).tolist()
+    often = np.flatnonzero(_wrong_in(result).sum(axis=0) >= _OFTEN).tolist()
     wrong = wrong or sorted({*often, *suspected})
     if not wrong:
-        none = f"no camera was left out in {_OFTEN} frames, or seemed to stand elsewhere at the end"
+        none = f"no camera was left out or stood bumped in {_OFTEN} frames, or seemed to stand elsewhere at the end"
         raise InputError(f"{path}: {none}; name one that is wrong with --camera.")
     if len(result.rig) - len(wrong) < 2:
         bad = ", ".join(result.rig.names[c] for c in wrong)
@@ -138,7 +141,7 @@ def _mended(
     """One row of the table, and `T_cam_world` of a camera, which was `suspected` from a row on where not left out."""
     from twistcap.adjust.cameras import agreement_at, holds_from, mended_cameras
 
-    name, first = result.rig.names[camera], _since(result.left_out[:, camera]) or suspected
+    name, first = result.rig.names[camera], _since(_wrong_in(result)[:, camera]) or suspected
     chosen = _frames(result, first, camera, others)
     if len(chosen) < _FEWEST:
         reason = f"only {len(chosen)} good frames show it where it stands now; track at least {_FEWEST}"
@@ -168,13 +171,22 @@ def _doubt(before: float, after: float, others: float) -> str:
     return "no place of it agrees with the others; it may be late, frozen or swapped"
 
 
-def _since(left_out: Any) -> int:
-    """Row of (F,) at which the last stretch begins in which a camera is mostly left out; 0 without one.
+def _wrong_in(result: Any) -> Any:
+    """(N, C) frames in which each camera was left out, or stood as it has stood bumped at the end, and not swayed."""
+    from twistcap.adjust.cameras import SWAYS
+
+    alike = np.linalg.norm(result.bumps - result.bumps[-1:], axis=2) < SWAYS
+    stands = np.any(result.bumps[-_OFTEN:], axis=2).all(axis=0) & alike[-_OFTEN:].all(axis=0)
+    return result.left_out | (alike & stands)
+
+
+def _since(wrong: Any) -> int:
+    """Row of (F,) at which the last stretch begins in which a camera is mostly wrong; 0 without one.
 
     A stretch has a surplus of `_OFTEN` such rows, and ends with a gap of at most `_FEWEST` others.
     """
     start, begun, surplus = 0, 0, 0
-    for row, out in enumerate(left_out):
+    for row, out in enumerate(wrong):
         begun = begun if surplus else row
         surplus = min(max(surplus + (1 if out else -1), 0), _FEWEST)
         start = begun if surplus >= _OFTEN else start
@@ -193,6 +205,13 @@ def _frames(result: Any, first: int, camera: int, others: Sequence[int]) -> list
     rows = [e for e in result.estimates[first:] if e.seen and not e.lost]
     spread = rows[:: max(1, -(-len(rows) // _MOST))]
     return [replace(e, left_out=tuple({*e.left_out, *others} - {camera})) for e in spread]
+
+
+def _as_mended(result: Any, cameras: Sequence[int]) -> Any:
+    """The result, some cameras of which are no longer thought to stand turned: their calibration holds the turn."""
+    if not cameras:
+        return result
+    return replace(result, bumps=np.where(np.isin(np.arange(len(result.rig)), cameras)[:, None], 0.0, result.bumps))
 
 
 def _off(result: Any, found: Any, camera: int) -> dict[str, float]:

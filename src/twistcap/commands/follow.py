@@ -21,6 +21,7 @@ from twistcap.report.words import CONTRADICTS
 from twistcap.track import Tracker
 
 _LEFT_OUT, _BELIEVED = f"is left out; it {CONTRADICTS}", "is believed again"
+_TURNED, _STANDS = "was bumped, or sways; its pictures are turned back", "stands again as it was calibrated"
 _HERE = "no longer seems to stand elsewhere"
 STATE_EVERY = 10
 """Frames from one saved state to the next; what follows the last one is tracked again, and comes out alike."""
@@ -48,17 +49,22 @@ class Believed:
     out: frozenset[int] = frozenset()
     said: set[tuple[int, str]] = field(default_factory=set[tuple[int, str]])
     elsewhere: frozenset[int] = frozenset()
+    turned: frozenset[int] = frozenset()
 
     def news(self, estimate: Estimate, elsewhere: Collection[int] = ()) -> list[str]:
-        """Sentences about the cameras that are left out, believed again, or seem to be elsewhere since the last frame.
+        """Sentences about the cameras that are left out, believed again, turned, or seem to be elsewhere since the last
+        frame.
 
         `elsewhere` are those that the watch suspects.
         """
         out, suspects = frozenset(estimate.left_out), frozenset(elsewhere)
         changed = [(c, _LEFT_OUT if c in out else _BELIEVED) for c in sorted(self.out ^ out)]
         changed += [(c, ELSEWHERE if c in suspects else _HERE) for c in sorted(self.elsewhere ^ suspects)]
+        bumps = () if estimate.bumps is None else np.flatnonzero(np.any(estimate.bumps, axis=1)).tolist()
+        turned = frozenset[int](bumps)
+        changed += [(c, _TURNED if c in turned else _STANDS) for c in sorted(self.turned ^ turned)]
         fresh = [change for change in changed if change not in self.said]
-        self.out, self.elsewhere = out, suspects
+        self.out, self.elsewhere, self.turned = out, suspects, turned
         self.said.update(fresh)
         return [f"frame {estimate.index}: camera {self.names[c]} {what}" for c, what in fresh]
 

@@ -102,8 +102,11 @@ def run_session(session: Any, folder: Path, begin: Begin = Begin()) -> dict[str,
         statements = [*result_in_words(result), *mend_in_words(result, path, elsewhere), *apart]
         files = [path, *_outputs(session, views, result, folder, timing, norms, statements)]
     lost = result.indices[result.lost].tolist()
-    out = {name: result.indices[rows].tolist() for name, rows in zip(result.rig.names, result.left_out.T, strict=True)}
-    about = {"id": "track", "result": path, "frames": len(result), "lost": lost, "left_out": out}
+    out, turned = (
+        {name: result.indices[each].tolist() for name, each in zip(result.rig.names, rows.T, strict=True)}
+        for rows in (result.left_out, np.any(result.bumps, axis=2))
+    )
+    about = {"id": "track", "result": path, "frames": len(result), "lost": lost, "left_out": out, "turned": turned}
     about |= {"corrected": sorted(timing.corrected), "statements": statements}
     return about | {"ms_per_frame": timing.median, "files": files}
 

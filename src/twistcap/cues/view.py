@@ -10,9 +10,10 @@ import cv2
 import numpy as np
 
 from twistcap._cached import cached
-from twistcap.arrays import AnyArray, Float32
+from twistcap.arrays import AnyArray, Float, Float32
 from twistcap.body import Posed
-from twistcap.camera import Camera
+from twistcap.camera import Camera, Rig
+from twistcap.camera.bump import turned_back
 from twistcap.errors import InputError
 from twistcap.estimate import Frame
 from twistcap.features import Channels, feature_channels, grey, opponent
@@ -168,6 +169,21 @@ def with_news(frame: Frame, before: tuple[int, ...], moving: bool) -> tuple[Fram
 
 def _blank(image: AnyArray) -> bool:
     return float(cv2.meanStdDev(image)[1].max()) < _BLANK * (255.0 if image.dtype == np.uint8 else 1.0)
+
+
+def steadied(frame: Frame, bumps: Float, rig: Rig) -> Frame:
+    """The frame, its images as if no camera had been turned, by rotation vectors (C, 3) of their own frames.
+
+    Keypoints of those that were turned do not count.
+    """
+    if not np.any(bumps):
+        return frame
+    each, points = zip(frame.images, rig, bumps, strict=True), frame.keypoints
+    images = tuple(None if image is None else turned_back(image, camera, bump) for image, camera, bump in each)
+    if points is not None:
+        points = replace(points, confidence=np.where(np.any(bumps, axis=1)[:, None], 0.0, points.confidence))
+        points = points if points.confidence.any() else None
+    return replace(frame, images=images, keypoints=points)
 
 
 def despeckled(frame: Frame, size: int) -> Frame:

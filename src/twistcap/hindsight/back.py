@@ -21,6 +21,7 @@ from twistcap.hindsight.passed import (
     Passed,
     apart,
     begun,
+    bumps_in,
     corrected,
     evidence_in,
     lost_memory,
@@ -137,7 +138,8 @@ def _backward(model: Model, state: State, passed: Sequence[Passed]) -> Iterator[
     state = _turned(model, state)
     for one in reversed(passed):
         before = state
-        state, estimate = step(state, replace(one.seen, time=-one.frame.time), model)
+        there = replace(state, bumps=bumps_in(model, one))
+        state, estimate = step(there, replace(one.seen, time=-one.frame.time), model)
         if estimate.status in (*UNSEEN, "failed"):
             return
         yield one, estimate, _put_elsewhere(model, before, state)

@@ -21,6 +21,7 @@ from twistcap.hindsight.passed import (
     Passed,
     apart,
     begun,
+    bumps_in,
     corrected,
     evidence_in,
     sums,
@@ -152,7 +153,8 @@ def _tracked_again(
     model = replace(model, predictors=tuple(p for p in model.predictors if p.name != "motion"))
     whole, alone = list[Again](), list[Again]()
     for one, expected in zip(stretch.passed, stretch.expected, strict=True):
-        _, found = step(_expecting(model, state, expected, one.frame.time), one.seen, model)
+        there = replace(_expecting(model, state, expected, one.frame.time), bumps=bumps_in(model, one))
+        _, found = step(there, one.seen, model)
         if found.status in _BLIND:
             return [], []
         limb = with_coordinates(one.estimate.pose, stretch.limb, found.pose)

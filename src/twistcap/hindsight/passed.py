@@ -10,7 +10,7 @@ import numpy as np
 
 from twistcap.arrays import Bool, Float
 from twistcap.body import Pose, Posed
-from twistcap.cues.view import despeckled
+from twistcap.cues.view import despeckled, steadied
 from twistcap.estimate import Estimate, Frame
 from twistcap.predict.history import Moment, Past
 from twistcap.search.evidence import Evidence
@@ -66,9 +66,14 @@ def evidence_in(model: Model, state: State, one: Passed) -> Evidence:
     """What the pictures of a passed frame say of poses, by what is known now."""
     none = np.zeros_like(state.covariance)
     out = frozenset(state.left_out)
-    frame = despeckled(one.seen, model.despeckle)
+    frame = despeckled(steadied(one.seen, bumps_in(model, one), model.rig), model.despeckle)
     problem = FrameProblem(model, state, frame, one.estimate.pose, none, none, {}, left_out=out)
     return lost_memory(state).known.evidence(problem)
+
+
+def bumps_in(model: Model, one: Passed) -> Float:
+    """(C, 3) turns of the cameras in a passed frame."""
+    return np.zeros((len(model.rig), 3)) if one.estimate.bumps is None else one.estimate.bumps
 
 
 def apart(model: Model, one: Pose, other: Pose) -> Float:

@@ -37,6 +37,7 @@ from twistcap.io.result_image import (
     SLOTS,
     image_of,
     installed_versions,
+    named,
     state_row,
     value_of,
 )
@@ -67,6 +68,7 @@ class Result:
     part_probability: Float  # (N, S) the same of each segment's limb; NaN where nothing was seen
     left_out: Bool  # (N, C) cameras that were not believed
     missing: Bool  # (N, C) cameras that showed nothing, or nothing new
+    bumps: Float  # (N, C, 3) turns of the cameras from where they are calibrated, rad; see `Estimate`
     predicted: tuple[str, ...]  # N words, the source of the pose that each frame started from; see `Estimate`
     config: Mapping[str, Any]  # what the run was configured with, as JSON data
     versions: Mapping[str, str]  # of the programs, by name
@@ -78,11 +80,11 @@ class Result:
     ) -> Result:
         """Before the first frame."""
         J, S, none = len(body.coordinate_names), len(body.segment_names), np.zeros(0)
-        parts, cameras = np.zeros((0, S)), np.zeros((0, len(rig)), np.bool_)
+        parts, cameras, bumps = np.zeros((0, S)), np.zeros((0, len(rig)), np.bool_), np.zeros((0, len(rig), 3))
         roots, covariances = np.zeros((0, 4, 4)), np.zeros((0, 6 + J, 6 + J))
         return Result(
             body, rig, none.astype(np.int32), none, roots, np.zeros((0, J)), covariances, {}, (), none.astype(np.int32),
-            none.astype(np.bool_), none, none, parts, cameras, cameras, (), config, versions, recording,
+            none.astype(np.bool_), none, none, parts, cameras, cameras, bumps, (), config, versions, recording,
         )  # fmt: skip
 
     @property
@@ -93,7 +95,7 @@ class Result:
             "index": self.indices, "time": self.times, "root": self.roots, "q": self.q,
             "covariance": self.covariances, "iterations": self.iterations, "lost": self.lost, "support": self.support,
             "probability": self.probability, "part_probability": self.part_probability,
-            "left_out": self.left_out, "missing": self.missing,
+            "left_out": self.left_out, "missing": self.missing, "bumps": self.bumps,
         }  # fmt: skip
 
     def __len__(self) -> int:
@@ -141,7 +143,8 @@ class Result:
                 status=self.statuses[n], iterations=int(self.iterations[n]), lost=bool(self.lost[n]),
                 support=float(self.support[n]), predicted=self.predicted[n], probability=float(self.probability[n]),
                 part_probability=None if np.isnan(self.part_probability[n]).all() else self.part_probability[n],
-                left_out=_true(self.left_out[n]), missing=_true(self.missing[n]),
+                left_out=named(self.left_out[n]), missing=named(self.missing[n]),
+                bumps=self.bumps[n] if np.any(self.bumps[n]) else None,
             )
             for n, pose in enumerate(self.poses)
         )  # fmt: skip
@@ -332,7 +335,8 @@ def _result_of(path: str | Path, held: Mapping[str, Any]) -> Result:
             energies={k.removeprefix("energies/"): row for k, row in rows.items() if k.startswith("energies/")},
             statuses=tuple(rows["status"].tolist()), iterations=rows["iterations"], lost=rows["lost"],
             support=rows["support"], probability=rows["probability"], part_probability=rows["part_probability"],
-            left_out=rows["left_out"], missing=rows["missing"], predicted=tuple(rows["predicted"].tolist()),
+            left_out=rows["left_out"], missing=rows["missing"], bumps=rows["bumps"],
+            predicted=tuple(rows["predicted"].tolist()),
             config=_table_of(held, "config", source),
             versions={k.removeprefix("versions@"): str(v) for k, v in held.items() if k.startswith("versions@")},
             recording=_table_of(held, "recording", source),
@@ -378,13 +382,9 @@ def _camera_of(source: str, held: Mapping[str, Any], i: int) -> Camera:
     return camera
 
 
-def _true(flags: Bool) -> tuple[int, ...]:
-    return tuple(np.flatnonzero(flags).tolist())
-
-
 def _check_frames(rows: Mapping[str, Any], body: Body, cameras: int) -> None:
     wanted = {"q": len(body.coordinate_names), "part_probability": len(body.segment_names)}
-    for name, columns in (wanted | {"left_out": cameras, "missing": cameras}).items():
+    for name, columns in (wanted | {"left_out": cameras, "missing": cameras, "bumps": cameras}).items():
         if rows[name].shape[1] != columns:
             raise InputError(f"frames: {name} has {rows[name].shape[1]} columns, not {columns}; track it again.")
     if np.any(np.diff(rows["index"]) <= 0) or np.any(np.diff(rows["time"]) <= 0):

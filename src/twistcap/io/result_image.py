@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import h5py
 import numpy as np
 
-from twistcap.arrays import AnyArray, UInt8
+from twistcap.arrays import AnyArray, Bool, UInt8
 from twistcap.body import Body
 from twistcap.estimate import Estimate
 from twistcap.registry import NAME_BYTES
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from twistcap.io.result import Result
 
 FORMAT = "twistcap-result"
-FORMAT_VERSION = 6
+FORMAT_VERSION = 7
 BODY_ARRAYS = ("parent", "twists", "limits", "segment_joint", "vertices", "faces", "skin_segments", "skin_weights")
 BODY_NAMES = ("coordinate_names", "segment_names")
 RIG_ARRAYS = ("K", "T_cam_world", "size", "dist")
@@ -46,6 +46,7 @@ FIELDS: Mapping[str, tuple[str, Any]] = {  # datasets of the frames: attribute o
     "part_probability": ("part_probability", "f4"),
     "left_out": ("left_out", "bool"),
     "missing": ("missing", "bool"),
+    "bumps": ("bumps", "f8"),
     "predicted": ("predicted", h5py.string_dtype("ascii", NAME_BYTES)),
     "index": ("index", "i8"),  # the last one to be written: it says that the frame is whole
 }
@@ -85,7 +86,14 @@ def value_of(estimate: Estimate, name: str, shape: tuple[int, ...]) -> Any:
     value = attrgetter(FIELDS[name][0])(estimate)
     if name in CAMERAS:
         return np.isin(np.arange(shape[0]), value)
-    return np.full(shape, np.nan) if value is None else value
+    if value is None:
+        return np.zeros(shape) if name == "bumps" else np.full(shape, np.nan)
+    return value
+
+
+def named(flags: Bool) -> tuple[int, ...]:
+    """Numbers of the cameras that a row (C,) of `CAMERAS` names."""
+    return tuple(np.flatnonzero(flags).tolist())
 
 
 @dataclass(frozen=True)

@@ -50,6 +50,7 @@ FRAMES: Schema = {
     "part_probability": real("N", "S", least=0.0, most=1.0, gaps=True),
     "left_out": flag("N", "C"),
     "missing": flag("N", "C"),
+    "bumps": real("N", "C", 3, least=-4.0, most=4.0),
     "predicted": word("N"),
 }
 

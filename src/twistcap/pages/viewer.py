@@ -13,6 +13,7 @@ from twistcap.body import Body, Posed
 from twistcap.body.kinematics import unit_vertex_normals
 from twistcap.body.limbs import most_of_limbs, named_limbs
 from twistcap.camera import Camera, Rig
+from twistcap.camera.bump import bumped
 from twistcap.errors import InputError
 from twistcap.estimate import UNSEEN
 from twistcap.evaluate.load import Reference
@@ -112,7 +113,12 @@ def _run(name: str, result: Result, indices: Int, shown: Int, rig: Rig, width: i
     shape = (len(posed), len(body.segment_names), 12)
     transforms = np.array([p.segment_transforms[:, :3] for p in posed]).reshape(shape)
     outlines = [
-        [flat(body_outlines(camera, posed[rows[k]]), _factor(camera, width)) if rows[k] >= 0 else [] for k in shown]
+        [
+            flat(body_outlines(_as_it_stood(camera, result, rows[k]), posed[rows[k]]), _factor(camera, width))
+            if rows[k] >= 0
+            else []
+            for k in shown
+        ]
         for camera in rig
     ]
     return {
@@ -131,6 +137,12 @@ def _run(name: str, result: Result, indices: Int, shown: Int, rig: Rig, width: i
         "coordinates": list(body.coordinate_names), "units": ["°" if table.turning[k] else " m" for k in own],
         "angles": packed(angles), "sigmas": packed(np.nan_to_num(sigmas)),
     }  # fmt: skip
+
+
+def _as_it_stood(camera: Camera, result: Result, row: int) -> Camera:
+    """A camera turned as it was in a row of a result; as it is where the result does not know it."""
+    names = result.rig.names
+    return bumped(camera, result.bumps[row, names.index(camera.name)]) if camera.name in names else camera
 
 
 def _reference(reference: Reference, body: Body, times: Float, rig: Rig, shown: Int, width: int) -> dict[str, Any]:

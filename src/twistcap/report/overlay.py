@@ -17,6 +17,7 @@ from twistcap.body.kinematics import unit_vertex_normals
 from twistcap.body.limbs import named_limbs
 from twistcap.body.shape import joint_origins
 from twistcap.camera import Camera, Rig
+from twistcap.camera.bump import bumped
 from twistcap.estimate import Estimate, Frame
 from twistcap.io.videowriter import VideoWriter, as_rgb
 from twistcap.render.raster import barycentric, rasterise
@@ -233,12 +234,13 @@ def draw_mosaic(
     """All views of one frame (H, W, 3) uint8, with the body over them, camera names, frame number and time.
 
     Where its estimate is given, a lost frame has a red border and its most doubtful limbs in red, and a camera that was
-    not believed says so.
+    not believed, or was bumped, says so.
     """
     canvas = np.full((mosaic.size[1], mosaic.size[0], 3), _INK, np.uint8)
     limbs = {} if posed is None else named_limbs(posed.body)
     lost = estimate is not None and _red(estimate, limbs)
     for k, (image, camera) in enumerate(zip(frame.images, mosaic.cameras, strict=True)):
+        camera = camera if estimate is None or estimate.bumps is None else bumped(camera, estimate.bumps[k])
         resized = None if image is None else _resized(image, camera)
         view = _canvas(resized, camera) if posed is None else draw_overlay(resized, camera, posed, lost, bones=bones)
         x, y = mosaic.place(canvas, k, view)
@@ -272,7 +274,7 @@ def _label(canvas: AnyArray, text: str, at: tuple[int, int], colour: Colour = _P
     """Text on a darkened strip; `at` is the lower left (or lower right) corner of its letters."""
     if not text:
         return
-    text = text.encode("ascii", "replace").decode()  # OpenCV's own letters know no more
+    text = text.replace("°", " deg").encode("ascii", "replace").decode()  # OpenCV's own letters know no more
     (width, height), base = cv2.getTextSize(text, cv2.FONT_HERSHEY_DUPLEX, 0.6, 1)
     x, y = at[0] - width * right, at[1]
     strip = canvas[max(0, y - height - 6) : y + base + 3, max(0, x - 6) : x + width + 6]

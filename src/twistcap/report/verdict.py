@@ -17,7 +17,7 @@ from twistcap.evaluate.metrics import Row, row
 from twistcap.io.coordinates import coordinates_of
 from twistcap.io.result import Result
 from twistcap.report.page import Statement
-from twistcap.report.words import in_spans
+from twistcap.report.words import bump_in_words, in_spans
 
 RELIABLE, CARE = 2.0, 5.0
 """Degrees of σ."""
@@ -51,8 +51,9 @@ def verdict_of(result: Result) -> list[Statement]:
 
 
 def camera_rows(result: Result) -> list[Row]:
-    """A table of the frames in which each camera disagreed with the others, or showed nothing new."""
+    """A table of the frames in which each camera disagreed with the others, was turned back, or showed nothing new."""
     counts = (("frames in which it disagrees and was left out", result.left_out),
+              ("frames in which its pictures were turned back", np.any(result.bumps, axis=2)),
               ("frames without anything new", result.missing))  # fmt: skip
     return [
         row(name, what, int(rows[:, c].sum()), f"of {len(result)}", at_most=0)
@@ -142,6 +143,20 @@ def _cameras(result: Result) -> list[Statement]:
     out = result.left_out.mean(axis=0)
     odd = [f"{name} in {100 * share:.0f} %" for name, share in zip(result.rig.names, out, strict=True) if share > 0]
     if not odd:
-        return [Statement(f"None of the {len(result.rig)} cameras was left out.", True)]
+        return [Statement(f"None of the {len(result.rig)} cameras was left out.", True), *_bumped(result)]
     words = f"Cameras that disagree with the others and were left out: {', '.join(odd)} of the frames. Check them."
-    return [Statement(words, False if out.max() > 1 - _USABLE else None)]
+    return [Statement(words, False if out.max() > 1 - _USABLE else None), *_bumped(result)]
+
+
+def _bumped(result: Result) -> list[Statement]:
+    """A statement about cameras that were turned back, if there are any."""
+    stood = np.any(result.bumps, axis=2)
+    rows = [(name, int(np.argmax(stood[:, c])), c) for c, name in enumerate(result.rig.names) if stood[:, c].any()]
+    if not rows:
+        return []
+    most = np.linalg.norm(result.bumps, axis=2).argmax(axis=0)
+    each = [f"{n} {bump_in_words(result.bumps[most[c], c])} from frame {result.indices[k]} on" for n, k, c in rows]
+    words = (
+        f"Cameras that were bumped or sway: {', '.join(each)}. Their pictures were turned back by their backgrounds. "
+    )
+    return [Statement(words + "Look at where the body lies in them, and calibrate them before you film more.", None)]

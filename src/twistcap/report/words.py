@@ -59,19 +59,31 @@ def state_in_words(estimate: Estimate, limbs: Mapping[str, Bool]) -> str:
     return f"lost: {why}" if why else "lost"
 
 
+def bump_in_words(bump: Float) -> str:
+    """`by 1.2°` for a turn (3,) of a camera; empty for none."""
+    return f"by {np.rad2deg(np.linalg.norm(bump)):.1f}°" if np.any(bump) else ""
+
+
 def camera_in_words(estimate: Estimate | None, camera: int, pictured: bool = True) -> str:
-    """`left out`, `no image` or `nothing new` (blank, or the one before once more); empty for a camera that counts."""
+    """`left out`, `no image`, `nothing new` (blank, or the one before once more) or `bumped by 1.2°`; empty where all
+    is well.
+    """
     if estimate is not None and camera in estimate.left_out:
         return "left out"
     if not pictured:
         return "no image"
-    return "nothing new" if estimate is not None and camera in estimate.missing else ""
+    if estimate is None or estimate.bumps is None or camera in estimate.missing:
+        return "nothing new" if estimate is not None and camera in estimate.missing else ""
+    turned = bump_in_words(estimate.bumps[camera])
+    return f"bumped {turned}" if turned else ""
 
 
 def frame_in_words(estimate: Estimate, limbs: Mapping[str, Bool], cameras: Sequence[str]) -> str:
     """`lost: left arm (probability 0.93); camera cam2 is left out`; empty where all is well."""
     lost = f"{state_in_words(estimate, limbs)} (probability {estimate.probability:.2f})" if estimate.lost else ""
     out = [f"camera {cameras[c]} is left out" for c in estimate.left_out]
+    bumps = () if estimate.bumps is None else map(bump_in_words, estimate.bumps)
+    out += [f"camera {name} is bumped {turned}" for name, turned in zip(cameras, bumps, strict=False) if turned]
     some = estimate.missing if len(estimate.missing) < len(cameras) else ()
     return "; ".join(filter(None, [lost, *out, *(f"camera {cameras[c]} shows nothing new" for c in some)]))
 
@@ -82,10 +94,11 @@ def result_in_words(result: Result) -> list[str]:
 
 
 def cameras_in_words(result: Result) -> list[str]:
-    """Sentences about cameras: that they were left out, or showed nothing for a while."""
+    """Sentences about cameras: that they were left out, bumped, or showed nothing for a while."""
     none = np.asarray(result.missing.all(axis=1), np.bool_)
     names, out, some = result.rig.names, result.left_out.T, result.missing.T & ~none
     found = [(f"camera {n} was left out", f"; it {CONTRADICTS}", rows) for n, rows in zip(names, out, strict=True)]
+    found += [_bumped(n, bumps) for n, bumps in zip(names, result.bumps.swapaxes(0, 1), strict=True)]
     found += [("no camera showed anything new", f" ({NOTHING_NEW})", none)]
     found += [
         (f"camera {n} showed nothing new", f" ({NOTHING_NEW})", rows) for n, rows in zip(names, some, strict=True)
@@ -95,6 +108,13 @@ def cameras_in_words(result: Result) -> list[str]:
         for what, why, rows in found
         if rows.any()
     ]
+
+
+def _bumped(name: str, bumps: Float) -> tuple[str, str, Bool]:
+    """What is said of the turns (N, 3) of a camera, and of which rows (N,)."""
+    rows = np.asarray(np.any(bumps, axis=1), np.bool_)
+    most = bump_in_words(bumps[np.linalg.norm(bumps, axis=1).argmax()])
+    return f"camera {name} was out of its place", f" (turned {most} at most; its pictures are turned back)", rows
 
 
 def in_spans(indices: Int, rows: Bool, notes: Sequence[str] = ()) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from twistcap.arrays import Float
@@ -31,6 +31,11 @@ class Problem(Protocol):
     @property
     def left_out(self) -> frozenset[int]:
         """Cameras that are not believed."""
+        ...
+
+    @property
+    def bumps(self) -> Float:
+        """(C, 3) turns of the cameras, for which their pictures are turned back."""
         ...
 
     @property
@@ -67,6 +72,10 @@ class Problem(Protocol):
         """The same with just these cameras left out; views that it does not have do not come back."""
         ...
 
+    def turned_back(self, bumps: Mapping[int, Float]) -> Problem:
+        """The same with the pictures of some cameras as they were before turns (3,) of them, and all views of them."""
+        ...
+
     def look(self, camera_index: int, posed: Posed) -> Sight | None:
         """A camera's sight of a posed body, left out or not; None where the body or the image is not there."""
         ...
@@ -94,9 +103,11 @@ class Beginning:
 
     Attributes:
         pose: of the body; None where the images show it nowhere.
+        bumps: as in `Revision`.
     """
 
     pose: Pose | None
+    bumps: Mapping[int, Float] = field(default_factory=dict[int, Float])
 
 
 @dataclass(frozen=True)
@@ -109,6 +120,8 @@ class Revision:
         jumped: whether the whole body was elsewhere, so that this frame says nothing of how bodies move.
         left_out: cameras that are not believed from now on; None for no change.
         relit: whether all pictures have changed, so that what cues have learnt of the body's look holds no longer.
+        bumps: turns (3,) of cameras, as they were when the frame came, for which their pictures are to be turned back
+            from now on.
     """
 
     fit: Fit | None
@@ -116,6 +129,7 @@ class Revision:
     jumped: bool = False
     left_out: frozenset[int] | None = None
     relit: bool = False
+    bumps: Mapping[int, Float] = field(default_factory=dict[int, Float])
 
 
 class Search(Protocol):

@@ -109,16 +109,20 @@ class Backdrop:
         variances = np.maximum(members.T @ (values * values) / n - means * means, 0.0)
         return n[:, 0] / n.sum(), means, variances + 4.0 * FLOOR
 
-    def learnt(self, features: Float32, body: Bool, px_per_m: float) -> Backdrop:
-        """With the values (h, w, C) of pixels that are away from a body, whose mask (h, w) is given."""
-        size = 2 * max(1, round(_BERTH * px_per_m)) + 1
-        off = cv2.dilate(body.astype(np.uint8), np.ones((size, size), np.uint8)) == 0
+    def learnt(self, features: Float32, beside: Bool) -> Backdrop:
+        """With the values (h, w, C) of pixels beside the body (h, w)."""
         before = self.sums
         if before.shape[:2] != features.shape[:2]:
             before = np.zeros((*features.shape[:2], 1 + 2 * features.shape[2]), np.float32)
         lessons = self.lessons + 1
-        taught = Backdrop(with_lesson(before, features, off, _MEMORY / (_MEMORY + 1.0)), self.palette, lessons)
+        taught = Backdrop(with_lesson(before, features, beside, _MEMORY / (_MEMORY + 1.0)), self.palette, lessons)
         return replace(taught, palette=taught._palette()) if lessons & (lessons - 1) == 0 else taught
+
+
+def about(body: Bool, px_per_m: float) -> Bool:
+    """(h, w) pixels of a body (h, w) and so near to it that they may show it."""
+    size = 2 * max(1, round(_BERTH * px_per_m)) + 1
+    return np.asarray(cv2.dilate(body.astype(np.uint8), np.ones((size, size), np.uint8)) > 0, np.bool_)
 
 
 @njit(cache=True, nogil=True)

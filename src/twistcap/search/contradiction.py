@@ -56,6 +56,11 @@ class Suspicion:
     moved: tuple[int, ...] = ()
     waiting: int = 0
 
+    def without(self, cameras: Set[int]) -> Suspicion:
+        """With nothing against some cameras."""
+        agreed = {camera: times for camera, times in self.agreed.items() if camera not in cameras}
+        return replace(self, agreed=agreed, moved=tuple(c for c in self.moved if c not in cameras))
+
 
 @dataclass(frozen=True)
 class Judged:

@@ -43,13 +43,14 @@ _SLOPE = 1.0 / np.concatenate([np.diff(knots) for knots in KNOTS])
 
 # By benchmarks/fit_flag.py --seeds 1000-1087.
 LIMB = (
-    -13.27, 0, 0, 0, 0, 0, 0, 0, 0.261, 0, 0, 0, 0, 0.8449, 0, 0, 0, 0, 0, 0.3421, 0.6254, 0.3538, 0.8472, 0.4814,
-    0, 0, 0, 0.2144, 0.02664, 0, 0.3173, 0, 0.508, 0, 0, 0, 0, 0, 4.547, 0, 0.6465, 0, 0.9086, 1.337, 0.1048, 0, 0,
-    0, 0, 0, 0, 0, 0, 0, 0.4139, 0, 0, 0, 0, 0.01858, 0, 0, 0, 0.498, 0, 0, 0, 0, 0.622, 0.4343, 0, 0, 1.226,
-    0.7788, 0.9118, 0, 0.4451, 0.5116, 1.001, 0.6301, 0, 0, 0, 1.87, 0, 0, 0, 0,
+    -12.94, 0, 0, 0, 0, 0.09929, 0.9931, 0.005036, 0.00894, 0.5256, 0.7024, 0, 0, 1.036, 1.421, 0, 0, 0.3917, 0, 0, 0,
+    0, 0.4476, 0.02054, 0, 0, 1.983, 0.4618, 0, 0, 0, 0, 1.106, 0, 0, 0.2972, 0, 0, 2.133, 0.1825, 2.069, 1.062, 0,
+    0.5411, 0.5465, 0.2541, 0, 0, 0, 0, 0, 0.5876, 0, 0, 0.09342, 1.886, 0.2359, 0, 0, 0.07214, 0, 0, 0, 0.7329,
+    0.1201, 0, 0, 0.9357, 0.9373, 0, 0, 0, 1.268, 0.6664, 0, 0.3954, 0.7763, 0.4562, 0.02971, 1.794, 0, 0, 0, 0.4318,
+    0.3217, 0, 0, 0,
 )  # fmt: skip
-BODY = (0.2972, 0.02533, 0.9431)
-BLIND = (0.2043, 2.586, 0.2213)
+BODY = (0.2919, 0.02019, 0.9497)
+BLIND = (0.8844, 2.451, 0.163)
 
 
 def flag_groups(body: Body) -> Bool:
@@ -152,12 +153,14 @@ class FlagRule(Checked):
         limb: constant, then the weights of `ramps`.
         body: constant, weights of the log odds of the second most and the most doubtful limb.
         unseen: constant, weights of log₁₀ of the seconds since images last showed the body and of `beyond`.
+        gone: least probability where there are images, and none shows the body: it is elsewhere, or hardly in sight.
         lost: probability from which on it counts as lost.
     """
 
     limb: tuple[Signed, ...] = LIMB
     body: tuple[Signed, Signed, Signed] = BODY
     unseen: tuple[Signed, Signed, Signed] = BLIND
+    gone: Share = 0.8
     lost: Share = 0.5
 
     def limbs(self, signs: Float, lately: Float, deviation: Float) -> Float:
@@ -171,12 +174,12 @@ class FlagRule(Checked):
         odds = np.sort(np.concatenate([[-20.0], log_odds(limbs)]))[-2:]
         return float(_logistic(self.body[0] + odds @ np.array(self.body[1:])))
 
-    def blind(self, seconds: float, deviation: float) -> float:
+    def blind(self, seconds: float, deviation: float, gone: bool) -> float:
         """Probability that a body is lost that no image has shown for some time, and of whose farthest part a standard
-        deviation (m) is claimed.
+        deviation (m) is claimed; `gone` where it was looked for in images.
         """
         unsure = np.array([np.log10(max(seconds, 1e-3)), beyond(np.array(deviation))])
-        return float(_logistic(self.unseen[0] + unsure @ np.array(self.unseen[1:])))
+        return max(float(_logistic(self.unseen[0] + unsure @ np.array(self.unseen[1:]))), self.gone if gone else 0.0)
 
 
 def segment_deviations(posed: Posed, covariance: Float) -> Float:

@@ -22,6 +22,7 @@ from twistcap.predict.history import Moment, Past, jumped, rested
 from twistcap.ranges import Checked, Count, Range, Share
 from twistcap.search import Beginning, Problem, Proposals, Revision
 from twistcap.search.beside import BesideRule, agreement, beside, limbs_beside
+from twistcap.search.bump import BumpRule, Unrest
 from twistcap.search.contradiction import ContradictionRule, Judged, judged
 from twistcap.search.evidence import Evidence
 from twistcap.search.flag import MOST_USUAL, USUAL, at_limits, contour_signs, displaced, flag_groups, image_signs
@@ -30,6 +31,7 @@ from twistcap.search.memory import LostMemory
 from twistcap.search.placing import Hypothesis, Placing, PlacingRule
 from twistcap.search.recollection import Covered, Recollection
 from twistcap.search.stances import bundled, lowest
+from twistcap.search.surroundings import Surroundings
 from twistcap.stages import stage
 
 
@@ -90,13 +92,15 @@ class LostBody(Checked):
     contradiction: ContradictionRule = field(default_factory=ContradictionRule)
     beside: BesideRule = field(default_factory=BesideRule)
     limb: LimbRule = field(default_factory=LimbRule)
+    bump: BumpRule = field(default_factory=BumpRule)
     proposals: Proposals | None = None
     name: str = field(default="lost body", init=False)
 
     def start(self, body: Body, rig: Rig) -> LostMemory:
         """Nothing is known."""
         groups = flag_groups(body)
-        return LostMemory(Recollection.blank(body, rig), groups, np.zeros(len(groups)), np.zeros(len(groups)))
+        none, still = np.zeros(len(groups)), Unrest.none(len(rig))
+        return LostMemory(Recollection.blank(body, rig), groups, none, none, still)
 
     def put_elsewhere(self, before: LostMemory, after: LostMemory) -> Bool:
         """(G,) which limbs, and whether the rest of the body, a search has found elsewhere between two memories."""
@@ -108,12 +112,14 @@ class LostBody(Checked):
             return None, memory
         if memory.waiting:
             return Beginning(None) if memory.nowhere else None, replace(memory, waiting=memory.waiting - 1)
+        bumps = self.bump.unseen(memory.known, problem)  # a camera may have been knocked on the way out
+        problem = problem.excluding(problem.left_out - bumps.keys()).turned_back(bumps) if bumps else problem
         pose = self._searched(memory, problem)
         if pose is not None:
-            return Beginning(pose), replace(memory, nowhere=False, found=np.ones(len(memory.groups)))
+            return Beginning(pose, bumps), replace(memory, nowhere=False, found=np.ones(len(memory.groups)))
         if not memory.known.sure:
-            return None, memory
-        return Beginning(None), replace(memory, waiting=self.again - 1, nowhere=True)
+            return Beginning(problem.start, bumps) if bumps else None, memory
+        return Beginning(None, bumps), replace(memory, waiting=self.again - 1, nowhere=True)
 
     def revise(self, memory: LostMemory, problem: Problem, fit: Fit) -> tuple[Revision | None, LostMemory]:
         """The body elsewhere, where the fit is lost; else the fit is learned from."""
@@ -128,6 +134,21 @@ class LostBody(Checked):
             now = Judged(problem, found, known.check(found.posed, found.sights, problem))
             return self._at(problem, found), self._learned(self._signed(memory, now), now, 1.0)
         now = Judged(problem, fit, known.check(fit.posed, fit.sights, problem))
+        bumps, unrest = self.bump.bumps(memory.unrest, known, now)
+        memory = replace(memory, unrest=unrest, suspicion=memory.suspicion.without(bumps.keys()))
+        if not bumps:
+            return self._revised(memory, now)
+        problem = problem.excluding(problem.left_out - bumps.keys()).turned_back(bumps)
+        fit = problem.align(problem.start)
+        now = Judged(problem, fit, known.check(fit.posed, fit.sights, problem))
+        revision, memory = self._revised(memory, now)
+        revision = revision or Revision(fit, problem.past.moments[-1])
+        left_out = problem.left_out if revision.left_out is None else revision.left_out
+        return replace(revision, bumps=bumps, left_out=left_out), memory
+
+    def _revised(self, memory: LostMemory, now: Judged) -> tuple[Revision | None, LostMemory]:
+        """`revise` with cameras that stand where they are believed to."""
+        problem, known = now.problem, memory.known
         if not problem.trusted:  # in noise a body may seem to be anywhere, and noise is no lesson
             return None, self._signed(memory, now)
         if not known.sure:
@@ -246,7 +267,11 @@ class LostBody(Checked):
         if due and ratio >= self.learned:
             each = np.nan_to_num(memory.known.ratios(now.check), nan=1.0)
             seen = [s.camera_index for s in now.fit.sights if each[s.camera_index] >= self.learned]
-            known = known.taught(now.fit.posed, seen, now.problem)
+            looks = ((i, Surroundings.of(i, known.backdrops[i], now.fit.posed, now.problem)) for i in seen)
+            views = {i: view for i, view in looks if view is not None}
+            moved = [i for i, view in views.items() if self.bump.moved(view)]
+            known = known.taught(now.fit.pose, {i: view for i, view in views.items() if i not in moved})
+            memory = replace(memory, unrest=memory.unrest.of(moved))
         return replace(memory, known=known)
 
     def _elsewhere(

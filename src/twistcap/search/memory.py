@@ -8,6 +8,7 @@ import numpy as np
 
 from twistcap.arrays import Bool, Float
 from twistcap.predict.history import Moment
+from twistcap.search.bump import Unrest
 from twistcap.search.contradiction import Suspicion
 from twistcap.search.flag import shortfall
 from twistcap.search.recollection import Recollection
@@ -26,6 +27,7 @@ class LostMemory:
         found: (G,) 1 where a search has just put each limb or the rest, and less from frame to frame: what is rightly
             tracked has a history, and what was found has none.
         jumped: (G,) m, how far each was from where it was expected, and less from frame to frame.
+        unrest: of cameras that were bumped.
         suspicion: of cameras.
         frames: counted.
         waiting: frames until the next search for the body.
@@ -42,6 +44,7 @@ class LostMemory:
     groups: Bool
     found: Float
     jumped: Float
+    unrest: Unrest
     suspicion: Suspicion = field(default_factory=lambda: Suspicion({}))
     frames: int = 0
     waiting: int = 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,11 +11,11 @@ from twistcap.arrays import Bool, Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Rig
 from twistcap.cues.observation import Sight
-from twistcap.render import render
 from twistcap.search import Problem
 from twistcap.search.backdrop import Backdrop, small_camera, small_features
 from twistcap.search.evidence import Evidence, EvidenceView, evidence_maps, sampled_evidence
 from twistcap.search.placing import Stance
+from twistcap.search.surroundings import Surroundings
 
 CLIP = 3.0
 """Nats that one pixel can say."""
@@ -158,17 +158,12 @@ class Recollection:
         nats, pixels, uncovered = means
         return replace(self, nats=nats, pixels=pixels, uncovered=uncovered, fitting=fitting)
 
-    def taught(self, posed: Posed, cameras: Sequence[int], problem: Problem) -> Recollection:
-        """With the backgrounds that these cameras see about a body, and its stance."""
+    def taught(self, pose: Pose, views: Mapping[int, Surroundings]) -> Recollection:
+        """With the backgrounds that some cameras see about a body, and its stance."""
         backdrops = list(self.backdrops)
-        for i in cameras:
-            image = problem.frame.images[i]
-            assert image is not None
-            camera = small_camera(problem.rig[i], backdrops[i], posed.pose.root[:3, 3])
-            features = small_features(image, camera.size, problem.channels)
-            seen = render(posed, camera)
-            backdrops[i] = backdrops[i].learnt(features, seen.part >= 0, seen.px_per_m)
-        return replace(self._with_stance(posed.pose), backdrops=tuple(backdrops), lessons=self.lessons + 1)
+        for i, view in views.items():
+            backdrops[i] = view.backdrop.learnt(view.features, view.beside)
+        return replace(self._with_stance(pose), backdrops=tuple(backdrops), lessons=self.lessons + 1)
 
     def _with_stance(self, pose: Pose) -> Recollection:
         if len(self.angles) and np.abs(self.angles - pose.q).max(axis=1).min() < _NEW:

@@ -10,6 +10,7 @@ import numpy as np
 from twistcap.arrays import Float
 from twistcap.body import Body, Pose, Posed
 from twistcap.camera import Rig
+from twistcap.camera.bump import after_both
 from twistcap.cues.appearance import Appearance
 from twistcap.cues.observation import (
     Alternation,
@@ -21,7 +22,7 @@ from twistcap.cues.observation import (
     contour_moved,
     total_agreement,
 )
-from twistcap.cues.view import View
+from twistcap.cues.view import View, steadied
 from twistcap.estimate import Frame
 from twistcap.features import Channels
 from twistcap.predict.claims import Uncertainty
@@ -37,6 +38,7 @@ from twistcap.track.state import State
 # Damping of a step. What is told least, as the turn of the pelvis between trunk and thighs, has some 3e-4 of its own
 # diagonal: with 1e-3 of that a look goes a quarter of the way, and the track lags. Far from the body steps are careful.
 _FINE, _COARSE = 1e-4, 1e-3
+_NO_TURN = 1e-9  # rad, what is left by rounding where a camera stands again as it did
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,10 @@ class FrameProblem:
     @property
     def rig(self) -> Rig:
         return self.model.rig
+
+    @property
+    def bumps(self) -> Float:
+        return self.state.bumps
 
     @property
     def channels(self) -> Channels:
@@ -108,6 +114,15 @@ class FrameProblem:
     def excluding(self, left_out: frozenset[int]) -> FrameProblem:
         """See `search.Problem`."""
         return replace(self, left_out=left_out, views={i: v for i, v in self.views.items() if i not in left_out})
+
+    def turned_back(self, bumps: Mapping[int, Float]) -> FrameProblem:
+        """See `search.Problem`."""
+        now, every = np.zeros_like(self.state.bumps), self.state.bumps.copy()
+        for i, bump in bumps.items():
+            now[i], turn = bump, after_both(every[i], bump)
+            every[i] = turn if np.linalg.norm(turn) > _NO_TURN else 0.0
+        frame = steadied(self.frame, now, self.rig)
+        return replace(self, frame=frame, state=replace(self.state, bumps=every)).at(self.start)
 
     def look(self, camera_index: int, posed: Posed) -> Sight | None:
         """See `search.Problem`."""

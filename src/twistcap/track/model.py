@@ -78,8 +78,10 @@ class Model:
         past = Past((Moment(time, pose),), time, False, MotionSpread.usual(self.noise))
         lists = self.cues, self.predictors, self.searches
         cues, predictors, searches = ({one.name: one.start(body, self.rig) for one in ones} for ones in lists)
-        zero = np.zeros((body.dof, body.dof))
-        return State(past, zero, zero, np.ones(parts), np.zeros(parts, np.bool_), (), (), 0, cues, predictors, searches)
+        zero, still = np.zeros((body.dof, body.dof)), np.zeros((len(self.rig), 3))
+        return State(
+            past, zero, zero, np.ones(parts), np.zeros(parts, np.bool_), (), still, (), 0, cues, predictors, searches
+        )
 
     def views(
         self, frame: Frame, pose: Pose, margin: float = MARGIN, left_out: Collection[int] = ()

@@ -21,6 +21,7 @@ class State:
         support: (S,) running fraction of each part's contour points that agree with the images.
         occluded: (S,) parts that no view shows.
         left_out: cameras that are not believed.
+        bumps: (C, 3) turn of each camera from where it is calibrated, in its own frame, rad; 0 for none.
         prints: fingerprints of the last frame's pictures, as `cues.view.with_news` makes them.
         learned: frames that have been learned from.
         cues, predictors, searches: their memories, by name.
@@ -32,6 +33,7 @@ class State:
     support: Float
     occluded: Bool
     left_out: tuple[int, ...]
+    bumps: Float
     prints: tuple[int, ...]
     learned: int
     cues: Mapping[str, Any]

@@ -11,7 +11,7 @@ import numpy as np
 from twistcap.arrays import Bool, Float
 from twistcap.body import Posed
 from twistcap.cues.observation import Fit
-from twistcap.cues.view import despeckled, with_news
+from twistcap.cues.view import despeckled, steadied, with_news
 from twistcap.differential.model import DifferentialModel
 from twistcap.differential.state import Track
 from twistcap.differential.step import step as by_brightness
@@ -58,11 +58,12 @@ def _stepped(state: Any, frame: Frame, model: Model | DifferentialModel) -> tupl
     if isinstance(model, DifferentialModel):
         return by_brightness(state, frame, model)
     frame, prints = with_news(frame, state.prints, state.past.in_motion)
+    frame = steadied(frame, state.bumps, model.rig)
     frame, state = despeckled(frame, model.despeckle), replace(state, prints=prints)
     prediction, state = predicted(state, frame, model)
     problem, nowhere = begun(posed_problem(state, frame, model, prediction), prediction)
     if nowhere or (not problem.views and frame.keypoints is None):
-        return unseen(problem, prediction)
+        return unseen(problem, prediction, gone=nowhere)
     fit = align(problem)
     if prediction.name == "motion" and frame.keypoints is None:
         problem = doubted(problem, fit)
@@ -74,7 +75,7 @@ def _stepped(state: Any, frame: Frame, model: Model | DifferentialModel) -> tupl
         fit = fit if problem.trusted else align(problem)
     problem, fit, jump = searched(problem, fit)
     if fit is None:
-        return unseen(problem, prediction)
+        return unseen(problem, prediction, gone=True)
     return learned(problem, fit, prediction, jump)
 
 
@@ -106,6 +107,8 @@ def begun(problem: FrameProblem, prediction: Prediction) -> tuple[FrameProblem, 
         if beginning is not None:
             break
     problem = replace(problem, state=replace(problem.state, searches=memories))
+    if beginning is not None and (bumps := beginning.bumps):
+        problem = problem.excluding(problem.left_out - bumps.keys()).turned_back(bumps)
     if beginning is None or (prediction.name == "motion" and beginning.pose is None):
         return problem, False
     if beginning.pose is None:
@@ -135,6 +138,7 @@ def searched(problem: FrameProblem, fit: Fit) -> tuple[FrameProblem, Fit | None,
             problem = replace(problem, state=problem.state.with_past(past))
             problem = problem.without_look() if revision.relit else problem
             problem = problem if revision.left_out is None else problem.excluding(revision.left_out)
+            problem = problem.turned_back(revision.bumps) if revision.bumps else problem
         if found is None:
             break
         fit = found
@@ -152,7 +156,7 @@ def learned(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool)
     predictors = {p.name: p.learn(state.predictors[p.name], fit, past, frame) for p in model.predictors}
     support = problem.support(fit)
     after = State(
-        past, posterior, claimed, support, _occluded(model, fit), tuple(sorted(problem.left_out)),
+        past, posterior, claimed, support, _occluded(model, fit), tuple(sorted(problem.left_out)), state.bumps,
         state.prints, state.learned + 1, cues, predictors, state.searches
     )  # fmt: skip
     claims, least = _with_priors(model, fit.posed, claimed), float(support.min())
@@ -160,7 +164,7 @@ def learned(problem: FrameProblem, fit: Fit, prediction: Prediction, jump: bool)
     lost = probability >= model.flag.lost
     return after, Estimate(
         frame.index, frame.time, fit.pose, claims, fit.energies, fit.status, fit.steps,
-        lost, least, prediction.name, probability, by_part, after.left_out, missing(frame),
+        lost, least, prediction.name, probability, by_part, after.left_out, missing(frame), _bumps(after),
     )  # fmt: skip
 
 
@@ -194,9 +198,9 @@ def _occluded(model: Model, fit: Fit) -> Bool:
     return before if rule is None else before | rule.now_occluded(before, fit.agreement, model.body)
 
 
-def unseen(problem: FrameProblem, prediction: Prediction) -> tuple[State, Estimate]:
+def unseen(problem: FrameProblem, prediction: Prediction, gone: bool = False) -> tuple[State, Estimate]:
     """A frame that shows nothing: the estimate is the prediction; of a body that its images do not show, the last pose,
-    unless other people's motion tells more.
+    unless other people's motion tells more. It is `gone` where it has been looked for in them.
     """
     model, frame = problem.model, problem.frame
     blind = all(image is None for image in frame.images)
@@ -204,12 +208,18 @@ def unseen(problem: FrameProblem, prediction: Prediction) -> tuple[State, Estima
     after = problem.state.with_past(problem.past.advanced(Moment(frame.time, pose, seen=False)))
     claimed = problem.state.claimed + problem.process_noise
     farthest = float(segment_deviations(Posed(model.body, pose), claimed).max())
-    probability = model.flag.blind(frame.time - problem.past.seen_time, farthest)
+    probability = model.flag.blind(frame.time - problem.past.seen_time, farthest, gone)
     status = "no_images" if blind else "not_found"
     return after, Estimate(
         frame.index, frame.time, pose, claimed, {}, status, 0,
         probability >= model.flag.lost, 0.0, prediction.name, probability, None, after.left_out, missing(frame),
+        _bumps(after),
     )  # fmt: skip
+
+
+def _bumps(state: State) -> Float | None:
+    """(C, 3) turns of the cameras, if any."""
+    return state.bumps if np.any(state.bumps) else None
 
 
 def missing(frame: Frame) -> tuple[int, ...]:

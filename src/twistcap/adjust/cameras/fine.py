@@ -22,6 +22,7 @@ from twistcap.adjust.watch import KNOCK
 from twistcap.arrays import AnyArray, Float
 from twistcap.body import Body, Posed
 from twistcap.camera import Camera, Rig
+from twistcap.camera.bump import bumped
 from twistcap.errors import check
 from twistcap.estimate import Estimate, Frame
 from twistcap.predict.inertia import INFLATION
@@ -38,8 +39,12 @@ _LONGEST = 0.05  # rad and m that a camera moves in one step
 _DAMPING = 1e-3
 _STEPS = 3  # of the solver in each round
 _STILL = np.repeat([np.deg2rad(0.1), 1e-5], 3)  # (6,) rad and m by which a camera stands off that was not bumped
+_BY_BACKGROUND = np.r_[np.full(3, np.deg2rad(0.03)), KNOCK[3:]]  # (6,) the same of one whose turn its background tells
+_NEARLY_ALL = 0.9  # of the frames
 _LOOKS = 60  # frames in which a camera that was turned is looked for
 
+SWAYS = np.deg2rad(0.2)
+"""By which the turn of a camera that stands may differ from frame to frame."""
 Report = Callable[[str, int, int], None]
 
 
@@ -89,17 +94,51 @@ def mended_cameras(
     settings = replace(tracker or Settings(), method="direct")
     tell = _Progress(report or (lambda *_: None), len(estimates))
     given = rig.pinhole()
-    found = _looked_for(frames(), body, given, estimates, wrong, settings, tell)
-    own = [replace(e, left_out=tuple(c for c in e.left_out if c not in wrong)) for e in estimates]
+    by_background = turned_by_background(given, estimates, wrong)
+    found = _looked_for(frames(), body, given, estimates, [c for c in wrong if c not in by_background], settings, tell)
+    found |= by_background
+    own = [
+        replace(e, left_out=(*(set(e.left_out) - set(wrong)), *_elsewhere(given, e, by_background)),
+                bumps=_of_others(e.bumps, wrong))
+        for e in estimates
+    ]  # fmt: skip
     turned = Rig(tuple(found.get(c, camera) for c, camera in enumerate(given)))
     images, as_given = (SequenceImages(cameras, RefineConfig(), settings, body) for cameras in (turned, given))
-    alone = [replace(e, left_out=tuple(c for c in range(len(rig)) if c not in wrong)) for e in estimates]
+    others = tuple(c for c in range(len(rig)) if c not in wrong)
+    alone = [replace(e, left_out=others, bumps=None) for e in estimates]
     first, second = tee(frames())
     for done, _ in zip(images.read(first, own), as_given.read(second, alone), strict=True):
         tell("reading", done)
     track = PoseTrack(tuple(e.pose for e in own), np.array([e.time for e in own]))
     x = Standpoints(track, {c: camera.T_cam_world for c, camera in enumerate(turned)})
-    return _settled(images, as_given, x, wrong, tell)
+    stood = {c: by_background.get(c, camera).T_cam_world for c, camera in enumerate(given)}
+    sure = {c: _BY_BACKGROUND if c in by_background else KNOCK if c in wrong else _STILL for c in stood}
+    return _settled(images, as_given, x, wrong, (stood, sure), tell)
+
+
+def turned_by_background(rig: Rig, estimates: Sequence[Estimate], wrong: Sequence[int]) -> dict[int, Camera]:
+    """Those of the wrong cameras that stood turned in nearly all frames alike, as their backgrounds have told the
+    tracker, by number.
+    """
+    out = dict[int, Camera]()
+    for c in wrong:
+        turns = np.array([np.zeros(3) if e.bumps is None else e.bumps[c] for e in estimates])
+        turn = np.median(turns, axis=0)
+        if np.any(turn) and np.mean(np.linalg.norm(turns - turn, axis=1) < SWAYS) >= _NEARLY_ALL:
+            out[c] = bumped(rig[c], turn)
+    return out
+
+
+def _elsewhere(rig: Rig, estimate: Estimate, stood: Mapping[int, Camera]) -> list[int]:
+    """Those of the cameras that stood elsewhere in a frame than in most."""
+    now = np.zeros((len(rig), 3)) if estimate.bumps is None else estimate.bumps
+    off = {c: bumped(rig[c], now[c]).T_cam_world - camera.T_cam_world for c, camera in stood.items()}
+    return [c for c, difference in off.items() if np.abs(difference[:3, :3]).max() >= SWAYS]
+
+
+def _of_others(bumps: Float | None, wrong: Sequence[int]) -> Float | None:
+    """(C, 3) turns of the cameras that are not wrong; the others are looked for as they are calibrated."""
+    return None if bumps is None else np.where(np.isin(np.arange(len(bumps)), wrong)[:, None], 0.0, bumps)
 
 
 @dataclass
@@ -138,15 +177,15 @@ class Standpoints:
 
 
 def _settled(
-    images: SequenceImages, as_given: SequenceImages, x: Standpoints, wrong: Sequence[int], tell: _Progress
-) -> MendedCameras:
+    images: SequenceImages, as_given: SequenceImages, x: Standpoints, wrong: Sequence[int],
+    stood: tuple[Mapping[int, Float], Mapping[int, Float]], tell: _Progress,
+) -> MendedCameras:  # fmt: skip
     """Rounds of measuring and solving until the cameras stand still.
 
     Images about the body `as_given` cameras see it tell how well these agree: it may be far from where they stand.
+    `stood` is where the cameras probably stand, and how far they may be from there.
     """
-    body, moved, effect = images.body, list[float](), 1.0
-    given = {c: camera.T_cam_world for c, camera in enumerate(as_given.rig)}
-    known = {c: KNOCK if c in wrong else _STILL for c in given}
+    body, moved, effect, (given, known) = images.body, list[float](), 1.0, stood
     while True:
         coarse, images = len(moved) < _COARSE_ROUNDS, images.standing_at(x.places)
         measured = images.contours([[Posed(body, p) for p in x.track.poses]] * images.cameras, coarse)

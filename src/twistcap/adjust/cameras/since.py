@@ -28,7 +28,8 @@ def agreement_at(
     given, others = rig.pinhole(), tuple(c for c in range(len(rig)) if c != camera)
     there = replace(given[camera], T_cam_world=place)
     mended = Rig((*given.cameras[:camera], there, *given.cameras[camera + 1 :]))
-    settings, alone = replace(tracker or Settings(), method="direct"), [replace(e, left_out=others) for e in estimates]
+    settings = replace(tracker or Settings(), method="direct")
+    alone = [replace(e, left_out=others, bumps=None) for e in estimates]
     both = [SequenceImages(cameras, RefineConfig(), settings, body) for cameras in (given, mended)]
     for _ in zip(*(images.read(own, alone) for images, own in zip(both, tee(frames), strict=True)), strict=True):
         pass  # each keeps what is about the body as it sees it: that may be far apart
