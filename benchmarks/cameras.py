@@ -15,13 +15,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from reproduce.faults.staged import bumped, bumped_picture
+from reproduce.faults.staged import bumped_picture
 from reproduce.scenes.pace import walking_about
 from twistcap import se3
 from twistcap.adjust.cameras import holds_from, mended_cameras
 from twistcap.arrays import Float
 from twistcap.build import build
 from twistcap.camera import Camera
+from twistcap.camera.bump import bumped
 from twistcap.commands.clocks import suspects, watching
 from twistcap.estimate import Estimate, Frame
 from twistcap.studio import Capture, StudioConfig, capture
@@ -69,13 +70,8 @@ def tracked(filmed: Bumped) -> tuple[list[Estimate], list[tuple[int, ...]]]:
     estimates, named = list[Estimate](), list[tuple[int, ...]]()
     for frame in filmed.frames:
         estimates.append(tracker.step(frame))
-        named.append((*estimates[-1].left_out, *suspects(tracker), *_turned(estimates[-1])))
+        named.append((*estimates[-1].left_out, *suspects(tracker), *estimates[-1].turned))
     return estimates, named
-
-
-def _turned(estimate: Estimate) -> list[int]:
-    """Cameras whose pictures are turned back."""
-    return [] if estimate.bumps is None else np.flatnonzero(np.any(estimate.bumps, axis=1)).tolist()
 
 
 def off(T_cam_world: Float, truth: Camera) -> tuple[float, float]:

@@ -24,11 +24,11 @@ from reproduce.experiments.real_gap import SESSION, without_images
 from reproduce.experiments.real_recording import CAMERAS, CLOCK, FLAWED
 from reproduce.recorded import data_file
 from reproduce.running import Tell
-from twistcap import se3
 from twistcap.arrays import Float
 from twistcap.body import Body, Posed
 from twistcap.build import build
 from twistcap.camera import Rig
+from twistcap.camera.bump import homography
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate import Row, evaluate, row
 from twistcap.evaluate.metrics import JOINT_CENTRES, LOST_FRAME_MM
@@ -97,7 +97,7 @@ class RealFaults:
         case = f"{self.id} {CAMERAS[camera]} bumped"
         estimates = _tracked(model, states[BUMPED], bumped(frames[BUMPED:], model.rig, camera))
         apart = np.array([_apart_mm(model.body, e, p) for e, p in zip(estimates, plain[BUMPED:], strict=True)])
-        named = [k for k, e in enumerate(estimates) if _named(e, camera)]
+        named = [k for k, e in enumerate(estimates) if camera in (*e.left_out, *e.turned)]
         lost = apart > LOST_FRAME_MM
         silent = int(np.sum(lost & ~np.array([e.lost for e in estimates])))
         return [
@@ -130,15 +130,9 @@ class RealFaults:
         ]
 
 
-def _named(estimate: Estimate, camera: int) -> bool:
-    """Whether a camera is said to be elsewhere than it was calibrated."""
-    return camera in estimate.left_out or (estimate.bumps is not None and bool(np.any(estimate.bumps[camera])))
-
-
 def bumped(frames: Sequence[Frame], rig: Rig, camera: int) -> Iterator[Frame]:
     """The frames as if one camera had been turned about its own vertical."""
-    K = rig[camera].K
-    turn = K @ se3.exp_rotation(np.array([0.0, np.deg2rad(DEGREES), 0.0])) @ np.linalg.inv(K)
+    turn = homography(rig[camera].K, np.deg2rad([0.0, DEGREES, 0.0]))
     for frame in frames:
         images = list(frame.images)
         image = images[camera]

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import cv2
 import numpy as np
 
 from reproduce.faults.figures import Figure, figure_of, together
-from twistcap import se3
 from twistcap.arrays import Bool, Float, Float32, UInt8
 from twistcap.body import Posed
 from twistcap.camera import Camera
+from twistcap.camera.bump import bumped, homography
 from twistcap.studio import Capture
 from twistcap.studio.config import stream
 from twistcap.studio.look import Look
@@ -78,13 +78,7 @@ def staged(take: Capture) -> Staged:
     )
 
 
-def bumped(camera: Camera, turn: Float) -> Camera:
-    """A camera turned about its centre by a rotation vector (3,) of its own frame, rad."""
-    motion = se3.transform(se3.exp_rotation(turn), np.zeros(3))
-    return replace(camera, T_cam_world=motion @ camera.T_cam_world)
-
-
 def bumped_picture(picture: Float32, camera: Camera, turn: Float) -> Float32:
     """The picture (H, W, 3) that the turned camera takes of far things; mirrored beyond the old picture's border."""
-    H = camera.K @ se3.exp_rotation(turn) @ np.linalg.inv(camera.K)
+    H = homography(camera.K, turn)
     return cv2.warpPerspective(picture, H, camera.size, borderMode=cv2.BORDER_REFLECT_101).astype(np.float32)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from twistcap.arrays import AnyArray, Float
 from twistcap.body import Pose
 
@@ -84,6 +86,11 @@ class Estimate:
     left_out: tuple[int, ...] = ()
     missing: tuple[int, ...] = ()
     bumps: Float | None = None
+
+    @property
+    def turned(self) -> tuple[int, ...]:
+        """Cameras that stand elsewhere than they were calibrated, and whose pictures are turned back."""
+        return () if self.bumps is None else tuple(np.flatnonzero(np.any(self.bumps, axis=1)).tolist())
 
     @property
     def seen(self) -> bool:

@@ -328,7 +328,7 @@ def test_what_is_no_result_is_told(tmp_path: Path) -> None:
         read_result(path)
 
 
-@pytest.mark.parametrize("name", ["q", "part_probability", "left_out", "missing"])
+@pytest.mark.parametrize("name", ["q", "part_probability", "left_out", "missing", "bumps"])
 def test_frames_must_fit_the_body_and_the_cameras(name: str, tmp_path: Path) -> None:
     path = write(tmp_path / "r.h5")
     with h5py.File(path, "r+") as file:
@@ -338,7 +338,7 @@ def test_frames_must_fit_the_body_and_the_cameras(name: str, tmp_path: Path) -> 
         columns = frames[name].shape[1]
         wide = {"covariance": np.zeros((len(rows), 9, 9)), "bumps": np.zeros((len(rows), columns, 3))}
         of_cameras = [other for other in ("left_out", "missing", "bumps") if other != name]
-        others = {"left_out": of_cameras, "missing": of_cameras, "q": ["covariance"]}.get(name, [])
+        others = {"left_out": of_cameras, "missing": of_cameras, "bumps": of_cameras, "q": ["covariance"]}.get(name, [])
         for other in others:  # else they would not fit each other
             del frames[other]
             frames[other] = wide.get(other, np.zeros((len(rows), columns), np.bool_))

@@ -14,11 +14,12 @@ from reproduce.faults.figures import figure_of, together
 from reproduce.faults.kinds import KINDS, kind_of, plain_take, take_of
 from reproduce.faults.on_images import seeded
 from reproduce.faults.runs import PARTS, Run, run_seed, tracked
-from reproduce.faults.staged import bumped, bumped_picture
+from reproduce.faults.staged import bumped_picture
 from reproduce.faults.take import NONE, Take
 from reproduce.running import jobs
 from twistcap.body import Posed
 from twistcap.build import build
+from twistcap.camera.bump import bumped
 from twistcap.errors import InputError
 from twistcap.studio.picture import render_body
 

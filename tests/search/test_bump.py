@@ -28,7 +28,7 @@ def _room(seed: int) -> Float32:
 
 def _seen(room: Float32, turn: Float, rng: np.random.Generator) -> Float32:
     """The room with some noise, by the camera after a turn."""
-    back = turned_back(room, CAMERA, after_both(np.zeros(3), -turn))  # as seen from the turned camera
+    back = turned_back(room, CAMERA, -turn)  # as seen from the turned camera
     return np.asarray(back + 0.01 * rng.standard_normal(room.shape), np.float32)
 
 
@@ -52,7 +52,7 @@ def test_a_turn_is_found(seed: int) -> None:
     axis, room = rng.standard_normal(3), _room(seed)
     turn = np.deg2rad(rng.uniform(0.5, 5.0)) * axis / np.linalg.norm(axis)
     backdrop, features = _learnt(room, rng), _seen(room, turn, rng)
-    found = (view := Surroundings(K, backdrop, features, _beside())).turn(FARTHEST)
+    found = (view := Surroundings(CAMERA, backdrop, features, _beside())).turn(FARTHEST)
     assert np.rad2deg(np.linalg.norm(after_both(found, -turn))) < 0.03
     (before, _), (after, share) = view.fitting(np.zeros(3)), view.fitting(found)
     assert 1.0 - after < 0.3 * (1.0 - before) and share > 0.6
@@ -63,13 +63,13 @@ def test_a_body_and_somebody_else_do_not_hinder() -> None:
     backdrop, features = _learnt(room, rng), _seen(room, turn, rng)
     features[20:110, 60:90] = 0.1  # the body, which is known
     features[30:115, 110:140] = 0.9  # somebody else, who is not
-    found = Surroundings(K, backdrop, features, _beside(30)).turn(FARTHEST)
+    found = Surroundings(CAMERA, backdrop, features, _beside(30)).turn(FARTHEST)
     assert np.rad2deg(np.linalg.norm(after_both(found, -turn))) < 0.05
 
 
 def test_a_camera_that_stands_still_has_no_turn() -> None:
     rng, room = np.random.default_rng(0), _room(0)
-    found = Surroundings(K, _learnt(room, rng), _seen(room, np.zeros(3), rng), _beside()).turn(FARTHEST)
+    found = Surroundings(CAMERA, _learnt(room, rng), _seen(room, np.zeros(3), rng), _beside()).turn(FARTHEST)
     assert np.rad2deg(np.linalg.norm(found)) < 0.02
 
 
@@ -77,14 +77,14 @@ def test_of_what_nothing_tells_there_is_no_turn() -> None:
     """Level stripes say nothing of a turn to the side."""
     rng, level = np.random.default_rng(0), np.deg2rad([1.0, 0.0, 0.0])
     room = np.repeat(_room(0)[:, :1], SIZE[0], axis=1)
-    found = Surroundings(K, _learnt(room, rng), _seen(room, level, rng), _beside()).turn(FARTHEST)
+    found = Surroundings(CAMERA, _learnt(room, rng), _seen(room, level, rng), _beside()).turn(FARTHEST)
     assert np.rad2deg(np.abs(found - level)).max() < 0.1
 
 
 def test_another_room_does_not_fit() -> None:
     rng = np.random.default_rng(0)
     backdrop, features = _learnt(_room(0), rng), _seen(_room(1), np.zeros(3), rng)
-    found = (view := Surroundings(K, backdrop, features, _beside())).turn(FARTHEST)
+    found = (view := Surroundings(CAMERA, backdrop, features, _beside())).turn(FARTHEST)
     assert view.fitting(found)[0] < 0.5
 
 
@@ -101,7 +101,7 @@ def test_pictures_are_turned_back_to_where_the_camera_was_calibrated() -> None:
 
 
 def test_two_turns_one_after_the_other() -> None:
-    """What is left after the first is found in pictures that are turned back by it."""
+    """Of a camera that has made the second, then the first in the frame that it has by then."""
     first, second = np.deg2rad([1.0, -2.0, 0.5]), np.deg2rad([0.3, 0.4, -1.0])
     both = after_both(first, second)
     once = np.eye(3)

@@ -25,26 +25,26 @@ def homography(K: Float, bump: Float) -> Float:
     return K @ se3.exp_rotation(bump) @ np.linalg.inv(K)
 
 
+def warped(image: AnyArray, K: Float, bump: Float, beyond: int = cv2.BORDER_CONSTANT) -> AnyArray:
+    """An image (H, W[, C]) as it was before a turn (3,) of its camera with matrix K (3, 3); `beyond` its border by a
+    mode of OpenCV's, 0 by default.
+    """
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return cv2.warpPerspective(image, homography(K, bump), image.shape[1::-1], flags=flags, borderMode=beyond)
+
+
 def turned_back(image: AnyArray, camera: Camera, bump: Float) -> AnyArray:
     """What a (pinhole) camera would have shown, by the image (H, W[, 3]) that it took after such a turn (3,).
 
     Beyond the border of the image its outermost pixels go on.
     """
-    if not np.any(bump):
-        return image
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    return cv2.warpPerspective(
-        image, homography(camera.K, bump), camera.size, flags=flags, borderMode=cv2.BORDER_REPLICATE
-    )
+    return warped(image, camera.K, bump, cv2.BORDER_REPLICATE) if np.any(bump) else image
 
 
 def still_shown(camera: Camera, bump: Float) -> Bool:
     """(h, w) pixels of a turned-back image that the turned camera did show."""
     whole = np.ones(camera.size[::-1], np.float32)
-    if not np.any(bump):
-        return whole > 0.0
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    return np.asarray(cv2.warpPerspective(whole, homography(camera.K, bump), camera.size, flags=flags) > 0.99, np.bool_)
+    return np.asarray((warped(whole, camera.K, bump) if np.any(bump) else whole) > 0.99, np.bool_)
 
 
 def after_both(first: Float, second: Float) -> Float:

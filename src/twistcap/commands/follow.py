@@ -60,8 +60,7 @@ class Believed:
         out, suspects = frozenset(estimate.left_out), frozenset(elsewhere)
         changed = [(c, _LEFT_OUT if c in out else _BELIEVED) for c in sorted(self.out ^ out)]
         changed += [(c, ELSEWHERE if c in suspects else _HERE) for c in sorted(self.elsewhere ^ suspects)]
-        bumps = () if estimate.bumps is None else np.flatnonzero(np.any(estimate.bumps, axis=1)).tolist()
-        turned = frozenset[int](bumps)
+        turned = frozenset(estimate.turned)
         changed += [(c, _TURNED if c in turned else _STANDS) for c in sorted(self.turned ^ turned)]
         fresh = [change for change in changed if change not in self.said]
         self.out, self.elsewhere, self.turned = out, suspects, turned

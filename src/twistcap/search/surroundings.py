@@ -14,7 +14,8 @@ import numpy as np
 
 from twistcap.arrays import Bool, Float, Float32
 from twistcap.body import Posed
-from twistcap.camera.bump import after_both, homography, still_shown
+from twistcap.camera import Camera
+from twistcap.camera.bump import after_both, still_shown, warped
 from twistcap.render import render
 from twistcap.search import Problem
 from twistcap.search.backdrop import Backdrop, about, small_camera, small_features
@@ -35,13 +36,13 @@ class Surroundings:
     """What a camera sees beside the body, and what it has seen there before.
 
     Attributes:
-        K: (3, 3) of the small images.
+        camera: of the small images.
         backdrop: as it was learnt.
         features: (h, w, C) of the small image.
         beside: (h, w) pixels that do not show the body.
     """
 
-    K: Float
+    camera: Camera
     backdrop: Backdrop
     features: Float32
     beside: Bool
@@ -61,7 +62,7 @@ class Surroundings:
         if posed is not None:
             seen = render(posed, camera)
             beside &= ~about(seen.part >= 0, seen.px_per_m)
-        return Surroundings(camera.K, backdrop, features, beside)
+        return Surroundings(camera, backdrop, features, beside)
 
     def turn(self, farthest: float) -> Float:
         """The turn (3,) of the camera's own frame after which its background looks as in the image; it is looked for up
@@ -97,19 +98,17 @@ class Surroundings:
         they are.
         """
         mean, variance = self.backdrop.moments
-        compared = self.backdrop.known & (_turned(self.beside.astype(np.float32), self.K, turn) > 0.99)
-        back = _turned(self.features, self.K, turn).reshape(mean.shape)
+        compared = self.backdrop.known & (warped(self.beside.astype(np.float32), self.camera.K, turn) > 0.99)
+        back = warped(self.features, self.camera.K, turn).reshape(mean.shape)
         distance = ((back - mean) ** 2 / variance).sum(axis=2)[compared]
         fits = distance < 4.0 * mean.shape[2]
         return (float(fits.mean()) if fits.size else 0.0), float(compared.mean())
 
     def _level(self, width: int) -> _Level:
         """Brightness alone, in images of a width that is no more than their own."""
-        (h, w), K = self.features.shape[:2], self.K
+        w, h = self.camera.size
         width = min(width, w)
         height = max(1, round(h * width / w))
-        fx, fy = width / w, height / h
-        to_small = np.array([[fx, 0.0, 0.5 * fx - 0.5], [0.0, fy, 0.5 * fy - 0.5], [0.0, 0.0, 1.0]])
 
         def small(image: Float32) -> Float32:
             return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.float32)
@@ -122,14 +121,13 @@ class Surroundings:
         )
         beside = np.asarray(small(self.beside.astype(np.float32)) > 0.9, np.float32)
         return _Level(
-            to_small @ K, mean, np.maximum(variance, _FLOOR), share > 0.5, small(self.features[..., 0]), beside
+            self.camera.resized((width, height)).K,
+            mean,
+            np.maximum(variance, _FLOOR),
+            share > 0.5,
+            small(self.features[..., 0]),
+            beside,
         )
-
-
-def _turned(image: Float32, K: Float, turn: Float) -> Float32:
-    """The small image (h, w[, C]) as it was before the turn; 0 where it did not look."""
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    return np.asarray(cv2.warpPerspective(image, homography(K, turn), image.shape[1::-1], flags=flags), np.float32)
 
 
 @dataclass(frozen=True)
@@ -145,8 +143,8 @@ class _Level:
 
     def compared(self, turn: Float) -> tuple[Float32, Bool]:
         """(h, w) by how much the image is brighter than the background after a turn, and where both are known."""
-        shown = self.known & (_turned(self.beside, self.K, turn) > 0.99)
-        return _turned(self.image, self.K, turn) - self.mean, shown
+        shown = np.asarray(self.known & (warped(self.beside, self.K, turn) > 0.99), np.bool_)
+        return np.asarray(warped(self.image, self.K, turn) - self.mean, np.float32), shown
 
     def cost(self, turn: Float) -> float:
         """How badly they agree on the mean, and how unlikely a turn is."""
