@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +25,10 @@ from reproduce.faults.take import Take, own_pictures
 from twistcap.arrays import Bool, Float
 from twistcap.body import Posed
 from twistcap.build import build
+from twistcap.estimate import Estimate
 from twistcap.evaluate.metrics import LOST_FRAME_MM
-from twistcap.search.flag import SIGNS, beyond, flag_groups, ramps, segment_deviations
+from twistcap.hindsight import Hindsight
+from twistcap.search.flag import SIGNS, FlagRule, beyond, flag_groups, ramps, segment_deviations
 from twistcap.studio import StudioConfig, capture
 from twistcap.track import Tracker
 
@@ -70,27 +72,53 @@ class Seen:
         return np.stack([np.log10(self.unseen[hidden]), beyond(self.deviation[hidden].max(axis=1))], axis=1)
 
 
+@dataclass(frozen=True)
+class Noting(FlagRule):
+    """The flag, which notes by what it judges: signs now and lately, and deviations, by limb and probability."""
+
+    notes: dict[tuple[int, float], tuple[Float, Float, Float]] = field(default_factory=dict[Any, Any])
+
+    def limbs(self, signs: Float, lately: Float, deviation: Float) -> Float:
+        """See `FlagRule`."""
+        found = super().limbs(signs, lately, deviation)
+        self.notes.update({(g, float(p)): (signs, lately, deviation) for g, p in enumerate(found)})
+        return found
+
+    def of(self, limbs: Float) -> tuple[Float, Float, Float]:
+        """By what limbs (G,) of one frame were judged; each by its own, should they be of two tracks."""
+        each = {g: self.notes[g, float(p)] for g, p in enumerate(limbs) if not np.isnan(p)}
+        signs, lately, deviation = (array.copy() for array in next(iter(each.values())))
+        for g, own in each.items():
+            signs[g], lately[g], deviation[g] = (array[g] for array in own)
+        return signs, lately, deviation
+
+
 def measured(take: Take) -> Seen:
-    """A capture tracked with today's tracker."""
-    body = take.scene.body
-    tracker, groups = Tracker(build(body, take.scene.rig)), flag_groups(body)
+    """A capture tracked with today's tracker, and with hindsight."""
+    body, noting = take.scene.body, Noting()
+    tracker, groups = Tracker(replace(build(body, take.scene.rig), flag=noting)), flag_groups(body)
     tracker.start(take.first_pose)
-    signs, lately, deviations, judged, unseen, poses = (list[Any]() for _ in range(6))
+    hindsight, estimates, unseen = Hindsight(tracker), list[Estimate](), list[float]()
     for frame in take.frames():
-        estimate = tracker.step(frame)
-        memory, blank = tracker.state.searches["lost body"], np.zeros((len(groups), SIGNS))
-        signs.append(blank if memory.signs is None else memory.signs)
-        lately.append(blank if memory.lately is None else memory.lately)
-        known = tracker.state.covariance if estimate.seen else estimate.covariance
-        deviation = segment_deviations(Posed(body, estimate.pose), known)
-        deviations.append([deviation[group].max() for group in groups])
-        parts = np.zeros(len(deviation)) if estimate.part_probability is None else estimate.part_probability
-        judged.append([not np.isnan(parts[group]).all() for group in groups])
-        unseen.append(0.0 if estimate.seen else max(frame.time - tracker.state.past.seen_time, 1e-3))
-        poses.append(estimate.pose)
+        corrected, estimate = hindsight.step(frame)
+        estimates[len(estimates) - len(corrected) :] = [*corrected, estimate]
+        unseen.append(max(frame.time - tracker.state.past.seen_time, 1e-3))
+    poses = [estimate.pose for estimate in estimates]
     far = {name: errors_mm(take, poses, marks).max(axis=1) > LOST_FRAME_MM for name, marks in PARTS.items()}
     limbs = np.stack([far[_part(body.segment_names, group)] for group in groups], axis=1)
-    return Seen(np.array(signs), np.array(lately), np.array(deviations), limbs, np.array(judged), np.array(unseen))
+    said = [_said(noting, groups, Posed(body, estimate.pose), estimate) for estimate in estimates]
+    signs, lately, deviation, judged = (np.array(each) for each in zip(*said, strict=True))
+    seen = np.array([estimate.part_probability is not None for estimate in estimates])
+    return Seen(signs, lately, deviation, limbs, judged, np.where(seen, 0.0, unseen))
+
+
+def _said(noting: Noting, groups: Bool, posed: Posed, estimate: Estimate) -> tuple[Float, Float, Float, Bool]:
+    """By what the limbs of a frame were judged, and whether they were (G,)."""
+    if estimate.part_probability is None:
+        blank, deviation = np.zeros((len(groups), SIGNS)), segment_deviations(posed, estimate.covariance)
+        return blank, blank, np.full(len(groups), deviation.max()), np.ones(len(groups), np.bool_)
+    limbs = estimate.part_probability[groups.argmax(axis=1)]
+    return *noting.of(limbs), ~np.isnan(limbs)
 
 
 def _part(names: tuple[str, ...], group: Bool) -> str:

@@ -26,7 +26,7 @@ from twistcap.hindsight.passed import (
     evidence_in,
     lost_memory,
     sums,
-    with_coordinates,
+    with_limbs,
 )
 from twistcap.predict.history import REMEMBERED, Moment
 from twistcap.ranges import Checked, Count, Range, Share
@@ -107,18 +107,19 @@ def _tracked_again(
     says which of them is right.
     """
     memory, ways = lost_memory(state), (list[Again](), list[Again]())
-    own, moved = memory.groups[found].any(axis=0), _joints(model, found)
+    own, moved = np.asarray(memory.groups[found].any(axis=0), np.bool_), _joints(model, found)
     since = _JUST
     for one, estimate, put in _backward(model, state, passed):
         since = 0 if (put[-1] if found[-1] else (put & found).any()) else since + 1
         first, second = one.estimate.pose, estimate.pose
         if apart(model, first, second)[own].max() < rule.met:
             return ways if since >= _JUST else ([], [])
-        poses = [second] if found[-1] else [second, with_coordinates(first, moved, second)]
+        estimate = replace(estimate, time=one.frame.time)
+        each = [estimate] if found[-1] else [estimate, with_limbs(model, one.estimate, estimate, moved, own)]
         evidence = evidence_in(model, state, one)
         usual = evidence.of(first)
-        for way, pose in zip(ways, poses, strict=False):
-            way.append(Again(replace(estimate, pose=pose, time=one.frame.time), evidence.of(pose) - usual))
+        for way, again in zip(ways, each, strict=False):
+            way.append(Again(again, evidence.of(again.pose) - usual))
         if all(rule.lost(way, needed) for way in ways if way):
             break
     return ways

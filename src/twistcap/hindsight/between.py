@@ -26,6 +26,7 @@ from twistcap.hindsight.passed import (
     evidence_in,
     sums,
     with_coordinates,
+    with_limbs,
 )
 from twistcap.predict.history import Moment
 from twistcap.search.evidence import Evidence
@@ -157,9 +158,9 @@ def _tracked_again(
         _, found = step(there, one.seen, model)
         if found.status in _BLIND:
             return [], []
-        limb = with_coordinates(one.estimate.pose, stretch.limb, found.pose)
+        limb = with_limbs(model, one.estimate, found, stretch.limb, stretch.parts)
         whole.append(Again(found, pictures.favour(one, found.pose)))
-        alone.append(Again(replace(found, pose=limb), pictures.favour(one, limb)))
+        alone.append(Again(limb, pictures.favour(one, limb.pose)))
     return whole, alone
 
 

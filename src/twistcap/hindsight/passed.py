@@ -14,6 +14,7 @@ from twistcap.cues.view import despeckled, steadied
 from twistcap.estimate import Estimate, Frame
 from twistcap.predict.history import Moment, Past
 from twistcap.search.evidence import Evidence
+from twistcap.search.flag import flag_groups
 from twistcap.search.memory import LostMemory
 from twistcap.track import Model, State
 from twistcap.track.align import FrameProblem
@@ -84,6 +85,21 @@ def apart(model: Model, one: Pose, other: Pose) -> Float:
 def with_coordinates(pose: Pose, which: Bool, other: Pose) -> Pose:
     """A pose with some coordinates (J,) of another."""
     return Pose(pose.root, np.where(which, other.q, pose.q))
+
+
+def with_limbs(model: Model, first: Estimate, second: Estimate, coordinates: Bool, parts: Bool) -> Estimate:
+    """What a second track says, with nothing of its pose but some coordinates (J,); what is said of all but their parts
+    (S,) is what the first one says.
+    """
+    found = replace(second, pose=with_coordinates(first.pose, coordinates, second.pose))
+    if first.part_probability is None or second.part_probability is None:
+        return found
+    by_part = np.where(parts, second.part_probability, first.part_probability)
+    each = by_part[flag_groups(model.body).argmax(axis=1)]
+    if np.isnan(each).all():
+        return found
+    probability = model.flag.whole(each[~np.isnan(each)])
+    return replace(found, part_probability=by_part, probability=probability, lost=probability >= model.flag.lost)
 
 
 def begun(model: Model, state: State, past: Past) -> State:
