@@ -17,6 +17,7 @@ from twistcap.cues.observation import Fit
 from twistcap.ranges import Checked, Count
 from twistcap.search import Problem
 from twistcap.search.recollection import Check, Recollection
+from twistcap.search.surroundings import Surroundings
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,9 @@ class ContradictionRule(Checked):
         agreeing: evidence in the others, fitted without it, from which on they are believed.
         wrong: evidence in it, at the place where they see the body, below which it is left out.
         right: evidence there from which on it is taken back; or the fraction of the background, if that has decided.
+        believed: evidence in the others below which they know no more than it, and all are taken back.
         background: fraction of the background that fits, over what is usual, below which a camera has moved.
+        steady: the same, from which on another camera has not: noise and light are no motion of cameras.
         every: frames between looks at a camera that is left out, or between suspicions.
         twice: looks in turn that must agree before it is taken back.
     """
@@ -37,7 +40,9 @@ class ContradictionRule(Checked):
     agreeing: float = 0.85
     wrong: float = 0.6
     right: float = 0.8
+    believed: float = 0.5
     background: float = 0.75
+    steady: float = 0.9
     every: Count = 3
     twice: Count = 2
 
@@ -89,11 +94,11 @@ def judged(rule: ContradictionRule, memory: Suspicion, known: Recollection, now:
 
 
 def _moved(rule: ContradictionRule, known: Recollection, check: Check, each: Float) -> frozenset[int]:
-    """Suspect cameras whose background is no longer what it was, unless that is so in all."""
+    """Suspect cameras whose background is no longer what it was, if that of another one is."""
     fitting = np.nan_to_num(check.fitting / known.fitting, nan=1.0)
     looked = ~np.isnan(each)
     bad = looked & (fitting < rule.background) & (np.nan_to_num(each, nan=1.0) < rule.suspect)
-    return frozenset(np.flatnonzero(bad).tolist()) if np.any(looked & (fitting >= rule.background)) else frozenset()
+    return frozenset(np.flatnonzero(bad).tolist()) if np.any(looked & (fitting >= rule.steady)) else frozenset()
 
 
 def _without_contradicting(rule: ContradictionRule, known: Recollection, each: Float, now: Judged) -> Judged | None:
@@ -122,15 +127,29 @@ def _there(known: Recollection, camera: int, others: Judged) -> Check:
     return known.check(others.fit.posed, [] if sight is None else [sight], others.problem)
 
 
+def _agreement(known: Recollection, camera: int, others: Judged) -> float:
+    """Evidence in a camera where the others see the body."""
+    return float(known.ratios(_there(known, camera, others))[camera])
+
+
+def _stillness(known: Recollection, camera: int, others: Judged) -> float:
+    """Fraction of a camera's background that fits, over what is usual."""
+    view = Surroundings.of(camera, known.backdrops[camera], others.fit.posed, others.problem)
+    return 0.0 if view is None else view.fitting(np.zeros(3))[0] / float(known.fitting[camera])
+
+
 def _taken_back(
     rule: ContradictionRule, memory: Suspicion, known: Recollection, now: Judged
 ) -> tuple[frozenset[int], Suspicion]:
-    """Cameras that are still left out, after a look at what each shows where the others see the body."""
+    """Cameras that are still left out, after a look at what each shows where the others see the body; none if they do
+    not see it.
+    """
+    if not known.ratio(now.check) >= rule.believed:
+        return frozenset(), replace(memory, agreed={}, moved=())
     agreed = {camera: memory.agreed.get(camera, 0) for camera in now.problem.left_out}
     for camera in agreed:
         if now.problem.frame.images[camera] is not None:
-            check = _there(known, camera, now)
-            ratios = check.fitting / known.fitting if camera in memory.moved else known.ratios(check)
-            agreed[camera] = agreed[camera] + 1 if ratios[camera] >= rule.right else 0
+            ratio = _stillness(known, camera, now) if camera in memory.moved else _agreement(known, camera, now)
+            agreed[camera] = agreed[camera] + 1 if ratio >= rule.right else 0
     left_out = frozenset(c for c in agreed if agreed[c] < rule.twice)
     return left_out, replace(memory, agreed=agreed, moved=tuple(c for c in memory.moved if c in left_out))

@@ -23,7 +23,7 @@ from twistcap.ranges import Checked, Count, Range, Share
 from twistcap.search import Beginning, Problem, Proposals, Revision
 from twistcap.search.beside import BesideRule, agreement, beside, limbs_beside
 from twistcap.search.bump import BumpRule, Unrest
-from twistcap.search.contradiction import ContradictionRule, Judged, judged
+from twistcap.search.contradiction import ContradictionRule, Judged, Suspicion, judged
 from twistcap.search.evidence import Evidence
 from twistcap.search.flag import MOST_USUAL, USUAL, at_limits, contour_signs, displaced, flag_groups, image_signs
 from twistcap.search.limb import LimbRule, placed, regained
@@ -154,9 +154,9 @@ class LostBody(Checked):
         if not known.sure:
             return None, self._learned(self._signed(memory, now), now, 1.0)
         if (again := self._fitted_without_look(known, now)) is not None:
-            memory = replace(memory, known=known.forgotten(), frames=1)
+            memory = replace(memory, known=known.forgotten(), frames=1, suspicion=Suspicion({}))
             memory = self._learned(self._signed(memory, again), again, 1.0)
-            return Revision(again.fit, problem.past.moments[-1], relit=True), memory
+            return Revision(again.fit, problem.past.moments[-1], left_out=frozenset(), relit=True), memory
         now, suspicion = judged(self.contradiction, memory.suspicion, known, now)
         memory = self._signed(replace(memory, suspicion=suspicion), now)
         ratio, last, revision = known.ratio(now.check), problem.past.moments[-1], None
