@@ -119,7 +119,7 @@ class LostBody(Checked):
             return Beginning(pose, bumps), replace(memory, nowhere=False, found=np.ones(len(memory.groups)))
         if not memory.known.sure:
             return Beginning(problem.start, bumps) if bumps else None, memory
-        return Beginning(None, bumps), replace(memory, waiting=self.again - 1, nowhere=True)
+        return Beginning(None, bumps), replace(memory, waiting=self.again - 1, nowhere=True, suspicion=Suspicion({}))
 
     def revise(self, memory: LostMemory, problem: Problem, fit: Fit) -> tuple[Revision | None, LostMemory]:
         """The body elsewhere, where the fit is lost; else the fit is learned from."""
@@ -285,6 +285,7 @@ class LostBody(Checked):
             return self._at(problem, problem.afresh(pose, self.margin)), memory
         nowhere = ratio < self.none
         memory = replace(memory, waiting=(memory.waiting or self.again) - 1, nowhere=nowhere)
+        memory = replace(memory, suspicion=Suspicion({})) if nowhere else memory
         return (Revision(None, problem.past.moments[-1]) if nowhere else None), memory
 
     def _at(self, problem: Problem, fit: Fit) -> Revision:

@@ -200,12 +200,14 @@ def _occluded(model: Model, fit: Fit) -> Bool:
 
 def unseen(problem: FrameProblem, prediction: Prediction, gone: bool = False) -> tuple[State, Estimate]:
     """A frame that shows nothing: the estimate is the prediction; of a body that its images do not show, the last pose,
-    unless other people's motion tells more. It is `gone` where it has been looked for in them.
+    unless other people's motion tells more. It is `gone` where it has been looked for in them: then no camera knows
+    better than another, and all are believed again.
     """
     model, frame = problem.model, problem.frame
     blind = all(image is None for image in frame.images)
     pose = prediction.pose if blind or prediction.name == "motion" else problem.past.last
     after = problem.state.with_past(problem.past.advanced(Moment(frame.time, pose, seen=False)))
+    after = replace(after, left_out=()) if gone else after
     claimed = problem.state.claimed + problem.process_noise
     farthest = float(segment_deviations(Posed(model.body, pose), claimed).max())
     probability = model.flag.blind(frame.time - problem.past.seen_time, farthest, gone)
