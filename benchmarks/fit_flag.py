@@ -39,7 +39,8 @@ SMOOTH = 1.0  # of the weights, as of a Gaussian prior
 @dataclass(frozen=True)
 class Seen:
     """N frames of one capture with G limbs: signs of loss now and lately (N, G, SIGNS), standard deviation of
-    each limb's place (N, G), which limbs (N, G) are lost and which are judged, s that the body is unseen (0: seen).
+    each limb's place (N, G), which limbs (N, G) are lost and which are judged, s that the body is unseen (0: seen),
+    and which frames (N,) were tracked again in hindsight.
     """
 
     signs: Float
@@ -48,6 +49,7 @@ class Seen:
     limbs: Bool
     judged: Bool
     unseen: Float
+    again: Bool
 
     @property
     def body(self) -> Bool:
@@ -61,9 +63,11 @@ class Seen:
 
     @property
     def features(self) -> Float:
-        """(N, G, R) of the frames that show the body."""
+        """(N, G, R + 1) of the frames that show the body; the last is 1 in those that were tracked again."""
         frames = zip(self.signs[self.seen], self.lately[self.seen], self.deviation[self.seen], strict=True)
-        return np.array([ramps(*frame) for frame in frames]).reshape(int(self.seen.sum()), self.limbs.shape[1], -1)
+        rising = np.array([ramps(*frame) for frame in frames]).reshape(int(self.seen.sum()), self.limbs.shape[1], -1)
+        again = np.broadcast_to(self.again[self.seen, None, None], (*rising.shape[:2], 1)).astype(float)
+        return np.concatenate([rising, again], axis=2)
 
     @property
     def blind(self) -> Float:
@@ -98,9 +102,11 @@ def measured(take: Take) -> Seen:
     body, noting = take.scene.body, Noting()
     tracker, groups = Tracker(replace(build(body, take.scene.rig), flag=noting)), flag_groups(body)
     tracker.start(take.first_pose)
-    hindsight, estimates, unseen = Hindsight(tracker), list[Estimate](), list[float]()
+    hindsight, again = Hindsight(tracker), np.zeros(take.count, np.bool_)
+    estimates, unseen = list[Estimate](), list[float]()
     for frame in take.frames():
         corrected, estimate = hindsight.step(frame)
+        again[len(estimates) - len(corrected) : len(estimates)] = True
         estimates[len(estimates) - len(corrected) :] = [*corrected, estimate]
         unseen.append(max(frame.time - tracker.state.past.seen_time, 1e-3))
     poses = [estimate.pose for estimate in estimates]
@@ -109,7 +115,7 @@ def measured(take: Take) -> Seen:
     said = [_said(noting, groups, Posed(body, estimate.pose), estimate) for estimate in estimates]
     signs, lately, deviation, judged = (np.array(each) for each in zip(*said, strict=True))
     seen = np.array([estimate.part_probability is not None for estimate in estimates])
-    return Seen(signs, lately, deviation, limbs, judged, np.where(seen, 0.0, unseen))
+    return Seen(signs, lately, deviation, limbs, judged, np.where(seen, 0.0, unseen), again)
 
 
 def _said(noting: Noting, groups: Bool, posed: Posed, estimate: Estimate) -> tuple[Float, Float, Float, Bool]:
@@ -215,7 +221,9 @@ def main() -> None:
         lost += [run.body for run in runs[fold::FOLDS]]
     print(f"{len(runs)} captures, {sum(map(len, p))} frames, {sum(int(a.sum()) for a in lost)} lost")
     judge(np.concatenate(p), np.concatenate(lost))
-    for name, weights in zip(("LIMB", "BODY", "BLIND"), fitted(runs), strict=True):
+    limb, body, blind = fitted(runs)
+    print(f"AGAIN = {limb[-1]:.4g}")
+    for name, weights in (("LIMB", limb[:-1]), ("BODY", body), ("BLIND", blind)):
         print(f"{name} = ({', '.join(f'{w:.4g}' for w in weights)})")
 
 

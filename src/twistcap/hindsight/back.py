@@ -24,6 +24,7 @@ from twistcap.hindsight.passed import (
     bumps_in,
     corrected,
     evidence_in,
+    for_second_track,
     lost_memory,
     sums,
     with_limbs,
@@ -135,7 +136,7 @@ def _backward(model: Model, state: State, passed: Sequence[Passed]) -> Iterator[
     """The frames before, the latest first, with what a track says that runs backward from the present pose; and (G,)
     what its searches have put elsewhere.
     """
-    model = replace(model, predictors=tuple(p for p in model.predictors if p.name != "motion"))
+    model = for_second_track(model)
     state = _turned(model, state)
     for one in reversed(passed):
         before = state

@@ -24,6 +24,7 @@ from twistcap.hindsight.passed import (
     bumps_in,
     corrected,
     evidence_in,
+    for_second_track,
     sums,
     with_coordinates,
     with_limbs,
@@ -151,7 +152,7 @@ def _tracked_again(
     model: Model, state: State, stretch: Stretch, pictures: _Pictures
 ) -> tuple[list[Again], list[Again]]:
     """The frames tracked from where the limb is expected, in two ways: the whole body, and the limb alone."""
-    model = replace(model, predictors=tuple(p for p in model.predictors if p.name != "motion"))
+    model = for_second_track(model)
     whole, alone = list[Again](), list[Again]()
     for one, expected in zip(stretch.passed, stretch.expected, strict=True):
         there = replace(_expecting(model, state, expected, one.frame.time), bumps=bumps_in(model, one))

@@ -102,6 +102,12 @@ def with_limbs(model: Model, first: Estimate, second: Estimate, coordinates: Boo
     return replace(found, part_probability=by_part, probability=probability, lost=probability >= model.flag.lost)
 
 
+def for_second_track(model: Model) -> Model:
+    """The model by which passed frames are tracked: nobody's motion is known backward, and the flag is more careful."""
+    predictors = tuple(p for p in model.predictors if p.name != "motion")
+    return replace(model, predictors=predictors, flag=model.flag.in_hindsight)
+
+
 def begun(model: Model, state: State, past: Past) -> State:
     """The state from which a second track begins: what the recording has taught stays."""
     cues = {c.name: c.start(model.body, model.rig) for c in model.cues} | {"contour": state.cues["contour"]}

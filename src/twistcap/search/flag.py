@@ -5,7 +5,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from scipy.special import erfc
@@ -51,6 +52,7 @@ LIMB = (
 )  # fmt: skip
 BODY = (0.2919, 0.02019, 0.9497)
 BLIND = (0.8844, 2.451, 0.163)
+AGAIN = 1.4
 
 
 def flag_groups(body: Body) -> Bool:
@@ -153,6 +155,7 @@ class FlagRule(Checked):
         limb: constant, then the weights of `ramps`.
         body: constant, weights of the log odds of the second most and the most doubtful limb.
         unseen: constant, weights of log₁₀ of the seconds since images last showed the body and of `beyond`.
+        again: log odds more of a limb in a frame that is tracked again in hindsight, where a track has no past doubts.
         gone: least probability where there are images, and none shows the body: it is elsewhere, or hardly in sight.
         lost: probability from which on it counts as lost.
     """
@@ -160,8 +163,15 @@ class FlagRule(Checked):
     limb: tuple[Signed, ...] = LIMB
     body: tuple[Signed, Signed, Signed] = BODY
     unseen: tuple[Signed, Signed, Signed] = BLIND
+    again: Signed = AGAIN
     gone: Share = 0.8
     lost: Share = 0.5
+
+    @property
+    def in_hindsight(self) -> Self:
+        """Of a second track through frames that have passed."""
+        constant, *weights = self.limb
+        return replace(self, limb=(constant + self.again, *weights))
 
     def limbs(self, signs: Float, lately: Float, deviation: Float) -> Float:
         """(G,) probability that each limb is lost, from its signs (G, SIGNS) now and lately, and from the standard
