@@ -18,6 +18,7 @@ from reproduce.faults.kinds import kind_of, take_of
 from reproduce.faults.runs import errors_mm
 from reproduce.faults.take import Take
 from twistcap import hindsight, stages
+from twistcap.body.limbs import named_limbs
 from twistcap.build import build
 from twistcap.commands.follow import follow, resumed
 from twistcap.differential.model import DifferentialModel
@@ -25,8 +26,9 @@ from twistcap.errors import InputError
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate.metrics import JOINT_CENTRES
 from twistcap.hindsight import Again, Hindsight, LookBack, Passed, back, looked_back, tracked
-from twistcap.hindsight.passed import evidence_in
+from twistcap.hindsight.passed import evidence_in, with_limbs
 from twistcap.io.result import ResultWriter, read_result
+from twistcap.search.flag import flag_groups
 from twistcap.search.lost import LostBody
 from twistcap.search.recollection import Recollection
 from twistcap.studio import StudioConfig, capture
@@ -58,6 +60,24 @@ def test_what_was_found_wrongly_corrects_nothing() -> None:
     state = with_poses(with_found(state, ARM), passed, bent(scene.body, last.estimate.pose))
     after, better = looked_back(LookBack(), model, before, state, passed)
     assert not better and after is state
+
+
+def test_a_limb_of_a_second_track_brings_its_own_flag_and_no_other() -> None:
+    _, model, passed, *_ = walk()
+    groups, first = flag_groups(model.body), passed[-1].estimate
+    limbs, arm = named_limbs(model.body), named_limbs(model.body)[ARM]
+
+    def said(probability: float) -> Estimate:
+        pose = first.pose if probability > 0.5 else bent(model.body, first.pose)
+        return replace(first, pose=pose, part_probability=np.full(groups.shape[1], probability))
+
+    coordinates = model.body.chain[arm].any(axis=0) & ~model.body.chain[limbs["trunk"]].any(axis=0)
+    found = with_limbs(model, said(0.9), said(0.1), coordinates, arm)
+    assert found.part_probability is not None and found.lost
+    np.testing.assert_array_equal(found.part_probability, np.where(arm, 0.1, 0.9))
+    assert np.array_equal(found.pose.q, bent(model.body, first.pose).q)
+    unseen = replace(said(0.9), part_probability=None)
+    assert with_limbs(model, unseen, said(0.1), coordinates, arm).part_probability is not None
 
 
 @pytest.mark.parametrize(

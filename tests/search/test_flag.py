@@ -16,6 +16,7 @@ from twistcap.search.flag import (
     flag_groups,
     image_signs,
     in_images,
+    log_odds,
     ramps,
     segment_deviations,
     support_signs,
@@ -42,6 +43,14 @@ def test_a_quiet_body_is_not_lost_and_a_contradicted_one_is() -> None:
     assert lost.argmax() == 1
     assert lost[1] > 0.5
     assert rule.whole(lost) > 0.5
+
+
+def test_a_second_track_is_doubted_more() -> None:
+    rule, groups = FlagRule(), flag_groups(humanoid())
+    signs = support_signs(groups, np.full(groups.shape[1], 0.5))
+    once, again = (r.limbs(signs, signs, np.full(len(groups), 0.1)) for r in (rule, rule.in_hindsight))
+    np.testing.assert_allclose(log_odds(again) - log_odds(once), rule.again)
+    assert rule.again > 0.0
 
 
 def test_what_is_not_seen_is_the_less_sure_the_longer_and_the_wider() -> None:

@@ -1,0 +1,98 @@
+"""Which cameras are left out, and when they come back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cache
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from twistcap import se3
+from twistcap.body import Pose, Posed
+from twistcap.build import build
+from twistcap.estimate import Frame
+from twistcap.search.contradiction import ContradictionRule, Suspicion, _moved
+from twistcap.search.memory import LostMemory
+from twistcap.search.recollection import Check
+from twistcap.studio import Capture, StudioConfig, capture
+from twistcap.track import State, Tracker
+
+BEFORE = 16
+
+
+@cache
+def _scene() -> Capture:
+    return capture(StudioConfig(seed=2, views=3, frames=22, fps=30.0, size=(320, 240)))
+
+
+@cache
+def _tracked() -> State:
+    """After the first frames, which nothing disturbs."""
+    scene = _scene()
+    tracker = Tracker(build(scene.body, scene.rig))
+    tracker.start(scene.first_pose)
+    for frame in islice(scene.frames(), BEFORE):
+        tracker.step(frame)
+    return tracker.state
+
+
+@pytest.mark.parametrize(
+    ("fitting", "moved"), [((0.7, 0.98, 1.0), {0}), ((0.7, 0.74, 0.97), {0, 1}), ((0.72, 0.74, 0.76), set()),
+                           ((0.72, 0.74, 0.71), set())],
+)  # fmt: skip
+def test_a_camera_has_moved_where_another_has_not(fitting: tuple[float, ...], moved: set[int]) -> None:
+    """Noise and light change the backgrounds of all, if not equally."""
+    known = _memory(_tracked()).known
+    nothing = np.zeros_like(known.nats)
+    check = Check(nothing, known.pixels, nothing, np.array(fitting) * known.fitting)
+    assert _moved(ContradictionRule(), known, check, np.full(3, 0.6)) == moved
+
+
+def _memory(state: State) -> LostMemory:
+    memory = state.searches["lost body"]
+    assert isinstance(memory, LostMemory)
+    return memory
+
+
+def _going_on(state: State) -> Iterator[tuple[float, State]]:
+    """Errors and states from there on."""
+    scene = _scene()
+    tracker = Tracker(build(scene.body, scene.rig))
+    tracker.state = state
+    for frame in list(scene.frames())[BEFORE:]:
+        found = Posed(scene.body, tracker.step(frame).pose).landmarks
+        yield float(np.linalg.norm(found - scene.landmarks[frame.index], axis=1).max()), tracker.state
+
+
+def test_cameras_come_back_where_the_others_have_lost_the_body() -> None:
+    """One camera alone let it run away; the two that were left out would see it."""
+    state = _tracked()
+    here = state.past.last
+    away = Pose(se3.transform(here.root[:3, :3], here.root[:3, 3] + (0.8, 0.5, 0.0)), here.q)
+    moments = tuple(replace(m, pose=away) for m in state.past.moments)
+    memory = replace(_memory(state), suspicion=Suspicion({}, moved=(0, 1)))
+    state = replace(state.with_past(replace(state.past, moments=moments)), left_out=(0, 1))
+    state = replace(state, searches={"lost body": memory})
+    track = list(islice(_going_on(state), 5))
+    assert track[-1][1].left_out == () and track[-1][0] < 0.03
+
+
+def test_all_cameras_are_believed_where_nobody_is_and_under_another_light() -> None:
+    scene = _scene()
+    state, frames = replace(_tracked(), left_out=(1,)), list(scene.frames())
+    for faulty, status in ((_empty, "not_found"), (_dark, "converged")):
+        tracker = Tracker(build(scene.body, scene.rig))
+        tracker.state = state
+        told = [tracker.step(faulty(frame)) for frame in frames[BEFORE : BEFORE + 2]]
+        assert told[-1].status == status and tracker.state.left_out == ()
+
+
+def _empty(frame: Frame) -> Frame:
+    return replace(frame, images=tuple(np.asarray(255 * room, np.uint8) for room in _scene().rooms))
+
+
+def _dark(frame: Frame) -> Frame:
+    return replace(frame, images=tuple(np.uint8(0.4 * np.float32(image)) for image in frame.images))
