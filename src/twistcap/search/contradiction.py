@@ -25,6 +25,8 @@ class ContradictionRule(Checked):
     """When a camera is left out. Evidence is a ratio to what is usual for this body in this camera.
 
     Attributes:
+        clear: nats for each pixel; a body that usually has less is hardly told from the background, and may lack much
+            of that and contradict nothing.
         suspect: evidence in a camera below which the others are asked.
         agreeing: evidence in the others, fitted without it, from which on they are believed.
         wrong: evidence in it, at the place where they see the body, below which it is left out.
@@ -36,6 +38,7 @@ class ContradictionRule(Checked):
         twice: looks in turn that must agree before it is taken back.
     """
 
+    clear: float = 1.5
     suspect: float = 0.75
     agreeing: float = 0.85
     wrong: float = 0.6
@@ -84,7 +87,7 @@ def judged(rule: ContradictionRule, memory: Suspicion, known: Recollection, now:
         left_out, memory = _taken_back(rule, memory, known, now)
         now = replace(now, problem=now.problem.excluding(left_out))
         memory = replace(memory, waiting=rule.every - 1)
-    each = known.ratios(now.check)
+    each = known.ratios(now.check, rule.clear)
     if np.nan_to_num(each, nan=1.0).min() >= rule.suspect:
         return now, memory
     memory = replace(memory, waiting=rule.every - 1)
@@ -108,8 +111,8 @@ def _without_contradicting(rule: ContradictionRule, known: Recollection, each: F
         if each[camera] >= rule.suspect:
             break
         other = _without({camera}, known, now.problem)
-        there = np.nan_to_num(known.ratios(_there(known, camera, other)))  # 0 where it is not in its picture
-        if known.ratio(other.check) >= rule.agreeing and there[camera] < rule.wrong:
+        there = np.nan_to_num(_agreement(rule, known, camera, other))  # 0 where it is not in its picture
+        if known.ratio(other.check) >= rule.agreeing and there < rule.wrong:
             return other
     return None
 
@@ -121,15 +124,11 @@ def _without(cameras: Set[int], known: Recollection, problem: Problem) -> Judged
     return Judged(problem, fit, known.check(fit.posed, fit.sights, problem))
 
 
-def _there(known: Recollection, camera: int, others: Judged) -> Check:
-    """How a camera's picture agrees with the body where the others see it."""
+def _agreement(rule: ContradictionRule, known: Recollection, camera: int, others: Judged) -> float:
+    """Evidence in a camera's picture where the others see the body."""
     sight = others.problem.look(camera, others.fit.posed)
-    return known.check(others.fit.posed, [] if sight is None else [sight], others.problem)
-
-
-def _agreement(known: Recollection, camera: int, others: Judged) -> float:
-    """Evidence in a camera where the others see the body."""
-    return float(known.ratios(_there(known, camera, others))[camera])
+    check = known.check(others.fit.posed, [] if sight is None else [sight], others.problem)
+    return float(known.ratios(check, rule.clear)[camera])
 
 
 def _stillness(known: Recollection, camera: int, others: Judged) -> float:
@@ -149,7 +148,7 @@ def _taken_back(
     agreed = {camera: memory.agreed.get(camera, 0) for camera in now.problem.left_out}
     for camera in agreed:
         if now.problem.frame.images[camera] is not None:
-            ratio = _stillness(known, camera, now) if camera in memory.moved else _agreement(known, camera, now)
+            ratio = _stillness(known, camera, now) if camera in memory.moved else _agreement(rule, known, camera, now)
             agreed[camera] = agreed[camera] + 1 if ratio >= rule.right else 0
     left_out = frozenset(c for c in agreed if agreed[c] < rule.twice)
     return left_out, replace(memory, agreed=agreed, moved=tuple(c for c in memory.moved if c in left_out))

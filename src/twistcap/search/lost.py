@@ -42,7 +42,7 @@ class LostBody(Checked):
     Attributes:
         after: s without images from which on it is.
         least: evidence below which a fit is lost.
-        lessons: frames that must have taught what is usual, before a body can be lost by that.
+        lessons: frames that must have taught what is usual, before a body can be lost or a camera left out by that.
         none: evidence below which it is not the body at all.
         learned: evidence from which on a fit is learned from.
         accepted: evidence from which on a found body is believed.
@@ -157,10 +157,12 @@ class LostBody(Checked):
             memory = replace(memory, known=known.forgotten(), frames=1, suspicion=Suspicion({}))
             memory = self._learned(self._signed(memory, again), again, 1.0)
             return Revision(again.fit, problem.past.moments[-1], left_out=frozenset(), relit=True), memory
-        now, suspicion = judged(self.contradiction, memory.suspicion, known, now)
-        memory = self._signed(replace(memory, suspicion=suspicion), now)
-        ratio, last, revision = known.ratio(now.check), problem.past.moments[-1], None
         usual_known = memory.frames > self.lessons
+        if usual_known:
+            now, suspicion = judged(self.contradiction, memory.suspicion, known, now)
+            memory = replace(memory, suspicion=suspicion)
+        memory = self._signed(memory, now)
+        ratio, last, revision = known.ratio(now.check), problem.past.moments[-1], None
         if np.isnan(ratio) and known.pixels[list(now.problem.views)].any():  # hardly any of the body is in sight
             ratio = 0.0
         if ratio < self.least and usual_known:

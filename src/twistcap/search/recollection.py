@@ -109,13 +109,14 @@ class Recollection:
         """Whether enough of the body has been seen, in colours that differ from the background's, to judge by it."""
         return float(self.pixels.sum()) >= _ENOUGH and float(self.nats.sum()) >= _TELLING * float(self.pixels.sum())
 
-    def ratios(self, covered: Covered) -> Float:
+    def ratios(self, covered: Covered, clear: float = 0.0) -> Float:
         """(cameras,) evidence of a body over what is usual for so many pixels; NaN in cameras that show nearly nothing
-        of it.
+        of it. What lacks of a body that usually has less than some nats for each pixel is compared with so `clear` one.
         """
         usual, pixels = (self.usual * covered.pixels).sum(axis=1), covered.pixels.sum(axis=1)
         enough = pixels > np.maximum(0.15 * self.pixels.sum(axis=1), _FEW)
-        return np.where(enough & (usual > 0.0), covered.nats.sum(axis=1) / np.maximum(usual, 1e-9), np.nan)
+        lacking = (usual - covered.nats.sum(axis=1)) / np.maximum(usual, np.maximum(clear * pixels, 1e-9))
+        return np.where(enough & (usual > 0.0), 1.0 - lacking, np.nan)
 
     def ratio(self, covered: Covered) -> float:
         """The same of all cameras together, of three or more without the one that contradicts most; NaN of none."""
