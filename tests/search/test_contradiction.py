@@ -10,13 +10,14 @@ from itertools import islice
 import numpy as np
 import pytest
 
+from reproduce.faults.kinds import take_of
 from twistcap import se3
 from twistcap.body import Pose, Posed
 from twistcap.build import build
 from twistcap.estimate import Frame
 from twistcap.search.contradiction import ContradictionRule, Suspicion, _moved
 from twistcap.search.memory import LostMemory
-from twistcap.search.recollection import Check
+from twistcap.search.recollection import Check, Covered
 from twistcap.studio import Capture, StudioConfig, capture
 from twistcap.track import State, Tracker
 
@@ -96,3 +97,20 @@ def _empty(frame: Frame) -> Frame:
 
 def _dark(frame: Frame) -> Frame:
     return replace(frame, images=tuple(np.uint8(0.4 * np.float32(image)) for image in frame.images))
+
+
+def test_what_lacks_of_a_body_that_is_hardly_told_from_the_background_is_little() -> None:
+    known = _memory(_tracked()).known
+    usual = known.usual * known.pixels
+    clear, half = usual.sum(axis=1) / known.pixels.sum(axis=1), Covered(0.5 * usual, known.pixels)
+    np.testing.assert_allclose(known.ratios(half), 0.5)
+    np.testing.assert_allclose(known.ratios(half, 0.9 * clear.min()), 0.5)
+    np.testing.assert_allclose(known.ratios(half, 2.0 * clear.max()), 1.0 - 0.25 * clear / clear.max())
+
+
+def test_a_camera_in_which_body_and_room_look_alike_contradicts_nobody() -> None:
+    """Seed of the fault bench in which one was left out from the second frame on, and an arm was lost without it."""
+    scene = take_of(5474)
+    tracker = Tracker(build(scene.scene.body, scene.scene.rig))
+    tracker.start(scene.first_pose)
+    assert [tracker.step(frame).left_out for frame in islice(scene.frames(), 26)] == [()] * 26
