@@ -38,7 +38,7 @@ def test_a_quiet_body_is_not_lost_and_a_contradicted_one_is() -> None:
     quiet = rule.limbs(signs, signs, good)
     assert rule.whole(quiet) < 0.02
     signs = signs.copy()
-    signs[1] = [1.0, 1.0, 0.5, 0.5, 0.9, 0.4, 0.2, 0.0, 0.1, 0.0, 0.3, 0.0]
+    signs[1] = [1.0, 1.0, 0.5, 0.5, 0.9, 0.4, 0.2, 0.0, 0.0, 0.3, 0.0]
     lost = rule.limbs(signs, signs, np.where(np.arange(len(groups)) == 1, 0.2, good))
     assert lost.argmax() == 1
     assert lost[1] > 0.5

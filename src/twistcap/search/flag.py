@@ -17,10 +17,10 @@ from twistcap.body import Body, Pose, Posed
 from twistcap.body.limbs import limb_parts, limbs
 from twistcap.cues.observation import Agreement
 from twistcap.ranges import Checked, Share, Signed
-from twistcap.search.recollection import CLIP, Check, Recollection
+from twistcap.search.recollection import Check, Recollection
 
 _FEWEST = 8.0  # contour points or covered pixels below which nothing is said of a limb
-SIGNS = 12
+SIGNS = 11
 USUAL = (0.05, 0.1, 0.15)
 """What `contour_signs` say of a limb before a recording has taught what is usual."""
 MOST_USUAL = (0.2, 0.35, 0.4)
@@ -33,8 +33,7 @@ _OF = {
     "clear": (-0.1, 0.1, 0.25, 0.4, 0.6, 1.0), "in_view": (0.0, 0.3, 0.6, 1.0, 1.5), "bare": (0.0, 0.1, 0.3, 1.0),
     "against": (0.0, 0.1, 0.25, 0.4, 0.6), "late": (0.0, 0.1, 0.2, 0.35, 0.5, 0.7),
     "silent": (0.0, 0.1, 0.25, 0.4, 0.6, 0.8), "unseen": (0.0, 0.2, 0.4, 0.6, 0.8, 1.0), "few": (0.0, 1.0, 2.0, 3.0),
-    "alike": (0.1, 0.2, 0.35, 0.5, 0.8), "found": (0.0, 0.2, 0.5, 1.0), "jumped": (0.0, 0.03, 0.06, 0.12, 0.25, 0.6),
-    "at_limit": (0.0, 0.1, 0.2, 0.4, 0.7),
+    "found": (0.0, 0.2, 0.5, 1.0), "jumped": (0.0, 0.03, 0.06, 0.12, 0.25, 0.6), "at_limit": (0.0, 0.1, 0.2, 0.4, 0.7),
 }  # fmt: skip
 _SIGNS = tuple(_OF.values())
 KNOTS = (*_SIGNS, *(_SIGNS[k] for k in _MEANS), (-12.0, -8.0, -5.0, -2.5, 0.0, 2.0), _OF["clear"], _OF["late"])
@@ -46,10 +45,10 @@ _SLOPE = 1.0 / np.concatenate([np.diff(knots) for knots in KNOTS])
 # By benchmarks/fit_flag.py --seeds 1000-1087.
 LIMB = (
     -12.94, 0, 0, 0, 0, 0.09929, 0.9931, 0.005036, 0.00894, 0.5256, 0.7024, 0, 0, 1.036, 1.421, 0, 0, 0.3917, 0, 0, 0,
-    0, 0.4476, 0.02054, 0, 0, 1.983, 0.4618, 0, 0, 0, 0, 1.106, 0, 0, 0, 0, 0, 0, 0.2972, 0, 0, 2.133, 0.1825, 2.069,
-    1.062, 0, 0.5411, 0.5465, 0.2541, 0, 0, 0, 0, 0, 0.5876, 0, 0, 0.09342, 1.886, 0.2359, 0, 0, 0.07214, 0, 0, 0,
-    0.7329, 0.1201, 0, 0, 0.9357, 0.9373, 0, 0, 0, 1.268, 0.6664, 0, 0.3954, 0.7763, 0.4562, 0.02971, 1.794, 0, 0, 0,
-    0.4318, 0.3217, 0, 0, 0,
+    0, 0.4476, 0.02054, 0, 0, 1.983, 0.4618, 0, 0, 0, 0, 1.106, 0, 0, 0.2972, 0, 0, 2.133, 0.1825, 2.069, 1.062, 0,
+    0.5411, 0.5465, 0.2541, 0, 0, 0, 0, 0, 0.5876, 0, 0, 0.09342, 1.886, 0.2359, 0, 0, 0.07214, 0, 0, 0, 0.7329,
+    0.1201, 0, 0, 0.9357, 0.9373, 0, 0, 0, 1.268, 0.6664, 0, 0.3954, 0.7763, 0.4562, 0.02971, 1.794, 0, 0, 0, 0.4318,
+    0.3217, 0, 0, 0,
 )  # fmt: skip
 BODY = (0.2919, 0.02019, 0.9497)
 BLIND = (0.8844, 2.451, 0.163)
@@ -72,12 +71,11 @@ def in_images(groups: Bool, agreement: Agreement) -> Bool:
 def image_signs(
     groups: Bool, known: Recollection, check: Check, agreement: Agreement, support: Float, usual: Float
 ) -> Float:
-    """(G, 9) signs of loss of each group of segments (G, S) in the images, 0 where all is as it usually is.
+    """(G, 8) signs of loss of each group of segments (G, S) in the images, 0 where all is as it usually is.
 
     They are: evidence that is lacking, over what is usual; the same in the camera in which most is; evidence that
     nothing covers, over the same; what `contour_signs` say, beyond what is `usual` (G, 3); how much of the
-    limb is not seen at all; cameras that see it, short of three; and how alike its colours and the background's usually
-    are: what looks right may then be wrong.
+    limb is not seen at all; and cameras that see it, short of three.
     """
     weights = groups.T.astype(float)
     taught = known.pixels.sum(axis=0) @ weights > _FEWEST  # before, evidence says nothing of a limb
@@ -87,9 +85,7 @@ def image_signs(
     contour = contour_signs(groups, agreement, support) - usual
     unseen = np.where(taught, hidden(groups, known, check), 0.0)
     few = np.where(taught, np.maximum(3 - (check.pixels @ weights > _FEWEST).sum(axis=0), 0), 0)
-    telling = known.nats.sum(axis=0) @ weights / np.maximum(known.pixels.sum(axis=0) @ weights, 1.0)
-    alike = np.where(taught, np.clip(1.0 - telling / CLIP, 0.0, 1.0), 0.0)
-    return np.column_stack([clear, in_view, bare, contour, unseen, few, alike])
+    return np.column_stack([clear, in_view, bare, contour, unseen, few])
 
 
 def contour_signs(groups: Bool, agreement: Agreement, support: Float) -> Float:
