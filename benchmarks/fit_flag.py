@@ -1,6 +1,6 @@
 """Fit the weights of `twistcap.search.flag` on captures with truth, and judge them on captures that were left out.
 
-    python benchmarks/fit_flag.py --seeds 1000-1087 --keep DIR
+    python benchmarks/fit_flag.py --seeds 1000-1131 --keep DIR
 
 Each seed is a capture of the fault bench; with every fourth comes a walk without faults whose body and cameras are not
 exact: there contours agree less, and nothing is lost. What was measured of each is kept in DIR, so that a run can be
@@ -209,7 +209,7 @@ def judge(p: Float, lost: Bool) -> None:
 def main() -> None:
     """See above."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", default="1000-1087")
+    parser.add_argument("--seeds", default="1000-1131")
     parser.add_argument("--keep", type=Path, required=True)
     options = parser.parse_args()
     first, _, last = options.seeds.partition("-")
