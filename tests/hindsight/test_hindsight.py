@@ -18,6 +18,7 @@ from reproduce.faults.kinds import kind_of, take_of
 from reproduce.faults.runs import errors_mm
 from reproduce.faults.take import Take
 from twistcap import hindsight, stages
+from twistcap.body import Pose
 from twistcap.body.limbs import named_limbs
 from twistcap.build import build
 from twistcap.commands.follow import follow, resumed
@@ -67,17 +68,18 @@ def test_a_limb_of_a_second_track_brings_its_own_flag_and_no_other() -> None:
     groups, first = flag_groups(model.body), passed[-1].estimate
     limbs, arm = named_limbs(model.body), named_limbs(model.body)[ARM]
 
-    def said(probability: float) -> Estimate:
-        pose = first.pose if probability > 0.5 else bent(model.body, first.pose)
+    def said(probability: float, pose: Pose) -> Estimate:
         return replace(first, pose=pose, part_probability=np.full(groups.shape[1], probability))
 
-    coordinates = model.body.chain[arm].any(axis=0) & ~model.body.chain[limbs["trunk"]].any(axis=0)
-    found = with_limbs(model, said(0.9), said(0.1), coordinates, arm)
+    coordinates = np.asarray(model.body.chain[arm].any(axis=0) & ~model.body.chain[limbs["trunk"]].any(axis=0))
+    before, second = said(0.9, first.pose), said(0.1, first.pose.retract(np.full(model.body.dof, 0.1)))
+    found = with_limbs(model, before, second, coordinates, arm)
     assert found.part_probability is not None and found.lost
     np.testing.assert_array_equal(found.part_probability, np.where(arm, 0.1, 0.9))
-    assert np.array_equal(found.pose.q, bent(model.body, first.pose).q)
-    unseen = replace(said(0.9), part_probability=None)
-    assert with_limbs(model, unseen, said(0.1), coordinates, arm).part_probability is not None
+    np.testing.assert_array_equal(found.pose.q, np.where(coordinates, second.pose.q, first.pose.q))
+    np.testing.assert_array_equal(found.pose.root, first.pose.root)
+    unseen = replace(before, part_probability=None, status="not_found", lost=True)
+    assert with_limbs(model, unseen, second, coordinates, arm).lost  # what is not seen is not found by a limb
 
 
 @pytest.mark.parametrize(

@@ -88,12 +88,14 @@ def with_coordinates(pose: Pose, which: Bool, other: Pose) -> Pose:
 
 
 def with_limbs(model: Model, first: Estimate, second: Estimate, coordinates: Bool, parts: Bool) -> Estimate:
-    """What a second track says, with nothing of its pose but some coordinates (J,); what is said of all but their parts
-    (S,) is what the first one says.
+    """What a second track says, with nothing of its pose but some coordinates (J,): of all but their parts (S,) the
+    flag is that of the first one.
     """
     found = replace(second, pose=with_coordinates(first.pose, coordinates, second.pose))
-    if first.part_probability is None or second.part_probability is None:
-        return found
+    if first.part_probability is None or second.part_probability is None:  # what is not seen is not found by a limb
+        return replace(
+            found, status=first.status, lost=first.lost, probability=first.probability, part_probability=None
+        )
     by_part = np.where(parts, second.part_probability, first.part_probability)
     each = by_part[flag_groups(model.body).argmax(axis=1)]
     if np.isnan(each).all():

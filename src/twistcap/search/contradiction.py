@@ -1,8 +1,8 @@
 """A camera that contradicts the others is left out, and taken back when it agrees with them again.
 
 It may have been bumped, show an old picture, another camera's, or one of another moment. Where its background is no
-longer what it was, that decides; else the others say where the body is, if they are two or more, and what the one shows
-there decides.
+longer what it was, and that of another one is, that decides; else the others say where the body is, if they are two or
+more, and what the one shows there decides. Where the others have lost the body, all are believed again.
 """
 
 from __future__ import annotations
@@ -16,24 +16,27 @@ from twistcap.arrays import Float
 from twistcap.cues.observation import Fit
 from twistcap.ranges import Checked, Count
 from twistcap.search import Problem
+from twistcap.search.beside import agreement
 from twistcap.search.recollection import Check, Recollection
-from twistcap.search.surroundings import Surroundings
 
 
 @dataclass(frozen=True)
 class ContradictionRule(Checked):
-    """When a camera is left out. Evidence is a ratio to what is usual for this body in this camera.
+    """When a camera is left out. Evidence is a ratio to what is usual for this body in this camera, or to what would be
+    clear.
 
     Attributes:
-        clear: nats for each pixel; a body that usually has less is hardly told from the background, and may lack much
-            of that and contradict nothing.
+        clear: nats for each pixel. Where a body usually has less, it is hardly told from the background: what lacks is
+            then a fraction of so many.
         suspect: evidence in a camera below which the others are asked.
         agreeing: evidence in the others, fitted without it, from which on they are believed.
         wrong: evidence in it, at the place where they see the body, below which it is left out.
         right: evidence there from which on it is taken back; or the fraction of the background, if that has decided.
-        believed: evidence in the others below which they know no more than it, and all are taken back.
+        believed: evidence in the others below which they have lost the body, and all cameras are taken back.
         background: fraction of the background that fits, over what is usual, below which a camera has moved.
         steady: the same, from which on another camera has not: noise and light are no motion of cameras.
+        contour: fraction of contour points that must agree with a camera of which nothing is known beside the others,
+            over that without it: a light has been switched since it was left out.
         every: frames between looks at a camera that is left out, or between suspicions.
         twice: looks in turn that must agree before it is taken back.
     """
@@ -46,6 +49,7 @@ class ContradictionRule(Checked):
     believed: float = 0.5
     background: float = 0.75
     steady: float = 0.9
+    contour: float = 0.9
     every: Count = 3
     twice: Count = 2
 
@@ -64,10 +68,10 @@ class Suspicion:
     moved: tuple[int, ...] = ()
     waiting: int = 0
 
-    def without(self, cameras: Set[int]) -> Suspicion:
-        """With nothing against some cameras."""
-        agreed = {camera: times for camera, times in self.agreed.items() if camera not in cameras}
-        return replace(self, agreed=agreed, moved=tuple(c for c in self.moved if c not in cameras))
+    def of(self, cameras: Set[int]) -> Suspicion:
+        """With nothing against all but these cameras."""
+        agreed = {camera: times for camera, times in self.agreed.items() if camera in cameras}
+        return replace(self, agreed=agreed, moved=tuple(c for c in self.moved if c in cameras))
 
 
 @dataclass(frozen=True)
@@ -81,6 +85,7 @@ class Judged:
 
 def judged(rule: ContradictionRule, memory: Suspicion, known: Recollection, now: Judged) -> tuple[Judged, Suspicion]:
     """The frame without the cameras that are left out from now on, and what is remembered."""
+    memory = memory.of(now.problem.left_out)
     if memory.waiting:
         return now, replace(memory, waiting=memory.waiting - 1)
     if now.problem.left_out:
@@ -98,10 +103,9 @@ def judged(rule: ContradictionRule, memory: Suspicion, known: Recollection, now:
 
 def _moved(rule: ContradictionRule, known: Recollection, check: Check, each: Float) -> frozenset[int]:
     """Suspect cameras whose background is no longer what it was, if that of another one is."""
-    fitting = np.nan_to_num(check.fitting / known.fitting, nan=1.0)
-    looked = ~np.isnan(each)
-    bad = looked & (fitting < rule.background) & (np.nan_to_num(each, nan=1.0) < rule.suspect)
-    return frozenset(np.flatnonzero(bad).tolist()) if np.any(looked & (fitting >= rule.steady)) else frozenset()
+    fitting = check.fitting / known.fitting  # comparisons with NaN are false
+    bad = (fitting < rule.background) & (each < rule.suspect)
+    return frozenset(np.flatnonzero(bad).tolist()) if np.any(fitting >= rule.steady) else frozenset()
 
 
 def _without_contradicting(rule: ContradictionRule, known: Recollection, each: Float, now: Judged) -> Judged | None:
@@ -111,8 +115,8 @@ def _without_contradicting(rule: ContradictionRule, known: Recollection, each: F
         if each[camera] >= rule.suspect:
             break
         other = _without({camera}, known, now.problem)
-        there = np.nan_to_num(_agreement(rule, known, camera, other))  # 0 where it is not in its picture
-        if known.ratio(other.check) >= rule.agreeing and there < rule.wrong:
+        there = known.ratios(_there(known, camera, other), rule.clear)[camera]  # NaN where it is not in its picture
+        if known.ratio(other.check) >= rule.agreeing and not there >= rule.wrong:
             return other
     return None
 
@@ -124,17 +128,10 @@ def _without(cameras: Set[int], known: Recollection, problem: Problem) -> Judged
     return Judged(problem, fit, known.check(fit.posed, fit.sights, problem))
 
 
-def _agreement(rule: ContradictionRule, known: Recollection, camera: int, others: Judged) -> float:
-    """Evidence in a camera's picture where the others see the body."""
+def _there(known: Recollection, camera: int, others: Judged) -> Check:
+    """How a camera's picture agrees with the body where the others see it."""
     sight = others.problem.look(camera, others.fit.posed)
-    check = known.check(others.fit.posed, [] if sight is None else [sight], others.problem)
-    return float(known.ratios(check, rule.clear)[camera])
-
-
-def _stillness(known: Recollection, camera: int, others: Judged) -> float:
-    """Fraction of a camera's background that fits, over what is usual."""
-    view = Surroundings.of(camera, known.backdrops[camera], others.fit.posed, others.problem)
-    return 0.0 if view is None else view.fitting(np.zeros(3))[0] / float(known.fitting[camera])
+    return known.check(others.fit.posed, [] if sight is None else [sight], others.problem)
 
 
 def _taken_back(
@@ -143,12 +140,21 @@ def _taken_back(
     """Cameras that are still left out, after a look at what each shows where the others see the body; none if they do
     not see it.
     """
-    if not known.ratio(now.check) >= rule.believed:
-        return frozenset(), replace(memory, agreed={}, moved=())
+    if known.ratio(now.check) < rule.believed:
+        return frozenset(), memory
     agreed = {camera: memory.agreed.get(camera, 0) for camera in now.problem.left_out}
     for camera in agreed:
         if now.problem.frame.images[camera] is not None:
-            ratio = _stillness(known, camera, now) if camera in memory.moved else _agreement(rule, known, camera, now)
-            agreed[camera] = agreed[camera] + 1 if ratio >= rule.right else 0
-    left_out = frozenset(c for c in agreed if agreed[c] < rule.twice)
-    return left_out, replace(memory, agreed=agreed, moved=tuple(c for c in memory.moved if c in left_out))
+            agreed[camera] = agreed[camera] + 1 if _agrees(rule, memory, known, camera, now) else 0
+    return frozenset(c for c in agreed if agreed[c] < rule.twice), replace(memory, agreed=agreed)
+
+
+def _agrees(rule: ContradictionRule, memory: Suspicion, known: Recollection, camera: int, others: Judged) -> bool:
+    """Whether a camera that is left out agrees with the others by now."""
+    if not known.backdrops[camera].lessons:
+        problem = others.problem
+        together = problem.excluding(problem.left_out - {camera}).align(others.fit.pose)
+        return agreement(together) >= rule.contour * agreement(others.fit)
+    check = _there(known, camera, others)
+    ratios = check.fitting / known.fitting if camera in memory.moved else known.ratios(check, rule.clear)
+    return bool(ratios[camera] >= rule.right)

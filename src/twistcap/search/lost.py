@@ -23,7 +23,7 @@ from twistcap.ranges import Checked, Count, Range, Share
 from twistcap.search import Beginning, Problem, Proposals, Revision
 from twistcap.search.beside import BesideRule, agreement, beside, limbs_beside
 from twistcap.search.bump import BumpRule, Unrest
-from twistcap.search.contradiction import ContradictionRule, Judged, Suspicion, judged
+from twistcap.search.contradiction import ContradictionRule, Judged, judged
 from twistcap.search.evidence import Evidence
 from twistcap.search.flag import MOST_USUAL, USUAL, at_limits, contour_signs, displaced, flag_groups, image_signs
 from twistcap.search.limb import LimbRule, placed, regained
@@ -119,7 +119,7 @@ class LostBody(Checked):
             return Beginning(pose, bumps), replace(memory, nowhere=False, found=np.ones(len(memory.groups)))
         if not memory.known.sure:
             return Beginning(problem.start, bumps) if bumps else None, memory
-        return Beginning(None, bumps), replace(memory, waiting=self.again - 1, nowhere=True, suspicion=Suspicion({}))
+        return Beginning(None, bumps), replace(memory, waiting=self.again - 1, nowhere=True)
 
     def revise(self, memory: LostMemory, problem: Problem, fit: Fit) -> tuple[Revision | None, LostMemory]:
         """The body elsewhere, where the fit is lost; else the fit is learned from."""
@@ -135,7 +135,7 @@ class LostBody(Checked):
             return self._at(problem, found), self._learned(self._signed(memory, now), now, 1.0)
         now = Judged(problem, fit, known.check(fit.posed, fit.sights, problem))
         bumps, unrest = self.bump.bumps(memory.unrest, known, now)
-        memory = replace(memory, unrest=unrest, suspicion=memory.suspicion.without(bumps.keys()))
+        memory = replace(memory, unrest=unrest)
         if not bumps:
             return self._revised(memory, now)
         problem = problem.excluding(problem.left_out - bumps.keys()).turned_back(bumps)
@@ -154,9 +154,9 @@ class LostBody(Checked):
         if not known.sure:
             return None, self._learned(self._signed(memory, now), now, 1.0)
         if (again := self._fitted_without_look(known, now)) is not None:
-            memory = replace(memory, known=known.forgotten(), frames=1, suspicion=Suspicion({}))
+            memory = replace(memory, known=known.forgotten(), frames=1)
             memory = self._learned(self._signed(memory, again), again, 1.0)
-            return Revision(again.fit, problem.past.moments[-1], left_out=frozenset(), relit=True), memory
+            return Revision(again.fit, problem.past.moments[-1], relit=True), memory
         usual_known = memory.frames > self.lessons
         if usual_known:
             now, suspicion = judged(self.contradiction, memory.suspicion, known, now)
@@ -287,7 +287,6 @@ class LostBody(Checked):
             return self._at(problem, problem.afresh(pose, self.margin)), memory
         nowhere = ratio < self.none
         memory = replace(memory, waiting=(memory.waiting or self.again) - 1, nowhere=nowhere)
-        memory = replace(memory, suspicion=Suspicion({})) if nowhere else memory
         return (Revision(None, problem.past.moments[-1]) if nowhere else None), memory
 
     def _at(self, problem: Problem, fit: Fit) -> Revision:
