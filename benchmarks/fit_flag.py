@@ -40,7 +40,7 @@ SMOOTH = 1.0  # of the weights, as of a Gaussian prior
 class Seen:
     """N frames of one capture with G limbs: signs of loss now and lately (N, G, SIGNS), standard deviation of
     each limb's place (N, G), which limbs (N, G) are lost and which are judged, s that the body is unseen (0: seen),
-    and which frames (N,) were tracked again in hindsight.
+    and which frames (N,) were tracked again in hindsight; limbs that it left as they were count with them.
     """
 
     signs: Float
