@@ -122,6 +122,23 @@ def test_cameras_come_back_where_the_others_say_that_they_have_lost_the_body(evi
     assert out == left
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_camera_that_stands_again_comes_back_though_the_body_is_thought_to_be_elsewhere(turned: bool) -> None:
+    """It was left out while it was dark, and one camera alone let the body slide away."""
+    state, scene = replace(_tracked(), left_out=(1,)), _scene()
+    model, frame = build(scene.body, scene.rig), list(scene.frames())[BEFORE]
+    images, here = list(frame.images), state.past.last
+    images[1] = np.roll(images[1], 40, axis=1) if turned and images[1] is not None else images[1]
+    away = Pose(se3.transform(here.root[:3, :3], here.root[:3, 3] + (0.2, -0.2, 0.0)), here.q)
+    none = np.zeros((scene.body.dof, scene.body.dof))
+    problem = posed_problem(state, replace(frame, images=tuple(images)), model, Prediction(away, "hold", none, none))
+    known, fit = _memory(state).known, problem.measured(away)
+    check = known.check(fit.posed, fit.sights, problem)
+    judged = Judged(problem, fit, replace(check, nats=0.9 * known.usual * check.pixels))
+    out, _ = _taken_back(ContradictionRule(twice=1), Suspicion({}, moved=(1,)), known, judged)
+    assert out == ({1} if turned else set())
+
+
 def test_no_camera_is_left_out_before_it_is_known_what_is_usual() -> None:
     scene, frames = _scene(), list(_scene().frames())
     tracker, out = Tracker(build(scene.body, scene.rig)), list[tuple[int, ...]]()

@@ -18,6 +18,7 @@ from twistcap.ranges import Checked, Count
 from twistcap.search import Problem
 from twistcap.search.beside import agreement
 from twistcap.search.recollection import Check, Recollection
+from twistcap.search.surroundings import Surroundings
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,8 @@ class ContradictionRule(Checked):
         right: evidence there from which on it is taken back; or the fraction of the background, if that has decided.
         believed: evidence in the others below which they have lost the body, and all cameras are taken back.
         background: fraction of the background that fits, over what is usual, below which a camera has moved.
-        steady: the same, from which on another camera has not: noise and light are no motion of cameras.
+        steady: the same, from which on another camera has not: noise and light are no motion of cameras; and the
+            fraction of a whole picture that fits, from which on a camera stands as it did.
         contour: fraction of contour points that must agree with a camera of which nothing is known beside the others,
             over that without it: a light has been switched since it was left out.
         every: frames between looks at a camera that is left out, or between suspicions.
@@ -156,5 +158,12 @@ def _agrees(rule: ContradictionRule, memory: Suspicion, known: Recollection, cam
         together = problem.excluding(problem.left_out - {camera}).align(others.fit.pose)
         return agreement(together) >= rule.contour * agreement(others.fit)
     check = _there(known, camera, others)
-    ratios = check.fitting / known.fitting if camera in memory.moved else known.ratios(check, rule.clear)
-    return bool(ratios[camera] >= rule.right)
+    if camera not in memory.moved:
+        return bool(known.ratios(check, rule.clear)[camera] >= rule.right)
+    return bool(check.fitting[camera] >= rule.right * known.fitting[camera]) or _still(rule, known, camera, others)
+
+
+def _still(rule: ContradictionRule, known: Recollection, camera: int, others: Judged) -> bool:
+    """Whether nearly all of a camera's picture is as it was, wherever the others think that the body is."""
+    view = Surroundings.of(camera, known.backdrops[camera], others.fit.posed, others.problem)
+    return view is not None and view.fitting(np.zeros(3))[0] >= rule.steady
