@@ -91,20 +91,13 @@ def test_all_cameras_are_believed_where_nobody_is() -> None:
     assert told[-1].status == "not_found" and tracker.state.left_out == ()
 
 
-@pytest.mark.parametrize("turned", [False, True])
-def test_after_another_light_a_camera_comes_back_by_its_contour(turned: bool) -> None:
-    """Its background is not known any more, and is not learned while it is left out."""
+def test_all_cameras_are_believed_under_another_light() -> None:
+    """It may have been that light for which one was left out, and of what it showed nothing is known any more."""
     scene = _scene()
     tracker = Tracker(build(scene.body, scene.rig))
-    memory = replace(_memory(_tracked()), suspicion=Suspicion({}, moved=(1,)))
-    tracker.state = replace(_tracked(), left_out=(1,), searches={"lost body": memory})
-    for frame in list(scene.frames())[BEFORE:]:
-        images = list(_dark(frame).images)
-        images[1] = np.roll(images[1], 40, axis=1) if turned and images[1] is not None else images[1]
-        found = tracker.step(replace(frame, images=tuple(images)))
-        off = np.linalg.norm(Posed(scene.body, found.pose).landmarks - scene.landmarks[frame.index], axis=1)
-        assert off.max() < 0.15  # which two cameras leave
-    assert tracker.state.left_out == ((1,) if turned else ())
+    tracker.state = replace(_tracked(), left_out=(1,))
+    found = tracker.step(_dark(list(scene.frames())[BEFORE]))
+    assert found.status == "converged" and tracker.state.left_out == ()
 
 
 @pytest.mark.parametrize(("evidence", "left"), [(0.4, set()), (0.9, {1}), (np.nan, {1})])

@@ -16,7 +16,6 @@ from twistcap.arrays import Float
 from twistcap.cues.observation import Fit
 from twistcap.ranges import Checked, Count
 from twistcap.search import Problem
-from twistcap.search.beside import agreement
 from twistcap.search.recollection import Check, Recollection
 from twistcap.search.surroundings import Surroundings
 
@@ -37,8 +36,6 @@ class ContradictionRule(Checked):
         background: fraction of the background that fits, over what is usual, below which a camera has moved.
         steady: the same, from which on another camera has not: noise and light are no motion of cameras; and the
             fraction of a whole picture that fits, from which on a camera stands as it did.
-        contour: fraction of contour points that must agree with a camera of which nothing is known beside the others,
-            over that without it: a light has been switched since it was left out.
         every: frames between looks at a camera that is left out, or between suspicions.
         twice: looks in turn that must agree before it is taken back.
     """
@@ -51,7 +48,6 @@ class ContradictionRule(Checked):
     believed: float = 0.5
     background: float = 0.75
     steady: float = 0.9
-    contour: float = 0.9
     every: Count = 3
     twice: Count = 2
 
@@ -153,10 +149,6 @@ def _taken_back(
 
 def _agrees(rule: ContradictionRule, memory: Suspicion, known: Recollection, camera: int, others: Judged) -> bool:
     """Whether a camera that is left out agrees with the others by now."""
-    if not known.backdrops[camera].lessons:
-        problem = others.problem
-        together = problem.excluding(problem.left_out - {camera}).align(others.fit.pose)
-        return agreement(together) >= rule.contour * agreement(others.fit)
     check = _there(known, camera, others)
     if camera not in memory.moved:
         return bool(known.ratios(check, rule.clear)[camera] >= rule.right)

@@ -156,7 +156,7 @@ class LostBody(Checked):
         if (again := self._fitted_without_look(known, now)) is not None:
             memory = replace(memory, known=known.forgotten(), frames=1)
             memory = self._learned(self._signed(memory, again), again, 1.0)
-            return Revision(again.fit, problem.past.moments[-1], relit=True), memory
+            return Revision(again.fit, problem.past.moments[-1], left_out=frozenset(), relit=True), memory
         usual_known = memory.frames > self.lessons
         if usual_known:
             now, suspicion = judged(self.contradiction, memory.suspicion, known, now)
