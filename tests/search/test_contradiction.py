@@ -160,7 +160,7 @@ def test_what_lacks_of_a_body_that_is_hardly_told_from_the_background_is_little(
 
 
 def test_a_camera_in_which_body_and_room_look_alike_contradicts_nobody() -> None:
-    """Seed of the fault bench in which one was left out from the second frame on, and an arm was lost without it."""
+    """Seed of the fault bench in which one was left out from the third frame on, and an arm was lost without it."""
     scene = take_of(5474)
     tracker = Tracker(build(scene.scene.body, scene.scene.rig))
     tracker.start(scene.first_pose)

@@ -88,8 +88,8 @@ def with_coordinates(pose: Pose, which: Bool, other: Pose) -> Pose:
 
 
 def with_limbs(model: Model, first: Estimate, second: Estimate, coordinates: Bool, parts: Bool) -> Estimate:
-    """What a second track says, with nothing of its pose but some coordinates (J,): of all but their parts (S,) the
-    flag is that of the first one.
+    """What a second track says, with nothing of its pose but some coordinates (J,). All but their parts (S,) keep the
+    flag of the first one; covariance and energies are the second one's.
     """
     found = replace(second, pose=with_coordinates(first.pose, coordinates, second.pose))
     if first.part_probability is None or second.part_probability is None:  # what is not seen is not found by a limb

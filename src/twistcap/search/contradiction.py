@@ -22,12 +22,11 @@ from twistcap.search.surroundings import Surroundings
 
 @dataclass(frozen=True)
 class ContradictionRule(Checked):
-    """When a camera is left out. Evidence is a ratio to what is usual for this body in this camera, or to what would be
-    clear.
+    """When a camera is left out. Evidence is a ratio to what is usual for this body in this camera.
 
     Attributes:
-        clear: nats for each pixel. Where a body usually has less, it is hardly told from the background: what lacks is
-            then a fraction of so many.
+        clear: nats for each pixel that are clear evidence. Where a body usually has less, the evidence that it lacks is
+            divided by this, not by what is usual: a little more or less of little says nothing.
         suspect: evidence in a camera below which the others are asked.
         agreeing: evidence in the others, fitted without it, from which on they are believed.
         wrong: evidence in it, at the place where they see the body, below which it is left out.

@@ -154,7 +154,8 @@ class FlagRule(Checked):
         limb: constant, then the weights of `ramps`.
         body: constant, weights of the log odds of the second most and the most doubtful limb.
         unseen: constant, weights of log₁₀ of the seconds since images last showed the body and of `beyond`.
-        again: log odds more of a limb in a frame that is tracked again in hindsight, where a track has no past doubts.
+        again: added to the log odds of each limb in frames that are tracked again in hindsight: such a track has no
+            history of doubts.
         gone: least probability where there are images, and none shows the body: it is elsewhere, or hardly in sight.
         lost: probability from which on it counts as lost.
     """
@@ -168,7 +169,7 @@ class FlagRule(Checked):
 
     @property
     def in_hindsight(self) -> Self:
-        """Of a second track through frames that have passed."""
+        """The rule for a second track, through frames that have passed."""
         constant, *weights = self.limb
         return replace(self, limb=(constant + self.again, *weights))
 

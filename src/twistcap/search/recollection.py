@@ -111,7 +111,7 @@ class Recollection:
 
     def ratios(self, covered: Covered, clear: float = 0.0) -> Float:
         """(cameras,) evidence of a body over what is usual for so many pixels; NaN in cameras that show nearly nothing
-        of it. Where it usually has less than `clear` nats for each pixel, what lacks is a fraction of so many.
+        of it. Where it usually has less than `clear` nats for each pixel, the evidence that lacks is divided by those.
         """
         usual, pixels = (self.usual * covered.pixels).sum(axis=1), covered.pixels.sum(axis=1)
         enough = pixels > np.maximum(0.15 * self.pixels.sum(axis=1), _FEW)
