@@ -99,6 +99,17 @@ def test_a_finished_study_does_nothing_again(data: Path, whole: Path, tmp_path: 
     assert (out / "angles.csv").read_bytes() == (whole / "angles.csv").read_bytes()
 
 
+def test_other_outputs_are_written_without_tracking_again(data: Path, whole: Path, tmp_path: Path) -> None:
+    out = Path(shutil.copytree(whole, tmp_path / "out"))
+    times = {path: path.stat().st_mtime_ns for path in out.rglob("*.h5")}
+    other = study_file(tmp_path, data, QUICK.replace('"trc"', '"csv"') + 'angles = "isb"\n')
+    found = run_study(load_study(other), out)
+    assert set(found["seconds"]) == {"files", "rows"}
+    assert times == {path: path.stat().st_mtime_ns for path in out.rglob("*.h5")}
+    assert "isb_knee_flexion_r_deg" in (out / "p1" / "slow" / "angles.csv").read_text()
+    assert {row["coordinate"] for row in rows(out / "angles.csv")} >= {"isb_knee_flexion_r"}
+
+
 def test_a_trial_that_fails_is_listed_and_mended(
     data: Path, whole: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -126,13 +137,20 @@ def test_body_refinement_and_a_table_of_trials(data: Path, tmp_path: Path, capsy
     )
     study = study_file(tmp_path, tmp_path / "trials.csv", text)
     found = document(capsys, "study", study, "--out", tmp_path / "out", "--workers", 1)
-    assert found["done"] == 2 and set(found["seconds"]) == {"fit", "track", "refine", "rows"}
+    assert found["done"] == 2 and set(found["seconds"]) == {"fit", "track", "refine", "files", "rows"}
     first, second = (read_result(tmp_path / "out" / "p1" / name / "refined" / "refined.h5") for name in "ab")
     assert len(first) == FRAMES and len(second) == 3 and first.config["scale"] == 0.9
     bodies = [read_result(tmp_path / "out" / "p1" / name / "result.h5").body for name in "ab"]
     given = load_session(data / "p1" / "fast" / "session.toml")
     assert np.array_equal(bodies[0].vertices, bodies[1].vertices)
     assert not np.allclose(bodies[0].vertices, body_of(given).vertices, atol=1e-4)
+    times = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*.h5")}
+    study = study_file(tmp_path, tmp_path / "trials.csv", text.replace("[]", '["mot"]\noverlay = true'))
+    again = document(capsys, "study", study, "--out", tmp_path / "out", "--workers", 1)
+    assert again["done"] == 2 and set(again["seconds"]) == {"files", "rows"}
+    assert times == {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*.h5")}
+    refined = tmp_path / "out" / "p1" / "a" / "refined"
+    assert (refined / "angles.mot").is_file() and (refined / "overlay.mp4").is_file()
 
 
 def walked(folder: Path, trial: Trial, frames: int, speed: float) -> None:

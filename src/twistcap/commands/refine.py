@@ -187,17 +187,30 @@ def _shape(before: Any, refinement: Any) -> dict[str, Any]:
 
 
 def _written(result: Any, refinement: Any, session: Any, views: Any, folder: Path) -> list[Path]:
-    from twistcap.commands import outputs
-    from twistcap.io.result import ResultWriter, read_result
+    from twistcap.io.result import ResultWriter
 
     path = folder / "refined.h5"
     kept = {**result.config, "refined": {"moved_m": list(refinement.moved), "lengths": dict(refinement.lengths)}}
     with ResultWriter(path, refinement.body, result.rig, kept, room=len(refinement.estimates)) as writer:
         for estimate in refinement.estimates:
             writer.append(estimate)
+    return [path, *_files(path, session, views)]
+
+
+def write_again(path: Path, session: Any) -> None:
+    """Write the files made of a refined result anew, as a session wants them."""
+    from twistcap.io.result import read_result
+
+    result = read_result(path)
+    _files(path, session, _views(session, result.rig, result.indices.tolist(), path))
+
+
+def _files(path: Path, session: Any, views: Any) -> list[Path]:
+    from twistcap.commands import outputs
+    from twistcap.io.result import read_result
+
     with words.status("writing plots, exports and the overlay"):
-        title = f"{session.title} refined"
-        return [path, *outputs.write_files(read_result(path), session, views, folder, title)]
+        return outputs.write_files(read_result(path), session, views, path.parent, f"{session.title} refined")
 
 
 def show(document: dict[str, Any]) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from twistcap.commands import terminal
 from twistcap.commands.bodyfit import fit_sessions
 from twistcap.commands.gait_files import Wishes, run_gait
-from twistcap.commands.refine import run_refine
+from twistcap.commands.refine import run_refine, write_again
 from twistcap.commands.track import Begin, run_session
 from twistcap.doors.text import read_json_table
 from twistcap.errors import InputError
@@ -29,7 +29,7 @@ from twistcap.io.result import Result, read_result
 from twistcap.io.session import GlbBody, Session
 from twistcap.io.study import BODY, StudyFile, StudyOutput, Trial
 
-STEPS = ("fit", "track", "refine", "rows")
+STEPS = ("fit", "track", "refine", "files", "rows")
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,8 @@ def run_trial(trial: Trial, about: StudyFile, study: Path) -> Outcome:
 
 
 def _plain(session: Session) -> dict[str, Any]:
-    return session.model_dump(mode="json")
+    """What a track is made of: what is written of it may change without tracking again."""
+    return session.model_dump(mode="json", exclude={"output"})
 
 
 def _with_body(session: Session, body: Path) -> Session:
@@ -137,10 +138,11 @@ def _with_body(session: Session, body: Path) -> Session:
 def _tracked(session: Session, about: StudyFile, steps: Steps) -> Path:
     """The result of a trial: tracked, and refined where that is wanted; the last of the two writes the exports."""
     result, refined = steps.folder / "result.h5", steps.folder / "refined" / "refined.h5"
-    track = session
+    last, track = result, session
     if about.refine is not False:
         output = session.output.model_copy(update={"exports": (), "overlay": False})
-        track = session.model_copy(update={"output": output})
+        last, track = refined, session.model_copy(update={"output": output})
+    made = {"track"} if last == result else {"track", "refine"}
 
     def follow(begun: bool) -> None:
         run_session(track, steps.folder, Begin(resume=begun, overwrite=not begun))
@@ -148,11 +150,18 @@ def _tracked(session: Session, about: StudyFile, steps: Steps) -> Path:
     def refine(_: bool) -> None:
         run_refine(result, refined.parent, session, about.refine if isinstance(about.refine, dict) else {})
 
+    def write(_: bool) -> None:
+        if steps.seconds.keys() >= made:  # just now, with their files
+            return
+        run_session(track, steps.folder, Begin(resume=True, videos_changed=True))
+        if last == refined:
+            write_again(refined, session)
+
     steps.once("track", result, follow)
-    if about.refine is False:
-        return result
-    steps.once("refine", refined, refine, about.refine)
-    return refined
+    if last == refined:
+        steps.once("refine", refined, refine, about.refine)
+    steps.once("files", last, write, about.output.model_dump(mode="json"))
+    return last
 
 
 def _write_rows(path: Path, trial: Trial, result: Result, output: StudyOutput) -> dict[str, int]:
