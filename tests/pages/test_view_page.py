@@ -304,6 +304,36 @@ def test_plots_read_out_zoom_and_resize(made: Path, saved: Path) -> None:
         assert browser.problems == []
 
 
+@needs_browser
+def test_lost_frames_have_no_say_in_the_plots_of_others(made: Path, tmp_path: Path) -> None:
+    """Their σ is that of a guess: with it all curves would be flat. An arm that turns there leaves no whole turn."""
+    short = read_result(made / "one" / "result.h5")
+    q, flex = short.q.copy(), short.body.coordinate("arm_flex_r")
+    assert np.flatnonzero(~short.known).tolist() == [2, 3]
+    q[2:4, flex] = np.radians([170.0, -20.0])
+    wide = replace(short, q=q, covariances=np.where(~short.known[:, None, None], 1e4, 1.0) * short.covariances)
+    with ResultWriter(tmp_path / "result.h5", short.body, short.rig, short.config) as writer:
+        for own in wide.estimates:
+            writer.append(own)
+    assert run("view", tmp_path / "result.h5", "--save", tmp_path / "wide.html") == 0
+    angles = coordinates_of(short.body, short.poses, short.covariances, known=short.known).in_degrees
+    k = coordinates_of(short.body, short.poses).names.index("lumbar_bending")
+    values, sigmas = (columns[short.known, k] for columns in angles)
+    with Browser() as browser:
+        browser.open((tmp_path / "wide.html").as_uri())
+        one = "twistcapView.plots.find(p => p.name === 'lumbar_bending').plot"
+        browser.wait(one)
+        low, high = browser.run(f"(({{ min, max }}) => [min, max])({one}.scales.y)")
+        lowest, highest = (values - 2 * sigmas).min(), (values + 2 * sigmas).max()
+        assert low < lowest and highest < high < low + max(1.2 * (highest - lowest), 12.0)
+        browser.run(f"{one}.setScale('x', {{ min: 1.9 / 60, max: 2.1 / 60 }})")  # a lost frame alone
+        browser.drawn()
+        np.testing.assert_allclose(browser.run(f"{one}.scales.y.max"), high)
+        arm = browser.run("twistcapView.plots.find(p => p.name === 'arm_flex_r').curves.read.map(v => v(5)[1])")
+        assert abs(float(arm[0].split("°")[0])) < 90
+        assert browser.problems == []
+
+
 @pytest.fixture(scope="module")
 def long(made: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A page of 6 000 frames; every seventh is ten times as uncertain as the others."""

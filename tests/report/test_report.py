@@ -7,6 +7,7 @@ import shutil
 import subprocess
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import av
 import cv2
@@ -21,6 +22,7 @@ from twistcap.body.model import split_side
 from twistcap.camera import Camera, Rig, look_at
 from twistcap.estimate import Estimate, Frame
 from twistcap.evaluate.metrics import row
+from twistcap.report import plots
 from twistcap.report.overlay import (
     LOST,
     bones_of,
@@ -147,6 +149,19 @@ def test_plots_show_both_sides_and_lost_frames(tmp_path: Path) -> None:
     errors[4] = np.inf
     picture = cv2.imread(str(joint_error_plot(tmp_path / "c.png", times, ("knee_r", "knee_l", "hip_r"), errors)))
     assert _has_colour(picture[..., ::-1], right, 12)
+
+
+def test_lost_frames_have_no_say_in_the_height_of_a_panel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their band may be whole turns wide, and all curves would be flat."""
+    times, saved = np.arange(30) / 30, list[Any]()
+    angles, lost, dropped = np.radians(40 * np.sin(6 * times))[:, None], times > 0.8, times < 0.1
+    series = AngleSeries(times, ("knee_angle_r",), angles, np.where(lost | dropped, 3.0, 0.01)[:, None])
+    monkeypatch.setattr(plots, "_saved", lambda _, figure, *__: saved.append(figure))
+    for flags in ((lost, dropped), (np.ones(30, np.bool_), None)):
+        angle_plot(tmp_path / "a.png", series, None, *flags)
+    low, high = saved[0].axes[0].get_ylim()
+    assert -55 < low < -40 and 40 < high < 55
+    assert saved[1].axes[0].get_ylim()[1] > 300  # all of it is lost: all is shown
 
 
 def test_envelopes_hold_every_frame_of_a_column() -> None:

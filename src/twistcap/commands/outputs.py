@@ -48,7 +48,7 @@ def write_files(result: Result, session: Session, views: Views, folder: Path, ti
 
 def write_angle_plot(result: Result, folder: Path, truth: Reference | None = None) -> Path:
     """``angles.png``: all joint angles as exports have them, with their uncertainty, and the truth if there is one."""
-    body, table = result.body, coordinates_of(result.body, result.poses, result.covariances)
+    body, table = result.body, coordinates_of(result.body, result.poses, result.covariances, known=result.known)
     k = [table.names.index(name) for name in body.coordinate_names]
     series = AngleSeries(result.times, body.coordinate_names, table.values[:, k], table.sigmas[:, k])
     dropped = np.array([status in UNSEEN for status in result.statuses])

@@ -104,7 +104,7 @@ def _camera(camera: Camera, source: Source | None, indices: Int, width: int) -> 
 
 def _run(name: str, result: Result, indices: Int, shown: Int, rig: Rig, width: int) -> dict[str, Any]:
     body, names = result.body, result.rig.names
-    limbs, table = named_limbs(body), coordinates_of(body, result.poses, result.covariances)
+    limbs, table = named_limbs(body), coordinates_of(body, result.poses, result.covariances, known=result.known)
     own = [table.names.index(coordinate) for coordinate in body.coordinate_names]
     angles, sigmas = (columns[:, own] for columns in table.in_degrees)
     where = {int(index): row for row, index in enumerate(result.indices)}

@@ -47,19 +47,23 @@ def angle_plot(
     dropped: Bool | None = None, title: str = "",
 ) -> Path:  # fmt: skip
     """A PNG of small multiples of joint angles, right and left in one panel, with bands of ± 2σ. The truth is drawn
-    dashed, on its own times; `lost` and `dropped` (N,) are frames to shade red and grey."""
+    dashed, on its own times; `lost` and `dropped` (N,) are frames to shade red and grey. The panels are as high as the
+    other frames need: a band may be whole turns wide where the body is lost."""
     names = estimate.names
+    unknown = np.any([flags for flags in (lost, dropped, np.zeros(len(estimate.times))) if flags is not None], axis=0)
     figure, panels = _grid(names, title)
     for panel, axis in panels.items():
         for flags, colour in ((lost, _LOST), (dropped, _DROPPED)):
             for start, end in spans(estimate.times, flags) if flags is not None else ():
                 axis.axvspan(start, end, color=colour, alpha=0.22, lw=0, zorder=0)
-        for name in (name for name in names if split_side(name)[0] == panel):
+        own = [name for name in names if split_side(name)[0] == panel]
+        for name in own:
             _draw_angle(axis, estimate, name)
             if truth is not None and name in truth.names:
                 colour = _DARK[split_side(name)[1]]
                 values = np.degrees(truth.angles[:, truth.names.index(name)])
                 axis.plot(truth.times, values, "--", color=colour, lw=1.1, dashes=(4, 2.5), zorder=4)
+        _fit_height(axis, [(estimate, ~unknown), *([] if truth is None else [(truth, np.isfinite(truth.times))])], own)
         _finish_angles(axis, panel)
     more: list[Line2D | Patch] = []
     if estimate.sigma is not None:
@@ -74,13 +78,32 @@ def angle_plot(
 
 def _draw_angle(axis: Axes, series: AngleSeries, name: str) -> None:
     """The curve and its band, as tall in each column of pixels as its frames are."""
-    k, colour = series.names.index(name), _COLOURS[split_side(name)[1]]
-    values = np.degrees(series.angles[:, k])
+    colour, (values, band) = _COLOURS[split_side(name)[1]], _in_degrees(series, name)
     if series.sigma is not None:
-        band = 2 * np.degrees(series.sigma[:, k])
         edges = envelope(series.times, values - band, values + band)
         axis.fill_between(*edges, color=colour, alpha=0.3, lw=0, zorder=2)
     axis.fill_between(*envelope(series.times, values, values), color=colour, alpha=0.75, lw=1.2, zorder=3)
+
+
+def _in_degrees(series: AngleSeries, name: str) -> tuple[Float, Float]:
+    """An angle and 2σ (N,)."""
+    k = series.names.index(name)
+    values = np.degrees(series.angles[:, k])
+    return values, np.zeros_like(values) if series.sigma is None else 2 * np.degrees(series.sigma[:, k])
+
+
+def _fit_height(axis: Axes, drawn: Sequence[tuple[AngleSeries, Bool]], names: Sequence[str]) -> None:
+    """The axis as high as some angles and their bands, in the frames (N,) given with each series."""
+    curves = [
+        np.concatenate([values - band, values + band])[np.tile(rows, 2)]
+        for series, rows in drawn
+        for values, band in (_in_degrees(series, name) for name in names if name in series.names)
+    ]
+    heights = np.concatenate(curves)
+    heights = heights[np.isfinite(heights)]
+    if len(heights):
+        pad = 0.05 * float(np.ptp(heights))
+        axis.set_ylim(float(heights.min()) - pad, float(heights.max()) + pad)
 
 
 def envelope(times: Float, low: Float, high: Float, columns: int = _COLUMNS) -> tuple[Float, Float, Float]:

@@ -8,6 +8,12 @@ function column(run, j, values) {
   return run.rows.map((row) => (row < 0 ? null : values(row * J + j)));
 }
 
+/** What counts for the height of a plot: where the body is lost or not seen, a band may be whole turns wide. */
+function counted(run, edge) {
+  const out = (row) => run.lost[row] || run.dropped[row], all = run.lost.every((_, row) => out(row));
+  return edge.map((value, frame) => (all || !out(run.rows[frame]) ? value : null));
+}
+
 /** With so many digits, and no minus before a zero. */
 const written = (value, digits) => (+value.toFixed(digits) || 0).toFixed(digits);
 
@@ -17,10 +23,11 @@ function curvesOf(name) {
   for (const run of runs) {
     const j = run.coordinates.indexOf(name);
     if (j < 0) continue;
-    const hidden = { paths: () => null, points: { show: false } };  // they count for the height
+    const hidden = { paths: () => null, points: { show: false } }, outside = { ...hidden, auto: false };
+    const edges = [1, -1].map((side) => column(run, j, (i) => run.angles[i] + side * 2 * run.sigma[i]));
     bands.push([table.length, run.colour + "55"]);
-    table.push(column(run, j, (i) => run.angles[i] + 2 * run.sigma[i]), column(run, j, (i) => run.angles[i] - 2 * run.sigma[i]), column(run, j, (i) => run.angles[i]));
-    series.push(hidden, { ...hidden }, { stroke: run.colour, width: 1.5, points: { show: false } });
+    table.push(...edges, column(run, j, (i) => run.angles[i]), ...edges.map((edge) => counted(run, edge)));
+    series.push(outside, { ...outside }, { stroke: run.colour, width: 1.5, points: { show: false }, auto: false }, hidden, { ...hidden });
     read.push((frame) => {
       const row = run.rows[frame], i = row * run.coordinates.length + j;
       const digits = run.units[j] === "°" ? 1 : 3;
@@ -74,9 +81,9 @@ function drawBand(u, hi, fill) {
 const unitOf = (name) => { const run = runs.find((one) => one.coordinates.includes(name)); return run.units[run.coordinates.indexOf(name)]; };
 
 /** At least 10° or 50 mm high, so that a very small motion does not fill the plot. */
-const heightOf = (unit) => (_, lo, hi) => {
-  const least = unit === "°" ? 10 : 0.05;
-  if (lo === null) return [-least / 2, least / 2];
+const heightOf = (unit) => (u, lo, hi) => {
+  const least = unit === "°" ? 10 : 0.05, { min, max } = u.scales.y;
+  if (lo === null) return min == null ? [-least / 2, least / 2] : [min, max];
   const pad = Math.max(0, (least - (hi - lo)) / 2) + 0.05 * (hi - lo);
   return [lo - pad, hi + pad];
 };
