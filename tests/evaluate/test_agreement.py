@@ -168,6 +168,10 @@ def test_command_fits_80_columns(
     assert all(len(line) <= 80 for line in out)
     knee = next(line for line in out if line.strip().startswith("knee_angle_r"))
     assert knee.split()[:2] == ["knee_angle_r", "-17.19"]
+    write_mot(tmp_path / "isb.mot", body, result.times, result.poses, angles="isb")
+    assert run("evaluate", tmp_path / "r.h5", "--reference", tmp_path / "isb.mot") == 0
+    out = capsys.readouterr().out
+    assert "isb_shoulder_elevation_l " in out and "…" not in out.partition("angles, deg")[2]  # not cut: sides differ
     found = document(capsys, "evaluate", tmp_path / "r.h5", "--reference", tmp_path / "b.mot", "--align")
     assert {a["name"] for a in found["agreements_deg"]} == set(body.coordinate_names)
     said = refusal(capsys, "evaluate", tmp_path / "r.h5", "--reference", tmp_path / "b.mot", "--axes", "sideways")

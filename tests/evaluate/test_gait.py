@@ -249,6 +249,22 @@ def test_no_stride_is_said_without_a_table(
     assert [len(lines) for lines in heads] == [1, 1] and heads[0][0].startswith("side,start,end,toe_off")
 
 
+def test_one_stride_has_no_deviation(
+    body: Body, poses: list[Pose], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What is not known is an empty cell: not 0, and no word that other programs cannot read."""
+    with ResultWriter(tmp_path / "r.h5", body, ring(), {}) as writer:
+        for n, pose in enumerate(poses[:100]):
+            writer.append(Estimate(n, n / FPS, pose, np.eye(body.dof) * 1e-6))
+    assert run("gait", tmp_path / "r.h5") == 0
+    assert "nan" not in capsys.readouterr().out
+    tables = {name: (tmp_path / name).read_text() for name in FILES if name.endswith(".csv")}
+    assert not any("nan" in table for table in tables.values())
+    cells = list(csv.DictReader(tables["cycles.csv"].splitlines()))
+    assert {row["strides"] for row in cells} == {"1"} and {row["sd_deg"] for row in cells} == {""}
+    assert all(float(row["mean_deg"]) is not None for row in cells)
+
+
 def test_strides_that_are_left_out_because_of_lost_frames_are_said(
     body: Body, poses: list[Pose], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

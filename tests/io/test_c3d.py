@@ -16,6 +16,7 @@ from twistcap.body.humanoid import humanoid
 from twistcap.body.surface_markers import surface_markers
 from twistcap.errors import InputError
 from twistcap.estimate import Estimate
+from twistcap.evaluate.other_systems import read_c3d
 from twistcap.io.c3d import room, write_c3d
 from twistcap.io.markers import TO_FILE
 from twistcap.io.result import Result, ResultWriter, read_result
@@ -134,6 +135,17 @@ def test_what_c3d_cannot_hold_is_told(result: Result, tmp_path: Path, monkeypatc
     monkeypatch.setitem(__import__("sys").modules, "ezc3d", None)
     with pytest.raises(InputError, match=r"twistcap\[c3d\]"):
         write_c3d(tmp_path / "a.c3d", result)
+
+
+def test_a_late_part_keeps_its_times(result: Result, tmp_path: Path) -> None:
+    """Its frames have numbers that the format does not hold."""
+    late = replace(result, times=result.times + 1200.0)
+    write_c3d(tmp_path / "a.c3d", late)
+    assert read(tmp_path / "a.c3d")["header"]["points"]["first_frame"] == 0
+    times = read_c3d(tmp_path / "a.c3d").times
+    np.testing.assert_allclose(times[[0, -1]], late.times[[0, -1]], atol=1e-4)
+    write_c3d(tmp_path / "b.c3d", result)
+    np.testing.assert_allclose(read_c3d(tmp_path / "b.c3d").times[[0, -1]], result.times[[0, -1]], atol=1e-9)
 
 
 def test_as_many_frames_as_there_is_room_for(result: Result, tmp_path: Path) -> None:

@@ -66,7 +66,7 @@ def evaluate(
 
 
 def _show_agreements(found: list[Agreement]) -> None:
-    columns = ["angles, deg", "bias", "lower", "upper", "RMSE", "less bias", "r", "CMC"]
+    columns = ["angles, deg", "bias", "lower", "upper", "RMSE", "less\nbias", "r", "CMC"]
     rows = [
         [a.name, _n(a.bias), _n(a.lower), _n(a.upper), _n(a.rmse), _n(a.rmse_offset_removed),
          _n(a.correlation, 3), _n(a.cmc, 3)]

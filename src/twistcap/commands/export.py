@@ -28,7 +28,7 @@ def export(
     fill: Annotated[bool, typer.Option("--fill", help="Write predicted poses where the body was lost.")] = False,
     fps: Annotated[
         float | None,
-        typer.Option(help="Frames per second of bvh, glb and usd. Default: the recording's. Default: the recording's."),
+        typer.Option(help="Frames per second of bvh, glb and usd. Default: the recording's."),
     ] = None,
     into: Annotated[
         Path | None, typer.Option(help="The rigged GLB that was tracked: glb and bvh then have its own bones.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import isfinite, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, cast
 
@@ -116,9 +117,13 @@ def _show(title: str, measures: Mapping[str, Mapping[str, Measure]]) -> None:
     uneven = symmetry(measures)
     rows = list[list[str]]()
     for name, m in measures["both"].items():
-        sides = [f"{measures[side][name].mean:.3g}" for side in ("r", "l")]
-        index = f"{uneven[name]:.1f}" if name in uneven else "–"
-        rows.append([f"{name}, {UNITS[name]}", *sides, f"{m.mean:.3g} ± {m.deviation:.2g}", f"{m.sigma:.1g}", index])
+        sides = [_n(measures[side][name].mean, ".3g") for side in ("r", "l")]
+        both = f"{_n(m.mean, '.3g')} ± {_n(m.deviation, '.2g')}"
+        rows.append([f"{name}, {UNITS[name]}", *sides, both, _n(m.sigma, ".1g"), _n(uneven.get(name, nan), ".1f")])
     counts = " and ".join(str(measures[side]["stride time"].count) for side in ("r", "l"))
     columns = ["", "right", "left", "both ± SD", "σ", "r − l, %"]
     terminal.show_table(f"{title}: {counts} strides right and left", columns, rows)
+
+
+def _n(value: float, form: str) -> str:
+    return format(value, form) if isfinite(value) else "–"

@@ -133,31 +133,36 @@ def _write_events(folder: Path, read: Result, events: Mapping[str, Float]) -> Pa
 
 def _write_parameters(folder: Path, measures: Mapping[str, Mapping[str, Measure]]) -> Path:
     rows = [
-        [side, name, UNITS[name], *(f"{v:.5f}" for v in (m.mean, m.deviation, m.sigma)), m.count]
+        [side, name, UNITS[name], *(_cell(v) for v in (m.mean, m.deviation, m.sigma)), m.count]
         for side, values in measures.items()
         for name, m in values.items()
     ]
-    rows += [["symmetry", name, "%", f"{index:.5f}", "", "", ""] for name, index in symmetry(measures).items()]
+    rows += [["symmetry", name, "%", _cell(index), "", "", ""] for name, index in symmetry(measures).items()]
     head = ["side", "parameter", "unit", "mean", "standard_deviation", "standard_error_by_covariance", "strides"]
     return _table(folder / "gait.csv", head, rows)
 
 
 def _write_strides(folder: Path, found: Gait) -> Path:
     names = [one.name for one in fields(Stride)]
-    rows = [[value if isinstance(value, str) else f"{value:.5f}" for value in vars(s).values()] for s in found.strides]
+    rows = [[value if isinstance(value, str) else _cell(value) for value in vars(s).values()] for s in found.strides]
     return _table(folder / "strides.csv", names, rows)
 
 
 def _write_cycles(folder: Path, curves: Mapping[str, Cycle]) -> Path:
     reliable = {name: grade_of(sigma) for name, sigma in cycle_sigmas(curves).items()}
     rows = [
-        [c.side, f"{p:.0f}", c.coordinate, f"{m:.4f}", f"{d:.4f}", f"{s:.4f}", c.strides, f"{c.cutoff:.2f}",
+        [c.side, f"{p:.0f}", c.coordinate, *(_cell(v, 4) for v in (m, d, s)), c.strides, _cell(c.cutoff, 2),
          reliable[name]]
         for name, c in curves.items()
         for p, m, d, s in zip(PERCENT, c.mean, c.deviation, c.sigma, strict=True)
     ]  # fmt: skip
     head = ["side", "percent", "coordinate", "mean_deg", "sd_deg", "sigma_deg", "strides", "cutoff_hz", "reliable"]
     return _table(folder / "cycles.csv", head, rows)
+
+
+def _cell(value: float, digits: int = 5) -> str:
+    """A number; empty where there is none, since not every program reads ``nan``."""
+    return f"{value:.{digits}f}" if np.isfinite(value) else ""
 
 
 def _table(path: Path, head: Sequence[str], rows: Sequence[Sequence[Any]]) -> Path:

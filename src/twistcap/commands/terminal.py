@@ -127,7 +127,7 @@ def show_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]
     """A table of texts on stdout; the columns `left` begin at the left, the others end at the right."""
     table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     for name in columns:
-        table.add_column(name, justify="left" if name in left else "right")
+        table.add_column(name, justify="left" if name in left else "right", overflow="fold")
     for row in rows:
         table.add_row(*row)
     Console(highlight=False).print(table)

@@ -229,7 +229,8 @@ def _outputs(
                 Headline("frames lost", str(lost), good=lost == 0),
                 Headline("per frame, decoding apart", f"{timing.median:.0f}" if timing.ms else "–", "ms"),
             ]
-            lead = f"{len(views.rig)} cameras, {views.fps:g} fps, images at {session.scale:g} of their size."
+            size = "of full size" if session.scale == 1.0 else f"scaled by {session.scale:g}"
+            lead = f"{len(views.rig)} cameras, {views.fps:g} fps, images {size}."
             plots = {folder / "angles.png": "Joint angles, ± 2σ"}
             stills = outputs.recorded_stills(result, views)
             page = (folder, session.title, lead, headlines, [], plots, result, stills, norms, statements)

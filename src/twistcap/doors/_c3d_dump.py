@@ -15,8 +15,8 @@ _MOST = 1 << 26  # numbers in all
 
 
 def dumped(path: str) -> dict[str, Any]:
-    """`points` (N, P, 3) in the file's unit, NaN in gaps, their `labels` (P), `rate`, `first`, `unit`, and `matrices`
-    (N, R, 4, 4) with `segments` (R), where the file has as many of them as frames. Raises ValueError, in words for the
+    """`points` (N, P, 3) in the file's unit, NaN in gaps, their `labels` (P), `rate`, `first`, `unit`; `start` (s) of a
+    file of ours; and `matrices` (N, R, 4, 4) with `segments` (R), where the file has as many of them as frames. Raises ValueError, in words for the
     user, where ezc3d is not installed or the file holds too much; and whatever ezc3d raises for damage.
     """
     try:
@@ -33,6 +33,8 @@ def dumped(path: str) -> dict[str, Any]:
         "rate": np.float64(head["frame_rate"]), "first": np.int64(head["first_frame"]),
         "unit": np.array("".join(about["POINT"]["UNITS"]["value"][:1]) or "mm"),
     }  # fmt: skip
+    if "START" in about.get("TWISTCAP", {}):
+        out["start"] = np.float64(about["TWISTCAP"]["START"]["value"][0])
     if matrices.ndim == 4 and matrices.shape[3] == points.shape[2] and matrices.shape[2]:
         names = _words(about["ROTATION"], "LABELS", matrices.shape[2])
         out |= {"matrices": matrices.transpose(3, 2, 0, 1), "segments": names}

@@ -14,14 +14,14 @@ _SECONDS = 30
 _MEMORY, _TIMES = 1 << 30, 60  # bytes of address space, and more for each byte of the file
 _C3D: Schema = {
     "points": real("N", "P", 3, gaps=True), "labels": word("P"), "rate": real(least=1e-3),
-    "first": whole(least=0, most=1 << 31), "unit": word(),
+    "first": whole(least=0, most=1 << 31), "unit": word(), "start": real(least=-1e11, most=1e11, needed=False),
     "matrices": real("N", "R", 4, 4, gaps=True, needed=False), "segments": word("R", needed=False),
 }  # fmt: skip
 
 
 def read_c3d_arrays(path: str | Path) -> dict[str, Any]:
-    """`points` (N, P, 3) with `labels` (P), `rate` 1/s, `first` frame, `unit`; where there are segments, `matrices`
-    (N, R, 4, 4) with `segments` (R).
+    """`points` (N, P, 3) with `labels` (P), `rate` 1/s, `first` frame, `unit`; the `start` (s) of a file of ours; where
+    there are segments, `matrices` (N, R, 4, 4) with `segments` (R).
 
     Raises InputError for a file that is missing, damaged, or no C3D.
     """

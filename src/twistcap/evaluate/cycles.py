@@ -18,7 +18,8 @@ from twistcap.io.result import Result
 
 @dataclass(frozen=True)
 class Cycle:
-    """A coordinate over the cycles of a side: mean and standard deviation (101,), degrees, at 0, 1 … 100 %.
+    """A coordinate over the cycles of a side: mean and standard deviation (101,), degrees, at 0, 1 … 100 %. Of a single
+    cycle the deviation is NaN.
 
     `sigma` (101,), degrees, is what the covariance claims of a frame there. It does not fall with the number of
     strides: what the images leave open is much the same in each. `cutoff` is that of the filter (Hz). The side is empty
@@ -71,7 +72,8 @@ def _cycles(walk: Filtered, own: Sequence[int], curves: Float, sigmas: Float, si
     count = len(curves)
     if not count:
         return []
-    means, deviations = curves.mean(axis=0), curves.std(axis=0, ddof=1 if count > 1 else 0)
+    means = curves.mean(axis=0)
+    deviations = curves.std(axis=0, ddof=1) if count > 1 else np.full_like(means, np.nan)
     claimed = np.sqrt(np.mean(sigmas**2, axis=0))
     return [
         Cycle(walk.table.names[k], side, means[:, c], deviations[:, c], claimed[:, c], count, float(walk.cutoffs[k]))

@@ -35,7 +35,8 @@ def landmark_name(marker: str) -> str:
 def read_c3d(path: Path | str, axes: WorldAxes = "opensim") -> Markers:
     """The points of a C3D in our world, m, and the origins of its segments (ROTATION group) as the joints they are at.
 
-    `axes` is how the file's world lies in ours. The time of frame n is n / rate, by the numbers of the file. Raises
+    `axes` is how the file's world lies in ours. The time of frame n is n / rate, by the numbers of the file. A file of
+    ours is numbered from 0 where its frames have numbers too high for the format; it says when it starts. Raises
     InputError for a file that cannot be read, or has another unit than m, cm and mm.
     """
     held = read_c3d_arrays(path)
@@ -47,7 +48,9 @@ def read_c3d(path: Path | str, axes: WorldAxes = "opensim") -> Markers:
         more = {name: r for name, r in at.items() if name and name not in names}
         names += list(more)
         points = np.concatenate([points, held["matrices"][..., :3, 3][:, list(more.values())]], axis=1)
-    times = (int(held["first"]) + np.arange(len(points))) / float(held["rate"])
+    first, rate = int(held["first"]), float(held["rate"])
+    start = float(held["start"]) if "start" in held and first == 0 else first / rate
+    times = start + np.arange(len(points)) / rate
     return Markers(tuple(names), times, points * _UNITS[unit] @ TO_FILE[axes])
 
 
