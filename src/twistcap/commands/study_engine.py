@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from multiprocessing import get_context
 from typing import Any, Protocol
 
+from twistcap.commands.terminal import say
 from twistcap.errors import InputError
 
 LIVES = 3
@@ -96,4 +97,6 @@ def on_cluster(address: str) -> Generator[Engine]:
         many = [worker for worker, count in threads.items() if count > 1]
         if many:
             raise InputError(f"--cluster: the worker {many[0]} runs jobs in threads; start workers with --nthreads 1.")
+        if not threads:
+            say(f"{address} has no worker yet; trials wait for the first one: dask worker {address} --nthreads 1")
         yield client.get_executor()
