@@ -73,6 +73,8 @@ def test_cmc_is_an_anova() -> None:
     assert found.cmc == pytest.approx(np.sqrt(1 - within / everything.var(ddof=1)))
     (far,) = agreements(["hip"], np.full((50, 1), 200.0), theirs[:, None])
     assert np.isnan(far.cmc) and far.correlation == pytest.approx(1.0)
+    still = np.radians(90.0) + 1e-16 * rng.normal(size=50)  # a coordinate that a model holds, as a file rounds it
+    assert np.isnan(agreements(["pro_sup"], difference[:, None], np.degrees(still)[:, None])[0].correlation)
     (nothing,) = agreements(["hip"], np.full((3, 1), np.nan), np.zeros((3, 1)))
     assert nothing.frames == 0 and np.isnan(nothing.rmse)
 

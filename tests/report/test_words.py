@@ -17,6 +17,7 @@ from twistcap.body.humanoid import humanoid
 from twistcap.body.limbs import named_limbs
 from twistcap.camera import Rig
 from twistcap.commands.follow import Believed
+from twistcap.commands.outputs import write_page
 from twistcap.estimate import Estimate, Frame
 from twistcap.io.result import Result, ResultWriter, read_result
 from twistcap.report.overlay import LOST, draw_mosaic, mosaic_for
@@ -126,6 +127,14 @@ def test_a_bumped_camera_is_said_to_be(tmp_path: Path) -> None:
     assert [len(sentences) for sentences in told] == [0, 1, 0, 1]
     assert told[1] == ["frame 2: camera cam1 was bumped, or sways; its pictures are turned back"]
     assert told[3] == ["frame 8: camera cam1 stands again as it was calibrated"]
+
+
+def test_what_only_the_run_knows_of_cameras_is_in_the_verdict(tmp_path: Path) -> None:
+    """Not below a verdict that says that no camera was left out, and only there."""
+    made, doubt = result(tmp_path / "a.h5", [estimate(k) for k in range(3)]), "Camera cam0 seems to stand elsewhere."
+    page = write_page(tmp_path, "a", "", [], [], {}, made, statements=[*result_in_words(made), doubt]).read_text()
+    verdict, below = page.split("Lost frames and cameras")
+    assert doubt in verdict and doubt not in below and "none of 3 frames lost" in below
 
 
 def test_the_first_time_that_a_camera_is_left_out_is_told() -> None:

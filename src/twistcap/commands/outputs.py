@@ -73,7 +73,7 @@ def write_page(
 ) -> Path:  # fmt: skip
     """``report.html`` about a result and the files of the folder: first a verdict, then what it rests on.
 
-    `statements` are the sentences with which the run ended, by default those about its lost frames and cameras.
+    `statements` are the sentences with which the run ended; what only the run knows of its cameras is in the verdict.
     """
     video = folder / "overlay.mp4"
     if (cycles := write_cycles(result, folder, norms or {})) is not None:
@@ -81,9 +81,10 @@ def write_page(
     about = {"result.h5": "everything, see docs/formats/result-file.md", "angles.png": "joint angles"}
     about |= {found.file_name: found.about for found in offered_formats()}
     files = {folder / name: words for name, words in about.items() if (folder / name).is_file()}
-    statements = result_in_words(result) if statements is None else statements
+    known = result_in_words(result)
+    doubts = [sentence for sentence in statements or () if sentence not in known]
     return write_report(
-        folder, title, rows, lead=lead, verdict=verdict_of(result), statements=statements,
+        folder, title, rows, lead=lead, verdict=verdict_of(result, doubts), statements=known,
         headlines=headlines, stills=stills, figures=[Figure(path, caption) for path, caption in plots.items()],
         cameras=camera_rows(result), video=video if video.is_file() else None, files=files,
     )  # fmt: skip

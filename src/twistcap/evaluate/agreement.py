@@ -11,6 +11,7 @@ from twistcap.arrays import Float
 from twistcap.evaluate import metrics
 
 _LIMITS = 1.96  # standard deviations
+_STILL = 1e-6  # standard deviation of a waveform that does not move, but for the rounding of a file
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,7 @@ class Agreement:
         bias, lower, upper: mean difference (first less second) and the limits of agreement, ±1.96 standard deviations
             about it (Bland and Altman 1986, DOI 10.1016/S0140-6736(86)90837-8).
         rmse, rmse_offset_removed: root mean square of the differences, and of them less the bias.
-        correlation: Pearson's r.
+        correlation: Pearson's r; NaN where one of them does not move.
         cmc: coefficient of multiple correlation of the two waveforms (Ferrari et al. 2010, DOI
             10.1016/j.gaitpost.2009.09.009); NaN where they differ more than they move.
     """
@@ -52,7 +53,7 @@ def _agreement(name: str, difference: Float, reference: Float) -> Agreement:
         return Agreement(name, len(d), nan, nan, nan, nan, nan, nan, nan)
     bias, spread = float(d.mean()), float(d.std(ddof=1))
     ours = theirs + d
-    moving = ours.std() > 0 and theirs.std() > 0
+    moving = min(ours.std(), theirs.std()) > _STILL
     return Agreement(
         name, len(d), bias, bias - _LIMITS * spread, bias + _LIMITS * spread, float(np.sqrt(np.mean(d**2))),
         float(d.std()), float(np.corrcoef(ours, theirs)[0, 1]) if moving else float("nan"), _cmc(ours, theirs),

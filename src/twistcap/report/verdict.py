@@ -43,11 +43,14 @@ _CAVEAT = (
 )
 
 
-def verdict_of(result: Result) -> list[Statement]:
-    """What can be relied on: frames, joint angles from best to worst, cameras. Empty for a result without frames."""
+def verdict_of(result: Result, doubts: Sequence[str] = ()) -> list[Statement]:
+    """What can be relied on: frames, joint angles from best to worst, cameras. Empty for a result without frames.
+
+    `doubts` are sentences about cameras that only the run knows: where they seem to stand, and their clocks."""
     if not len(result):
         return []
-    return [_frames(result), *_doubtful(result), *_angles(result), *_cameras(result), Statement(_CAVEAT, None)]
+    cameras = [*_cameras(result), *(Statement(doubt, None) for doubt in doubts)]
+    return [_frames(result), *_doubtful(result), *_angles(result), *cameras, Statement(_CAVEAT, None)]
 
 
 def camera_rows(result: Result) -> list[Row]:
