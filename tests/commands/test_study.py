@@ -264,9 +264,11 @@ def test_a_cluster_is_refused_in_one_sentence(
 
 def test_a_cluster_without_a_worker_is_said_to_wait(capsys: pytest.CaptureFixture[str]) -> None:
     distributed = pytest.importorskip("distributed", reason="needs Dask, of the extra study")
-    with distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=None) as made:
-        with study_engine.on_cluster(made.scheduler_address):
-            pass
+    with (
+        distributed.LocalCluster(n_workers=0, processes=False, dashboard_address=None) as made,
+        study_engine.on_cluster(made.scheduler_address),
+    ):
+        pass
     assert "has no worker yet; trials wait for the first one" in capsys.readouterr().err
 
 

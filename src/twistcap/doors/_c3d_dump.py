@@ -16,8 +16,9 @@ _MOST = 1 << 26  # numbers in all
 
 def dumped(path: str) -> dict[str, Any]:
     """`points` (N, P, 3) in the file's unit, NaN in gaps, their `labels` (P), `rate`, `first`, `unit`; `start` (s) of a
-    file of ours; and `matrices` (N, R, 4, 4) with `segments` (R), where the file has as many of them as frames. Raises ValueError, in words for the
-    user, where ezc3d is not installed or the file holds too much; and whatever ezc3d raises for damage.
+    file of ours; and `matrices` (N, R, 4, 4) with `segments` (R), where the file has as many of them as frames. Raises
+    ValueError, in words for the user, where ezc3d is not installed or the file holds too much; and whatever ezc3d
+    raises for damage.
     """
     try:
         import ezc3d
