@@ -116,6 +116,8 @@ def test_world_motion_is_a_rotation_even_for_mirrored_points() -> None:
 
 def test_what_does_not_move_tells_no_time(result: Result, body: Body, tmp_path: Path) -> None:
     write_mot(tmp_path / "later.mot", body, np.arange(90) / 60 + 50.0, result.poses)
+    with pytest.raises(InputError, match="the result has 1 frames, and it takes 10"):
+        evaluate(result.within(0, 0), tmp_path / "later.mot", align=True)
     with pytest.raises(InputError, match="no movement in common"):
         evaluate(result, tmp_path / "later.mot", align=True)
 

@@ -187,6 +187,9 @@ def test_what_opensim_cannot_hold_is_told(tmp_path: Path) -> None:
     body = two_links()
     with pytest.raises(InputError, match="sliding"):
         opensim_model(body, body.landmarks)
+    with pytest.raises(InputError, match="sliding"):
+        write_opensim(tmp_path / "none", replace(walk(tmp_path, BODIES["plain"]), body=body))
+    assert not (tmp_path / "none").exists()
     plain = humanoid()
     with pytest.raises(InputError, match="look inward"):
         opensim_model(replace(plain, faces=plain.faces[:, ::-1].copy()), plain.landmarks)

@@ -52,7 +52,7 @@ def gait(
 
       twistcap gait out/result.h5 --event "landing = heel_r.z falls below 0.05" --cycles landing
     """
-    from twistcap.commands.gait_files import Wishes, run_gait
+    from twistcap.commands.gait_files import Wishes, angle_sigmas, run_gait
     from twistcap.evaluate.events import parsed_event
     from twistcap.evaluate.filters import Filter
     from twistcap.io.norms import read_norms
@@ -71,7 +71,7 @@ def gait(
     else:
         typer.echo(_why_none(read))
     if found.cycles:
-        for sentence in (found.filter, *(statement.text for statement in graded(found.sigmas)), TURNS):
+        for sentence in (found.filter, *(statement.text for statement in graded(angle_sigmas(found.cycles))), TURNS):
             typer.echo(sentence)
     for name in (one.name for one in wanted):
         typer.echo(f"{name}: {', '.join(f'{time:.3f}' for time in found.events[name]) or 'never'} s")

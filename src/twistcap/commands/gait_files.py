@@ -99,6 +99,15 @@ def cycle_sigmas(curves: Mapping[str, Cycle]) -> dict[str, float]:
     return {name: float(kept_by_most(cycle.sigma)) for name, cycle in curves.items()}
 
 
+def angle_sigmas(curves: Mapping[str, Cycle]) -> dict[str, float]:
+    """The same by angle: those of the trunk, which have a cycle over the strides of each side, once."""
+    out = dict[str, float]()
+    for name, sigma in cycle_sigmas(curves).items():
+        angle = curves[name].coordinate
+        out[angle] = max(sigma, out.get(angle, sigma))
+    return out
+
+
 def _cutoffs(walk: Filtered) -> dict[str, float]:
     each = zip(walk.table.names, walk.table.turning, walk.cutoffs, strict=True)
     return {name: float(cutoff) for name, turns, cutoff in each if turns}

@@ -11,7 +11,7 @@ import numpy as np
 
 from twistcap.body import Posed
 from twistcap.camera import Rig
-from twistcap.commands.gait_files import cycle_sigmas, draw_cycles
+from twistcap.commands.gait_files import angle_sigmas, draw_cycles
 from twistcap.errors import InputError
 from twistcap.estimate import UNSEEN, Frame
 from twistcap.evaluate.cycles import cycles_of, walking_angles
@@ -103,7 +103,7 @@ def write_cycles(result: Result, folder: Path, norms: Mapping[str, Band]) -> tup
     curves = cycles_of(found, result.times, walk)
     caption = "Joint angles over the gait cycle, if this is a walk: mean ± standard deviation. "
     caption += in_words(how, {cycle.coordinate: cycle.cutoff for cycle in curves.values()})
-    caption = " ".join([caption, *(statement.text for statement in graded(cycle_sigmas(curves)))])
+    caption = " ".join([caption, *(statement.text for statement in graded(angle_sigmas(curves)))])
     return draw_cycles(folder, curves, norms), caption
 
 

@@ -60,6 +60,8 @@ def clock_offset(times: Float, angles: Float, points: Float, reference: Referenc
     that are as good, since steps repeat, the smallest. Raises InputError where nothing moves, or fewer than 10 frames
     overlap.
     """
+    few = f"the result has {len(times)} frames, and it takes {_LEAST_FRAMES} to find a clock; give --time-offset"
+    check("alignment", len(times) >= _LEAST_FRAMES, few)
     by_angle = angles.shape[1] > 0
     ours = angles if by_angle else _speeds(times, points)
 

@@ -48,9 +48,10 @@ def write_opensim(folder: Path, result: Result, axes: WorldAxes = "opensim", fil
     """
     body, known = result.body, result.known | fill
     check(str(folder), known.any(), "the body is lost in every frame; with --fill the predicted poses are written")
-    (folder / "Geometry").mkdir(parents=True, exist_ok=True)
     stuck, centres = surface_markers(body), _centres(body)
-    _write_xml(folder / "model.osim", opensim_model(body, stuck, axes))
+    model = opensim_model(body, stuck, axes)
+    (folder / "Geometry").mkdir(parents=True, exist_ok=True)
+    _write_xml(folder / "model.osim", model)
     _write_xml(folder / "markers.xml", document(marker_set(body, stuck)))
     for name, mesh in meshes(body).items():
         write_lines(folder / "Geometry" / f"{name}.obj", mesh.splitlines())
