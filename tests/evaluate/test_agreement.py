@@ -16,6 +16,7 @@ from twistcap.errors import InputError
 from twistcap.estimate import Estimate
 from twistcap.evaluate.agreement import agreements
 from twistcap.evaluate.alignment import world_motion
+from twistcap.evaluate.load import load_reference
 from twistcap.evaluate.other_systems import landmark_name, read_c3d
 from twistcap.evaluate.reference import evaluate
 from twistcap.io.exports import export
@@ -180,6 +181,20 @@ def test_command_fits_80_columns(
     assert {a["name"] for a in found["agreements_deg"]} == set(body.coordinate_names)
     said = refusal(capsys, "evaluate", tmp_path / "r.h5", "--reference", tmp_path / "b.mot", "--axes", "sideways")
     assert "axes" in said
+
+
+def test_rows_that_are_excluded_are_those_of_the_file(result: Result, body: Body, tmp_path: Path) -> None:
+    """Also behind a span that a file of ours leaves out."""
+    known = np.ones(len(result), np.bool_)
+    known[20:30] = False
+    write_mot(tmp_path / "a.mot", body, result.times, result.poses, known=known)
+    reference = load_reference(tmp_path / "a.mot", body, lambda count: result.times[:count])
+    k, times = reference.coordinate_names.index("knee_angle_r"), read_mot(tmp_path / "a.mot").times
+    left = reference.without(["knee_angle_r:40-44"])
+    gone = np.isfinite(reference.angles[:, k]) & np.isnan(left.angles[:, k])
+    np.testing.assert_array_equal(reference.times[gone], times[40:45])
+    with pytest.raises(InputError, match=f"rows 0 to {len(times) - 1}"):
+        reference.without([f"knee_angle_r:{len(times)}"])
 
 
 def test_agreement_is_that_of_the_files(result: Result, body: Body, tmp_path: Path) -> None:

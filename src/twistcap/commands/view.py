@@ -25,7 +25,7 @@ def view(
     results: Annotated[list[Path], typer.Argument(help="One or more result.h5.", metavar="RESULT...")],
     save: Annotated[Path | None, typer.Option(help="Write one HTML file and serve nothing.")] = None,
     reference: Annotated[
-        Path | None, typer.Option(help="Truth to show too: .npz, .trc, .mot or .sto.", metavar="REF")
+        Path | None, typer.Option(help="Truth to show too: .npz, .trc, .c3d, .mot or .sto.", metavar="REF")
     ] = None,
     session: Annotated[Path | None, typer.Option(help="Session that names the videos, if they have moved.")] = None,
     width: Annotated[int, typer.Option(min=32, help="Largest width of the images, px.")] = 360,

@@ -37,6 +37,7 @@ class Reference:
     coordinate_names: tuple[str, ...] = ()  # C joint coordinates
     angles: Float = field(default_factory=lambda: np.zeros((0, 0)))  # (M, C) rad
     notes: tuple[str, ...] = ()  # assumptions of the reader, for below the table
+    added: tuple[int, ...] = ()  # rows that the file does not have: the ends of what it leaves out
 
     def at(self, times: Float) -> tuple[Float, Float]:
         """Points (N, P, 3) and angles (N, C) at other times, linearly interpolated; NaN outside the time line."""
@@ -50,8 +51,10 @@ class Reference:
         Raises InputError for a name it does not have or a range that cannot be read.
         """
         points, angles = self.points.copy(), self.angles.copy()
+        own = np.delete(np.arange(len(self.times)), self.added)
         for text in exclude:
-            name, rows = parsed_exclusion(text, len(self.times))
+            name, chosen = parsed_exclusion(text, len(own))
+            rows = own[chosen]
             if name in self.names:
                 points[rows, self.names.index(name)] = np.nan
             elif name in self.coordinate_names:
@@ -152,8 +155,8 @@ def _from_mot(path: Path, body: Body) -> Reference:
             poses, _ = poses_from_mot(whole, body)
         angles[known] = np.stack([pose.q for pose in poses])[:, [body.coordinate(name) for name in names]]
         notes = _flipped(names, angles[known], whole)
-    times, angles = _with_gaps(table, angles)
-    return Reference(times, coordinate_names=names, angles=angles, notes=notes)
+    times, angles, added = _with_gaps(table, angles)
+    return Reference(times, coordinate_names=names, angles=angles, notes=notes, added=added)
 
 
 def _flipped(names: Sequence[str], angles: Float, table: MotionTable) -> tuple[str, ...]:
@@ -163,11 +166,12 @@ def _flipped(names: Sequence[str], angles: Float, table: MotionTable) -> tuple[s
     return tuple(f"{name} was negative in flexion and has its sign changed" for name in flipped)
 
 
-def _with_gaps(table: MotionTable, angles: Float) -> tuple[Float, Float]:
+def _with_gaps(table: MotionTable, angles: Float) -> tuple[Float, Float, tuple[int, ...]]:
     """Times (M,) and angles (M, C) with a row of NaN at both ends of each span that the file leaves out, so that
-    nothing is interpolated across it."""
+    nothing is interpolated across it; and which rows these are."""
     ends = np.unique(np.array(table.gaps, float).ravel())
     ends = ends[~np.isin(ends, table.times)]
     times = np.concatenate([table.times, ends])
     order = np.argsort(times, kind="stable") if len(ends) else np.arange(len(times))
-    return times[order], np.concatenate([angles, np.full((len(ends), angles.shape[1]), np.nan)])[order]
+    filled = np.concatenate([angles, np.full((len(ends), angles.shape[1]), np.nan)])[order]
+    return times[order], filled, tuple(np.flatnonzero(order >= len(table.times)).tolist())
