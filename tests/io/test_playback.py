@@ -81,7 +81,20 @@ def test_a_bvh_is_even_where_the_recording_is_not(tmp_path: Path) -> None:
     kept = np.delete(np.arange(40), [11, 12])
     np.testing.assert_allclose(places[kept], wanted[kept], atol=1e-5)
     flags = json.loads((tmp_path / "motion.flags.json").read_text())
-    assert flags == {"fps": 60.0, "frames": 40, "start_s": 2.0, "lost": [[5, 6], [22, 22]]}
+    assert flags == {
+        "fps": 60.0,
+        "frames": 40,
+        "start_s": 2.0,
+        "lost": [[5, 6], [11, 12], [22, 22]],
+    }  # as C3D: nobody saw it
+
+
+def test_a_long_gap_is_flagged_from_end_to_end(tmp_path: Path) -> None:
+    times = 2.0 + np.delete(np.arange(100), np.arange(30, 90)) / FPS
+    result = written(tmp_path, times, walk(times))
+    for rate, lost in ((60, [30, 89]), (30, [15, 44])):
+        assert run("export", result, "--to", "bvh", "--fps", rate) == 0
+        assert lost in json.loads((tmp_path / "motion.flags.json").read_text())["lost"]
 
 
 @pytest.mark.parametrize("kind", ["bvh", "glb"])

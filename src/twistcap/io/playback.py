@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from twistcap.arrays import Bool, Float, even_clock
+from twistcap.arrays import AnyArray, Bool, Float, even_clock
 from twistcap.body import Pose
 from twistcap.errors import check
 from twistcap.io.result import Result
@@ -47,7 +47,8 @@ class Playback:
         return {"fps": round(self.rate, 6), "frames": len(self.times), "start_s": self.start, "lost": lost_spans}
 
     def even(self, fps: float | None = None) -> Playback:
-        """The same motion at an even rate (1/s), by default its own. A pose is known where both neighbours are.
+        """The same motion at an even rate (1/s), by default its own. A pose is known where both neighbours are, and no
+        frame was dropped between them.
 
         Raises InputError for a rate that is not positive.
         """
@@ -60,7 +61,14 @@ class Playback:
         roots = interpolated_roots(np.array([pose.root for pose in self.poses]), at)
         q = interpolated_angles(np.array([pose.q for pose in self.poses]), at)
         known = np.interp(times, self.times, self.known.astype(float)) > 1.0 - 1e-9
+        on = np.abs(times - self.times[np.round(at).astype(int)]) * self.rate < _UNEVEN
+        known &= on | self._whole_after(np.floor(at).astype(int))
         return Playback(self.start, times, tuple(Pose(*both) for both in zip(roots, q, strict=True)), known)
+
+    def _whole_after(self, n: AnyArray) -> Bool:
+        """Whether no frame was dropped between pose n and the next."""
+        ticks = even_clock(self.times)[1] if len(self.times) > 1 else np.zeros(1)
+        return np.append(np.diff(ticks) == 1, True)[n]
 
 
 def playback(result: Result) -> Playback:
