@@ -174,6 +174,9 @@ def test_references_with_nothing_in_common_are_refused(tracked: Tracked, tmp_pat
     write_truth(tmp_path / "truth.npz", tracked)
     with pytest.raises(InputError, match="no frame in common"):
         evaluate(tracked, tmp_path / "truth.npz", time_offset=10.0)
+    np.savez(tmp_path / "unknown.npz", X=np.full((40, 1, 3), np.nan), names=["hip_r"], fps=30.0)
+    with pytest.raises(InputError, match="says nothing in the frames of the result"):
+        evaluate(tracked, tmp_path / "unknown.npz")
     np.savez(tmp_path / "other.npz", X=np.zeros((40, 1, 3)), names=["tail"])
     with pytest.raises(InputError, match="no point or coordinate name in common"):
         evaluate(tracked, tmp_path / "other.npz")

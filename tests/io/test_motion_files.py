@@ -316,6 +316,17 @@ def test_frames_that_are_lost_or_unseen_are_empty_unless_filled(tmp_path: Path, 
     assert [row["status"] for row in rows] == ["converged", "converged", "not_found", "converged"]
 
 
+def test_a_mot_without_any_row_is_not_written(tmp_path: Path, body: Body) -> None:
+    poses = some_poses(body, 2)
+    estimates = [Estimate(n, n / 60, pose, 1e-4 * np.eye(body.dof), lost=True) for n, pose in enumerate(poses)]
+    result = result_of(tmp_path, body, estimates)
+    with pytest.raises(InputError, match=r"angles.mot: the body is lost in every frame; with --fill"):
+        export(result, "mot", tmp_path)
+    assert not (tmp_path / "angles.mot").exists()
+    export(result, "mot", tmp_path, options=ExportOptions(fill=True))
+    assert len(read_mot(tmp_path / "angles.mot").times) == 2
+
+
 @pytest.mark.parametrize("axes", AXES)
 def test_points_and_angles_of_one_run_stand_in_one_world(tmp_path: Path, body: Body, axes: WorldAxes) -> None:
     """The angle file, played on the body in the file's own axes, puts the joints where the marker file has them."""

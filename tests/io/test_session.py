@@ -95,6 +95,7 @@ def test_command_line_over_session_over_defaults(path: Path) -> None:
         ("[2, 9]", "[-2, 9]", "'frames' holds -2; it must be greater than or equal to 0"),
         ("[2, 9]", "[9, 2]", r"frames: \[9, 2\] is no range; write \[first, last\]"),
         ("[2, 9]", "30", r"'frames' is 30; it must be a list, such as \[0, 30\]"),
+        ("[2, 9]", "'2:9'", r"'frames' is '2:9'; it must be a list, such as \[2, 9\]"),
         ("[2, 9]", "[1, 2, 3]", r"'frames' is \[1, 2, 3\]; it must be a list of 2 or fewer"),
         ("[tracker]", '[output]\nexports = "trc"\n[tracker]', r"it must be a list, such as \['trc'\]"),
         ("[tracker]", '[output]\nexports = ["trcs"]\n[tracker]', "output.exports: there is no export format 'trcs'"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any, TypeVar, cast, get_args, get_type_hints
@@ -108,7 +109,9 @@ def _wanted(fault: Any) -> str:
     """What a value must be, for one who knows TOML and not Python."""
     kind, value = fault["type"], fault["input"]
     if kind in ("tuple_type", "list_type"):
-        return f"a list, such as [{brief(value) if isinstance(value, str) else f'0, {brief(value)}'}]"
+        numbers = re.findall(r"-?\d+", value) if isinstance(value, str) and re.fullmatch(r"[-\d:, ]+", value) else []
+        entries = ", ".join(numbers) or (brief(value) if isinstance(value, str) else f"0, {brief(value)}")
+        return f"a list, such as [{entries}]"
     if kind == "too_long":
         return f"a list of {fault['ctx']['max_length']} or fewer"
     message = str(fault["msg"]).rstrip(".").removeprefix("Input should be ")

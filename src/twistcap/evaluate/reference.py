@@ -141,6 +141,8 @@ def compare(result: Result, truth: Reference, case: str, source: str = "the refe
     _expect_common(result, truth, own, times, source)
     joints = _joint_errors(result, truth.names, points)
     coordinates = _angle_errors(result.body, own, truth.coordinate_names, angles)
+    if not any(np.isfinite(found.raw).any() for found in (joints, coordinates) if found):
+        raise InputError(f"{source} says nothing in the frames of the result: all its values there are missing.")
     rows, lost = list[Row](), list[int]()
     if coordinates:
         rows += _angle_rows(case, coordinates) + _honesty_rows(case, own, coordinates)

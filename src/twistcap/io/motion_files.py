@@ -45,6 +45,9 @@ class MotionTable:
         return self.values[:, self.columns.index(name)] if name in self.columns else np.zeros(len(self.times))
 
 
+LOST_THROUGHOUT = "the body is lost in every frame; with --fill the predicted poses are written"
+
+
 def write_mot(
     path: Path | str, body: Body, times: Float, poses: Sequence[Pose], axes: WorldAxes = "opensim",
     angles: Angles = "opensim", known: Bool | None = None, fill: bool = False, frames: Int | None = None,
@@ -53,12 +56,13 @@ def write_mot(
 
     `times` (N,) are in s; for `axes` see `io.markers`. Frames that are not `known` (N,) are left out, unless `fill`:
     OpenSim's Storage stops at a row of NaN without a word. The head names them either way, by `frames` (N,), their
-    numbers in the recording, by default 0 … N − 1. Raises InputError for unequal numbers, or if the file cannot be
-    written.
+    numbers in the recording, by default 0 … N − 1. Raises InputError for unequal numbers, where no frame is left, or if
+    the file cannot be written.
     """
     path = Path(path)
     check(str(path), len(times) == len(poses), f"there are {len(poses)} poses, but {len(times)} times")
     lost = np.zeros(len(times), np.bool_) if known is None else ~known
+    check(str(path), fill or not lost.all(), LOST_THROUGHOUT)
     table = coordinates_of(body, poses, angles=angles, axes=axes, known=None if fill else ~lost)
     kept, (values, _) = np.flatnonzero(~lost | fill), table.in_degrees
     head = ["Coordinates", "version=1", f"nRows={len(kept)}", f"nColumns={len(table.names) + 1}", "inDegrees=yes", ""]

@@ -14,7 +14,7 @@ from twistcap.body.surface_markers import surface_markers
 from twistcap.errors import check
 from twistcap.io.files import write_lines
 from twistcap.io.markers import WorldAxes, write_trc
-from twistcap.io.motion_files import write_mot
+from twistcap.io.motion_files import LOST_THROUGHOUT, write_mot
 from twistcap.io.opensim_model import document, marker_set, meshes, opensim_model
 from twistcap.io.result import Result
 
@@ -47,7 +47,7 @@ def write_opensim(folder: Path, result: Result, axes: WorldAxes = "opensim", fil
     cannot hold, or where a file cannot be written.
     """
     body, known = result.body, result.known | fill
-    check(str(folder), known.any(), "the body is lost in every frame; with --fill the predicted poses are written")
+    check(str(folder), known.any(), LOST_THROUGHOUT)
     stuck, centres = surface_markers(body), _centres(body)
     model = opensim_model(body, stuck, axes)
     (folder / "Geometry").mkdir(parents=True, exist_ok=True)

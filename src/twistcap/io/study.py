@@ -136,7 +136,8 @@ def _in_table(path: Path) -> Iterator[Trial]:
     try:
         missing = [name for name in _NEEDED if name not in (rows.fieldnames or ())]
         if missing:
-            raise InputError(f"{path}: the column {missing[0]!r} is missing; its first line must name the columns.")
+            mend = "its first line must name the columns, with commas between"
+            raise InputError(f"{path}: the column {missing[0]!r} is missing; {mend}.")
         for row in rows:
             yield _of_row(row, path, rows.line_num)
     except csv.Error as error:
