@@ -16,6 +16,7 @@ from twistcap.calibrate.calibrate import found_variant
 from twistcap.calibrate.detect import Detector
 from twistcap.errors import InputError
 from twistcap.io.video import open_source
+from twistcap.io.videowriter import VideoWriter
 from twistcap.report.board import write_board
 
 BOARDS = ["charuco:5x7:36:27:4X4_50", "charuco:6x6:30:20:5X5_100", "chessboard:8x5:25", "aruco:4x3:40:30:6X6_50"]
@@ -116,3 +117,24 @@ def test_the_command_writes_a_page_and_its_words(tmp_path: Path, capsys: pytest.
     assert read_board(tmp_path / "b.toml").words.startswith("charuco of 5 × 7 squares of 36 mm")
     assert "is smaller" in refusal(capsys, "board", tmp_path / "c.pdf", "--board", "charuco:9x6:80:60:5X5_100")
     assert run("board", tmp_path / "c.pdf", "--board", "charuco:9x6:80:60:5X5_100", "--paper", "fit") == 0
+
+
+def test_a_board_that_is_the_same_upside_down_is_told_when_it_is_printed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for text, told in (("chessboard:8x6:20", True), ("chessboard:8x5:20", False), ("charuco:6x6:20:15:4X4_50", False)):
+        assert run("board", tmp_path / "b.pdf", "--board", text) == 0
+        assert ("looks the same upside down" in capsys.readouterr().err) == told
+
+
+def test_what_is_asked_in_vain_is_told_before_videos_are_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in "ab":
+        with VideoWriter(tmp_path / f"{name}.mp4", fps=30) as writer:
+            for _ in range(3):
+                writer.write(np.full((64, 64, 3), 90, np.uint8))
+    videos = ("--videos", tmp_path / "a.mp4", "--videos", tmp_path / "b.mp4")
+    asked = ("calibrate", tmp_path / "rig", *videos, "--board")
+    assert "the frames of camera a are 0 to 2; name one" in refusal(capsys, *asked, "chessboard:8x5:20", "--floor", "3")
+    assert "use one of an even and an odd side" in refusal(capsys, *asked, "chessboard:8x6:20")

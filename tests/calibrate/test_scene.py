@@ -68,4 +68,7 @@ def test_points_that_do_not_do_are_told(tmp_path: Path, capsys: pytest.CaptureFi
     assert "it needs 'world_m'" in refusal(
         capsys, "calibrate", tmp_path, "--board", "chessboard:8x5:60", "--points", path
     )
+    floor = ("--points", path, "--floor", "0")
+    told = refusal(capsys, "calibrate", tmp_path, "--board", "chessboard:8x5:60", *floor)
+    assert "--floor is for videos of the board" in told
     assert "one of the two" in refusal(capsys, "calibrate", tmp_path, "--board", "chessboard:8x5:60")

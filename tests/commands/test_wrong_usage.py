@@ -37,6 +37,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("motions build notes.txt result.h5", "OUT is notes.txt; name a file that ends in .npz."),
         ("prior train walk1.mot result.h5", "OUT is walk1.mot; name a file that ends in .npz."),
         ("convert Calib.toml x.mp4", "OUT is x.mp4; name a file that ends in .toml."),
+        ("convert Calib.toml c.txt --to qualisys", "OUT is c.txt; name a file that ends in .qca.txt."),
         ("convert Calib.toml Calib.toml", "OUT is Calib.toml, the calibration that is read; name another file."),
         ("convert Calib.toml notes.txt --to opencv", "folder notes.txt cannot be made: File exists; choose"),
         ("convert Calib.toml x.toml --unit km", "--unit is 'km'; write m, cm, mm, or the length of one unit in m"),

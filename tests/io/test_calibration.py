@@ -52,7 +52,7 @@ def test_millimetres_and_rotation_matrix(calib: Path) -> None:
         t = made.T_cam_world[:3, 3]
         edit(calib, re.escape(f"translation = {t.tolist()}"), f"translation = {(1000 * t).tolist()}")
     np.testing.assert_allclose(read_rig(calib, "mm")[1].centre, metres[1].centre, atol=1e-9)
-    with pytest.raises(InputError, match=r"cam0.*cam1.* m apart.*millimetres.*unit = \"mm\""):
+    with pytest.raises(InputError, match=r"cam0.*cam1.* m apart.*millimetres.*unit = \"mm\", or say --unit mm"):
         read_rig(calib)
 
 

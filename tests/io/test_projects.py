@@ -90,7 +90,7 @@ def test_pose2sim(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert told["next"] == [f"Next, track:  twistcap track {tmp_path / 's' / 'session.toml'}"]
     assert told["first_pose"]["stature_m"] == pytest.approx(1.75, abs=0.05)
     session, told = made(capsys, tmp_path / "Trial_2")  # in the trial's own folder
-    assert session.first_pose.unaided and "A Pose2Sim project" in " ".join(told["found"])
+    assert session.first_pose.unaided and "Project of Pose2Sim" in " ".join(told["found"])
 
 
 def test_keypoints_that_give_no_pose_lead_to_clicks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -176,6 +176,23 @@ def test_easymocap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     session, told = made(capsys, tmp_path, "--stature", 1.75)
     assert session.cameras.calibration.endswith("Calib.toml") and "first pose" in " ".join(told["found"])
     assert told["missing"] == [] and max(told["first_pose"]["median_px"].values()) < 3
+
+
+def test_keypoints_that_are_not_read_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "calibration").mkdir()
+    write_rig(RIG, tmp_path / "calibration" / "Calib.toml")
+    for name in RIG.names:
+        video(tmp_path / "videos" / f"{name}.mp4")
+    poses(tmp_path / "pose", "halpe_26", ["a_json", "b_json", "c_json", "d_json"])
+    (tmp_path / "pose" / "e_json").mkdir()
+    (tmp_path / "pose" / "e_json" / "0.json").write_text('{"people": []}')
+    session, told = made(capsys, tmp_path / "s", "--project", tmp_path)
+    assert session.first_pose.unaided
+    assert "Its keypoints (a, b, c, d, e) are not read: they fit no cameras." in " ".join(told["found"])
+    for path in (tmp_path / "pose").glob("*/*.json"):
+        path.write_text(json.dumps({"people": [{"pose_keypoints_2d": [1.0] * 57}]}))
+    session, told = made(capsys, tmp_path / "t", "--project", tmp_path)
+    assert "are not read: their points fit no format that is known." in " ".join(told["found"])
 
 
 def test_freemocap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -98,10 +98,11 @@ def calibrated(
         lone: pictures of the board by one camera alone, for its lens, by camera.
         report: called with what is being done.
 
-    Raises InputError: for a board that is not found, mirrored, or seen too little; cameras that nothing joins, or whose
-    clocks differ and are not found.
+    Raises InputError: for a board that is not found, mirrored, seen too little, or the same upside down; a floor's
+    frame that is none; cameras that nothing joins, or whose clocks differ and are not found.
     """
     options, lone, names = options or Options(), lone or {}, tuple(sources)
+    _check_asked(sources, board, options)
     board = found_variant([*sources.values(), *lone.values()], board)
     own = list(sources.values())
     timing = started_together(own)
@@ -110,6 +111,16 @@ def calibrated(
     alone = alone_seen(lone, names, board, options, report)
     sizes = {c: source.size for c, source in enumerate(sources.values())}
     return of_sightings([*shared, *alone], board, names, sizes, options, report, looker, timing, step)
+
+
+def _check_asked(sources: Mapping[str, Source], board: Board, options: Options) -> None:
+    """What needs no look into the videos. Raises InputError."""
+    if len(sources) > 1 and not board.one_way:
+        raise InputError("a chessboard of this size looks the same upside down; use one of an even and an odd side.")
+    (name, first), *_ = sources.items()
+    if options.floor is not None and options.floor >= len(first):
+        frames = f"the frames of camera {name} are 0 to {len(first) - 1}"
+        raise InputError(f"--floor is {options.floor}, but {frames}; name one in which the board lies on the floor.")
 
 
 def of_sightings(
@@ -130,8 +141,6 @@ def of_sightings(
     """
     solid, of_each = flat(board.points), by_camera(sightings)
     fits = [_lens(of_each.get(c, []), solid, sizes[c], name, options, report) for c, name in enumerate(names)]
-    if len(names) > 1 and not board.one_way:
-        raise InputError("a chessboard of this size looks the same upside down; use one of an even and an odd side.")
     every, timing = {(s.camera, s.moment): s for s in sightings}, timing or in_step(sightings, len(names))
     timing, lost = _by_motion(sightings, fits, solid, timing) if options.clocks else (timing, [])
 

@@ -38,6 +38,9 @@ def board(
     write_board(made, path, paper)
     about = path.with_suffix(".toml")
     about.write_text(made.toml, encoding="utf-8")
+    if not made.one_way:
+        alike = "This board looks the same upside down: it does for one camera, or for lenses"
+        typer.echo(f"{alike}. For several cameras print one of an even and an odd side.", err=True)
     if json:
         terminal.emit({"id": "board", "file": path, "about": about, "board": made.words})
         return

@@ -71,6 +71,8 @@ def calibrate(
     sources = sources_of([*(videos or []), *(more or [])])
     if (points is None) != bool(sources):
         raise InputError("give videos of the board, as --videos, or measured points, as --points; one of the two.")
+    if points is not None and floor is not None:
+        raise InputError("--floor is for videos of the board; with --points the world is that of the points.")
     if click and json:
         raise InputError("--click opens a page; it does not go with --json.")
     terminal.output_folder(folder)  # before the work

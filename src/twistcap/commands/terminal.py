@@ -146,7 +146,7 @@ def output_folder(path: str | Path) -> Path:
 def output_file(path: Path, option: str, ending: str) -> None:
     """See that a file has the ending of what is written, unless that is a folder, and make its folder."""
     special = path.exists() and not path.is_file() and not path.is_dir()  # such as /dev/stdout
-    if ending and path.suffix.lower() != ending and not special:
+    if ending and not path.name.lower().endswith(ending) and not special:
         raise InputError(f"{option} is {path}; name a file that ends in {ending}.")
     output_folder(path.parent)
 

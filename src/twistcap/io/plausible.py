@@ -66,7 +66,7 @@ def _check_distance(cameras: str, distance: float) -> None:
             " one was calibrated with the other's pictures, or the unit is 'm' and not 'mm'."
         )
     if distance > _FARTHEST:
-        mend = 'the file is probably in millimetres: set unit = "mm"'
+        mend = 'the file is probably in millimetres: set [cameras] unit = "mm", or say --unit mm'
         raise InputError(f"{cameras} are {distance:.0f} m apart; {mend}.")
 
 

@@ -74,7 +74,7 @@ def draft_project(project: Project, folder: Path, unit: str | None = None, up: U
     found = up or (up_instead_of_z(rig) or "z" if project.format == "toml" else axis_up(rig))
     if found is None:
         raise InputError(f"calibration {project.calibration}: the images do not say what is up; say it with --up.")
-    notes = [f"A {project.program} project; its calibration is {project.calibration}.", *project.notes]
+    notes = [f"Project of {project.program}; its calibration is {project.calibration}.", *project.notes]
     notes += [told] if told else []
     if found != "z":
         notes.append(f"Up is {found} in its calibration, {'as said' if up else 'by the images'}: it is turned to z.")
@@ -95,6 +95,8 @@ def draft_project(project: Project, folder: Path, unit: str | None = None, up: U
     if poses:
         notes += _by_order("keypoints", list(project.keypoints), draft.rig.names)
         notes.append(f"Its keypoints ({project.layout}) give the first pose.")
+    elif project.keypoints:
+        notes.append(_unread(project))
     turned = found if project.format == "toml" else "z"
     said = turned if up or turned != "z" else None
     draft = replace(draft, up=said, floor_known=project.floor_known, notes=tuple(notes))
@@ -113,6 +115,13 @@ def _keypoints(project: Project, cameras: Sequence[str]) -> dict[str, Path]:
     """Folders by camera; none where their format is not known, or they fit no cameras."""
     found = paired(list(project.keypoints), cameras) if project.keypoints and project.layout else None
     return {camera: project.keypoints[name] for name, camera in (found or {}).items()}
+
+
+def _unread(project: Project) -> str:
+    """A sentence on keypoints that are there and are not taken."""
+    folders = ", ".join(project.keypoints)
+    why = "their points fit no format that is known" if project.layout is None else "they fit no cameras"
+    return f"Its keypoints ({folders}) are not read: {why}. If you know, fill [first_pose.keypoints] in the file."
 
 
 def _by_order(what: str, names: Sequence[str], cameras: Sequence[str]) -> list[str]:

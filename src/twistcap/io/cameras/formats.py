@@ -68,7 +68,7 @@ FORMATS: dict[str, CameraFormat] = {
         CameraFormat("caliscope", read_caliscope, write_caliscope, False, ".toml", _never, caliscope_names),
         CameraFormat("opencv", read_opencv, write_opencv, True, says_unit=_never),
         CameraFormat("easymocap", read_easymocap, write_easymocap, True, says_unit=_never),
-        CameraFormat("qualisys", read_qualisys, write_qualisys, ending=".txt"),
+        CameraFormat("qualisys", read_qualisys, write_qualisys, ending=".qca.txt"),
         CameraFormat("vicon", read_vicon, write_vicon, ending=".xcp"),
         CameraFormat("opencap", read_opencap, write_opencap, True),
         CameraFormat("colmap", read_colmap, write_colmap, True),
