@@ -11,11 +11,13 @@ import pytest
 from support.boards import BIG, SIZE, ring_rig, seen_by
 from support.commands import refusal
 from twistcap import se3
+from twistcap.calibrate.advice import sentences
 from twistcap.calibrate.calibrate import Options
 from twistcap.calibrate.scene import calibrated_by_scene, read_scene
 from twistcap.calibrate.sightings import LONE, Sighting
 from twistcap.camera import Rig
 from twistcap.errors import InputError
+from twistcap.report.calibration import write_calibration_page
 
 
 def written(path: Path, seed: int = 0) -> tuple[Path, Rig, list[Sighting]]:
@@ -53,10 +55,27 @@ def test_measured_points_give_the_places_of_the_cameras(tmp_path: Path) -> None:
     assert found.floor_known
 
 
+def test_a_wrong_point_is_named(tmp_path: Path) -> None:
+    path, rig, seen = written(tmp_path / "points.json")
+    table = json.loads(path.read_text())
+    table["p5"]["pixels"]["cam1"][0] += 60.0
+    path.write_text(json.dumps(table))
+    sizes = dict.fromkeys(range(3), SIZE)
+    found = calibrated_by_scene(read_scene(path), seen, BIG, rig.names, sizes, Options(kinds=("brown",)))
+    told = sentences(found)
+    assert [s for s in told if "do not fit" in s] == [
+        "Camera cam1: measured points that do not fit: p5; look at their places and pixels."
+    ]
+    assert all("measured points 0." in line for line in told[:3])
+    page = write_calibration_page(found, tmp_path).read_text(encoding="utf-8")
+    assert "3 cameras by 16 measured points of the scene, lenses by" in page
+
+
 def test_points_that_do_not_do_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, rig, seen = written(tmp_path / "points.json")
     scene, sizes = read_scene(path), dict.fromkeys(range(4), SIZE)
-    with pytest.raises(InputError, match="camera else sees 0 measured points"):
+    told = "camera else sees 0 measured points; .*; if it is one of cam0, cam1, cam2, write CAMERA=PATH"
+    with pytest.raises(InputError, match=told):
         calibrated_by_scene(scene, seen, BIG, (*rig.names[:2], "else"), sizes, Options(kinds=("brown",)))
     table = json.loads(path.read_text())
     table["p1"]["world_m"] = [1, 2]

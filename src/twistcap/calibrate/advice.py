@@ -26,13 +26,14 @@ _LATE = 0.1  # frames
 
 
 def camera_rows(found: Calibration) -> list[dict[str, Any]]:
-    """What is known of each camera: a row of plain numbers, px, m, degrees, frames of the slowest camera, s."""
+    """What is known of each camera: a row of plain values, px, m, degrees, frames of the slowest camera, s."""
     out, a, (late, late_sigmas) = list[dict[str, Any]](), found.adjustment, found.late
     tick = found.timing.interval
     for c, camera in enumerate(found.rig):
         sizes = distances(found, c)
         own = [s for s in a.sightings if s.camera == c]
         sigma = np.sqrt(np.diagonal(a.lenses[c]))
+        measured, wrong = _measured(found, c)
         row = {
             "camera": camera.name, "lens": a.guess.lenses[c].kind, "focal_px": float(np.mean(np.diag(camera.K)[:2])),
             "focal_sigma": float(sigma[0]), "sightings": len(own), "points": len(sizes),
@@ -41,7 +42,8 @@ def camera_rows(found: Calibration) -> list[dict[str, Any]]:
             "covered": float(np.mean(coverage(own, camera.size) > 0)), "centre_m": camera.centre,
             "centre_sigma_m": np.sqrt(np.diagonal(centre_covariance(camera.T_cam_world, a.places[c]))),
             "turn_sigma_deg": float(np.rad2deg(np.sqrt(np.trace(a.places[c][:3, :3])))),
-            "late_frames": float(late[c]), "late_sigma": float(late_sigmas[c]), "late_s": tick * float(late[c]),
+            "measured_px": measured, "measured_wrong": wrong, "late_frames": float(late[c]),
+            "late_sigma": float(late_sigmas[c]), "late_s": tick * float(late[c]),
         }  # fmt: skip
         out.append(row)
     return out
@@ -76,6 +78,9 @@ def again(found: Calibration) -> list[str]:
         empty = _empty_side(found, c)
         if empty:
             out.append(f"Camera {name}: no point was seen in {empty} of its image; show the board there.")
+        if row["measured_wrong"]:
+            which = ", ".join(row["measured_wrong"])
+            out.append(f"Camera {name}: measured points that do not fit: {which}; look at their places and pixels.")
         if row["focal_sigma"] > _FOCAL:
             reason = f"its focal length is known to {100 * row['focal_sigma']:.1f} % only"
             out.append(f"Camera {name}: {reason}; tilt the board before it, near, by 30 to 45 degrees each way.")
@@ -91,11 +96,22 @@ def again(found: Calibration) -> list[str]:
 def _line(row: dict[str, Any]) -> str:
     lens = "" if row["lens"] == "brown" else " (fisheye)"
     where = 1e3 * float(np.max(row["centre_sigma_m"]))
+    scene = "" if row["measured_px"] is None else f" measured points {row['measured_px']:.2f} px off (median),"
     return (
-        f"Camera {row['camera']}{lens}: {row['rms_px']:.2f} px rms over {row['points']} points, focal length"
+        f"Camera {row['camera']}{lens}: {row['rms_px']:.2f} px rms over {row['points']} points,{scene} focal length"
         f" {row['focal_px']:.0f} px ± {100 * row['focal_sigma']:.2f} %, place ± {where:.1f} mm,"
         f" ± {row['turn_sigma_deg']:.2f}°."
     )
+
+
+def _measured(found: Calibration, camera: int) -> tuple[float | None, list[str]]:
+    """Px by which the measured points of the scene are off, the median, and the names of those that were left out."""
+    a = found.adjustment
+    for s, keep, off in zip(a.sightings, a.kept, a.residuals, strict=True):
+        if s.moment == SCENE and s.camera == camera:
+            wrong = [found.points[k] for k in s.ids[~keep].tolist()]
+            return float(np.median(np.linalg.norm(off[keep], axis=1))), wrong
+    return None, []
 
 
 def _world(found: Calibration) -> list[str]:

@@ -64,6 +64,7 @@ class Calibration:
         board: as it was found to be.
         timing: when each camera's frames were taken; sightings are paired so.
         floor_known: whether a board on the floor says where the world is; else up is a guess by the images.
+        points: names of the measured points of the scene, by their ids.
     """
 
     rig: Rig
@@ -71,6 +72,7 @@ class Calibration:
     board: Board
     timing: Timing
     floor_known: bool
+    points: tuple[str, ...] = ()
 
     @property
     def late(self) -> tuple[Float, Float]:

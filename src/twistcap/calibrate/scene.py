@@ -29,11 +29,12 @@ _CLICKED = 0.5  # px, of where they are found in the images
 
 @dataclass(frozen=True)
 class Scene:
-    """Measured points: places (P, 3), world, m, and pixels (x, y) by camera and number of the point."""
+    """Measured points: places (P, 3), world, m, their names, and pixels (x, y) by camera and number of the point."""
 
     points: Float
+    names: tuple[str, ...]
     pixels: Mapping[str, Mapping[int, Float]]
-    source: str = "measured points"  # the file, for messages
+    source: str  # the file, for messages
 
     def sightings(self, cameras: Sequence[str]) -> list[Sighting]:
         """What each camera sees of it. Raises InputError for a camera that sees too little."""
@@ -42,7 +43,10 @@ class Scene:
             own = self.pixels.get(camera, {})
             if len(own) < FEWEST:
                 few = f"camera {camera} sees {len(own)} measured points; it needs at least {FEWEST}"
-                raise InputError(f"{self.source}: {few}.")
+                known = (
+                    f"; if it is one of {', '.join(self.pixels)}, write CAMERA=PATH" if self.pixels and not own else ""
+                )
+                raise InputError(f"{self.source}: {few}{known}.")
             out.append(Sighting(c, SCENE, np.array(list(own), np.int32), np.array(list(own.values())), solid="scene"))
         return out
 
@@ -67,7 +71,7 @@ def scene_of(table: Mapping[str, Any], path: Path) -> Scene:
                 continue
             pixels.setdefault(camera, {})[k] = number_array(pixel, (2,), f"{where}: 'pixels' of {camera}")
     check(f"points {path}", len(points) >= FEWEST, f"it holds {len(points)} points; at least {FEWEST} are needed")
-    return Scene(np.array(points), pixels, f"points {path}")
+    return Scene(np.array(points), tuple(table), pixels, f"points {path}")
 
 
 def calibrated_by_scene(
@@ -96,7 +100,8 @@ def calibrated_by_scene(
     report("adjusting")
     setup = Setup(guess, (*used, *seen), {"board": solid, "scene": points}, gauge=None)
     adjustment = adjust(setup, report)
-    return Calibration(Rig(adjustment.cameras(names)), adjustment, board, in_step((), len(names)), True)
+    timing = in_step((), len(names))
+    return Calibration(Rig(adjustment.cameras(names)), adjustment, board, timing, True, scene.names)
 
 
 def _guess(

@@ -92,7 +92,9 @@ def _by_points(points: Path, board: Any, options: Any, alone: dict[str, Any], re
 
     scene = read_scene(points)
     _check_lenses(alone)
-    board, names = found_variant(list(alone.values()), board), tuple(alone)
+    names = tuple(alone)
+    scene.sightings(names)  # that each camera sees enough is known before the work
+    board = found_variant(list(alone.values()), board)
     sightings = alone_seen(alone, names, board, options, report)
     sizes = {c: source.size for c, source in enumerate(alone.values())}
     return calibrated_by_scene(scene, sightings, board, names, sizes, options, report=report)

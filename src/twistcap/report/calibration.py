@@ -50,9 +50,12 @@ def write_calibration_page(found: Calibration, folder: Path, title: str = "Calib
 
 def _lead(found: Calibration) -> str:
     moments = len({s.moment for s in found.adjustment.sightings})
+    start = f"{len(found.rig)} cameras by"
+    if "scene" in found.adjustment.solids:
+        lenses = f"lenses by {moments - 1} pictures of a {found.board.words}"
+        return f"{start} {len(found.points)} measured points of the scene, {lenses}. The world is that of the points."
     floor = "z = 0 is the floor" if found.floor_known else "the floor is not known, and up is a guess by the images"
-    what = found.board.words if "board" in found.adjustment.solids else "measured points of the scene"
-    return f"{len(found.rig)} cameras by {moments} moments of a {what}. In this world {floor}."
+    return f"{start} {moments} moments of a {found.board.words}. In this world {floor}."
 
 
 def _headlines(rows: Sequence[dict[str, Any]]) -> list[Headline]:
