@@ -101,7 +101,10 @@ def test_images_leave_the_frame_rate_open(recorded: Path, capsys: pytest.Capture
 def test_unequal_lengths_set_the_frames(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
     video(recorded / "videos" / "cam2.mp4", frames=8)
     assert new(recorded, recorded / "videos") == 0
-    assert "differ in length (5 to 8 frames)" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "differ in length (5 to 8 frames)" in told
+    assert "Next, if the cameras were not started together, find their clocks:  twistcap sync " in told
+    assert told.rstrip().splitlines()[-1].startswith("Then, track:  ")
     assert load_session(recorded / "mine" / "session.toml").frames == (0, 4)
 
 

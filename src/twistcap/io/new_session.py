@@ -291,6 +291,8 @@ def next_steps(draft: Draft, session: Path, failed: bool = False) -> list[str]:
         return ["Next, film with a second camera, calibrate both, and begin anew."]
     clocks, init, track = (f"twistcap {command} {pasted(session)}" for command in ("sync", "init", "track"))
     steps = [f"find the clocks of the cameras:  {clocks}"] if _rates_differ(draft) else []
+    if not steps and draft.frames[0] < draft.frames[1]:  # a trigger would have ended them together
+        steps = [f"if the cameras were not started together, find their clocks:  {clocks}"]
     steps += [f"click the first pose:  {init}"] if failed else []
     steps.append(f"track:  {track}")
     return [f"{'Then' if k else 'Next'}, {step}" for k, step in enumerate(steps)]
