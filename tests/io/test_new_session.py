@@ -71,6 +71,12 @@ def test_the_session_loads_and_says_what_is_missing(recorded: Path, capsys: pyte
     assert str(recorded) not in text  # paths are relative: the folder may move
 
 
+def test_one_camera_is_not_enough(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert new(recorded, recorded / "videos" / "cam1.mp4") == 0
+    told = capsys.readouterr().err
+    assert told.startswith("1 camera (cam1), ") and "Next, film with a second camera" in told
+
+
 def test_what_is_there_is_not_missing(recorded: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (recorded / "mine").mkdir()
     (recorded / "mine" / "first_pose.json").write_text("{}")

@@ -251,7 +251,8 @@ def findings(draft: Draft) -> list[str]:
     fewest, most = draft.frames
     rates = draft.rates
     rate = f"{next(iter(rates.values())):g} frames per second" if rates else "images without a known frame rate"
-    out = [f"{len(draft.rig)} cameras ({', '.join(draft.rig.names)}), {fewest} frames, {rate}; all sizes agree."]
+    count = f"{len(draft.rig)} camera{'' if len(draft.rig) == 1 else 's'}"
+    out = [f"{count} ({', '.join(draft.rig.names)}), {fewest} frames, {rate}; all sizes agree."]
     if fewest < most:
         out.append(f"The videos differ in length ({fewest} to {most} frames): frames = [0, {fewest - 1}] is set.")
     if _rates_differ(draft):
