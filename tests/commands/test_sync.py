@@ -181,6 +181,29 @@ def test_why_a_calibration_stays() -> None:
     assert "late, frozen or swapped" in _doubt(0.3, 0.4, 0.85)
 
 
+def test_two_cameras_that_hold_two_others_are_named(capsys: pytest.CaptureFixture[str]) -> None:
+    numbers = (
+        "off_px",
+        "turned_deg",
+        "turned_sigma_deg",
+        "moved_mm",
+        "moved_sigma_mm",
+        "agreed_before",
+        "agreed_after",
+    )
+    rows = [
+        {"camera": n, **dict.fromkeys(numbers, 0.5), "from_frame": 0, "frames": 99, "sure": True} for n in ("c", "d")
+    ]
+    rows[1]["from_frame"] = None
+    for mended, told in ((rows, True), (rows[:1], False)):
+        cameras.show({"cameras": mended, "held_by": ["a", "b"], "calibration": Path("Calib.toml")})
+        said = "Only a and b hold the world. If one of these was bumped instead, this is wrong"
+        printed = " ".join(capsys.readouterr().err.split())
+        assert (said in printed) == told
+        assert "Camera c: the new calibration holds from frame 0 on" in printed
+        assert ("Camera d: the new calibration is that of 99 frames; since when it holds," in printed) == told
+
+
 def test_frames_since_a_camera_is_mostly_left_out() -> None:
     out = np.zeros(300, np.bool_)
     out[[3, 90, 91]] = True  # the body was hidden

@@ -58,7 +58,9 @@ def mend_cameras(path: Path, out: Path, session: Any, names: Sequence[str] = ())
     if sure:
         there, floor = _in_file(given, result.rig, mended, sure), knows_floor(session.cameras.calibration)
         write_rig(there, goal, session.cameras.unit or "m", floor)
-    return {"id": "refine-cameras", "result": path, "cameras": rows, "calibration": goal if sure else None}
+    held = [camera.name for c, camera in enumerate(result.rig) if c not in wrong]
+    about = {"id": "refine-cameras", "result": path, "cameras": rows, "held_by": held}
+    return about | {"calibration": goal if sure else None}
 
 
 def _in_file(given: Any, turned: Any, mended: Any, names: Sequence[str]) -> Any:
@@ -157,7 +159,7 @@ def _mended(
     reason = _doubt(before, after, found.others)
     return {
         "camera": name, **_off(result, found, camera), "agreed_before": before, "agreed_after": after,
-        "from_frame": whole[min(first, len(whole) - 1)].index, "frames": len(chosen),
+        "from_frame": whole[first].index if first < len(whole) else None, "frames": len(chosen),
         "sure": not reason, "reason": reason,
     }, place  # fmt: skip
 
@@ -247,12 +249,19 @@ def show(document: dict[str, Any]) -> None:
         terminal.say(_sentence(r))
     if document["calibration"] is None:
         words.print("Nothing is written.")
-    else:
-        terminal.say(f"Track again with [cameras] calibration = {str(document['calibration'])!r}.")
+        return
+    held = document["held_by"]
+    if len(held) <= sum(r["sure"] for r in document["cameras"]):
+        also = f"If one of these was bumped instead, this is wrong: look for it alone, as --camera {held[0]}"
+        terminal.say(f"Only {' and '.join(held)} hold the world. {also}.")
+    terminal.say(f"Track again with [cameras] calibration = {str(document['calibration'])!r}.")
 
 
 def _sentence(row: dict[str, Any]) -> str:
     name, frames = row["camera"], row["frames"]
     if not row["sure"]:
         return f"Camera {name}: {row['reason']} ({frames} frames). Its calibration stays."
+    if row["from_frame"] is None:  # it was believed so far that the body was tracked by it
+        when = "since when it holds, the body as it was tracked does not tell"
+        return f"Camera {name}: the new calibration is that of {frames} frames; {when}."
     return f"Camera {name}: the new calibration holds from frame {row['from_frame']} on ({frames} frames were used)."
