@@ -115,6 +115,17 @@ def test_cameras_that_were_not_bumped_may_be_turned_a_little() -> None:
     assert np.linalg.norm(centre - scene.rig[1].centre) < 0.0105  # 8 mm are measured; 13 if the others are held
 
 
+def test_a_camera_that_was_bumped_tells_though_another_is_looked_for() -> None:
+    scene = in_a_circle()
+    frames = list(scene.frames())[::2]
+    given = [Estimate(f.index, f.time, scene.true_poses[f.index], np.eye(scene.body.dof)) for f in frames]
+    off = CameraBlock(scene.rig[1]).retract(np.r_[0.0, np.deg2rad(2.0), np.zeros(4)]).camera
+    rig = replace(scene.rig, cameras=(scene.rig[0], off, *scene.rig.cameras[2:]))
+    right, wrong = (mended_cameras(lambda: frames, scene.body, rig, given, [c]).turned for c in (1, 2))
+    assert set(right) == {0, 2, 3} and max(right.values()) < np.deg2rad(0.3)
+    assert max(wrong, key=lambda c: wrong[c]) == 1 and wrong[1] > np.deg2rad(0.8)
+
+
 def test_a_turn_that_the_background_has_told_is_taken_over() -> None:
     scene, turn = in_a_circle(), np.deg2rad([0.9, -1.5, 0.6])
     frames = list(scene.frames())[::2]

@@ -175,6 +175,32 @@ def test_a_mended_calibration_is_in_the_world_and_unit_of_the_session(
         np.testing.assert_allclose(now.T_cam_world, place if k == 1 else before.T_cam_world, atol=1e-8)
 
 
+@pytest.mark.parametrize("sure", [True, False])
+def test_the_camera_that_had_to_be_turned_as_well_is_mended_instead(
+    monkeypatch: pytest.MonkeyPatch, sure: bool
+) -> None:
+    """All others are believed then, also those that the tracker had left out."""
+    rig, asked = ring(), list[tuple[int, bool]]()
+    out = np.zeros((30, 4), np.bool_)
+    out[5:, [0, 3]] = True
+    result, place = Mended(rig, out, np.zeros((30, 4, 3)), []), se3.exp(np.full(6, 0.01)) @ rig[2].T_cam_world
+    name, instead = rig.names[2], {"camera": rig.names[0], "instead": rig.names[2]}
+
+    def mended(result: Any, views: Any, session: Any, camera: int, others: Any, since: int) -> Any:
+        asked.append((since, result.left_out.any()))
+        return {"camera": rig.names[camera], "instead": None, "sure": sure}, place
+
+    monkeypatch.setattr("twistcap.io.recording.views_of", lambda *_: None)
+    monkeypatch.setattr(cameras, "_mended", mended)
+    rows = [instead, {"camera": rig.names[3], "instead": None}]
+    found = cameras._one_instead(result, None, rows, {})  # pyright: ignore[reportPrivateUsage]
+    assert asked == [(5, False)]
+    assert (found is not None) == sure
+    if found is not None:
+        assert found[0] == [2] and [row["camera"] for row in found[1]] == [name]
+        np.testing.assert_array_equal(found[2][2].T_cam_world, place)
+
+
 def test_why_a_calibration_stays() -> None:
     assert _doubt(0.3, 0.8, 0.85) == ""
     assert "as it is calibrated (82 %)" in _doubt(0.82, 0.83, 0.85)
@@ -191,10 +217,8 @@ def test_two_cameras_that_hold_two_others_are_named(capsys: pytest.CaptureFixtur
         "agreed_before",
         "agreed_after",
     )
-    rows = [
-        {"camera": n, **dict.fromkeys(numbers, 0.5), "from_frame": 0, "frames": 99, "sure": True} for n in ("c", "d")
-    ]
-    rows[1]["from_frame"] = None
+    some: dict[str, Any] = {**dict.fromkeys(numbers, 0.5), "frames": 99, "sure": True}
+    rows = [{"camera": "c", "from_frame": 0, **some}, {"camera": "d", "from_frame": None, **some}]
     for mended, told in ((rows, True), (rows[:1], False)):
         cameras.show({"cameras": mended, "held_by": ["a", "b"], "calibration": Path("Calib.toml")})
         said = "Only a and b hold the world. If one of these was bumped instead, this is wrong"

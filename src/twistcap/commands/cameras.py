@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,10 +18,11 @@ _MOST = 150  # frames that are used, spread evenly
 _FEWEST = 24
 _GOOD = 0.75  # share of the agreement of the other cameras that a mended one must reach
 _GAIN = 0.05  # of its agreement
+_TURNED = np.deg2rad(0.5)  # from which on another camera, which had to be turned as well, is taken for the one that was
 ELSEWHERE = "seems to stand elsewhere than it was calibrated"
 _NUMBERS = (
     "off_px", "turned_deg", "turned_sigma_deg", "moved_mm", "moved_sigma_mm", "agreed_before", "agreed_after",
-    "from_frame",
+    "from_frame", "instead",
 )  # fmt: skip
 
 
@@ -29,12 +30,12 @@ def mend_cameras(path: Path, out: Path, session: Any, names: Sequence[str] = ())
     """Estimate where cameras of a result stand, and write a new calibration into a folder; what ``--json`` prints.
 
     Without names, those are mended that the tracker left out, turned back or suspected. Each is looked for by itself;
-    others that are wrong are not believed until they are mended.
+    others that are wrong are not believed until they are mended. Where a camera that holds the world had to be turned
+    as well, that one is mended instead: it stands near, and has outvoted the others.
 
     Raises InputError where no camera is wrong, or too few frames or cameras are left.
     """
     from twistcap.io.calibration import knows_floor, read_rig, write_rig
-    from twistcap.io.recording import views_of
     from twistcap.io.result import read_result
 
     result = read_result(path)
@@ -44,6 +45,24 @@ def mend_cameras(path: Path, out: Path, session: Any, names: Sequence[str] = ())
     goal = (terminal.output_folder(out) / "Calib.toml").resolve()
     if goal == Path(session.cameras.calibration).resolve():
         raise InputError(f"{goal} is the session's own calibration, which is never replaced; give another --out.")
+    rows, mended = _each_mended(result, session, wrong, suspected)
+    if not names and (one := _one_instead(result, session, rows, suspected)) is not None:
+        wrong, rows, mended = one
+    sure = [row["camera"] for row in rows if row["sure"]]
+    if sure:
+        there, floor = _in_file(given, result.rig, mended, sure), knows_floor(session.cameras.calibration)
+        write_rig(there, goal, session.cameras.unit or "m", floor)
+    held = [camera.name for c, camera in enumerate(result.rig) if c not in wrong]
+    about = {"id": "refine-cameras", "result": path, "cameras": rows, "held_by": held}
+    return about | {"calibration": goal if sure else None}
+
+
+def _each_mended(
+    result: Any, session: Any, wrong: Sequence[int], suspected: Mapping[int, int]
+) -> tuple[list[dict[str, Any]], Any]:
+    """Rows of the table, and the rig with those cameras where they stand that are surely found."""
+    from twistcap.io.recording import views_of
+
     rows, mended = list[dict[str, Any]](), result.rig
     for c in wrong:
         views = views_of(session, mended)
@@ -54,13 +73,23 @@ def mend_cameras(path: Path, out: Path, session: Any, names: Sequence[str] = ())
         if row["sure"]:
             camera = replace(mended[c], T_cam_world=place)
             mended = replace(mended, cameras=(*mended.cameras[:c], camera, *mended.cameras[c + 1 :]))
-    sure = [row["camera"] for row in rows if row["sure"]]
-    if sure:
-        there, floor = _in_file(given, result.rig, mended, sure), knows_floor(session.cameras.calibration)
-        write_rig(there, goal, session.cameras.unit or "m", floor)
-    held = [camera.name for c, camera in enumerate(result.rig) if c not in wrong]
-    about = {"id": "refine-cameras", "result": path, "cameras": rows, "held_by": held}
-    return about | {"calibration": goal if sure else None}
+    return rows, mended
+
+
+def _one_instead(
+    result: Any, session: Any, rows: Sequence[dict[str, Any]], suspected: Mapping[int, int]
+) -> tuple[list[int], list[dict[str, Any]], Any] | None:
+    """The one camera that had to be turned as well, if all others agree once it alone is mended: its number, its row
+    and the rig. All others are believed then.
+    """
+    wrong = [result.rig.names.index(row["camera"]) for row in rows]
+    since = min(_since(_wrong_in(result)[:, c]) or suspected.get(c, 0) for c in wrong)
+    believed = replace(result, left_out=np.zeros_like(result.left_out), bumps=np.zeros_like(result.bumps))
+    for c in sorted({result.rig.names.index(row["instead"]) for row in rows if row["instead"]} - {*wrong}):
+        (row,), mended = _each_mended(believed, session, [c], {c: since})
+        if row["sure"]:
+            return [c], [row], mended
+    return None
 
 
 def _in_file(given: Any, turned: Any, mended: Any, names: Sequence[str]) -> Any:
@@ -156,11 +185,16 @@ def _mended(
     with terminal.status(f"looking when {name} was moved"):
         whole = _frames(result, 0, camera, others)
         first = holds_from(*agreement_at(_shown(views, whole), *rest, whole, camera, place, settings))
+    held = max(found.turned, key=lambda c: found.turned[c])
+    instead = result.rig.names[held] if found.turned[held] > _TURNED else None
     reason = _doubt(before, after, found.others)
+    if instead and not reason:
+        reason = f"camera {instead} had to be turned by {np.rad2deg(found.turned[held]):.1f}° to agree with it; one of"
+        reason += " the two was bumped"
     return {
         "camera": name, **_off(result, found, camera), "agreed_before": before, "agreed_after": after,
         "from_frame": whole[first].index if first < len(whole) else None, "frames": len(chosen),
-        "sure": not reason, "reason": reason,
+        "sure": not reason, "reason": reason, "instead": instead,
     }, place  # fmt: skip
 
 

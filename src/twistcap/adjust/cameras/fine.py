@@ -58,6 +58,7 @@ class MendedCameras:
         before, after: by number, (F,) share of the contour points that agree in each frame with the camera as given,
             and as mended.
         others: that share in the other cameras, all frames together.
+        turned: by number, rad by which each of the others had to be turned to agree.
         moved: rad and m by which the cameras moved in each round.
         poses: of the frames.
     """
@@ -67,6 +68,7 @@ class MendedCameras:
     before: Mapping[int, Float]
     after: Mapping[int, Float]
     others: float
+    turned: Mapping[int, float]
     moved: tuple[float, ...]
     poses: PoseTrack
 
@@ -208,7 +210,9 @@ def _settled(
     before = as_given.agreeing(posed, wrong)
     before = {c: zero_beside(before[c], after[c]) for c in wrong}
     others = float(np.nanmean(np.stack(tuple(rest.values()))))
-    return MendedCameras(places, sigmas, before, after, others, tuple(moved), x.track)
+    turns = {c: se3.log(x.places[c] @ np.linalg.inv(given[c]))[:3] for c in given if c not in wrong}
+    turned = {c: float(np.linalg.norm(turn)) for c, turn in turns.items()}
+    return MendedCameras(places, sigmas, before, after, others, turned, tuple(moved), x.track)
 
 
 class CameraProblem:
