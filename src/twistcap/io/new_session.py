@@ -216,7 +216,7 @@ def session_lines(draft: Draft, folder: Path, stature: float | None) -> str:
         '# method = "direct"   # or "levelset"',
         "\n[output]",
         f'# folder = "out/{folder.resolve().name}"   # relative to where twistcap is started',
-        'exports = ["trc", "csv"]   # also mot, bvh, glb, c3d, opensim',
+        'exports = ["trc", "csv"]   # also mot, bvh, glb, c3d, opensim, usd',
     ]
     return "\n".join(lines) + "\n"
 
