@@ -1,6 +1,6 @@
 """`twistcap study`: nothing is lost or doubled when a worker is killed, what it costs, and how the cost grows.
 
-kill      24 studio trials on 2 workers; a random worker is killed at a random time, twice, here and on a Dask
+kill      24 studio trials on 2 workers; a random worker is killed in a random trial, twice, here and on a Dask
           LocalCluster. All tables must equal those of the run without a kill, byte for byte.
 overhead  the same trials, tracked by `run_session` alone in two processes, and by a study; wall and CPU time.
 growth    bytes and scheduler time of one trial, measured on a real Dask scheduler with no-op trials; and a
@@ -22,8 +22,9 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import active_children, get_context
 from pathlib import Path
@@ -62,18 +63,27 @@ def made(folder: Path, frames: int, table: str) -> Path:
 # kill
 
 
-def killed_after(seconds: float, workers: Callable[[], list[int]], rng: random.Random) -> threading.Thread:
-    """A thread that kills one of the workers that are there then."""
+@contextmanager
+def killing(out: Path, workers: Callable[[], list[int]], rng: random.Random) -> Generator[None]:
+    """One of the workers is killed meanwhile, when a random number of trials has been begun. Raises RuntimeError where
+    none was killed.
+    """
+    begun, killed = rng.randint(1, SUBJECTS * TRIALS - WORKERS), list[int]()
 
     def kill() -> None:
-        time.sleep(seconds)
-        pid = rng.choice(sorted(workers()))
-        os.kill(pid, signal.SIGKILL)
-        print(f"  killed worker {pid} after {seconds:.0f} s", flush=True)
+        while len(list(out.rglob("result.h5"))) < begun:
+            time.sleep(0.02)
+        time.sleep(rng.uniform(0.0, 2.0))
+        killed.append(rng.choice(sorted(workers())))
+        os.kill(killed[0], signal.SIGKILL)
+        print(f"  killed worker {killed[0]} after trial {begun} was begun", flush=True)
 
-    thread = threading.Thread(target=kill)
+    thread = threading.Thread(target=kill, daemon=True)
     thread.start()
-    return thread
+    yield
+    thread.join(timeout=10.0)
+    if not killed:
+        raise RuntimeError("no worker was killed, so nothing is shown")
 
 
 def own_workers() -> list[int]:
@@ -83,23 +93,18 @@ def own_workers() -> list[int]:
 def kills(folder: Path, count: int) -> int:
     """Faults found."""
     study, faults = load_study(made(folder, 10, FITTED)), 0
-    start = time.perf_counter()
     run_study(study, _fresh(folder / "whole"), WORKERS)
-    took = time.perf_counter() - start
-    print(f"without a kill: {took:.0f} s")
     for number in range(count):
         rng, out = random.Random(number), _fresh(folder / "killed")
-        thread = killed_after(rng.uniform(0.1, 0.9) * took, own_workers, rng)
-        run_study(study, out, WORKERS)
-        thread.join()
+        with killing(out, own_workers, rng):
+            run_study(study, out, WORKERS)
         faults += _compared(f"processes, kill {number}", folder / "whole", out)
     for number in range(count):
         rng, out = random.Random(100 + number), _fresh(folder / "killed")
         with LocalCluster(n_workers=WORKERS, threads_per_worker=1, dashboard_address=None) as cluster:
             pids = list(Client(cluster).run(os.getpid).values())
-            thread = killed_after(rng.uniform(0.1, 0.9) * took, pids.copy, rng)
-            run_study(study, out, cluster=cluster.scheduler_address)
-            thread.join()
+            with killing(out, pids.copy, rng):
+                run_study(study, out, cluster=cluster.scheduler_address)
         faults += _compared(f"Dask, kill {number}", folder / "whole", out)
     return faults
 
