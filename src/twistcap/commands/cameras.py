@@ -20,7 +20,7 @@ _GOOD = 0.75  # share of the agreement of the other cameras that a mended one mu
 _GAIN = 0.05  # of its agreement
 _TURNED = np.deg2rad(0.5)  # from which on another camera, which had to be turned as well, is taken for the one that was
 ELSEWHERE = "seems to stand elsewhere than it was calibrated"
-_NUMBERS = (
+_FOUND = (
     "off_px", "turned_deg", "turned_sigma_deg", "moved_mm", "moved_sigma_mm", "agreed_before", "agreed_after",
     "from_frame", "instead",
 )  # fmt: skip
@@ -176,7 +176,7 @@ def _mended(
     chosen = _frames(result, first, camera, others)
     if len(chosen) < _FEWEST:
         reason = f"only {len(chosen)} good frames show it where it stands now; track at least {_FEWEST}"
-        return {"camera": name, **dict.fromkeys(_NUMBERS), "frames": len(chosen), "sure": False, "reason": reason}, None
+        return {"camera": name, **dict.fromkeys(_FOUND), "frames": len(chosen), "sure": False, "reason": reason}, None
     rest, settings = (result.body, views.image_rig), session.tracker_settings
     with terminal.status(f"mending {name}") as report:
         found = mended_cameras(lambda: _shown(views, chosen), *rest, chosen, [camera], settings, report)
